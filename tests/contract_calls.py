@@ -6,7 +6,6 @@ what came of it. Who reads them sees which call ended the process, and starts an
 
 from __future__ import annotations
 
-import copy
 import dataclasses
 import functools
 import inspect
@@ -104,7 +103,7 @@ def instance(name: str) -> Any:
 
 def _method(cls: str, method: str, /, **given: Any) -> Any:
     on = instance(f"{cls}.{method}" if f"{cls}.{method}" in INSTANCES else cls)
-    return getattr(copy.copy(on) if cls == "campaign.Distribution" else on, method)(**given)
+    return getattr(on, method)(**given)
 
 
 @functools.cache

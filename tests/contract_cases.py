@@ -129,9 +129,9 @@ def planned() -> campaign.Plan:
 
 
 def table() -> dict[str, Any]:
-    from campaign_flights import flown_quickly, planned
+    from campaign_runs import invented_columns, planned
 
-    return flown_quickly(planned(), range(64))
+    return invented_columns(planned(), range(64))
 
 
 LIMITS = {"turn": {"angle": 0.003}, "step": {"angle": 0.0005}}
@@ -139,9 +139,9 @@ LIMITS = {"turn": {"angle": 0.003}, "step": {"angle": 0.0005}}
 
 @functools.cache
 def summary() -> campaign.Summary:
-    from campaign_flights import planned
+    from campaign_runs import planned
 
-    return campaign.summarised(planned(), table())
+    return campaign.summarise(planned(), table())
 
 
 @functools.cache
@@ -308,17 +308,13 @@ FUNCTIONS: dict[str, dict[str, Callable[[], Any]]] = {
     "baselines.update_baseline": {"result": result, **NEW},
     "baselines.write_baseline": {"baseline": baseline, **NEW},
     "campaign.clopper_pearson": of(events=1, runs=10),
-    "campaign.contrasts": {"table": table, **of(limits=LIMITS)},
-    "campaign.influences": of(inputs={"a": np.arange(40.0), "b": np.arange(40.0) % 7}, output=np.arange(40.0) % 5),
     "campaign.plan": {"job": asked, "controllers": lambda: [closed()]},
-    "campaign.rare_event": of(figures=lambda u, _: u.sum(axis=1) / 1.9, dimension=2, samples=100, repetitions=2),
+    "campaign.rare_event": of(ratios=lambda u, _: u.sum(axis=1) / 1.9, dimension=2, samples=100, repetitions=2),
     "campaign.rare_probability": {"plan": planned},
     "campaign.rerun": {"plan": planned, **of(number=0)},
     "campaign.run_campaign": {"plan": planned, **of(folder="runs")},
-    "campaign.sensitivities": {"table": table, **of(limits=LIMITS)},
     "campaign.statistics": {"table": table, **of(limits=LIMITS)},
-    "campaign.summarised": {"plan": planned, "table": table},
-    "campaign.summary_record": {"summary": summary},
+    "campaign.summarise": {"plan": planned, "table": table},
     "certificates.closed": {"system": arrays},
     "certificates.h2_certificate": SYSTEM,
     "certificates.margin_certificates": {
@@ -462,21 +458,12 @@ INSTANCES: dict[str, Callable[[], Any]] = {
     "baselines.Tolerance": baselines.Tolerance,
     "baselines.Update": lambda: baselines.Update(path=Path("new"), comparison=None, figures=3, written=True),
     "campaign.CampaignStatistics": lambda: summary().statistics,
-    "campaign.Campaigned": lambda: campaign.Campaigned(table=Path("table"), record={"counts": {}, "passed": True}),
-    "campaign.Contrast": lambda: campaign.contrasts(table(), LIMITS)[0],
-    "campaign.Distribution": campaign.Distribution,
-    "campaign.Influence": lambda: campaign.influences({"a": np.arange(40.0)}, np.arange(40.0) % 5)[0],
-    "campaign.Plan": planned,
-    "campaign.Probability": lambda: campaign.clopper_pearson(1, 10),
-    "campaign.RarePoint": lambda: campaign.RarePoint(u=np.zeros(2), run=1, ratio=1.0, distance=1.0),
-    "campaign.RareResult": lambda: rare(),
-    "campaign.Repetition": lambda: rare().repetitions[0],
-    "campaign.RequirementStatistics": lambda: summary().statistics.requirements[0],
-    "campaign.Rerun": lambda: campaign.rerun(planned(), 0),
-    "campaign.RunFigure": lambda: campaign.RunFigure(
-        run=0, manoeuvre="turn", figure="angle", value=1.0, limit=2.0, ratio=0.5, ended="completed"
+    "campaign.CampaignResult": lambda: campaign.CampaignResult(
+        table=Path("table"), record={"counts": {}, "passed": True}
     ),
-    "campaign.Sensitivity": lambda: summary().sensitivities[0],
+    "campaign.Plan": planned,
+    "campaign.RareResult": lambda: rare(),
+    "campaign.Rerun": lambda: campaign.rerun(planned(), 0),
     "campaign.Summary": summary,
     "certificates.Certificate": certificate,
     "certificates.ClosedLoop": lambda: certificates.closed(arrays()),
@@ -615,10 +602,7 @@ METHODS: dict[str, dict[str, Callable[[], Any]]] = {
     "baselines.LoopMatrices.same_controller": {"other": lambda: baseline().loops[0]},
     "baselines.LoopMatrices.same_plant": {"other": lambda: baseline().loops[0]},
     "baselines.Tolerance.allowed": of(accepted=1.0),
-    "campaign.CampaignStatistics.of": of(figure="angle", manoeuvre="turn"),
-    "campaign.Distribution.add": of(figures=[1.0, 2.0]),
-    "campaign.Distribution.histogram": of(edges=np.array([0.0, 1.0, 2.0])),
-    "campaign.Distribution.quantile": of(share=0.5),
+    "campaign.CampaignStatistics.of": of(requirement="angle", manoeuvre="turn"),
     "campaign.Plan.inputs": of(first=0, last=2),
     "campaign.Plan.inputs_at": {"points": lambda: np.full((1, planned().dimensions), 0.5)},
     "campaign.Plan.points": of(first=0, last=2),

@@ -140,7 +140,6 @@ FOUND = (
     ("ParameterVaryingModel.rhs", "Omega_dot", "frd"),
     ("Precession.error", "frequency", "with 1e308"),
     ("analysis.hinf_norm_arrays", "tolerance", "10^30"),
-    ("campaign.Distribution.histogram", "edges", "axis 0 longer"),
     ("campaign.clopper_pearson", "runs", "10^400"),
     ("design.from_crossover_and_margin", "gimbals", "[]"),
     ("design.limited_loop", "lag", "empty"),

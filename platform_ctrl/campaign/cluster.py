@@ -1,4 +1,4 @@
-"""Flying pieces of a campaign on a Dask cluster. What is left to its scheduler: who flies what, and lost workers."""
+"""Chunks of a campaign on a Dask cluster, whose scheduler distributes them and notices lost workers."""
 
 from __future__ import annotations
 
@@ -11,30 +11,36 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 from platform_ctrl.campaign.identity import versions
-from platform_ctrl.campaign.single_run import Columns, Fly, flown, not_flown
-from platform_ctrl.campaign.workers import DIED, Pieces
+from platform_ctrl.campaign.single_run import Columns, SimulateRuns, columns_of, row_not_simulated
+from platform_ctrl.campaign.workers import DIED, Chunks
 from platform_ctrl.errors import InputError, SimulationError
 
 if TYPE_CHECKING:
-    from platform_ctrl.campaign.plan import Plan
+    from platform_ctrl.campaign.planning import Plan
 
-# Pieces for each thread of the cluster: one that is flown, one that waits there already.
+# Pieces for each thread of the cluster: one that is simulated, one that waits there already.
 _AHEAD = 2
 _TIMEOUT = 10.0
 # How long a campaign waits for workers when there are none, s.
 _PATIENCE = 300.0
-# How often a piece is sent again because of the network or a scheduler's whim, not because a worker died.
+# How often a chunk is sent again because of the network or a scheduler's whim, not because a worker died.
 _RETRIES = 3
 
 
-def flown_by_cluster(
-    plan: Plan, pieces: Pieces, fly: Fly, *, address: str, device: str = "cpu", say: Callable[[str], None] = print
+def columns_by_cluster(
+    plan: Plan,
+    chunks: Chunks,
+    simulate: SimulateRuns,
+    *,
+    address: str,
+    device: str = "cpu",
+    say: Callable[[str], None] = print,
 ) -> Iterator[tuple[range, Columns]]:
-    """Fly all pieces on the workers of a Dask scheduler and yield them with their columns as they are done.
+    """Simulate all chunks on the workers of a Dask scheduler and yield them with their columns as they are done.
 
-    The plan is sent once. A piece whose workers died more often than the scheduler allows is flown again in parts. The
-    scheduler blames whatever a lost worker had, also what only waited there: a single run that is blamed is flown again
-    when nothing else is under way, and if it is blamed then, it is recorded as not flown.
+    The plan is sent once. A chunk whose workers died more often than the scheduler allows is divided and simulated
+    again. The scheduler blames whatever a lost worker had, also what only waited there: a single run that is blamed is
+    simulated again when nothing else is under way, and if it is blamed then, it is recorded as not simulated.
     """
     distributed = _distributed()
     client = _client(distributed, address)
@@ -43,7 +49,7 @@ def flown_by_cluster(
     before = told.level
     told.setLevel(logging.CRITICAL)
     try:
-        yield from _Cluster(distributed, client, plan, pieces, fly, device, address, say).flown()
+        yield from _Cluster(distributed, client, plan, chunks, simulate, device, address, say).columns()
     finally:
         with suppress(Exception), warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -52,21 +58,21 @@ def flown_by_cluster(
 
 
 class _Cluster:
-    """The pieces that are under way."""
+    """The chunks that are under way."""
 
     def __init__(
         self,
         distributed: Any,
         client: Any,
         plan: Plan,
-        pieces: Pieces,
-        fly: Fly,
+        chunks: Chunks,
+        simulate: SimulateRuns,
         device: str,
         address: str,
         say: Callable[[str], None],
     ) -> None:
         self._distributed, self._client, self._plan = distributed, client, plan
-        self._pieces, self._fly, self._device = pieces, fly, device
+        self._chunks, self._simulate, self._device = chunks, simulate, device
         self._address, self._say = address, say
         self._under_way: dict[Any, range] = {}
         self._suspects: list[range] = []
@@ -74,18 +80,18 @@ class _Cluster:
         self._threads = 0
         self._looked = self._seen = float("-inf")
 
-    def flown(self) -> Iterator[tuple[range, Columns]]:
+    def columns(self) -> Iterator[tuple[range, Columns]]:
         distributed = self._distributed
         self._look(first=True)
         # As the result of a task, so that the scheduler makes it anew when the workers that hold it are lost.
         plan = pickle.dumps(self._plan, pickle.HIGHEST_PROTOCOL)
         shared = self._client.submit(pickle.loads, plan, pure=False, retries=_RETRIES)
-        while self._pieces.waiting or self._under_way or self._suspects:
+        while self._chunks.waiting or self._under_way or self._suspects:
             self._look()
-            while (piece := self._next()) is not None:
-                arguments = (shared, piece, self._fly, self._device, versions())
-                future = self._client.submit(_piece_flown, *arguments, pure=False, retries=_RETRIES)
-                self._under_way[future] = piece
+            while (chunk := self._next()) is not None:
+                arguments = (shared, chunk, self._simulate, self._device, versions())
+                future = self._client.submit(_chunk_columns, *arguments, pure=False, retries=_RETRIES)
+                self._under_way[future] = chunk
             if not self._under_way:
                 time.sleep(0.2)
                 continue
@@ -100,38 +106,38 @@ class _Cluster:
                 yield from self._landed(future, self._under_way.pop(future))
 
     def _next(self) -> range | None:
-        """Return the piece to be sent now, if any."""
-        if self._pieces.waiting:
+        """Return the chunk to be sent now, if any."""
+        if self._chunks.waiting:
             self._alone = False
-            return self._pieces.next() if len(self._under_way) < _AHEAD * self._threads else None
+            return self._chunks.next() if len(self._under_way) < _AHEAD * self._threads else None
         if self._suspects and not self._under_way and self._threads:
             self._alone = True
             return self._suspects.pop()
         return None
 
-    def _landed(self, future: Any, piece: range) -> Iterator[tuple[range, Columns]]:
+    def _landed(self, future: Any, chunk: range) -> Iterator[tuple[range, Columns]]:
         if future.status == "cancelled":
             raise self._gone()
         error = future.exception() if future.status == "error" else None
         if isinstance(error, self._distributed.scheduler.KilledWorker):
-            if len(piece) > 1:
-                self._pieces.died(piece)
+            if len(chunk) > 1:
+                self._chunks.died(chunk)
             elif not self._alone:
-                self._suspects.append(piece)
+                self._suspects.append(chunk)
             else:
-                yield piece, not_flown(self._plan, piece.start, DIED)
+                yield chunk, row_not_simulated(self._plan, chunk.start, DIED)
         elif isinstance(error, InputError):
             raise error
         elif error is not None:
             reason = " ".join(f"{type(error).__name__}: {error}".split())
             raise SimulationError(
-                f"--scheduler {self._address}: a worker cannot fly: {reason}; the runs so far are kept, the same "
+                f"--scheduler {self._address}: a worker cannot simulate: {reason}; the runs so far are kept, the same "
                 "command goes on"
             )
         else:
             columns, seconds = future.result()
-            self._pieces.finished(piece, seconds)
-            yield piece, columns
+            self._chunks.finished(chunk, seconds)
+            yield chunk, columns
 
     def _look(self, first: bool = False) -> None:
         """Count the threads of the cluster, now and then: workers come and go."""
@@ -144,7 +150,7 @@ class _Cluster:
             self._threads = sum(self._client.nthreads().values())
         except (OSError, self._distributed.TimeoutError):
             raise self._gone() from None
-        self._pieces.crew = max(self._threads, 1)
+        self._chunks.crew = max(self._threads, 1)
         if self._threads or first:
             self._seen = now
         if not self._threads:
@@ -161,8 +167,10 @@ class _Cluster:
         )
 
 
-def _piece_flown(plan: Plan, piece: range, fly: Fly, device: str, expected: dict[str, str]) -> tuple[Columns, float]:
-    """Fly a piece on a worker."""
+def _chunk_columns(
+    plan: Plan, chunk: range, simulate: SimulateRuns, device: str, expected: dict[str, str]
+) -> tuple[Columns, float]:
+    """Simulate a chunk on a worker."""
     there = versions()
     for name, version in expected.items():
         if there[name] != version:
@@ -170,7 +178,7 @@ def _piece_flown(plan: Plan, piece: range, fly: Fly, device: str, expected: dict
                 f"a worker of the cluster has {name} {there[name]}, here it is {version}; expected the same everywhere"
             )
     began = time.perf_counter()
-    columns = flown(plan, piece, fly, 1, device)
+    columns = columns_of(plan, chunk, simulate, 1, device)
     return columns, time.perf_counter() - began
 
 
@@ -186,7 +194,7 @@ def _distributed() -> Any:
 def _client(distributed: Any, address: str) -> Any:
     try:
         with warnings.catch_warnings():
-            # Versions are compared by name before anything is flown.
+            # Versions are compared by name before anything is simulated.
             warnings.simplefilter("ignore")
             # Judged first: a client that cannot make sense of its address leaves a traceback behind.
             distributed.comm.get_address_host_port(address)

@@ -1,6 +1,6 @@
 """How often a requirement is violated with a fault, a manoeuvre or a chosen value, and how often without it.
 
-Shares of variance do not see a rare cause: a fault in one run of fifty has hardly any share of a figure's variance,
+Shares of variance do not see a rare cause: a fault in one run of fifty has hardly any share of a metric's variance,
 even where every violating run has it. Counting does.
 """
 
@@ -12,12 +12,11 @@ import numpy as np
 
 from platform_ctrl.campaign.probability import CONFIDENCE, Probability, clopper_pearson
 from platform_ctrl.campaign.sensitivity import SIGNIFICANCE, holm
-from platform_ctrl.campaign.statistics import Limits
 from platform_ctrl.campaign.table import (
     ENDED,
-    FIGURES,
     MANOEUVRE,
-    NOT_FLOWN,
+    METRICS,
+    NOT_SIMULATED,
     PASSED,
     Array,
     Table,
@@ -25,6 +24,7 @@ from platform_ctrl.campaign.table import (
     column_names,
     input_names,
 )
+from platform_ctrl.campaign.table_statistics import Limits
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import value
 
@@ -32,7 +32,7 @@ from platform_ctrl.common.values import value
 _MOST_LEVELS = 12
 
 Level = bool | float | str
-# Asked and violated, by figure and manoeuvre.
+# Asked and violated, by metric and manoeuvre.
 _Counts = dict[tuple[str, str], tuple[int, int]]
 
 
@@ -42,7 +42,7 @@ class Contrast:
 
     Attributes
     ----------
-    figure
+    requirement
         Name of the limit, or ``"passed"``: whether a run violates anything at all.
     manoeuvre
         Within this manoeuvre alone; None: over all.
@@ -52,10 +52,10 @@ class Contrast:
         Violations among the runs with this value, and among the others.
     p_value
         Probability that a value without influence looks like this (Fisher's exact test, two-sided), all values of all
-        such inputs for this figure and manoeuvre together (Holm).
+        such inputs for this metric and manoeuvre together (Holm).
     """
 
-    figure: str
+    requirement: str
     manoeuvre: str | None
     parameter: str
     level: Level
@@ -80,7 +80,7 @@ def contrasts(
 ) -> tuple[Contrast, ...]:
     """Return how often each requirement is violated with and without every value of the inputs that have few.
 
-    All runs that were flown are counted, a piece of the table at a time.
+    All runs that were simulated are counted, a chunk of the table at a time.
 
     Parameters
     ----------
@@ -112,44 +112,46 @@ def contrasts(
     S. Holm, Scandinavian Journal of Statistics 6, 1979.
     """
     names = tuple(input_names(table) if inputs is None else inputs)
-    counts, flown = _counted(table, names)
+    counts, simulated = _counted(table, names)
     discrete = {
         name: levels
         for name, levels in counts.items()
-        if not any(isinstance(level, float) for level in levels) or len(levels) <= min(_MOST_LEVELS, flown // 2)
+        if not any(isinstance(level, float) for level in levels) or len(levels) <= min(_MOST_LEVELS, simulated // 2)
     }
-    flown_of = {manoeuvre for levels in discrete.values() for one in levels.values() for _, manoeuvre in one}
-    ordered = sorted(flown_of, key=lambda name: (list(limits).index(name) if name in limits else len(limits), name))
+    named = {manoeuvre for levels in discrete.values() for one in levels.values() for _, manoeuvre in one}
+    ordered = sorted(named, key=lambda name: (list(limits).index(name) if name in limits else len(limits), name))
     out: list[Contrast] = []
     for manoeuvre in (None, *(ordered if len(ordered) > 1 else ())):
-        for figure in (*FIGURES, PASSED):
-            out += _of_one(figure, manoeuvre, discrete, confidence)
+        for requirement in (*METRICS, PASSED):
+            out += _of_one(requirement, manoeuvre, discrete, confidence)
     return tuple(out)
 
 
 def _counted(table: Table, names: Sequence[str]) -> tuple[dict[str, dict[Level, _Counts]], int]:
-    """Return asked and violated by input, value, figure and manoeuvre, and how many runs were flown."""
+    """Return asked and violated by input, value, metric and manoeuvre, and how many runs were simulated."""
     present = column_names(table)
-    answers = {figure: f"{figure}_passed" for figure in FIGURES if f"{figure}_passed" in present} | {PASSED: PASSED}
+    answers = {
+        requirement: f"{requirement}_passed" for requirement in METRICS if f"{requirement}_passed" in present
+    } | {PASSED: PASSED}
     counts: dict[str, dict[Level, _Counts]] = {name: {} for name in names}
-    flown = 0
+    simulated = 0
     for batch in batches(table, tuple(dict.fromkeys((MANOEUVRE, *names, *answers.values(), ENDED)))):
-        rows = np.fromiter((not str(one).startswith(NOT_FLOWN) for one in batch[ENDED]), bool, len(batch[ENDED]))
-        flown += int(rows.sum())
+        rows = np.fromiter((not str(one).startswith(NOT_SIMULATED) for one in batch[ENDED]), bool, len(batch[ENDED]))
+        simulated += int(rows.sum())
         manoeuvres, place = np.unique(batch[MANOEUVRE][rows].astype(str), return_inverse=True)
-        given = {figure: batch[name][rows] for figure, name in answers.items()}
+        given = {requirement: batch[name][rows] for requirement, name in answers.items()}
         for name in list(counts):
             for level, here in _levels(batch[name][rows]):
                 own = counts[name].setdefault(level, {})
-                for figure, answer in given.items():
+                for requirement, answer in given.items():
                     asked = np.bincount(place[here & (answer >= 0)], minlength=len(manoeuvres))
                     violated = np.bincount(place[here & (answer == 0)], minlength=len(manoeuvres))
                     for k, manoeuvre in enumerate(manoeuvres.tolist()):
-                        before = own.get((figure, manoeuvre), (0, 0))
-                        own[figure, manoeuvre] = (before[0] + int(asked[k]), before[1] + int(violated[k]))
+                        before = own.get((requirement, manoeuvre), (0, 0))
+                        own[requirement, manoeuvre] = (before[0] + int(asked[k]), before[1] + int(violated[k]))
             if len(counts[name]) > _MOST_LEVELS and any(isinstance(level, float) for level in counts[name]):
                 del counts[name]
-    return counts, flown
+    return counts, simulated
 
 
 def _levels(column: Array) -> Iterator[tuple[Level, Array]]:
@@ -165,14 +167,14 @@ def _levels(column: Array) -> Iterator[tuple[Level, Array]]:
 
 
 def _of_one(
-    figure: str, manoeuvre: str | None, discrete: Mapping[str, Mapping[Level, _Counts]], confidence: float
+    requirement: str, manoeuvre: str | None, discrete: Mapping[str, Mapping[Level, _Counts]], confidence: float
 ) -> list[Contrast]:
-    """Return all contrasts of a figure, over all manoeuvres or within one."""
+    """Return all contrasts of a metric, over all manoeuvres or within one."""
     from scipy import stats
 
     found = []
     for name, levels in discrete.items():
-        sums = {level: _sum(own, figure, manoeuvre) for level, own in levels.items()}
+        sums = {level: _sum(own, requirement, manoeuvre) for level, own in levels.items()}
         runs, events = (sum(pair[k] for pair in sums.values()) for k in (0, 1))
         for level, (asked, violated) in sums.items():
             # That a fault does not happen is the other side of that it does.
@@ -184,7 +186,7 @@ def _of_one(
     p_values = holm([p for *_, p in found])
     out = [
         Contrast(
-            figure=figure,
+            requirement=requirement,
             manoeuvre=manoeuvre,
             parameter=name,
             level=level,
@@ -197,6 +199,6 @@ def _of_one(
     return sorted(out, key=lambda one: (one.p_value, one.parameter, str(one.level)))
 
 
-def _sum(counts: _Counts, figure: str, manoeuvre: str | None) -> tuple[int, int]:
-    own = [pair for (name, flown), pair in counts.items() if name == figure and manoeuvre in (None, flown)]
+def _sum(counts: _Counts, requirement: str, manoeuvre: str | None) -> tuple[int, int]:
+    own = [pair for (name, simulated), pair in counts.items() if name == requirement and manoeuvre in (None, simulated)]
     return sum(asked for asked, _ in own), sum(violated for _, violated in own)

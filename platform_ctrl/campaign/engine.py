@@ -1,4 +1,4 @@
-"""Flying a whole campaign: what is there already is kept, the rest is flown, and the table is made."""
+"""Running a campaign: runs that are there already are kept, the others are simulated, and the table is made."""
 
 from __future__ import annotations
 
@@ -10,24 +10,24 @@ from typing import TYPE_CHECKING
 
 from platform_ctrl.campaign import single_run
 from platform_ctrl.campaign.identity import identity, versions
-from platform_ctrl.campaign.single_run import Fly, kinds_of
+from platform_ctrl.campaign.single_run import SimulateRuns, kinds_of
 from platform_ctrl.campaign.store import Record, opened
-from platform_ctrl.campaign.table import DIVERGED, ENDED, NOT_FLOWN, arrow
-from platform_ctrl.campaign.workers import Pieces, flown_by_processes
+from platform_ctrl.campaign.table import DIVERGED, ENDED, NOT_SIMULATED, arrow
+from platform_ctrl.campaign.workers import Chunks, columns_by_processes
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import value
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.simulation.device import expect_device, processors
 
 if TYPE_CHECKING:
-    from platform_ctrl.campaign.plan import Plan
+    from platform_ctrl.campaign.planning import Plan
 
-# Called with the number of runs that are kept, and of those that were not flown or diverged since the start.
+# Called with the number of runs that are kept, and of those that were not simulated or diverged since the start.
 Progress = Callable[[int, int], None]
 
 
 @value
-class Campaigned:
+class CampaignResult:
     """What a campaign came to.
 
     Attributes
@@ -43,17 +43,17 @@ class Campaigned:
 
     @property
     def counts(self) -> dict[str, int]:
-        """Runs that ``completed``, ``diverged``, were ``not flown``; that ``passed``, and flown ones that did not."""
+        """Numbers of runs by outcome: ``completed``, ``diverged``, ``not simulated``, ``passed``, ``not passed``."""
         return dict(self.record["counts"])
 
     @property
     def reasons(self) -> dict[str, int]:
-        """Why runs were not flown, with how many each; the first twenty."""
+        """Why runs were not simulated, with how many each; the first twenty."""
         return dict(self.record["reasons"])
 
     @property
     def passed(self) -> bool:
-        """Whether every run was flown and met all its limits."""
+        """Whether every run was simulated and met all its limits."""
         return bool(self.counts["passed"] == self.record["runs"])
 
 
@@ -68,35 +68,35 @@ def run_campaign(
     restart: bool = False,
     progress: Progress | None = None,
     say: Callable[[str], None] = lambda line: None,
-    fly: Fly = single_run.fly,
-) -> Campaigned:
-    """Fly all runs of a plan that are not in `folder` yet, and make the table of all.
+    simulate: SimulateRuns = single_run.simulate_runs,
+) -> CampaignResult:
+    """Simulate all runs of a plan that are not in `folder` yet, and make the table of all.
 
     Killed at any moment and started again it goes on; the table is that of a campaign that nobody disturbed, whatever
-    the number of workers. Runs that cannot be flown have a row that says why.
+    the number of workers. Runs that cannot be simulated have a row that says why.
 
     Parameters
     ----------
     plan
-        What is flown.
+        What is simulated.
     folder
         Of ``campaign.parquet`` and ``campaign.json``; made if needed.
     workers
         Processes on this machine; default: as many as there are processors, one for a GPU.
     scheduler
-        Address of a Dask scheduler, whose workers fly instead.
+        Address of a Dask scheduler, whose workers simulate instead.
     device
         ``"cpu"`` or ``"cuda"``.
     restart
         Forget what is in `folder`.
     progress, say
-        Called after each piece of runs, and with a line where something should be known.
-    fly
-        Flies runs as `flight.fly` does, its default; a function that worker processes can import.
+        Called after each chunk of runs, and with a line where something should be known.
+    simulate
+        Simulates runs as `flight.fly` does, its default; a function that worker processes can import.
 
     Returns
     -------
-    Campaigned
+    CampaignResult
         Where the table is, and the counts.
 
     Raises
@@ -104,7 +104,7 @@ def run_campaign(
     InputError
         `folder` holds another campaign or is in use, a file cannot be written, a package is missing, no scheduler.
     SimulationError
-        Workers die again and again; what was flown is kept.
+        Workers die again and again; what was simulated is kept.
     ArgumentError
         `workers` or `device` make no sense.
     """
@@ -116,23 +116,23 @@ def run_campaign(
     about = {"job": plan.job.name, "platform": plan.job.platform.name}
     kinds = kinds_of(plan)
     with opened(Path(folder), identity(plan, device), about, plan.runs, versions(), kinds, restart) as store:
-        pieces = Pieces(store.gaps, crew, device)
+        chunks = Chunks(store.gaps, crew, device)
         amiss = 0
         if progress is not None:
             progress(store.done, amiss)
-        if pieces.waiting:
+        if chunks.waiting:
             if scheduler is None:
-                flying = flown_by_processes(plan, pieces, fly, workers=crew, device=device)
+                batches = columns_by_processes(plan, chunks, simulate, workers=crew, device=device)
             else:
-                from platform_ctrl.campaign.cluster import flown_by_cluster
+                from platform_ctrl.campaign.cluster import columns_by_cluster
 
-                flying = flown_by_cluster(plan, pieces, fly, address=scheduler, device=device, say=say)
-            with closing(flying):  # type: ignore[type-var]
-                for runs, columns in flying:
+                batches = columns_by_cluster(plan, chunks, simulate, address=scheduler, device=device, say=say)
+            with closing(batches):  # type: ignore[type-var]
+                for runs, columns in batches:
                     store.write(runs, columns)
-                    amiss += sum(str(one).startswith((NOT_FLOWN, DIVERGED)) for one in columns[ENDED])
+                    amiss += sum(str(one).startswith((NOT_SIMULATED, DIVERGED)) for one in columns[ENDED])
                     if progress is not None:
                         progress(store.done, amiss)
         say("putting the runs in order")
         store.finish()
-        return Campaigned(table=store.table, record=store.record)
+        return CampaignResult(table=store.table, record=store.record)

@@ -13,13 +13,13 @@ import numpy as np
 from platform_ctrl import __version__
 
 if TYPE_CHECKING:
-    from platform_ctrl.campaign.plan import Plan
+    from platform_ctrl.campaign.planning import Plan
 
 Identity = dict[str, Any]
 # Of the campaign section: on the command line, or shown as numbers of their own.
 _APART = ("runs", "seed", "sampling", "step")
 _DIGITS = 16
-# Libraries that draw and fly.
+# Libraries that draw and simulate.
 _USED = ("numpy", "scipy", "numba")
 
 

@@ -105,16 +105,16 @@ _EDGES_FROM = np.log(_LOWEST)
 
 
 class Distribution:
-    """Counts of a figure that is not negative, in logarithmic bins; where it is not finite it counts as beyond all.
+    """Counts of a metric that is not negative, in logarithmic bins; where it is not finite it counts as beyond all.
 
-    What is added in pieces, in any order, comes to the same as what is added at once.
+    What is added in chunks, in any order, comes to the same as what is added at once.
 
     Attributes
     ----------
     counts : (bins,)
         Runs in each bin: the first for everything below 1e-12, the last for everything above 1e9, infinity included.
     smallest, largest
-        The extremes, exactly, in the figure's unit; infinite where the largest is (a run that diverged).
+        The extremes, exactly, in the metric's unit; infinite where the largest is (a run that diverged).
     """
 
     __slots__ = ("counts", "largest", "smallest")
@@ -125,16 +125,16 @@ class Distribution:
 
     @property
     def runs(self) -> int:
-        """How many figures were counted."""
+        """How many metrics were counted."""
         return int(self.counts.sum())
 
     @check_arguments
-    def add(self, figures: ArrayLike) -> None:
-        """Count more figures.
+    def add(self, metrics: ArrayLike) -> None:
+        """Count more metrics.
 
         Parameters
         ----------
-        figures : any shape
+        metrics : any shape
             Not negative, in one unit; what is not finite lies beyond all.
 
         Raises
@@ -142,7 +142,7 @@ class Distribution:
         ArgumentError
             Not numbers.
         """
-        values = real_numbers("Distribution.add: figures", figures).reshape(-1)
+        values = real_numbers("Distribution.add: metrics", metrics).reshape(-1)
         if not values.size:
             return
         values = np.where(np.isfinite(values), values, np.inf)
@@ -152,7 +152,7 @@ class Distribution:
 
     @check_arguments
     def quantile(self, share: float) -> float:
-        """Return the least figure that a share of the runs does not exceed.
+        """Return the least metric that a share of the runs does not exceed.
 
         Parameters
         ----------
@@ -162,7 +162,7 @@ class Distribution:
         Returns
         -------
         float
-            In the figures' unit, right to half a thousandth of itself; NaN without runs.
+            In the metrics' unit, right to half a thousandth of itself; NaN without runs.
 
         Raises
         ------
@@ -179,12 +179,12 @@ class Distribution:
         return float(np.clip(_middles(np.array([place]))[0], self.smallest, self.largest))
 
     def exceedance(self) -> tuple[FloatArray, FloatArray]:
-        """Return how often the figures lie above levels.
+        """Return how often the metrics lie above levels.
 
         Returns
         -------
         levels, shares : (k,), (k,)
-            Levels, increasing, in the figures' unit, and the share of the runs above each.
+            Levels, increasing, in the metrics' unit, and the share of the runs above each.
         """
         filled = np.flatnonzero(self.counts)
         above = self.runs - np.cumsum(self.counts[filled])
@@ -192,14 +192,14 @@ class Distribution:
 
     @check_arguments
     def histogram(self, edges: FloatArray) -> NDArray[np.int64]:
-        """Return how many figures lie between each two edges; what lies beyond the last is left out.
+        """Return how many metrics lie between each two edges; what lies beyond the last is left out.
 
-        The bins here are as fine as `RESOLUTION`: a figure next to an edge may be counted on its other side.
+        The bins here are as fine as `RESOLUTION`: a value next to an edge may be counted on its other side.
 
         Parameters
         ----------
         edges : (k + 1,)
-            Increasing, in the figures' unit.
+            Increasing, in the metrics' unit.
 
         Returns
         -------

@@ -1,6 +1,6 @@
 """Probabilities too small to be counted: importance splitting towards the limit, repeated to know how sure it is.
 
-Subset simulation (Au and Beck, Probabilistic Engineering Mechanics 16, 2001): the runs with the largest figures are
+Subset simulation (Au and Beck, Probabilistic Engineering Mechanics 16, 2001): the runs with the largest metrics are
 where the next runs start from, by Markov chains that keep the distribution of the inputs; each level leaves a tenth.
 Candidates move by the rule that needs no tuning by dimension, here called Crank-Nicolson's, as Papaioannou, Betz,
 Zwirglmaier and Straub do (same journal, 41, 2015).
@@ -106,10 +106,10 @@ def _maximised(z: FloatArray, member: FloatArray) -> Mixture:
 
 
 RunNumbers = NDArray[np.int64]
-# Points of the unit cube (N, d) and the numbers of their noise (N,) to figures over their limits (N,).
-Figures = Callable[[FloatArray, RunNumbers], FloatArray]
+# Points of the unit cube (N, d) and the numbers of their noise (N,) to metrics over their limits (N,).
+Ratios = Callable[[FloatArray, RunNumbers], FloatArray]
 
-# A run violates when its figure over the limit is above 1.
+# A run violates when its metric over the limit is above 1.
 VIOLATED = float(np.nextafter(1.0, 2.0))
 # What Crank-Nicolson steps should be accepted at, for the fastest chains.
 _ACCEPTANCE = 0.44
@@ -122,7 +122,7 @@ FEWEST_SAMPLES = 50
 
 @check_arguments
 def rare_event(
-    figures: Figures,
+    ratios: Ratios,
     dimension: int,
     *,
     samples: int = 1000,
@@ -133,12 +133,12 @@ def rare_event(
     first_run: int = 0,
     say: Callable[[str], None] = lambda line: None,
 ) -> RareResult:
-    """Return the probability that a figure exceeds its limit, where counting would take too many runs.
+    """Return the probability that a metric exceeds its limit, where counting would take too many runs.
 
     Parameters
     ----------
-    figures
-        From points of the unit cube, (N, d), and the numbers of their noise, (N,), to figures over the limit, (N,):
+    ratios
+        From points of the unit cube, (N, d), and the numbers of their noise, (N,), to metrics over their limits, (N,):
         above 1 means violated. Called with many points at once.
     dimension
         d; 0 if the noise alone is random.
@@ -169,7 +169,7 @@ def rare_event(
     ArgumentError
         Too few samples or repetitions.
     SimulationError
-        A figure is not a number: a run could not be carried out.
+        A metric is not a number: a run could not be carried out.
 
     References
     ----------
@@ -187,21 +187,21 @@ def rare_event(
             f"rare event: given {samples} samples and {repetitions} repetitions of {dimension} inputs; expected at "
             f"least {FEWEST_SAMPLES} and 2 of 0 or more"
         )
-    flights = Flights(figures, first_run)
+    evaluator = Evaluator(ratios, first_run)
     estimates, points = [], []
     for number in range(repetitions):
         generator = np.random.default_rng([seed, number])
         say(f"rare event: repetition {number + 1} of {repetitions}")
-        estimate, found = _split(flights, dimension, samples, generator)
+        estimate, found = _split(evaluator, dimension, samples, generator)
         if method == "cross-entropy" and estimate.levels.size > 1 and found.y.size:
-            estimate, found = _weighted(flights, estimate, found, samples, generator)
+            estimate, found = _weighted(evaluator, estimate, found, samples, generator)
         estimates.append(estimate)
         points.append(found)
     return _together(method, tuple(estimates), points, samples, confidence)
 
 
 class Cloud:
-    """Points in standard normal space with the numbers of their noise and their figures."""
+    """Points in standard normal space with the numbers of their noise and their metrics."""
 
     __slots__ = ("run", "y", "z")
 
@@ -222,39 +222,41 @@ class Cloud:
         )
 
 
-class Flights:
-    """Flies points of standard normal space; counts, and numbers the noise."""
+class Evaluator:
+    """Evaluates points of standard normal space; counts them, and numbers the noise."""
 
-    def __init__(self, figures: Figures, first_run: int) -> None:
-        self.figures, self.next_run, self.flown = figures, first_run, 0
+    def __init__(self, ratios: Ratios, first_run: int) -> None:
+        self.ratios, self.next_run, self.evaluations = ratios, first_run, 0
 
     def fresh(self, number: int) -> RunNumbers:
         """Return numbers whose noise nobody had before."""
         self.next_run += number
         return np.arange(self.next_run - number, self.next_run, dtype=np.int64)
 
-    def fly(self, z: FloatArray, run: RunNumbers) -> Cloud:
-        """Return the points with their figures."""
+    def evaluate(self, z: FloatArray, run: RunNumbers) -> Cloud:
+        """Return the points with their metrics."""
         from scipy.special import ndtr
 
         # The end points of the unit cube are nobody's inputs: many distributions are infinite there.
         u = np.clip(ndtr(z), np.finfo(float).tiny, 1.0 - np.finfo(float).epsneg)
-        y = np.asarray(self.figures(u, run), dtype=np.float64)
+        y = np.asarray(self.ratios(u, run), dtype=np.float64)
         if y.shape != run.shape:
-            raise ArgumentError(f"figures: given shape {y.shape}; expected {run.shape}, one for each point")
+            raise ArgumentError(f"ratios: given shape {y.shape}; expected {run.shape}, one for each point")
         missing = np.isnan(y)
         if missing.any():
             raise SimulationError(
-                f"rare event: {missing.sum()} of {len(y)} runs could not be flown, for example inputs "
+                f"rare event: {missing.sum()} of {len(y)} runs could not be simulated, for example inputs "
                 f"{short(u[missing][0].tolist())}"
             )
-        self.flown += len(y)
+        self.evaluations += len(y)
         return Cloud(z, run, y)
 
 
-def _split(flights: Flights, dimension: int, samples: int, generator: np.random.Generator) -> tuple[Repetition, Cloud]:
-    before = flights.flown
-    cloud = flights.fly(generator.standard_normal((samples, dimension)), flights.fresh(samples))
+def _split(
+    evaluator: Evaluator, dimension: int, samples: int, generator: np.random.Generator
+) -> tuple[Repetition, Cloud]:
+    before = evaluator.evaluations
+    cloud = evaluator.evaluate(generator.standard_normal((samples, dimension)), evaluator.fresh(samples))
     probability, variance = 1.0, 0.0
     levels: list[float] = []
     # The first level's points are independent: each is a chain of its own.
@@ -271,7 +273,7 @@ def _split(flights: Flights, dimension: int, samples: int, generator: np.random.
         probability *= float(survived.mean())
         variance += _variance(survived, chains)
         levels.append(level)
-        cloud, chains = _moved(flights, cloud.at(survived), level, samples, generator)
+        cloud, chains = _moved(evaluator, cloud.at(survived), level, samples, generator)
     last = float(violated.mean())
     if last > 0.0:
         levels.append(1.0)
@@ -283,20 +285,18 @@ def _split(flights: Flights, dimension: int, samples: int, generator: np.random.
         below=below,
         levels=np.array(levels),
         variation=float(np.sqrt(variance)),
-        evaluations=flights.flown - before,
+        evaluations=evaluator.evaluations - before,
         noises=len(np.unique(cloud.run[violated])),
     )
     return estimate, cloud.at(violated)
 
 
 def _weighted(
-    flights: Flights, before: Repetition, violating: Cloud, samples: int, generator: np.random.Generator
+    evaluator: Evaluator, before: Repetition, violating: Cloud, samples: int, generator: np.random.Generator
 ) -> tuple[Repetition, Cloud]:
     """Return the estimate of weighted runs where `violating` lie, and the violating points of both."""
-    pass
-
     mixture = nearest_mixture(violating.z)
-    cloud = flights.fly(mixture.draw(samples, generator), flights.fresh(samples))
+    cloud = evaluator.evaluate(mixture.draw(samples, generator), evaluator.fresh(samples))
     violated = cloud.y >= VIOLATED
     weights = np.where(violated, mixture.weights(cloud.z), 0.0)
     probability = float(weights.mean())
@@ -312,7 +312,7 @@ def _weighted(
 
 
 def _next_level(y: FloatArray) -> float | None:
-    """Return the figure that a tenth of the points reach, the limit at most; None if all points are alike.
+    """Return the metric that a tenth of the points reach, the limit at most; None if all points are alike.
 
     On a plateau more of them reach it; if all do, the level is whatever lies above the plateau.
     """
@@ -338,7 +338,7 @@ def _variance(hit: NDArray[np.bool_], chains: int) -> float:
 
 
 def _moved(
-    flights: Flights, seeds: Cloud, level: float, samples: int, generator: np.random.Generator
+    evaluator: Evaluator, seeds: Cloud, level: float, samples: int, generator: np.random.Generator
 ) -> tuple[Cloud, int]:
     """Return chains from the seeds, side by side, and how many: points that all reach the level."""
     order = generator.permutation(len(seeds.y))
@@ -346,21 +346,21 @@ def _moved(
     chains, dimension = now.z.shape
     steps = max(-(-samples // chains), 2)
     spread = np.minimum(now.z.std(axis=0), 1.0) if chains > 1 else np.ones(dimension)
-    pieces, scale = [now], 0.6
+    chain, scale = [now], 0.6
     for step in range(1, steps):
         width = np.minimum(scale * np.maximum(spread, 0.05), 1.0)
-        noise = np.where(generator.random(chains) < _FRESH_NOISE, flights.fresh(chains), now.run)
+        noise = np.where(generator.random(chains) < _FRESH_NOISE, evaluator.fresh(chains), now.run)
         z = np.sqrt(1.0 - width**2) * now.z + width * generator.standard_normal(now.z.shape)
-        candidate = flights.fly(z, noise)
+        candidate = evaluator.evaluate(z, noise)
         accepted = candidate.y >= level
         now = Cloud(
             np.where(accepted[:, None], candidate.z, now.z),
             np.where(accepted, candidate.run, now.run),
             np.where(accepted, candidate.y, now.y),
         )
-        pieces.append(now)
+        chain.append(now)
         scale *= float(np.exp((accepted.mean() - _ACCEPTANCE) / np.sqrt(step)))
-    return Cloud.joined(pieces), chains
+    return Cloud.joined(chain), chains
 
 
 def _together(

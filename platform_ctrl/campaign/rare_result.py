@@ -25,7 +25,7 @@ class RarePoint:
     run
         Number of the noise.
     ratio
-        Ratio of the figure to its limit, above 1; infinite if it diverged.
+        Ratio of the metric to its limit, above 1; infinite if it diverged.
     distance
         From the most probable inputs, in units of standard deviations.
     """
@@ -48,7 +48,7 @@ class Repetition:
         The estimate; where the limit was not reached, an upper bound of the probability of what lies beyond the last
         level.
     levels : (k,)
-        Ratios of figure to limit that the levels stood at.
+        Ratios of metric to limit that the levels stood at.
     variation
         Coefficient of variation (relative standard deviation) as this repetition itself sees it.
     evaluations
@@ -83,7 +83,7 @@ class RareResult:
     repetitions
         The single estimates.
     evaluations
-        Runs that were flown for it.
+        Runs that were simulated for it.
     violations
         The most probable inputs that violate it, the nearest first: where to look.
     shift : (d,)

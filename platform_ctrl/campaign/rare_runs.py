@@ -7,11 +7,11 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from platform_ctrl.campaign.plan import Plan
+from platform_ctrl.campaign.planning import Plan
 from platform_ctrl.campaign.probability import CONFIDENCE
 from platform_ctrl.campaign.rare_events import RunNumbers, rare_event
 from platform_ctrl.campaign.rare_result import RareMethod, RareResult
-from platform_ctrl.campaign.table import FIGURES
+from platform_ctrl.campaign.table import METRICS
 from platform_ctrl.common.arguments import known_name
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray
@@ -61,7 +61,7 @@ def rare_probability(
     Raises
     ------
     ArgumentError
-        No manoeuvre of the campaign asks for the requirement, or a run cannot be flown.
+        No manoeuvre of the campaign asks for the requirement, or a run cannot be simulated.
     SimulationError
         A run could not be carried out, or the device is not there.
 
@@ -71,18 +71,20 @@ def rare_probability(
 
     See docs/campaign.md.
     """
-    asked = tuple(name for name in FIGURES if any(name in manoeuvre.limits for manoeuvre, _ in plan.job.flown))
+    asked = tuple(
+        name for name in METRICS if any(name in manoeuvre.limits for manoeuvre, _ in plan.job.campaign_manoeuvres)
+    )
     if not asked:
         raise ArgumentError(f"job {plan.job.name!r}: no manoeuvre of the campaign has limits; expected some to violate")
     if requirement is not None:
         known_name("requirement of the campaign", requirement, asked)
 
-    def figures(u: FloatArray, runs: RunNumbers) -> FloatArray:
+    def ratios(u: FloatArray, runs: RunNumbers) -> FloatArray:
         scenarios = plan.scenarios_with(plan.inputs_at(u), runs.tolist())
-        return flown_ratios(plan, scenarios, requirement, threads=threads, device=device)
+        return limit_ratios(plan, scenarios, requirement, threads=threads, device=device)
 
     found = rare_event(
-        figures,
+        ratios,
         plan.dimensions,
         samples=samples,
         repetitions=repetitions,
@@ -95,21 +97,21 @@ def rare_probability(
     return dataclasses.replace(found, requirement=requirement)
 
 
-def flown_ratios(
+def limit_ratios(
     plan: Plan, scenarios: Sequence[Scenario], requirement: str | None = None, *, threads: int = 1, device: str = "cpu"
 ) -> FloatArray:
-    """Fly scenarios; return the largest figure over its limit of each, infinite where it diverged."""
+    """Simulate scenarios; return the largest metric over its limit of each, infinite where it diverged."""
     from platform_ctrl.simulation import simulate_batch
 
-    flown = simulate_batch(
+    result = simulate_batch(
         scenarios, plan.controllers, period=plan.job.sampling.period, step=plan.step, threads=threads, device=device
     )
-    names = tuple(FIGURES) if requirement is None else (requirement,)
+    names = tuple(METRICS) if requirement is None else (requirement,)
     out = np.zeros(len(scenarios))
     for name in names:
         limit = np.array([scenario.limits.get(name, np.inf) for scenario in scenarios])
-        largest = getattr(flown, name).max(axis=1, initial=0.0)
+        largest = getattr(result, name).max(axis=1, initial=0.0)
         # A run that diverged violates what is asked; where nothing is asked it is still no run that passed.
-        lost = ~flown.completed & (np.isfinite(limit) | (requirement is None))
+        lost = ~result.completed & (np.isfinite(limit) | (requirement is None))
         out = np.maximum(out, np.where(lost, np.inf, largest / limit))
     return out

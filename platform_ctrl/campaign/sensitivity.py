@@ -1,4 +1,4 @@
-"""Which input drives which requirement: estimated from the runs there are, none are flown for it."""
+"""Which input drives which requirement: estimated from the runs there are, none are simulated for it."""
 
 from __future__ import annotations
 
@@ -7,12 +7,11 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from platform_ctrl.campaign.statistics import Limits, limits_of
 from platform_ctrl.campaign.table import (
     ENDED,
-    FIGURES,
     MANOEUVRE,
-    NOT_FLOWN,
+    METRICS,
+    NOT_SIMULATED,
     PASSED,
     RUN,
     Array,
@@ -22,6 +21,7 @@ from platform_ctrl.campaign.table import (
     column_names,
     input_names,
 )
+from platform_ctrl.campaign.table_statistics import Limits, limits_of
 from platform_ctrl.common.arguments import real_numbers
 from platform_ctrl.common.signatures import check_arguments, short
 from platform_ctrl.common.values import FloatArray, value
@@ -38,19 +38,19 @@ _PERMUTATIONS = 9999
 
 @value
 class Influence:
-    """What one input does to one figure.
+    """What one input does to one metric.
 
     Attributes
     ----------
     parameter
         Name of the input.
     index, low, high
-        First-order Sobol index: the share of the figure's variance that the input explains on its own, and its 95 %
+        First-order Sobol index: the share of the metric's variance that the input explains on its own, and its 95 %
         interval (jackknife).
     rank_correlation
         Spearman's, −1 to 1, dimensionless: the direction of a monotone influence. NaN for words (which manoeuvre).
     p_value
-        Probability that an input without influence looks like this, all inputs of the figure together (Holm).
+        Probability that an input without influence looks like this, all inputs of the metric together (Holm).
     """
 
     parameter: str
@@ -75,7 +75,7 @@ def influences(inputs: Mapping[str, ArrayLike], output: ArrayLike) -> tuple[Infl
         Columns (N,) of numbers in any unit, of yes and no, or of words; independent of each other, drawn as the
         campaign draws them.
     output : (N,)
-        The figure, finite, in any unit.
+        The metric, finite, in any unit.
 
     Returns
     -------
@@ -249,7 +249,7 @@ MOST_RUNS = 1 << 16
 # Fewer violations than this say nothing about what causes them.
 _FEWEST_EVENTS = 5
 _FEWEST_RUNS = 16
-# Where a hundredth of the runs has this share of the variance, the figure's ranks stand for it: what drives a few runs
+# Where a hundredth of the runs has this share of the variance, the metric's ranks stand for it: what drives a few runs
 # to a hundred times the limit says nothing of the others, and is seen in whether they violate anything.
 _TAIL, _TAIL_SHARE = 0.01, 0.5
 
@@ -260,14 +260,14 @@ class Sensitivity:
 
     Attributes
     ----------
-    figure
+    requirement
         Name of the limit, or ``"passed"``: whether a run violates anything at all.
     manoeuvre
         Within this manoeuvre alone; None: over all, where the manoeuvre is an input like the others.
     runs
         How many were looked at.
     ranked
-        Whether the figure's ranks stand for it, because some runs diverged or a few have most of its variance.
+        Whether the metric's ranks stand for it, because some runs diverged or a few have most of its variance.
     influences
         All inputs, the strongest first.
     violations
@@ -275,7 +275,7 @@ class Sensitivity:
         runs beyond the limit may be nothing to the others.
     """
 
-    figure: str
+    requirement: str
     manoeuvre: str | None
     runs: int
     ranked: bool
@@ -287,7 +287,7 @@ class Sensitivity:
 def sensitivities(table: Table, limits: Limits, *, inputs: Sequence[str] | None = None) -> tuple[Sensitivity, ...]:
     """Return what drives each requirement, over all manoeuvres and within each.
 
-    Over manoeuvres that ask different things a figure counts relative to its limit. The first 65,536 runs are looked
+    Over manoeuvres that ask different things a metric counts relative to its limit. The first 65,536 runs are looked
     at, so that the memory needed does not grow with a campaign.
 
     Parameters
@@ -328,17 +328,17 @@ def sensitivities(table: Table, limits: Limits, *, inputs: Sequence[str] | None 
         chosen = np.ones(len(place), dtype=bool) if manoeuvre is None else place == known[manoeuvre]
         if manoeuvre is not None and len(known) == 1:
             continue  # the same as over all
-        for figure in (*FIGURES, PASSED):
-            if figure not in data:
+        for requirement in (*METRICS, PASSED):
+            if requirement not in data:
                 continue
-            output, asked = _output(data, figure, manoeuvre, known, place, limits)
+            output, asked = _output(data, requirement, manoeuvre, known, place, limits)
             rows = chosen & asked
             given = {
                 name: column[rows]
                 for name, column in columns.items()
                 if not (manoeuvre is not None and name == MANOEUVRE)
             }
-            one = _sensitivity(figure, manoeuvre, given, output[rows])
+            one = _sensitivity(requirement, manoeuvre, given, output[rows])
             if one is not None:
                 found.append(one)
     return tuple(found)
@@ -346,55 +346,55 @@ def sensitivities(table: Table, limits: Limits, *, inputs: Sequence[str] | None 
 
 def _first_runs(table: Table, names: Sequence[str]) -> dict[str, Array]:
     present = column_names(table)
-    figures = [name for name in FIGURES if name in present]
-    wanted = tuple(dict.fromkeys((RUN, MANOEUVRE, *names, *figures, PASSED, ENDED)))
-    pieces: list[dict[str, Array]] = []
+    metrics = [name for name in METRICS if name in present]
+    wanted = tuple(dict.fromkeys((RUN, MANOEUVRE, *names, *metrics, PASSED, ENDED)))
+    chunks: list[dict[str, Array]] = []
     for batch in batches(table, wanted):
         rows = batch[RUN] < MOST_RUNS
-        rows &= np.fromiter((not str(one).startswith(NOT_FLOWN) for one in batch[ENDED]), bool, len(rows))
+        rows &= np.fromiter((not str(one).startswith(NOT_SIMULATED) for one in batch[ENDED]), bool, len(rows))
         if rows.any():
-            pieces.append({name: column[rows] for name, column in batch.items()})
-    if not pieces:
+            chunks.append({name: column[rows] for name, column in batch.items()})
+    if not chunks:
         return {name: np.zeros(0) for name in wanted}
-    return {name: np.concatenate([piece[name] for piece in pieces]) for name in wanted}
+    return {name: np.concatenate([chunk[name] for chunk in chunks]) for name in wanted}
 
 
 def _output(
     data: Mapping[str, Array],
-    figure: str,
+    requirement: str,
     manoeuvre: str | None,
     known: Mapping[str, int],
     place: NDArray[np.intp],
     limits: Limits,
 ) -> tuple[FloatArray, NDArray[np.bool_]]:
     """Return what the inputs act on, and where it is asked for."""
-    if figure == PASSED:
+    if requirement == PASSED:
         return (data[PASSED] == 0).astype(np.float64), np.asarray(data[PASSED] >= 0)
-    bounds = limits_of(known, figure, limits)[place] if known else np.zeros(0)
+    bounds = limits_of(known, requirement, limits)[place] if known else np.zeros(0)
     asked = ~np.isnan(bounds)
-    return data[figure] / np.where(asked, bounds, 1.0), asked
+    return data[requirement] / np.where(asked, bounds, 1.0), asked
 
 
 def _sensitivity(
-    figure: str, manoeuvre: str | None, inputs: Mapping[str, Array], output: FloatArray
+    requirement: str, manoeuvre: str | None, inputs: Mapping[str, Array], output: FloatArray
 ) -> Sensitivity | None:
     """Return None where the runs are too few, or all the same."""
-    violating = output > (0.0 if figure == PASSED else 1.0)
+    violating = output > (0.0 if requirement == PASSED else 1.0)
     telling = min(violating.sum(), len(output) - violating.sum()) >= _FEWEST_EVENTS
-    if len(output) < _FEWEST_RUNS or (figure == PASSED and not telling) or (output == output[0]).all():
+    if len(output) < _FEWEST_RUNS or (requirement == PASSED and not telling) or (output == output[0]).all():
         return None
     from scipy import stats
 
-    ranked = figure != PASSED and _far_out(output)
+    ranked = requirement != PASSED and _far_out(output)
     used = stats.rankdata(np.where(np.isfinite(output), output, np.inf)) if ranked else output
     found = influences(inputs, used)
     return Sensitivity(
-        figure=figure,
+        requirement=requirement,
         manoeuvre=manoeuvre,
         runs=len(output),
         ranked=ranked,
         influences=found,
-        violations=influences(inputs, violating) if telling and figure != PASSED else (),
+        violations=influences(inputs, violating) if telling and requirement != PASSED else (),
     )
 
 

@@ -1,4 +1,4 @@
-"""Flying runs of a plan: the columns that a campaign keeps of them, and one run again with all that it recorded."""
+"""Simulating runs of a plan: the columns that a campaign keeps of them, and one run again with all that it recorded."""
 
 from __future__ import annotations
 
@@ -8,23 +8,23 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from platform_ctrl.campaign.table import ENDED, FIGURES, NOT_FLOWN, PASSED, RUN, Array, arrow
+from platform_ctrl.campaign.table import ENDED, METRICS, NOT_SIMULATED, PASSED, RUN, Array, arrow
 from platform_ctrl.errors import PlatformCtrlError
 from platform_ctrl.plant.mistakes import one_line
 
 if TYPE_CHECKING:
-    from platform_ctrl.campaign.plan import Plan
+    from platform_ctrl.campaign.planning import Plan
     from platform_ctrl.job.scenario import Scenario
-    from platform_ctrl.simulation import BatchResult, Trajectory
+    from platform_ctrl.simulation import BatchResult
 
 
-def fly(plan: Plan, runs: Sequence[int], *, threads: int = 1, device: str = "cpu") -> dict[str, Array]:
-    """Fly runs of a plan and return their columns, each with one entry a run.
+def simulate_runs(plan: Plan, runs: Sequence[int], *, threads: int = 1, device: str = "cpu") -> dict[str, Array]:
+    """Simulate runs of a plan and return their columns, each with one entry a run.
 
     Parameters
     ----------
     plan
-        What is flown.
+        The campaign.
     runs
         Numbers of the runs.
     threads
@@ -35,7 +35,7 @@ def fly(plan: Plan, runs: Sequence[int], *, threads: int = 1, device: str = "cpu
     Returns
     -------
     dict
-        ``run``; the inputs by their names; ``angle``, ``attitude``, ``torque_share``: largest figures, infinite where
+        ``run``; the inputs by their names; ``angle``, ``attitude``, ``torque_share``: largest metrics, infinite where
         the run diverged; ``stop_contacts``; ``saturated``: largest share of samples at a torquer's limit;
         ``angle_passed`` and so on: bool, None where nothing is asked; ``passed``; ``ended``.
     """
@@ -43,10 +43,10 @@ def fly(plan: Plan, runs: Sequence[int], *, threads: int = 1, device: str = "cpu
 
     columns = inputs_of(plan, runs)
     scenarios = plan.scenarios_with(columns, runs)
-    flown = simulation.simulate_batch(
+    result = simulation.simulate_batch(
         scenarios, plan.controllers, period=plan.job.sampling.period, step=plan.step, threads=threads, device=device
     )
-    return {**columns, **_outcomes(scenarios, flown)}
+    return {**columns, **_outcomes(scenarios, result)}
 
 
 def inputs_of(plan: Plan, runs: Sequence[int]) -> dict[str, Array]:
@@ -57,45 +57,38 @@ def inputs_of(plan: Plan, runs: Sequence[int]) -> dict[str, Array]:
     return {RUN: numbers, **{name: np.asarray(column)[numbers - first] for name, column in inputs.items()}}
 
 
-def trajectory(plan: Plan, scenario: Scenario) -> Trajectory:
-    """Fly one scenario and return all that it recorded."""
-    from platform_ctrl import simulation
-
-    return simulation.simulate(scenario, plan.controllers, period=plan.job.sampling.period, step=plan.step)
-
-
-def _outcomes(scenarios: Sequence[Scenario], flown: BatchResult) -> dict[str, Array]:
+def _outcomes(scenarios: Sequence[Scenario], result: BatchResult) -> dict[str, Array]:
     """What the runs came to, by the names of the columns."""
-    done = flown.completed
+    done = result.completed
     found = {
-        "angle": flown.angle.max(axis=1, initial=0.0),
-        "attitude": flown.attitude.max(axis=1, initial=0.0),
-        "torque_share": flown.torque_share.max(axis=1, initial=0.0),
+        "angle": result.angle.max(axis=1, initial=0.0),
+        "attitude": result.attitude.max(axis=1, initial=0.0),
+        "torque_share": result.torque_share.max(axis=1, initial=0.0),
     }
-    figures = {name: np.where(done, found[name], np.inf) for name in FIGURES}
+    metrics = {name: np.where(done, found[name], np.inf) for name in METRICS}
     passed = done.copy()
     answers: dict[str, Array] = {}
-    for name in FIGURES:
+    for name in METRICS:
         limits = np.array([one.limits.get(name, np.nan) for one in scenarios])
         asked = ~np.isnan(limits)
-        met = figures[name] <= np.where(asked, limits, np.inf)
+        met = metrics[name] <= np.where(asked, limits, np.inf)
         passed &= met | ~asked
         told = [bool(one) if wanted else None for one, wanted in zip(met, asked, strict=True)]
         answers[f"{name}_passed"] = np.array(told, dtype=object)
     return {
-        **figures,
-        "stop_contacts": flown.stop_contacts.sum(axis=1),
-        "saturated": flown.saturated.max(axis=1, initial=0) / np.maximum(flown.samples, 1),
+        **metrics,
+        "stop_contacts": result.stop_contacts.sum(axis=1),
+        "saturated": result.saturated.max(axis=1, initial=0) / np.maximum(result.samples, 1),
         **answers,
         PASSED: passed,
-        ENDED: np.array(flown.ended, dtype=object),
+        ENDED: np.array(result.ended, dtype=object),
     }
 
 
 Columns = dict[str, Array]
 Kind = Literal["whole", "number", "answer", "word"]
-# Flies runs of a plan as `flight.fly` does.
-Fly = Callable[..., Columns]
+# Simulates runs of a plan as `simulate_runs` does.
+SimulateRuns = Callable[..., Columns]
 
 _LONGEST = 200
 _KINDS: dict[str, Kind] = {"i": "whole", "u": "whole", "f": "number", "b": "answer", "U": "word", "O": "word"}
@@ -104,31 +97,33 @@ _KINDS: dict[str, Kind] = {"i": "whole", "u": "whole", "f": "number", "b": "answ
 def kinds_of(plan: Plan) -> dict[str, Kind]:
     """Return the kinds of all columns by their names, in the table's order."""
     inputs = {name: _KINDS[np.asarray(column).dtype.kind] for name, column in plan.inputs(0, 1).items()}
-    figures: dict[str, Kind] = dict.fromkeys(FIGURES, "number")
-    answers: dict[str, Kind] = {f"{name}_passed": "answer" for name in FIGURES}
+    metrics: dict[str, Kind] = dict.fromkeys(METRICS, "number")
+    answers: dict[str, Kind] = {f"{name}_passed": "answer" for name in METRICS}
     rest: dict[str, Kind] = {"stop_contacts": "whole", "saturated": "number", **answers, PASSED: "answer"}
-    return {RUN: "whole", **inputs, **figures, **rest, ENDED: "word"}
+    return {RUN: "whole", **inputs, **metrics, **rest, ENDED: "word"}
 
 
-def flown(plan: Plan, runs: Sequence[int], fly: Fly, threads: int = 1, device: str = "cpu") -> Columns:
-    """Fly runs; those that cannot be flown become rows that say why, the others are flown all the same."""
+def columns_of(
+    plan: Plan, runs: Sequence[int], simulate: SimulateRuns, threads: int = 1, device: str = "cpu"
+) -> Columns:
+    """Return the columns of runs; a run that cannot be simulated has a row that says why."""
     try:
-        return fly(plan, runs, threads=threads, device=device)
+        return simulate(plan, runs, threads=threads, device=device)
     except Exception as error:
         if len(runs) > 1:
             middle = len(runs) // 2
-            halves = [flown(plan, part, fly, threads, device) for part in (runs[:middle], runs[middle:])]
+            halves = [columns_of(plan, part, simulate, threads, device) for part in (runs[:middle], runs[middle:])]
             return {name: np.concatenate([half[name] for half in halves]) for name in halves[0]}
-        return not_flown(plan, runs[0], _reason(error))
+        return row_not_simulated(plan, runs[0], _reason(error))
 
 
-def not_flown(plan: Plan, run: int, why: str) -> Columns:
+def row_not_simulated(plan: Plan, run: int, why: str) -> Columns:
     """Return the row of a run that has its inputs, as far as they are known, and no outcome."""
     nothing = np.array([None], dtype=object)
     columns = dict.fromkeys(kinds_of(plan), nothing) | {RUN: np.array([run], dtype=np.int64)}
     with suppress(PlatformCtrlError):  # where the draws themselves are what cannot be made
         columns |= inputs_of(plan, [run])
-    return columns | {ENDED: np.array([f"{NOT_FLOWN}: {why}"], dtype=object)}
+    return columns | {ENDED: np.array([f"{NOT_SIMULATED}: {why}"], dtype=object)}
 
 
 def _reason(error: Exception) -> str:

@@ -1,8 +1,8 @@
 """A campaign on disk: parts while it runs, one table in run order when it is done. Killed at any moment it is whole.
 
-``campaign.json`` says what is flown; ``campaign.parts/`` holds a Parquet file for each piece of runs, with the digest
-of its bytes in its name; ``campaign.parquet`` is put in place once it is complete, and the parts are removed after
-that.
+``campaign.json`` describes the campaign; ``campaign.parts/`` holds a Parquet file for each chunk of runs, with the
+digest of its bytes in its name; ``campaign.parquet`` is put in place once it is complete, and the parts are removed
+after that.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ import numpy as np
 
 from platform_ctrl.campaign.identity import Identity
 from platform_ctrl.campaign.single_run import Columns, Kind, schema_of, table_of
-from platform_ctrl.campaign.table import COMPLETED, DIVERGED, ENDED, NOT_FLOWN, PASSED, RUN, arrow
+from platform_ctrl.campaign.table import COMPLETED, DIVERGED, ENDED, NOT_SIMULATED, PASSED, RUN, arrow
 from platform_ctrl.common.files import write_whole
 from platform_ctrl.errors import InputError
 
@@ -29,7 +29,7 @@ RECORD, TABLE, PARTS, LOCK = "campaign.json", "campaign.parquet", "campaign.part
 SCHEMA = 1
 # Rows that are written to the table at a time, and held in memory while it is made.
 ROWS = 1 << 14
-# Reasons for which runs were not flown that the record tells, and that are counted apart.
+# Reasons for which runs were not simulated that the record tells, and that are counted apart.
 _REASONS, _COUNTED = 20, 1000
 _PART = re.compile(r"(\d{12})-(\d{12})\.([0-9a-f]{32})\.parquet")
 # Under which key the table says what its runs follow from.
@@ -39,7 +39,7 @@ Record = dict[str, Any]
 
 
 class Store:
-    """The folder of a campaign while it is flown; made by `opened`.
+    """The folder of a campaign while it is simulated; made by `opened`.
 
     Attributes
     ----------
@@ -77,7 +77,7 @@ class Store:
         return [gap for gap in (*out, range(reached, self.runs)) if gap]
 
     def load(self) -> None:
-        """Find what earlier processes left: a table, whole parts; whatever is damaged is removed and flown again."""
+        """Find what earlier processes left, a table or whole parts; damaged ones are removed and simulated again."""
         for unfinished in (*self.folder.glob(f".{TABLE}.*.tmp"), *self.folder.glob(f"{PARTS}/.*.tmp")):
             unfinished.unlink(missing_ok=True)
         self._base = self._kept_runs = self._whole_rows()
@@ -96,7 +96,7 @@ class Store:
                 path.unlink()
 
     def write(self, runs: range, columns: Columns) -> None:
-        """Keep the columns of a piece of runs."""
+        """Keep the columns of a chunk of runs."""
         pa = arrow()
         out = pa.BufferOutputStream()
         pa.parquet.write_table(table_of(columns, self._schema), out)
@@ -119,9 +119,9 @@ class Store:
         else:
             for table in self._base_tables():
                 _count(counts, table)
-        names = (COMPLETED, DIVERGED, NOT_FLOWN, "passed", "not passed")
+        names = (COMPLETED, DIVERGED, NOT_SIMULATED, "passed", "not passed")
         # Not the times at which runs diverged: as many as there are runs.
-        reasons = sorted(name for name in counts if name.startswith(f"{NOT_FLOWN}: "))[:_REASONS]
+        reasons = sorted(name for name in counts if name.startswith(f"{NOT_SIMULATED}: "))[:_REASONS]
         self.record |= {
             "complete": True,
             "counts": {name: counts[name] for name in names},
@@ -188,8 +188,8 @@ class Store:
             yield
         except OSError as error:
             raise InputError(
-                f"{path}: cannot be written: {error.strerror or error}; the {self.done} runs flown so far are kept: "
-                "make room, and the same command goes on"
+                f"{path}: cannot be written: {error.strerror or error}; the {self.done} runs simulated so far are "
+                "kept: make room, and the same command goes on"
             ) from None
 
 
@@ -346,16 +346,16 @@ def _count(counts: Counter[str], table: Any) -> None:
 
     number = pyarrow.compute.sum
     ended, passed = table.column(ENDED), table.column(PASSED)
-    missing = pyarrow.compute.starts_with(ended, NOT_FLOWN)
+    missing = pyarrow.compute.starts_with(ended, NOT_SIMULATED)
     found = {
         COMPLETED: number(pyarrow.compute.equal(ended, COMPLETED)).as_py(),
-        NOT_FLOWN: number(missing).as_py(),
+        NOT_SIMULATED: number(missing).as_py(),
         "passed": number(passed).as_py() or 0,
     }
-    found[DIVERGED] = table.num_rows - found[COMPLETED] - found[NOT_FLOWN]
-    found["not passed"] = table.num_rows - found["passed"] - found[NOT_FLOWN]
+    found[DIVERGED] = table.num_rows - found[COMPLETED] - found[NOT_SIMULATED]
+    found["not passed"] = table.num_rows - found["passed"] - found[NOT_SIMULATED]
     counts.update(found)
-    for entry in ended.filter(missing).value_counts().to_pylist() if found[NOT_FLOWN] else ():
+    for entry in ended.filter(missing).value_counts().to_pylist() if found[NOT_SIMULATED] else ():
         if entry["values"] in counts or len(counts) < _COUNTED:
             counts[entry["values"]] += entry["counts"]
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 from platform_ctrl.campaign.contrasts import Contrast, contrasts
-from platform_ctrl.campaign.plan import Plan
+from platform_ctrl.campaign.planning import Plan
 from platform_ctrl.campaign.probability import CONFIDENCE, Probability
 from platform_ctrl.campaign.rare_result import RareResult
 from platform_ctrl.campaign.sensitivity import Influence, Sensitivity, sensitivities
-from platform_ctrl.campaign.statistics import CampaignStatistics, RequirementStatistics, RunFigure, statistics
 from platform_ctrl.campaign.table import Table
+from platform_ctrl.campaign.table_statistics import CampaignStatistics, RequirementStatistics, WorstRun, statistics
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import value
 from platform_ctrl.verification.records import plain
@@ -25,7 +25,7 @@ class Summary:
     Attributes
     ----------
     plan
-        What was flown.
+        What was simulated.
     statistics
         How often each requirement is violated.
     sensitivities
@@ -44,7 +44,7 @@ class Summary:
 
     @property
     def passed(self) -> bool:
-        """Whether every run was flown and met whatever was asked of it."""
+        """Whether every run was simulated and met whatever was asked of it."""
         return self.statistics.passed
 
     @check_arguments
@@ -70,7 +70,7 @@ class Summary:
 
 
 @check_arguments
-def summarised(
+def summarise(
     plan: Plan, table: Table, *, confidence: float = CONFIDENCE, rare: tuple[RareResult, ...] = ()
 ) -> Summary:
     """Return what a campaign's table says.
@@ -78,7 +78,7 @@ def summarised(
     Parameters
     ----------
     plan
-        What was flown.
+        What was simulated.
     table
         The runs: Parquet files or columns.
     confidence
@@ -98,7 +98,7 @@ def summarised(
     InputError
         The files cannot be read.
     """
-    limits = {manoeuvre.name: manoeuvre.limits for manoeuvre, _ in plan.job.flown}
+    limits = {manoeuvre.name: manoeuvre.limits for manoeuvre, _ in plan.job.campaign_manoeuvres}
     return Summary(
         plan=plan,
         statistics=statistics(table, limits, confidence=confidence),
@@ -115,7 +115,7 @@ def summary_record(summary: Summary) -> Record:
     Parameters
     ----------
     summary
-        From `summarised`.
+        From `summarise`.
 
     Returns
     -------
@@ -131,7 +131,7 @@ def summary_record(summary: Summary) -> Record:
     record = {
         "statistics": {
             "runs": found.runs,
-            "flown": found.flown,
+            "simulated": found.simulated,
             "diverged": found.diverged,
             "endings": found.endings,
             "passed": found.passed,
@@ -142,7 +142,7 @@ def summary_record(summary: Summary) -> Record:
         },
         "sensitivity": [
             {
-                "requirement": one.figure,
+                "requirement": one.requirement,
                 "manoeuvre": one.manoeuvre,
                 "runs": one.runs,
                 "ranked": one.ranked,
@@ -198,11 +198,11 @@ def rare_record(plan: Plan, rare: RareResult) -> Record:
 
 def _requirement(one: RequirementStatistics) -> Record:
     return {
-        "requirement": one.figure,
+        "requirement": one.requirement,
         "manoeuvre": one.manoeuvre,
         "limit": one.limit,
         **_probability(one.violation),
-        "quantiles": {f"{share:g}": figure for share, figure in one.quantiles.items()},
+        "quantiles": {f"{share:g}": requirement for share, requirement in one.quantiles.items()},
         "largest": one.largest,
         "worst": [_run(single) for single in one.worst],
     }
@@ -222,7 +222,7 @@ def _influence(one: Influence) -> Record:
 
 def _contrast(one: Contrast) -> Record:
     return {
-        "requirement": one.figure,
+        "requirement": one.requirement,
         "manoeuvre": one.manoeuvre,
         "parameter": one.parameter,
         "value": one.level,
@@ -238,11 +238,11 @@ def _probability(one: Probability) -> Record:
     return {"violations": one.events, "runs": one.runs, "probability": one.estimate, "low": one.low, "high": one.high}
 
 
-def _run(one: RunFigure) -> Record:
+def _run(one: WorstRun) -> Record:
     return {
         "run": one.run,
         "manoeuvre": one.manoeuvre,
-        "requirement": one.figure,
+        "requirement": one.requirement,
         "value": one.value,
         "limit": one.limit,
         "ratio": one.ratio,

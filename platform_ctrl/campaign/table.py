@@ -1,4 +1,4 @@
-"""A campaign's table read a piece at a time: Parquet files, or columns that are in memory already."""
+"""A campaign's table read a chunk at a time: Parquet files, or columns that are in memory already."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from platform_ctrl.common.signatures import short
 from platform_ctrl.errors import ArgumentError, InputError
 
-# The figures of a run, by the names of a manoeuvre's limits, with what they are called and their unit.
-FIGURES = {
+# The metrics of a run, by the names of a manoeuvre's limits, with what they are called and their unit.
+METRICS = {
     "angle": ("largest gimbal angle", "rad"),
     "attitude": ("largest platform angle", "rad"),
     "torque_share": ("largest torque over its limit", ""),
@@ -21,9 +21,9 @@ FIGURES = {
 # What a run's row holds besides its inputs.
 RUN, MANOEUVRE, PASSED, ENDED = "run", "manoeuvre", "passed", "ended"
 # How a run ended begins with one of these words.
-COMPLETED, DIVERGED, NOT_FLOWN = "completed", "diverged", "not flown"
+COMPLETED, DIVERGED, NOT_SIMULATED = "completed", "diverged", "not simulated"
 OUTCOMES = frozenset(
-    {RUN, *FIGURES, *(f"{name}_passed" for name in FIGURES), "stop_contacts", "saturated", PASSED, ENDED}
+    {RUN, *METRICS, *(f"{name}_passed" for name in METRICS), "stop_contacts", "saturated", PASSED, ENDED}
 )
 
 ROWS_AT_ONCE = 1 << 15

@@ -1,47 +1,43 @@
-"""Flying pieces of a campaign on processes of this machine: each has a pipe of its own, so that it may die alone."""
+"""Simulating a campaign's runs in chunks, in processes of this machine that may die alone."""
 
 from __future__ import annotations
 
-import multiprocessing
-import os
-import pickle
-import signal
-import threading
 import time
 from collections import deque
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager, suppress
-from multiprocessing.connection import Connection, wait
-from typing import TYPE_CHECKING
+from queue import SimpleQueue
+from typing import TYPE_CHECKING, Any
 
-from platform_ctrl.campaign.single_run import Columns, Fly, flown, not_flown
+from platform_ctrl.campaign.single_run import Columns, SimulateRuns, columns_of, row_not_simulated
+from platform_ctrl.common.processes import Started, TaskProcess, next_result
 from platform_ctrl.errors import SimulationError
 from platform_ctrl.simulation.device import processors
 
 if TYPE_CHECKING:
-    from platform_ctrl.campaign.plan import Plan
+    from platform_ctrl.campaign.planning import Plan
 
-# Runs that the kernel computes side by side, as in `platform_ctrl.common.simd`, which would load numba: a piece of
+# Runs that the kernel computes side by side, as in `platform_ctrl.common.simd`, which would load numba: a chunk of
 # fewer costs as much.
 LANES = 8
-# Smallest and largest piece by device: a GPU wants many runs at once.
+# Smallest and largest chunk by device: a GPU wants many runs at once.
 SIZES = {"cpu": (LANES, 4096), "cuda": (1 << 12, 1 << 17)}
+# How long a chunk should take, s.
 SECONDS = 1.0
-# A piece whose worker died is flown again in so many parts, until the run that it died of is alone.
+# A chunk whose worker died is simulated again in so many parts, until the run that it died of is alone.
 _PARTS = 8
 # A run that was alone when its worker died may have been unlucky: memory was short, somebody stopped the machine.
 _CHANCES = 2
 
 
-class Pieces:
-    """The runs that are still to be flown, cut to size.
+class Chunks:
+    """The runs that are still to be simulated, in chunks of a fitting size.
 
     Parameters
     ----------
     gaps
-        Runs to be flown, in order.
+        Missing runs, in order.
     crew
-        How many pieces are flown at a time.
+        How many chunks are simulated at a time.
     device
         ``"cpu"`` or ``"cuda"``.
     """
@@ -65,7 +61,7 @@ class Pieces:
         return len(self._again) + sum(-(-len(gap) // self._smallest) for gap in self._gaps)
 
     def next(self) -> range | None:
-        """Return the next piece, or None."""
+        """Return the next chunk, or None."""
         if self._again:
             return self._again.popleft()
         if not self._gaps:
@@ -79,160 +75,114 @@ class Pieces:
             self._gaps.appendleft(range(stop, gap.stop))
         return range(gap.start, stop)
 
-    def finished(self, piece: range, seconds: float) -> None:
-        """Learn from a piece that took so long how large the next ones should be."""
-        wanted = SECONDS * len(piece) / max(seconds, 1e-6)
+    def finished(self, chunk: range, seconds: float) -> None:
+        """Learn from a chunk that took so long how large the next ones should be."""
+        wanted = SECONDS * len(chunk) / max(seconds, 1e-6)
         self._size = int(max(self._smallest, min(wanted // LANES * LANES, 2 * self._size, self._largest)))
 
-    def died(self, piece: range) -> int | None:
-        """Take back the piece of a worker that died; return the run that it died of once that is known."""
-        if len(piece) == 1:
-            run = piece.start
+    def died(self, chunk: range) -> int | None:
+        """Take back the chunk of a worker that died; return the run that it died of once that is known."""
+        if len(chunk) == 1:
+            run = chunk.start
             self._deaths[run] = self._deaths.get(run, 0) + 1
             if self._deaths[run] >= _CHANCES:
                 del self._deaths[run]
                 return run
-        length = -(-len(piece) // _PARTS)
-        self._again.extend(piece[k : k + length] for k in range(0, len(piece), length))
+        length = -(-len(chunk) // _PARTS)
+        self._again.extend(chunk[k : k + length] for k in range(0, len(chunk), length))
         return None
 
 
 DIED = "worker died"
 # Deaths without a run finished in between: not the runs' fault.
-_DEATHS = 24
-# How long a process may take from closing its pipe to its end, s.
-_FAREWELL = 5.0
+_MAX_DEATHS = 24
 
 
-def flown_by_processes(
-    plan: Plan, pieces: Pieces, fly: Fly, *, workers: int, device: str = "cpu"
+def columns_by_processes(
+    plan: Plan, chunks: Chunks, simulate: SimulateRuns, *, workers: int, device: str = "cpu"
 ) -> Iterator[tuple[range, Columns]]:
-    """Fly all pieces on `workers` processes and yield them with their columns as they are done, in any order.
+    """Simulate all chunks in `workers` processes and yield them with their columns as they are done, in any order.
 
-    The first piece is flown alone: a kernel that has to be compiled is compiled once. A worker that dies is replaced,
-    its piece is flown again in parts; a run that workers die of is given up and recorded as not flown.
+    The first chunk is simulated alone: a kernel that has to be compiled is compiled once. A worker that dies is
+    replaced, its chunk is divided and simulated again; a run that workers die of is recorded as not simulated.
     """
-    parcel = pickle.dumps(plan, pickle.HIGHEST_PROTOCOL)
-    context = multiprocessing.get_context("spawn")
-    crew: dict[Connection, _Worker] = {}
-    deaths, warm = 0, False
-    threads = processors() if device == "cuda" else 1
-
+    crew = _Crew(plan, chunks, simulate, workers, device)
     try:
-        while True:
-            for worker in crew.values():
-                piece = pieces.next() if worker.idle else None
-                if piece is not None:
-                    worker.send(piece)
-            busy = sum(worker.piece is not None for worker in crew.values())
-            if not pieces.waiting and not busy:
-                return
-            while len(crew) < min(workers if warm else 1, busy + pieces.most):
-                worker = _Worker(context, parcel, fly, threads, device)
-                crew[worker.connection] = worker
-            for connection in wait(list(crew)):
-                worker = crew[connection]  # type: ignore[index]
-                try:
-                    message = worker.connection.recv()
-                except (EOFError, OSError):
-                    del crew[worker.connection]
-                    worker.process.join(_FAREWELL)
-                    worker.kill()
-                    killed = (worker.process.exitcode or 0) < 0
-                    if not worker.ready and not warm and not killed:
-                        raise SimulationError(
-                            f"a worker process ended before it began (exit code {worker.process.exitcode}); a script "
-                            'that starts a campaign must do so under if __name__ == "__main__"'
-                        ) from None
-                    deaths += 1
-                    if deaths >= _DEATHS:
-                        raise SimulationError(
-                            f"{deaths} worker processes died without a run finished in between (exit code "
-                            f"{worker.process.exitcode}); is there memory enough? Fewer --workers need less. The runs "
-                            "so far are kept, the same command goes on"
-                        ) from None
-                    if worker.piece is not None:
-                        run = pieces.died(worker.piece)
-                        if run is not None:
-                            yield range(run, run + 1), not_flown(plan, run, DIED)
-                    continue
-                if message is None:
-                    worker.ready = True
-                    continue
-                piece, worker.piece = worker.piece, None
-                if piece is None:
-                    continue
-                columns, seconds = message
-                if warm:
-                    pieces.finished(piece, seconds)
-                deaths, warm = 0, True
-                following = pieces.next()
-                if following is not None:
-                    worker.send(following)  # it flies while what it brought is written
-                yield piece, columns
+        while crew.assign():
+            process, result = next_result(crew.results)
+            if result is None:
+                yield from crew.replace(process)
+            elif isinstance(result, Started):
+                crew.starting.remove(process)
+                crew.busy[process] = None
+            else:
+                yield crew.finish(process, *result)
     finally:
-        for worker in crew.values():
-            worker.kill()
+        for process in (*crew.starting, *crew.busy):
+            process.end()
 
 
-class _Worker:
-    """A process, the pipe to it, and the piece that it flies."""
+class _Crew:
+    """Processes that are starting, and those that run with the chunk that each works on."""
 
-    def __init__(
-        self, context: multiprocessing.context.SpawnContext, parcel: bytes, fly: Fly, threads: int, device: str
-    ) -> None:
-        self.connection, its = context.Pipe()
-        self.process = context.Process(target=_work, args=(its, parcel, fly, threads, device), daemon=True)
-        with _no_interrupt():
-            self.process.start()
-        its.close()
-        self.ready = False
-        self.piece: range | None = None
+    def __init__(self, plan: Plan, chunks: Chunks, simulate: SimulateRuns, workers: int, device: str) -> None:
+        self.results: SimpleQueue[tuple[TaskProcess, Any]] = SimpleQueue()
+        self.starting: list[TaskProcess] = []
+        self.busy: dict[TaskProcess, range | None] = {}
+        self._plan, self._chunks, self._workers = plan, chunks, workers
+        self._arguments = (_timed_columns, plan, simulate, processors() if device == "cuda" else 1, device)
+        self._deaths, self._warm = 0, False
 
-    @property
-    def idle(self) -> bool:
-        return self.ready and self.piece is None
+    def assign(self) -> bool:
+        """Give idle processes chunks and start as many processes as there is work for; False when all is done."""
+        for process, chunk in self.busy.items():
+            if chunk is None:
+                self._next(process)
+        working = sum(chunk is not None for chunk in self.busy.values())
+        if not self._chunks.waiting and not working:
+            return False
+        wanted = min(self._workers if self._warm else 1, working + self._chunks.most)
+        while len(self.starting) + len(self.busy) < wanted:
+            self.starting.append(TaskProcess(*self._arguments, results=self.results, stderr=None))
+        return True
 
-    def send(self, piece: range) -> None:
-        self.piece = piece
-        with suppress(OSError):  # that it has gone is seen when it is listened to
-            self.connection.send(piece)
+    def _next(self, process: TaskProcess) -> None:
+        self.busy[process] = chunk = self._chunks.next()
+        if chunk is not None:
+            process.send(chunk)
 
-    def kill(self) -> None:
-        self.process.kill()
-        self.process.join()
-        self.connection.close()
+    def finish(self, process: TaskProcess, columns: Columns, seconds: float) -> tuple[range, Columns]:
+        """Return the chunk that a process has done; it works on the next one while its columns are written."""
+        chunk = self.busy[process]
+        assert chunk is not None
+        if self._warm:
+            self._chunks.finished(chunk, seconds)
+        self._deaths, self._warm = 0, True
+        self._next(process)
+        return chunk, columns
 
-
-@contextmanager
-def _no_interrupt() -> Iterator[None]:
-    """Start a process that never sees a Ctrl-C, meant for this one: the mask of signals is inherited."""
-    if not hasattr(signal, "pthread_sigmask"):
-        yield
-        return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-def _work(connection: Connection, parcel: bytes, fly: Fly, threads: int, device: str) -> None:
-    """Fly pieces until the campaign's process has gone."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=_end_with_parent, daemon=True).start()
-    plan = pickle.loads(parcel)
-    with suppress(EOFError, OSError):
-        connection.send(None)
-        while True:
-            piece = connection.recv()
-            began = time.perf_counter()
-            columns = flown(plan, piece, fly, threads, device)
-            connection.send((columns, time.perf_counter() - began))
+    def replace(self, process: TaskProcess) -> Iterator[tuple[range, Columns]]:
+        """Take the chunk of a process that died back; yield the row of a run that workers die of."""
+        code = process.exit_code()
+        started, chunk = process in self.busy, self.busy.pop(process, None)
+        if not started:
+            self.starting.remove(process)
+        if not started and not self._warm and code >= 0:
+            raise SimulationError(f"a worker process ended before it began (exit code {code})")
+        self._deaths += 1
+        if self._deaths >= _MAX_DEATHS:
+            raise SimulationError(
+                f"{self._deaths} worker processes died without a run finished in between (exit code {code}); is there "
+                "memory enough? Fewer --workers need less. The runs so far are kept, the same command goes on"
+            )
+        run = None if chunk is None else self._chunks.died(chunk)
+        if run is not None:
+            yield range(run, run + 1), row_not_simulated(self._plan, run, DIED)
 
 
-def _end_with_parent() -> None:
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)
+def _timed_columns(
+    plan: Plan, simulate: SimulateRuns, threads: int, device: str, chunk: range
+) -> tuple[Columns, float]:
+    """Return the columns of a chunk and how long it took, s; in a worker."""
+    began = time.perf_counter()
+    return columns_of(plan, chunk, simulate, threads, device), time.perf_counter() - began

@@ -11,11 +11,11 @@ from platform_ctrl.cli import completion
 from platform_ctrl.cli.inputs import CAMPAIGN, Controllers, JobFile, Json, Quiet, controller_file, job_of, prepared
 
 if TYPE_CHECKING:
-    from platform_ctrl.campaign.engine import Campaigned
+    from platform_ctrl.campaign.engine import CampaignResult
     from platform_ctrl.job.job import Points
 
 # Groups of options in the help.
-WHAT, WHERE, RARE = "What is flown", "Where it is flown", "Rare events"
+WHAT, WHERE, RARE = "Runs", "Where they are simulated", "Rare events"
 
 
 def campaign(
@@ -74,7 +74,7 @@ def campaign(
             "--device",
             rich_help_panel=WHERE,
             metavar="cpu|cuda",
-            help="What flies the runs.",
+            help="What simulates the runs.",
             autocompletion=completion.words("cpu", "cuda"),
         ),
     ] = "cpu",
@@ -84,7 +84,7 @@ def campaign(
             "--scheduler",
             rich_help_panel=WHERE,
             metavar="ADDRESS",
-            help="A Dask scheduler (tcp://host:8786), whose workers fly the runs.",
+            help="A Dask scheduler (tcp://host:8786), whose workers simulate the runs.",
             show_default=False,
         ),
     ] = None,
@@ -95,8 +95,8 @@ def campaign(
             "--rare",
             rich_help_panel=RARE,
             metavar="any|angle|attitude|torque_share",
-            help="After the campaign's runs, fly those that a probability too small to be counted needs: that this "
-            "requirement is violated, or any.",
+            help="After the campaign, estimate the probability that this requirement (or any) is violated by "
+            "importance splitting, for probabilities too small to be counted.",
             show_default=False,
             autocompletion=completion.words("any", "angle", "attitude", "torque_share"),
         ),
@@ -123,12 +123,12 @@ def campaign(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> int:
-    """Fly many runs of a job, with everything that its [campaign] says may vary.
+    """Simulate many runs of a job, with everything that its [campaign] says may vary.
 
     The controllers exist already. Writes campaign.parquet, one row a run: inputs, figures, verdicts, how it ended;
     campaign.json and the page campaign.html: how probable it is that a requirement is violated, what drives it, and
     the worst runs. Stopped or killed at any moment, the same command goes on; with a larger --runs a campaign that is
-    done is made longer. A run that diverges or cannot be flown has a row that says so.
+    done is made longer. A run that diverges or cannot be simulated has a row that says so.
 
     \b
     platform-ctrl campaign job.toml --runs 10000                with the controllers of out/result.json
@@ -137,7 +137,7 @@ def campaign(
     platform-ctrl campaign job.toml --scheduler tcp://big:8786  on other machines
     platform-ctrl simulate job.toml --run 4711                  one of its runs again, with a figure
 
-    Exit code 1 if a run did not meet its limits, diverged or was not flown.
+    Exit code 1 if a run did not meet its limits, diverged or was not simulated.
     """  # noqa: D301
     from platform_ctrl.cli.campaign_output import PAGE, campaign_progress, delivered, expect_rare, rare_found
     from platform_ctrl.cli.terminal import progress
@@ -146,7 +146,7 @@ def campaign(
         read = job_of(job)
         file = controller_file(controllers, None, job)
         from platform_ctrl.campaign.engine import run_campaign
-        from platform_ctrl.campaign.plan import plan
+        from platform_ctrl.campaign.planning import plan
         from platform_ctrl.verification.given import read_controllers
 
         made = plan(read, read_controllers(file, read), runs=runs, seed=seed, sampling=cast("Points | None", sampling))
@@ -161,7 +161,7 @@ def campaign(
 
     try:
         with campaign_progress(quiet or as_json, made.runs) as (tick, say):
-            flown = run_campaign(
+            result = run_campaign(
                 made,
                 out,
                 workers=workers,
@@ -172,19 +172,19 @@ def campaign(
                 say=say,
             )
     except KeyboardInterrupt:
-        kept = "what was flown is kept" if done is None else f"{done:,} of {made.runs:,} runs are kept"
+        kept = "what was simulated is kept" if done is None else f"{done:,} of {made.runs:,} runs are kept"
         typer.echo(f"stopped: {kept} in {out}; the same command goes on", err=True)
         raise
     given = {"--controllers": controllers, "-o": None if out == CAMPAIGN else out}
     files = [str(word) for option, path in given.items() if path is not None for word in (option, path)]
     numbers = {"--runs": runs, "--seed": seed, "--sampling": sampling, "--rare": rare}
     words = [str(word) for option, one in numbers.items() if one is not None for word in (option, one)]
-    with progress(quiet or as_json, f"reading {flown.table}") as say:
+    with progress(quiet or as_json, f"reading {result.table}") as say:
         found = rare_found(made, rare, runs_per_level, rare_method, workers=workers, device=device, say=say)
         say(f"drawing the page: {out / PAGE}")
         summary, record = delivered(
             made,
-            flown,
+            result,
             found,
             command=["platform-ctrl", "campaign", str(job), *words, *files],
             again=["platform-ctrl", "simulate", str(job), *files, "--run"],
@@ -197,15 +197,15 @@ def campaign(
         from platform_ctrl.cli.campaign_output import show_campaign
 
         show_campaign(summary)
-        _show_files(flown, out / PAGE)
-    return 0 if flown.passed else 1
+        _show_files(result, out / PAGE)
+    return 0 if result.passed else 1
 
 
-def _show_files(flown: Campaigned, page: Path) -> None:
+def _show_files(result: CampaignResult, page: Path) -> None:
     from platform_ctrl.report.page.campaign_tables import count_words
 
-    counts: dict[str, Any] = flown.counts
-    typer.echo(f"{count_words(flown.record['runs'])}: {', '.join(f'{n:,} {name}' for name, n in counts.items() if n)}")
-    for reason, number in flown.reasons.items():
+    counts: dict[str, Any] = result.counts
+    typer.echo(f"{count_words(result.record['runs'])}: {', '.join(f'{n:,} {name}' for name, n in counts.items() if n)}")
+    for reason, number in result.reasons.items():
         typer.echo(f"  {number:,} x {reason}")
-    typer.echo(f"page: {page}, runs: {flown.table}, figures: {flown.table.with_suffix('.json')}")
+    typer.echo(f"page: {page}, runs: {result.table}, figures: {result.table.with_suffix('.json')}")

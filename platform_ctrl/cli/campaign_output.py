@@ -1,4 +1,4 @@
-"""What a campaign leaves behind once its runs are flown: statistics in campaign.json, and the page."""
+"""What a campaign leaves behind once its runs are simulated: statistics in campaign.json, and the page."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-    from platform_ctrl.campaign.engine import Campaigned
-    from platform_ctrl.campaign.plan import Plan
+    from platform_ctrl.campaign.engine import CampaignResult
+    from platform_ctrl.campaign.planning import Plan
     from platform_ctrl.campaign.rare_result import RareMethod, RareResult
     from platform_ctrl.campaign.store import Record
     from platform_ctrl.campaign.summary import Summary
@@ -31,10 +31,10 @@ METHODS = ("splitting", "cross-entropy")
 
 
 def expect_rare(plan: Plan, requirement: str | None, runs_per_level: int, method: str) -> None:
-    """Judge the options of a rare event before anything is flown."""
+    """Judge the options of a rare event before anything is simulated."""
     from platform_ctrl.campaign.rare_events import FEWEST_SAMPLES
 
-    asked = [ANY, *dict.fromkeys(name for one, _ in plan.job.flown for name in one.limits)]
+    asked = [ANY, *dict.fromkeys(name for one, _ in plan.job.campaign_manoeuvres for name in one.limits)]
     if requirement is not None and requirement not in asked:
         raise InputError(
             f"--rare {requirement}: no manoeuvre of the campaign has this limit; expected {', '.join(asked)}"
@@ -57,7 +57,7 @@ def rare_found(
     device: str,
     say: Callable[[str], None],
 ) -> tuple[RareResult, ...]:
-    """Fly the rare event that was asked for, if one was."""
+    """Simulate the rare event that was asked for, if one was."""
     if requirement is None:
         return ()
     from platform_ctrl.campaign.rare_runs import rare_probability
@@ -77,24 +77,24 @@ def rare_found(
 
 
 def delivered(
-    plan: Plan, flown: Campaigned, rare: tuple[RareResult, ...], *, command: list[str], again: list[str]
+    plan: Plan, result: CampaignResult, rare: tuple[RareResult, ...], *, command: list[str], again: list[str]
 ) -> tuple[Summary, Record]:
     """Count the table, write campaign.json with what was counted, and the page; return both.
 
     Parameters
     ----------
-    plan, flown, rare
-        What was flown.
+    plan, simulated, rare
+        What was simulated.
     command, again
-        The command that did it, and the one that flies a run again, without the run's number.
+        The command that did it, and the one that simulates a run again, without the run's number.
     """
     from platform_ctrl.campaign.store import write_record
-    from platform_ctrl.campaign.summary import summarised, summary_record
+    from platform_ctrl.campaign.summary import summarise, summary_record
     from platform_ctrl.report.page.campaign_page import write_campaign_page
 
-    folder: Path = flown.table.parent
-    summary = summarised(plan, flown.table, rare=rare)
-    record = flown.record | summary_record(summary)
+    folder: Path = result.table.parent
+    summary = summarise(plan, result.table, rare=rare)
+    record = result.record | summary_record(summary)
     write_record(folder, record)
     write_campaign_page(summary, folder / PAGE, command=shlex.join(command), again=shlex.join(again))
     return summary, record
@@ -124,7 +124,7 @@ def campaign_progress(quiet: bool, runs: int) -> Iterator[tuple[Tick, Say]]:
 
 
 class Pace:
-    """How fast runs are flown, and how long the rest will take.
+    """How fast runs are simulated, and how long the rest will take.
 
     What was there at the start does not count, nor does the time to the first runs: a kernel may have been compiled.
     """
@@ -205,7 +205,7 @@ def _bar(pace: Pace, runs: int) -> Iterator[tuple[Tick, Say]]:
 
 
 def _amiss(number: int) -> str:
-    return f", {number:,} diverged or not flown" if number else ""
+    return f", {number:,} diverged or not simulated" if number else ""
 
 
 # Narrower terminals get lines instead of a table.
@@ -299,7 +299,7 @@ def _show_drivers(console: Console, summary: Summary) -> None:
 
     for one in summary.sensitivities:
         if one.manoeuvre is None:
-            name = tables.requirement_name(one.figure)
+            name = tables.requirement_name(one.requirement)
             violating = tables.violation_drivers(one)
             more = f"; its violations by {violating}" if violating else ""
             console.print(f"{name} is driven by {tables.short_drivers(one)}{more}", markup=False)

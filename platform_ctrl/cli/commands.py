@@ -155,7 +155,7 @@ app = typer.Typer(
     epilog="Exit code: 0 done, every requirement met; 1 done, a requirement not met, or no controller found; 2 the "
     "input is wrong; 130 interrupted. platform-ctrl COMMAND --help tells more, with examples.",
 )
-BEGIN, DESIGN, FLY, OUT = "To begin with", "Design and check", "Fly on the non-linear plant", "The way out"
+START, DESIGN, SIMULATE, EXPORT = "Start", "Design and check", "Simulate on the non-linear plant", "Export"
 
 
 def _print_version(wanted: bool) -> None:
@@ -183,10 +183,10 @@ def platform_ctrl(
     """  # noqa: D301
 
 
-app.command(cls=Teaching, rich_help_panel=BEGIN)(new)
+app.command(cls=Teaching, rich_help_panel=START)(new)
 
 
-@app.command(cls=Teaching, rich_help_panel=BEGIN)
+@app.command(cls=Teaching, rich_help_panel=START)
 def models(as_json: Json = False) -> None:
     """List the plants that come with the package.
 
@@ -213,7 +213,7 @@ def models(as_json: Json = False) -> None:
         typer.echo(f"{model['name']:<{width}}  {model['title']}: {bodies}")
 
 
-app.command(cls=Teaching, rich_help_panel=BEGIN)(equations)
+app.command(cls=Teaching, rich_help_panel=START)(equations)
 
 
 @app.command(cls=Teaching, rich_help_panel=DESIGN)
@@ -231,12 +231,12 @@ def design(
     """Design every loop of a job and check the whole.
 
     Each loop is designed by every method that the job names; those that the job says are closed together on the coupled
-    model and flown on the non-linear plant. Writes result.json and report.html, whole or not at all.
+    model and simulated on the non-linear plant. Writes result.json and report.html, whole or not at all.
 
     \b
     platform-ctrl design job.toml                            report: out/report.html
     platform-ctrl design job.toml -o run7 --pdf              run7/report.html and run7/report.pdf
-    platform-ctrl design job.toml --campaign campaign --pdf  with a section about the campaign that was flown
+    platform-ctrl design job.toml --campaign campaign --pdf  with a section about the campaign that was simulated
     platform-ctrl design job.toml --json | jq .requirements  the verdicts, to compute with
 
     Exit code 1 if a requirement is not met, or if a method finds no controller (one line on standard error says which).
@@ -266,6 +266,6 @@ def design(
 
 app.command(cls=Teaching, rich_help_panel=DESIGN)(check)
 app.command(cls=Teaching, rich_help_panel=DESIGN)(serve)
-app.command(cls=Teaching, rich_help_panel=FLY)(simulate)
-app.command(cls=Teaching, rich_help_panel=FLY)(campaign)
-app.command(cls=Teaching, rich_help_panel=OUT)(export)
+app.command(cls=Teaching, rich_help_panel=SIMULATE)(simulate)
+app.command(cls=Teaching, rich_help_panel=SIMULATE)(campaign)
+app.command(cls=Teaching, rich_help_panel=EXPORT)(export)

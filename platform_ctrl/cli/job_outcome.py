@@ -40,24 +40,25 @@ def expect_campaign(job: Job, folder: Path) -> Record:
 
 def counted(job: Job, controllers: Sequence[control.StateSpace], folder: Path) -> Summary:
     """Return what the campaign in a folder came to."""
-    from platform_ctrl.campaign.plan import plan
-    from platform_ctrl.campaign.rerun import settings_of, strangers
+    from platform_ctrl.campaign.planning import plan
+    from platform_ctrl.campaign.rerunning import changed_settings, settings_of
     from platform_ctrl.campaign.store import TABLE
-    from platform_ctrl.campaign.summary import summarised
 
     record = expect_campaign(job, folder)
     made = plan(job, controllers, **settings_of(record))
-    odd = strangers(record, made)
+    odd = changed_settings(record, made)
     if odd:
         raise InputError(
-            f"--campaign {folder}: was flown with {'; '.join(odd)}; fly it again with platform-ctrl campaign, or leave "
-            "it out"
+            f"--campaign {folder}: was simulated with {'; '.join(odd)}; repeat it with platform-ctrl campaign, or "
+            "leave the option out"
         )
-    return summarised(made, folder / TABLE)
+    from platform_ctrl.campaign.summary import summarise
+
+    return summarise(made, folder / TABLE)
 
 
 def run_again(job: Path, controllers: Path, folder: Path) -> str:
-    """Return the command that flies a run of the campaign again, without the run's number."""
+    """Return the command that simulates a run of the campaign again, without the run's number."""
     command = ["platform-ctrl", "simulate", job, "--controllers", controllers, "-o", folder, "--run"]
     return shlex.join(map(str, command))
 

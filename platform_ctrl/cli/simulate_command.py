@@ -15,7 +15,7 @@ from platform_ctrl.errors import InputError
 if TYPE_CHECKING:
     import control
 
-    from platform_ctrl.campaign.plan import Plan
+    from platform_ctrl.campaign.planning import Plan
     from platform_ctrl.job.job import Job, Manoeuvre
     from platform_ctrl.verification import Run
 
@@ -63,17 +63,17 @@ def simulate(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> int:
-    """Fly one manoeuvre on the non-linear plant, or one run of a campaign again.
+    """Simulate one manoeuvre on the non-linear plant, or one run of a campaign again.
 
     The controllers exist already. Gimbal stops, torque limits, sampling, delay and pick-off noise are those of plant
-    and job; the job's seed makes the run the same every time. A run of the campaign is flown with all its draws: it
+    and job; the job's seed makes the run the same every time. A run of the campaign is simulated with all its draws: it
     comes to the figures that stand in the campaign's table. Exit code 1 if a limit is not met.
 
     \b
     platform-ctrl simulate job.toml --manoeuvre turn -o runs  by name, with a figure
     platform-ctrl simulate job.toml --manoeuvre 1 --json      by number, the figures as JSON
     platform-ctrl simulate job.toml --run 4711                the campaign's run 4711: campaign/run-4711.svg
-    platform-ctrl simulate job.toml --run 4711 -o night       of the campaign that was flown with -o night
+    platform-ctrl simulate job.toml --run 4711 -o night       of the campaign that was simulated with -o night
     """  # noqa: D301
     from platform_ctrl.cli.terminal import progress
 
@@ -83,7 +83,9 @@ def simulate(
     with progress(quiet or as_json, f"reading {job}") as say:
         read = job_of(job)
         wanted = str(run if manoeuvre is None else manoeuvre)
-        of_campaign = manoeuvre is None and wanted.isdecimal() and (read.campaign is not None or _flown(read, out))
+        of_campaign = (
+            manoeuvre is None and wanted.isdecimal() and (read.campaign is not None or _has_campaign(read, out))
+        )
         if of_campaign and wanted not in [one.name for one in read.manoeuvres]:
             chosen: int | Manoeuvre = int(wanted)
         else:
@@ -96,39 +98,39 @@ def simulate(
             planned = _planned(read, chosen, closed, out)
             prepared(planned[1])
             say(f"run {chosen} of the campaign")
-            show = _run_flown(chosen, *planned)
+            show = _campaign_run(chosen, *planned)
         else:
             if out is not None:
                 prepared(out)
             say(f"simulated run: {chosen.name}")
-            show = _manoeuvre_flown(read, chosen, closed, out)
+            show = _manoeuvre_run(read, chosen, closed, out)
     return show(as_json)
 
 
-def _manoeuvre_flown(job: Job, manoeuvre: Manoeuvre, controllers: list[control.StateSpace], out: Path | None) -> Shown:
+def _manoeuvre_run(job: Job, manoeuvre: Manoeuvre, controllers: list[control.StateSpace], out: Path | None) -> Shown:
     from platform_ctrl.verification import fly, largest
     from platform_ctrl.verification.records import laid_out, run_record
 
-    flown = fly(job, manoeuvre, controllers)
-    drawn = None if out is None else _drawn(flown, job, manoeuvre.name, out, f"manoeuvre-{_place(job, manoeuvre)}.svg")
+    result = fly(job, manoeuvre, controllers)
+    drawn = None if out is None else _drawn(result, job, manoeuvre.name, out, f"manoeuvre-{_place(job, manoeuvre)}.svg")
 
     def show(as_json: bool) -> int:
         if as_json:
             about = {"schema": 1, "job": job.name, "platform": job.platform.name}
-            typer.echo(laid_out(about | run_record(job, flown)))
+            typer.echo(laid_out(about | run_record(job, result)))
         else:
             from platform_ctrl.cli.terminal import show_run
 
-            show_run(flown, largest(job, flown.trajectory))
+            show_run(result, largest(job, result.trajectory))
             if drawn is not None:
                 typer.echo(f"figure: {drawn}")
-        return 0 if all(one.passed for one in flown.results) else 1
+        return 0 if all(one.passed for one in result.results) else 1
 
     return show
 
 
-def _run_flown(number: int, plan: Plan, folder: Path, recorded: bool, note: str) -> Shown:
-    from platform_ctrl.campaign.rerun import recorded_row, rerun, unlike
+def _campaign_run(number: int, plan: Plan, folder: Path, recorded: bool, note: str) -> Shown:
+    from platform_ctrl.campaign.rerunning import recorded_row, rerun, unlike
     from platform_ctrl.verification import largest
     from platform_ctrl.verification.records import laid_out, plain, run_record
 
@@ -144,7 +146,7 @@ def _run_flown(number: int, plan: Plan, folder: Path, recorded: bool, note: str)
             typer.echo(note, err=True)
         if as_json:
             about = {"schema": 1, "job": job.name, "platform": job.platform.name, "run": number}
-            told: dict[str, Any] = {"inputs": found.inputs, "row": found.figures, "figure": str(drawn)}
+            told: dict[str, Any] = {"inputs": found.inputs, "row": found.metrics, "figure": str(drawn)}
             told["as_in_table"] = None if row is None else not unlikely
             typer.echo(laid_out(plain(about | told | run_record(found.job, found.run))))
         else:
@@ -157,12 +159,12 @@ def _run_flown(number: int, plan: Plan, folder: Path, recorded: bool, note: str)
             typer.echo(f"figure: {drawn}")
         for one in unlikely:
             typer.echo(f"{folder / TABLE}: run {number} is not the same: {one}", err=True)
-        return 0 if found.figures["passed"] else 1
+        return 0 if found.metrics["passed"] else 1
 
     return show
 
 
-def _flown(job: Job, out: Path | None) -> bool:
+def _has_campaign(job: Job, out: Path | None) -> bool:
     """Whether the folder has a campaign of a job that has no [campaign]: what varied was the noise."""
     from platform_ctrl.campaign.store import read_record
 
@@ -174,20 +176,20 @@ def _planned(
     job: Job, number: int, controllers: list[control.StateSpace], out: Path | None
 ) -> tuple[Plan, Path, bool, str]:
     """Return the plan of the campaign in a folder if there is one, else the job's; the folder; whether; a note."""
-    from platform_ctrl.campaign.plan import plan
-    from platform_ctrl.campaign.rerun import settings_of, strangers
+    from platform_ctrl.campaign.planning import plan
+    from platform_ctrl.campaign.rerunning import changed_settings, settings_of
     from platform_ctrl.campaign.store import RECORD, read_record
 
     folder = out or CAMPAIGN
     record = read_record(folder)
     made, note = plan(job, controllers, **settings_of(record)), ""
-    odd = [] if record is None else strangers(record, made)
+    odd = [] if record is None else changed_settings(record, made)
     if odd:
-        note = f"{folder / RECORD}: the campaign there was flown with {'; '.join(odd)}"
+        note = f"{folder / RECORD}: the campaign there was simulated with {'; '.join(odd)}"
         if out is not None:
-            raise InputError(f"{note}; its runs cannot be flown again with what there is now")
+            raise InputError(f"{note}; its runs cannot be simulated again with what there is now")
         made = plan(job, controllers)
-        note += "; flown instead: a run of the campaign that the job describes now"
+        note += "; simulated instead: a run of the campaign that the job describes now"
     if number >= made.runs:
         raise InputError(f"--run {number}: expected a run of the campaign, 0 to {made.runs - 1}")
     return made, folder, record is not None and not odd, note

@@ -123,7 +123,7 @@ def variation_mistakes(job: Job) -> Iterator[Mistake]:
     """Walk what a campaign varies although the job has no such number, or would not accept what may be drawn."""
     if job.campaign is None:
         return
-    scenarios = [manoeuvre_scenario(job, manoeuvre) for manoeuvre, _ in job.flown]
+    scenarios = [manoeuvre_scenario(job, manoeuvre) for manoeuvre, _ in job.campaign_manoeuvres]
     for k, key, line in misfits(job.campaign.vary, scenarios, job.fault_events):
         yield Mistake(("campaign", "vary", k, key), one_line(line))
 

@@ -345,7 +345,7 @@ class Job:
     campaign: Campaign | None = None
 
     @property
-    def flown(self) -> tuple[tuple[Manoeuvre, float], ...]:
+    def campaign_manoeuvres(self) -> tuple[tuple[Manoeuvre, float], ...]:
         """Manoeuvres of the campaign with their weights, relative to one another.
 
         All alike where it names none or there is no campaign.

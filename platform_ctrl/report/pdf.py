@@ -53,7 +53,7 @@ def write_pdf(
     command
         The command line that does it again; default one that reads the job printed at the end.
     campaign
-        What a campaign of the job came to, from `platform_ctrl.campaign.summary.summarised`: a section of the report.
+        What a campaign of the job came to, from `platform_ctrl.campaign.summary.summarise`: a section of the report.
     again
         The command line that flies one run of the campaign again, without the run's number at its end.
 

@@ -15,8 +15,8 @@ from typing import Any
 import pytest
 
 import platform_ctrl as pc
-from campaign_flights import flown_quickly, planned, rows, undisturbed
-from platform_ctrl.campaign.engine import Campaigned, run_campaign
+from campaign_runs import invented_columns, planned, rows, undisturbed
+from platform_ctrl.campaign.engine import CampaignResult, run_campaign
 from platform_ctrl.errors import InputError
 
 pytest.importorskip("pyarrow", reason="a campaign's table is Parquet")
@@ -66,9 +66,9 @@ def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
                 process.wait()
 
 
-def carried_out(folder: Path, address: str, runs: int = RUNS, **mishaps: Any) -> Campaigned:
-    fly = partial(flown_quickly, mishaps=mishaps)
-    return run_campaign(planned(runs=runs), folder, scheduler=address, fly=fly)
+def carried_out(folder: Path, address: str, runs: int = RUNS, **mishaps: Any) -> CampaignResult:
+    simulate = partial(invented_columns, mishaps=mishaps)
+    return run_campaign(planned(runs=runs), folder, scheduler=address, simulate=simulate)
 
 
 def test_a_cluster_comes_to_the_table_of_one_process(tmp_path: Path, address: str) -> None:
@@ -91,15 +91,15 @@ def test_a_worker_that_is_killed_in_mid_campaign_costs_no_run(tmp_path: Path, ad
             killed.append(int(log.read_text().splitlines()[-1].split()[1]))
             os.kill(killed[0], signal.SIGKILL)
 
-    fly = partial(flown_quickly, mishaps={"seconds": 0.005, "log": str(log)})
-    found = run_campaign(planned(runs=RUNS), tmp_path / "cluster", scheduler=address, fly=fly, progress=kill)
+    simulate = partial(invented_columns, mishaps={"seconds": 0.005, "log": str(log)})
+    found = run_campaign(planned(runs=RUNS), tmp_path / "cluster", scheduler=address, simulate=simulate, progress=kill)
     assert killed
     assert rows(found) == undisturbed(planned(runs=RUNS))
 
 
 def test_a_run_that_kills_workers_is_found_and_those_beside_it_are_flown(tmp_path: Path, address: str) -> None:
     found = carried_out(tmp_path / "cluster", address, runs=8, dies=[3])
-    assert found.reasons == {"not flown: worker died": 1}
+    assert found.reasons == {"not simulated: worker died": 1}
     assert found.counts["completed"] == 7
 
 

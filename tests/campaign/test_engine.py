@@ -1,4 +1,4 @@
-"""The campaign engine: one row a run whatever happens on the way. The flights are quick ones, made up of the inputs."""
+"""The campaign engine: one row a run whatever happens on the way. The runs are quick ones, made up of the inputs."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ import numpy as np
 import pytest
 
 import platform_ctrl as pc
-from campaign_flights import JOB, flown_here, flown_quickly, planned, rows, undisturbed
+from campaign_runs import JOB, columns_here, invented_columns, planned, rows, undisturbed
 from platform_ctrl.campaign import workers
-from platform_ctrl.campaign.engine import Campaigned, run_campaign
-from platform_ctrl.campaign.plan import Plan, plan
+from platform_ctrl.campaign.engine import CampaignResult, run_campaign
+from platform_ctrl.campaign.planning import Plan, plan
 from platform_ctrl.campaign.single_run import inputs_of
 from platform_ctrl.campaign.store import locked
-from platform_ctrl.campaign.workers import Pieces
+from platform_ctrl.campaign.workers import Chunks
 from platform_ctrl.errors import ArgumentError, InputError, SimulationError
 from platform_ctrl.job.reading import read_job
 from platform_ctrl.plant.source import platform_source
@@ -37,13 +37,13 @@ pytest.importorskip("pyarrow", reason="a campaign's table is Parquet")
 RUNS = 200
 
 
-def carried_out(made: Plan, folder: Path, **options: Any) -> Campaigned:
-    return run_campaign(made, folder, **{"workers": 1, "fly": flown_quickly} | options)
+def carried_out(made: Plan, folder: Path, **options: Any) -> CampaignResult:
+    return run_campaign(made, folder, **{"workers": 1, "simulate": invented_columns} | options)
 
 
 @pytest.fixture
 def mishaps(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
-    """Tell the flights, in this process and in those it starts, what goes wrong."""
+    """Tell the runs, in this process and in those it starts, what goes wrong."""
 
     def tell(**what: Any) -> None:
         monkeypatch.setenv("CAMPAIGN_MISHAPS", json.dumps(what))
@@ -53,12 +53,12 @@ def mishaps(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
 
 @pytest.fixture
 def here(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Fly in this process: quicker, where nothing is said about processes."""
-    monkeypatch.setattr("platform_ctrl.campaign.engine.flown_by_processes", flown_here)
+    """Simulate in this process: quicker, where nothing is said about processes."""
+    monkeypatch.setattr("platform_ctrl.campaign.engine.columns_by_processes", columns_here)
 
 
 def stopped_halfway(made: Plan, folder: Path) -> int:
-    """Fly until a good part of the runs is kept, and then no further, as after a Ctrl-C; return how many are kept."""
+    """Run a campaign until a good part of it is kept, then stop as after a Ctrl-C; return how many runs are kept."""
     kept = 0
 
     def interrupt(done: int, amiss: int) -> None:
@@ -111,9 +111,9 @@ def test_pandas_and_duckdb_read_the_table(tmp_path: Path) -> None:
 DRIVER = """
 import sys
 from pathlib import Path
-from campaign_flights import flown_quickly, planned
+from campaign_runs import invented_columns, planned
 from platform_ctrl.campaign.engine import run_campaign
-run_campaign(planned(runs=int(sys.argv[1])), Path(sys.argv[2]), workers=2, fly=flown_quickly)
+run_campaign(planned(runs=int(sys.argv[1])), Path(sys.argv[2]), workers=2, simulate=invented_columns)
 """
 
 
@@ -138,8 +138,8 @@ def test_killed_at_any_moment_it_goes_on_and_no_run_is_lost_or_flown_twice(
     assert not (folder / "campaign.parquet").exists()
 
     # Its workers go with it: none of them is at work any more.
-    flown = [int(line.split()[1]) for line in log.read_text().splitlines()]
-    for pid in set(flown):
+    done = [int(line.split()[1]) for line in log.read_text().splitlines()]
+    for pid in set(done):
         while _alive(pid) and time.monotonic() < deadline:
             time.sleep(0.02)
         assert not _alive(pid)
@@ -174,11 +174,11 @@ def test_a_run_that_workers_die_of_is_isolated_and_the_others_are_flown(
     found = carried_out(made, tmp_path, workers=2)
     [lost] = [row for row in rows(found) if row["ended"] != "completed"]
     assert lost["run"] == 37
-    assert lost["ended"] == "not flown: worker died"
+    assert lost["ended"] == "not simulated: worker died"
     assert lost["rotor.11.spin"] == expected[37]["rotor.11.spin"]
     assert lost["angle"] is lost["passed"] is lost["stop_contacts"] is None
     assert [row for row in rows(found) if row["run"] != 37] == [row for row in expected if row["run"] != 37]
-    assert found.reasons == {"not flown: worker died": 1}
+    assert found.reasons == {"not simulated: worker died": 1}
     assert not found.passed
 
 
@@ -198,13 +198,13 @@ def test_runs_that_diverge_or_raise_have_rows_that_say_so(tmp_path: Path, mishap
     amiss = []
     found = carried_out(made, tmp_path, progress=lambda done, number: amiss.append(number))
     got = rows(found)
-    assert [row["ended"] for row in got if row["run"] in (3, 11)] == ["not flown: the sensors are not there"] * 2
+    assert [row["ended"] for row in got if row["run"] in (3, 11)] == ["not simulated: the sensors are not there"] * 2
     assert got[5]["ended"] == "diverged at t = 0.01 s"
     assert got[5]["angle"] == np.inf
     assert got[5]["passed"] is False
     others = [k for k in range(40) if k not in (3, 5, 11)]
     assert [got[k] for k in others] == [expected[k] for k in others]
-    assert found.counts["not flown"] == 2
+    assert found.counts["not simulated"] == 2
     assert found.counts["diverged"] == 1
     assert amiss[-1] == 3
 
@@ -336,12 +336,18 @@ def test_when_nothing_more_can_be_written_what_is_there_is_kept(tmp_path: Path) 
     made = planned(runs=RUNS)
     kept = stopped_halfway(made, tmp_path)
     there = parts(tmp_path)
-    with files_of_at_most(4096), pytest.raises(InputError, match=rf"cannot be written: .*; the {kept} runs flown so"):
+    with (
+        files_of_at_most(4096),
+        pytest.raises(InputError, match=rf"cannot be written: .*; the {kept} runs simulated"),
+    ):
         carried_out(made, tmp_path)
     assert parts(tmp_path) == there
     # Room for parts, none for the table of them all.
     largest = max(path.stat().st_size for path in there)
-    with files_of_at_most(largest + 2048), pytest.raises(InputError, match=rf"the {RUNS} runs flown so far are kept"):
+    with (
+        files_of_at_most(largest + 2048),
+        pytest.raises(InputError, match=rf"the {RUNS} runs simulated so far"),
+    ):
         carried_out(made, tmp_path)
     assert not list(tmp_path.glob(".*.tmp"))
     found = carried_out(made, tmp_path)
@@ -355,7 +361,7 @@ def test_a_full_disk_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 
     monkeypatch.setattr("os.fsync", full)
     with pytest.raises(
-        InputError, match=r"No space left on device; the 0 runs flown so far are kept: make room"
+        InputError, match=r"No space left on device; the 0 runs simulated so far are kept: make room"
     ) as one:
         carried_out(planned(runs=8), tmp_path)
     assert "\n" not in str(one.value)
@@ -366,25 +372,25 @@ def test_workers_that_cannot_begin_are_told_at_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     nowhere = types.ModuleType("only_here")
-    exec("def fly(plan, runs, *, threads=1, device='cpu'): ...", nowhere.__dict__)
-    nowhere.fly.__module__ = "only_here"
+    exec("def simulate(plan, runs, *, threads=1, device='cpu'): ...", nowhere.__dict__)
+    nowhere.simulate.__module__ = "only_here"
     monkeypatch.setitem(sys.modules, "only_here", nowhere)
     with pytest.raises(SimulationError, match=r"a worker process ended before it began \(exit code 1\)"):
-        carried_out(planned(runs=8), tmp_path, fly=nowhere.fly)
+        carried_out(planned(runs=8), tmp_path, simulate=nowhere.simulate)
     assert "only_here" in capfd.readouterr().err
 
 
 def test_a_worker_that_is_killed_while_it_begins_is_replaced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     begun: list[int] = []
 
-    class Killed(workers._Worker):
-        def __init__(self, *given: Any) -> None:
-            super().__init__(*given)
-            begun.append(int(self.process.pid or 0))
+    class Killed(workers.TaskProcess):
+        def __init__(self, *given: Any, **options: Any) -> None:
+            super().__init__(*given, **options)
+            begun.append(self.process.pid)
             if len(begun) == 1:
                 self.process.kill()
 
-    monkeypatch.setattr(workers, "_Worker", Killed)
+    monkeypatch.setattr(workers, "TaskProcess", Killed)
     made = planned(runs=8)
     assert rows(carried_out(made, tmp_path)) == undisturbed(made)
     assert len(begun) == 2
@@ -393,7 +399,7 @@ def test_a_worker_that_is_killed_while_it_begins_is_replaced(tmp_path: Path, mon
 def test_workers_that_die_of_everything_stop_the_campaign(
     tmp_path: Path, mishaps: Callable[..., None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("platform_ctrl.campaign.workers._DEATHS", 3)
+    monkeypatch.setattr("platform_ctrl.campaign.workers._MAX_DEATHS", 3)
     mishaps(dies=list(range(RUNS)))
     with pytest.raises(SimulationError, match="3 worker processes died without a run finished in between"):
         carried_out(planned(runs=RUNS), tmp_path, workers=2)
@@ -407,28 +413,28 @@ def test_wrong_arguments_are_told(tmp_path: Path) -> None:
 
 
 def test_pieces_take_about_a_second_and_cover_every_run_once() -> None:
-    pieces, flown = Pieces([range(3, 40), range(100, 30000)], crew=2), []
-    while (piece := pieces.next()) is not None:
-        flown.append(piece)
-        pieces.finished(piece, len(piece) / 500.0)  # 500 runs a second
-    assert [run for piece in flown for run in piece] == [*range(3, 40), *range(100, 30000)]
-    assert all(piece.start % 8 == 0 for piece in flown if piece.start not in (3, 100))
-    assert max(map(len, flown)) == 496
-    assert len(flown[-2]) <= 64
+    chunks, done = Chunks([range(3, 40), range(100, 30000)], crew=2), []
+    while (chunk := chunks.next()) is not None:
+        done.append(chunk)
+        chunks.finished(chunk, len(chunk) / 500.0)  # 500 runs a second
+    assert [run for chunk in done for run in chunk] == [*range(3, 40), *range(100, 30000)]
+    assert all(chunk.start % 8 == 0 for chunk in done if chunk.start not in (3, 100))
+    assert max(map(len, done)) == 496
+    assert len(done[-2]) <= 64
 
 
 def test_a_piece_whose_worker_died_is_cut_until_the_run_is_alone() -> None:
-    pieces = Pieces([range(4096)], crew=1)
-    guilty, found, deaths, flown = 3456, None, 0, []
-    while (piece := pieces.next()) is not None:
-        if guilty in piece:
+    chunks = Chunks([range(4096)], crew=1)
+    guilty, found, deaths, done = 3456, None, 0, []
+    while (chunk := chunks.next()) is not None:
+        if guilty in chunk:
             deaths += 1
-            found = pieces.died(piece)
+            found = chunks.died(chunk)
         else:
-            flown += piece
-            pieces.finished(piece, 1e-9)
+            done += chunk
+            chunks.finished(chunk, 1e-9)
     assert found == guilty
-    assert sorted([*flown, guilty]) == list(range(4096))
+    assert sorted([*done, guilty]) == list(range(4096))
     assert deaths <= 6
 
 

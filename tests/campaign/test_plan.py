@@ -16,7 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from platform_ctrl.campaign.plan import Plan, chosen, plan, quantiles, unit_points
+from platform_ctrl.campaign.planning import Plan, chosen, plan, quantiles, unit_points
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.job import Campaign, CampaignFault, CampaignManoeuvre, Job
 from platform_ctrl.job.parameters import parameters, varied_scenario

@@ -9,10 +9,10 @@ import pytest
 from scipy import stats
 
 import platform_ctrl as pc
-from platform_ctrl.campaign.plan import plan
+from platform_ctrl.campaign.planning import plan
 from platform_ctrl.campaign.rare_events import nearest_mixture, rare_event
-from platform_ctrl.campaign.rare_runs import flown_ratios, rare_probability
-from platform_ctrl.campaign.single_run import fly
+from platform_ctrl.campaign.rare_runs import limit_ratios, rare_probability
+from platform_ctrl.campaign.single_run import simulate_runs
 from platform_ctrl.cli import main
 from platform_ctrl.errors import ArgumentError, SimulationError
 
@@ -104,7 +104,7 @@ def test_noise_is_one_more_input():
     for method in METHODS:
         found = rare_event(figure, 1, samples=600, repetitions=4, method=method, seed=5)
         assert found.low <= stats.norm.sf(4.0) <= found.high
-        # What is told can be flown again: the point, and the number of its noise.
+        # What is told can be simulated again: the point, and the number of its noise.
         for point in found.violations:
             again = figure(point.u[None, :], np.array([point.run]))[0]
             assert again == pytest.approx(point.ratio, rel=1e-6)
@@ -191,7 +191,7 @@ def test_many_runs_are_asked_for_at_once_and_fresh_noise_has_its_own_number():
 
 
 def test_runs_that_could_not_be_flown_are_an_error_not_a_zero():
-    with pytest.raises(SimulationError, match="could not be flown"):
+    with pytest.raises(SimulationError, match="could not be simulated"):
         rare_event(lambda u, run: np.where(u[:, 0] > 0.9, np.nan, 0.1), 1, samples=200)
     with pytest.raises(ArgumentError, match="expected at least"):
         rare_event(plane(3.0, 1), 1, samples=10)
@@ -219,13 +219,13 @@ def planned():
 
 
 def test_the_runs_of_a_rare_event_are_those_of_the_campaign(planned):
-    columns = fly(planned, range(24))
+    columns = simulate_runs(planned, range(24))
     turned = columns["manoeuvre"] == "about 3"
     expected = np.where(turned, columns["angle"] / 0.0014, columns["torque_share"])
     scenarios = planned.scenarios(0, 24)
-    np.testing.assert_allclose(flown_ratios(planned, scenarios), expected, rtol=1e-9)
+    np.testing.assert_allclose(limit_ratios(planned, scenarios), expected, rtol=1e-9)
     # Where the angle is not asked it is not violated.
-    alone = flown_ratios(planned, scenarios, "angle")
+    alone = limit_ratios(planned, scenarios, "angle")
     np.testing.assert_allclose(alone, np.where(turned, expected, 0.0), rtol=1e-9)
 
 
@@ -237,7 +237,7 @@ def test_a_rare_event_of_a_campaign_tells_which_inputs_to_fly_again(planned):
         assert point.run >= planned.runs
         inputs = planned.inputs_at(point.u[None, :])
         assert inputs["manoeuvre"][0] == "about 3"
-        again = flown_ratios(planned, planned.scenarios_with(inputs, [point.run]), "angle")[0]
+        again = limit_ratios(planned, planned.scenarios_with(inputs, [point.run]), "angle")[0]
         assert again == pytest.approx(point.ratio, rel=1e-9)
     with pytest.raises(ArgumentError, match="expected one of 'angle', 'torque_share'"):
         rare_probability(planned, "attitude")

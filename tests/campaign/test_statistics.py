@@ -11,14 +11,14 @@ from scipy import stats
 from platform_ctrl.campaign.contrasts import contrasts
 from platform_ctrl.campaign.probability import RESOLUTION, Distribution, clopper_pearson
 from platform_ctrl.campaign.sensitivity import influences, sensitivities
-from platform_ctrl.campaign.statistics import statistics
 from platform_ctrl.campaign.table import batches, input_names
+from platform_ctrl.campaign.table_statistics import statistics
 from platform_ctrl.errors import ArgumentError, InputError
 
 LIMITS = {"turn": {"angle": 0.003, "torque_share": 1.0}, "push": {"angle": 0.002, "attitude": 0.01}}
 
 
-def flown(N=4000, seed=1):
+def table_of_runs(N=4000, seed=1):
     """A campaign by formula: the angle follows the spin, the torque a fault; the mass does nothing."""
     rng = np.random.default_rng(seed)
     manoeuvre = rng.choice(["turn", "push"], N)
@@ -103,7 +103,7 @@ def test_a_distribution_in_pieces_is_the_whole_one():
 
 
 def test_every_requirement_is_counted_as_the_table_judges_it():
-    table = flown()
+    table = table_of_runs()
     found = statistics(table, LIMITS)
     turn = table["manoeuvre"] == "turn"
     for figure, rows in (("angle", turn | True), ("torque_share", turn), ("attitude", ~turn)):
@@ -123,24 +123,24 @@ def test_every_requirement_is_counted_as_the_table_judges_it():
 
 
 def test_a_run_that_diverged_violates_what_is_asked_and_is_the_worst():
-    found = statistics(flown(), LIMITS)
+    found = statistics(table_of_runs(), LIMITS)
     assert (found.diverged, found.endings["diverged"]) == (1, 1)
     assert found.worst[0].run == 7
     assert found.worst[0].ended.startswith("diverged")
     assert np.isinf(found.of("angle").largest)
 
 
-def test_runs_that_were_not_flown_count_neither_way_and_are_told():
-    table = flown(200)
-    table["ended"][[3, 4]] = "not flown: a torquer has no limit"
+def test_runs_that_were_not_simulated_count_neither_way_and_are_told():
+    table = table_of_runs(200)
+    table["ended"][[3, 4]] = "not simulated: a torquer has no limit"
     found = statistics(table, LIMITS)
-    assert (found.runs, found.flown, found.not_flown) == (200, 198, 2)
+    assert (found.runs, found.simulated, found.not_simulated) == (200, 198, 2)
     assert found.violation.runs == 198
-    assert found.endings["not flown: a torquer has no limit"] == 2
+    assert found.endings["not simulated: a torquer has no limit"] == 2
 
 
 def test_the_worst_runs_are_those_with_the_largest_ratios():
-    table = flown()
+    table = table_of_runs()
     limit = np.array([LIMITS[name]["angle"] for name in table["manoeuvre"]])
     expected = np.lexsort((table["run"], -(table["angle"] / limit)))[:10]
     found = statistics(table, LIMITS)
@@ -152,12 +152,12 @@ def test_the_worst_runs_are_those_with_the_largest_ratios():
 
 
 def test_the_order_of_the_rows_does_not_matter():
-    table = flown(3000)
+    table = table_of_runs(3000)
     mixed = np.random.default_rng(2).permutation(3000)
     one, other = statistics(table, LIMITS), statistics({k: v[mixed] for k, v in table.items()}, LIMITS)
     for a, b in zip(one.requirements, other.requirements, strict=True):
-        assert (a.figure, a.manoeuvre, a.quantiles, a.violation.events) == (
-            b.figure,
+        assert (a.requirement, a.manoeuvre, a.quantiles, a.violation.events) == (
+            b.requirement,
             b.manoeuvre,
             b.quantiles,
             b.violation.events,
@@ -169,14 +169,14 @@ def test_parquet_files_say_the_same_as_columns(tmp_path):
     pyarrow = pytest.importorskip("pyarrow")
     from pyarrow import parquet
 
-    table = flown(2500)
+    table = table_of_runs(2500)
     whole = pyarrow.table(table)
     parquet.write_table(whole.slice(0, 1000), tmp_path / "a.parquet")
     parquet.write_table(whole.slice(1000), tmp_path / "b.parquet")
     paths = [tmp_path / "a.parquet", tmp_path / "b.parquet"]
     one, other = statistics(table, LIMITS), statistics(paths, LIMITS)
-    assert [(a.figure, a.manoeuvre, a.violation.events, a.quantiles) for a in one.requirements] == [
-        (a.figure, a.manoeuvre, a.violation.events, a.quantiles) for a in other.requirements
+    assert [(a.requirement, a.manoeuvre, a.violation.events, a.quantiles) for a in one.requirements] == [
+        (a.requirement, a.manoeuvre, a.violation.events, a.quantiles) for a in other.requirements
     ]
     assert [w.run for w in one.worst] == [w.run for w in other.worst]
     assert input_names(paths) == ("manoeuvre", "rotor.11.spin", "root.inertia", "dead torquer")
@@ -256,7 +256,7 @@ def test_an_input_that_never_changes_is_left_out():
 
 
 def test_what_drives_the_campaign_s_requirements_is_found():
-    found = {(one.figure, one.manoeuvre): one for one in sensitivities(flown(), LIMITS)}
+    found = {(one.requirement, one.manoeuvre): one for one in sensitivities(table_of_runs(), LIMITS)}
     angle = found["angle", "turn"]
     assert angle.influences[0].parameter == "rotor.11.spin"
     assert angle.influences[0].rank_correlation < -0.7
@@ -271,9 +271,9 @@ def test_what_drives_the_campaign_s_requirements_is_found():
 
 
 def test_two_violations_are_not_explained():
-    table = flown(60)
+    table = table_of_runs(60)
     table["passed"] = np.arange(60) > 1
-    assert all(one.figure != "passed" for one in sensitivities(table, LIMITS))
+    assert all(one.requirement != "passed" for one in sensitivities(table, LIMITS))
 
 
 def test_nine_violations_that_share_a_rare_fault_are_explained_and_the_fault_alone_is_called_their_driver():
@@ -298,31 +298,35 @@ def test_chance_violations_have_no_driver():
 
 
 def test_a_few_runs_far_out_do_not_hide_what_drives_the_others():
-    table = flown(2000)
+    table = table_of_runs(2000)
     table["angle"][7] = 0.0015
     wild = np.flatnonzero(table["dead torquer"])[:8]
     table["angle"][wild] *= 150.0
-    one = next(one for one in sensitivities(judged(table), LIMITS) if (one.figure, one.manoeuvre) == ("angle", None))
+    one = next(
+        one for one in sensitivities(judged(table), LIMITS) if (one.requirement, one.manoeuvre) == ("angle", None)
+    )
     assert one.ranked
     drivers = [single.parameter for single in one.influences if single.driver]
     assert drivers[:2] == ["rotor.11.spin", "manoeuvre"] or drivers[:2] == ["manoeuvre", "rotor.11.spin"]
 
 
 def test_what_sends_a_few_runs_beyond_the_limit_is_told_beside_what_drives_the_others():
-    table = flown(2000)
+    table = table_of_runs(2000)
     table["angle"] = 0.001 / table["rotor.11.spin"]
     table["angle"][np.flatnonzero(table["dead torquer"])[:12]] = 0.5
-    one = next(one for one in sensitivities(judged(table), LIMITS) if (one.figure, one.manoeuvre) == ("angle", None))
+    one = next(
+        one for one in sensitivities(judged(table), LIMITS) if (one.requirement, one.manoeuvre) == ("angle", None)
+    )
     assert one.ranked
     assert [single.parameter for single in one.violations if single.driver] == ["dead torquer"]
     assert "rotor.11.spin" in [single.parameter for single in one.influences if single.driver]
 
 
 def test_a_figure_that_is_the_same_in_every_run_has_no_drivers():
-    table = flown(400)
+    table = table_of_runs(400)
     table["angle"] = np.full(400, 1e-4)
     found = sensitivities(judged(table), {name: {"angle": 0.003} for name in LIMITS})
-    assert "angle" not in {one.figure for one in found}
+    assert "angle" not in {one.requirement for one in found}
     [single] = influences({"x": np.random.default_rng(3).random(50)}, np.ones(50))
     assert (single.index, single.rank_correlation, single.driver) == (0.0, 0.0, False)
 
@@ -350,7 +354,7 @@ def rare_fault(N=500):
 
 def found_of(found, parameter, level=True, manoeuvre=None, figure="passed"):
     key = (figure, manoeuvre, parameter, level)
-    [one] = [one for one in found if (one.figure, one.manoeuvre, one.parameter, one.level) == key]
+    [one] = [one for one in found if (one.requirement, one.manoeuvre, one.parameter, one.level) == key]
     return one
 
 
@@ -365,7 +369,7 @@ def test_a_rare_fault_of_all_violations_is_seen_in_counts_where_no_variance_show
     # All four violating runs among the ten with the fault, by counting the ways; six values are compared.
     ways = math.comb(10, 4) / math.comb(500, 4)
     assert one.p_value == pytest.approx(7 * ways, rel=1e-9)
-    assert found[0].figure == "angle"
+    assert found[0].requirement == "angle"
     inside = found_of(found, "fault.weak", manoeuvre="turn")
     assert (inside.present.events, inside.present.runs) == (4, 4)
     assert inside.absent.high == pytest.approx(1.0 - 0.025 ** (1.0 / inside.absent.runs), rel=1e-9)
@@ -376,12 +380,12 @@ def test_a_rare_fault_of_all_violations_is_seen_in_counts_where_no_variance_show
 
 
 def test_what_is_counted_with_and_without_is_what_the_table_holds():
-    table = flown() | {"choice": np.random.default_rng(5).choice([1.0, 2.0, 3.0], 4000)}
-    table["ended"][9] = "not flown: its worker died"
+    table = table_of_runs() | {"choice": np.random.default_rng(5).choice([1.0, 2.0, 3.0], 4000)}
+    table["ended"][9] = "not simulated: its worker died"
     whole, some = contrasts(table, LIMITS), np.array([not str(one).startswith("not") for one in table["ended"]])
     assert {one.manoeuvre for one in whole} == {None, "turn", "push"}
     for one in whole:
-        answers = table["passed"] if one.figure == "passed" else table[f"{one.figure}_passed"]
+        answers = table["passed"] if one.requirement == "passed" else table[f"{one.requirement}_passed"]
         asked = some & np.array([answer is not None for answer in answers])
         asked &= True if one.manoeuvre is None else table["manoeuvre"] == one.manoeuvre
         violated = asked & np.array([answer is not None and not answer for answer in answers])
@@ -407,11 +411,13 @@ def test_values_without_influence_are_seldom_called_causes():
         rng = np.random.default_rng(seed)
         table = rare_fault(300)
         table["passed"] = table["angle_passed"] = rng.random(300) > 0.05
-        wrongly += any(one.driver for one in contrasts(table, {}) if one.manoeuvre is None and one.figure == "passed")
+        wrongly += any(
+            one.driver for one in contrasts(table, {}) if one.manoeuvre is None and one.requirement == "passed"
+        )
     assert wrongly <= 4  # at most 1 % expected; 5 or more of 100 has a chance below 0.4 %
 
 
-def test_runs_that_were_not_flown_are_on_neither_side():
+def test_runs_that_were_not_simulated_are_on_neither_side():
     table = rare_fault(40)
-    table["ended"][:] = "not flown: its worker died"
+    table["ended"][:] = "not simulated: its worker died"
     assert contrasts(table, {}) == ()

@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 
 import platform_ctrl as pc
-from campaign_flights import TEXT, flown_here
+from campaign_runs import TEXT, columns_here
 from platform_ctrl.cli import main
 from platform_ctrl.cli.campaign_output import Pace, campaign_progress, time_words
 from refused_command import refused
@@ -37,13 +37,13 @@ CONTROLLERS = {
 @pytest.fixture(scope="module")
 def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with job.toml, out/result.json, and campaign/ as the command leaves it."""
-    folder = tmp_path_factory.mktemp("flown")
+    folder = tmp_path_factory.mktemp("simulated")
     (folder / "job.toml").write_text(TEXT, encoding="utf-8")
     (folder / "out").mkdir()
     (folder / "out" / "result.json").write_text(json.dumps(CONTROLLERS), encoding="utf-8")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
-        patch.setattr("platform_ctrl.campaign.engine.flown_by_processes", flown_here)
+        patch.setattr("platform_ctrl.campaign.engine.columns_by_processes", columns_here)
         assert main(["campaign", "job.toml", "--runs", str(RUNS), "--workers", "1", "-q"]) in (0, 1)
     return folder
 
@@ -51,7 +51,7 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def there(flown: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.chdir(flown)
-    monkeypatch.setattr("platform_ctrl.campaign.engine.flown_by_processes", flown_here)
+    monkeypatch.setattr("platform_ctrl.campaign.engine.columns_by_processes", columns_here)
     return flown
 
 
@@ -170,11 +170,11 @@ def test_a_campaign_with_other_seed_and_length_is_known_by_its_folder(
 
 def test_a_campaign_of_another_job_is_not_taken_for_this_one(there: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (there / "changed.toml").write_text(TEXT.replace("deviation = 0.01", "deviation = 0.02"))
-    words = "campaign.json: the campaign there was flown with other distributions"
+    words = "campaign.json: the campaign there was simulated with other distributions"
     assert words in refused(capsys, "simulate", "changed.toml", "--run", "5", "-o", "campaign")
     main(["simulate", "changed.toml", "--run", "5", "-q"])
     out, err = capsys.readouterr()
-    assert f"{words}; flown instead: a run of the campaign that the job describes now" in err
+    assert f"{words}; simulated instead: a run of the campaign that the job describes now" in err
     assert "the figures are those of" not in out
 
 
@@ -273,7 +273,7 @@ def test_ctrl_c_before_the_runs_are_counted_does_not_say_that_there_are_none(
     monkeypatch.setattr("platform_ctrl.campaign.engine.run_campaign", interrupted)
     assert main(["campaign", "job.toml", "--runs", "50", "-q"]) == 130
     lines = capsys.readouterr().err.splitlines()
-    assert lines[0] == "stopped: what was flown is kept in campaign; the same command goes on"
+    assert lines[0] == "stopped: what was simulated is kept in campaign; the same command goes on"
 
 
 def test_a_pipe_gets_a_line_now_and_then_and_the_last_one(
@@ -289,7 +289,7 @@ def test_a_pipe_gets_a_line_now_and_then_and_the_last_one(
         say("putting the runs in order")
     lines = capsys.readouterr().err.splitlines()
     assert lines[0] == "30 of 1,000 runs, 5 runs/s, 3 min 14 s left"
-    assert lines[-2:] == ["1,000 of 1,000 runs, 5 runs/s, 2 diverged or not flown", "putting the runs in order"]
+    assert lines[-2:] == ["1,000 of 1,000 runs, 5 runs/s, 2 diverged or not simulated", "putting the runs in order"]
     assert 5 < len(lines) < 15
 
 

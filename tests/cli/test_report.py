@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from campaign_flights import flown_here
+from campaign_runs import columns_here
 from platform_ctrl.cli import main
 from refused_command import refused
 
@@ -24,7 +24,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("made")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
-        patch.setattr("platform_ctrl.campaign.engine.flown_by_processes", flown_here)
+        patch.setattr("platform_ctrl.campaign.engine.columns_by_processes", columns_here)
         patch.setattr("platform_ctrl.report.write_page", drawn)
         assert main(["new", "gyro", "-q"]) == 0
         assert main(["design", "gyro.toml", "-q", "--junit", "verdicts/design.xml"]) == 0
@@ -83,14 +83,14 @@ def test_a_campaign_of_other_controllers_is_left_out_and_told(
     assert main(["design", "other.toml", "-o", "other", "--campaign", "campaign", "-q"]) == 2
     out, err = capsys.readouterr()
     assert "PASSED" in out
-    assert err.startswith("platform-ctrl: error: --campaign campaign: was flown with other controllers; fly it again")
+    assert err.startswith("platform-ctrl: error: --campaign campaign: was simulated with other controllers; repeat it")
     assert "the report in other was written without it" in err
     assert len(err.splitlines()) == 1
     assert "campaign" not in pages[0]
     assert (there / "other" / "result.json").is_file()
     # The check knows its controllers before the work.
     given = ["check", "gyro.toml", "--controllers", "other/result.json", "-o", "never", "--campaign", "campaign"]
-    assert "was flown with other controllers" in refused(capsys, *given)
+    assert "was simulated with other controllers" in refused(capsys, *given)
     assert not (there / "never").exists()
 
 

@@ -353,14 +353,17 @@ def test_a_job_without_a_campaign_has_none() -> None:
     read = read_job(job())
     assert read.campaign is None
     assert read.fault_events == ()
-    assert [(manoeuvre.name, weight) for manoeuvre, weight in read.flown] == [("turn", 1.0), ("push", 1.0)]
+    assert [(manoeuvre.name, weight) for manoeuvre, weight in read.campaign_manoeuvres] == [
+        ("turn", 1.0),
+        ("push", 1.0),
+    ]
 
 
 def test_an_empty_campaign_flies_all_manoeuvres_alike() -> None:
     read = read_job(flown_job() | {"campaign": {}})
     assert read.campaign is not None
     assert (read.campaign.runs, read.campaign.sampling, read.campaign.seed) == (1000, "sobol", 7)
-    assert [(manoeuvre.name, weight) for manoeuvre, weight in read.flown] == [
+    assert [(manoeuvre.name, weight) for manoeuvre, weight in read.campaign_manoeuvres] == [
         ("turn", 1.0),
         ("push", 1.0),
         ("still", 1.0),

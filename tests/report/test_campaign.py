@@ -12,11 +12,11 @@ import pytest
 from scipy import stats
 
 import platform_ctrl as pc
-from platform_ctrl.campaign.plan import plan
+from platform_ctrl.campaign.planning import plan
 from platform_ctrl.campaign.probability import clopper_pearson
 from platform_ctrl.campaign.rare_events import rare_event
-from platform_ctrl.campaign.statistics import statistics
-from platform_ctrl.campaign.summary import summarised, summary_record
+from platform_ctrl.campaign.summary import summarise, summary_record
+from platform_ctrl.campaign.table_statistics import statistics
 from platform_ctrl.cli.campaign_output import show_campaign
 from platform_ctrl.report import style
 from platform_ctrl.report.figures import campaign as campaign_figures
@@ -81,7 +81,7 @@ def by_formula(made, scale=1.0, odd=True):
     """The table of a campaign whose figures follow from a formula."""
     N, inputs = made.runs, made.inputs(0, made.runs)
     rng = np.random.default_rng(4)
-    limits = {one.name: one.limits for one, _ in made.job.flown}
+    limits = {one.name: one.limits for one, _ in made.job.campaign_manoeuvres}
     momentum, weak = inputs["rotor.11.angular_momentum"], inputs["fault.weak Q9"]
     table = {
         "run": np.arange(N),
@@ -92,7 +92,7 @@ def by_formula(made, scale=1.0, odd=True):
         "ended": np.full(N, "completed", dtype=object),
     }
     if odd:
-        table["ended"][11], table["ended"][12] = "diverged at t = 0.3 s", "not flown: its worker died"
+        table["ended"][11], table["ended"][12] = "diverged at t = 0.3 s", "not simulated: its worker died"
         for name in ("angle", "attitude", "torque_share"):
             table[name][11] = np.inf
     passed = np.ones(N, dtype=bool)
@@ -114,7 +114,7 @@ def summary(made):
     rare = rare_event(
         lambda u, run: stats.norm.ppf(u[:, 1]) / -4.0, made.dimensions, samples=200, repetitions=3, seed=1
     )
-    return summarised(made, by_formula(made), rare=(rare,))
+    return summarise(made, by_formula(made), rare=(rare,))
 
 
 @pytest.fixture(scope="module")
@@ -182,7 +182,7 @@ def test_worst_runs_can_be_flown_again_and_are_those_of_the_table(page, summary)
 
 def test_drivers_have_bars_and_the_rest_is_named_as_no_influence(page, summary):
     drawn = page[page.index('id="sensitivity"') : page.index('id="worst"')]
-    angle = next(one for one in summary.sensitivities if (one.figure, one.manoeuvre) == ("angle", None))
+    angle = next(one for one in summary.sensitivities if (one.requirement, one.manoeuvre) == ("angle", None))
     assert angle.influences[0].parameter == "rotor.11.angular_momentum"
     assert f'width="{130 * angle.influences[0].index:.1f}"' in drawn
     quiet = [one.parameter for one in angle.influences if not one.driver]
@@ -207,7 +207,7 @@ def test_every_input_and_ending_is_listed(page):
         "uniform, 4·10⁻⁴ to 6·10⁻⁴",
         "in 10 % of the runs",
         "33 % of the runs",
-        "not flown: its worker died",
+        "not simulated: its worker died",
         "1,500 runs from seed 3",
         "platform-ctrl campaign job.toml --runs 1500",
     ):
@@ -215,7 +215,7 @@ def test_every_input_and_ending_is_listed(page):
 
 
 def test_a_campaign_without_violations_passes_and_bounds_what_it_did_not_see(made, capsys):
-    summary = summarised(made, by_formula(made, scale=0.3, odd=False))
+    summary = summarise(made, by_formula(made, scale=0.3, odd=False))
     bound = clopper_pearson(0, 1500).high
     assert summary.passed
     shown = html.unescape(campaign_page(summary))
@@ -248,7 +248,7 @@ def test_campaign_json_holds_plain_numbers_that_read_back(summary):
     assert again["statistics"]["violation"]["violations"] == found.violation.events
     assert again["statistics"]["worst"][0]["value"] is None
     asked = {(one["requirement"], one["manoeuvre"]) for one in again["statistics"]["requirements"]}
-    assert asked == {(one.figure, one.manoeuvre) for one in found.requirements}
+    assert asked == {(one.requirement, one.manoeuvre) for one in found.requirements}
     assert {one["requirement"] for one in again["sensitivity"]} >= {"angle", "attitude", "torque_share"}
     rare = again["rare"][0]
     assert set(rare["violations"][0]["inputs"]) == set(summary.plan.input_names)
@@ -257,7 +257,7 @@ def test_campaign_json_holds_plain_numbers_that_read_back(summary):
 
 def test_one_manoeuvre_has_no_group_of_all(capsys):
     one = planned(manoeuvre=JOB["manoeuvre"][:1])
-    summary = summarised(one, by_formula(one))
+    summary = summarise(one, by_formula(one))
     assert {row.group for row in tables.probability_rows(summary)} == {"turn about 1"}
     assert "All manoeuvres" not in campaign_page(summary)
 
@@ -266,14 +266,14 @@ def test_manoeuvres_are_named_as_they_are_typed_and_what_sends_runs_beyond_is_to
     words = " ".join(html.unescape(re.sub(r"<[^>]+>", " ", page)).split())
     assert "turn about 1 gimbal angle" in words
     assert "Turn about 1" not in words
-    angle = next(one for one in summary.sensitivities if (one.figure, one.manoeuvre) == ("angle", None))
+    angle = next(one for one in summary.sensitivities if (one.requirement, one.manoeuvre) == ("angle", None))
     assert f"What sends runs beyond the limit: {tables.violation_drivers(angle)}" in words
     assert "fault.weak Q9" in tables.violation_drivers(angle)
 
 
 @pytest.mark.parametrize("factor", [1e-5, 0.6, 1e3])
 def test_runs_are_drawn_wherever_the_limit_is(made, factor):
-    limits = {one.name: {name: factor * x for name, x in one.limits.items()} for one, _ in made.job.flown}
+    limits = {one.name: {name: factor * x for name, x in one.limits.items()} for one, _ in made.job.campaign_manoeuvres}
     found = statistics(by_formula(made, odd=False), limits)
     one = found.of("angle", "turn about 1")
     with style.settings():
@@ -350,8 +350,8 @@ def test_a_fault_in_every_violating_run_is_never_among_what_has_no_influence(cap
     beyond &= np.cumsum(beyond) <= 3
     table["angle"] = np.where(beyond, 0.5, 0.001 * table["rotor.11.angular_momentum"])
     table["angle_passed"] = table["passed"] = ~beyond
-    summary = summarised(one, table)
-    angle = next(one for one in summary.sensitivities if (one.figure, one.manoeuvre) == ("angle", None))
+    summary = summarise(one, table)
+    angle = next(one for one in summary.sensitivities if (one.requirement, one.manoeuvre) == ("angle", None))
     assert not next(one for one in angle.influences if one.parameter == "fault.weak Q9").driver
     [cause] = [one for one in tables.causes(summary) if one.parameter == "fault.weak Q9"]
     assert (cause.present.events, cause.absent.events) == (3, 0)

@@ -14,7 +14,7 @@ from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 
 import platform_ctrl as pc
-from platform_ctrl.campaign.statistics import statistics
+from platform_ctrl.campaign.table_statistics import statistics
 from platform_ctrl.common.text import greek
 from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.job.job import Manoeuvre

@@ -12,8 +12,8 @@ import pytest
 
 import platform_ctrl as pc
 from platform_ctrl import report
-from platform_ctrl.campaign.plan import Plan, plan
-from platform_ctrl.campaign.summary import Summary, summarised
+from platform_ctrl.campaign.planning import Plan, plan
+from platform_ctrl.campaign.summary import Summary, summarise
 from platform_ctrl.design import loops
 from platform_ctrl.report.page import blocks, campaign_tables
 from platform_ctrl.report.page.campaign_page import campaign_document, campaign_page
@@ -91,7 +91,7 @@ def counted(planned: Plan, scale: float = 1.0) -> Summary:
     table["attitude"] = np.zeros(N)
     table["angle_passed"], table["torque_share_passed"] = table["angle"] <= 0.01, table["torque_share"] <= 2.0
     table["attitude_passed"] = np.array([None] * N)
-    return summarised(planned, table | {"passed": table["angle_passed"] & table["torque_share_passed"]})
+    return summarise(planned, table | {"passed": table["angle_passed"] & table["torque_share_passed"]})
 
 
 @pytest.fixture(scope="module")

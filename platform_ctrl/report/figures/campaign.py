@@ -6,8 +6,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from platform_ctrl.campaign.statistics import CampaignStatistics, RequirementStatistics
-from platform_ctrl.campaign.table import FIGURES
+from platform_ctrl.campaign.table import METRICS
+from platform_ctrl.campaign.table_statistics import CampaignStatistics, RequirementStatistics
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.report.plots.campaign_histograms import asked, distribution_of, histograms, shade_beyond
 from platform_ctrl.report.style import (
@@ -26,7 +26,7 @@ _REACH = 4.0
 
 def exceedance_figure(found: CampaignStatistics) -> Figure:
     """Share of the runs above a level, each manoeuvre a line; the level counts relative to the limit."""
-    figures = [name for name in FIGURES if asked(found, name)]
+    figures = [name for name in METRICS if asked(found, name)]
     manoeuvres = list(dict.fromkeys(one.manoeuvre for name in figures for one in asked(found, name)))
     labels = [str(name) for name in manoeuvres]
     drawn, rows = panels(1, len(figures), 3.0 + 0.22 * legend_rows(labels), legend=legend_rows(labels))
@@ -65,7 +65,7 @@ def _exceedance_axes(axes: Axes, name: str, found: CampaignStatistics) -> None:
     axes.set_xlim(0.0, right)
     linear_axis(axes.xaxis)
     shade_beyond(axes, 1.0, right)
-    axes.set_title(FIGURES[name][0])
+    axes.set_title(METRICS[name][0])
     axes.set_xlabel("over its limit")
 
 

@@ -22,7 +22,7 @@ def write_campaign_page(
     Parameters
     ----------
     summary
-        From `platform_ctrl.campaign.summary.summarised`.
+        From `platform_ctrl.campaign.summary.summarise`.
     path
         The file; one that exists is replaced.
     command

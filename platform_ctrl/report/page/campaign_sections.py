@@ -6,12 +6,12 @@ import math
 
 from platform_ctrl.campaign.contrasts import Contrast
 from platform_ctrl.campaign.identity import digest, identity
-from platform_ctrl.campaign.plan import Plan
+from platform_ctrl.campaign.planning import Plan
 from platform_ctrl.campaign.probability import Probability
 from platform_ctrl.campaign.rare_result import RareResult
 from platform_ctrl.campaign.sensitivity import Sensitivity
 from platform_ctrl.campaign.summary import Summary
-from platform_ctrl.campaign.table import FIGURES, MANOEUVRE, PASSED
+from platform_ctrl.campaign.table import MANOEUVRE, METRICS, PASSED
 from platform_ctrl.common.values import value
 from platform_ctrl.report.page import campaign_tables as tables
 from platform_ctrl.report.page.blocks import (
@@ -168,7 +168,7 @@ def campaign_sections(summary: Summary, again: str) -> list[Section]:
     Parameters
     ----------
     summary
-        From `platform_ctrl.campaign.summary.summarised`.
+        From `platform_ctrl.campaign.summary.summarise`.
     again
         The command line that flies one run again, without the run's number at its end.
     """
@@ -249,7 +249,7 @@ def campaign_plates(summary: Summary) -> list[Plate]:
     from platform_ctrl.report.figures import campaign as figures
 
     found = summary.statistics
-    names = [name for name in FIGURES if any(one.figure == name and one.manoeuvre for one in found.requirements)]
+    names = [name for name in METRICS if any(one.requirement == name and one.manoeuvre for one in found.requirements)]
     if not names:
         return []
     drawn = [
@@ -263,7 +263,7 @@ def campaign_plates(summary: Summary) -> list[Plate]:
     drawn += [
         (
             figures.histogram_figure(found, name),
-            FIGURES[name][0].capitalize(),
+            METRICS[name][0].capitalize(),
             "Runs by their figure, red beyond the limit. Runs that diverged have none: they are counted, not drawn.",
         )
         for name in names
@@ -362,23 +362,23 @@ def _influences(summary: Summary, one: Sensitivity) -> Part:
     violating = _tied(tables.violation_drivers(one))
     if violating:
         blocks.append(Paragraph(text=f"What sends runs beyond the limit: {violating}."))
-    for cause in tables.causes(summary, one.figure):
+    for cause in tables.causes(summary, one.requirement):
         if cause.parameter != MANOEUVRE:
             blocks.append(Paragraph(text=f"{sentence(_tied(tables.contrast_words(cause)))}."))
     if others and found:
         ranked = " By ranks, since a few runs lie far out." if one.ranked else ""
         words = f"No share told from chance in {one.runs:,} runs: {', '.join(others)}.{ranked}"
         blocks.append(Paragraph(text=words, tone="quiet"))
-    return Part(title=sentence(tables.requirement_name(one.figure)), blocks=tuple(blocks))
+    return Part(title=sentence(tables.requirement_name(one.requirement)), blocks=tuple(blocks))
 
 
 def _within(summary: Summary) -> Table | None:
     """Return what drives what inside each manoeuvre."""
     inside = [one for one in summary.sensitivities if one.manoeuvre is not None]
-    figures = [name for name in (*FIGURES, PASSED) if any(one.figure == name for one in inside)]
+    figures = [name for name in (*METRICS, PASSED) if any(one.requirement == name for one in inside)]
     rows = []
     for manoeuvre in dict.fromkeys(one.manoeuvre for one in inside):
-        own = {one.figure: _all_drivers(one) for one in inside if one.manoeuvre == manoeuvre}
+        own = {one.requirement: _all_drivers(one) for one in inside if one.manoeuvre == manoeuvre}
         rows.append((str(manoeuvre), *(own.get(figure, "") for figure in figures)))
     return table("|".join(["manoeuvre", *map(tables.requirement_name, figures)]), rows) if rows else None
 
@@ -429,7 +429,7 @@ def as_section(summary: Summary, result: JobResult, again: str | None) -> Sectio
     Parameters
     ----------
     summary
-        From `platform_ctrl.campaign.summary.summarised`.
+        From `platform_ctrl.campaign.summary.summarise`.
     result
         The job whose report it is: what else the campaign flew is said.
     again

@@ -6,13 +6,13 @@ import math
 from collections.abc import Sequence
 
 from platform_ctrl.campaign.contrasts import Contrast
-from platform_ctrl.campaign.plan import Plan
+from platform_ctrl.campaign.planning import Plan
 from platform_ctrl.campaign.probability import Probability
 from platform_ctrl.campaign.rare_result import RareResult
 from platform_ctrl.campaign.sensitivity import Influence, Sensitivity
-from platform_ctrl.campaign.statistics import RequirementStatistics, RunFigure
 from platform_ctrl.campaign.summary import Summary
-from platform_ctrl.campaign.table import DIVERGED, FIGURES, MANOEUVRE, PASSED
+from platform_ctrl.campaign.table import DIVERGED, MANOEUVRE, METRICS, PASSED
+from platform_ctrl.campaign.table_statistics import RequirementStatistics, WorstRun
 from platform_ctrl.common.text import Rounding, rounded
 from platform_ctrl.common.values import value
 from platform_ctrl.job.variation import Vary
@@ -62,11 +62,11 @@ def probability_rows(summary: Summary) -> tuple[ProbabilityRow, ...]:
 
 
 def _row(one: RequirementStatistics) -> ProbabilityRow:
-    unit = "" if one.manoeuvre is None else FIGURES.get(one.figure, ("", ""))[1]
+    unit = "" if one.manoeuvre is None else METRICS.get(one.requirement, ("", ""))[1]
     shown = {share: figure_words(figure, unit, one.limit) for share, figure in one.quantiles.items()}
     return ProbabilityRow(
         group=one.manoeuvre or ALL_MANOEUVRES,
-        requirement=requirement_name(one.figure).removeprefix("largest "),
+        requirement=requirement_name(one.requirement).removeprefix("largest "),
         limit=DASH if one.limit is None else figure_words(one.limit, unit, one.limit),
         violations=f"{one.violation.events:,} of {one.violation.runs:,}",
         probability=chance(one.violation.estimate),
@@ -81,7 +81,7 @@ def _row(one: RequirementStatistics) -> ProbabilityRow:
 
 def requirement_name(figure: str | None) -> str:
     """Return what a figure is called."""
-    return "any requirement" if figure in (None, PASSED) else FIGURES[figure][0]
+    return "any requirement" if figure in (None, PASSED) else METRICS[figure][0]
 
 
 def figure_words(figure: float, unit: str, like: float | None) -> str:
@@ -146,8 +146,8 @@ def verdict_lines(summary: Summary) -> list[str]:
         lines.append(f"{rare_words(rare)}, from rare events")
     if found.diverged:
         lines.append(f"{count_words(found.diverged)} diverged, counted as violating whatever was asked")
-    if found.not_flown:
-        lines.append(f"{count_words(found.not_flown)} could not be flown, counted neither way")
+    if found.not_simulated:
+        lines.append(f"{count_words(found.not_simulated)} could not be flown, counted neither way")
     return lines
 
 
@@ -172,7 +172,9 @@ def influence_rows(summary: Summary, one: Sensitivity) -> tuple[list[tuple[Influ
     drivers = [single for single in one.influences if single.driver][:_MOST_DRIVERS]
     rows = [(x, share(x.index), f"{share(x.low)} to {share(x.high)}", signed(x)) for x in drivers]
     violating = {single.parameter for single in one.violations if single.driver}
-    violating |= {single.parameter for single in summary.contrasts if single.figure == one.figure and telling(single)}
+    violating |= {
+        single.parameter for single in summary.contrasts if single.requirement == one.requirement and telling(single)
+    }
     quiet = [single.parameter for single in one.influences if not single.driver]
     return rows, [name for name in quiet if name not in violating]
 
@@ -199,9 +201,9 @@ def contrast_groups(summary: Summary) -> list[tuple[str, list[Contrast]]]:
     groups: dict[str | None, list[Contrast]] = {}
     for one in summary.contrasts:
         violated = one.present.events + one.absent.events > 0
-        if one.figure == PASSED and violated and (one.manoeuvre is None or telling(one)):
+        if one.requirement == PASSED and violated and (one.manoeuvre is None or telling(one)):
             groups.setdefault(one.manoeuvre, []).append(one)
-    flown = {one.name for one, _ in summary.plan.job.flown}
+    flown = {one.name for one, _ in summary.plan.job.campaign_manoeuvres}
     overall = "All manoeuvres" if len(flown) > 1 else "".join(flown)
     return [(manoeuvre or overall, found) for manoeuvre, found in groups.items()]
 
@@ -227,7 +229,7 @@ def contrast_words(one: Contrast) -> str:
 
 def causes(summary: Summary, figure: str = PASSED) -> list[Contrast]:
     """Return the values that set the runs that violate something apart by more than chance, over all manoeuvres."""
-    return [one for one in summary.contrasts if one.figure == figure and one.manoeuvre is None and one.driver]
+    return [one for one in summary.contrasts if one.requirement == figure and one.manoeuvre is None and one.driver]
 
 
 def short_drivers(one: Sensitivity, most: int = 3) -> str:
@@ -253,9 +255,7 @@ def _driving(found: Sequence[Influence]) -> list[Influence]:
     return [single for single in found if single.driver and single.index >= 0.005]
 
 
-def worst_rows(
-    summary: Summary, runs: Sequence[RunFigure], drivers: Sequence[str]
-) -> list[tuple[RunFigure, list[str]]]:
+def worst_rows(summary: Summary, runs: Sequence[WorstRun], drivers: Sequence[str]) -> list[tuple[WorstRun, list[str]]]:
     """Return runs with what they came to and the inputs that matter, in words."""
     rows = []
     for one in runs:
@@ -263,9 +263,9 @@ def worst_rows(
         shown = [
             f"{name} {input_words(inputs[name])}" for name in drivers if name in inputs and inputs[name] is not False
         ]
-        unit = FIGURES[one.figure][1]
+        unit = METRICS[one.requirement][1]
         words = [
-            requirement_name(one.figure).removeprefix("largest "),
+            requirement_name(one.requirement).removeprefix("largest "),
             figure_words(one.value, unit, one.limit),
             quantity(one.limit, unit, 4, one.limit),
             DIVERGED if math.isinf(one.ratio) else plain(one.ratio, 3),
@@ -299,7 +299,7 @@ def input_rows(summary: Summary) -> list[tuple[str, str]]:
     total = sum(plan.weights)
     rows = [
         (f"manoeuvre: {manoeuvre.name}", f"{chance(weight / total)} of the runs")
-        for manoeuvre, weight in plan.job.flown
+        for manoeuvre, weight in plan.job.campaign_manoeuvres
     ]
     rows += [(one.parameter, distribution_words(one)) for one in plan.campaign.vary]
     rows += [(f"fault: {one.fault}", f"in {chance(one.probability)} of the runs") for one in plan.campaign.faults]

@@ -112,7 +112,7 @@ def write_page(
     command
         The command line that does it again; default one that reads the job printed at the end of the page.
     campaign
-        What a campaign of the job came to, from `platform_ctrl.campaign.summary.summarised`: a section of the page.
+        What a campaign of the job came to, from `platform_ctrl.campaign.summary.summarise`: a section of the page.
     again
         The command line that flies one run of the campaign again, without the run's number at its end.
 

@@ -133,7 +133,7 @@ def opening(result: JobResult, campaign: Summary | None = None) -> list[str]:
     result
         From `platform_ctrl.verification.checked`.
     campaign
-        From `platform_ctrl.campaign.summary.summarised`, where there is one.
+        From `platform_ctrl.campaign.summary.summarise`, where there is one.
     """
     sentences = [_designed(result), _verdict(result), *_limits(result), _together(result), _runs(result)]
     sentences.append("" if campaign is None else _campaign(campaign))
@@ -260,7 +260,7 @@ def _campaign(summary: Summary) -> str:
     bounds = chances(flown.low, flown.high)
     if not flown.events:
         return f"None of the campaign's {count_words(flown.runs)} violates a requirement: probability {bounds} {sure}."
-    overall = (one for one in summary.sensitivities if one.manoeuvre is None and one.figure == PASSED)
+    overall = (one for one in summary.sensitivities if one.manoeuvre is None and one.requirement == PASSED)
     drivers = [f"“{name}”" for one in overall for name in drivers_of(one)[:2]]
     driven = f"; what decides it most is {listed(drivers)}" if drivers else ""
     causes = [f"“{contrast_name(one)}”" for one in tables.causes(summary) if one.in_every_violation]

@@ -11,12 +11,12 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from platform_ctrl.campaign.engine import Campaigned
+from platform_ctrl.campaign.engine import CampaignResult
 from platform_ctrl.campaign.probability import Distribution
-from platform_ctrl.campaign.statistics import CampaignStatistics, Limits, RequirementStatistics, statistics
 from platform_ctrl.campaign.store import TABLE, read_record
 from platform_ctrl.campaign.summary import Summary
-from platform_ctrl.campaign.table import FIGURES, Table
+from platform_ctrl.campaign.table import METRICS, Table
+from platform_ctrl.campaign.table_statistics import CampaignStatistics, Limits, RequirementStatistics, statistics
 from platform_ctrl.common.arguments import one_of
 from platform_ctrl.common.signatures import short
 from platform_ctrl.common.values import FloatArray
@@ -41,7 +41,7 @@ _CELL = 1.75
 
 @standalone
 def campaign_histograms(
-    campaign: CampaignStatistics | Summary | Campaigned | Table,
+    campaign: CampaignStatistics | Summary | CampaignResult | Table,
     limits: Limits | None = None,
     *,
     figure: str | None = None,
@@ -51,7 +51,7 @@ def campaign_histograms(
     Parameters
     ----------
     campaign
-        What `campaign.statistics` or `campaign.summarised` returned, the folder that ``platform-ctrl campaign`` wrote,
+        What `campaign.statistics` or `campaign.summarise` returned, the folder that ``platform-ctrl campaign`` wrote,
         its table (Parquet, or a dict of columns), or what `run_campaign` returned.
     limits
         What each manoeuvre asks of each figure at most, {manoeuvre: {figure: limit}}, in SI units; needed for a table,
@@ -72,9 +72,9 @@ def campaign_histograms(
         The files cannot be read.
     """
     if figure is not None:
-        one_of("campaign_histograms: figure", figure, tuple(FIGURES))
+        one_of("campaign_histograms: figure", figure, tuple(METRICS))
     found = _statistics(campaign, limits)
-    names = [name for name in FIGURES if figure in (None, name)]
+    names = [name for name in METRICS if figure in (None, name)]
     cells = [(one, name) for name in names for one in asked(found, name) if one.violation.runs]
     if not cells:
         what = "any figure" if figure is None else repr(figure)
@@ -90,7 +90,7 @@ def _statistics(campaign: object, limits: Limits | None) -> CampaignStatistics:
         if limits is not None:
             raise ArgumentError("campaign_histograms: limits are given with statistics, which have their own")
         return campaign.statistics if isinstance(campaign, Summary) else campaign
-    if isinstance(campaign, Campaigned):
+    if isinstance(campaign, CampaignResult):
         return statistics(campaign.table, _limits(campaign.record, limits))
     if isinstance(campaign, str | os.PathLike):
         folder = Path(campaign)
@@ -142,7 +142,7 @@ def _histogram_panel(axes: Axes, one: RequirementStatistics, name: str) -> None:
     """Draw the histogram of one figure in one manoeuvre, beyond its limit in red."""
     spread, limit = distribution_of(one), one.limit
     assert limit is not None
-    factor, unit = handy_unit(FIGURES[name][1], limit)
+    factor, unit = handy_unit(METRICS[name][1], limit)
     usual = one.quantiles[0.9]
     top = min(spread.largest, _WILD * max(limit, usual if np.isfinite(usual) else limit))
     low = spread.smallest if np.isfinite(spread.smallest) and spread.smallest > 0.5 * top else 0.0
@@ -162,7 +162,7 @@ def _histogram_panel(axes: Axes, one: RequirementStatistics, name: str) -> None:
     linear_axis(axes.xaxis)
     linear_axis(axes.yaxis, 4)
     axes.set_title(str(one.manoeuvre))
-    axes.set_xlabel(", ".join(filter(None, [FIGURES[name][0], unit])))
+    axes.set_xlabel(", ".join(filter(None, [METRICS[name][0], unit])))
     _note(axes, one, near, bool(counts[beyond].any()), factor, unit)
 
 
@@ -204,7 +204,7 @@ def shade_beyond(axes: Axes, limit: float, reach: float = 0.0) -> None:
 
 def asked(found: CampaignStatistics, name: str) -> list[RequirementStatistics]:
     """Return what the campaign says about one figure, manoeuvre by manoeuvre."""
-    return [one for one in found.requirements if one.figure == name and one.manoeuvre is not None and one.limit]
+    return [one for one in found.requirements if one.requirement == name and one.manoeuvre is not None and one.limit]
 
 
 def distribution_of(one: RequirementStatistics) -> Distribution:

@@ -127,16 +127,16 @@ Columns = dict[str, NDArray[Any]]
 
 @value
 class Plan:
-    """A campaign before it is flown: what every run is.
+    """A campaign before it is simulated: what every run is.
 
     Attributes
     ----------
     job, controllers
-        What is flown: the job with its `Job.campaign`, and the controllers that are closed together.
+        What is simulated: the job with its `Job.campaign`, and the controllers that are closed together.
     runs, seed, sampling, step
         As in `platform_ctrl.job.job.Campaign`; the step in s.
     nominal, weights
-        The manoeuvres that are flown, on the plant as it stands, and how often each, relative to one another.
+        The manoeuvres that are simulated, on the plant as it stands, and how often each, relative to one another.
     varied
         What differs, in the order of the campaign's entries.
     failing
@@ -221,7 +221,7 @@ class Plan:
         """
         if points.ndim != 2 or points.shape[1] != self.dimensions:
             raise ArgumentError(f"Plan.inputs_at: points must be (N, {self.dimensions}), got {points.shape}")
-        names = np.array([one.name for one, _ in self.job.flown], dtype=np.str_)
+        names = np.array([one.name for one, _ in self.job.campaign_manoeuvres], dtype=np.str_)
         columns: Columns = {"manoeuvre": names[chosen(self.weights, points[:, 0])]}
         for k, vary in enumerate(self.campaign.vary, 1):
             columns[vary.parameter] = quantiles(vary, points[:, k])
@@ -273,7 +273,7 @@ class Plan:
         for name in self.input_names:
             if name not in inputs or len(inputs[name]) != len(runs):
                 raise ArgumentError(f"Plan.scenarios_with: inputs must have {len(runs)} numbers of {name!r}, one a run")
-        place = {manoeuvre.name: k for k, (manoeuvre, _) in enumerate(self.job.flown)}
+        place = {manoeuvre.name: k for k, (manoeuvre, _) in enumerate(self.job.campaign_manoeuvres)}
         # Python's numbers: a dataclass keeps what it is given.
         columns = [inputs[name].tolist() for name in self.input_names]
         relative = [one.relative for one in self.campaign.vary]
@@ -288,7 +288,7 @@ class Plan:
         return out
 
     def scenarios(self, first: int, last: int) -> list[Scenario]:
-        """Return some runs of the campaign as they are flown.
+        """Return some runs of the campaign as they are simulated.
 
         Parameters
         ----------
@@ -308,7 +308,7 @@ class Plan:
         return self.scenarios_with(self.inputs(first, last), range(first, last))
 
     def scenario(self, run: int) -> Scenario:
-        """Return one run of the campaign as it is flown.
+        """Return one run of the campaign as it is simulated.
 
         Parameters
         ----------
@@ -343,7 +343,7 @@ def plan(
     Parameters
     ----------
     job
-        With a campaign; without one its manoeuvres are flown equally often and only the noise differs.
+        With a campaign; without one its manoeuvres are simulated equally often and only the noise differs.
     controllers
         Those that are closed together.
     runs, seed, sampling
@@ -383,7 +383,7 @@ def plan(
         known_name("fault of the campaign", failing.fault, [fault.name for fault in job.fault_events])
     chosen_sampling = campaign.sampling if sampling is None else sampling
     one_of("sampling", chosen_sampling, get_args(Points))
-    nominal = tuple(manoeuvre_scenario(job, manoeuvre) for manoeuvre, _ in job.flown)
+    nominal = tuple(manoeuvre_scenario(job, manoeuvre) for manoeuvre, _ in job.campaign_manoeuvres)
     for _, _, line in misfits(campaign.vary, nominal, job.fault_events):
         raise ArgumentError(line)
     known = parameters(nominal, job.fault_events)
@@ -397,7 +397,7 @@ def plan(
         sampling=chosen_sampling,
         step=positive("step", campaign.step),
         nominal=nominal,
-        weights=tuple(weight for _, weight in job.flown),
+        weights=tuple(weight for _, weight in job.campaign_manoeuvres),
         varied=tuple(known[one.parameter] for one in campaign.vary),
         failing=tuple(by_name[one.fault] for one in campaign.faults),
         noise_seed=_seed_of(number, "noise"),

@@ -15,12 +15,13 @@ from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import value
 from platform_ctrl.errors import InputError
 from platform_ctrl.job.job import Job
+from platform_ctrl.simulation import simulate
 from platform_ctrl.verification.simulated import Run, judged
 
 if TYPE_CHECKING:
-    from platform_ctrl.campaign.plan import Plan
+    from platform_ctrl.campaign.planning import Plan
 
-# Figures of another machine's processor or a GPU agree to rounding.
+# Metrics of another machine's processor or a GPU agree to rounding.
 _ROUNDING = 1e-6
 
 Row = dict[str, Any]
@@ -28,7 +29,7 @@ Row = dict[str, Any]
 
 @value
 class Rerun:
-    """A run of a campaign that was flown again.
+    """A run of a campaign that was simulated again.
 
     Attributes
     ----------
@@ -38,7 +39,7 @@ class Rerun:
         The campaign's, its plant with what was drawn for this run.
     inputs
         What was drawn, by the names of the table's columns.
-    figures
+    metrics
         What the run came to, likewise.
     run
         With its trajectory and limits.
@@ -47,13 +48,13 @@ class Rerun:
     number: int
     job: Job
     inputs: Row
-    figures: Row
+    metrics: Row
     run: Run
 
 
 @check_arguments
 def rerun(plan: Plan, number: int) -> Rerun:
-    """Fly one run of a plan again.
+    """Simulate one run of a plan again.
 
     Parameters
     ----------
@@ -70,12 +71,12 @@ def rerun(plan: Plan, number: int) -> Rerun:
     Raises
     ------
     ArgumentError
-        The plan has no such run, or it cannot be flown.
+        The plan has no such run, or it cannot be simulated.
     """
     inputs = plan.inputs(number, number + 1)
     scenario = plan.scenario(number)
-    row = {name: _plain(column[0]) for name, column in single_run.fly(plan, [number]).items()}
-    trajectory = single_run.trajectory(plan, scenario)
+    row = {name: _plain(column[0]) for name, column in single_run.simulate_runs(plan, [number]).items()}
+    trajectory = simulate(scenario, plan.controllers, period=plan.job.sampling.period, step=plan.step)
     base = next(one for one in plan.job.manoeuvres if one.name == inputs[MANOEUVRE][0])
     manoeuvre = dataclasses.replace(base, duration=scenario.duration, limits=dict(scenario.limits))
     job = dataclasses.replace(plan.job, platform=scenario.platform)
@@ -83,7 +84,7 @@ def rerun(plan: Plan, number: int) -> Rerun:
         number=number,
         job=job,
         inputs={name: row[name] for name in inputs},
-        figures={name: item for name, item in row.items() if name not in inputs and name != RUN},
+        metrics={name: item for name, item in row.items() if name not in inputs and name != RUN},
         run=Run(manoeuvre=manoeuvre, trajectory=trajectory, results=judged(job, manoeuvre, trajectory)),
     )
 
@@ -104,7 +105,7 @@ def recorded_row(folder: Path, number: int) -> Row | None:
 def unlike(found: Rerun, row: Row) -> list[str]:
     """Return in words what is not the same in a run's row, beyond rounding."""
     out = []
-    for name, now in {**found.inputs, **found.figures}.items():
+    for name, now in {**found.inputs, **found.metrics}.items():
         before = row.get(name)
         if isinstance(before, float) and isinstance(now, float):
             same = math.isclose(before, now, rel_tol=_ROUNDING)
@@ -122,7 +123,7 @@ def settings_of(record: Record | None) -> dict[str, Any]:
     return {name: record["identity"][name] for name in ("seed", "sampling")} | {"runs": record["runs"]}
 
 
-def strangers(record: Record, plan: Plan) -> list[str]:
+def changed_settings(record: Record, plan: Plan) -> list[str]:
     """Return in words what a recorded campaign follows from and a plan does not."""
     return differences(record, {"identity": identity(plan, record["identity"]["device"]), "versions": versions()})
 

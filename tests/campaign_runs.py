@@ -1,6 +1,6 @@
-"""Flights that take the place of the simulated ones: quick, and with mishaps where a test wants them.
+"""Runs that take the place of the simulated ones: quick, and with mishaps where a test wants them.
 
-Worker processes import this module, so that what they fly can be chosen by a test; mishaps are told by environment.
+Worker processes import this module, so that a test can choose what they do; an environment variable holds mishaps.
 """
 
 from __future__ import annotations
@@ -15,10 +15,18 @@ from typing import Any
 
 import numpy as np
 
-from platform_ctrl.campaign.engine import Campaigned
-from platform_ctrl.campaign.plan import Plan, plan
-from platform_ctrl.campaign.single_run import Columns, Fly, flown, inputs_of, kinds_of, schema_of, table_of
-from platform_ctrl.campaign.workers import Pieces
+from platform_ctrl.campaign.engine import CampaignResult
+from platform_ctrl.campaign.planning import Plan, plan
+from platform_ctrl.campaign.single_run import (
+    Columns,
+    SimulateRuns,
+    columns_of,
+    inputs_of,
+    kinds_of,
+    schema_of,
+    table_of,
+)
+from platform_ctrl.campaign.workers import Chunks
 from platform_ctrl.errors import SimulationError
 from platform_ctrl.job.reading import read_job
 
@@ -78,7 +86,7 @@ def planned(**options: Any) -> Plan:
     return plan(read_job(JOB), (), **options)
 
 
-def flown_quickly(
+def invented_columns(
     plan: Plan, runs: Sequence[int], *, threads: int = 1, device: str = "cpu", mishaps: dict[str, Any] | None = None
 ) -> dict[str, Any]:
     """Figures made up out of the inputs; `mishaps`, or those of the environment's CAMPAIGN_MISHAPS, happen first."""
@@ -116,24 +124,24 @@ def flown_quickly(
     }
 
 
-def flown_here(plan: Plan, pieces: Pieces, fly: Fly, **options: Any) -> Iterator[tuple[range, Columns]]:
-    """Fly in this process, where nothing is said about processes: in place of `flown_by_processes`."""
-    while (piece := pieces.next()) is not None:
+def columns_here(plan: Plan, chunks: Chunks, simulate: SimulateRuns, **options: Any) -> Iterator[tuple[range, Columns]]:
+    """Simulate in this process, where nothing is said about processes: in place of `columns_by_processes`."""
+    while (chunk := chunks.next()) is not None:
         began = time.perf_counter()
-        columns = flown(plan, piece, fly)
-        pieces.finished(piece, time.perf_counter() - began)
-        yield piece, columns
+        columns = columns_of(plan, chunk, simulate)
+        chunks.finished(chunk, time.perf_counter() - began)
+        yield chunk, columns
 
 
 def undisturbed(plan: Plan) -> list[dict[str, Any]]:
-    """All runs flown here at once: the rows of a campaign in which nothing goes wrong."""
+    """All runs simulated here at once: the rows of a campaign in which nothing goes wrong."""
     listed: list[dict[str, Any]] = table_of(
-        flown_quickly(plan, range(plan.runs)), schema_of(kinds_of(plan), {})
+        invented_columns(plan, range(plan.runs)), schema_of(kinds_of(plan), {})
     ).to_pylist()
     return listed
 
 
-def rows(found: Campaigned) -> list[dict[str, Any]]:
+def rows(found: CampaignResult) -> list[dict[str, Any]]:
     """The rows of a campaign's table."""
     import pyarrow.parquet
 
