@@ -38,6 +38,6 @@ job = pc.read_job(
     }
 )
 plan = campaign.plan(job, [pc.design.loops(job)[0].closed.controller])
-table = single_run.fly(plan, range(plan.runs))
+table = single_run.simulate_runs(plan, range(plan.runs))
 
 figure = figures.campaign_histograms(table, {one.name: one.limits for one in job.manoeuvres})

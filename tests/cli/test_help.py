@@ -42,7 +42,7 @@ def test_the_groups_name_every_command(capsys: pytest.CaptureFixture[str]) -> No
     for name in COMMANDS:
         assert re.search(rf"^  {name} +\S", shown, re.MULTILINE)
     assert "..." not in shown.partition("\n")[2]  # nothing is cut short
-    assert shown.index("To begin with:") < shown.index("Design and check:") < shown.index("Fly on")
+    assert shown.index("Start:") < shown.index("Design and check:") < shown.index("Simulate on")
 
 
 @pytest.mark.parametrize("width", [80, 120])
