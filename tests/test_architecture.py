@@ -15,7 +15,7 @@ import pytest
 import platform_ctrl as pc
 
 HOUSE = Path(__file__).resolve().parent.parent
-HEAVY = {"clarabel", "control", "cvxpy", "jinja2", "matplotlib", "numba", "pydantic", "rich", "scipy", "sympy", "typer"}
+HEAVY = {"clarabel", "control", "cvxpy", "jinja2", "matplotlib", "numba", "rich", "scipy", "sympy", "typer"}
 
 TOOLS = {
     "ruff": [sys.executable, "-m", "ruff", "check", "."],

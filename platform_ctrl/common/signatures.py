@@ -19,7 +19,7 @@ import types
 import typing
 from collections.abc import Callable, Mapping, Sequence
 from numbers import Real
-from typing import Any, Literal, NamedTuple, ParamSpec, TypeVar, Union, get_args, get_origin
+from typing import Annotated, Any, Literal, NamedTuple, ParamSpec, TypeVar, Union, get_args, get_origin
 
 import numpy as np
 import numpy.typing
@@ -113,6 +113,13 @@ def check_fields(given: Any) -> None:
 
 
 @functools.cache
+def array_fields(cls: Any) -> tuple[str, ...]:
+    """Return the fields of a dataclass that are arrays of real numbers, or None."""
+    array = _ARRAYS["float64"].words
+    return tuple(name for name, kind in _field_kinds(cls).items() if kind.words in (array, f"{array} or None"))
+
+
+@functools.cache
 def _field_kinds(cls: Any) -> dict[str, Kind]:
     found: dict[str, Kind] = {}
     for field in dataclasses.fields(cls):
@@ -188,6 +195,8 @@ def _kind(annotation: object, names: _Names) -> Kind | None:
         plain: Kind = _PLAIN[annotation]
         return plain
     origin, parts = get_origin(annotation), get_args(annotation)
+    if origin is Annotated:
+        return _kind(parts[0], names)
     if origin is Literal:
         return Kind(
             _either([repr(part) for part in parts]), lambda given: isinstance(given, str | int) and given in parts

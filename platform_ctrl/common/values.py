@@ -12,7 +12,7 @@ from typing import Any, TypeVar, dataclass_transform
 import numpy as np
 from numpy.typing import NDArray
 
-from platform_ctrl.common.signatures import check_fields
+from platform_ctrl.common.signatures import array_fields, check_fields
 
 FloatArray = NDArray[np.float64]
 
@@ -165,12 +165,18 @@ def value(cls: type[T]) -> type[T]:
     Equality is identity: the `==` that dataclasses generate raises on arrays. Pickle and deepcopy give
     writeable arrays back, so both freeze again. The repr is a summary: arrays and systems by their sizes.
     """
-    if "__post_init__" not in cls.__dict__:
-        cls.__post_init__ = _freeze_arrays  # type: ignore[attr-defined]
+    own = cls.__dict__.get("__post_init__")
+
+    def settled(self: Any) -> None:
+        if own is not None:
+            own(self)
+        _freeze_arrays(self)
+
+    cls.__post_init__ = settled  # type: ignore[attr-defined]
     if "__repr__" not in cls.__dict__:
         cls.__repr__ = _summary  # type: ignore[method-assign]
     made = dataclasses.dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)(cls)
-    made._settled = made.__post_init__  # type: ignore[attr-defined]
+    made._settled = settled  # type: ignore[attr-defined]
     made.__setstate__ = _set_state  # type: ignore[attr-defined]
     made.__getstate__ = _get_state  # type: ignore[method-assign]
     made.__deepcopy__ = _deep_copy  # type: ignore[attr-defined]
@@ -181,20 +187,18 @@ def value(cls: type[T]) -> type[T]:
 def input_value(cls: type[T]) -> type[T]:
     """Make `cls` a `value` that users make: it refuses a field of another kind than annotated (`ArgumentError`)."""
     made = value(cls)
-    rest = made.__post_init__  # type: ignore[attr-defined]
-
-    kinds = ("FloatArray", "FloatArray | None", FloatArray)
-    arrays = [field.name for field in dataclasses.fields(made) if field.type in kinds]  # type: ignore[arg-type]
+    settled = made.__post_init__  # type: ignore[attr-defined]
 
     def judged(self: Any) -> None:
-        for name in arrays:
+        cls: Any = type(self)
+        for name in array_fields(cls):
             item = getattr(self, name)
             if isinstance(item, list | tuple):
                 # What is no array of numbers is left for the check to refuse.
                 with contextlib.suppress(TypeError, ValueError):
                     object.__setattr__(self, name, read_only(item))
         check_fields(self)
-        rest(self)
+        settled(self)
 
     made.__post_init__ = judged  # type: ignore[attr-defined]
     return made

@@ -15,9 +15,9 @@ from platform_ctrl.job.parameter_limits import misfits
 from platform_ctrl.job.run_checks import run_mistakes
 from platform_ctrl.job.variation import CENTRES, DISTRIBUTION_NUMBERS
 from platform_ctrl.plant.checks import number_of
-from platform_ctrl.plant.fields import unknown_key
 from platform_ctrl.plant.mistakes import Mistake, Path, given, one_line, suggestion, tables, text_of, unique_names
 from platform_ctrl.plant.platform import ROOT_TORQUE_NAMES, Platform
+from platform_ctrl.plant.tables import unknown_key
 
 Data = dict[str, Any]
 

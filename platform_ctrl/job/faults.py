@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Literal
+from typing import Annotated, Literal
 
 from platform_ctrl.common.arguments import number, one_of, positive, within
 from platform_ctrl.common.values import input_value, value
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.variation import ANY, NOT_NEGATIVE, POSITIVE, SHARE, Range
+from platform_ctrl.plant import fields
 from platform_ctrl.plant.platform import Platform
 
 # What fails; None stands for the controllers.
@@ -57,18 +58,18 @@ class Fault:
         Numbers that its kind needs or may have: 1, s, 1, Hz, rad/s (rad/s² on a rate sensor), 1, N m s.
     """
 
-    name: str
-    kind: str
-    part: str | None = None
-    at: float
-    until: float = math.inf
-    share: float = 0.0
-    time_constant: float = 0.0
-    amplitude: float = 0.0
-    frequency_hz: float = 0.0
-    rate: float = 0.0
-    probability: float = 1.0
-    impulse: float = 0.0
+    name: fields.Text
+    kind: Annotated[str, fields.one_of(FAULT_KINDS)]
+    part: fields.Text | None = None
+    at: fields.NotNegative
+    until: fields.Positive = math.inf
+    share: fields.NotNegative = 0.0
+    time_constant: fields.Positive = 0.0
+    amplitude: fields.Positive = 0.0
+    frequency_hz: fields.Positive = 0.0
+    rate: fields.NotZero = 0.0
+    probability: fields.SomePart = 1.0
+    impulse: fields.NotZero = 0.0
 
     def __post_init__(self) -> None:
         """Check the times, and the numbers of its kind."""

@@ -3,21 +3,29 @@
 from __future__ import annotations
 
 from dataclasses import field
-from typing import Literal
+from typing import Annotated, Literal, get_args
 
 import numpy as np
 
 from platform_ctrl.common.signatures import check_arguments
-from platform_ctrl.common.values import FloatArray, input_value
+from platform_ctrl.common.values import input_value
 from platform_ctrl.job.faults import Fault
+from platform_ctrl.job.methods import METHODS
+from platform_ctrl.job.methods import LoopKind as LoopKind
+from platform_ctrl.job.methods import Structure as Structure
 from platform_ctrl.job.scenario import HalfCosine, Scenario, TimeTable, Vibration
 from platform_ctrl.job.scenario import Mode as Mode
 from platform_ctrl.job.variation import Vary
-from platform_ctrl.plant.platform import OMEGA_NAMES, Platform
+from platform_ctrl.plant import fields
+from platform_ctrl.plant.platform import OMEGA_NAMES, ROOT_TORQUE_NAMES, Platform
+from platform_ctrl.plant.tables import TABLE, Array, At, Collected, Instead, Key, Shape
 
-Structure = Literal["cross-axis", "pid", "state-space"]
-LoopKind = Literal["caging", "stabilisation"]
 Points = Literal["sobol", "latin-hypercube", "random"]
+
+MOST_LOOPS, MOST_VIBRATIONS = 100, 20
+_RATE_HZ = Instead("rate_hz", fields.FREQUENCY, lambda rate, _: 1.0 / rate)
+_LIMITS = Shape(dict, {name: Key(fields.POSITIVE, name) for name in ("angle", "attitude", "torque_share")})
+_INITIAL = Shape(dict, {}, others=("", fields.NUMBER))
 
 
 @input_value
@@ -32,9 +40,9 @@ class Spread:
         Number of plants taken from inside this box, beside its corners.
     """
 
-    inertia: float = 0.0
-    spin: float = 0.0
-    samples: int = 0
+    inertia: fields.Share = 0.0
+    spin: fields.Share = 0.0
+    samples: fields.Samples = 0
 
 
 @input_value
@@ -49,8 +57,8 @@ class Faults:
         Share of its torque that a torquer keeps.
     """
 
-    slow_rotor: float | None = None
-    weak_torquer: float | None = None
+    slow_rotor: fields.Part | None = None
+    weak_torquer: fields.SomePart | None = None
 
 
 @input_value
@@ -65,8 +73,8 @@ class Sampling:
         From the sample to the torque, s.
     """
 
-    period: float
-    delay: float
+    period: Annotated[float, _RATE_HZ]
+    delay: fields.NotNegative
 
 
 @input_value
@@ -87,11 +95,11 @@ class DesignSpec:
         What a structured controller is made of; None leaves it to the method.
     """
 
-    name: str
-    method: str
-    options: dict[str, float]
-    tune: bool = False
-    structure: Structure | None = None
+    name: fields.SystemName
+    method: Annotated[str, fields.one_of(METHODS)]
+    options: Annotated[dict[str, float], Collected(others=fields.NUMBER)] = field(default_factory=dict)
+    tune: fields.Truth = False
+    structure: Annotated[Structure, fields.one_of(get_args(Structure))] | None = None
 
 
 @input_value
@@ -130,27 +138,27 @@ class LoopLimits:
         Largest singular value of the controller above a tenth of the nutation frequency, N m/rad, at most.
     """
 
-    bandwidth_hz: float | None = None
-    disk_margin: float | None = None
-    sensitivity_peak: float | None = None
-    complementary_peak: float | None = None
-    damping: float | None = None
-    fastest_pole: float | None = None
-    tracking: float | None = None
-    tracking_hz: float | None = None
-    Omega_rejection: float | None = None
-    torque_rejection: float | None = None
-    torque_noise: float | None = None
-    torque_limit: float | None = None
-    torque_limit_hz: float | None = None
-    controller_poles: float | None = None
-    controller_gain: float | None = None
-    disk_margin_spread: float | None = None
-    sensitivity_peak_spread: float | None = None
-    complementary_peak_spread: float | None = None
-    damping_spread: float | None = None
-    disk_margin_faults: float | None = None
-    damping_faults: float | None = None
+    bandwidth_hz: fields.Positive | None = None
+    disk_margin: fields.Positive | None = None
+    sensitivity_peak: fields.Positive | None = None
+    complementary_peak: fields.Positive | None = None
+    damping: fields.Positive | None = None
+    fastest_pole: fields.Positive | None = None
+    tracking: fields.Positive | None = None
+    tracking_hz: fields.Positive | None = None
+    Omega_rejection: fields.Positive | None = None
+    torque_rejection: fields.Positive | None = None
+    torque_noise: fields.Positive | None = None
+    torque_limit: fields.Positive | None = None
+    torque_limit_hz: fields.Positive | None = None
+    controller_poles: fields.Positive | None = None
+    controller_gain: fields.Positive | None = None
+    disk_margin_spread: fields.Positive | None = None
+    sensitivity_peak_spread: fields.Positive | None = None
+    complementary_peak_spread: fields.Positive | None = None
+    damping_spread: fields.Positive | None = None
+    disk_margin_faults: fields.Positive | None = None
+    damping_faults: fields.Positive | None = None
 
 
 @input_value
@@ -169,13 +177,13 @@ class LoopSpec:
         Goals: a method that optimises makes their largest ratio small within the limits. No part of the verdict.
     """
 
-    name: str
-    kind: LoopKind
-    gimbals: tuple[str, ...]
-    designs: tuple[DesignSpec, ...]
-    use: str
-    limits: LoopLimits
-    soft: LoopLimits = field(default_factory=LoopLimits)
+    name: fields.SystemName
+    kind: Annotated[LoopKind, fields.one_of(get_args(LoopKind))]
+    gimbals: fields.Names = ()
+    designs: Annotated[tuple[DesignSpec, ...], Array("design", least=1, most=MOST_LOOPS)]
+    use: fields.Text
+    limits: Annotated[LoopLimits, TABLE] = field(default_factory=LoopLimits)
+    soft: Annotated[LoopLimits, TABLE] = field(default_factory=LoopLimits)
 
 
 @input_value
@@ -190,8 +198,19 @@ class CoupledLimits:
         Largest relative loss of a loop-by-loop disk margin against the decoupled design.
     """
 
-    disk_margin: float | None = None
-    coupling_cost: float | None = None
+    disk_margin: fields.Positive | None = None
+    coupling_cost: fields.Positive | None = None
+
+
+def _time_table(columns: tuple[str, ...]) -> Shape:
+    """Return the shape of a table of times and columns, any of which may be left out: zero."""
+
+    def made(t: tuple[float, ...], smooth: bool = False, **given: tuple[float, ...]) -> TimeTable:
+        values = np.array([given.get(column, (0.0,) * len(t)) for column in columns]).T
+        return TimeTable(t=np.array(t), values=values, smooth=smooth)
+
+    keys = {"t": Key(fields.TIMES, "t", needed=True)} | {column: Key(fields.NUMBERS, column) for column in columns}
+    return Shape(made, keys | {"smooth": Key(fields.TRUTH, "smooth")})
 
 
 @input_value
@@ -223,20 +242,20 @@ class Manoeuvre:
         share of a torquer's limit (1: at the limit).
     """
 
-    name: str
-    mode: Mode
-    axis: int = 1
-    duration: float
-    rate: float = 0.0
-    rise: float = 0.0
-    hold: float = 0.0
-    torque: float = 0.0
-    Omega_table: TimeTable | None = None
-    torque_table: TimeTable | None = None
-    vibrations: tuple[Vibration, ...] = ()
-    faults: tuple[str, ...] = ()
-    initial: dict[str, float] = field(default_factory=dict)
-    limits: dict[str, float]
+    name: fields.Text
+    mode: Annotated[Mode, fields.one_of(get_args(Mode))]
+    axis: fields.RootAxis = 1
+    duration: fields.Positive
+    rate: fields.NotZero = 0.0
+    rise: fields.Positive = 0.0
+    hold: fields.NotNegative = 0.0
+    torque: fields.NotZero = 0.0
+    Omega_table: Annotated[TimeTable | None, _time_table(OMEGA_NAMES)] = None
+    torque_table: Annotated[TimeTable | None, _time_table(ROOT_TORQUE_NAMES)] = None
+    vibrations: Annotated[tuple[Vibration, ...], Array("vibration", most=MOST_VIBRATIONS)] = ()
+    faults: fields.Names = ()
+    initial: Annotated[dict[str, float], _INITIAL] = field(default_factory=dict)
+    limits: Annotated[dict[str, float], _LIMITS] = field(default_factory=dict)
 
 
 @input_value
@@ -251,8 +270,8 @@ class CampaignManoeuvre:
         How often it is flown, relative to the others.
     """
 
-    name: str
-    weight: float = 1.0
+    name: fields.Text
+    weight: fields.Positive = 1.0
 
 
 @input_value
@@ -267,8 +286,8 @@ class CampaignFault:
         That it happens in a run: probability from 0 to 1.
     """
 
-    fault: str
-    probability: float
+    fault: fields.Text
+    probability: fields.Part
 
 
 @input_value
@@ -289,13 +308,13 @@ class Campaign:
         What differs from run to run, and what may fail.
     """
 
-    runs: int = 1000
-    seed: int = 0
-    sampling: Points = "sobol"
-    step: float = 1e-4
-    manoeuvres: tuple[CampaignManoeuvre, ...] = ()
-    vary: tuple[Vary, ...] = ()
-    faults: tuple[CampaignFault, ...] = ()
+    runs: fields.Runs = 1000
+    seed: fields.Seed = 0
+    sampling: Annotated[Points, fields.one_of(get_args(Points))] = "sobol"
+    step: fields.Positive = 1e-4
+    manoeuvres: Annotated[tuple[CampaignManoeuvre, ...], Array("manoeuvre")] = ()
+    vary: Annotated[tuple[Vary, ...], Array("vary")] = ()
+    faults: Annotated[tuple[CampaignFault, ...], Array("fault")] = ()
 
 
 @input_value
@@ -329,20 +348,20 @@ class Job:
         Many runs, or None.
     """
 
-    name: str
+    name: fields.Text
     plant: str
     platform: Platform
-    Omega: FloatArray
-    spread: Spread
-    sampling: Sampling
-    loops: tuple[LoopSpec, ...]
-    coupled: CoupledLimits
-    manoeuvres: tuple[Manoeuvre, ...]
-    seed: int = 0
-    Omega_grid: int = 2
-    faults: Faults = field(default_factory=Faults)
-    fault_events: tuple[Fault, ...] = ()
-    campaign: Campaign | None = None
+    Omega: Annotated[fields.Rates, At("operation", "Omega")]
+    Omega_grid: Annotated[fields.GridPoints, At("operation", "Omega_grid")] = 2
+    seed: Annotated[fields.Seed, At("operation", "seed")] = 0
+    spread: Annotated[Spread, TABLE] = field(default_factory=Spread)
+    faults: Annotated[Faults, TABLE] = field(default_factory=Faults)
+    sampling: Annotated[Sampling, TABLE]
+    loops: Annotated[tuple[LoopSpec, ...], Array("loop", least=1, most=MOST_LOOPS)]
+    coupled: Annotated[CoupledLimits, TABLE] = field(default_factory=CoupledLimits)
+    manoeuvres: Annotated[tuple[Manoeuvre, ...], Array("manoeuvre")] = ()
+    fault_events: Annotated[tuple[Fault, ...], Array("fault")] = ()
+    campaign: Annotated[Campaign | None, TABLE] = None
 
     @property
     def campaign_manoeuvres(self) -> tuple[tuple[Manoeuvre, float], ...]:

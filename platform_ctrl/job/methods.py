@@ -15,7 +15,9 @@ from typing import Any, Literal
 from platform_ctrl.common.arguments import known_name
 from platform_ctrl.common.values import value
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.job.job import LoopKind, Structure
+
+Structure = Literal["cross-axis", "pid", "state-space"]
+LoopKind = Literal["caging", "stabilisation"]
 
 OptionGroup = Literal["gains", "lead", "notch", "lag", "design"]
 # A function, or where it is: "module:name" is imported on first use, so that reading a job needs no design.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import field
-from typing import Literal
+from typing import Annotated, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,6 +14,7 @@ from platform_ctrl.common.signatures import check_arguments, short
 from platform_ctrl.common.values import FloatArray, input_value, read_only
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.faults import Fault
+from platform_ctrl.plant import fields
 from platform_ctrl.plant.platform import Platform
 
 Mode = Literal["caged", "stabilised"]
@@ -150,11 +151,11 @@ class Vibration:
     M. Shinozuka, Journal of the Acoustical Society of America 49, 1971.
     """
 
-    kind: VibrationKind
-    axis: int
-    frequencies_hz: FloatArray
-    densities: FloatArray
-    lines: int = 64
+    kind: Annotated[VibrationKind, fields.one_of(get_args(VibrationKind))]
+    axis: fields.RootAxis
+    frequencies_hz: fields.Frequencies
+    densities: fields.Densities
+    lines: fields.Lines = 64
 
     def __post_init__(self) -> None:
         """Judge the density, and keep it where nobody writes."""

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import field
-from typing import Literal
+from typing import Annotated, Literal, get_args
 
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import input_value, value
+from platform_ctrl.plant import fields
+from platform_ctrl.plant.tables import Collected
 
 Distribution = Literal["uniform", "normal", "truncated-normal", "log-uniform", "log-normal", "triangular", "choice"]
 
@@ -21,6 +23,10 @@ DISTRIBUTION_NUMBERS: dict[Distribution, tuple[str, ...]] = {
     "triangular": ("low", "peak", "high"),
     "choice": (),
 }
+_NUMBERS = Collected(
+    dict.fromkeys(("low", "high", "mean", "peak"), fields.NUMBER)
+    | dict.fromkeys(("median", "deviation"), fields.POSITIVE)
+)
 # Centres: 1 unless given where the numbers multiply the nominal value.
 CENTRES = frozenset({"mean", "median", "peak"})
 
@@ -38,6 +44,7 @@ class Vary:
     numbers
         What the distribution is made of, in the parameter's unit: ``low``, ``high``, ``mean``, ``median``, ``peak``;
         ``deviation`` is the standard deviation (before truncation), of the natural logarithm for ``"log-normal"``.
+        The mean, median or peak of a relative variation is 1 by default.
     values, weights
         ``"choice"``: what is chosen from, in the parameter's unit, and how often, relative to one another; no weights:
         all alike.
@@ -45,12 +52,19 @@ class Vary:
         Whether what is drawn multiplies the nominal value instead of taking its place.
     """
 
-    parameter: str
-    distribution: Distribution
-    numbers: dict[str, float] = field(default_factory=dict)
-    values: tuple[float, ...] = ()
-    weights: tuple[float, ...] = ()
-    relative: bool = False
+    parameter: fields.Text
+    distribution: Annotated[Distribution, fields.one_of(get_args(Distribution))]
+    numbers: Annotated[dict[str, float], _NUMBERS] = field(default_factory=dict)
+    values: fields.Numbers = ()
+    weights: fields.Numbers = ()
+    relative: fields.Truth = False
+
+    def __post_init__(self) -> None:
+        """Order the numbers; the centre of factors is 1 unless given."""
+        centre = dict.fromkeys(CENTRES, 1.0) if self.relative else {}
+        numbers = centre | self.numbers
+        ordered = {key: numbers[key] for key in self.needed if key in numbers}
+        object.__setattr__(self, "numbers", ordered | self.numbers)
 
     @property
     def needed(self) -> tuple[str, ...]:

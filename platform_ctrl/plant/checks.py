@@ -9,52 +9,19 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from platform_ctrl.plant.fields import ROUNDING, Unfit, coulomb, number, text
+from platform_ctrl.plant.fields import ROUNDING, Unfit, coulomb, default_angle, default_torquer, number, text
 from platform_ctrl.plant.mistakes import Mistake, Path, given, suggestion, tables, text_of
-from platform_ctrl.plant.platform import OMEGA_NAMES, ROOT_TORQUE_NAMES, gimbal_rate
+from platform_ctrl.plant.platform import (
+    OMEGA_NAMES,
+    ROOT_TORQUE_NAMES,
+    Platform,
+    gimbal_rate,
+)
+from platform_ctrl.plant.tables import Shape, references, shape
 
 Data = dict[str, Any]
 
-# Which body each table acts on or looks at: (table, key, whether the root will do, at most one on a body).
-_REFERENCES = (
-    ("spring", "gimbal", False, False),
-    ("friction", "gimbal", False, True),
-    ("cage", "gimbal", False, True),
-    ("unbalance", "body", True, False),
-    ("erection", "gimbal", False, False),
-    ("erection", "senses", True, False),
-)
 _SERVO_KEYS = ("speed_gain", "speed_integral", "torque_limit")
-
-
-def element_mistakes(data: Data, root: str | None, gimbals: list[str] | None) -> Iterator[Mistake]:
-    """Walk what does not fit; `gimbals` is None where a name is refused already: references are not to blame then."""
-    if gimbals is not None and root is not None:
-        for kind, key, root_too, single in _REFERENCES:
-            yield from _references(data, kind, key, [root, *gimbals] if root_too else gimbals, single)
-    yield from _friction(data)
-    yield from _servo(data)
-
-
-def no_such(path: Path, name: str, what: str, known: list[str]) -> Mistake:
-    """Return the mistake of a reference to something that is not there."""
-    wrong = f"{path[-1]} = {given(name)}: does not exist"
-    return Mistake(path, f"{wrong}; expected the name of {what}, {suggestion(name, known)}")
-
-
-def _references(data: Data, kind: str, key: str, known: list[str], single: bool) -> Iterator[Mistake]:
-    seen: dict[str, int] = {}
-    for k, table in tables(data, kind):
-        name = text_of(table, key)
-        if name is None:
-            continue
-        path: Path = (kind, k, key)
-        if name not in known:
-            yield no_such(path, name, "a gimbal" if key == "gimbal" else "the root or a gimbal", known)
-        elif single and name in seen:
-            wrong = f"{key} = {given(name)}: has a {kind} already, [[{kind}]] {seen[name] + 1}"
-            yield Mistake(path, f"{wrong}; expected one on a gimbal")
-        seen.setdefault(name, k)
 
 
 def _friction(data: Data) -> Iterator[Mistake]:
@@ -87,31 +54,18 @@ def _servo(data: Data) -> Iterator[Mistake]:
 _SIGNALS = {"gimbal": "angle", "torquer": "torque", "rate_sensor": "rate"}
 
 
-def default_angle(gimbal: str) -> str:
-    """Return the name of a gimbal's angle where the file gives none."""
-    return f"q_{gimbal}"
-
-
-def default_torquer(gimbal: str | None, root_axis: object) -> str:
-    """Return the name of a torquer where the file gives none."""
-    return f"Q{gimbal}" if gimbal is not None else f"M{root_axis}"
-
-
-def measured_rate(angle: str | None, root_axis: object) -> str:
-    """Return the signal name of a rate sensor: of the gimbal with this angle, or about this root axis."""
-    return gimbal_rate(angle) if angle is not None else f"Omega{root_axis}"
-
-
 def plant_mistakes(data: Data) -> list[Mistake]:
     """Return what does not fit together in a plant file."""
     return [
         *_names(data),
-        *_tree(data),
+        *_references(data),
+        *_circles(data),
         *_alternatives(data),
         *_rotor_inertias(data),
-        *_actuators_and_sensors(data),
+        *_servo(data),
+        *_friction(data),
+        *_one_sensor_about_an_axis(data),
         *_signals(data),
-        *element_mistakes(data, _root_name(data), _gimbal_names(data)),
     ]
 
 
@@ -147,16 +101,37 @@ def _names(data: Data) -> Iterator[Mistake]:
                 taken[name] = f"[[{kind}]] {k + 1}"
 
 
-def _tree(data: Data) -> Iterator[Mistake]:
+def _references(data: Data) -> Iterator[Mistake]:
+    """Walk the names of bodies that are not there, or have a part of that kind already."""
     root, gimbals = _root_name(data), _gimbal_names(data)
     if root is None or gimbals is None:
         return
-    bodies = [root, *gimbals]
-    for kind, key in (("gimbal", "parent"), ("rotor", "carrier")):
-        for k, table in tables(data, kind):
-            body = text_of(table, key)
-            if body is not None and body not in bodies:
-                yield no_such((kind, k, key), body, "the root or a gimbal", bodies)
+    for kind, of in shape(Platform).keys.items():
+        if of.array is None or not isinstance(of.holds, Shape) or not isinstance(of.holds.make, type):
+            continue
+        for key, refers in references(of.holds.make):
+            known = [root, *gimbals] if refers.root else gimbals
+            what = "the root or a gimbal" if refers.root else "a gimbal"
+            seen: dict[str, int] = {}
+            for k, table in tables(data, kind):
+                name = text_of(table, key)
+                if name is None:
+                    continue
+                wrong = f"{key} = {given(name)}:"
+                if name not in known:
+                    hint = f" ({refers.hint})" if refers.hint and name == root else ""
+                    expected = f"the name of {what}{hint}, {suggestion(name, known)}"
+                    yield Mistake((kind, k, key), f"{wrong} does not exist; expected {expected}")
+                elif refers.once and name in seen:
+                    wrong += f" has a {refers.once} already, [[{kind}]] {seen[name] + 1}"
+                    yield Mistake((kind, k, key), f"{wrong}; expected one on a gimbal")
+                seen.setdefault(name, k)
+
+
+def _circles(data: Data) -> Iterator[Mistake]:
+    root, gimbals = _root_name(data), _gimbal_names(data)
+    if root is None or gimbals is None:
+        return
     parent = {text_of(table, "name"): text_of(table, "parent") for _, table in reversed([*tables(data, "gimbal")])}
     parent.pop(root, None)
     reported: set[str | None] = set()
@@ -173,18 +148,13 @@ def _tree(data: Data) -> Iterator[Mistake]:
 
 
 def _alternatives(data: Data) -> Iterator[Mistake]:
-    for kind, one, other in (
-        ("rotor", "spin", "angular_momentum"),
-        ("torquer", "gimbal", "root_axis"),
-        ("rate_sensor", "gimbal", "root_axis"),
-    ):
+    """Walk parts that act on both a gimbal and the root, or on neither, and what means nothing without stops."""
+    for kind in ("torquer", "rate_sensor"):
         for k, table in tables(data, kind):
-            if (one in table) == (other in table):
-                have = "both are given" if one in table else "neither is given"
-                yield Mistake((kind, k), f'{have}; expected either "{one}" or "{other}"')
+            if ("gimbal" in table) == ("root_axis" in table):
+                have = "both are given" if "gimbal" in table else "neither is given"
+                yield Mistake((kind, k), f'{have}; expected either "gimbal" or "root_axis"')
     for k, table in tables(data, "gimbal"):
-        if "stops" in table and "stops_deg" in table:
-            yield Mistake(("gimbal", k), 'both are given; expected either "stops" or "stops_deg"')
         if "restitution" in table and "stops" not in table and "stops_deg" not in table:
             wrong = f"restitution = {given(table['restitution'])}: the gimbal has no stops to bounce off"
             yield Mistake(("gimbal", k, "restitution"), f'{wrong}; expected "stops" or "stops_deg" with it, or none')
@@ -217,28 +187,7 @@ def _rotor_inertias(data: Data) -> Iterator[Mistake]:
             )
 
 
-def _actuators_and_sensors(data: Data) -> Iterator[Mistake]:
-    gimbals = _gimbal_names(data)
-    if gimbals is None:
-        return
-    for kind, single, of_root in (
-        ("torquer", "", "root_axis turns the root"),
-        ("pickoff", "pick-off", ""),
-        ("rate_sensor", "rate sensor", "root_axis measures the root"),
-    ):
-        seen: dict[str, int] = {}
-        for k, table in tables(data, kind):
-            gimbal = text_of(table, "gimbal")
-            if gimbal is None:
-                continue
-            path: Path = (kind, k, "gimbal")
-            if gimbal not in gimbals:
-                what = f"a gimbal ({of_root})" if of_root and gimbal == _root_name(data) else "a gimbal"
-                yield no_such(path, gimbal, what, gimbals)
-            elif single and gimbal in seen:
-                wrong = f"gimbal = {given(gimbal)}: has a {single} already, [[{kind}]] {seen[gimbal] + 1}"
-                yield Mistake(path, f"{wrong}; expected one on a gimbal")
-            seen.setdefault(gimbal, k)
+def _one_sensor_about_an_axis(data: Data) -> Iterator[Mistake]:
     axes: dict[int, int] = {}
     for k, table in tables(data, "rate_sensor"):
         axis = root_axis_of(table)
@@ -288,5 +237,5 @@ def _signal_names(data: Data) -> Iterator[tuple[Path, str, str]]:
     for k, table in tables(data, "rate_sensor"):
         gimbal = text_of(table, "gimbal")
         if gimbal in angles and gimbal not in measured:
-            yield ("rate_sensor", k), measured_rate(angles[gimbal], None), ""
+            yield ("rate_sensor", k), gimbal_rate(angles[gimbal]), ""
         measured.add(gimbal)

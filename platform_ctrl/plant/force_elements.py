@@ -6,9 +6,12 @@ Their torques are part of Q in eq. (11); `platform_ctrl.mechanics.forces` evalua
 from __future__ import annotations
 
 import math
+from typing import Annotated
 
 from platform_ctrl.common.signatures import check_arguments
-from platform_ctrl.common.values import FloatArray, input_value
+from platform_ctrl.common.values import input_value
+from platform_ctrl.plant import fields
+from platform_ctrl.plant.fields import Refers
 
 
 @input_value
@@ -25,9 +28,9 @@ class Spring:
         Angle at which it is relaxed, rad.
     """
 
-    gimbal: str
-    stiffness: float
-    rest: float = 0.0
+    gimbal: Annotated[fields.Text, Refers()]
+    stiffness: fields.NotZero
+    rest: fields.Number = 0.0
 
 
 @input_value
@@ -56,12 +59,12 @@ class Friction:
         `coulomb`.
     """
 
-    gimbal: str
-    viscous: float = 0.0
-    coulomb: tuple[float, float] = (0.0, 0.0)
-    coulomb_rate: float = 0.01
-    breakaway: tuple[float, float] = (0.0, 0.0)
-    stribeck_rate: float = math.inf
+    gimbal: Annotated[fields.Text, Refers(once="friction")]
+    viscous: fields.NotNegative = 0.0
+    coulomb: fields.Coulomb = (0.0, 0.0)
+    coulomb_rate: fields.Positive = 0.01
+    breakaway: fields.Coulomb = (0.0, 0.0)
+    stribeck_rate: fields.Positive = math.inf
 
     def __post_init__(self) -> None:
         """Let `breakaway` follow a `coulomb` that `dataclasses.replace` has changed, too."""
@@ -121,11 +124,11 @@ class Cage:
         Middle of the cage, rad.
     """
 
-    gimbal: str
-    stiffness: float
-    damping: float = 0.0
-    clearance: float = 0.0
-    angle: float = 0.0
+    gimbal: Annotated[fields.Text, Refers(once="cage")]
+    stiffness: fields.Positive
+    damping: fields.NotNegative = 0.0
+    clearance: fields.NotNegative = 0.0
+    angle: fields.Number = 0.0
 
 
 @input_value
@@ -142,8 +145,8 @@ class Unbalance:
         Mass times offset of the centre of mass from the fixed point, body axes, kg m.
     """
 
-    body: str
-    moment: FloatArray
+    body: Annotated[fields.Text, Refers(root=True)]
+    moment: fields.Vector
 
 
 @input_value
@@ -167,8 +170,8 @@ class Erection:
         Largest torque, N m, or None.
     """
 
-    gimbal: str
-    senses: str
-    axis: FloatArray
-    gain: float
-    limit: float | None = None
+    gimbal: Annotated[fields.Text, Refers()]
+    senses: Annotated[fields.Text, Refers(root=True)]
+    axis: fields.Axis
+    gain: fields.NotZero
+    limit: fields.Positive | None = None

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import field
-from typing import Literal, TypeVar
+from typing import Annotated, Literal, TypeVar, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from platform_ctrl.common.arguments import known_name
 from platform_ctrl.common.signatures import check_arguments
-from platform_ctrl.common.values import FloatArray, input_value, read_only
+from platform_ctrl.common.values import input_value, read_only, replaced
 from platform_ctrl.errors import ArgumentError
+from platform_ctrl.plant import fields
+from platform_ctrl.plant.fields import NUMBER, STOPS, Refers, default_angle, default_torquer
 from platform_ctrl.plant.force_elements import Cage, Erection, Friction, Spring, Unbalance
+from platform_ctrl.plant.tables import Array, At, Instead
 
 RotorControl = Literal["regulated", "free", "servo"]
 
@@ -20,6 +24,12 @@ RotorControl = Literal["regulated", "free", "servo"]
 OMEGA_NAMES = ("Omega1", "Omega2", "Omega3")
 ROOT_TORQUE_NAMES = ("M1", "M2", "M3")
 FORCE_NAMES = ("f1", "f2", "f3")
+
+# Gimbals of a plant, and of each other part: their equations and matrices are worked out in full.
+MOST_GIMBALS, MOST_PARTS = 100, 200
+
+_STOPS_DEG = Instead("stops_deg", STOPS, lambda stops, _: (math.radians(stops[0]), math.radians(stops[1])))
+_SPIN = Instead("spin", NUMBER, lambda spin, rotor: rotor["axial_inertia"] * spin)
 
 
 @input_value
@@ -35,7 +45,7 @@ class Gimbal:
     inertia : (3, 3)
         The gimbal's own body without rotors, kg m², in its own axes.
     angle
-        Name of the coordinate, for example ``alpha4``.
+        Name of the coordinate, for example ``alpha4``; default ``q_`` + name.
     stops
         Lowest and highest angle, rad, or None.
     restitution
@@ -48,13 +58,18 @@ class Gimbal:
     See docs/plant-file.md.
     """
 
-    name: str
-    parent: str
-    axis: FloatArray
-    inertia: FloatArray
-    angle: str
-    stops: tuple[float, float] | None = None
-    restitution: float = 0.0
+    name: fields.Text
+    parent: Annotated[fields.Text, Refers(root=True)]
+    axis: fields.Axis
+    inertia: fields.Inertia
+    angle: fields.Text = ""
+    stops: Annotated[fields.Stops | None, _STOPS_DEG] = None
+    restitution: fields.Part = 0.0
+
+    def __post_init__(self) -> None:
+        """Name the angle."""
+        if not self.angle:
+            object.__setattr__(self, "angle", default_angle(self.name))
 
 
 @input_value
@@ -88,16 +103,16 @@ class Rotor:
     See docs/plant-file.md.
     """
 
-    name: str
-    carrier: str
-    axis: FloatArray
-    axial_inertia: float
-    transverse_inertia: float
-    angular_momentum: float
-    control: RotorControl = "regulated"
-    speed_gain: float = 0.0
-    speed_integral: float = 0.0
-    torque_limit: float | None = None
+    name: fields.Text
+    carrier: Annotated[fields.Text, Refers(root=True)]
+    axis: fields.Axis
+    axial_inertia: fields.Positive
+    transverse_inertia: fields.Positive
+    angular_momentum: Annotated[fields.Number, _SPIN]
+    control: Annotated[RotorControl, fields.one_of(get_args(RotorControl))] = "regulated"
+    speed_gain: fields.Positive = 0.0
+    speed_integral: fields.NotNegative = 0.0
+    torque_limit: fields.Positive | None = None
 
     @property
     def spin(self) -> float:
@@ -112,7 +127,7 @@ class Torquer:
     Attributes
     ----------
     name
-        Signal name, ``Q`` + gimbal or ``M`` + root axis unless the file says otherwise.
+        Signal name; default ``Q`` + gimbal or ``M`` + root axis.
     gimbal, root_axis
         Exactly one is given: the gimbal's name, or 1, 2 or 3.
     limit
@@ -125,13 +140,18 @@ class Torquer:
         Whether the device itself does not have it: whatever is proved with it is not proved of the device.
     """
 
-    name: str
-    gimbal: str | None = None
-    root_axis: int | None = None
-    limit: float | None = None
-    lag: float = 0.0
-    rate_limit: float | None = None
-    added: bool = False
+    name: fields.Text = ""
+    gimbal: Annotated[fields.Text | None, Refers(hint="root_axis turns the root")] = None
+    root_axis: fields.RootAxis | None = None
+    limit: fields.Positive | None = None
+    lag: fields.NotNegative = 0.0
+    rate_limit: fields.Positive | None = None
+    added: fields.Truth = False
+
+    def __post_init__(self) -> None:
+        """Name the signal."""
+        if not self.name:
+            object.__setattr__(self, "name", default_torquer(self.gimbal, self.root_axis))
 
     @property
     def signal(self) -> str:
@@ -146,7 +166,7 @@ class PickOff:
     Attributes
     ----------
     name
-        Signal name: the angle that it measures.
+        Signal name: the angle that it measures. A platform fills it in where it is left out.
     gimbal
         Name of the gimbal.
     noise_rms, noise_bandwidth_hz
@@ -157,12 +177,12 @@ class PickOff:
         Whether the device itself does not have it.
     """
 
-    name: str
-    gimbal: str
-    noise_rms: float = 0.0
-    noise_bandwidth_hz: float = 1000.0
-    quantisation: float = 0.0
-    added: bool = False
+    name: str = ""
+    gimbal: Annotated[fields.Text, Refers(once="pick-off")]
+    noise_rms: fields.NotNegative = 0.0
+    noise_bandwidth_hz: fields.Positive = 1000.0
+    quantisation: fields.NotNegative = 0.0
+    added: fields.Truth = False
 
     @check_arguments
     def sampled_noise(self, period: float) -> float:
@@ -188,7 +208,8 @@ class RateSensor:
     Attributes
     ----------
     name
-        Signal name: Omega1, Omega2 or Omega3 on the root; on a gimbal its angle's name + ``_rate``.
+        Signal name: Omega1, Omega2 or Omega3 on the root; on a gimbal its angle's name + ``_rate``. A platform fills it
+        in where it is left out.
     gimbal, root_axis
         Exactly one is given: the gimbal's name, or 1, 2 or 3.
     noise_rms, noise_bandwidth_hz
@@ -197,12 +218,12 @@ class RateSensor:
         Step of the reading, rad/s; 0 for none.
     """
 
-    name: str
-    gimbal: str | None = None
-    root_axis: int | None = None
-    noise_rms: float = 0.0
-    noise_bandwidth_hz: float = 1000.0
-    quantisation: float = 0.0
+    name: str = ""
+    gimbal: Annotated[fields.Text | None, Refers(once="rate sensor", hint="root_axis measures the root")] = None
+    root_axis: fields.RootAxis | None = None
+    noise_rms: fields.NotNegative = 0.0
+    noise_bandwidth_hz: fields.Positive = 1000.0
+    quantisation: fields.NotNegative = 0.0
 
     @check_arguments
     def sampled_noise(self, period: float) -> float:
@@ -219,6 +240,9 @@ class RateSensor:
             rad/s.
         """
         return _sampled_noise(self.noise_rms, self.noise_bandwidth_hz, period)
+
+
+Sensor = TypeVar("Sensor", PickOff, RateSensor)
 
 
 @input_value
@@ -251,21 +275,40 @@ class Platform:
     See docs/plant-file.md.
     """
 
-    name: str
-    root_name: str
-    root_inertia: FloatArray
-    gimbals: tuple[Gimbal, ...]
-    rotors: tuple[Rotor, ...] = ()
-    torquers: tuple[Torquer, ...] = ()
-    pickoffs: tuple[PickOff, ...] = ()
-    rate_sensors: tuple[RateSensor, ...] = ()
-    springs: tuple[Spring, ...] = ()
-    frictions: tuple[Friction, ...] = ()
-    cages: tuple[Cage, ...] = ()
-    unbalances: tuple[Unbalance, ...] = ()
-    erections: tuple[Erection, ...] = ()
-    specific_force: FloatArray = field(default_factory=lambda: read_only((0.0, 0.0, 0.0)))
-    source: str = ""
+    name: fields.Text
+    root_name: Annotated[fields.Text, At("root", "name")]
+    root_inertia: Annotated[fields.Inertia, At("root", "inertia")]
+    # The kinds of parts: `Array` names the table of the plant file, whose keys are the fields of the class.
+    gimbals: Annotated[tuple[Gimbal, ...], Array("gimbal", most=MOST_GIMBALS)] = ()
+    rotors: Annotated[tuple[Rotor, ...], Array("rotor", most=MOST_PARTS)] = ()
+    torquers: Annotated[tuple[Torquer, ...], Array("torquer", most=MOST_PARTS)] = ()
+    pickoffs: Annotated[tuple[PickOff, ...], Array("pickoff", most=MOST_PARTS)] = ()
+    rate_sensors: Annotated[tuple[RateSensor, ...], Array("rate_sensor", most=MOST_PARTS)] = ()
+    springs: Annotated[tuple[Spring, ...], Array("spring", most=MOST_PARTS)] = ()
+    frictions: Annotated[tuple[Friction, ...], Array("friction", most=MOST_PARTS)] = ()
+    cages: Annotated[tuple[Cage, ...], Array("cage", most=MOST_PARTS)] = ()
+    unbalances: Annotated[tuple[Unbalance, ...], Array("unbalance", most=MOST_PARTS)] = ()
+    erections: Annotated[tuple[Erection, ...], Array("erection", most=MOST_PARTS)] = ()
+    specific_force: Annotated[fields.Vector, At("root", "specific_force")] = field(
+        default_factory=lambda: read_only((0.0, 0.0, 0.0))
+    )
+    source: fields.AnyText = ""
+
+    def __post_init__(self) -> None:
+        """Name the signals of sensors after the angles and root axes that they measure."""
+        if all(sensor.name for sensor in self.sensors):
+            return
+
+        def named(sensor: Sensor) -> Sensor:
+            if sensor.name:
+                return sensor
+            if sensor.gimbal is None:
+                return replaced(sensor, {"name": f"Omega{sensor.root_axis}"})
+            angle = self.gimbals[self.gimbal(sensor.gimbal)].angle
+            return replaced(sensor, {"name": angle if isinstance(sensor, PickOff) else gimbal_rate(angle)})
+
+        object.__setattr__(self, "pickoffs", tuple(map(named, self.pickoffs)))
+        object.__setattr__(self, "rate_sensors", tuple(map(named, self.rate_sensors)))
 
     @property
     def added(self) -> tuple[Torquer | PickOff, ...]:

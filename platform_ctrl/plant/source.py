@@ -62,6 +62,11 @@ def platform_source(name: str) -> str:
     -------
     str
         TOML, comments included.
+
+    Raises
+    ------
+    InputError
+        There is no shipped model of that name.
     """
     if not isinstance(name, str):
         raise InputError(f"given {given(name)}; expected the name of a shipped model")

@@ -131,13 +131,14 @@ def test_a_name_with_spaces_can_be_typed_on(there: Path, monkeypatch: pytest.Mon
 
 def test_words_that_are_offered_are_those_that_are_known() -> None:
     from platform_ctrl.cli.campaign_output import ANY, METHODS
-    from platform_ctrl.job.tables import ManoeuvreLimitsTable
+    from platform_ctrl.job.reading import JOB_FILE
+    from platform_ctrl.plant.tables import tables
 
     command: Any = typer.main.get_command(app)
     params = {param.name: param for param in command.commands["campaign"].params}
     context = command.commands["campaign"].make_context("campaign", ["job.toml"])
     found = {name: [one.value for one in params[name].shell_complete(context, "")] for name in ("rare", "rare_method")}
-    assert found == {"rare": [ANY, *ManoeuvreLimitsTable.model_fields], "rare_method": list(METHODS)}
+    assert found == {"rare": [ANY, *dict(tables(JOB_FILE))["manoeuvre", "limits"].keys], "rare_method": list(METHODS)}
 
 
 def environment() -> dict[str, str]:

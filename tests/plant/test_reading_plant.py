@@ -194,7 +194,7 @@ MISTAKES: dict[str, tuple[Change, list[str]]] = {
         [ROTOR, "transverse_inertia = 0.24", "axial_inertia = 0.5", "at least half"],
     ),
     "spin and momentum": (put(1.0, "rotor", 0, "angular_momentum"), [ROTOR, "both are given", '"angular_momentum"']),
-    "no spin": (drop("rotor", 0, "spin"), [ROTOR, "neither is given", 'either "spin" or "angular_momentum"']),
+    "no spin": (drop("rotor", 0, "spin"), [ROTOR, "neither is given", 'either "angular_momentum" or "spin"']),
     "larger than anything": (put(2e50, "rotor", 0, "spin"), [ROTOR, "spin = 2e+50: larger than 1e+50; expected a"]),
     "next to nothing": (put(-1e-51, "rotor", 0, "spin"), [ROTOR, "spin = -1e-51: smaller than 1e-50 and not 0"]),
     "control unknown": (

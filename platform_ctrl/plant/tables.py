@@ -1,0 +1,289 @@
+"""Tables of an input file, read as the records that they become.
+
+A record says itself how it is read: each field that stands in the file is annotated with what is expected of it
+(`fields.Positive`, ...) or with one of the marks below. A field without a mark is no key of the file.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import types
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import cache
+from typing import Annotated, Any, Union, get_args, get_origin, get_type_hints
+
+from platform_ctrl.common.arguments import nearest
+from platform_ctrl.plant.fields import Expected, Refers, Unfit
+from platform_ctrl.plant.mistakes import Mistake, Path, given, suggestion
+
+# Keys of a table at most: no format has half as many.
+MOST_KEYS = 500
+
+
+@dataclass(frozen=True, eq=False)
+class Array:
+    """Mark of a field that holds records: they stand under `key`, each in a table with the header ``[[key]]``."""
+
+    key: str
+    least: int = 0
+    most: int = 1000
+
+
+@dataclass(frozen=True, eq=False)
+class At:
+    """Mark of a field that stands under `key` of another table: ``[table]``."""
+
+    table: str
+    key: str
+
+
+@dataclass(frozen=True, eq=False)
+class Instead:
+    """Mark of a field that another key may stand for: `value` makes it of that key's value and of the other fields."""
+
+    key: str
+    expected: Expected
+    value: Callable[[Any, Mapping[str, Any]], Any]
+
+
+@dataclass(frozen=True, eq=False)
+class Collected:
+    """Mark of a field that is a dictionary of what stands under `keys`, or under any key that has no other meaning."""
+
+    keys: Mapping[str, Expected] = field(default_factory=dict)
+    others: Expected | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Key:
+    """What stands under a key, and where it goes: to a field, or in a dictionary that the field is."""
+
+    holds: Expected | Shape
+    field: str
+    collected: bool = False
+    needed: bool = False
+    array: Array | None = None
+    instead: Instead | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Shape:
+    """Which keys a table has, and what it becomes: of `make` None, fields of the table that it stands in.
+
+    Of each pair of `alternatives` one may be given and, where it is needed (True), has to be.
+    """
+
+    make: Callable[..., Any] | None
+    keys: Mapping[str, Key]
+    alternatives: tuple[tuple[str, str, bool], ...] = ()
+    # Of any other key: the field that is a dictionary of them ("": the table is one itself), and what is expected.
+    others: tuple[str, Expected] | None = None
+
+
+# Mark of a field that is a record, in a table of the field's name.
+TABLE = object()
+
+
+@cache
+def shape(record: type) -> Shape:
+    """Return the shape of the table that becomes a record."""
+    hints = get_type_hints(record, include_extras=True)
+    keys: dict[str, Key] = {}
+    elsewhere: dict[str, dict[str, Key]] = {}
+    alternatives: list[tuple[str, str, bool]] = []
+    others = None
+    for one in dataclasses.fields(record):
+        kind, marks = _marks(hints[one.name])
+        needed = one.default is dataclasses.MISSING and one.default_factory is dataclasses.MISSING
+        at = next((mark for mark in marks if isinstance(mark, At)), None)
+        instead = next((mark for mark in marks if isinstance(mark, Instead)), None)
+        for mark in marks:
+            if isinstance(mark, Collected):
+                keys |= {key: Key(expected, one.name, collected=True) for key, expected in mark.keys.items()}
+                others = others if mark.others is None else (one.name, mark.others)
+            elif mark is TABLE:
+                keys[one.name] = Key(shape(kind), one.name, needed=needed)
+            elif isinstance(mark, Array):
+                keys[mark.key] = Key(shape(get_args(kind)[0]), one.name, needed=mark.least > 0, array=mark)
+            elif isinstance(mark, Expected | Shape):
+                key = Key(mark, one.name, needed=needed and instead is None)
+                if at is None:
+                    keys[one.name] = key
+                else:
+                    elsewhere.setdefault(at.table, {})[at.key] = key
+        if instead is not None:
+            alone = one.name not in keys
+            keys[instead.key] = Key(instead.expected, one.name, needed=alone and needed, instead=instead)
+            alternatives += [] if alone else [(one.name, instead.key, needed)]
+    for table, inner in elsewhere.items():
+        keys[table] = Key(Shape(None, inner), "", needed=any(key.needed for key in inner.values()))
+    return Shape(record, keys, tuple(alternatives), others)
+
+
+@cache
+def references(record: type) -> tuple[tuple[str, Refers], ...]:
+    """Return the fields of a record that name a body, and what they may name."""
+    hints = get_type_hints(record, include_extras=True)
+    return tuple((name, mark) for name, hint in hints.items() for mark in _marks(hint)[1] if isinstance(mark, Refers))
+
+
+def _marks(hint: Any) -> tuple[Any, list[Any]]:
+    """Return the type of an annotation, which may be optional, and its marks."""
+    marks: list[Any] = []
+    while True:
+        parts = [part for part in get_args(hint) if part is not types.NoneType]
+        if get_origin(hint) is Annotated:
+            hint, marks = hint.__origin__, [*marks, *hint.__metadata__]
+        elif get_origin(hint) in (Union, types.UnionType) and len(parts) == 1:
+            hint = parts[0]
+        else:
+            return hint, marks
+
+
+def read_table(table: Shape, data: dict[str, Any]) -> tuple[dict[str, Any], list[Mistake]]:
+    """Return the arguments of the record that a table becomes, for `made`, and what is wrong with keys and values."""
+    mistakes: list[Mistake] = []
+    return _read(table, data, (), mistakes), mistakes
+
+
+@dataclass(frozen=True, eq=False)
+class _Table:
+    """A table that is read: its record is made once nothing in the whole file is wrong."""
+
+    make: Callable[..., Any]
+    arguments: dict[str, Any]
+
+
+@dataclass(frozen=True, eq=False)
+class _Other:
+    """What stands in the place of a field's own value."""
+
+    instead: Instead
+    item: Any
+
+
+def made(arguments: dict[str, Any]) -> dict[str, Any]:
+    """Return the arguments with the records within made of theirs: once nothing is wrong with the file."""
+    out = {}
+    for name, item in arguments.items():
+        if isinstance(item, _Table):
+            out[name] = item.make(**made(item.arguments))
+        elif isinstance(item, tuple):
+            out[name] = tuple(one.make(**made(one.arguments)) if isinstance(one, _Table) else one for one in item)
+        else:
+            out[name] = item.instead.value(item.item, arguments) if isinstance(item, _Other) else item
+    return out
+
+
+def _read(table: Shape, data: dict[str, Any], path: Path, mistakes: list[Mistake]) -> dict[str, Any]:
+    """Return the arguments of a record; what is wrong goes to `mistakes`."""
+    arguments: dict[str, Any] = {}
+    known = list(table.keys)
+    missing = {name for name, key in table.keys.items() if key.needed and name not in data}
+    unknown = [name for name in data if name not in table.keys] if table.others is None else []
+    for name in unknown:
+        # A misspelt key is one mistake, not an unknown one and a missing one.
+        if len(unknown) <= len(known):
+            missing.discard(nearest(name, known) or "")
+        mistakes.append(unknown_key((*path, name), data[name], known))
+    mistakes += [Mistake((*path, name), _missing((*path, name), table.keys[name])) for name in known if name in missing]
+    for one, other, needed in table.alternatives:
+        if (one in data) == (other in data) and (needed or one in data):
+            have = "both are given" if one in data else "neither is given"
+            mistakes.append(Mistake(path, f'{have}; expected either "{one}" or "{other}"'))
+    others = [name for name in data if name not in table.keys] if table.others else []
+    for name in [*(name for name in known if name in data), *others]:
+        key = table.keys.get(name) or _other(table.others, name)
+        found = _item(key, data[name], (*path, name), mistakes)
+        if key.collected:
+            arguments.setdefault(key.field, {})[name] = found
+        elif isinstance(key.holds, Shape) and key.holds.make is None:
+            arguments |= found
+        else:
+            arguments[key.field] = found if key.instead is None else _Other(key.instead, found)
+    return arguments
+
+
+def _other(others: tuple[str, Expected] | None, name: str) -> Key:
+    assert others is not None  # else the key is unknown
+    return Key(others[1], others[0] or name, collected=bool(others[0]))
+
+
+def _item(key: Key, item: Any, path: Path, mistakes: list[Mistake]) -> Any:
+    if key.array is None:
+        return _value(key.holds, item, path, mistakes)
+    if not isinstance(item, list):
+        mistakes.append(_wrong(path, item, f"expected an array of tables, each headed [[{_header(path)}]]"))
+        return ()
+    if len(item) < key.array.least:
+        mistakes.append(_wrong(path, item, f"expected at least one [[{_header(path)}]]"))
+    return tuple([_value(key.holds, entry, (*path, k), mistakes) for k, entry in enumerate(item)])
+
+
+def _value(holds: Expected | Shape, item: Any, path: Path, mistakes: list[Mistake]) -> Any:
+    if isinstance(holds, Expected):
+        try:
+            return holds.judge(item)
+        except Unfit as error:
+            mistakes.append(_wrong(path, item, f"{error}; " if str(error) else "", f"expected {holds.words}"))
+            return None
+    if not isinstance(item, dict):
+        mistakes.append(_wrong(path, item, "expected a table"))
+        return {}
+    arguments = _read(holds, item, path, mistakes)
+    return arguments if holds.make is None else _Table(holds.make, arguments)
+
+
+def _wrong(path: Path, item: object, *words: str) -> Mistake:
+    key = next(step for step in reversed(path) if isinstance(step, str))
+    return Mistake(path, lambda: f"{key} = {given(item)}: {''.join(words)}")
+
+
+def _missing(path: Path, key: Key) -> str:
+    if isinstance(key.holds, Expected):
+        return f'missing key "{path[-1]}": expected {key.holds.words}'
+    return f"missing table {f'[{_header(path)}]' if key.array is None else f'[[{_header(path)}]]'}"
+
+
+def _header(path: Path) -> str:
+    return ".".join(step for step in path if isinstance(step, str))
+
+
+def unknown_key(path: Path, item: object, known: list[str]) -> Mistake:
+    """Return the mistake of a key or table that nobody knows."""
+
+    def words() -> str:
+        is_table = isinstance(item, Mapping) or (isinstance(item, list) and any(isinstance(x, Mapping) for x in item))
+        what = "table" if is_table else "key"
+        return f"unknown {what} {given(path[-1])}; {suggestion(str(path[-1]), known)}"
+
+    return Mistake(path, words)
+
+
+def overfull(table: Shape, data: object, path: Path = ()) -> Iterator[Mistake]:
+    """Walk the tables that have more keys, and the arrays of tables that have more of them, than may be judged."""
+    if not isinstance(data, dict):
+        return
+    if len(data) > MOST_KEYS:
+        yield Mistake((*path, next(iter(data))), f"has {len(data)} keys; expected at most {MOST_KEYS}")
+        return
+    for name, key in table.keys.items():
+        item = data.get(name)
+        if not isinstance(key.holds, Shape):
+            continue
+        if key.array is None or not isinstance(item, list):
+            yield from overfull(key.holds, item, (*path, name))
+        elif len(item) > key.array.most:
+            yield Mistake((*path, name), f"{name}: has {len(item)} elements; expected at most {key.array.most}")
+        else:
+            for k, entry in enumerate(item):
+                yield from overfull(key.holds, entry, (*path, name, k))
+
+
+def tables(table: Shape, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Shape]]:
+    """Walk a file's tables and those within them, with the keys that lead there."""
+    yield path, table
+    for name, key in table.keys.items():
+        if isinstance(key.holds, Shape):
+            yield from tables(key.holds, (*path, name))
