@@ -35,24 +35,7 @@ class AllowedHosts:
 
     @classmethod
     def of(cls, host: str, allow: Sequence[str] = ()) -> AllowedHosts:
-        """Return the names for an address that is listened on, and those that are allowed besides.
-
-        Parameters
-        ----------
-        host
-            Address or name that is listened on.
-        allow
-            Names and addresses by which browsers may ask.
-
-        Returns
-        -------
-        AllowedHosts
-            The names.
-
-        References
-        ----------
-        RFC 6761, section 6.3: what localhost means.
-        """
+        """Return the names for an address that is listened on, and those that are allowed besides."""
         loopback = is_loopback(host)
         if not loopback and not allow:
             raise InputError(
@@ -103,22 +86,7 @@ class AllowedHosts:
 
 
 def is_loopback(host: str) -> bool:
-    """Return whether nobody but this machine reaches an address.
-
-    Parameters
-    ----------
-    host
-        Address or name.
-
-    Returns
-    -------
-    bool
-        True for localhost, 127.0.0.0/8 and ::1.
-
-    References
-    ----------
-    RFC 6890.
-    """
+    """Return whether nobody but this machine reaches an address."""
     if host.lower().rstrip(".") == "localhost":
         return True
     try:

@@ -107,15 +107,7 @@ def _loop_of(job: Job, outputs: set[str]) -> LoopSpec | None:
 
 
 class ClosedLoops:
-    """The loops of a job, closed as settings say.
-
-    Parameters
-    ----------
-    job
-        As it was read.
-    controllers
-        A file with controllers that exist already, or None.
-    """
+    """The loops of a job, closed as settings say."""
 
     def __init__(self, job: Job, controllers: Path | None) -> None:
         self.read = job

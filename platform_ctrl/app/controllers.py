@@ -95,11 +95,6 @@ def classical_arrays(options: Mapping[str, float], channel: Channels, period: fl
 class DesignOptions:
     """The options of a job's designs.
 
-    Parameters
-    ----------
-    plants
-        Of the job.
-
     Attributes
     ----------
     start

@@ -28,13 +28,7 @@ _PAUSE = 0.6
 
 
 class DesignQueue:
-    """What is being designed, and what is wanted next.
-
-    Parameters
-    ----------
-    pause
-        How long a wish has to stand before it is begun, s.
-    """
+    """What is being designed, and what is wanted next."""
 
     def __init__(self, pause: float = _PAUSE) -> None:
         self._pause = pause
@@ -134,13 +128,7 @@ class DesignPending(DesignError):
 
 
 class Designs:
-    """The designs of a job's caging loops; safe in several threads.
-
-    Parameters
-    ----------
-    loops
-        The loops.
-    """
+    """The designs of a job's caging loops; safe in several threads."""
 
     def __init__(self, loops: ClosedLoops) -> None:
         self._loops = loops

@@ -165,17 +165,7 @@ def free_models(job: Job, chosen: Sequence[tuple[str, Platform, FloatArray]], ra
 
 
 class SpinningModels:
-    """The same plants again and again at other spins: with constant inertias the equations are affine in momenta.
-
-    Parameters
-    ----------
-    job
-        With the spins that count as nominal.
-    cases
-        Label, platform and rate of each plant.
-    rates
-        Names of the rate sensors.
-    """
+    """The same plants again and again at other spins: with constant inertias the equations are affine in momenta."""
 
     def __init__(self, job: Job, cases: Sequence[tuple[str, Platform, FloatArray]], rates: Sequence[str]) -> None:
         self._job, self._cases, self._rates = job, cases, rates

@@ -8,15 +8,7 @@ from platform_ctrl.app.settings import Settings
 
 
 class History:
-    """Where a page was, and where it came back from.
-
-    Parameters
-    ----------
-    first
-        The settings that it starts with.
-    room
-        Most settings kept to go back to; the oldest are forgotten.
-    """
+    """Where a page was, and where it came back from."""
 
     def __init__(self, first: Settings, room: int = 200) -> None:
         self.now = first
@@ -34,13 +26,7 @@ class History:
         return bool(self._future)
 
     def put(self, settings: Settings) -> None:
-        """Go on to other settings; what was taken back before is forgotten. The same settings are no step.
-
-        Parameters
-        ----------
-        settings
-            Where the page is now.
-        """
+        """Go on to other settings; what was taken back before is forgotten. The same settings are no step."""
         if settings is self.now or settings.data() == self.now.data():
             return
         self._past.append(self.now)
@@ -48,36 +34,18 @@ class History:
         self.now = settings
 
     def replace(self, settings: Settings) -> None:
-        """Change where the page is without a step: while a slider is held, only its last place counts.
-
-        Parameters
-        ----------
-        settings
-            Where the page is now.
-        """
+        """Change where the page is without a step: while a slider is held, only its last place counts."""
         self.now = settings
 
     def undo(self) -> Settings:
-        """Go one step back, or stay where there is none.
-
-        Returns
-        -------
-        Settings
-            Where the page is now.
-        """
+        """Go one step back, or stay where there is none."""
         if self._past:
             self._future.append(self.now)
             self.now = self._past.pop()
         return self.now
 
     def redo(self) -> Settings:
-        """Go forward again what was taken back, or stay.
-
-        Returns
-        -------
-        Settings
-            Where the page is now.
-        """
+        """Go forward again what was taken back, or stay."""
         if self._future:
             self._past.append(self.now)
             self.now = self._future.pop()

@@ -41,13 +41,7 @@ T = TypeVar("T")
 
 
 class Bounded(Generic[T]):
-    """A cache of at most `room` items; safe in several threads.
-
-    Parameters
-    ----------
-    room
-        Most items.
-    """
+    """A cache of at most `room` items; safe in several threads."""
 
     def __init__(self, room: int) -> None:
         self.room = room
@@ -96,15 +90,7 @@ class _Share:
 
 
 class QuickPlants:
-    """Plants of one caging loop.
-
-    Parameters
-    ----------
-    job
-        As it was read.
-    gimbals
-        Of the loop.
-    """
+    """Plants of one caging loop."""
 
     def __init__(self, job: Job, gimbals: tuple[str, ...]) -> None:
         self.job, self.gimbals = job, gimbals
@@ -265,13 +251,7 @@ def _factor(platform: Platform, rotor: str, nominal: float) -> float:
 
 
 class JobPlants:
-    """The plants of a job; safe in several threads.
-
-    Parameters
-    ----------
-    job
-        As it was read.
-    """
+    """The plants of a job; safe in several threads."""
 
     def __init__(self, job: Job) -> None:
         self.read = job

@@ -33,17 +33,7 @@ class TaskCancelled(PlatformCtrlError):
 
 
 def run_in_process(question: object, progress: Progress, cancelled: IsCancelled) -> Any:
-    """Return what `platform_ctrl.app.process_tasks` answers to a question.
-
-    Parameters
-    ----------
-    question
-        What can be pickled.
-    progress
-        Called with a line now and then.
-    cancelled
-        Asked ten times a second: the process is ended as soon as it says yes.
-    """
+    """Return what `platform_ctrl.app.process_tasks` answers to a question."""
     while not _AT_A_TIME.acquire(timeout=_POLL):
         if cancelled():
             raise TaskCancelled("cancelled")

@@ -31,13 +31,7 @@ Make = Callable[[Any, Any], None]
 
 
 class Building:
-    """A backend that is being made in a thread of its own: meanwhile the browser opens.
-
-    Parameters
-    ----------
-    make
-        Makes it.
-    """
+    """A backend that is being made in a thread of its own: meanwhile the browser opens."""
 
     def __init__(self, make: Callable[[], object]) -> None:
         self._make = make
@@ -47,13 +41,7 @@ class Building:
         self._thread.start()
 
     def result(self) -> object:
-        """Return the backend; waits for it.
-
-        Returns
-        -------
-        object
-            What `make` returned.
-        """
+        """Return the backend; waits for it."""
         self._thread.join()
         self.heed()
         return self._made
@@ -130,15 +118,7 @@ class PageServer:
         return 0 if self.application is None else len(self.application.sessions)
 
     def run(self, ready: Callable[[], None] | None = None, heed: Callable[[], None] | None = None) -> None:
-        """Answer until `end` is called, or `heed` raises.
-
-        Parameters
-        ----------
-        ready
-            Called once it answers.
-        heed
-            Called some times a second.
-        """
+        """Answer until `end` is called, or `heed` raises."""
         # Not asyncio.run: at the end it would wait for whatever the pages still work out in threads.
         loop = asyncio.new_event_loop()
         asyncio.set_event_loop(loop)

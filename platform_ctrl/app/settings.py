@@ -39,17 +39,7 @@ class Conditions(NamedTuple):
     Omega: tuple[float, ...]
 
     def data(self) -> dict[str, Any]:
-        """Return everything as JSON knows it.
-
-        Returns
-        -------
-        dict
-            Plain numbers, lists and dicts by the names of the attributes.
-
-        References
-        ----------
-        RFC 8259.
-        """
+        """Return everything as JSON knows it."""
         out: dict[str, Any] = self._asdict()
         return out | {"options": dict(self.options), "spins": dict(self.spins), "Omega": list(self.Omega)}
 
@@ -113,43 +103,15 @@ class Settings:
     designed_for: Mapping[str, Mapping[str, Conditions]] = field(default_factory=dict)
 
     def but(self, **changes: Any) -> Settings:
-        """Return these settings with some of them changed.
-
-        Parameters
-        ----------
-        **changes
-            New items by the names of the attributes.
-
-        Returns
-        -------
-        Settings
-            New ones; these stay as they are.
-        """
+        """Return these settings with some of them changed."""
         return dataclasses.replace(self, **changes)
 
     def parts_on(self, loop: str, design: str) -> tuple[str, ...]:
-        """Return the optional parts of a design that are switched on.
-
-        Parameters
-        ----------
-        loop, design
-            Names.
-
-        Returns
-        -------
-        tuple of str
-            Empty where nothing is known of them.
-        """
+        """Return the optional parts of a design that are switched on."""
         return self.optional.get(loop, {}).get(design, ())
 
     def data(self) -> dict[str, Any]:
-        """Return everything as JSON knows it; two settings are the same where these dicts are.
-
-        Returns
-        -------
-        dict
-            Plain numbers, texts, lists and dicts by the names of the attributes.
-        """
+        """Return everything as JSON knows it; two settings are the same where these dicts are."""
         out: dict[str, Any] = {one.name: getattr(self, one.name) for one in dataclasses.fields(self)}
         out["options"] = {
             loop: {design: dict(options) for design, options in designs.items()}

@@ -26,20 +26,7 @@ _NAMES = ("loop", "design", "mode", "plant", "channel")
 
 
 def encode_state(backend: Backend, settings: Settings) -> str:
-    """Return settings as a short text of letters, digits, - and _ alone.
-
-    Parameters
-    ----------
-    backend
-        Of the job that they belong to.
-    settings
-        The settings.
-
-    Returns
-    -------
-    str
-        Empty for the job as it stands.
-    """
+    """Return settings as a short text of letters, digits, - and _ alone."""
     changed = _difference(backend.start().data(), settings.data())
     if not changed:
         return ""
@@ -48,20 +35,7 @@ def encode_state(backend: Backend, settings: Settings) -> str:
 
 
 def decode_state(backend: Backend, text: str) -> Settings:
-    """Return the settings that a text stands for, judged against the job.
-
-    Parameters
-    ----------
-    backend
-        Of the job that they belong to.
-    text
-        From `encode_state`.
-
-    Returns
-    -------
-    Settings
-        As they were.
-    """
+    """Return the settings that a text stands for, judged against the job."""
     if not isinstance(text, str) or len(text) > _LONGEST:
         raise InputError(f"link: given {short(text)}; expected at most {_LONGEST} characters that the page has made")
     if not text:

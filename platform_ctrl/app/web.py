@@ -70,15 +70,7 @@ _ICON = (
 
 
 class PageApplication(BokehTornado):
-    """Bokeh's server with one page, behind the gate.
-
-    Parameters
-    ----------
-    make
-        Called with every new document, which it fills.
-    hosts
-        Who may ask.
-    """
+    """Bokeh's server with one page, behind the gate."""
 
     def __init__(self, make: Callable[[Document], None], hosts: AllowedHosts) -> None:
         super().__init__(
@@ -208,12 +200,7 @@ def _patch(changes: tuple[Any, ...]) -> patch_doc:
 
 
 class Guarding(OutputTransform):
-    """Puts the headers on every answer that keep a page to what comes from here, and others out of it.
-
-    References
-    ----------
-    W3C, Content Security Policy Level 3.
-    """
+    """Puts the headers on every answer that keep a page to what comes from here, and others out of it."""
 
     def transform_first_chunk(
         self, status_code: int, headers: httputil.HTTPHeaders, chunk: bytes, finishing: bool
@@ -276,12 +263,7 @@ class PageHandler(DocHandler):
 
 
 class SocketHandler(WSHandler):
-    """The page's websocket: messages of a page alone, and no larger than a page's.
-
-    References
-    ----------
-    RFC 6455.
-    """
+    """The page's websocket: messages of a page alone, and no larger than a page's."""
 
     _held = 0
 
@@ -316,12 +298,7 @@ class SocketHandler(WSHandler):
 
 
 class Line(RequestHandler):
-    """One plain line, for whatever is asked: refused, or not there.
-
-    References
-    ----------
-    RFC 9110, section 15.5.
-    """
+    """One plain line, for whatever is asked: refused, or not there."""
 
     def initialize(self, status: int = 404, words: str = "there is nothing here") -> None:
         """Take the status and the words."""
@@ -336,12 +313,7 @@ class Line(RequestHandler):
 
 
 class Piece(RequestHandler):
-    """A file of the page.
-
-    References
-    ----------
-    RFC 9110.
-    """
+    """A file of the page."""
 
     def initialize(self, kind: str, data: bytes) -> None:
         """Take the file's kind and bytes."""

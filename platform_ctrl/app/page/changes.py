@@ -23,26 +23,7 @@ NAMES = ("mode", "loop", "design", "channel", "plant", "axis", "band", "overlays
 
 
 def chosen(backend: Backend, settings: Settings, name: str, given: object, plants: tuple[str, ...]) -> Settings:
-    """Return the settings with something else chosen.
-
-    Parameters
-    ----------
-    backend
-        Knows what there is.
-    settings
-        As they are.
-    name
-        What is chosen, one of `NAMES`.
-    given
-        What the page sent for it, of any type.
-    plants
-        Labels of the plants that may be shown.
-
-    Returns
-    -------
-    Settings
-        New ones.
-    """
+    """Return the settings with something else chosen."""
     choices = backend.choices()
     known_name("choice", name, NAMES)
     if name == "axis":
@@ -89,11 +70,6 @@ class LatestTasks(Generic[T]):
     """Tasks that a thread works off; a newer task takes the place of one of the same key that still waits.
 
     The thread lives as long as there is something to do.
-
-    Parameters
-    ----------
-    work
-        Called in the thread with all that waits, oldest first.
     """
 
     def __init__(self, work: Callable[[list[T]], None]) -> None:
@@ -140,15 +116,5 @@ class MessageModel(DataModel):
     told = String(default="")
 
     def tell(self, **parts: Any) -> None:
-        """Tell the page parts of what it shows, each under its name.
-
-        Parameters
-        ----------
-        **parts
-            JSON-able; numbers finite.
-
-        References
-        ----------
-        RFC 8259.
-        """
+        """Tell the page parts of what it shows, each under its name."""
         self.update(told=json.dumps(parts, allow_nan=False, separators=(",", ":")))

@@ -24,15 +24,7 @@ PANELS = (
 
 
 def page(backend: Backend, document: Document) -> None:
-    """Make a page of a new document: with a state of its own, which is dropped with the document's session.
-
-    Parameters
-    ----------
-    backend
-        Shared by all pages of the job.
-    document
-        Empty; of the session that was opened.
-    """
+    """Make a page of a new document: with a state of its own, which is dropped with the document's session."""
     session = Session(backend, document, _state(document))
     with document.models.freeze():  # what belongs to the document is looked for once, not for every plot
         for root in session.roots():

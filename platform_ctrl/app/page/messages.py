@@ -18,22 +18,7 @@ _MODES = ("caged", "stabilised")
 
 
 def plain_number(number: float | None) -> float | str | None:
-    """Return a number as JSON can say it: infinite ones in words, none for what is no number.
-
-    Parameters
-    ----------
-    number
-        Any float.
-
-    Returns
-    -------
-    float, str or None
-        The number, ``"inf"``, ``"-inf"`` or None.
-
-    References
-    ----------
-    RFC 8259.
-    """
+    """Return a number as JSON can say it: infinite ones in words, none for what is no number."""
     if number is None or math.isnan(number):
         return None
     if math.isinf(number):
@@ -42,20 +27,7 @@ def plain_number(number: float | None) -> float | str | None:
 
 
 def slider_data(sliders: Iterable[Slider], starts: Starts) -> list[dict[str, Any]]:
-    """Return the sliders as the page builds them.
-
-    Parameters
-    ----------
-    sliders
-        In the order in which they are shown.
-    starts
-        Name → number at which each stood first.
-
-    Returns
-    -------
-    list of dict
-        One a slider.
-    """
+    """Return the sliders as the page builds them."""
     return [
         {
             "name": one.name,
@@ -76,22 +48,7 @@ def slider_data(sliders: Iterable[Slider], starts: Starts) -> list[dict[str, Any
 
 
 def choice_data(choices: Choices, settings: Settings, plants: tuple[str, ...]) -> dict[str, Any]:
-    """Return what every list of the page offers.
-
-    Parameters
-    ----------
-    choices
-        What the job has.
-    settings
-        What is shown.
-    plants
-        Labels of the plants of the set.
-
-    Returns
-    -------
-    dict
-        Name of the list → what is in it.
-    """
+    """Return what every list of the page offers."""
     methods = choices.methods.get(settings.loop, {})
     designs = choices.designs.get(settings.loop, ())
     others = [one for one in designs if one != settings.design]
@@ -108,18 +65,7 @@ def choice_data(choices: Choices, settings: Settings, plants: tuple[str, ...]) -
 
 
 def available_modes(choices: Choices) -> tuple[str, ...]:
-    """Return the modes in which a job can be shown.
-
-    Parameters
-    ----------
-    choices
-        What the job has.
-
-    Returns
-    -------
-    tuple of str
-        Both, or ``"caged"`` alone where there is no servo on the platform.
-    """
+    """Return the modes in which a job can be shown."""
     servo = any(
         METHODS[one].kind == "stabilisation" for methods in choices.methods.values() for one in methods.values()
     )
@@ -127,18 +73,7 @@ def available_modes(choices: Choices) -> tuple[str, ...]:
 
 
 def verdict_data(picture: Picture) -> dict[str, Any]:
-    """Return the verdict and the margins.
-
-    Parameters
-    ----------
-    picture
-        What is shown.
-
-    Returns
-    -------
-    dict
-        ``verdict`` ("good" or "bad"), ``words``, ``more``, ``figures``, ``elapsed``.
-    """
+    """Return the verdict and the margins."""
     verdict, words, more = _verdict(picture)
     return {
         "verdict": verdict,
@@ -150,34 +85,12 @@ def verdict_data(picture: Picture) -> dict[str, Any]:
 
 
 def requirement_data(picture: Picture) -> list[dict[str, Any]]:
-    """Return the requirements, and the goals after them.
-
-    Parameters
-    ----------
-    picture
-        What is shown.
-
-    Returns
-    -------
-    list of dict
-        One a row: name, what is asked and reached with units, margin, whether it is met and whether it counts.
-    """
+    """Return the requirements, and the goals after them."""
     return [_row(one) for one in (*picture.requirements, *picture.goals)]
 
 
 def influence_data(influence: Influence) -> dict[str, Any]:
-    """Return what the sliders do to the requirements.
-
-    Parameters
-    ----------
-    influence
-        As worked out.
-
-    Returns
-    -------
-    dict
-        ``sliders``, and per requirement the ``change`` of its ratio.
-    """
+    """Return what the sliders do to the requirements."""
     return {
         "sliders": list(influence.sliders),
         "change": {

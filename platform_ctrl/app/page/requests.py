@@ -56,22 +56,7 @@ class Request:
 
 
 def parse_request(message: object) -> Request:
-    """Return a message of a page, judged.
-
-    Parameters
-    ----------
-    message
-        JSON text.
-
-    Returns
-    -------
-    Request
-        What is asked for. Names in it may still be unknown.
-
-    References
-    ----------
-    RFC 8259.
-    """
+    """Return a message of a page, judged."""
     if not isinstance(message, str) or len(message) > LONGEST:
         raise InputError(f"the page sent {short(message)}; expected a JSON text of at most {LONGEST} characters")
     try:
@@ -93,22 +78,7 @@ def parse_request(message: object) -> Request:
 
 
 def request_count(message: object) -> int | None:
-    """Return the count of a message, also of one that makes no sense otherwise: it has to be answered.
-
-    Parameters
-    ----------
-    message
-        JSON text.
-
-    Returns
-    -------
-    int or None
-        None where it has none.
-
-    References
-    ----------
-    RFC 8259.
-    """
+    """Return the count of a message, also of one that makes no sense otherwise: it has to be answered."""
     try:
         read = json.loads(message) if isinstance(message, str) and len(message) <= LONGEST else None
     except (ValueError, RecursionError):
@@ -118,20 +88,7 @@ def request_count(message: object) -> int | None:
 
 
 def number(name: str, given: object) -> float:
-    """Return a finite number.
-
-    Parameters
-    ----------
-    name
-        What the number is of.
-    given
-        What the page sent.
-
-    Returns
-    -------
-    float
-        The number.
-    """
+    """Return a finite number."""
     try:
         out = float(given) if isinstance(given, int | float) and not isinstance(given, bool) else math.nan
     except OverflowError:

@@ -64,15 +64,6 @@ class Session:
     """One page. Everything that it holds goes with it when it is closed.
 
     Its methods run on the server's loop while the document is locked, but `_work`, which runs in a thread.
-
-    Parameters
-    ----------
-    backend
-        Shared with the other pages.
-    document
-        The page's.
-    state
-        What the address of the page asks for; empty: the job as it is.
     """
 
     def __init__(self, backend: Backend, document: Document, state: str) -> None:

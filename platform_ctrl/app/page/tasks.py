@@ -30,20 +30,7 @@ _RESERVED = re.compile(r"(?i)(con|prn|aux|nul|com\d|lpt\d)(\..*)?")
 
 
 def target(folder: Path, name: str) -> Path:
-    """Return the path of the job file that a page wants to save.
-
-    Parameters
-    ----------
-    folder
-        That of the job which is open.
-    name
-        What was typed, with or without ``.toml``.
-
-    Returns
-    -------
-    Path
-        In that folder.
-    """
+    """Return the path of the job file that a page wants to save."""
     stem = name.strip().removesuffix(".toml")
     if len(stem) > _LONGEST:
         raise InputError(f"name: {len(stem)} characters; expected at most {_LONGEST}")
@@ -57,18 +44,7 @@ def target(folder: Path, name: str) -> Path:
 
 
 def check_line(path: Path) -> str:
-    """Return the command that checks a saved job.
-
-    Parameters
-    ----------
-    path
-        Of the job file.
-
-    Returns
-    -------
-    str
-        A line for a shell.
-    """
+    """Return the command that checks a saved job."""
     return f"platform-ctrl check {shlex.quote(str(path))}"
 
 
@@ -80,18 +56,7 @@ _log = logging.getLogger(__name__)
 
 
 def words_of(error: Exception) -> str:
-    """Return the line that a page shows for an error; one that is no error of input is told to the log as well.
-
-    Parameters
-    ----------
-    error
-        What was raised.
-
-    Returns
-    -------
-    str
-        One line.
-    """
+    """Return the line that a page shows for an error; one that is no error of input is told to the log as well."""
     if isinstance(error, PlatformCtrlError):
         return str(error)
     _log.error("the designer's page: %s", " ".join(f"{type(error).__name__}: {error}".split()))
@@ -99,13 +64,7 @@ def words_of(error: Exception) -> str:
 
 
 class PageTasks:
-    """The long tasks of a session, each in a thread of its own.
-
-    Parameters
-    ----------
-    session
-        Whose they are.
-    """
+    """The long tasks of a session, each in a thread of its own."""
 
     def __init__(self, session: Session) -> None:
         self._session = session

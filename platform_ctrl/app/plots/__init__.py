@@ -21,11 +21,6 @@ from platform_ctrl.app.plots.views import View, decades
 class Plots:
     """All plots of a page; they belong to one document.
 
-    Parameters
-    ----------
-    dark
-        Theme at the beginning.
-
     Attributes
     ----------
     layout
@@ -60,11 +55,6 @@ class Plots:
         """Follow a picture: what has changed goes to the browser in one go, no model is made or removed.
 
         Data that are not finite are gaps; where there is nothing to draw the plot says so.
-
-        Parameters
-        ----------
-        picture
-            Of `Backend.picture`; its measures are not shown here.
         """
         about = _about(picture)
         if self._picture is not None and _about(self._picture) != about:
@@ -76,13 +66,7 @@ class Plots:
                 one.show(picture)
 
     def dark(self, dark: bool) -> None:
-        """Switch the theme in place.
-
-        Parameters
-        ----------
-        dark
-            Which theme.
-        """
+        """Switch the theme in place."""
         with self._held():
             self._theme.change(dark)
             if self._picture is not None:

@@ -23,15 +23,7 @@ RAD_PER_S = 2.0 * math.pi
 
 
 class CrossoverHandle:
-    """A bar over the crossover, to be dragged along the frequency axis.
-
-    Parameters
-    ----------
-    plot
-        Magnitude over frequency, Hz.
-    theme
-        Colours.
-    """
+    """A bar over the crossover, to be dragged along the frequency axis."""
 
     def __init__(self, plot: Any, theme: Theme) -> None:
         self.callbacks: list[Callable[[float], None]] = []
@@ -99,17 +91,7 @@ HZ = 1.0 / (2.0 * math.pi)
 
 
 class BodePanel:
-    """The Bode diagram.
-
-    Parameters
-    ----------
-    theme
-        Colours.
-    sources
-        Where the data of all plots stand.
-    frequency
-        View that all plots over frequency share.
-    """
+    """The Bode diagram."""
 
     def __init__(self, theme: Theme, sources: Sources, frequency: View) -> None:
         self.panel = Panel("bode", "Bode", theme)

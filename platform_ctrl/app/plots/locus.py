@@ -253,15 +253,7 @@ _ROUND = np.array([1.0, 2.0, 5.0])
 
 
 class LocusPanel:
-    """The root locus.
-
-    Parameters
-    ----------
-    theme
-        Colours.
-    sources
-        Where the data of all plots stand.
-    """
+    """The root locus."""
 
     def __init__(self, theme: Theme, sources: Sources) -> None:
         self.panel = Panel("locus", "Root locus", theme)

@@ -20,17 +20,7 @@ _LOWEST, _HIGHEST = -30.0, 40.0
 
 
 class NicholsPanel:
-    """The Nichols diagram.
-
-    Parameters
-    ----------
-    theme
-        Colours.
-    sources
-        Where the data of all plots stand.
-    overlays
-        The other designs.
-    """
+    """The Nichols diagram."""
 
     def __init__(self, theme: Theme, sources: Sources, overlays: OverlayCurves) -> None:
         self.panel = Panel("nichols", "Nichols", theme)

@@ -95,13 +95,7 @@ _TIP = """
 
 
 class Theme:
-    """Which property of which model has which colour of the palette, so that all can change in place.
-
-    Parameters
-    ----------
-    dark
-        Theme at the beginning.
-    """
+    """Which property of which model has which colour of the palette, so that all can change in place."""
 
     def __init__(self, dark: bool) -> None:
         self.dark = dark
@@ -140,17 +134,7 @@ class Theme:
 
 
 class Panel:
-    """Heading, keys of the curves, button that shows everything again, and figures.
-
-    Parameters
-    ----------
-    name
-        Of the plot.
-    title
-        Its heading.
-    theme
-        Colours it follows.
-    """
+    """Heading, keys of the curves, button that shows everything again, and figures."""
 
     def __init__(self, name: str, title: str, theme: Theme) -> None:
         self.name, self._title, self.theme = name, title, theme
@@ -374,15 +358,7 @@ _WIDTH = 1.5
 
 
 class OverlayCurves:
-    """Loop transfers of other designs, for the Bode and the Nichols diagram.
-
-    Parameters
-    ----------
-    sources
-        Where their data go: the source ``overlays``.
-    theme
-        Colours.
-    """
+    """Loop transfers of other designs, for the Bode and the Nichols diagram."""
 
     def __init__(self, sources: Sources, theme: Theme) -> None:
         self._sources, self._theme = sources, theme

@@ -19,17 +19,7 @@ _LEAST = 1e-5
 
 
 class RatePanel:
-    """Response to Omega, or of the free platform to a torque on it, over time or over frequency.
-
-    Parameters
-    ----------
-    theme
-        Colours.
-    sources
-        Where the data of all plots stand.
-    frequency
-        View that all plots over frequency share.
-    """
+    """Response to Omega, or of the free platform to a torque on it, over time or over frequency."""
 
     def __init__(self, theme: Theme, sources: Sources, frequency: View) -> None:
         self.panel = Panel("Omega", "Disturbance", theme)

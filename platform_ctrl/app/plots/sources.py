@@ -33,22 +33,7 @@ def _themes() -> tuple[dict[str, str], dict[str, str]]:
 
 
 def colours(dark: bool) -> dict[str, str]:
-    """Return the colours of a theme by what they are for: ``ink``, ``muted``, ``grid``, ``limit``, ``series-1``, ...
-
-    Parameters
-    ----------
-    dark
-        Which theme.
-
-    Returns
-    -------
-    dict
-        Name → ``#rrggbb``, as in the report's style sheet.
-
-    References
-    ----------
-    M. Okabe, K. Ito, Color Universal Design, 2008.
-    """
+    """Return the colours of a theme by what they are for: ``ink``, ``muted``, ``grid``, ``limit``, ``series-1``, ..."""
     light_colours, dark_colours = _themes()
     return dict(dark_colours if dark else light_colours)
 

@@ -44,19 +44,7 @@ _FIGURES = 2
 
 
 class TimePanel:
-    """A response over time: angles, and torques below them.
-
-    Parameters
-    ----------
-    panel
-        Where the figures go.
-    name
-        Of the sources.
-    sources
-        Where the data of all plots stand.
-    theme
-        Colours.
-    """
+    """A response over time: angles, and torques below them."""
 
     def __init__(self, panel: Panel, name: str, sources: Sources, theme: Theme) -> None:
         time = View(0.0, 1.0, _whole)
@@ -77,22 +65,7 @@ class TimePanel:
         self._arrange()
 
     def show(self, picture: Drawing, response: TimeResponse, own: str) -> list[Key]:
-        """Follow a response.
-
-        Parameters
-        ----------
-        picture
-            That it belongs to.
-        response
-            What is drawn.
-        own
-            Attribute of `Overlay` that holds the same of other designs.
-
-        Returns
-        -------
-        list of (words, colour, dashes, width)
-            Keys of the curves.
-        """
+        """Follow a response."""
         units = list(dict.fromkeys(response.units))[:_FIGURES] or [""]
         overlays = picture.bode.overlays
         words: dict[str, list[str]] = {}
@@ -268,15 +241,7 @@ def _area(t: Column, low: Column, high: Column) -> tuple[Column, Column]:
 
 
 class StepPanel:
-    """Step response: a torque step to the angles, or to the attitude.
-
-    Parameters
-    ----------
-    theme
-        Colours.
-    sources
-        Where the data of all plots stand.
-    """
+    """Step response: a torque step to the angles, or to the attitude."""
 
     def __init__(self, theme: Theme, sources: Sources) -> None:
         self.panel = Panel("step", "Step response", theme)

@@ -41,17 +41,7 @@ def decades(low: float, high: float) -> tuple[float, float]:
 
 
 class View:
-    """A range that follows the data with some play, and leaves what the user zoomed to alone.
-
-    Parameters
-    ----------
-    low, high
-        What is shown before there are data.
-    bounds
-        Makes the ends of the axis from the least and the largest number of the data.
-    logarithmic
-        Whether lengths are compared as factors.
-    """
+    """A range that follows the data with some play, and leaves what the user zoomed to alone."""
 
     def __init__(
         self,

@@ -90,30 +90,13 @@ class Scene:
     reach: float
 
     def data(self) -> dict[str, Any]:
-        """Return it as JSON knows it.
-
-        Returns
-        -------
-        dict
-            Plain numbers, texts, lists and dicts by the names of the attributes.
-        """
+        """Return it as JSON knows it."""
         nodes = [{name: _plain(getattr(node, name)) for name in Node.__dataclass_fields__} for node in self.nodes]
         return {"nodes": nodes} | {name: _plain(getattr(self, name)) for name in ("camera", "centre", "reach")}
 
 
 def scene(platform: Platform) -> Scene:
-    """Return what is seen of a platform.
-
-    Parameters
-    ----------
-    platform
-        The platform.
-
-    Returns
-    -------
-    Scene
-        Its bodies at zero angles.
-    """
+    """Return what is seen of a platform."""
     rows = camera(platform)
     groups = bodies(platform, rows[2])
     places = _places(groups, rows)
@@ -343,11 +326,6 @@ class TreeView:
 
     The template has to load ``/tree3d/tree.js`` as a module.
 
-    Parameters
-    ----------
-    platform
-        The platform.
-
     Attributes
     ----------
     layout
@@ -366,43 +344,19 @@ class TreeView:
         )
 
     def stage(self, platform: Platform) -> None:
-        """Show another platform; the run is dropped.
-
-        Parameters
-        ----------
-        platform
-            The platform: with other spins, or another altogether.
-        """
+        """Show another platform; the run is dropped."""
         text = _text(platform)
         if text != self.layout.tags[1]:
             self._source.data = {"t": np.zeros(0)}
             self.layout.tags = [self._source, text]
 
     def show(self, trajectory: Trajectory) -> None:
-        """Turn with a run; the one before it is dropped.
-
-        Parameters
-        ----------
-        trajectory
-            The run; of the platform that is shown.
-        """
+        """Turn with a run; the one before it is dropped."""
         self._source.data = columns(trajectory)
 
 
 def columns(trajectory: Trajectory) -> dict[str, Any]:
-    """Return what the script needs of a run: every angle, the attitude, and how far servo rotors have turned.
-
-    Parameters
-    ----------
-    trajectory
-        The run.
-
-    Returns
-    -------
-    dict
-        Columns ``t``, s; ``q 0``, ``q 1``, ...: gimbal angles in the plant's order, rad; ``w``, ``x``, ``y``, ``z``:
-        attitude as a quaternion; and ``turned`` + name of each servo rotor, rad. At most `SAMPLES` rows.
-    """
+    """Return what the script needs of a run: every angle, the attitude, and how far servo rotors have turned."""
     rows = slice(None, None, max(1, -(-len(trajectory.t) // SAMPLES)))
     out: dict[str, Any] = {"t": trajectory.t[rows]}
     out |= {f"q {k}": trajectory.q[rows, k] for k in range(trajectory.q.shape[1])}
