@@ -99,7 +99,7 @@ def dragged(bench: Backend, settings: Settings, pole: complex, free: bool) -> tu
     for k in range(1, 1 + DRAG):
         target = first * (1.0 + 0.01 * k)
         begun = time.process_time()
-        settings = bench.drag_pole(settings, pole, target, free=free, held=held.append)
+        settings = bench.drag_pole(settings, pole, target, free=free, on_limited=held.append)
         present = bench.picture(settings).locus.present
         times.append(time.process_time() - begun)
         away = np.abs(present - (target if free else pole))

@@ -1,36 +1,41 @@
-"""The designer without a page: settings in, pictures out. One backend serves all pages of a job.
-
-What may be set is in `settable`, what is seen of it in `viewing`; here sliders are dragged and tuned, and all of it is
-saved and flown.
-"""
+"""What pages show and do, without a page: settings of a job in, pictures, tuned settings, saved jobs and runs out."""
 
 from __future__ import annotations
 
 import dataclasses
+import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.app import processes
+from platform_ctrl.app.caged import caged_parts
+from platform_ctrl.app.closed_loops import ClosedLoops
 from platform_ctrl.app.controllers import built_directly
-from platform_ctrl.app.designs import never, silent
+from platform_ctrl.app.designs import Designs, never, silent
 from platform_ctrl.app.drag_setup import free_parameters, limits_of
-from platform_ctrl.app.dragging import NO_LIMITS, dragged_crossover, dragged_pole
+from platform_ctrl.app.dragging import NO_LIMITS, DragResult, FreeParameters, Limits, dragged_crossover, dragged_pole
+from platform_ctrl.app.influence import caged_influence, moved_slider, stabilised_influence
+from platform_ctrl.app.parts import Measured, Parts
+from platform_ctrl.app.pictures import Drawing, Drawn, Influence, Overlay, Picture
 from platform_ctrl.app.process_tasks import ServoTuning, Simulating, Tuning
 from platform_ctrl.app.processes import IsCancelled, Progress
-from platform_ctrl.app.saving import Saved, save
-from platform_ctrl.app.settings import Settings
-from platform_ctrl.app.sliders import with_options
-from platform_ctrl.app.viewing import Viewing
-from platform_ctrl.common.arguments import known_name
+from platform_ctrl.app.saving import Saved, controllers_beside, write_job
+from platform_ctrl.app.settings import Choices, Part, Settings, Slider
+from platform_ctrl.app.sliders import moved, option_sliders, plant_sliders, with_options
+from platform_ctrl.app.stabilised import stabilised_parts
+from platform_ctrl.common.arguments import known_name, whole
+from platform_ctrl.common.signatures import short
 from platform_ctrl.errors import ArgumentError, DesignError, PlatformCtrlError
 from platform_ctrl.job.job import Job
+from platform_ctrl.job.methods import METHODS
+from platform_ctrl.job.reading import read_job
 
 if TYPE_CHECKING:
     from platform_ctrl.simulation import Trajectory
-
 
 # Digits of a slider's steps, and up to which a number is one that somebody typed, or that tuning found.
 _DIGITS, _TYPED = 4, 6
@@ -38,30 +43,211 @@ _DIGITS, _TYPED = 4, 6
 _INSIDE = 1.1
 
 
-def unheard(names: tuple[str, ...]) -> None:
-    """Do nothing with the names of limits: nobody asks."""
-
-
-class Backend(Viewing):
-    """Everything that a page needs of a job; all of it may be called from several threads.
+class Backend:
+    """All that pages need of a job, shared by them; every method may be called from several threads.
 
     Parameters
     ----------
     job
         The job, or the path of its file.
     controllers
-        Path of a ``result.json`` whose designs are shown as they are; default: the file that `saved` leaves beside a
+        Path of a ``result.json`` whose designs are shown as they are; default: the file that `save` leaves beside a
         job, where there is one.
     """
 
     def __init__(self, job: str | Path | Job, controllers: str | Path | None = None) -> None:
-        super().__init__(job, controllers)
+        self.path = None if isinstance(job, Job) else Path(job)
+        self.read = job if isinstance(job, Job) else read_job(job)
+        if controllers is None and self.path is not None and controllers_beside(self.path).exists():
+            controllers = controllers_beside(self.path)
+        self._loops = ClosedLoops(self.read, None if controllers is None else Path(controllers))
+        self._designs = Designs(self._loops)
         self._simulator = processes.PersistentProcess()
 
     def close(self) -> None:
-        """End the designs that are being made, and the process that flies; nobody asks any more."""
+        """End the processes that design and simulate."""
         self._designs.end()
         self._simulator.end()
+
+    # Settings and what they may be.
+
+    def choices(self) -> Choices:
+        """Return what a page lets choose from."""
+        specs = self.read.loops
+        return Choices(
+            loops=tuple(spec.name for spec in specs),
+            designs={spec.name: tuple(d.name for d in spec.designs) for spec in specs},
+            methods={spec.name: {d.name: d.method for d in spec.designs} for spec in specs},
+            channels={spec.name: self._loops.plants.channels_of(spec) for spec in specs},
+            manoeuvres=tuple(one.name for one in self.read.manoeuvres),
+        )
+
+    def start(self, loop: str | None = None) -> Settings:
+        """Return the settings of the job as it stands, at one of its loops."""
+        return self._loops.start if loop is None else self.chosen(self._loops.start, loop=loop)
+
+    def chosen(self, settings: Settings, *, loop: str | None = None, design: str | None = None) -> Settings:
+        """Return the settings at another loop, or another design of it."""
+        name = settings.loop if loop is None else loop
+        spec = self._loops.spec(name)
+        design = design if design is not None else settings.closed[name]
+        names = tuple(d.name for d in spec.designs)
+        known_name("design", design, names)
+        channels = self._loops.plants.channels_of(spec)
+        return settings.but(
+            mode="caged" if spec.kind == "caging" else "stabilised",
+            loop=name,
+            design=design,
+            closed={**settings.closed, name: design},
+            channel=settings.channel if settings.channel in channels else channels[0],
+            axis=settings.axis if name == settings.loop else self._loops.plants.loading_axis(spec, settings.axis),
+            plant=settings.plant if name == settings.loop else "nominal",
+            overlays=tuple(o for o in settings.overlays if o in names and o != design),
+        )
+
+    def check_names(self, settings: Settings) -> None:
+        """Raise where a name that no list of a page offers is unknown: plant, channel, fixed sliders."""
+        spec, _ = self._loops.design(settings)
+        labels = self.plants(settings)
+        if settings.plant not in labels:
+            raise ArgumentError(f"plant: given {short(settings.plant)}; expected the label of one of {len(labels)}")
+        known_name("channel", settings.channel, self._loops.plants.channels_of(spec))
+        # Those of other loops and of parts that are off stay fixed.
+        methods = sorted({one.method for loop in self.read.loops for one in loop.designs})
+        options = (option for method in methods for option in METHODS[method].options)
+        plant = (slider.name for slider in self.sliders(settings) if slider.group in ("sampling", "rotors", "Omega"))
+        sliders = tuple(dict.fromkeys((*options, *plant)))
+        for name in sorted(settings.fixed):
+            known_name("fixed", name, sliders)
+
+    def plants(self, settings: Settings) -> tuple[str, ...]:
+        """Return the labels of the plants that may be shown."""
+        return self._loops.plants.labels(settings, self._loops.spec(settings.loop))
+
+    def sliders(self, settings: Settings) -> tuple[Slider, ...]:
+        """Return all sliders of the settings, those of the design first."""
+        spec, design = self._loops.design(settings)
+        options = self._loops.options.offered(settings, spec, design)
+        parts = settings.parts_on(spec.name, design.name)
+        # What only rotors that were set going or stopped ask for starts by rules of thumb, wherever it stands now.
+        start = self._loops.options.offered(settings.but(options=self._loops.start.options), spec, design)
+        own = option_sliders(design.method, options, start, settings.rate_hz, settings.fixed)
+        Omega = tuple(map(float, self.read.Omega))
+        return (
+            *(slider for slider in own if not slider.part or slider.part in parts),
+            *plant_sliders(
+                settings, self._loops.start, (Omega[0], Omega[1], Omega[2]), self._loops.options.slowest(settings)
+            ),
+        )
+
+    def parts(self, settings: Settings) -> tuple[Part, ...]:
+        """Return the optional parts of the design that is worked on: lag and notches."""
+        spec, design = self._loops.design(settings)
+        on = settings.parts_on(spec.name, design.name)
+        known = self._loops.options.offered(settings, spec, design)
+        return tuple(
+            Part(name=name, label=label, on=name in on, tip=tip)
+            for name, (label, tip) in METHODS[design.method].parts.items()
+            if f"{name}_hz" in known
+        )
+
+    def with_part(self, settings: Settings, part: str, on: bool) -> Settings:
+        """Return the settings with an optional part switched on or off."""
+        spec, design = self._loops.design(settings)
+        known_name("part", part, tuple(one.name for one in self.parts(settings)))
+        now = set(settings.parts_on(spec.name, design.name)) - {part}
+        mine = {**settings.optional.get(spec.name, {}), design.name: tuple(sorted(now | {part} if on else now))}
+        return settings.but(optional={**settings.optional, spec.name: mine})
+
+    def moved(self, settings: Settings, slider: str, number: float) -> Settings:
+        """Return the settings with a slider at another number."""
+        new = moved(settings, {one.name: one for one in self.sliders(settings)}, slider, number)
+        return self._loops.holding(settings, new)
+
+    def job(self, settings: Settings) -> Job:
+        """Return the job with the plant, sampling, range of Omega, options and closed designs of the settings."""
+        return self._loops.job(settings)
+
+    # Pictures and designs.
+
+    def on_designed(self, listener: Callable[[], None]) -> Callable[[], None]:
+        """Have `listener` called, in a thread, whenever a design that pictures were waiting for is there or failed."""
+        return self._designs.listen(listener)
+
+    def picture(self, settings: Settings, on_drawn: Callable[[Drawing], None] | None = None) -> Picture:
+        """Return what is drawn for the settings, and what is measured.
+
+        `on_drawn` is called with what is drawn before it is measured, which takes as long again. Requirements are as
+        `check` measures them, but the simultaneous margin of all loops together is sampled: within about a thousandth.
+        """
+        begun = time.perf_counter()
+        whole("axis", settings.axis, 1, 3)
+        try:
+            with np.errstate(all="ignore"):
+                (parts, measure), notes = self._parts(settings)
+                drawing = _fields(parts) | {"settings": settings, "plants": self.plants(settings)}
+                if on_drawn is not None:
+                    on_drawn(Drawing(**drawing))
+                measured = measure()
+        except (np.linalg.LinAlgError, FloatingPointError, OverflowError):
+            raise DesignError(
+                f"{settings.loop}, {settings.design}: the loop's numbers leave floating point; expected less extreme "
+                "settings"
+            ) from None
+        values = _fields(measured) | {"notes": (*notes, *measured.notes)}
+        return Picture(**drawing, **values, elapsed=time.perf_counter() - begun)
+
+    def _parts(self, settings: Settings) -> tuple[Parts, tuple[str, ...]]:
+        """Return the parts of a picture, and lines about its controllers."""
+        spec, _ = self._loops.design(settings)
+        if spec.kind == "caging":
+            loop, notes = self._designs.caged(settings)
+            parts, measure = caged_parts(loop, settings, self._loops.measured(settings, loop))
+        else:
+            free, notes = self._loops.stabilised(settings)
+            parts, measure = stabilised_parts(free, settings, self._loops.kept(settings))
+        if not settings.overlays:
+            return (parts, measure), notes
+        overlays, more = self._designs.overlays(settings, spec, parts.bode.frequency)
+        parts = dataclasses.replace(parts, bode=dataclasses.replace(parts.bode, overlays=overlays))
+        return (parts, measure), (*notes, *more)
+
+    def overlay(self, settings: Settings, design: str) -> Overlay:
+        """Return another design of the loop, to be drawn over the picture of the settings."""
+        spec, _ = self._loops.design(settings)
+        known_name("design", design, tuple(d.name for d in spec.designs))
+        frequency = self.picture(settings.but(overlays=())).bode.frequency
+        return self._designs.overlay(settings, spec, design, frequency, measured=True)[0]
+
+    def is_designed(self, settings: Settings, design: str | None = None) -> bool:
+        """Return whether a design of the loop is there for just these settings; those that sliders build always are."""
+        return self._designs.there(settings, design)
+
+    def redesign(
+        self,
+        settings: Settings,
+        design: str | None = None,
+        progress: Progress = silent,
+        cancelled: IsCancelled = never,
+    ) -> Settings:
+        """Have a design made by its method, in a process of its own; later pictures show it."""
+        return self._designs.make(settings, design, progress, cancelled)
+
+    def influence(self, settings: Settings) -> Influence:
+        """Return what each slider does to each requirement."""
+        spec, _ = self._loops.design(settings)
+        sliders = [slider for slider in self.sliders(settings) if not slider.background]
+
+        def with_slider(slider: Slider) -> Settings:
+            return self.moved(settings, slider.name, moved_slider(slider))
+
+        with np.errstate(all="ignore"):
+            if spec.kind == "caging":
+                loop, _ = self._loops.caged(settings)
+                return caged_influence(loop, sliders, lambda slider: self._loops.caged(with_slider(slider))[0])
+            return stabilised_influence(self._loops, settings, sliders, with_slider)
+
+    # Sliders moved by dragging and by tuning.
 
     def drag_pole(
         self,
@@ -70,38 +256,20 @@ class Backend(Viewing):
         target: complex,
         *,
         free: bool = False,
-        held: Callable[[tuple[str, ...]], None] = unheard,
+        on_limited: Callable[[tuple[str, ...]], None] | None = None,
     ) -> Settings:
-        """Return the settings in which a closed-loop pole lies at `target`, or as near as it may be brought.
+        """Return the settings in which a closed-loop pole lies at `target`, rad/s, or as near as it may be brought.
 
-        Parameters
-        ----------
-        settings
-            As they are.
-        pole
-            Where it is now, rad/s in the s-plane: the nearest one of the plant shown is meant.
-        target
-            Where it is wanted, rad/s.
-        free
-            Whether limits that are met may become missed. Otherwise the pole goes along them; limits that are missed
-            already keep it from nothing.
-        held
-            Called with the names of the limits that keep it from going all the way, where there are any.
-
-        Returns
-        -------
-        Settings
-            With other numbers of the design's sliders that are not fixed.
+        It moves along the limits that are met, unless it is `free`; limits that are missed already are ignored.
+        `on_limited` is called with the names of the limits that keep it from going all the way.
         """
         if not (np.isfinite(pole) and np.isfinite(target)):
             raise ArgumentError(f"pole: given {pole} to {target}; expected finite numbers, rad/s")
-        with np.errstate(all="ignore"):
-            parameters, plant, _ = free_parameters(self._loops, settings, self.sliders(settings))
-            limits = NO_LIMITS if free else limits_of(self._loops, settings, parameters)
-            dragged = dragged_pole(parameters, plant, complex(pole), complex(target), limits)
-        if dragged.limited_by:
-            held(dragged.limited_by)
-        return with_options(settings, dragged.numbers)
+
+        def solve(parameters: FreeParameters, plant: StateArrays, channel: int, limits: Limits) -> DragResult:
+            return dragged_pole(parameters, plant, complex(pole), complex(target), limits)
+
+        return self._dragged(settings, solve, free, on_limited)
 
     def drag_crossover(
         self,
@@ -110,25 +278,11 @@ class Backend(Viewing):
         now: float | None = None,
         *,
         free: bool = False,
-        held: Callable[[tuple[str, ...]], None] = unheard,
+        on_limited: Callable[[tuple[str, ...]], None] | None = None,
     ) -> Settings:
-        """Return the settings in which the shown channel crosses over at `frequency`, or as near as can be.
+        """Return the settings in which the shown channel crosses over at `frequency`, rad/s, or as near as can be.
 
-        Parameters
-        ----------
-        settings
-            As they are.
-        frequency
-            Where its gain is to be 1, rad/s.
-        now
-            The crossover that is dragged, rad/s; None: the highest.
-        free, held
-            As of `drag_pole`; it stops where a limit would be missed.
-
-        Returns
-        -------
-        Settings
-            With other numbers of the design's sliders that are not fixed.
+        `now` is the crossover that is dragged, rad/s; None: the highest. It stops at limits, unless it is `free`.
         """
         if not np.isfinite(frequency):
             raise ArgumentError(f"frequency: given {frequency}; expected a finite number, rad/s")
@@ -139,31 +293,30 @@ class Backend(Viewing):
             now = float(bode.crossovers[-1])
             # Left of the diagram it could not be taken hold of again.
             frequency = max(float(frequency), min(now, _INSIDE * float(bode.frequency[0])))
+        start = now
+
+        def solve(parameters: FreeParameters, plant: StateArrays, channel: int, limits: Limits) -> DragResult:
+            return dragged_crossover(parameters, plant, channel, start, float(frequency), limits)
+
+        return self._dragged(settings, solve, free, on_limited)
+
+    def _dragged(
+        self,
+        settings: Settings,
+        solve: Callable[[FreeParameters, StateArrays, int, Limits], DragResult],
+        free: bool,
+        on_limited: Callable[[tuple[str, ...]], None] | None,
+    ) -> Settings:
         with np.errstate(all="ignore"):
             parameters, plant, channel = free_parameters(self._loops, settings, self.sliders(settings))
             limits = NO_LIMITS if free else limits_of(self._loops, settings, parameters)
-            dragged = dragged_crossover(parameters, plant, channel, now, float(frequency), limits)
-        if dragged.limited_by:
-            held(dragged.limited_by)
-        return with_options(settings, dragged.numbers)
+            result = solve(parameters, plant, channel, limits)
+        if result.limited_by and on_limited is not None:
+            on_limited(result.limited_by)
+        return with_options(settings, result.numbers)
 
-    def tuned(self, settings: Settings, progress: Progress = silent, cancelled: IsCancelled = never) -> Settings:
-        """Return the settings with all sliders of the design that are not fixed tuned until its limits are met.
-
-        Parameters
-        ----------
-        settings
-            As they are: what is fixed stays.
-        progress
-            Called with a line now and then.
-        cancelled
-            Asked ten times a second; the process that tunes is ended as soon as it says yes.
-
-        Returns
-        -------
-        Settings
-            The best that were found.
-        """
+    def tune(self, settings: Settings, progress: Progress = silent, cancelled: IsCancelled = never) -> Settings:
+        """Return the settings with all sliders of the design that are not fixed tuned until its limits are met."""
         spec, design = self._loops.design(settings)
         free = tuple(k.name for k in self.sliders(settings) if k.tunable and not k.fixed)
         if not free:
@@ -171,12 +324,12 @@ class Backend(Viewing):
                 f"{spec.name}, {design.name}: no slider is free to be tuned; expected one that is not fixed"
             )
         options = self._loops.options.used(settings, spec, design)
-        question: Tuning | ServoTuning
+        task: Tuning | ServoTuning
         if spec.kind == "caging":
-            question = Tuning(job=self.job(settings), loop=spec.name, options=options, movable=free)
+            task = Tuning(job=self.job(settings), loop=spec.name, options=options, movable=free)
         else:
             others = tuple(one for one in self._loops.saved_controllers(settings) if one.loop != spec.name)
-            question = ServoTuning(
+            task = ServoTuning(
                 job=self.job(settings),
                 loop=spec.name,
                 design=design.name,
@@ -184,27 +337,14 @@ class Backend(Viewing):
                 options=options,
                 caging=tuple((o.controller, o.inputs, o.outputs, o.loop) for o in others),
             )
-        found: dict[str, float] = processes.run_in_process(question, progress, cancelled)
+        found: dict[str, float] = processes.run_in_process(task, progress, cancelled)
         # Six digits: more would not be read, and no requirement hangs on them.
         return with_options(settings, {name: float(f"{found[name]:.6g}") for name in free})
 
-    def saved(self, settings: Settings, path: str | Path, overwrite: bool = False) -> Saved:
-        """Write the settings as a job file, and its controllers beside it; comments of the job's own file stay.
+    # Saving and simulating.
 
-        Parameters
-        ----------
-        settings
-            As the page is set.
-        path
-            Of the new job file, ending in .toml.
-        overwrite
-            Whether what stands there may go.
-
-        Returns
-        -------
-        Saved
-            Both paths; ``platform-ctrl check`` finds the controllers by itself.
-        """
+    def save(self, settings: Settings, path: str | Path, overwrite: bool = False) -> Saved:
+        """Write the settings as a job file, and its controllers beside it; comments of the job's own file stay."""
         settings = self._shortened(settings)
         controllers = self._loops.saved_controllers(settings, strict=True)
         options = self._loops.options
@@ -227,7 +367,7 @@ class Backend(Viewing):
             for spec in self.read.loops
             if start.closed[spec.name] != spec.use and closed[spec.name] == start.closed[spec.name]
         )
-        written = save(
+        written = write_job(
             self.path,
             Path(path),
             overwrite,
@@ -283,35 +423,25 @@ class Backend(Viewing):
         return out
 
     @property
-    def flown(self) -> bool:
-        """Whether a manoeuvre has been flown already: the first takes longer, until its equations are compiled."""
-        return self._simulator.there
+    def has_simulated(self) -> bool:
+        """Whether a manoeuvre has been simulated: the first takes longer, until its equations are compiled."""
+        return self._simulator.started
 
-    def run(self, settings: Settings, manoeuvre: str, cancelled: IsCancelled = never) -> Trajectory:
-        """Return one of the job's manoeuvres, flown on the non-linear plant with the loops as they are set.
+    def simulate(self, settings: Settings, manoeuvre: str, cancelled: IsCancelled = never) -> Trajectory:
+        """Return one of the job's manoeuvres, simulated on the non-linear plant with the loops as they are set.
 
-        It is flown in a process of its own, which stays for the next one until `close`.
-
-        Parameters
-        ----------
-        settings
-            As the page is set.
-        manoeuvre
-            Its name.
-        cancelled
-            Asked ten times a second; the process is ended as soon as it says yes.
-
-        Returns
-        -------
-        Trajectory
-            As `simulation.simulate` returns it.
+        The process that does it stays for the next one until `close`.
         """
         known_name("manoeuvre", manoeuvre, tuple(one.name for one in self.read.manoeuvres))
         saved = self._loops.saved_controllers(settings)
-        question = Simulating(
+        task = Simulating(
             job=self.job(settings),
             manoeuvre=manoeuvre,
             controllers=tuple((o.controller, o.inputs, o.outputs, f"{o.loop}, {o.design}") for o in saved),
         )
-        flown: Trajectory = self._simulator.run(question, silent, cancelled)
-        return flown
+        trajectory: Trajectory = self._simulator.run(task, silent, cancelled)
+        return trajectory
+
+
+def _fields(parts: Drawn | Measured) -> dict[str, Any]:
+    return {one.name: getattr(parts, one.name) for one in dataclasses.fields(parts)}

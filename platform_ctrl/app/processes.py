@@ -57,7 +57,7 @@ class PersistentProcess:
         weakref.finalize(self, _drop, self._held)
 
     @property
-    def there(self) -> bool:
+    def started(self) -> bool:
         """Whether the process was started already."""
         return bool(self._held)
 

@@ -65,7 +65,7 @@ def controllers_beside(job: Path) -> Path:
     return job.with_name(job.stem + SUFFIX)
 
 
-def save(
+def write_job(
     source: Path | None,
     path: Path,
     overwrite: bool,

@@ -157,7 +157,7 @@ class Slider:
     tunable
         Whether drag and tuning may move it.
     background
-        Whether moving it asks for a new design, which takes seconds (`Backend.redesigned`).
+        Whether moving it asks for a new design, which takes seconds (`Backend.redesign`).
     """
 
     name: str

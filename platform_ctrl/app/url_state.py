@@ -119,7 +119,7 @@ def judged(backend: Backend, changed: object) -> Settings:
         settings = backend.chosen(settings.but(delay=0.0), design=design)
         for name in _NUMBERS:
             settings = backend.moved(settings, name, _finite(name, given[name]))
-        backend.expect_plant(settings)
+        backend.check_names(settings)
     except PlatformCtrlError as error:
         raise InputError(f"state: {error}") from None
     return settings.but(designed_for=_designed_for(changed.get("designed_for", {}), start, specs))

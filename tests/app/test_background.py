@@ -53,7 +53,7 @@ def test_a_question_that_is_cancelled_ends_the_process_and_the_next_one_has_anot
     with pytest.raises(TaskCancelled):
         resident.run(Sleeping(), told.append, lambda: told == ["asleep"])
     assert gone(first)
-    assert not resident.there
+    assert not resident.started
     with pytest.raises(DesignError, match="died"):
         resident.run(Dying(), silent, never)
     assert resident.run(Who(), silent, never) not in (first, os.getpid())

@@ -49,7 +49,7 @@ def settings(bench: Backend) -> Settings:
     out = bench.start(LOOP)
     for slider, number in (("crossover_hz", 61.0), ("spin 11", 1300.0), ("rate_hz", 2100.0), ("delay", 0.0004)):
         out = bench.moved(out, slider, number)
-    return bench.switched(out, "notch", False)
+    return bench.with_part(out, "notch", False)
 
 
 @pytest.fixture(scope="module")
@@ -281,7 +281,7 @@ def test_nothing_is_pulled_where_all_is_fixed(bench: Backend, settings: Settings
     with pytest.raises(DesignError, match="no slider may move"):
         bench.drag_pole(fixed, pole, 1.1 * pole)
     with pytest.raises(DesignError, match="no slider is free"):
-        bench.tuned(fixed)
+        bench.tune(fixed)
     with pytest.raises(ArgumentError, match="finite"):
         bench.drag_pole(settings, pole, complex(math.nan, 0.0))
 
@@ -358,10 +358,10 @@ def test_every_slider_has_a_picture_at_its_ends(bench: Backend, settings: Settin
 def test_parts_are_switched_and_keep_their_numbers(bench: Backend) -> None:
     settings = bench.start(LOOP)
     assert [part.name for part in bench.parts(settings) if part.on] == ["notch"]
-    off = bench.switched(settings, "notch", False)
+    off = bench.with_part(settings, "notch", False)
     assert "notch_hz" not in {slider.name for slider in bench.sliders(off)}
-    assert bench.switched(off, "notch", True).data() == settings.data()
-    with_lag = bench.switched(off, "lag", True)
+    assert bench.with_part(off, "notch", True).data() == settings.data()
+    with_lag = bench.with_part(off, "lag", True)
     lagged, plain = bench.picture(with_lag).bode, bench.picture(off).bode
     assert lagged.magnitude[0] > 2.0 * np.interp(lagged.frequency[0], plain.frequency, plain.magnitude)
 

@@ -48,7 +48,7 @@ def _names(bench: Backend, settings: Settings) -> set[str]:
 
 def _every_part(bench: Backend, settings: Settings) -> Settings:
     for part in bench.parts(settings):
-        settings = bench.switched(settings, part.name, True)
+        settings = bench.with_part(settings, part.name, True)
     return settings
 
 
@@ -91,7 +91,7 @@ def test_a_single_gimbal_has_no_slider_of_pairs_and_is_saved_without_one(rate_gy
     assert "notch" not in {part.name for part in bench.parts(settings)}
     moved = bench.moved(bench.moved(settings, "inertial_crossover_hz", 4.0), "integral_hz", 0.1)
     assert decode_state(bench, encode_state(bench, moved)).data() == moved.data()
-    saved = bench.saved(moved, tmp_path / "saved.toml")
+    saved = bench.save(moved, tmp_path / "saved.toml")
     made = read_job(saved.job).loops[0].designs[0].options
     assert made["inertial_crossover_hz"] == 4.0
     again = Backend(saved.job)
@@ -125,7 +125,7 @@ def test_a_job_with_stopped_rotors_is_saved_so_that_its_design_can_be_made(tmp_p
     )
     bench = Backend(tmp_path / "one.toml")
     stopped = bench.moved(bench.start(), "spin 11", 0.0)
-    saved = bench.saved(stopped, tmp_path / "stopped.toml")
+    saved = bench.save(stopped, tmp_path / "stopped.toml")
     made = loops(read_job(saved.job))[0].closed.controller
     K = _controller(bench, stopped)
     for name in "ABCD":
@@ -134,7 +134,7 @@ def test_a_job_with_stopped_rotors_is_saved_so_that_its_design_can_be_made(tmp_p
 
 def test_a_slider_that_is_fixed_and_hidden_again_stays_in_the_link(shipped: Backend) -> None:
     settings = shipped.start("caging 9-10").but(fixed=frozenset({"notch_hz", "damping_hz", "spin 11"}))
-    hidden = shipped.switched(settings, "notch", False)
+    hidden = shipped.with_part(settings, "notch", False)
     servo = shipped.chosen(hidden, loop="stabilisation")
     for one in (hidden, servo):
         assert decode_state(shipped, encode_state(shipped, one)).data() == one.data()
@@ -153,7 +153,7 @@ def test_at_the_lowest_sample_rate_of_the_slider_all_loops_can_be_built(shipped:
         for loop in shipped.choices().loops:
             assert shipped.picture(shipped.chosen(slow, loop=loop, design=slow.closed[loop])).bode.frequency.size
     # The notch is one of another loop; once it is off the servo's filter is what asks for the rate.
-    off = shipped.chosen(shipped.switched(shipped.chosen(servo, loop="caging 9-10"), "notch", False), loop=servo.loop)
+    off = shipped.chosen(shipped.with_part(shipped.chosen(servo, loop="caging 9-10"), "notch", False), loop=servo.loop)
     assert _slider(shipped, off, "rate_hz").low == pytest.approx(300.0 / 0.45)
     # A typed number may lie lower: the line says which loop and which option.
     with pytest.raises(DesignError, match="caging 9-10, classical: notch_hz = 390; expected less than half"):

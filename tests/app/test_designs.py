@@ -29,7 +29,7 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Backend:
 def start(bench: Backend) -> Settings:
     """The page at the LQG design of the job as it stands."""
     settings = bench.chosen(bench.start(), design="lqg")
-    bench.redesigned(settings)
+    bench.redesign(settings)
     return settings
 
 
@@ -37,7 +37,7 @@ def start(bench: Backend) -> Settings:
 def redesigned(bench: Backend, start: Settings) -> Settings:
     """The page after another bandwidth was asked for, and the design made."""
     settings = bench.moved(start, "bandwidth_hz", 1.3 * start.options[LOOP]["lqg"]["bandwidth_hz"])
-    return bench.redesigned(settings)
+    return bench.redesign(settings)
 
 
 def column(influence: Influence, slider: str) -> Any:
@@ -91,7 +91,7 @@ def test_what_one_page_designs_changes_nothing_on_another(bench: Backend, start:
     # Another page: other numbers at the same plant, and the same numbers at just this plant.
     other = bench.moved(mine, "disturbance", 2.0 * start.options[LOOP]["lqg"]["disturbance"])
     for settings in (other, mine.but(designed_for={})):
-        theirs = bench.redesigned(settings)
+        theirs = bench.redesign(settings)
         assert values(bench, theirs) != before
         assert values(bench, mine) == before
         np.testing.assert_array_equal(bench.influence(mine).change, arrows.change)

@@ -52,7 +52,7 @@ def test_the_pole_that_took_the_bandwidth_along_goes_as_far_as_the_bandwidth_let
     free = judge.picture(judge.drag_pole(start, pole, goal, free=True))
     assert "bandwidth" in missed(free)
     told: list[tuple[str, ...]] = []
-    dragged = bench.drag_pole(start, pole, goal, held=told.append)
+    dragged = bench.drag_pole(start, pole, goal, on_limited=told.append)
     after = judge.picture(dragged)
     assert missed(after) == set()
     assert "bandwidth" in told[-1]
@@ -97,7 +97,7 @@ def test_no_drag_makes_a_requirement_missed_that_is_met(
     pole = complex(poles[which % len(poles)])
     target = size * pole * np.exp(1j * turn)
     told: list[tuple[str, ...]] = []
-    after = judge.picture(bench.drag_pole(start, pole, target, held=told.append))
+    after = judge.picture(bench.drag_pole(start, pole, target, on_limited=told.append))
     assert missed(after) <= missed(before)
     free = bench.drag_pole(start, pole, target, free=True)
     if missed(judge.picture(free)) <= missed(before) and not told:
@@ -115,7 +115,7 @@ def test_limits_that_are_missed_already_hold_nothing_back(bench: Backend) -> Non
     assert "bandwidth" in missed(before)
     pole = complex(before.locus.present[before.locus.draggable][0])
     told: list[tuple[str, ...]] = []
-    bench.drag_pole(settings, pole, 1.02 * pole, held=told.append)
+    bench.drag_pole(settings, pole, 1.02 * pole, on_limited=told.append)
     assert not any(name == "bandwidth" for names in told for name in names)
 
 
@@ -125,7 +125,7 @@ def test_the_crossover_stops_where_a_requirement_would_be_missed(bench: Backend,
     told: list[tuple[str, ...]] = []
     for factor in (0.5, 2.0):
         told.clear()
-        after = judge.picture(bench.drag_crossover(start, factor * crossover, held=told.append))
+        after = judge.picture(bench.drag_crossover(start, factor * crossover, on_limited=told.append))
         assert missed(after) == set()
         assert told
         assert missed(judge.picture(bench.drag_crossover(start, factor * crossover, free=True)))
@@ -140,7 +140,8 @@ def test_no_drag_of_the_servo_makes_a_coupled_requirement_missed(bench: Backend,
     pole = nearest(before, -619.0 + 772.0j)
     told: list[tuple[str, ...]] = []
     for share in (0.03, 0.06, 0.09, 0.12):
-        settings = bench.drag_pole(settings, pole, (1.0 + share) * nearest(before, -619.0 + 772.0j), held=told.append)
+        target = (1.0 + share) * nearest(before, -619.0 + 772.0j)
+        settings = bench.drag_pole(settings, pole, target, on_limited=told.append)
         pole = nearest(bench.picture(settings), pole)
     assert told
     assert missed(judge.picture(settings)) <= missed(before)

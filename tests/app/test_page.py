@@ -494,14 +494,14 @@ def test_a_run_leaves_the_page_alive_can_be_cancelled_and_turns_the_gimbal_tree(
         page.keyboard.press("Escape")
         line(page, "was cancelled")
         assert not page.locator("#busy").is_visible()
-        assert not backend.flown
+        assert not backend.has_simulated
 
     page.locator("#fly").click()
     tree = page.locator("gimbal-tree")
     until(page, lambda: tree.evaluate("one => one.run?.there"), 90.0)
-    assert backend.flown
+    assert backend.has_simulated
     settings = backend.moved(backend.start(), "crossover_hz", 41.0)
-    run = backend.run(settings, manoeuvre)
+    run = backend.simulate(settings, manoeuvre)
     assert np.ptp(run.q[:, -1]) > 1e-5
     turned = []
     for time_shown in (0.011, 0.037):

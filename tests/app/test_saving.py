@@ -108,7 +108,7 @@ def test_a_link_reproduces_the_state_and_is_short(shipped: Backend) -> None:
     assert encode_state(shipped, start) == ""
     assert decode_state(shipped, "").data() == start.data()
     settings = _moved(shipped, shipped.start(LOOP), crossover_hz=61.123456789, rate_hz=2100.0, delay=3e-4, Omega2=-0.5)
-    settings = shipped.moved(shipped.switched(settings, "lag", True), "spin 11", 1234.5)
+    settings = shipped.moved(shipped.with_part(settings, "lag", True), "spin 11", 1234.5)
     settings = settings.but(fixed=frozenset({"lead_hz"}), overlays=("H-infinity",), axis=3, band=False, channel="Q10")
     text = encode_state(shipped, settings)
     assert decode_state(shipped, text).data() == settings.data()
@@ -166,10 +166,10 @@ def test_a_saved_job_is_the_picture_and_check_accepts_it(
     bench: Backend, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     settings = _moved(bench, bench.start(), crossover_hz=58.5, rate_hz=2100.0, **{"spin 11": 1290.0})
-    settings = bench.switched(bench.moved(settings, "Omega2", 1.25), "notch", False)
+    settings = bench.with_part(bench.moved(settings, "Omega2", 1.25), "notch", False)
     picture = bench.picture(settings)
     assert all(r.passed for r in picture.requirements)
-    saved = bench.saved(settings, tmp_path / "new.toml")
+    saved = bench.save(settings, tmp_path / "new.toml")
     assert saved.controllers.name == "new.controllers.json"
     text = saved.job.read_text()
     for comment in ("# Kept: what the user wrote.", "# of both", "# the gain"):
@@ -228,7 +228,7 @@ def test_what_is_saved_after_a_drag_is_as_it_was_or_short_and_has_the_same_verdi
     locus = bench.picture(start).locus
     held = complex(locus.present[locus.draggable][pole])
     dragged = bench.drag_pole(start, held, held * size * cmath.exp(1j * turn))
-    saved = bench.saved(dragged, folder / "two.toml")
+    saved = bench.save(dragged, folder / "two.toml")
     text = saved.job.read_text()
     [design] = tomllib.loads(text)["loop"][0]["design"]
     first, now = (one.options["caging 9-10"]["classical"] for one in (start, dragged))
@@ -245,7 +245,7 @@ def test_what_is_saved_after_a_drag_is_as_it_was_or_short_and_has_the_same_verdi
     before, after = (b.picture(s).requirements for b, s in ((bench, dragged), (again, again.start())))
     assert [one.passed for one in after] == [one.passed for one in before]
     # What is saved as it was read changes no digit any more.
-    once_more = again.saved(again.start(), folder / "three.toml")
+    once_more = again.save(again.start(), folder / "three.toml")
     assert once_more.job.read_text() == text
 
 
@@ -263,7 +263,7 @@ def test_a_plant_in_the_job_keeps_what_the_page_does_not_change(tmp_path: Path) 
     whole = ONE.replace('plant = "three_gyro_platform"', "") + "\n[plant]\n" + own
     (tmp_path / "own.toml").write_text(whole)
     bench = Backend(tmp_path / "own.toml")
-    saved = bench.saved(_moved(bench, bench.start(), **{"spin 11": 1290.0}), tmp_path / "new.toml")
+    saved = bench.save(_moved(bench, bench.start(), **{"spin 11": 1290.0}), tmp_path / "new.toml")
     lines, new = whole.splitlines(), saved.job.read_text().splitlines()
     kept = [line for line in lines if line.strip() and line not in new]
     assert len(kept) <= 3, kept
@@ -280,11 +280,11 @@ def test_saving_never_lands_on_the_plant_or_a_folder_and_leaves_nothing_half_wri
     settings = bench.start()
     plant = (tmp_path / "mine_plant.toml").read_text()
     with pytest.raises(InputError, match=r"mine_plant\.toml: the job reads its plant from it"):
-        bench.saved(settings, tmp_path / "mine_plant.toml", overwrite=True)
+        bench.save(settings, tmp_path / "mine_plant.toml", overwrite=True)
     assert (tmp_path / "mine_plant.toml").read_text() == plant
     (tmp_path / "folder.toml").mkdir()
     with pytest.raises(InputError, match=r"folder\.toml: is no file"):
-        bench.saved(settings, tmp_path / "folder.toml", overwrite=True)
+        bench.save(settings, tmp_path / "folder.toml", overwrite=True)
     before = sorted(path.name for path in tmp_path.iterdir())
 
     def full(path: Path, text: str) -> None:
@@ -292,31 +292,31 @@ def test_saving_never_lands_on_the_plant_or_a_folder_and_leaves_nothing_half_wri
 
     monkeypatch.setattr("platform_ctrl.app.saving.write_whole", full)
     with pytest.raises(InputError, match="no space"):
-        bench.saved(settings, tmp_path / "new.toml")
+        bench.save(settings, tmp_path / "new.toml")
     assert sorted(path.name for path in tmp_path.iterdir()) == before
 
 
 def test_saving_keeps_what_stands_there_unless_it_may_go(bench: Backend, job_file: Path, tmp_path: Path) -> None:
     settings = bench.start()
     with pytest.raises(InputError, match="stands there already"):
-        bench.saved(settings, job_file)
+        bench.save(settings, job_file)
     assert job_file.read_text() == TWO
     assert not (tmp_path / "gyro.controllers.json").exists()
-    bench.saved(settings, job_file, overwrite=True)
+    bench.save(settings, job_file, overwrite=True)
     assert read_job(job_file).name == "two designs"
     with pytest.raises(InputError, match="does not end in"):
-        bench.saved(settings, tmp_path / "gyro.json")
+        bench.save(settings, tmp_path / "gyro.json")
     with pytest.raises(InputError):
-        bench.saved(settings, tmp_path / "nowhere" / "gyro.toml")
+        bench.save(settings, tmp_path / "nowhere" / "gyro.toml")
     with pytest.raises(InputError, match="not read from a file"):
-        Backend(bench.read).saved(settings, tmp_path / "other.toml")
+        Backend(bench.read).save(settings, tmp_path / "other.toml")
 
 
 def test_inline_tables_are_saved_too(tmp_path: Path) -> None:
     (tmp_path / "one.toml").write_text(ONE)
     bench = Backend(tmp_path / "one.toml")
     settings = _moved(bench, bench.start(), crossover_hz=42.0, delay=4e-4)
-    saved = bench.saved(settings, tmp_path / "two.toml")
+    saved = bench.save(settings, tmp_path / "two.toml")
     job = read_job(saved.job)
     assert job.loops[0].designs[0].options["crossover_hz"] == 42.0
     assert job.sampling.delay == 4e-4
@@ -329,7 +329,7 @@ def test_a_plant_beside_the_job_is_found_from_another_folder(tmp_path: Path) -> 
     (tmp_path / "gyro.toml").write_text(TWO.replace('"three_gyro_platform"', '"plant.toml"'))
     (tmp_path / "deep").mkdir()
     bench = Backend(tmp_path / "gyro.toml")
-    saved = bench.saved(bench.start(), tmp_path / "deep" / "new.toml")
+    saved = bench.save(bench.start(), tmp_path / "deep" / "new.toml")
     assert read_job(saved.job).platform.name == bench.read.platform.name
 
 
@@ -338,7 +338,7 @@ def test_tuning_leaves_what_is_fixed_and_meets_what_tune_meets(bench: Backend) -
     settings = _moved(bench, settings, damping_hz=30.0, damping2_hz=30.0)
     assert not all(r.passed for r in bench.picture(settings).requirements)
     told: list[str] = []
-    tuned = bench.tuned(settings, told.append)
+    tuned = bench.tune(settings, told.append)
     assert told
     assert all("of its limit" in line for line in told)
     before, after = (one.options[LOOP]["by hand"] for one in (settings, tuned))
@@ -352,20 +352,20 @@ def test_tuning_leaves_what_is_fixed_and_meets_what_tune_meets(bench: Backend) -
 def test_a_task_that_is_not_wanted_any_more_ends_at_once(bench: Backend) -> None:
     begun = time.monotonic()
     with pytest.raises(TaskCancelled):
-        bench.tuned(bench.start(), cancelled=lambda: True)
+        bench.tune(bench.start(), cancelled=lambda: True)
     assert time.monotonic() - begun < 30.0
 
 
 def test_a_design_made_in_the_background_is_that_of_its_method(bench: Backend) -> None:
     settings = bench.chosen(bench.start(), design="lqg")
-    assert not bench.designed(settings)
+    assert not bench.is_designed(settings)
     there = threading.Event()
     end = bench.on_designed(there.set)
     with pytest.raises(DesignError, match="is being designed"):
         bench.picture(settings)
     assert there.wait(60.0)
     end()
-    assert bench.designed(settings)
+    assert bench.is_designed(settings)
     picture = bench.picture(settings)
     expected = next(one for one in loops(bench.read)[0].designs if one.name == "lqg")
     np.testing.assert_allclose([r.value for r in picture.requirements], [r.value for r in expected.results], rtol=1e-6)
@@ -388,7 +388,7 @@ def test_a_design_made_in_the_background_is_that_of_its_method(bench: Backend) -
     assert bandwidth.background
     assert not bandwidth.tunable
     with pytest.raises(DesignError, match="was made for other settings"):
-        bench.saved(bench.moved(settings, "bandwidth_hz", 1.1 * bandwidth.value), "unwritten.toml")
+        bench.save(bench.moved(settings, "bandwidth_hz", 1.1 * bandwidth.value), "unwritten.toml")
 
 
 def test_controllers_of_a_result_are_shown_as_they_are(bench: Backend, tmp_path: Path) -> None:
@@ -411,16 +411,16 @@ def test_controllers_of_a_result_are_shown_as_they_are(bench: Backend, tmp_path:
 
 def test_a_manoeuvre_is_flown_with_the_loops_as_they_are_set(bench: Backend) -> None:
     settings = _moved(bench, bench.start(), crossover_hz=60.0)
-    flown = bench.run(settings, "turn")
+    flown = bench.simulate(settings, "turn")
     shown = bench.picture(settings.but(axis=1)).Omega_time
     peak = np.abs(flown.q[:, 3]).max()
     assert peak == pytest.approx(np.abs(shown.values[0]).max(), rel=0.1)
     with pytest.raises(ArgumentError, match="turn"):
-        bench.run(settings, "roll")
+        bench.simulate(settings, "roll")
 
 
 def test_a_loop_whose_design_is_not_there_is_told_when_it_is_saved(shipped: Backend, tmp_path: Path) -> None:
-    saved = shipped.saved(shipped.start(), tmp_path / "new.toml")
+    saved = shipped.save(shipped.start(), tmp_path / "new.toml")
     assert len(saved.notes) == 2
     assert "classical is closed in place of structured" in saved.notes[0]
     assert read_job(saved.job).loops[1].use == "classical"
@@ -448,5 +448,5 @@ def test_every_shipped_plant_has_a_page(model: str, tmp_path: Path) -> None:
         pole = complex(picture.locus.present[picture.locus.draggable][0])
         there = bench.picture(bench.drag_pole(settings, pole, 1.03 * pole, free=True)).locus.present
         assert np.nanmin(np.abs(there - 1.03 * pole)) < 1e-6 * abs(pole)
-    saved = bench.saved(settings, tmp_path / "saved.toml")
+    saved = bench.save(settings, tmp_path / "saved.toml")
     assert Backend(saved.job).picture(Backend(saved.job).start(settings.loop)).stable

@@ -200,7 +200,7 @@ class Session:
         self.change(f"move {slider}", change, count=ask.count)
 
     def _ask_part(self, ask: Request) -> None:
-        switched, part, on = self.backend.switched, ask.more["part"], ask.more["on"]
+        switched, part, on = self.backend.with_part, ask.more["part"], ask.more["on"]
         self.change(f"part {part}", lambda settings: switched(settings, part, on), count=ask.count)
 
     def _ask_set(self, ask: Request) -> None:
@@ -229,7 +229,7 @@ class Session:
         dragged, free = self.backend.drag_pole, self._free
 
         def change(settings: Settings) -> Settings:
-            return dragged(settings, pole, target, free=free, held=self._held)
+            return dragged(settings, pole, target, free=free, on_limited=self._limited)
 
         self.change("drag", change, gesture=("pole", self.plots.drags))
 
@@ -237,11 +237,11 @@ class Session:
         dragged, free = self.backend.drag_crossover, self._free
 
         def change(settings: Settings) -> Settings:
-            return dragged(settings, frequency, free=free, held=self._held)
+            return dragged(settings, frequency, free=free, on_limited=self._limited)
 
         self.change("drag", change, gesture=("crossover", self.plots.drags))
 
-    def _held(self, names: tuple[str, ...]) -> None:
+    def _limited(self, names: tuple[str, ...]) -> None:
         """Note which limits hold a drag back; called while a change is worked out."""
         self._held_by = names
 

@@ -148,7 +148,7 @@ class PageTasks:
             session.later(lambda: session.answer(busy=busy) if self._cancelled is cancelled else None)
 
         def tuned() -> Callable[[], None]:
-            new = session.backend.tuned(settings, progress, cancelled.is_set)
+            new = session.backend.tune(settings, progress, cancelled.is_set)
 
             def show() -> None:
                 self._cancelled = None
@@ -185,7 +185,7 @@ class PageTasks:
         session.answer(ask.count)
 
         def saved() -> Callable[[], None]:
-            written = session.backend.saved(settings, path, overwrite=overwrite)
+            written = session.backend.save(settings, path, overwrite=overwrite)
             text = ". ".join((f"Saved: {path}", *written.notes))
             told = {"kind": "good", "text": text, "command": check_line(path)}
             return lambda: session.answer(saved=told, line={"text": text, "kind": "good"})
@@ -201,7 +201,7 @@ class PageTasks:
             session.say(f"{what}; Esc ends that.", count=ask.count)
             return
         self._flight_cancelled = cancelled = threading.Event()
-        settings, first = session.settings, not session.backend.flown
+        settings, first = session.settings, not session.backend.has_simulated
         busy: dict[str, Any] = {"text": "Simulating", "share": None, "cancel": True}
         session.answer(ask.count, busy=busy)
 
@@ -215,7 +215,7 @@ class PageTasks:
         session.soon(takes_long, LONG)
 
         def flown() -> Callable[[], None]:
-            trajectory = session.backend.run(settings, manoeuvre, cancelled.is_set)
+            trajectory = session.backend.simulate(settings, manoeuvre, cancelled.is_set)
             platform = session.backend.job(settings).platform
 
             def show() -> None:
