@@ -31,13 +31,13 @@ MOVE = """async ([name, rounds, painted]) => {
     slider.dispatchEvent(new Event("input", { bubbles: true }));
     await new Promise((done) => {
       const heard = () => {
-        if (!window.designer.settled()) return;
-        window.removeEventListener("told", heard);
+        if (!window.page.settled()) return;
+        window.removeEventListener("response", heard);
         if (!painted) { done(); return; }
         // After the frame in which the plots are painted.
         requestAnimationFrame(() => setTimeout(done, 0));
       };
-      window.addEventListener("told", heard);
+      window.addEventListener("response", heard);
     });
     times.push([performance.now() - began, Number.parseFloat(document.querySelector("#elapsed").textContent)]);
   }

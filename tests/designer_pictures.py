@@ -136,7 +136,7 @@ def picture(gain: float = 4000.0, *, overlays: tuple[str, ...] = (), plants: int
         Omega_time=time("1 rad/s about axis 1", 1e-6),
         Omega_frequency=FrequencyGain(
             title="rate Omega1 → angles",
-            unit="rad s/rad",
+            unit="rad/(rad/s)",
             frequency=f,
             gain=from_rate,
             band_frequency=band_f,

@@ -29,7 +29,7 @@ LOOP, CROSSOVER = "caging 9-10", "70"
 def settled(page: Page, there: str = "true") -> None:
     """Wait until the page shows what its sliders say, and until `there` is true on it."""
     end = time.monotonic() + PATIENCE
-    while not page.evaluate(f"window.designer.settled() && {there}"):
+    while not page.evaluate(f"window.page.settled() && {there}"):
         assert time.monotonic() < end, "the page does not come to rest"
         page.wait_for_timeout(100)
 

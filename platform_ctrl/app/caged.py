@@ -331,7 +331,7 @@ def _Omega_gain(
         low, high = gains.min(axis=0), gains.max(axis=0)
     return FrequencyGain(
         title=f"rate Omega{axis} → angles",
-        unit="rad s/rad",
+        unit="rad/(rad/s)",
         frequency=grid,
         gain=np.asarray(np.linalg.norm(own[..., 0], axis=-1)),
         band_frequency=w,

@@ -66,7 +66,7 @@ class Overlay:
     step, Omega_step
         Its responses, as `Picture.step` and `Picture.Omega_time`: same signals and units, a step over times of its own.
     Omega_gain : (F,)
-        Its response at the frequencies of `Picture.Omega_frequency`, rad s/rad.
+        Its response at the frequencies of `Picture.Omega_frequency`, rad/(rad/s).
     requirements
         Its limits, measured; empty in a picture, which only draws the loop.
     """

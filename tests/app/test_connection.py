@@ -45,11 +45,11 @@ def test_a_page_whose_server_ends_says_so_and_comes_back_as_it_stood_with_the_se
             other = f"{1.1 * float(number.input_value()):.4g}"
             number.fill(other)
             number.press("Enter")
-            until(page, "window.designer.settled() && location.search.includes('state=')")
+            until(page, "window.page.settled() && location.search.includes('state=')")
         until(page, "document.querySelector('#line').textContent.includes('connection to the server is lost')")
         with page.expect_event("load"):
             stack.enter_context(served(backend, port=port))
-        until(page, "!document.body.matches('.starting, .lost') && window.designer.settled()")
+        until(page, "!document.body.matches('.starting, .lost') && window.page.settled()")
         assert number.input_value() == other
         page.close()
 

@@ -173,7 +173,7 @@ def page(only: Screen) -> Page:
 
 
 def settled(page: Page) -> None:
-    until(page, lambda: page.evaluate("window.designer.settled()"))
+    until(page, lambda: page.evaluate("window.page.settled()"))
 
 
 def until(page: Page, what: Any, patience: float = 20.0) -> Any:
@@ -270,14 +270,14 @@ def test_a_drag_is_held_back_by_a_limit_that_is_met_and_shift_lets_it_go_on(page
     # The job asks for 20 Hz of bandwidth: the crossover cannot be dragged to a fifth.
     assert "met" in (page.locator("#verdict").text_content() or "")
     drag_down(6)
-    assert "Held back by bandwidth" in line(page, "with Shift the drag goes on")
+    assert "Limited by bandwidth" in line(page, "hold Shift to go on")
     settled(page)
     assert "met" in (page.locator("#verdict").text_content() or "")
     page.keyboard.down("Shift")
     drag_down(6)
     page.keyboard.up("Shift")
     until(page, lambda: "missed" in (page.locator("#verdict").text_content() or ""))
-    assert "Held back" not in (page.locator("#line").text_content() or "")
+    assert "Limited by" not in (page.locator("#line").text_content() or "")
 
 
 def test_what_is_left_of_a_limit_is_said_as_more_where_it_has_no_room(page: Page) -> None:
@@ -496,7 +496,7 @@ def test_a_run_leaves_the_page_alive_can_be_cancelled_and_turns_the_gimbal_tree(
         assert not page.locator("#busy").is_visible()
         assert not backend.has_simulated
 
-    page.locator("#fly").click()
+    page.locator("#simulate").click()
     tree = page.locator("gimbal-tree")
     until(page, lambda: tree.evaluate("one => one.run?.there"), 90.0)
     assert backend.has_simulated
@@ -521,12 +521,12 @@ def test_what_is_to_be_known_of_a_saved_job_is_said(tmp_path: Path) -> None:
     path = tmp_path / "gyros.toml"
     path.write_text(JOB.replace('use = "classical"', 'use = "H-infinity"'), encoding="utf-8")
     session = Session(Backend(path), Document(), "")
-    session.later = lambda act: act()  # type: ignore[method-assign]
-    session._asked("asked", "", '{"n": 1, "what": "save", "name": "new", "overwrite": false}')
+    session.connection.later = lambda act: act()  # type: ignore[method-assign]
+    session._requested("request", "", '{"n": 1, "what": "save", "name": "new", "overwrite": false}')
     end = time.monotonic() + 20.0
-    while "saved" not in json.loads(str(session.wire.told)) and time.monotonic() < end:
+    while "saved" not in json.loads(str(session.connection.model.response)) and time.monotonic() < end:
         time.sleep(0.01)
-    told = json.loads(str(session.wire.told))
+    told = json.loads(str(session.connection.model.response))
     assert told["saved"]["text"].startswith(f"Saved: {path.with_name('new.toml')}. ")
     assert "classical is closed in place of H-infinity, which is not designed" in told["saved"]["text"]
     assert told["line"]["text"] == told["saved"]["text"]
@@ -562,9 +562,9 @@ def test_what_is_done_for_a_page_that_is_just_going_is_dropped(backend: Backend)
     document, done = Document(), []
     session = Session(backend, document, "")
     document.callbacks.destroy()
-    session.later(lambda: done.append(1))
+    session.connection.later(lambda: done.append(1))
     session.close(None)
-    session.later(lambda: done.append(2))
+    session.connection.later(lambda: done.append(2))
     assert done == []
 
 
@@ -575,7 +575,7 @@ def test_nonsense_in_a_link_leaves_the_job_as_it_is(backend: Backend, state: str
 
 
 def test_a_page_refuses_nonsense_over_its_websocket_and_goes_on(page: Page) -> None:
-    send = "message => { Bokeh.documents[0].get_model_by_name('wire').asked = message; }"
+    send = "message => { Bokeh.documents[0].get_model_by_name('messages').request = message; }"
     for nonsense in (
         "no JSON",
         5,
@@ -586,7 +586,7 @@ def test_a_page_refuses_nonsense_over_its_websocket_and_goes_on(page: Page) -> N
         json.dumps({"n": 0, "what": "move", "moves": [{"slider": "crossover_hz", "value": 1e308}], "gesture": 1}),
         json.dumps({"n": 0, "what": "set", "name": "plant", "value": ["x"]}),
         json.dumps({"n": 0, "what": "set", "name": "loop", "value": "__class__"}),
-        json.dumps({"n": 0, "what": "fly", "manoeuvre": "none"}),
+        json.dumps({"n": 0, "what": "simulate", "manoeuvre": "none"}),
         json.dumps({"n": 0, "what": "close"}),
     ):
         page.evaluate("() => { document.querySelector('#line').textContent = ''; }")

@@ -433,8 +433,8 @@ def test_units_change_only_when_numbers_become_awkward() -> None:
     assert unit.name == "mrad"
     unit.follow("rad", 4e-5)
     assert unit.name == "µrad"
-    unit.follow("rad s/rad", 6e-3)
-    assert unit.name == "mrad s/rad"
+    unit.follow("rad/(rad/s)", 6e-3)
+    assert unit.name == "mrad/(rad/s)"
     assert quantity(0.003, "rad") == "3 mrad"
 
 

@@ -208,7 +208,7 @@ def test_nonsense_sent_to_the_pages_own_models_is_answered_and_leaves_the_others
                     ["ModelChanged", "ModelChanged", "ColumnDataChanged", "ColumnsStreamed", "RootAdded"]
                 ),
                 "model": {"id": model["id"]},
-                "attr": noise.choice([*model["attributes"], "value", "asked"]),
+                "attr": noise.choice([*model["attributes"], "value", "request"]),
             }
             event |= dict.fromkeys(("new", "data", "cols", "rollover"), noise.choice(NONSENSE))
             sent.send_message("PATCH-DOC", {"events": [event]})

@@ -1,15 +1,10 @@
-"""What the lists and switches of a page change in its settings; each choice is judged."""
+"""Changes of the settings that a page requests: chosen from its lists, and worked off in a thread."""
 
 from __future__ import annotations
 
-import json
 import threading
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
-
-from bokeh.core.properties import Any as AnyProperty
-from bokeh.core.properties import String
-from bokeh.model import DataModel
+from typing import TYPE_CHECKING, Generic, TypeVar
 
 from platform_ctrl.common.arguments import known_name, known_names, whole
 from platform_ctrl.common.signatures import short
@@ -89,7 +84,7 @@ class LatestTasks(Generic[T]):
             if self._working:
                 return
             self._working = True
-        threading.Thread(target=self._run, name="designer", daemon=True).start()
+        threading.Thread(target=self._run, name="page", daemon=True).start()
 
     def close(self) -> None:
         """Drop what waits; nothing more is taken."""
@@ -106,15 +101,3 @@ class LatestTasks(Generic[T]):
                 tasks = list(self._waiting.values())
                 self._waiting.clear()
             self._work(tasks)
-
-
-class MessageModel(DataModel):
-    """What was asked last by the page, and told last by the session."""
-
-    # Of any type: what is nonsense is refused by `asking.parse_request`, with a line.
-    asked = AnyProperty(default="")
-    told = String(default="")
-
-    def tell(self, **parts: Any) -> None:
-        """Tell the page parts of what it shows, each under its name."""
-        self.update(told=json.dumps(parts, allow_nan=False, separators=(",", ":")))

@@ -1,4 +1,4 @@
-"""What a page is told: a picture's verdict, margins and requirements, and the settings, as plain data."""
+"""What is sent to a page: a picture's verdict, margins and requirements, and the settings, as plain data."""
 
 from __future__ import annotations
 
@@ -101,11 +101,11 @@ def influence_data(influence: Influence) -> dict[str, Any]:
 
 
 def _row(one: CheckResult) -> dict[str, Any]:
-    reached, asked = compared(one)
+    reached, required = compared(one)
     return {
         "name": one.name,
         "full": f"{one.subject}, {one.design}: {one.name}" if one.design else f"{one.subject}: {one.name}",
-        "asked": f"{BOUND[one.sense]} {asked}",
+        "required": f"{BOUND[one.sense]} {required}",
         "reached": reached,
         "margin": one.margin if math.isfinite(one.margin) else None,
         "passed": bool(one.passed),
@@ -124,12 +124,12 @@ def _verdict(picture: Picture) -> tuple[str, str, str]:
     if missed:
         return "bad", f"{len(missed)} of {count} missed", ", ".join(missed)
     if count == 0:
-        return "good", "Stable", "nothing is asked of this loop"
+        return "good", "Stable", "this loop has no requirements"
     least = min(picture.requirements, key=lambda one: one.margin)
     # What lies between the frequencies of a grid is no verdict.
     sampled = any(one.method == "sampled" for one in picture.requirements)
     met = "met on a frequency grid" if sampled else "met" if count == 1 else "requirements met"
-    left = f"least left: {least.name}, {100 * least.margin:.1f} %"
+    left = f"smallest margin: {least.name}, {100 * least.margin:.1f} %"
     return "good", met.capitalize() if count == 1 else f"All {count} {met}", left
 
 

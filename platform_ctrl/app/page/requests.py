@@ -1,4 +1,4 @@
-"""What a page may ask for: every message is judged before anything is done with it."""
+"""The requests of a page: every message is checked before anything is done with it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ LONGEST = 20_000
 MOVES = 64
 LARGEST_COUNT = 2**53
 
-# What can be asked for, and what belongs to it.
+# Every request, and what belongs to it.
 REQUESTS: Mapping[str, Mapping[str, type]] = {
     "ready": {},
     "dark": {"dark": bool},
@@ -31,7 +31,7 @@ REQUESTS: Mapping[str, Mapping[str, type]] = {
     "tune": {},
     "cancel": {},
     "save": {"name": str, "overwrite": bool},
-    "fly": {"manoeuvre": str},
+    "simulate": {"manoeuvre": str},
 }
 _WORDS = {bool: "true or false", int: "a whole number", str: "a text", list: "a list"}
 
@@ -65,7 +65,7 @@ def parse_request(message: object) -> Request:
         raise InputError(f"the page sent {short(message)}; expected JSON with finite numbers") from None
     what = read.get("what") if isinstance(read, dict) else None
     if not isinstance(what, str) or what not in REQUESTS:
-        raise InputError(f"the page asked for {short(what)}; expected one of {', '.join(REQUESTS)}")
+        raise InputError(f"the page requested {short(what)}; expected one of {', '.join(REQUESTS)}")
     more = {}
     for name, kind in REQUESTS[what].items():
         more[name] = _of_kind(f"{what}: {name}", read.get(name), kind)

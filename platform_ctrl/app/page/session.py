@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 from platform_ctrl.app.designs import DesignPending
 from platform_ctrl.app.history import History
 from platform_ctrl.app.page import messages
-from platform_ctrl.app.page.changes import LatestTasks, MessageModel, chosen
+from platform_ctrl.app.page.changes import LatestTasks, chosen
+from platform_ctrl.app.page.connection import Connection
 from platform_ctrl.app.page.requests import Request, parse_request, request_count
-from platform_ctrl.app.page.tasks import PageTasks, words_of
+from platform_ctrl.app.page.tasks import PageTasks, error_text
 from platform_ctrl.app.plots import Plots
 from platform_ctrl.app.tree3d.scene import TreeView
 from platform_ctrl.app.url_state import decode_state, encode_state
@@ -68,7 +68,7 @@ class Session:
 
     def __init__(self, backend: Backend, document: Document, state: str) -> None:
         self.backend = backend
-        self.document: Document | None = document
+        self.connection = Connection(document)
         self.choices = backend.choices()
         self.title = backend.read.name
         self.settings = backend.start()
@@ -80,8 +80,7 @@ class Session:
                 self._line = f"The state in the link was not used: {error}"
         self.history = History(self.settings)
         self.picture: Picture | None = None
-        self.wire = MessageModel(name="wire")
-        self.wire.on_change("asked", self._asked)
+        self.connection.model.on_change("request", self._requested)
         self.plots = Plots(dark=False)
         roots: list[Any] = list(self.plots.layout.values())
         for root in roots:
@@ -90,7 +89,6 @@ class Session:
         self.tree = TreeView(backend.read.platform)
         self.plots.on_pole_dragged(self._pole_dragged)
         self.plots.on_crossover_dragged(self._crossover_dragged)
-        self._answered = 0
         self._gesture: object = None
         self._changes: LatestTasks[Task] = LatestTasks(self._work)
         self._lock = threading.Lock()
@@ -104,43 +102,21 @@ class Session:
         self._idle: Any = None
         # Whether a drag may make limits missed that are met, and which of them hold the present one back.
         self._free = False
-        self._held_by: tuple[str, ...] = ()
+        self._limited_by: tuple[str, ...] = ()
         self._tasks = PageTasks(self)
-        self._deaf = backend.on_designed(self._designed)
+        self._stop_listening = backend.on_designed(self._designed)
 
     def roots(self) -> list[Any]:
         """Return what the document holds, each under the name that the template knows."""
-        return [*self.plots.layout.values(), self.tree.layout, self.wire]
+        return [*self.plots.layout.values(), self.tree.layout, self.connection.model]
 
     def close(self, session_context: object) -> None:
         """End what is going on and let go of everything; the page is gone."""
-        self._deaf()
+        self._stop_listening()
         self._changes.close()
         self._tasks.close()
-        self.document = self._idle = self._outcome = self.picture = self._drawing = self._awaited = None
-
-    def later(self, act: Callable[[], None]) -> None:
-        """Have something done on the server's loop; from any thread."""
-        document = self.document
-        if document is not None:
-            # Bokeh takes a document apart before it says that its page is gone.
-            with suppress(AttributeError):
-                document.add_next_tick_callback(lambda: None if self.document is None else act())
-
-    def soon(self, act: Callable[[], None], wait: int) -> None:
-        """Have something done on the server's loop after `wait` milliseconds, if the page is still there."""
-        document = self.document
-        if document is not None:
-            document.add_timeout_callback(lambda: None if self.document is None else act(), wait)
-
-    def say(self, text: str, kind: str = "quiet", count: int | None = None) -> None:
-        """Write the page's line: ``"quiet"``, ``"good"`` or ``"error"``."""
-        self.answer(count, line={"text": text, "kind": kind})
-
-    def answer(self, count: int | None = None, **parts: Any) -> None:
-        """Tell the page something, and up to which of its messages everything is done."""
-        self._answered = max(self._answered, count or 0)
-        self.wire.tell(n=self._answered, **parts)
+        self.connection.close()
+        self._idle = self._outcome = self.picture = self._drawing = self._awaited = None
 
     def change(self, key: str, change: Change, *, count: int = 0, gesture: object = None) -> None:
         """Have the settings changed and shown. A change of the same key that still waits is dropped."""
@@ -150,80 +126,82 @@ class Session:
             gesture = object()
         self._changes.add(key, Task(count=count, change=change, gesture=gesture))
 
-    # What the page asks for.
+    # Requests of the page.
 
-    def _asked(self, name: str, old: object, new: object) -> None:
-        """Do what a message asks for; nonsense is answered by a line."""
+    def _requested(self, name: str, old: object, new: object) -> None:
+        """Do what a message requests; what is no request is answered by a line."""
         try:
-            ask = parse_request(new)
-            getattr(self, f"_ask_{ask.what}", self._tasks.ask)(ask)
+            request = parse_request(new)
+            getattr(self, f"_on_{request.what}", self._tasks.handle)(request)
         except PlatformCtrlError as error:
             # What was typed gives way to what is shown.
-            rows = {} if self.picture is None else self._rows(self.picture.settings)
-            self.answer(request_count(new), line={"text": str(error), "kind": "error"}, **rows)
+            rows = {} if self.picture is None else self._slider_rows(self.picture.settings)
+            self.connection.answer(request_count(new), line={"text": str(error), "kind": "error"}, **rows)
 
-    def _ask_ready(self, ask: Request) -> None:
-        self.change("ready", lambda settings: settings, count=ask.count, gesture="ready")
+    def _on_ready(self, request: Request) -> None:
+        self.change("ready", lambda settings: settings, count=request.count, gesture="ready")
 
-    def _ask_dark(self, ask: Request) -> None:
-        self.plots.dark(ask.more["dark"])
-        self.answer(ask.count)
+    def _on_dark(self, request: Request) -> None:
+        self.plots.dark(request.more["dark"])
+        self.connection.answer(request.count)
 
-    def _ask_move(self, ask: Request) -> None:
+    def _on_move(self, request: Request) -> None:
         moved = self.backend.moved
-        for slider, number in ask.more["moves"]:
+        for slider, number in request.more["moves"]:
 
             def change(settings: Settings, slider: str = slider, number: float = number) -> Settings:
                 return moved(settings, slider, number)
 
-            self.change(f"move {slider}", change, count=ask.count, gesture=("move", slider, ask.more["gesture"]))
-        if not ask.more["moves"]:
-            self.answer(ask.count)
+            self.change(
+                f"move {slider}", change, count=request.count, gesture=("move", slider, request.more["gesture"])
+            )
+        if not request.more["moves"]:
+            self.connection.answer(request.count)
 
-    def _ask_fix(self, ask: Request) -> None:
-        slider, fixed, sliders = ask.more["slider"], ask.more["fixed"], self.backend.sliders
+    def _on_fix(self, request: Request) -> None:
+        slider, fixed, sliders = request.more["slider"], request.more["fixed"], self.backend.sliders
 
         def change(settings: Settings) -> Settings:
             known_name("slider", slider, [one.name for one in sliders(settings)])
             return settings.but(fixed=settings.fixed | {slider} if fixed else settings.fixed - {slider})
 
-        self.change(f"fix {slider}", change, count=ask.count)
+        self.change(f"fix {slider}", change, count=request.count)
 
-    def _ask_reset(self, ask: Request) -> None:
-        slider, starts, moved = ask.more["slider"], self._starts, self.backend.moved
+    def _on_reset(self, request: Request) -> None:
+        slider, starts, moved = request.more["slider"], self._starts, self.backend.moved
 
         def change(settings: Settings) -> Settings:
             first = starts(settings)
             known_name("slider", slider, list(first))
             return moved(settings, slider, first[slider])
 
-        self.change(f"move {slider}", change, count=ask.count)
+        self.change(f"move {slider}", change, count=request.count)
 
-    def _ask_part(self, ask: Request) -> None:
-        switched, part, on = self.backend.with_part, ask.more["part"], ask.more["on"]
-        self.change(f"part {part}", lambda settings: switched(settings, part, on), count=ask.count)
+    def _on_part(self, request: Request) -> None:
+        switched, part, on = self.backend.with_part, request.more["part"], request.more["on"]
+        self.change(f"part {part}", lambda settings: switched(settings, part, on), count=request.count)
 
-    def _ask_set(self, ask: Request) -> None:
-        backend, name, given = self.backend, ask.more["name"], ask.more["value"]
+    def _on_set(self, request: Request) -> None:
+        backend, name, given = self.backend, request.more["name"], request.more["value"]
         plants = () if self.picture is None else self.picture.plants
-        self.change(f"set {name}", lambda settings: chosen(backend, settings, name, given, plants), count=ask.count)
+        self.change(f"set {name}", lambda settings: chosen(backend, settings, name, given, plants), count=request.count)
 
-    def _ask_undo(self, ask: Request) -> None:
-        self._gone_to(ask, self.history.undo if self.history.can_undo else None, "There is nothing to undo.")
+    def _on_undo(self, request: Request) -> None:
+        self._step(request, self.history.undo if self.history.can_undo else None, "There is nothing to undo.")
 
-    def _ask_redo(self, ask: Request) -> None:
-        self._gone_to(ask, self.history.redo if self.history.can_redo else None, "There is nothing to redo.")
+    def _on_redo(self, request: Request) -> None:
+        self._step(request, self.history.redo if self.history.can_redo else None, "There is nothing to redo.")
 
-    def _gone_to(self, ask: Request, step: Callable[[], Settings] | None, nothing: str) -> None:
+    def _step(self, request: Request, step: Callable[[], Settings] | None, nothing: str) -> None:
         if step is None:
-            self.say(nothing, count=ask.count)
+            self.connection.say(nothing, count=request.count)
             return
         there = step()
-        self.change("history", lambda settings: there, count=ask.count, gesture="history")
+        self.change("history", lambda settings: there, count=request.count, gesture="history")
 
-    def _ask_free(self, ask: Request) -> None:
-        self._free = ask.more["free"]
-        self.answer(ask.count)
+    def _on_free(self, request: Request) -> None:
+        self._free = request.more["free"]
+        self.connection.answer(request.count)
 
     def _pole_dragged(self, pole: complex, target: complex) -> None:
         dragged, free = self.backend.drag_pole, self._free
@@ -243,7 +221,7 @@ class Session:
 
     def _limited(self, names: tuple[str, ...]) -> None:
         """Note which limits hold a drag back; called while a change is worked out."""
-        self._held_by = names
+        self._limited_by = names
 
     # What comes of it.
 
@@ -258,24 +236,24 @@ class Session:
                 task = Task(count=0, change=lambda settings: awaited.settings, gesture=awaited.gesture)
             self._changes.add("again", task)
 
-        self.later(again)
+        self.connection.later(again)
 
     def _work(self, tasks: list[Task]) -> None:
         """Work out a picture for all tasks together; runs in a thread."""
         settings, line, picture, awaits = self.settings, None, None, False
         self._turn += 1
-        self._held_by = ()
+        self._limited_by = ()
         for task in tasks:
             try:
                 settings = task.change(settings)
             except Exception as error:
-                line = words_of(error)
+                line = error_text(error)
         try:
             picture = self.backend.picture(settings, self._drawn)
         except DesignPending as error:
             line, awaits = str(error), True
         except Exception as error:
-            line = words_of(error)
+            line = error_text(error)
         # A design that is there now is no step of its own in what a hand does.
         gesture = next((task.gesture for task in reversed(tasks) if task.gesture != "ready"), "ready")
         count = max(task.count for task in tasks)
@@ -290,14 +268,14 @@ class Session:
                 settings=settings,
                 picture=picture,
                 line=line,
-                limited_by=self._held_by,
+                limited_by=self._limited_by,
                 awaits=awaits,
                 count=count,
                 gesture=gesture,
                 turn=self._turn,
             )
         if not scheduled:
-            self.later(self._show)
+            self.connection.later(self._show)
 
     def _drawn(self, drawing: Drawing) -> None:
         """Show what is drawn before it is measured; called in a thread."""
@@ -305,7 +283,7 @@ class Session:
         with self._lock:
             scheduled, self._drawing = self._drawing is not None, drawing
         if not scheduled:
-            self.later(self._draw)
+            self.connection.later(self._draw)
         # Measuring would only keep it from being sent: the browser paints meanwhile.
         self._sent.wait(_SENDING)
 
@@ -316,7 +294,7 @@ class Session:
         if drawing is not None:
             self._plotted = turn
             self.plots.show(drawing)
-            self.later(self._sent.set)
+            self.connection.later(self._sent.set)
 
     def _show(self) -> None:
         with self._lock:
@@ -327,27 +305,27 @@ class Session:
         self._line = None
         notes = () if out.picture is None else out.picture.notes
         if out.limited_by:
-            notes = (f"Held back by {' and '.join(out.limited_by)}; with Shift the drag goes on", *notes)
+            notes = (f"Limited by {' and '.join(out.limited_by)}; hold Shift to go on", *notes)
         kind = "error" if line and not out.awaits else "quiet"
-        told: dict[str, Any] = {"line": {"text": line or ". ".join(notes), "kind": kind}}
+        data: dict[str, Any] = {"line": {"text": line or ". ".join(notes), "kind": kind}}
         if out.gesture != "ready" or out.awaits:
             self._awaited = out if out.awaits else None
         if out.picture is not None:
             self._remember(out.settings, out.gesture)
             self.picture = out.picture
-            told |= self._told(out.picture)
+            data |= self._picture_data(out.picture)
             self._rest()
         elif self.picture is not None and out.awaits:
             # The sliders stay those of what is shown; what was chosen stays chosen.
-            told |= self._rows(self.picture.settings)
+            data |= self._slider_rows(self.picture.settings)
         elif self.picture is not None:
             # Everything goes back to what is shown.
-            told |= self._told(self.picture)
+            data |= self._picture_data(self.picture)
             self._rest()
             if self._plotted == out.turn:
                 # What could not be measured was drawn already.
                 self.plots.show(self.picture)
-        self.answer(out.count, **told)
+        self.connection.answer(out.count, **data)
 
     def _remember(self, settings: Settings, gesture: object) -> None:
         if gesture == "ready":
@@ -358,7 +336,7 @@ class Session:
             self.history.put(settings)
         self._gesture = gesture
 
-    def _told(self, picture: Picture) -> dict[str, Any]:
+    def _picture_data(self, picture: Picture) -> dict[str, Any]:
         settings = picture.settings
         sliders = self._sliders(settings)
         return {
@@ -376,7 +354,7 @@ class Session:
                 "redo": self.history.can_redo,
                 "tunable": any(one["tunable"] and not one["fixed"] for one in sliders),
                 "link": encode_state(self.backend, settings),
-                **self._tasks.told(),
+                **self._tasks.data(),
             },
             "parts": self._parts(settings),
             "sliders": sliders,
@@ -384,7 +362,7 @@ class Session:
             "requirements": messages.requirement_data(picture),
         }
 
-    def _rows(self, settings: Settings) -> dict[str, Any]:
+    def _slider_rows(self, settings: Settings) -> dict[str, Any]:
         return {"sliders": self._sliders(settings), "parts": self._parts(settings)}
 
     def _sliders(self, settings: Settings) -> list[dict[str, Any]]:
@@ -402,7 +380,7 @@ class Session:
 
     def _rest(self) -> None:
         """Once nothing has changed for a while, work out what each slider does to each requirement."""
-        document = self.document
+        document = self.connection.document
         if document is None:
             return
         self._no_rest()
@@ -415,6 +393,6 @@ class Session:
         self._idle = document.add_timeout_callback(rested, IDLE)
 
     def _no_rest(self) -> None:
-        if self._idle is not None and self.document is not None:
-            self.document.remove_timeout_callback(self._idle)
+        if self._idle is not None and self.connection.document is not None:
+            self.connection.document.remove_timeout_callback(self._idle)
         self._idle = None

@@ -13,7 +13,7 @@ from bokeh.models.annotations.geometry import BoxAnnotation, Span
 from platform_ctrl.app.pictures import Bode, Drawing
 from platform_ctrl.app.plots.dragging import Drag
 from platform_ctrl.app.plots.panel import Key, OverlayCurves, Panel, Theme, overlay_keys, tell
-from platform_ctrl.app.plots.sources import ASKED, Sources, column, decibels, extent, finite, inner_width
+from platform_ctrl.app.plots.sources import LIMIT_DASHES, Sources, column, decibels, extent, finite, inner_width
 from platform_ctrl.app.plots.views import View, stepped
 from platform_ctrl.common.values import FloatArray
 
@@ -108,7 +108,7 @@ class BodePanel:
         self._band = sources.new("band", "frequency", "gain_low", "gain_high", "phase_low", "phase_high")
         self._marks = sources.new("margins", "frequency", "gain0", "gain1", "phase0", "phase1")
         self._nyquist: list[Span] = []
-        self._asked: list[Span] = []
+        self._required: list[Span] = []
         paint = theme.paint
         for plot, name, level in ((above, "gain", 0.0), (below, "phase", -180.0)):
             area = plot.varea("frequency", f"{name}_low", f"{name}_high", source=self._band, fill_alpha=0.16)
@@ -120,10 +120,10 @@ class BodePanel:
             plot.add_layout(level_line)
             plot.add_layout(nyquist)
             self._nyquist.append(nyquist)
-            asked = Span(dimension="height", location=None, line_width=1.5, line_dash=list(ASKED))
-            paint(asked, line_color="limit")
-            plot.add_layout(asked)
-            self._asked.append(asked)
+            required = Span(dimension="height", location=None, line_width=1.5, line_dash=list(LIMIT_DASHES))
+            paint(required, line_color="limit")
+            plot.add_layout(required)
+            self._required.append(required)
         self.overlays = OverlayCurves(sources, theme)
         self.overlays.draw(above, "xs", "gains")
         self.overlays.draw(below, "xs", "phases")
@@ -171,9 +171,9 @@ class BodePanel:
         nyquist = bode.nyquist * HZ
         for span in self._nyquist:
             span.location = float(nyquist) if math.isfinite(nyquist) else None
-        asked = picture.bandwidth
-        for span in self._asked:
-            span.location = asked
+        required = picture.bandwidth
+        for span in self._required:
+            span.location = required
         seen = extent([f])
         # An axis that moves would move the crossover under the mouse.
         still = self.handle.drag.active or seen is None or seen[0] <= 0.0
@@ -187,7 +187,7 @@ class BodePanel:
             [
                 *keys,
                 *overlay_keys(bode.overlays),
-                *([("asked bandwidth", "limit", ASKED, 1.5)] if asked is not None else []),
+                *([("required bandwidth", "limit", LIMIT_DASHES, 1.5)] if required is not None else []),
             ]
         )
         empty = not (np.isfinite(gain).any() and np.isfinite(phase).any())

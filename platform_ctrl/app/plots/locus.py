@@ -16,8 +16,8 @@ from platform_ctrl.app.plots.bode import HZ
 from platform_ctrl.app.plots.dragging import Drag
 from platform_ctrl.app.plots.panel import Panel, Theme, tell
 from platform_ctrl.app.plots.sources import (
-    ASKED,
     FONT,
+    LIMIT_DASHES,
     Sources,
     column,
     inner_height,
@@ -269,7 +269,7 @@ class LocusPanel:
         ends = sources.new("open_poles", "re", "im")
         others = sources.new("other_poles", "re", "im")
         overlays = sources.new("overlay_poles", "re", "im", lists=("colour", "name"))
-        asked = sources.new("asked_damping", "x", "y")
+        required = sources.new("required_damping", "x", "y")
         poles = sources.new("poles", "re", "im", "damping", "hz")
         marks = sources.new("plane_labels", "x", "y", "dx", "dy", lists=("text", "align", "baseline"))
         away = sources.new("dragged", "x0", "y0", "x1", "y1")
@@ -286,7 +286,7 @@ class LocusPanel:
             axis = Span(dimension=dimension, location=0.0, line_width=1)
             paint(axis, line_color="reference")
             plot.add_layout(axis)
-        edge = plot.line("x", "y", source=asked, line_width=1.5, line_dash=list(ASKED))
+        edge = plot.line("x", "y", source=required, line_width=1.5, line_dash=list(LIMIT_DASHES))
         paint(edge.glyph, line_color="limit")
         cloud = plot.scatter("re", "im", source=others, marker="dot", size=8, line_alpha=0.0, fill_alpha=0.35)
         paint(cloud.glyph, fill_color="series-1")
@@ -365,13 +365,17 @@ class LocusPanel:
             name=[name for _, _, name in found],
         )
         self._look(locus)
-        self._asked(locus.damping)
+        self._required(locus.damping)
         self.handles.show(locus)
         self.panel.say("drag a ringed pole" if locus.draggable.any() else "")
         self.panel.keys(
             [
                 ("gain from 0", "series-3", (), 1.4),
-                *([(f"asked damping {locus.damping:g}", "limit", ASKED, 1.5)] if locus.damping is not None else []),
+                *(
+                    [(f"required damping {locus.damping:g}", "limit", LIMIT_DASHES, 1.5)]
+                    if locus.damping is not None
+                    else []
+                ),
                 *[(one.design, series(1 + k), (), 1.5) for k, one in enumerate(overlays)],
             ]
         )
@@ -384,14 +388,14 @@ class LocusPanel:
                 "" if picture.stable else f"not stable: {right} {'pole' if right == 1 else 'poles'} to the right",
             )
 
-    def _asked(self, damping: float | None) -> None:
+    def _required(self, damping: float | None) -> None:
         if damping is None or not 0.0 < damping < 1.0:
-            self._sources.put("asked_damping", x=column([]), y=column([]))
+            self._sources.put("required_damping", x=column([]), y=column([]))
             return
         # Dashes are drawn one by one, far outside the view too: no further than somebody may zoom out.
         end = 8.0 * self._reach
         slope = -damping / math.sqrt(1.0 - damping**2) * end
-        self._sources.put("asked_damping", x=column([slope, 0.0, slope]), y=column([end, 0.0, -end]))
+        self._sources.put("required_damping", x=column([slope, 0.0, slope]), y=column([end, 0.0, -end]))
 
     def _look(self, locus: Locus) -> None:
         """Show the upper half plane as far as it matters; a reach that changes a little moves nothing."""

@@ -1,4 +1,4 @@
-"""Gain over phase of the loop with all plants of the set, and the region that the asked disk margin keeps free."""
+"""Gain over phase of the loop with all plants of the set, and the region that the required disk margin keeps free."""
 
 from __future__ import annotations
 
@@ -70,8 +70,8 @@ class NicholsPanel:
         self._regions(nichols.disk_margin)
         others = len(nichols.labels) - 1
         overlays = picture.bode.overlays
-        asked = nichols.disk_margin
-        self.panel.say("" if asked is None else f"grey: disk margin {asked:g}")
+        required = nichols.disk_margin
+        self.panel.say("" if required is None else f"grey: disk margin {required:g}")
         set_of_plants = [(f"{others} more plants", "series-1", (), 0.9)] if others else []
         self.panel.keys([("L", "series-1", (), 2.2), *set_of_plants, *overlay_keys(overlays)])
         empty = not (np.isfinite(phases[0]).any() and np.isfinite(gains[0]).any())

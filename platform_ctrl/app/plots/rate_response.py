@@ -10,7 +10,17 @@ from bokeh.models.annotations.geometry import BoxAnnotation, Span
 from platform_ctrl.app.pictures import Drawing
 from platform_ctrl.app.plots.bode import HZ
 from platform_ctrl.app.plots.panel import Panel, Theme, overlay_keys, tell
-from platform_ctrl.app.plots.sources import ASKED, Sources, Unit, column, dashes, extent, finite, quantity, series
+from platform_ctrl.app.plots.sources import (
+    LIMIT_DASHES,
+    Sources,
+    Unit,
+    column,
+    dashes,
+    extent,
+    finite,
+    quantity,
+    series,
+)
 from platform_ctrl.app.plots.time_response import TimePanel
 from platform_ctrl.app.plots.views import View
 
@@ -34,7 +44,7 @@ class RatePanel:
         self._limit = BoxAnnotation(bottom=1.0, visible=False, level="underlay", fill_alpha=1.0, line_alpha=0.0)
         theme.paint(self._limit, fill_color="beyond")
         plot.add_layout(self._limit)
-        self._edge = Span(dimension="width", location=None, line_width=1.5, line_dash=list(ASKED))
+        self._edge = Span(dimension="width", location=None, line_width=1.5, line_dash=list(LIMIT_DASHES))
         theme.paint(self._edge, line_color="limit")
         plot.add_layout(self._edge)
         area = plot.varea("frequency", "low", "high", source=band, fill_alpha=0.16)
@@ -116,7 +126,7 @@ class RatePanel:
         self.plot.yaxis[0].axis_label = unit
         tell(self._message, "no finite response" if top is None else "" if picture.stable else "closed loop not stable")
         self.panel.say(response.title)
-        limits = [] if limit is None else [(f"limit {quantity(limit, response.unit)}", "limit", ASKED, 1.5)]
+        limits = [] if limit is None else [(f"limit {quantity(limit, response.unit)}", "limit", LIMIT_DASHES, 1.5)]
         self.panel.keys([(picture.settings.design, "series-1", (), 2.2), *overlay_keys(overlays), *limits])
 
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 # Dashes of the k-th design in pixels; empty is a solid line.
 DASHES: tuple[tuple[int, ...], ...] = ((), (8, 3), (2, 3), (9, 3, 2, 3), (9, 3, 2, 3, 2, 3), (5, 2), (14, 4), (4, 4))
 # Dashes of what the job asks for, pixels.
-ASKED = (6, 3)
+LIMIT_DASHES = (6, 3)
 FONT = 'system-ui, -apple-system, "Segoe UI", "Helvetica Neue", "Noto Sans", "Liberation Sans", Arial, sans-serif'
 SMALL, NORMAL = "11px", "12px"
 
@@ -140,7 +140,7 @@ def extent(columns: Sequence[Any]) -> tuple[float, float] | None:
 
 
 _PREFIXES = ((1e-3, "m"), (1e-6, "µ"), (1e-9, "n"))
-_PREFIXED = frozenset({"rad", "rad/s", "N m", "s", "rad s/rad"})
+_PREFIXED = frozenset({"rad", "rad/s", "N m", "s", "rad/(rad/s)"})
 
 
 class Unit:

@@ -13,7 +13,7 @@ from bokeh.models.annotations.geometry import BoxAnnotation, Span
 from platform_ctrl.app.pictures import Drawing, Overlay, TimeResponse
 from platform_ctrl.app.plots.panel import Key, Panel, Theme, tell
 from platform_ctrl.app.plots.sources import (
-    ASKED,
+    LIMIT_DASHES,
     Column,
     Sources,
     Unit,
@@ -103,7 +103,7 @@ class _Trace:
         drive = sources.new(f"{name}_drive", "t", "share")
         self._limits, self._edges = [], []
         for edge in ("bottom", "top"):
-            line = Span(dimension="width", location=None, line_width=1.5, line_dash=list(ASKED))
+            line = Span(dimension="width", location=None, line_width=1.5, line_dash=list(LIMIT_DASHES))
             theme.paint(line, line_color="limit")
             plot.add_layout(line)
             self._edges.append(line)
@@ -197,7 +197,7 @@ class _Trace:
             troubled = not (picture.stable or self._last)
             tell(self._message, "closed loop not stable" if troubled else "")
         self.signals = list(zip(names, own_series, strict=True))
-        self.limits = [] if limit is None else [(f"limit {quantity(limit, plain)}", "limit", ASKED, 1.5)]
+        self.limits = [] if limit is None else [(f"limit {quantity(limit, plain)}", "limit", LIMIT_DASHES, 1.5)]
 
 
 def _fitting(overlay: Overlay, own: str, response: TimeResponse) -> TimeResponse | None:

@@ -1,5 +1,5 @@
 // Buttons, dialogs and keys.
-import { ask, byId, hear, made, on } from "./messages.js";
+import { request, byId, receive, made, on } from "./messages.js";
 import { shownState } from "./choices.js";
 import { rows } from "./sliders.js";
 
@@ -18,13 +18,13 @@ const copy = async (text) => {
   }
 };
 
-const say = (text, kind = "quiet") => hear({ line: { text, kind } });
+const say = (text, kind = "quiet") => receive({ line: { text, kind } });
 const acts = {
-  undo: () => ask("undo"),
-  redo: () => ask("redo"),
-  tune: () => ask("tune"),
-  cancel: () => ask("cancel"),
-  fly: () => ask("fly", { manoeuvre: byId("manoeuvre").value }),
+  undo: () => request("undo"),
+  redo: () => request("redo"),
+  tune: () => request("tune"),
+  cancel: () => request("cancel"),
+  simulate: () => request("simulate", { manoeuvre: byId("manoeuvre").value }),
   compare: () => byId("compare-dialog").showModal(),
   help: () => byId("help-dialog").showModal(),
   link: async () => say(await copy(location.href) ? "The link is copied: it opens exactly this state." : "The link is in the address bar: it opens exactly this state.", "good"),
@@ -47,7 +47,7 @@ byId("save-close").addEventListener("click", () => byId("save-dialog").close());
 byId("save-dialog").querySelector("form").addEventListener("submit", (event) => {
   event.preventDefault();
   byId("saved").hidden = true;
-  ask("save", { name: byId("save-name").value, overwrite });
+  request("save", { name: byId("save-name").value, overwrite });
 });
 on("saved", (given) => {
   const line = byId("save-line");
@@ -104,11 +104,11 @@ const KEYS = [
   ["← →", "move the slider; with Shift: coarsely"],
   ["PgUp PgDn", "move the slider by a tenth"],
   ["Home End", "to the slider's ends"],
-  ["Shift", "with the mouse: a drag in a plot may make limits missed"],
+  ["Shift", "with the mouse: a drag in a plot may violate limits"],
   ["G", "go to the sliders", (e) => e.key === "g", () => rows.values().next().value?.range.focus()],
   ["N", "type the slider's number; Enter takes it", (e) => e.key === "n", () => focusedRow()?.number.focus()],
   ["X", "fix the slider, or free it", (e) => e.key === "x", () => focusedRow()?.pin.click()],
-  ["R", "slider back to where it stood", (e) => e.key === "r", () => focusedRow()?.reset.click()],
+  ["R", "reset the slider to the job's value", (e) => e.key === "r", () => focusedRow()?.reset.click()],
   ["1 … 9", "loop of that number", (e) => /^[1-9]$/.test(e.key), (e) => choose("loop", Number(e.key) - 1)],
   ["M", "caged or stabilised", (e) => e.key === "m", () => byId("mode").querySelector('[aria-checked="false"]:not(:disabled)')?.click()],
   ["D", "next design; Shift: previous", (e) => e.key === "d", (e) => next("design", e.shift ? -1 : 1)],
@@ -118,12 +118,12 @@ const KEYS = [
   ["B", "band of the set on or off", (e) => e.key === "b", () => byId("band").click()],
   ["T", "tune the rest", (e) => e.key === "t", () => byId("tune").click()],
   ["C", "compare designs", (e) => e.key === "c", () => byId("compare").click()],
-  ["S", "simulate the manoeuvre", (e) => e.key === "s", () => byId("fly").click()],
+  ["S", "simulate the manoeuvre", (e) => e.key === "s", () => byId("simulate").click()],
   ["F", "enlarge the plot last pointed at; again: back", (e) => e.key === "f", () => lastPanel.querySelector(".grow").click()],
   ["L", "copy the link", (e) => e.key === "l", acts.link],
   ["K", "theme: light, dark, as the system", (e) => e.key === "k", () => {
     const themes = ["light", "dark", "system"];
-    window.designerTheme.choose(themes[(themes.indexOf(window.designerTheme.choice()) + 1) % 3]);
+    window.pageTheme.choose(themes[(themes.indexOf(window.pageTheme.choice()) + 1) % 3]);
   }],
   ["Esc", "cancel what is going on; close", (e) => e.key === "escape", () => {
     if (!byId("busy").hidden) acts.cancel();

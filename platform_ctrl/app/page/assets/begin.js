@@ -1,5 +1,5 @@
-// Waits for BokehJS, takes the model that carries questions and answers, and asks for the first picture.
-import { ask, connect, hear, traffic } from "./messages.js";
+// Waits for BokehJS, takes the model that carries the messages, and requests the first picture.
+import { request, connect, receive, traffic } from "./messages.js";
 import { themeChanged } from "./choices.js";
 import { watch } from "./connection.js";
 import "./sliders.js";
@@ -7,22 +7,22 @@ import "./table.js";
 import "./actions.js";
 
 const LOOK = 20;
-// For who watches the page from outside: whether everything that it asked for is done.
-window.designer = {
+// For who watches the page from outside: whether everything that it requested is done.
+window.page = {
   traffic,
   settled: () => {
-    const { asked, answered, waiting } = traffic();
-    return asked > 0 && asked === answered && waiting === 0;
+    const { sent, answered, waiting } = traffic();
+    return sent > 0 && sent === answered && waiting === 0;
   },
 };
 
-// With Shift a drag in a plot may make limits missed: told as soon as it changes, before the place of the next move.
+// With Shift a drag in a plot may make limits missed: sent as soon as it changes, before the place of the next move.
 const shiftFrees = () => {
   let free = false;
   const heard = (now) => {
     if (now === free) return;
     free = now;
-    ask("free", { free });
+    request("free", { free });
   };
   for (const name of ["keydown", "keyup", "pointerdown", "pointermove"]) {
     window.addEventListener(name, (event) => heard(event.shiftKey === true), { capture: true, passive: true });
@@ -31,18 +31,18 @@ const shiftFrees = () => {
 };
 
 const begin = (bokeh) => {
-  const wire = bokeh.get_model_by_name("wire");
-  connect((message) => { wire.asked = JSON.stringify(message); });
-  wire.properties.told.change.connect(() => {
-    const told = JSON.parse(wire.told);
-    hear(told);
-    if (told.bar) document.body.classList.remove("starting");
-    window.dispatchEvent(new CustomEvent("told", { detail: traffic() }));
+  const messages = bokeh.get_model_by_name("messages");
+  connect((message) => { messages.request = JSON.stringify(message); });
+  messages.properties.response.change.connect(() => {
+    const response = JSON.parse(messages.response);
+    receive(response);
+    if (response.bar) document.body.classList.remove("starting");
+    window.dispatchEvent(new CustomEvent("response", { detail: traffic() }));
   });
   watch(bokeh);
   shiftFrees();
   themeChanged();
-  ask("ready");
+  request("ready");
 };
 
 const wait = () => {

@@ -1,5 +1,5 @@
 // What is shown: mode, loop, design, plant and the rest; verdict and margins.
-import { ask, byId, dress, made, on, shown, write } from "./messages.js";
+import { request, byId, dress, made, on, shown, write } from "./messages.js";
 
 const SELECTS = { loop: "loop", design: "design", channel: "channel", axis: "axis", plant: "plant" };
 
@@ -14,9 +14,9 @@ const fill = (select, options, value) => {
 };
 
 for (const [id, name] of Object.entries(SELECTS)) {
-  byId(id).addEventListener("change", (event) => ask("set", { name, value: name === "axis" ? Number(event.target.value) : event.target.value }));
+  byId(id).addEventListener("change", (event) => request("set", { name, value: name === "axis" ? Number(event.target.value) : event.target.value }));
 }
-byId("band").addEventListener("change", (event) => ask("set", { name: "band", value: event.target.checked }));
+byId("band").addEventListener("change", (event) => request("set", { name: "band", value: event.target.checked }));
 
 // Buttons of which one is chosen: Tab reaches the chosen one, arrows go through them.
 const radios = (group, choose) => {
@@ -40,13 +40,13 @@ const radios = (group, choose) => {
   }
   return paint;
 };
-const paintMode = radios(byId("mode"), (button) => ask("set", { name: "mode", value: button.dataset.mode }));
-const paintTheme = radios(byId("theme"), (button) => window.designerTheme.choose(button.dataset.themeChoice));
+const paintMode = radios(byId("mode"), (button) => request("set", { name: "mode", value: button.dataset.mode }));
+const paintTheme = radios(byId("theme"), (button) => window.pageTheme.choose(button.dataset.themeChoice));
 export const themeChanged = () => {
-  paintTheme((button) => button.dataset.themeChoice === window.designerTheme.choice());
-  ask("dark", { dark: window.designerTheme.isDark() });
+  paintTheme((button) => button.dataset.themeChoice === window.pageTheme.choice());
+  request("dark", { dark: window.pageTheme.isDark() });
 };
-window.designerTheme.onChange(themeChanged);
+window.pageTheme.onChange(themeChanged);
 
 let state = null, overlays = "";
 // The address follows once nothing moves: browsers allow it to change only so often.
@@ -66,9 +66,9 @@ on("state", (given) => {
   for (const button of byId("mode").children) button.disabled = !given.choices.mode.includes(button.dataset.mode);
   for (const [id, name] of Object.entries(SELECTS)) fill(byId(id), given.choices[name], given[name]);
   byId("band").checked = given.band;
-  // What was chosen to be flown is the page's own.
+  // The chosen manoeuvre is the page's own.
   fill(byId("manoeuvre"), given.choices.manoeuvre, byId("manoeuvre").value || given.manoeuvre);
-  byId("fly").disabled = given.choices.manoeuvre.length === 0;
+  byId("simulate").disabled = given.choices.manoeuvre.length === 0;
   byId("undo").disabled = !given.undo;
   byId("redo").disabled = !given.redo;
   byId("tune").disabled = !given.tunable;
@@ -81,7 +81,7 @@ on("state", (given) => {
     const box = made("input", { type: "checkbox", checked: given.overlays.includes(one.design) });
     box.addEventListener("change", () => {
       const boxes = [...byId("overlays").querySelectorAll("input")];
-      ask("set", { name: "overlays", value: given.choices.overlays.filter((_, k) => boxes[k].checked).map((each) => each.design) });
+      request("set", { name: "overlays", value: given.choices.overlays.filter((_, k) => boxes[k].checked).map((each) => each.design) });
     });
     return made("li", {}, made("label", {}, box, made("span", {}, one.design), made("span", { className: "quiet" }, one.method)));
   }));

@@ -1,11 +1,11 @@
 // What the page does while the server does not answer: it says so, and comes back with its state when the server does.
-import { hear, traffic } from "./messages.js";
+import { receive, traffic } from "./messages.js";
 
 const AGAIN = 1500, LOOK = 1000, PATIENCE = 5000;
 const LOST = "The connection to the server is lost. The page comes back as it stands here as soon as the server answers.";
 const SLOW = "The server has not answered yet; the page goes on when it does.";
 
-const say = (text, kind) => hear({ line: { text, kind } });
+const say = (text, kind) => receive({ line: { text, kind } });
 
 const back = async () => {
   try {
@@ -20,7 +20,7 @@ const watchAnswers = () => {
   let answered = -1, since = performance.now(), said = false;
   setInterval(() => {
     const now = traffic();
-    if (now.answered !== answered || now.answered >= now.asked) {
+    if (now.answered !== answered || now.answered >= now.sent) {
       answered = now.answered;
       since = performance.now();
       said = false;

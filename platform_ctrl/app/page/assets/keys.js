@@ -3,7 +3,7 @@ const ROOM = 26; // pixels for the count
 
 class CurveKeys extends HTMLElement {
   connectedCallback() {
-    // It is told its size after the page was laid out, so that asking where the keys stand costs nothing.
+    // It gets its size after the page was laid out, so that asking where the keys stand costs nothing.
     this.sizes = new ResizeObserver(() => this.fit());
     this.sizes.observe(this);
   }

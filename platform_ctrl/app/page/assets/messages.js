@@ -1,10 +1,10 @@
-// What the page asks of the server, and who listens to what it is told.
+// Requests of the page to the server, and the functions that follow its responses.
 // Moves of sliders are never queued: while one is being worked out, only the newest of each slider waits.
 let send = null;
-let asked = 0, answered = 0, gesture = 0;
+let sent = 0, answered = 0, gesture = 0;
 const waiting = new Map();
 // What is meant for where the sliders have come to: it waits until they are there.
-const AFTER_MOVES = new Set(["undo", "redo", "tune", "save", "fly"]);
+const AFTER_MOVES = new Set(["undo", "redo", "tune", "save", "simulate"]);
 const later = [];
 const listeners = new Map();
 
@@ -34,26 +34,26 @@ export const icon = (name) => {
 // While an answer is on its way the browser's frames go on: when it comes, the next one is near.
 let ticking = false;
 const tick = () => {
-  ticking = answered < asked;
+  ticking = answered < sent;
   if (ticking) requestAnimationFrame(tick);
 };
 
-export const ask = (what, more = {}) => {
+export const request = (what, more = {}) => {
   if (send === null) return;
-  if (AFTER_MOVES.has(what) && (answered < asked || waiting.size > 0)) {
+  if (AFTER_MOVES.has(what) && (answered < sent || waiting.size > 0)) {
     later.push([what, more]);
     return;
   }
-  asked += 1;
+  sent += 1;
   if (!ticking) tick();
-  send({ n: asked, what, ...more });
+  send({ n: sent, what, ...more });
 };
 
 const sendWaiting = () => {
-  if (answered < asked || waiting.size === 0) return;
+  if (answered < sent || waiting.size === 0) return;
   const moves = [...waiting.values()];
   waiting.clear();
-  ask("move", { moves, gesture });
+  request("move", { moves, gesture });
 };
 
 // One gesture is one step of undo: a drag, a series of arrow keys, a number typed.
@@ -64,12 +64,12 @@ export const move = (slider, value) => {
 // A number that was typed goes at once, whatever it is: the server judges it.
 export const put = (slider, value) => {
   newGesture();
-  ask("move", { moves: [{ slider, value }], gesture });
+  request("move", { moves: [{ slider, value }], gesture });
 };
 export const newGesture = () => { gesture += 1; };
 export const pending = (slider) => waiting.has(slider);
-export const settled = (n) => n >= asked;
-export const traffic = () => ({ asked, answered, waiting: waiting.size + later.length });
+export const settled = (n) => n >= sent;
+export const traffic = () => ({ sent, answered, waiting: waiting.size + later.length });
 export const connect = (given) => { send = given; };
 
 export const on = (part, listen) => {
@@ -77,14 +77,14 @@ export const on = (part, listen) => {
   listeners.get(part).push(listen);
 };
 
-export const hear = (told) => {
-  for (const [part, content] of Object.entries(told)) {
-    for (const listen of listeners.get(part) ?? []) listen(content, told);
+export const receive = (message) => {
+  for (const [part, content] of Object.entries(message)) {
+    for (const listen of listeners.get(part) ?? []) listen(content, message);
   }
-  if (typeof told.n === "number" && told.n >= answered) {
-    answered = told.n;
+  if (typeof message.n === "number" && message.n >= answered) {
+    answered = message.n;
     sendWaiting();
-    if (answered >= asked && later.length > 0) ask(...later.shift());
+    if (answered >= sent && later.length > 0) request(...later.shift());
   }
 };
 

@@ -1,5 +1,5 @@
-// The sliders: a row each with its number, unit, a lock and a way back to where it stood at first.
-import { ask, byId, icon, made, move, newGesture, on, pending, put, settled, shown, typed } from "./messages.js";
+// The sliders: a row each with its number, unit, a lock and a reset button.
+import { request, byId, icon, made, move, newGesture, on, pending, put, settled, shown, typed } from "./messages.js";
 
 const STEPS = 1000, FINE = 2, COARSE = 20;
 // Milliseconds without a key after which the next one begins a series of its own; a key that is held is one series.
@@ -58,8 +58,8 @@ const makeRow = (slider, k) => {
   const id = `slider-${k}`;
   const range = made("input", { type: "range", id, min: 0, max: STEPS, step: 1, "aria-describedby": `${id}-tip` });
   const number = made("input", { type: "text", inputMode: "decimal", autocomplete: "off", spellcheck: false, "aria-label": `${slider.label}, ${slider.unit || "number"}` });
-  const pin = made("button", { type: "button", className: "pin", title: "Fix: neither pulling nor tuning moves it (X)", "aria-label": `Fix ${slider.label}` }, icon("pin"));
-  const reset = made("button", { type: "button", className: "reset", title: "Back to where it stood (R)", "aria-label": `Reset ${slider.label}` }, icon("reset"));
+  const pin = made("button", { type: "button", className: "pin", title: "Fix: neither dragging nor tuning changes it (X)", "aria-label": `Fix ${slider.label}` }, icon("pin"));
+  const reset = made("button", { type: "button", className: "reset", title: "Reset to the job's value (R)", "aria-label": `Reset ${slider.label}` }, icon("reset"));
   const label = made("label", { for: id, title: slider.tip }, slider.label);
   const unit = made("span", { className: "unit" }, slider.unit);
   const tip = made("span", { hidden: true, id: `${id}-tip` }, slider.tip);
@@ -98,8 +98,8 @@ const makeRow = (slider, k) => {
       event.preventDefault();
     }
   });
-  pin.addEventListener("click", () => ask("fix", { slider: row.slider.name, fixed: !row.slider.fixed }));
-  reset.addEventListener("click", () => { row.dragged = null; ask("reset", { slider: row.slider.name }); range.focus(); });
+  pin.addEventListener("click", () => request("fix", { slider: row.slider.name, fixed: !row.slider.fixed }));
+  reset.addEventListener("click", () => { row.dragged = null; request("reset", { slider: row.slider.name }); range.focus(); });
   for (const [enter, leave] of [["mouseenter", "mouseleave"], ["focusin", "focusout"]]) {
     element.addEventListener(enter, () => near(slider.name, true));
     element.addEventListener(leave, () => near(slider.name, false));
@@ -122,7 +122,7 @@ const build = (sliders, parts) => {
   if (parts.length) {
     const boxes = parts.map((part) => {
       const box = made("input", { type: "checkbox", checked: part.on });
-      box.addEventListener("change", () => ask("part", { part: part.name, on: box.checked }));
+      box.addEventListener("change", () => request("part", { part: part.name, on: box.checked }));
       return made("label", { title: part.tip }, box, part.label);
     });
     const at = fieldsets.findIndex((one) => ["sampling", "rotors", "Omega"].includes(one.dataset.group));
@@ -132,8 +132,8 @@ const build = (sliders, parts) => {
   if (focused && rows.has(focused)) rows.get(focused).range.focus();
 };
 
-on("sliders", (sliders, told) => {
-  const parts = told.parts ?? [];
+on("sliders", (sliders, message) => {
+  const parts = message.parts ?? [];
   // Ends that move with another slider, as with the sample rate, leave the rows: one of them may be under the hand.
   const now = JSON.stringify([sliders.map((one) => [one.name, one.label, one.unit, one.group]), parts]);
   if (now !== structure) {
@@ -143,9 +143,9 @@ on("sliders", (sliders, told) => {
   for (const slider of sliders) {
     const row = rows.get(slider.name);
     row.slider = slider;
-    if (told.line?.kind === "error") row.painted = "";
+    if (message.line?.kind === "error") row.painted = "";
     // A slider that is being moved stays under the hand: its newest move is still on its way.
-    if (!pending(slider.name) && settled(told.n)) row.dragged = null;
+    if (!pending(slider.name) && settled(message.n)) row.dragged = null;
     paintRow(row);
   }
 });

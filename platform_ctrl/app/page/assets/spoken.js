@@ -1,5 +1,5 @@
-// What is told to who does not see the page: the verdict, and what each plot shows. It follows once nothing moves, so
-// that a move costs nothing and nobody is told of every step of it.
+// What a screen reader says: the verdict, and what each plot shows. It follows once nothing moves, so that a move costs
+// nothing and not every step of it is read out.
 import { byId, on, write } from "./messages.js";
 
 const REST = 700;

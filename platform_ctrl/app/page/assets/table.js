@@ -1,4 +1,4 @@
-// The requirements: what is asked, what is reached, how much is left, and which way each slider would help.
+// The requirements: required value, actual value, margin, and which way each slider would help.
 import { byId, dress, made, on, shown, write } from "./messages.js";
 import { near, rows } from "./sliders.js";
 
@@ -43,18 +43,18 @@ let structure = "", body = [];
 const buildTable = (requirements, sliders) => {
   const table = document.querySelector("#requirements table");
   table.tHead.replaceChildren(made("tr", {},
-    made("th", { scope: "col", "aria-label": "Requirement" }, made("span", { className: "key", id: "requirements-key" }, KEY), "Requirement"), made("th", { scope: "col", className: "number" }, "asked"),
-    made("th", { scope: "col", className: "number" }, "reached"), made("th", { scope: "col", className: "number" }, "left"), made("th", { "aria-hidden": true }),
+    made("th", { scope: "col", "aria-label": "Requirement" }, made("span", { className: "key", id: "requirements-key" }, KEY), "Requirement"), made("th", { scope: "col", className: "number" }, "required"),
+    made("th", { scope: "col", className: "number" }, "value"), made("th", { scope: "col", className: "number" }, "margin"), made("th", { "aria-hidden": true }),
     ...sliders.map((slider) => made("th", { scope: "col", className: "slider-name", "data-slider": slider.name, title: slider.label }, made("span", {}, slider.label))),
     made("th", { className: "rest", "aria-hidden": true })));
   body = requirements.map((one) => {
     const [track, fill] = bar();
     const row = {
       track, fill, place: "",
-      asked: made("td", { className: "number" }), reached: made("td", { className: "number value" }), left: made("td", { className: "number left" }),
+      required: made("td", { className: "number" }), reached: made("td", { className: "number value" }), left: made("td", { className: "number left" }),
       cells: sliders.map((slider) => made("td", { className: "cell", "data-slider": slider.name })),
     };
-    row.element = made("tr", {}, made("th", { scope: "row", title: `${one.full} (${one.method})` }, one.name), row.asked, row.reached, row.left,
+    row.element = made("tr", {}, made("th", { scope: "row", title: `${one.full} (${one.method})` }, one.name), row.required, row.reached, row.left,
       made("td", { className: "bar", "aria-hidden": true }, track), ...row.cells, made("td", { className: "rest", "aria-hidden": true }));
     return row;
   });
@@ -74,7 +74,7 @@ const paintTable = () => {
   for (const [r, one] of requirements.entries()) {
     const row = body[r];
     dress(row.element, `${one.passed ? "met" : "missed"}${one.hard ? "" : " goal"}`);
-    write(row.asked, one.asked);
+    write(row.required, one.required);
     const reached = `${one.passed ? "" : "✗ "}${one.reached}`;
     if (row.reached.textContent !== reached) {
       row.reached.textContent = reached;

@@ -1,5 +1,5 @@
 // Before anything is painted: light or dark, so that nothing flashes.
-window.designerTheme = (() => {
+window.pageTheme = (() => {
   "use strict";
   const KEY = "platform_ctrl theme", system = window.matchMedia("(prefers-color-scheme: dark)");
   const listeners = [];
