@@ -88,10 +88,12 @@ UNIT = re.compile(
 
 @functools.cache
 def functions() -> dict[str, Callable[..., Any]]:
-    """Return the public functions and methods by name."""
+    """Return the public functions and methods by name; what overrides a method is described where that is."""
     found = {name: item for name, item in public().items() if not inspect.isclass(item)}
     for name, item in classes().items():
-        found |= {f"{name}.{m}": f for m, f in methods(item) if not isinstance(f, property)}
+        inherited = {m for base in item.__mro__[1:-1] for m in vars(base)}
+        own = {m: f for m, f in methods(item) if not isinstance(f, property) and m not in inherited}
+        found |= {f"{name}.{m}": f for m, f in own.items()}
     return found
 
 
@@ -187,6 +189,7 @@ def test_classes_say_what_they_hold(name: str) -> None:
     for attribute, text in said.items():
         assert text.strip(), f"{attribute}: nothing said"
     for method, member in methods(item):
+        judge_summary(parsed(member))
         if isinstance(member, property) and member.fget is not None:
             judge_summary(parsed(member))
             annotation = inspect.signature(member.fget).return_annotation

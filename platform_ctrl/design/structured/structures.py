@@ -276,45 +276,11 @@ class Static(Structure):
         return self._plain and isinstance(self.pattern, str) and self.pattern == "full"
 
     def parameters(self, nmeas: int, ncon: int, units: Units) -> tuple[Parameter, ...]:
-        """Return the gains.
-
-        Parameters
-        ----------
-        nmeas, ncon, units
-            As in `Structure.parameters`.
-
-        Returns
-        -------
-        tuple of Parameter
-            Row by row.
-
-        Raises
-        ------
-        ArgumentError
-            A pattern that does not fit so many signals.
-        """
+        """Return the gains."""
         return tuple(_gains("k", _mask("Static: pattern", self.pattern, (ncon, nmeas)), units.gain))
 
     def block(self, p: FloatArray, nmeas: int, ncon: int) -> SlopedBlock:
-        """Return the static block.
-
-        Parameters
-        ----------
-        p : (parameters,)
-            Values in the order of `parameters`, in units of u per y.
-        nmeas, ncon
-            As in `Structure.block`.
-
-        Returns
-        -------
-        SlopedBlock
-            Without states.
-
-        Raises
-        ------
-        ArgumentError
-            A pattern that does not fit so many signals.
-        """
+        """Return the static block."""
         n = len(p)
         D = _filled(_mask("Static: pattern", self.pattern, (ncon, nmeas)), p, 0, n)
         return SlopedBlock(
@@ -353,18 +319,7 @@ class StateSpaceOrder(Structure):
         return self._plain and not self.strictly_proper
 
     def parameters(self, nmeas: int, ncon: int, units: Units) -> tuple[Parameter, ...]:
-        """Return the entries, states in units in which they are as large as y and u.
-
-        Parameters
-        ----------
-        nmeas, ncon, units
-            As in `Structure.parameters`.
-
-        Returns
-        -------
-        tuple of Parameter
-            Row by row.
-        """
+        """Return the entries, states in units in which they are as large as y and u."""
         k, rate = self.states, units.rate
         typical = float(np.sqrt(np.mean(units.gain**2)))
         into, out = np.sqrt(units.gain.mean(axis=0) / np.sqrt(typical)), np.sqrt(units.gain.mean(axis=1))
@@ -386,20 +341,7 @@ class StateSpaceOrder(Structure):
         return tuple(Parameter(name=one.name, start=starts.get(one.name, 0.0), size=one.size) for one in everything)
 
     def block(self, p: FloatArray, nmeas: int, ncon: int) -> SlopedBlock:
-        """Return the matrices.
-
-        Parameters
-        ----------
-        p : (parameters,)
-            Values in the order of `parameters`, in their units.
-        nmeas, ncon
-            As in `Structure.block`.
-
-        Returns
-        -------
-        SlopedBlock
-            With derivatives for every entry.
-        """
+        """Return the matrices."""
         n, k = len(p), self.states
         at = 0
         parts = []
@@ -412,18 +354,7 @@ class StateSpaceOrder(Structure):
         return SlopedBlock(*parts)
 
     def order(self, nmeas: int, ncon: int) -> int:
-        """Return the number of states.
-
-        Parameters
-        ----------
-        nmeas, ncon
-            As in `Structure.order`.
-
-        Returns
-        -------
-        int
-            `states`.
-        """
+        """Return the number of states."""
         return self.states
 
 
@@ -475,23 +406,7 @@ class PID(Structure):
         return masks
 
     def parameters(self, nmeas: int, ncon: int, units: Units) -> tuple[Parameter, ...]:
-        """Return gains and filters.
-
-        Parameters
-        ----------
-        nmeas, ncon, units
-            As in `Structure.parameters`.
-
-        Returns
-        -------
-        tuple of Parameter
-            kp, ki, kd, filter, damping and zero, as far as there are any.
-
-        Raises
-        ------
-        ArgumentError
-            A pattern that does not fit so many signals.
-        """
+        """Return gains and filters."""
         P, integral, D = self._masks(nmeas, ncon)
         gain, rate = units.gain, units.rate
         if self.seen_through is not None:
@@ -524,25 +439,7 @@ class PID(Structure):
         return tuple(out)
 
     def block(self, p: FloatArray, nmeas: int, ncon: int) -> SlopedBlock:
-        """Return one chain of states for every measurement, and the gains that read them.
-
-        Parameters
-        ----------
-        p : (parameters,)
-            Values in the order of `parameters`, in their units.
-        nmeas, ncon
-            As in `Structure.block`.
-
-        Returns
-        -------
-        SlopedBlock
-            With derivatives for every parameter.
-
-        Raises
-        ------
-        ArgumentError
-            A pattern that does not fit so many signals.
-        """
+        """Return one chain of states for every measurement, and the gains that read them."""
         P, integral, D = self._masks(nmeas, ncon)
         n = len(p)
         counts = np.cumsum([P.sum(), integral.sum(), D.sum()])
@@ -683,18 +580,7 @@ class Lead(Structure):
     name: str = "lead"
 
     def parameters(self, nmeas: int, ncon: int, units: Units) -> tuple[Parameter, ...]:
-        """Return corner frequencies, rad/s.
-
-        Parameters
-        ----------
-        nmeas, ncon, units
-            As in `Structure.parameters`.
-
-        Returns
-        -------
-        tuple of Parameter
-            Two for every measurement.
-        """
+        """Return corner frequencies, rad/s."""
         rate = units.rate
         return tuple(
             Parameter(
@@ -710,20 +596,7 @@ class Lead(Structure):
         )
 
     def block(self, p: FloatArray, nmeas: int, ncon: int) -> SlopedBlock:
-        """Return the diagonal block.
-
-        Parameters
-        ----------
-        p : (parameters,)
-            Values in the order of `parameters`, rad/s.
-        nmeas, ncon
-            As in `Structure.block`.
-
-        Returns
-        -------
-        SlopedBlock
-            One state a signal, with derivatives.
-        """
+        """Return the diagonal block."""
         n = len(p)
         zero, pole = p[:nmeas], p[nmeas:]
         A, B, C, D = (constant(np.zeros((nmeas, nmeas)), n) for _ in range(4))
@@ -756,18 +629,7 @@ class Notch(Structure):
     name: str = "notch"
 
     def parameters(self, nmeas: int, ncon: int, units: Units) -> tuple[Parameter, ...]:
-        """Return frequency, depth and width of every notch.
-
-        Parameters
-        ----------
-        nmeas, ncon, units
-            As in `Structure.parameters`.
-
-        Returns
-        -------
-        tuple of Parameter
-            Three for every measurement.
-        """
+        """Return frequency, depth and width of every notch."""
         rate = units.rate
         ranges = (("frequency", rate, 1e-3 * rate, 1e4 * rate), ("depth", 0.7, 1e-2, 10.0), ("width", 0.3, 1e-2, 10.0))
         return tuple(
@@ -777,20 +639,7 @@ class Notch(Structure):
         )
 
     def block(self, p: FloatArray, nmeas: int, ncon: int) -> SlopedBlock:
-        """Return the diagonal block, two states a signal.
-
-        Parameters
-        ----------
-        p : (parameters,)
-            Values in the order of `parameters`, in their units: rad/s, and dimensionless depth and width.
-        nmeas, ncon
-            As in `Structure.block`.
-
-        Returns
-        -------
-        SlopedBlock
-            With derivatives for every parameter.
-        """
+        """Return the diagonal block, two states a signal."""
         n, m = len(p), nmeas
         A, B = constant(np.zeros((2 * m, 2 * m)), n), constant(np.zeros((2 * m, m)), n)
         C, D = constant(np.zeros((m, 2 * m)), n), constant(np.eye(m), n)
@@ -833,23 +682,7 @@ class Series(Structure):
         return Given(start, bounds, fixed, tied)
 
     def parameters(self, nmeas: int, ncon: int, units: Units) -> tuple[Parameter, ...]:
-        """Return those of all blocks.
-
-        Parameters
-        ----------
-        nmeas, ncon, units
-            As in `Structure.parameters`.
-
-        Returns
-        -------
-        tuple of Parameter
-            From y to u.
-
-        Raises
-        ------
-        ArgumentError
-            There is no block, or two have parameters of the same name.
-        """
+        """Return those of all blocks."""
         if not self.blocks:
             raise ArgumentError("Series: given no blocks; expected at least one")
         out: list[Parameter] = []
@@ -862,25 +695,7 @@ class Series(Structure):
         return tuple(out)
 
     def block(self, p: FloatArray, nmeas: int, ncon: int) -> SlopedBlock:
-        """Return the blocks in series.
-
-        Parameters
-        ----------
-        p : (parameters,)
-            Values in the order of `parameters`, in their units.
-        nmeas, ncon
-            As in `Structure.block`.
-
-        Returns
-        -------
-        SlopedBlock
-            With derivatives for every parameter.
-
-        Raises
-        ------
-        ArgumentError
-            A block does not fit so many signals.
-        """
+        """Return the blocks in series."""
         units = Units(gain=np.ones((ncon, nmeas)), rate=1.0)
         made: SlopedBlock | None = None
         at = 0
