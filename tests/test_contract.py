@@ -139,7 +139,7 @@ FOUND = (
     ("ParameterVaryingModel.grid", "points", "sampled"),
     ("ParameterVaryingModel.rhs", "Omega_dot", "frd"),
     ("Precession.error", "frequency", "with 1e308"),
-    ("analysis.hinf_norm_arrays", "tolerance", "10^30"),
+    ("analysis.hinf_norm", "tolerance", "10^30"),
     ("campaign.clopper_pearson", "runs", "10^400"),
     ("design.from_crossover_and_margin", "gimbals", "[]"),
     ("design.limited_loop", "lag", "empty"),

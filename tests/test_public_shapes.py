@@ -127,17 +127,10 @@ CALLS: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
         ("poles", analysis.poles, {"system": PAIR}),
         ("noise_rms", analysis.noise_rms, {"system": control.ss(0.5, [[1, 1]], [[1], [2], [3]], 0, 1), "rms": [1, 2]}),
         (
-            "response_arrays",
-            analysis.response_arrays,
-            {
-                "A": -np.ones((6, 1, 1)),
-                "B": np.ones((6, 1, 2)),
-                "C": np.ones((6, 3, 1)),
-                "D": np.ones((6, 3, 2)),
-                "z": 1j * np.arange(4),
-            },
+            "response_at",
+            analysis.response_at,
+            {"system": PAIR, "z": 1j * np.arange(4)},
         ),
-        ("pole_arrays", analysis.pole_arrays, {"A": np.zeros((4, 3, 3))}),
         (
             "bandwidth_of_response",
             analysis.bandwidth_of_response,

@@ -1,7 +1,7 @@
 """What design and check both measure with: responses, sampling, closed loops, poles, norms, margins.
 
-Everything takes continuous (dt = 0) and discrete (dt > 0) systems. Functions whose names end in ``_arrays`` (and
-those that take poles or responses) work on plain arrays with leading batch axes: they are what a tuner calls.
+Functions of systems take a `control.StateSpace`, a `control.TransferFunction` or `StateArrays`; the latter may have
+leading batch axes in the functions that a tuner calls. Systems are continuous (dt = 0) or discrete (dt > 0).
 """
 
 from __future__ import annotations
@@ -12,11 +12,10 @@ from platform_ctrl.analysis.channel import Channel
 from platform_ctrl.analysis.feedback import (
     Gang,
     closed_loop,
-    closed_loop_arrays,
     gang,
     loop_transfer,
     sensitivity_functions,
-    series_arrays,
+    series,
 )
 from platform_ctrl.analysis.interconnection import interconnect_controllers
 from platform_ctrl.analysis.intersample import intersample_h2, intersample_norm
@@ -29,7 +28,7 @@ from platform_ctrl.analysis.margins import (
     disk_to_gain_phase,
     loop_margins,
 )
-from platform_ctrl.analysis.norms import h2_norm, hinf_norm, hinf_norm_arrays, noise_rms, noise_rms_arrays
+from platform_ctrl.analysis.norms import h2_norm, hinf_norm, noise_rms
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.poles import (
     Damping,
@@ -38,13 +37,12 @@ from platform_ctrl.analysis.poles import (
     damping_ratio,
     is_stable,
     minimum_damping,
-    pole_arrays,
     poles,
     spectral_abscissa,
     spectral_radius,
 )
-from platform_ctrl.analysis.response import frequency_response, frequency_response_arrays, response_arrays
-from platform_ctrl.analysis.sampled import bilinear_to_continuous, bilinear_to_discrete, sampled, sampled_arrays
+from platform_ctrl.analysis.response import frequency_response, response_at
+from platform_ctrl.analysis.sampled import bilinear_to_continuous, bilinear_to_discrete, sampled
 from platform_ctrl.analysis.time_response import time_response
 
 __all__ = [
@@ -61,7 +59,6 @@ __all__ = [
     "bilinear_to_continuous",
     "bilinear_to_discrete",
     "closed_loop",
-    "closed_loop_arrays",
     "continuous_poles",
     "damping",
     "damping_ratio",
@@ -70,11 +67,9 @@ __all__ = [
     "disk_to_gain_phase",
     "exact_measures",
     "frequency_response",
-    "frequency_response_arrays",
     "gang",
     "h2_norm",
     "hinf_norm",
-    "hinf_norm_arrays",
     "interconnect_controllers",
     "intersample_h2",
     "intersample_norm",
@@ -85,14 +80,11 @@ __all__ = [
     "minimum_damping",
     "named_system",
     "noise_rms",
-    "noise_rms_arrays",
-    "pole_arrays",
     "poles",
-    "response_arrays",
+    "response_at",
     "sampled",
-    "sampled_arrays",
     "sensitivity_functions",
-    "series_arrays",
+    "series",
     "spectral_abscissa",
     "spectral_radius",
     "state_arrays",

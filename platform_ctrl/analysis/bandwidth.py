@@ -10,7 +10,7 @@ import numpy as np
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, frequencies, square_responses
 from platform_ctrl.analysis.feedback import At, closed_loop_with_sensitivity
 from platform_ctrl.analysis.norms import resonances
-from platform_ctrl.analysis.poles import continuous_poles, pole_arrays, spectral_abscissa
+from platform_ctrl.analysis.poles import continuous_poles, poles, spectral_abscissa
 from platform_ctrl.analysis.singular_values import FrequencyAxis, largest
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
@@ -53,14 +53,14 @@ def bandwidth(plant: control.StateSpace, controller: control.StateSpace, at: At 
 
     S. Boyd, V. Balakrishnan, Systems & Control Letters 15, 1990.
     """
-    return bandwidth_arrays(closed_loop_with_sensitivity(plant, controller, at))
+    return bandwidth_of_sensitivity(closed_loop_with_sensitivity(plant, controller, at))
 
 
-def bandwidth_arrays(S: StateArrays) -> float:
+def bandwidth_of_sensitivity(S: StateArrays) -> float:
     """Return the bandwidth, as `bandwidth` does, of a loop with the sensitivity `S`."""
     from scipy.optimize import brentq
 
-    s = continuous_poles(pole_arrays(S.A), S.dt)
+    s = continuous_poles(poles(S.A), S.dt)
     if S.A.shape[0] and spectral_abscissa(s) >= 0.0:
         return 0.0
     axis = FrequencyAxis(S)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 
 from platform_ctrl.analysis.arrays import StateArrays, state_arrays, system_arrays
-from platform_ctrl.analysis.feedback import series_arrays
+from platform_ctrl.analysis.feedback import series
 from platform_ctrl.common.arguments import known_name
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray, input_value
@@ -72,18 +72,18 @@ class Channel:
                 f"Channel.of: the system has {D.shape[-1]} inputs and {D.shape[-2]} outputs, "
                 f"got {len(inputs)} and {len(outputs)} names"
             )
-        arrays = A, B[..., columns], C[..., rows, :], D[..., rows, :][..., columns]
+        out = StateArrays(A, B[..., columns], C[..., rows, :], D[..., rows, :][..., columns], dt)
         if self.input_weight is not None:
             weight = weight_arrays(self.input_weight, len(columns), dt, "input_weight")
             if weight.D.shape[0] != len(columns):
                 raise ArgumentError(f"input_weight: has {weight.D.shape[0]} outputs; expected {len(columns)}")
-            arrays = series_arrays(*weight[:4], *arrays)
+            out = series(weight, out)
         if self.output_weight is not None:
             weight = weight_arrays(self.output_weight, len(rows), dt, "output_weight")
             if weight.D.shape[1] != len(rows):
                 raise ArgumentError(f"output_weight: has {weight.D.shape[1]} inputs; expected {len(rows)}")
-            arrays = series_arrays(*arrays, *weight[:4])
-        return StateArrays(*arrays, dt=dt)
+            out = series(out, weight)
+        return out
 
 
 def weight_arrays(weight: Any, size: int, dt: float, where: str) -> StateArrays:

@@ -15,7 +15,7 @@ L = -P K (at its output), so that S = (I + L)^-1 and T = L S as in the books.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -29,8 +29,8 @@ from platform_ctrl.analysis.arrays import (
     square_responses,
     system_arrays,
 )
-from platform_ctrl.analysis.response import frequency_response_arrays
-from platform_ctrl.analysis.transfer_function import StateSystem, linear_arrays
+from platform_ctrl.analysis.response import frequency_response
+from platform_ctrl.analysis.transfer_function import NamedSystem, linear_arrays
 from platform_ctrl.common.arguments import indices, number, one_of
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
@@ -72,7 +72,7 @@ class Gang:
     torque_per_noise: ComplexArray
 
 
-def loop_transfer(plant: StateSystem, controller: StateSystem, at: At = "input") -> control.StateSpace:
+def loop_transfer(plant: NamedSystem, controller: NamedSystem, at: At = "input") -> control.StateSpace:
     """Return L = -K P (``at="input"``) or -P K (``at="output"``): S = (I + L)^-1.
 
     Plant and controller are joined by signal names where all of the controller's names exist in the plant, by
@@ -108,10 +108,24 @@ def loop_transfer(plant: StateSystem, controller: StateSystem, at: At = "input")
         first, second, names = K, P, list(controller.input_labels)
     of_plant, of_controller = _states(plant, P, controller, K)
     states = of_plant + of_controller if first is P else of_controller + of_plant
-    return named_system(StateArrays(*series_arrays(*first[:4], *second[:4], sign=-1.0), dt=P.dt), names, names, states)
+    return named_system(series(first, second, sign=-1.0), names, names, states)
 
 
-def closed_loop(plant: StateSystem, controller: StateSystem) -> control.StateSpace:
+@overload
+def closed_loop(
+    plant: StateArrays,
+    controller: StateArrays,
+    torques: Sequence[int] | None = ...,
+    angles: Sequence[int] | None = ...,
+) -> StateArrays: ...
+@overload
+def closed_loop(plant: NamedSystem, controller: NamedSystem) -> control.StateSpace: ...
+def closed_loop(
+    plant: NamedSystem,
+    controller: NamedSystem,
+    torques: Sequence[int] | None = None,
+    angles: Sequence[int] | None = None,
+) -> control.StateSpace | StateArrays:
     """Return the closed loop of u = K (y + n), y = P (u + d), as one system with every state of both.
 
     Parameters
@@ -120,11 +134,13 @@ def closed_loop(plant: StateSystem, controller: StateSystem) -> control.StateSpa
         May have more inputs and outputs than the controller uses: joined by name (see `loop_transfer`). All of
         its inputs become inputs of the result, all of its outputs outputs.
     controller
-        u = K y, same sample period.
+        u = K y, same sample period. Of two `StateArrays` one or both may have leading batch axes.
+    torques, angles
+        Of `StateArrays`: indices of the plant's inputs and outputs that the controller uses, in its order; default all.
 
     Returns
     -------
-    control.StateSpace
+    control.StateSpace, or StateArrays of two of these
         Inputs: the plant's inputs (a disturbance that adds to the controller's torque, or for example Omega1),
         then ``noise_`` + name for every pick-off that the controller uses. Outputs: the controller's torques, then
         the plant's outputs (without the noise). States: the plant's, then the controller's.
@@ -138,27 +154,28 @@ def closed_loop(plant: StateSystem, controller: StateSystem) -> control.StateSpa
     ----------
     K. J. Åström, R. M. Murray, Feedback Systems, 2008, ch. 11.
     """
-    P, K, torques, angles = _matched(plant, controller, "closed_loop")
-    arrays = closed_loop_arrays(*P[:4], *K[:4], torques=torques, angles=angles)
-    measured = [plant.output_labels[i] for i in angles]
-    commanded = [plant.input_labels[i] for i in torques]
+    if isinstance(plant, StateArrays) and isinstance(controller, StateArrays):
+        return _closed_loop(plant, controller, torques, angles)
+    if torques is not None or angles is not None:
+        raise ArgumentError("closed_loop: torques and angles belong to StateArrays; other systems are joined by name")
+    P, K, at, seen = _matched(plant, controller, "closed_loop")
     of_plant, of_controller = _states(plant, P, controller, K)
     return named_system(
-        StateArrays(*arrays, dt=P.dt),
-        list(plant.input_labels) + [f"noise_{name}" for name in measured],
-        commanded + list(plant.output_labels),
+        _closed_loop(P, K, at, seen),
+        list(plant.input_labels) + [f"noise_{plant.output_labels[i]}" for i in seen],
+        [plant.input_labels[i] for i in at] + list(plant.output_labels),
         of_plant + of_controller,
     )
 
 
-def _states(plant: StateSystem, P: StateArrays, controller: StateSystem, K: StateArrays) -> tuple[list[str], list[str]]:
+def _states(plant: NamedSystem, P: StateArrays, controller: NamedSystem, K: StateArrays) -> tuple[list[str], list[str]]:
     """Return the names of the plant's states and, each behind ``controller_``, of the controller's."""
     own = getattr(plant, "state_labels", None) or [f"plant_{k}" for k in range(len(P.A))]
     its = getattr(controller, "state_labels", None) or [f"x_{k}" for k in range(len(K.A))]
     return list(own), [f"controller_{name}" for name in its]
 
 
-def gang(plant: StateSystem, controller: StateSystem, frequency: ArrayLike) -> Gang:
+def gang(plant: NamedSystem, controller: NamedSystem, frequency: ArrayLike) -> Gang:
     """Return the sensitivities at the plant's input and output, and P S and K S.
 
     They are computed from the closed loop's own equations, not from P and K: integrators do no harm at DC.
@@ -188,8 +205,7 @@ def gang(plant: StateSystem, controller: StateSystem, frequency: ArrayLike) -> G
     w = frequencies(frequency, "gang")
     P = StateArrays(P.A, P.B[:, torques], P.C[angles], P.D[np.ix_(angles, torques)], P.dt)
     m = len(torques)
-    A, B, C, D = closed_loop_arrays(*P[:4], *K[:4])
-    H = np.moveaxis(frequency_response_arrays(A, B, C, D, P.dt, w), 0, -1)
+    H = frequency_response(closed_loop(P, K), w)
     T_input, T_output = -H[:m, :m], -H[m:, m:]
     return Gang(
         frequency=w,
@@ -202,58 +218,44 @@ def gang(plant: StateSystem, controller: StateSystem, frequency: ArrayLike) -> G
     )
 
 
-def closed_loop_with_sensitivity(plant: StateSystem, controller: StateSystem, at: At) -> StateArrays:
+def closed_loop_with_sensitivity(plant: NamedSystem, controller: NamedSystem, at: At) -> StateArrays:
     """Return the arrays of S at the plant's input or output, with every state of plant and controller."""
     P, K, torques, angles = _matched(plant, controller, "sensitivity")
     P = StateArrays(P.A, P.B[:, torques], P.C[angles], P.D[np.ix_(angles, torques)], P.dt)
-    A, B, C, D = closed_loop_arrays(*P[:4], *K[:4])
+    A, B, C, D, _ = closed_loop(P, K)
     m = len(torques)
     # S = I - T, and the closed loop from d to u (from n to y) is -T.
     part = slice(0, m) if _checked(at) == "input" else slice(m, None)
     return StateArrays(A, B[:, part], C[part], D[part, part] + np.eye(D[part, part].shape[0]), P.dt)
 
 
-def series_arrays(
-    A1: FloatArray,
-    B1: FloatArray,
-    C1: FloatArray,
-    D1: FloatArray,
-    A2: FloatArray,
-    B2: FloatArray,
-    C2: FloatArray,
-    D2: FloatArray,
-    sign: float = 1.0,
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return `sign` times system 2 after system 1; leading batch axes broadcast.
+def series(first: StateArrays, second: StateArrays, sign: float = 1.0) -> StateArrays:
+    """Return `sign` times the second system after the first; leading batch axes broadcast.
 
     Parameters
     ----------
-    A1, B1, C1, D1
-        The system that comes first, in its units. Shapes (..., n1, n1), (..., n1, m), (..., k, n1), (..., k, m).
-    A2, B2, C2, D2
-        The system behind it, in its units. Shapes (..., n2, n2), (..., n2, k), (..., p, n2), (..., p, k).
+    first, second
+        In their units; the second takes in what the first puts out.
     sign
         Factor of the output, 1 or -1.
 
     Returns
     -------
-    A, B, C, D : (..., n1 + n2, n1 + n2), ...
-        States of system 1, then of system 2, in their units.
+    StateArrays
+        States of the first system, then of the second; sample period of the first.
 
     Raises
     ------
     ArgumentError
         Shapes that do not fit, or numbers that are not finite.
     """
-    A1, B1, C1, D1, _ = system_arrays("series_arrays", A1, B1, C1, D1, suffix="1")
-    A2, B2, C2, D2, _ = system_arrays("series_arrays", A2, B2, C2, D2, suffix="2")
+    A1, B1, C1, D1, dt = system_arrays("series: first", *first)
+    A2, B2, C2, D2, _ = system_arrays("series: second", *second)
     if D2.shape[-1] != D1.shape[-2]:
-        raise ArgumentError(
-            f"series_arrays: D2 must have {D1.shape[-2]} columns to fit D1 {D1.shape[-2:]}, got {D2.shape[-2:]}"
-        )
-    sign = number("series_arrays: sign", sign)
+        raise ArgumentError(f"series: second must have {D1.shape[-2]} inputs, as many as first has outputs")
+    sign = number("series: sign", sign)
     n1, n2 = A1.shape[-1], A2.shape[-1]
-    batch = batch_shape("series_arrays", A1, B1, C1, D1, A2, B2, C2, D2)
+    batch = batch_shape("series", A1, B1, C1, D1, A2, B2, C2, D2)
     A = np.zeros((*batch, n1 + n2, n1 + n2))
     A[..., :n1, :n1] = A1
     A[..., n1:, :n1] = B2 @ C1
@@ -265,52 +267,22 @@ def series_arrays(
     C[..., :n1] = sign * (D2 @ C1)
     C[..., n1:] = sign * C2
     D = np.array(np.broadcast_to(sign * (D2 @ D1), (*batch, C2.shape[-2], B1.shape[-1])))
-    return A, B, C, D
+    return StateArrays(A, B, C, D, dt)
 
 
-def closed_loop_arrays(
-    A: FloatArray,
-    B: FloatArray,
-    C: FloatArray,
-    D: FloatArray,
-    A_K: FloatArray,
-    B_K: FloatArray,
-    C_K: FloatArray,
-    D_K: FloatArray,
-    torques: Sequence[int] | None = None,
-    angles: Sequence[int] | None = None,
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return A, B, C, D of `closed_loop` for a stack of plants with one controller (or a stack of both).
-
-    Parameters
-    ----------
-    A, B, C, D
-        Plant; batch axes broadcast; in the plant's units. Shapes (..., n, n), (..., n, m), (..., p, n), (..., p, m).
-    A_K, B_K, C_K, D_K
-        Controller from the plant's outputs `angles` to its inputs `torques`, in the units of these. Shapes (..., k, k),
-        (..., k, y), (..., u, k), (..., u, y).
-    torques, angles
-        Indices of the plant's inputs and outputs that the controller uses, in its order; default all.
-
-    Returns
-    -------
-    A, B, C, D : (..., n + k, n + k), ...
-        Inputs [d (m), n (as many as `angles`)], outputs [u (as many as `torques`), y (p)], in the units of plant and
-        controller.
-
-    Raises
-    ------
-    ArgumentError
-        Shapes that do not fit, numbers that are not finite, or I - D_K D_P is singular for one of the plants.
-    """
-    where = "closed_loop_arrays"
-    A, B, C, D, _ = system_arrays(where, A, B, C, D)
-    A_K, B_K, C_K, D_K, _ = system_arrays(where, A_K, B_K, C_K, D_K, suffix="_K")
+def _closed_loop(
+    plant: StateArrays, controller: StateArrays, torques: Sequence[int] | None, angles: Sequence[int] | None
+) -> StateArrays:
+    where = "closed_loop"
+    A, B, C, D, dt = system_arrays(f"{where}: plant", *plant)
+    A_K, B_K, C_K, D_K, _ = system_arrays(f"{where}: controller", *controller)
     m, p = B.shape[-1], C.shape[-2]
     at, seen = indices(f"{where}: torques", torques, m), indices(f"{where}: angles", angles, p)
     n, n_K, k, q = A.shape[-1], A_K.shape[-1], len(at), len(seen)
     if D_K.shape[-2:] != (k, q):
-        raise ArgumentError(f"{where}: D_K must be {(k, q)}, torques by angles of the plant, got {D_K.shape[-2:]}")
+        raise ArgumentError(
+            f"{where}: D of the controller must be {(k, q)}, torques by angles of the plant, got {D_K.shape[-2:]}"
+        )
     batch = batch_shape(where, A, B, C, D, A_K, B_K, C_K, D_K)
     # u and y as functions of [x, x_K, d, n]: u = E (C_K x_K + D_K (C x + D d + n)), y = C x + D (d + u).
     direct = np.zeros((*batch, q, n + n_K + m + q))
@@ -336,7 +308,7 @@ def closed_loop_arrays(
     rate[..., n:, n : n + n_K] += A_K
     outputs = np.concatenate([u, y], axis=-2)
     N = n + n_K
-    return rate[..., :N], rate[..., N:], outputs[..., :N], outputs[..., N:]
+    return StateArrays(rate[..., :N], rate[..., N:], outputs[..., :N], outputs[..., N:], dt)
 
 
 def _solve_algebraic_loop(matrix: FloatArray, right: FloatArray) -> FloatArray:
@@ -355,7 +327,7 @@ def _checked(at: str) -> str:
 
 
 def _matched(
-    plant: StateSystem, controller: StateSystem, where: str
+    plant: NamedSystem, controller: NamedSystem, where: str
 ) -> tuple[StateArrays, StateArrays, list[int], list[int]]:
     """Return both systems' arrays and the plant's inputs and outputs that the controller uses, in its order."""
     P, K = linear_arrays(plant, f"{where} (plant)"), linear_arrays(controller, f"{where} (controller)")
@@ -368,6 +340,8 @@ def _matched(
             f"{where}: the plant has dt = {P.dt} s and the controller {K.dt} s, expected the same; "
             "see platform_ctrl.analysis.sampled"
         )
+    if isinstance(plant, StateArrays) or isinstance(controller, StateArrays):
+        raise ArgumentError(f"{where}: plant and controller must both have named signals, or both be StateArrays")
     inputs, outputs = list(plant.input_labels), list(plant.output_labels)
     if set(controller.output_labels) <= set(inputs) and set(controller.input_labels) <= set(outputs):
         return (

@@ -29,8 +29,8 @@ from platform_ctrl.analysis.lifting import (
     period_noise,
     sampled_plant,
 )
-from platform_ctrl.analysis.norms import hinf_norm_arrays, stationary_covariance
-from platform_ctrl.analysis.poles import pole_arrays, spectral_radius
+from platform_ctrl.analysis.norms import hinf_norm, stationary_covariance
+from platform_ctrl.analysis.poles import poles, spectral_radius
 from platform_ctrl.common.arguments import within
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.errors import ArgumentError
@@ -89,10 +89,10 @@ def intersample_norm(
     tolerance = within("intersample_norm: tolerance", tolerance, 1e-12, 0.1)
     plant, controller = _arguments(P, K, nmeas, ncon, delay, "intersample_norm")
     _require_stable(plant, controller, "intersample_norm")
-    return intersample_norm_arrays(plant, controller, tolerance)
+    return norm_of_stable_loop(plant, controller, tolerance)
 
 
-def intersample_norm_arrays(
+def norm_of_stable_loop(
     plant: SampledPlant, controller: StateArrays, tolerance: float = 1e-8
 ) -> tuple[float, float | None]:
     """Return what `intersample_norm` returns for a stable loop of arrays."""
@@ -108,9 +108,9 @@ def intersample_norm_arrays(
         except PeriodExceedsLevel:
             return _BEYOND
         A, B, C, D = close(lifted, plant, controller)
-        if not np.all(np.isfinite(A)) or not float(spectral_radius(pole_arrays(A))) < 1.0:
+        if not np.all(np.isfinite(A)) or not float(spectral_radius(poles(A))) < 1.0:
             return _BEYOND
-        norm, frequency = hinf_norm_arrays(A, B, C, D, plant.period, 1e-10)
+        norm, frequency = hinf_norm(StateArrays(A, B, C, D, plant.period), True, 1e-10)
         peak[log_level] = frequency
         return min(max(math.log(norm), -_BEYOND), _BEYOND) if norm > 0.0 else -_BEYOND
 
@@ -207,7 +207,7 @@ def _require_stable(plant: SampledPlant, controller: StateArrays, where: str) ->
     except PeriodExceedsLevel:
         raise ArgumentError(f"{where}: within a period the plant moves too far; expected a shorter period") from None
     A, _, _, _ = close(lifted, plant, controller)
-    radius = float(spectral_radius(pole_arrays(A)))
+    radius = float(spectral_radius(poles(A)))
     if not radius < 1.0:
         raise ArgumentError(
             f"{where}: the sampled loop is not stable (a pole at |z| = {radius:.6g}); "

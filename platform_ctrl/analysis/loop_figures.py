@@ -19,14 +19,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
-from platform_ctrl.analysis.bandwidth import LEVEL, bandwidth_arrays, bandwidth_of_response
+from platform_ctrl.analysis.bandwidth import LEVEL, bandwidth_of_response, bandwidth_of_sensitivity
 from platform_ctrl.analysis.channel import Channel
-from platform_ctrl.analysis.feedback import closed_loop_arrays, sensitivities_of_plants
-from platform_ctrl.analysis.norms import gains, noise_rms_arrays, resonances
+from platform_ctrl.analysis.feedback import closed_loop, sensitivities_of_plants
+from platform_ctrl.analysis.norms import gains, noise_rms, resonances
 from platform_ctrl.analysis.peaks import TOLERANCE, WHOLE, Band, exceeds, peak
 from platform_ctrl.analysis.plant_set import PlantSet
-from platform_ctrl.analysis.poles import continuous_poles, minimum_damping, pole_arrays, spectral_abscissa
-from platform_ctrl.analysis.response import frequency_response_arrays
+from platform_ctrl.analysis.poles import continuous_poles, minimum_damping, poles, spectral_abscissa
+from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.analysis.singular_values import largest
 from platform_ctrl.common.values import FloatArray, value
 
@@ -124,7 +124,9 @@ class LoopFigures:
         plants, m = self.plants, self.m
         B = np.concatenate([plants.B, plants.B_Omega], axis=-1)
         D = np.concatenate([plants.D, np.zeros((*plants.D.shape[:-1], 3))], axis=-1)
-        A, B, C, D = closed_loop_arrays(plants.A, B, plants.C, D, *self.controller[:4], torques=range(m))
+        A, B, C, D, _ = closed_loop(
+            StateArrays(plants.A, B, plants.C, D, plants.period), self.controller, torques=range(m)
+        )
         D_read = D[..., m:, :].copy()
         D_read[..., m + 3 :] += np.eye(self.p)
         C, D = np.concatenate([C, C[..., m:, :]], axis=-2), np.concatenate([D, D_read], axis=-2)
@@ -134,8 +136,7 @@ class LoopFigures:
     def own_arrays(self) -> StateArrays:
         """Closed loops (N, ...) without Omega: inputs torque disturbance and noise; outputs torques and angles."""
         plants = self.plants
-        arrays = closed_loop_arrays(plants.A, plants.B, plants.C, plants.D, *self.controller[:4])
-        return StateArrays(*arrays, dt=plants.period)
+        return closed_loop(StateArrays(plants.A, plants.B, plants.C, plants.D, plants.period), self.controller)
 
     @property
     def inputs(self) -> list[str]:
@@ -152,7 +153,7 @@ class LoopFigures:
     @cached_property
     def poles(self) -> ComplexArray:
         """Poles of the closed loops in z, (N, poles)."""
-        return pole_arrays(self.own_arrays.A)
+        return poles(self.own_arrays.A)
 
     @cached_property
     def decay(self) -> FloatArray:
@@ -162,7 +163,7 @@ class LoopFigures:
     @cached_property
     def K(self) -> ComplexArray:
         """Response of the controller on the set's grid."""
-        return frequency_response_arrays(*self.controller, self.plants.frequency)
+        return frequency_response(self.controller, self.plants.frequency, -3)
 
     @cached_property
     def S_output(self) -> ComplexArray:
@@ -230,7 +231,7 @@ class LoopFigures:
             return peak(self.controller, (self.gain_from(asked), np.inf))
         stable = bool(self.decay[k] > 0.0)
         if asked.kind == "bandwidth":
-            at = min(map(bandwidth_arrays, self._parts(asked, k))) if stable else 0.0
+            at = min(map(bandwidth_of_sensitivity, self._parts(asked, k))) if stable else 0.0
             # At a frequency just above it S is seen to be that large.
             return (1.0 - TOLERANCE) * at / (2.0 * np.pi), (1.0 + _ABOVE) * at
         found, at = max(peak(part, _band(asked)) for part in self._parts(asked, k)) if stable else (np.inf, 0.0)
@@ -300,7 +301,7 @@ class LoopFigures:
     def _grid_peak(self, asked: Asked) -> FloatArray:
         if asked.kind == "H-infinity norm":
             part = self._part(asked)
-            responses = [frequency_response_arrays(*part, self.plants.frequency)]
+            responses = [frequency_response(part, self.plants.frequency, -3)]
         else:
             responses = _RESPONSES[asked.kind](self)
         grid, band = self.plants.frequency, _band(asked)
@@ -397,8 +398,7 @@ def fastest(poles: ComplexArray, period: float) -> FloatArray:
 
 def h2_norms(system: StateArrays) -> FloatArray:
     """Return the H2 norms of a stack of sampled systems; infinite where one is not stable."""
-    A, B, C, D, _ = system
-    rms = noise_rms_arrays(A, B, C, D, np.ones(B.shape[-1]))
+    rms = noise_rms(system, np.ones(system.B.shape[-1]), allow_unstable=True)
     with np.errstate(over="ignore"):
         return np.asarray(np.sqrt(np.sum(rms * rms, axis=-1)), dtype=np.float64)
 
@@ -408,9 +408,10 @@ def _band(asked: Asked) -> Band:
 
 
 def _torque_noise(loops: LoopFigures, asked: Asked) -> FloatArray:
-    A, B, C, D, _ = loops.own_arrays
+    A, B, C, D, dt = loops.own_arrays
     m = loops.m
-    rms = noise_rms_arrays(A, B[..., m:], C[..., :m, :], D[..., :m, m:], loops.plants.noise)
+    noise_to_torque = StateArrays(A, B[..., m:], C[..., :m, :], D[..., :m, m:], dt)
+    rms = noise_rms(noise_to_torque, loops.plants.noise, allow_unstable=True)
     out: FloatArray = rms.max(axis=-1, initial=0.0)
     return out
 
@@ -421,7 +422,7 @@ def _bandwidth(loops: LoopFigures, asked: Asked) -> FloatArray:
 
 def _controller_gain(loops: LoopFigures, asked: Asked) -> FloatArray:
     K, start = loops.controller, loops.gain_from(asked)
-    own = resonances(continuous_poles(pole_arrays(K.A), K.dt))
+    own = resonances(continuous_poles(poles(K.A), K.dt))
     w = np.concatenate([loops.plants.frequency, own, [start, np.pi / K.dt]])
     return np.array([gains(K, w[(w >= start) & (w <= np.pi / K.dt)]).max(initial=0.0)])
 
@@ -434,7 +435,7 @@ _PLAIN: dict[str, Callable[[LoopFigures, Asked], FloatArray]] = {
     "bandwidth": _bandwidth,
     "torque noise": _torque_noise,
     "H2 norm": lambda loops, asked: h2_norms(loops._part(asked)),
-    "controller poles": lambda loops, asked: fastest(pole_arrays(loops.controller.A), loops.plants.period)[None],
+    "controller poles": lambda loops, asked: fastest(poles(loops.controller.A), loops.plants.period)[None],
     "controller gain": _controller_gain,
 }
 

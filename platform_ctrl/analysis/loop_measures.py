@@ -10,7 +10,7 @@ import numpy as np
 
 from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.loop_figures import GRIDDED, OF_CONTROLLER, Asked, Key, LoopFigures, Own, key_of
-from platform_ctrl.analysis.norms import noise_rms_arrays
+from platform_ctrl.analysis.norms import noise_rms
 from platform_ctrl.analysis.plant_set import BoolArray, Group, PlantSet, members
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray, value
@@ -221,9 +221,10 @@ def _measured(loops: LoopFigures, asked: Sequence[Asked]) -> LoopMeasures:
 
 
 def _nominal_noise(loops: LoopFigures) -> FloatArray:
-    A, B, C, D, _ = loops.own_arrays
+    A, B, C, D, dt = loops.own_arrays
     m = loops.m
-    return noise_rms_arrays(A[0], B[0][:, m:], C[0][:m], D[0][:m, m:], loops.plants.noise)
+    noise_to_torque = StateArrays(A[0], B[0][:, m:], C[0][:m], D[0][:m, m:], dt)
+    return noise_rms(noise_to_torque, loops.plants.noise, allow_unstable=True)
 
 
 def _nominal_alone(asked: Asked) -> bool:

@@ -17,10 +17,10 @@ from numpy.typing import ArrayLike
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, frequencies
 from platform_ctrl.analysis.feedback import At, closed_loop_with_sensitivity
 from platform_ctrl.analysis.mu import SLACK, MuPeak, disk_factors, mu_bounds, perturbation, search_grid, worst_factors
-from platform_ctrl.analysis.norms import hinf_norm_arrays, peak_gain
-from platform_ctrl.analysis.poles import continuous_poles, pole_arrays, spectral_abscissa
+from platform_ctrl.analysis.norms import hinf_norm, peak_gain
+from platform_ctrl.analysis.poles import continuous_poles, poles, spectral_abscissa
 from platform_ctrl.analysis.singular_values import largest_gains
-from platform_ctrl.analysis.transfer_function import LinearSystem, StateSystem, linear_arrays
+from platform_ctrl.analysis.transfer_function import LinearSystem, NamedSystem, linear_arrays
 from platform_ctrl.common.arguments import number, positive, real_numbers
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray, value
@@ -209,7 +209,7 @@ def disk_margin(
             f"disk_margin: the loop transfer has {m} outputs and {L.D.shape[1]} inputs, expected a square one"
         )
     disk = _disk_arrays(L, skew)
-    s = continuous_poles(pole_arrays(disk.A), disk.dt)
+    s = continuous_poles(poles(disk.A), disk.dt)
     given = None if frequency is None else frequencies(frequency, "disk_margin")
     if spectral_abscissa(s) >= 0.0:
         return _unstable(skew, np.zeros(0) if given is None else given, s, disk)
@@ -223,7 +223,7 @@ def disk_margin(
     bounds, gains = mu_bounds(response), largest_gains(response)
     proved = True
     if m == 1:
-        norm, peak.frequency = hinf_norm_arrays(*disk)
+        norm, peak.frequency = hinf_norm(disk, allow_unstable=True)
         peak.mu = peak.lower = norm
         peak.M = peak.response(np.array([peak.frequency]))[0]
     else:
@@ -319,7 +319,7 @@ def _margin_of_data(data: control.FrequencyResponseData, skew: float, frequency:
 
 
 @check_arguments
-def loop_margins(plant: StateSystem, controller: StateSystem, at: At = "input", skew: float = 0.0) -> LoopMargins:
+def loop_margins(plant: NamedSystem, controller: NamedSystem, at: At = "input", skew: float = 0.0) -> LoopMargins:
     """Return the disk margin of each channel, broken one at a time with all others closed.
 
     Parameters
@@ -347,11 +347,13 @@ def loop_margins(plant: StateSystem, controller: StateSystem, at: At = "input", 
     """
     S = closed_loop_with_sensitivity(plant, controller, at)
     names = tuple(controller.output_labels if at == "input" else controller.input_labels)
-    if spectral_abscissa(continuous_poles(pole_arrays(S.A), S.dt)) >= 0.0:
+    if spectral_abscissa(continuous_poles(poles(S.A), S.dt)) >= 0.0:
         return LoopMargins(channels=names, alpha=np.zeros(len(names)), frequency=np.zeros(len(names)))
     # With the others closed, channel i's own sensitivity is the i-th diagonal entry of S.
     peaks = [
-        hinf_norm_arrays(S.A, S.B[:, [i]], S.C[[i]], S.D[[i]][:, [i]] + 0.5 * (skew - 1.0), S.dt)
+        hinf_norm(
+            StateArrays(S.A, S.B[:, [i]], S.C[[i]], S.D[[i]][:, [i]] + 0.5 * (skew - 1.0), S.dt), allow_unstable=True
+        )
         for i in range(len(names))
     ]
     return LoopMargins(

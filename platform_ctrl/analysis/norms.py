@@ -16,9 +16,9 @@ import warnings
 import numpy as np
 from numpy.typing import ArrayLike
 
-from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, scaled, system_arrays
-from platform_ctrl.analysis.poles import continuous_poles, pole_arrays, spectral_abscissa, spectral_radius
-from platform_ctrl.analysis.response import LARGE, ON_A_GRID, frequency_response_arrays, plain
+from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, scaled
+from platform_ctrl.analysis.poles import continuous_poles, poles, spectral_abscissa, spectral_radius
+from platform_ctrl.analysis.response import LARGE, ON_A_GRID, frequency_response, plain
 from platform_ctrl.analysis.singular_values import PORTS, FrequencyAxis, boundary_poles, largest_gains
 from platform_ctrl.analysis.transfer_function import StateSystem, linear_arrays
 from platform_ctrl.common.arguments import not_negative, positive, within
@@ -31,16 +31,18 @@ FAN = np.linspace(-1.0, 1.0, 15)
 
 
 @check_arguments
-def hinf_norm(system: StateSystem, allow_unstable: bool = False) -> tuple[float, float]:
+def hinf_norm(system: StateSystem, allow_unstable: bool = False, tolerance: float = 1e-9) -> tuple[float, float]:
     """Return the H-infinity norm of `system` and the frequency where it is reached.
 
     Parameters
     ----------
     system
-        Continuous or discrete, stable: `control.StateSpace` or `TransferFunction`. Data are refused: the largest gain
-        among their frequencies is not the norm.
+        Continuous or discrete, stable: `control.StateSpace`, `TransferFunction` or `StateArrays` of one system. Data
+        are refused: the largest gain among their frequencies is not the norm.
     allow_unstable
         Take unstable systems too and return the L-infinity norm, the peak along the frequency axis.
+    tolerance
+        Relative; the result is not smaller than the norm by more.
 
     Returns
     -------
@@ -52,7 +54,7 @@ def hinf_norm(system: StateSystem, allow_unstable: bool = False) -> tuple[float,
     Raises
     ------
     ArgumentError
-        If the system is unstable and `allow_unstable` is not set, improper, or data.
+        If the system is unstable and `allow_unstable` is not set, improper, data, or a stack of several.
 
     References
     ----------
@@ -69,38 +71,9 @@ def hinf_norm(system: StateSystem, allow_unstable: bool = False) -> tuple[float,
     >>> round(norm, 4), round(frequency, 4)
     (5.0252, 0.9899)
     """
-    return _norm(linear_arrays(system, "hinf_norm"), 1e-9, allow_unstable)
-
-
-def hinf_norm_arrays(
-    A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, dt: float, tolerance: float = 1e-9
-) -> tuple[float, float]:
-    """Return the L-infinity norm of one system and its frequency in rad/s (see `hinf_norm`); any stability.
-
-    Parameters
-    ----------
-    A, B, C, D
-        One system, in its units. Shapes (n, n), (n, m), (p, n), (p, m).
-    dt
-        Sample period, s; 0: continuous.
-    tolerance
-        Relative; the result is not smaller than the norm by more.
-
-    Returns
-    -------
-    norm, frequency
-        In the system's units, and rad/s.
-
-    Raises
-    ------
-    ArgumentError
-        Shapes that do not fit, or numbers that are not finite.
-    """
-    A, B, C, D, dt = system_arrays("hinf_norm_arrays", A, B, C, D, dt)
-    tolerance = within("hinf_norm_arrays: tolerance", positive("hinf_norm_arrays: tolerance", tolerance), 0.0, 1.0)
-    if not (A.ndim == B.ndim == C.ndim == D.ndim == 2):
-        raise ArgumentError("hinf_norm_arrays: A, B, C, D must be matrices of one system, got a stack of several")
-    return _norm(StateArrays(A, B, C, D, dt), tolerance, True)
+    arrays = linear_arrays(system, "hinf_norm")
+    tolerance = within("hinf_norm: tolerance", positive("hinf_norm: tolerance", tolerance), 0.0, 1.0)
+    return _norm(arrays, tolerance, allow_unstable)
 
 
 def _norm(system: StateArrays, tolerance: float, allow_unstable: bool) -> tuple[float, float]:
@@ -252,7 +225,7 @@ def level_crossings(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, 
 
 def gains(system: StateArrays, frequency: FloatArray) -> FloatArray:
     """Return the largest singular value at each frequency, (N,); inf where the response is not finite."""
-    return largest_gains(frequency_response_arrays(*system, frequency))
+    return largest_gains(frequency_response(system, frequency, -3))
 
 
 def _climbed(axis: FrequencyAxis, s: ComplexArray, best: float, frequency: float, slack: float) -> tuple[float, float]:
@@ -311,7 +284,7 @@ def h2_norm(system: StateSystem) -> float:
             "h2_norm: D is not zero, expected a strictly proper continuous system (its norm is infinite)"
         )
     A, B, C = scaled(A, B, C)
-    s = continuous_poles(pole_arrays(A), dt)
+    s = continuous_poles(poles(A), dt)
     if spectral_abscissa(s) >= 0.0:
         raise ArgumentError(
             f"h2_norm: the system is not stable (pole at s = {s[np.argmax(s.real)]:.6g}), expected a stable one"
@@ -333,69 +306,46 @@ def h2_norm(system: StateSystem) -> float:
     return math.sqrt(max(0.0, float(np.trace(C @ X @ C.T) + np.sum(D * D))))
 
 
-def noise_rms(system: StateSystem, rms: ArrayLike) -> FloatArray:
-    """Return the rms of every output of a discrete system driven by white samples.
+def noise_rms(system: StateSystem, rms: ArrayLike, allow_unstable: bool = False) -> FloatArray:
+    """Return the rms of every output of a discrete system, or of a stack of them, driven by white samples.
 
     Parameters
     ----------
     system
-        Discrete, stable: `control.StateSpace` or `TransferFunction`.
+        Discrete, stable: `control.StateSpace`, `TransferFunction` or `StateArrays`, which may have leading batch axes.
     rms : (m,) or scalar
         Standard deviation of the independent samples at each input, in its units.
+    allow_unstable
+        Return inf for a system that is not stable.
 
     Returns
     -------
-    (p,)
+    (..., p)
         In the units of the outputs.
 
     Raises
     ------
     ArgumentError
-        If the system is continuous or not stable, or `rms` has another shape.
+        If the system is continuous, or not stable and `allow_unstable` is not set, or `rms` has another shape.
 
     References
     ----------
     K. J. Åström, B. Wittenmark, Computer-Controlled Systems, 1997, ch. 10.
     """
-    A, B, C, D, dt = linear_arrays(system, "noise_rms")
+    A, B, C, D, dt = linear_arrays(system, "noise_rms", stack=True)
     if dt == 0.0:
         raise ArgumentError("noise_rms: the system is continuous, expected dt > 0; sample it first")
-    m = B.shape[1]
-    out = noise_rms_arrays(A, B, C, D, not_negative("noise_rms: rms", rms, m))
-    if not np.all(np.isfinite(out)):
-        raise ArgumentError("noise_rms: the system is not stable, so its rms grows without bound")
-    return out
-
-
-def noise_rms_arrays(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, rms: FloatArray) -> FloatArray:
-    """Return the rms (..., p) of the outputs of a stack of discrete systems; inf where one is not stable.
-
-    Parameters
-    ----------
-    A, B, C, D
-        Discrete systems, in their units. Shapes (..., n, n), (..., n, m), (..., p, n), (..., p, m).
-    rms : (m,)
-        Standard deviation of the independent samples at each input, in its units.
-
-    Returns
-    -------
-    (..., p)
-        In the units of the outputs; inf where a system is not stable.
-
-    Raises
-    ------
-    ArgumentError
-        Shapes that do not fit, numbers that are not finite, or an `rms` below zero.
-    """
-    A, B, C, D, _ = system_arrays("noise_rms_arrays", A, B, C, D)
-    rms = not_negative("noise_rms_arrays: rms", rms, B.shape[-1])
+    rms = not_negative("noise_rms: rms", rms, B.shape[-1])
     A, B, C = scaled(A, B, C)
     driven = B * rms
     X = stationary_covariance(A, driven)
     with np.errstate(invalid="ignore", over="ignore"):
         direct = D * rms
         variance = np.einsum("...ij,...jk,...ik->...i", C, X, C) + np.sum(direct * direct, axis=-1)
-    return np.where(np.isfinite(variance), np.sqrt(np.maximum(variance, 0.0)), np.inf)
+    out = np.where(np.isfinite(variance), np.sqrt(np.maximum(variance, 0.0)), np.inf)
+    if not (allow_unstable or np.all(np.isfinite(out))):
+        raise ArgumentError("noise_rms: the system is not stable, so its rms grows without bound")
+    return out
 
 
 def stationary_covariance(A: FloatArray, B: FloatArray) -> FloatArray:
@@ -408,7 +358,7 @@ def stationary_covariance(A: FloatArray, B: FloatArray) -> FloatArray:
     X = np.array(np.broadcast_to(X, (*batch, *X.shape[-2:])))
     if A.shape[-1] == 0:
         return X
-    stable = np.less(np.broadcast_to(spectral_radius(pole_arrays(A)), batch), 1.0, dtype=np.bool_)
+    stable = np.less(np.broadcast_to(spectral_radius(poles(A)), batch), 1.0, dtype=np.bool_)
     X[~stable] = np.inf
     power = np.array(np.broadcast_to(A, (*batch, *A.shape[-2:])))[stable]
     inside = X[stable]

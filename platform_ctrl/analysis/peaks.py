@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
-from platform_ctrl.analysis.norms import hinf_norm_arrays, level_frequencies, resonances
-from platform_ctrl.analysis.poles import continuous_poles, pole_arrays
+from platform_ctrl.analysis.norms import hinf_norm, level_frequencies, resonances
+from platform_ctrl.analysis.poles import continuous_poles, poles
 from platform_ctrl.analysis.singular_values import FrequencyAxis
 from platform_ctrl.common.values import FloatArray
 
@@ -33,10 +33,10 @@ def peak(system: StateArrays, band: Band = WHOLE) -> tuple[float, float]:
         From and to, rad/s; at most up to the Nyquist frequency.
     """
     if band == WHOLE:
-        norm, frequency = hinf_norm_arrays(*system, TOLERANCE)
+        norm, frequency = hinf_norm(system, allow_unstable=True, tolerance=TOLERANCE)
         return norm * (1.0 + TOLERANCE), frequency
     axis = FrequencyAxis(system)
-    own = resonances(continuous_poles(pole_arrays(system.A), system.dt))
+    own = resonances(continuous_poles(poles(system.A), system.dt))
     level, frequency = 0.0, 0.0
     for _ in range(60):
         found, at = _largest(axis, own, band)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, named_system, state_arrays
-from platform_ctrl.analysis.response import ON_A_GRID, frequency_response_arrays
+from platform_ctrl.analysis.response import ON_A_GRID, frequency_response
 from platform_ctrl.common.arguments import whole
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray, value
@@ -182,7 +182,7 @@ class PlantSet:
         order = np.argsort(np.concatenate([self.frequency, new]), kind="stable")
         B = np.concatenate([self.B, self.B_Omega], axis=-1)
         D = np.concatenate([self.D, np.zeros((*self.D.shape[:-1], 3))], axis=-1)
-        found = frequency_response_arrays(self.A, B, self.C, D, self.period, new, ON_A_GRID)
+        found = frequency_response(StateArrays(self.A, B, self.C, D, self.period), new, -3, ON_A_GRID)
         m = self.B.shape[-1]
         return dataclasses.replace(
             self,
@@ -270,7 +270,7 @@ def plant_set(
     m = plants.B.shape[-1]
     B = np.concatenate([plants.B, B_Omega], axis=-1)
     D = np.concatenate([plants.D, np.zeros((*plants.D.shape[:-1], 3))], axis=-1)
-    response = frequency_response_arrays(plants.A, B, plants.C, D, plants.dt, grid, ON_A_GRID)
+    response = frequency_response(StateArrays(plants.A, B, plants.C, D, plants.dt), grid, -3, ON_A_GRID)
     return PlantSet(
         A=plants.A,
         B=plants.B,

@@ -7,7 +7,10 @@ axis of z oscillates at the Nyquist frequency: z = -0.5 has the damping ratio 0.
 
 from __future__ import annotations
 
+from typing import cast
+
 import numpy as np
+from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.arrays import ComplexArray, all_finite, scaled
 from platform_ctrl.analysis.transfer_function import StateSystem, linear_arrays
@@ -36,49 +39,32 @@ class Damping:
     ratio: FloatArray
 
 
-def poles(system: StateSystem) -> ComplexArray:
-    """Return the poles of `system` in its own plane (s or z), computed in balanced states, (n,).
+def poles(system: StateSystem | ArrayLike) -> ComplexArray:
+    """Return the poles of `system` in its own plane (s or z).
 
     Parameters
     ----------
     system
-        Continuous or discrete.
+        Continuous or discrete; or a state matrix A, or a stack of them, (..., n, n). The poles of a system are computed
+        in balanced states, the eigenvalues of a matrix as it is.
 
     Returns
     -------
-    complex (n,)
+    complex (..., n)
         Of a continuous system in rad/s; those of a discrete one (z) are dimensionless.
 
     Raises
     ------
     ArgumentError
-        `system` is not a `control.StateSpace` or proper `TransferFunction` of finite numbers.
+        `system` is not a `control.StateSpace` or proper `TransferFunction` of finite numbers, nor a square matrix.
     """
-    A, B, C, _, _ = linear_arrays(system, "poles")
-    return pole_arrays(scaled(A, B, C)[0])
-
-
-def pole_arrays(A: FloatArray) -> ComplexArray:
-    """Return the eigenvalues of a stack of matrices (..., n, n) as complex (..., n).
-
-    Parameters
-    ----------
-    A : (..., n, n)
-        In units of 1/s, or dimensionless for discrete systems.
-
-    Returns
-    -------
-    complex (..., n)
-        Eigenvalues in the units of A.
-
-    Raises
-    ------
-    ArgumentError
-        Not square matrices of finite real numbers.
-    """
-    A = real_numbers("pole_arrays: A", A)
-    if A.ndim < 2 or A.shape[-1] != A.shape[-2] or not all_finite(A):
-        raise ArgumentError(f"pole_arrays: A must be square matrices of finite numbers, got shape {A.shape}")
+    if isinstance(system, np.ndarray | list):
+        A = real_numbers("poles: A", system)
+        if A.ndim < 2 or A.shape[-1] != A.shape[-2] or not all_finite(A):
+            raise ArgumentError(f"poles: A must be square matrices of finite numbers, got shape {A.shape}")
+    else:
+        A, B, C, _, _ = linear_arrays(cast(StateSystem, system), "poles")
+        A = scaled(A, B, C)[0]
     return np.asarray(np.linalg.eigvals(A), dtype=np.complex128)
 
 

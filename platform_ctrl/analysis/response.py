@@ -14,7 +14,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, frequencies, scaled, state_arrays, system_arrays
-from platform_ctrl.analysis.transfer_function import LinearSystem, is_rational, rational_response
+from platform_ctrl.analysis.transfer_function import (
+    LinearSystem,
+    StateSystem,
+    is_rational,
+    linear_arrays,
+    rational_response,
+)
 from platform_ctrl.common.arguments import complex_numbers, positive
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
@@ -39,7 +45,12 @@ LARGE = 48
 AVERAGED = 1.0 / 12.0
 
 
-def frequency_response(system: LinearSystem | Sequence[LinearSystem], frequency: ArrayLike) -> ComplexArray:
+def frequency_response(
+    system: LinearSystem | Sequence[LinearSystem],
+    frequency: ArrayLike,
+    axis: int = -1,
+    tolerance: float = TOLERATED,
+) -> ComplexArray:
     """Return the response of `system` on the imaginary axis or on the unit circle.
 
     Each entry is right to 1e-9 of itself, or to 1e-12 of the largest entry at that frequency where it is smaller than
@@ -52,14 +63,19 @@ def frequency_response(system: LinearSystem | Sequence[LinearSystem], frequency:
     ----------
     system
         Continuous or discrete `control.StateSpace`, p outputs, m inputs, a `control.TransferFunction` (its polynomials
-        are evaluated) or data (`control.FrequencyResponseData`, at frequencies of its own); or a sequence of K systems
-        with as many outputs and inputs each (and states and sample periods of their own).
+        are evaluated), data (`control.FrequencyResponseData`, at frequencies of its own) or `StateArrays`, which may
+        have leading batch axes; or a sequence of K systems with as many outputs and inputs each (and states and sample
+        periods of their own).
     frequency : (N,)
         rad/s, >= 0.
+    axis
+        Where the frequencies stand in the result: last, or with -3 before the matrices, for products of responses.
+    tolerance
+        Bound on the error of an entry, relative to itself, above which it is computed again with more digits.
 
     Returns
     -------
-    complex (p, m, N), or (K, p, m, N) for a sequence
+    complex (p, m, N), or (K, p, m, N) for a sequence, or (..., p, m, N)
         In the units of the outputs per unit of the inputs; inf where a frequency coincides with a pole (with
         48 states or more, all coupled, at frequency 0 only: elsewhere it is large).
 
@@ -75,23 +91,28 @@ def frequency_response(system: LinearSystem | Sequence[LinearSystem], frequency:
     J. Demmel et al., ACM Transactions on Mathematical Software 32, 2006.
     """
     w = frequencies(frequency, "frequency_response")
-    if not isinstance(system, Sequence):
-        return _response_of(system, w)
-    every = [_response_of(one, w) for one in system]
+    if axis not in (-1, -3):
+        raise ArgumentError(f"frequency_response: axis must be -1 or -3, got {axis!r}")
+    tolerance = positive("frequency_response: tolerance", tolerance)
+    if isinstance(system, StateArrays) or not isinstance(system, Sequence):
+        return np.moveaxis(_response_of(system, w, tolerance), -1, axis)
+    every = [_response_of(one, w, tolerance) for one in system]
     if len({one.shape for one in every}) != 1:
         raise ArgumentError(
             f"frequency_response: outputs x inputs of the systems are {sorted({one.shape[:2] for one in every})}, "
             "expected the same for all of at least one"
         )
-    return np.stack(every)
+    return np.moveaxis(np.stack(every), -1, axis)
 
 
-def _response_of(system: LinearSystem, w: FloatArray) -> ComplexArray:
+def _response_of(system: LinearSystem, w: FloatArray, tolerance: float) -> ComplexArray:
+    if isinstance(system, StateArrays):
+        return _whole(*system_arrays("frequency_response", *system), w, tolerance)
     if hasattr(system, "frdata"):
         return _measured(system, w)
     if is_rational(system):
         return rational_response(system, w)
-    return _whole(*state_arrays(system, "frequency_response"), w)
+    return _whole(*state_arrays(system, "frequency_response"), w, tolerance)
 
 
 def _measured(data: control.FrequencyResponseData, w: FloatArray) -> ComplexArray:
@@ -108,44 +129,6 @@ def _measured(data: control.FrequencyResponseData, w: FloatArray) -> ComplexArra
             "expected frequencies of the data, which are not interpolated"
         )
     return np.asarray(data.frdata, dtype=np.complex128)[..., nearest]
-
-
-def frequency_response_arrays(
-    A: FloatArray,
-    B: FloatArray,
-    C: FloatArray,
-    D: FloatArray,
-    dt: float,
-    frequency: FloatArray,
-    tolerated: float = TOLERATED,
-) -> ComplexArray:
-    """Return C (z - A)^-1 B + D, complex (..., N, p, m), at `frequency` rad/s for dt = 0 or dt > 0.
-
-    Parameters
-    ----------
-    A, B, C, D
-        Batch axes broadcast; in the system's units. Shapes (..., n, n), (..., n, m), (..., p, n), (..., p, m).
-    dt
-        Sample period, s; 0: continuous.
-    frequency : (N,)
-        rad/s.
-    tolerated
-        Bound on the error of an entry, relative to itself, above which it is worked out again with more digits.
-
-    Returns
-    -------
-    complex (..., N, p, m)
-        In the system's units; inf where a frequency coincides with a pole.
-
-    Raises
-    ------
-    ArgumentError
-        Shapes that do not fit, or numbers that are not finite.
-    """
-    where = "frequency_response_arrays"
-    system = system_arrays(where, A, B, C, D, dt)
-    tolerated = positive(f"{where}: tolerated", tolerated)
-    return np.moveaxis(_whole(*system, frequencies(frequency, where), tolerated), -1, -3)
 
 
 def _whole(
@@ -215,13 +198,13 @@ class _Beyond:
                 self._found[k] = complex(float(real), float(imaginary))
 
 
-def response_arrays(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, z: ComplexArray) -> ComplexArray:
+def response_at(system: StateSystem, z: ComplexArray) -> ComplexArray:
     """Return C (z I - A)^-1 B + D at the points `z` of the complex plane, as accurate as `frequency_response` is.
 
     Parameters
     ----------
-    A, B, C, D
-        Batch axes broadcast; in the system's units. Shapes (..., n, n), (..., n, m), (..., p, n), (..., p, m).
+    system
+        What has states; `StateArrays` may have leading batch axes.
     z : complex (N,)
         The same points for the whole stack, in the units of A.
 
@@ -235,10 +218,10 @@ def response_arrays(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, 
     ArgumentError
         Shapes that do not fit, or numbers that are not finite.
     """
-    A, B, C, D, _ = system_arrays("response_arrays", A, B, C, D)
-    points = complex_numbers("response_arrays: z", z)
+    A, B, C, D, _ = linear_arrays(system, "response_at", stack=True)
+    points = complex_numbers("response_at: z", z)
     if points.ndim != 1 or not np.isfinite(points).all():
-        raise ArgumentError(f"response_arrays: z must be a vector of finite numbers, got shape {points.shape}")
+        raise ArgumentError(f"response_at: z must be a vector of finite numbers, got shape {points.shape}")
     return np.moveaxis(_responses(A, None, B, C, D, points), -1, -3)
 
 
@@ -283,7 +266,7 @@ class AxisResponse:
     system
         With states, inputs and outputs.
     tolerated
-        As of `frequency_response_arrays`.
+        As of `frequency_response`.
     balanced
         Whether the states are balanced.
     """
@@ -315,7 +298,7 @@ class Resolvent:
     lacks : (n,), optional
         What the diagonal of A has beyond its doubles.
     tolerated
-        As of `frequency_response_arrays`.
+        As of `frequency_response`.
     """
 
     def __init__(

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -27,9 +27,15 @@ if TYPE_CHECKING:
 MOST_HELD = 1_000
 
 
+@overload
+def sampled(system: StateArrays, period: float, delay: float = ..., lag: ArrayLike | None = ...) -> StateArrays: ...
+@overload
 def sampled(
-    system: control.StateSpace, period: float, delay: float = 0.0, lag: ArrayLike | None = None
-) -> control.StateSpace:
+    system: control.StateSpace, period: float, delay: float = ..., lag: ArrayLike | None = ...
+) -> control.StateSpace: ...
+def sampled(
+    system: control.StateSpace | StateArrays, period: float, delay: float = 0.0, lag: ArrayLike | None = None
+) -> control.StateSpace | StateArrays:
     """Return the system as a sampled controller sees it: hold, delay, actuator lag, plant, sampler.
 
     ::
@@ -42,7 +48,7 @@ def sampled(
     Parameters
     ----------
     system
-        Continuous `control.StateSpace`, m inputs.
+        Continuous, m inputs: a `control.StateSpace`, or `StateArrays`, which may have leading batch axes.
     period
         Sample period, s; the result's `dt`.
     delay
@@ -52,8 +58,8 @@ def sampled(
 
     Returns
     -------
-    control.StateSpace
-        With the input and output names of `system`.
+    control.StateSpace or StateArrays
+        As `system`, with the names of its inputs and outputs.
 
     Raises
     ------
@@ -64,10 +70,12 @@ def sampled(
     ----------
     K. J. Åström, B. Wittenmark, Computer-Controlled Systems, 1997, sec. 2.3.
     """
-    arrays = state_arrays(system, "sampled")
+    arrays = system_arrays("sampled", *system) if isinstance(system, StateArrays) else state_arrays(system, "sampled")
     if arrays.dt != 0.0:
         raise ArgumentError(f"sampled: the system has dt = {arrays.dt} s already, expected a continuous system")
-    A, B, C, D, lags = _sampled(arrays.A, arrays.B, arrays.C, arrays.D, period, delay, lag)
+    A, B, C, D, lags = _sampled(*arrays[:4], period, delay, lag)
+    if isinstance(system, StateArrays):
+        return StateArrays(A, B, C, D, float(period))
     inputs = list(system.input_labels)
     states = sampled_states(list(system.state_labels), inputs, lags, A.shape[-1])
     return named_system(StateArrays(A, B, C, D, float(period)), inputs, list(system.output_labels), states)
@@ -78,40 +86,6 @@ def sampled_states(states: Sequence[str], inputs: Sequence[str], lags: FloatArra
     out = [*states, *(f"lag_{name}" for name, one in zip(inputs, lags, strict=True) if one > 0.0)]
     held = (order - len(out)) // max(len(inputs), 1)
     return out + [f"{name}_held{j + 1}" for j in range(held) for name in inputs]
-
-
-def sampled_arrays(
-    A: FloatArray,
-    B: FloatArray,
-    C: FloatArray,
-    D: FloatArray,
-    period: float,
-    delay: float = 0.0,
-    lag: ArrayLike | None = None,
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return A, B, C, D of `sampled` for arrays with any leading batch axes.
-
-    Parameters
-    ----------
-    A, B, C, D
-        Batch axes broadcast; in the system's units. Shapes (..., n, n), (..., n, m), (..., p, n), (..., p, m).
-    period, delay
-        As in `sampled`, s; the same for the whole stack.
-    lag : (m,) or scalar, optional
-        As in `sampled`, s; the same for the whole stack.
-
-    Returns
-    -------
-    A, B, C, D : (..., k, k), ...
-        In the same units, with k = n + (number of lags) + m (number of periods that the delay reaches back).
-
-    Raises
-    ------
-    ArgumentError
-        Shapes do not fit, numbers are not finite, or `period`, `delay` or `lag` make no sense.
-    """
-    A, B, C, D, _ = system_arrays("sampled_arrays", A, B, C, D)
-    return _sampled(A, B, C, D, period, delay, lag)[:4]
 
 
 def _sampled(

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, scaled
 from platform_ctrl.analysis.poles import continuous_poles
-from platform_ctrl.analysis.response import AxisResponse, frequency_response_arrays
+from platform_ctrl.analysis.response import AxisResponse, frequency_response
 from platform_ctrl.analysis.sampled import to_w_plane
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
@@ -58,7 +58,7 @@ class FrequencyAxis:
         some = bool(np.any(infinite))
         finite = np.where(infinite, 0.0, frequency) if some else frequency
         if self._along is None:
-            out = frequency_response_arrays(*self.system, finite)
+            out = frequency_response(self.system, finite, -3)
         else:
             out = self._along.at(finite, tolerated, least)
         out = np.ascontiguousarray(out)

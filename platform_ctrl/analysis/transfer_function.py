@@ -6,16 +6,17 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, scaled, state_arrays
+from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, scaled, state_arrays, system_arrays
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
 
 if TYPE_CHECKING:
     import control
 
-# What has states, and what has at least values.
-StateSystem: TypeAlias = "control.StateSpace | control.TransferFunction"
-LinearSystem: TypeAlias = "control.StateSpace | control.TransferFunction | control.FrequencyResponseData"
+# What has named signals, what has states, and what has at least values.
+NamedSystem: TypeAlias = "control.StateSpace | control.TransferFunction"
+StateSystem: TypeAlias = "control.StateSpace | control.TransferFunction | StateArrays"
+LinearSystem: TypeAlias = "control.StateSpace | control.TransferFunction | control.FrequencyResponseData | StateArrays"
 
 # Part of |A| (of B or C) below which a direction of the state space counts as not reached (not seen).
 _UNREACHED = 1e-11
@@ -23,7 +24,7 @@ _UNREACHED = 1e-11
 _REALISED = 1e-7
 
 
-def linear_arrays(system: StateSystem, where: str) -> StateArrays:
+def linear_arrays(system: StateSystem, where: str, stack: bool = False) -> StateArrays:
     """Return the arrays of a `control.StateSpace`, or a minimal realisation of a `control.TransferFunction`.
 
     Parameters
@@ -32,16 +33,23 @@ def linear_arrays(system: StateSystem, where: str) -> StateArrays:
         Continuous or discrete; without a time base (``dt=None``) it counts as continuous.
     where
         What messages call it.
+    stack
+        Whether `StateArrays` may have batch axes.
 
     Returns
     -------
     StateArrays
-        Without batch axes.
+        Without batch axes unless they were given.
 
     References
     ----------
     T. Kailath, Linear Systems, 1980, sec. 6.4.
     """
+    if isinstance(system, StateArrays):
+        arrays = system_arrays(where, *system)
+        if not stack and any(item.ndim > 2 for item in arrays[:4]):
+            raise ArgumentError(f"{where}: A, B, C, D must be matrices of one system, got a stack of several")
+        return arrays
     if hasattr(system, "frdata"):
         raise ArgumentError(
             f"{where}: frequency response data say nothing between their frequencies; expected a control.StateSpace or "
@@ -152,7 +160,7 @@ def _reached(A: FloatArray, B: FloatArray) -> FloatArray:
 
 def _require_same(system: Any, arrays: StateArrays, where: str) -> None:
     """Raise an ArgumentError where the realisation's response is not that of the transfer function."""
-    from platform_ctrl.analysis.response import frequency_response_arrays
+    from platform_ctrl.analysis.response import frequency_response
 
     rates = np.abs(np.concatenate([np.roots(den) for *_, den in _entries(system)]))
     w = (
@@ -160,7 +168,7 @@ def _require_same(system: Any, arrays: StateArrays, where: str) -> None:
         if arrays.dt
         else np.geomspace(0.1, 10.0, 5)[:, None] * np.unique(np.where(rates > 0.0, rates, 1.0))
     ).ravel()
-    true, ours = rational_response(system, w), np.moveaxis(frequency_response_arrays(*arrays, w), 0, -1)
+    true, ours = rational_response(system, w), frequency_response(arrays, w)
     size = np.abs(true).max(axis=-1, where=np.isfinite(true), initial=0.0)
     with np.errstate(invalid="ignore"):
         wrong = np.abs(ours - true) > _REALISED * (np.abs(true) + 1e-3 * size[..., None])

@@ -14,7 +14,7 @@ from platform_ctrl.analysis.loop_figures import LoopFigures, Own
 from platform_ctrl.analysis.loop_measures import LoopMeasures, exact_measures, measure
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.poles import continuous_poles, minimum_damping
-from platform_ctrl.analysis.response import ON_A_GRID, frequency_response_arrays
+from platform_ctrl.analysis.response import ON_A_GRID, frequency_response
 from platform_ctrl.app.curves import (
     channel_response,
     degrees,
@@ -190,8 +190,10 @@ def _grid(plant: PlantSet, s: ComplexArray) -> FloatArray:
 
 def shown_channel(plant: PlantSet, K: StateArrays, grid: FloatArray, channel: int) -> ComplexArray:
     """Return the loop of the first plant broken at one channel, at the frequencies of `grid`, complex (F,)."""
-    P = frequency_response_arrays(plant.A[0], plant.B[0], plant.C[0], plant.D[0], plant.period, grid, ON_A_GRID)
-    return channel_response(sensitivity_functions(-frequency_response_arrays(*K, grid) @ P)[0], channel)
+    P = frequency_response(
+        StateArrays(plant.A[0], plant.B[0], plant.C[0], plant.D[0], plant.period), grid, -3, ON_A_GRID
+    )
+    return channel_response(sensitivity_functions(-frequency_response(K, grid, -3) @ P)[0], channel)
 
 
 def _locus(loop: CagedLoop, s: ComplexArray, every: LoopFigures | None, exact: bool) -> Locus:
@@ -321,7 +323,9 @@ def _Omega_gain(
     m, p = shown.m, shown.p
     A, B, C, D, dt = shown.arrays
     column, rows = slice(m + axis - 1, m + axis), slice(m, m + p)
-    own = frequency_response_arrays(A[0], B[0][:, column], C[0][rows], D[0][rows, column], dt, grid, ON_A_GRID)
+    own = frequency_response(
+        StateArrays(A[0], B[0][:, column], C[0][rows], D[0][rows, column], dt), grid, -3, ON_A_GRID
+    )
     none = np.zeros(0)
     w, low, high = none, none, none
     if every is not None:

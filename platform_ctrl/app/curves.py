@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
-from platform_ctrl.analysis.feedback import closed_loop_arrays
+from platform_ctrl.analysis.feedback import closed_loop
 from platform_ctrl.analysis.plant_set import BoolArray
 from platform_ctrl.analysis.poles import continuous_poles
 from platform_ctrl.common.values import FloatArray
@@ -155,7 +155,10 @@ def gain_locus(
 
     def poles(factors: FloatArray) -> ComplexArray:
         f = factors[:, None, None]
-        closed = closed_loop_arrays(A, B, C, D, controller.A, controller.B, f * controller.C, f * controller.D)[0]
+        closed = closed_loop(
+            StateArrays(A, B, C, D, period),
+            StateArrays(controller.A, controller.B, f * controller.C, f * controller.D, period),
+        ).A
         return np.asarray(np.linalg.eigvals(closed), dtype=np.complex128)
 
     # From 0 on poles move as the root of the factor: closer steps there.

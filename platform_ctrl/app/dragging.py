@@ -13,9 +13,9 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
-from platform_ctrl.analysis.feedback import closed_loop_arrays, sensitivity_functions
-from platform_ctrl.analysis.poles import continuous_poles, pole_arrays
-from platform_ctrl.analysis.response import frequency_response_arrays
+from platform_ctrl.analysis.feedback import closed_loop, sensitivity_functions
+from platform_ctrl.analysis.poles import continuous_poles, poles
+from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.app.curves import channel_response
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import DesignError, PlatformCtrlError
@@ -293,10 +293,10 @@ def dragged_crossover(
 
     def residual(w: float) -> Residual:
         grid = np.array([w])
-        P = frequency_response_arrays(*plant, grid)
+        P = frequency_response(plant, grid, -3)
 
         def of(K: StateArrays) -> FloatArray:
-            L = channel_response(sensitivity_functions(-frequency_response_arrays(*K, grid) @ P)[0], channel)
+            L = channel_response(sensitivity_functions(-frequency_response(K, grid, -3) @ P)[0], channel)
             return np.log(np.maximum(np.abs(L), 1e-300))
 
         return of
@@ -333,7 +333,7 @@ def dragged_crossover(
 
 
 def _poles(K: StateArrays, plant: StateArrays) -> ComplexArray:
-    return continuous_poles(pole_arrays(closed_loop_arrays(*plant[:4], *K[:4])[0]), plant.dt)
+    return continuous_poles(poles(closed_loop(plant, K).A), plant.dt)
 
 
 def _nearest(s: ComplexArray, wanted: complex) -> complex:

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, state_arrays
-from platform_ctrl.analysis.feedback import closed_loop_arrays
+from platform_ctrl.analysis.feedback import closed_loop
 from platform_ctrl.analysis.mu import mu_bounds
-from platform_ctrl.analysis.norms import noise_rms_arrays
-from platform_ctrl.analysis.poles import continuous_poles, pole_arrays, spectral_abscissa
-from platform_ctrl.analysis.response import frequency_response_arrays
+from platform_ctrl.analysis.norms import noise_rms
+from platform_ctrl.analysis.poles import continuous_poles, poles, spectral_abscissa
+from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.app.free_plants import Sensitivity, StabilisedLoop, disk_margins, loop_grid, used_arrays
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.job.job import Job
@@ -53,13 +53,13 @@ def requirements(
     job, model, controllers = loop.job, loop.model, loop.controllers
     K, at, torquers = loop.joined(loop.plants)
     P = used_arrays(loop.plants.arrays, 0, at)
-    A, B, C, D = closed_loop_arrays(*P[:4], *K[:4])
-    s = continuous_poles(pole_arrays(A), P.dt) if known is None else known[0]
+    A, B, C, D, _ = closed_loop(P, K)
+    s = continuous_poles(poles(A), P.dt) if known is None else known[0]
     decay = -float(spectral_abscissa(s))
     m = len(torquers)
     sensors = {one.name: one for one in job.platform.sensors}
     rms = np.array([sensors[name].sampled_noise(P.dt) for name in loop.plants.sensors])
-    noise = noise_rms_arrays(A, B[:, m:], C[:m], D[:m, m:], rms)
+    noise = noise_rms(StateArrays(A, B[:, m:], C[:m], D[:m, m:], P.dt), rms, allow_unstable=True)
     coupled, simultaneous = np.zeros(m), (0.0, 0.0)
     if decay > 0.0:
         grid, sensitivity = (loop_grid(P, s), Sensitivity(P, K)) if known is None else known[1:3]
@@ -97,7 +97,7 @@ def _margins_of(
     seen = [plant.output_labels.index(name) for name in K.input_labels]
     arrays, k = state_arrays(plant, "plant"), state_arrays(K, "controller")
     P = StateArrays(arrays.A, arrays.B[:, at], arrays.C[seen], arrays.D[np.ix_(seen, at)], arrays.dt)
-    s = continuous_poles(pole_arrays(closed_loop_arrays(*P[:4], *k[:4])[0]), P.dt)
+    s = continuous_poles(poles(closed_loop(P, k).A), P.dt)
     if not spectral_abscissa(s) < 0.0:
         return dict.fromkeys(names, 0.0)
     chosen = [j for j, name in enumerate(names) if name not in left_out]
@@ -119,7 +119,7 @@ def _simultaneous(
     if narrow.size:
 
         def response(w: FloatArray) -> ComplexArray:
-            return frequency_response_arrays(*closed, np.minimum(w, math.pi / closed.dt))
+            return frequency_response(closed, np.minimum(w, math.pi / closed.dt), -3)
 
         one = narrow[int(np.argmax(mu_bounds(response(narrow.imag), 1e-3).upper))]
         best = max(best, _climbed(response, one.imag + 2.0 * one.real, one.imag - 2.0 * one.real))

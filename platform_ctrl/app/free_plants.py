@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, state_arrays
-from platform_ctrl.analysis.feedback import closed_loop_arrays, sensitivity_functions
+from platform_ctrl.analysis.feedback import closed_loop, sensitivity_functions
 from platform_ctrl.analysis.interconnection import interconnect_controllers
 from platform_ctrl.analysis.peaks import peak
-from platform_ctrl.analysis.poles import continuous_poles, pole_arrays
-from platform_ctrl.analysis.response import ON_A_GRID, AxisResponse, frequency_response_arrays
-from platform_ctrl.analysis.sampled import held_input, sampled_arrays
+from platform_ctrl.analysis.poles import continuous_poles, poles
+from platform_ctrl.analysis.response import ON_A_GRID, AxisResponse, frequency_response
+from platform_ctrl.analysis.sampled import held_input, sampled
 from platform_ctrl.app.curves import arrays_of, dense_grid
 from platform_ctrl.app.parts import EDGE
 from platform_ctrl.common.values import FloatArray, value
@@ -206,7 +206,7 @@ def free_plants(models: FreeModels, sampling: Sampling, band: bool) -> FreePlant
     N, _, m = models.B.shape
     period, delay, lags = sampling.period, sampling.delay, models.lags
     D = np.zeros((N, len(models.sensors), m))
-    arrays = StateArrays(*sampled_arrays(models.A, models.B, models.C, D, period, delay, lags), dt=period)
+    arrays = sampled(StateArrays(models.A, models.B, models.C, D, 0.0), period, delay, lags)
     turned = _turned(models, period, delay)
     nyquist = np.pi / period
     fastest = float(np.abs(np.linalg.eigvals(models.A[0])).max(initial=0.0)) or 0.1 * nyquist
@@ -227,7 +227,7 @@ def free_plants(models: FreeModels, sampling: Sampling, band: bool) -> FreePlant
 def _responses(turned: StateArrays, grid: FloatArray) -> ComplexArray:
     if not grid.size:
         return np.zeros((len(turned.A), 0, *turned.D.shape[-2:]), dtype=np.complex128)
-    return frequency_response_arrays(*turned, grid, ON_A_GRID)
+    return frequency_response(turned, grid, -3, ON_A_GRID)
 
 
 def _turned(models: FreeModels, period: float, delay: float) -> StateArrays:
@@ -240,7 +240,7 @@ def _turned(models: FreeModels, period: float, delay: float) -> StateArrays:
     C[:, :sensors, :n], C[:, sensors:, n:] = models.C, np.eye(3)
     D = np.zeros((N, sensors + 3, m))
     held = held_input(A, acting, period)[1]
-    A, B, C, D = sampled_arrays(A, B, C, D, period, delay, models.lags)
+    A, B, C, D, _ = sampled(StateArrays(A, B, C, D, 0.0), period, delay, models.lags)
     both = np.zeros((N, A.shape[-1], m + 3))
     both[..., :m] = B
     # The sampled states begin with the plant's own, which lags and held torques do not hear of.
@@ -293,7 +293,7 @@ def loop_grid(P: StateArrays, s: ComplexArray) -> FloatArray:
     finite = s[np.isfinite(s)]
     slowest = float(np.abs(finite).min(initial=nyquist))
     low = max(min(0.1 * slowest, 0.01 * nyquist), 1e-5 * nyquist)
-    own = continuous_poles(pole_arrays(P.A), P.dt)
+    own = continuous_poles(poles(P.A), P.dt)
     # Free poles at z = 1 are integrators, no resonances.
     return dense_grid(np.concatenate([s, own]), low, EDGE * nyquist)
 
@@ -311,7 +311,7 @@ class Sensitivity:
 
 def disk_margins(P: StateArrays, K: StateArrays, channels: Sequence[int]) -> FloatArray:
     """Return 1/max |S_ii - 1/2| over all frequencies of channels of a stable loop, broken one at a time."""
-    A, B, C, D = closed_loop_arrays(*P[:4], *K[:4])
+    A, B, C, D, _ = closed_loop(P, K)
     # From a torque disturbance to the torque the closed loop is S - 1.
     parts = [StateArrays(A, B[:, [i]], C[[i]], D[[i]][:, [i]] + 0.5, P.dt) for i in channels]
     return np.array([1.0 / peak(part)[0] for part in parts])

@@ -7,9 +7,9 @@ import math
 import numpy as np
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
-from platform_ctrl.analysis.feedback import closed_loop_arrays, sensitivity_functions
-from platform_ctrl.analysis.poles import continuous_poles, minimum_damping, pole_arrays, spectral_abscissa
-from platform_ctrl.analysis.response import ON_A_GRID, frequency_response_arrays
+from platform_ctrl.analysis.feedback import closed_loop, sensitivity_functions
+from platform_ctrl.analysis.poles import continuous_poles, minimum_damping, poles, spectral_abscissa
+from platform_ctrl.analysis.response import ON_A_GRID, frequency_response
 from platform_ctrl.app.curves import channel_response, degrees, gain_locus, held_responses, moved_by_gain, sample_times
 from platform_ctrl.app.free_measures import Kept, requirements
 from platform_ctrl.app.free_plants import (
@@ -79,8 +79,10 @@ def turning(
 
     def attitude(one: int, w: FloatArray, plants: FreePlants) -> FloatArray:
         A, B, C, D, dt = plants.turned
-        a, b, c, d = closed_loop_arrays(A[one], B[one], C[one], D[one], *K[:4], torques=at, angles=list(range(p)))
-        found = frequency_response_arrays(a, b[:, column], c[k + p :], d[k + p :, column], dt, w, ON_A_GRID)
+        a, b, c, d, _ = closed_loop(
+            StateArrays(A[one], B[one], C[one], D[one], K.dt), K, torques=at, angles=list(range(p))
+        )
+        found = frequency_response(StateArrays(a, b[:, column], c[k + p :], d[k + p :, column], dt), w, -3, ON_A_GRID)
         return np.asarray(np.linalg.norm(found[..., 0], axis=-1))
 
     none = np.zeros(0)
@@ -89,7 +91,7 @@ def turning(
         w_band = loop.plants.frequency
         whole = loop.plants.response
         # What acts moves the sensors, these the torques, and both the attitude.
-        k_at = frequency_response_arrays(*K, w_band, ON_A_GRID)
+        k_at = frequency_response(K, w_band, -3, ON_A_GRID)
         seen, acting = whole[..., :p, at], whole[..., :p, column]
         torque = np.linalg.solve(np.eye(k) - k_at @ seen, k_at @ acting)
         moved = whole[..., p:, column] + whole[..., p:, at] @ torque
@@ -136,10 +138,8 @@ def rate_step(
 
 def _responses(plants: FreePlants, K: StateArrays, at: list[int], axis: int, u: FloatArray, every: int) -> FloatArray:
     """Return attitude (3), angles and torques after a torque on the platform about `axis`."""
-    A, B, C, D, _ = plants.turned
     m, p = len(plants.torquers), len(plants.sensors)
-    loops = closed_loop_arrays(A, B, C, D, *K[:4], torques=at, angles=list(range(p)))
-    a, b, c, d = loops
+    a, b, c, d, _ = closed_loop(plants.turned, K, torques=at, angles=list(range(p)))
     k = len(at)
     order = [*range(k + p, k + p + 3), *range(k, k + p), *range(k)]
     column = slice(m + axis - 1, m + axis)
@@ -162,7 +162,7 @@ def stabilised_parts(loop: StabilisedLoop, settings: Settings, kept: Kept) -> Pa
     roots, name = _roots(loop, settings, torquers)
     channel = torquers.index(name)
     P = used_arrays(loop.shown.arrays, 0, at)
-    z = pole_arrays(closed_loop_arrays(*P[:4], *K[:4])[0])
+    z = poles(closed_loop(P, K).A)
     s = continuous_poles(z, P.dt)
     stable = bool(spectral_abscissa(s) < 0.0)
     grid = np.union1d(loop_grid(P, s), loop.plants.frequency)
@@ -170,11 +170,11 @@ def stabilised_parts(loop: StabilisedLoop, settings: Settings, kept: Kept) -> Pa
     S = sensitivity.at(grid)
     response = channel_response(S, channel)
     banded = bool(settings.band and len(loop.plants.labels) > 1)
-    poles = _set_poles(loop, K, at) if banded else s[None]
+    every = _set_poles(loop, K, at) if banded else s[None]
     channel_own = channel_margins(grid, response, stable)
     reference = max(channel_own.crossover or 1.0, 1.0)
     at_rest = settings.plant == loop.plants.labels[0] and not any(settings.Omega)
-    inside = bool(np.all(spectral_abscissa(poles) < 0.0)) if banded else stable
+    inside = bool(np.all(spectral_abscissa(every) < 0.0)) if banded else stable
     band, worst, worst_plant = _band(loop, K, at, channel) if banded else (None, math.inf, settings.plant)
     bode, nichols = frequency_parts(
         name, grid, response, math.pi / P.dt, settings.plant, band, loop.job.coupled.disk_margin
@@ -199,7 +199,7 @@ def stabilised_parts(loop: StabilisedLoop, settings: Settings, kept: Kept) -> Pa
     drawn = Drawn(
         bode=bode,
         nichols=nichols,
-        locus=_locus(loop, P, K, s, poles, reference),
+        locus=_locus(loop, P, K, s, every, reference),
         step=step,
         Omega_time=rate_step(loop, settings, K, at, s, stable, banded),
         Omega_frequency=low_frequency,
@@ -220,7 +220,7 @@ def stabilised_overlay(
     K, at, torquers = loop.joined(loop.shown)
     _, name = _roots(loop, settings, torquers)
     P = used_arrays(loop.shown.arrays, 0, at)
-    s = continuous_poles(pole_arrays(closed_loop_arrays(*P[:4], *K[:4])[0]), P.dt)
+    s = continuous_poles(poles(closed_loop(P, K).A), P.dt)
     stable = bool(spectral_abscissa(s) < 0.0)
     response = channel_response(Sensitivity(P, K).at(frequency), torquers.index(name))
     step, over_frequency = turning(loop, settings, K, at, frequency, s, stable, False)
@@ -250,7 +250,7 @@ def _band(loop: StabilisedLoop, K: StateArrays, at: list[int], channel: int) -> 
     """Return the loops of all plants broken at a channel, and the least of their margins there with its plant."""
     w = loop.plants.frequency
     S = sensitivity_functions(
-        -frequency_response_arrays(*K, w) @ loop.plants.response[..., : len(loop.plants.sensors), at]
+        -frequency_response(K, w, -3) @ loop.plants.response[..., : len(loop.plants.sensors), at]
     )[0]
     peaks = np.abs(S[..., channel, channel] - 0.5).max(axis=-1)
     k = int(np.argmax(peaks))
@@ -259,7 +259,7 @@ def _band(loop: StabilisedLoop, K: StateArrays, at: list[int], channel: int) -> 
 
 def _set_poles(loop: StabilisedLoop, K: StateArrays, at: list[int]) -> ComplexArray:
     A, B, C, D, dt = loop.plants.arrays
-    return continuous_poles(pole_arrays(closed_loop_arrays(A, B[..., at], C, D[..., at], *K[:4])[0]), dt)
+    return continuous_poles(poles(closed_loop(StateArrays(A, B[..., at], C, D[..., at], K.dt), K).A), dt)
 
 
 def _locus(
@@ -271,7 +271,7 @@ def _locus(
     moving = np.array([name in roots for name in names])
     inner = StateArrays(K.A, K.B, np.where(moving[:, None], 0.0, K.C), np.where(moving[:, None], 0.0, K.D), K.dt)
     # Both halves read the same states of the controller: close the inner rows first, then the rest as feedback.
-    A, B, _, _ = closed_loop_arrays(*P[:4], *inner[:4])
+    A, B, _, _, _ = closed_loop(P, inner)
     m = P.B.shape[1]
     feedback = np.hstack([K.D @ P.C, K.C]) * moving[:, None]
     if P.D.any():

@@ -11,7 +11,7 @@ import numpy as np
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, named_system, state_arrays
 from platform_ctrl.analysis.certificates import Certificate, plant_set_certificates
-from platform_ctrl.analysis.feedback import closed_loop_arrays
+from platform_ctrl.analysis.feedback import closed_loop
 from platform_ctrl.analysis.loop_measures import LoopMeasures, exact_measures
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.common.values import value
@@ -252,7 +252,7 @@ def _with_evidence(
 def closed_loop_poles(plants: PlantSet, controller: control.StateSpace) -> ComplexArray:
     """Return the poles of every plant's closed loop, complex (N, poles), in z."""
     K = state_arrays(controller, "closed_loop_poles")
-    A = closed_loop_arrays(plants.A, plants.B, plants.C, plants.D, *K[:4])[0]
+    A = closed_loop(StateArrays(plants.A, plants.B, plants.C, plants.D, K.dt), K).A
     return np.asarray(np.linalg.eigvals(A), dtype=np.complex128)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.plant_set import Group, PlantSet, plant_set
-from platform_ctrl.analysis.sampled import held_input, sampled_arrays, sampled_states
+from platform_ctrl.analysis.sampled import held_input, sampled, sampled_states
 from platform_ctrl.common.arguments import known_name
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError, InputError
@@ -237,19 +237,19 @@ def sampled_plants(linear: LinearPlants, sampling: Sampling, Omega: FloatArray) 
     torques, angles = (tuple(one.name for one in part) for part in (linear.torquers, linear.pickoffs))
     A, lags = linear.A, np.array([t.lag for t in linear.torquers])
     _expect_slow(A, linear.cases, sampling.period)
-    arrays = sampled_arrays(A, linear.B, linear.C, linear.D, sampling.period, sampling.delay, lags)
+    arrays = sampled(StateArrays(A, linear.B, linear.C, linear.D, 0.0), sampling.period, sampling.delay, lags)
     return plant_set(
-        StateArrays(*arrays, dt=sampling.period),
+        arrays,
         labels=tuple(one.label for one in linear.cases),
         torques=torques,
         angles=angles,
         nutation=reference_frequency(A[0], sampling.period),
         noise=np.array([s.sampled_noise(sampling.period) for s in linear.pickoffs]),
         groups=tuple(one.group for one in linear.cases),
-        B_Omega=held_rate(A, linear.B_Omega, sampling.period, arrays[0].shape[-1]),
+        B_Omega=held_rate(A, linear.B_Omega, sampling.period, arrays.A.shape[-1]),
         Omega=Omega,
         torque_limit=np.array([np.inf if t.limit is None else t.limit for t in linear.torquers]),
-        states=sampled_states(linear.states, torques, lags, arrays[0].shape[-1]),
+        states=sampled_states(linear.states, torques, lags, arrays.A.shape[-1]),
     )
 
 

@@ -21,7 +21,7 @@ import numpy as np
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, state_arrays
 from platform_ctrl.analysis.certificates import Certificate, h2_certificate, norm_certificate
-from platform_ctrl.analysis.norms import h2_norm, hinf_norm_arrays
+from platform_ctrl.analysis.norms import h2_norm, hinf_norm
 from platform_ctrl.analysis.poles import continuous_poles
 from platform_ctrl.common.arguments import one_of, positive
 from platform_ctrl.common.signatures import short
@@ -419,7 +419,7 @@ def _kept(
     of = f" {claim.name}" if claim.name else ""
     frequency = float("nan")
     if claim.norm == "hinf":
-        found, frequency = hinf_norm_arrays(loop.A, B, C, D, dt)
+        found, frequency = hinf_norm(StateArrays(loop.A, B, C, D, dt), allow_unstable=True)
         shown = f"the norm{of} {found:.6g} at {frequency:.4g} rad/s"
     else:
         try:

@@ -18,7 +18,7 @@ from platform_ctrl.analysis.loop_measures import LoopMeasures, exact_figures
 from platform_ctrl.analysis.norms import h2_norm
 from platform_ctrl.analysis.peaks import peak
 from platform_ctrl.analysis.plant_set import Group, PlantSet
-from platform_ctrl.analysis.poles import continuous_poles, minimum_damping, pole_arrays, spectral_abscissa
+from platform_ctrl.analysis.poles import continuous_poles, minimum_damping, poles, spectral_abscissa
 from platform_ctrl.common.arguments import one_of, positive
 from platform_ctrl.common.signatures import check_arguments, check_kinds
 from platform_ctrl.common.values import FloatArray, input_value, value
@@ -420,7 +420,7 @@ class LoopRequirement(Requirement):
         """
         one_of("check_closed_loop: kind", self.kind, _OF_CLOSED_LOOP)
         arrays = state_arrays(closed_loop, "check_closed_loop")
-        z = pole_arrays(arrays.A)
+        z = poles(arrays.A)
         decay = float(-spectral_abscissa(continuous_poles(z, arrays.dt)))
         if self.kind == "stability":
             found = decay
@@ -459,7 +459,7 @@ class LoopRequirement(Requirement):
         one_of("check_controller: kind", self.kind, sorted(OF_CONTROLLER))
         K = state_arrays(controller, "check_controller")
         if self.kind == "controller poles":
-            found = float(fastest(pole_arrays(K.A), K.dt))
+            found = float(fastest(poles(K.A), K.dt))
         else:
             found = peak(K, (self.frequency or 0.0, np.inf))[0]
         evidence = f"controller with {K.A.shape[0]} states"

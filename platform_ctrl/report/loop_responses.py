@@ -6,12 +6,12 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import ComplexArray, state_arrays
-from platform_ctrl.analysis.feedback import Gang, closed_loop_arrays, gang
+from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, state_arrays
+from platform_ctrl.analysis.feedback import Gang, closed_loop, gang
 from platform_ctrl.analysis.loop_figures import LoopFigures, Own
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.poles import continuous_poles
-from platform_ctrl.analysis.response import frequency_response_arrays
+from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.jobs import LoopOutcome
 from platform_ctrl.design.loop import LoopDesign, closed_loop_poles, sampled_plant
@@ -236,10 +236,11 @@ def loop_responses(model: LinearModel, outcome: LoopOutcome) -> LoopResponses | 
     exact = [LoopFigures(plants.only([0]), plants.joined(d.controller)) for d in designs]
     frequency = _with_peaks(following_grid(every, low, 0.999 * nyquist), exact)
     from_rate = _angle_per_rate(model, outcome.spec.gimbals, frequency)
-    held = (plants.A[0], plants.B_Omega[0], plants.C[0], np.zeros((len(plants.angles), 3)), plants.period)
-    rate_held = frequency_response_arrays(*held, frequency)
-    open_torque = frequency_response_arrays(
-        plants.A[0], plants.B[0], plants.C[0], plants.D[0], plants.period, frequency
+    no_direct = np.zeros((len(plants.angles), 3))
+    held = StateArrays(plants.A[0], plants.B_Omega[0], plants.C[0], no_direct, plants.period)
+    rate_held = frequency_response(held, frequency, -3)
+    open_torque = frequency_response(
+        StateArrays(plants.A[0], plants.B[0], plants.C[0], plants.D[0], plants.period), frequency, -3
     )
     return LoopResponses(
         frequency=frequency,
@@ -286,7 +287,7 @@ def _design_responses(
         # L = S⁻¹ T: never the product of two integrators' infinities.
         loop = np.linalg.solve(S_in, T_in)
         channels = 1.0 / own - 1.0
-    K = frequency_response_arrays(*state_arrays(design.controller, design.name), responses.frequency)
+    K = frequency_response(state_arrays(design.controller, design.name), responses.frequency, -3)
     share = K @ S_out @ rate_held * (plants.Omega / plants.torque_limit[:, None])
     faults = plants.of(("faults",))
     return DesignResponses(
@@ -313,7 +314,7 @@ def _angle_per_rate(model: LinearModel, gimbals: tuple[str, ...], frequency: Flo
     """Return the response of the uncontrolled gimbals to Omega, continuous, (N, gimbals, 3)."""
     angles = [model.angle_names[k] for k in rows_of(model, gimbals)]
     system = state_space(model, gimbals=gimbals)[angles, list(OMEGA_NAMES)]
-    return frequency_response_arrays(*state_arrays(system, "gimbals"), frequency)
+    return frequency_response(state_arrays(system, "gimbals"), frequency, -3)
 
 
 def root_locus(design: LoopDesign, highest: float = 2.0, points: int = 161) -> RootLocus:
@@ -325,7 +326,7 @@ def root_locus(design: LoopDesign, highest: float = 2.0, points: int = 161) -> R
     def poles(gains: FloatArray) -> ComplexArray:
         factor = gains[:, None, None]
         P = (plants.A[0], plants.B[0], plants.C[0], plants.D[0])
-        A = closed_loop_arrays(*P, K.A, K.B, factor * K.C, factor * K.D)[0]
+        A = closed_loop(StateArrays(*P, K.dt), StateArrays(K.A, K.B, factor * K.C, factor * K.D, K.dt)).A
         return np.asarray(np.linalg.eigvals(A), dtype=np.complex128)
 
     gains = np.linspace(0.0, highest, points)

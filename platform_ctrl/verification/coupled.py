@@ -17,8 +17,8 @@ from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, named_syste
 from platform_ctrl.analysis.feedback import closed_loop, loop_transfer
 from platform_ctrl.analysis.interconnection import interconnect_controllers
 from platform_ctrl.analysis.margins import DiskMargin, disk_margin, loop_margins
-from platform_ctrl.analysis.norms import noise_rms_arrays
-from platform_ctrl.analysis.poles import continuous_poles, pole_arrays, spectral_abscissa
+from platform_ctrl.analysis.norms import noise_rms
+from platform_ctrl.analysis.poles import continuous_poles, poles, spectral_abscissa
 from platform_ctrl.analysis.sampled import sampled
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.text import at_most
@@ -119,7 +119,7 @@ def coupled_check(job: Job, model: LinearModel, controllers: Sequence[control.St
     plant = coupled_plant(job, model, controllers)
     K = one_controller(job, controllers, plant)
     loop = closed_loop(plant, K)
-    poles = pole_arrays(loop.A)
+    z = poles(loop.A)
     channels = tuple(K.output_labels)
     coupled = loop_margins(plant, K, at="input").alpha
     decoupled = _decoupled_margins(job, model, controllers, channels)
@@ -127,11 +127,11 @@ def coupled_check(job: Job, model: LinearModel, controllers: Sequence[control.St
     cost = np.where(decoupled > 0.0, 1.0 - coupled / np.maximum(decoupled, np.finfo(float).tiny), np.inf)
     simultaneous = disk_margin(loop_transfer(plant, K, at="input"))
     noise = _torque_noise(job, loop, len(channels))
-    decay = -float(spectral_abscissa(continuous_poles(poles, job.sampling.period)))
+    decay = -float(spectral_abscissa(continuous_poles(z, job.sampling.period)))
     return CoupledCheck(
         plant=plant,
         controller=K,
-        poles=poles,
+        poles=z,
         free=acts_on_root(job, controllers),
         channels=channels,
         decoupled=decoupled,
@@ -253,8 +253,10 @@ def _torque_noise(job: Job, loop: control.StateSpace, channels: int) -> FloatArr
     names = [loop.input_labels[k].removeprefix("noise_") for k in noisy]
     sensors = {s.name: s for s in job.platform.sensors}
     rms = [sensors[name].sampled_noise(job.sampling.period) for name in names]
-    return noise_rms_arrays(
-        arrays.A, arrays.B[:, noisy], arrays.C[:channels], arrays.D[:channels, noisy], np.array(rms, dtype=np.float64)
+    return noise_rms(
+        StateArrays(arrays.A, arrays.B[:, noisy], arrays.C[:channels], arrays.D[:channels, noisy], arrays.dt),
+        np.array(rms, dtype=np.float64),
+        allow_unstable=True,
     )
 
 

@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from platform_ctrl import PlatformCtrlError, analysis
+from platform_ctrl.analysis.arrays import StateArrays
 
 seeds = st.integers(0, 2**31 - 1)
 W = np.geomspace(0.05, 30.0, 25)
@@ -94,10 +95,12 @@ def test_a_stack_of_plants_with_one_controller_gives_what_each_gives() -> None:
     plants = [pair(seed, 0.0)[0] for seed in range(4)]
     controller = pair(9, 0.0)[1]
     A, B, C, D = (np.stack([getattr(plant, name) for plant in plants]) for name in "ABCD")
-    arrays = analysis.closed_loop_arrays(A, B, C, D, controller.A, controller.B, controller.C, controller.D)
+    arrays = analysis.closed_loop(
+        StateArrays(A, B, C, D, 0.0), StateArrays(controller.A, controller.B, controller.C, controller.D, 0.0)
+    )
     for i, plant in enumerate(plants):
         single = analysis.closed_loop(plant, controller)
-        for array, name in zip(arrays, "ABCD", strict=True):
+        for array, name in zip(arrays[:4], "ABCD", strict=True):
             np.testing.assert_allclose(array[i], getattr(single, name), atol=1e-12)
 
 

@@ -253,12 +253,12 @@ def test_the_pencil_finds_the_frequencies_where_the_gain_is_the_level(dt: float)
     period = float(system.dt)
     w = pencil_crossings(system.A, system.B / root, system.C / root, system.D / level, period)
     arrays = StateArrays(system.A, system.B, system.C, system.D, period)
-    sizes = np.linalg.svd(analysis.frequency_response_arrays(*arrays, w), compute_uv=False)
+    sizes = np.linalg.svd(analysis.frequency_response(arrays, w, -3), compute_uv=False)
     assert np.abs(sizes / level - 1.0).min(axis=-1).min() < 1e-6
     # Between neighbours that enclose no crossing the gain stays on one side: the peak's two flanks are among them.
     edges = np.concatenate([[0.0], w, [w[-1] * 2.0 if not period else math.pi / period]])
     fine = np.concatenate([np.linspace(a, b, 12)[1:-1] for a, b in pairwise(edges)])
-    above = np.linalg.norm(analysis.frequency_response_arrays(*arrays, fine), 2, axis=(-2, -1)) > level
+    above = np.linalg.norm(analysis.frequency_response(arrays, fine, -3), 2, axis=(-2, -1)) > level
     assert all(len(set(part)) == 1 for part in above.reshape(-1, 10).tolist())
 
 
@@ -279,7 +279,7 @@ def test_no_gain_is_steeper_than_a_cosine_along_the_phase_of_its_poles(seed: int
     level = norm * (1.0 + rng.choice([1e-9, 0.1]))
     near = np.abs(s.imag)[:, None] + np.abs(s.real)[:, None] * rng.normal(size=40)
     w = np.unique(np.clip(np.abs(np.append(near, 10.0 ** rng.uniform(-3.0, 3.0, 300))), 0.0, edge))
-    gain = np.linalg.norm(analysis.frequency_response_arrays(*arrays, w), 2, axis=(-2, -1))
+    gain = np.linalg.norm(analysis.frequency_response(arrays, w, -3), 2, axis=(-2, -1))
     alpha, phi = 2.0 * np.arccos(np.minimum(gain / level, 1.0)), phases(w, *phase)
     assert np.all(np.abs(np.diff(alpha)) <= np.diff(phi) * (1.0 + 1e-6) + 1e-7)
     # A level that is exceeded is doubted where the largest gain is.

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from platform_ctrl import analysis
-from platform_ctrl.analysis.arrays import state_arrays
-from platform_ctrl.analysis.feedback import closed_loop_arrays
-from platform_ctrl.analysis.norms import hinf_norm_arrays, stationary_covariance
-from platform_ctrl.analysis.sampled import held_input, sampled_arrays
+from platform_ctrl.analysis.arrays import StateArrays, state_arrays
+from platform_ctrl.analysis.feedback import closed_loop
+from platform_ctrl.analysis.norms import hinf_norm, stationary_covariance
+from platform_ctrl.analysis.sampled import held_input, sampled
 from platform_ctrl.errors import ArgumentError
 
 
@@ -45,10 +45,13 @@ def fast(P: control.StateSpace, K: control.StateSpace, pieces: int, delay: int) 
         x = Ad @ x + Bd @ np.vstack([w, u])
     whole = np.vstack([x, held[0], held[1], *z, np.hstack([C[nz:], np.zeros((1, 3 + inputs))])])
     S, Z = n + 2, pieces * nz
-    closed = closed_loop_arrays(
-        whole[:S, :S], whole[:S, S:], whole[S:, :S], whole[S:, S:], K.A, K.B, K.C, K.D, torques=[inputs], angles=[Z]
+    closed = closed_loop(
+        StateArrays(whole[:S, :S], whole[:S, S:], whole[S:, :S], whole[S:, S:], 0.0),
+        StateArrays(K.A, K.B, K.C, K.D, 0.0),
+        torques=[inputs],
+        angles=[Z],
     )
-    A, B, C, D = closed
+    A, B, C, D, _ = closed
     return A, B[:, :inputs], C[1 : 1 + Z], D[1 : 1 + Z, :inputs]
 
 
@@ -56,7 +59,9 @@ def fast(P: control.StateSpace, K: control.StateSpace, pieces: int, delay: int) 
 def test_fast_sampling_converges_to_the_norm(eighths: int, D11: float) -> None:
     P, K = plant(D11=D11), controller()
     norm, frequency = analysis.intersample_norm(P, K, 1, 1, delay=eighths / 8 * K.dt)
-    rough = [hinf_norm_arrays(*fast(P, K, N, eighths * N // 8), K.dt)[0] for N in (8, 16, 32)]
+    rough = [
+        hinf_norm(StateArrays(*fast(P, K, N, eighths * N // 8), K.dt), allow_unstable=True)[0] for N in (8, 16, 32)
+    ]
     errors = np.abs(np.array(rough) - norm) / norm
     assert errors[-1] < 3e-3
     # Second-order extrapolation of a first-order method.
@@ -82,7 +87,9 @@ def test_fast_sampling_converges_to_the_h2_norm() -> None:
 
 def test_short_periods_give_the_norms_of_the_continuous_loop() -> None:
     P, K = plant(2), control.StateSpace([[-2.0]], [[1.0]], [[-1.0]], [[-0.5]])
-    A, B, C, D = closed_loop_arrays(P.A, P.B, P.C, P.D, K.A, K.B, K.C, K.D, torques=[2], angles=[2])
+    A, B, C, D, _ = closed_loop(
+        StateArrays(P.A, P.B, P.C, P.D, 0.0), StateArrays(K.A, K.B, K.C, K.D, 0.0), torques=[2], angles=[2]
+    )
     limit = control.StateSpace(A, B[:, :2], C[1:3], D[1:3, :2])
     error, error2 = [], []
     for period in (0.02, 0.005):
@@ -119,9 +126,11 @@ def test_a_ripple_hidden_at_the_samples_is_seen() -> None:
         np.zeros((2, 2)),
     )
     K = control.StateSpace([], [], [], [[-0.4]], period)
-    A, B, C, D = sampled_arrays(P.A, P.B, P.C, P.D, period)
-    A, B, C, D = closed_loop_arrays(A, B, C, D, K.A, K.B, K.C, K.D, torques=[1], angles=[1])
-    at_samples, _ = hinf_norm_arrays(A, B[:, :1], C[1:2], D[1:2, :1], period)
+    A, B, C, D, _ = sampled(StateArrays(P.A, P.B, P.C, P.D, 0.0), period)
+    A, B, C, D, _ = closed_loop(
+        StateArrays(A, B, C, D, 0.0), StateArrays(K.A, K.B, K.C, K.D, 0.0), torques=[1], angles=[1]
+    )
+    at_samples, _ = hinf_norm(StateArrays(A, B[:, :1], C[1:2], D[1:2, :1], period), allow_unstable=True)
     norm, _ = analysis.intersample_norm(P, K, 1, 1)
     assert norm > 50 * at_samples
 

@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from platform_ctrl import PlatformCtrlError, analysis
+from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.singular_values import largest_gains
 from platform_ctrl.common.values import FloatArray
 
@@ -161,7 +162,8 @@ def test_noise_rms_of_a_stack_marks_the_unstable_one() -> None:
     A = np.array([[[0.5]], [[1.5]]])
     B, C, D = np.ones((1, 1)), np.ones((1, 1)), np.zeros((1, 1))
     np.testing.assert_allclose(
-        analysis.noise_rms_arrays(A, B, C, D, np.ones(1))[:, 0], [math.sqrt(1.0 / 0.75), math.inf]
+        analysis.noise_rms(StateArrays(A, B, C, D, 0.1), np.ones(1), allow_unstable=True)[:, 0],
+        [math.sqrt(1.0 / 0.75), math.inf],
     )
 
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import platform_ctrl as pc
-from platform_ctrl.analysis.arrays import state_arrays
-from platform_ctrl.analysis.feedback import closed_loop_arrays
+from platform_ctrl.analysis.arrays import StateArrays, state_arrays
+from platform_ctrl.analysis.feedback import closed_loop
 from platform_ctrl.analysis.lifting import lifted_plant, sampled_plant
 from platform_ctrl.design import complex_loop, complex_plant, from_crossover_and_margin, lqe, lqg, lqr
 from platform_ctrl.design.plants import changed
@@ -81,5 +81,8 @@ def test_a_sampled_synthesis_proves_the_sampled_loop_and_reports_its_poles() -> 
     assert level.verify().proved
     assert level.bound <= 1.0
     F, G, H, D, _ = lifted_plant(sampled_plant(P, 1, 1, 0.2, 0.13, "test"), np.inf)
-    loop = closed_loop_arrays(F, G[:, -1:], H[-1:], D[-1:, -1:], *state_arrays(made.controller, "test")[:4])[0]
+    loop = closed_loop(
+        StateArrays(F, G[:, -1:], H[-1:], D[-1:, -1:], state_arrays(made.controller, "test").dt),
+        state_arrays(made.controller, "test"),
+    ).A
     np.testing.assert_allclose(np.sort(np.abs(made.poles)), np.sort(np.abs(np.linalg.eigvals(loop))), atol=1e-9)

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from generated_c import Machine, classical_entry, compiled, compiler, entry
 from platform_ctrl.analysis.arrays import StateArrays
-from platform_ctrl.analysis.response import frequency_response_arrays
+from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.export import write_c
@@ -89,7 +89,7 @@ def test_whatever_is_written_out_is_the_same_controller(case: tuple[FloatArray, 
     scheme = scheme_of(read_job_once(), given_one)
     made, own = arrays(scheme), given_one.arrays
     w = np.array([3.0, 60.0, 700.0, 3000.0, 6000.0])
-    a, b = (frequency_response_arrays(*K[:4], PERIOD, w) for K in (made, own))
+    a, b = (frequency_response(StateArrays(*K[:4], PERIOD), w, -3) for K in (made, own))
     assert np.linalg.norm(a - b) <= 1e-7 * np.linalg.norm(b)
     # Back-calculation leaves nothing that runs on, or says so.
     windup = back_calculation(scheme)

@@ -14,22 +14,21 @@ import numpy as np
 import pytest
 
 from platform_ctrl import analysis
+from platform_ctrl.analysis import StateArrays
 from platform_ctrl.errors import ArgumentError
 
 W = np.array([1.0, 2.0])
 SHAPES: tuple[tuple[int, ...], ...] = ((2, 2), (2, 1), (1, 2), (1, 1))
-ENTRIES: dict[str, tuple[Callable[..., Any], tuple[Any, ...]]] = {
-    "frequency_response_arrays": (analysis.frequency_response_arrays, (0.1, W)),
-    "response_arrays": (analysis.response_arrays, (1j * W,)),
-    "hinf_norm_arrays": (analysis.hinf_norm_arrays, (0.1,)),
-    "noise_rms_arrays": (analysis.noise_rms_arrays, (np.ones(1),)),
-    "sampled_arrays": (analysis.sampled_arrays, (0.1, 0.25)),
-    "closed_loop_arrays": (
-        analysis.closed_loop_arrays,
-        (-np.eye(1), np.ones((1, 1)), np.ones((1, 1)), np.zeros((1, 1))),
-    ),
-    "series_arrays": (analysis.series_arrays, (-np.eye(1), np.ones((1, 1)), np.ones((1, 1)), np.zeros((1, 1)))),
+ENTRIES: dict[str, Callable[[StateArrays], Any]] = {
+    "frequency_response": lambda system: analysis.frequency_response(system, W),
+    "response_at": lambda system: analysis.response_at(system, 1j * W),
+    "hinf_norm": analysis.hinf_norm,
+    "noise_rms": lambda system: analysis.noise_rms(system, np.ones(1)),
+    "sampled": lambda system: analysis.sampled(system._replace(dt=0.0), 0.1, 0.25),
+    "closed_loop": lambda system: analysis.closed_loop(system, OTHER),
+    "series": lambda system: analysis.series(system, OTHER),
 }
+OTHER = StateArrays(-np.eye(1), np.ones((1, 1)), np.ones((1, 1)), np.zeros((1, 1)), 0.1)
 
 
 def arrays() -> list[np.ndarray]:
@@ -40,7 +39,8 @@ def arrays() -> list[np.ndarray]:
 def test_a_direct_term_of_another_size_does_not_end_the_process() -> None:
     code = (
         "import numpy as np; from platform_ctrl import analysis, errors\n"
-        "try: analysis.frequency_response_arrays([[.5]], [[1]], [[1]], np.zeros((5, 5)), 0.1, np.array([1.0, 2.0]))\n"
+        "system = analysis.StateArrays([[.5]], [[1]], [[1]], np.zeros((5, 5)), 0.1)\n"
+        "try: analysis.frequency_response(system, np.array([1.0, 2.0]))\n"
         "except errors.ArgumentError as error: print(error)"
     )
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
@@ -50,29 +50,30 @@ def test_a_direct_term_of_another_size_does_not_end_the_process() -> None:
 
 @pytest.mark.parametrize("name", ENTRIES)
 def test_arrays_that_do_not_fit_one_another_are_refused(name: str) -> None:
-    function, more = ENTRIES[name]
-    function(*arrays(), *more)
+    function = ENTRIES[name]
+    function(StateArrays(*arrays(), dt=0.1))
     for place, wrong in itertools.product(range(4), [(), (2,), (3, 3), (1, 3), (3, 1), (5, 5), (0, 0), (2, 3, 3)]):
         given = arrays()
         given[place] = np.zeros(wrong)
         with pytest.raises(ArgumentError):
-            function(*given, *more)
+            function(StateArrays(*given, dt=0.1))
 
 
 @pytest.mark.parametrize("name", ENTRIES)
 @pytest.mark.parametrize("bad", [np.nan, np.inf, 1j, "1", None], ids=repr)
 def test_arrays_of_what_is_no_finite_number_are_refused(name: str, bad: Any) -> None:
-    function, more = ENTRIES[name]
+    function = ENTRIES[name]
     for place in range(4):
         given: list[Any] = arrays()
         given[place] = np.full(given[place].shape, bad)
         with pytest.raises(ArgumentError):
-            function(*given, *more)
+            function(StateArrays(*given, dt=0.1))
 
 
 def test_lists_and_whole_numbers_are_arrays_too() -> None:
-    found = analysis.frequency_response_arrays([[-1]], [[1]], [[1]], [[0]], 0, [0, 1])
-    np.testing.assert_allclose(found[:, 0, 0], [1.0, 1.0 / (1.0 + 1.0j)], rtol=1e-12)
+    system: Any = ([[-1]], [[1]], [[1]], [[0]], 0)
+    found = analysis.frequency_response(StateArrays(*system), [0, 1])
+    np.testing.assert_allclose(found[0, 0], [1.0, 1.0 / (1.0 + 1.0j)], rtol=1e-12)
 
 
 @pytest.mark.parametrize(

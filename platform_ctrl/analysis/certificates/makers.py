@@ -17,8 +17,8 @@ from numpy.typing import ArrayLike
 from platform_ctrl.analysis.arrays import StateArrays, state_scaling
 from platform_ctrl.analysis.certificates.certificate import Certificate, Claim
 from platform_ctrl.analysis.certificates.closed_loop import ClosedLoop, closed, matrices_of, modes, stabilising
-from platform_ctrl.analysis.norms import gains, hinf_norm_arrays, resonances, stationary_covariance
-from platform_ctrl.analysis.poles import continuous_poles, pole_arrays, spectral_abscissa
+from platform_ctrl.analysis.norms import gains, hinf_norm, resonances, stationary_covariance
+from platform_ctrl.analysis.poles import continuous_poles, poles, spectral_abscissa
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError, NotCertifiedError, PlatformCtrlError
@@ -116,7 +116,7 @@ def stability_certificate(
     """
     loop = closed(matrices_of(A, B, C, D, dt, "stability_certificate"), controller, label, "stability_certificate")
     system = _rounded(loop, "stability_certificate")
-    rate = -float(spectral_abscissa(continuous_poles(pole_arrays(system.A), loop.dt))) if len(system.A) else np.inf
+    rate = -float(spectral_abscissa(continuous_poles(poles(system.A), loop.dt))) if len(system.A) else np.inf
     if not rate > 0.0:
         raise NotCertifiedError(
             f"stability_certificate: the slowest pole{_of(label)} grows at {-rate:.3g} 1/s; "
@@ -252,7 +252,7 @@ def h2_certificate(
 def _hinf(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, dt: float) -> float:
     # The norm of what transfers nothing is looked for among numbers so small that their inverses overflow.
     with np.errstate(over="ignore", invalid="ignore"):
-        return hinf_norm_arrays(A, B, C, D, dt)[0]
+        return hinf_norm(StateArrays(A, B, C, D, dt), allow_unstable=True)[0]
 
 
 def _just_above(norm: float) -> list[float]:
@@ -278,7 +278,7 @@ def _rounded(loop: ClosedLoop, where: str) -> StateArrays:
 def _require_stable(system: StateArrays, where: str, loop: ClosedLoop) -> None:
     if len(system.A) == 0:
         return
-    growth = float(spectral_abscissa(continuous_poles(pole_arrays(system.A), system.dt)))
+    growth = float(spectral_abscissa(continuous_poles(poles(system.A), system.dt)))
     if not growth < 0.0:
         raise NotCertifiedError(
             f"{where}: the slowest pole{_of(loop.label)} grows at {growth:.3g} 1/s; expected a stable closed loop; "
@@ -393,7 +393,7 @@ def _slack(system: StateArrays, size: float) -> float:
     """Return e such that e times the norm from w to the states, added to z, changes the norm by about `size`."""
     n = len(system.A)
     states = StateArrays(system.A, system.B, np.eye(n), np.zeros((n, system.B.shape[1])), system.dt)
-    s = continuous_poles(pole_arrays(system.A), system.dt)
+    s = continuous_poles(poles(system.A), system.dt)
     w = np.append(resonances(s), 0.0)
     # Near the resonances is near enough: the peak between them is not much higher.
     found = gains(states, w[w <= np.pi / system.dt] if system.dt > 0 else w)

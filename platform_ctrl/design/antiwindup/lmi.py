@@ -22,7 +22,7 @@ import numpy as np
 
 from platform_ctrl.analysis.certificates import Verification
 from platform_ctrl.analysis.norms import stationary_covariance
-from platform_ctrl.analysis.poles import pole_arrays, spectral_radius
+from platform_ctrl.analysis.poles import poles, spectral_radius
 from platform_ctrl.common.text import at_least
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.antiwindup.loop import LimitedLoop
@@ -190,7 +190,7 @@ def below_the_limits(loop: LimitedLoop, alpha: float) -> InvariantEllipsoid:
 
 def slowest_decay(loop: LimitedLoop) -> float:
     """Return the largest α for which the linear loop has an invariant ellipsoid: 1 − ρ²."""
-    return 1.0 - float(spectral_radius(pole_arrays(loop.A))) ** 2
+    return 1.0 - float(spectral_radius(poles(loop.A))) ** 2
 
 
 def _least(loop: LimitedLoop, alpha: float, Omega: float = 1.0, extra: FloatArray | None = None) -> FloatArray:

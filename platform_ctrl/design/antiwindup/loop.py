@@ -23,9 +23,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from platform_ctrl.analysis.arrays import state_arrays
-from platform_ctrl.analysis.poles import pole_arrays, spectral_radius
-from platform_ctrl.analysis.sampled import held_input, sampled_arrays, with_lag
+from platform_ctrl.analysis.arrays import StateArrays, state_arrays
+from platform_ctrl.analysis.poles import poles, spectral_radius
+from platform_ctrl.analysis.sampled import held_input, sampled, with_lag
 from platform_ctrl.common.arguments import known_name, not_negative, positive, real_numbers
 from platform_ctrl.common.signatures import check_arguments, short
 from platform_ctrl.common.values import FloatArray, value
@@ -188,8 +188,10 @@ def limited_loop(
     whole[n, n + 1], whole[n + 1, n + 1] = 1.0, -rho
     into_filter = np.zeros((n + 2, 1))
     into_filter[-1] = rho
-    Ad, Bd, Cd, _ = sampled_arrays(
-        whole, np.vstack([B, np.zeros((2, m))]), np.hstack([C, np.zeros((p, 2))]), np.zeros((p, m)), K.dt, delay
+    Ad, Bd, Cd, _, _ = sampled(
+        StateArrays(whole, np.vstack([B, np.zeros((2, m))]), np.hstack([C, np.zeros((p, 2))]), np.zeros((p, m)), 0.0),
+        K.dt,
+        delay,
     )
     late = np.zeros((len(Ad), 1))
     late[: n + 2] = held_input(whole, into_filter, K.dt)[1]
@@ -199,7 +201,7 @@ def limited_loop(
     order, held = len(K.A), len(own)
     none = np.zeros((order, 1))
     closed = np.block([[Ap + Bp @ K.D @ Cp, Bp @ K.C], [K.B @ Cp, K.A]])
-    radius = float(spectral_radius(pole_arrays(closed)))
+    radius = float(spectral_radius(poles(closed)))
     if not radius < 1.0:
         raise ArgumentError(f"limited_loop: without limits a pole lies at |z| = {radius:.6g}; expected a stable loop")
     command = np.hstack([K.D @ Cp, K.C])

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, named_system, state_arrays
 from platform_ctrl.analysis.certificates import Certificate, stability_certificate
-from platform_ctrl.analysis.feedback import closed_loop_arrays
+from platform_ctrl.analysis.feedback import closed_loop
 from platform_ctrl.analysis.peaks import peak
 from platform_ctrl.analysis.poles import continuous_poles
 from platform_ctrl.common.arguments import positive
@@ -326,7 +326,7 @@ def _disk_margin(
     Real and imaginary parts are a real loop, whose norm is the larger one of both signs of the frequency.
     """
     P, K = plant.real_arrays(), controller.real_arrays()
-    A, B, C, D = closed_loop_arrays(*P[:4], *K[:4])
+    A, B, C, D, _ = closed_loop(P, K)
     # From noise at the pick-offs to the angles the closed loop is −T = S − 1.
     norm, w = peak(StateArrays(A, B[:, 2:], C[2:], D[2:, 2:] + 0.5 * np.eye(2), plant.dt))
     if not np.isfinite(w):

@@ -16,8 +16,8 @@ import numpy as np
 from platform_ctrl.analysis.arrays import StateArrays, named_system, selected, state_arrays
 from platform_ctrl.analysis.certificates import Certificate, margin_certificates
 from platform_ctrl.analysis.feedback import At, closed_loop_with_sensitivity
-from platform_ctrl.analysis.norms import hinf_norm_arrays
-from platform_ctrl.analysis.poles import pole_arrays, spectral_radius
+from platform_ctrl.analysis.norms import hinf_norm
+from platform_ctrl.analysis.poles import poles, spectral_radius
 from platform_ctrl.analysis.sampled import sampled
 from platform_ctrl.common.arguments import positive
 from platform_ctrl.common.signatures import check_arguments
@@ -191,9 +191,9 @@ def _disk_margin(plant: control.StateSpace, controller: control.StateSpace) -> f
     sides: tuple[At, ...] = ("input", "output")
     for at in sides:
         A, B, C, D, dt = closed_loop_with_sensitivity(plant, controller, at)
-        if not spectral_radius(pole_arrays(A)) < 1.0:
+        if not spectral_radius(poles(A)) < 1.0:
             return 0.0
-        norms.append(hinf_norm_arrays(A, B, C, D - 0.5 * np.eye(len(D)), dt)[0])
+        norms.append(hinf_norm(StateArrays(A, B, C, D - 0.5 * np.eye(len(D)), dt), allow_unstable=True)[0])
     return 1.0 / max(norms)
 
 

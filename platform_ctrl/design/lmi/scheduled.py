@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.arrays import StateArrays, state_arrays
 from platform_ctrl.analysis.certificates.certificate import Certificate, proved
-from platform_ctrl.analysis.norms import hinf_norm_arrays
+from platform_ctrl.analysis.norms import hinf_norm
 from platform_ctrl.common.arguments import positive
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray, value
@@ -222,7 +222,9 @@ def scheduled(
         ncon=ncon,
         gamma=certificate.bound,
         gamma_optimal=found.least,
-        norms=np.array([hinf_norm_arrays(one.A, one.B, one.C, one.D, 0.0)[0] for one in loops]),
+        norms=np.array(
+            [hinf_norm(StateArrays(one.A, one.B, one.C, one.D, 0.0), allow_unstable=True)[0] for one in loops]
+        ),
         backoff=backoff,
         certificate=certificate,
         residual=found.residual,

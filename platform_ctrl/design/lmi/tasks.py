@@ -18,7 +18,7 @@ from platform_ctrl.analysis.certificates import (
 )
 from platform_ctrl.analysis.certificates.closed_loop import ClosedLoop
 from platform_ctrl.analysis.channel import Channel, weight_arrays
-from platform_ctrl.analysis.feedback import series_arrays
+from platform_ctrl.analysis.feedback import series
 from platform_ctrl.analysis.sampled import to_w_plane
 from platform_ctrl.common.arguments import known_name
 from platform_ctrl.common.values import FloatArray, value
@@ -187,10 +187,8 @@ def _white(weight: StateArrays, period: float) -> StateArrays:
     """The weight behind √T / (1 + w T/2): with it the H2 norm in the w-plane is that of the sampled system."""
     m = weight.B.shape[1]
     corner, eye = 2 / period, np.eye(m)
-    return StateArrays(
-        *series_arrays(-corner * eye, corner * eye, np.sqrt(period) * eye, np.zeros((m, m)), *weight[:4]),
-        dt=0.0,
-    )
+    first = StateArrays(-corner * eye, corner * eye, np.sqrt(period) * eye, np.zeros((m, m)), 0.0)
+    return series(first, weight)
 
 
 def judged(

@@ -17,7 +17,6 @@ from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.arrays import ComplexArray, state_arrays, state_scaling
 from platform_ctrl.analysis.certificates import Certificate, stability_certificate, static_gain
-from platform_ctrl.analysis.poles import pole_arrays
 from platform_ctrl.common.arguments import known_names
 from platform_ctrl.common.signatures import check_arguments, short
 from platform_ctrl.common.values import FloatArray, value
@@ -136,7 +135,7 @@ def pole_placement(system: control.StateSpace, poles: ArrayLike, inputs: Sequenc
     A_n, B_n = (np.asarray(np.linalg.solve(root, item), dtype=np.float64) for item in (A_s @ root, B_s))
     K_n = _placed(A_n / unit, B_n / unit, wanted / unit, system)
     K = np.linalg.solve(root.T, K_n.T).T / scale
-    reached, error = _matched(pole_arrays(A_n - B_n @ K_n), wanted)
+    reached, error = _matched(np.linalg.eigvals(A_n - B_n @ K_n).astype(np.complex128), wanted)
     if not error <= _REACHED:
         k = int(np.abs(reached - wanted).argmax())
         raise NotCertifiedError(
@@ -235,7 +234,9 @@ def _corrected(A: FloatArray, B: FloatArray, K: FloatArray, wanted: ComplexArray
         return K
     errors = [
         (np.abs(reached - wanted) / np.maximum(np.abs(wanted), 1e-9)).max()
-        for reached in (_matched(pole_arrays(A - B @ one), wanted)[0] for one in (K, better))
+        for reached in (
+            _matched(np.linalg.eigvals(A - B @ one).astype(np.complex128), wanted)[0] for one in (K, better)
+        )
     ]
     return better if errors[1] < errors[0] else K
 

@@ -22,10 +22,10 @@ import numpy as np
 
 from platform_ctrl.analysis.arrays import StateArrays, named_system, state_arrays
 from platform_ctrl.analysis.certificates import Certificate, stability_certificate
-from platform_ctrl.analysis.feedback import closed_loop_arrays
+from platform_ctrl.analysis.feedback import closed_loop
 from platform_ctrl.analysis.intersample import intersample_norm
 from platform_ctrl.analysis.lifting import PeriodExceedsLevel, SampledPlant, lifted_plant, sampled_plant
-from platform_ctrl.analysis.poles import pole_arrays
+from platform_ctrl.analysis.poles import poles
 from platform_ctrl.common.arguments import positive
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import value
@@ -221,7 +221,7 @@ def sampled_hinf(
         gamma_optimal=bound,
         backoff=backoff,
         method=f"sampled hinf, {method}",
-        poles=pole_arrays(closed_loop_arrays(*_from_controls(plant)[:4], *state_arrays(K, "controller")[:4])[0]),
+        poles=poles(closed_loop(_from_controls(plant), state_arrays(K, "controller")).A),
         equivalent=made,
     )
 

@@ -20,7 +20,7 @@ from platform_ctrl.analysis.bandwidth import LEVEL
 from platform_ctrl.analysis.loop_figures import LoopFigures
 from platform_ctrl.analysis.loop_measures import exact_measures
 from platform_ctrl.analysis.plant_set import PlantSet
-from platform_ctrl.analysis.response import frequency_response_arrays
+from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.structured.families import Family
 from platform_ctrl.design.structured.goals import pieces
@@ -419,6 +419,8 @@ def finer(plants: PlantSet) -> PlantSet:
     return dataclasses.replace(
         plants,
         frequency=grid,
-        response=frequency_response_arrays(plants.A, plants.B, plants.C, plants.D, plants.period, grid),
-        Omega_response=frequency_response_arrays(plants.A, plants.B_Omega, plants.C, no_direct, plants.period, grid),
+        response=frequency_response(StateArrays(plants.A, plants.B, plants.C, plants.D, plants.period), grid, -3),
+        Omega_response=frequency_response(
+            StateArrays(plants.A, plants.B_Omega, plants.C, no_direct, plants.period), grid, -3
+        ),
     )

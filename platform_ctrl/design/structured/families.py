@@ -14,7 +14,8 @@ from typing import Protocol
 
 import numpy as np
 
-from platform_ctrl.analysis.response import frequency_response_arrays
+from platform_ctrl.analysis.arrays import StateArrays
+from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.partition import Block, Channels, first_order, series, side_by_side
 from platform_ctrl.design.structured.starts import balanced_truncation
@@ -165,7 +166,7 @@ class Pid:
 
     def _fitted(self, like: Block, nutation: float, rolloff: float) -> tuple[FloatArray, FloatArray, FloatArray]:
         w = np.geomspace(0.1 * nutation, min(4.0 * nutation, 0.4 * np.pi / self._period), 40)
-        target = self._basis @ frequency_response_arrays(*like, self._period, w) @ self._basis.T
+        target = self._basis @ frequency_response(StateArrays(*like, self._period), w, -3) @ self._basis.T
         s = 2.0 / self._period * 1j * np.tan(0.5 * w * self._period)
         F = rolloff**2 / (s**2 + 1.6 * rolloff * s + rolloff**2)
         terms = np.array([F, F / s, F * s]).T

@@ -8,7 +8,7 @@ import numpy as np
 
 from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.norms import stationary_covariance
-from platform_ctrl.analysis.response import frequency_response_arrays
+from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.partition import Block, Partition
 from platform_ctrl.design.structured.norm import ClosedLoop, augmented
@@ -99,14 +99,14 @@ class Fit:
         seen = [loop.responses(float(w)) for w in self.frequency]
         self.left = np.array([L[:, order:] for _, L, _, _ in seen])
         self.right = np.array([R[order:] for _, _, R, _ in seen])
-        self.wanted = frequency_response_arrays(full.A, full.B, full.C, full.D, 0.0, self.frequency)
+        self.wanted = frequency_response(StateArrays(full.A, full.B, full.C, full.D, 0.0), self.frequency, -3)
         self._order = structured.structure.order(structured.nmeas, structured.ncon)
 
     def difference(self, x: FloatArray) -> FloatArray:
         """Return real and imaginary parts of the closed loops' difference."""
         M, k = self.structured.matrix(x), self._order
         try:
-            K = frequency_response_arrays(M[:k, :k], M[:k, k:], M[k:, :k], M[k:, k:], 0.0, self.frequency)
+            K = frequency_response(StateArrays(M[:k, :k], M[:k, k:], M[k:, :k], M[k:, k:], 0.0), self.frequency, -3)
             error = (self.left @ (K - self.wanted) @ self.right).ravel()
         except (np.linalg.LinAlgError, ArithmeticError):
             error = np.full(self.left.shape[0] * self.left.shape[1] * self.right.shape[2], np.inf, dtype=complex)

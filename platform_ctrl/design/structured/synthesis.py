@@ -407,10 +407,10 @@ def _controller(M: FloatArray, P: StateSpace, part: Partition) -> StateSpace:
 
 def _abscissa(part: Partition, K: StateSpace) -> float:
     """Return the largest real part, rad/s, of a loop's continuous(-equivalent) poles."""
-    from platform_ctrl.analysis.poles import continuous_poles, pole_arrays, spectral_abscissa
+    from platform_ctrl.analysis.poles import continuous_poles, poles, spectral_abscissa
 
     loop = closed_loop(part, state_arrays(K, "controller"))
-    return float(spectral_abscissa(continuous_poles(pole_arrays(loop.A), part.dt)))
+    return float(spectral_abscissa(continuous_poles(poles(loop.A), part.dt)))
 
 
 def _judged(
@@ -430,16 +430,16 @@ def _judged(
     import control
 
     from platform_ctrl.analysis.norms import hinf_norm
-    from platform_ctrl.analysis.poles import continuous_poles, pole_arrays, spectral_abscissa
+    from platform_ctrl.analysis.poles import continuous_poles, poles, spectral_abscissa
 
     M, period = best.M, parts[0].dt
     controller = _controller(M, given[0], parts[0])
     K = state_arrays(controller, "controller")
     nmeas, ncon = K.B.shape[1], K.C.shape[0]
-    loops, gammas, poles, outcomes = [], [], [], []
+    loops, gammas, every, outcomes = [], [], [], []
     for k, (P, part) in enumerate(zip(given, parts, strict=True), 1):
         loop = closed_loop(part, K)
-        at = pole_arrays(loop.A)
+        at = poles(loop.A)
         if at.size and not spectral_abscissa(continuous_poles(at, period)) < 0.0:
             raise NotCertifiedError(f"structured: the closed loop of plant {k} is not stable; give other starts", given)
         system = control.StateSpace(
@@ -447,7 +447,7 @@ def _judged(
             remove_useless_states=False,
         )  # fmt: skip
         loops.append(system)
-        poles.append(at)
+        every.append(at)
         if requirements:
             held = [one.check_closed_loop(system, subject=f"plant {k}") for one in requirements]
             outcomes += held
@@ -485,7 +485,7 @@ def _judged(
         gamma=float(gamma),
         gamma_optimal=largest.gamma,
         bound=largest.source,
-        poles=tuple(poles),
+        poles=tuple(every),
         searches=tuple(
             SearchRecord(value=one.rank[1] if one.rank[0] == 0.0 else float("inf"), evaluations=one.evaluations,
                          seconds=one.seconds, finished=one.finished)

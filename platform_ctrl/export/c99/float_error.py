@@ -13,7 +13,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from platform_ctrl.analysis.arrays import StateArrays
-from platform_ctrl.analysis.response import frequency_response_arrays
+from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import UnscalableError
 from platform_ctrl.export.c99.scheme import Row, Scheme, arrays
@@ -130,7 +130,7 @@ def _moved(K: StateArrays, rounded: StateArrays) -> tuple[float, float]:
     own = np.abs(np.angle(z[1.0 - np.abs(z) > _ON_CIRCLE]))
     angles = np.concatenate([np.geomspace(1e-5, np.pi, 300), own])
     frequency = np.unique(angles[angles >= 1e-5]) / K.dt
-    one, other = (frequency_response_arrays(*item[:4], K.dt, frequency) for item in (K, rounded))
+    one, other = (frequency_response(StateArrays(*item[:4], K.dt), frequency, -3) for item in (K, rounded))
     size = np.linalg.norm(one, axis=(1, 2))
     # Where nothing passes any more, nothing is compared.
     size = np.maximum(size, 1e-3 * np.median(size))

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 
 from platform_ctrl.analysis.arrays import StateArrays
-from platform_ctrl.analysis.response import frequency_response_arrays
+from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.classical.caging import classical_diagram
 from platform_ctrl.design.classical.stabilisation import rate_estimate, servo_diagram
@@ -102,7 +102,7 @@ def same_response(one: StateArrays, other: StateArrays) -> bool:
     near = np.concatenate([angles * (1.0 + 10.0**-k) for k in range(2, 7)]) if len(angles) else angles
     grid = np.concatenate([np.geomspace(1e-6, np.pi, _FREQUENCIES), np.linspace(0.01, np.pi, _FREQUENCIES), near])
     frequency = np.unique(grid[(grid >= 1e-6) & (grid <= np.pi)]) / T
-    a, b = (frequency_response_arrays(*item[:4], T, frequency) for item in (one, other))
+    a, b = (frequency_response(StateArrays(*item[:4], T), frequency, -3) for item in (one, other))
     # Squares of large or small numbers are no numbers.
     largest = np.abs(b).max(initial=0.0)
     if largest > 0.0:

@@ -12,8 +12,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, named_system
-from platform_ctrl.analysis.feedback import closed_loop_arrays, gang
-from platform_ctrl.analysis.poles import continuous_poles, pole_arrays
+from platform_ctrl.analysis.feedback import closed_loop, gang
+from platform_ctrl.analysis.poles import continuous_poles, poles
 from platform_ctrl.common.files import write_whole
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
@@ -170,8 +170,8 @@ def _matrices(loop: LoopMatrices) -> tuple[StateArrays, StateArrays]:
 
 def _poles(loop: LoopMatrices) -> ComplexArray:
     P, K = _matrices(loop)
-    A = closed_loop_arrays(*P[:4], *K[:4])[0]
-    z = np.concatenate([pole_arrays(A), pole_arrays(P.A)])
+    A = closed_loop(P, K).A
+    z = np.concatenate([poles(A), poles(P.A)])
     return continuous_poles(z, K.dt)
 
 

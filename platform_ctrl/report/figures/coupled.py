@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from platform_ctrl.analysis.arrays import ComplexArray, state_arrays
 from platform_ctrl.analysis.feedback import gang
 from platform_ctrl.analysis.poles import continuous_poles
-from platform_ctrl.analysis.response import frequency_response_arrays
+from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.analysis.sampled import sampled
 from platform_ctrl.common.arguments import positive
 from platform_ctrl.common.text import at_least
@@ -218,7 +218,7 @@ def platform_compliance(result: JobResult, frequency: FloatArray) -> tuple[Float
     K = state_arrays(check.controller, "all loops")
     rows = [outputs.index(name) for name in check.controller.input_labels]
     columns = [[t.name for t in job.platform.torquers].index(name) for name in check.controller.output_labels]
-    K_response = frequency_response_arrays(*K, frequency)
+    K_response = frequency_response(K, frequency, -3)
     loop = P[:, rows][:, :, columns] @ K_response
     seen = np.linalg.solve(np.eye(len(rows)) - loop, direct[:, rows])
     closed = direct + P[:, :, columns] @ K_response @ seen
@@ -227,4 +227,4 @@ def platform_compliance(result: JobResult, frequency: FloatArray) -> tuple[Float
 
 
 def _response(system: control.StateSpace, frequency: FloatArray) -> ComplexArray:
-    return frequency_response_arrays(*state_arrays(system, "coupled system"), frequency)
+    return frequency_response(state_arrays(system, "coupled system"), frequency, -3)

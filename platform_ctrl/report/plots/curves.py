@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, named_system
 from platform_ctrl.analysis.margins import DiskMargin, disk_margin
-from platform_ctrl.analysis.poles import continuous_poles, pole_arrays, spectral_abscissa
+from platform_ctrl.analysis.poles import continuous_poles, poles, spectral_abscissa
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.report.plots.systems import DrawnSystem, features, gaps, near, sorted_data
@@ -311,7 +311,7 @@ def _disk(system: DrawnSystem, skew: float) -> tuple[bool | None, DiskMargin | N
         if abs(E) < 1e-12 * max(1.0, abs(system.arrays.D[0, 0])):
             return None, None
         A, B, C, _, dt = system.arrays
-        s = continuous_poles(pole_arrays(A - B @ C / E), dt)
+        s = continuous_poles(poles(A - B @ C / E), dt)
         stable = bool(spectral_abscissa(s) < 0.0)
         own = disk_margin(named_system(system.arrays, ["e"], ["v"]), skew=skew)
         return stable, own

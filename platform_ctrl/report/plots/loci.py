@@ -10,9 +10,9 @@ from matplotlib.axes import Axes
 from numpy.typing import ArrayLike, NDArray
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, scaled, state_arrays
-from platform_ctrl.analysis.feedback import closed_loop_arrays, loop_transfer
+from platform_ctrl.analysis.feedback import closed_loop, loop_transfer
 from platform_ctrl.analysis.poles import continuous_poles
-from platform_ctrl.analysis.sampled import sampled_arrays, with_lag
+from platform_ctrl.analysis.sampled import sampled, with_lag
 from platform_ctrl.analysis.transfer_function import LinearSystem
 from platform_ctrl.common.arguments import known_names, positive, real_numbers
 from platform_ctrl.common.signatures import short
@@ -296,8 +296,9 @@ def spin_locus(
     def poles(k: FloatArray) -> ComplexArray:
         share = k[:, None, None]
         A, B, C, D = (now + share * more for now, more in zip(still[:4], change[:4], strict=True))
-        P = with_lag(A, B, C, D, lags) if period is None else sampled_arrays(A, B, C, D, dt, late, lags)
-        return np.asarray(np.linalg.eigvals(closed_loop_arrays(*P, *K[:4])[0]), dtype=np.complex128)
+        plant = StateArrays(A, B, C, D, 0.0)
+        P = StateArrays(*with_lag(*plant[:4], lags), dt=0.0) if period is None else sampled(plant, dt, late, lags)
+        return np.asarray(np.linalg.eigvals(closed_loop(P, K).A), dtype=np.complex128)
 
     return traced_locus(factors, poles, dt)
 

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, named_system, scaled
 from platform_ctrl.analysis.margins import disk_margin
-from platform_ctrl.analysis.poles import pole_arrays
+from platform_ctrl.analysis.poles import poles
 from platform_ctrl.analysis.singular_values import boundary_poles
 from platform_ctrl.analysis.transfer_function import LinearSystem
 from platform_ctrl.common.arguments import positive
@@ -195,7 +195,7 @@ def _channels(system: DrawnSystem, frequency: ArrayLike | None, reach: float) ->
         direct = 1.0 + loop.D[0, 0]
         if abs(direct) <= 1e-12:
             raise ArgumentError("nyquist: 1 + D of a loop is 0: an algebraic loop; add a lag or a delay to it")
-        closed = pole_arrays(loop.A - loop.B @ loop.C / direct)
+        closed = poles(loop.A - loop.B @ loop.C / direct)
         growth = np.abs(closed) - 1.0 if loop.dt else closed.real / np.abs(closed).max(initial=1e-300)
         margin = disk_margin(named_system(loop, one.inputs, one.outputs))
         points, curve = _traced(loop, _contour(loop.A, loop.dt, own), reach)

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, scaled
-from platform_ctrl.analysis.poles import continuous_poles, pole_arrays
-from platform_ctrl.analysis.response import frequency_response_arrays
+from platform_ctrl.analysis.poles import continuous_poles, poles
+from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.analysis.singular_values import boundary_poles
 from platform_ctrl.analysis.transfer_function import (
     LinearSystem,
@@ -108,7 +108,7 @@ class DrawnSystem:
     def response(self, frequency: FloatArray) -> ComplexArray:
         """Return the response of a system that is no data at `frequency` (N,), rad/s, as (p, m, N)."""
         if self.arrays is not None:
-            return gaps(np.moveaxis(frequency_response_arrays(*self.arrays, frequency), 0, -1))
+            return gaps(frequency_response(self.arrays, frequency))
         return gaps(rational_response(self.source, frequency))
 
 
@@ -213,9 +213,9 @@ def features(arrays: StateArrays) -> tuple[ComplexArray, ComplexArray, FloatArra
     A, B, C = scaled(A, B, C)
     on = np.zeros(len(A), dtype=np.bool_)
     if len(A) <= _PRECISE:
-        poles, on = boundary_poles(A, dt)
+        own, on = boundary_poles(A, dt)
     else:
-        poles = continuous_poles(pole_arrays(A), dt)
+        own = continuous_poles(poles(A), dt)
     p, m = D.shape
     entries = [([i], [j]) for i in range(p) for j in range(m)] if p * m * len(A) ** 3 <= _EFFORT else []
     if 1 < p == m:
@@ -223,11 +223,11 @@ def features(arrays: StateArrays) -> tuple[ComplexArray, ComplexArray, FloatArra
     nothing = np.zeros(0, dtype=np.complex128)
     found = [_zeros(A, B[:, j], C[i], D[np.ix_(i, j)], dt) for i, j in entries] if len(A) else []
     zeros = np.concatenate([nothing, *found])
-    both = np.concatenate([poles, zeros])
+    both = np.concatenate([own, zeros])
     with np.errstate(invalid="ignore"):
         on = np.concatenate([on, np.zeros(len(zeros), dtype=np.bool_)]) | (np.abs(both.real) <= ON * np.abs(both))
     undamped = np.unique(np.abs(both.imag[on & np.isfinite(both) & (both.imag != 0.0)]))
-    return _finite(poles), _finite(zeros), undamped
+    return _finite(own), _finite(zeros), undamped
 
 
 def _zeros(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, dt: float) -> ComplexArray:
