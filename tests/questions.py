@@ -1,4 +1,4 @@
-"""Questions for a process beside the designer: what it is to work out has to be importable there."""
+"""Tasks for another process of the app, which has to be able to import them."""
 
 from __future__ import annotations
 

@@ -31,11 +31,12 @@ from platform_ctrl.app.parts import (
     ChannelMargins,
     Measured,
     Parts,
-    around_in_time,
     channel_margins,
     frequency_parts,
+    locus,
     settling,
     step_size,
+    time_response,
 )
 from platform_ctrl.app.pictures import Drawn, FrequencyGain, Locus, Margins, Overlay, TimeResponse
 from platform_ctrl.app.settings import Settings
@@ -44,7 +45,6 @@ from platform_ctrl.design.loop import asked_of, judged
 from platform_ctrl.job.job import Job, LoopSpec, Manoeuvre, manoeuvre_scenario
 from platform_ctrl.job.requirements import CheckResult
 from platform_ctrl.job.scenario import HalfCosine
-from platform_ctrl.report.quantities import signal_series
 
 # Groups that a band shows: a part that fails is another story.
 _BAND = ("nominal", "spread", "Omega")
@@ -199,23 +199,14 @@ def shown_channel(plant: PlantSet, K: StateArrays, grid: FloatArray, channel: in
 def _locus(loop: CagedLoop, s: ComplexArray, every: LoopFigures | None, exact: bool) -> Locus:
     plants = loop.shown
     P = StateArrays(plants.A[0], plants.B[0], plants.C[0], plants.D[0], plants.period)
-    gains, branches = gain_locus(P, loop.controller, points=110 if exact else 40)
+    branches = gain_locus(P, loop.controller, points=110 if exact else 40)
     nyquist = math.pi / plants.period
-    finite = np.isfinite(s)
-    size = np.where(finite, np.abs(s), np.inf)
-    # What swings, and what is about as fast as nutation: faster poles would squeeze everything else together.
-    swings = size[finite & (s.imag > 1e-6 * size) & (size < 0.7 * nyquist)]
-    reach = min(1.25 * max(swings.max(initial=0.0), 1.5 * min(plants.nutation, 0.3 * nyquist)), nyquist)
+    size = np.where(np.isfinite(s), np.abs(s), np.inf)
+    # Oscillations, and what is about as fast as nutation: faster poles would squeeze everything else together.
+    oscillating = size[(s.imag > 1e-6 * size) & (size < 0.7 * nyquist)]
+    reach = min(1.25 * max(oscillating.max(initial=0.0), 1.5 * min(plants.nutation, 0.3 * nyquist)), nyquist)
     others = np.zeros(0, dtype=np.complex128) if every is None else continuous_poles(every.poles, plants.period).ravel()
-    return Locus(
-        gains=gains,
-        branches=branches,
-        present=s,
-        draggable=np.asarray(finite & (s.imag > 1e-6 * size) & (size < 0.9 * nyquist)),
-        others=others[np.isfinite(others) & (np.abs(others) < 4.0 * reach)],
-        reach=reach,
-        damping=loop.spec.limits.damping,
-    )
+    return locus(branches, s, others, reach, nyquist, loop.spec.limits.damping)
 
 
 def _step(
@@ -233,19 +224,14 @@ def _step(
         return held_responses(A, B[..., channel : channel + 1], C, D[..., channel : channel + 1], u, sampled_every)
 
     order = [*range(m, m + shown.p), *range(m)]
-    own = responses(shown)[0][order]
-    low, high = around_in_time(None if every is None else responses(every)[:, order], own)
-    signals, colour = (*plants.angles, *plants.torques), signal_series(loop.job.platform)
-    return TimeResponse(
-        title=f"{1e3 * size:g} mN m step at {plants.torques[channel]}",
-        t=t,
-        signals=signals,
-        series=tuple(colour[name] for name in signals),
-        units=("rad",) * shown.p + ("N m",) * m,
-        values=own,
-        low=low,
-        high=high,
-        drive=np.ones(len(t)),
+    return time_response(
+        loop.job.platform,
+        f"{1e3 * size:g} mN m step at {plants.torques[channel]}",
+        t,
+        (*plants.angles, *plants.torques),
+        ("rad",) * shown.p + ("N m",) * m,
+        (responses(shown)[0][order], None if every is None else responses(every)[:, order]),
+        np.ones(len(t)),
     )
 
 
@@ -264,20 +250,15 @@ def _manoeuvre(loop: CagedLoop, shown: LoopFigures, every: LoopFigures | None, a
         return held_responses(A, B[..., column], C[..., rows, :], D[..., rows, column], u, sampled_every)
 
     order = [*range(m, m + p), *range(m)]
-    own = responses(shown)[0][order]
-    low, high = around_in_time(None if every is None else responses(every)[:, order], own)
-    signals, colour = (*plants.angles, *plants.torques), signal_series(loop.job.platform)
-    return TimeResponse(
-        title=title,
-        t=t,
-        signals=signals,
-        series=tuple(colour[name] for name in signals),
-        units=("rad",) * p + ("N m",) * m,
-        values=own,
-        low=low,
-        high=high,
-        drive=u[::sampled_every] / (largest if largest > 0.0 else 1.0),
-        limit=limit,
+    return time_response(
+        loop.job.platform,
+        title,
+        t,
+        (*plants.angles, *plants.torques),
+        ("rad",) * p + ("N m",) * m,
+        (responses(shown)[0][order], None if every is None else responses(every)[:, order]),
+        u[::sampled_every] / (largest if largest > 0.0 else 1.0),
+        limit,
     )
 
 

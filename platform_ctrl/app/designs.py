@@ -158,8 +158,8 @@ class Designs:
         loops = self._loops
         spec, own = loops.design(settings if design is None else settings.but(design=design))
         if not self.there(settings, own.name):
-            question = Designing(job=loops.job(settings), loop=spec.name, design=own.name)
-            made = processes.run_in_process(question, progress, cancelled)
+            task = Designing(job=loops.job(settings), loop=spec.name, design=own.name)
+            made = processes.run_in_process(task, progress, cancelled)
             loops.store.put(spec.name, own.name, loops.conditions(settings, spec, own), made)
         return loops.following(settings, spec, own)
 
@@ -182,8 +182,8 @@ class Designs:
         if seen is None:
             line = f"{spec.name}, {wanted()}"
             raise DesignPending(line) if self._queue.wants(spec.name, design.name) else DesignError(line)
-        loop, told = loops.caged(settings)
-        return (loop, (wanted(),)) if again else (loop, told)
+        loop, notes = loops.caged(settings)
+        return (loop, (wanted(),)) if again else (loop, notes)
 
     def overlays(
         self, settings: Settings, spec: LoopSpec, frequency: FloatArray
@@ -217,5 +217,5 @@ class Designs:
                 free, _ = self._loops.stabilised(own)
                 kept = self._loops.kept(own) if measured else None
                 return stabilised_overlay(free, own, other.method, frequency, kept), ""
-            loop, told = self.caged(own, again=False)
-            return caged_overlay(loop, own, other.method, frequency, measured), " ".join(told)
+            loop, notes = self.caged(own, again=False)
+            return caged_overlay(loop, own, other.method, frequency, measured), " ".join(notes)

@@ -10,9 +10,11 @@ import numpy as np
 
 from platform_ctrl.analysis.arrays import ComplexArray
 from platform_ctrl.app.curves import degrees, degrees_beside, gain_crossings, gain_range, round_up
-from platform_ctrl.app.pictures import Bode, Drawn, Margins, Nichols
+from platform_ctrl.app.pictures import Bode, Drawn, Locus, Margins, Nichols, TimeResponse
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.job.requirements import CheckResult
+from platform_ctrl.plant.platform import Platform
+from platform_ctrl.report.quantities import signal_series
 
 # Points of a response over time.
 POINTS = 240
@@ -88,11 +90,55 @@ def around(every: FloatArray, own: FloatArray) -> tuple[FloatArray, FloatArray]:
     return np.minimum(every.min(axis=0), own), np.maximum(every.max(axis=0), own)
 
 
-def around_in_time(every: FloatArray | None, own: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the band of responses over time (k, T); without one shapes (k, 0)."""
-    if every is None:
-        return np.zeros((len(own), 0)), np.zeros((len(own), 0))
-    return around(every, own)
+def time_response(
+    platform: Platform,
+    title: str,
+    t: FloatArray,
+    signals: tuple[str, ...],
+    units: tuple[str, ...],
+    responses: tuple[FloatArray, FloatArray | None],
+    drive: FloatArray,
+    limit: float | None = None,
+) -> TimeResponse:
+    """Return signals over time; `responses` are those of the plant shown (k, T) and of the set (N, k, T), or None."""
+    own, every = responses
+    none = np.zeros((len(own), 0))
+    low, high = (none, none) if every is None else around(every, own)
+    colour = signal_series(platform)
+    return TimeResponse(
+        title=title,
+        t=t,
+        signals=signals,
+        series=tuple(colour[name] for name in signals),
+        units=units,
+        values=own,
+        low=low,
+        high=high,
+        drive=drive,
+        limit=limit,
+    )
+
+
+def locus(
+    gain_branches: tuple[FloatArray, ComplexArray],
+    present: ComplexArray,
+    others: ComplexArray,
+    reach: float,
+    nyquist: float,
+    damping: float | None,
+) -> Locus:
+    """Return the root locus with the poles of other plants that a view of size `reach` may show."""
+    gains, branches = gain_branches
+    size = np.where(np.isfinite(present), np.abs(present), np.inf)
+    return Locus(
+        gains=gains,
+        branches=branches,
+        present=present,
+        draggable=np.asarray((present.imag > 1e-6 * size) & (size < 0.9 * nyquist)),
+        others=others[np.isfinite(others) & (np.abs(others) < 4.0 * reach)],
+        reach=reach,
+        damping=damping,
+    )
 
 
 class ChannelMargins(NamedTuple):

@@ -3,17 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
-import os
-import pickle
-import queue
-import sys
-import threading
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from platform_ctrl.analysis.arrays import StateArrays, state_arrays
 from platform_ctrl.common.values import value
-from platform_ctrl.errors import DesignError, PlatformCtrlError
+from platform_ctrl.errors import PlatformCtrlError
 from platform_ctrl.job.job import Job
 
 if TYPE_CHECKING:
@@ -247,38 +242,3 @@ class Simulating:
         controllers = [named_system(K, inputs, outputs, name=name) for K, inputs, outputs, name in self.controllers]
         manoeuvre = next(one for one in self.job.manoeuvres if one.name == self.manoeuvre)
         return fly(self.job, manoeuvre, controllers).trajectory
-
-
-def answer() -> None:
-    """Read questions from standard input, one after another, and write lines and answers to standard output."""
-    # Solvers may print: what they say is not part of the answer.
-    pipe = os.fdopen(os.dup(1), "wb")
-    silent = os.open(os.devnull, os.O_WRONLY)
-    os.dup2(silent, 1)
-
-    def tell(kind: str, content: object) -> None:
-        pipe.write(pickle.dumps((kind, content)))
-        pipe.flush()
-
-    questions: queue.SimpleQueue[Any] = queue.SimpleQueue()
-    threading.Thread(target=_read, args=(questions,), daemon=True).start()
-    try:
-        while True:
-            question = questions.get()
-            try:
-                tell("done", question.run(lambda line: tell("told", line)))
-            except PlatformCtrlError as error:
-                # What was being solved may not be for a pipe.
-                plain = DesignError(str(error)) if isinstance(error, DesignError) else error
-                tell("failed", plain)
-    finally:
-        os._exit(1)  # at once: the thread that reads holds the lock of what it reads from
-
-
-def _read(questions: queue.SimpleQueue[Any]) -> None:
-    """Take questions, and end this process when the other end of its input is gone: nobody waits any more."""
-    try:
-        while True:
-            questions.put(pickle.load(sys.stdin.buffer))
-    finally:
-        os._exit(0)

@@ -1,4 +1,4 @@
-"""Work that takes seconds, in a process beside this one: it tells how far it is, and ends when it is not wanted."""
+"""Tasks that take seconds, in other processes: they report progress and end when they are cancelled."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ IsCancelled = Callable[[], bool]
 
 _SOURCE = (
     "import pickle, sys; sys.path[:] = pickle.load(sys.stdin.buffer); "
-    "from platform_ctrl.app.process_tasks import answer; answer()"
+    "from platform_ctrl.app.processes import serve; serve()"
 )
 # How soon a cancelled task notices, s.
 _POLL = 0.1
@@ -32,15 +32,15 @@ class TaskCancelled(PlatformCtrlError):
     """The task was cancelled."""
 
 
-def run_in_process(question: object, progress: Progress, cancelled: IsCancelled) -> Any:
-    """Return what `platform_ctrl.app.process_tasks` answers to a question."""
+def run_in_process(task: object, progress: Progress, cancelled: IsCancelled) -> Any:
+    """Return the result of a task, one of `process_tasks`, run in a process of its own."""
     while not _AT_A_TIME.acquire(timeout=_POLL):
         if cancelled():
             raise TaskCancelled("cancelled")
     process = None
     try:
         process = _Process()
-        return process.run(question, progress, cancelled)
+        return process.run(task, progress, cancelled)
     finally:
         _AT_A_TIME.release()
         if process is not None:
@@ -48,7 +48,7 @@ def run_in_process(question: object, progress: Progress, cancelled: IsCancelled)
 
 
 class PersistentProcess:
-    """A process that stays for the next question: what it has loaded and compiled is there. One question at a time."""
+    """A process that stays for the next task: what it has loaded and compiled is there; one at a time."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -61,8 +61,8 @@ class PersistentProcess:
         """Whether the process was started already."""
         return bool(self._held)
 
-    def run(self, question: object, progress: Progress, cancelled: IsCancelled) -> Any:
-        """Return the answer to a question, as the function `run` does; the process ends if it is cancelled."""
+    def run(self, task: object, progress: Progress, cancelled: IsCancelled) -> Any:
+        """Return the result of a task, as `run_in_process` does; the process ends if it is cancelled."""
 
         def unwanted() -> bool:
             return self._ended or cancelled()
@@ -78,7 +78,7 @@ class PersistentProcess:
             if not self._held:
                 self._held.append(_Process())
             try:
-                return self._held[0].run(question, progress, unwanted)
+                return self._held[0].run(task, progress, unwanted)
             except TaskCancelled:
                 _drop(self._held)
                 raise
@@ -86,9 +86,9 @@ class PersistentProcess:
             self._lock.release()
 
     def end(self) -> None:
-        """End the process; nobody asks any more."""
+        """End the process; no task is accepted any more."""
         self._ended = True
-        with self._lock:  # who asks leaves at the next look
+        with self._lock:  # who waits for a result leaves at the next look
             _drop(self._held)
 
 
@@ -98,31 +98,31 @@ def _drop(held: list[_Process]) -> None:
 
 
 class _Process:
-    """A process that answers questions, one after another."""
+    """A process that runs tasks, one after another."""
 
     def __init__(self) -> None:
         self._process = _started()
-        self._told: queue.SimpleQueue[tuple[str, Any]] = queue.SimpleQueue()
+        self._messages: queue.SimpleQueue[tuple[str, Any]] = queue.SimpleQueue()
         self._died = False
         self._write(pickle.dumps(sys.path))
-        threading.Thread(target=_listen, args=(self._process, self._told), daemon=True).start()
+        threading.Thread(target=_listen, args=(self._process, self._messages), daemon=True).start()
 
     @property
     def gone(self) -> bool:
-        # One that closed its pipe may not have ended yet, and tells that it died only once.
+        # One that closed its pipe may not have ended yet, and reports that it died only once.
         return self._died or self._process.poll() is not None
 
-    def run(self, question: object, progress: Progress, cancelled: IsCancelled) -> Any:
-        # Pickled here: what cannot be is told to who asks.
-        threading.Thread(target=self._write, args=(pickle.dumps(question),), daemon=True).start()
+    def run(self, task: object, progress: Progress, cancelled: IsCancelled) -> Any:
+        # Pickled here: the caller sees what cannot be.
+        threading.Thread(target=self._write, args=(pickle.dumps(task),), daemon=True).start()
         while True:
             if cancelled():
                 raise TaskCancelled("cancelled")
             try:
-                kind, content = self._told.get(timeout=_POLL)
+                kind, content = self._messages.get(timeout=_POLL)
             except queue.Empty:
                 continue
-            if kind == "told":
+            if kind == "progress":
                 progress(content)
             elif kind == "done":
                 return content
@@ -130,7 +130,7 @@ class _Process:
                 raise content
             else:
                 self._died = True
-                raise DesignError("the process that worked it out died; expected an answer, try again")
+                raise DesignError("the process that ran the task died; try again")
 
     def end(self) -> None:
         self._process.kill()
@@ -162,10 +162,45 @@ def _started() -> subprocess.Popen[bytes]:
     )
 
 
-def _listen(process: subprocess.Popen[bytes], told: queue.SimpleQueue[tuple[str, Any]]) -> None:
+def _listen(process: subprocess.Popen[bytes], messages: queue.SimpleQueue[tuple[str, Any]]) -> None:
     assert process.stdout is not None
     try:
         while True:
-            told.put(pickle.load(process.stdout))
+            messages.put(pickle.load(process.stdout))
     except Exception:  # whatever a broken pickle raises: who waits is to know
-        told.put(("died", None))
+        messages.put(("died", None))
+
+
+def serve() -> None:
+    """Run tasks from standard input, one after another; write progress and results to standard output."""
+    # Solvers may print: that is no part of the result.
+    pipe = os.fdopen(os.dup(1), "wb")
+    silent = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(silent, 1)
+
+    def send(kind: str, content: object) -> None:
+        pipe.write(pickle.dumps((kind, content)))
+        pipe.flush()
+
+    tasks: queue.SimpleQueue[Any] = queue.SimpleQueue()
+    threading.Thread(target=_read, args=(tasks,), daemon=True).start()
+    try:
+        while True:
+            task = tasks.get()
+            try:
+                send("done", task.run(lambda line: send("progress", line)))
+            except PlatformCtrlError as error:
+                # What was being solved may not be for a pipe.
+                plain = DesignError(str(error)) if isinstance(error, DesignError) else error
+                send("failed", plain)
+    finally:
+        os._exit(1)  # at once: the thread that reads holds the lock of what it reads from
+
+
+def _read(tasks: queue.SimpleQueue[Any]) -> None:
+    """Take tasks, and end this process when the other end of its input is gone: nobody waits for a result."""
+    try:
+        while True:
+            tasks.put(pickle.load(sys.stdin.buffer))
+    finally:
+        os._exit(0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import numpy as np
@@ -26,17 +27,17 @@ from platform_ctrl.app.parts import (
     Band,
     Measured,
     Parts,
-    around_in_time,
     channel_margins,
     frequency_parts,
+    locus,
     settling,
     step_size,
+    time_response,
 )
 from platform_ctrl.app.pictures import Drawn, FrequencyGain, Locus, Margins, Overlay, TimeResponse
 from platform_ctrl.app.settings import Settings
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import DesignError
-from platform_ctrl.report.quantities import signal_series
 
 
 def turning(
@@ -55,24 +56,19 @@ def turning(
     slow = s[np.isfinite(s) & (np.abs(s) < math.pi / period)]
     t, every = sample_times(settling(slow, 50.0 / period, period, stable), period, POINTS)
     u = np.full(every * (len(t) - 1) + 1, size)
-    own = _responses(loop.shown, K, at, axis, u, every)[0]
-    low, high = around_in_time(_responses(loop.plants, K, at, axis, u, every) if banded else None, own)
     torquers = [loop.shown.torquers[k] for k in at]
-    rates = [name for name in loop.shown.sensors if name not in loop.job.platform.angle_names]
-    signals, colour = (*ATTITUDE, *loop.shown.sensors, *torquers), signal_series(loop.job.platform)
-    step = TimeResponse(
-        title=title,
-        t=t,
-        signals=signals,
-        series=tuple(colour[name] for name in signals),
-        units=("rad",) * 3
-        + tuple("rad/s" if name in rates else "rad" for name in loop.shown.sensors)
-        + ("N m",) * len(torquers),
-        values=own,
-        low=low,
-        high=high,
-        drive=np.ones(len(t)),
-        limit=limit,
+    step = time_response(
+        loop.job.platform,
+        title,
+        t,
+        (*ATTITUDE, *loop.shown.sensors, *torquers),
+        (*_angle_units(loop), *("N m" for _ in torquers)),
+        (
+            _responses(loop.shown, K, at, axis, u, every)[0],
+            _responses(loop.plants, K, at, axis, u, every) if banded else None,
+        ),
+        np.ones(len(t)),
+        limit,
     )
     m, p, k = len(loop.shown.torquers), len(loop.shown.sensors), len(at)
     column = slice(m + axis - 1, m + axis)
@@ -116,24 +112,27 @@ def rate_step(
     t, every = sample_times(settling(s, 50.0 / period, period, stable), period, POINTS)
     u = np.zeros(every * (len(t) - 1) + 1)
     u[0] = 1e-3 * float(loop.model.root_inertia[axis - 1, axis - 1]) / period
-    own = _responses(loop.shown, K, at, axis, u, every)[0]
-    low, high = around_in_time(_responses(loop.plants, K, at, axis, u, every) if banded else None, own)
     kept = slice(0, 3 + len(loop.shown.sensors))
-    rates = [name for name in loop.shown.sensors if name not in loop.job.platform.angle_names]
     drive = np.zeros(len(t))
     drive[0] = 1.0
-    signals, colour = (*ATTITUDE, *loop.shown.sensors), signal_series(loop.job.platform)
-    return TimeResponse(
-        title=f"impulse of torque: 1 mrad/s about axis {axis}",
-        t=t,
-        signals=signals,
-        series=tuple(colour[name] for name in signals),
-        units=("rad",) * 3 + tuple("rad/s" if name in rates else "rad" for name in loop.shown.sensors),
-        values=own[kept],
-        low=low[kept],
-        high=high[kept],
-        drive=drive,
+    return time_response(
+        loop.job.platform,
+        f"impulse of torque: 1 mrad/s about axis {axis}",
+        t,
+        (*ATTITUDE, *loop.shown.sensors),
+        _angle_units(loop),
+        (
+            _responses(loop.shown, K, at, axis, u, every)[0][kept],
+            _responses(loop.plants, K, at, axis, u, every)[:, kept] if banded else None,
+        ),
+        drive,
     )
+
+
+def _angle_units(loop: StabilisedLoop) -> tuple[str, ...]:
+    """Return the units of the attitude and of the sensors."""
+    angles = loop.job.platform.angle_names
+    return ("rad",) * 3 + tuple("rad" if name in angles else "rad/s" for name in loop.shown.sensors)
 
 
 def _responses(plants: FreePlants, K: StateArrays, at: list[int], axis: int, u: FloatArray, every: int) -> FloatArray:
@@ -275,27 +274,14 @@ def _locus(
     m = P.B.shape[1]
     feedback = np.hstack([K.D @ P.C, K.C]) * moving[:, None]
     if P.D.any():
-        gains, branches = gain_locus(P, K, points=32)
+        branches = gain_locus(P, K, points=32)
     else:
         closed = StateArrays(A, B[:, :m], feedback, np.zeros((m, m)), P.dt)
         static = StateArrays(np.zeros((0, 0)), np.zeros((0, m)), np.zeros((m, 0)), np.eye(m), P.dt)
-        gains, branches = gain_locus(closed, static, points=32)
-    finite = np.isfinite(s)
-    size = np.where(finite, np.abs(s), np.inf)
+        branches = gain_locus(closed, static, points=32)
     nyquist = math.pi / P.dt
-    reach = min(8.0 * crossover, nyquist)
-    others = poles.ravel()
-    return Locus(
-        gains=gains,
-        branches=branches,
-        present=s,
-        draggable=np.asarray(
-            finite & (s.imag > 1e-6 * size) & (size < 0.9 * nyquist) & moved_by_gain(gains, branches, s)
-        ),
-        others=others[np.isfinite(others) & (np.abs(others) < 4.0 * reach)],
-        reach=reach,
-        damping=None,
-    )
+    found = locus(branches, s, poles.ravel(), min(8.0 * crossover, nyquist), nyquist, None)
+    return dataclasses.replace(found, draggable=found.draggable & moved_by_gain(*branches, s))
 
 
 def _bandwidth(grid: FloatArray, S: ComplexArray, rows: list[int]) -> float:

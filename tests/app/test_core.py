@@ -19,10 +19,9 @@ from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.poles import continuous_poles
 from platform_ctrl.app.backend import Backend
 from platform_ctrl.app.closed_loops import ClosedLoops
-from platform_ctrl.app.history import History
 from platform_ctrl.app.pictures import Picture
 from platform_ctrl.app.plants import Bounded, QuickPlants
-from platform_ctrl.app.settings import Settings
+from platform_ctrl.app.settings import History, Settings
 from platform_ctrl.cli import main
 from platform_ctrl.design.loop import Designed, certified, closed_loop_poles, sampled_plant
 from platform_ctrl.design.plants import LinearPlants, loop_plants, with_spins

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import ast
+import functools
 import gc
+import importlib
+import inspect
 import random
 import re
 import socket
@@ -10,6 +14,7 @@ import struct
 import threading
 import time
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -434,3 +439,44 @@ def test_a_missing_library_is_named_with_its_cure(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setitem(__import__("sys").modules, "tomlkit", None)
     with pytest.raises(InputError, match=r"needs tomlkit, .*: pip install 'platform_ctrl\[designer\]'"):
         PageServer(None, port=0)
+
+
+# Private names of Bokeh and Tornado that `web` uses, by the class that has them.
+PRIVATE = {
+    "_clients": "bokeh.server.tornado:BokehTornado",
+    "_cleanup_sessions": "bokeh.server.tornado:BokehTornado",
+    "_socket": "bokeh.server.connection:ServerConnection",
+    "_receive": "bokeh.server.views.ws:WSHandler",
+    "_handle": "bokeh.server.views.ws:WSHandler",
+    "_async_open": "bokeh.server.views.ws:WSHandler",
+    "_protocol_error": "bokeh.server.views.ws:WSHandler",
+    "_connections": "tornado.httpserver:HTTPServer",
+}
+
+
+def private_names(module: Path) -> set[str]:
+    """The private attributes that a module uses and does not define."""
+    tree = ast.parse(module.read_text(encoding="utf-8"))
+    nodes = list(ast.walk(tree))
+    used = {node.attr for node in nodes if isinstance(node, ast.Attribute) and re.match("_[a-z]", node.attr)}
+    own = {node.name for node in nodes if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)}
+    own |= {node.attr for node in nodes if isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store)}
+    own |= {node.target.id for node in nodes if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name)}
+    own |= {t.id for node in nodes if isinstance(node, ast.Assign) for t in node.targets if isinstance(t, ast.Name)}
+    supers = {
+        node.attr
+        for node in nodes
+        if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Call) and "super" in ast.unparse(node.value)
+    }
+    return (used - own) | (used & supers)
+
+
+def test_private_names_of_bokeh_are_used_in_one_module_and_are_there() -> None:
+    assert private_names(Path(web.__file__)) == set(PRIVATE)
+    for name, place in PRIVATE.items():
+        module, _, path = place.partition(":")
+        found = functools.reduce(getattr, path.split("."), importlib.import_module(module))
+        assert hasattr(found, name) or f"self.{name}" in inspect.getsource(found), f"{place} has no {name} any more"
+    for module in Path(web.__file__).parent.rglob("*.py"):
+        if "bokeh" in module.read_text(encoding="utf-8") and module.name != "web.py":
+            assert private_names(module) == set(), module

@@ -7,13 +7,13 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from platform_ctrl.app.designs import DesignPending
-from platform_ctrl.app.history import History
 from platform_ctrl.app.page import messages
 from platform_ctrl.app.page.changes import LatestTasks, chosen
 from platform_ctrl.app.page.connection import Connection
 from platform_ctrl.app.page.requests import Request, parse_request, request_count
 from platform_ctrl.app.page.tasks import PageTasks, error_text
 from platform_ctrl.app.plots import Plots
+from platform_ctrl.app.settings import History
 from platform_ctrl.app.tree3d.scene import TreeView
 from platform_ctrl.app.url_state import decode_state, encode_state
 from platform_ctrl.common.arguments import known_name
