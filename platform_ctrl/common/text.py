@@ -104,3 +104,12 @@ def at_least(number: float, digits: int) -> str:
 def at_most(number: float, digits: int) -> str:
     """Return an upper bound as text, rounded up."""
     return f"{rounded(number, digits, 'up'):.{digits}g}"
+
+
+_NARROW, _WIDE = frozenset("iljtfrI.,:;'|!()[] "), frozenset("mwMW@%—")
+
+
+def text_width(text: str, size: float) -> float:
+    """Return about how wide `text` is in any common sans-serif face, rather too wide than too narrow."""
+    per_letter = (0.37 if c in _NARROW else 0.92 if c in _WIDE else 0.71 if c.isupper() else 0.61 for c in text)
+    return size * sum(per_letter)

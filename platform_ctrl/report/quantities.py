@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from decimal import Decimal
 from typing import TYPE_CHECKING
 
 from platform_ctrl.common.text import Rounding, at_least, at_most, rounded
 
 if TYPE_CHECKING:
+    from platform_ctrl.common.values import FloatArray
     from platform_ctrl.job.requirements import CheckResult
     from platform_ctrl.plant.platform import Platform, RateSensor, Torquer
 
@@ -187,6 +188,14 @@ def count(number: int, noun: str, plural: str = "") -> str:
 def listed(words: list[str] | tuple[str, ...]) -> str:
     """Return ``a``, ``a and b``, ``a, b and c``."""
     return " and ".join([", ".join(words[:-1]), words[-1]]) if len(words) > 1 else "".join(words)
+
+
+def axis_text(axis: Sequence[float] | FloatArray) -> str:
+    """Return +1, −3 for a body axis, otherwise its components."""
+    k = max(range(3), key=lambda k: abs(axis[k]))
+    if math.isclose(abs(axis[k]), 1.0, rel_tol=1e-5):
+        return ("+" if axis[k] > 0.0 else MINUS) + str(k + 1)
+    return f"({', '.join(plain(float(x), 3) for x in axis)})"
 
 
 def added_words(platform: Platform) -> str:

@@ -20,8 +20,8 @@ from matplotlib.figure import Figure
 from matplotlib.legend_handler import HandlerTuple
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter, NullLocator
 
+from platform_ctrl.common.text import text_width
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.report.axes.svg import text_width
 from platform_ctrl.report.quantities import power_of_ten
 
 P = ParamSpec("P")

@@ -14,7 +14,7 @@ from platform_ctrl.design.jobs import survived_name, with_caging_claims
 from platform_ctrl.design.riccati.intersample_loop import intersample_gains
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.reading import read_job
-from platform_ctrl.report.page.job_page import survival
+from platform_ctrl.report.page.job_page import sentence_on_rate_limit
 from platform_ctrl.verification.given import outcomes_from
 from platform_ctrl.verification.simulated import fly
 
@@ -110,7 +110,7 @@ def test_where_one_plant_of_the_spread_is_not_stable_the_nominal_claim_stays(out
 
 def test_the_run_is_told_beside_what_is_proved(job: Job, outcome: LoopOutcome) -> None:
     run = fly(job, job.manoeuvres[0], [outcome.closed.controller])
-    told = survival(run, [outcome])
+    told = sentence_on_rate_limit(run, [outcome])
     shown = [float(number) for number in re.findall(r"(\d\.\d+) (?:rad/s|over)", told)]
     proved = [outcome.closed.claims[survived_name(1, spread=over)] for over in (False, True)]
     assert shown == pytest.approx(proved, rel=0.01)
@@ -119,4 +119,4 @@ def test_the_run_is_told_beside_what_is_proved(job: Job, outcome: LoopOutcome) -
     assert told.endswith("this run goes to 1.")
     # About axis 2 the loop carries no load.
     turned = dataclasses.replace(run, manoeuvre=dataclasses.replace(run.manoeuvre, axis=2))
-    assert survival(turned, [outcome]) == ""
+    assert sentence_on_rate_limit(turned, [outcome]) == ""

@@ -14,10 +14,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from platform_ctrl import read_platform
-from platform_ctrl.common.text import greek
+from platform_ctrl.common.text import greek, text_width
 from platform_ctrl.plant.source import shipped_models
 from platform_ctrl.report.axes.picture import DARK, LIGHT, axes_picture
-from platform_ctrl.report.axes.svg import direction_text, text_width
+from platform_ctrl.report.axes.svg import direction_text
 from tree_cases import platforms
 
 ROOT = Path(__file__).parents[2]

@@ -9,11 +9,11 @@ from xml.sax.saxutils import escape, quoteattr
 
 import numpy as np
 
-from platform_ctrl.common.text import greek
+from platform_ctrl.common.text import greek, text_width
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.plant.platform import Gimbal, Platform, Rotor
 from platform_ctrl.report.axes.bodies import signs, spin_direction
-from platform_ctrl.report.page.tables import axis_text
+from platform_ctrl.report.quantities import axis_text
 
 # What XML 1.0 cannot hold, escaped or not.
 _FORBIDDEN = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\ud800-\udfff\ufffe\uffff]")
@@ -64,15 +64,6 @@ def words(text: str, at: Sequence[float], kind: str, anchor: str = "start") -> s
     """Return `text` with its baseline starting (or ``middle``, ``end``) at a point."""
     place = "" if anchor == "start" else f' text-anchor="{anchor}"'
     return f'<text class="{kind}" x="{number(at[0])}" y="{number(at[1])}"{place}>{plain_text(text)}</text>'
-
-
-_NARROW, _WIDE = frozenset("iljtfrI.,:;'|!()[] "), frozenset("mwMW@%—")
-
-
-def text_width(text: str, size: float) -> float:
-    """Return about how wide `text` is in any common sans-serif face, rather too wide than too narrow."""
-    per_letter = (0.37 if c in _NARROW else 0.92 if c in _WIDE else 0.71 if c.isupper() else 0.61 for c in text)
-    return size * sum(per_letter)
 
 
 def level_class(level: int) -> str:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from platform_ctrl.common.text import greek
+from platform_ctrl.common.text import greek, text_width
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.plant.platform import Gimbal, Platform
 from platform_ctrl.report.axes.bodies import Shape, bodies, disc_axis, levels
@@ -21,7 +21,6 @@ from platform_ctrl.report.axes.svg import (
     line,
     number,
     sign,
-    text_width,
     words,
 )
 

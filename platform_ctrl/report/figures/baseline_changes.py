@@ -15,9 +15,9 @@ from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, named_syste
 from platform_ctrl.analysis.feedback import closed_loop, gang
 from platform_ctrl.analysis.poles import continuous_poles, poles
 from platform_ctrl.common.files import write_whole
+from platform_ctrl.common.text import text_width
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.report.axes.svg import text_width
 from platform_ctrl.report.failure_messages import shown_alike
 from platform_ctrl.report.loop_responses import following_grid
 from platform_ctrl.report.quantities import HZ

@@ -18,11 +18,11 @@ from platform_ctrl.common.values import FloatArray
 from platform_ctrl.mechanics.state_space import state_space as linear_state_space
 from platform_ctrl.plant.platform import OMEGA_NAMES, ROOT_TORQUE_NAMES
 from platform_ctrl.report.figures.loop import phase_axes, phase_in_degrees
-from platform_ctrl.report.figures.poles import upper
+from platform_ctrl.report.figures.poles import half_plane_axes
 from platform_ctrl.report.loop_responses import following_grid
+from platform_ctrl.report.plots.loci import upper_half_plane
 from platform_ctrl.report.quantities import HZ, root_series, signal_series
 from platform_ctrl.report.style import (
-    BAND,
     LIMIT,
     MUTED,
     REFERENCE,
@@ -45,7 +45,7 @@ def coupled_pole_figure(result: JobResult) -> Figure:
     """Poles of the coupled closed loop: all of them, and those around the nutation frequencies and below."""
     check, period = result.coupled, result.job.sampling.period
     figure, [[wide, close]] = panels(1, 2, 3.5)
-    s = upper(continuous_poles(check.poles, period))
+    s = upper_half_plane(continuous_poles(check.poles, period))
     nyquist = np.pi / period
     nutations = [o.closed.plants.nutation for o in result.loops if o.closed.plants is not None]
     slow = 1.7 * max(nutations, default=float(np.median(np.abs(s))) if s.size else nyquist)
@@ -53,16 +53,10 @@ def coupled_pole_figure(result: JobResult) -> Figure:
         (wide, -1.1 * nyquist, 0.12 * nyquist, 1.02 * nyquist),
         (close, -1.2 * slow, 0.2 * slow, min(slow, nyquist)),
     ):
-        axes.axvspan(0.0, right, color=BAND, linewidth=0, zorder=0)
-        axes.axvline(0.0, color=REFERENCE, linewidth=0.8)
+        half_plane_axes(axes, left, right, -0.02 * top, top)
         good, bad = s[s.real < 0.0], s[s.real >= 0.0]
         axes.plot(good.real, good.imag, "x", color=SERIES[0], markersize=5, clip_on=True)
         axes.plot(bad.real, bad.imag, "x", color=LIMIT, markersize=7, markeredgewidth=2)
-        axes.set_xlim(left, right)
-        axes.set_ylim(-0.02 * top, top)
-        linear_axis(axes.xaxis, 6)
-        linear_axis(axes.yaxis, 6)
-        axes.set_xlabel("real part, 1/s")
     wide.set_ylabel("imaginary part, rad/s")
     wide.set_title("all poles up to the Nyquist frequency")
     close.set_title("closer to the origin")

@@ -15,6 +15,7 @@ from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.job import LoopSpec
 from platform_ctrl.report.figures.limit_lines import band_ceilings, ceilings, goal_frequency, late_ceilings
 from platform_ctrl.report.loop_responses import LoopResponses
+from platform_ctrl.report.plots.nichols import nichols
 from platform_ctrl.report.quantities import HZ
 from platform_ctrl.report.style import (
     BAND,
@@ -210,3 +211,22 @@ def phase_axes(axes: Axes, f: FloatArray) -> None:
     step = 90.0 if high - low <= 540.0 else 180.0
     axes.set_yticks(np.arange(step * np.ceil(low / step), high + 1.0, step))
     axes.axhline(-180.0, color=REFERENCE, linewidth=0.8)
+
+
+# No loop has a larger disk margin.
+_LARGEST_MARGIN = 2.0
+
+
+def nichols_figure(responses: LoopResponses, spec: LoopSpec, torques: tuple[str, ...]) -> Figure:
+    """Nichols plot of the closed design: the loop that each torquer closes while all the others stay closed."""
+    import control
+
+    closed = next(one for one in responses.designs if one.design.name == responses.closed)
+    loops = {
+        name: control.FrequencyResponseData(channel[None, None, :], responses.frequency)
+        for name, channel in zip(torques, closed.channels, strict=True)
+    }
+    asked = spec.limits.disk_margin
+    figure = nichols(loops, disk_margins=() if asked is None or asked >= _LARGEST_MARGIN else (asked,)).figure
+    assert isinstance(figure, Figure)
+    return figure

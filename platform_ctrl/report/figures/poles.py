@@ -8,12 +8,12 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from platform_ctrl.analysis.arrays import ComplexArray
 from platform_ctrl.common.arguments import positive
 from platform_ctrl.job.job import LoopSpec
 from platform_ctrl.report.figures.limit_lines import damping_lines, fastest_pole_line
 from platform_ctrl.report.figures.loop import design_names
 from platform_ctrl.report.loop_responses import LoopResponses, RootLocus
+from platform_ctrl.report.plots.loci import upper_half_plane
 from platform_ctrl.report.style import (
     BAND,
     INK,
@@ -37,7 +37,7 @@ def pole_figure(responses: LoopResponses, spec: LoopSpec, nutation: float, perio
     handles = []
     for axes in (wide, close):
         for k, one in enumerate(responses.designs):
-            spread, faults, own = (upper(s) for s in (one.spread_poles, one.fault_poles, one.poles))
+            spread, faults, own = (upper_half_plane(s) for s in (one.spread_poles, one.fault_poles, one.poles))
             style: dict[str, Any] = {"color": SERIES[k % 8], "linestyle": "none", "marker": MARKERS[k % 8]}
             axes.plot(spread.real, spread.imag, **style | {"markersize": 1.8, "alpha": 0.35, "markeredgewidth": 0})
             crossed = {"marker": "x", "markersize": 2.6, "alpha": 0.75, "markeredgewidth": 0.7}
@@ -67,7 +67,7 @@ def root_locus_figure(locus: RootLocus, spec: LoopSpec, nutation: float, period:
             if np.isfinite(shown.real).any():
                 axes.plot(shown.real, shown.imag, "-", color=SERIES[0], linewidth=1.1)
         for n, k in enumerate(marks):
-            points = upper(locus.branches[k])
+            points = upper_half_plane(locus.branches[k])
             nominal = abs(locus.gains[k] - 1.0) < 1e-9
             drawn = axes.plot(
                 points.real,
@@ -109,19 +109,19 @@ def _label_gains(axes: Axes, locus: RootLocus, marks: list[int], extent: float) 
 
 
 def _s_plane(axes: Axes, left: float, right: float, top: float, spec: LoopSpec, period: float, *, named: bool) -> None:
-    """Axes of the upper half plane; fast poles to the right of a damping line are damped too little."""
-    axes.axvline(0.0, color=REFERENCE, linewidth=0.8)
-    axes.axvspan(0.0, right, color=BAND, linewidth=0, zorder=0)
+    """Make axes of the upper half plane; fast poles to the right of a damping line are damped too little."""
     damping_lines(axes, spec, top, named)
     fastest_pole_line(axes, spec, period)
-    axes.set_xlim(left, right)
-    axes.set_ylim(0.0, top)
-    linear_axis(axes.xaxis, 6)
-    linear_axis(axes.yaxis, 6)
-    axes.set_xlabel("real part, 1/s")
+    half_plane_axes(axes, left, right, 0.0, top)
     axes.set_ylabel("imaginary part, rad/s")
 
 
-def upper(s: ComplexArray) -> ComplexArray:
-    """Poles of the closed upper half plane that are finite."""
-    return np.asarray(s[np.isfinite(s.real) & (s.imag >= -1e-9 * np.maximum(np.abs(s), 1.0))])
+def half_plane_axes(axes: Axes, left: float, right: float, bottom: float, top: float) -> None:
+    """Set the limits of axes that show the upper half plane, with its unstable half shaded."""
+    axes.axvline(0.0, color=REFERENCE, linewidth=0.8)
+    axes.axvspan(0.0, right, color=BAND, linewidth=0, zorder=0)
+    axes.set_xlim(left, right)
+    axes.set_ylim(bottom, top)
+    linear_axis(axes.xaxis, 6)
+    linear_axis(axes.yaxis, 6)
+    axes.set_xlabel("real part, 1/s")

@@ -10,7 +10,7 @@ from platform_ctrl.common.files import write_whole
 from platform_ctrl.report.page import campaign_tables as tables
 from platform_ctrl.report.page.block_tables import html, record_part
 from platform_ctrl.report.page.blocks import Document, Facts, Listing, Paragraph, Part, Section
-from platform_ctrl.report.page.campaign_sections import AGAIN, campaign_sections, digests, drawn_part
+from platform_ctrl.report.page.campaign_sections import RERUN_COMMAND, campaign_sections, digests, drawn_part
 from platform_ctrl.report.record import versions
 
 
@@ -44,7 +44,7 @@ def campaign_document(summary: Summary, *, command: str | None = None, again: st
 
     job = summary.plan.job
     with style.settings():
-        sections = campaign_sections(summary, again or AGAIN)
+        sections = campaign_sections(summary, again or RERUN_COMMAND)
     last = (
         Paragraph(text="This page was made by"),
         Listing(text=command or "platform-ctrl campaign job.toml"),

@@ -110,7 +110,7 @@ def _points(plan: Plan, rare: RareResult) -> Table | None:
     return Table(columns=columns, groups=(Group(rows=rows),), form="narrow")
 
 
-AGAIN = "platform-ctrl simulate job.toml --run"
+RERUN_COMMAND = "platform-ctrl simulate job.toml --run"
 
 # Lengths of small pictures beside numbers, in pixels.
 _SCALE, _INFLUENCE = 150.0, 130.0
@@ -435,7 +435,7 @@ def as_section(summary: Summary, result: JobResult, again: str | None) -> Sectio
     again
         As in `campaign_sections`; default one for a job file of no particular name.
     """
-    first, *others = campaign_sections(summary, again or AGAIN)
+    first, *others = campaign_sections(summary, again or RERUN_COMMAND)
     parts = (Part(title=section.title, blocks=section.blocks) for section in others)
     flown = f"{tables.count_words(summary.plan.runs)} of the job with everything that may vary."
     different = differences(summary, result)

@@ -15,7 +15,7 @@ from platform_ctrl.job.requirements import FAULTS, SPREAD
 from platform_ctrl.plant.platform import Platform
 from platform_ctrl.report.loop_responses import LoopResponses, RootLocus
 from platform_ctrl.report.page.comparison import plants_in_words
-from platform_ctrl.report.page.summary import price
+from platform_ctrl.report.page.summary import compared_with_alternatives
 from platform_ctrl.report.quantities import count, disk_words, listed, plain, quantity
 from platform_ctrl.verification.simulated import Run
 from platform_ctrl.verification.verdict import JobResult
@@ -46,7 +46,7 @@ def loop_summary(outcome: LoopOutcome) -> str:
         return f"{text} It has no plants of its own: it is judged in the coupled system."
     if unstable(closed):
         return f"{text} Its closed loop is unstable: its responses below are formulas, not those of a loop that runs."
-    return " ".join([text, *price(outcome)])
+    return " ".join([text, *compared_with_alternatives(outcome)])
 
 
 def unstable(design: LoopDesign) -> bool:

@@ -12,7 +12,6 @@ from matplotlib.figure import Figure
 from platform_ctrl.common.files import write_whole
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.design.jobs import LoopOutcome, survived_name
-from platform_ctrl.job.job import LoopSpec
 from platform_ctrl.report.figures.coupled import (
     coupled_pole_figure,
     margin_bars_figure,
@@ -20,7 +19,12 @@ from platform_ctrl.report.figures.coupled import (
     servo_figure,
     simultaneous_margin_figure,
 )
-from platform_ctrl.report.figures.loop import disturbance_figure, loop_transfer_figure, sensitivity_figure
+from platform_ctrl.report.figures.loop import (
+    disturbance_figure,
+    loop_transfer_figure,
+    nichols_figure,
+    sensitivity_figure,
+)
 from platform_ctrl.report.figures.plant import nutation_figure
 from platform_ctrl.report.figures.poles import pole_figure, root_locus_figure
 from platform_ctrl.report.figures.runs import run_figure
@@ -41,7 +45,6 @@ from platform_ctrl.report.page.blocks import (
     sentence,
 )
 from platform_ctrl.report.page.summary import opening
-from platform_ctrl.report.plots.nichols import nichols
 from platform_ctrl.report.quantities import count, plain
 from platform_ctrl.report.record import versions
 from platform_ctrl.verification.simulated import Run
@@ -54,7 +57,7 @@ if TYPE_CHECKING:
     from platform_ctrl.report.loop_responses import LoopResponses
 
 
-def survival(run: Run, loops: Sequence[LoopOutcome]) -> str:
+def sentence_on_rate_limit(run: Run, loops: Sequence[LoopOutcome]) -> str:
     """Return a sentence: up to which Omega about the run's axis the closed loops keep off their limits; or nothing."""
     axis = run.manoeuvre.axis
     held, spread = (_least(loops, survived_name(axis, spread=over)) for over in (False, True))
@@ -70,25 +73,6 @@ def survival(run: Run, loops: Sequence[LoopOutcome]) -> str:
 def _least(loops: Sequence[LoopOutcome], name: str) -> float | None:
     found = [outcome.closed.claims[name] for outcome in loops if name in outcome.closed.claims]
     return min(found, default=None)
-
-
-# No loop has a larger disk margin.
-_MOST = 2.0
-
-
-def nichols_figure(responses: LoopResponses, spec: LoopSpec, torques: tuple[str, ...]) -> Figure:
-    """Nichols plot of the closed design: the loop that each torquer closes while all the others stay closed."""
-    import control
-
-    closed = next(one for one in responses.designs if one.design.name == responses.closed)
-    loops = {
-        name: control.FrequencyResponseData(channel[None, None, :], responses.frequency)
-        for name, channel in zip(torques, closed.channels, strict=True)
-    }
-    asked = spec.limits.disk_margin
-    figure = nichols(loops, disk_margins=() if asked is None or asked >= _MOST else (asked,)).figure
-    assert isinstance(figure, Figure)
-    return figure
 
 
 @check_arguments
@@ -370,7 +354,7 @@ def _runs(result: JobResult) -> list[Section]:
     for run in result.runs:
         name = run.manoeuvre.name
         if run.trajectory.t.size:
-            caption = " ".join(filter(None, [captions.run(run, spinning), survival(run, result.loops)]))
+            caption = " ".join(filter(None, [captions.run(run, spinning), sentence_on_rate_limit(run, result.loops)]))
             blocks.append(_plate(run_figure(run, result.job.platform), name, caption))
         else:
             nothing = Paragraph(text=f"The run {run.trajectory.ended}: nothing was recorded.")

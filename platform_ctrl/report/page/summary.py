@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 _WORTH_TELLING = 1.05
 
 
-def price(outcome: LoopOutcome) -> list[str]:
+def compared_with_alternatives(outcome: LoopOutcome) -> list[str]:
     """Return sentences: order and bandwidth against the best alternative, and against bounds that are claimed."""
     return [*_against_others(outcome), *_against_bounds(outcome.closed)]
 

@@ -15,9 +15,9 @@ from platform_ctrl.report.quantities import (
     BOUND,
     DASH,
     MET,
-    MINUS,
     NOT_MET,
     added_words,
+    axis_text,
     compared,
     count,
     percent,
@@ -241,15 +241,6 @@ def element_rows(result: JobResult) -> list[tuple[str, str, str]]:
         limit = "" if erection.limit is None else f", at most {quantity(erection.limit, 'N m')}"
         rows.append(("erection", erection.gimbal, sensed + limit))
     return rows
-
-
-def axis_text(axis: Sequence[float] | np.ndarray) -> str:
-    """Return +1, −3 for a body axis, otherwise its components."""
-    direction = np.asarray(axis, dtype=np.float64)
-    k = int(np.argmax(np.abs(direction)))
-    if np.isclose(abs(direction[k]), 1.0, atol=1e-9):
-        return ("+" if direction[k] > 0.0 else MINUS) + str(k + 1)
-    return f"({', '.join(plain(float(x), 3) for x in direction)})"
 
 
 _KIND = {

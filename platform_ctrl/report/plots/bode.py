@@ -18,7 +18,7 @@ from platform_ctrl.errors import ArgumentError
 from platform_ctrl.report.plots.curves import Curve, Margins, channels, curve, entry_curves
 from platform_ctrl.report.plots.curves import margins as margins_of
 from platform_ctrl.report.plots.frequency_grid import grid
-from platform_ctrl.report.plots.label_placement import Places
+from platform_ctrl.report.plots.label_placement import LabelPlacer
 from platform_ctrl.report.plots.panels import (
     blocks,
     draw,
@@ -285,14 +285,14 @@ def _mark(
 ) -> None:
     above, below = pair
     places = tuple(
-        Places(axes, [np.column_stack([one.frequency * HZ, y]) for one, y in zip(block.curves, ys, strict=True)])
+        LabelPlacer(axes, [np.column_stack([one.frequency * HZ, y]) for one, y in zip(block.curves, ys, strict=True)])
         for axes, ys in ((above, amounts), (below, [one.phase for one in block.curves]))
     )
     one_gain = 0.0 if dB else 1.0
     for room, level in zip(places, (one_gain, -180.0), strict=True):
         room.avoid([np.column_stack([room.axes.get_xlim(), [level, level]])])
     # Small margins are written first: they find the best places.
-    notes: list[tuple[float, Places, str, float, float, str]] = []
+    notes: list[tuple[float, LabelPlacer, str, float, float, str]] = []
     for k, one in enumerate(block.curves):
         found, colour = measured[id(one)], SERIES[k % len(SERIES)]
         dot: dict[str, Any] = {"color": colour, "marker": "o", "markersize": 4.2, "linestyle": "none", "zorder": 4}
@@ -326,7 +326,7 @@ def _mark(
         for _, room, _, x, y, _ in notes:
             room.reserve(x, y)
         for rank, (_, room, text, x, y, colour) in enumerate(sorted(notes, key=lambda note: note[0])):
-            room.put(text, x, y, colour=colour, bold=True, anyway=rank < 2)
+            room.write(text, x, y, colour=colour, bold=True, required=rank < 2)
 
 
 def degrees_words(angle: float) -> str:

@@ -19,7 +19,7 @@ from platform_ctrl.mechanics.linearisation import LinearModel, linearise
 from platform_ctrl.mechanics.state_space import state_space, subsystems, whole_subsystems
 from platform_ctrl.plant.platform import Platform
 from platform_ctrl.report.modes import poles_and_kinds
-from platform_ctrl.report.plots.label_placement import Places
+from platform_ctrl.report.plots.label_placement import LabelPlacer
 from platform_ctrl.report.plots.loci import increasing, with_rotors_at_rest
 from platform_ctrl.report.plots.systems import drawable
 from platform_ctrl.report.quantities import HZ, RPM
@@ -235,11 +235,11 @@ def _spin_lines(
             text = f"{order:g}×" if len(reference) == 1 else f"{order:g}× {number(spin * RPM, 4)} rpm"
             end = min(0.96 * right / unit, 0.96 * top / slope)
             named.append((text, unit * end, slope * end))
-    places = Places(axes, [np.column_stack([line.get_xdata(), line.get_ydata()]) for line in axes.lines])
+    places = LabelPlacer(axes, [np.column_stack([line.get_xdata(), line.get_ydata()]) for line in axes.lines])
     for text, x, y in named:
-        places.put(text, x, y, colour=MUTED, size=7.5, ways=(160, 180, -20, 90))
+        places.write(text, x, y, colour=MUTED, size=7.5, directions=(160, 180, -20, 90))
     if axes.get_xlim()[0] < unit < right:
-        places.put("nominal", unit, 0.975 * top, colour=MUTED, size=7.0, ways=(0, 180))
+        places.write("nominal", unit, 0.975 * top, colour=MUTED, size=7.0, directions=(0, 180))
     marks = []
     for spin in reference:
         for order in orders:
@@ -250,7 +250,7 @@ def _spin_lines(
                     where = f"{number(unit * at, 4)} rpm" if len(reference) == 1 else f"× {number(at, 3)}"
                     marks.append((f"{order:g}× meets {mode.kind}: {where}", unit * at, frequency * HZ))
     for text, x, y in marks:
-        places.put(text, x, y, colour=LIMIT, size=7.5)
+        places.write(text, x, y, colour=LIMIT, size=7.5)
 
 
 def _meetings(frequency: FloatArray, speed: FloatArray, slope: float) -> list[tuple[float, float]]:

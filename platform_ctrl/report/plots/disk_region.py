@@ -25,7 +25,7 @@ from platform_ctrl.common.text import at_least, at_most
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.report.plots.frequency_grid import grid
-from platform_ctrl.report.plots.label_placement import Places
+from platform_ctrl.report.plots.label_placement import LabelPlacer
 from platform_ctrl.report.plots.panels import blocks, curve_style, legend, line_array
 from platform_ctrl.report.plots.systems import DrawnSystem, as_state_space, drawable, drawn_systems, gaps
 from platform_ctrl.report.quantities import HZ, disk_gain_or_phase, plain
@@ -260,7 +260,7 @@ def _critical(panel: Axes, region: _Region, k: int, frequency: ArrayLike | None)
 
 def _mark(panel: Axes, regions: Sequence[_Region], skew: float, curves: Sequence[FloatArray]) -> None:
     """Write the margins where the regions end on the axes, and the frequency where a loop is touched."""
-    places = Places(panel, curves)
+    places = LabelPlacer(panel, curves)
     for k, region in enumerate(regions):
         if region.alpha <= 0.0:
             continue
@@ -273,9 +273,9 @@ def _mark(panel: Axes, regions: Sequence[_Region], skew: float, curves: Sequence
         for x, y, text in points if len(regions) <= _WRITTEN else points[2:]:
             if x > 0.0 and places.shows(x, y):
                 panel.plot([x], [y], **style, zorder=5)
-                places.put(text, x, y, colour=style["color"], bold=True, anyway=len(regions) < 4)
+                places.write(text, x, y, colour=style["color"], bold=True, required=len(regions) < 4)
         margin = region.margin
         if margin is not None and len(margin.perturbation) == 1 and np.isfinite(margin.perturbation[0]):
             touching = margin.perturbation[0]
             at = abs(touching), math.degrees(abs(np.angle(touching)))
-            places.put(f"{plain(margin.frequency * HZ, 3)} Hz", *at, colour=style["color"])
+            places.write(f"{plain(margin.frequency * HZ, 3)} Hz", *at, colour=style["color"])

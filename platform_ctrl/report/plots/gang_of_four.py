@@ -18,7 +18,7 @@ from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.report.plots.frequency_grid import grid
-from platform_ctrl.report.plots.label_placement import Places
+from platform_ctrl.report.plots.label_placement import LabelPlacer
 from platform_ctrl.report.plots.panels import (
     blocks,
     bound,
@@ -305,7 +305,7 @@ def _peaks(
 ) -> None:
     """Mark the peak of each curve, and write it."""
     levels = [gains(row, dB=dB) for row in rows]
-    places = Places(panel, [np.column_stack([w * HZ, level]) for level in levels])
+    places = LabelPlacer(panel, [np.column_stack([w * HZ, level]) for level in levels])
     left, right = panel.get_xlim()
     places.avoid([np.array([[left, 0.0 if dB else 1.0], [right, 0.0 if dB else 1.0]])])
     if limit is not None:
@@ -323,4 +323,4 @@ def _peaks(
         if any(abs(level[at] - other) <= 2e-3 * abs(other) for other in written):
             continue
         written.append(float(level[at]))
-        places.put(text, w[at] * HZ, level[at], colour=colour, bold=True, anyway=k == 0)
+        places.write(text, w[at] * HZ, level[at], colour=colour, bold=True, required=k == 0)

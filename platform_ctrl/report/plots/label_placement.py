@@ -1,4 +1,4 @@
-"""Where words find room in a panel: beside what they name, off the curves, never on each other."""
+"""Label placement: beside what a label names, off the curves, never on another label."""
 
 from __future__ import annotations
 
@@ -8,19 +8,19 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from platform_ctrl.analysis.arrays import ComplexArray
+from platform_ctrl.common.text import text_width
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.report.axes.svg import text_width
 from platform_ctrl.report.style import INK, MUTED
 
 # Directions in degrees, the favourite first, and distances in points at which words are tried.
-_WAYS = (20, -20, 160, -160, 90, -90, 55, -55, 125, -125)
+_DIRECTIONS = (20, -20, 160, -160, 90, -90, 55, -55, 125, -125)
 _DISTANCES = (4.5, 9.0, 14.0)
 _LINE = 1.25  # height of a line over its font size
 _APART = 2.0  # between words, points
 
 
-class Places:
-    """Room for words in one panel whose limits are set.
+class LabelPlacer:
+    """Places labels in one panel whose limits are set.
 
     Parameters
     ----------
@@ -69,17 +69,17 @@ class Places:
         for at in self.points(np.array([[x, y]])):
             self._taken.append((at - radius, at + radius))
 
-    def later(self, text: str, x: float, y: float, ways: tuple[int, ...]) -> None:
-        """Remember what the panel's own scales say: it is written by `settle`, where the rest leaves room."""
-        self._later.append((text, x, y, ways))
+    def write_later(self, text: str, x: float, y: float, directions: tuple[int, ...]) -> None:
+        """Remember a label of the panel's own scales: `write_remaining` writes it where the others leave room."""
+        self._later.append((text, x, y, directions))
 
-    def settle(self) -> None:
-        """Write what was remembered."""
-        for text, x, y, ways in self._later:
-            self.put(text, x, y, colour=MUTED, size=6.5, ways=ways)
+    def write_remaining(self) -> None:
+        """Write the labels of `write_later`."""
+        for text, x, y, directions in self._later:
+            self.write(text, x, y, colour=MUTED, size=6.5, directions=directions)
         self._later = []
 
-    def put(
+    def write(
         self,
         text: str,
         x: float,
@@ -88,10 +88,10 @@ class Places:
         colour: str = INK,
         size: float = 7.0,
         bold: bool = False,
-        anyway: bool = False,
-        ways: Sequence[int] = _WAYS,
+        required: bool = False,
+        directions: Sequence[int] = _DIRECTIONS,
     ) -> bool:
-        """Write `text` beside a point where there is room, and return whether there was; `anyway`: where it is best."""
+        """Write `text` beside a point where there is room (`required`: in any case); return whether it is written."""
         if not self.shows(x, y):
             return False
         at = self.points(np.array([[x, y]]))[0]
@@ -99,14 +99,14 @@ class Places:
         half = 0.5 * np.array([max(text_width(line, size) for line in lines), _LINE * size * len(lines)])
         best: tuple[float, FloatArray] | None = None
         for distance in _DISTANCES:
-            for rank, turn in enumerate(np.radians(ways)):
-                way = np.array([np.cos(turn), np.sin(turn)])
+            for rank, turn in enumerate(np.radians(directions)):
+                direction = np.array([np.cos(turn), np.sin(turn)])
                 # Straight up or down the words stand centred, to the sides they begin or end at the point.
-                middle = at + distance * way + half * np.where(np.abs(way) > 0.3, np.sign(way), 0.0)
+                middle = at + distance * direction + half * np.where(np.abs(direction) > 0.3, np.sign(direction), 0.0)
                 low, high = middle - half, middle + half
                 outside = float(np.maximum(0.0, np.maximum(self._low - low, high - self._high)).sum())
                 hidden = sum(bool(np.all(low - _APART < b) and np.all(a < high + _APART)) for a, b in self._taken)
-                if (outside > 0.5 or hidden) and not anyway:
+                if (outside > 0.5 or hidden) and not required:
                     continue
                 crossed = int(np.count_nonzero(np.all((self._ink > low - 1.0) & (self._ink < high + 1.0), axis=1)))
                 cost = 0.6 * distance + 0.4 * rank + 1.5 * crossed + 40.0 * outside + 400.0 * hidden
@@ -114,10 +114,10 @@ class Places:
                     best = cost, middle
         if best is None:
             return False
-        self._write(text, at, best[1], half, colour, size, bold)
+        self._annotate(text, at, best[1], half, colour, size, bold)
         return True
 
-    def _write(
+    def _annotate(
         self, text: str, at: FloatArray, middle: FloatArray, half: FloatArray, colour: str, size: float, bold: bool
     ) -> None:
         self._taken.append((middle - half, middle + half))

@@ -23,7 +23,7 @@ from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.mechanics.state_space import state_space
 from platform_ctrl.plant.platform import Platform
 from platform_ctrl.report.loop_responses import Poles, followed, traced
-from platform_ctrl.report.plots.label_placement import Places
+from platform_ctrl.report.plots.label_placement import LabelPlacer
 from platform_ctrl.report.plots.systems import as_state_space, drawn_systems
 from platform_ctrl.report.quantities import HZ
 from platform_ctrl.report.style import BAND, FRAME, REFERENCE, linear_axis
@@ -67,7 +67,7 @@ def round_steps(top: float, number: int = 4) -> FloatArray:
     return np.asarray(np.arange(1, int(top / step + 1e-9) + 1) * step)
 
 
-def s_plane(axes: Axes, view: View) -> Places:
+def s_plane(axes: Axes, view: View) -> LabelPlacer:
     """Make `axes` the upper half of the s-plane, with damping rays and frequency arcs.
 
     Both axes have the same scale, so that a ray's direction is the damping ratio; unless all poles lie close to the
@@ -86,19 +86,19 @@ def s_plane(axes: Axes, view: View) -> Places:
     axes.axvline(0.0, color=REFERENCE, linewidth=0.9, zorder=1)
     axes.axhline(0.0, color=REFERENCE, linewidth=0.6, zorder=1)
     turn = np.linspace(0.5 * np.pi, np.pi, 181)
-    places = Places(axes)
+    places = LabelPlacer(axes)
     for hz in round_steps(reach * HZ):
         radius = hz / HZ
         axes.plot(radius * np.cos(turn), radius * np.sin(turn), color=FRAME, linewidth=0.6, linestyle=_DASHES, zorder=1)
         if radius < 0.97 * reach:
-            places.later(f"{hz:g} Hz", 0.0, radius, (0,))
+            places.write_later(f"{hz:g} Hz", 0.0, radius, (0,))
     for ratio in DAMPINGS:
         slope = ratio / np.sqrt(1.0 - ratio**2)
         end = min(reach, -left / slope)
         axes.plot([0.0, -slope * end], [0.0, end], color=FRAME, linewidth=0.7, zorder=1)
         at = 0.955 * end
         text = f"{ratio:g}" if ratio != DAMPINGS[1] else f"damping {ratio:g}"
-        places.later(text, -slope * at, at, (180, 0))
+        places.write_later(text, -slope * at, at, (180, 0))
     linear_axis(axes.xaxis, 8)
     linear_axis(axes.yaxis, 6)
     axes.set_xlabel("real part, 1/s")
@@ -106,7 +106,7 @@ def s_plane(axes: Axes, view: View) -> Places:
     return places
 
 
-def z_plane(axes: Axes, period: float) -> Places:
+def z_plane(axes: Axes, period: float) -> LabelPlacer:
     """Make `axes` the upper half of the z-plane with the unit circle, damping spirals and frequency rays."""
     axes.set_aspect("equal")
     axes.set_xlim(-1.25, 1.25)
@@ -119,19 +119,19 @@ def z_plane(axes: Axes, period: float) -> Places:
     axes.fill_between(x, rim, 1.2, color=BAND, linewidth=0, zorder=0)
     axes.plot(circle.real, circle.imag, color=REFERENCE, linewidth=0.9, zorder=1)
     axes.axhline(0.0, color=REFERENCE, linewidth=0.6, zorder=1)
-    places = Places(axes)
+    places = LabelPlacer(axes)
     for hz in round_steps(0.5 / period, 5):
         angle = hz / HZ * period
         ray = np.array([0.0, np.exp(1j * angle)])
         axes.plot(ray.real, ray.imag, color=FRAME, linewidth=0.6, linestyle=_DASHES, zorder=1)
         at = np.exp(1j * min(angle, 0.985 * np.pi))
-        places.later(f"{hz:g} Hz", at.real, at.imag, (int(np.degrees(angle)), 60, 120))
+        places.write_later(f"{hz:g} Hz", at.real, at.imag, (int(np.degrees(angle)), 60, 120))
     for ratio in DAMPINGS[1:]:
         spiral = np.exp(turn * (-ratio / np.sqrt(1.0 - ratio**2) + 1j))
         axes.plot(spiral.real, spiral.imag, color=FRAME, linewidth=0.7, zorder=1)
         at = spiral[150]
         text = f"{ratio:g}" if ratio != DAMPINGS[1] else f"damping {ratio:g}"
-        places.later(text, at.real, at.imag, (-90, 90))
+        places.write_later(text, at.real, at.imag, (-90, 90))
     linear_axis(axes.xaxis, 8)
     linear_axis(axes.yaxis, 6)
     axes.set_xlabel("real part of z")
@@ -343,6 +343,11 @@ def _affine_plant(
     change = StateArrays(P.A - P0.A, P.B - P0.B, P.C - P0.C, P.D - P0.D, 0.0)
     lag = {torquer.name: torquer.lag for torquer in platform.torquers}
     return P0, change, np.array([lag[name] for name in torques])
+
+
+def upper_half_plane(z: ComplexArray) -> ComplexArray:
+    """Return the finite poles of the closed upper half plane."""
+    return np.asarray(z[np.isfinite(z.real) & (z.imag >= -1e-9 * np.maximum(np.abs(z), 1e-12))])
 
 
 def increasing(name: str, given: ArrayLike | None, default: FloatArray) -> FloatArray:

@@ -20,7 +20,7 @@ from platform_ctrl.errors import ArgumentError
 from platform_ctrl.report.plots.curves import Curve, Margins, channels, curve, margins
 from platform_ctrl.report.plots.disk_region import exclusion, judged_skew
 from platform_ctrl.report.plots.frequency_grid import grid
-from platform_ctrl.report.plots.label_placement import Places
+from platform_ctrl.report.plots.label_placement import LabelPlacer
 from platform_ctrl.report.plots.panels import blocks, curve_style, gains, legend, line_array
 from platform_ctrl.report.plots.systems import drawable, drawn_systems
 from platform_ctrl.report.quantities import HZ, plain
@@ -114,7 +114,7 @@ def nichols(
     _window(panel, curves)
     shaded = _regions(panel, alphas, skew)
     lines[0, 0] += [_line(panel, one, k) for k, one in enumerate(curves)]
-    places = Places(panel, [np.column_stack([one.phase, gains(one.response, dB=True)]) for one in curves])
+    places = LabelPlacer(panel, [np.column_stack([one.phase, gains(one.response, dB=True)]) for one in curves])
     _critical(panel, places)
     _closest(panel, places, curves, found)
     _peaks(panel, places, peaks)
@@ -199,13 +199,13 @@ def _line(panel: Axes, one: Curve, k: int) -> Any:
     return line
 
 
-def _critical(panel: Axes, places: Places) -> None:
+def _critical(panel: Axes, places: LabelPlacer) -> None:
     for centre in _centres(panel):
         panel.plot([centre], [0.0], "+", color=LIMIT, markersize=10, markeredgewidth=1.6, zorder=4)
         places.reserve(centre, 0.0, 5.0)
 
 
-def _closest(panel: Axes, places: Places, curves: Sequence[Curve], found: Sequence[Margins]) -> None:
+def _closest(panel: Axes, places: LabelPlacer, curves: Sequence[Curve], found: Sequence[Margins]) -> None:
     for k, (one, measured) in enumerate(zip(curves, found, strict=True)):
         if measured.disk is None or measured.stable is False or not len(one.frequency):
             continue
@@ -218,7 +218,7 @@ def _closest(panel: Axes, places: Places, curves: Sequence[Curve], found: Sequen
         places.reserve(phase, level, 5.0)
 
 
-def _peaks(panel: Axes, places: Places, peaks: Sequence[float]) -> None:
+def _peaks(panel: Axes, places: LabelPlacer, peaks: Sequence[float]) -> None:
     """Draw where |T| has given values above 1, and write them."""
     for peak in peaks:
         turn = np.exp(2j * np.pi * np.linspace(0.0, 1.0, 721))
@@ -227,10 +227,10 @@ def _peaks(panel: Axes, places: Places, peaks: Sequence[float]) -> None:
         for centre in _centres(panel):
             panel.plot(centre + phase, level, color=FRAME, linewidth=0.9, zorder=1.2)
             top = int(np.argmax(level))
-            places.put(f"|T| {plain(peak, 3)}", centre + phase[top], level[top], colour=MUTED, size=6.5)
+            places.write(f"|T| {plain(peak, 3)}", centre + phase[top], level[top], colour=MUTED, size=6.5)
 
 
-def _frequencies(panel: Axes, places: Places, curves: Sequence[Curve]) -> None:
+def _frequencies(panel: Axes, places: LabelPlacer, curves: Sequence[Curve]) -> None:
     """Write round frequencies along the curves, where there is room."""
     taken: list[FloatArray] = []
     for k, one in enumerate(curves[:6]):
@@ -250,4 +250,4 @@ def _frequencies(panel: Axes, places: Places, curves: Sequence[Curve]) -> None:
             taken.append(at)
             colour = curve_style(k)["color"]
             panel.plot([x], [y], "o", color=colour, markersize=3.0, zorder=4)
-            places.put(f"{plain(hz, 3)} Hz", x, y, colour=MUTED, size=6.5)
+            places.write(f"{plain(hz, 3)} Hz", x, y, colour=MUTED, size=6.5)

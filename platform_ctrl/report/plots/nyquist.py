@@ -22,7 +22,7 @@ from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.report.plots.curves import channels
 from platform_ctrl.report.plots.frequency_grid import grid
-from platform_ctrl.report.plots.label_placement import Places
+from platform_ctrl.report.plots.label_placement import LabelPlacer
 from platform_ctrl.report.plots.panels import line_array
 from platform_ctrl.report.plots.systems import DrawnSystem, drawable, drawn_systems
 from platform_ctrl.report.quantities import HZ, count, disk_gain_or_phase
@@ -295,7 +295,7 @@ def _panel(axes: Axes, curves: list[ChannelCurve], radius: float, alpha: float) 
         axes.plot(shown.real, -shown.imag, **_style(k, mirrored=True))
         lines.append(line)
         _arrow(axes, shown, radius, SERIES[k % len(SERIES)])
-    places = Places(axes, [np.column_stack([line.get_xdata(), line.get_ydata()]) for line in axes.lines])
+    places = LabelPlacer(axes, [np.column_stack([line.get_xdata(), line.get_ydata()]) for line in axes.lines])
     places.reserve(-1.0, 0.0, 5.0)
     for k, curve in enumerate(curves):
         _frequencies(axes, places, curve, radius, SERIES[k % len(SERIES)])
@@ -322,7 +322,7 @@ def _arrow(axes: Axes, shown: ComplexArray, radius: float, colour: str) -> None:
     axes.annotate("", (shown[k].real, shown[k].imag), (tail.real, tail.imag), arrowprops=arrow, zorder=4)
 
 
-def _frequencies(axes: Axes, places: Places, curve: ChannelCurve, radius: float, colour: str) -> None:
+def _frequencies(axes: Axes, places: LabelPlacer, curve: ChannelCurve, radius: float, colour: str) -> None:
     """Write the margin's frequency and round ones in Hz along the curve, wherever there is room."""
     hz, L = curve.frequency * HZ, curve.loop_transfer
     if np.isfinite(curve.margin_frequency) and curve.margin > 0.0:
@@ -330,7 +330,7 @@ def _frequencies(axes: Axes, places: Places, curve: ChannelCurve, radius: float,
         if abs(L[k]) < radius:
             axes.plot([L[k].real], [L[k].imag], "D", color=LIMIT, markersize=4, zorder=5)
             places.reserve(L[k].real, L[k].imag, 3.0)
-            places.put(f"{hz[k]:.3g} Hz", L[k].real, L[k].imag, colour=LIMIT, bold=True, anyway=True)
+            places.write(f"{hz[k]:.3g} Hz", L[k].real, L[k].imag, colour=LIMIT, bold=True, required=True)
     first, last = np.log10(max(hz.min(), 1e-9)), np.log10(hz.max())
     taken: list[complex] = []
     for decade in 10.0 ** np.arange(np.floor(first), np.ceil(last) + 1.0):
@@ -342,7 +342,7 @@ def _frequencies(axes: Axes, places: Places, curve: ChannelCurve, radius: float,
                 continue
             taken.append(complex(L[k]))
             axes.plot([L[k].real], [L[k].imag], "o", color=colour, markersize=3.0, zorder=4)
-            places.put(f"{x:g}", L[k].real, L[k].imag, colour=INK)
+            places.write(f"{x:g}", L[k].real, L[k].imag, colour=INK)
 
 
 def _title(axes: Axes, curves: list[ChannelCurve], name: str) -> None:

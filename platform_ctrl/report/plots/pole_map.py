@@ -16,7 +16,7 @@ from platform_ctrl.analysis.transfer_function import LinearSystem
 from platform_ctrl.common.arguments import one_of, positive
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.report.plots.label_placement import Places
+from platform_ctrl.report.plots.label_placement import LabelPlacer
 from platform_ctrl.report.plots.loci import s_plane, view_of, z_plane
 from platform_ctrl.report.plots.panels import line_array
 from platform_ctrl.report.plots.systems import DrawnSystem, drawn_systems
@@ -119,7 +119,7 @@ def pole_map(
                 places.reserve(at.real, at.imag, 3.0)
     for system, s in zip(drawn, poles, strict=True):
         _written(places, system, s, plane)
-    places.settle()
+    places.write_remaining()
     _outside(axes, every, plane)
     handles: list[Any] = list(lines)
     handles += [tuple(drawn_zeros)] if drawn_zeros else []
@@ -160,7 +160,7 @@ def _in_plane(s: ComplexArray, dt: float, plane: str) -> ComplexArray:
     return np.asarray(np.where(np.isfinite(upper), np.exp(np.where(np.isfinite(upper), upper, 0.0) * dt), 0.0))
 
 
-def _written(places: Places, system: DrawnSystem, s: ComplexArray, plane: str) -> None:
+def _written(places: LabelPlacer, system: DrawnSystem, s: ComplexArray, plane: str) -> None:
     """Write damping and frequency of the least damped poles, growth of the unstable ones."""
     upper = s[np.isfinite(s) & (s.imag >= 0.0)]
     ratio = damping_ratio(upper)
@@ -172,10 +172,10 @@ def _written(places: Places, system: DrawnSystem, s: ComplexArray, plane: str) -
         hz = f"{number(abs(pole) * HZ, 3)} Hz"
         if pole.real > 0.0:
             text = f"grows by {number(pole.real, 3)}/s" + (f", {hz}" if pole.imag else "")
-            places.put(text, at.real, at.imag, colour=LIMIT, bold=True, anyway=True)
+            places.write(text, at.real, at.imag, colour=LIMIT, bold=True, required=True)
         else:
             text = f"damping {number(ratio[k], 2)}, {hz}" if pole.real else f"undamped, {hz}"
-            places.put(text, at.real, at.imag, colour=INK)
+            places.write(text, at.real, at.imag, colour=INK)
 
 
 def _outside(axes: Axes, s: ComplexArray, plane: str) -> None:

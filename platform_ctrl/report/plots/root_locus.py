@@ -18,8 +18,8 @@ from platform_ctrl.common.arguments import one_of, positive
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.report.plots.label_placement import Places
-from platform_ctrl.report.plots.loci import Locus, gain_locus, s_plane, spin_locus, z_plane
+from platform_ctrl.report.plots.label_placement import LabelPlacer
+from platform_ctrl.report.plots.loci import Locus, gain_locus, s_plane, spin_locus, upper_half_plane, z_plane
 from platform_ctrl.report.plots.panels import line_array
 from platform_ctrl.report.quantities import listed
 from platform_ctrl.report.quantities import plain as number
@@ -168,7 +168,7 @@ def _drawn(locus: Locus, word: str, quantity: str, plane: Plane, reach: float | 
     ):
         if marker == "o" and not locus.values[0] <= 1.0 <= locus.values[-1]:
             continue
-        upper = _upper(where)
+        upper = upper_half_plane(where)
         handles += axes.plot(
             upper.real,
             upper.imag,
@@ -189,8 +189,8 @@ def _drawn(locus: Locus, word: str, quantity: str, plane: Plane, reach: float | 
         handles.append(ends)
         names.append("stability begins or ends")
     for text, at in marks:
-        places.put(text, at.real, at.imag)
-    places.settle()
+        places.write(text, at.real, at.imag)
+    places.write_remaining()
     legend_above(figure, handles, names)
     axes.set_title(f"{_stable_words(locus, word)}")
     panel = np.array([[axes]])
@@ -211,24 +211,24 @@ def _branches(axes: Axes, points: ComplexArray) -> list[Line2D]:
     return lines
 
 
-def _edges(axes: Axes, places: Places, locus: Locus, plane: Plane, word: str) -> Line2D | None:
+def _edges(axes: Axes, places: LabelPlacer, locus: Locus, plane: Plane, word: str) -> Line2D | None:
     """Mark the poles that lie on the boundary where stability begins or ends, each with its number."""
     drawn: Line2D | None = None
     for edge in locus.edges:
         k = int(np.argmin(np.abs(locus.values - edge)))
         s = locus.s[k]
-        outermost = _upper(s[np.isfinite(s)])
+        outermost = upper_half_plane(s[np.isfinite(s)])
         if not outermost.size:
             continue
         pole = outermost[int(np.argmax(outermost.real))]
         at = np.exp(pole * locus.dt) if plane == "z" else 1j * pole.imag
         [drawn] = axes.plot([at.real], [at.imag], "D", color=LIMIT, markersize=5.0, linestyle="none", zorder=5)
         places.reserve(at.real, at.imag, 4.0)
-        places.put(f"{word} {number(edge, 3)}", at.real, at.imag, colour=LIMIT, size=7.5, bold=True, anyway=True)
+        places.write(f"{word} {number(edge, 3)}", at.real, at.imag, colour=LIMIT, size=7.5, bold=True, required=True)
     return drawn
 
 
-def _dots(axes: Axes, places: Places, locus: Locus, points: ComplexArray) -> list[tuple[str, complex]]:
+def _dots(axes: Axes, places: LabelPlacer, locus: Locus, points: ComplexArray) -> list[tuple[str, complex]]:
     """Put dots at round numbers on every branch; return the numbers with their places, the least damped first."""
     chosen = [
         x for x in _round_numbers(float(locus.values[0]), float(locus.values[-1])) if x not in (locus.values[0], 1)
@@ -278,8 +278,3 @@ def _stable_words(locus: Locus, word: str) -> str:
         else:
             told.append(f"between {number(start, 4)} and {number(end, 4)}")
     return f"{word} {span}: stable {listed(told)}"
-
-
-def _upper(z: ComplexArray) -> ComplexArray:
-    """Poles of the closed upper half plane that are finite."""
-    return np.asarray(z[np.isfinite(z.real) & (z.imag >= -1e-9 * np.maximum(np.abs(z), 1e-12))])

@@ -14,7 +14,7 @@ from platform_ctrl.common.text import at_least
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.classical.complex_shaping import ComplexLoop, TwoSidedNyquist
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.report.plots.label_placement import Places
+from platform_ctrl.report.plots.label_placement import LabelPlacer
 from platform_ctrl.report.quantities import HZ
 from platform_ctrl.report.style import (
     BAND,
@@ -81,7 +81,7 @@ def two_sided_nyquist(curve: TwoSidedNyquist | ComplexLoop) -> Figure:
         linear_axis(axes.xaxis, 6)
         linear_axis(axes.yaxis, 6)
         axes.set_xlabel("real part of L")
-        places = Places(axes, [np.column_stack([line.get_xdata(), line.get_ydata()]) for line in drawn])
+        places = LabelPlacer(axes, [np.column_stack([line.get_xdata(), line.get_ydata()]) for line in drawn])
         places.reserve(-1.0, 0.0, 5.0)
         taken: list[complex] = []
         for sign in (1, -1):
@@ -157,7 +157,7 @@ def _arrows(axes: Axes, curve: TwoSidedNyquist, sign: int, centre: float, half: 
 
 
 def _label(
-    axes: Axes, places: Places, curve: TwoSidedNyquist, sign: int, centre: float, half: float, taken: list[complex]
+    axes: Axes, places: LabelPlacer, curve: TwoSidedNyquist, sign: int, centre: float, half: float, taken: list[complex]
 ) -> None:
     """Write round frequencies along the branch, wherever nothing else stands near."""
     w, L = _side(curve, sign)
@@ -174,4 +174,4 @@ def _label(
                 continue
             taken.append(at)
             axes.plot([at.real], [at.imag], "o", color=SERIES[0 if sign > 0 else 1], markersize=3.2)
-            places.put(_signed(sign * number), at.real, at.imag)
+            places.write(_signed(sign * number), at.real, at.imag)
