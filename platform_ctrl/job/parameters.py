@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
-from typing import Any
+from functools import cache
+from typing import Any, get_args
 
 import numpy as np
 
@@ -14,50 +15,28 @@ from platform_ctrl.common.values import replaced, value
 from platform_ctrl.job.faults import FAULT_KINDS, FAULT_NUMBERS, Fault
 from platform_ctrl.job.scenario import Scenario
 from platform_ctrl.job.variation import ANY, NOT_NEGATIVE, POSITIVE, SHARE, Range
+from platform_ctrl.plant import fields
 from platform_ctrl.plant.force_elements import Unbalance
 from platform_ctrl.plant.platform import OMEGA_NAMES, Platform, Rotor
+from platform_ctrl.plant.tables import Shape, shape
 
 __all__ = ["Parameter", "parameters", "varied_scenario"]
 
-_SENSOR = {"noise_rms": NOT_NEGATIVE, "noise_bandwidth_hz": POSITIVE, "quantisation": NOT_NEGATIVE}
-# Arrays of the plant: (the path's first word, field of Platform, what a part is called by, its numbers).
-_PARTS: tuple[tuple[str, str, str, dict[str, Range]], ...] = (
-    ("gimbal", "gimbals", "name", {"inertia": POSITIVE, "restitution": SHARE}),
-    (
-        "rotor",
-        "rotors",
-        "name",
-        {"spin": ANY, "angular_momentum": ANY, "axial_inertia": POSITIVE, "transverse_inertia": POSITIVE},
-    ),
-    (
-        "torquer",
-        "torquers",
-        "name",
-        {"limit": POSITIVE, "lag": NOT_NEGATIVE, "rate_limit": POSITIVE, "gain": NOT_NEGATIVE},
-    ),
-    ("pickoff", "pickoffs", "name", _SENSOR),
-    ("rate_sensor", "rate_sensors", "name", _SENSOR),
-    ("spring", "springs", "gimbal", {"stiffness": ANY, "rest": ANY}),
-    (
-        "friction",
-        "frictions",
-        "gimbal",
-        {
-            "viscous": NOT_NEGATIVE,
-            "coulomb": NOT_NEGATIVE,
-            "coulomb_rate": POSITIVE,
-            "breakaway": NOT_NEGATIVE,
-            "stribeck_rate": POSITIVE,
-        },
-    ),
-    (
-        "cage",
-        "cages",
-        "gimbal",
-        {"stiffness": POSITIVE, "damping": NOT_NEGATIVE, "clearance": NOT_NEGATIVE, "angle": ANY},
-    ),
-    ("erection", "erections", "gimbal", {"gain": ANY, "limit": POSITIVE}),
-)
+# What a number may be when it is drawn, by what a plant file expects of it.
+_RANGES: dict[Any, Range] = {
+    get_args(kind)[1]: allowed
+    for kind, allowed in (
+        (fields.Number, ANY),
+        (fields.NotZero, ANY),
+        (fields.Positive, POSITIVE),
+        (fields.NotNegative, NOT_NEGATIVE),
+        (fields.Part, SHARE),
+        (fields.Coulomb, NOT_NEGATIVE),
+        (fields.Inertia, POSITIVE),
+    )
+}
+# Of the servo's speed loop, which campaigns do not vary.
+_NOT_VARIED = frozenset({"speed_gain", "speed_integral", "torque_limit"})
 _MANOEUVRE_RANGES = {
     "rate": ANY,
     "rise": POSITIVE,
@@ -139,10 +118,10 @@ def _of_plant(platform: Platform) -> Iterator[Parameter]:
     for axis in (1, 2, 3):
         key = f"specific_force{axis}"
         yield Parameter(path=f"root.{key}", group="root", key=key, index=axis - 1, allowed=ANY)
-    for word, group, called, numbers in _PARTS:
+    for word, group, numbers in _kinds_of_parts():
         taken: dict[str, int] = {}
         for k, part in enumerate(getattr(platform, group)):
-            name = getattr(part, called)
+            name = part.name if hasattr(part, "name") else part.gimbal
             taken[name] = taken.get(name, 0) + 1
             title = name if taken[name] == 1 else f"{name}#{taken[name]}"
             for key, allowed in numbers.items():
@@ -168,6 +147,20 @@ def _of_plant(platform: Platform) -> Iterator[Parameter]:
                 index=having.get(body, -1),
                 allowed=ANY,
             )
+
+
+@cache
+def _kinds_of_parts() -> tuple[tuple[str, str, dict[str, Range]], ...]:
+    """Return the parts of a plant: the word that a path begins with, the field of Platform, the numbers of a part."""
+    found = []
+    for word, key in shape(Platform).keys.items():
+        if key.array is not None and isinstance(key.holds, Shape):
+            numbers = {name: _RANGES[of.holds] for name, of in key.holds.keys.items() if of.holds in _RANGES}
+            numbers |= {"gain": NOT_NEGATIVE} if word == "torquer" else {}
+            varied = {name: allowed for name, allowed in numbers.items() if name not in _NOT_VARIED}
+            if varied:
+                found.append((word, key.field, varied))
+    return tuple(found)
 
 
 def _there(part: Any, key: str) -> bool:
