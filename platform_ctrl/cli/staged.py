@@ -15,7 +15,7 @@ from pathlib import Path
 
 from platform_ctrl.common.files import write_whole
 from platform_ctrl.errors import InputError
-from platform_ctrl.plant.json_file import read_json
+from platform_ctrl.plant.source import read_json
 
 # What a folder holds that an export made: the files that are its own.
 RECORD = "export.json"

@@ -65,7 +65,7 @@ def check_arguments(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def check_kinds(function: Callable[P, R]) -> Callable[P, R]:
-    """Make a function refuse arguments of another kind than annotated; NaN is its own affair."""
+    """Make a function refuse arguments of another kind than annotated; NaN is allowed."""
     return _checked(function, nan=True)
 
 
@@ -147,7 +147,7 @@ class _ByName(type):
 
 
 class _Module:
-    """A module that is imported for type checkers only: python-control, whose kinds of systems are told apart later."""
+    """A module that is imported for type checkers only: python-control; the kinds of its systems are checked later."""
 
     def __init__(self, name: str) -> None:
         self._name = name
@@ -158,14 +158,14 @@ class _Module:
 
 
 class _Numbers:
-    """What stands for numpy's ArrayLike in annotations."""
+    """Numpy's ArrayLike in annotations."""
 
 
 class _Names(dict[str, Any]):
     """The names of a module, those that are there for type checkers only among them."""
 
     def __getitem__(self, name: str) -> Any:
-        if name == "ArrayLike":  # a union itself: within another one it could not be told from its parts
+        if name == "ArrayLike":  # a union itself: within another one it could not be distinguished from its parts
             return _Numbers
         found = super().__getitem__(name)
         return eval(found, {}, self) if isinstance(found, str) else found  # an alias
@@ -186,7 +186,7 @@ _SOURCES = {"Platform": ", for example from read_platform", "LinearModel": ", fr
 
 
 def _kind(annotation: object, names: _Names) -> Kind | None:
-    """Return what an annotation asks for; None: anything."""
+    """Return what an annotation allows; None: anything."""
     while isinstance(annotation, str | typing.ForwardRef):
         annotation = eval(annotation if isinstance(annotation, str) else annotation.__forward_arg__, {}, names)
     if annotation is Any or annotation is object:

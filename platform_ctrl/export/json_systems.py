@@ -11,9 +11,8 @@ from platform_ctrl.common.files import write_whole
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.errors import InputError
 from platform_ctrl.export.linear_system import MOST_SYSTEMS, LinearSystem, expect_systems, linear_system, system_of
-from platform_ctrl.plant.json_file import read_json
 from platform_ctrl.plant.mistakes import given
-from platform_ctrl.plant.source import path_of
+from platform_ctrl.plant.source import path_of, read_json
 from platform_ctrl.verification.records import SCHEMA, laid_out, plain
 
 if TYPE_CHECKING:

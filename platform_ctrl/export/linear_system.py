@@ -12,7 +12,7 @@ from platform_ctrl.common.arguments import positive
 from platform_ctrl.common.signatures import check_arguments, short
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError, InputError
-from platform_ctrl.plant.json_file import finite
+from platform_ctrl.plant.fields import finite_number
 from platform_ctrl.plant.mistakes import given, one_line
 from platform_ctrl.plant.platform import FORCE_NAMES, OMEGA_NAMES, ROOT_TORQUE_NAMES, Platform, gimbal_rate
 
@@ -212,7 +212,7 @@ def _rows(where: str, key: str, data: Mapping[str, Any]) -> FloatArray:
             raise InputError(
                 f"{where}: {key}: has {len(item)} rows of {sorted(widths)[:3]} numbers; expected {expected}"
             )
-        numbers = [[finite(element) for element in row] for row in item]
+        numbers = [[finite_number(element) for element in row] for row in item]
         array = np.array([[np.nan if x is None else x for x in row] for row in numbers], dtype=np.float64)
     if array.size == 0:
         return np.zeros((0, 0))
@@ -224,7 +224,7 @@ def _rows(where: str, key: str, data: Mapping[str, Any]) -> FloatArray:
 
 def _time(where: str, key: str, data: Mapping[str, Any]) -> float:
     item = data.get(key, 0.0)
-    number = finite(item)
+    number = finite_number(item)
     if number is None or number < 0.0:
         raise InputError(f"{where}: {key}: given {given(item)}; expected a finite number >= 0, s")
     return number

@@ -23,7 +23,7 @@ Data = dict[str, Any]
 
 _NUMBERS = sorted({key for keys in DISTRIBUTION_NUMBERS.values() for key in keys})
 _KEYS = {"parameter", "distribution", "relative", "values", "weights", *_NUMBERS}
-# Standard deviations from the mean at which a truncated normal distribution has to begin at the latest: beyond, there
+# Standard deviations from the mean at which a truncated normal distribution has to start at the latest: beyond, there
 # is less than 1e-15 of it, and its quantiles are rounding.
 FARTHEST = 8.0
 # Standard deviation of a natural logarithm at most: of numbers that lie further apart, some are none any more.
@@ -36,7 +36,7 @@ def campaign_mistakes(data: Data) -> Iterator[Mistake]:
     if not isinstance(campaign, dict):
         return
     if not data.get("manoeuvre"):
-        yield Mistake(("campaign",), "[campaign]: the job has no manoeuvre that could be flown; expected [[manoeuvre]]")
+        yield Mistake(("campaign",), "[campaign]: the job has no manoeuvre to simulate; expected [[manoeuvre]]")
     for kind, key, of in (("manoeuvre", "name", "manoeuvre"), ("fault", "fault", "fault")):
         known = [name for _, table in tables(data, of) if (name := text_of(table, "name")) is not None]
         taken: dict[str, int] = {}
@@ -49,9 +49,7 @@ def campaign_mistakes(data: Data) -> Iterator[Mistake]:
             if name not in known:
                 yield Mistake(path, f"{wrong}: is no [[{of}]] of the job; {suggestion(name, known)}")
             elif name in taken:
-                yield Mistake(
-                    path, f"{wrong}: stands in [[campaign.{kind}]] {taken[name] + 1} already; expected it once"
-                )
+                yield Mistake(path, f"{wrong}: is in [[campaign.{kind}]] {taken[name] + 1} already; expected it once")
             taken.setdefault(name, k)
     for k, table in tables(campaign, "vary"):
         yield from _distribution(table, ("campaign", "vary", k))

@@ -17,7 +17,7 @@ from platform_ctrl.job.variation import ANY, NOT_NEGATIVE, POSITIVE, SHARE, Rang
 from platform_ctrl.plant import fields
 from platform_ctrl.plant.platform import Platform
 
-# What fails; None stands for the controllers.
+# What fails; None: the controllers.
 PartKind = Literal["rotor", "torquer", "pick-off", "gimbal"]
 PART_WORDS: dict[PartKind, str] = {
     "rotor": "a rotor",

@@ -104,7 +104,7 @@ class DesignSpec:
 
 @input_value
 class LoopLimits:
-    """What a loop has to reach; None where nothing is asked.
+    """What a loop has to reach; None: no requirement.
 
     Names that end in ``_spread`` ask the same of every plant of the spread and of Omega, in ``_faults`` of every plant
     with a fault.
@@ -188,7 +188,7 @@ class LoopSpec:
 
 @input_value
 class CoupledLimits:
-    """What the coupled system has to reach; None where nothing is asked.
+    """What the coupled system has to reach; None: no requirement.
 
     Attributes
     ----------
@@ -236,7 +236,7 @@ class Manoeuvre:
     faults
         Names of the faults that happen in it.
     initial
-        What does not begin at zero: angles and angle + ``_rate``, rad and rad/s; stabilised: Omega1 to Omega3.
+        What does not start at zero: angles and angle + ``_rate``, rad and rad/s; stabilised: Omega1 to Omega3.
     limits
         ``angle``: largest gimbal angle, rad; ``attitude``: largest platform angle, rad; ``torque_share``: largest
         share of a torquer's limit (1: at the limit).
@@ -267,7 +267,7 @@ class CampaignManoeuvre:
     name
         Of a manoeuvre of the job.
     weight
-        How often it is flown, relative to the others.
+        How often it is simulated, relative to the others.
     """
 
     name: fields.Text
@@ -303,7 +303,7 @@ class Campaign:
     step
         Longest integration step, s.
     manoeuvres
-        Which are flown; none: all of the job's, equally often.
+        Which are simulated; none: all of the job's, equally often.
     vary, faults
         What differs from run to run, and what may fail.
     """
@@ -377,12 +377,12 @@ class Job:
 
 @check_arguments
 def manoeuvre_scenario(job: Job, manoeuvre: Manoeuvre) -> Scenario:
-    """Return a manoeuvre as it is flown on the plant as it stands: the job's seed, run 0.
+    """Return the run of a manoeuvre on the nominal plant: the job's seed, run 0.
 
     Parameters
     ----------
     job
-        The job that it stands in.
+        The job that it belongs to.
     manoeuvre
         One of the job's.
 

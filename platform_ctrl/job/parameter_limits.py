@@ -1,4 +1,4 @@
-"""What cannot be drawn: numbers that a plant or job file would refuse are refused before any run is flown."""
+"""What cannot be drawn: numbers that a plant or job file would refuse are refused before any run is simulated."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def misfits(
     varied
         What differs from run to run.
     scenarios
-        The runs as they stand, one for each manoeuvre that is flown.
+        The nominal runs, one for each manoeuvre that is simulated.
     faults
         What may fail in them.
 
@@ -33,10 +33,6 @@ def misfits(
     ------
     entry, key, line
         The number of the entry of `varied`, its key that is wrong, and a line that says why.
-
-    Notes
-    -----
-    The arguments are not judged beyond that.
     """
     known = parameters(scenarios, faults)
     drawn: dict[str, tuple[float, float]] = {}

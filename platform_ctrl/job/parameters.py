@@ -56,7 +56,7 @@ class Parameter:
     path
         What a job file calls it.
     group, index
-        Where it stands: the plant's array and the place in it, or one of ``"root"``, ``"unbalances"``, ``"sampling"``,
+        Where it is: the plant's array and the index in it, or one of ``"root"``, ``"unbalances"``, ``"sampling"``,
         ``"initial"``, ``"manoeuvre"``, ``"fault"``, ``"vibration"``; `index` is −1 for an unbalance that the plant
         lacks.
     part, key
@@ -64,7 +64,7 @@ class Parameter:
     allowed
         What it may be; of a factor: what the factor may be.
     factor
-        Whether it multiplies something that is more than a number (an inertia matrix, a table) and is 1 as it stands.
+        Whether it multiplies something that is more than a number (an inertia matrix, a table) and is nominally 1.
     """
 
     path: str
@@ -83,7 +83,7 @@ def parameters(scenarios: Sequence[Scenario], faults: Sequence[Fault]) -> dict[s
     Parameters
     ----------
     scenarios
-        The runs as they stand, all of one plant: one for each manoeuvre that is flown.
+        The nominal runs, all of one plant: one for each manoeuvre that is simulated.
     faults
         What may fail in them.
 
@@ -215,7 +215,7 @@ def unknown_parameter(path: str, known: Iterable[str]) -> str:
 
 
 def nominal(parameter: Parameter, scenario: Scenario, faults: Sequence[Fault]) -> float | None:
-    """Return the number as it stands; None where there is none, because the run or the plant does not have it."""
+    """Return the nominal value; None where the run or the plant does not have the parameter."""
     if parameter.factor and parameter.group not in ("manoeuvre", "vibration"):
         return 1.0
     platform, k, key = scenario.platform, parameter.index, parameter.key
@@ -237,12 +237,12 @@ def nominal(parameter: Parameter, scenario: Scenario, faults: Sequence[Fault]) -
             return found if math.isfinite(found) else None
         case _:
             number = getattr(getattr(platform, parameter.group)[k], key)
-            # Of two directions the larger stands for both.
+            # The larger of two directions.
             return None if number is None else float(np.max(number))
 
 
 def in_manoeuvre(key: str, scenario: Scenario) -> float | None:
-    """Return a number of the manoeuvre itself as it stands; None where the run does not have it."""
+    """Return a nominal value of the manoeuvre itself; None where the run does not have it."""
     match key:
         case "torque":
             return float(scenario.torque[np.argmax(np.abs(scenario.torque))]) if scenario.torque.any() else None
@@ -268,9 +268,9 @@ def varied_scenario(
     Parameters
     ----------
     scenario
-        The run as it stands.
+        The nominal run.
     drawn
-        Parameter, number, and whether the number is a factor of what stands there. What the run does not have is passed
+        Parameter, number, and whether the number is a factor of the nominal value. What the run does not have is passed
         over: the rate of a half-cosine where there is none, a fault that does not happen.
     faults, seed, run
         What happens in it, and what its noise is drawn from, where these differ from `scenario`.
@@ -385,7 +385,7 @@ def _varied_rotor(rotor: Rotor, changes: dict[str, tuple[float, bool]]) -> Rotor
 
 
 def drawn_value(part: Any, key: str, number: float, relative: bool) -> Any:
-    """Return what stands under `key` once a number is drawn."""
+    """Return the value of `key` once a number is drawn."""
     old = getattr(part, key)
     if isinstance(old, tuple):
         return tuple(x * number for x in old) if relative else (number,) * len(old)

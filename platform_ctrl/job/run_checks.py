@@ -15,7 +15,7 @@ from platform_ctrl.plant.platform import OMEGA_NAMES, Platform
 
 Data = dict[str, Any]
 
-# The keys that make a motion of each mode: all of them or none; and the table that adds to it or stands for it.
+# The keys that make a motion of each mode: all of them or none; and the table that adds to it or replaces it.
 MOTION = {"caged": ("rate", "rise", "hold"), "stabilised": ("torque",)}
 MOTION_TABLE = {"caged": "Omega_table", "stabilised": "torque_table"}
 # Samples of a run, all of which are recorded, and integration steps: hours of work.
@@ -123,7 +123,7 @@ def _names_of_faults(table: Data, path: Path, known: Collection[str]) -> Iterato
         if name not in known:
             yield Mistake((*path, "faults"), f"{wrong} is no [[fault]] of the job; {suggestion(name, known)}")
         else:
-            yield Mistake((*path, "faults"), f"{wrong} stands there twice; expected it once")
+            yield Mistake((*path, "faults"), f"{wrong} is listed twice; expected it once")
         return
 
 

@@ -1,4 +1,4 @@
-"""One run of the non-linear plant as values: what is flown, what moves the platform, what fails and when. SI units."""
+"""One run of the non-linear plant as values: start, what moves the platform, what fails and when. SI units."""
 
 from __future__ import annotations
 

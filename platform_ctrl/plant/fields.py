@@ -72,6 +72,14 @@ def finite(item: object) -> float:
     return out
 
 
+def finite_number(item: object) -> float | None:
+    """Return `item` as a finite float; None where it is not one."""
+    try:
+        return finite(item)
+    except Unfit:
+        return None
+
+
 def _number(fits: Callable[[float], bool]) -> Callable[[object], float]:
     def judge(item: object) -> float:
         out = number(item)

@@ -52,7 +52,7 @@ class Friction:
         Rate at which the dry friction has reached tanh(1) = 76 % of its full size, rad/s: smooth instead of a jump,
         so that equations and integrators stay well-defined.
     breakaway
-        Dry friction at the begin of sliding, N m, the same way; not less than `coulomb`, which stands in where it would
+        Dry friction at the start of sliding, N m, the same way; not less than `coulomb`, which stands in where it would
         be.
     stribeck_rate
         Rate at which 1/e of the difference is left, rad/s. Infinite: there is no Stribeck curve, and `breakaway` is

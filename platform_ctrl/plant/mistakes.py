@@ -22,7 +22,7 @@ LISTED = 20
 class Mistake:
     """What is wrong (`text`), and where in the nested tables (`path`: keys, and indices of arrays).
 
-    A text that takes long to find may be a function: of many mistakes one is told.
+    A text that takes long to find may be a function: of many mistakes one is reported.
     """
 
     path: Path
@@ -94,7 +94,7 @@ def text_of(table: dict[str, Any], key: str) -> str | None:
 
 
 def unique_names(data: dict[str, Any], path: Path, key: str) -> Iterator[Mistake]:
-    """Walk the tables `key` of `data`, which stands at `path`, whose name another one bears."""
+    """Walk the tables `key` of `data`, which is at `path`, whose name another one has."""
     taken: dict[str, int] = {}
     for k, table in tables(data, key):
         name = text_of(table, "name")
@@ -120,7 +120,7 @@ def report(label: str, data: dict[str, Any], mistakes: Iterable[Mistake]) -> Inp
 
 
 def _position(data: Any, path: Path, places: dict[int, dict[str, int]]) -> tuple[int, ...]:
-    """Return where `path` stands in the file; a key that is missing stands at the head of its table.
+    """Return the position of `path` in the file; that of a missing key is the head of its table.
 
     `places` keeps where the keys of each table stand, for the next mistake.
     """

@@ -94,7 +94,7 @@ class Rotor:
     speed_gain, speed_integral
         Speed loop of a servo rotor, N m s and N m: torque = −speed_gain (φ̇ − spin) − speed_integral ∫(φ̇ − spin) dt.
     torque_limit
-        Largest motor torque, N m, or None; the integral stands still while the torque is at its limit.
+        Largest motor torque, N m, or None; the integral does not change while the torque is at its limit.
 
     References
     ----------

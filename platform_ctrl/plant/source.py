@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import stat
@@ -113,6 +114,29 @@ def read_text(path: Path, expected: str, most: int = MOST_OF_ANY) -> str:
     except InputError:
         raise
     except ValueError as error:  # a path that no file can have
+        raise InputError(f"{label}: cannot be read: {one_line(str(error))}") from None
+
+
+def read_json(path: str | os.PathLike[str], expected: str) -> tuple[str, object]:
+    """Return a file's name for messages, and what it holds.
+
+    Parameters
+    ----------
+    path
+        The file.
+    expected
+        What it should be, for messages.
+    """
+    file = Path(path)
+    label, text = one_line(str(file)), read_text(file, expected)
+    try:
+        return label, json.loads(text)
+    except json.JSONDecodeError as error:
+        where = f"(line {error.lineno}, column {error.colno})"
+        raise InputError(f"{label}: is not JSON: {error.msg} {where}; expected {expected}") from None
+    except RecursionError:
+        raise InputError(f"{label}: is not JSON that can be read: nested too deeply") from None
+    except ValueError as error:  # more digits than Python reads
         raise InputError(f"{label}: cannot be read: {one_line(str(error))}") from None
 
 

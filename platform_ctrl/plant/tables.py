@@ -1,6 +1,6 @@
 """Tables of an input file, read as the records that they become.
 
-A record says itself how it is read: each field that stands in the file is annotated with what is expected of it
+A record says itself how it is read: each field that is a key of the file is annotated with what is expected of it
 (`fields.Positive`, ...) or with one of the marks below. A field without a mark is no key of the file.
 """
 
@@ -32,7 +32,7 @@ class Array:
 
 @dataclass(frozen=True, eq=False)
 class At:
-    """Mark of a field that stands under `key` of another table: ``[table]``."""
+    """Mark of a field that is read from `key` of another table: ``[table]``."""
 
     table: str
     key: str
@@ -49,7 +49,7 @@ class Instead:
 
 @dataclass(frozen=True, eq=False)
 class Collected:
-    """Mark of a field that is a dictionary of what stands under `keys`, or under any key that has no other meaning."""
+    """Mark of a field that is a dictionary of the values of `keys`, or of any key that has no other meaning."""
 
     keys: Mapping[str, Expected] = field(default_factory=dict)
     others: Expected | None = None
@@ -57,7 +57,7 @@ class Collected:
 
 @dataclass(frozen=True, eq=False)
 class Key:
-    """What stands under a key, and where it goes: to a field, or in a dictionary that the field is."""
+    """What a key holds, and where it goes: to a field, or into a dictionary that the field is."""
 
     holds: Expected | Shape
     field: str
@@ -69,7 +69,7 @@ class Key:
 
 @dataclass(frozen=True, eq=False)
 class Shape:
-    """Which keys a table has, and what it becomes: of `make` None, fields of the table that it stands in.
+    """Which keys a table has, and what it becomes: with no `make`, fields of the table around it.
 
     Of each pair of `alternatives` one may be given and, where it is needed (True), has to be.
     """
@@ -157,7 +157,7 @@ class _Table:
 
 @dataclass(frozen=True, eq=False)
 class _Other:
-    """What stands in the place of a field's own value."""
+    """The value of another key, of which the field is made."""
 
     instead: Instead
     item: Any

@@ -19,9 +19,10 @@ from platform_ctrl.design.loop import LoopDesign, remeasured
 from platform_ctrl.design.plants import plants_of
 from platform_ctrl.errors import InputError
 from platform_ctrl.job.job import Job, LoopSpec
-from platform_ctrl.plant.json_file import finite, read_json
+from platform_ctrl.plant.fields import finite_number
 from platform_ctrl.plant.mistakes import given, one_line, suggestion
 from platform_ctrl.plant.platform import is_rate
+from platform_ctrl.plant.source import read_json
 from platform_ctrl.verification.records import SCHEMA
 
 if TYPE_CHECKING:
@@ -163,7 +164,7 @@ class _Entry:
 
     def _number(self, key: str) -> float:
         item = self._item(key, "a number, s")
-        number = finite(item)
+        number = finite_number(item)
         if number is None:
             raise self._mistake(key, f"given {given(item)}; expected a finite number, s")
         return number
@@ -190,7 +191,7 @@ class _Entry:
                 wrong = f"row {i + 1} has {len(row)} element{'' if len(row) == 1 else 's'}"
                 raise self._mistake(key, f"{wrong}; expected {shape}")
             for j, entry in enumerate(row):
-                number = finite(entry)
+                number = finite_number(entry)
                 if number is None:
                     raise self._mistake(key, f"element ({i + 1}, {j + 1}) is {given(entry)}; expected a finite number")
                 out[i, j] = number

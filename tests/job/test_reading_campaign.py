@@ -125,7 +125,7 @@ MISTAKES: dict[str, tuple[Change, list[str]]] = {
         put(["powr"], "manoeuvre", 0, "faults"),
         [TURN, '"powr" is no [[fault]] of the job', 'did you mean "power"?'],
     ),
-    "fault twice": (put(["power", "power"], "manoeuvre", 0, "faults"), ['"power" stands there twice']),
+    "fault twice": (put(["power", "power"], "manoeuvre", 0, "faults"), ['"power" is listed twice']),
     "vibration of a rate that is not prescribed": (
         put("rate", "manoeuvre", 1, "vibration", 0, "kind"),
         [PUSH, 'kind = "rate": the rate of a stabilised platform', 'expected "force"'],
@@ -186,7 +186,7 @@ MISTAKES: dict[str, tuple[Change, list[str]]] = {
     ),
     "manoeuvre twice": (
         put("push", "campaign", "manoeuvre", 1, "name"),
-        ['name = "push": stands in [[campaign.manoeuvre]] 1 already'],
+        ['name = "push": is in [[campaign.manoeuvre]] 1 already'],
     ),
     "no weight": (put(0, "campaign", "manoeuvre", 0, "weight"), ["weight = 0", "> 0"]),
     "campaign fault unknown": (
@@ -196,7 +196,7 @@ MISTAKES: dict[str, tuple[Change, list[str]]] = {
     "probability 2": (put(2, "campaign", "fault", 0, "probability"), ["probability = 2", "from 0 to 1"]),
     "no manoeuvres at all": (
         both(drop("manoeuvre"), drop("campaign", "manoeuvre"), drop("campaign", "vary")),
-        ["[campaign]: the job has no manoeuvre that could be flown"],
+        ["[campaign]: the job has no manoeuvre to simulate"],
     ),
     "distribution unknown": (
         put("gaussian", "campaign", "vary", 0, "distribution"),

@@ -12,7 +12,7 @@ from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import InputError
 from platform_ctrl.job.requirements import Sense
-from platform_ctrl.plant.json_file import finite
+from platform_ctrl.plant.fields import finite_number
 from platform_ctrl.plant.mistakes import given, one_line, suggestion
 from platform_ctrl.verification import JobResult
 from platform_ctrl.verification.baselines.figures import Figure, figures_of
@@ -228,7 +228,7 @@ class Table:
 
     def number(self, key: str, expected: str) -> float:
         """Return a finite number."""
-        out = finite(self.item(key, expected))
+        out = finite_number(self.item(key, expected))
         if out is None:
             raise self.mistake(f"{key}: given {given(self.data[key])}; expected {expected}")
         return out
@@ -261,7 +261,7 @@ class Table:
         if not isinstance(item, list) or len(item) != rows:
             raise self.mistake(f"{key}: given {given(item)}; expected a matrix of {rows} x {columns} as a list of rows")
         for i, row in enumerate(item):
-            numbers = [finite(entry) for entry in row] if isinstance(row, list) else []
+            numbers = [finite_number(entry) for entry in row] if isinstance(row, list) else []
             if len(numbers) != columns or any(number is None for number in numbers):
                 raise self.mistake(f"{key}: row {i + 1} is {given(row)}; expected {columns} finite numbers")
             out[i] = np.array(numbers, dtype=np.float64)

@@ -15,8 +15,8 @@ from platform_ctrl.common.files import write_whole
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import value
 from platform_ctrl.job.requirements import Sense
-from platform_ctrl.plant.json_file import read_json
 from platform_ctrl.plant.mistakes import given
+from platform_ctrl.plant.source import read_json
 from platform_ctrl.verification import JobResult
 from platform_ctrl.verification.baselines.comparison import Comparison, Table, compare
 from platform_ctrl.verification.baselines.record import AcceptedFigure, Baseline, LoopMatrices, Tolerance, accepted
