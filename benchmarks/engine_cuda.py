@@ -26,7 +26,7 @@ from platform_ctrl import read_platform
 from platform_ctrl.errors import SimulationError
 from platform_ctrl.job.scenario import HalfCosine, Scenario
 from platform_ctrl.plant.platform import Platform
-from platform_ctrl.simulation.batch import flown, merged_controller
+from platform_ctrl.simulation.batch import batch_metrics, merged_controller
 from platform_ctrl.simulation.device import expect_device
 from platform_ctrl.simulation.run_plan import Batch, batch, prepared
 
@@ -91,13 +91,13 @@ def main() -> None:
     made = time.perf_counter() - start
     start = time.perf_counter()
     some = repeated(few, 64)
-    there = flown(some, device="cuda")
+    there = batch_metrics(some, device="cuda")
     first = time.perf_counter() - start
-    here = flown(some)
+    here = batch_metrics(some)
     deviation = float(np.abs(there - here).max() / np.abs(here).max())
     many = repeated(few, given.runs)
     start = time.perf_counter()
-    flown(many, device="cuda")
+    batch_metrics(many, device="cuda")
     took = time.perf_counter() - start
     steps = given.runs * round(given.seconds / STEP)
     whole = took * (1_000_000 * 2.0 / STEP) / steps

@@ -250,11 +250,11 @@ def design(
         if junit is not None:
             writable("--junit", junit, [job, *plant_file(job, read), *(out / name for name in extras.files)])
         from platform_ctrl.design import loops
-        from platform_ctrl.simulation.compilation import warm_up
+        from platform_ctrl.simulation.compilation import start_compilation
         from platform_ctrl.verification import checked
 
         if read.manoeuvres:
-            warm_up()
+            start_compilation()
         result = checked(read, loops(read, say), say)
         show = delivered(result, out, as_json, say, ["design", str(job), "-o", str(out)], extras=extras)
         if junit is not None:

@@ -18,7 +18,7 @@ from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError, SimulationError
 from platform_ctrl.job.scenario import Mode, Scenario
 from platform_ctrl.plant.platform import Platform, RateSensor
-from platform_ctrl.simulation.compilation import heeding_interrupts, wait_until_warm
+from platform_ctrl.simulation.compilation import run_interruptibly, wait_for_compilation
 from platform_ctrl.simulation.device import expect_device
 from platform_ctrl.simulation.run_plan import (
     Batch,
@@ -26,7 +26,7 @@ from platform_ctrl.simulation.run_plan import (
     Prepared,
     batch,
     controller_rows,
-    figure_slots,
+    metric_slots,
     prepared,
 )
 from platform_ctrl.simulation.scenarios import expect_several, steps
@@ -156,10 +156,10 @@ def simulate_batch(
             "scenarios: their plants differ in gimbals, torquers or sensors; expected one kind of plant"
         )
     n, nu = (members[0].skeleton.at.n, len(members[0].skeleton.targets)) if members else (0, 0)
-    rows = np.empty((len(members), figure_slots(n, nu)))
+    rows = np.empty((len(members), metric_slots(n, nu)))
     # All batches are put together, and with that checked, before the first one is computed.
-    for places, together in [(places, put_together(places)) for places in groups.values()]:
-        rows[places] = flown(together, threads, device)
+    for places, batched in [(places, put_together(places)) for places in groups.values()]:
+        rows[places] = batch_metrics(batched, threads, device)
     angle, attitude, share, saturated, contacts, samples = np.split(rows, np.cumsum([n, 3, nu, nu, n]), axis=1)
     return BatchResult(
         angle=angle,
@@ -174,7 +174,7 @@ def simulate_batch(
 
 
 def _kind(platform: Platform) -> tuple[object, ...]:
-    """What the columns of figures and the signals of controllers are."""
+    """What the columns of metrics and the signals of controllers are."""
     return (
         platform.gimbal_names,
         tuple((t.name, t.gimbal, t.root_axis) for t in platform.torquers),
@@ -197,47 +197,47 @@ def merged_controller(
     return controller_rows(K.A, K.B, K.C, K.D)
 
 
-def flown(together: Batch, threads: int = 1, device: str = "cpu") -> FloatArray:
-    """Return the figures (N, slots) of a batch."""
+def batch_metrics(batched: Batch, threads: int = 1, device: str = "cpu") -> FloatArray:
+    """Return the metrics (N, slots) of a batch."""
     if device == "cuda":
-        from platform_ctrl.simulation.device import flown_on_cuda
+        from platform_ctrl.simulation.device import batch_metrics_on_cuda
 
-        return flown_on_cuda(together)
+        return batch_metrics_on_cuda(batched)
     from platform_ctrl.common.simd import LANES, memory
-    from platform_ctrl.simulation.kernel.loop import fly_groups
+    from platform_ctrl.simulation.kernel.loop import simulate_groups
 
-    wait_until_warm()
+    wait_for_compilation()
 
-    runs = len(together.given)
+    runs = len(batched.given)
     groups = math.ceil(runs / LANES)
-    # The last group is filled up with scenarios that are flown again.
+    # The last group is filled up with scenarios that are repeated.
     padded = np.minimum(np.arange(groups * LANES), runs - 1)
 
     def by_group(rows: FloatArray) -> FloatArray:
         return np.ascontiguousarray(rows[padded].reshape(groups, LANES, -1).transpose(0, 2, 1))
 
-    plants, given = by_group(together.plants), by_group(together.given)
-    keys = together.keys[padded].reshape(groups, LANES, 2)
-    slots = together.flight.end - together.flight.figures
-    figures = np.empty((groups, slots, LANES))
+    plants, given = by_group(batched.plants), by_group(batched.given)
+    keys = batched.keys[padded].reshape(groups, LANES, 2)
+    slots = batched.layout.end - batched.layout.metrics
+    metrics = np.empty((groups, slots, LANES))
     share = math.ceil(groups / threads)
 
     def move(first: int) -> None:
         part = slice(first, first + share)
-        fly_groups(
-            together.packed.links,
-            together.shared,
+        simulate_groups(
+            batched.packed.links,
+            batched.shared,
             keys[part],
-            memory(together.flight.end),
+            memory(batched.layout.end),
             None,  # type: ignore[arg-type]
-            together.packed.at,
-            together.flight,
-            together.free,
+            batched.packed.at,
+            batched.layout,
+            batched.free,
             0,
-            together.flight.samples,
+            batched.layout.samples,
             plants[part],
             given[part],
-            figures[part],
+            metrics[part],
             np.zeros((0, 0)),
         )
 
@@ -245,48 +245,56 @@ def flown(together: Batch, threads: int = 1, device: str = "cpu") -> FloatArray:
         with ThreadPoolExecutor(max_workers=threads) as pool:
             list(pool.map(move, range(0, groups, share)))
 
-    heeding_interrupts(move_all)
-    return figures.transpose(0, 2, 1).reshape(groups * LANES, slots)[:runs]
+    run_interruptibly(move_all)
+    return metrics.transpose(0, 2, 1).reshape(groups * LANES, slots)[:runs]
 
 
-def columns_of_record(together: Batch) -> int:
+def columns_of_record(batched: Batch) -> int:
     """Return how many numbers are recorded of a sample."""
-    at, shared = together.packed.at, together.shared
+    at, shared = batched.packed.at, batched.shared
     return 3 * at.n + 7 + len(shared.sensors) + 2 * len(shared.targets) + 2 * at.servos
 
 
 def recorded(member: Prepared, controller: Controller, period: float, noise: bool) -> tuple[FloatArray, FloatArray]:
-    """Fly one scenario alone; return its record, a row a sample, and its figures (slots,)."""
+    """Simulate one scenario alone; return its record, a row a sample, and its metrics (slots,)."""
     from platform_ctrl.common.simd import LANES, memory
-    from platform_ctrl.simulation.kernel.loop import fly_groups
+    from platform_ctrl.simulation.kernel.loop import simulate_groups
 
-    wait_until_warm()
+    wait_for_compilation()
 
-    together = batch([member], controller, period, noise)
-    at, flight = together.packed.at, together.flight
-    columns = columns_of_record(together)
+    batched = batch([member], controller, period, noise)
+    at, layout = batched.packed.at, batched.layout
+    columns = columns_of_record(batched)
     try:
-        record = np.zeros((flight.samples, columns))
+        record = np.zeros((layout.samples, columns))
     except MemoryError:
-        takes = f"the record of {flight.samples} samples takes {flight.samples * columns * 8 / 1e9:.3g} GB"
+        takes = f"the record of {layout.samples} samples takes {layout.samples * columns * 8 / 1e9:.3g} GB"
         raise SimulationError(f"{takes}, more memory than there is; expected a shorter run") from None
-    figures = np.empty((1, flight.end - flight.figures, LANES))
-    heeding_interrupts(
-        lambda: fly_groups(
-            together.packed.links,
-            together.shared,
-            np.repeat(together.keys[None], LANES, axis=1),
-            memory(flight.end),
+    metrics = np.empty((1, layout.end - layout.metrics, LANES))
+    run_interruptibly(
+        lambda: simulate_groups(
+            batched.packed.links,
+            batched.shared,
+            np.repeat(batched.keys[None], LANES, axis=1),
+            memory(layout.end),
             None,  # type: ignore[arg-type]
             at,
-            flight,
-            together.free,
+            layout,
+            batched.free,
             0,
-            flight.samples,
-            np.repeat(together.plants[:, :, None], LANES, axis=2),
-            np.repeat(together.given[:, :, None], LANES, axis=2),
-            figures,
+            layout.samples,
+            np.repeat(batched.plants[:, :, None], LANES, axis=2),
+            np.repeat(batched.given[:, :, None], LANES, axis=2),
+            metrics,
             record,
         )
     )
-    return record, figures[0, :, 0]
+    return record, metrics[0, :, 0]
+
+
+def compile_kernel() -> None:
+    """Simulate one scenario for an instant, for which the kernel is compiled or taken from its cache."""
+    from platform_ctrl.plant.reading import read_platform
+
+    platform = read_platform("gimballed_gyro")
+    simulate_batch([Scenario(platform=platform, mode="caged", duration=0.0, delay=0.0)], [], period=1e-3)

@@ -154,15 +154,15 @@ def simulate(
     expect_several("controllers", controllers)
     member = prepared(scenario, period, step)
     controller = merged_controller(scenario.platform, controllers, period, scenario.mode)
-    record, figures = recorded(member, controller, period, noise)
-    done = int(np.rint(figures[-1]))
+    record, metrics = recorded(member, controller, period, noise)
+    done = int(np.rint(metrics[-1]))
     ended = "completed" if done == len(record) else f"diverged at t = {done * period:.6g} s"
-    return trajectory_of(record[:done], figures, scenario, first=0, period=period, step=step, ended=ended)
+    return trajectory_of(record[:done], metrics, scenario, first=0, period=period, step=step, ended=ended)
 
 
 def trajectory_of(
     record: FloatArray,
-    figures: FloatArray,
+    metrics: FloatArray,
     scenario: Scenario,
     *,
     first: int,
@@ -173,7 +173,7 @@ def trajectory_of(
     """Return what the kernel recorded of the samples from `first` on as a trajectory."""
     platform = scenario.platform
     n, servos = len(platform.gimbals), servo_rotors(platform)
-    counts = np.rint(figures[n + 3 + len(platform.torquers) :]).astype(np.int64)
+    counts = np.rint(metrics[n + 3 + len(platform.torquers) :]).astype(np.int64)
     widths = (n, n, 3, n, 4, len(platform.sensors), len(platform.torquers), len(platform.torquers), len(servos))
     angle, rate, Omega, momentum, attitude, reading, command, torque, spin, motor = np.split(
         record, np.cumsum(widths), axis=1

@@ -11,14 +11,14 @@ from pathlib import Path
 _compiling: list[subprocess.Popen[bytes]] = []
 
 
-def warm_up() -> None:
+def start_compilation() -> None:
     """Begin to compile the kernel, unless it has been or is being compiled.
 
     The other process keeps what it has compiled where this one will look for it. If it fails, nothing is lost but time.
     """
     if _compiling or is_compiled():
         return
-    command = [sys.executable, "-c", f"from {__name__} import compile_kernel; compile_kernel()"]
+    command = [sys.executable, "-c", "from platform_ctrl.simulation.batch import compile_kernel; compile_kernel()"]
     quiet = subprocess.DEVNULL
     try:
         _compiling.append(subprocess.Popen(command, stdin=quiet, stdout=quiet, stderr=quiet))
@@ -27,27 +27,21 @@ def warm_up() -> None:
 
 
 def is_compiled() -> bool:
-    """Return whether the kernel has been compiled in this installation."""
-    return any((Path(__file__).parent / "kernel" / "__pycache__").glob("loop.fly_groups*.nbi"))
+    """Return whether the kernel has been compiled in this installation.
+
+    By the name that numba gives its index files, which is not documented: loading numba to ask would take longer than
+    what this is for. A test fails when the name changes.
+    """
+    return any((Path(__file__).parent / "kernel" / "__pycache__").glob("loop.simulate_groups*.nbi"))
 
 
-def wait_until_warm() -> None:
+def wait_for_compilation() -> None:
     """Wait until the other process has compiled the kernel, if there is one."""
     while _compiling:
         _compiling.pop().wait()
 
 
-def compile_kernel() -> None:
-    """Fly one scenario for an instant, for which the kernel is compiled or taken from its cache."""
-    from platform_ctrl.job.scenario import Scenario
-    from platform_ctrl.plant.reading import read_platform
-    from platform_ctrl.simulation.batch import simulate_batch
-
-    platform = read_platform("gimballed_gyro")
-    simulate_batch([Scenario(platform=platform, mode="caged", duration=0.0, delay=0.0)], [], period=1e-3)
-
-
-def heeding_interrupts(work: Callable[[], object]) -> None:
+def run_interruptibly(work: Callable[[], object]) -> None:
     """Do `work` beside the main thread, which waits for it and heeds signals; what it raises is raised here.
 
     After an interrupt nobody waits any more. Compiled code cannot be ended from outside: its thread goes on until it is

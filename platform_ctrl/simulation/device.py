@@ -46,7 +46,7 @@ def _cuda() -> Any:
     """Return numba.cuda with a GPU behind it, or its simulator."""
     if not _simulated() and find_spec("numba_cuda") is None:
         raise SimulationError("device 'cuda': numba-cuda is not installed: pip install 'platform_ctrl[cuda]'")
-    with _told():
+    with _translated_errors():
         cuda = import_module("numba.cuda")
         if not cuda.is_available():
             raise SimulationError(
@@ -61,7 +61,7 @@ def _simulated() -> bool:
 
 
 @contextmanager
-def _told() -> Iterator[None]:
+def _translated_errors() -> Iterator[None]:
     """What numba-cuda, the driver or the linker object to becomes an error of ours, in one line."""
     try:
         with warnings.catch_warnings():
@@ -88,7 +88,7 @@ def roll_out(plant: Packed, states: FloatArray, force: FloatArray, step: float, 
     """
     cuda = _cuda()
     along = np.empty((len(states), len(marks), plant.at.size))
-    with _told():
+    with _translated_errors():
         from platform_ctrl.simulation.kernel.cuda import THREADS, advance_kernel
 
         kernel = advance_kernel(plant.links, plant.at)
@@ -107,33 +107,33 @@ def roll_out(plant: Packed, states: FloatArray, force: FloatArray, step: float, 
     return along
 
 
-def flown_on_cuda(together: Batch) -> FloatArray:
-    """Return the figures (N, slots) of a batch, computed on the GPU."""
+def batch_metrics_on_cuda(batched: Batch) -> FloatArray:
+    """Return the metrics (N, slots) of a batch, computed on the GPU."""
     cuda = _cuda()
-    flight = together.flight
-    figures = np.empty((len(together.given), flight.end - flight.figures))
-    with _told():
-        from platform_ctrl.simulation.kernel.cuda import THREADS, flight_kernel
+    layout = batched.layout
+    metrics = np.empty((len(batched.given), layout.end - layout.metrics))
+    with _translated_errors():
+        from platform_ctrl.simulation.kernel.cuda import THREADS, simulation_kernel
 
-        kernel = flight_kernel(together.packed.links, together.packed.at, flight, together.free)
-        shared = _there(cuda, together.shared)
+        kernel = simulation_kernel(batched.packed.links, batched.packed.at, layout, batched.free)
+        shared = _on_device(cuda, batched.shared)
         record = cuda.to_device(np.zeros((0, 0)))
-        for first in range(0, len(figures), _RUNS):
+        for first in range(0, len(metrics), _RUNS):
             part = slice(first, first + _RUNS)
             keys, plants, given = (
                 cuda.to_device(np.ascontiguousarray(rows[part]))
-                for rows in (together.keys, together.plants, together.given)
+                for rows in (batched.keys, batched.plants, batched.given)
             )
-            out = cuda.device_array(figures[part].shape)
-            kernel[math.ceil(out.shape[0] / THREADS), THREADS](shared, flight, keys, plants, given, record, out)
-            figures[part] = out.copy_to_host()
-    return figures
+            out = cuda.device_array(metrics[part].shape)
+            kernel[math.ceil(out.shape[0] / THREADS), THREADS](shared, layout, keys, plants, given, record, out)
+            metrics[part] = out.copy_to_host()
+    return metrics
 
 
 _Named = TypeVar("_Named", bound=tuple[Any, ...])
 
 
-def _there(cuda: Any, named: _Named) -> _Named:
+def _on_device(cuda: Any, named: _Named) -> _Named:
     """A named tuple with its arrays on the GPU; in the simulator as it is, for that looks for arrays outside tuples."""
     if _simulated():
         return named

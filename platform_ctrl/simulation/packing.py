@@ -16,8 +16,7 @@ from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.mechanics.kinematics import topology
 from platform_ctrl.plant.platform import PickOff, Platform
-from platform_ctrl.simulation.kernel import arrays as layout
-from platform_ctrl.simulation.kernel import arrays as sampled
+from platform_ctrl.simulation.kernel import arrays
 from platform_ctrl.simulation.kernel.arrays import At, Links
 
 _SIX = ([0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2])
@@ -40,7 +39,7 @@ class Skeleton:
     unbalances, springs, frictions, cages
         Bodies, and gimbals, that they belong to.
     sensors : (ny, 2), targets : (nu,)
-        As in `kernel.flight.Shared`.
+        As in `kernel.layout.Shared`.
     stops
         Whether any gimbal has stops.
     """
@@ -132,11 +131,11 @@ def _skeleton(parts: _Parts) -> Skeleton:
                 f"platform {platform.name!r}: gimbal {twice[0]!r} has more than one {kind}; expected one"
             )
     sensors = tuple(
-        (sampled.ANGLE, gimbal(s.gimbal))
+        (arrays.ANGLE, gimbal(s.gimbal))
         if isinstance(s, PickOff)
-        else (sampled.ROOT_RATE, s.root_axis - 1)
+        else (arrays.ROOT_RATE, s.root_axis - 1)
         if s.root_axis is not None
-        else (sampled.GIMBAL_RATE, gimbal(str(s.gimbal)))
+        else (arrays.GIMBAL_RATE, gimbal(str(s.gimbal)))
         for s in platform.sensors
     )
     controls = tuple(r.control for r in platform.rotors)
@@ -205,11 +204,11 @@ def _links(
 def _at(platform: Platform, n: int, servos: int) -> At:
     size = 2 * n + 7 + 2 * servos
     body = 0
-    joint = body + (1 + n) * layout.BODY
-    servo = joint + n * layout.JOINT
-    erection = servo + servos * layout.SERVO
-    work = erection + len(platform.erections) * layout.ERECTION
-    stages = work + (1 + n) * layout.WORK
+    joint = body + (1 + n) * arrays.BODY
+    servo = joint + n * arrays.JOINT
+    erection = servo + servos * arrays.SERVO
+    work = erection + len(platform.erections) * arrays.ERECTION
+    stages = work + (1 + n) * arrays.WORK
     state = stages + 3 * size
     surroundings = state + size
     return At(
@@ -231,8 +230,8 @@ def _at(platform: Platform, n: int, servos: int) -> At:
         stages=stages,
         state=state,
         surroundings=surroundings,
-        block=layout.slots_of_block(n),
-        end=surroundings + 3 * layout.slots_of_block(n),
+        block=arrays.slots_of_block(n),
+        end=surroundings + 3 * arrays.slots_of_block(n),
     )
 
 
@@ -258,20 +257,20 @@ def numbers(shape: Skeleton, platforms: Sequence[Platform]) -> tuple[FloatArray,
             momentum[:, b] += L[:, None] * axis
     around[:, n + 9 : 4 * n + 12] = np.einsum("bij,nbj->nbi", frames, momentum).reshape(N, -1)
 
-    bodies = constants[:, at.body : at.joint].reshape(N, 1 + n, layout.BODY)
+    bodies = constants[:, at.body : at.joint].reshape(N, 1 + n, arrays.BODY)
     bodies[:, :, :6] = (frames @ carriers @ frames.transpose(0, 2, 1))[:, :, *_SIX]
     for k, b in enumerate(shape.unbalances):
         moments = np.array([p.unbalances[k].moment for p in platforms])
-        bodies[:, b, layout.UNBALANCE : layout.UNBALANCE + 3] += (frames[b] @ moments[:, :, None])[:, :, 0]
-    _pack_joints(shape, platforms, constants[:, at.joint : at.servo].reshape(N, n, layout.JOINT))
-    servos = constants[:, at.servo : at.erection].reshape(N, -1, layout.SERVO)
+        bodies[:, b, arrays.UNBALANCE : arrays.UNBALANCE + 3] += (frames[b] @ moments[:, :, None])[:, :, 0]
+    _pack_joints(shape, platforms, constants[:, at.joint : at.servo].reshape(N, n, arrays.JOINT))
+    servos = constants[:, at.servo : at.erection].reshape(N, -1, arrays.SERVO)
     for j, k in enumerate(shape.servos):
         servos[:, j, :3] = frames[shape.carriers[k]] @ shape.spin_axes[k]
         servos[:, j, 3:] = [
             (r.axial_inertia, r.spin, r.speed_gain, r.speed_integral, _or_infinite(r.torque_limit))
             for r in (p.rotors[k] for p in platforms)
         ]
-    erections = constants[:, at.erection : at.work].reshape(N, -1, layout.ERECTION)
+    erections = constants[:, at.erection : at.work].reshape(N, -1, arrays.ERECTION)
     for j, device in enumerate(platforms[0].erections):
         erections[:, j, :3] = frames[shape.links.erection[j, 1]] @ device.axis
         erections[:, j, 3:] = [(one.gain, _or_infinite(one.limit)) for one in (p.erections[j] for p in platforms)]
@@ -290,18 +289,18 @@ def inertias(shape: Skeleton, platforms: Sequence[Platform]) -> FloatArray:
 
 
 def _pack_joints(shape: Skeleton, platforms: Sequence[Platform], rows: FloatArray) -> None:
-    rows[:, :, layout.CAGE + 2] = math.inf
+    rows[:, :, arrays.CAGE + 2] = math.inf
     for j, k in enumerate(shape.springs):
         springs = [p.springs[j] for p in platforms]
         rows[:, k, :2] += [(spring.stiffness, spring.stiffness * spring.rest) for spring in springs]
     for j, k in enumerate(shape.frictions):
-        rows[:, k, layout.VISCOUS : layout.CAGE] = [
+        rows[:, k, arrays.VISCOUS : arrays.CAGE] = [
             (f.viscous, *f.coulomb, *f.breakaway, 1.0 / f.coulomb_rate, 1.0 / f.stribeck_rate)
             for f in (p.frictions[j] for p in platforms)
         ]
     for j, k in enumerate(shape.cages):
         cages = [p.cages[j] for p in platforms]
-        rows[:, k, layout.CAGE :] = [(cage.stiffness, cage.damping, cage.clearance, cage.angle) for cage in cages]
+        rows[:, k, arrays.CAGE :] = [(cage.stiffness, cage.damping, cage.clearance, cage.angle) for cage in cages]
 
 
 def _or_infinite(limit: float | None) -> float:

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.job.faults import FAULT_KINDS, Fault
 from platform_ctrl.job.scenario import Scenario
-from platform_ctrl.simulation.kernel import arrays as layout
-from platform_ctrl.simulation.kernel.arrays import Flight, Shared
+from platform_ctrl.simulation.kernel import arrays
+from platform_ctrl.simulation.kernel.arrays import Layout, Shared
 from platform_ctrl.simulation.packing import Packed, Skeleton, numbers, skeleton
 from platform_ctrl.simulation.scenarios import (
     FaultKey,
@@ -35,7 +35,7 @@ from platform_ctrl.simulation.servo_rotors import check_step, initial_spins
 from platform_ctrl.simulation.step_limit import check_elements
 
 # Which random numbers an action draws: the upper digits of its channel.
-_STREAM = {layout.PICKOFF_DROPOUT: 3, layout.OVERRUN: 4}
+_STREAM = {arrays.PICKOFF_DROPOUT: 3, arrays.OVERRUN: 4}
 
 
 class Controller(NamedTuple):
@@ -57,7 +57,7 @@ class Timing(NamedTuple):
 
 
 class Prepared(NamedTuple):
-    """A scenario that was judged, and `key`: only scenarios of equal keys fly side by side."""
+    """A scenario that was judged, and `key`: only scenarios of equal keys are computed side by side."""
 
     scenario: Scenario
     skeleton: Skeleton
@@ -99,7 +99,7 @@ def prepared(scenario: Scenario, period: float, longest: float) -> Prepared:
         unit_quaternions(scenario.attitude, (4,))
     faults: dict[FaultKey, Fault] = {}
     for fault in scenario.faults:
-        action, part = layout.ACTIONS[FAULT_KINDS[fault.kind].action], fault.part or ""
+        action, part = arrays.ACTIONS[FAULT_KINDS[fault.kind].action], fault.part or ""
         again = sum(key[:2] == (action, part) for key in faults)
         faults[action, part, again] = fault
     table = scenario.torque_table if free else scenario.Omega_table
@@ -119,7 +119,7 @@ class Batch(NamedTuple):
 
     packed: Packed
     shared: Shared
-    flight: Flight
+    layout: Layout
     free: bool
     plants: FloatArray
     given: FloatArray
@@ -142,27 +142,27 @@ def batch(members: Sequence[Prepared], controller: Controller, period: float, no
     order = sorted({key for member in members for key in member.faults})
     shared, rotors = _shared(one, order, members, controller, period, free)
     packed = Packed(shape.links, shape.at._replace(course=len(rotors) > 0), constants[0], around[0])
-    flight = _flight(packed, shared, one, controller)
-    given = np.zeros((len(members), flight.given - shape.at.end))
+    layout = _layout(packed, shared, one, controller)
+    given = np.zeros((len(members), layout.given - shape.at.end))
 
     def part(slot: int, count: int, size: int) -> FloatArray:
         begin = slot - shape.at.end
         return given[:, begin : begin + count * size].reshape(len(given), count, size)
 
-    part(flight.start, 1, shape.at.size)[:, 0] = states(scenarios, packed)
-    steady = part(flight.steady, 1, shape.at.block)[:, 0]
+    part(layout.start, 1, shape.at.size)[:, 0] = states(scenarios, packed)
+    steady = part(layout.steady, 1, shape.at.block)[:, 0]
     steady[:] = around[plants.which]
     steady[:, :3] = [scenario.torque for scenario in scenarios]
-    part(flight.rate, 1, layout.PROFILE)[:, 0] = [rate(scenario) for scenario in scenarios]
-    part(flight.segments, 1, 2)[:, 0] = lengths
-    put_sensors(plants, part(flight.sensor, len(shared.sensors), layout.SENSOR), period, noise)
-    put_torquers(plants, part(flight.torquer, len(shared.targets), layout.TORQUER), 0.5 * lengths)
-    put_stops(plants, part(flight.stop, shape.at.n, layout.STOP))
-    put_faults([member.faults for member in members], order, part(flight.fault, len(order), layout.FAULT))
-    put_rotors(shape, plants, rotors, part(flight.rotor, len(rotors), layout.ROTOR))
-    put_lines(scenarios, part(flight.line, len(shared.lines), layout.LINE), 0.5 * lengths)
+    part(layout.rate, 1, arrays.PROFILE)[:, 0] = [rate(scenario) for scenario in scenarios]
+    part(layout.segments, 1, 2)[:, 0] = lengths
+    put_sensors(plants, part(layout.sensor, len(shared.sensors), arrays.SENSOR), period, noise)
+    put_torquers(plants, part(layout.torquer, len(shared.targets), arrays.TORQUER), 0.5 * lengths)
+    put_stops(plants, part(layout.stop, shape.at.n, arrays.STOP))
+    put_faults([member.faults for member in members], order, part(layout.fault, len(order), arrays.FAULT))
+    put_rotors(shape, plants, rotors, part(layout.rotor, len(rotors), arrays.ROTOR))
+    put_lines(scenarios, part(layout.line, len(shared.lines), arrays.LINE), 0.5 * lengths)
     keys = np.array([(scenario.seed & (2**64 - 1), scenario.run) for scenario in scenarios], dtype=np.uint64)
-    return Batch(packed, shared, flight, free, constants[plants.which], given, keys.reshape(-1, 2))
+    return Batch(packed, shared, layout, free, constants[plants.which], given, keys.reshape(-1, 2))
 
 
 def _shared(
@@ -174,7 +174,7 @@ def _shared(
     free: bool,
 ) -> tuple[Shared, list[int]]:
     platform, scenario, shape = one.scenario.platform, one.scenario, one.skeleton
-    rotors = list(dict.fromkeys(key[1] for key in order if key[0] <= layout.RIPPLE))
+    rotors = list(dict.fromkeys(key[1] for key in order if key[0] <= arrays.RIPPLE))
     names = [r.name for r in platform.rotors]
     places = [names.index(name) for name in rotors]
     rows = [(shape.carriers[k], shape.servos.index(k) if k in shape.servos else -1) for k in places]
@@ -182,7 +182,7 @@ def _shared(
     for key in order:
         action, part, again = key
         fault = next(member.faults[key] for member in members if key in member.faults)
-        place = rotors.index(part) if action <= layout.RIPPLE else part_of(platform, fault)
+        place = rotors.index(part) if action <= arrays.RIPPLE else part_of(platform, fault)
         faults.append((action, place, 64 * place + 8 * _STREAM.get(action, 0) + again))
     lines = [(v.axis - 1 if v.kind == "rate" else v.axis + 2) for v in scenario.vibrations for _ in range(v.lines)]
     table = scenario.torque_table if free else scenario.Omega_table
@@ -208,7 +208,7 @@ def _shared(
     return shared, places
 
 
-def _flight(packed: Packed, shared: Shared, one: Prepared, controller: Controller) -> Flight:
+def _layout(packed: Packed, shared: Shared, one: Prepared, controller: Controller) -> Layout:
     at = packed.at
     n, nu, ny = at.n, len(shared.targets), len(shared.sensors)
     place = at.end
@@ -218,7 +218,7 @@ def _flight(packed: Packed, shared: Shared, one: Prepared, controller: Controlle
         place += count
         return place - count
 
-    return Flight(
+    return Layout(
         samples=one.timing.samples,
         whole=one.timing.whole,
         before=one.timing.substeps[0],
@@ -228,14 +228,14 @@ def _flight(packed: Packed, shared: Shared, one: Prepared, controller: Controlle
         profile=one.scenario.profile is not None,
         start=take(at.size),
         steady=take(at.block),
-        rate=take(layout.PROFILE),
+        rate=take(arrays.PROFILE),
         segments=take(2),
-        sensor=take(ny * layout.SENSOR),
-        torquer=take(nu * layout.TORQUER),
-        stop=take(n * layout.STOP),
-        fault=take(len(shared.faults) * layout.FAULT),
-        rotor=take(len(shared.rotors) * layout.ROTOR),
-        line=take(len(shared.lines) * layout.LINE),
+        sensor=take(ny * arrays.SENSOR),
+        torquer=take(nu * arrays.TORQUER),
+        stop=take(n * arrays.STOP),
+        fault=take(len(shared.faults) * arrays.FAULT),
+        rotor=take(len(shared.rotors) * arrays.ROTOR),
+        line=take(len(shared.lines) * arrays.LINE),
         given=place,
         controller=take(2 * controller.states),
         command=take(nu),
@@ -247,11 +247,11 @@ def _flight(packed: Packed, shared: Shared, one: Prepared, controller: Controlle
         random=take(4),
         spare_state=take(2 * at.size),
         spare_block=take(at.block),
-        figures=take(figure_slots(n, nu)),
+        metrics=take(metric_slots(n, nu)),
         end=place,
     )
 
 
-def figure_slots(n: int, nu: int) -> int:
-    """Return how many figures come out: |q|, |rotation vector|, shares and saturated samples, contacts, samples."""
+def metric_slots(n: int, nu: int) -> int:
+    """Return how many metrics come out: |q|, |rotation vector|, shares and saturated samples, contacts, samples."""
     return n + 3 + 2 * nu + n + 1

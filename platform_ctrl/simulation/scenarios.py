@@ -1,4 +1,4 @@
-"""What a scenario has to be before it is flown: the kernel trusts every number that it is given."""
+"""What a scenario has to be before it is simulated: the kernel trusts every number that it is given."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.faults import FAULT_KINDS, Fault, part_names
 from platform_ctrl.job.scenario import Scenario
 from platform_ctrl.plant.platform import Platform
-from platform_ctrl.simulation.kernel import arrays as layout
+from platform_ctrl.simulation.kernel import arrays
 from platform_ctrl.simulation.packing import Packed, Skeleton
 from platform_ctrl.simulation.servo_rotors import servo_rotors, with_rotor_states
 
@@ -123,14 +123,14 @@ FaultKey = tuple[int, str, int]
 
 
 class Plants(NamedTuple):
-    """The plants of N scenarios, each once, and `which` of them each scenario flies on, (N,)."""
+    """The plants of N scenarios, each once, and `which` of them each scenario simulates on, (N,)."""
 
     made: list[Platform]
     which: NDArray[np.intp]
 
 
 def plants_of(scenarios: Sequence[Scenario]) -> Plants:
-    """Return the plants that scenarios fly on; of many that fly on the same one it is packed once."""
+    """Return the plants that scenarios simulate on; of many that simulate on the same one it is packed once."""
     places: dict[int, int] = {}
     made: list[Platform] = []
     which = np.empty(len(scenarios), dtype=np.intp)
@@ -155,12 +155,12 @@ def states(scenarios: Sequence[Scenario], packed: Packed) -> FloatArray:
 
 def rate(scenario: Scenario) -> list[float]:
     """The half-cosine's rate vector, its rise and hold; the scale of the time table."""
-    row = [0.0] * layout.PROFILE
+    row = [0.0] * arrays.PROFILE
     if scenario.profile is not None:
         row[scenario.profile.axis - 1] = scenario.profile.rate
-        row[layout.RISE], row[layout.HOLD] = scenario.profile.rise, scenario.profile.hold
+        row[arrays.RISE], row[arrays.HOLD] = scenario.profile.rise, scenario.profile.hold
     table = scenario.torque_table if scenario.mode == "stabilised" else scenario.Omega_table
-    row[layout.SCALE] = 1.0 if table is None else table.scale
+    row[arrays.SCALE] = 1.0 if table is None else table.scale
     return row
 
 
@@ -174,8 +174,8 @@ def put_sensors(plants: Plants, rows: FloatArray, period: float, noise: bool) ->
     for sensor in (sensor for sensors in kinds for sensor in sensors):
         if id(sensor) not in sampled:
             sampled[id(sensor)] = sensor.sampled_noise(period) if noise else 0.0
-    rows[:, :, layout.RMS] = np.array([[sampled[id(sensor)] for sensor in sensors] for sensors in kinds])[plants.which]
-    rows[:, :, layout.QUANTISATION] = np.array([[one.quantisation for one in sensors] for sensors in kinds])[
+    rows[:, :, arrays.RMS] = np.array([[sampled[id(sensor)] for sensor in sensors] for sensors in kinds])[plants.which]
+    rows[:, :, arrays.QUANTISATION] = np.array([[one.quantisation for one in sensors] for sensors in kinds])[
         plants.which
     ]
 
@@ -193,33 +193,33 @@ def put_torquers(plants: Plants, rows: FloatArray, half: FloatArray) -> None:
             for p in plants.made
         ]
     )[plants.which].transpose(2, 0, 1)
-    rows[:, :, layout.LIMIT] = limit
-    rows[:, :, layout.AT_ONCE] = np.where(np.isinf(slew), math.inf, 0.0)
+    rows[:, :, arrays.LIMIT] = limit
+    rows[:, :, arrays.AT_ONCE] = np.where(np.isinf(slew), math.inf, 0.0)
     for segment in range(2):
         step = half[:, segment, None]
         # No limit stays none over a segment of no length.
         with np.errstate(invalid="ignore"):
-            rows[:, :, layout.SLEW + segment] = np.where(np.isinf(slew), math.inf, step * slew)
+            rows[:, :, arrays.SLEW + segment] = np.where(np.isinf(slew), math.inf, step * slew)
         lagging = np.where(lag > 0.0, lag, 1.0)
-        rows[:, :, layout.DECAY + segment] = np.where(lag > 0.0, np.exp(-step / lagging), 0.0)
+        rows[:, :, arrays.DECAY + segment] = np.where(lag > 0.0, np.exp(-step / lagging), 0.0)
 
 
 def put_stops(plants: Plants, rows: FloatArray) -> None:
     """Where the stops are, and what they give back."""
     if rows.size == 0:
         return
-    rows[:, :, layout.LOW], rows[:, :, layout.HIGH], rows[:, :, layout.RESTITUTION] = np.array(
+    rows[:, :, arrays.LOW], rows[:, :, arrays.HIGH], rows[:, :, arrays.RESTITUTION] = np.array(
         [[(*(g.stops or (-math.inf, math.inf)), g.restitution) for g in p.gimbals] for p in plants.made]
     )[plants.which].transpose(2, 0, 1)
 
 
 def put_faults(happening: Sequence[dict[FaultKey, Fault]], order: Sequence[FaultKey], rows: FloatArray) -> None:
     """Begin, end and numbers of what happens to each scenario; `order` are the columns."""
-    rows[:, :, : layout.STUCK] = math.inf, math.inf, 1.0, 1.0  # what does not happen in a run begins never
+    rows[:, :, : arrays.STUCK] = math.inf, math.inf, 1.0, 1.0  # what does not happen in a run begins never
     column = {key: k for k, key in enumerate(order)}
     for row, faults in zip(rows, happening, strict=True):
         for key, fault in faults.items():
-            row[column[key], : layout.STUCK] = fault.at, fault.until, *FAULT_KINDS[fault.kind].numbers(fault)
+            row[column[key], : arrays.STUCK] = fault.at, fault.until, *FAULT_KINDS[fault.kind].numbers(fault)
 
 
 def put_rotors(shape: Skeleton, plants: Plants, rotors: Sequence[int], rows: FloatArray) -> None:
@@ -242,9 +242,9 @@ def put_lines(scenarios: Sequence[Scenario], rows: FloatArray, half: FloatArray)
             if id(one) not in known:
                 omega, known[id(one)] = one.amplitudes
         own = rows[:, place : place + vibration.lines]
-        own[:, :, layout.AMPLITUDE] = [known[id(scenario.vibrations[k])] for scenario in scenarios]
+        own[:, :, arrays.AMPLITUDE] = [known[id(scenario.vibrations[k])] for scenario in scenarios]
         for segment in range(2):
             turn = omega * half[:, segment, None]
-            own[:, :, layout.TURN + 2 * segment] = np.cos(turn)
-            own[:, :, layout.TURN + 2 * segment + 1] = np.sin(turn)
+            own[:, :, arrays.TURN + 2 * segment] = np.cos(turn)
+            own[:, :, arrays.TURN + 2 * segment + 1] = np.sin(turn)
         place += vibration.lines

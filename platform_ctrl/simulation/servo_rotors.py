@@ -18,7 +18,7 @@ from platform_ctrl.errors import ArgumentError
 from platform_ctrl.mechanics.kinematics import kinematics
 from platform_ctrl.mechanics.matrices import directions
 from platform_ctrl.plant.platform import Platform, Rotor
-from platform_ctrl.simulation.kernel import arrays as layout
+from platform_ctrl.simulation.kernel import arrays
 from platform_ctrl.simulation.packing import Packed, skeleton
 from platform_ctrl.simulation.step_limit import masses
 
@@ -61,7 +61,7 @@ def with_rotor_states(
 
 def _axial_inertias(plant: Packed) -> FloatArray:
     at = plant.at
-    return plant.constants[at.servo : at.erection].reshape(-1, layout.SERVO)[:, layout.C]
+    return plant.constants[at.servo : at.erection].reshape(-1, arrays.SERVO)[:, arrays.C]
 
 
 def _carrier_rates(plant: Packed, states: FloatArray) -> FloatArray:

@@ -18,8 +18,8 @@ from platform_ctrl.errors import ArgumentError, SimulationError
 from platform_ctrl.job.scenario import Scenario
 from platform_ctrl.simulation.batch import columns_of_record, merged_controller
 from platform_ctrl.simulation.closed_loop import Trajectory, trajectory_of
-from platform_ctrl.simulation.compilation import wait_until_warm
-from platform_ctrl.simulation.kernel import arrays as layout
+from platform_ctrl.simulation.compilation import wait_for_compilation
+from platform_ctrl.simulation.kernel import arrays
 from platform_ctrl.simulation.run_plan import batch, prepared
 from platform_ctrl.simulation.scenarios import expect_several, steps
 
@@ -93,21 +93,21 @@ class Simulator:
         self.scenario = scenario
         self._free = scenario.mode == "stabilised"
         controller = merged_controller(scenario.platform, controllers, self.period, scenario.mode)
-        together = batch([member], controller, self.period, noise)
-        self._packed, self._shared, self._flight = together.packed, together.shared, together.flight
-        self._keys = np.repeat(together.keys[None], LANES, axis=1)
-        self._memory = memory(self._flight.end)
-        self._figures = np.zeros((1, self._flight.end - self._flight.figures, LANES))
+        batched = batch([member], controller, self.period, noise)
+        self._packed, self._shared, self._simulation = batched.packed, batched.shared, batched.layout
+        self._keys = np.repeat(batched.keys[None], LANES, axis=1)
+        self._memory = memory(self._simulation.end)
+        self._figures = np.zeros((1, self._simulation.end - self._simulation.metrics, LANES))
         self._table = scenario.torque_table if self._free else scenario.Omega_table
         self._reached, self._slope, self._torque = np.zeros(3), np.zeros(3), np.zeros(3)
         self._gimbal_torque = np.zeros(len(scenario.platform.gimbals))
         self.sample, self.going = -1, True
-        self._row = np.zeros((0, columns_of_record(together)))
+        self._row = np.zeros((0, columns_of_record(batched)))
         if Omega is not None:
             self._expect("Omega", "caged")
             self._reached = real_array("Omega", Omega, (3,))
-        wait_until_warm()
-        plants, given = (np.repeat(rows[:, :, None], LANES, axis=2) for rows in (together.plants, together.given))
+        wait_for_compilation()
+        plants, given = (np.repeat(rows[:, :, None], LANES, axis=2) for rows in (batched.plants, batched.given))
         self._move(1, self._course(0.0, self.period), plants, given)
 
     def _expect(self, name: str, mode: str) -> None:
@@ -186,17 +186,17 @@ class Simulator:
 
     def _put(self, jump: FloatArray, moment_jump: FloatArray, joints: FloatArray) -> None:
         """Let inputs act from now on: where the last step ended the next begins, so that there they jump."""
-        at, flight, mem = self._packed.at, self._flight, self._memory
+        at, layout, mem = self._packed.at, self._simulation, self._memory
         n, ended = at.n, at.surroundings + 2 * at.block
         mem[ended + n + 3 : ended + n + 6] += jump[:, None]
         if moment_jump.any():
-            mem[flight.steady : flight.steady + 3] += moment_jump[:, None]
+            mem[layout.steady : layout.steady + 3] += moment_jump[:, None]
             for row in range(3):
-                mem[flight.table + 3 * row : flight.table + 3 * row + 3] += moment_jump[:, None]
-        mem[flight.steady + 3 : flight.steady + 3 + n] = joints[:, None]
+                mem[layout.table + 3 * row : layout.table + 3 * row + 3] += moment_jump[:, None]
+        mem[layout.steady + 3 : layout.steady + 3 + n] = joints[:, None]
         self._gimbal_torque = joints
 
-    def _course(self, begin: float, end: float) -> tuple[layout.Shared, float]:
+    def _course(self, begin: float, end: float) -> tuple[arrays.Shared, float]:
         """What the kernel looks Omega up in between two times: the manoeuvre's table and the input; and its scale."""
         own, scale = self._table, 1.0 if self._table is None else self._table.scale
         if self._free or not (self._reached.any() or self._slope.any()):
@@ -211,26 +211,26 @@ class Simulator:
         return self._shared._replace(knots=knots, pieces=pieces), 1.0
 
     def _move(
-        self, samples: int, course: tuple[layout.Shared, float], plants: FloatArray, given: FloatArray
+        self, samples: int, course: tuple[arrays.Shared, float], plants: FloatArray, given: FloatArray
     ) -> FloatArray:
         """Advance by `samples` samples and return their record, up to where the run diverges."""
-        from platform_ctrl.simulation.kernel.loop import fly_groups
+        from platform_ctrl.simulation.kernel.loop import simulate_groups
 
         shared, scale = course
         first = self.sample + 1
         if first > 0:
-            self._memory[self._flight.rate + layout.SCALE] = scale
+            self._memory[self._simulation.rate + arrays.SCALE] = scale
         else:
-            given[:, self._flight.rate + layout.SCALE - self._packed.at.end] = scale
+            given[:, self._simulation.rate + arrays.SCALE - self._packed.at.end] = scale
         record = np.zeros((samples, self._row.shape[1]))
-        fly_groups(
+        simulate_groups(
             self._packed.links,
             shared,
             self._keys,
             self._memory,
             None,  # type: ignore[arg-type]
             self._packed.at,
-            self._flight,
+            self._simulation,
             self._free,
             first,
             first + samples,
@@ -288,7 +288,7 @@ class Simulator:
         self._reached, self._slope, self._torque = (numbers[2 + 3 * k : 5 + 3 * k].copy() for k in range(3))
         self._gimbal_torque = numbers[_HEAD:head].copy()
         self._memory[:] = numbers[head : head + slots, None]
-        self._figures[:] = self._memory[self._flight.figures : self._flight.end]
+        self._figures[:] = self._memory[self._simulation.metrics : self._simulation.end]
         self._row = numbers[None, head + slots :].copy()
 
 

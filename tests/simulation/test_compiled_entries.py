@@ -16,6 +16,8 @@ import pytest
 from platform_ctrl import analysis
 from platform_ctrl.analysis import StateArrays
 from platform_ctrl.errors import ArgumentError
+from platform_ctrl.simulation.batch import compile_kernel
+from platform_ctrl.simulation.compilation import is_compiled
 
 W = np.array([1.0, 2.0])
 SHAPES: tuple[tuple[int, ...], ...] = ((2, 2), (2, 1), (1, 2), (1, 1))
@@ -111,3 +113,8 @@ def test_what_is_kept_is_compiled_again_when_a_neighbouring_file_changes(tmp_pat
         found.append(done.stdout.split())
     # The value, how often it was found in the cache, how often it was not.
     assert found == [["3.0", "0", "1"], ["3.0", "1", "0"], ["31.0", "0", "1"]]
+
+
+def test_whether_the_kernel_is_compiled_is_read_off_numbas_files() -> None:
+    compile_kernel()
+    assert is_compiled()

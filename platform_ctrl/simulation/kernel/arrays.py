@@ -78,7 +78,7 @@ class Shared(NamedTuple):
     period: float
 
 
-class Flight(NamedTuple):
+class Layout(NamedTuple):
     """Counts, switches, and first slots behind the plant's."""
 
     samples: int
@@ -87,7 +87,7 @@ class Flight(NamedTuple):
     after: int
     states: int  # of the controllers
     stops: int  # whether any gimbal has stops
-    profile: int  # whether a half-cosine is flown
+    profile: int  # whether a half-cosine is simulated
     start: int  # state at t = 0, v holding the rates
     steady: int  # block of surroundings: what does not change
     rate: int
@@ -109,7 +109,7 @@ class Flight(NamedTuple):
     random: int
     spare_state: int  # two of them
     spare_block: int
-    figures: int  # largest |q| (n), |rotation vector| (3), share of limits (nu), saturated (nu), contacts (n), samples
+    metrics: int  # largest |q| (n), |rotation vector| (3), share of limits (nu), saturated (nu), contacts (n), samples
     end: int
 
 

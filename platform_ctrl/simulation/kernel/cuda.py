@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 
 from platform_ctrl.common.simd import kept
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.simulation.kernel.arrays import At, Flight, Links, Shared
+from platform_ctrl.simulation.kernel.arrays import At, Layout, Links, Shared
 from platform_ctrl.simulation.kernel.dynamics import runge_kutta
-from platform_ctrl.simulation.kernel.loop import fly
+from platform_ctrl.simulation.kernel.loop import simulate_samples
 
 cuda: Any = import_module("numba.cuda")
 
@@ -41,13 +41,13 @@ def advance_kernel(links: Links, at: At) -> Any:
     return _kernel(_advance, links, at, _rounded(at.end))
 
 
-def flight_kernel(links: Links, at: At, flight: Flight, free: bool) -> Any:
-    """Return the kernel that flies scenarios of a batch.
+def simulation_kernel(links: Links, at: At, layout: Layout, free: bool) -> Any:
+    """Return the kernel that simulates scenarios of a batch.
 
-    Its arguments: shared, flight; `keys` (N, 2); `plants` (N, at.work) and `given` (N, given), what the host gives of
-    each; a record without rows; `figures` (N, figures), what comes out.
+    Its arguments: shared, run; `keys` (N, 2); `plants` (N, at.work) and `given` (N, given), what the host gives of
+    each; a record without rows; `metrics` (N, metrics), what comes out.
     """
-    return _kernel(_flight, links, at, _rounded(flight.end), free)
+    return _kernel(_simulation, links, at, _rounded(layout.end), free)
 
 
 def _rounded(slots: int) -> int:
@@ -98,28 +98,28 @@ def _advance(links: Links, at: At, slots: int) -> Any:
     return advance
 
 
-def _flight(links: Links, at: At, slots: int, free: bool) -> Any:
-    def flight_of_one(
+def _simulation(links: Links, at: At, slots: int, free: bool) -> Any:
+    def simulation(
         shared: Shared,
-        flight: Flight,
+        layout: Layout,
         keys: NDArray[np.uint64],
         plants: FloatArray,
         given: FloatArray,
         record: FloatArray,
-        figures: FloatArray,
+        metrics: FloatArray,
     ) -> None:
         run = cuda.grid(1)
         if run >= keys.shape[0]:
             return
         mem = cuda.local.array(slots, np.float64)
-        for i in range(flight.end):
+        for i in range(layout.end):
             mem[i] = 0.0
         for i in range(plants.shape[1]):
             mem[i] = plants[run, i]
         for i in range(given.shape[1]):
             mem[at.end + i] = given[run, i]
-        fly(links, shared, keys[run : run + 1], mem, 0, at, flight, free, 0, flight.samples, record)
-        for i in range(figures.shape[1]):
-            figures[run, i] = mem[flight.figures + i]
+        simulate_samples(links, shared, keys[run : run + 1], mem, 0, at, layout, free, 0, layout.samples, record)
+        for i in range(metrics.shape[1]):
+            metrics[run, i] = mem[layout.metrics + i]
 
-    return flight_of_one
+    return simulation

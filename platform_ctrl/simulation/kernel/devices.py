@@ -52,7 +52,7 @@ from platform_ctrl.simulation.kernel.arrays import (
     TORQUER_WEAK,
     UNTIL,
     At,
-    Flight,
+    Layout,
     Shared,
 )
 from platform_ctrl.simulation.kernel.functions import cosine_and_sine, logarithm
@@ -65,11 +65,11 @@ def acts(mem: FloatArray, lane: int, fault: int, t: Number) -> Mask:
 
 
 @internal
-def ready_torquers(shared: Shared, mem: FloatArray, lane: int, flight: Flight) -> None:
+def ready_torquers(shared: Shared, mem: FloatArray, lane: int, layout: Layout) -> None:
     """Find how far the lags stay behind a torque that slews."""
     for i in range(shared.targets.shape[0]):
         for segment in range(2):
-            slot = flight.torquer + i * TORQUER + segment
+            slot = layout.torquer + i * TORQUER + segment
             decay = load(mem, slot + DECAY, lane)
             zero = 0.0 * decay
             lagging = (decay > 0.0) & (decay < 1.0)
@@ -93,23 +93,23 @@ def _toward(wanted: Number, here: Number, reach: Number) -> Number:
 
 @internal
 def new_torque(
-    shared: Shared, mem: FloatArray, lane: int, flight: Flight, segment: int, source: int, t: Number
+    shared: Shared, mem: FloatArray, lane: int, layout: Layout, segment: int, source: int, t: Number
 ) -> None:
     """What the torquers work towards from t on: the limited command of sample `source`, and what fails of it."""
     apart()
     nu = shared.targets.shape[0]
     for i in range(nu):
-        slot = flight.torquer + i * TORQUER
+        slot = layout.torquer + i * TORQUER
         held = 0.0 * t
         fixed, level = held, held
         if source >= 0:
-            held = load(mem, flight.ring + source % (flight.whole + 2) * nu + i, lane)
+            held = load(mem, layout.ring + source % (layout.whole + 2) * nu + i, lane)
         torque = load(mem, slot + TORQUE, lane)
         for f in range(shared.faults.shape[0]):
             kind = shared.faults[f, 0]
             if kind < TORQUER_WEAK or kind > TORQUER_DEAD or shared.faults[f, 1] != i:
                 continue
-            fault = flight.fault + f * FAULT
+            fault = layout.fault + f * FAULT
             on = acts(mem, lane, fault, t)
             if kind == TORQUER_WEAK:
                 held = choose(on, load(mem, fault + FIRST, lane) * held, held)
@@ -135,24 +135,24 @@ def new_torque(
 
 
 @inlined
-def put_torques(shared: Shared, mem: FloatArray, lane: int, at: At, flight: Flight, row: int) -> None:
+def put_torques(shared: Shared, mem: FloatArray, lane: int, at: At, layout: Layout, row: int) -> None:
     """Put [M, Q] into block `row`."""
     T = at.surroundings + row * at.block
     for i in range(3):
-        store(mem, T + i, lane, load(mem, flight.table + 3 * row + i, lane))
+        store(mem, T + i, lane, load(mem, layout.table + 3 * row + i, lane))
     for i in range(3, at.n + 3):
-        store(mem, T + i, lane, load(mem, flight.steady + i, lane))
+        store(mem, T + i, lane, load(mem, layout.steady + i, lane))
     for i in range(shared.targets.shape[0]):
         target = T + shared.targets[i]
-        torque = load(mem, flight.torquer + i * TORQUER + TORQUE, lane)
+        torque = load(mem, layout.torquer + i * TORQUER + TORQUE, lane)
         store(mem, target, lane, load(mem, target, lane) + torque)
 
 
 @inlined
-def work_on(shared: Shared, mem: FloatArray, lane: int, flight: Flight, segment: int) -> None:
+def work_on(shared: Shared, mem: FloatArray, lane: int, layout: Layout, segment: int) -> None:
     """Let the torquers go on by half a substep of the segment: a lag follows a torque that slews evenly exactly."""
     for i in range(shared.targets.shape[0]):
-        slot = flight.torquer + i * TORQUER
+        slot = layout.torquer + i * TORQUER
         before = load(mem, slot + SLEWED, lane)
         decay, behind = load(mem, slot + DECAY + segment, lane), load(mem, slot + BEHIND + segment, lane)
         after = _toward(load(mem, slot + HELD, lane), before, load(mem, slot + SLEW + segment, lane))
@@ -216,24 +216,24 @@ def normals(keys: Keys, mem: FloatArray, lane: int, step: int, channel: int, slo
 
 
 @internal
-def read(shared: Shared, keys: Keys, mem: FloatArray, lane: int, at: At, flight: Flight, k: int, t: float) -> None:
+def read(shared: Shared, keys: Keys, mem: FloatArray, lane: int, at: At, layout: Layout, k: int, t: float) -> None:
     """Put what every sensor says at sample k into its LAST."""
     for i in range(shared.sensors.shape[0]):
-        slot, kind, index = flight.sensor + i * SENSOR, shared.sensors[i, 0], shared.sensors[i, 1]
+        slot, kind, index = layout.sensor + i * SENSOR, shared.sensors[i, 0], shared.sensors[i, 1]
         if kind == ANGLE:
             value = load(mem, at.state + index, lane)
         elif kind == GIMBAL_RATE:
-            value = load(mem, flight.velocity + 3 + index, lane)
+            value = load(mem, layout.velocity + 3 + index, lane)
         else:
-            value = load(mem, flight.velocity + index, lane)
+            value = load(mem, layout.velocity + index, lane)
         rms = load(mem, slot + RMS, lane)
         if anywhere(rms > 0.0):
             if i % 2 == 0 or not anywhere(load(mem, slot - SENSOR + RMS, lane) > 0.0):
-                normals(keys, mem, lane, k, PICKOFF + i // 2, flight.random)
-            value = value + rms * load(mem, flight.random + i % 2, lane)
+                normals(keys, mem, lane, k, PICKOFF + i // 2, layout.random)
+            value = value + rms * load(mem, layout.random + i % 2, lane)
         for f in range(shared.faults.shape[0]):
             if shared.faults[f, 0] == PICKOFF_DRIFT and shared.faults[f, 1] == i:
-                fault = flight.fault + f * FAULT
+                fault = layout.fault + f * FAULT
                 drift = load(mem, fault + FIRST, lane) * (t - load(mem, fault + BEGIN, lane))
                 value = choose(acts(mem, lane, fault, t), value + drift, value)
         step = load(mem, slot + QUANTISATION, lane)
@@ -244,14 +244,14 @@ def read(shared: Shared, keys: Keys, mem: FloatArray, lane: int, at: At, flight:
             failing = shared.faults[f, 0]
             if failing < PICKOFF_DROPOUT or failing > PICKOFF_DEAD or shared.faults[f, 1] != i:
                 continue
-            fault = flight.fault + f * FAULT
+            fault = layout.fault + f * FAULT
             on = acts(mem, lane, fault, t)
             if failing == PICKOFF_DEAD:
                 value = choose(on, 0.0 * value, value)
             elif failing == PICKOFF_STUCK:
                 value = choose(on, load(mem, slot + LAST, lane), value)
             elif failing == PICKOFF_DROPOUT:
-                uniforms(keys, mem, lane, k, LOSS + shared.faults[f, 2], flight.random + 2)
-                lost = on & (load(mem, flight.random + 2, lane) < load(mem, fault + FIRST, lane))
+                uniforms(keys, mem, lane, k, LOSS + shared.faults[f, 2], layout.random + 2)
+                lost = on & (load(mem, layout.random + 2, lane) < load(mem, fault + FIRST, lane))
                 value = choose(lost, load(mem, slot + LAST, lane), value)
         store(mem, slot + LAST, lane, value)

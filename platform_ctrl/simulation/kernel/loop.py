@@ -40,7 +40,7 @@ from platform_ctrl.simulation.kernel.arrays import (
     WORK,
     At,
     C,
-    Flight,
+    Layout,
     Links,
     Shared,
 )
@@ -78,13 +78,13 @@ def _half_turn(sine: Number, cosine: Number) -> tuple[Number, Number]:
 
 
 @internal
-def note_figures(shared: Shared, mem: FloatArray, lane: int, at: At, flight: Flight) -> None:
+def update_metrics(shared: Shared, mem: FloatArray, lane: int, at: At, layout: Layout) -> None:
     """Largest angles, rotation vector and shares of torque so far, of the scenarios that are still going."""
     n, nu = at.n, shared.targets.shape[0]
-    alive = load(mem, flight.alive, lane)
+    alive = load(mem, layout.alive, lane)
     going = alive > 0.5
     for i in range(n):
-        q, slot = load(mem, at.state + i, lane), flight.figures + i
+        q, slot = load(mem, at.state + i, lane), layout.metrics + i
         q = choose(q < 0.0, -q, q)
         store(mem, slot, lane, choose(going, greater(load(mem, slot, lane), q), load(mem, slot, lane)))
     e = at.state + 2 * n + 3
@@ -92,12 +92,12 @@ def note_figures(shared: Shared, mem: FloatArray, lane: int, at: At, flight: Fli
     e2, e3 = load(mem, e + 2, lane), load(mem, e + 3, lane)
     _, per_sine = _half_turn(root(e1 * e1 + e2 * e2 + e3 * e3), choose(e0 < 0.0, -e0, e0))
     for i in range(3):
-        part, slot = 2.0 * per_sine * load(mem, e + 1 + i, lane), flight.figures + n + i
+        part, slot = 2.0 * per_sine * load(mem, e + 1 + i, lane), layout.metrics + n + i
         part = choose(part < 0.0, -part, part)
         store(mem, slot, lane, choose(going, greater(load(mem, slot, lane), part), load(mem, slot, lane)))
     for i in range(nu):
-        limit = load(mem, flight.torquer + i * TORQUER + LIMIT, lane)
-        command, slot = load(mem, flight.command + i, lane), flight.figures + n + 3 + i
+        limit = load(mem, layout.torquer + i * TORQUER + LIMIT, lane)
+        command, slot = load(mem, layout.command + i, lane), layout.metrics + n + 3 + i
         command = choose(command < 0.0, -command, command)
         share = command / limit
         store(mem, slot, lane, choose(going, greater(load(mem, slot, lane), share), load(mem, slot, lane)))
@@ -106,64 +106,64 @@ def note_figures(shared: Shared, mem: FloatArray, lane: int, at: At, flight: Fli
 
 
 @internal
-def judge(mem: FloatArray, lane: int, at: At, flight: Flight, shared: Shared) -> bool:
+def judge(mem: FloatArray, lane: int, at: At, layout: Layout, shared: Shared) -> bool:
     """Let go of scenarios that diverge: a number that is not finite, or a rate above one radian per substep.
 
     They start again from t = 0 so as not to compute with such numbers, and count no more. Returns whether any is left.
     """
     n = at.n
-    step = greater(load(mem, flight.segments, lane), load(mem, flight.segments + 1, lane))
+    step = greater(load(mem, layout.segments, lane), load(mem, layout.segments + 1, lane))
     sound = step > 0.0
     for i in range(at.size):
         y = load(mem, at.state + i, lane)
         sound = sound & (y - y == 0.0)
     for i in range(n + 3):
-        turn = load(mem, flight.velocity + i, lane) * step
+        turn = load(mem, layout.velocity + i, lane) * step
         sound = sound & (turn < 1.0) & (turn > -1.0)
     for i in range(shared.targets.shape[0]):
-        command = load(mem, flight.command + i, lane)
+        command = load(mem, layout.command + i, lane)
         sound = sound & (command - command == 0.0)
-    alive = load(mem, flight.alive, lane)
+    alive = load(mem, layout.alive, lane)
     if anywhere(~sound):
         for i in range(at.size):
             y = at.state + i
-            store(mem, y, lane, choose(sound, load(mem, y, lane), load(mem, flight.start + i, lane)))
+            store(mem, y, lane, choose(sound, load(mem, y, lane), load(mem, layout.start + i, lane)))
         for i in range(n + 3):
-            slot = flight.velocity + i
+            slot = layout.velocity + i
             store(mem, slot, lane, choose(sound, load(mem, slot, lane), 0.0 * step))
-        for i in range(flight.states):
-            slot = flight.controller + i
+        for i in range(layout.states):
+            slot = layout.controller + i
             store(mem, slot, lane, choose(sound, load(mem, slot, lane), 0.0 * step))
         for i in range(shared.targets.shape[0]):
-            slot = flight.command + i
+            slot = layout.command + i
             store(mem, slot, lane, choose(sound, load(mem, slot, lane), 0.0 * step))
-            slot = flight.torquer + i * TORQUER + TORQUE
+            slot = layout.torquer + i * TORQUER + TORQUE
             store(mem, slot, lane, choose(sound, load(mem, slot, lane), 0.0 * step))
     alive = choose(sound, alive, 0.0 * alive)
-    store(mem, flight.alive, lane, alive)
-    done = flight.figures + 2 * n + 3 + 2 * shared.targets.shape[0]
+    store(mem, layout.alive, lane, alive)
+    done = layout.metrics + 2 * n + 3 + 2 * shared.targets.shape[0]
     store(mem, done, lane, load(mem, done, lane) + alive)
     return bool(anywhere(alive > 0.5))
 
 
 @inlined
-def note_sample(links: Links, shared: Shared, mem: FloatArray, at: At, flight: Flight, record: FloatArray) -> None:
+def note_sample(links: Links, shared: Shared, mem: FloatArray, at: At, layout: Layout, record: FloatArray) -> None:
     """A row for the first column: q, rates, Omega, p, attitude, reading, command, torque, spins, motors' torques."""
     n, nu, column = at.n, shared.targets.shape[0], 0
     for i in range(n):
         record[i] = load(mem, at.state + i, 0)
-        record[n + i] = load(mem, flight.velocity + 3 + i, 0)
-        record[2 * n + 3 + i] = load(mem, flight.velocity + n + 3 + i, 0)
+        record[n + i] = load(mem, layout.velocity + 3 + i, 0)
+        record[2 * n + 3 + i] = load(mem, layout.velocity + n + 3 + i, 0)
     for i in range(3):
-        record[2 * n + i] = load(mem, flight.velocity + i, 0)
+        record[2 * n + i] = load(mem, layout.velocity + i, 0)
     for i in range(4):
         record[3 * n + 3 + i] = load(mem, at.state + 2 * n + 3 + i, 0)
     column = 3 * n + 7
     for i in range(shared.sensors.shape[0]):
-        record[column + i] = load(mem, flight.sensor + i * SENSOR + LAST, 0)
+        record[column + i] = load(mem, layout.sensor + i * SENSOR + LAST, 0)
     column += shared.sensors.shape[0]
     for i in range(nu):
-        record[column + i] = load(mem, flight.command + i, 0)
+        record[column + i] = load(mem, layout.command + i, 0)
     column += 2 * nu
     # The workspace holds the carriers' rates at this sample.
     for r in range(at.servos):
@@ -179,50 +179,50 @@ def note_sample(links: Links, shared: Shared, mem: FloatArray, at: At, flight: F
 
 
 @inlined
-def note_torques(shared: Shared, mem: FloatArray, at: At, flight: Flight, record: FloatArray, k: int) -> None:
+def note_torques(shared: Shared, mem: FloatArray, at: At, layout: Layout, record: FloatArray, k: int) -> None:
     """Record the torques that act just after a sample."""
     if record.shape[0] > 0:
         nu = shared.targets.shape[0]
         for i in range(nu):
             column = 3 * at.n + 7 + shared.sensors.shape[0] + nu + i
-            record[k, column] = load(mem, flight.torquer + i * TORQUER + TORQUE, 0)
+            record[k, column] = load(mem, layout.torquer + i * TORQUER + TORQUE, 0)
 
 
 @internal
-def _control(shared: Shared, keys: Keys, mem: FloatArray, lane: int, at: At, flight: Flight, k: int, t: float) -> None:
+def _control(shared: Shared, keys: Keys, mem: FloatArray, lane: int, at: At, layout: Layout, k: int, t: float) -> None:
     """The controllers' commands from the readings, and their next states; a missed sample leaves both as they were."""
-    nx, nu = flight.states, shared.targets.shape[0]
+    nx, nu = layout.states, shared.targets.shape[0]
     zero = 0.0 * load(mem, at.state, lane)
     missed = zero
     for f in range(shared.faults.shape[0]):
         if shared.faults[f, 0] == OVERRUN:
-            fault = flight.fault + f * FAULT
-            uniforms(keys, mem, lane, k, LOSS + shared.faults[f, 2], flight.random + 2)
-            late = acts(mem, lane, fault, t) & (load(mem, flight.random + 2, lane) < load(mem, fault + FIRST, lane))
+            fault = layout.fault + f * FAULT
+            uniforms(keys, mem, lane, k, LOSS + shared.faults[f, 2], layout.random + 2)
+            late = acts(mem, lane, fault, t) & (load(mem, layout.random + 2, lane) < load(mem, fault + FIRST, lane))
             missed = choose(late, zero + 1.0, missed)
     lost = missed > 0.5
     for row in range(nx + nu):
         total = zero
         for j in range(shared.first[row], shared.first[row + 1]):
             column = shared.column[j]
-            slot = flight.controller + column if column < nx else flight.sensor + (column - nx) * SENSOR + LAST
+            slot = layout.controller + column if column < nx else layout.sensor + (column - nx) * SENSOR + LAST
             total = total + shared.number[j] * load(mem, slot, lane)
         if row < nx:
             store(
-                mem, flight.controller + nx + row, lane, choose(lost, load(mem, flight.controller + row, lane), total)
+                mem, layout.controller + nx + row, lane, choose(lost, load(mem, layout.controller + row, lane), total)
             )
         else:
-            command = flight.command + row - nx
+            command = layout.command + row - nx
             store(mem, command, lane, choose(lost, load(mem, command, lane), total))
     for i in range(nx):
-        store(mem, flight.controller + i, lane, load(mem, flight.controller + nx + i, lane))
+        store(mem, layout.controller + i, lane, load(mem, layout.controller + nx + i, lane))
 
 
 @inlined
-def _survey(links: Links, mem: FloatArray, lane: int, at: At, flight: Flight, free: bool) -> None:
+def _survey(links: Links, mem: FloatArray, lane: int, at: At, layout: Layout, free: bool) -> None:
     """Rates at a sample into VELOCITY, joint momenta behind them."""
     n = at.n
-    v = flight.velocity
+    v = layout.velocity
     if free:
         joint_momenta(links, mem, lane, at, at.state, at.surroundings + 2 * at.block, v + n + 3)
         for i in range(n + 3):
@@ -245,7 +245,7 @@ def _segment(
     mem: FloatArray,
     lane: int,
     at: At,
-    flight: Flight,
+    layout: Layout,
     free: bool,
     segment: int,
     count: int,
@@ -255,74 +255,74 @@ def _segment(
 ) -> bool:
     """Integrate over one segment of a period; return whether any gimbal lies on a stop at its end."""
     apart()
-    step = load(mem, flight.segments + segment, lane)
+    step = load(mem, layout.segments + segment, lane)
     nu = shared.targets.shape[0]
-    contacts = flight.figures + at.n + 3 + 2 * nu
+    contacts = layout.metrics + at.n + 3 + 2 * nu
     failing = torquers_fail(shared)
     for m in range(count):
         if failing and m > 0:
-            new_torque(shared, mem, lane, flight, segment, source, start + m * step)
-        hand_on(shared, mem, lane, at, flight, free)
+            new_torque(shared, mem, lane, layout, segment, source, start + m * step)
+        hand_on(shared, mem, lane, at, layout, free)
         if at.course != 0:
-            follow_rotors(shared, mem, lane, at, flight, start + (m + 1.0) * step, step)
-        put_torques(shared, mem, lane, at, flight, 0)
+            follow_rotors(shared, mem, lane, at, layout, start + (m + 1.0) * step, step)
+        put_torques(shared, mem, lane, at, layout, 0)
         for row in range(1, 3):
-            work_on(shared, mem, lane, flight, segment)
-            surround(shared, mem, lane, at, flight, free, row, segment, at.yes, start + (m + 0.5 * row) * step)
-            put_torques(shared, mem, lane, at, flight, row)
+            work_on(shared, mem, lane, layout, segment)
+            surround(shared, mem, lane, at, layout, free, row, segment, at.yes, start + (m + 0.5 * row) * step)
+            put_torques(shared, mem, lane, at, layout, row)
         if contact:
             for i in range(at.size):
-                store(mem, flight.spare_state + at.size + i, lane, load(mem, at.state + i, lane))
+                store(mem, layout.spare_state + at.size + i, lane, load(mem, at.state + i, lane))
         runge_kutta(links, mem, lane, at, free, at.no, at.state, step)
-        if flight.stops != 0:
+        if layout.stops != 0:
             held = at.no
             if contact:
-                held = hold(links, mem, lane, at, flight, free, flight.spare_state + at.size, step)
+                held = hold(links, mem, lane, at, layout, free, layout.spare_state + at.size, step)
             past = contact
             if not past:
                 for k in range(at.n):
-                    q, stop = load(mem, at.state + k, lane), flight.stop + k * STOP
+                    q, stop = load(mem, at.state + k, lane), layout.stop + k * STOP
                     past = past or anywhere((q < load(mem, stop, lane)) | (q > load(mem, stop + 1, lane)))
             if past:
                 end = start + (m + 1.0) * step
-                contact = meet_stops(links, mem, lane, at, flight, free, held, contacts, end, step)
+                contact = meet_stops(links, mem, lane, at, layout, free, held, contacts, end, step)
     return contact
 
 
 @internal
 def _begin(
-    links: Links, shared: Shared, keys: Keys, mem: FloatArray, lane: int, at: At, flight: Flight, free: bool
+    links: Links, shared: Shared, keys: Keys, mem: FloatArray, lane: int, at: At, layout: Layout, free: bool
 ) -> None:
     """Put the scenarios of the memory at t = 0."""
-    n, zero = at.n, 0.0 * load(mem, flight.start, lane)
-    for i in range(flight.given, flight.end):
+    n, zero = at.n, 0.0 * load(mem, layout.start, lane)
+    for i in range(layout.given, layout.end):
         store(mem, i, lane, zero)
     for i in range(at.size):
-        store(mem, at.state + i, lane, load(mem, flight.start + i, lane))
-    store(mem, flight.alive, lane, zero + 1.0)
-    ready_torquers(shared, mem, lane, flight)
-    begin_surroundings(shared, mem, lane, at, flight)
+        store(mem, at.state + i, lane, load(mem, layout.start + i, lane))
+    store(mem, layout.alive, lane, zero + 1.0)
+    ready_torquers(shared, mem, lane, layout)
+    begin_surroundings(shared, mem, lane, at, layout)
     for j in range(shared.lines.shape[0]):
-        uniforms(keys, mem, lane, j, PHASE_OF_LINE + j, flight.random)
-        c, s = cosine_and_sine(2.0 * math.pi * load(mem, flight.random, lane))
-        store(mem, flight.line + j * LINE + PHASE, lane, c)
-        store(mem, flight.line + j * LINE + PHASE + 1, lane, s)
+        uniforms(keys, mem, lane, j, PHASE_OF_LINE + j, layout.random)
+        c, s = cosine_and_sine(2.0 * math.pi * load(mem, layout.random, lane))
+        store(mem, layout.line + j * LINE + PHASE, lane, c)
+        store(mem, layout.line + j * LINE + PHASE + 1, lane, s)
     for row in range(2, 3):  # the end of the step before the first; no literal: see `At`
-        surround(shared, mem, lane, at, flight, free, row, row, at.no, zero)
+        surround(shared, mem, lane, at, layout, free, row, row, at.no, zero)
     if at.course != 0:
         # The moment before the first: a step that leaves everything as it is.
         for _ in range(2):
-            follow_rotors(shared, mem, lane, at, flight, zero, zero + 1.0)
-            hand_on(shared, mem, lane, at, flight, free)
+            follow_rotors(shared, mem, lane, at, layout, zero, zero + 1.0)
+            hand_on(shared, mem, lane, at, layout, free)
     if not free:
         end = at.surroundings + 2 * at.block
         for i in range(3):
             store(mem, at.state + n + i, lane, load(mem, end + n + 3 + i, lane))
-        joint_momenta(links, mem, lane, at, at.state, end, flight.velocity)
+        joint_momenta(links, mem, lane, at, at.state, end, layout.velocity)
         for i in range(n):
-            store(mem, at.state + n + 3 + i, lane, load(mem, flight.velocity + i, lane))
+            store(mem, at.state + n + 3 + i, lane, load(mem, layout.velocity + i, lane))
         for i in range(at.size):
-            store(mem, flight.start + i, lane, load(mem, at.state + i, lane))
+            store(mem, layout.start + i, lane, load(mem, at.state + i, lane))
 
 
 @inlined
@@ -333,7 +333,7 @@ def _sample(
     mem: FloatArray,
     lane: int,
     at: At,
-    flight: Flight,
+    layout: Layout,
     free: bool,
     k: int,
     row: int,
@@ -341,109 +341,109 @@ def _sample(
 ) -> bool:
     """Take sample k, note it in a row of the record, and return whether any scenario is still going."""
     nu, t = shared.targets.shape[0], k * shared.period
-    strike(links, shared, mem, lane, at, flight, free, k)
-    _survey(links, mem, lane, at, flight, free)
-    read(shared, keys, mem, lane, at, flight, k, t)
-    _control(shared, keys, mem, lane, at, flight, k, t)
-    going = judge(mem, lane, at, flight, shared)
-    note_figures(shared, mem, lane, at, flight)
+    strike(links, shared, mem, lane, at, layout, free, k)
+    _survey(links, mem, lane, at, layout, free)
+    read(shared, keys, mem, lane, at, layout, k, t)
+    _control(shared, keys, mem, lane, at, layout, k, t)
+    going = judge(mem, lane, at, layout, shared)
+    update_metrics(shared, mem, lane, at, layout)
     for i in range(nu):
-        slot = flight.torquer + i * TORQUER
+        slot = layout.torquer + i * TORQUER
         limit = load(mem, slot + LIMIT, lane)
-        command = lesser(greater(load(mem, flight.command + i, lane), -limit), limit)
-        ring = flight.ring + k % (flight.whole + 2) * nu + i
+        command = lesser(greater(load(mem, layout.command + i, lane), -limit), limit)
+        ring = layout.ring + k % (layout.whole + 2) * nu + i
         store(mem, ring, lane, command)
     if record.shape[0] > 0:
-        note_sample(links, shared, mem, at, flight, record[row])
+        note_sample(links, shared, mem, at, layout, record[row])
     if going:
-        segment = 0 if flight.before > 0 else 1
-        start = 0.0 * load(mem, flight.start, lane) + t
-        new_torque(shared, mem, lane, flight, segment, k - flight.whole - 1 + segment, start)
-        note_torques(shared, mem, at, flight, record, row)
+        segment = 0 if layout.before > 0 else 1
+        start = 0.0 * load(mem, layout.start, lane) + t
+        new_torque(shared, mem, lane, layout, segment, k - layout.whole - 1 + segment, start)
+        note_torques(shared, mem, at, layout, record, row)
     return going
 
 
 @internal
 def _period(
-    links: Links, shared: Shared, mem: FloatArray, lane: int, at: At, flight: Flight, free: bool, k: int, contact: bool
+    links: Links, shared: Shared, mem: FloatArray, lane: int, at: At, layout: Layout, free: bool, k: int, contact: bool
 ) -> bool:
     """Go on from sample k to the next; return whether any gimbal lies on a stop then."""
-    start = 0.0 * load(mem, flight.start, lane) + k * shared.period
+    start = 0.0 * load(mem, layout.start, lane) + k * shared.period
     for segment in range(2):
-        count = flight.before if segment == 0 else flight.after
+        count = layout.before if segment == 0 else layout.after
         if count == 0:
             continue
-        source = k - flight.whole - 1 + segment
-        if segment > 0 and flight.before > 0:
-            new_torque(shared, mem, lane, flight, segment, source, start)
-        contact = _segment(links, shared, mem, lane, at, flight, free, segment, count, source, start, contact)
-        start = start + count * load(mem, flight.segments + segment, lane)
+        source = k - layout.whole - 1 + segment
+        if segment > 0 and layout.before > 0:
+            new_torque(shared, mem, lane, layout, segment, source, start)
+        contact = _segment(links, shared, mem, lane, at, layout, free, segment, count, source, start, contact)
+        start = start + count * load(mem, layout.segments + segment, lane)
     return contact
 
 
 @internal
-def fly(
+def simulate_samples(
     links: Links,
     shared: Shared,
     keys: Keys,
     mem: FloatArray,
     lane: int,
     at: At,
-    flight: Flight,
+    layout: Layout,
     free: bool,
     first: int,
     until: int,
     record: FloatArray,
 ) -> None:
-    """Fly the scenarios of the memory over the samples from `first`, 0 at t = 0, to before `until`.
+    """Simulate the scenarios of the memory over the samples from `first`, 0 at t = 0, to before `until`.
 
-    A memory that has been flown up to a sample is flown on from there. The figures up to then stand in it.
+    A memory that has been simulated up to a sample is simulated on from there. The metrics up to then stand in it.
 
     At sample k the sensors are read and the controllers evaluated. A period has two segments, before and after the
     command changes: the first holds the command of `whole` + 1 samples ago, the second that of `whole` samples ago.
     """
     if first == 0:
-        _begin(links, shared, keys, mem, lane, at, flight, free)
-    contact = bool(anywhere(load(mem, flight.contact, lane) > 0.5))
+        _begin(links, shared, keys, mem, lane, at, layout, free)
+    contact = bool(anywhere(load(mem, layout.contact, lane) > 0.5))
     for k in range(first, until):
         if k > 0:
-            contact = _period(links, shared, mem, lane, at, flight, free, k - 1, contact)
-        if not _sample(links, shared, keys, mem, lane, at, flight, free, k, k - first, record):
+            contact = _period(links, shared, mem, lane, at, layout, free, k - 1, contact)
+        if not _sample(links, shared, keys, mem, lane, at, layout, free, k, k - first, record):
             return
-    store(mem, flight.contact, lane, 0.0 * load(mem, flight.start, lane) + (1.0 if contact else 0.0))
+    store(mem, layout.contact, lane, 0.0 * load(mem, layout.start, lane) + (1.0 if contact else 0.0))
 
 
 @compiled
-def fly_groups(
+def simulate_groups(
     links: Links,
     shared: Shared,
     keys: Keys,
     mem: FloatArray,
     lane: int,
     at: At,
-    flight: Flight,
+    layout: Layout,
     free: bool,
     first: int,
     until: int,
     plants: FloatArray,
-    flights: FloatArray,
-    figures: FloatArray,
+    given: FloatArray,
+    metrics: FloatArray,
     record: FloatArray,
 ) -> None:
-    """Fly group after group of scenarios in the same memory, over the samples from `first` to before `until`.
+    """Simulate group after group of scenarios in the same memory, over the samples from `first` to before `until`.
 
-    `keys` (G, LANES, 2); `plants` (G, at.work, LANES) and `flights` (G, given, LANES): what the host gives of each, no
-    rows where a memory is flown on; `figures` (G, figures, LANES): what comes out; `record` (samples, columns), of the
-    first scenario, or no rows.
+    `keys` (G, LANES, 2); `plants` (G, at.work, LANES) and `given` (G, given, LANES): what the host gives of each, no
+    rows where a run goes on in its memory; `metrics` (G, metrics, LANES): what comes out; `record` (samples, columns),
+    of the first scenario, or no rows.
     """
     for g in range(keys.shape[0]):
         for i in range(plants.shape[1]):
             for j in range(plants.shape[2]):
                 mem[i, j] = plants[g, i, j]
-        for i in range(flights.shape[1]):
-            for j in range(flights.shape[2]):
-                mem[at.end + i, j] = flights[g, i, j]
-        fly(links, shared, keys[g], mem, lane, at, flight, free, first, until, record)
-        for i in range(figures.shape[1]):
-            for j in range(figures.shape[2]):
-                figures[g, i, j] = mem[flight.figures + i, j]
+        for i in range(given.shape[1]):
+            for j in range(given.shape[2]):
+                mem[at.end + i, j] = given[g, i, j]
+        simulate_samples(links, shared, keys[g], mem, lane, at, layout, free, first, until, record)
+        for i in range(metrics.shape[1]):
+            for j in range(metrics.shape[2]):
+                metrics[g, i, j] = mem[layout.metrics + i, j]

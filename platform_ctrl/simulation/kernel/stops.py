@@ -32,40 +32,40 @@ from platform_ctrl.simulation.kernel.arrays import (
     WHEN,
     WORK,
     At,
-    Flight,
+    Layout,
     Links,
     Shared,
 )
 from platform_ctrl.simulation.kernel.dynamics import derivative, joint_momenta, runge_kutta
 
-# A flight of fewer steps than these from a stop back to it ends at most as fast as it began.
+# A run of fewer steps than these from a stop back to it ends at most as fast as it began.
 _SHORT = 20.0
 
 
 @inlined
-def _past(mem: FloatArray, lane: int, at: At, flight: Flight, k: int) -> Mask:
-    q, stop = load(mem, at.state + k, lane), flight.stop + k * STOP
+def _past(mem: FloatArray, lane: int, at: At, layout: Layout, k: int) -> Mask:
+    q, stop = load(mem, at.state + k, lane), layout.stop + k * STOP
     return (q < load(mem, stop + LOW, lane)) | (q > load(mem, stop + HIGH, lane))
 
 
 @inlined
-def _at_rest(mem: FloatArray, lane: int, at: At, flight: Flight) -> None:
+def _at_rest(mem: FloatArray, lane: int, at: At, layout: Layout) -> None:
     """The state without rates, and surroundings in which nothing acts."""
     n = at.n
     zero = 0.0 * load(mem, at.state, lane)
     for i in range(at.size):
-        store(mem, flight.spare_state + i, lane, load(mem, at.state + i, lane))
+        store(mem, layout.spare_state + i, lane, load(mem, at.state + i, lane))
     for i in range(n + 3):
-        store(mem, flight.spare_state + n + i, lane, zero)
+        store(mem, layout.spare_state + n + i, lane, zero)
     for i in range(at.block):
-        store(mem, flight.spare_block + i, lane, zero)
+        store(mem, layout.spare_block + i, lane, zero)
 
 
 @internal
-def _response(links: Links, mem: FloatArray, lane: int, at: At, flight: Flight, free: bool, k: int, dy: int) -> None:
+def _response(links: Links, mem: FloatArray, lane: int, at: At, layout: Layout, free: bool, k: int, dy: int) -> None:
     """What a unit impulse at joint k does: rates of the joints into dy[:n], with a free root all rates behind."""
-    n, state, block = at.n, flight.spare_state, flight.spare_block
-    _at_rest(mem, lane, at, flight)
+    n, state, block = at.n, layout.spare_state, layout.spare_block
+    _at_rest(mem, lane, at, layout)
     zero = 0.0 * load(mem, at.state, lane)
     if free:
         store(mem, block + 3 + k, lane, zero + 1.0)
@@ -78,12 +78,12 @@ def _response(links: Links, mem: FloatArray, lane: int, at: At, flight: Flight, 
 
 
 @internal
-def _come_anew(links: Links, mem: FloatArray, lane: int, at: At, flight: Flight, free: bool, blown: Mask) -> None:
+def _come_anew(links: Links, mem: FloatArray, lane: int, at: At, layout: Layout, free: bool, blown: Mask) -> None:
     """Let go of gimbals that a blow drives against the stops they lie on: these they meet once more."""
     n, dy = at.n, at.stages
     derivative(links, mem, lane, at, free, at.no, at.no, at.state, at.surroundings + 2 * at.block, dy)
     for k in range(n):
-        stop, rate = flight.stop + k * STOP, load(mem, dy + k, lane)
+        stop, rate = layout.stop + k * STOP, load(mem, dy + k, lane)
         above = load(mem, at.state + k, lane) >= load(mem, stop + HIGH, lane)
         outward = blown & (choose(above, rate, -rate) > 1e-12)
         touching = load(mem, stop + TOUCHING, lane)
@@ -92,14 +92,14 @@ def _come_anew(links: Links, mem: FloatArray, lane: int, at: At, flight: Flight,
 
 @internal
 def strike(
-    links: Links, shared: Shared, mem: FloatArray, lane: int, at: At, flight: Flight, free: bool, sample: int
+    links: Links, shared: Shared, mem: FloatArray, lane: int, at: At, layout: Layout, free: bool, sample: int
 ) -> None:
     """Throw gimbals towards their stops: the blows that are due since the last sample."""
     n = at.n
     for f in range(shared.faults.shape[0]):
         if shared.faults[f, 0] != CONTACT:
             continue
-        k, fault = shared.faults[f, 1], flight.fault + f * FAULT
+        k, fault = shared.faults[f, 1], layout.fault + f * FAULT
         begin, impulse = load(mem, fault + BEGIN, lane), load(mem, fault + FIRST, lane)
         due = (begin <= sample * shared.period) & (begin > (sample - 1) * shared.period)
         if not anywhere(due):
@@ -109,16 +109,16 @@ def strike(
             p = at.state + n + 3 + k
             store(mem, p, lane, load(mem, p, lane) + impulse)
         else:
-            _response(links, mem, lane, at, flight, free, k, at.stages)
+            _response(links, mem, lane, at, layout, free, k, at.stages)
             for i in range(n + 3):
                 v = at.state + n + i
                 store(mem, v, lane, load(mem, v, lane) + impulse * load(mem, at.stages + n + i, lane))
-        if flight.stops != 0:
-            _come_anew(links, mem, lane, at, flight, free, due)
+        if layout.stops != 0:
+            _come_anew(links, mem, lane, at, layout, free, due)
 
 
 @internal
-def _brake(links: Links, mem: FloatArray, lane: int, at: At, flight: Flight, free: bool) -> None:
+def _brake(links: Links, mem: FloatArray, lane: int, at: At, layout: Layout, free: bool) -> None:
     """Stop locked gimbals by impulses at their joints: one that comes back within the step still moves away."""
     n, dy = at.n, at.stages
     for _ in range(100):
@@ -130,7 +130,7 @@ def _brake(links: Links, mem: FloatArray, lane: int, at: At, flight: Flight, fre
             if not anywhere(turning):
                 continue
             settled = False
-            _response(links, mem, lane, at, flight, free, k, dy)
+            _response(links, mem, lane, at, layout, free, k, dy)
             impulse = choose(turning, -rate / load(mem, dy + k, lane), 0.0 * rate)
             for i in range(n + 3):
                 v = at.state + n + i
@@ -141,7 +141,7 @@ def _brake(links: Links, mem: FloatArray, lane: int, at: At, flight: Flight, fre
 
 @internal
 def hold(
-    links: Links, mem: FloatArray, lane: int, at: At, flight: Flight, free: bool, begin: int, step: Number
+    links: Links, mem: FloatArray, lane: int, at: At, layout: Layout, free: bool, begin: int, step: Number
 ) -> bool:
     """Repeat a step from `begin` with those gimbals locked that lay at a stop and have gone past it.
 
@@ -151,8 +151,8 @@ def hold(
     zero = 0.0 * step
     pressed = zero
     for k in range(n):
-        touching = load(mem, flight.stop + k * STOP + TOUCHING, lane) > 0.5
-        locked = choose(_past(mem, lane, at, flight, k) & touching, zero + 1.0, zero)
+        touching = load(mem, layout.stop + k * STOP + TOUCHING, lane) > 0.5
+        locked = choose(_past(mem, lane, at, layout, k) & touching, zero + 1.0, zero)
         store(mem, at.work + (k + 1) * WORK + LOCKED, lane, locked)
         pressed = greater(pressed, locked)
     if not anywhere(pressed > 0.5):
@@ -162,7 +162,7 @@ def hold(
         store(mem, at.state + i, lane, load(mem, begin + i, lane))
         store(mem, begin + i, lane, free_step)
     if free:  # else the momenta of locked joints mean nothing
-        _brake(links, mem, lane, at, flight, free)
+        _brake(links, mem, lane, at, layout, free)
     runge_kutta(links, mem, lane, at, free, at.yes, at.state, step)
     if not free:
         end = at.surroundings + 2 * at.block
@@ -178,17 +178,17 @@ def hold(
 
 
 @internal
-def _put_back(links: Links, mem: FloatArray, lane: int, at: At, flight: Flight, free: bool, hit: Mask) -> None:
+def _put_back(links: Links, mem: FloatArray, lane: int, at: At, layout: Layout, free: bool, hit: Mask) -> None:
     """Put gimbals past their stops back on them; the momenta of the joints and of the platform stay as they are."""
     apart()
     n, end = at.n, at.surroundings + 2 * at.block
-    before, after, root = flight.velocity + n, at.stages, at.work + MOMENT
+    before, after, root = layout.velocity + n, at.stages, at.work + MOMENT
     if free:
         joint_momenta(links, mem, lane, at, at.state, end, before + 3)
         for i in range(3):
             store(mem, before + i, lane, load(mem, root + i, lane))
     for k in range(n):
-        stop, q = flight.stop + k * STOP, load(mem, at.state + k, lane)
+        stop, q = layout.stop + k * STOP, load(mem, at.state + k, lane)
         inside = lesser(greater(q, load(mem, stop + LOW, lane)), load(mem, stop + HIGH, lane))
         store(mem, at.state + k, lane, choose(hit, inside, q))
     if not free:  # the momenta are the state
@@ -196,11 +196,11 @@ def _put_back(links: Links, mem: FloatArray, lane: int, at: At, flight: Flight, 
     joint_momenta(links, mem, lane, at, at.state, end, after + 3)
     for i in range(3):
         store(mem, after + i, lane, load(mem, root + i, lane))
-    _at_rest(mem, lane, at, flight)
+    _at_rest(mem, lane, at, layout)
     for i in range(n + 3):
         missing = load(mem, before + i, lane) - load(mem, after + i, lane)
-        store(mem, flight.spare_block + i, lane, missing)
-    derivative(links, mem, lane, at, free, at.no, at.yes, flight.spare_state, flight.spare_block, at.stages)
+        store(mem, layout.spare_block + i, lane, missing)
+    derivative(links, mem, lane, at, free, at.no, at.yes, layout.spare_state, layout.spare_block, at.stages)
     for i in range(n, 2 * n + 3):
         v = load(mem, at.state + i, lane)
         store(mem, at.state + i, lane, choose(hit, v + load(mem, at.stages + i, lane), v))
@@ -212,7 +212,7 @@ def meet_stops(
     mem: FloatArray,
     lane: int,
     at: At,
-    flight: Flight,
+    layout: Layout,
     free: bool,
     held: bool,
     contacts: int,
@@ -227,14 +227,14 @@ def meet_stops(
     a stop; t is the end of the step.
     """
     n, dy = at.n, at.stages
-    zero = 0.0 * load(mem, flight.alive, lane)  # which is a number even where the state is none any more
+    zero = 0.0 * load(mem, layout.alive, lane)  # which is a number even where the state is none any more
     hit, lying = zero, zero
     for k in range(n):
-        stop = flight.stop + k * STOP
-        past = _past(mem, lane, at, flight, k)
+        stop = layout.stop + k * STOP
+        past = _past(mem, lane, at, layout, k)
         touched = load(mem, stop + TOUCHING, lane) > 0.5
         fresh = choose(past, choose(touched, zero, zero + 1.0), zero)
-        counted = fresh * load(mem, flight.alive, lane)
+        counted = fresh * load(mem, layout.alive, lane)
         store(mem, contacts + k, lane, load(mem, contacts + k, lane) + counted)
         touching = choose(past, zero + 1.0, zero)
         if held:
@@ -244,23 +244,23 @@ def meet_stops(
         hit = choose(past, zero + 1.0, hit)
         lying = greater(lying, touching)
     if anywhere(hit > 0.5):
-        _put_back(links, mem, lane, at, flight, free, hit > 0.5)
+        _put_back(links, mem, lane, at, layout, free, hit > 0.5)
         derivative(links, mem, lane, at, free, at.no, at.no, at.state, at.surroundings + 2 * at.block, dy)
         for k in range(n):
-            store(mem, flight.velocity + k, lane, load(mem, dy + k, lane))
+            store(mem, layout.velocity + k, lane, load(mem, dy + k, lane))
         # Impulses in turn until no gimbal that touches moves outwards; one pass does it for one contact.
         for _ in range(100):
             settled = True
             for k in range(n):
-                stop = flight.stop + k * STOP
-                rate, touching = load(mem, flight.velocity + k, lane), load(mem, stop + TOUCHING, lane)
+                stop = layout.stop + k * STOP
+                rate, touching = load(mem, layout.velocity + k, lane), load(mem, stop + TOUCHING, lane)
                 above = load(mem, at.state + k, lane) >= load(mem, stop + HIGH, lane)
                 outward = choose(above, rate, -rate)
                 struck = (hit > 0.5) & (touching > 0.5) & (outward > 1e-12)
                 if not anywhere(struck):
                     continue
                 settled = False
-                _response(links, mem, lane, at, flight, free, k, dy)
+                _response(links, mem, lane, at, layout, free, k, dy)
                 away = load(mem, stop + AWAY, lane)
                 again = (away > 0.0) & (t - load(mem, stop + WHEN, lane) < _SHORT * step)
                 coming = choose(again, lesser(outward, away), outward)
@@ -268,7 +268,7 @@ def meet_stops(
                 change = choose(above, -outward - back, outward + back)
                 impulse = choose(struck, change / load(mem, dy + k, lane), zero)
                 for j in range(n):
-                    slot = flight.velocity + j
+                    slot = layout.velocity + j
                     store(mem, slot, lane, load(mem, slot, lane) + impulse * load(mem, dy + j, lane))
                 if free:
                     for i in range(n + 3):
@@ -280,8 +280,8 @@ def meet_stops(
             if settled:
                 break
     for k in range(n):
-        stop = flight.stop + k * STOP
-        rate = load(mem, flight.velocity + k, lane)
+        stop = layout.stop + k * STOP
+        rate = load(mem, layout.velocity + k, lane)
         bounced = load(mem, stop + TOUCHING, lane) > 1.5
         store(mem, stop + WHEN, lane, choose(bounced, t, load(mem, stop + WHEN, lane)))
         store(mem, stop + AWAY, lane, choose(bounced, choose(rate < 0.0, -rate, rate), load(mem, stop + AWAY, lane)))

@@ -38,7 +38,7 @@ from platform_ctrl.simulation.kernel.arrays import (
     TURN,
     UNTIL,
     At,
-    Flight,
+    Layout,
     Shared,
 )
 from platform_ctrl.simulation.kernel.functions import cosine_and_sine, exponential
@@ -66,9 +66,9 @@ def _look_up(shared: Shared, mem: FloatArray, lane: int, t: int, scale: int, res
 
 
 @inlined
-def _half_cosine(mem: FloatArray, lane: int, flight: Flight, t: Number) -> Number:
+def _half_cosine(mem: FloatArray, lane: int, layout: Layout, t: Number) -> Number:
     """How much of the half-cosine's rate is there."""
-    rise, hold = load(mem, flight.rate + RISE, lane), load(mem, flight.rate + HOLD, lane)
+    rise, hold = load(mem, layout.rate + RISE, lane), load(mem, layout.rate + HOLD, lane)
     zero = 0.0 * t
     inside = lesser(t, 2.0 * rise + hold - t)
     slow = rise > 0.0
@@ -79,17 +79,17 @@ def _half_cosine(mem: FloatArray, lane: int, flight: Flight, t: Number) -> Numbe
 
 
 @inlined
-def _shares(shared: Shared, mem: FloatArray, lane: int, flight: Flight, t: Number) -> None:
+def _shares(shared: Shared, mem: FloatArray, lane: int, layout: Layout, t: Number) -> None:
     """How much of their speed the failing rotors have at t; LAST_SHARE takes what SHARE was."""
     for r in range(shared.rotors.shape[0]):
-        slot = flight.rotor + r * ROTOR
+        slot = layout.rotor + r * ROTOR
         store(mem, slot + LAST_SHARE, lane, load(mem, slot + SHARE, lane))
         store(mem, slot + SHARE, lane, 0.0 * t + 1.0)
     for f in range(shared.faults.shape[0]):
         kind = shared.faults[f, 0]
         if kind > RIPPLE:
             continue
-        row, slot = flight.fault + f * FAULT, flight.rotor + shared.faults[f, 1] * ROTOR + SHARE
+        row, slot = layout.fault + f * FAULT, layout.rotor + shared.faults[f, 1] * ROTOR + SHARE
         begin, until = load(mem, row + BEGIN, lane), load(mem, row + UNTIL, lane)
         a, b = load(mem, row + FIRST, lane), load(mem, row + SECOND, lane)
         begun = t >= begin
@@ -105,19 +105,19 @@ def _shares(shared: Shared, mem: FloatArray, lane: int, flight: Flight, t: Numbe
 
 
 @internal
-def follow_rotors(shared: Shared, mem: FloatArray, lane: int, at: At, flight: Flight, t: Number, step: Number) -> None:
+def follow_rotors(shared: Shared, mem: FloatArray, lane: int, at: At, layout: Layout, t: Number, step: Number) -> None:
     """Fill all three blocks with the rotors' momenta during the step that ends at t.
 
     They change evenly during a step: what the motors hand to the carriers is then exactly what the rotors lose,
     wherever a fault begins or ends.
     """
     n = at.n
-    _shares(shared, mem, lane, flight, t)
+    _shares(shared, mem, lane, layout, t)
     first, block = at.surroundings + n + 9, at.block
     for i in range(3 * (n + 1)):
-        store(mem, first + 2 * block + i, lane, load(mem, flight.steady + n + 9 + i, lane))
+        store(mem, first + 2 * block + i, lane, load(mem, layout.steady + n + 9 + i, lane))
     for r in range(shared.rotors.shape[0]):
-        rotor, body, servo = flight.rotor + r * ROTOR, shared.rotors[r, 0], shared.rotors[r, 1]
+        rotor, body, servo = layout.rotor + r * ROTOR, shared.rotors[r, 0], shared.rotors[r, 1]
         share = load(mem, rotor + SHARE, lane)
         if servo >= 0:
             mean = 0.5 * (load(mem, rotor + LAST_SHARE, lane) + share)
@@ -135,17 +135,17 @@ def follow_rotors(shared: Shared, mem: FloatArray, lane: int, at: At, flight: Fl
 
 
 @internal
-def begin_surroundings(shared: Shared, mem: FloatArray, lane: int, at: At, flight: Flight) -> None:
+def begin_surroundings(shared: Shared, mem: FloatArray, lane: int, at: At, layout: Layout) -> None:
     """Fill all three blocks with what does not change."""
     for row in range(3):
         for i in range(at.block):
-            store(mem, at.surroundings + row * at.block + i, lane, load(mem, flight.steady + i, lane))
+            store(mem, at.surroundings + row * at.block + i, lane, load(mem, layout.steady + i, lane))
         for i in range(3):
-            store(mem, flight.table + 3 * row + i, lane, load(mem, flight.steady + i, lane))
+            store(mem, layout.table + 3 * row + i, lane, load(mem, layout.steady + i, lane))
 
 
 @internal
-def hand_on(shared: Shared, mem: FloatArray, lane: int, at: At, flight: Flight, free: bool) -> None:
+def hand_on(shared: Shared, mem: FloatArray, lane: int, at: At, layout: Layout, free: bool) -> None:
     """What stood at the end of the last step stands at the beginning of the next."""
     n, block = at.n, at.surroundings
     end = block + 2 * at.block
@@ -159,7 +159,7 @@ def hand_on(shared: Shared, mem: FloatArray, lane: int, at: At, flight: Flight, 
         for i in range(n + 9, 4 * n + 12):
             store(mem, block + i, lane, load(mem, end + i, lane))
     for i in range(3):
-        store(mem, flight.table + i, lane, load(mem, flight.table + 6 + i, lane))
+        store(mem, layout.table + i, lane, load(mem, layout.table + 6 + i, lane))
 
 
 @internal
@@ -168,7 +168,7 @@ def surround(
     mem: FloatArray,
     lane: int,
     at: At,
-    flight: Flight,
+    layout: Layout,
     free: bool,
     row: int,
     segment: int,
@@ -181,27 +181,27 @@ def surround(
     zero = 0.0 * t
     Omega, force = block + n + 3, block + n + 6
     if not free:
-        if flight.profile != 0:
-            share = _half_cosine(mem, lane, flight, t)
+        if layout.profile != 0:
+            share = _half_cosine(mem, lane, layout, t)
             for i in range(3):
-                store(mem, Omega + i, lane, share * load(mem, flight.rate + i, lane))
+                store(mem, Omega + i, lane, share * load(mem, layout.rate + i, lane))
         else:
             for i in range(3):
                 store(mem, Omega + i, lane, zero)
     if shared.pieces.shape[0] > 0:
-        store(mem, flight.random, lane, t)
-        _look_up(shared, mem, lane, flight.random, flight.rate + SCALE, flight.random + 1)
+        store(mem, layout.random, lane, t)
+        _look_up(shared, mem, lane, layout.random, layout.rate + SCALE, layout.random + 1)
         for i in range(3):
-            value = load(mem, flight.random + 1 + i, lane)
+            value = load(mem, layout.random + 1 + i, lane)
             if free:
-                store(mem, flight.table + 3 * row + i, lane, load(mem, flight.steady + i, lane) + value)
+                store(mem, layout.table + 3 * row + i, lane, load(mem, layout.steady + i, lane) + value)
             else:
                 store(mem, Omega + i, lane, load(mem, Omega + i, lane) + value)
     if shared.lines.shape[0] > 0:
         for i in range(3):
-            store(mem, force + i, lane, load(mem, flight.steady + n + 6 + i, lane))
+            store(mem, force + i, lane, load(mem, layout.steady + n + 6 + i, lane))
         for j in range(shared.lines.shape[0]):
-            slot = flight.line + j * LINE
+            slot = layout.line + j * LINE
             c, s = load(mem, slot + PHASE, lane), load(mem, slot + PHASE + 1, lane)
             if turning:
                 turn = slot + TURN + 2 * segment
