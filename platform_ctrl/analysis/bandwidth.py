@@ -11,7 +11,7 @@ from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, frequencies
 from platform_ctrl.analysis.feedback import At, closed_loop_with_sensitivity
 from platform_ctrl.analysis.norms import resonances
 from platform_ctrl.analysis.poles import continuous_poles, poles, spectral_abscissa
-from platform_ctrl.analysis.singular_values import FrequencyAxis, largest
+from platform_ctrl.analysis.singular_values import FrequencyAxis, largest_singular_values
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
 
@@ -139,7 +139,7 @@ def bandwidth_of_response(frequency: FloatArray, S: ComplexArray) -> FloatArray:
         )
     if frequency[0] <= 0.0 or not (np.diff(frequency) > 0.0).all():
         raise ArgumentError("bandwidth_of_response: frequency must be above zero and rise")
-    sizes = largest(S) / LEVEL
+    sizes = largest_singular_values(S) / LEVEL
     above = sizes >= 1.0
     first = np.argmax(above, axis=-1)
     never = ~np.any(above, axis=-1)

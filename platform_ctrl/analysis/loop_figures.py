@@ -27,7 +27,7 @@ from platform_ctrl.analysis.peaks import TOLERANCE, WHOLE, Band, exceeds, peak
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.poles import continuous_poles, minimum_damping, poles, spectral_abscissa
 from platform_ctrl.analysis.response import frequency_response
-from platform_ctrl.analysis.singular_values import largest
+from platform_ctrl.analysis.singular_values import largest_singular_values
 from platform_ctrl.common.values import FloatArray, value
 
 # Figures that are the largest singular value over frequency.
@@ -376,9 +376,9 @@ def highest(matrices: ComplexArray) -> FloatArray:
         return np.zeros(N)
     size = np.linalg.norm(matrices, axis=(-2, -1))
     size = np.where(np.isfinite(size), size, np.inf)
-    out = largest(matrices[np.arange(N), np.argmax(size, axis=1)])
+    out = largest_singular_values(matrices[np.arange(N), np.argmax(size, axis=1)])
     plants, places = np.nonzero(size > out[:, None])
-    np.maximum.at(out, plants, largest(matrices[plants, places]))
+    np.maximum.at(out, plants, largest_singular_values(matrices[plants, places]))
     return out
 
 

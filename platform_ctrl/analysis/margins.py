@@ -19,7 +19,7 @@ from platform_ctrl.analysis.feedback import At, closed_loop_with_sensitivity
 from platform_ctrl.analysis.mu import SLACK, MuPeak, disk_factors, mu_bounds, perturbation, search_grid, worst_factors
 from platform_ctrl.analysis.norms import hinf_norm, peak_gain
 from platform_ctrl.analysis.poles import continuous_poles, poles, spectral_abscissa
-from platform_ctrl.analysis.singular_values import largest_gains
+from platform_ctrl.analysis.singular_values import largest_singular_values
 from platform_ctrl.analysis.transfer_function import LinearSystem, NamedSystem, linear_arrays
 from platform_ctrl.common.arguments import number, positive, real_numbers
 from platform_ctrl.common.signatures import check_arguments
@@ -220,7 +220,7 @@ def disk_margin(
     shown = slice(None) if given is None else np.searchsorted(grid, given)
     if not np.all(np.isfinite(response)):  # a pole that is stable by rounding alone
         return _unstable(skew, grid[shown], s, disk)
-    bounds, gains = mu_bounds(response), largest_gains(response)
+    bounds, gains = mu_bounds(response), largest_singular_values(response)
     proved = True
     if m == 1:
         norm, peak.frequency = hinf_norm(disk, allow_unstable=True)
@@ -305,7 +305,7 @@ def _margin_of_data(data: control.FrequencyResponseData, skew: float, frequency:
         ) from None
     dt = float(data.dt) if data.dt else 0.0
     peak = MuPeak(StateArrays(np.zeros((0, 0)), np.zeros((0, m)), np.zeros((m, 0)), np.zeros((m, m)), dt))
-    bounds, gains = peak.bounds(grid, response, 1e-6), largest_gains(response)
+    bounds, gains = peak.bounds(grid, response, 1e-6), largest_singular_values(response)
     return _margin(
         peak,
         float(gains.max()),

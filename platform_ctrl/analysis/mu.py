@@ -10,7 +10,7 @@ import numpy as np
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, named_system
 from platform_ctrl.analysis.norms import resonances
-from platform_ctrl.analysis.singular_values import FrequencyAxis, largest_gains
+from platform_ctrl.analysis.singular_values import FrequencyAxis, largest_singular_values
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
 
@@ -202,7 +202,7 @@ class MuPeak:
             edges = [low, *inner.tolist(), high]
             parts += list(pairwise(edges))
         response = self.axis.response(np.array([_middle(*part) for part in parts]))
-        exceeds = largest_gains(D[:, None] * response / D) > level
+        exceeds = largest_singular_values(D[:, None] * response / D) > level
         kept: list[tuple[float, float]] = []
         for part, bad in zip(parts, exceeds, strict=True):
             if not bad:

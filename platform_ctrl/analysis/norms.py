@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, scaled
 from platform_ctrl.analysis.poles import continuous_poles, poles, spectral_abscissa, spectral_radius
 from platform_ctrl.analysis.response import LARGE, ON_A_GRID, frequency_response, plain
-from platform_ctrl.analysis.singular_values import PORTS, FrequencyAxis, boundary_poles, largest_gains
+from platform_ctrl.analysis.singular_values import PORTS, FrequencyAxis, boundary_poles, largest_singular_values
 from platform_ctrl.analysis.transfer_function import StateSystem, linear_arrays
 from platform_ctrl.common.arguments import not_negative, positive, within
 from platform_ctrl.common.signatures import check_arguments
@@ -225,7 +225,7 @@ def level_crossings(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, 
 
 def gains(system: StateArrays, frequency: FloatArray) -> FloatArray:
     """Return the largest singular value at each frequency, (N,); inf where the response is not finite."""
-    return largest_gains(frequency_response(system, frequency, -3))
+    return largest_singular_values(frequency_response(system, frequency, -3))
 
 
 def _climbed(axis: FrequencyAxis, s: ComplexArray, best: float, frequency: float, slack: float) -> tuple[float, float]:

@@ -69,7 +69,7 @@ class FrequencyAxis:
 
     def gains(self, frequency: FloatArray, tolerated: float | None = None, least: float = 0.0) -> FloatArray:
         """Return the largest singular value at each frequency, (N,); inf where the response is not finite."""
-        return largest_gains(self.response(frequency, tolerated, least))
+        return largest_singular_values(self.response(frequency, tolerated, least))
 
     def largest(self, frequency: FloatArray) -> tuple[float, float]:
         """Return the largest gain among `frequency` up to the edge, and where it is; (0, 0) without any."""
@@ -106,24 +106,20 @@ class FrequencyAxis:
         return w if dt == 0.0 else np.asarray(2.0 / dt * np.arctan(0.5 * dt * w), dtype=np.float64)
 
 
-def largest_gains(H: ComplexArray) -> FloatArray:
-    """Return the largest singular value of each of the matrices (N, p, m); inf where one is not finite."""
-    out = np.full(len(H), np.inf)
-    if min(H.shape[1:]) <= PORTS:
-        from platform_ctrl.analysis.kernels import largest_singular_values
-
-        largest_singular_values(np.ascontiguousarray(H), out)
-        return out
-    fine = np.all(np.isfinite(H), axis=(-2, -1))
-    if np.any(fine):
-        out[fine] = np.linalg.norm(H[fine], 2, axis=(-2, -1))
-    return out
-
-
-def largest(matrices: ComplexArray) -> FloatArray:
-    """Return largest singular values, (...) of (..., p, m); inf where a matrix is not finite."""
+def largest_singular_values(matrices: ComplexArray) -> FloatArray:
+    """Return the largest singular value of each matrix, (...) of (..., p, m); inf where one is not finite."""
     *batch, p, m = matrices.shape
-    return largest_gains(np.ascontiguousarray(matrices).reshape(math.prod(batch), p, m)).reshape(batch)
+    H = np.ascontiguousarray(matrices, dtype=np.complex128).reshape(math.prod(batch), p, m)
+    out = np.full(len(H), np.inf)
+    if min(p, m) <= PORTS:
+        from platform_ctrl.analysis import kernels
+
+        kernels.largest_singular_values(H, out)
+    else:
+        fine = np.all(np.isfinite(H), axis=(-2, -1))
+        if np.any(fine):
+            out[fine] = np.linalg.norm(H[fine], 2, axis=(-2, -1))
+    return out.reshape(batch)
 
 
 def hamiltonian_crossings(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray) -> FloatArray:

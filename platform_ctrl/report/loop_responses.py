@@ -12,6 +12,7 @@ from platform_ctrl.analysis.loop_figures import LoopFigures, Own
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.poles import continuous_poles
 from platform_ctrl.analysis.response import frequency_response
+from platform_ctrl.analysis.singular_values import largest_singular_values
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.jobs import LoopOutcome
 from platform_ctrl.design.loop import LoopDesign, closed_loop_poles, sampled_plant
@@ -258,7 +259,7 @@ def loop_responses(model: LinearModel, outcome: LoopOutcome) -> LoopResponses | 
         ),
         closed=outcome.use,
         open_angle_per_rate=np.linalg.norm(from_rate, axis=1).T,
-        open_angle_per_torque=_largest(open_torque),
+        open_angle_per_torque=largest_singular_values(open_torque),
     )
 
 
@@ -293,16 +294,18 @@ def _design_responses(
     return DesignResponses(
         design=design,
         gang=responses,
-        sensitivity=np.maximum(_largest(S_in), _largest(S_out)),
-        complementary=np.maximum(_largest(T_in), _largest(T_out)),
-        balanced=np.maximum(_largest(0.5 * (S_in - T_in)), _largest(0.5 * (S_out - T_out))),
+        sensitivity=np.maximum(largest_singular_values(S_in), largest_singular_values(S_out)),
+        complementary=np.maximum(largest_singular_values(T_in), largest_singular_values(T_out)),
+        balanced=np.maximum(
+            largest_singular_values(0.5 * (S_in - T_in)), largest_singular_values(0.5 * (S_out - T_out))
+        ),
         smallest_sensitivity=np.asarray(np.linalg.svd(S_in, compute_uv=False)[:, -1], dtype=np.float64),
         loop_gains=np.asarray(np.linalg.svd(loop, compute_uv=False).T, dtype=np.float64),
         channels=channels,
-        controller_gain=_largest(K),
+        controller_gain=largest_singular_values(K),
         angle_per_rate=np.linalg.norm(S_out @ from_rate, axis=1).T,
         rejection=rejection,
-        angle_per_torque=_largest(_frequency_first(responses.angle_per_torque)),
+        angle_per_torque=largest_singular_values(_frequency_first(responses.angle_per_torque)),
         torque_share=np.linalg.norm(share, axis=-1).max(axis=-1, initial=0.0),
         poles=poles[0],
         spread_poles=poles[1:][~faults[1:]].ravel(),
@@ -341,8 +344,3 @@ def root_locus(design: LoopDesign, highest: float = 2.0, points: int = 161) -> R
 
 def _frequency_first(response: ComplexArray) -> ComplexArray:
     return np.moveaxis(response, -1, 0)
-
-
-def _largest(response: ComplexArray) -> FloatArray:
-    """Largest singular values of (N, p, m)."""
-    return np.asarray(np.linalg.norm(response, 2, axis=(-2, -1)))

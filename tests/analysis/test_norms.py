@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from platform_ctrl import PlatformCtrlError, analysis
 from platform_ctrl.analysis.arrays import StateArrays
-from platform_ctrl.analysis.singular_values import largest_gains
+from platform_ctrl.analysis.singular_values import largest_singular_values
 from platform_ctrl.common.values import FloatArray
 
 seeds = st.integers(0, 2**31 - 1)
@@ -221,8 +221,8 @@ def test_largest_singular_values_are_those_of_lapack(p: int, m: int) -> None:
     # Zero, all of them alike, one alone, columns next to parallel, and of widely different lengths.
     H[0], H[1], H[2], H[3] = 0.0, np.eye(p, m), 1.0, 1.0 + 1e-9 * rng.normal(size=(p, m))
     H[4] = 10.0 ** -np.arange(0.0, 12.0 * m, 12.0)
-    sizes = largest_gains(H)
+    sizes = largest_singular_values(H)
     assert sizes == pytest.approx(np.linalg.norm(H, 2, axis=(-2, -1)), rel=1e-14)
     H[7, 0, -1], H[9, -1, 0] = math.nan, complex(0.0, -math.inf)
-    assert np.flatnonzero(np.isinf(largest_gains(H))).tolist() == [7, 9]
-    assert largest_gains(H)[8] == sizes[8]
+    assert np.flatnonzero(np.isinf(largest_singular_values(H))).tolist() == [7, 9]
+    assert largest_singular_values(H)[8] == sizes[8]

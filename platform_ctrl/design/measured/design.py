@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.arrays import ComplexArray, named_system
+from platform_ctrl.analysis.feedback import sensitivities_of_plants
 from platform_ctrl.common.arguments import positive
 from platform_ctrl.common.signatures import check_arguments, short
 from platform_ctrl.common.values import FloatArray, value
@@ -269,7 +270,7 @@ def _closed_loop(path: Contour, sample: Sample, gains: FloatArray) -> ClosedLoop
     sample = sample.only(np.flatnonzero(path.residue == 0.0))
     P, K = sample.P, controller_response(gains, sample.actions)
     eye = np.eye(P.shape[-1])
-    S, S_input = (np.asarray(np.linalg.inv(eye - L), dtype=np.complex128) for L in (P @ K, K @ P))
+    S, S_input = sensitivities_of_plants(P, K)
     return ClosedLoopResponse(
         frequency=path.frequency[path.residue == 0.0],
         S=S,

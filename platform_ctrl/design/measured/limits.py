@@ -17,11 +17,12 @@ r = m/(m² − c²): Z has to stay out of a ball. The other two compare Z with s
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 
 from platform_ctrl.analysis.arrays import ComplexArray
+from platform_ctrl.analysis.feedback import sensitivities_of_plants
+from platform_ctrl.analysis.singular_values import largest_singular_values
 from platform_ctrl.common.signatures import short
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.measured.contour import Contour
@@ -93,15 +94,10 @@ def _bound(name: str, asked: Bound, frequency: FloatArray) -> FloatArray:
 def ratios(limit: Limit, P: ComplexArray, K: ComplexArray) -> FloatArray:
     """Return what is reached over the limit, (N,): at most 1 where it is kept."""
     eye = np.eye(P.shape[-1])
-    S_output, S_input = np.linalg.inv(eye - P @ K), np.linalg.inv(eye - K @ P)
+    S_output, S_input = sensitivities_of_plants(P, K)
     if limit.name in CENTRES:
         c = CENTRES[limit.name]
-        reached = np.maximum(_gain(S_output - c * eye), _gain(S_input - c * eye))
+        reached = np.maximum(largest_singular_values(S_output - c * eye), largest_singular_values(S_input - c * eye))
     else:
-        reached = _gain(P @ S_input if limit.name in OF_ANGLE else K @ S_output)
+        reached = largest_singular_values(P @ S_input if limit.name in OF_ANGLE else K @ S_output)
     return np.asarray(reached / limit.bound)
-
-
-def _gain(matrices: Any) -> FloatArray:
-    out: FloatArray = np.linalg.norm(matrices, 2, axis=(-2, -1))
-    return out
