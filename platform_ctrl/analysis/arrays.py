@@ -19,6 +19,9 @@ if TYPE_CHECKING:
 
 ComplexArray = NDArray[np.complex128]
 
+# From so many states on, LAPACK reduces a matrix faster than our compiled code, and a narrow band is looked for first.
+MANY_STATES = 48
+
 
 class StateArrays(NamedTuple):
     """A, B, C, D (each may carry leading batch axes) and the sample period `dt` (0: continuous).

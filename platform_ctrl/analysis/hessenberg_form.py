@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from platform_ctrl.analysis.response import LARGE
+from platform_ctrl.analysis.arrays import MANY_STATES
 from platform_ctrl.common.simd import LANES, Number, choose, compiled, greater, internal, load, memory, root, store
 from platform_ctrl.common.values import FloatArray
 
@@ -55,7 +55,7 @@ class Chains(NamedTuple):
 def chains(A: FloatArray, B: FloatArray, C: FloatArray) -> Chains:
     """Return the chains of a system with states, inputs and outputs; arrays are contiguous and may be written to."""
     (n, m), p = B.shape, C.shape[0]
-    if n >= LARGE:
+    if n >= MANY_STATES:
         return _long_chains(A, B, C)
     size = p + 1 + n
     out = Chains(np.empty((m + 1) * size * size), np.empty(m + 1, dtype=np.int64), np.empty(p + 1))

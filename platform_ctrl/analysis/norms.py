@@ -16,9 +16,10 @@ import warnings
 import numpy as np
 from numpy.typing import ArrayLike
 
-from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, scaled
+from platform_ctrl.analysis.arrays import MANY_STATES, ComplexArray, StateArrays, scaled
 from platform_ctrl.analysis.poles import continuous_poles, poles, spectral_abscissa, spectral_radius
-from platform_ctrl.analysis.response import LARGE, ON_A_GRID, frequency_response, plain
+from platform_ctrl.analysis.resolvent import ON_A_GRID, plain
+from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.analysis.singular_values import PORTS, FrequencyAxis, boundary_poles, largest_singular_values
 from platform_ctrl.analysis.transfer_function import StateSystem, linear_arrays
 from platform_ctrl.common.arguments import not_negative, positive, within
@@ -104,7 +105,7 @@ def _norm(system: StateArrays, tolerance: float, allow_unstable: bool) -> tuple[
 
 def _is_small(system: StateArrays) -> bool:
     """Return whether the compiled search takes a system: some states, inputs and outputs, but few."""
-    return 0 < len(system.A) < LARGE and 0 < min(system.D.shape) <= PORTS
+    return 0 < len(system.A) < MANY_STATES and 0 < min(system.D.shape) <= PORTS
 
 
 def peak_gain(
@@ -132,7 +133,9 @@ def peak_gain(
         if found:
             return best, frequency
     phase = phase_bound.all_pass(s, dt)
-    w = np.concatenate([[0.0, axis.edge], resonances(s, few=len(s) >= LARGE), [] if known is None else [known[1]]])
+    w = np.concatenate(
+        [[0.0, axis.edge], resonances(s, few=len(s) >= MANY_STATES), [] if known is None else [known[1]]]
+    )
     w = np.unique(w[w <= axis.edge])
     best, frequency, sizes = 0.0, 0.0, _looked(axis, w, 0.0)
     if not np.any(sizes):
@@ -159,7 +162,7 @@ def peak_gain(
 
 def _looked(axis: FrequencyAxis, w: FloatArray, best: float) -> FloatArray:
     """Return gains (N,), of many states with few digits where they are below the best one."""
-    if len(axis.system.A) < LARGE or not w.size:
+    if len(axis.system.A) < MANY_STATES or not w.size:
         return axis.gains(w)
     if best == 0.0:
         # Not refined at all: how large the gain is, about.

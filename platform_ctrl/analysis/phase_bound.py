@@ -22,7 +22,7 @@ from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
 from platform_ctrl.analysis.hessenberg_form import reduce
 from platform_ctrl.analysis.hessenberg_recurrence import quick
 from platform_ctrl.analysis.kernels import largest_of_columns
-from platform_ctrl.analysis.response import TOLERATED, plain
+from platform_ctrl.analysis.resolvent import TOLERATED, plain
 from platform_ctrl.analysis.singular_values import DOUBTFUL, EPSILON
 from platform_ctrl.common.simd import LANES, compiled, internal
 from platform_ctrl.common.values import FloatArray

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, named_system, state_arrays
-from platform_ctrl.analysis.response import ON_A_GRID, frequency_response
+from platform_ctrl.analysis.resolvent import ON_A_GRID
+from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.common.arguments import whole
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray, value

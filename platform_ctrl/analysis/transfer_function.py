@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, scaled, state_arrays, system_arrays
+from platform_ctrl.analysis.resolvent import state_response
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
 
@@ -160,15 +161,13 @@ def _reached(A: FloatArray, B: FloatArray) -> FloatArray:
 
 def _require_same(system: Any, arrays: StateArrays, where: str) -> None:
     """Raise an ArgumentError where the realisation's response is not that of the transfer function."""
-    from platform_ctrl.analysis.response import frequency_response
-
     rates = np.abs(np.concatenate([np.roots(den) for *_, den in _entries(system)]))
     w = (
         np.linspace(0.05, 0.95, 19) * np.pi / arrays.dt
         if arrays.dt
         else np.geomspace(0.1, 10.0, 5)[:, None] * np.unique(np.where(rates > 0.0, rates, 1.0))
     ).ravel()
-    true, ours = rational_response(system, w), frequency_response(arrays, w)
+    true, ours = rational_response(system, w), state_response(*arrays, w)
     size = np.abs(true).max(axis=-1, where=np.isfinite(true), initial=0.0)
     with np.errstate(invalid="ignore"):
         wrong = np.abs(ours - true) > _REALISED * (np.abs(true) + 1e-3 * size[..., None])

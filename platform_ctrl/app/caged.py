@@ -14,7 +14,8 @@ from platform_ctrl.analysis.loop_figures import LoopFigures, Own
 from platform_ctrl.analysis.loop_measures import LoopMeasures, exact_measures, measure
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.poles import continuous_poles, minimum_damping
-from platform_ctrl.analysis.response import ON_A_GRID, frequency_response
+from platform_ctrl.analysis.resolvent import ON_A_GRID
+from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.app.curves import (
     channel_response,
     degrees,

@@ -15,7 +15,8 @@ from platform_ctrl.analysis.feedback import closed_loop, sensitivity_functions
 from platform_ctrl.analysis.interconnection import interconnect_controllers
 from platform_ctrl.analysis.peaks import peak
 from platform_ctrl.analysis.poles import continuous_poles, poles
-from platform_ctrl.analysis.response import ON_A_GRID, AxisResponse, frequency_response
+from platform_ctrl.analysis.resolvent import ON_A_GRID, AxisResponse
+from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.analysis.sampled import held_input, sampled
 from platform_ctrl.app.curves import arrays_of, dense_grid
 from platform_ctrl.app.parts import EDGE

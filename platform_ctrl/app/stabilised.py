@@ -10,7 +10,8 @@ import numpy as np
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
 from platform_ctrl.analysis.feedback import closed_loop, sensitivity_functions
 from platform_ctrl.analysis.poles import continuous_poles, minimum_damping, poles, spectral_abscissa
-from platform_ctrl.analysis.response import ON_A_GRID, frequency_response
+from platform_ctrl.analysis.resolvent import ON_A_GRID
+from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.app.curves import channel_response, degrees, gain_locus, held_responses, moved_by_gain, sample_times
 from platform_ctrl.app.free_measures import Kept, requirements
 from platform_ctrl.app.free_plants import (
