@@ -117,6 +117,8 @@ def riccati_solution(
 ) -> tuple[FloatArray, FloatArray, FloatArray] | None:
     """Return X, the gain F = −W⁻¹(B'X + N') that makes A + B F stable, and W = R, or None.
 
+    F as in the synthesis formulas of Zhou, Doyle and Glover, u = F x; the K of u = −K x that `lqr` returns is −F.
+
     X solves A'X + XA + Q − (XB + N) R⁻¹ (B'X + N') = 0: of all inputs that bring x to rest, the least of
     ∫ x'Qx + 2 x'Nu + u'Ru is x'Xx. R is positive definite; Q need not be.
 

@@ -367,23 +367,23 @@ def _feedback(
 ) -> StateFeedback:
     A, B, weights, p = _with_integrals(arrays, weights, integral, where)
     with _named_modes(A, B, np.eye(len(A)), arrays.dt, where, system) as require:
-        X, F, poles, residual = solved(A, B, weights, arrays.dt, where, system)
-        if not well_conditioned(A + B @ F, X, arrays.dt > 0):
+        X, K, poles, residual = solved(A, B, weights, arrays.dt, where, system)
+        if not well_conditioned(A - B @ K, X, arrays.dt > 0):
             require()
-    return StateFeedback(system=system, state_gain=-F, X=X, poles=poles, integrals=p, residual=residual)
+    return StateFeedback(system=system, state_gain=K, X=X, poles=poles, integrals=p, residual=residual)
 
 
 def _estimator(system: StateSpace, arrays: StateArrays, noise: Weights, where: str) -> Estimator:
     A, _, C, _, dt = arrays
     with _named_modes(A, np.eye(len(A)), C, dt, where, system) as require:
         Y, Lt, poles, residual = solved(A.T, C.T, noise, dt, where, system)
-        if not well_conditioned(A.T + C.T @ Lt, Y, dt > 0):
+        if not well_conditioned(A.T - C.T @ Lt, Y, dt > 0):
             require()
     present = np.zeros((len(Y), 0))
     if arrays.dt:
         S = noise.second + arrays.C @ Y @ arrays.C.T
         present = np.asarray(np.linalg.solve(S, arrays.C @ Y).T)
-    return Estimator(system=system, observer_gain=-Lt.T, Y=Y, poles=poles, present_gain=present, residual=residual)
+    return Estimator(system=system, observer_gain=Lt.T, Y=Y, poles=poles, present_gain=present, residual=residual)
 
 
 @contextmanager

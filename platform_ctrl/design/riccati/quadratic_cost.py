@@ -126,7 +126,7 @@ def _require_definite(name: str, R: FloatArray, labels: list[str], sampled: bool
 def solved(
     A: FloatArray, B: FloatArray, weights: Weights, dt: float, where: str, system: StateSpace
 ) -> tuple[FloatArray, FloatArray, ComplexArray, float]:
-    """Solve in scaled units: X, the gain F of u = F x, the poles of A + B F and the equation's relative residual."""
+    """Solve in scaled units: X, the gain K of u = −K x, the poles of A − B K and the equation's relative residual."""
     tried = list(_solutions(A, B, weights, dt))
     found = next((one for one in tried if one.X is not None and one.accurate), None)
     if found is None:
@@ -147,7 +147,7 @@ def solved(
             "cost has no least value; expected larger weights of the inputs",
             system,
         )
-    return found.X, found.F, poles, found.residual
+    return found.X, -found.F, poles, found.residual
 
 
 class _Solution(NamedTuple):
