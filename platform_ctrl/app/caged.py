@@ -42,7 +42,7 @@ from platform_ctrl.app.parts import (
 from platform_ctrl.app.pictures import Drawn, FrequencyGain, Locus, Margins, Overlay, TimeResponse
 from platform_ctrl.app.settings import Settings
 from platform_ctrl.common.values import FloatArray, value
-from platform_ctrl.design.loop import asked_of, judged
+from platform_ctrl.design.loop import judged, requirements_of
 from platform_ctrl.job.job import Job, LoopSpec, Manoeuvre, manoeuvre_scenario
 from platform_ctrl.job.requirements import CheckResult
 from platform_ctrl.job.scenario import HalfCosine
@@ -83,7 +83,7 @@ KeptMeasures = Callable[[Callable[[], LoopMeasures]], LoopMeasures]
 
 def loop_measures(loop: CagedLoop, whole: LoopFigures | None = None) -> LoopMeasures:
     """Return the measures that the page shows of a loop: peaks are norms unless it has too many states for that."""
-    asked = asked_of(loop.spec)
+    asked = requirements_of(loop.spec)
     if _exact(loop):
         return exact_measures(loop.plants, loop.controller, asked, whole)
     return measure(loop.plants, loop.controller, asked)
@@ -120,7 +120,7 @@ def caged_parts(loop: CagedLoop, settings: Settings, kept: KeptMeasures) -> Part
         spec.limits.disk_margin,
     )
     margins = channel_margins(grid, response, stable)
-    asked = asked_of(spec)
+    asked = requirements_of(spec)
 
     def measured() -> Measured:
         measures = kept(lambda: loop_measures(loop, whole))

@@ -19,7 +19,7 @@ from platform_ctrl.app.influence import deciding, largest_ratios
 from platform_ctrl.app.settings import Settings, Slider
 from platform_ctrl.app.sliders import with_options
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.design.loop import asked_of
+from platform_ctrl.design.loop import requirements_of
 from platform_ctrl.job.requirements import CheckResult
 
 # By how much less than its limit a ratio has to be that is climbed on a grid.
@@ -40,7 +40,7 @@ def limits_of(loops: ClosedLoops, settings: Settings, parameters: FreeParameters
         return loops.measured(settings, now)(lambda: loop_measures(now))
 
     whole = exact(loop.controller)
-    hard = [one for one in asked_of(spec) if one.hard]
+    hard = [one for one in requirements_of(spec) if one.hard]
     met = [one for one, ratio in zip(hard, largest_ratios(whole, hard), strict=True) if ratio <= 1.0]
     first = largest_ratios(whole, met)
 

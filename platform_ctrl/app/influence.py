@@ -14,7 +14,7 @@ from platform_ctrl.app.free_measures import requirements
 from platform_ctrl.app.pictures import Influence
 from platform_ctrl.app.settings import Settings, Slider
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.design.loop import asked_of
+from platform_ctrl.design.loop import requirements_of
 from platform_ctrl.errors import PlatformCtrlError
 from platform_ctrl.job.requirements import CheckResult, LoopRequirement
 
@@ -29,7 +29,7 @@ def moved_slider(slider: Slider) -> float:
 
 def caged_influence(loop: CagedLoop, sliders: Sequence[Slider], loop_with: Callable[[Slider], CagedLoop]) -> Influence:
     """Return what `sliders` do to the limits of a caging loop; `loop_with` is the loop with one of them moved."""
-    asked = [one for one in asked_of(loop.spec) if one.hard]
+    asked = [one for one in requirements_of(loop.spec) if one.hard]
     whole = measure(loop.plants, loop.controller, asked)
     view = deciding(whole, asked)
     names = tuple(one.name for one in asked)

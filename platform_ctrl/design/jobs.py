@@ -53,13 +53,13 @@ def _at_the_limits(job: Job, design: LoopDesign) -> dict[str, float]:
     from platform_ctrl.design.antiwindup.job import caging_survival
 
     # One plant of the spread may leave the loop unstable: what holds for the plant as it is stays.
-    for asked in (job, dataclasses.replace(job, spread=Spread())):
+    for requested in (job, dataclasses.replace(job, spread=Spread())):
         try:
-            found = caging_survival(asked, design.controller)
+            found = caging_survival(requested, design.controller)
         except (ArgumentError, DesignError):
             continue
         out = {survived_name(one.axis): one.nominal.Omega for one in found}
-        if asked.spread.inertia > 0.0 or asked.spread.spin > 0.0:
+        if requested.spread.inertia > 0.0 or requested.spread.spin > 0.0:
             out |= {survived_name(one.axis, spread=True): one.spread for one in found}
         return out
     return {}

@@ -50,7 +50,7 @@ class LoopDesign:
     claims
         What the method claims, by name, in SI units: for example ``gamma``.
     certificates
-        Proofs that the loop is stable with each of its plants, of the disk margin that is asked for with each, and of
+        Proofs that the loop is stable with each of its plants, of the disk margin that is requested with each, and of
         the nominal one.
     unproved
         A line for each such claim without a proof.
@@ -183,7 +183,7 @@ def designed(problem: LoopProblem) -> LoopDesign:
 def certified(spec: LoopSpec, design: DesignSpec, found: Designed, plants: PlantSet) -> LoopDesign:
     """Return the design with all its numbers recomputed from the closed loops."""
     K = StateArrays(*found.controller, dt=plants.period)
-    measures = exact_measures(plants, K, asked_of(spec))
+    measures = exact_measures(plants, K, requirements_of(spec))
     if not measures.decay[0] > 0.0:
         raise NotCertifiedError(
             f"{spec.name}, {design.name}: the closed loop grows at {-measures.decay[0]:.3g} 1/s; expected a stable "
@@ -194,7 +194,7 @@ def certified(spec: LoopSpec, design: DesignSpec, found: Designed, plants: Plant
     return dataclasses.replace(out, options=found.options, claims=found.claims)
 
 
-def asked_of(spec: LoopSpec) -> tuple[LoopRequirement, ...]:
+def requirements_of(spec: LoopSpec) -> tuple[LoopRequirement, ...]:
     """Return all limits and goals of a loop."""
     hard, soft = hard_and_soft(spec.limits, spec.soft)
     return (*hard, *soft)
@@ -215,18 +215,18 @@ def proofs(
     spec: LoopSpec, plants: PlantSet, controller: StateArrays, measures: LoopMeasures
 ) -> tuple[tuple[Certificate, ...], tuple[str, ...]]:
     """Return the certificates of stability and of the disk margins that `spec` asks for, and what is left unproved."""
-    asked = np.zeros(len(plants.labels))
-    for requirement in asked_of(spec):
+    requested = np.zeros(len(plants.labels))
+    for requirement in requirements_of(spec):
         if requirement.kind == "disk margin" and requirement.hard:
             chosen = measures.of(requirement.over)
-            asked[chosen] = np.maximum(asked[chosen], requirement.limit)
-    return plant_set_certificates(plants, controller, measures.decay, measures.disk_margin, asked)
+            requested[chosen] = np.maximum(requested[chosen], requirement.limit)
+    return plant_set_certificates(plants, controller, measures.decay, measures.disk_margin, requested)
 
 
 def remeasured(spec: LoopSpec, name: str, controller: control.StateSpace, plants: PlantSet) -> LoopDesign:
     """Return an existing controller as a design of `spec`, measured anew: none of its claims is taken over."""
     K = plants.joined(controller)
-    return _with_evidence(spec, name, "given", K, plants, exact_measures(plants, K, asked_of(spec)))
+    return _with_evidence(spec, name, "given", K, plants, exact_measures(plants, K, requirements_of(spec)))
 
 
 def _with_evidence(

@@ -112,7 +112,7 @@ class Synthesis:
     norms
         Other norms of the closed loop that the route promised, recomputed, by name, in units of z per w.
     reason
-        Why the route was taken; empty where it was asked for.
+        Why the route was taken; empty where it was requested.
     """
 
     plant: StateSpace

@@ -152,13 +152,13 @@ def _worst_plants(measures: LoopMeasures, requirements: Sequence[LoopRequirement
     ratios = np.zeros(len(decay))
     for requirement in requirements:
         if requirement.over_spread and requirement.kind not in OF_CONTROLLER:
-            asked = measures.of(requirement.over)
-            ratios[asked] = np.maximum(ratios[asked], requirement.ratios(measures))
+            requested = measures.of(requirement.over)
+            ratios[requested] = np.maximum(ratios[requested], requirement.ratios(measures))
     return [int(k) for k in np.argsort(-ratios)]
 
 
 def _stable(measures: LoopMeasures, requirements: Sequence[LoopRequirement]) -> BoolArray:
-    """Return which plants have to be stable, (N,): those with a fault only where something is asked of them."""
+    """Return which plants have to be stable, (N,): those with a fault only where something is required of them."""
     if any("faults" in requirement.over for requirement in requirements):
         return np.ones(len(measures.groups), dtype=np.bool_)
     out: BoolArray = np.logical_not(measures.of(("faults",)))

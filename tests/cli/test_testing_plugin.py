@@ -11,7 +11,7 @@ import pytest
 
 import platform_ctrl as pc
 from one_gyro_job import JOB, SLOWER, TOO_MUCH
-from platform_ctrl.cli.testing.session import asked_of
+from platform_ctrl.cli.testing.session import requirements_of
 from plugged import plugged_in
 
 pytest_plugins = ["pytester"]
@@ -220,7 +220,7 @@ def test_a_design_that_fails_fails_every_item_and_is_tried_once(runs: pytest.Pyt
 
 def test_the_names_of_the_items_are_those_of_the_verdict(shipped_requirements: tuple[pc.Job, list[str]]) -> None:
     job, found = shipped_requirements
-    assert [f"{subject}: {name}" for subject, name in asked_of(job)] == found
+    assert [f"{subject}: {name}" for subject, name in requirements_of(job)] == found
 
 
 @pytest.fixture

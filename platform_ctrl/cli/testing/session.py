@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 Asked = tuple[str, str]
 
 
-def asked_of(job: Job) -> tuple[Asked, ...]:
+def requirements_of(job: Job) -> tuple[Asked, ...]:
     """Return subject and name of every requirement that the verdict on `job` will rest on, in its order."""
     out: list[Asked] = []
     for spec in job.loops:
@@ -153,7 +153,7 @@ class JobUnderTest:
 
     def tests(self) -> tuple[RequirementTest | BaselineTest, ...]:
         """Return a test for every requirement, and one for the baseline."""
-        own = [RequirementTest(self, asked) for asked in asked_of(self.job)]
+        own = [RequirementTest(self, asked) for asked in requirements_of(self.job)]
         return (*own, *([] if self.baseline is None else [BaselineTest(self, self.baseline)]))
 
 

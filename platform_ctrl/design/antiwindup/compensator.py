@@ -61,7 +61,7 @@ class AntiWindup:
     Attributes
     ----------
     loop
-        What was asked for.
+        What was requested.
     gain : (n_K, m)
         E of x⁺ = A x + B y + E (limited u − u), in units of the controller's states per N m.
     controller

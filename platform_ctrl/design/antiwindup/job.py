@@ -133,7 +133,7 @@ def caging_survival(
     rise
         As in `caging_loop_limits`, s.
     axes
-        Root axes that are asked about, 1 to 3.
+        Root axes that are meant, 1 to 3.
 
     Returns
     -------

@@ -95,7 +95,9 @@ class InvariantEllipsoid:
             for matrix, name in self._inequalities():
                 definite, found = positive_definite(matrix)
                 if not definite:
-                    reason = f"{name} is not {'told from singular' if definite is None else 'positive definite'}"
+                    reason = (
+                        f"{name} is not {'distinguishable from singular' if definite is None else 'positive definite'}"
+                    )
                     return Verification(
                         proved=False, statement=statement, reason=reason, margin=0.0, precision=precision
                     )

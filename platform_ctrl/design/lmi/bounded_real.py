@@ -19,7 +19,7 @@ from platform_ctrl.design.lmi.conic import cvxpy, solve
 from platform_ctrl.design.partition import Partition
 from platform_ctrl.errors import IllPosedError
 
-# Largest separation t in [[X, tI], [tI, Y]] ≥ 0 that is asked for.
+# Largest separation t in [[X, tI], [tI, Y]] ≥ 0 that is requested.
 LARGEST_SEPARATION = 10.0
 # What follows a failure.
 CURE = 'give a larger backoff, other weights, or method="riccati"'

@@ -33,7 +33,7 @@ ROUGH, FINE = 1e-5, 1e-8
 NORM_RANGE, MOST_ROUNDS = 4.0, 4
 # How far the inequalities are kept from zero in the last step, relative to the back-off: until everything holds.
 STRICTNESS = (1e-3, 1e-4, 1e-5)
-# Largest separation t in [[X, tI], [tI, Y]] ≥ 0 that is asked for, and how much more X and Y may grow for it.
+# Largest separation t in [[X, tI], [tI, Y]] ≥ 0 that is requested, and how much more X and Y may grow for it.
 LARGEST_SEPARATION, ROOM = 10.0, 10.0
 
 

@@ -51,14 +51,14 @@ class Multiobjective:
     plant, nmeas, ncon
         The plant P with inputs [w, u] and outputs [z, y].
     requirements
-        What was asked.
+        What was requested.
     controller, closed_loop
         K, u = K y (positive feedback), and the loop from w to z.
     outcomes
         Every requirement with its value, recomputed from the closed loop, and its ratio, at most 1 when met.
     ratio_optimal
         Least common bound of the soft norms (all, where none is soft) as a ratio to their limits that the inequalities
-        allow, as the solver found it: sufficient, so other controllers may have less; nan where no norm is asked.
+        allow, as the solver found it: sufficient, so other controllers may have less; nan where no norm is requested.
     backoff
         Relative distance from it.
     poles : complex (n,)
@@ -86,7 +86,7 @@ class Multiobjective:
     def certificates(self) -> tuple[Certificate, ...]:
         """Proofs in interval arithmetic: stability, then one for each requirement, of `closed_loop` as it is.
 
-        Norms are proved just above what they are, pole regions as asked.
+        Norms are proved just above what they are, pole regions as requested.
 
         Raises
         ------
@@ -159,9 +159,9 @@ def multiobjective(
     """
     backoff, time_limit = positive(f"{WHERE}: backoff", backoff), positive(f"{WHERE}: time_limit", time_limit)
     plant = partition(P, nmeas, ncon, sampled=True)
-    asked = tasks(P, plant, requirements, WHERE)
-    require_stabilisable(asked.plant, P, "multiobjective", autoscale(asked.plant))
-    tried = solutions(posed(asked, plant.dt, WHERE, time_limit, P), backoff)
+    requested = tasks(P, plant, requirements, WHERE)
+    require_stabilisable(requested.plant, P, "multiobjective", autoscale(requested.plant))
+    tried = solutions(posed(requested, plant.dt, WHERE, time_limit, P), backoff)
     failure: DesignError | None = None
     for solution in tried:
         if isinstance(solution, DesignError):
@@ -193,9 +193,9 @@ def _finished(
     if not spectral_abscissa(continuous_poles(poles, plant.dt)) < 0:
         raise NotCertifiedError(f"{WHERE}: the closed loop is not stable; expected it stable; {CURE}", P)
     outcomes = judged(requirements, system, controller, WHERE)
-    for outcome, asked in zip(outcomes, requirements, strict=True):
+    for outcome, requested in zip(outcomes, requirements, strict=True):
         # A hard norm that was minimised has its limit; a soft one what was promised.
-        allowed = 1.0 if asked.hard else (1 + backoff + 0.01) * least
+        allowed = 1.0 if requested.hard else (1 + backoff + 0.01) * least
         if not outcome.ratio <= allowed:
             raise NotCertifiedError(
                 f"{WHERE}: {outcome.name} is {outcome.value:.6g} {outcome.unit}; expected {outcome.sense} "

@@ -2,7 +2,7 @@
 
 Three steps: the least gamma over X, Y with the controller eliminated; at (1 + backoff) times that gamma the pair X, Y
 that stays farthest from X Y = I; and from X, Y a controller in closed form for every vertex.
-Nothing is assumed about D11, D12 and D21. What the solver says is not believed: the inequalities are evaluated again.
+Nothing is assumed about D11, D12 and D21. What the solver says is not trusted: the inequalities are evaluated again.
 """
 
 from __future__ import annotations

@@ -29,7 +29,7 @@ FIXED = 1e-9
 class Region:
     """L and M of a region, (k, k), and the requirement that it stands for."""
 
-    asked: LoopRequirement
+    requested: LoopRequirement
     L: FloatArray
     M: FloatArray
 
@@ -38,12 +38,12 @@ class Region:
         return float(np.linalg.eigvalsh(self.L + s * self.M + np.conj(s) * self.M.T)[-1]) < 0
 
 
-def region(asked: LoopRequirement, period: float = 0.0, rate: float = 1.0, tighter: float = 1.0) -> Region:
+def region(requested: LoopRequirement, period: float = 0.0, rate: float = 1.0, tighter: float = 1.0) -> Region:
     """Return the region of a requirement.
 
     Parameters
     ----------
-    asked
+    requested
         "stability" (slowest decay), "damping" or "fastest pole".
     period
         Sample period, s: then the region is one of the w-plane, w = (2/T) (z − 1)/(z + 1). A decay is a disc there,
@@ -51,29 +51,31 @@ def region(asked: LoopRequirement, period: float = 0.0, rate: float = 1.0, tight
     rate
         Unit of s, rad/s.
     tighter
-        How many times more than the limit is asked, >= 1; a damping comes closer to 1 by it.
+        How many times more than the limit is requested, >= 1; a damping comes closer to 1 by it.
     """
-    limit, kind = asked.limit, asked.kind
+    limit, kind = requested.limit, requested.kind
     sense = "at most" if kind == "fastest pole" else "at least"
-    if asked.sense != sense or not (math.isfinite(limit) and limit > 0) or (kind == "damping" and limit >= 1):
+    if requested.sense != sense or not (math.isfinite(limit) and limit > 0) or (kind == "damping" and limit >= 1):
         below = " below 1" if kind == "damping" else ""
-        raise ArgumentError(f"{asked.name}: given {asked.sense} {limit!r}; expected {sense} a positive number{below}")
+        raise ArgumentError(
+            f"{requested.name}: given {requested.sense} {limit!r}; expected {sense} a positive number{below}"
+        )
     disc = np.array([[0.0, 1.0], [0.0, 0.0]])
     if kind == "damping":
         cosine = 1 - (1 - _sector(limit, period)) / tighter
         sine = math.sqrt(1 - cosine**2)
         # The sector |arg(−s)| < θ, cos θ the damping.
-        return Region(asked=asked, L=np.zeros((2, 2)), M=np.array([[sine, cosine], [-cosine, sine]]))
+        return Region(requested=requested, L=np.zeros((2, 2)), M=np.array([[sine, cosine], [-cosine, sine]]))
     if kind == "fastest pole":
-        return Region(asked=asked, L=-limit / tighter / rate * np.eye(2), M=disc)
+        return Region(requested=requested, L=-limit / tighter / rate * np.eye(2), M=disc)
     decay = limit * tighter
     if period == 0.0:
-        return Region(asked=asked, L=np.array([[2 * decay / rate]]), M=np.eye(1))
+        return Region(requested=requested, L=np.array([[2 * decay / rate]]), M=np.eye(1))
     # |z| < exp(−decay T) is the disc |w + c|² < c² − 4/T². Its c is large: 2 Re w + 4/T²/c + |w|²/c < 0.
     near = 2 / period * math.tanh(decay * period / 2)
     centre = (near + 4 / period**2 / near) / 2 / rate
     return Region(
-        asked=asked,
+        requested=requested,
         L=np.diag([4 / (period * rate) ** 2 / centre, -1.0]),
         M=np.array([[1.0, 0.0], [1 / math.sqrt(centre), 0.0]]),
     )
@@ -96,7 +98,7 @@ def require_movable(scaled: ScaledPlant, wanted: Sequence[Region], where: str, P
     plant = scaled.plant
     size = max(1.0, float(np.linalg.norm(plant.A, 2)))
     for pole in np.linalg.eigvals(plant.A):
-        outside = [one.asked for one in wanted if not one.contains(complex(pole))]
+        outside = [one.requested for one in wanted if not one.contains(complex(pole))]
         shifted = plant.A - pole * np.eye(len(plant.A))
         for text, pencil in (
             ("no control u moves it", np.hstack([shifted, plant.B2])),
@@ -104,10 +106,11 @@ def require_movable(scaled: ScaledPlant, wanted: Sequence[Region], where: str, P
         ):
             if outside and float(np.linalg.svd(pencil, compute_uv=False)[-1]) < FIXED * size:
                 real = complex(pole) * scaled.rate
-                asked = outside[0]
+                requested = outside[0]
                 raise IllPosedError(
-                    f"{where}: the mode at {real.real:.4g}{real.imag:+.4g}j rad/s violates {asked.name} {asked.sense} "
-                    f"{asked.limit:.4g}, and {text}; expected such modes, as a rule poles of weights, within the "
+                    f"{where}: the mode at {real.real:.4g}{real.imag:+.4g}j rad/s violates {requested.name} "
+                    f"{requested.sense} {requested.limit:.4g}, and {text}; expected such modes, as a rule poles of "
+                    "weights, within the "
                     "region: ask for less, or give the weight another pole",
                     P,
                 )

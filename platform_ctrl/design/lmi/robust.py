@@ -63,9 +63,9 @@ class Robust:
         For every plant every requirement with its value, recomputed from the closed loop, and its ratio.
     ratio
         What the common Lyapunov matrix proves of the norms that were minimised, relative to their limits, for every
-        plant of the polytope; nan where no norm is asked.
+        plant of the polytope; nan where no norm is requested.
     certificate
-        The common matrix, proved for the vertices: stability, or where one H-infinity norm is asked that norm, for
+        The common matrix, proved for the vertices: stability, or where one H-infinity norm is requested that norm, for
         every convex combination of the closed loops and every motion among them.
     method
         The route.
@@ -149,15 +149,15 @@ def robust(
     parts = [partition(system, nmeas, ncon) for system in systems]
     require_alike(systems, WHERE)
     require_common(parts, ("D22",), systems[0], WHERE)
-    asked = [tasks(system, part, requirements, WHERE) for system, part in zip(systems, parts, strict=True)]
-    if asked[0].controller:
+    requested = [tasks(system, part, requirements, WHERE) for system, part in zip(systems, parts, strict=True)]
+    if requested[0].controller:
         raise ArgumentError(
-            f"{WHERE}: controller poles are asked; expected requirements of the loop: use multiobjective"
+            f"{WHERE}: controller poles are requested; expected requirements of the loop: use multiobjective"
         )
     for system, part in zip(systems, parts, strict=True):
         require_stabilisable(part, system, WHERE)
-    extended = [one.plant for one in asked]
-    problem = posed(asked[0].with_plant(mean_plant(extended)), 0.0, WHERE, time_limit, systems)
+    extended = [one.plant for one in requested]
+    problem = posed(requested[0].with_plant(mean_plant(extended)), 0.0, WHERE, time_limit, systems)
     try:
         if _tells_state(extended):
             found, method = _state_feedback(problem, extended, backoff), "state feedback"
@@ -191,7 +191,7 @@ def _state_feedback(problem: Problem, parts: Sequence[Partition], backoff: float
         constraints = [cp.bmat([[X, L.T], [L, Z]]) >> 0]
         for plant in plants:
             constraints += constrained(problem, state_feedback(plant, X, L), ratios, tighter, margin)[0]
-        if not problem.asked.norms:
+        if not problem.requested.norms:
             constraints.append(cp.trace(X) == n)
         objective = ratio if goal == "ratio" else cp.trace(Z)
         solve(
@@ -202,11 +202,11 @@ def _state_feedback(problem: Problem, parts: Sequence[Partition], backoff: float
         return X.value, L.value, float(getattr(ratio, "value", ratio))
 
     least = float("nan")
-    if problem.asked.norms:
+    if problem.requested.norms:
         least = solved(cp.Variable(), "ratio", 1 + backoff, 0.0)[2]
         if not problem.soft and least >= 1:
             raise _missed(problem, least)
-    ratio = (1 + backoff) * least if problem.asked.norms else 1.0
+    ratio = (1 + backoff) * least if problem.requested.norms else 1.0
     X, L, _ = solved(ratio if problem.soft else min(ratio, 1.0), "effort", 1.0, MARGIN)
     C2 = plants[0].C2
     K = StateArrays(
@@ -238,7 +238,7 @@ def _output_feedback(problem: Problem, parts: Sequence[Partition], backoff: floa
     for _ in range(MOST_TURNS):
         plants = [_between(centre, vertex, share) for vertex in vertices]
         try:
-            found, new = least_ratio(problem, plants, V, K, backoff) if problem.asked.norms else (1.0, V)
+            found, new = least_ratio(problem, plants, V, K, backoff) if problem.requested.norms else (1.0, V)
             ratios = [(1 + GIVEN_UP) * found if goal else 1.0 for goal in problem.goals]
             new = slackest(problem, plants, ratios, new, K)
         except (InfeasibleError, UnscalableError):
@@ -264,9 +264,9 @@ def _output_feedback(problem: Problem, parts: Sequence[Partition], backoff: floa
             f"to the given ones; expected all; {CURE}, or design.scheduled where the parameters are measured",
             problem.P,
         )
-    if problem.asked.norms and not problem.soft and ratio >= 1:
+    if problem.requested.norms and not problem.soft and ratio >= 1:
         raise _missed(problem, ratio)
-    return _Found(problem, vertices, K, V, (1 + GIVEN_UP) * ratio if problem.asked.norms else float("nan"))
+    return _Found(problem, vertices, K, V, (1 + GIVEN_UP) * ratio if problem.requested.norms else float("nan"))
 
 
 def _between(a: Partition, b: Partition, share: float) -> Partition:
@@ -279,7 +279,7 @@ def _for_matrix(problem: Problem, plants: Sequence[Partition], V: FloatArray) ->
     cp = cvxpy()
     known = KnownMatrix(plants, V, direct(problem))
     goal = cp.Variable()
-    norms = bool(problem.asked.norms)
+    norms = bool(problem.requested.norms)
     ratios = [goal if one else 1.0 for one in problem.goals]
     constraints = [goal >= 0] if norms else [goal <= 1]
     for loop in known.loops:
@@ -320,9 +320,9 @@ def _finished(
     back[:n, :n] = np.linalg.inv(problem.T)
     V = back.T @ found.V @ back / scaled.rate
     loops = tuple(claimed_loop(p, K, f"plant {number + 1}") for number, p in enumerate(extended))
-    norms = problem.asked.norms
+    norms = problem.requested.norms
     single = len(norms) == 1 and not norms[0].h2
-    bound = norms[0].asked.limit * found.ratio if single else 0.0
+    bound = norms[0].requested.limit * found.ratio if single else 0.0
     certificate = Certificate(
         claim="norm" if single else "stability",
         bound=bound,

@@ -42,12 +42,12 @@ LARGEST_MEAN, LEAST_ROOM = 100.0, 10.0
 
 
 class Problem(NamedTuple):
-    """The scaled problem, in some states: plant, the states T that lead back, what is asked, and the splits."""
+    """The scaled problem, in some states: plant, the states T that lead back, what is requested, and the splits."""
 
     plant: Partition
     scaled: ScaledPlant
     T: FloatArray
-    asked: Tasks
+    requested: Tasks
     splits: tuple[float, ...]
     period: float
     where: str
@@ -57,17 +57,17 @@ class Problem(NamedTuple):
     def limit(self, task: NormTask) -> float:
         """Return the limit of a norm in scaled units; time enters the H2 norm."""
         gain = self.scaled.gain * (np.sqrt(self.scaled.rate) if task.h2 else 1.0)
-        return float(task.asked.limit / gain)
+        return float(task.requested.limit / gain)
 
     @property
     def soft(self) -> bool:
         """Whether a norm is soft."""
-        return any(not task.asked.hard for task in self.asked.norms)
+        return any(not task.requested.hard for task in self.requested.norms)
 
     @property
     def goals(self) -> tuple[bool, ...]:
         """Which norms are minimised: the soft ones, or all where none is soft."""
-        return tuple(not (task.asked.hard and self.soft) for task in self.asked.norms)
+        return tuple(not (task.requested.hard and self.soft) for task in self.requested.norms)
 
 
 class Found(NamedTuple):
@@ -80,23 +80,23 @@ class Found(NamedTuple):
     splits: tuple[float, ...]
 
 
-def posed(asked: Tasks, period: float, where: str, time_limit: float, P: object) -> Problem:
+def posed(requested: Tasks, period: float, where: str, time_limit: float, P: object) -> Problem:
     """Return the problem in units in which the limits of the norms are near one."""
-    limits = [task.asked.limit for task in asked.norms]
-    scaled = autoscale(asked.plant, float(np.exp(np.mean(np.log(limits)))) if limits else 1.0)
-    require_movable(scaled, [region(one, period, scaled.rate) for one in asked.regions], where, P)
+    limits = [task.requested.limit for task in requested.norms]
+    scaled = autoscale(requested.plant, float(np.exp(np.mean(np.log(limits)))) if limits else 1.0)
+    require_movable(scaled, [region(one, period, scaled.rate) for one in requested.regions], where, P)
     T, splits = np.diag(scaled.state), (1.0,) * len(limits)
-    return Problem(scaled.plant, scaled, T, asked, splits, period, where, time_limit, P)
+    return Problem(scaled.plant, scaled, T, requested, splits, period, where, time_limit, P)
 
 
 def improved_problem(problem: Problem, found: Found, stride: float = 1.0) -> Problem:
     """The same problem in better states and units, with the splits moved as far as the tangents say, times `stride`."""
     splits = [old * (new / old) ** stride for old, new in zip(problem.splits, found.splits, strict=True)]
     # H2 norms have another unit of time.
-    sizes = [problem.limit(task) * ratio for task, ratio in zip(problem.asked.norms, found.ratios, strict=True)]
+    sizes = [problem.limit(task) * ratio for task, ratio in zip(problem.requested.norms, found.ratios, strict=True)]
     gain = problem.scaled.gain * float(np.clip(np.exp(np.mean(np.log(sizes))), 1e-3, 1e6)) if sizes else 1.0
     gain = float(np.clip(gain, LEAST_GAIN, 1 / LEAST_GAIN))
-    scaled, T = autoscale(problem.asked.plant, gain), problem.T @ balancing(found.pair)
+    scaled, T = autoscale(problem.requested.plant, gain), problem.T @ balancing(found.pair)
     plant = turned(scaled.plant, T / scaled.state[:, None])
     return problem._replace(plant=plant, scaled=scaled, T=T, splits=tuple(splits))
 
@@ -113,7 +113,7 @@ def best_ratio(problem: Problem, backoff: float) -> tuple[Problem, Found]:
     enough = 1 / (1 + backoff)
     problem, found = _descended(problem, hard, backoff, enough, others=False)
     if found.ratio > enough:
-        names = ", ".join(task.asked.name for task, one in zip(problem.asked.norms, hard, strict=True) if one)
+        names = ", ".join(task.requested.name for task, one in zip(problem.requested.norms, hard, strict=True) if one)
         raise InfeasibleError(
             f"{problem.where}: {names}: {found.ratio:.4g} times the limits can be reached with one Lyapunov matrix for "
             f"all requirements; expected {enough:.4g} or less; {CURE}",
@@ -166,7 +166,7 @@ def direct(problem: Problem) -> Any:
     cp, p = cvxpy(), problem.plant
     shape = p.D12.shape[1], p.D21.shape[0]
     rows, right = [np.zeros((0, shape[0] * shape[1]))], [np.zeros(0)]
-    for task in problem.asked.norms:
+    for task in problem.requested.norms:
         if task.h2:
             w, z = list(task.w), list(task.z)
             rows.append(np.kron(p.D12[z], p.D21[:, w].T))  # of the rows of D̂ one after the other
@@ -178,7 +178,7 @@ def direct(problem: Problem) -> Any:
     rank = int(np.sum(sigma > 1e-9 * max(1.0, sigma[0])))
     base = Vt[:rank].T @ ((U.T @ wanted)[:rank] / sigma[:rank])
     if np.linalg.norm(equations @ base - wanted) > 1e-9 * max(1.0, float(np.linalg.norm(wanted))):
-        names = ", ".join(task.asked.name for task in problem.asked.norms if task.h2)
+        names = ", ".join(task.requested.name for task in problem.requested.norms if task.h2)
         raise IllPosedError(
             f"{problem.where}: {names}: no controller makes the direct term from w to z vanish, so that the H2 norm is "
             "infinite; expected D11 + D12 D_K D21 = 0 for some D_K: take another channel, or a weight that rolls off",
@@ -197,7 +197,7 @@ def constrained(
     cp = cvxpy()
     out: list[Any] = []
     pairs: list[Any] = []
-    for number, (task, ratio, split) in enumerate(zip(problem.asked.norms, ratios, problem.splits, strict=True)):
+    for number, (task, ratio, split) in enumerate(zip(problem.requested.norms, ratios, problem.splits, strict=True)):
         if ratio is None:
             pairs.append(None)
             continue
@@ -208,7 +208,7 @@ def constrained(
             out.append(split * levels[0] + levels[1] / split <= 2 * level)
         pairs.append(levels)
         out += (h2_below if task.h2 else hinf_below)(loop, task.w, task.z, levels, margin)
-    for one in problem.asked.regions:
+    for one in problem.requested.regions:
         out += poles_in(loop, region(one, problem.period, problem.scaled.rate, tighter), margin)
     if not out:
         out += [loop.VA + loop.VA.T << -margin * np.eye(loop.VA.shape[0])]
@@ -255,7 +255,7 @@ def separated(problem: Problem, found: Found, backoff: float, margin: float) -> 
     n = len(problem.plant.A)
     t, one = cp.Variable(), np.eye(n)
     loop = output_feedback(problem.plant, X, Y, hats)
-    ratio = (1 + backoff) * found.ratio if problem.asked.norms else float("nan")
+    ratio = (1 + backoff) * found.ratio if problem.requested.norms else float("nan")
     if not problem.soft and ratio > 1:
         ratio = 1.0
     ratios = [ratio if goal else 1.0 for goal in problem.goals]

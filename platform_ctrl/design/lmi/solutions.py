@@ -1,4 +1,4 @@
-"""From the least ratio to controllers: back off, separate X and Y, reconstruct, and slow down where that is asked."""
+"""From the least ratio to controllers: back off, separate X and Y, reconstruct, slow down if requested."""
 
 from __future__ import annotations
 
@@ -251,9 +251,9 @@ def _own(K: StateArrays, fastest: float) -> FloatArray:
     return np.asarray(len(W) / np.trace(W) * 0.5 * (W + W.T))
 
 
-def _solve(problem: Problem, asked: Any, variables: tuple[Any, ...]) -> None:
+def _solve(problem: Problem, requested: Any, variables: tuple[Any, ...]) -> None:
     solve(
-        asked, variables,
+        requested, variables,
         what=f"{problem.where}: bounding the controller's poles", time_limit=problem.time_limit, P=problem.P,
         tolerance=FINE, cure=CURE,
     )  # fmt: skip
@@ -274,13 +274,13 @@ class Solution(NamedTuple):
 
 def solutions(problem: Problem, backoff: float) -> Iterator[Solution | DesignError]:
     """Yield controllers, or why there is none, for inequalities that are less and less strict."""
-    asked = problem.asked
+    requested = problem.requested
     problem, found = best_ratio(problem, backoff)
     for margin in MARGINS:
         try:
             problem = improved_problem(problem, found)
             found = minimised(problem, problem.goals, backoff, FINE)
-            if asked.norms and not problem.soft and found.ratio >= 1:
+            if requested.norms and not problem.soft and found.ratio >= 1:
                 raise InfeasibleError(
                     f"{problem.where}: {found.ratio:.4g} times the limits of the norms can be reached with one "
                     f"Lyapunov matrix for all requirements; expected less than 1; {CURE}",
@@ -288,8 +288,8 @@ def solutions(problem: Problem, backoff: float) -> Iterator[Solution | DesignErr
                 )
             best = separated(problem, found, backoff, margin)
             made = from_linearised(problem.plant, best.pair.X, best.pair.Y, best.hats)
-            if asked.controller:
-                bound = min(one.limit for one in asked.controller) / problem.scaled.rate
+            if requested.controller:
+                bound = min(one.limit for one in requested.controller) / problem.scaled.rate
                 made = slowed(problem, best, made, bound)
             yield Solution(problem, best, found.ratio, made)
         except (TimeLimitError, InfeasibleError, IllPosedError):

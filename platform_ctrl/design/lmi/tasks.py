@@ -40,20 +40,20 @@ class NormTask:
 
     Attributes
     ----------
-    asked
+    requested
         The requirement; a soft one is minimised, relative to its limit.
     w, z
         Indices of the channel's inputs and outputs in the extended plant.
     """
 
-    asked: LoopRequirement
+    requested: LoopRequirement
     w: tuple[int, ...]
     z: tuple[int, ...]
 
     @property
     def h2(self) -> bool:
         """Whether it is an H2 norm."""
-        return self.asked.kind == "H2 norm"
+        return self.requested.kind == "H2 norm"
 
 
 @value
@@ -88,23 +88,24 @@ def tasks(P: StateSpace, plant: Partition, requirements: Sequence[LoopRequiremen
     norms: list[LoopRequirement] = []
     regions: list[LoopRequirement] = []
     controller: list[LoopRequirement] = []
-    for asked in requirements:
-        if not isinstance(asked, LoopRequirement) or asked.kind not in (*NORMS, *REGIONS, CONTROLLER):
-            kind = getattr(asked, "kind", type(asked).__name__)
+    for requested in requirements:
+        if not isinstance(requested, LoopRequirement) or requested.kind not in (*NORMS, *REGIONS, CONTROLLER):
+            kind = getattr(requested, "kind", type(requested).__name__)
             raise ArgumentError(
                 f"{where}: given a requirement of kind {kind!r}; expected {_kinds()}; for others take design.structured"
             )
-        if asked.kind in REGIONS:
-            region(asked, plant.dt)
-        elif asked.sense != "at most" or not (math.isfinite(asked.limit) and asked.limit > 0):
+        if requested.kind in REGIONS:
+            region(requested, plant.dt)
+        elif requested.sense != "at most" or not (math.isfinite(requested.limit) and requested.limit > 0):
             raise ArgumentError(
-                f"{where}: {asked.name}: given {asked.sense} {asked.limit!r}; expected at most a positive number"
+                f"{where}: {requested.name}: given {requested.sense} {requested.limit!r}; "
+                "expected at most a positive number"
             )
-        if not asked.hard and asked.kind not in NORMS:
+        if not requested.hard and requested.kind not in NORMS:
             raise ArgumentError(
-                f"{where}: {asked.name} is soft; expected a hard bound: only norms are minimised, poles are bounded"
+                f"{where}: {requested.name} is soft; expected a hard bound: only norms are minimised, poles are bounded"
             )
-        {CONTROLLER: controller}.get(asked.kind, norms if asked.kind in NORMS else regions).append(asked)
+        {CONTROLLER: controller}.get(requested.kind, norms if requested.kind in NORMS else regions).append(requested)
     if norms:
         extended, placed = _extended(P, plant, norms)
     else:
@@ -125,12 +126,12 @@ def _extended(
     n = len(plant.A)
     into: list[tuple[StateArrays, FloatArray]] = []
     out: list[tuple[StateArrays, FloatArray]] = []
-    for asked in norms:
-        channel = asked.channel or Channel()
-        columns = [known_name(f"{asked.name}: w", name, names_w) for name in channel.inputs] or list(range(nw))
-        rows = [known_name(f"{asked.name}: z", name, names_z) for name in channel.outputs] or list(range(nz))
+    for requested in norms:
+        channel = requested.channel or Channel()
+        columns = [known_name(f"{requested.name}: w", name, names_w) for name in channel.inputs] or list(range(nw))
+        rows = [known_name(f"{requested.name}: z", name, names_z) for name in channel.outputs] or list(range(nz))
         before = _weight(channel.input_weight, len(columns), "input_weight", plant.dt)
-        if asked.kind == "H2 norm" and plant.dt > 0:
+        if requested.kind == "H2 norm" and plant.dt > 0:
             before = _white(before, plant.dt)
         into.append((before, np.eye(nw)[:, columns]))
         out.append((_weight(channel.output_weight, len(rows), "output_weight", plant.dt), np.eye(nz)[rows]))
@@ -153,7 +154,7 @@ def _extended(
         m = weight.C.shape[0]
         A_o[x : x + k, x : x + k], B_o[x : x + k] = weight.A, weight.B @ select
         C_o[j : j + m, x : x + k], D_o[j : j + m] = weight.C, weight.D @ select
-        placed.append(NormTask(asked=norms[number], w=ranges[number][0], z=tuple(range(j, j + m))))
+        placed.append(NormTask(requested=norms[number], w=ranges[number][0], z=tuple(range(j, j + m))))
         x, j = x + k, j + m
     p = in_w_plane(plant)
     A = np.block(
@@ -196,10 +197,10 @@ def judged(
 ) -> tuple[CheckResult, ...]:
     """Hold the actual closed loop and controller against the requirements."""
     return tuple(
-        asked.check_controller(controller, subject=method)
-        if asked.kind == CONTROLLER
-        else asked.check_closed_loop(closed_loop, subject=method)
-        for asked in requirements
+        requested.check_controller(controller, subject=method)
+        if requested.kind == CONTROLLER
+        else requested.check_closed_loop(closed_loop, subject=method)
+        for requested in requirements
     )
 
 
@@ -212,18 +213,18 @@ def claimed_loop(plant: Partition, K: StateArrays, label: str) -> ClosedLoop:
 def proofs(
     requirements: Sequence[LoopRequirement], closed_loop: StateSpace, controller: StateSpace
 ) -> tuple[Certificate, ...]:
-    """Return stability and a certificate for each requirement: norms just above what they are, regions as asked."""
+    """Return stability and a certificate for each requirement: norms just above what they are, regions as requested."""
     loop, K = (state_arrays(system, "proofs") for system in (closed_loop, controller))
     out = [stability_certificate(loop.A, loop.dt)]
-    for asked in requirements:
-        if asked.kind in NORMS:
-            part = (asked.channel or Channel()).of(loop, closed_loop.input_labels, closed_loop.output_labels)
-            prove = h2_certificate if asked.kind == "H2 norm" else norm_certificate
-            out.append(prove(*part[:4], part.dt, label=asked.name))
-        elif asked.kind == CONTROLLER:
-            L, M = -asked.limit * np.eye(2), np.array([[0.0, 1.0], [0.0, 0.0]])
-            out.append(region_certificate(K.A, L, M, K.dt, label=asked.name))
+    for requested in requirements:
+        if requested.kind in NORMS:
+            part = (requested.channel or Channel()).of(loop, closed_loop.input_labels, closed_loop.output_labels)
+            prove = h2_certificate if requested.kind == "H2 norm" else norm_certificate
+            out.append(prove(*part[:4], part.dt, label=requested.name))
+        elif requested.kind == CONTROLLER:
+            L, M = -requested.limit * np.eye(2), np.array([[0.0, 1.0], [0.0, 0.0]])
+            out.append(region_certificate(K.A, L, M, K.dt, label=requested.name))
         else:
-            wanted = region(asked, loop.dt)
-            out.append(region_certificate(loop.A, wanted.L, wanted.M, loop.dt, label=asked.name))
+            wanted = region(requested, loop.dt)
+            out.append(region_certificate(loop.A, wanted.L, wanted.M, loop.dt, label=requested.name))
     return tuple(out)

@@ -3,7 +3,7 @@
 A resonance sharper than the frequencies are dense changes the sign of the response from one frequency to the next,
 and the data between do not say on which side of the axis its pole lies. It counts as stable: between the two
 frequencies the contour leaves the axis to the right, with the response of one pole fitted to the data there. Limits
-asked on it cost nothing: what is bounded on the axis is bounded to the right of it.
+requested on it cost nothing: what is bounded on the axis is bounded to the right of it.
 """
 
 from __future__ import annotations

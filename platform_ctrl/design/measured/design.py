@@ -53,9 +53,9 @@ class ClosedLoopResponse:
     angle_per_torque : complex (N, n, n)
         P S_input, rad/(N m).
     limits
-        What was asked of each, by name, (N,), in its unit; of a disk margin 1/α for ‖(S − T)/2‖.
+        What was required of each, by name, (N,), in its unit; of a disk margin 1/α for ‖(S − T)/2‖.
     ratios
-        Ratio of what is reached to what was asked, by name, (N,): at most 1.
+        Ratio of what is reached to what was requested, by name, (N,): at most 1.
     """
 
     frequency: FloatArray
@@ -138,7 +138,7 @@ def measured_pid(
         Delay that the measurement does not hold yet, s; taken exactly.
     period
         Sample period of the controller, s; default that of the measurement, 0 for a continuous controller. A
-        measurement without a period is believed to be what the sampled controller sees, unless `hold`.
+        measurement without a period is taken as what the sampled controller sees, unless `hold`.
     hold
         Whether the measurement lacks the hold of a sampled controller.
     filter_time
@@ -202,7 +202,7 @@ def measured_pid(
     n = len(plants.torques)
     free = masks(pattern, n)
     tau = _filter_time(filter_time, plants.period)
-    asked: dict[str, Bound | None] = {
+    requested: dict[str, Bound | None] = {
         "sensitivity_peak": sensitivity_peak,
         "complementary_peak": complementary_peak,
         "disk_margin": disk_margin,
@@ -216,7 +216,7 @@ def measured_pid(
         if not (number is None and name == "integrators") and not _whole(number):
             raise ArgumentError(f"measured_pid: {name} = {short(number)}; expected a whole number, 0 or more")
     search = Search(
-        plants, free, tau, asked, unstable, integrators, time.monotonic() + positive("time_limit", time_limit)
+        plants, free, tau, requested, unstable, integrators, time.monotonic() + positive("time_limit", time_limit)
     )
     begun = search.start(start.gains if isinstance(start, MeasuredDesign) else start)
     gains, history = search.improved(begun, steps)

@@ -45,19 +45,19 @@ class Limit:
     Attributes
     ----------
     name
-        As it is asked for.
+        As it is requested.
     bound : (N,)
-        m; of a disk margin its inverse; infinite where nothing is asked.
+        m; of a disk margin its inverse; infinite where nothing is requested.
     """
 
     name: str
     bound: FloatArray
 
 
-def limits_along(path: Contour, asked: dict[str, Bound | None]) -> tuple[Limit, ...]:
-    """Return the limits that are asked for, along the contour of a plant."""
+def limits_along(path: Contour, requested: dict[str, Bound | None]) -> tuple[Limit, ...]:
+    """Return the limits that are requested, along the contour of a plant."""
     out = []
-    for name, m in asked.items():
+    for name, m in requested.items():
         if m is None:
             continue
         bound = _bound(name, m, path.frequency)
@@ -69,23 +69,23 @@ def limits_along(path: Contour, asked: dict[str, Bound | None]) -> tuple[Limit, 
     return tuple(out)
 
 
-def _bound(name: str, asked: Bound, frequency: FloatArray) -> FloatArray:
+def _bound(name: str, requested: Bound, frequency: FloatArray) -> FloatArray:
     try:
         with np.errstate(all="ignore"):
-            found = np.asarray(asked(frequency) if callable(asked) else asked)
+            found = np.asarray(requested(frequency) if callable(requested) else requested)
         if np.iscomplexobj(found):
             raise TypeError
         m = np.broadcast_to(found.astype(np.float64), frequency.shape)
     except (TypeError, ValueError, ArithmeticError, LookupError):
         raise ArgumentError(
-            f"measured_pid: {name} is {short(asked)}; expected a number, or a function of frequencies in rad/s that "
-            f"returns as many"
+            f"measured_pid: {name} is {short(requested)}; expected a number, or a function of frequencies in rad/s "
+            f"that returns as many"
         ) from None
     least = 1.0 if name in ("sensitivity_peak", "complementary_peak") else 0.0
     most = {"disk_margin": 2.0, "resonance_damping": 1.0}.get(name, _LARGEST)
     if not np.all((m > least) & (m < most) | (m == np.inf) & (most == _LARGEST)):
         range_of = f"> {least:g}" if most == _LARGEST else f"between {least:g} and {most:g}"
-        raise ArgumentError(f"measured_pid: {name} = {short(asked)}; expected numbers {range_of}")
+        raise ArgumentError(f"measured_pid: {name} = {short(requested)}; expected numbers {range_of}")
     if name == "sensitivity_peak" and not np.isfinite(m).any():
         raise ArgumentError(f"measured_pid: {name} is infinite; expected a limit: it is what keeps the loop stable")
     return np.asarray(1.0 / m if name == "disk_margin" else m)

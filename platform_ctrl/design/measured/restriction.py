@@ -35,7 +35,7 @@ _NEAREST = 0.3
 _TRIALS = ((20.0, 1e-5), (20.0, 1e-3), (4.0, 1e-5), (4.0, 1e-3), (1.5, 1e-5), (1.5, 1e-3))
 # By how much a step may stay within the limits, as a share of them.
 _ROOM = 0.05
-# How many times what is asked counts as far.
+# How many times what is requested counts as far.
 _FAR = 4.0
 # Worth of the integral gain, in units of the present one, while the miss is what counts.
 _CARE = 1e-3

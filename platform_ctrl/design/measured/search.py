@@ -120,7 +120,7 @@ class Search:
         plants: Measured,
         free: FloatArray,
         filter_time: float,
-        asked: dict[str, Bound | None],
+        requested: dict[str, Bound | None],
         unstable: int,
         integrators: int | None,
         end: float,
@@ -131,7 +131,7 @@ class Search:
         self.ended = ""
         self.contours = [contour(w, P) for w, P in zip(plants.frequency, plants.response, strict=True)]
         self.samples = [
-            Sample(P=path.P, actions=basis(path.s, filter_time, plants.period), limits=limits_along(path, asked))
+            Sample(P=path.P, actions=basis(path.s, filter_time, plants.period), limits=limits_along(path, requested))
             for path in self.contours
         ]
 

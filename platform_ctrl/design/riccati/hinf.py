@@ -28,7 +28,7 @@ WHERE = "hinf, riccati"
 ACCURACY = 1e-8
 # Least and largest gamma of the scaled plant that are tried.
 LEAST_GAMMA, LARGEST_GAMMA = 1e-6, 1e8
-# Largest slack that is told from an infinite one, and largest bound on t that a first trial is derived from.
+# Largest slack that is given from an infinite one, and largest bound on t that a first trial is derived from.
 LARGEST_SLACK, LARGEST_FIRST = 1e14, 1e3
 # A slack this many times t comes from solutions of which one is nearly zero.
 FAR_COUPLING = 1e6

@@ -48,7 +48,7 @@ class StateFeedback:
         The plant as given.
     state_gain : (m, n + p)
         K of u = −K [x, xi], as `control.lqr`, in the plant's units; xi (p,) are the integrals (sampled: sums) of y,
-        where they are asked for.
+        where they are requested.
     X : (n + p, n + p)
         Of all inputs that bring the state x to rest, the least cost is x' X x, in units of the cost.
     poles : complex (n + p,)
@@ -134,7 +134,7 @@ class LqgDesign:
     feedback, estimator
         The two parts.
     synthesis
-        The same loop as an H2 problem: its plant has the outputs y and, where integrals are asked for, their integrals
+        The same loop as an H2 problem: its plant has the outputs y and, where integrals are requested, their integrals
         as measurements, and `synthesis.gamma`² is the cost, recomputed from the closed loop.
     """
 

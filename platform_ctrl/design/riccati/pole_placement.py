@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 _MOVABLE = 1e-10
 # Rate, over that of the fastest wanted pole (discrete: over the sample rate), at which the past is forgotten.
 _DECAY = 0.5
-# Largest relative distance of a pole from where it was asked to be.
+# Largest relative distance of a pole from where it was to be.
 _REACHED = 1e-6
 
 
@@ -48,9 +48,9 @@ class PolePlacement:
     state_gain : (m, n)
         K, with the sign of `control.place`, in units of the inputs per state.
     poles : complex (n,)
-        Eigenvalues of A − B K, in the order in which they were asked for: rad/s, or in z (dimensionless).
+        Eigenvalues of A − B K, in the order in which they were requested: rad/s, or in z (dimensionless).
     error
-        Relative: largest distance of a pole from where it was asked to be, over its size (at least that of a tenth of
+        Relative: largest distance of a pole from where it was to be, over its size (at least that of a tenth of
         the largest).
     condition
         Condition number of the closed loop's eigenvectors in those coordinates, dimensionless: how much a small change
@@ -71,7 +71,7 @@ class PolePlacement:
         Raises
         ------
         NotCertifiedError
-            No proof was found, or it was not asked to be stable.
+            No proof was found, or it was not requested stable.
         """
         A, B, _, _, dt = state_arrays(self.system, "pole_placement")
         names = list(self.system.input_labels)
@@ -139,7 +139,7 @@ def pole_placement(system: control.StateSpace, poles: ArrayLike, inputs: Sequenc
     if not error <= _REACHED:
         k = int(np.abs(reached - wanted).argmax())
         raise NotCertifiedError(
-            f"pole_placement: the pole asked for at {wanted[k]:.5g} is at {reached[k]:.5g}; expected {_REACHED:g} of "
+            f"pole_placement: the pole requested at {wanted[k]:.5g} is at {reached[k]:.5g}; expected {_REACHED:g} of "
             f"its size or "
             "less; ask for poles that differ more from one another, or lie nearer to the plant's",
             system,

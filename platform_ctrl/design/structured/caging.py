@@ -1,8 +1,8 @@
 """The structured caging loop: a controller of fixed structure, tuned on the loop's own requirements over its plants.
 
-No weights stand between what is asked and what is optimised: limits are hard, goals are soft. The search starts from
+The requirements themselves are optimised, without weights: limits are hard, goals are soft. The search starts from
 physics and goes up in steps: the cross-axis loop of the classical design, its numbers moved; a full PID with filter;
-from there, if asked for, every matrix entry of a controller of fixed order behind a PI in every channel.
+from there, if requested, every matrix entry of a controller of fixed order behind a PI in every channel.
 """
 
 from __future__ import annotations
@@ -115,15 +115,15 @@ def tuned_controller(
     """
     integral = 2.0 * np.pi * options["integral_hz"]
     kept = _INTEGRAL_KEPT * integral
-    asked = [dataclasses.replace(r, limit=max(r.limit, kept)) if r.kind == "stability" else r for r in requirements]
-    if not any(r.kind == "stability" for r in asked):
-        asked.append(requirement("stability", kept))
+    requested = [dataclasses.replace(r, limit=max(r.limit, kept)) if r.kind == "stability" else r for r in requirements]
+    if not any(r.kind == "stability" for r in requested):
+        requested.append(requirement("stability", kept))
     spent = 0
 
     def search(family: Family, share: float) -> Found:
         nonlocal spent
         most = int(share * options["evaluations"])
-        found = Search(plants, asked, options["reserve"], most, progress).run(family)
+        found = Search(plants, requested, options["reserve"], most, progress).run(family)
         spent += found.evaluations
         return found
 

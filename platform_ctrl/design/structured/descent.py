@@ -47,7 +47,7 @@ _AGAIN, _SCATTER = 2, 0.1
 # S at the wanted frequency is held this much more tightly than the level, and the frequency wanted this share higher:
 # what is found has to be there when it is measured exactly.
 _TIGHT, _BEYOND = 1e-4, 1.003
-# Weight of what S exceeds the level by, without goals, and by how much it may where a bandwidth is believed.
+# Weight of what S exceeds the level by, without goals, and by how much it may where a bandwidth is accepted.
 _STEEP, _FAR = 5.0, 0.02
 # A bandwidth means something if S keeps falling below it: at a tenth of it, at most this.
 _TENTH = 0.15
@@ -135,9 +135,9 @@ class Search:
         evaluations: int,
         progress: Callable[[float, float], None],
     ) -> None:
-        # Where nothing is asked of a plant, not even stability, it is of no interest.
-        asked = [k for k, group in enumerate(plants.groups) if k == 0 or any(group in r.over for r in requirements)]
-        self._plants = finer(plants.only(asked))
+        # Where nothing is required of a plant, not even stability, it is of no interest.
+        requested = [k for k, group in enumerate(plants.groups) if k == 0 or any(group in r.over for r in requirements)]
+        self._plants = finer(plants.only(requested))
         self._limits = [r for r in requirements if r.hard]
         bands = [r for r in requirements if r.kind == "bandwidth"]
         self._limit = max((r.limit for r in bands if r.hard), default=None)
@@ -145,7 +145,7 @@ class Search:
         self._moving = len(bands) > 0
         self._requirements = [r for r in requirements if r.kind != "bandwidth"]
         self._soft = any(not r.hard for r in requirements)
-        # Where nothing is asked of slow motion, a wanted bandwidth could be bought with a flat S.
+        # Where nothing is required of slow motion, a wanted bandwidth could be bought with a flat S.
         slow = {"tracking", "Omega rejection", "torque rejection"}
         self._guarded = self._wanted is not None and not any(r.kind in slow for r in requirements)
         self._reserve, self._left, self._progress = reserve, evaluations, progress

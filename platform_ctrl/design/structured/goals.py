@@ -103,5 +103,5 @@ def pieces(loops: ClosedLoops, requirement: LoopRequirement, floor: float = 0.8)
 
 
 def members_of(plants: PlantSet, requirement: LoopRequirement) -> NDArray[np.intp]:
-    """Return the numbers of the plants of which a requirement is asked."""
+    """Return the numbers of the plants of which a requirement is requested."""
     return np.flatnonzero([group in requirement.over for group in plants.groups])

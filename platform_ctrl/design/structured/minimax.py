@@ -47,7 +47,7 @@ class Minimum:
     stability
         Largest stability piece, negative where x is stable; −inf without any.
     evaluations
-        How often pieces were asked for.
+        How often pieces were requested.
     finished
         Whether it ended by itself and not by its evaluations or its deadline.
     late

@@ -29,7 +29,7 @@ _RANDOM = 0.75
 _POLES, _FASTER, _GAINS = (0.3, 3.0), (-0.3, 0.7), (-1.0, 1.0)
 # Corners of a low-pass that stands behind a controller of lower order, and poles of a state that nothing reads, in
 # units of the rate.
-# How much more decay than asked ends a descent, relative: the search that follows begins inside.
+# How much more decay than requested ends a descent, relative: the search that follows begins inside.
 _AHEAD = 1e-3
 _CORNERS, _UNREAD = (1e3, 3e2, 1e2, 3e1, 1e1), (1.0, 10.0)
 
@@ -143,7 +143,7 @@ class Orders:
         poles = _Poles([augmented(plant, structure.states) for plant in self.plants], whole)
         x = whole.start if M is None else whole.nearest(M)
 
-        def asked(y: FloatArray, _: float) -> tuple[float, FloatArray]:
+        def requested(y: FloatArray, _: float) -> tuple[float, FloatArray]:
             if self._over():
                 raise Stopped
             self.spent += 1
@@ -152,7 +152,7 @@ class Orders:
         if iterations:
             low, high = np.full(x.size, -np.inf), np.full(x.size, np.inf)
             enough = -self.decay * (1.0 + _AHEAD)
-            x = descended(asked, x, low, high, target=enough, iterations=iterations, progress=0.0).x
+            x = descended(requested, x, low, high, target=enough, iterations=iterations, progress=0.0).x
         return Reached(M=poles.matrix(x), abscissa=poles.rightmost(x)[0])
 
 

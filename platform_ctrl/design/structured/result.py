@@ -51,7 +51,7 @@ class StructuredDesign:
     plants, nmeas, ncon
         The problem.
     structure
-        What was asked for.
+        What was requested.
     controller
         K, u = K y; sampled where the plants are.
     parameters

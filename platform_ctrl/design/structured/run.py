@@ -228,7 +228,7 @@ class Outcome:
     value, hard
         As in `minimax.Minimum`.
     stable, abscissa
-        Whether every loop is stable by the decay asked for, and the largest real part of their poles, rad/s.
+        Whether every loop is stable by the decay requested, and the largest real part of their poles, rad/s.
     evaluations, seconds, finished, late
         What was spent, whether the search ended by itself, and whether the deadline ended it.
     at_limit
@@ -270,7 +270,7 @@ def searched(problem: Problem, start: FloatArray | Outcome, limits: Limits, poli
     Parameters
     ----------
     problem
-        What is asked.
+        What is requested.
     start
         Search coordinates, M where there is no pattern, or what an earlier part of the search found.
     limits
@@ -295,7 +295,7 @@ def searched(problem: Problem, start: FloatArray | Outcome, limits: Limits, poli
 
 
 def divides(problem: Problem) -> bool:
-    """Whether a search is done in parts: free matrices are to make one H-infinity norm small, nothing else is asked."""
+    """Whether a search is done in parts: free matrices, and one H-infinity norm to be made small."""
     return _curved(problem) and not problem.hard and problem.structured is None
 
 

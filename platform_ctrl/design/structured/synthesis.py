@@ -51,7 +51,7 @@ _AGREEMENT = 1e-3
 
 @value
 class _Task:
-    """The plants in the w-plane and what is asked of them."""
+    """The plants in the w-plane and what is required of them."""
 
     plants: tuple[Partition, ...]
     soft: tuple[Goal, ...]
@@ -166,11 +166,12 @@ def structured(
     right = _diagonal(one * np.sqrt(scaled[0].rate), scaled[0].measurement)
     wide = tuple(augmented(plant, order) for plant in task.plants)
 
-    def goals(asked: tuple[Goal, ...]) -> tuple[Goal, ...]:
+    def goals(requested: tuple[Goal, ...]) -> tuple[Goal, ...]:
         own = [
-            wide if goal.plants is task.plants else tuple(augmented(p, order) for p in goal.plants) for goal in asked
+            wide if goal.plants is task.plants else tuple(augmented(p, order) for p in goal.plants)
+            for goal in requested
         ]
-        return tuple(Goal(plants=plants, h2=goal.h2) for plants, goal in zip(own, asked, strict=True))
+        return tuple(Goal(plants=plants, h2=goal.h2) for plants, goal in zip(own, requested, strict=True))
 
     problem = Problem(
         plants=wide,
@@ -184,8 +185,8 @@ def structured(
     # Static gains without a pattern begin at random: nothing is fitted to other controllers.
     fitted = _FITTED if order or whole is not None else 0
     each = _FOR_BOUNDS * seconds / _FITTED
-    asked = [(plant, goal.h2) for goal in task.soft for plant in goal.plants]
-    bounds = [full_order(plant, h2, each, k < fitted) for k, (plant, h2) in enumerate(asked)]
+    requested = [(plant, goal.h2) for goal in task.soft for plant in goal.plants]
+    bounds = [full_order(plant, h2, each, k < fitted) for k, (plant, h2) in enumerate(requested)]
     points = _points(problem, flat, bounds, order, units, starts, np.random.default_rng(seed))
 
     def report(k: int, outcome: Outcome | None) -> None:
@@ -249,9 +250,9 @@ def _task(
         return _Task(plants=flat, soft=(Goal(plants=flat),), hard=(), decay=0.0)
     from platform_ctrl.design.lmi.tasks import tasks
 
-    asked = [tasks(P, part, requirements, "structured") for P, part in zip(given, parts, strict=True)]
+    requested = [tasks(P, part, requirements, "structured") for P, part in zip(given, parts, strict=True)]
     decay = 0.0
-    for region in asked[0].regions:
+    for region in requested[0].regions:
         if region.kind != "stability":
             raise ArgumentError(
                 f"structured: given a requirement of kind {region.kind!r}; expected 'H-infinity norm', 'H2 norm' or "
@@ -260,25 +261,25 @@ def _task(
         period = parts[0].dt
         limit = region.limit if period == 0.0 else 2.0 / period * np.tanh(0.5 * region.limit * period)
         decay = max(decay, float(limit))
-    if asked[0].controller:
+    if requested[0].controller:
         raise ArgumentError(
             "structured: given a requirement of kind 'controller poles'; expected 'H-infinity norm', 'H2 norm' or "
             "'stability'; bound the structure's numbers instead"
         )
-    if not asked[0].norms:
+    if not requested[0].norms:
         raise ArgumentError("structured: no norm among the requirements; expected at least one to be made small")
     every = [
-        (norm.asked.hard, Goal(plants=tuple(_channel(one.plant, norm.w, norm.z, _aim(norm.asked)) for one in asked),
-                               h2=norm.h2))
-        for norm in asked[0].norms
+        (norm.requested.hard,
+         Goal(plants=tuple(_channel(one.plant, norm.w, norm.z, _aim(norm.requested)) for one in requested), h2=norm.h2))
+        for norm in requested[0].norms
     ]  # fmt: skip
     soft = tuple(goal for hard, goal in every if not hard)
     hard = tuple(goal for hard, goal in every if hard)
     return _Task(plants=flat, soft=soft or hard, hard=hard if soft else (), decay=decay)
 
 
-def _aim(asked: LoopRequirement) -> float:
-    return asked.limit * (1.0 - _RESERVE) if asked.hard else asked.limit
+def _aim(requested: LoopRequirement) -> float:
+    return requested.limit * (1.0 - _RESERVE) if requested.hard else requested.limit
 
 
 def _channel(plant: Partition, w: Sequence[int], z: Sequence[int], limit: float) -> Partition:
@@ -365,7 +366,7 @@ def _none_found(
     given: tuple[StateSpace, ...],
     requirements: Sequence[LoopRequirement],
 ) -> Exception:
-    """Return what to raise where no start led to what is asked; the numbers are those of the plants as given."""
+    """Return what to raise where no start led to what is requested; the numbers are those of the plants as given."""
     kind = type(structure).__name__
     tried = f"{starts} starts and {spent} evaluations"
     if best is None or (cut and best.rank[0] > 1.0):
@@ -379,10 +380,11 @@ def _none_found(
     if best.rank[0] > 1.0:
         worst, at = max((_abscissa(part, K), k) for k, part in enumerate(parts, 1))
         decay = max((r.limit for r in requirements if r.kind == "stability"), default=0.0)
-        asked = f"a decay of {decay:g} 1/s with every plant" if decay else "a stable loop with every plant"
+        requested = f"a decay of {decay:g} 1/s with every plant" if decay else "a stable loop with every plant"
         return NotFoundError(
-            f"structured: none found: no {kind} controller with {asked} in {tried}; the nearest has the rightmost pole "
-            f"at {worst:+.4g} rad/s, with plant {at}; {further}, starting values (start=...), or a richer structure",
+            f"structured: none found: no {kind} controller with {requested} in {tried}; the nearest has the rightmost "
+            f"pole at {worst:+.4g} rad/s, with plant {at}; {further}, starting values (start=...), or a richer "
+            "structure",
             given,
             K,
         )
@@ -451,9 +453,11 @@ def _judged(
         if requirements:
             held = [one.check_closed_loop(system, subject=f"plant {k}") for one in requirements]
             outcomes += held
-            norms = [one.ratio for one, asked in zip(held, requirements, strict=True) if asked.kind != "stability"]
-            soft = [r for r, asked in zip(norms, [a for a in requirements if a.kind != "stability"], strict=True)
-                    if not asked.hard]  # fmt: skip
+            norms = [
+                one.ratio for one, requested in zip(held, requirements, strict=True) if requested.kind != "stability"
+            ]
+            soft = [r for r, requested in zip(norms, [a for a in requirements if a.kind != "stability"], strict=True)
+                    if not requested.hard]  # fmt: skip
             gammas.append(max(soft or norms))
         else:
             gammas.append(float(hinf_norm(system)[0]))
