@@ -9,14 +9,20 @@ from pathlib import Path
 from platform_ctrl.common.text import rounded
 from platform_ctrl.errors import PlatformCtrlError
 from platform_ctrl.job.requirements import CheckResult
-from platform_ctrl.report.quantities import count, handy_unit, listed, times, told_apart, unfavourable
+from platform_ctrl.report.quantities import (
+    UNSTABLE,
+    count,
+    distinguishing_digits,
+    handy_unit,
+    in_one_unit,
+    listed,
+    pessimistic_rounding,
+    times,
+)
 from platform_ctrl.verification.baselines import Change, Comparison, LoopMatrices
 
-# Digits until two numbers are told apart.
-_DIGITS = (4, 6, 9)
 # Lines for what is better, new or missing; a baseline of another job has nothing else.
 _LINES = 8
-UNSTABLE = "none (unstable)"
 
 
 def requirement_text(one: CheckResult) -> str:
@@ -31,8 +37,8 @@ def value_and_limit(one: CheckResult) -> tuple[str, str]:
     """Return value and limit in the same unit; the value is never printed better than it is."""
     finite = [abs(number) for number in (one.value, one.limit) if math.isfinite(number)]
     factor, name = handy_unit(one.unit, max(finite, default=1.0))
-    digits = told_apart(one)
-    value, limit = rounded(times(factor, one.value), digits, unfavourable(one)), times(factor, one.limit)
+    digits = distinguishing_digits(one)
+    value, limit = rounded(times(factor, one.value), digits, pessimistic_rounding(one)), times(factor, one.limit)
     shown = f"{value:.{digits}g} {name}".rstrip() if math.isfinite(value) else UNSTABLE
     return shown, f"{limit:.{max(digits, 6)}g} {name}".rstrip()
 
@@ -78,7 +84,7 @@ def failure_text(comparison: Comparison, job: str, file: Path, plot: Path, accep
 
     A place that cannot be written to does not hide what moved: the words say why there is no plot.
     """
-    from platform_ctrl.report.figures.baseline_changes import write_moved_figure
+    from platform_ctrl.report.figures.baseline_changes import write_moved_figure  # loads Matplotlib
 
     title = moved_text(comparison, f"{job}, {file.name}").partition("\n")[0]
     drawn: Path | None = None
@@ -95,27 +101,10 @@ def change_text(change: Change) -> str:
     if change.state == "missing":
         return f"{_named(change)}: not measured any more"
     if change.state == "new":
-        return f"{_named(change)}: {shown_alike((change.now,), change.unit)[0]}, not in the baseline"
-    before, now, allowed = shown_alike((change.before, change.now, change.allowed), change.unit)
+        return f"{_named(change)}: {in_one_unit((change.now,), change.unit)[0]}, not in the baseline"
+    before, now, allowed = in_one_unit((change.before, change.now, change.allowed), change.unit)
     words = {"within": "within its tolerance", "worse": "worse", "better": "better"}[change.state]
     return f"{_named(change)}: {before} -> {now} ({_percent(change.share)}), tolerance {allowed}: {words}"
-
-
-def shown_alike(numbers: Sequence[float | None], unit: str) -> list[str]:
-    """Return numbers with their unit, all in the same, with digits enough to tell the different ones apart."""
-    finite = [abs(number) for number in numbers if number is not None and math.isfinite(number)]
-    factor, name = handy_unit(unit, max(finite, default=1.0))
-    told_apart = len(set(finite[:2]))
-    for digits in _DIGITS:
-        if len({f"{number:.{digits}g}" for number in finite[:2]}) == told_apart:
-            break
-
-    def words(number: float | None) -> str:
-        if number is None:
-            return ""
-        return f"{factor * number:.{digits}g} {name}".rstrip() if math.isfinite(number) else UNSTABLE
-
-    return [words(number) for number in numbers]
 
 
 def _head(comparison: Comparison, name: str) -> str:
@@ -130,7 +119,7 @@ def _head(comparison: Comparison, name: str) -> str:
 
 def _row(change: Change) -> tuple[str, ...]:
     numbers = (change.before, change.now, change.allowed, change.limit)
-    before, now, allowed, limit = shown_alike(numbers, change.unit)
+    before, now, allowed, limit = in_one_unit(numbers, change.unit)
     limit = f"{change.sense} {limit}" if change.limit is not None else ""
     return _named(change), before, now, _percent(change.share), allowed, limit
 
@@ -143,7 +132,7 @@ def _others(words: str, changes: Sequence[Change]) -> list[str]:
     """Return lines for what is no failure: not more than a few."""
     shown = []
     for change in changes[:_LINES]:
-        before, now = shown_alike((change.before, change.now), change.unit)
+        before, now = in_one_unit((change.before, change.now), change.unit)
         numbers = " -> ".join(filter(None, (before, now)))
         shown.append(f"{_named(change)}, {numbers}")
     more = len(changes) - len(shown)

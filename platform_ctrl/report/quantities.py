@@ -23,6 +23,7 @@ RPM = 60.0 * HZ
 
 MINUS, DASH = "\u2212", "\u2013"
 MET, NOT_MET = "\u2713", "\u2717"
+UNSTABLE = "none (unstable)"
 BOUND = {"at least": "\u2265", "at most": "\u2264"}
 
 # Units that the name of a claim may end in, after a comma as on an axis.
@@ -105,12 +106,12 @@ def times(factor: float, number: float) -> float:
     return float(Decimal(repr(float(number))) * Decimal(factor)) if exact else number
 
 
-def unfavourable(one: CheckResult) -> Rounding:
+def pessimistic_rounding(one: CheckResult) -> Rounding:
     """Return the direction in which a judged value is rounded: it is never printed better than it is."""
     return "down" if one.sense == "at least" else "up"
 
 
-def told_apart(one: CheckResult) -> int:
+def distinguishing_digits(one: CheckResult) -> int:
     """Return how many digits show that a judged value is not its limit."""
     for digits in (4, 6, 9):
         if one.value == one.limit or rounded(one.value, digits) != rounded(one.limit, digits):
@@ -124,8 +125,25 @@ def compared(one: CheckResult) -> tuple[str, str]:
     shown_limit = f"{plain(times(factor, one.limit), 6)} {name}".rstrip()
     if not math.isfinite(one.value):
         return "unstable", shown_limit
-    shown = plain(times(factor, one.value), told_apart(one), unfavourable(one))
+    shown = plain(times(factor, one.value), distinguishing_digits(one), pessimistic_rounding(one))
     return f"{shown} {name}".rstrip(), shown_limit
+
+
+def in_one_unit(numbers: Sequence[float | None], unit: str) -> list[str]:
+    """Return numbers with their unit, all in the same, with digits enough to tell the different ones apart."""
+    finite = [abs(number) for number in numbers if number is not None and math.isfinite(number)]
+    factor, name = handy_unit(unit, max(finite, default=1.0))
+    different = len(set(finite[:2]))
+    for digits in (4, 6, 9):
+        if len({f"{number:.{digits}g}" for number in finite[:2]}) == different:
+            break
+
+    def words(number: float | None) -> str:
+        if number is None:
+            return ""
+        return f"{factor * number:.{digits}g} {name}".rstrip() if math.isfinite(number) else UNSTABLE
+
+    return [words(number) for number in numbers]
 
 
 def percent(share: float) -> str:

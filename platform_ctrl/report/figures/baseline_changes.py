@@ -18,9 +18,8 @@ from platform_ctrl.common.files import write_whole
 from platform_ctrl.common.text import text_width
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.report.failure_messages import shown_alike
 from platform_ctrl.report.loop_responses import following_grid
-from platform_ctrl.report.quantities import HZ
+from platform_ctrl.report.quantities import HZ, in_one_unit
 from platform_ctrl.report.style import (
     BAND,
     FULL_WIDTH,
@@ -113,7 +112,7 @@ def _draw_bars(axes: Axes, shown: list[Change], names: list[str], hidden: int) -
     words += "; bars that touch the frame are longer" if np.abs(sizes).max(initial=0.0) > reach else ""
     axes.set_xlabel(words + (f"; {hidden} figures more" if hidden else ""))
     for change, place in zip(shown, places, strict=True):
-        before, now = shown_alike((change.before, change.now), change.unit)
+        before, now = in_one_unit((change.before, change.now), change.unit)
         unit = before.partition(" ")[2]
         words = f"{before.removesuffix(unit).rstrip()} → {now}"
         colour = LIMIT if change.state == "worse" else MUTED
