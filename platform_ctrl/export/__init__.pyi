@@ -10,9 +10,9 @@ from .job_systems import model_systems as model_systems
 from .json_systems import read_systems as read_systems
 from .json_systems import write_controllers as write_controllers
 from .json_systems import write_systems as write_systems
-from .linear_system import LinearSystem as LinearSystem
-from .linear_system import linear_system as linear_system
 from .matlab import read_mat as read_mat
 from .matlab import write_mat as write_mat
 from .mujoco.mjcf_reader import read_mjcf as read_mjcf
 from .mujoco.mjcf_writer import write_mjcf as write_mjcf
+from .system_record import SystemRecord as SystemRecord
+from .system_record import system_record as system_record

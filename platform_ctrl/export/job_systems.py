@@ -15,7 +15,7 @@ from platform_ctrl.common.values import FloatArray, input_value
 from platform_ctrl.design.loop import sampled_plant
 from platform_ctrl.design.plants import plants_of
 from platform_ctrl.export.csv_responses import response_data
-from platform_ctrl.export.linear_system import LinearSystem, linear_system, signal_units
+from platform_ctrl.export.system_record import SystemRecord, signal_units, system_record
 from platform_ctrl.job.job import Faults, Job, Spread
 from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.mechanics.state_space import state_space
@@ -50,7 +50,7 @@ class ResponseTable:
 
 
 @check_arguments
-def controller_systems(job: Job, controllers: Sequence[control.StateSpace]) -> tuple[LinearSystem, ...]:
+def controller_systems(job: Job, controllers: Sequence[control.StateSpace]) -> tuple[SystemRecord, ...]:
     """Return a job's controllers with units and delay.
 
     Parameters
@@ -62,7 +62,7 @@ def controller_systems(job: Job, controllers: Sequence[control.StateSpace]) -> t
 
     Returns
     -------
-    tuple of LinearSystem
+    tuple of SystemRecord
         In their order; what a controller takes in and gives is as in ``result.json``.
 
     Raises
@@ -71,11 +71,11 @@ def controller_systems(job: Job, controllers: Sequence[control.StateSpace]) -> t
         One is no state space.
     """
     note = "controller u = K y without hidden sign; u acts the delay after the sample and is held"
-    return tuple(linear_system(K, platform=job.platform, delay=job.sampling.delay, note=note) for K in controllers)
+    return tuple(system_record(K, platform=job.platform, delay=job.sampling.delay, note=note) for K in controllers)
 
 
 @check_arguments
-def model_systems(job: Job) -> tuple[LinearSystem, ...]:
+def model_systems(job: Job) -> tuple[SystemRecord, ...]:
     """Return the linear models of a job's plant about rest.
 
     Parameters
@@ -85,7 +85,7 @@ def model_systems(job: Job) -> tuple[LinearSystem, ...]:
 
     Returns
     -------
-    tuple of LinearSystem
+    tuple of SystemRecord
         ``plant``: torques and platform rates to angles, continuous; ``plant with free root``: the platform reacts;
         then for each caging loop its sampled plant, dead time, torquer lag and hold included.
 
@@ -100,12 +100,12 @@ def model_systems(job: Job) -> tuple[LinearSystem, ...]:
     about = f"{job.platform.name}, linear about rest"
     whole, free = state_space(model), state_space(model, root="free")
     out = [
-        linear_system(whole, "plant", platform=job.platform, note=f"{about}, Omega prescribed"),
-        linear_system(free, "plant with free root", platform=job.platform, note=f"{about}, the platform reacts"),
+        system_record(whole, "plant", platform=job.platform, note=f"{about}, Omega prescribed"),
+        system_record(free, "plant with free root", platform=job.platform, note=f"{about}, the platform reacts"),
     ]
     for name, plant in _loop_plants(job):
         note = "sampled with hold; dead time and torquer lag are in it"
-        out.append(linear_system(plant, f"plant {name}", platform=job.platform, note=note))
+        out.append(system_record(plant, f"plant {name}", platform=job.platform, note=note))
     return tuple(out)
 
 

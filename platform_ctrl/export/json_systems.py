@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from platform_ctrl.common.files import write_whole
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.errors import InputError
-from platform_ctrl.export.linear_system import MOST_SYSTEMS, LinearSystem, expect_systems, linear_system, system_of
+from platform_ctrl.export.system_record import MOST_SYSTEMS, SystemRecord, expect_systems, system_of, system_record
 from platform_ctrl.plant.mistakes import given
 from platform_ctrl.plant.source import path_of, read_json
 from platform_ctrl.verification.records import SCHEMA, laid_out, plain
@@ -22,13 +22,13 @@ _EXPECTED = "a JSON file with systems or controllers"
 
 
 @check_arguments
-def write_systems(systems: Sequence[LinearSystem], path: str | os.PathLike[str]) -> Path:
+def write_systems(systems: Sequence[SystemRecord], path: str | os.PathLike[str]) -> Path:
     """Write systems as JSON, whole or not at all.
 
     Parameters
     ----------
     systems
-        As from `linear_system`, `controller_systems` or `model_systems`.
+        As from `system_record`, `controller_systems` or `model_systems`.
     path
         Of the file; its folder is there.
 
@@ -73,14 +73,14 @@ def write_controllers(controllers: Sequence[control.StateSpace], path: str | os.
     InputError
         The file cannot be written there.
     """
-    systems = [linear_system(K, delay=delay) for K in controllers]
+    systems = [system_record(K, delay=delay) for K in controllers]
     expect_systems(systems, "write_controllers")
     keys = ("name", "dt", "A", "B", "C", "D", "inputs", "outputs", "delay")
     entries = [{key: getattr(one, key) for key in keys} for one in systems]
     return write_whole(path, laid_out(plain({"schema": SCHEMA, "controllers": entries})) + "\n")
 
 
-def read_systems(path: str | os.PathLike[str]) -> tuple[LinearSystem, ...]:
+def read_systems(path: str | os.PathLike[str]) -> tuple[SystemRecord, ...]:
     """Read systems from JSON: a file of `write_systems`, a ``result.json``, or one with its controllers alone.
 
     Parameters
@@ -90,7 +90,7 @@ def read_systems(path: str | os.PathLike[str]) -> tuple[LinearSystem, ...]:
 
     Returns
     -------
-    tuple of LinearSystem
+    tuple of SystemRecord
         In the file's order; what has no names gets u1, y1, x1 and so on.
 
     Raises
@@ -111,12 +111,12 @@ def read_systems(path: str | os.PathLike[str]) -> tuple[LinearSystem, ...]:
     return tuple(_system(f"{label}: {key} {number}", entry) for number, entry in enumerate(entries, 1))
 
 
-def _entry(one: LinearSystem) -> dict[str, Any]:
+def _entry(one: SystemRecord) -> dict[str, Any]:
     first = ("name", "note", "dt", "delay", "inputs", "input_units", "outputs", "output_units", "states")
     return {key: getattr(one, key) for key in (*first, "A", "B", "C", "D")}
 
 
-def _system(where: str, entry: object) -> LinearSystem:
+def _system(where: str, entry: object) -> SystemRecord:
     if not isinstance(entry, Mapping):
         raise InputError(f"{where}: given {given(entry)}; expected a table with name, dt, A, B, C, D, ...")
     return system_of(where, entry)

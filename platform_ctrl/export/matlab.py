@@ -18,7 +18,7 @@ import numpy as np
 from platform_ctrl.common.files import write_whole
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.errors import InputError
-from platform_ctrl.export.linear_system import MOST_SYSTEMS, LinearSystem, expect_systems, system_of
+from platform_ctrl.export.system_record import MOST_SYSTEMS, SystemRecord, expect_systems, system_of
 from platform_ctrl.plant.mistakes import one_line
 from platform_ctrl.plant.source import MOST_OF_ANY, path_of
 
@@ -158,7 +158,7 @@ _EXPECTED = "a MAT file (save -v7) with structs of A, B, C, D"
 
 
 @check_arguments
-def write_mat(systems: Sequence[LinearSystem], path: str | os.PathLike[str]) -> tuple[str, ...]:
+def write_mat(systems: Sequence[SystemRecord], path: str | os.PathLike[str]) -> tuple[str, ...]:
     """Write systems as a MATLAB 5 file, whole or not at all.
 
     Every system is a struct with ``A``, ``B``, ``C``, ``D``, ``Ts``, ``InputName``, ``OutputName``, ``StateName``,
@@ -168,7 +168,7 @@ def write_mat(systems: Sequence[LinearSystem], path: str | os.PathLike[str]) -> 
     Parameters
     ----------
     systems
-        As from `linear_system`, `controller_systems` or `model_systems`.
+        As from `system_record`, `controller_systems` or `model_systems`.
     path
         Of the file; its folder is there.
 
@@ -196,7 +196,7 @@ def write_mat(systems: Sequence[LinearSystem], path: str | os.PathLike[str]) -> 
     return tuple(names)
 
 
-def read_mat(path: str | os.PathLike[str]) -> tuple[LinearSystem, ...]:
+def read_mat(path: str | os.PathLike[str]) -> tuple[SystemRecord, ...]:
     """Read systems from a MATLAB file: every struct with ``A``, ``B``, ``C`` and ``D``.
 
     Written by `write_mat`, or by MATLAB or Octave: ``save -v7`` of structs that are made by hand or by
@@ -209,7 +209,7 @@ def read_mat(path: str | os.PathLike[str]) -> tuple[LinearSystem, ...]:
 
     Returns
     -------
-    tuple of LinearSystem
+    tuple of SystemRecord
         In the file's order; what has no names gets u1, y1, x1 and so on. A sampled system's delay is ``Delay``, or
         ``OutputDelay`` in sample periods.
 
@@ -249,7 +249,7 @@ def _identifier(name: str, taken: Sequence[str]) -> str:
     return out
 
 
-def _struct(one: LinearSystem) -> dict[str, Any]:
+def _struct(one: SystemRecord) -> dict[str, Any]:
     # A fraction of a sample period is in Delay alone: MATLAB's sampled systems know none.
     whole = one.delay if one.dt == 0.0 else np.floor(one.delay / one.dt * (1.0 + 1e-9))
     out: dict[str, Any] = {key: np.array(getattr(one, key)) for key in "ABCD"}
@@ -286,7 +286,7 @@ def _is_struct(item: object) -> bool:
     return isinstance(item, np.ndarray) and item.dtype.names is not None and {*"ABCD"} <= set(item.dtype.names)
 
 
-def _system(where: str, name: str, entry: np.void) -> LinearSystem:
+def _system(where: str, name: str, entry: np.void) -> SystemRecord:
     fields = {key: entry[key] for key in entry.dtype.names or ()}
     data: dict[str, Any] = {key: _matrix(where, key, fields[key]) for key in "ABCD"}
     _orient(data)

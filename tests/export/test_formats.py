@@ -21,7 +21,7 @@ from fuzz_bytes import mangled
 from one_gyro_job import JOB
 from platform_ctrl import analysis, design, export
 from platform_ctrl.errors import ArgumentError, InputError
-from platform_ctrl.export import LinearSystem
+from platform_ctrl.export import SystemRecord
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.reading import read_job
 from platform_ctrl.verification import read_controllers
@@ -40,22 +40,22 @@ def controllers(job: Job) -> list[control.StateSpace]:
 
 
 @pytest.fixture(scope="module")
-def systems(job: Job, controllers: list[control.StateSpace]) -> tuple[LinearSystem, ...]:
+def systems(job: Job, controllers: list[control.StateSpace]) -> tuple[SystemRecord, ...]:
     return export.controller_systems(job, controllers) + export.model_systems(job)
 
 
-def same(one: LinearSystem, other: LinearSystem) -> bool:
+def same(one: SystemRecord, other: SystemRecord) -> bool:
     return all(
         np.array_equal(getattr(one, field.name), getattr(other, field.name)) for field in dataclasses.fields(one)
     )
 
 
-def static(**more: Any) -> LinearSystem:
+def static(**more: Any) -> SystemRecord:
     gain = control.ss([], [], [], [[2.0, 0.0]], 0.01, inputs=["a", "b"], outputs=["c"], name="gain")
-    return dataclasses.replace(export.linear_system(gain), **more)
+    return dataclasses.replace(export.system_record(gain), **more)
 
 
-def test_json_keeps_every_bit_name_and_unit(systems: tuple[LinearSystem, ...], tmp_path: Path) -> None:
+def test_json_keeps_every_bit_name_and_unit(systems: tuple[SystemRecord, ...], tmp_path: Path) -> None:
     path = export.write_systems([*systems, static()], tmp_path / "models.json")
     back = export.read_systems(path)
     assert [one.name for one in back[:3]] == ["caging 9-10, classical", "plant", "plant with free root"]
@@ -77,7 +77,7 @@ def test_controllers_leave_in_the_form_that_check_reads(
     assert (system.dt, system.delay, system.inputs) == (0.0005, 0.0005, ("alpha9", "beta10"))
 
 
-def test_json_that_makes_no_sense_is_one_line(systems: tuple[LinearSystem, ...], tmp_path: Path) -> None:
+def test_json_that_makes_no_sense_is_one_line(systems: tuple[SystemRecord, ...], tmp_path: Path) -> None:
     good = json.loads(export.write_systems(systems[:1], tmp_path / "m.json").read_text())
 
     def refused(**changes: Any) -> str:
@@ -106,7 +106,7 @@ def test_json_that_makes_no_sense_is_one_line(systems: tuple[LinearSystem, ...],
     assert not (tmp_path / "none.json").exists()
 
 
-def test_mat_keeps_every_bit_name_and_unit(systems: tuple[LinearSystem, ...], tmp_path: Path) -> None:
+def test_mat_keeps_every_bit_name_and_unit(systems: tuple[SystemRecord, ...], tmp_path: Path) -> None:
     path = tmp_path / "s.mat"
     assert export.write_mat([*systems, static()], path) == (
         K,
@@ -122,7 +122,7 @@ def test_mat_keeps_every_bit_name_and_unit(systems: tuple[LinearSystem, ...], tm
     assert len(set(export.write_mat([static(name="1 x"), static(name="1-x"), static(name="–")], path))) == 3
 
 
-def test_mat_holds_what_ss_takes(systems: tuple[LinearSystem, ...], tmp_path: Path) -> None:
+def test_mat_holds_what_ss_takes(systems: tuple[SystemRecord, ...], tmp_path: Path) -> None:
     """``ss(s.A, s.B, s.C, s.D, s.Ts, "InputName", s.InputName, ...)``: names as standing cells of text."""
     export.write_mat([*systems, static(delay=0.025)], tmp_path / "s.mat")
     held = scipy.io.loadmat(tmp_path / "s.mat", simplify_cells=False)
@@ -255,7 +255,7 @@ def test_names_with_commas_and_quotes_survive_csv(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("untraced")
-def test_mangled_files_are_read_or_refused_in_one_line(systems: tuple[LinearSystem, ...], tmp_path: Path) -> None:
+def test_mangled_files_are_read_or_refused_in_one_line(systems: tuple[SystemRecord, ...], tmp_path: Path) -> None:
     path, dice = tmp_path / "f", random.Random(5)
     export.write_mat(systems[:1], path)
     plain = path.read_bytes()
@@ -275,7 +275,7 @@ def test_mangled_files_are_read_or_refused_in_one_line(systems: tuple[LinearSyst
         assert refused > 50
 
 
-def test_what_is_read_responds_as_what_was_written(systems: tuple[LinearSystem, ...], tmp_path: Path) -> None:
+def test_what_is_read_responds_as_what_was_written(systems: tuple[SystemRecord, ...], tmp_path: Path) -> None:
     export.write_mat(systems, tmp_path / "s.mat")
     w = [1.0, 10.0, 100.0]
     for one, back in zip(systems, export.read_mat(tmp_path / "s.mat"), strict=True):

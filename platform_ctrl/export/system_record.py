@@ -1,4 +1,4 @@
-"""Linear systems on their way out and in: state space with names, units, sample period and delay."""
+"""Linear systems as files have them: a state space with units, delay and a note, which `control.StateSpace` has not."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ MOST_SYSTEMS = 1000
 
 
 @value
-class LinearSystem:
+class SystemRecord:
     """A state space as other tools know it.
 
     Attributes
@@ -70,14 +70,14 @@ class LinearSystem:
 
 
 @check_arguments
-def linear_system(
+def system_record(
     system: control.StateSpace,
     name: str | None = None,
     *,
     platform: Platform | None = None,
     delay: float = 0.0,
     note: str = "",
-) -> LinearSystem:
+) -> SystemRecord:
     """Return a state space with what other tools want to know of it.
 
     Parameters
@@ -95,7 +95,7 @@ def linear_system(
 
     Returns
     -------
-    LinearSystem
+    SystemRecord
         With the names of its signals and states.
 
     Raises
@@ -103,7 +103,7 @@ def linear_system(
     ArgumentError
         It is no state space, is not finite, or has more than 1000 states or signals.
     """
-    where = "linear_system"
+    where = "system_record"
     A, B, C, D, dt = state_arrays(system, where)
     if max(*A.shape, *D.shape) > MOST:
         raise ArgumentError(
@@ -115,7 +115,7 @@ def linear_system(
     for kind, text in (("name", title), ("note", note)):
         if not isinstance(text, str) or not text.isprintable() or (kind == "name" and not text.strip()):
             raise ArgumentError(f"{where}: {kind}: given {short(text)}; expected text in one line")
-    return LinearSystem(
+    return SystemRecord(
         name=title,
         A=A,
         B=B,
@@ -140,15 +140,15 @@ def signal_units(platform: Platform) -> dict[str, str]:
     return units | dict.fromkeys([*(t.name for t in platform.torquers), *ROOT_TORQUE_NAMES], "N m")
 
 
-def expect_systems(systems: Sequence[LinearSystem], where: str) -> None:
+def expect_systems(systems: Sequence[SystemRecord], where: str) -> None:
     """Judge what has to be a list of systems."""
-    if isinstance(systems, LinearSystem) or not all(isinstance(one, LinearSystem) for one in systems):
-        raise ArgumentError(f"{where}: expected a list of LinearSystem, for example from linear_system")
+    if isinstance(systems, SystemRecord) or not all(isinstance(one, SystemRecord) for one in systems):
+        raise ArgumentError(f"{where}: expected a list of SystemRecord, for example from system_record")
     if not 0 < len(systems) <= MOST_SYSTEMS:
         raise ArgumentError(f"{where}: given {len(systems)} systems; expected 1 to {MOST_SYSTEMS}")
 
 
-def system_of(where: str, data: Mapping[str, Any]) -> LinearSystem:
+def system_of(where: str, data: Mapping[str, Any]) -> SystemRecord:
     """Return the system that a file describes, or refuse it in one line.
 
     Parameters
@@ -180,7 +180,7 @@ def system_of(where: str, data: Mapping[str, Any]) -> LinearSystem:
     if not p or not m:
         raise InputError(f"{where}: has {m} inputs and {p} outputs; expected some of both")
     dt, delay = (_time(where, key, data) for key in ("dt", "delay"))
-    return LinearSystem(
+    return SystemRecord(
         **arrays,
         name=_text(where, "name", data) or "system",
         dt=dt,
