@@ -80,7 +80,7 @@ def _run(arguments: list[str]) -> int:
         # What typer raises for a wrong command line: its class has moved between modules, this method has not.
         if not hasattr(error, "format_message"):
             raise
-        return _failed(_told(error), 2)
+        return _failed(_report_error(error), 2)
 
 
 def _asked(arguments: list[str]) -> list[str]:
@@ -90,7 +90,7 @@ def _asked(arguments: list[str]) -> list[str]:
     return arguments
 
 
-def _told(error: Any) -> str:
+def _report_error(error: Any) -> str:
     """Say what is wrong with a command line, what is expected where something is missing, and where help is."""
     message: str = error.format_message()
     param, context = getattr(error, "param", None), getattr(error, "ctx", None)

@@ -8,7 +8,16 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 import typer
 
 from platform_ctrl.cli import completion
-from platform_ctrl.cli.inputs import CAMPAIGN, Controllers, JobFile, Json, Quiet, controller_file, job_of, prepared
+from platform_ctrl.cli.job_arguments import (
+    CAMPAIGN,
+    Controllers,
+    JobFile,
+    Json,
+    Quiet,
+    controller_file,
+    job_of,
+    prepare_folder,
+)
 
 if TYPE_CHECKING:
     from platform_ctrl.campaign.engine import CampaignResult
@@ -139,7 +148,7 @@ def campaign(
 
     Exit code 1 if a run did not meet its limits, diverged or was not simulated.
     """  # noqa: D301
-    from platform_ctrl.cli.campaign_output import PAGE, campaign_progress, delivered, expect_rare, rare_found
+    from platform_ctrl.cli.campaign_output import PAGE, campaign_progress, expect_rare, rare_result, write_campaign
     from platform_ctrl.cli.terminal import progress
 
     with progress(quiet or as_json, f"reading {job}"):
@@ -151,7 +160,7 @@ def campaign(
 
         made = plan(read, read_controllers(file, read), runs=runs, seed=seed, sampling=cast("Points | None", sampling))
         expect_rare(made, rare, runs_per_level, rare_method)
-        prepared(out, ("campaign.parquet", "campaign.json", PAGE))
+        prepare_folder(out, ("campaign.parquet", "campaign.json", PAGE))
     done: int | None = None
 
     def noted(kept: int, amiss: int) -> None:
@@ -180,9 +189,9 @@ def campaign(
     numbers = {"--runs": runs, "--seed": seed, "--sampling": sampling, "--rare": rare}
     words = [str(word) for option, one in numbers.items() if one is not None for word in (option, one)]
     with progress(quiet or as_json, f"reading {result.table}") as say:
-        found = rare_found(made, rare, runs_per_level, rare_method, workers=workers, device=device, say=say)
+        found = rare_result(made, rare, runs_per_level, rare_method, workers=workers, device=device, say=say)
         say(f"drawing the page: {out / PAGE}")
-        summary, record = delivered(
+        summary, record = write_campaign(
             made,
             result,
             found,

@@ -47,7 +47,7 @@ def expect_rare(plan: Plan, requirement: str | None, runs_per_level: int, method
         raise InputError(str(error)) from None
 
 
-def rare_found(
+def rare_result(
     plan: Plan,
     requirement: str | None,
     runs_per_level: int,
@@ -76,7 +76,7 @@ def rare_found(
     )
 
 
-def delivered(
+def write_campaign(
     plan: Plan, result: CampaignResult, rare: tuple[RareResult, ...], *, command: list[str], again: list[str]
 ) -> tuple[Summary, Record]:
     """Count the table, write campaign.json with what was counted, and the page; return both.

@@ -7,8 +7,8 @@ from typing import Annotated, Any
 
 import typer
 
-from platform_ctrl.cli.held_baseline import Held, writable
-from platform_ctrl.cli.inputs import (
+from platform_ctrl.cli.baseline_options import BaselineOptions, writable
+from platform_ctrl.cli.job_arguments import (
     REPORT,
     RESULT,
     CampaignFolder,
@@ -21,9 +21,9 @@ from platform_ctrl.cli.inputs import (
     controller_file,
     job_of,
     plant_file,
-    prepared,
+    prepare_folder,
 )
-from platform_ctrl.cli.job_outcome import Extras, delivered
+from platform_ctrl.cli.job_outcome import ReportOptions, write_report
 
 CHECKED = Path("check")
 
@@ -80,8 +80,8 @@ def check(
     with progress(quiet or as_json, f"reading {job}") as say:
         read = job_of(job)
         file = controller_file(controllers, out, job)
-        held = Held.given(baseline, update_baseline)
-        extras = Extras.given(read, pdf, campaign)
+        comparison = BaselineOptions.given(baseline, update_baseline)
+        extras = ReportOptions.given(read, pdf, campaign)
         from platform_ctrl.verification import checked
         from platform_ctrl.verification.given import outcomes_from, read_controllers
         from platform_ctrl.verification.recorded import unconfirmed
@@ -89,10 +89,10 @@ def check(
         closed = read_controllers(file, read)
         others = read_controllers(file, read, "alternatives")
         if campaign is not None:
-            from platform_ctrl.cli.job_outcome import counted
+            from platform_ctrl.cli.job_outcome import campaign_summary
 
-            counted(read, closed, campaign)  # before the work on what would be refused
-        prepared(folder, extras.files)
+            campaign_summary(read, closed, campaign)  # before the work on what would be refused
+        prepare_folder(folder, extras.files)
         if junit is not None:
             inputs = [job, *plant_file(job, read), file, baseline]
             writable("--junit", junit, [*inputs, *(folder / name for name in extras.files)])
@@ -101,8 +101,8 @@ def check(
         notes = unconfirmed(file, result)
         command = ["check", str(job), "--controllers", str(file), "-o", str(folder)]
         compared: dict[str, Any] = {}
-        show = delivered(result, folder, as_json, say, command, compared, extras=extras)
-        outcome = held.outcome(result)  # last: nothing is accepted of which there is no report
+        show = write_report(result, folder, as_json, say, command, compared, extras=extras)
+        outcome = comparison.outcome(result)  # last: nothing is accepted of which there is no report
         compared |= outcome.record or {}
         if junit is not None:
             from platform_ctrl.report.junit import write_junit

@@ -13,12 +13,12 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperCommand, TyperGroup
 
+from platform_ctrl.cli.baseline_options import writable
 from platform_ctrl.cli.campaign_command import campaign
 from platform_ctrl.cli.check_command import check
 from platform_ctrl.cli.equations_command import equations
 from platform_ctrl.cli.export_command import export
-from platform_ctrl.cli.held_baseline import writable
-from platform_ctrl.cli.inputs import (
+from platform_ctrl.cli.job_arguments import (
     DESIGNED,
     REPORT,
     RESULT,
@@ -30,9 +30,9 @@ from platform_ctrl.cli.inputs import (
     Quiet,
     job_of,
     plant_file,
-    prepared,
+    prepare_folder,
 )
-from platform_ctrl.cli.job_outcome import Extras, delivered
+from platform_ctrl.cli.job_outcome import ReportOptions, write_report
 from platform_ctrl.cli.new_command import new
 from platform_ctrl.cli.serve_command import serve
 from platform_ctrl.cli.simulate_command import simulate
@@ -245,8 +245,8 @@ def design(
 
     with progress(quiet or as_json, f"reading {job}") as say:
         read = job_of(job)
-        extras = Extras.given(read, pdf, campaign)
-        prepared(out, extras.files)
+        extras = ReportOptions.given(read, pdf, campaign)
+        prepare_folder(out, extras.files)
         if junit is not None:
             writable("--junit", junit, [job, *plant_file(job, read), *(out / name for name in extras.files)])
         from platform_ctrl.design import loops
@@ -256,7 +256,7 @@ def design(
         if read.manoeuvres:
             start_compilation()
         result = checked(read, loops(read, say), say)
-        show = delivered(result, out, as_json, say, ["design", str(job), "-o", str(out)], extras=extras)
+        show = write_report(result, out, as_json, say, ["design", str(job), "-o", str(out)], extras=extras)
         if junit is not None:
             from platform_ctrl.report.junit import write_junit
 

@@ -7,7 +7,7 @@ from typing import Annotated, TypeVar
 import typer
 
 from platform_ctrl.cli import completion
-from platform_ctrl.cli.inputs import Quiet
+from platform_ctrl.cli.job_arguments import Quiet
 from platform_ctrl.errors import InputError
 from platform_ctrl.mechanics.symbolic.options import HIGHEST_ORDER, TERMS, WRITTEN
 

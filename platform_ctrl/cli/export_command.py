@@ -11,8 +11,8 @@ from typing import Annotated, Any
 import typer
 
 from platform_ctrl.cli import completion
-from platform_ctrl.cli.held_baseline import way_open, writable
-from platform_ctrl.cli.inputs import Controllers, JobFile, Json, Quiet, controller_file, job_of, plant_file
+from platform_ctrl.cli.baseline_options import expect_no_file_above, writable
+from platform_ctrl.cli.job_arguments import Controllers, JobFile, Json, Quiet, controller_file, job_of, plant_file
 from platform_ctrl.errors import InputError
 from platform_ctrl.export.exporters import Export, Exporter, Setting, exporters
 
@@ -58,7 +58,7 @@ class ExportCommand:
 
     def __call__(self, job: Path, controllers: Path | None, as_json: bool, quiet: bool, **options: Any) -> int:
         """Write what the options ask for, and return the exit code."""
-        from platform_ctrl.cli.staged import all_or_none, own_files, sha256, write_folder_record
+        from platform_ctrl.cli.atomic_output import all_or_none, own_files, sha256, write_folder_record
         from platform_ctrl.cli.terminal import progress
 
         chosen = {e: options[e.name] for e in exporters() if options[e.name] is not None}
@@ -170,7 +170,7 @@ def _check_targets(inputs: list[Path], targets: Mapping[Exporter, Path]) -> None
         if exporter.suffix:
             writable(exporter.flag, target, others)
             continue
-        way_open(exporter.flag, target)
+        expect_no_file_above(exporter.flag, target)
         if target.resolve() in [other.resolve() for other in others]:
             raise InputError(f"{exporter.flag} {target}: is given for something else too; expected a folder of its own")
         try:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from platform_ctrl.cli.inputs import PDF, REPORT, RESULT
+from platform_ctrl.cli.job_arguments import PDF, REPORT, RESULT
 from platform_ctrl.errors import InputError
 
 if TYPE_CHECKING:
@@ -38,7 +38,7 @@ def expect_campaign(job: Job, folder: Path) -> Record:
     return record
 
 
-def counted(job: Job, controllers: Sequence[control.StateSpace], folder: Path) -> Summary:
+def campaign_summary(job: Job, controllers: Sequence[control.StateSpace], folder: Path) -> Summary:
     """Return what the campaign in a folder came to."""
     from platform_ctrl.campaign.planning import plan
     from platform_ctrl.campaign.rerunning import changed_settings, settings_of
@@ -57,7 +57,7 @@ def counted(job: Job, controllers: Sequence[control.StateSpace], folder: Path) -
     return summarise(made, folder / TABLE)
 
 
-def run_again(job: Path, controllers: Path, folder: Path) -> str:
+def rerun_command(job: Path, controllers: Path, folder: Path) -> str:
     """Return the command that simulates a run of the campaign again, without the run's number."""
     command = ["platform-ctrl", "simulate", job, "--controllers", controllers, "-o", folder, "--run"]
     return shlex.join(map(str, command))
@@ -67,22 +67,20 @@ Shown = Callable[[], int]
 
 
 @dataclass(frozen=True)
-class Extras:
+class ReportOptions:
     """What a report has beside the page: a PDF, and a section about the campaign in a folder."""
 
     pdf: bool = False
     campaign: Path | None = None
 
     @classmethod
-    def given(cls, job: Job, pdf: bool, campaign: Path | None) -> Extras:
-        """Judge what the command was given, before the work."""
+    def given(cls, job: Job, pdf: bool, campaign: Path | None) -> ReportOptions:
+        """Check the options before the work."""
         if pdf:
             from platform_ctrl.report.pdf import typesetter
 
             typesetter()
         if campaign is not None:
-            pass
-
             expect_campaign(job, campaign)
         return cls(pdf, campaign)
 
@@ -98,7 +96,7 @@ class Extras:
         return (["--pdf"] if self.pdf else []) + campaign
 
 
-def delivered(
+def write_report(
     result: JobResult,
     folder: Path,
     as_json: bool,
@@ -106,7 +104,7 @@ def delivered(
     command: list[str],
     more: Mapping[str, object] | None = None,
     *,
-    extras: Extras,
+    extras: ReportOptions,
 ) -> Shown:
     """Write all files or none; return what shows the result and gives the exit code, for when the spinner has gone.
 
@@ -127,7 +125,7 @@ def delivered(
     extras
         What else the report has. A campaign of other controllers is left out, and is an error once all else is done.
     """
-    from platform_ctrl.cli.staged import together
+    from platform_ctrl.cli.atomic_output import written_together
     from platform_ctrl.cli.terminal import show_result
     from platform_ctrl.report import prepared, write_page, write_pdf
     from platform_ctrl.verification.records import laid_out, plain, result_record, write_record
@@ -142,7 +140,7 @@ def delivered(
         except InputError as error:
             refused = InputError(f"{error}; the report in {folder} was written without it")
     say(f"drawing the report: {folder / REPORT}")
-    with together(folder) as unfinished:
+    with written_together(folder) as unfinished:
         write_record(record, unfinished / RESULT)
         content = prepared(result, **about) if extras.pdf else result
         write_page(content, unfinished / REPORT, **about)
@@ -174,5 +172,5 @@ def _campaign(
     pass
 
     # As a campaign reads them, from the record: the same numbers in the same order.
-    summary = counted(result.job, read_controllers(record, result.job), campaign)
-    return {"campaign": summary, "again": run_again(job, controllers, campaign)}
+    summary = campaign_summary(result.job, read_controllers(record, result.job), campaign)
+    return {"campaign": summary, "again": rerun_command(job, controllers, campaign)}

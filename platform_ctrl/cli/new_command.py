@@ -12,7 +12,7 @@ from typing import Annotated
 import typer
 
 from platform_ctrl.cli import completion
-from platform_ctrl.cli.inputs import Json, Quiet, prepared
+from platform_ctrl.cli.job_arguments import Json, Quiet, prepare_folder
 from platform_ctrl.errors import InputError
 
 # What can be a file's name everywhere and stand in a text without quotes.
@@ -58,7 +58,7 @@ def new(
     platform-ctrl new pyramid --like vscmg_pyramid      from a plant that platform-ctrl models lists
     platform-ctrl new mine --like plants/mine.toml      a job for a plant of your own
     """  # noqa: D301
-    from platform_ctrl.cli.staged import together
+    from platform_ctrl.cli.atomic_output import written_together
     from platform_ctrl.cli.starting_files import own_start, start_like
 
     pass
@@ -73,8 +73,8 @@ def new(
             )
     with progress(quiet or as_json, "reading the plant") as say:
         made = own_start(title, *files) if like is None else start_like(like, title, *files, say)
-        prepared(out, files)
-        with together(out) as folder:
+        prepare_folder(out, files)
+        with written_together(out) as folder:
             for file, text in zip(files, (made.plant, made.job), strict=True):
                 (folder / file).write_text(text, encoding="utf-8", newline="\n")
     plant, job = (out / file for file in files)

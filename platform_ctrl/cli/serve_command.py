@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from platform_ctrl.cli.inputs import Controllers, JobFile, Json, Quiet, job_of
+from platform_ctrl.cli.job_arguments import Controllers, JobFile, Json, Quiet, job_of
 
 if TYPE_CHECKING:
     from platform_ctrl.app.server import PageServer

@@ -9,7 +9,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from platform_ctrl.cli import completion
-from platform_ctrl.cli.inputs import CAMPAIGN, Controllers, JobFile, Json, Quiet, controller_file, job_of, prepared
+from platform_ctrl.cli.job_arguments import (
+    CAMPAIGN,
+    Controllers,
+    JobFile,
+    Json,
+    Quiet,
+    controller_file,
+    job_of,
+    prepare_folder,
+)
 from platform_ctrl.errors import InputError
 
 if TYPE_CHECKING:
@@ -96,12 +105,12 @@ def simulate(
         closed = read_controllers(file, read)
         if isinstance(chosen, int):
             planned = _planned(read, chosen, closed, out)
-            prepared(planned[1])
+            prepare_folder(planned[1])
             say(f"run {chosen} of the campaign")
             show = _campaign_run(chosen, *planned)
         else:
             if out is not None:
-                prepared(out)
+                prepare_folder(out)
             say(f"simulated run: {chosen.name}")
             show = _manoeuvre_run(read, chosen, closed, out)
     return show(as_json)
@@ -146,9 +155,9 @@ def _campaign_run(number: int, plan: Plan, folder: Path, recorded: bool, note: s
             typer.echo(note, err=True)
         if as_json:
             about = {"schema": 1, "job": job.name, "platform": job.platform.name, "run": number}
-            told: dict[str, Any] = {"inputs": found.inputs, "row": found.metrics, "figure": str(drawn)}
-            told["as_in_table"] = None if row is None else not unlikely
-            typer.echo(laid_out(plain(about | told | run_record(found.job, found.run))))
+            payload: dict[str, Any] = {"inputs": found.inputs, "row": found.metrics, "figure": str(drawn)}
+            payload["as_in_table"] = None if row is None else not unlikely
+            typer.echo(laid_out(plain(about | payload | run_record(found.job, found.run))))
         else:
             from platform_ctrl.cli.terminal import show_inputs, show_run
 

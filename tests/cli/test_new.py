@@ -14,7 +14,7 @@ import pytest
 import platform_ctrl as pc
 from platform_ctrl import design, verification
 from platform_ctrl.cli import main
-from platform_ctrl.cli.staged import together
+from platform_ctrl.cli.atomic_output import written_together
 from platform_ctrl.cli.starting_files import RISE, _turn
 from platform_ctrl.design.plants import subsystems_over
 from platform_ctrl.plant.source import shipped_models
@@ -253,7 +253,7 @@ def test_a_full_disk_is_told_by_the_name_that_the_file_was_to_have(there: Path) 
     (there / "out").mkdir()
     with (
         pytest.raises(pc.PlatformCtrlError, match=r"^out/report\.html: cannot be written: No space left"),
-        together(Path("out")) as unfinished,
+        written_together(Path("out")) as unfinished,
     ):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(unfinished / "report.html"))
     assert names(there / "out") == []

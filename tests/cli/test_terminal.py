@@ -15,7 +15,7 @@ import pytest
 
 import platform_ctrl as pc
 from platform_ctrl.cli import main, terminal
-from platform_ctrl.cli.staged import together
+from platform_ctrl.cli.atomic_output import written_together
 from platform_ctrl.common.files import write_whole
 from platform_ctrl.errors import InputError
 
@@ -151,7 +151,7 @@ def test_files_appear_together_or_not_at_all(tmp_path: Path) -> None:
     (tmp_path / "one").write_text("old")
 
     def write(fail: type[BaseException] | None) -> None:
-        with together(tmp_path) as folder:
+        with written_together(tmp_path) as folder:
             (folder / "one").write_text("new")
             (folder / "two").write_text("new")
             if fail is not None:
@@ -175,7 +175,7 @@ def test_an_interrupt_while_files_move_waits_until_they_have(tmp_path: Path, mon
 
     monkeypatch.setattr(os, "replace", interrupted)
     before = signal.getsignal(signal.SIGINT)
-    with pytest.raises(KeyboardInterrupt), together(tmp_path) as folder:  # noqa: PT012
+    with pytest.raises(KeyboardInterrupt), written_together(tmp_path) as folder:  # noqa: PT012
         (folder / "one").write_text("new")
         (folder / "two").write_text("new")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["one", "two"]
@@ -185,12 +185,12 @@ def test_an_interrupt_while_files_move_waits_until_they_have(tmp_path: Path, mon
 def test_a_file_that_cannot_take_its_place_is_one_line(tmp_path: Path) -> None:
     (tmp_path / "one").write_text("old")
     (tmp_path / "two").mkdir()
-    with pytest.raises(InputError, match="two: is a folder; expected a file"), together(tmp_path) as folder:  # noqa: PT012
+    with pytest.raises(InputError, match="two: is a folder; expected a file"), written_together(tmp_path) as folder:  # noqa: PT012
         (folder / "one").write_text("new")
         (folder / "two").write_text("new")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["one", "two"]
     assert (tmp_path / "one").read_text() == "old"
-    with pytest.raises(InputError, match="nowhere: cannot be written to"), together(tmp_path / "nowhere"):
+    with pytest.raises(InputError, match="nowhere: cannot be written to"), written_together(tmp_path / "nowhere"):
         pass
 
 

@@ -1,4 +1,4 @@
-"""What commands are given: options that several of them have, and the files behind them."""
+"""Arguments and options that several commands have, and the files that they name."""
 
 from __future__ import annotations
 
@@ -133,7 +133,7 @@ def plant_file(path: Path, job: Job) -> list[Path]:
     return [file] if file.is_file() else []
 
 
-def prepared(folder: Path, files: Sequence[str] = ()) -> None:
+def prepare_folder(folder: Path, files: Sequence[str] = ()) -> None:
     """Make the folder and try to write there: before the work, not after it."""
     try:
         folder.mkdir(parents=True, exist_ok=True)

@@ -1,4 +1,4 @@
-"""Files and folders of several kinds that appear together: all of them, whole, or none."""
+"""Files and folders that take their places together: all of them complete, or none."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ class Stage:
             shutil.rmtree(folder, ignore_errors=True)
 
     def _beside(self, target: Path, folder: Path) -> Path:
-        with uninterrupted():
+        with interrupts_deferred():
             try:
                 # In the same folder, so that putting a file in place is one step of the file system.
                 unfinished = Path(tempfile.mkdtemp(prefix=_UNFINISHED, dir=folder))
@@ -131,22 +131,22 @@ def all_or_none() -> Iterator[Stage]:
         except OSError as error:  # a full disk
             where = stage.named(str(error.filename or "export"))
             raise InputError(f"{where}: cannot be written: {error.strerror or error}") from None
-        with uninterrupted():
+        with interrupts_deferred():
             stage.place()
     finally:
-        with uninterrupted():
+        with interrupts_deferred():
             stage.clear()
 
 
 @contextmanager
-def together(folder: Path) -> Iterator[Path]:
+def written_together(folder: Path) -> Iterator[Path]:
     """Yield a folder to write into; at the end all its files move to `folder`, over those there, or none does."""
     with all_or_none() as stage:
         yield stage.folder(folder)
 
 
 @contextmanager
-def uninterrupted() -> Iterator[None]:
+def interrupts_deferred() -> Iterator[None]:
     """Let a Ctrl-C wait until the end."""
     if threading.current_thread() is not threading.main_thread():
         yield

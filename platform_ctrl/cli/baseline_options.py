@@ -1,4 +1,4 @@
-"""A job held against a baseline by a command: judged before the work, compared, drawn or updated after it."""
+"""The options --baseline and --update-baseline: checked before the work, compared, drawn or updated after it."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Outcome:
 
 
 @dataclass(frozen=True)
-class Held:
+class BaselineOptions:
     """A baseline's file, and whether it is to be updated."""
 
     file: Path | None
@@ -39,8 +39,8 @@ class Held:
     baseline: Baseline | None = None
 
     @classmethod
-    def given(cls, file: Path | None, update: bool) -> Held:
-        """Judge what the command was given, before the work."""
+    def given(cls, file: Path | None, update: bool) -> BaselineOptions:
+        """Check the options before the work."""
         if file is None:
             if update:
                 raise InputError("--update-baseline: without --baseline FILE; expected the file to write")
@@ -91,7 +91,7 @@ def writable(option: str, file: Path, others: Iterable[Path | None] = ()) -> Non
             raise InputError(f"{option} {file}: is a folder; expected a file")
         if file.exists() and not file.is_file():
             raise InputError(f"{option} {file}: is a device or a pipe; expected a file, or nothing there")
-        way_open(option, file)
+        expect_no_file_above(option, file)
         if file.resolve() in [other.resolve() for other in others if other is not None]:
             raise InputError(f"{option} {file}: the command reads or writes that for something else; expected another")
         file.parent.mkdir(parents=True, exist_ok=True)
@@ -101,7 +101,7 @@ def writable(option: str, file: Path, others: Iterable[Path | None] = ()) -> Non
         raise InputError(f"{option} {file}: cannot be written: {error.strerror or error}") from None
 
 
-def way_open(option: str, target: Path) -> None:
+def expect_no_file_above(option: str, target: Path) -> None:
     """Make sure that nothing on the way to a target is a file."""
     blocked = next((part for part in target.parents if part.exists() and not part.is_dir()), None)
     if blocked is not None:
