@@ -6,8 +6,11 @@ import tomllib
 import numpy as np
 import pytest
 
+from fuzz_files import EVERY_PLANT_KEY
 from platform_ctrl.errors import InputError
+from platform_ctrl.plant.platform import Platform
 from platform_ctrl.plant.reading import read_platform
+from platform_ctrl.plant.tables import shape
 from platform_ctrl.report.record import plant_data, toml
 
 PLANT = {
@@ -176,3 +179,21 @@ def test_a_mistake_is_one_line_that_names_place_and_cure(case):
 def test_a_job_file_in_place_of_a_plant_is_recognised():
     with pytest.raises(InputError, match=r'is a job file; expected a plant: its own is "three_gyro_platform"'):
         read_platform("examples/three_gyro_platform.toml")
+
+
+PARTS = {kind: key for kind, key in shape(Platform).keys.items() if key.array is not None}
+
+
+@pytest.mark.parametrize("kind", PARTS)
+def test_every_kind_of_part_in_the_register_is_read_written_and_refused_by_its_name(kind):
+    platform = read_platform(EVERY_PLANT_KEY.data)
+    parts = getattr(platform, PARTS[kind].field)
+    assert len(parts) == len(EVERY_PLANT_KEY.data[kind])
+    assert all(type(part) is PARTS[kind].holds.make for part in parts)
+    assert len(plant_data(platform)[kind]) == len(parts)
+    assert [repr(copy.deepcopy(part)) for part in parts] == [repr(part) for part in parts]
+    for key in PARTS[kind].holds.keys:
+        wrong = copy.deepcopy(EVERY_PLANT_KEY.data)
+        wrong[kind][0][key] = {}
+        with pytest.raises(InputError, match=rf"\[\[{kind}\]\] 1.*{key} = a table|are given"):
+            read_platform(wrong)
