@@ -13,7 +13,7 @@ import numpy as np
 from side_by_side import Comparison, DisagreementError, Section
 
 from platform_ctrl.design import loops
-from platform_ctrl.job.job import Job, LoopLimits, manoeuvre_scenario
+from platform_ctrl.job.job import Job, manoeuvre_scenario
 from platform_ctrl.job.reading import read_job
 from platform_ctrl.job.scenario import Scenario
 from platform_ctrl.simulation import simulate, simulate_batch
@@ -28,7 +28,7 @@ def closed() -> tuple[Job, list[control.StateSpace]]:
     """Return the main job with its classical caging loops, which take least time to design, and the platform servo."""
     job = read_job(JOB)
     quick = tuple(
-        replace(loop, designs=(replace(loop.designs[0], tune=False),), use=loop.designs[0].name, limits=LoopLimits())
+        replace(loop, designs=(replace(loop.designs[0], tune=False),), use=loop.designs[0].name, limits={})
         for loop in job.loops
     )
     job = replace(job, loops=quick)

@@ -13,7 +13,8 @@ from scipy.linalg import block_diag
 from scipy.optimize import differential_evolution
 
 from platform_ctrl.analysis import PlantSet, StateArrays
-from platform_ctrl.analysis.loop_figures import LoopFigures
+from platform_ctrl.analysis.loop_metrics import measured
+from platform_ctrl.analysis.loop_set import LoopSet
 from platform_ctrl.analysis.poles import continuous_poles
 from platform_ctrl.design.partition import first_order, notch
 from platform_ctrl.design.plants import loop_plants
@@ -62,10 +63,10 @@ def controller(numbers: np.ndarray) -> StateArrays:
     return StateArrays(both, np.vstack([b, B @ d]), np.hstack([D @ c, C]), D @ d, PERIOD)
 
 
-class OnGrid(LoopFigures):
+class OnGrid(LoopSet):
     """Figures at the frequencies of the grid, and nothing else."""
 
-    _narrow: dict[int, np.ndarray] = {}  # type: ignore[assignment]  # noqa: RUF012
+    narrow: dict[int, np.ndarray] = {}  # type: ignore[assignment]  # noqa: RUF012
 
 
 def hidden(asked: LoopRequirement, K: StateArrays, among: PlantSet) -> float:
@@ -73,10 +74,10 @@ def hidden(asked: LoopRequirement, K: StateArrays, among: PlantSet) -> float:
     loops = OnGrid(among, K)
     if loops.decay.min() < 0.05:
         return -1.0
-    grid, seen = loops.figure(asked), LoopFigures(among, K)
+    grid, seen = measured(loops, asked), LoopSet(among, K)
     s = np.abs(continuous_poles(loops.poles, among.period).imag)
-    seen._narrow = {k: np.unique(s[k][np.isfinite(s[k]) & (s[k] > 0.0)]) for k in range(len(s))}  # type: ignore[misc]
-    ratio = np.array([asked.ratio(float(one)) for one in (*grid, *seen.figure(asked))]).reshape(2, -1).max(axis=1)
+    seen.narrow = {k: np.unique(s[k][np.isfinite(s[k]) & (s[k] > 0.0)]) for k in range(len(s))}  # type: ignore[misc]
+    ratio = np.array([asked.ratio(float(one)) for one in (*grid, *measured(seen, asked))]).reshape(2, -1).max(axis=1)
     return float(np.log(ratio[1] / ratio[0]))
 
 

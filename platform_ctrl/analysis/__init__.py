@@ -19,7 +19,7 @@ from platform_ctrl.analysis.feedback import (
 )
 from platform_ctrl.analysis.interconnection import interconnect_controllers
 from platform_ctrl.analysis.intersample import intersample_h2, intersample_norm
-from platform_ctrl.analysis.loop_measures import LoopMeasures, exact_measures, measure
+from platform_ctrl.analysis.loop_metrics import LoopMetrics, measure
 from platform_ctrl.analysis.margins import (
     DiskMargin,
     LoopMargins,
@@ -51,7 +51,7 @@ __all__ = [
     "DiskMargin",
     "Gang",
     "LoopMargins",
-    "LoopMeasures",
+    "LoopMetrics",
     "PlantSet",
     "StateArrays",
     "bandwidth",
@@ -65,7 +65,6 @@ __all__ = [
     "disk_margin",
     "disk_phase",
     "disk_to_gain_phase",
-    "exact_measures",
     "frequency_response",
     "gang",
     "h2_norm",

@@ -271,3 +271,16 @@ def is_stable(system: StateSystem, margin: float = 0.0) -> bool:
     """
     dt = linear_arrays(system, "is_stable").dt
     return bool(spectral_abscissa(continuous_poles(poles(system), dt)) < -number("is_stable: margin", margin))
+
+
+def fastest_pole(poles: ComplexArray, period: float) -> FloatArray:
+    """Return the largest magnitude of the poles, rad/s, (...); of a sampled system in the w-plane.
+
+    There a pole is w = (2/T) (z − 1)/(z + 1): a delay (z = 0) counts 2/T, and a pole that rings at the Nyquist
+    frequency (z near −1) is as fast as can be.
+    """
+    size = np.abs(poles)
+    if period > 0.0:
+        with np.errstate(divide="ignore"):
+            size = 2.0 / period * np.abs(poles - 1.0) / np.abs(poles + 1.0)
+    return np.asarray(size.max(axis=-1, initial=0.0))

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import get_args
 
 import numpy as np
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
 from platform_ctrl.analysis.bandwidth import bandwidth_of_response
 from platform_ctrl.analysis.feedback import sensitivity_functions
-from platform_ctrl.analysis.loop_figures import LoopFigures, Own
-from platform_ctrl.analysis.loop_measures import LoopMeasures, exact_measures, measure
-from platform_ctrl.analysis.plant_set import PlantSet
+from platform_ctrl.analysis.loop_metrics import LoopMetrics, measure, measured
+from platform_ctrl.analysis.loop_set import LoopSet
+from platform_ctrl.analysis.measuring import MetricRequest
+from platform_ctrl.analysis.plant_set import Group, PlantSet
 from platform_ctrl.analysis.poles import continuous_poles, minimum_damping
 from platform_ctrl.analysis.resolvent import ON_A_GRID
 from platform_ctrl.analysis.response import frequency_response
@@ -44,7 +46,7 @@ from platform_ctrl.app.settings import Settings
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.loop import judged, requirements_of
 from platform_ctrl.job.job import Job, LoopSpec, Manoeuvre, manoeuvre_scenario
-from platform_ctrl.job.requirements import CheckResult
+from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.job.scenario import HalfCosine
 
 # Groups that a band shows: a part that fails is another story.
@@ -78,15 +80,15 @@ class CagedLoop:
 
 
 # Measures of a loop that may be known already; else they are taken.
-KeptMeasures = Callable[[Callable[[], LoopMeasures]], LoopMeasures]
+KeptMeasures = Callable[[Callable[[], LoopMetrics]], LoopMetrics]
 
 
-def loop_measures(loop: CagedLoop, whole: LoopFigures | None = None) -> LoopMeasures:
+def loop_measures(loop: CagedLoop, whole: LoopSet | None = None) -> LoopMetrics:
     """Return the measures that the page shows of a loop: peaks are norms unless it has too many states for that."""
     asked = requirements_of(loop.spec)
     if _exact(loop):
-        return exact_measures(loop.plants, loop.controller, asked, whole)
-    return measure(loop.plants, loop.controller, asked)
+        return measure(loop.plants, loop.controller, asked, loops=whole)
+    return measure(loop.plants, loop.controller, asked, exact=False)
 
 
 def _exact(loop: CagedLoop) -> bool:
@@ -97,9 +99,9 @@ def caged_parts(loop: CagedLoop, settings: Settings, kept: KeptMeasures) -> Part
     """Return what is drawn for a caging loop, and what measures it."""
     spec, plants, K = loop.spec, loop.plants, loop.controller
     channel = plants.torques.index(settings.channel) if settings.channel in plants.torques else 0
-    shown = LoopFigures(loop.shown, K)
+    shown = LoopSet(loop.shown, K)
     exact = _exact(loop)
-    whole = LoopFigures(plants, K)
+    whole = LoopSet(plants, K)
     inside = np.flatnonzero(plants.of(_BAND))
     banded = bool(settings.band and len(plants.labels) > 1)
     every = (whole if len(inside) == len(plants.labels) else whole.only(inside.tolist())) if banded else None
@@ -117,7 +119,7 @@ def caged_parts(loop: CagedLoop, settings: Settings, kept: KeptMeasures) -> Part
         math.pi / plants.period,
         settings.plant,
         band,
-        spec.limits.disk_margin,
+        spec.limits.get("disk_margin"),
     )
     margins = channel_margins(grid, response, stable)
     asked = requirements_of(spec)
@@ -158,7 +160,7 @@ def caged_overlay(
     Its limits are empty unless they are to be `measured`.
     """
     channel = loop.plants.torques.index(settings.channel) if settings.channel in loop.plants.torques else 0
-    shown = LoopFigures(loop.shown, loop.controller)
+    shown = LoopSet(loop.shown, loop.controller)
     response = shown_channel(loop.shown, loop.controller, frequency, channel)
     s = continuous_poles(shown.poles[0], loop.shown.period)
     results: tuple[CheckResult, ...] = ()
@@ -197,7 +199,7 @@ def shown_channel(plant: PlantSet, K: StateArrays, grid: FloatArray, channel: in
     return channel_response(sensitivity_functions(-frequency_response(K, grid, -3) @ P)[0], channel)
 
 
-def _locus(loop: CagedLoop, s: ComplexArray, every: LoopFigures | None, exact: bool) -> Locus:
+def _locus(loop: CagedLoop, s: ComplexArray, every: LoopSet | None, exact: bool) -> Locus:
     plants = loop.shown
     P = StateArrays(plants.A[0], plants.B[0], plants.C[0], plants.D[0], plants.period)
     branches = gain_locus(P, loop.controller, points=110 if exact else 40)
@@ -207,11 +209,11 @@ def _locus(loop: CagedLoop, s: ComplexArray, every: LoopFigures | None, exact: b
     oscillating = size[(s.imag > 1e-6 * size) & (size < 0.7 * nyquist)]
     reach = min(1.25 * max(oscillating.max(initial=0.0), 1.5 * min(plants.nutation, 0.3 * nyquist)), nyquist)
     others = np.zeros(0, dtype=np.complex128) if every is None else continuous_poles(every.poles, plants.period).ravel()
-    return locus(branches, s, others, reach, nyquist, loop.spec.limits.damping)
+    return locus(branches, s, others, reach, nyquist, loop.spec.limits.get("damping"))
 
 
 def _step(
-    loop: CagedLoop, shown: LoopFigures, every: LoopFigures | None, channel: int, s: ComplexArray, stable: bool
+    loop: CagedLoop, shown: LoopSet, every: LoopSet | None, channel: int, s: ComplexArray, stable: bool
 ) -> TimeResponse:
     plants = loop.plants
     size = step_size(float(plants.torque_limit[channel]))
@@ -220,7 +222,7 @@ def _step(
     u = np.full(sampled_every * (len(t) - 1) + 1, size)
     m = shown.m
 
-    def responses(loops: LoopFigures) -> FloatArray:
+    def responses(loops: LoopSet) -> FloatArray:
         A, B, C, D, _ = loops.own_arrays
         return held_responses(A, B[..., channel : channel + 1], C, D[..., channel : channel + 1], u, sampled_every)
 
@@ -236,7 +238,7 @@ def _step(
     )
 
 
-def _manoeuvre(loop: CagedLoop, shown: LoopFigures, every: LoopFigures | None, axis: int) -> TimeResponse:
+def _manoeuvre(loop: CagedLoop, shown: LoopSet, every: LoopSet | None, axis: int) -> TimeResponse:
     plants = loop.plants
     title, duration, limit, rate = caged_rate(loop.job, axis, plants.nutation)
     t, sampled_every = sample_times(duration, plants.period, POINTS)
@@ -244,7 +246,7 @@ def _manoeuvre(loop: CagedLoop, shown: LoopFigures, every: LoopFigures | None, a
     m, p = shown.m, shown.p
     largest = np.abs(u).max()
 
-    def responses(loops: LoopFigures) -> FloatArray:
+    def responses(loops: LoopSet) -> FloatArray:
         A, B, C, D, _ = loops.arrays
         column = slice(m + axis - 1, m + axis)
         rows = slice(0, m + p)
@@ -299,9 +301,7 @@ def half_cosine(profile: HalfCosine, t: FloatArray) -> FloatArray:
     return np.asarray(profile.rate * 0.5 * (1.0 - np.cos(np.pi * share)))
 
 
-def _Omega_gain(
-    loop: CagedLoop, shown: LoopFigures, every: LoopFigures | None, grid: FloatArray, axis: int
-) -> FrequencyGain:
+def _Omega_gain(loop: CagedLoop, shown: LoopSet, every: LoopSet | None, grid: FloatArray, axis: int) -> FrequencyGain:
     m, p = shown.m, shown.p
     A, B, C, D, dt = shown.arrays
     column, rows = slice(m + axis - 1, m + axis), slice(m, m + p)
@@ -323,20 +323,20 @@ def _Omega_gain(
         band_frequency=w,
         low=low,
         high=high,
-        limit=loop.spec.limits.Omega_rejection,
+        limit=loop.spec.limits.get("Omega_rejection"),
     )
 
 
-def _disk(loop: CagedLoop, measures: LoopMeasures, shown: LoopFigures, exact: bool) -> float:
+def _disk(loop: CagedLoop, measures: LoopMetrics, shown: LoopSet, exact: bool) -> float:
     """Return the disk margin of the plant shown."""
     if all(np.array_equal(getattr(loop.shown, of)[0], getattr(loop.plants, of)[0]) for of in ("A", "B", "C", "D")):
         # The nominal plant's is measured in any case.
         return float(measures.disk_margin[0])
-    return shown.exact(DISK, 0) if exact else float(shown.figure(DISK)[0])
+    return float(measured(shown, DISK, exact=exact)[0])
 
 
 def _margins(
-    loop: CagedLoop, measures: LoopMeasures, shown: LoopFigures, channel: ChannelMargins, disk: float, exact: bool
+    loop: CagedLoop, measures: LoopMetrics, shown: LoopSet, channel: ChannelMargins, disk: float, exact: bool
 ) -> Margins:
     plants = loop.plants
     inside = np.flatnonzero(plants.of(_BAND))
@@ -356,4 +356,4 @@ def _margins(
     )
 
 
-DISK = Own(kind="disk margin")
+DISK = MetricRequest(kind="disk margin", over=get_args(Group))

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from platform_ctrl.analysis.arrays import StateArrays, named_system, state_arrays
-from platform_ctrl.analysis.loop_measures import LoopMeasures
+from platform_ctrl.analysis.loop_metrics import LoopMetrics
 from platform_ctrl.analysis.sampled import from_w_plane, to_w_plane
 from platform_ctrl.app.caged import CagedLoop, KeptMeasures
 from platform_ctrl.app.controllers import DesignOptions, built_directly, classical_arrays
@@ -21,8 +21,8 @@ from platform_ctrl.common.arguments import known_name
 from platform_ctrl.design.loop import LoopProblem, designed
 from platform_ctrl.errors import DesignError, PlatformCtrlError
 from platform_ctrl.job.job import DesignSpec, Job, LoopSpec
+from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.job.methods import METHODS
-from platform_ctrl.job.requirements import CheckResult
 from platform_ctrl.verification.coupled import sensed_rates
 from platform_ctrl.verification.given import opened, read_controllers
 
@@ -116,7 +116,7 @@ class ClosedLoops:
         self.store = DesignStore()
         self._specs = {spec.name: spec for spec in job.loops}
         self._margins: Bounded[dict[str, float]] = Bounded(16)
-        self._measures: Bounded[LoopMeasures] = Bounded(8)
+        self._measures: Bounded[LoopMetrics] = Bounded(8)
         self._judged: Bounded[tuple[CheckResult, ...]] = Bounded(8)
         self._take([] if controllers is None else given_designs(controllers, job))
 

@@ -9,7 +9,7 @@ from functools import cache
 import numpy as np
 
 from platform_ctrl.analysis.arrays import StateArrays
-from platform_ctrl.analysis.loop_measures import LoopMeasures, measure
+from platform_ctrl.analysis.loop_metrics import LoopMetrics, measure
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.app.caged import loop_measures
 from platform_ctrl.app.closed_loops import ClosedLoops
@@ -20,7 +20,7 @@ from platform_ctrl.app.settings import Settings, Slider
 from platform_ctrl.app.sliders import with_options
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.loop import requirements_of
-from platform_ctrl.job.requirements import CheckResult
+from platform_ctrl.job.judging import CheckResult
 
 # By how much less than its limit a ratio has to be that is climbed on a grid.
 _GRID = 2e-3
@@ -35,7 +35,7 @@ def limits_of(loops: ClosedLoops, settings: Settings, parameters: FreeParameters
         return _coupled_limits(loops, settings)
     loop, _ = loops.caged(settings)
 
-    def exact(K: StateArrays) -> LoopMeasures:
+    def exact(K: StateArrays) -> LoopMetrics:
         now = dataclasses.replace(loop, controller=K)
         return loops.measured(settings, now)(lambda: loop_measures(now))
 
@@ -45,7 +45,7 @@ def limits_of(loops: ClosedLoops, settings: Settings, parameters: FreeParameters
     first = largest_ratios(whole, met)
 
     def on_a_grid(plants: PlantSet) -> Ratios:
-        return lambda numbers: largest_ratios(measure(plants, parameters.build(numbers), met), met)
+        return lambda numbers: largest_ratios(measure(plants, parameters.build(numbers), met, exact=False), met)
 
     def corrected(ratios: Ratios) -> Ratios:
         @cache

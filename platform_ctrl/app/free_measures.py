@@ -17,7 +17,7 @@ from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.app.free_plants import Sensitivity, StabilisedLoop, disk_margins, loop_grid, used_arrays
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.job.job import Job
-from platform_ctrl.job.requirements import CheckResult
+from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.mechanics.linearisation import LinearModel
 from platform_ctrl.verification.coupled import (
     coupled_plant,

@@ -6,8 +6,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from platform_ctrl.analysis.loop_figures import OF_CONTROLLER
-from platform_ctrl.analysis.loop_measures import LoopMeasures, measure
+from platform_ctrl.analysis.loop_metrics import LoopMetrics, measure
 from platform_ctrl.app.caged import CagedLoop
 from platform_ctrl.app.closed_loops import ClosedLoops
 from platform_ctrl.app.free_measures import requirements
@@ -16,7 +15,8 @@ from platform_ctrl.app.settings import Settings, Slider
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.loop import requirements_of
 from platform_ctrl.errors import PlatformCtrlError
-from platform_ctrl.job.requirements import CheckResult, LoopRequirement
+from platform_ctrl.job.judging import CheckResult
+from platform_ctrl.job.requirements import LoopRequirement
 
 # A slider is moved by this share of where it stands; one at zero by this share of its range.
 SHARE = 0.05
@@ -30,13 +30,13 @@ def moved_slider(slider: Slider) -> float:
 def caged_influence(loop: CagedLoop, sliders: Sequence[Slider], loop_with: Callable[[Slider], CagedLoop]) -> Influence:
     """Return what `sliders` do to the limits of a caging loop; `loop_with` is the loop with one of them moved."""
     asked = [one for one in requirements_of(loop.spec) if one.hard]
-    whole = measure(loop.plants, loop.controller, asked)
+    whole = measure(loop.plants, loop.controller, asked, exact=False)
     view = deciding(whole, asked)
     names = tuple(one.name for one in asked)
 
     def ratios(now: CagedLoop) -> FloatArray:
         plants = now.plants.only([k for k in view if k < len(now.plants.labels)])
-        return largest_ratios(measure(plants, now.controller, asked), asked)
+        return largest_ratios(measure(plants, now.controller, asked, exact=False), asked)
 
     return _influence(sliders, names, ratios(loop), lambda slider: ratios(loop_with(slider)))
 
@@ -75,17 +75,17 @@ def _influence(
     )
 
 
-def deciding(measures: LoopMeasures, asked: Sequence[LoopRequirement]) -> list[int]:
+def deciding(measures: LoopMetrics, asked: Sequence[LoopRequirement]) -> list[int]:
     """Return the nominal plant and the two that are worst for each requirement."""
     out = {0}
     for one in asked:
         ratios = one.ratios(measures)
-        if one.kind not in OF_CONTROLLER and one.over_spread and len(ratios):
+        if one.metric.of != "controller" and one.over_spread and len(ratios):
             plants = np.flatnonzero(measures.of(one.over))
             out |= {int(plants[k]) for k in np.argsort(-ratios)[:2]}
     return sorted(out)
 
 
-def largest_ratios(measures: LoopMeasures, asked: Sequence[LoopRequirement]) -> FloatArray:
+def largest_ratios(measures: LoopMetrics, asked: Sequence[LoopRequirement]) -> FloatArray:
     """Return the largest ratio of each requirement (k,)."""
     return np.array([float(one.ratios(measures).max(initial=0.0)) for one in asked])

@@ -12,7 +12,7 @@ from platform_ctrl.analysis.arrays import ComplexArray
 from platform_ctrl.app.curves import degrees, degrees_beside, gain_crossings, gain_range, round_up
 from platform_ctrl.app.pictures import Bode, Drawn, Locus, Margins, Nichols, TimeResponse
 from platform_ctrl.common.values import FloatArray, value
-from platform_ctrl.job.requirements import CheckResult
+from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.plant.platform import Platform
 from platform_ctrl.report.quantities import signal_series
 

@@ -164,7 +164,7 @@ def _loop(job: Job, spec: LoopSpec, model: LinearModel, limits: dict[str, float]
     return StartingLoop(
         gimbals=spec.gimbals,
         torque_limit=min((limits[name] for name in spec.gimbals if name in limits), default=None),
-        torque_noise=spec.limits.torque_noise,
+        torque_noise=spec.limits.get("torque_noise"),
         disk_margin=max(reached, _LEAST_DISK_MARGIN),
         options=best[1],
     )

@@ -12,7 +12,7 @@ from contextlib import contextmanager, suppress
 from types import FrameType
 from typing import TYPE_CHECKING
 
-from platform_ctrl.job.requirements import CheckResult
+from platform_ctrl.job.judging import CheckResult
 
 if TYPE_CHECKING:
     from rich.console import Console

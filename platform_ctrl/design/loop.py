@@ -12,15 +12,16 @@ import numpy as np
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, named_system, state_arrays
 from platform_ctrl.analysis.certificates import Certificate, plant_set_certificates
 from platform_ctrl.analysis.feedback import closed_loop
-from platform_ctrl.analysis.loop_measures import LoopMeasures, exact_measures
+from platform_ctrl.analysis.loop_metrics import LoopMetrics, measure
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.common.values import value
 from platform_ctrl.design.partition import Block, Channels, channels
 from platform_ctrl.design.plants import rows_of
 from platform_ctrl.errors import DesignError, NotCertifiedError
 from platform_ctrl.job.job import DesignSpec, Job, LoopSpec
+from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.job.methods import known_method, resolved
-from platform_ctrl.job.requirements import CheckResult, LoopRequirement, hard_and_soft
+from platform_ctrl.job.requirements import LoopRequirement, hard_and_soft
 from platform_ctrl.mechanics.linearisation import LinearModel
 
 if TYPE_CHECKING:
@@ -62,7 +63,7 @@ class LoopDesign:
     controller: control.StateSpace
     options: dict[str, float] = field(default_factory=dict)
     plants: PlantSet | None = None
-    measures: LoopMeasures | None = None
+    measures: LoopMetrics | None = None
     results: tuple[CheckResult, ...] = ()
     goals: tuple[CheckResult, ...] = ()
     claims: dict[str, float] = field(default_factory=dict)
@@ -183,7 +184,7 @@ def designed(problem: LoopProblem) -> LoopDesign:
 def certified(spec: LoopSpec, design: DesignSpec, found: Designed, plants: PlantSet) -> LoopDesign:
     """Return the design with all its numbers recomputed from the closed loops."""
     K = StateArrays(*found.controller, dt=plants.period)
-    measures = exact_measures(plants, K, requirements_of(spec))
+    measures = measure(plants, K, requirements_of(spec))
     if not measures.decay[0] > 0.0:
         raise NotCertifiedError(
             f"{spec.name}, {design.name}: the closed loop grows at {-measures.decay[0]:.3g} 1/s; expected a stable "
@@ -201,7 +202,7 @@ def requirements_of(spec: LoopSpec) -> tuple[LoopRequirement, ...]:
 
 
 def judged(
-    spec: LoopSpec, design: str, plants: PlantSet, measures: LoopMeasures
+    spec: LoopSpec, design: str, plants: PlantSet, measures: LoopMetrics
 ) -> tuple[tuple[CheckResult, ...], tuple[CheckResult, ...]]:
     """Return the loop's limits and its goals held against `measures`."""
     hard, soft = (
@@ -212,7 +213,7 @@ def judged(
 
 
 def proofs(
-    spec: LoopSpec, plants: PlantSet, controller: StateArrays, measures: LoopMeasures
+    spec: LoopSpec, plants: PlantSet, controller: StateArrays, measures: LoopMetrics
 ) -> tuple[tuple[Certificate, ...], tuple[str, ...]]:
     """Return the certificates of stability and of the disk margins that `spec` asks for, and what is left unproved."""
     requested = np.zeros(len(plants.labels))
@@ -226,11 +227,11 @@ def proofs(
 def remeasured(spec: LoopSpec, name: str, controller: control.StateSpace, plants: PlantSet) -> LoopDesign:
     """Return an existing controller as a design of `spec`, measured anew: none of its claims is taken over."""
     K = plants.joined(controller)
-    return _with_evidence(spec, name, "given", K, plants, exact_measures(plants, K, requirements_of(spec)))
+    return _with_evidence(spec, name, "given", K, plants, measure(plants, K, requirements_of(spec)))
 
 
 def _with_evidence(
-    spec: LoopSpec, name: str, method: str, K: StateArrays, plants: PlantSet, measures: LoopMeasures
+    spec: LoopSpec, name: str, method: str, K: StateArrays, plants: PlantSet, measures: LoopMetrics
 ) -> LoopDesign:
     """Return a measured controller with its results and certificates."""
     results, goals = judged(spec, name, plants, measures)

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from platform_ctrl.analysis.arrays import StateArrays
-from platform_ctrl.analysis.loop_figures import OF_CONTROLLER, LoopFigures
-from platform_ctrl.analysis.loop_measures import LoopMeasures, exact_measures, measure
+from platform_ctrl.analysis.loop_metrics import LoopMetrics, measure
+from platform_ctrl.analysis.loop_set import LoopSet
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.partition import Block
@@ -27,10 +27,14 @@ _IN_VIEW = 8
 
 def worst_ratio(controller: Block, plants: PlantSet, requirements: Sequence[LoopRequirement]) -> float:
     """Return the largest ratio of all requirements; beyond 10 for an unstable loop, more the faster it diverges."""
-    return _worst(measure(plants, StateArrays(*controller, dt=plants.period), requirements), plants, requirements)
+    return _worst(_on_grid(controller, plants, requirements), plants, requirements)
 
 
-def _worst(measures: LoopMeasures, plants: PlantSet, requirements: Sequence[LoopRequirement]) -> float:
+def _on_grid(controller: Block, plants: PlantSet, requirements: Sequence[LoopRequirement]) -> LoopMetrics:
+    return measure(plants, StateArrays(*controller, dt=plants.period), requirements, exact=False)
+
+
+def _worst(measures: LoopMetrics, plants: PlantSet, requirements: Sequence[LoopRequirement]) -> float:
     growth = -float(measures.decay[_stable(measures, requirements)].min())
     if not growth < 0.0:
         return 10.0 + min(growth / plants.nutation, 1e6) * 100.0
@@ -99,7 +103,7 @@ def tune(
     best_ratio = np.inf
     current = best
     while left > 0:
-        measures = measure(plants, StateArrays(*build(options(current)), dt=plants.period), requirements)
+        measures = _on_grid(build(options(current)), plants, requirements)
         overall = _worst(measures, plants, requirements) + beyond(current)
         refined = False
         if overall <= 1.0:
@@ -113,7 +117,7 @@ def tune(
         if best_ratio <= target:
             break
         if refined:
-            measures = measure(plants, StateArrays(*build(options(current)), dt=plants.period), requirements)
+            measures = _on_grid(build(options(current)), plants, requirements)
         added = [k for k in _worst_plants(measures, requirements) if k not in view]
         if current is not best and not added and not refined:
             break
@@ -139,25 +143,25 @@ def tune(
 
 def _exactly(controller: Block, plants: PlantSet, requirements: Sequence[LoopRequirement]) -> tuple[float, PlantSet]:
     """Return the largest ratio over all frequencies, and the plants on a grid that has those that it is reached at."""
-    loops = LoopFigures(plants, StateArrays(*controller, dt=plants.period))
-    measures = exact_measures(plants, loops.controller, requirements, loops)
-    return _worst(measures, plants, requirements), plants.finer(loops.reached)
+    loops = LoopSet(plants, StateArrays(*controller, dt=plants.period))
+    measures = measure(plants, loops.controller, requirements, loops=loops)
+    return _worst(measures, plants, requirements), plants.finer(loops.peak_frequencies)
 
 
-def _worst_plants(measures: LoopMeasures, requirements: Sequence[LoopRequirement]) -> list[int]:
+def _worst_plants(measures: LoopMetrics, requirements: Sequence[LoopRequirement]) -> list[int]:
     """Return plant numbers, the worst first."""
     decay = np.where(_stable(measures, requirements), measures.decay, np.inf)
     if not np.all(decay > 0.0):
         return [int(k) for k in np.argsort(decay)]
     ratios = np.zeros(len(decay))
     for requirement in requirements:
-        if requirement.over_spread and requirement.kind not in OF_CONTROLLER:
+        if requirement.over_spread and requirement.metric.of != "controller":
             requested = measures.of(requirement.over)
             ratios[requested] = np.maximum(ratios[requested], requirement.ratios(measures))
     return [int(k) for k in np.argsort(-ratios)]
 
 
-def _stable(measures: LoopMeasures, requirements: Sequence[LoopRequirement]) -> BoolArray:
+def _stable(measures: LoopMetrics, requirements: Sequence[LoopRequirement]) -> BoolArray:
     """Return which plants have to be stable, (N,): those with a fault only where something is required of them."""
     if any("faults" in requirement.over for requirement in requirements):
         return np.ones(len(measures.groups), dtype=np.bool_)

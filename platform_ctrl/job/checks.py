@@ -5,13 +5,14 @@ Like the checks of the plant, these read the plain data and pass over what the s
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Iterator
 from typing import Any
 
-from platform_ctrl.job.job import Job, LoopLimits, manoeuvre_scenario
+from platform_ctrl.analysis.metrics import METRICS
+from platform_ctrl.job.job import Job, manoeuvre_scenario
 from platform_ctrl.job.methods import METHODS
 from platform_ctrl.job.parameter_limits import misfits
+from platform_ctrl.job.requirements import limit_keys
 from platform_ctrl.job.run_checks import run_mistakes
 from platform_ctrl.job.variation import CENTRES, DISTRIBUTION_NUMBERS
 from platform_ctrl.plant.checks import number_of
@@ -126,13 +127,6 @@ def variation_mistakes(job: Job) -> Iterator[Mistake]:
         yield Mistake(("campaign", "vary", k, key), one_line(line))
 
 
-LOOP_LIMITS = frozenset(field.name for field in dataclasses.fields(LoopLimits))
-# What a stabilisation loop is judged by; it has no plants of its own, so the other limits mean nothing there.
-STABILISATION_LIMITS = frozenset({"torque_noise"})
-
-# Limits that mean nothing without another one: (given, needed).
-NEEDED_BESIDE = (("tracking", "tracking_hz"), ("tracking_hz", "tracking"), ("torque_limit_hz", "torque_limit"))
-
 # Sample periods from sample to torque at most: each is a state of every torquer in every plant.
 LONGEST_DELAY = 100
 
@@ -165,14 +159,22 @@ def _sets(data: Data) -> Iterator[Mistake]:
             limits = loop.get(table)
             if not isinstance(limits, dict):
                 continue
-            path: Path = ("loop", i, table)
-            for key in sorted(limits):
-                if key in LOOP_LIMITS and key.endswith("_faults") and not (isinstance(faults, dict) and faults):
-                    wrong = f"{key}: the job has no plants with faults"
-                    yield Mistake((*path, key), f"{wrong}; expected [faults] with slow_rotor or weak_torquer")
-            for key, other in NEEDED_BESIDE:
-                if key in limits and other not in limits:
-                    yield Mistake((*path, other), f'missing key "{other}": {key} means nothing without it')
+            yield from _limits(limits, ("loop", i, table), isinstance(faults, dict) and bool(faults))
+
+
+def _limits(limits: Data, path: Path, faults: bool) -> Iterator[Mistake]:
+    known = limit_keys()
+    for key in sorted(limits):
+        if key not in known:
+            yield unknown_key((*path, key), limits[key], list(known))
+        elif known[key][1] == "faults" and not faults:
+            wrong = f"{key}: the job has no plants with faults"
+            yield Mistake((*path, key), f"{wrong}; expected [faults] with slow_rotor or weak_torquer")
+    for metric in METRICS.values():
+        edge = metric.frequency_key
+        for key, other in ((edge, metric.key), (metric.key, edge if metric.needs_frequency else "")):
+            if other and key in limits and other not in limits:
+                yield Mistake((*path, other), f'missing key "{other}": {key} means nothing without it')
 
 
 def _sampling(data: Data) -> Iterator[Mistake]:
@@ -242,9 +244,10 @@ def _loops(data: Data, platform: Platform | None) -> Iterator[Mistake]:
                     wrong = f"gimbals = {given(loop['gimbals'])}: a stabilisation loop turns the root"
                     yield Mistake((*path, "gimbals"), f"{wrong}; leave the key out")
                 limits = loop.get("limits")
+                known = limit_keys()
+                fitting = ", ".join(sorted(key for key, (metric, _) in known.items() if METRICS[metric].of_root))
                 for key in limits if isinstance(limits, dict) else ():
-                    if key in LOOP_LIMITS - STABILISATION_LIMITS:
-                        fitting = ", ".join(sorted(STABILISATION_LIMITS))
+                    if key in known and not METRICS[known[key][0]].of_root:
                         wrong = f"{key}: a stabilisation loop is judged in the coupled system"
                         yield Mistake((*path, "limits", key), f"{wrong}; expected {fitting}, or a limit of [coupled]")
                 if "soft" in loop:

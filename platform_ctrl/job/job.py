@@ -25,6 +25,7 @@ Points = Literal["sobol", "latin-hypercube", "random"]
 MOST_LOOPS, MOST_VIBRATIONS = 100, 20
 _RATE_HZ = Instead("rate_hz", fields.FREQUENCY, lambda rate, _: 1.0 / rate)
 _LIMITS = Shape(dict, {name: Key(fields.POSITIVE, name) for name in ("angle", "attitude", "torque_share")})
+_LOOP_LIMITS = Shape(dict, {}, others=("", fields.POSITIVE))  # which keys there are, METRICS says: see job.checks
 _INITIAL = Shape(dict, {}, others=("", fields.NUMBER))
 
 
@@ -103,65 +104,6 @@ class DesignSpec:
 
 
 @input_value
-class LoopLimits:
-    """What a loop has to reach; None: no requirement.
-
-    Names that end in ``_spread`` ask the same of every plant of the spread and of Omega, in ``_faults`` of every plant
-    with a fault.
-
-    Attributes
-    ----------
-    bandwidth_hz
-        Lowest frequency where the largest singular value of S reaches 1/sqrt(2), Hz, at least.
-    disk_margin, disk_margin_spread, disk_margin_faults
-        1/‖(S − T)/2‖, dimensionless, at least.
-    sensitivity_peak, sensitivity_peak_spread, complementary_peak, complementary_peak_spread
-        ‖S‖ and ‖T‖, dimensionless, at most, the larger of plant input and output.
-    damping, damping_spread, damping_faults
-        Damping ratio of every closed-loop pole above a tenth of the nutation frequency, at least.
-    fastest_pole
-        Largest magnitude of a closed-loop pole, in the w-plane of a sampled loop, rad/s, at most.
-    tracking, tracking_hz
-        Largest singular value of S at the output, dimensionless, up to `tracking_hz`, Hz, at most.
-    Omega_rejection
-        Peak gain from the platform's rate to the angles, rad per rad/s, at most.
-    torque_rejection
-        Peak gain from torques that disturb at the torquers to the angles, rad/(N m), at most.
-    torque_noise
-        Rms torque from pick-off noise, N m, per torquer, at most.
-    torque_limit, torque_limit_hz
-        Torque amplitude that any platform rate within the job's Omega asks for, as a share of the torquer's limit, at
-        most; for rates up to `torque_limit_hz`, Hz, None: of any frequency.
-    controller_poles
-        Largest magnitude of a pole of the controller, in the w-plane of a sampled one, rad/s, at most.
-    controller_gain
-        Largest singular value of the controller above a tenth of the nutation frequency, N m/rad, at most.
-    """
-
-    bandwidth_hz: fields.Positive | None = None
-    disk_margin: fields.Positive | None = None
-    sensitivity_peak: fields.Positive | None = None
-    complementary_peak: fields.Positive | None = None
-    damping: fields.Positive | None = None
-    fastest_pole: fields.Positive | None = None
-    tracking: fields.Positive | None = None
-    tracking_hz: fields.Positive | None = None
-    Omega_rejection: fields.Positive | None = None
-    torque_rejection: fields.Positive | None = None
-    torque_noise: fields.Positive | None = None
-    torque_limit: fields.Positive | None = None
-    torque_limit_hz: fields.Positive | None = None
-    controller_poles: fields.Positive | None = None
-    controller_gain: fields.Positive | None = None
-    disk_margin_spread: fields.Positive | None = None
-    sensitivity_peak_spread: fields.Positive | None = None
-    complementary_peak_spread: fields.Positive | None = None
-    damping_spread: fields.Positive | None = None
-    disk_margin_faults: fields.Positive | None = None
-    damping_faults: fields.Positive | None = None
-
-
-@input_value
 class LoopSpec:
     """A loop to be designed.
 
@@ -172,9 +114,11 @@ class LoopSpec:
     designs, use
         By which methods, and the name of the design that is closed.
     limits
-        What it has to reach: the verdict rests on it.
+        What it has to reach, by the keys and in the units of ``[loop.limits]`` (see docs/job-file.md): the verdict
+        rests on it.
     soft
-        Goals: a method that optimises makes their largest ratio small within the limits. No part of the verdict.
+        Goals, by the same keys and in the same units: a method that optimises makes their largest ratio small within
+        the limits. No part of the verdict.
     """
 
     name: fields.SystemName
@@ -182,8 +126,8 @@ class LoopSpec:
     gimbals: fields.Names = ()
     designs: Annotated[tuple[DesignSpec, ...], Array("design", least=1, most=MOST_LOOPS)]
     use: fields.Text
-    limits: Annotated[LoopLimits, TABLE] = field(default_factory=LoopLimits)
-    soft: Annotated[LoopLimits, TABLE] = field(default_factory=LoopLimits)
+    limits: Annotated[dict[str, float], _LOOP_LIMITS] = field(default_factory=dict)
+    soft: Annotated[dict[str, float], _LOOP_LIMITS] = field(default_factory=dict)
 
 
 @input_value

@@ -1,284 +1,95 @@
-"""What a loop must do: one object that tunes, verifies, tests and reports.
+"""Requirements: a limit on a metric of a loop, and the verdict on a measured value.
 
-A requirement turns a measured value into a ratio that is at most 1 when it is met, whatever its sense. It is held
-against a plant set and a controller (`LoopRequirement.check`), against a closed loop with named signals
-(`LoopRequirement.check_closed_loop`), or against figures that were measured already (`LoopRequirement.ratios`).
+A requirement turns a measured value into a ratio that is at most 1 when it is met, whatever its sense. It is judged on
+a plant set and a controller (`LoopRequirement.check`), on a closed loop with named signals
+(`LoopRequirement.check_closed_loop`), or on metrics that were measured already (`LoopRequirement.ratios`). What can be
+required is `platform_ctrl.analysis.metrics.METRICS`.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal, get_args
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, get_args
 
 import numpy as np
 
 from platform_ctrl.analysis.arrays import StateArrays, state_arrays
 from platform_ctrl.analysis.channel import Channel
-from platform_ctrl.analysis.loop_figures import BANDED, GRIDDED, OF_CONTROLLER, fastest
-from platform_ctrl.analysis.loop_measures import LoopMeasures, exact_figures
-from platform_ctrl.analysis.norms import h2_norm
-from platform_ctrl.analysis.peaks import peak
+from platform_ctrl.analysis.loop_metrics import LoopMetrics, measured
+from platform_ctrl.analysis.loop_set import LoopSet, SingleLoop
+from platform_ctrl.analysis.metrics import METRICS, Metric, exact_value
 from platform_ctrl.analysis.plant_set import Group, PlantSet
-from platform_ctrl.analysis.poles import continuous_poles, minimum_damping, poles, spectral_abscissa
-from platform_ctrl.common.arguments import one_of, positive
-from platform_ctrl.common.signatures import check_arguments, check_kinds
-from platform_ctrl.common.values import FloatArray, input_value, value
+from platform_ctrl.common.arguments import known_name, one_of, positive
+from platform_ctrl.common.signatures import check_arguments
+from platform_ctrl.common.values import FloatArray, input_value
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.job.job import LoopLimits
+from platform_ctrl.job.judging import STABLE, CheckResult, Requirement
 
 if TYPE_CHECKING:
     import control
 
-Sense = Literal["at least", "at most"]
-Stage = Literal["decoupled", "coupled", "simulated"]
-# How a value is found: "exact", of the plants that are judged, to rounding or to 1e-9 from the worse side; "bound", one
-# that is guaranteed not to be better than the true value; "proved", in interval arithmetic; "sampled", the worst at the
-# frequencies of a grid; "simulated", the worst at the samples of one run.
-Method = Literal["exact", "bound", "proved", "sampled", "simulated"]
-Kind = Literal[
-    "stability",
-    "damping",
-    "fastest pole",
-    "bandwidth",
-    "disk margin",
-    "sensitivity peak",
-    "complementary peak",
-    "tracking",
-    "Omega rejection",
-    "torque rejection",
-    "torque noise",
-    "torque limit",
-    "H-infinity norm",
-    "H2 norm",
-    "controller poles",
-    "controller gain",
+__all__ = [
+    "FAULTS",
+    "NOMINAL",
+    "SPREAD",
+    "STABLE",
+    "CheckResult",
+    "LoopRequirement",
+    "Requirement",
+    "hard_and_soft",
+    "loop_requirements",
+    "requirement",
 ]
+
 NOMINAL: tuple[Group, ...] = ("nominal",)
 SPREAD: tuple[Group, ...] = ("nominal", "spread", "Omega")
 FAULTS: tuple[Group, ...] = ("nominal", "faults")
-
-# What each kind is called where it is judged, its unit, its sense.
-_WORDS: dict[Kind, tuple[str, str, Sense]] = {
-    "stability": ("slowest decay", "1/s", "at least"),
-    "damping": ("damping", "", "at least"),
-    "fastest pole": ("fastest pole", "rad/s", "at most"),
-    "bandwidth": ("bandwidth", "Hz", "at least"),
-    "disk margin": ("disk margin", "", "at least"),
-    "sensitivity peak": ("sensitivity peak", "", "at most"),
-    "complementary peak": ("complementary peak", "", "at most"),
-    "tracking": ("tracking error", "", "at most"),
-    "Omega rejection": ("angle from Omega", "rad s/rad", "at most"),
-    "torque rejection": ("angle from torque", "rad/(N m)", "at most"),
-    "torque noise": ("torque noise, rms", "N m", "at most"),
-    "torque limit": ("torque at full Omega over its limit", "", "at most"),
-    "H-infinity norm": ("H-infinity norm", "", "at most"),
-    "H2 norm": ("H2 norm", "", "at most"),
-    "controller poles": ("fastest pole of the controller", "rad/s", "at most"),
-    "controller gain": ("gain of the controller", "N m/rad", "at most"),
-}
-# Kinds that a closed loop answers by itself, without knowing which of its signals are torques and angles.
-_OF_CLOSED_LOOP = ("stability", "damping", "fastest pole", "H-infinity norm", "H2 norm")
-
-
-@value
-class CheckResult:
-    """A requirement held against a measured value.
-
-    Attributes
-    ----------
-    name
-        What is asked, with the loop or run and the design it is asked of.
-    subject, design
-        Loop or manoeuvre; name of the design, empty where all closed loops are meant.
-    value, limit, unit, sense
-        As measured and as asked, both in `unit`.
-    ratio
-        Dimensionless; at most 1 when met.
-    passed
-        Whether it is.
-    stage
-        Where in the chain it was measured.
-    evidence
-        What recomputes the value.
-    hard
-        Whether the verdict rests on it; a goal that is missed is no failure.
-    method
-        How the value is found: ``"exact"``, ``"bound"``, ``"proved"``, ``"sampled"`` or ``"simulated"``.
-    """
-
-    name: str
-    subject: str
-    design: str
-    value: float
-    limit: float
-    unit: str
-    sense: Sense
-    ratio: float
-    passed: bool
-    stage: Stage
-    evidence: str
-    hard: bool = True
-    method: Method = "sampled"
-
-    @property
-    def margin(self) -> float:
-        """Distance to the limit, relative to the limit, positive when met; infinite where that is no number."""
-        distance = self.value - self.limit if self.sense == "at least" else self.limit - self.value
-        if distance == 0.0:
-            return 0.0
-        if not np.isfinite(self.value) or not np.isfinite(self.limit) or self.limit == 0.0:
-            return float("inf") if self.passed else float("-inf")
-        return distance / abs(self.limit)
-
-
-@input_value
-class Requirement:
-    """A bound on one figure.
-
-    Attributes
-    ----------
-    name
-        The figure, in the field's words.
-    limit, unit, sense
-        The bound, > 0, in `unit`, and whether it is one from above or below.
-    hard
-        Whether it has to be met; a soft one is a goal, made as small as the hard ones allow.
-    """
-
-    name: str
-    limit: float
-    unit: str
-    sense: Sense
-    hard: bool = True
-
-    @check_kinds
-    def ratio(self, measured: float) -> float:
-        """Return a number that is at most 1 when the bound is met.
-
-        Parameters
-        ----------
-        measured
-            The figure, in the requirement's unit.
-
-        Returns
-        -------
-        float
-            Dimensionless; infinite when `measured` is no number.
-
-        Raises
-        ------
-        ArgumentError
-            An argument of another kind than annotated.
-        """
-        measured = float(measured)
-        if not np.isfinite(measured):
-            return float("inf")
-        if self.limit == 0.0:
-            return 1.0 if (measured <= 0.0 if self.sense == "at most" else measured >= 0.0) else float("inf")
-        if self.sense == "at most":
-            return measured / self.limit
-        return self.limit / measured if measured > 0.0 else float("inf")
-
-    @check_kinds
-    def judge(
-        self,
-        measured: float,
-        *,
-        subject: str,
-        stage: Stage,
-        evidence: str,
-        design: str = "",
-        method: Method = "sampled",
-    ) -> CheckResult:
-        """Hold a measured figure against the bound: met where the ratio is at most 1.
-
-        Parameters
-        ----------
-        measured
-            The figure, in the requirement's unit.
-        subject
-            Loop or manoeuvre.
-        stage
-            Where in the chain it was measured.
-        evidence
-            What recomputes it.
-        design
-            Name of the design.
-        method
-            How it is found, see `CheckResult`; the least that can be said of a figure by default.
-
-        Returns
-        -------
-        CheckResult
-            With ratio and verdict.
-
-        Raises
-        ------
-        ArgumentError
-            An argument of another kind than annotated.
-        """
-        ratio = self.ratio(measured)
-        return CheckResult(
-            name=self.name,
-            subject=subject,
-            design=design,
-            value=float(measured),
-            limit=self.limit,
-            unit=self.unit,
-            sense=self.sense,
-            ratio=ratio,
-            passed=ratio <= 1.0,
-            stage=stage,
-            evidence=evidence,
-            hard=self.hard,
-            method=method,
-        )
-
-
-# Stable, and by more than rounding: every disturbance of the loop has died away in a minute or two.
-STABLE = Requirement(name="slowest decay", limit=0.05, unit="1/s", sense="at least")
+# Groups of plants by the ending of a limit's key, and how a name says them.
+SCOPES: dict[str, tuple[Group, ...]] = {"": NOMINAL, "spread": SPREAD, "faults": FAULTS}
+SCOPE_WORDS = {"": "", "spread": " over the spread", "faults": " with a fault"}
 
 
 @input_value
 class LoopRequirement(Requirement):
-    """A bound on a figure of one loop, of the nominal plant or of several plants of a set; see `requirement`.
+    """A limit on a metric of one loop, of the nominal plant or of several plants of a set; see `requirement`.
 
     Attributes
     ----------
+    name, limit, unit, sense, hard
+        As of `Requirement`.
     kind
-        Which figure, as in `requirement`.
+        Key of the metric in `METRICS`.
     over
-        Of which groups of plants it is asked.
+        Groups of plants that it is about.
     frequency
-        "tracking", "torque limit": up to which frequency, rad/s; None: all. "controller gain": from which frequency on;
-        None: from a tenth of the nutation frequency.
+        Edge of the metric's band, rad/s; None: no edge ("controller gain": a tenth of the nutation frequency).
     channel
         "H-infinity norm" and "H2 norm": between which signals, with which weights; None: all signals.
-    name
-        The figure, in the field's words.
-    limit, unit, sense
-        The bound, > 0, in `unit`, and whether it is one from above or below.
-    hard
-        Whether it has to be met; a soft one is a goal.
     """
 
-    kind: Kind
+    kind: str
     over: tuple[Group, ...] = NOMINAL
     frequency: float | None = None
     channel: Channel | None = None
 
     @property
+    def metric(self) -> Metric:
+        """What is measured: an entry of `METRICS`."""
+        return METRICS[self.kind]
+
+    @property
     def over_spread(self) -> bool:
-        """Whether it is asked of more than the nominal plant."""
+        """Whether it is about more than the nominal plant."""
         return any(group != "nominal" for group in self.over)
 
     @check_arguments
-    def figures(self, measures: LoopMeasures) -> FloatArray:
-        """Return the figures that this bound is held against, one or several.
+    def values(self, metrics: LoopMetrics) -> FloatArray:
+        """Return the measured values that this requirement is about, one or several.
 
         Parameters
         ----------
-        measures
-            Taken with this requirement among what was asked.
+        metrics
+            From `measure`, with this requirement among the requests.
 
         Returns
         -------
@@ -288,59 +99,59 @@ class LoopRequirement(Requirement):
         Raises
         ------
         ArgumentError
-            `measures` were taken without this requirement.
+            `metrics` were measured without this requirement.
         """
-        return measures.figures(self)
+        return metrics.values(self) / self.metric.scale
 
     @check_arguments
-    def ratios(self, measures: LoopMeasures) -> FloatArray:
-        """Return a ratio for every figure.
+    def ratios(self, metrics: LoopMetrics) -> FloatArray:
+        """Return a ratio for every measured value.
 
         Parameters
         ----------
-        measures
-            Taken with this requirement among what was asked.
+        metrics
+            From `measure`, with this requirement among the requests.
 
         Returns
         -------
         (k,)
-            Dimensionless; at most 1 where the bound is met.
+            Dimensionless; at most 1 where the limit is met.
 
         Raises
         ------
         ArgumentError
-            `measures` were taken without this requirement.
+            `metrics` were measured without this requirement.
         """
-        return np.array([self.ratio(float(figure)) for figure in self.figures(measures)])
+        return np.array([self.ratio(float(found)) for found in self.values(metrics)])
 
     @check_arguments
-    def result(self, plants: PlantSet, measures: LoopMeasures, *, subject: str = "", design: str = "") -> CheckResult:
-        """Hold the worst figure against the bound; the evidence names the plant, or the torquer, that it is from.
+    def result(self, plants: PlantSet, metrics: LoopMetrics, *, subject: str = "", design: str = "") -> CheckResult:
+        """Judge the worst value; the evidence names the plant, or the torquer, that it is from.
 
         Parameters
         ----------
         plants
             The plants that were measured.
-        measures
-            Taken with this requirement among what was asked.
+        metrics
+            From `measure`, with this requirement among the requests.
         subject, design
             Names for the result.
 
         Returns
         -------
         CheckResult
-            Of the worst figure.
+            Of the worst value.
 
         Raises
         ------
         ArgumentError
-            `measures` were taken without this requirement.
+            `metrics` were measured without this requirement.
         """
-        return self._worst(plants, self.figures(measures), subject, design, measures.exact)
+        return self._worst(plants, self.values(metrics), subject, design, metrics.exact)
 
-    def _worst(self, plants: PlantSet, figures: FloatArray, subject: str, design: str, exact: bool) -> CheckResult:
-        worst = int(figures.argmax() if self.sense == "at most" else figures.argmin())
-        if self.kind in OF_CONTROLLER:
+    def _worst(self, plants: PlantSet, values: FloatArray, subject: str, design: str, exact: bool) -> CheckResult:
+        worst = int(values.argmax() if self.sense == "at most" else values.argmin())
+        if self.metric.of == "controller":
             where = "controller"
         elif self.kind == "torque noise" and not self.over_spread:
             where = f"torquer {plants.torques[worst]}"
@@ -349,14 +160,14 @@ class LoopRequirement(Requirement):
         else:
             where = "nominal plant"
         # Of the nominal plant and of the controller there is one.
-        number = len(figures) if self.over_spread else 1
+        number = len(values) if self.over_spread else 1
         return self.judge(
-            float(figures[worst]),
+            float(values[worst]),
             subject=subject,
             design=design,
             stage="decoupled",
             evidence=f"{where}; {number} plant{'' if number == 1 else 's'}, sampled with delay and torquer lag",
-            method="exact" if exact or self.kind not in GRIDDED else "sampled",
+            method="exact" if exact or not self.metric.searched else "sampled",
         )
 
     @check_arguments
@@ -386,12 +197,13 @@ class LoopRequirement(Requirement):
             that the closed loops do not have.
         """
         K = plants.joined(controller)
-        if self.kind not in OF_CONTROLLER and not plants.of(self.over).any():
+        if self.metric.of != "controller" and not plants.of(self.over).any():
             raise ArgumentError(
                 f"{self.name}: asked over {', '.join(self.over)}; expected a set with such plants, here "
                 f"{', '.join(dict.fromkeys(plants.groups))}"
             )
-        return self._worst(plants, exact_figures(plants, K, self), subject, design, True)
+        values = measured(LoopSet(plants, K), self, exact=True) / self.metric.scale
+        return self._worst(plants, values, subject, design, True)
 
     @check_arguments
     def check_closed_loop(
@@ -416,28 +228,17 @@ class LoopRequirement(Requirement):
         Raises
         ------
         ArgumentError
-            A kind that needs to know which signals are torques and angles, or a channel that does not fit.
+            A metric that needs to know which signals are torques and angles, or a channel that does not fit.
         """
-        one_of("check_closed_loop: kind", self.kind, _OF_CLOSED_LOOP)
+        known = [kind for kind, metric in METRICS.items() if metric.of == "closed loop"]
+        one_of("check_closed_loop: kind", self.kind, known)
         arrays = state_arrays(closed_loop, "check_closed_loop")
-        z = poles(arrays.A)
-        decay = float(-spectral_abscissa(continuous_poles(z, arrays.dt)))
-        if self.kind == "stability":
-            found = decay
-        elif self.kind == "damping":
-            found = float(minimum_damping(z, above, arrays.dt))
-        elif self.kind == "fastest pole":
-            found = float(fastest(z, arrays.dt))
-        else:
-            channel = self.channel or Channel()
-            part = channel.of(arrays, closed_loop.input_labels, closed_loop.output_labels)
-            found = _norm(self.kind, part) if decay > 0.0 else float("inf")
-        evidence = f"closed loop with {arrays.A.shape[0]} states"
-        return self.judge(found, subject=subject, design=design, stage="decoupled", evidence=evidence, method="exact")
+        loop = SingleLoop(arrays, closed_loop.input_labels, closed_loop.output_labels, above)
+        return self._single(loop, f"closed loop with {arrays.A.shape[0]} states", subject, design)
 
     @check_arguments
     def check_controller(self, controller: control.StateSpace, *, subject: str = "", design: str = "") -> CheckResult:
-        """Judge a controller by itself: kinds "controller poles" and "controller gain" (from `frequency` on).
+        """Judge a controller by itself: "controller poles" and "controller gain" (from `frequency` on).
 
         Parameters
         ----------
@@ -454,21 +255,22 @@ class LoopRequirement(Requirement):
         Raises
         ------
         ArgumentError
-            Another kind.
+            Another metric.
         """
-        one_of("check_controller: kind", self.kind, sorted(OF_CONTROLLER))
-        K = state_arrays(controller, "check_controller")
-        if self.kind == "controller poles":
-            found = float(fastest(poles(K.A), K.dt))
-        else:
-            found = peak(K, (self.frequency or 0.0, np.inf))[0]
-        evidence = f"controller with {K.A.shape[0]} states"
+        known = [kind for kind, metric in METRICS.items() if metric.of == "controller"]
+        one_of("check_controller: kind", self.kind, sorted(known))
+        arrays = state_arrays(controller, "check_controller")
+        loop = SingleLoop(arrays, controller.input_labels, controller.output_labels)
+        return self._single(loop, f"controller with {arrays.A.shape[0]} states", subject, design)
+
+    def _single(self, loop: SingleLoop, evidence: str, subject: str, design: str) -> CheckResult:
+        found = exact_value(loop, self) / self.metric.scale
         return self.judge(found, subject=subject, design=design, stage="decoupled", evidence=evidence, method="exact")
 
 
 @check_arguments
 def requirement(
-    kind: Kind,
+    kind: str,
     limit: float,
     *,
     over: tuple[Group, ...] = NOMINAL,
@@ -477,23 +279,17 @@ def requirement(
     channel: Channel | None = None,
     name: str | None = None,
 ) -> LoopRequirement:
-    """Return a bound on a figure of a loop; the kind brings name, unit and sense.
+    """Return a limit on a metric of a loop; the table of metrics has its name, unit and sense.
 
     Parameters
     ----------
     kind
-        At least: ``"stability"`` (decay of the slowest pole, 1/s), ``"damping"``, ``"bandwidth"`` (Hz), ``"disk
-        margin"``. At most: ``"fastest pole"`` (rad/s, in the w-plane of a sampled loop; with stability and damping a
-        pole region), ``"sensitivity peak"``, ``"complementary peak"`` (‖S‖, ‖T‖, the larger of plant input and
-        output), ``"tracking"`` (σ(S) at the plant's output up to `frequency`), ``"Omega rejection"``, ``"torque
-        rejection"`` (peak gain from the platform's rate and from disturbing torques to the angles), ``"torque noise"``
-        (rms from pick-off noise, N m, worst torquer), ``"torque limit"`` (torque amplitude over the torquer's limit,
-        for any sinusoidal platform rate, up to `frequency`, in the ellipsoid with half-axes Omega), ``"H-infinity
-        norm"``, ``"H2 norm"`` (of `channel`), ``"controller poles"`` (rad/s), ``"controller gain"`` (N m/rad).
+        A key of `platform_ctrl.analysis.metrics.METRICS`, such as ``"disk margin"``; docs/job-file.md lists them with
+        units, senses and meanings.
     limit
-        Above 0, in the unit of the kind.
+        Above 0, in the unit of the metric.
     over
-        Of which groups of plants: `NOMINAL`, `SPREAD` (with Omega), `FAULTS`, or any choice of groups.
+        Groups of plants that it is about: `NOMINAL`, `SPREAD` (with Omega), `FAULTS`, or any choice of groups.
     hard
         False for a goal.
     frequency
@@ -501,7 +297,7 @@ def requirement(
     channel
         See `LoopRequirement`.
     name
-        Instead of the kind's own.
+        Instead of the metric's own.
 
     Returns
     -------
@@ -520,23 +316,23 @@ def requirement(
     >>> round(margin.ratio(0.75), 4)  # at most 1: met
     0.6667
     """
-    one_of("requirement: kind", kind, get_args(Kind))
+    one_of("requirement: kind", kind, tuple(METRICS))
+    metric = METRICS[kind]
     over = tuple(over)
     for group in over or ("none",):
         one_of("requirement: over", group, get_args(Group))
-    if kind == "tracking" and frequency is None:
-        raise ArgumentError("requirement: tracking without frequency; expected up to which frequency in rad/s")
+    if metric.needs_frequency and frequency is None:
+        raise ArgumentError(f"requirement: {kind} without frequency; expected {metric.band} which frequency in rad/s")
     if frequency is not None:
-        one_of("requirement: kind with a frequency", kind, (*sorted(BANDED), "controller gain"))
+        one_of("requirement: kind with a frequency", kind, [key for key, one in METRICS.items() if one.band])
         frequency = positive("requirement: frequency", frequency)
     if channel is not None:
-        one_of("requirement: kind with a channel", kind, ("H-infinity norm", "H2 norm"))
-    words, unit, sense = _WORDS[kind]
+        one_of("requirement: kind with a channel", kind, [key for key, one in METRICS.items() if one.has_channel])
     return LoopRequirement(
-        name=words if name is None else name,
+        name=metric.name if name is None else name,
         limit=positive("requirement: limit", limit),
-        unit=unit,
-        sense=sense,
+        unit=metric.unit,
+        sense=metric.sense,
         hard=hard,
         kind=kind,
         over=over,
@@ -545,44 +341,56 @@ def requirement(
     )
 
 
+def limit_keys() -> dict[str, tuple[str, str]]:
+    """Return the keys of ``[loop.limits]``: of each the metric, and ``""``, ``"spread"``, ``"faults"`` or ``"hz"``.
+
+    ``"hz"`` is the edge of the metric's band; the others are the plants that the limit is about.
+    """
+    out = {}
+    for scope in SCOPES:
+        for kind, metric in METRICS.items():
+            if metric.key and scope in metric.scopes:
+                out[f"{metric.key}_{scope}" if scope else metric.key] = kind, scope
+    return out | {metric.frequency_key: (kind, "hz") for kind, metric in METRICS.items() if metric.frequency_key}
+
+
 @check_arguments
-def loop_requirements(limits: LoopLimits) -> tuple[LoopRequirement, ...]:
-    """Return what `limits` ask of a loop; stability of every plant that something is asked of is always asked.
+def loop_requirements(limits: Mapping[str, float]) -> tuple[LoopRequirement, ...]:
+    """Return the requirements of a loop; every plant that a limit is about has to be stable.
 
     Parameters
     ----------
     limits
-        As a job file has them.
+        As ``[loop.limits]`` of a job file has them.
 
     Returns
     -------
     tuple of LoopRequirement
-        One for each number given, and stability.
+        One for each limit, and stability.
 
     Raises
     ------
     ArgumentError
-        A limit that is not > 0, or a frequency that is missing.
+        An unknown limit, one that is not > 0, or a frequency that is missing.
     """
+    scopes = [scope for scope in SCOPES if scope != "faults" or any(key.endswith("_faults") for key in limits)]
+    stable = METRICS["stability"].name
     always = [
-        requirement("stability", STABLE.limit),
-        requirement("stability", STABLE.limit, over=SPREAD, name="slowest decay over the spread"),
+        requirement("stability", STABLE.limit, over=SCOPES[scope], name=stable + SCOPE_WORDS[scope]) for scope in scopes
     ]
-    if any(limit is not None for limit in (limits.disk_margin_faults, limits.damping_faults)):
-        always.append(requirement("stability", STABLE.limit, over=FAULTS, name="slowest decay with a fault"))
-    return (*always, *_asked(limits, hard=True))
+    return (*always, *_required(limits, hard=True))
 
 
 @check_arguments
 def hard_and_soft(
-    limits: LoopLimits, soft: LoopLimits
+    limits: Mapping[str, float], soft: Mapping[str, float]
 ) -> tuple[tuple[LoopRequirement, ...], tuple[LoopRequirement, ...]]:
     """Return the limits of a loop, stability among them, and its goals, which no verdict rests on.
 
     Parameters
     ----------
     limits, soft
-        What has to be met, and the goals.
+        As ``[loop.limits]`` and ``[loop.soft]`` of a job file have them.
 
     Returns
     -------
@@ -592,49 +400,29 @@ def hard_and_soft(
     Raises
     ------
     ArgumentError
-        A limit that is not > 0, or a frequency that is missing.
+        An unknown limit, one that is not > 0, or a frequency that is missing.
     """
-    return loop_requirements(limits), _asked(soft, hard=False)
+    return loop_requirements(limits), _required(soft, hard=False)
 
 
-def _asked(limits: LoopLimits, hard: bool) -> tuple[LoopRequirement, ...]:
-    asked: list[LoopRequirement] = []
-
-    def ask(kind: Kind, limit: float | None, over: tuple[Group, ...] = NOMINAL, edge_hz: float | None = None) -> None:
-        if limit is None:
-            return
-        frequency = None if edge_hz is None else 2.0 * np.pi * edge_hz
-        name = _WORDS[kind][0] + {NOMINAL: "", SPREAD: " over the spread", FAULTS: " with a fault"}[over]
-        name = name if hard else f"goal: {name}"
-        asked.append(requirement(kind, limit, over=over, hard=hard, frequency=frequency, name=name))
-
-    ask("bandwidth", limits.bandwidth_hz)
-    ask("disk margin", limits.disk_margin)
-    ask("sensitivity peak", limits.sensitivity_peak)
-    ask("complementary peak", limits.complementary_peak)
-    ask("damping", limits.damping)
-    ask("fastest pole", limits.fastest_pole)
-    ask("tracking", limits.tracking, edge_hz=limits.tracking_hz)
-    ask("Omega rejection", limits.Omega_rejection)
-    ask("torque rejection", limits.torque_rejection)
-    ask("torque noise", limits.torque_noise)
-    ask("torque limit", limits.torque_limit, edge_hz=limits.torque_limit_hz)
-    ask("controller poles", limits.controller_poles)
-    ask("controller gain", limits.controller_gain)
-    ask("disk margin", limits.disk_margin_spread, SPREAD)
-    ask("sensitivity peak", limits.sensitivity_peak_spread, SPREAD)
-    ask("complementary peak", limits.complementary_peak_spread, SPREAD)
-    ask("damping", limits.damping_spread, SPREAD)
-    ask("disk margin", limits.disk_margin_faults, FAULTS)
-    ask("damping", limits.damping_faults, FAULTS)
-    return tuple(asked)
-
-
-def _norm(kind: Kind, part: StateArrays) -> float:
-    if kind == "H-infinity norm":
-        return peak(part)[0]
-    if part.dt == 0.0 and np.any(part.D):
-        return float("inf")
-    import control
-
-    return h2_norm(control.StateSpace(*part[:4], part.dt, remove_useless_states=False))
+def _required(limits: Mapping[str, float], hard: bool) -> tuple[LoopRequirement, ...]:
+    known = limit_keys()
+    for key in limits:
+        known_name("limits", key, tuple(known))
+    out = []
+    for key, (kind, scope) in known.items():
+        if key in limits and scope in SCOPES:
+            metric = METRICS[kind]
+            edge = limits.get(metric.frequency_key)
+            name = metric.name + SCOPE_WORDS[scope]
+            out.append(
+                requirement(
+                    kind,
+                    limits[key],
+                    over=SCOPES[scope],
+                    hard=hard,
+                    frequency=None if edge is None else 2.0 * np.pi * edge,
+                    name=name if hard else f"goal: {name}",
+                )
+            )
+    return tuple(out)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from platform_ctrl.common.text import rounded
 from platform_ctrl.errors import PlatformCtrlError
-from platform_ctrl.job.requirements import CheckResult
+from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.report.quantities import (
     UNSTABLE,
     count,

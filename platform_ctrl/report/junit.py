@@ -9,7 +9,7 @@ from types import ModuleType
 from typing import Any
 
 from platform_ctrl.common.files import write_whole
-from platform_ctrl.job.requirements import CheckResult
+from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.report.failure_messages import change_text, margin_text, requirement_text
 from platform_ctrl.verification import JobResult
 from platform_ctrl.verification.baselines import Change, Comparison

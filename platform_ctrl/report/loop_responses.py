@@ -8,7 +8,9 @@ import numpy as np
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, state_arrays
 from platform_ctrl.analysis.feedback import Gang, closed_loop, gang
-from platform_ctrl.analysis.loop_figures import LoopFigures, Own
+from platform_ctrl.analysis.loop_set import LoopSet
+from platform_ctrl.analysis.measuring import MetricRequest
+from platform_ctrl.analysis.metrics import exact_value
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.poles import continuous_poles
 from platform_ctrl.analysis.response import frequency_response
@@ -91,9 +93,9 @@ _OFFSETS = np.array([0.0, 0.35, 0.7, 1.0, 1.5, 2.5, 4.0, 7.0, 12.0])
 # A pole sharper than this is drawn as if it had this damping: no spike of one point, no division by zero.
 _SHARPEST = 2e-3
 # Whose peaks are drawn however narrow they are.
-_REJECTION = Own(kind="Omega rejection")
-_PEAKS = (*(Own(kind=kind) for kind in ("disk margin", "sensitivity peak", "complementary peak")), _REJECTION)
-_SHARE = Own(kind="torque limit")
+_REJECTION = MetricRequest(kind="Omega rejection")
+_PEAKS = (*(MetricRequest(kind=kind) for kind in ("disk margin", "sensitivity peak", "complementary peak")), _REJECTION)
+_SHARE = MetricRequest(kind="torque limit")
 
 
 @value
@@ -234,7 +236,7 @@ def loop_responses(model: LinearModel, outcome: LoopOutcome) -> LoopResponses | 
     plant_poles = continuous_poles(np.linalg.eigvals(plants.A[0]), plants.period)
     every = np.concatenate([plant_poles, *(poles[id(d)][0] for d in designs)])
     low = max(min(2e-3 * plants.nutation, 0.05 * nyquist), 1e-4 * nyquist)
-    exact = [LoopFigures(plants.only([0]), plants.joined(d.controller)) for d in designs]
+    exact = [LoopSet(plants.only([0]), plants.joined(d.controller)) for d in designs]
     frequency = _with_peaks(following_grid(every, low, 0.999 * nyquist), exact)
     from_rate = _angle_per_rate(model, outcome.spec.gimbals, frequency)
     no_direct = np.zeros((len(plants.angles), 3))
@@ -253,7 +255,7 @@ def loop_responses(model: LinearModel, outcome: LoopOutcome) -> LoopResponses | 
                 from_rate,
                 rate_held,
                 poles[id(d)],
-                one.exact(_REJECTION, 0),
+                exact_value(one, _REJECTION),
             )
             for d, one in zip(designs, exact, strict=True)
         ),
@@ -263,12 +265,12 @@ def loop_responses(model: LinearModel, outcome: LoopOutcome) -> LoopResponses | 
     )
 
 
-def _with_peaks(grid: FloatArray, loops: Sequence[LoopFigures]) -> FloatArray:
+def _with_peaks(grid: FloatArray, loops: Sequence[LoopSet]) -> FloatArray:
     """Add the frequencies at which the loops' gains are largest: captions and markers tell of the peaks themselves."""
     for one in loops:
         for asked in _PEAKS if np.isinf(one.plants.torque_limit).all() else (*_PEAKS, _SHARE):
-            one.exact(asked, 0)
-    peaks = np.concatenate([one.reached for one in loops])
+            exact_value(one, asked)
+    peaks = np.concatenate([one.peak_frequencies for one in loops])
     return np.union1d(grid, peaks[(peaks > grid[0]) & (peaks < grid[-1])])
 
 

@@ -11,7 +11,7 @@ from platform_ctrl.common.text import Rounding, at_least, at_most, rounded
 
 if TYPE_CHECKING:
     from platform_ctrl.common.values import FloatArray
-    from platform_ctrl.job.requirements import CheckResult
+    from platform_ctrl.job.judging import CheckResult
     from platform_ctrl.plant.platform import Platform, RateSensor, Torquer
 
 # What is handy for small torques and angles: a thousandth of the unit.

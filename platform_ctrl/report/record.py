@@ -35,14 +35,14 @@ def job_data(job: Job) -> dict[str, Any]:
         "plant": plant_data(job.platform),
     }
     for spec in job.loops:
-        soft = _given(dataclasses.asdict(spec.soft))
+        soft = dict(spec.soft)
         data["loop"].append(
             {
                 "name": spec.name,
                 "kind": spec.kind,
                 **({"gimbals": list(spec.gimbals)} if spec.gimbals else {}),
                 "use": spec.use,
-                "limits": _given(dataclasses.asdict(spec.limits)),
+                "limits": dict(spec.limits),
                 **({"soft": soft} if soft else {}),
                 "design": [
                     {

@@ -24,7 +24,7 @@ from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.text import at_most
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.job.job import Job
-from platform_ctrl.job.requirements import STABLE, CheckResult, Method, Requirement
+from platform_ctrl.job.judging import STABLE, CheckResult, Method, Requirement
 from platform_ctrl.mechanics.linearisation import LinearModel
 from platform_ctrl.mechanics.state_space import state_space, subsystems
 from platform_ctrl.plant.platform import OMEGA_NAMES, gimbal_rate
@@ -291,7 +291,7 @@ def coupled_results(
         hold(asked, float(cost[worst]), f"channel {channels[worst]}, loop by loop")
     roots = [k for k, name in enumerate(channels) if name in _root_torquers(job)]
     for spec in job.loops:
-        limit = spec.limits.torque_noise
+        limit = spec.limits.get("torque_noise")
         if spec.kind == "stabilisation" and limit is not None and roots:
             asked = Requirement(name="torque noise, rms", limit=limit, unit="N m", sense="at most")
             worst = max(roots, key=lambda k: noise[k])

@@ -18,7 +18,7 @@ from platform_ctrl.common.files import write_whole
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.design.loop import LoopDesign
 from platform_ctrl.job.job import Job
-from platform_ctrl.job.requirements import CheckResult
+from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.verification.coupled import CoupledCheck
 from platform_ctrl.verification.simulated import Run, largest
 from platform_ctrl.verification.verdict import JobResult, Proofs

@@ -10,7 +10,7 @@ import numpy as np
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import value
 from platform_ctrl.job.job import Job, Manoeuvre, manoeuvre_scenario
-from platform_ctrl.job.requirements import CheckResult, Requirement
+from platform_ctrl.job.judging import CheckResult, Requirement
 from platform_ctrl.simulation import Trajectory, simulate
 
 if TYPE_CHECKING:

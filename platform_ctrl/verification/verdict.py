@@ -16,7 +16,7 @@ from platform_ctrl.design.loop import LoopDesign
 from platform_ctrl.design.plants import subsystems_over
 from platform_ctrl.errors import NotCertifiedError
 from platform_ctrl.job.job import Job
-from platform_ctrl.job.requirements import CheckResult, Requirement, Stage
+from platform_ctrl.job.judging import CheckResult, Requirement, Stage
 from platform_ctrl.mechanics.linearisation import LinearModel, linearise
 from platform_ctrl.verification.coupled import CoupledCheck, coupled_check
 from platform_ctrl.verification.simulated import Run, fly

@@ -14,7 +14,7 @@ import pytest
 
 from platform_ctrl import analysis
 from platform_ctrl.analysis.arrays import StateArrays, named_system
-from platform_ctrl.analysis.loop_figures import LoopFigures
+from platform_ctrl.analysis.loop_set import LoopSet
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.poles import continuous_poles
 from platform_ctrl.app.backend import Backend
@@ -394,7 +394,7 @@ def test_nothing_grows_while_sliders_move(bench: Backend, settings: Settings) ->
             at = next(one for one in bench.sliders(bare) if one.name == slider)
             bench.picture(bench.moved(bare, slider, (at.value or 1.0) * rng.uniform(0.9, 1.1)))
         gc.collect()
-        kinds = (PlantSet, LinearPlants, LinearModel, Picture, Settings, LoopFigures)
+        kinds = (PlantSet, LinearPlants, LinearModel, Picture, Settings, LoopSet)
         # By type, not isinstance: that would ask what stands behind weak references of others.
         return Counter(type(one).__name__ for one in gc.get_objects() if type(one) in kinds)
 

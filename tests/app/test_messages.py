@@ -45,7 +45,7 @@ def test_what_is_drawn_is_the_pictures_and_comes_before_it_is_measured(
     def measured(*arguments: object) -> None:
         raise AssertionError("measured before it was drawn")
 
-    monkeypatch.setattr("platform_ctrl.app.caged.exact_measures", measured)
+    monkeypatch.setattr("platform_ctrl.app.caged.measure", measured)
     monkeypatch.setattr("platform_ctrl.app.stabilised.requirements", measured)
     with pytest.raises(Stopped):
         bench.picture(settings, stop)

@@ -78,7 +78,7 @@ def test_every_shipped_plant_has_a_job_that_passes(model: str, there: Path) -> N
 def test_a_loop_that_falls_short_of_the_usual_margin_asks_for_what_it_reaches(there: Path) -> None:
     assert main(["new", "start", "--like", "suspended_platform", "-q"]) == 0
     [loop] = pc.read_job(there / "start.toml").loops
-    assert loop.limits.disk_margin == 0.2
+    assert loop.limits["disk_margin"] == 0.2
     assert "gain x 0.819 to 1.22 alone, phase +-11.4 degrees" in (there / "start.toml").read_text(encoding="utf-8")
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from platform_ctrl.analysis.arrays import StateArrays
-from platform_ctrl.analysis.loop_measures import measure
+from platform_ctrl.analysis.loop_metrics import measure
 from platform_ctrl.design.loop import LoopProblem, certified
 from platform_ctrl.design.plants import loop_plants
 from platform_ctrl.design.riccati.weighted_loop import hinf_design, hinf_options, weighted_plant

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from platform_ctrl import design
+from platform_ctrl.analysis import loop_set
 from platform_ctrl.analysis.arrays import StateArrays
-from platform_ctrl.analysis.loop_measures import exact_measures
+from platform_ctrl.analysis.loop_metrics import measure
 from platform_ctrl.design.classical.caging import classical_controller, starting_values
 from platform_ctrl.design.partition import channels
 from platform_ctrl.design.plants import plants_of, rows_of
@@ -18,20 +19,13 @@ from platform_ctrl.design.structured.families import Pid, StateSpace, of_order, 
 from platform_ctrl.design.structured.goals import pieces
 from platform_ctrl.design.structured.loops import ClosedLoops, at_least
 from platform_ctrl.design.structured.maps import (
-    ANGLE_PER_OMEGA,
-    ANGLE_PER_TORQUE,
     CONTROLLER,
-    HALF_INPUT,
-    HALF_OUTPUT,
-    S_INPUT,
     S_OUTPUT,
-    T_INPUT,
-    T_OUTPUT,
+    map_of,
     torque_per_Omega,
 )
 from platform_ctrl.design.structured.starts import balanced_truncation
 from platform_ctrl.errors import DesignError
-from platform_ctrl.job.job import LoopLimits
 from platform_ctrl.job.reading import read_job
 from platform_ctrl.job.requirements import SPREAD, requirement
 from platform_ctrl.mechanics.linearisation import linearise
@@ -90,14 +84,16 @@ def parts(M, n):
 
 
 MAPS = {
-    "S at the output": S_OUTPUT,
-    "S at the input": S_INPUT,
-    "(S - T)/2 at the output": HALF_OUTPUT,
-    "(S - T)/2 at the input": HALF_INPUT,
-    "T at the output": T_OUTPUT,
-    "T at the input": T_INPUT,
-    "angle per torque": ANGLE_PER_TORQUE,
-    "angle per Omega": ANGLE_PER_OMEGA,
+    "S at the output": map_of(loop_set.S_OUTPUT),
+    "S at the input": map_of(loop_set.S_INPUT),
+    "(S - T)/2 at the output": map_of(loop_set.HALF_OUTPUT),
+    "(S - T)/2 at the input": map_of(loop_set.HALF_INPUT),
+    "T at the output": map_of(loop_set.T_OUTPUT),
+    "T at the input": map_of(loop_set.T_INPUT),
+    "angle per torque": map_of(loop_set.ANGLE_PER_TORQUE),
+    "angle per Omega": map_of(loop_set.ANGLE_PER_OMEGA),
+    "torque per noise": map_of(loop_set.Transfer("noise", "torque")),
+    "torque per rate": map_of(loop_set.Transfer("Omega", "torque")),
     "controller": CONTROLLER,
     "torque per Omega": None,
 }
@@ -167,7 +163,7 @@ def test_pieces_are_the_ratios_that_are_certified(cases, name):
     plants, _, K = cases[name]
     plants = plants.only(range(4))
     loops = ClosedLoops(finer(plants), K)
-    measures = exact_measures(plants, StateArrays(*K, dt=plants.period), REQUIREMENTS)
+    measures = measure(plants, StateArrays(*K, dt=plants.period), REQUIREMENTS)
     for asked in REQUIREMENTS:
         found = pieces(loops, asked, 0.5)
         if asked.kind == "bandwidth":
@@ -248,7 +244,11 @@ def alone(job):
         asked = next(d for d in spec.designs if d.method == "structured")
         asked = dataclasses.replace(asked, structure=structure, options=asked.options | options)
         spec = dataclasses.replace(
-            spec, designs=(asked,), use=asked.name, limits=limits or spec.limits, soft=soft or spec.soft
+            spec,
+            designs=(asked,),
+            use=asked.name,
+            limits=spec.limits if limits is None else limits,
+            soft=spec.soft if soft is None else soft,
         )
         said = []
         (outcome,) = design.loops(dataclasses.replace(job, loops=(spec,), manoeuvres=()), said.append)
@@ -283,8 +283,8 @@ def test_the_same_job_gives_the_same_controller(alone):
 
 def test_every_entry_of_a_controller_can_be_moved(alone):
     """Behind the PID, with a goal out of its reach."""
-    limits = LoopLimits(disk_margin=0.5, damping=0.1, torque_noise=0.005)
-    free, _ = alone("state-space", limits, LoopLimits(bandwidth_hz=90.0), order=4, evaluations=150)
+    limits = {"disk_margin": 0.5, "damping": 0.1, "torque_noise": 0.005}
+    free, _ = alone("state-space", limits, {"bandwidth_hz": 90.0}, order=4, evaluations=150)
     assert free.passed
     assert free.claims["order"] >= 6
     # Integral action is kept, and S still falls below the bandwidth.
@@ -292,8 +292,8 @@ def test_every_entry_of_a_controller_can_be_moved(alone):
 
 
 def test_without_goals_the_limits_are_met_with_the_reserve(alone):
-    limits = LoopLimits(bandwidth_hz=45.0, disk_margin=0.5, disk_margin_spread=0.3, torque_noise=0.005)
-    found, said = alone("pid", limits, LoopLimits(), reserve=0.05)
+    limits = {"bandwidth_hz": 45.0, "disk_margin": 0.5, "disk_margin_spread": 0.3, "torque_noise": 0.005}
+    found, said = alone("pid", limits, {}, reserve=0.05)
     assert found.passed
     assert "goal_ratio" not in found.claims
     assert found.claims["limit_ratio"] <= 0.961
@@ -302,15 +302,15 @@ def test_without_goals_the_limits_are_met_with_the_reserve(alone):
 
 
 def test_a_bandwidth_is_not_bought_with_a_flat_sensitivity(alone):
-    limits = LoopLimits(disk_margin=0.5, damping=0.1, torque_noise=0.005)
-    found, _ = alone("pid", limits, LoopLimits(bandwidth_hz=60.0))
+    limits = {"disk_margin": 0.5, "damping": 0.1, "torque_noise": 0.005}
+    found, _ = alone("pid", limits, {"bandwidth_hz": 60.0})
     tenth = requirement("tracking", 0.16, frequency=0.1 * found.measures.bandwidth)
     assert tenth.check(found.plants, found.controller).passed
 
 
 def test_what_can_not_be_met_is_said_and_not_hidden(alone):
-    impossible = LoopLimits(bandwidth_hz=400.0, disk_margin=0.9, torque_noise=1e-5)
-    found, _ = alone("pid", impossible, LoopLimits(), evaluations=60)
+    impossible = {"bandwidth_hz": 400.0, "disk_margin": 0.9, "torque_noise": 1e-5}
+    found, _ = alone("pid", impossible, {}, evaluations=60)
     assert not found.passed
     assert found.claims["limit_ratio"] > 1.0
 
@@ -423,7 +423,7 @@ def test_a_resonance_between_two_points_of_the_grid_is_seen(cases):
     plants = plants.only([0])
     weak = (K[0], K[1], 2e-7 * K[2], 2e-7 * K[3])
     margin = requirement("disk margin", 0.5)
-    measured = exact_measures(plants, StateArrays(*weak, dt=plants.period), [margin]).disk_margin[0]
+    measured = measure(plants, StateArrays(*weak, dt=plants.period), [margin]).disk_margin[0]
     assert measured < 0.01
     assert pieces(ClosedLoops(finer(plants), weak), margin, 0.5).ratio.max() == pytest.approx(0.5 / measured, rel=0.01)
 
@@ -455,7 +455,7 @@ def test_goals_of_which_nothing_is_to_be_seen_are_no_obstacle(job):
 
 
 def test_the_filter_of_a_pid_does_not_ring(alone):
-    found, _ = alone("pid", soft=LoopLimits(bandwidth_hz=200.0))
+    found, _ = alone("pid", soft={"bandwidth_hz": 200.0})
     z = np.linalg.eigvals(found.controller.A)
     w = 2 / found.plants.period * (z - 1) / (z + 1)
     fast = w[np.abs(w) > 1000.0]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from typing import Any
 
@@ -68,7 +67,7 @@ def test_what_need_not_move_keeps_its_number_to_the_last_digit() -> None:
     # exp(log(7)) is 6.999999999999999, and exp(log(900)) is 900.0000000000001.
     given = {"crossover_hz": 40.0, "lead_hz": 7.0, "rolloff_hz": 900.0}
     start = starting_values(given, channel, plants.nutation, plants.period)
-    asked = loop_requirements(dataclasses.replace(spec.limits, disk_margin=0.01))
+    asked = loop_requirements(spec.limits | {"disk_margin": 0.01})
 
     def build(options: dict[str, float]) -> Block:
         return classical_controller(options, channel, plants.period)

@@ -19,7 +19,7 @@ from platform_ctrl.design.structured.descent import Search
 from platform_ctrl.design.structured.families import Pid
 from platform_ctrl.design.structured.goals import pieces
 from platform_ctrl.design.structured.loops import ClosedLoops
-from platform_ctrl.job.job import Job, LoopLimits
+from platform_ctrl.job.job import Job
 from platform_ctrl.job.reading import read_job
 from platform_ctrl.job.requirements import SPREAD, loop_requirements, requirement
 from platform_ctrl.mechanics.linearisation import linearise
@@ -35,7 +35,7 @@ DAMPED = requirement("damping", 0.12, over=SPREAD, name="damping over the spread
 @pytest.fixture(scope="module")
 def job() -> Job:
     job = read_job(EXAMPLE)
-    loop = dataclasses.replace(job.loops[1], limits=LoopLimits(damping_spread=DAMPED.limit), soft=LoopLimits())
+    loop = dataclasses.replace(job.loops[1], limits={"damping_spread": DAMPED.limit}, soft={})
     return dataclasses.replace(job, loops=(loop,), manoeuvres=())
 
 

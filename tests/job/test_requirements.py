@@ -10,27 +10,28 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from platform_ctrl import design, verification
-from platform_ctrl.analysis import Channel, closed_loop, exact_measures, frequency_response, measure
-from platform_ctrl.analysis.loop_figures import PEAKS
+from platform_ctrl.analysis import Channel, closed_loop, frequency_response, measure
+from platform_ctrl.analysis.measuring import Peak
+from platform_ctrl.analysis.metrics import METRICS
 from platform_ctrl.analysis.plant_set import Group
 from platform_ctrl.design.loop import remeasured
 from platform_ctrl.design.plants import loop_plants
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.job.job import Faults, LoopLimits
+from platform_ctrl.job.job import Faults
 from platform_ctrl.job.reading import read_job
 from platform_ctrl.job.requirements import (
     FAULTS,
     NOMINAL,
     SPREAD,
-    Kind,
     Requirement,
     hard_and_soft,
+    limit_keys,
     loop_requirements,
     requirement,
 )
 from platform_ctrl.verification.records import result_record
 
-KINDS = get_args(Kind)
+KINDS = tuple(METRICS)
 ALL = get_args(Group)
 PERIOD = 5e-4
 L, LIMIT = 0.15, 0.25
@@ -148,12 +149,12 @@ def test_a_figure_at_its_limit_is_met(kind, limit):
 def test_every_kind_is_measured_over_every_group_and_as_a_norm(plants, controller):
     K = plants.joined(controller)
     every = [asked(kind, over=over) for kind in KINDS for over in (NOMINAL, SPREAD, FAULTS, ALL)]
-    rough, exact = measure(plants, K, every), exact_measures(plants, K, every)
+    rough, exact = (measure(plants, K, every, exact=exact) for exact in (False, True))
     for one in every:
-        grid, norm = one.figures(rough), one.figures(exact)
+        grid, norm = one.values(rough), one.values(exact)
         assert np.all(np.isfinite([grid, norm])), one.kind
         assert one.ratios(exact).shape == norm.shape
-        if one.kind in PEAKS - {"disk margin"}:
+        if isinstance(one.metric.measure, Peak) and one.kind != "disk margin":
             # A grid sees no more than there is.
             assert np.all(grid <= norm * (1.0 + 1e-9)), one.kind
         np.testing.assert_allclose(grid.max(), norm.max(), rtol=0.1, err_msg=one.kind)
@@ -162,7 +163,7 @@ def test_every_kind_is_measured_over_every_group_and_as_a_norm(plants, controlle
 def test_what_was_not_measured_is_not_judged(plants, controller):
     measures = measure(plants, plants.joined(controller))
     with pytest.raises(ArgumentError, match="sensitivity peak: was not measured"):
-        requirement("sensitivity peak", 2.0).figures(measures)
+        requirement("sensitivity peak", 2.0).values(measures)
 
 
 # Kinds against responses of the loop on a fine grid
@@ -409,30 +410,28 @@ def test_a_requirement_that_makes_no_sense_is_one_line(arguments, more, message)
 
 def test_every_limit_of_a_job_becomes_one_requirement():
     edges = {"tracking_hz": 10.0, "torque_limit_hz": 20.0}
-    names = [field.name for field in dataclasses.fields(LoopLimits) if field.name not in edges]
-    always = {one.name for one in loop_requirements(LoopLimits())}
+    names = [key for key in limit_keys() if key not in edges]
+    always = {one.name for one in loop_requirements({})}
     assert always == {"slowest decay", "slowest decay over the spread"}
     for name in names:
-        limits = LoopLimits(**{name: 0.7}, **edges)
+        limits = {name: 0.7} | edges
         new = [one for one in loop_requirements(limits) if one.name not in always | {"slowest decay with a fault"}]
         assert [one.limit for one in new] == [0.7], name
         ending = name.rpartition("_")[2]
         assert new[0].over == {"spread": SPREAD, "faults": FAULTS}.get(ending, NOMINAL)
-    whole = hard_and_soft(
-        LoopLimits(**dict.fromkeys(names, 1.0), **edges), LoopLimits(**dict.fromkeys(names, 1.0), **edges)
-    )
+    whole = hard_and_soft(dict.fromkeys(names, 1.0) | edges, dict.fromkeys(names, 1.0) | edges)
     assert len({one.name for group in whole for one in group}) == len(names) + 3 + len(names)
 
 
 def test_plants_with_a_fault_have_to_be_stable_only_where_something_is_asked_of_them():
-    assert not any("faults" in one.over for one in loop_requirements(LoopLimits(disk_margin_spread=0.3)))
-    found = loop_requirements(LoopLimits(damping_faults=0.01))
+    assert not any("faults" in one.over for one in loop_requirements({"disk_margin_spread": 0.3}))
+    found = loop_requirements({"damping_faults": 0.01})
     assert [one.name for one in found if "faults" in one.over] == ["slowest decay with a fault", "damping with a fault"]
 
 
 def test_goals_are_soft_and_no_verdict_rests_on_them(job, plants, controller):
     (spec,) = job.loops
-    spec = dataclasses.replace(spec, limits=LoopLimits(damping=0.01), soft=LoopLimits(bandwidth_hz=500.0, damping=0.01))
+    spec = dataclasses.replace(spec, limits={"damping": 0.01}, soft={"bandwidth_hz": 500.0, "damping": 0.01})
     hard, soft = hard_and_soft(spec.limits, spec.soft)
     assert all(one.hard for one in hard)
     assert not any(one.hard for one in soft)
@@ -447,16 +446,16 @@ def test_a_stopped_rotor_that_nothing_is_asked_of_fails_no_loop(job, controller)
     """Without the gyro's stiffness the cross-axis loop is unstable: seen where it is asked for, and nowhere else."""
     stopped = loop_plants(dataclasses.replace(job, faults=Faults(slow_rotor=0.0)), ("9", "10"))
     (spec,) = job.loops
-    lenient = LoopLimits(damping=0.01)
+    lenient = {"damping": 0.01}
     assert remeasured(dataclasses.replace(spec, limits=lenient), "K", controller, stopped).passed
-    strict = dataclasses.replace(spec, limits=dataclasses.replace(lenient, disk_margin_faults=1e-3))
+    strict = dataclasses.replace(spec, limits=lenient | {"disk_margin_faults": 1e-3})
     missed = {one.name for one in remeasured(strict, "K", controller, stopped).results if not one.passed}
     assert missed == {"slowest decay with a fault", "disk margin with a fault"}
 
 
 def test_the_tuner_reaches_a_limit_of_a_new_kind_and_leaves_unasked_faults_alone(job):
     (spec,) = job.loops
-    limits = LoopLimits(bandwidth_hz=15.0, sensitivity_peak=2.0, sensitivity_peak_spread=2.4, controller_gain=1000.0)
+    limits = {"bandwidth_hz": 15.0, "sensitivity_peak": 2.0, "sensitivity_peak_spread": 2.4, "controller_gain": 1000.0}
     tuned = dataclasses.replace(spec.designs[0], options={}, tune=True)
     spec = dataclasses.replace(spec, designs=(tuned,), use=tuned.name, limits=limits)
     stopped = dataclasses.replace(job, loops=(spec,), faults=Faults(slow_rotor=0.0))
@@ -469,9 +468,7 @@ def test_the_tuner_reaches_a_limit_of_a_new_kind_and_leaves_unasked_faults_alone
 def test_checks_of_the_whole_hold_goals_beside_the_verdict(job):
     (spec,) = job.loops
     plain = dataclasses.replace(spec.designs[0], tune=False, options={"crossover_hz": 40.0, "rolloff_hz": 850.0})
-    spec = dataclasses.replace(
-        spec, designs=(plain,), use=plain.name, limits=LoopLimits(), soft=LoopLimits(bandwidth_hz=900.0)
-    )
+    spec = dataclasses.replace(spec, designs=(plain,), use=plain.name, limits={}, soft={"bandwidth_hz": 900.0})
     alone = dataclasses.replace(
         job, loops=(spec,), manoeuvres=(), coupled=dataclasses.replace(job.coupled, disk_margin=None)
     )

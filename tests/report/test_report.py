@@ -30,7 +30,8 @@ from platform_ctrl.common.text import Rounding, at_least
 from platform_ctrl.design import loops
 from platform_ctrl.design.loop import closed_loop_poles, remeasured
 from platform_ctrl.errors import InputError
-from platform_ctrl.job.requirements import CheckResult, Requirement, Sense, requirement
+from platform_ctrl.job.judging import Sense
+from platform_ctrl.job.requirements import CheckResult, Requirement, requirement
 from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.plant.force_elements import Spring
 from platform_ctrl.plant.source import shipped_models

@@ -17,7 +17,8 @@ from cli.test_cli import undrawn  # noqa: F401
 from platform_ctrl import design
 from platform_ctrl.analysis import PlantSet, StateArrays, measure
 from platform_ctrl.analysis.arrays import named_system, state_arrays
-from platform_ctrl.analysis.loop_figures import LoopFigures
+from platform_ctrl.analysis.loop_metrics import measured
+from platform_ctrl.analysis.loop_set import LoopSet
 from platform_ctrl.app.free_measures import requirements
 from platform_ctrl.app.free_plants import StabilisedLoop, corners, free_models, free_plants
 from platform_ctrl.cli import main
@@ -121,9 +122,9 @@ def _sensitivities(plants: PlantSet, K: StateArrays) -> np.ndarray:
 
 def test_a_search_sees_the_resonance_that_its_grid_misses(plants: PlantSet) -> None:
     asked = requirement("sensitivity peak", 3.0, over=SPREAD)
-    rough = measure(plants, narrow_loop(), [asked])
+    rough = measure(plants, narrow_loop(), [asked], exact=False)
     assert not rough.exact
-    assert asked.figures(rough).max() > 50.0
+    assert asked.values(rough).max() > 50.0
     assert asked.result(plants, rough).method == "sampled"
 
 
@@ -132,7 +133,7 @@ def test_what_a_grid_misses_the_most_is_in_the_figure(kind: str) -> None:
     delay, numbers, grid, true = FOUND[kind]
     among, K = narrow_loops.plants(delay).only(range(9)), narrow_loops.controller(np.array(numbers))
     asked = requirement(kind, 1.0, over=SPREAD, frequency=EDGE.get(kind))  # type: ignore[arg-type]
-    on_grid = narrow_loops.OnGrid(among, K).figure(asked)
+    on_grid = measured(narrow_loops.OnGrid(among, K), asked) / asked.metric.scale
     assert (on_grid.min() if asked.sense == "at least" else on_grid.max()) == pytest.approx(grid, rel=1e-3)
     result = asked.check(among, K)
     assert result.method == "exact"
@@ -214,7 +215,7 @@ def test_the_tuner_goes_on_where_a_limit_is_missed_between_the_points_of_its_gri
     plants: PlantSet, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # Without the poles' frequencies the search starts blind: its grid sees nothing wrong with the narrow loop.
-    monkeypatch.setattr(LoopFigures, "_narrow", {})
+    monkeypatch.setattr(LoopSet, "narrow", {})
     asked = [requirement("stability", 0.05, over=SPREAD), requirement("sensitivity peak", 3.0, over=SPREAD)]
     start = {"depth": 0.20796, "width": 0.0061867}
 
@@ -235,7 +236,7 @@ def test_the_tuner_goes_on_where_a_limit_is_missed_between_the_points_of_its_gri
 def test_the_structured_search_goes_on_where_a_limit_is_missed_between_the_points_of_its_grid(
     plants: PlantSet, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(LoopFigures, "_narrow", {})
+    monkeypatch.setattr(LoopSet, "narrow", {})
     monkeypatch.setattr(ClosedLoops, "_hidden", lambda self, *_: self.none())
     asked = [requirement("stability", 0.05, over=SPREAD), requirement("sensitivity peak", 3.0, over=SPREAD)]
     start = {"depth": 0.3, "width": 0.003}

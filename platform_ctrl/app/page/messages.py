@@ -8,8 +8,8 @@ from typing import Any
 
 from platform_ctrl.app.pictures import Influence, Margins, Picture
 from platform_ctrl.app.settings import Choices, Mode, Settings, Slider
+from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.job.methods import METHODS
-from platform_ctrl.job.requirements import CheckResult
 from platform_ctrl.report.quantities import BOUND, HZ, compared
 
 # What a slider's value looked like before a page moved it; a start that no slider has is shown as none.

@@ -13,8 +13,9 @@ from platform_ctrl.cli.testing.assertions import assert_baseline, assert_met
 from platform_ctrl.design import loops
 from platform_ctrl.errors import PlatformCtrlError
 from platform_ctrl.job.job import Job
+from platform_ctrl.job.judging import STABLE, CheckResult
 from platform_ctrl.job.reading import read_job
-from platform_ctrl.job.requirements import STABLE, CheckResult, loop_requirements
+from platform_ctrl.job.requirements import loop_requirements
 from platform_ctrl.report.failure_messages import margin_text
 from platform_ctrl.verification import JobResult, checked, outcomes_from, read_controllers
 from platform_ctrl.verification.baselines import Comparison, Update
@@ -41,7 +42,7 @@ def requirements_of(job: Job) -> tuple[Asked, ...]:
     if job.coupled.coupling_cost is not None:
         out.append((ALL_LOOPS, COST))
     for spec in job.loops:
-        if spec.kind == "stabilisation" and spec.limits.torque_noise is not None:
+        if spec.kind == "stabilisation" and spec.limits.get("torque_noise") is not None:
             out.append((spec.name, "torque noise, rms"))
     out.append((ALL_LOOPS, PROVED.name))
     out += [(manoeuvre.name, RUN_FIGURES[key][0]) for manoeuvre in job.manoeuvres for key in manoeuvre.limits]

@@ -34,7 +34,8 @@ from platform_ctrl.design.partition import (
 )
 from platform_ctrl.design.scaling import autoscale, require_stabilisable, unscale
 from platform_ctrl.errors import DesignError, NotCertifiedError
-from platform_ctrl.job.requirements import CheckResult, LoopRequirement
+from platform_ctrl.job.judging import CheckResult
+from platform_ctrl.job.requirements import LoopRequirement
 
 if TYPE_CHECKING:
     from control import StateSpace

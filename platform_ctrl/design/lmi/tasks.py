@@ -25,7 +25,8 @@ from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.lmi.regions import REGIONS, region
 from platform_ctrl.design.partition import Partition, in_w_plane, whole
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.job.requirements import CheckResult, LoopRequirement
+from platform_ctrl.job.judging import CheckResult
+from platform_ctrl.job.requirements import LoopRequirement
 
 if TYPE_CHECKING:
     from control import StateSpace

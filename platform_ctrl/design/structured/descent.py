@@ -17,8 +17,8 @@ import numpy as np
 
 from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.bandwidth import LEVEL
-from platform_ctrl.analysis.loop_figures import LoopFigures
-from platform_ctrl.analysis.loop_measures import exact_measures
+from platform_ctrl.analysis.loop_metrics import measure
+from platform_ctrl.analysis.loop_set import LoopSet
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.common.values import FloatArray, value
@@ -185,10 +185,10 @@ class Search:
         if found.hard > 1.0:
             return None
         K = StateArrays(*family.block(found.x[: len(family.start)]), dt=self._plants.period)
-        loops = LoopFigures(self._plants, K)
-        measures = exact_measures(self._plants, K, self._limits, loops)
+        loops = LoopSet(self._plants, K)
+        measures = measure(self._plants, K, self._limits, loops=loops)
         met = all(np.all(limit.ratios(measures) <= 1.0) for limit in self._limits)
-        return None if met else loops.reached
+        return None if met else loops.peak_frequencies
 
     def _searched(self, family: Family, best: Found, worst: list[int]) -> Found:
         """Return where a search on the present grid ends that starts from `best`, with `worst` the worst plants."""

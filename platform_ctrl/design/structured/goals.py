@@ -19,38 +19,23 @@ level; so the question is turned round: S is at most 1/√2 up to a frequency, w
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 from numpy.typing import NDArray
 
+from platform_ctrl.analysis.loop_set import Transfer
+from platform_ctrl.analysis.measuring import ControllerGain, Peak
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.design.structured.loops import ClosedLoops, Pieces, joined
-from platform_ctrl.design.structured.maps import (
-    ANGLE_PER_OMEGA,
-    ANGLE_PER_TORQUE,
-    CONTROLLER,
-    HALF_INPUT,
-    HALF_OUTPUT,
-    S_INPUT,
-    S_OUTPUT,
-    T_INPUT,
-    T_OUTPUT,
-    Map,
-    torque_per_Omega,
-)
+from platform_ctrl.design.structured.maps import CONTROLLER, Map, map_of, torque_per_Omega
 from platform_ctrl.job.requirements import LoopRequirement
-
-_PEAKS: dict[str, tuple[Map, ...]] = {
-    "sensitivity peak": (S_OUTPUT, S_INPUT),
-    "complementary peak": (T_OUTPUT, T_INPUT),
-    "torque rejection": (ANGLE_PER_TORQUE,),
-    "Omega rejection": (ANGLE_PER_OMEGA,),
-}
 
 
 def pieces(loops: ClosedLoops, requirement: LoopRequirement, floor: float = 0.8) -> Pieces:
     """Return the pieces of a requirement whose ratio is at least `floor`, and the worst.
 
-    A requirement is met where all its pieces are at most 1. Most are its ratios; "bandwidth" asks for S at most 1/√2
+    A requirement is met where all its pieces are at most 1. Most are its ratios; "bandwidth" requires S at most 1/√2
     up to its limit, "stability" counts decay rates in a share of the nutation frequency.
 
     Parameters
@@ -58,50 +43,40 @@ def pieces(loops: ClosedLoops, requirement: LoopRequirement, floor: float = 0.8)
     loops
         The controller closed around the plants.
     requirement
-        Of any kind; "H-infinity norm" and "H2 norm" with signals of their own have no pieces here.
+        On any metric; those without a gradient, and norms between named signals, have no pieces.
     floor
         Ratio below which a piece is of no interest.
     """
-    plants, limit = loops.plants, requirement.limit
+    plants, metric = loops.plants, requirement.metric
+    limit, measure = requirement.limit * metric.scale, metric.measure
     members = members_of(plants, requirement)
-    nominal = np.zeros(1, dtype=np.intp)
     if not len(members):
         return loops.none()
-    match requirement.kind:
-        case "bandwidth":
-            return loops.level(2.0 * np.pi * limit, floor)[0]
-        case "stability":
-            return loops.decay(limit, members)
-        case "damping":
-            return loops.damping(floor, limit, members)
-        case "fastest pole":
-            return loops.fastest(floor, limit, members)
-        case "torque noise":
-            return loops.noise(limit, members)
-        case "controller poles":
-            return loops.controller_poles(floor, limit)
-        case "tracking" if requirement.frequency is not None:
-            inside = loops.peaks(S_OUTPUT, floor * limit, members, (0.0, requirement.frequency))
-            return joined([inside, loops.edge(S_OUTPUT, requirement.frequency, members)]).times(1.0 / limit)
-        case "controller gain":
-            low = 0.1 * plants.nutation if requirement.frequency is None else requirement.frequency
-            inside = loops.peaks(CONTROLLER, floor * limit, nominal, (low, np.inf))
-            return joined([inside, loops.edge(CONTROLLER, low, nominal)]).times(1.0 / limit)
-        case "disk margin":
-            return joined([loops.peaks(of, floor / limit, members) for of in (HALF_OUTPUT, HALF_INPUT)]).times(limit)
-        case "torque limit":
-            band = (0.0, np.inf if requirement.frequency is None else requirement.frequency)
-            limited = [k for k in range(loops.m) if np.isfinite(plants.torque_limit[k])]
-            maps = [torque_per_Omega(k, plants) for k in limited]
-            return joined([loops.none(), *(loops.peaks(of, floor * limit, members, band) for of in maps)]).times(
-                1.0 / limit
-            )
-        case "sensitivity peak" | "complementary peak" | "torque rejection" | "Omega rejection":
-            maps = list(_PEAKS[requirement.kind])
-            return joined([loops.peaks(of, floor * limit, members) for of in maps]).times(1.0 / limit)
-    return loops.none()
+    if isinstance(measure, Peak):
+        below, factor = (floor / limit, limit) if measure.reciprocal else (floor * limit, 1.0 / limit)
+        edge = requirement.frequency
+        band = (0.0, np.inf if edge is None else edge)
+        maps = [of for transfer in measure.transfers for of in _maps(transfer, plants)]
+        found = [loops.peaks(of, below, members, band) for of in maps]
+        found += [loops.edge(of, edge, members) for of in maps if edge is not None]
+        return joined([loops.none(), *found]).times(factor)
+    if isinstance(measure, ControllerGain):
+        nominal = np.zeros(1, dtype=np.intp)
+        low = 0.1 * plants.nutation if requirement.frequency is None else requirement.frequency
+        inside = loops.peaks(CONTROLLER, floor * limit, nominal, (low, np.inf))
+        return joined([inside, loops.edge(CONTROLLER, low, nominal)]).times(1.0 / limit)
+    found_pieces: Pieces = loops.none() if measure.gradient is None else measure.gradient(loops, limit, floor, members)
+    return found_pieces
+
+
+def _maps(transfer: Transfer, plants: PlantSet) -> Iterator[Map]:
+    if not transfer.of_limit:
+        yield map_of(transfer)
+        return
+    for k in np.flatnonzero(np.isfinite(plants.torque_limit)):
+        yield torque_per_Omega(int(k), plants)
 
 
 def members_of(plants: PlantSet, requirement: LoopRequirement) -> NDArray[np.intp]:
-    """Return the numbers of the plants of which a requirement is requested."""
+    """Return the numbers of the plants that a requirement is about."""
     return np.flatnonzero([group in requirement.over for group in plants.groups])

@@ -7,7 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from platform_ctrl.analysis import loop_set
 from platform_ctrl.analysis.arrays import ComplexArray
+from platform_ctrl.analysis.loop_set import Transfer
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.common.values import FloatArray
 
@@ -49,8 +51,8 @@ def column_of(*factors: ComplexArray) -> ComplexArray:
     return out[:, :, 0]
 
 
-def _eye(S: ComplexArray) -> FloatArray:
-    return np.eye(S.shape[-1])
+def _plus(S: ComplexArray, factor: float) -> ComplexArray:
+    return S if factor == 0.0 else S + factor * np.eye(S.shape[-1])
 
 
 def _at_output(r: Responses, u: ComplexArray, v: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
@@ -61,16 +63,30 @@ def _at_input(r: Responses, u: ComplexArray, v: ComplexArray) -> tuple[ComplexAr
     return row_of(u, r.S_input), column_of(r.P, r.S_input, v)
 
 
-S_OUTPUT = Map(lambda r: r.S_output, _at_output)
-S_INPUT = Map(lambda r: r.S_input, _at_input)
-# (S − T)/2 = S − I/2.
-HALF_OUTPUT = Map(lambda r: r.S_output - 0.5 * _eye(r.S_output), _at_output)
-HALF_INPUT = Map(lambda r: r.S_input - 0.5 * _eye(r.S_input), _at_input)
-T_OUTPUT = Map(lambda r: _eye(r.S_output) - r.S_output, lambda r, u, v: _at_output(r, -u, v))
-T_INPUT = Map(lambda r: _eye(r.S_input) - r.S_input, lambda r, u, v: _at_input(r, -u, v))
-ANGLE_PER_TORQUE = Map(lambda r: r.P @ r.S_input, lambda r, u, v: _at_input(r, row_of(u, r.P), v))
-ANGLE_PER_OMEGA = Map(lambda r: r.S_output @ r.P_Omega, lambda r, u, v: _at_output(r, u, column_of(r.P_Omega, v)))
 CONTROLLER = Map(lambda r: r.K, lambda r, u, v: (u, v))
+
+
+def map_of(transfer: Transfer) -> Map:
+    """Return the map of a part of the closed loop; of torques over their limits see `torque_per_Omega`."""
+    direct = transfer.direct
+    match transfer.source, transfer.target:
+        case "noise", "angle":
+            return Map(lambda r: _plus(r.S_output, direct - 1.0), _at_output)
+        case "torque", "torque":
+            return Map(lambda r: _plus(r.S_input, direct - 1.0), _at_input)
+        case "torque", "angle":
+            return Map(lambda r: r.P @ r.S_input, lambda r, u, v: _at_input(r, row_of(u, r.P), v))
+        case "Omega", "angle":
+            return Map(lambda r: r.S_output @ r.P_Omega, lambda r, u, v: _at_output(r, u, column_of(r.P_Omega, v)))
+        case "noise", "torque":
+            return Map(lambda r: r.K @ r.S_output, lambda r, u, v: (row_of(u, r.S_input), column_of(r.S_output, v)))
+    return Map(
+        lambda r: r.K @ r.S_output @ r.P_Omega,
+        lambda r, u, v: (row_of(u, r.S_input), column_of(r.S_output, r.P_Omega, v)),
+    )
+
+
+S_OUTPUT, S_INPUT = map_of(loop_set.S_OUTPUT), map_of(loop_set.S_INPUT)
 
 
 def torque_per_Omega(k: int, plants: PlantSet) -> Map:

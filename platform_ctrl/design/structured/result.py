@@ -16,7 +16,7 @@ from platform_ctrl.design.partition import Partition, whole
 from platform_ctrl.design.structured.structures import Structure
 from platform_ctrl.design.synthesis import Synthesis, hinf
 from platform_ctrl.errors import DesignError, TimeLimitError
-from platform_ctrl.job.requirements import CheckResult
+from platform_ctrl.job.judging import CheckResult
 
 if TYPE_CHECKING:
     from control import StateSpace

@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 
+from platform_ctrl.analysis.measuring import Peak
+from platform_ctrl.analysis.metrics import METRICS
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.job.job import LoopSpec
 from platform_ctrl.report.style import BEYOND, DASH_DOTTED, DASHED, DOTTED, LIMIT, MUTED
@@ -14,52 +16,44 @@ from platform_ctrl.report.style import BEYOND, DASH_DOTTED, DASHED, DOTTED, LIMI
 _LABEL: dict[str, Any] = {"textcoords": "offset points", "fontsize": 7}
 
 
-def ceilings(axes: Axes, limit: float | None, goal: float | None, *, words: str = "{}") -> None:
-    """Draw a level that a curve must not exceed, and one that it had better not; None draws nothing.
+def limit_lines(axes: Axes, spec: LoopSpec, kind: str, *, scale: float = 1.0, from_hz: float = 0.0) -> None:
+    """Draw limit and goal of a metric as levels of a gain; above the limit of a band the forbidden region is shaded.
 
     Parameters
     ----------
     axes
         With its limits set.
-    limit, goal
-        In the units of the axes.
-    words
-        How a number is written: ``"1/{}"`` for a level that is the inverse of what is asked.
+    spec
+        Limits and goals.
+    kind
+        Key of `METRICS`: it says whether the level ends, or begins, at a frequency, and whether it is an inverse.
+    scale
+        The metric's unit in units of the axes.
+    from_hz
+        Where a level begins that holds from a frequency on.
     """
+    metric = METRICS[kind]
     left, right = axes.get_xlim()
-    inverse = words.startswith("1/")
-    for asked, hard in ((limit, True), (goal, False)):
-        if asked is None:
+    inverse = isinstance(metric.measure, Peak) and metric.measure.reciprocal
+    for limits, hard in ((spec.limits, True), (spec.soft, False)):
+        if metric.key not in limits:
             continue
-        level = 1.0 / asked if inverse else asked
+        limit = scale * limits[metric.key]
+        if metric.band:
+            start, end = max(from_hz, left), min(limits.get(metric.frequency_key, right), right)
+            _step(axes, limit, start, end, hard)
+            continue
+        level = 1.0 / limit if inverse else limit
         colour, dashes = (LIMIT, DASHED) if hard else (MUTED, DASH_DOTTED)
         axes.axhline(level, color=colour, linewidth=0.9, linestyle=dashes)
-        text = words.format(f"{asked:g}")
+        text = f"1/{limit:g}" if inverse else f"{limit:g}"
         # The limit's number stands above its left end, the goal's below its right one.
         label: dict[str, Any] = {"va": "bottom"} if hard else {"ha": "right", "va": "top"}
         at, shift = ((left, level), (3, 2)) if hard else ((right, level), (-3, -2))
         axes.annotate(text if hard else f"goal {text}", at, shift, color=colour, **label, **_LABEL)
 
 
-def band_ceilings(
-    axes: Axes, levels: tuple[float | None, float | None], edges_hz: tuple[float | None, float | None]
-) -> None:
-    """Draw `ceilings`, limit and goal, that end at a frequency; above a limit the forbidden region is shaded."""
-    left, right = axes.get_xlim()
-    for level, edge, hard in zip(levels, edges_hz, (True, False), strict=True):
-        _step(axes, level, left, right if edge is None else min(edge, right), hard)
-
-
-def late_ceilings(axes: Axes, levels: tuple[float | None, float | None], from_hz: float) -> None:
-    """Draw `ceilings`, limit and goal, that begin at a frequency."""
-    left, right = axes.get_xlim()
-    for level, hard in zip(levels, (True, False), strict=True):
-        _step(axes, level, max(from_hz, left), right, hard)
-
-
-def _step(axes: Axes, level: float | None, start: float, end: float, hard: bool) -> None:
-    if level is None:
-        return
+def _step(axes: Axes, level: float, start: float, end: float, hard: bool) -> None:
     colour, dashes = (LIMIT, DASHED) if hard else (MUTED, DASH_DOTTED)
     top = axes.get_ylim()[1]
     if hard and (start, end) != axes.get_xlim() and level < top:
@@ -87,10 +81,10 @@ def damping_lines(axes: Axes, spec: LoopSpec, top: float, named: bool) -> None:
     """Draw the damping that is asked of fast poles as rays of the s-plane, up to the imaginary part `top`."""
     limits = spec.limits
     rays = (
-        (limits.damping, DASHED, LIMIT, 0.96),
-        (limits.damping_spread, DOTTED, LIMIT, 0.88),
-        (limits.damping_faults, DASH_DOTTED, LIMIT, 0.80),
-        (spec.soft.damping, DASH_DOTTED, MUTED, 0.72),
+        (limits.get("damping"), DASHED, LIMIT, 0.96),
+        (limits.get("damping_spread"), DOTTED, LIMIT, 0.88),
+        (limits.get("damping_faults"), DASH_DOTTED, LIMIT, 0.80),
+        (spec.soft.get("damping"), DASH_DOTTED, MUTED, 0.72),
     )
     for ratio, dashes, colour, height in rays:
         if ratio is None or not 0.0 < ratio < 1.0:
@@ -106,8 +100,8 @@ def damping_lines(axes: Axes, spec: LoopSpec, top: float, named: bool) -> None:
 def fastest_pole_line(axes: Axes, spec: LoopSpec, period: float) -> None:
     """Draw the circle of the w-plane that closed-loop poles have to stay within, carried to s = ln(z)/T."""
     for limits, colour, dashes in ((spec.limits, LIMIT, DASHED), (spec.soft, MUTED, DASH_DOTTED)):
-        if limits.fastest_pole is not None:
-            real, imag = pole_circle(limits.fastest_pole, period)
+        if "fastest_pole" in limits:
+            real, imag = pole_circle(limits["fastest_pole"], period)
             axes.plot(real, imag, color=colour, linestyle=dashes, linewidth=0.9)
 
 

@@ -13,7 +13,7 @@ from platform_ctrl.common.signatures import short
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.job import LoopSpec
-from platform_ctrl.report.figures.limit_lines import band_ceilings, ceilings, goal_frequency, late_ceilings
+from platform_ctrl.report.figures.limit_lines import goal_frequency, limit_lines
 from platform_ctrl.report.loop_responses import LoopResponses
 from platform_ctrl.report.plots.nichols import nichols
 from platform_ctrl.report.quantities import HZ
@@ -61,13 +61,12 @@ def sensitivity_figure(responses: LoopResponses, spec: LoopSpec) -> Figure:
     left.axhline(np.sqrt(0.5), color=REFERENCE, linewidth=0.8)
     at_end: dict[str, Any] = {"textcoords": "offset points", "color": MUTED, "fontsize": 7, "ha": "right", "va": "top"}
     left.annotate("1/√2", (f[-1], np.sqrt(0.5)), (-3, -2), **at_end)
-    if limits.bandwidth_hz is not None:
-        left.axvspan(f[0], limits.bandwidth_hz, color=BAND, linewidth=0, zorder=0)
-    goal_frequency(left, soft.bandwidth_hz)
-    ceilings(left, limits.sensitivity_peak, soft.sensitivity_peak)
-    band_ceilings(left, (limits.tracking, soft.tracking), (limits.tracking_hz, soft.tracking_hz))
-    ceilings(middle, limits.complementary_peak, soft.complementary_peak)
-    ceilings(right, limits.disk_margin, soft.disk_margin, words="1/{}")
+    if "bandwidth_hz" in limits:
+        left.axvspan(f[0], limits["bandwidth_hz"], color=BAND, linewidth=0, zorder=0)
+    goal_frequency(left, soft.get("bandwidth_hz"))
+    peaks = ((left, "sensitivity peak"), (left, "tracking"), (middle, "complementary peak"), (right, "disk margin"))
+    for axes, kind in peaks:
+        limit_lines(axes, spec, kind)
     left.set_title("S: what is left of a disturbance")
     middle.set_title("T: what passes through")
     right.set_title("(S − T)/2: 1/disk margin at its peak")
@@ -99,8 +98,7 @@ def loop_transfer_figure(responses: LoopResponses, spec: LoopSpec, torques: tupl
     gain_limits(rows[0][0], [one.loop_gains for one in responses.designs], low=1e-3, high=1e4)
     frequency_axes(rows[1][0], f[0], f[-1])
     gain_limits(rows[1][0], [one.controller_gain for one in responses.designs])
-    asked = (spec.limits.controller_gain, spec.soft.controller_gain)
-    late_ceilings(rows[1][0], asked, nutation / 10.0 * HZ)
+    limit_lines(rows[1][0], spec, "controller gain", from_hz=nutation / 10.0 * HZ)
     for i, name in enumerate(torques):
         gain_limits(rows[0][1 + i], [np.abs(one.channels[i]) for one in responses.designs], low=1e-3, high=1e4)
         rows[0][1 + i].set_title(f"{name}, others closed")
@@ -129,7 +127,6 @@ def disturbance_figure(responses: LoopResponses, spec: LoopSpec) -> Figure:
     for unused in cells[number:]:
         unused.remove()
     f = responses.frequency * HZ
-    limits, soft = spec.limits, spec.soft
     handles: list[Any] = []
     for axes, a in zip(cells, acting, strict=False):
         opened = 1e3 * responses.open_angle_per_rate[a]
@@ -137,14 +134,14 @@ def disturbance_figure(responses: LoopResponses, spec: LoopSpec) -> Figure:
             axes, f, opened, [1e3 * one.angle_per_rate[a] for one in responses.designs], responses
         )
         axes.set_title(f"rate Omega{a + 1} → angles")
-        ceilings(axes, _times(1e3, limits.Omega_rejection), _times(1e3, soft.Omega_rejection))
+        limit_lines(axes, spec, "Omega rejection", scale=1e3)
     cells[0].set_ylabel("mrad per rad/s" if acting else "mrad per mN m")
     axes = cells[len(acting)]
     closed = [one.angle_per_torque for one in responses.designs]
     handles = _open_and_closed(axes, f, responses.open_angle_per_torque, closed, responses)
     axes.set_title("torque disturbance → angles")
     axes.set_ylabel("mrad per mN m")
-    ceilings(axes, limits.torque_rejection, soft.torque_rejection)
+    limit_lines(axes, spec, "torque rejection")
     if limited:
         _torque_share(cells[number - 1], f, responses, spec)
     legend_above(figure, handles, names)
@@ -157,8 +154,7 @@ def _torque_share(axes: Axes, f: FloatArray, responses: LoopResponses, spec: Loo
     frequency_axes(axes, f[0], f[-1])
     gain_limits(axes, [one.torque_share for one in responses.designs], low=1e-3, high=1e2)
     axes.axhline(1.0, color=REFERENCE, linewidth=0.8)
-    asked, wished = spec.limits, spec.soft
-    band_ceilings(axes, (asked.torque_limit, wished.torque_limit), (asked.torque_limit_hz, wished.torque_limit_hz))
+    limit_lines(axes, spec, "torque limit")
     axes.set_title("full Omega → torque")
     axes.set_ylabel("torque over its limit, 1")
 
@@ -188,10 +184,6 @@ def design_names(responses: LoopResponses) -> list[str]:
     """Return what the legend calls the designs: which one is closed, where there are several."""
     names = [one.design.name for one in responses.designs]
     return names if len(names) == 1 else [f"{name}, closed" if name == responses.closed else name for name in names]
-
-
-def _times(factor: float, number: float | None) -> float | None:
-    return None if number is None else factor * number
 
 
 def phase_in_degrees(channel: ComplexArray) -> FloatArray:
@@ -226,7 +218,7 @@ def nichols_figure(responses: LoopResponses, spec: LoopSpec, torques: tuple[str,
         name: control.FrequencyResponseData(channel[None, None, :], responses.frequency)
         for name, channel in zip(torques, closed.channels, strict=True)
     }
-    asked = spec.limits.disk_margin
+    asked = spec.limits.get("disk_margin")
     figure = nichols(loops, disk_margins=() if asked is None or asked >= _LARGEST_MARGIN else (asked,)).figure
     assert isinstance(figure, Figure)
     return figure

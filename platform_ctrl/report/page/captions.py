@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -10,7 +10,6 @@ from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.poles import continuous_poles, spectral_abscissa
 from platform_ctrl.design.jobs import LoopOutcome
 from platform_ctrl.design.loop import LoopDesign
-from platform_ctrl.job.job import LoopLimits
 from platform_ctrl.job.requirements import FAULTS, SPREAD
 from platform_ctrl.plant.platform import Platform
 from platform_ctrl.report.loop_responses import LoopResponses, RootLocus
@@ -66,14 +65,15 @@ def sensitivity(outcome: LoopOutcome, responses: LoopResponses) -> str:
         )
     bandwidth = measures.bandwidth / (2.0 * np.pi)
     limits, soft = outcome.spec.limits, outcome.spec.soft
-    goals = (soft.bandwidth_hz, soft.tracking, soft.sensitivity_peak, soft.complementary_peak, soft.disk_margin)
+    drawn = ("bandwidth_hz", "tracking", "sensitivity_peak", "complementary_peak", "disk_margin")
+    goals = [soft.get(key) for key in drawn]
     marks = []
-    if limits.bandwidth_hz is not None:
+    if limits.get("bandwidth_hz") is not None:
         marks.append("blue band: the bandwidth that is asked for")
-    if limits.tracking is not None:
+    if limits.get("tracking") is not None:
         marks.append("red area: forbidden by the limit on tracking")
     marks.append("thin: the smallest singular value" + (" of the closed design" if len(outcome.designs) > 2 else ""))
-    asked = [limits.sensitivity_peak, limits.complementary_peak, limits.disk_margin]
+    asked = [limits.get("sensitivity_peak"), limits.get("complementary_peak"), limits.get("disk_margin")]
     lines = " Dashed red lines are limits of the nominal plant, whose curves these are." if any(asked) else ""
     return (
         f"Left: the curve stays below 1/√2 up to the bandwidth, {quantity(bandwidth, 'Hz', 3)} for "
@@ -108,7 +108,7 @@ def spins(platform: Platform) -> bool:
 def loop_transfer(outcome: LoopOutcome, spinning: bool) -> str:
     """Loop transfer, controller, channel by channel; `spinning`: of a plant whose rotors spin."""
     which = " (all of them for the closed design, the largest for the others)" if len(outcome.designs) > 2 else ""
-    asked = outcome.spec.limits.controller_gain
+    asked = outcome.spec.limits.get("controller_gain")
     gain = f" Red area: forbidden to the controller's gain, {quantity(asked, 'N m/rad')}." if asked is not None else ""
     return (
         f"First column: singular values of the loop transfer at the torquers{which}, and the controller's largest "
@@ -121,7 +121,7 @@ def loop_transfer(outcome: LoopOutcome, spinning: bool) -> str:
 
 def nichols(outcome: LoopOutcome) -> str:
     """Nichols plot of the closed design."""
-    asked = outcome.spec.limits.disk_margin
+    asked = outcome.spec.limits.get("disk_margin")
     region = (
         f" In the shaded regions a channel alone would have lost the disk margin of {plain(asked, 3)} that is asked of "
         "all together."
@@ -158,24 +158,25 @@ def poles(outcome: LoopOutcome, plants: PlantSet) -> str:
     limits, soft = outcome.spec.limits, outcome.spec.soft
     rays = _rays(limits)
     asked = f" Red rays: the damping that is asked of fast poles ({rays})." if rays else ""
-    if limits.fastest_pole is not None:
-        fast = quantity(limits.fastest_pole, "rad/s")
+    if "fastest_pole" in limits:
+        fast = quantity(limits["fastest_pole"], "rad/s")
         asked += f" Red arc: poles may be as fast as {fast} in the w-plane, a circle there."
     faint = "; faint: those with the parameter spread or a platform rate" if len(plants.labels) > 1 else ""
     crosses = "; crosses: those with a fault" if "faults" in plants.groups else ""
+    goals = _goal_lines((soft.get("damping"), soft.get("fastest_pole")))
     reach = " How far the clouds reach to the right is what the spread costs." if faint else ""
     return (
         f"Poles as s = ln(z)/T with {plants_in_words(plants)}. Strong: the nominal plant{faint}{crosses}. Stable poles "
-        f"lie left of the shaded half plane.{asked}{_goal_lines((soft.damping, soft.fastest_pole))}{reach}"
+        f"lie left of the shaded half plane.{asked}{goals}{reach}"
     )
 
 
-def _rays(limits: LoopLimits) -> str:
+def _rays(limits: Mapping[str, float]) -> str:
     """Return which ray of the pole map is which."""
     rays = (
-        (limits.damping, "dashed", "for the nominal plant"),
-        (limits.damping_spread, "dotted", "over the spread"),
-        (limits.damping_faults, "dash-dotted", "with a fault"),
+        (limits.get("damping"), "dashed", "for the nominal plant"),
+        (limits.get("damping_spread"), "dotted", "over the spread"),
+        (limits.get("damping_faults"), "dash-dotted", "with a fault"),
     )
     return "; ".join(f"{dashes}, {ratio:g}, {where}" for ratio, dashes, where in rays if ratio is not None)
 

@@ -6,12 +6,13 @@ from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 
-from platform_ctrl.analysis.loop_measures import LoopMeasures
+from platform_ctrl.analysis.loop_metrics import LoopMetrics
 from platform_ctrl.analysis.plant_set import Group, PlantSet
 from platform_ctrl.common.values import value
 from platform_ctrl.design.jobs import LoopOutcome
 from platform_ctrl.design.loop import LoopDesign
-from platform_ctrl.job.requirements import FAULTS, SPREAD, CheckResult, requirement
+from platform_ctrl.job.judging import CheckResult
+from platform_ctrl.job.requirements import FAULTS, SPREAD, requirement
 from platform_ctrl.report.quantities import (
     BOUND,
     DASH,
@@ -132,7 +133,7 @@ def measured_rows(outcome: LoopOutcome) -> list[Row]:
     return [row for row in _by_name(measured) if row.name not in asked]
 
 
-def _measured(measures: LoopMeasures) -> dict[str, str]:
+def _measured(measures: LoopMetrics) -> dict[str, str]:
     """Return all figures by the names that requirements give them."""
     out = {
         "bandwidth": quantity(measures.bandwidth / (2.0 * np.pi), "Hz", rounding="down"),

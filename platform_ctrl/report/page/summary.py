@@ -11,7 +11,7 @@ import numpy as np
 from platform_ctrl.common.text import Rounding
 from platform_ctrl.design.jobs import LoopOutcome
 from platform_ctrl.design.loop import LoopDesign
-from platform_ctrl.job.requirements import CheckResult
+from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.report.page.blocks import sentence
 from platform_ctrl.report.page.tables import verdict
 from platform_ctrl.report.quantities import BOUND, compared, count, disk_words, listed, percent, plain, quantity

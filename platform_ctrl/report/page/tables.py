@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from platform_ctrl.common.values import value
-from platform_ctrl.job.requirements import CheckResult
+from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.plant.platform import PickOff, Torquer
 from platform_ctrl.report.modes import Mode, modes_at
 from platform_ctrl.report.quantities import (

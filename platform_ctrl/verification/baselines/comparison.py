@@ -11,7 +11,7 @@ import numpy as np
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import InputError
-from platform_ctrl.job.requirements import Sense
+from platform_ctrl.job.judging import Sense
 from platform_ctrl.plant.fields import finite_number
 from platform_ctrl.plant.mistakes import given, one_line, suggestion
 from platform_ctrl.verification import JobResult

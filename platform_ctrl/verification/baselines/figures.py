@@ -9,7 +9,8 @@ import numpy as np
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import value
 from platform_ctrl.design.loop import LoopDesign
-from platform_ctrl.job.requirements import FAULTS, SPREAD, CheckResult, Sense
+from platform_ctrl.job.judging import CheckResult, Sense
+from platform_ctrl.job.requirements import FAULTS, SPREAD
 from platform_ctrl.verification import CoupledCheck, JobResult, Run, largest
 from platform_ctrl.verification.simulated import RUN_FIGURES
 

@@ -14,7 +14,7 @@ from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.common.files import write_whole
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import value
-from platform_ctrl.job.requirements import Sense
+from platform_ctrl.job.judging import Sense
 from platform_ctrl.plant.mistakes import given
 from platform_ctrl.plant.source import read_json
 from platform_ctrl.verification import JobResult

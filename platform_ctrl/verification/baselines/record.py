@@ -11,7 +11,7 @@ from platform_ctrl.analysis.arrays import StateArrays, state_arrays
 from platform_ctrl.common.arguments import positive
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import input_value, value
-from platform_ctrl.job.requirements import Sense
+from platform_ctrl.job.judging import Sense
 from platform_ctrl.verification import JobResult
 from platform_ctrl.verification.baselines.figures import COST, Figure, figures_of
 from platform_ctrl.verification.verdict import PROVED

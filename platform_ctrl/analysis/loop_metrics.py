@@ -1,0 +1,194 @@
+"""What a controller makes of a plant set: the metrics of its closed loops."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import field
+from typing import get_args
+
+import numpy as np
+
+from platform_ctrl.analysis.arrays import StateArrays
+from platform_ctrl.analysis.channel import Channel
+from platform_ctrl.analysis.loop_set import LoopSet
+from platform_ctrl.analysis.measuring import MetricRequest, Request
+from platform_ctrl.analysis.metrics import METRICS, exact_value, torque_noise, worst_exact
+from platform_ctrl.analysis.plant_set import BoolArray, Group, PlantSet, members
+from platform_ctrl.common.signatures import check_arguments
+from platform_ctrl.common.values import FloatArray, value
+from platform_ctrl.errors import ArgumentError
+
+_BANDWIDTH = MetricRequest(kind="bandwidth")
+# Metrics that are kept for the nominal plant alone, and those that are kept for every plant.
+_OF_NOMINAL, _OF_ALL = ("bandwidth", "torque noise"), ("stability", "damping", "disk margin")
+
+_FIRST = np.zeros(1, dtype=np.intp)
+
+Key = tuple[str, tuple[str, ...], float | None, Channel | None]
+
+
+@value
+class LoopMetrics:
+    """What a controller does to a plant set, in SI units.
+
+    Attributes
+    ----------
+    bandwidth
+        Nominal: lowest frequency at which the largest singular value of S, at the input or the output, reaches
+        1/sqrt(2), rad/s.
+    disk_margin : (N,)
+        1/‖(S − T)/2‖, all channels at once, the smaller of input and output, dimensionless; 0 where the loop is
+        unstable.
+    damping : (N,)
+        Smallest damping ratio of the closed-loop poles above a tenth of the nutation frequency.
+    decay : (N,)
+        Decay rate of the slowest closed-loop pole, 1/s; negative where the loop is unstable.
+    torque_noise : (m,)
+        Nominal rms of the torques from pick-off noise, N m; infinite where the loop is unstable.
+    groups
+        What each plant stands for, as in `PlantSet`.
+    exact
+        Whether peaks, bandwidths and margins are taken over all frequencies: the worst of every group of plants that
+        a request is about is then exact, and the others are no worse than it. Else they are the largest at the
+        frequencies of a grid.
+    requested
+        Other metrics that were requested, by request: arrays (k,) in SI units, see `values`.
+    """
+
+    bandwidth: float
+    disk_margin: FloatArray
+    damping: FloatArray
+    decay: FloatArray
+    torque_noise: FloatArray
+    groups: tuple[Group, ...]
+    exact: bool = False
+    requested: dict[Key, FloatArray] = field(default_factory=dict)
+
+    @check_arguments
+    def of(self, groups: Sequence[str]) -> BoolArray:
+        """Return which plants belong to `groups`, truth values (N,).
+
+        Parameters
+        ----------
+        groups
+            Among ``"nominal"``, ``"spread"``, ``"Omega"`` and ``"faults"``; other names have no members.
+
+        Returns
+        -------
+        (N,)
+            Truth values.
+        """
+        return members(self.groups, groups)
+
+    @check_arguments
+    def values(self, request: Request) -> FloatArray:
+        """Return a metric of every plant that `request` is about; nominal torque noise of every torquer.
+
+        Parameters
+        ----------
+        request
+            A requirement: which metric, of which signals, of which plants.
+
+        Returns
+        -------
+        (k,)
+            In SI units.
+
+        Raises
+        ------
+        ArgumentError
+            It was not measured.
+        """
+        if _is_of_nominal(request):
+            return self.torque_noise if request.kind == "torque noise" else np.array([self.bandwidth])
+        own = {"stability": self.decay, "damping": self.damping, "disk margin": self.disk_margin}
+        if request.kind in own:
+            return np.asarray(own[request.kind][self.of(request.over)])
+        if _key(request) not in self.requested:
+            raise ArgumentError(f"{request.kind}: was not measured; give measure() this requirement among its requests")
+        return self.requested[_key(request)]
+
+
+@check_arguments
+def measure(
+    plants: PlantSet,
+    controller: StateArrays,
+    requests: Sequence[Request] = (),
+    *,
+    exact: bool = True,
+    loops: LoopSet | None = None,
+) -> LoopMetrics:
+    """Measure `controller` (u = K y, same period) on every plant.
+
+    What `LoopMetrics` names is always measured, other metrics where `requests` (requirements) name them.
+
+    Parameters
+    ----------
+    plants
+        The plants that the controller has to work with.
+    controller
+        u = K y in the set's order of angles and torques, with its sample period (see `PlantSet.joined`).
+    requests
+        Requirements whose metrics are wanted as well.
+    exact
+        Take peaks, margins and bandwidths over all frequencies: the worst value of each group of plants is exact (to
+        1e-9, from the worse side), and Hamiltonian eigenvalues show that the other plants of the group are no worse.
+        False, for a search: at the frequencies of the set's grid and of closed-loop poles that are narrower than its
+        spacing alone.
+    loops
+        The closed loops of this controller and these plants, where they exist already.
+
+    Returns
+    -------
+    LoopMetrics
+        Metrics of each plant of the set.
+
+    Raises
+    ------
+    ArgumentError
+        The controller closes an algebraic loop that cannot be solved.
+    """
+    loops = LoopSet(plants, controller) if loops is None else loops
+    every = get_args(Group)
+    damping, margin = (measured(loops, MetricRequest(kind=kind, over=every)) for kind in ("damping", "disk margin"))
+    if exact:
+        # Of every group by itself, whatever is requested.
+        for group in dict.fromkeys(plants.groups):
+            one = MetricRequest(kind="disk margin", over=(group,))
+            chosen = np.flatnonzero(plants.of(one.over))
+            margin[chosen] = worst_exact(loops, one, margin[chosen], chosen)
+    bandwidth, requested = METRICS["bandwidth"].measure, dict[Key, FloatArray]()
+    for request in requests:
+        key = _key(request)
+        if not (_is_of_nominal(request) or request.kind in _OF_ALL or key in requested):
+            requested[key] = measured(loops, request, exact=exact)
+    return LoopMetrics(
+        bandwidth=exact_value(loops, _BANDWIDTH) if exact else float(bandwidth.values(loops, _BANDWIDTH, _FIRST)[0]),
+        disk_margin=margin,
+        damping=damping,
+        decay=loops.decay,
+        torque_noise=torque_noise(loops, slice(1))[0],
+        groups=plants.groups,
+        exact=exact,
+        requested=requested,
+    )
+
+
+def measured(loops: LoopSet, request: Request, *, exact: bool = False) -> FloatArray:
+    """Return one metric of every plant that `request` is about, (k,), as `LoopMetrics.values` does."""
+    if request.kind == "torque noise" and _is_of_nominal(request):
+        return np.asarray(torque_noise(loops, slice(1))[0])
+    chosen = np.flatnonzero(loops.plants.of(request.over))
+    if not chosen.size and METRICS[request.kind].of != "controller":
+        return np.zeros(0)
+    values: FloatArray = METRICS[request.kind].measure.values(loops, request, chosen)
+    return worst_exact(loops, request, values, chosen) if exact else values
+
+
+def _key(request: Request) -> Key:
+    return request.kind, tuple(request.over), request.frequency, request.channel
+
+
+def _is_of_nominal(request: Request) -> bool:
+    """Return whether `LoopMetrics` keeps it for the nominal plant alone, and it is about that plant alone."""
+    return request.kind in _OF_NOMINAL and tuple(request.over) == ("nominal",)

@@ -1,0 +1,289 @@
+"""The closed loops that one controller makes with every plant of a set, and their largest gains.
+
+The parts of a closed loop are named by where they begin and end:
+
+    [torque, Omega, noise] → [torque, angle]        u = K (y + noise),  y = P (u + torque) + P_Omega Omega
+
+The largest gain over frequency is taken on the set's grid and at the closed-loop poles that are narrower than the
+grid's spacing (`LoopSet.grid_peaks`): quick enough for a search. Over all frequencies it is a norm (`peaks.peak`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cached_property
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
+from platform_ctrl.analysis.channel import Channel
+from platform_ctrl.analysis.feedback import closed_loop, sensitivities_of_plants
+from platform_ctrl.analysis.norms import gains
+from platform_ctrl.analysis.peaks import Band
+from platform_ctrl.analysis.plant_set import PlantSet
+from platform_ctrl.analysis.poles import continuous_poles, poles, spectral_abscissa
+from platform_ctrl.analysis.response import frequency_response
+from platform_ctrl.analysis.singular_values import largest_singular_values
+from platform_ctrl.common.values import FloatArray
+
+# Half-width of a resonance over the grid's spacing, up to which it may hide between two points of the grid.
+_NARROW = 0.5
+
+
+class Transfer(NamedTuple):
+    """A part of the closed loop: from `source` to `target`, and `direct` times the identity.
+
+    From torque to torque the closed loop is −T = S − I at the plants' input, from noise to angle at their output.
+    With `of_limit` every torque is taken by itself, over its torquer's limit, for platform rates over the set's Omega.
+    """
+
+    source: Literal["torque", "Omega", "noise"]
+    target: Literal["torque", "angle"]
+    direct: float = 0.0
+    of_limit: bool = False
+
+
+S_OUTPUT, S_INPUT = Transfer("noise", "angle", 1.0), Transfer("torque", "torque", 1.0)
+T_OUTPUT, T_INPUT = Transfer("noise", "angle"), Transfer("torque", "torque")
+# (S − T)/2 = S − I/2
+HALF_OUTPUT, HALF_INPUT = Transfer("noise", "angle", 0.5), Transfer("torque", "torque", 0.5)
+ANGLE_PER_OMEGA, ANGLE_PER_TORQUE = Transfer("Omega", "angle"), Transfer("torque", "angle")
+TORQUE_SHARE = Transfer("Omega", "torque", of_limit=True)
+
+Indices = NDArray[np.intp]
+
+# Where a peak is looked for: parts of the closed loop, or one between named signals.
+Parts = Sequence[Transfer] | Channel
+
+
+class SingleLoop:
+    """One system: a loop that is closed already, or a controller alone.
+
+    Parameters
+    ----------
+    arrays
+        Of the system.
+    inputs, outputs
+        Names of its signals.
+    slow
+        Frequency, rad/s, below which poles and gains do not count.
+    """
+
+    def __init__(self, arrays: StateArrays, inputs: Sequence[str], outputs: Sequence[str], slow: float = 0.0) -> None:
+        self.arrays, self.inputs, self.outputs, self.slow = arrays, inputs, outputs, slow
+        self.controller, self.period = arrays, arrays.dt
+        self.exact_values: dict[tuple[object, int], tuple[float, float]] = {}
+
+    @cached_property
+    def poles(self) -> ComplexArray:
+        """Poles, (1, poles): in z of a sampled system."""
+        return poles(self.arrays.A)[None]
+
+    @cached_property
+    def decay(self) -> FloatArray:
+        """Decay rate of the slowest pole, 1/s, (1,)."""
+        return np.asarray(-spectral_abscissa(continuous_poles(self.poles, self.period)))
+
+    def channel(self, channel: Channel | None) -> StateArrays:
+        """Return the weighted part of the system between named signals, as a stack of one."""
+        A, B, C, D, dt = (channel or Channel()).of(self.arrays, self.inputs, self.outputs)
+        return StateArrays(A[None], B[None], C[None], D[None], dt)
+
+    def parts(self, parts: Parts, k: int) -> list[StateArrays]:
+        """Return the systems whose gains count."""
+        if not isinstance(parts, Channel):
+            raise TypeError("a single loop has no torques and angles")
+        return [_one(self.channel(parts), k)]
+
+
+class LoopSet:
+    """A controller closed around every plant of a set, each part computed when it is first needed.
+
+    Parameters
+    ----------
+    plants
+        N plants with m torques and p angles.
+    controller
+        u = K y, same sample period.
+    """
+
+    def __init__(self, plants: PlantSet, controller: StateArrays) -> None:
+        self.plants = plants
+        self.controller = controller
+        self.m, self.p = plants.B.shape[-1], plants.C.shape[-2]
+        self.period, self.slow = plants.period, plants.nutation / 10.0
+        # By metric and plant: exact values with their frequencies, rad/s, and values that a plant is no worse than.
+        self.exact_values: dict[tuple[object, int], tuple[float, float]] = {}
+        self.proved: dict[tuple[object, int], float] = {}
+
+    @cached_property
+    def arrays(self) -> StateArrays:
+        """Closed loops (N, ...): inputs torque disturbance, Omega, noise; outputs torques, angles, readings."""
+        plants, m = self.plants, self.m
+        B = np.concatenate([plants.B, plants.B_Omega], axis=-1)
+        D = np.concatenate([plants.D, np.zeros((*plants.D.shape[:-1], 3))], axis=-1)
+        loops = StateArrays(plants.A, B, plants.C, D, plants.period)
+        A, B, C, D, _ = closed_loop(loops, self.controller, torques=range(m))
+        D_read = D[..., m:, :].copy()
+        D_read[..., m + 3 :] += np.eye(self.p)
+        C, D = np.concatenate([C, C[..., m:, :]], axis=-2), np.concatenate([D, D_read], axis=-2)
+        return StateArrays(A, B, C, D, plants.period)
+
+    @cached_property
+    def own_arrays(self) -> StateArrays:
+        """Closed loops (N, ...) without Omega: inputs torque disturbance and noise; outputs torques and angles."""
+        plants = self.plants
+        return closed_loop(StateArrays(plants.A, plants.B, plants.C, plants.D, plants.period), self.controller)
+
+    @property
+    def inputs(self) -> list[str]:
+        """Names of the closed loops' inputs."""
+        names = self.plants
+        return [*names.torques, "Omega1", "Omega2", "Omega3", *(f"noise_{name}" for name in names.angles)]
+
+    @property
+    def outputs(self) -> list[str]:
+        """Names of the closed loops' outputs; ``reading_`` is an angle with its noise: what the controller gets."""
+        names = self.plants
+        return [*names.torques, *names.angles, *(f"reading_{name}" for name in names.angles)]
+
+    @cached_property
+    def poles(self) -> ComplexArray:
+        """Poles of the closed loops in z, (N, poles)."""
+        return poles(self.own_arrays.A)
+
+    @cached_property
+    def decay(self) -> FloatArray:
+        """Decay rate of the slowest pole, 1/s, (N,)."""
+        return np.asarray(-spectral_abscissa(continuous_poles(self.poles, self.plants.period)))
+
+    @cached_property
+    def K(self) -> ComplexArray:
+        """Response of the controller on the set's grid."""
+        return frequency_response(self.controller, self.plants.frequency, -3)
+
+    @cached_property
+    def S_output(self) -> ComplexArray:
+        """Sensitivity at the plants' output, (N, F, p, p)."""
+        return self._sensitivities[0]
+
+    @cached_property
+    def S_input(self) -> ComplexArray:
+        """Sensitivity at the plants' input, (N, F, m, m)."""
+        return self._sensitivities[1]
+
+    @cached_property
+    def _sensitivities(self) -> tuple[ComplexArray, ComplexArray]:
+        return sensitivities_of_plants(self.plants.response, self.K)
+
+    def only(self, chosen: Sequence[int]) -> LoopSet:
+        """Return the loops of some of the plants (indices): what is computed here is taken over."""
+        index = np.asarray(chosen, dtype=np.intp)
+        out = LoopSet(self.plants.only(chosen), self.controller)
+        out.K, out.poles, out.decay = self.K, self.poles[index], self.decay[index]
+        out.S_output, out.S_input = self.S_output[index], self.S_input[index]
+        out.arrays, out.own_arrays = _some(self.arrays, index), _some(self.own_arrays, index)
+        return out
+
+    @property
+    def peak_frequencies(self) -> FloatArray:
+        """Frequencies, rad/s, at which the exact values computed so far are reached."""
+        w = np.array([at for _, at in self.exact_values.values()])
+        return np.unique(w[np.isfinite(w) & (w > 0.0)])
+
+    def channel(self, channel: Channel | None) -> StateArrays:
+        """Return the weighted parts of the closed loops between named signals, (N, ...)."""
+        return (channel or Channel()).of(self.arrays, self.inputs, self.outputs)
+
+    def parts(self, parts: Parts, k: int) -> list[StateArrays]:
+        """Return the systems of plant `k` whose gains count."""
+        if isinstance(parts, Channel):
+            return [_one(self.channel(parts), k)]
+        return [system for transfer in parts for system in self._systems(transfer, k)]
+
+    def _systems(self, transfer: Transfer, k: int) -> list[StateArrays]:
+        A, B, C, D, dt = _one(self.arrays, k)
+        m, p = self.m, self.p
+        columns = {"torque": slice(0, m), "Omega": slice(m, m + 3), "noise": slice(m + 3, m + 3 + p)}[transfer.source]
+        rows = {"torque": slice(0, m), "angle": slice(m, m + p)}[transfer.target]
+        B, C, D = B[:, columns], C[rows], D[rows, columns]
+        if not transfer.of_limit:
+            return [StateArrays(A, B, C, D + transfer.direct * np.eye(*D.shape), dt)]
+        return [
+            StateArrays(A, B * share, C[j : j + 1], D[j : j + 1] * share, dt) for j, share in enumerate(self._shares)
+        ]
+
+    @property
+    def _shares(self) -> FloatArray:
+        return np.asarray(self.plants.Omega / self.plants.torque_limit[:, None])
+
+    def _responses(self, transfer: Transfer, members: Indices) -> list[ComplexArray]:
+        """Return responses of some plants on the grid, (k, F, ...)."""
+        plants, S = self.plants, self.S_output[members]
+        if (transfer.source, transfer.target) in (("noise", "angle"), ("torque", "torque")):
+            S = S if transfer.source == "noise" else self.S_input[members]
+            return [S - (1.0 - transfer.direct) * np.eye(S.shape[-1])]
+        response = self.K @ S if transfer.target == "torque" else S
+        if transfer.source != "noise":
+            response = response @ (plants.Omega_response if transfer.source == "Omega" else plants.response)[members]
+        if not transfer.of_limit:
+            return [response]
+        torque = response * self._shares
+        return [torque[..., j : j + 1, :] for j in range(self.m)]
+
+    def grid_peaks(self, parts: Parts, band: Band, members: Indices) -> FloatArray:
+        """Return the largest gain of the parts of some plants within `band`, (k,); infinite of an unstable loop."""
+        grid = self.plants.frequency
+        if isinstance(parts, Channel):
+            responses = [frequency_response(_some(self.channel(parts), members), grid, -3)]
+        else:
+            responses = [response for transfer in parts for response in self._responses(transfer, members)]
+        inside = grid <= max(band[1], grid[0])
+        peaks: FloatArray = np.max([_highest(response[:, inside]) for response in responses], axis=0)
+        for i, k in enumerate(members):
+            w = self.narrow.get(int(k), np.zeros(0))
+            w = w[w <= band[1]]
+            if w.size:
+                peaks[i] = max([peaks[i], *(gains(part, w).max(initial=0.0) for part in self.parts(parts, int(k)))])
+        return np.where(self.decay[members] > 0.0, peaks, np.inf)
+
+    @cached_property
+    def narrow(self) -> dict[int, FloatArray]:
+        """Frequencies, rad/s, of resonances of stable loops that may hide between two points of the grid, by plant."""
+        grid = self.plants.frequency
+        s = continuous_poles(self.poles, self.plants.period)
+        centre = np.where(np.isfinite(s), s.imag, 0.0)
+        place = np.clip(np.searchsorted(grid, centre), 1, len(grid) - 1)
+        # Below the grid its first frequency is the spacing.
+        spacing = np.where(centre < grid[0], centre, grid[place] - grid[place - 1])
+        narrow = (centre > 0.0) & (-s.real < _NARROW * spacing) & (self.decay > 0.0)[:, None]
+        return {int(k): np.unique(np.abs(s[k, narrow[k]].imag)) for k in np.flatnonzero(narrow.any(axis=1))}
+
+
+def _some(stack: StateArrays, index: Indices) -> StateArrays:
+    A, B, C, D, dt = stack
+    return StateArrays(A[index], B[index], C[index], D[index], dt)
+
+
+def _one(stack: StateArrays, k: int) -> StateArrays:
+    A, B, C, D, dt = stack
+    return StateArrays(A[k], B[k], C[k], D[k], dt)
+
+
+def _highest(matrices: ComplexArray) -> FloatArray:
+    """Return the largest singular value over the frequencies of each plant, (N,) of (N, F, p, m).
+
+    No singular value is larger than the root of the sum of squares: where that is below the value at one frequency,
+    the singular values need not be known.
+    """
+    N, F = matrices.shape[:2]
+    if not F:
+        return np.zeros(N)
+    size = np.linalg.norm(matrices, axis=(-2, -1))
+    size = np.where(np.isfinite(size), size, np.inf)
+    out = largest_singular_values(matrices[np.arange(N), np.argmax(size, axis=1)])
+    plants, places = np.nonzero(size > out[:, None])
+    np.maximum.at(out, plants, largest_singular_values(matrices[plants, places]))
+    return out

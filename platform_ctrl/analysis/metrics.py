@@ -1,0 +1,316 @@
+"""The table of metrics: what can be measured of a loop, and so be required of it; one entry each.
+
+Everything that deals with requirements reads `METRICS`: the reader of job files, measuring and judging, the tuners, the
+report, the app and the tables of the documentation. See docs/architecture.md, "Add a requirement".
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+
+from platform_ctrl.analysis import loop_set
+from platform_ctrl.analysis.arrays import StateArrays
+from platform_ctrl.analysis.channel import Channel
+from platform_ctrl.analysis.loop_set import Indices, LoopSet
+from platform_ctrl.analysis.measuring import Bandwidth, ControllerGain, Direct, Loops, Peak, Request
+from platform_ctrl.analysis.norms import h2_norm, noise_rms
+from platform_ctrl.analysis.poles import fastest_pole, minimum_damping, poles
+from platform_ctrl.common.values import FloatArray, value
+
+Sense = Literal["at least", "at most"]
+
+
+@value
+class Metric:
+    """A metric of a loop.
+
+    Attributes
+    ----------
+    name
+        In verdicts, tables and plots.
+    key
+        In ``[loop.limits]`` of a job file; empty: from Python alone. With a band, key + ``_hz`` is its edge.
+    unit, scale
+        Of limits and verdicts, and this unit in SI units.
+    sense
+        ``"at least"``: larger is better; ``"at most"``: smaller is better.
+    meaning
+        One sentence for the documentation.
+    measure
+        How it is measured.
+    scopes
+        Which limits a job file may set: ``""`` for the nominal plant, ``"spread"`` (key + ``_spread``), ``"faults"``.
+    best
+        The best value that any loop can have, in `unit`.
+    of
+        What has to be known: ``"plants"`` and the controller, the ``"closed loop"`` alone, or the ``"controller"``.
+    needs_frequency, has_channel
+        Whether the frequency must be given, and whether it is taken between named signals.
+    of_root
+        Whether a stabilisation loop may have a limit for it, judged in the coupled system.
+    """
+
+    name: str
+    key: str = ""
+    unit: str = ""
+    scale: float = 1.0
+    sense: Sense
+    meaning: str
+    measure: Direct | Peak | Bandwidth | ControllerGain
+    scopes: tuple[str, ...] = ("",)
+    best: float | None = None
+    of: Literal["plants", "closed loop", "controller"] = "plants"
+    needs_frequency: bool = False
+    has_channel: bool = False
+    of_root: bool = False
+
+    @property
+    def band(self) -> str:
+        """Whether it is taken ``"up to"`` or ``"from"`` a frequency; empty: it has none."""
+        if isinstance(self.measure, ControllerGain):
+            return "from"
+        return "up to" if isinstance(self.measure, Peak) and self.measure.banded else ""
+
+    @property
+    def searched(self) -> bool:
+        """Whether a grid of frequencies may miss the worst: a verdict then takes exact values."""
+        return not isinstance(self.measure, Direct)
+
+    @property
+    def frequency_key(self) -> str:
+        """Key of the band's edge in a job file, Hz; empty where there is none."""
+        return f"{self.key}_hz" if self.key and self.band == "up to" else ""
+
+
+def exact_value(loops: Loops, request: Request, k: int = 0) -> float:
+    """Return the value of plant `k` over all frequencies, to 1e-9 from the worse side, in SI units."""
+    measure = METRICS[request.kind].measure
+    if isinstance(measure, Direct):
+        return float(measure.values(loops, request, np.array([k]))[0])
+    place = (_key(request), k)
+    if place not in loops.exact_values:
+        loops.exact_values[place] = measure.exact(loops, request, k)  # type: ignore[arg-type]
+    return loops.exact_values[place][0]
+
+
+def worst_exact(loops: LoopSet, request: Request, values: FloatArray, members: Indices) -> FloatArray:
+    """Return values on the grid (k,) with the worst of them exact: none of the plants is worse than that.
+
+    The plant that is worst on the grid gets its exact value. Every other one is shown to be no worse, or gets its own.
+    """
+    out = values.copy()
+    metric = METRICS[request.kind]
+    if not metric.searched:
+        return out
+    if metric.of == "controller":
+        out[0] = exact_value(loops, request)
+        return out
+    if not np.all(loops.decay[members] > 0.0):
+        # Nothing is worse than a loop that is not stable.
+        return out
+    at_least = metric.sense == "at least"
+    level: float | None = None
+    for i in map(int, np.argsort(values if at_least else -values, kind="stable")):
+        if level is None or not _no_worse(loops, request, int(members[i]), level):
+            out[i] = exact_value(loops, request, int(members[i]))
+            level = out[i] if level is None else (min if at_least else max)(level, out[i])
+    return out
+
+
+def _no_worse(loops: LoopSet, request: Request, k: int, bound: float) -> bool:
+    metric, place = METRICS[request.kind], (_key(request), k)
+    at_least = metric.sense == "at least"
+    if at_least and bound <= 0.0:
+        return True
+    shown = loops.proved.get(place)
+    if shown is not None and (shown >= bound if at_least else shown <= bound):
+        return True
+    if not metric.measure.holds(loops, request, k, bound):  # type: ignore[union-attr]
+        return False
+    loops.proved[place] = bound
+    return True
+
+
+def _key(request: Request) -> tuple[str, float | None, Channel | None]:
+    """Return what a value is of, whatever plants it is asked of."""
+    return request.kind, request.frequency, request.channel
+
+
+def torque_noise(loops: LoopSet, plants: slice = slice(None)) -> FloatArray:
+    """Return the rms of every torque from the noise of the pick-offs, N m, (k, m); infinite of an unstable loop."""
+    A, B, C, D, dt = loops.own_arrays
+    m = loops.m
+    noise_to_torque = StateArrays(A[plants], B[plants, :, m:], C[plants, :m], D[plants, :m, m:], dt)
+    return noise_rms(noise_to_torque, loops.plants.noise, allow_unstable=True)
+
+
+def _h2_norm(loops: Loops, request: Request) -> FloatArray:
+    A, B, C, D, dt = loops.channel(request.channel)
+    if dt > 0.0:
+        rms = noise_rms(StateArrays(A, B, C, D, dt), np.ones(B.shape[-1]), allow_unstable=True)
+        with np.errstate(over="ignore"):
+            return np.asarray(np.sqrt(np.sum(rms * rms, axis=-1)), dtype=np.float64)
+    if np.any(D) or not loops.decay[0] > 0.0:
+        return np.array([np.inf])
+    import control
+
+    return np.array([h2_norm(control.StateSpace(A[0], B[0], C[0], D[0], dt, remove_useless_states=False))])
+
+
+METRICS: dict[str, Metric] = {
+    "stability": Metric(
+        name="slowest decay",
+        unit="1/s",
+        sense="at least",
+        meaning="decay rate of the slowest pole",
+        measure=Direct(
+            function=lambda loops, request: loops.decay,
+            gradient=lambda loops, limit, floor, members: loops.decay(limit, members),
+        ),
+        of="closed loop",
+    ),
+    "bandwidth": Metric(
+        name="bandwidth",
+        key="bandwidth_hz",
+        unit="Hz",
+        scale=2.0 * np.pi,
+        sense="at least",
+        meaning="lowest frequency at which the largest singular value of S, at the input or the output, reaches 1/√2",
+        measure=Bandwidth(gradient=lambda loops, limit, floor, members: loops.level(limit, floor)[0]),
+    ),
+    "disk margin": Metric(
+        name="disk margin",
+        key="disk_margin",
+        sense="at least",
+        meaning="α = 1/‖(S − T)/2‖, all channels at once, the smaller of input and output",
+        measure=Peak(transfers=(loop_set.HALF_OUTPUT, loop_set.HALF_INPUT), reciprocal=True),
+        scopes=("", "spread", "faults"),
+        best=2.0,
+    ),
+    "sensitivity peak": Metric(
+        name="sensitivity peak",
+        key="sensitivity_peak",
+        sense="at most",
+        meaning="‖S‖, the larger of input and output",
+        measure=Peak(transfers=(loop_set.S_OUTPUT, loop_set.S_INPUT)),
+        scopes=("", "spread"),
+    ),
+    "complementary peak": Metric(
+        name="complementary peak",
+        key="complementary_peak",
+        sense="at most",
+        meaning="‖T‖, the larger of input and output",
+        measure=Peak(transfers=(loop_set.T_OUTPUT, loop_set.T_INPUT)),
+        scopes=("", "spread"),
+    ),
+    "damping": Metric(
+        name="damping",
+        key="damping",
+        sense="at least",
+        meaning="damping ratio of every closed-loop pole above a tenth of the nutation frequency",
+        measure=Direct(
+            function=lambda loops, request: minimum_damping(loops.poles, loops.slow, loops.period),
+            gradient=lambda loops, limit, floor, members: loops.damping(floor, limit, members),
+        ),
+        scopes=("", "spread", "faults"),
+        best=1.0,
+        of="closed loop",
+    ),
+    "fastest pole": Metric(
+        name="fastest pole",
+        key="fastest_pole",
+        unit="rad/s",
+        sense="at most",
+        meaning="magnitude of the closed-loop poles in the w-plane, w = (2/T) (z − 1)/(z + 1), where a delay "
+        "counts 2/T",
+        measure=Direct(
+            function=lambda loops, request: fastest_pole(loops.poles, loops.period),
+            gradient=lambda loops, limit, floor, members: loops.fastest(floor, limit, members),
+        ),
+        of="closed loop",
+    ),
+    "tracking": Metric(
+        name="tracking error",
+        key="tracking",
+        sense="at most",
+        meaning="the largest singular value of S at the plant's output up to this frequency",
+        measure=Peak(transfers=(loop_set.S_OUTPUT,), banded=True),
+        needs_frequency=True,
+    ),
+    "Omega rejection": Metric(
+        name="angle from Omega",
+        key="Omega_rejection",
+        unit="rad s/rad",
+        sense="at most",
+        meaning="peak gain from the platform's rate to the angles",
+        measure=Peak(transfers=(loop_set.ANGLE_PER_OMEGA,)),
+    ),
+    "torque rejection": Metric(
+        name="angle from torque",
+        key="torque_rejection",
+        unit="rad/(N m)",
+        sense="at most",
+        meaning="peak gain from torques that add to the torquers' to the angles",
+        measure=Peak(transfers=(loop_set.ANGLE_PER_TORQUE,)),
+    ),
+    "torque noise": Metric(
+        name="torque noise, rms",
+        key="torque_noise",
+        unit="N m",
+        sense="at most",
+        meaning="rms of the torque command from the noise of all pick-offs, in the worst torquer",
+        measure=Direct(
+            function=lambda loops, request: torque_noise(loops).max(axis=-1, initial=0.0),
+            gradient=lambda loops, limit, floor, members: loops.noise(limit, members),
+        ),
+        of_root=True,
+    ),
+    "torque limit": Metric(
+        name="torque at full Omega over its limit",
+        key="torque_limit",
+        sense="at most",
+        meaning="commanded torque over the torquer's limit (1: just at it), worst torquer, for sinusoidal platform "
+        "rates in the ellipsoid with half-axes `Omega`, up to this frequency or of any. Torquers without a limit do "
+        "not count",
+        measure=Peak(transfers=(loop_set.TORQUE_SHARE,), banded=True),
+    ),
+    "controller poles": Metric(
+        name="fastest pole of the controller",
+        key="controller_poles",
+        unit="rad/s",
+        sense="at most",
+        meaning="magnitude of the controller's poles in the w-plane",
+        measure=Direct(
+            function=lambda loops, request: fastest_pole(poles(loops.controller.A), loops.period)[None],
+            gradient=lambda loops, limit, floor, members: loops.controller_poles(floor, limit),
+        ),
+        of="controller",
+    ),
+    "controller gain": Metric(
+        name="gain of the controller",
+        key="controller_gain",
+        unit="N m/rad",
+        sense="at most",
+        meaning="largest singular value of the controller from a tenth of nutation on",
+        measure=ControllerGain(),
+        of="controller",
+    ),
+    "H-infinity norm": Metric(
+        name="H-infinity norm",
+        sense="at most",
+        meaning="H-infinity norm between named signals",
+        measure=Peak(),
+        of="closed loop",
+        has_channel=True,
+    ),
+    "H2 norm": Metric(
+        name="H2 norm",
+        sense="at most",
+        meaning="H2 norm between named signals",
+        measure=Direct(function=_h2_norm),
+        of="closed loop",
+        has_channel=True,
+    ),
+}

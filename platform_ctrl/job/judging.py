@@ -1,0 +1,178 @@
+"""A requirement on a measured value, and the verdict on it."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+
+from platform_ctrl.analysis.metrics import METRICS
+from platform_ctrl.analysis.metrics import Sense as Sense
+from platform_ctrl.common.signatures import check_kinds
+from platform_ctrl.common.values import input_value, value
+
+Stage = Literal["decoupled", "coupled", "simulated"]
+# How a value is found: "exact", of the plants that are judged, to rounding or to 1e-9 from the worse side; "bound", one
+# that is guaranteed not to be better than the true value; "proved", in interval arithmetic; "sampled", the worst at the
+# frequencies of a grid; "simulated", the worst at the samples of one run.
+Method = Literal["exact", "bound", "proved", "sampled", "simulated"]
+
+
+@value
+class CheckResult:
+    """A requirement held against a measured value.
+
+    Attributes
+    ----------
+    name
+        What is asked, with the loop or run and the design it is asked of.
+    subject, design
+        Loop or manoeuvre; name of the design, empty where all closed loops are meant.
+    value, limit, unit, sense
+        As measured and as asked, both in `unit`.
+    ratio
+        Dimensionless; at most 1 when met.
+    passed
+        Whether it is.
+    stage
+        Where in the chain it was measured.
+    evidence
+        What recomputes the value.
+    hard
+        Whether the verdict rests on it; a goal that is missed is no failure.
+    method
+        How the value is found: ``"exact"``, ``"bound"``, ``"proved"``, ``"sampled"`` or ``"simulated"``.
+    """
+
+    name: str
+    subject: str
+    design: str
+    value: float
+    limit: float
+    unit: str
+    sense: Sense
+    ratio: float
+    passed: bool
+    stage: Stage
+    evidence: str
+    hard: bool = True
+    method: Method = "sampled"
+
+    @property
+    def margin(self) -> float:
+        """Distance to the limit, relative to the limit, positive when met; infinite where that is no number."""
+        distance = self.value - self.limit if self.sense == "at least" else self.limit - self.value
+        if distance == 0.0:
+            return 0.0
+        if not np.isfinite(self.value) or not np.isfinite(self.limit) or self.limit == 0.0:
+            return float("inf") if self.passed else float("-inf")
+        return distance / abs(self.limit)
+
+
+@input_value
+class Requirement:
+    """A bound on one figure.
+
+    Attributes
+    ----------
+    name
+        The figure, in the field's words.
+    limit, unit, sense
+        The bound, > 0, in `unit`, and whether it is one from above or below.
+    hard
+        Whether it has to be met; a soft one is a goal, made as small as the hard ones allow.
+    """
+
+    name: str
+    limit: float
+    unit: str
+    sense: Sense
+    hard: bool = True
+
+    @check_kinds
+    def ratio(self, measured: float) -> float:
+        """Return a number that is at most 1 when the bound is met.
+
+        Parameters
+        ----------
+        measured
+            The figure, in the requirement's unit.
+
+        Returns
+        -------
+        float
+            Dimensionless; infinite when `measured` is no number.
+
+        Raises
+        ------
+        ArgumentError
+            An argument of another kind than annotated.
+        """
+        measured = float(measured)
+        if not np.isfinite(measured):
+            return float("inf")
+        if self.limit == 0.0:
+            return 1.0 if (measured <= 0.0 if self.sense == "at most" else measured >= 0.0) else float("inf")
+        if self.sense == "at most":
+            return measured / self.limit
+        return self.limit / measured if measured > 0.0 else float("inf")
+
+    @check_kinds
+    def judge(
+        self,
+        measured: float,
+        *,
+        subject: str,
+        stage: Stage,
+        evidence: str,
+        design: str = "",
+        method: Method = "sampled",
+    ) -> CheckResult:
+        """Hold a measured figure against the bound: met where the ratio is at most 1.
+
+        Parameters
+        ----------
+        measured
+            The figure, in the requirement's unit.
+        subject
+            Loop or manoeuvre.
+        stage
+            Where in the chain it was measured.
+        evidence
+            What recomputes it.
+        design
+            Name of the design.
+        method
+            How it is found, see `CheckResult`; the least that can be said of a figure by default.
+
+        Returns
+        -------
+        CheckResult
+            With ratio and verdict.
+
+        Raises
+        ------
+        ArgumentError
+            An argument of another kind than annotated.
+        """
+        ratio = self.ratio(measured)
+        return CheckResult(
+            name=self.name,
+            subject=subject,
+            design=design,
+            value=float(measured),
+            limit=self.limit,
+            unit=self.unit,
+            sense=self.sense,
+            ratio=ratio,
+            passed=ratio <= 1.0,
+            stage=stage,
+            evidence=evidence,
+            hard=self.hard,
+            method=method,
+        )
+
+
+# Stable, and by more than rounding: every disturbance of the loop has died away in a minute or two.
+_DECAY = METRICS["stability"]
+STABLE = Requirement(name=_DECAY.name, limit=0.05, unit=_DECAY.unit, sense=_DECAY.sense)
