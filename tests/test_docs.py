@@ -16,8 +16,8 @@ import pytest
 from platform_ctrl import read_job, read_platform
 from platform_ctrl.cli import main
 from platform_ctrl.job.methods import METHODS
-from platform_ctrl.job.requirements import limit_keys
 from platform_ctrl.job.reading import JOB_FILE
+from platform_ctrl.job.requirements import limit_keys
 from platform_ctrl.plant.reading import PLANT_FILE
 from platform_ctrl.plant.tables import Shape
 from platform_ctrl.plant.tables import tables as tables_within
