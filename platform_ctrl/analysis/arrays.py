@@ -130,7 +130,7 @@ def _strange(array: FloatArray) -> float:
 
 def all_finite(array: FloatArray) -> bool:
     """Return whether all numbers are finite."""
-    # The sum of squares is had sooner, and mostly enough.
+    # The sum of squares is faster, and finite unless it overflows.
     return math.isfinite(np.vdot(array, array)) or bool(np.isfinite(array).all())
 
 

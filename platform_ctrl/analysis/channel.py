@@ -1,4 +1,4 @@
-"""A part of a closed loop between named signals, with weights on both sides: what a norm is asked of."""
+"""A performance channel: a part of a closed loop between named signals, with weights on both sides."""
 
 from __future__ import annotations
 

@@ -27,13 +27,13 @@ class Chains(NamedTuple):
     ----------
     rows : ((m + 1) (p + 1 + n)²,)
         Matrices row by row: C in the first p rows and H in the last n, with the states in the last n columns. Rows of H
-        are divided by what stands left of the diagonal, beta in the first one, and have its inverse there.
+        are divided by the entry left of the diagonal, beta in the first one, and have its inverse there.
     lasts : (m + 1,)
         Column of the last state that the chain reaches; p if none.
     norms : (p + 1,)
         Of each row of C, and |A|.
     reflected : (p + 1 + n, p + 1 + n) and (p + n,), optional
-        What LAPACK's dgehrd returns of the first chain, where it was asked.
+        What LAPACK's dgehrd returns for the first chain, with many states.
     """
 
     rows: FloatArray

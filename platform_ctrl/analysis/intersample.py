@@ -38,7 +38,7 @@ from platform_ctrl.errors import ArgumentError
 if TYPE_CHECKING:
     import control
 
-# ln of what stands for an infinite norm in the search.
+# ln of the finite number that replaces an infinite norm in the search.
 _BEYOND = 50.0
 
 

@@ -93,7 +93,7 @@ def sampled_plant(
 
 
 def lifted_plant(plant: SampledPlant, level: float) -> StateArrays:
-    """Return the discrete plant that stands for one period at a level γ.
+    """Return the discrete plant that is equivalent to one period at a level γ.
 
     Inputs [w, u], outputs [z, y]; a controller makes its norm from w to z less than one exactly if it makes
     that of the sampled-data loop less than γ. At an infinite level w and z are instead scaled to one, so that the

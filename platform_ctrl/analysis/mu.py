@@ -152,7 +152,7 @@ class MuPeak:
         for step in range(6):
             fan = left[:, None] + (right - left)[:, None] * FAN
             if step == 0:
-                # What told the hills apart may have been less accurate.
+                # The responses that separated the local maxima may have been less accurate.
                 fan[:, len(FAN) // 2] = grid[tops]
                 fan.sort(axis=1)
             found = self.bounds(fan.ravel()).upper.reshape(fan.shape)

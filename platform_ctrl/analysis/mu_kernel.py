@@ -318,7 +318,7 @@ def _from_centre(
         X[0, i], X[1, i] = V[i, first], V[i, second]
     for k in range(2):
         _times(S, X[k], Y[k])
-    # Each channel's plane: |y_i|^2 - |x_i|^2 for x = u1 X1 + u2 X2, in the point of the sphere that stands for u.
+    # Each channel's plane: |y_i|^2 - |x_i|^2 for x = u1 X1 + u2 X2, in the point of the sphere that represents u.
     planes = np.empty((m, 3))
     for i in range(m):
         across = Y[0, i].conjugate() * Y[1, i] - X[0, i].conjugate() * X[1, i]

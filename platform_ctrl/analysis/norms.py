@@ -221,11 +221,6 @@ def crossing_frequencies(system: StateArrays, level: float) -> FloatArray:
     return FrequencyAxis(system).crossings(level)
 
 
-def level_crossings(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, level: float) -> FloatArray:
-    """Return `crossing_frequencies` of a continuous system."""
-    return crossing_frequencies(StateArrays(A, B, C, D, 0.0), level)
-
-
 def gains(system: StateArrays, frequency: FloatArray) -> FloatArray:
     """Return the largest singular value at each frequency, (N,); inf where the response is not finite."""
     return largest_singular_values(frequency_response(system, frequency, -3))

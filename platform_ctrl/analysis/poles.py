@@ -1,8 +1,8 @@
 """Poles and their damping, of continuous and of sampled systems alike.
 
-A pole z of a sampled system counts as the continuous pole s = ln(z)/T with |Im s| <= pi/T that its samples
-cannot be told from. So a pole at z = 0 (a delay) is infinitely fast and fully damped, and one on the negative real
-axis of z oscillates at the Nyquist frequency: z = -0.5 has the damping ratio 0.22, z = -0.9 only 0.03.
+A pole z of a sampled system counts as the continuous pole s = ln(z)/T with |Im s| <= pi/T that has the
+same samples. So a pole at z = 0 (a delay) is infinitely fast and fully damped, and one on the negative real axis of z
+oscillates at the Nyquist frequency: z = -0.5 has the damping ratio 0.22, z = -0.9 only 0.03.
 """
 
 from __future__ import annotations

@@ -75,7 +75,7 @@ def _on_axis(w: FloatArray, dt: float) -> tuple[ComplexArray, Callable[[NDArray[
 
 
 class _Beyond:
-    """What exp(j w dt) - 1 has beyond its doubles z (N,), found when it is asked for and kept: stacks ask again."""
+    """What exp(j w dt) - 1 has beyond its doubles z (N,), computed on demand and kept for the rest of a stack."""
 
     def __init__(self, z: ComplexArray, w: FloatArray, dt: float) -> None:
         self._z, self._w, self._dt = z, w, dt

@@ -58,7 +58,7 @@ class FrozenRows:
     Attributes
     ----------
     M, G, K : (k, k)
-        Inertia, kg m², what stands before q̇ (friction included), N m s, what stands before q − q0 (springs and Omega'
+        Inertia, kg m², the coefficient of q̇ (friction included), N m s, and that of q − q0 (springs and Omega'
         included), N m/rad.
     forcing : (k,)
         M_Omega Omega' + Q0(Omega), N m.

@@ -71,15 +71,15 @@ class Term:
     Attributes
     ----------
     gimbal
-        Name of the gimbal whose equation it stands in.
+        Name of the gimbal whose equation contains it.
     label
         The term as in (27); ``J`` without a number is a combination of moments of inertia whose value is `coefficient`.
     kind, meaning
         What it is, and how to read it: the paper's reading of what (27) keeps.
     coefficient
-        What stands before Omega and the coordinate, with its sign, SI.
+        Coefficient of Omega and the coordinate, with its sign, SI.
     factor
-        `coefficient` times its Omega, what stands before the coordinate (or, of a forcing term, the term), SI.
+        `coefficient` times its Omega: the coefficient of the coordinate (or, of a forcing term, the term), SI.
     column, derivative
         The gimbal whose angle it multiplies, and which derivative of it: 0, 1 or 2. None for a forcing term.
     size

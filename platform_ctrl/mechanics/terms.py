@@ -65,7 +65,7 @@ class Part:
     coefficients : (n, n) or (n,)
         Entries of the equations.
     occurs : (n, n) or (n,) bool
-        Where a term stands, also one that is zero because rotors cancel.
+        The place of a term, also of one that is zero because rotors cancel.
     quantity
         Name of an entry.
     """
@@ -356,7 +356,7 @@ def terms(
     change = rate * frequency if Omega_dot is None else real_array("Omega_dot", Omega_dot, (3,))
     about = real_array("q", q, (n,), 0.0)
     f = platform.specific_force if specific_force is None else real_array("specific_force", specific_force, (3,))
-    # A gimbal that stands still takes nothing out of dry friction: its describing function has no slope.
+    # A gimbal at rest has no rate amplitude, and its friction no describing function.
     still = np.where(motion > 0.0, motion, 1.0 / np.finfo(float).tiny)
     found = [entry for part in parts(platform, about, f, still) for entry in _entries(part, rate, change, amplitudes)]
     coupled = np.zeros((n, n), dtype=bool)
@@ -377,7 +377,7 @@ def terms(
 
 @value
 class _Entry:
-    """One term: where it stands, what stands before the coordinate, its amplitude."""
+    """One term: its place, its coefficient, its amplitude."""
 
     part: Part
     place: tuple[int, ...]

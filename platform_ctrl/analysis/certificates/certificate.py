@@ -217,7 +217,7 @@ class Certificate:
             for matrix, name in self._matrices(X):
                 definite, found = positive_definite(matrix)
                 if definite is None:
-                    return False, f"undecided: {name} is not told from singular", 0.0
+                    return False, f"undecided: {name} cannot be distinguished from a singular matrix", 0.0
                 if not definite:
                     return False, f"{name} is not positive definite", 0.0
                 margin = min(margin, found)

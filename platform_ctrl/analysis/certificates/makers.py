@@ -27,7 +27,7 @@ from platform_ctrl.errors import ArgumentError, NotCertifiedError, PlatformCtrlE
 _SHARES = (0.99, 0.9, 0.5, 0.1)
 _ABOVE = (9e-7, 1e-5, 1e-4, 1e-3, 1e-2)
 
-# A norm that is not told from zero.
+# Below this a norm cannot be distinguished from zero.
 _NOTHING = 1e-100
 
 # From a balanced system, in doubles; and from the closed loop, its rounded form and coordinates, with many bits.
@@ -256,7 +256,7 @@ def _hinf(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, dt: float)
 
 
 def _just_above(norm: float) -> list[float]:
-    """Return the bounds that are tried where none is asked for."""
+    """Return the bounds to try where none is required."""
     return [norm * (1.0 + above) for above in _ABOVE] if norm > _NOTHING else [2.0 * _NOTHING]
 
 
@@ -299,13 +299,13 @@ def _stable_loop(
 def _norm_proved(
     claim: Claim,
     norm: float,
-    asked: float | None,
+    required: float | None,
     loop: ClosedLoop,
     system: StateArrays,
     finders: Callable[[float, float], tuple[Finder, PreciseFinder]],
 ) -> Certificate:
-    """Return the certificate that a norm lies below what is asked, or as little above `norm` as can be proved."""
-    bounds = [float(asked)] if asked is not None else _just_above(norm)
+    """Return the certificate that a norm lies below the required bound, or as little above `norm` as can be proved."""
+    bounds = [float(required)] if required is not None else _just_above(norm)
     above = [one for one in bounds if one > norm]
     made = _first_proved(claim, above, loop, system, lambda one: finders(one, norm))
     if made is not None:

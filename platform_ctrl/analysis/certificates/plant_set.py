@@ -17,7 +17,7 @@ from platform_ctrl.errors import ArgumentError, NotCertifiedError
 
 @check_arguments
 def plant_set_certificates(
-    plants: PlantSet, controller: StateArrays, decay: FloatArray, margin: FloatArray, asked: FloatArray
+    plants: PlantSet, controller: StateArrays, decay: FloatArray, margin: FloatArray, required: FloatArray
 ) -> tuple[tuple[Certificate, ...], tuple[str, ...]]:
     """Return what is proved of a loop, and what was measured but could not be proved.
 
@@ -28,9 +28,9 @@ def plant_set_certificates(
     decay, margin : (N,)
         Decay rate, 1/s, and disk margin, dimensionless, with each plant as measured: exact of the worst, of the others
         at least the true one. What is unstable is not claimed to be stable.
-    asked : (N,)
-        Disk margin that is asked for with each plant, dimensionless, 0: none. Where the measured one is larger, the
-        asked one is proved; with the nominal plant that which it has.
+    required : (N,)
+        Disk margin required with each plant, dimensionless, 0: none. Where the measured one is larger, the
+        required one is proved; with the nominal plant the measured one.
 
     Returns
     -------
@@ -51,7 +51,7 @@ def plant_set_certificates(
 
     See docs/certificates.md.
     """
-    for name, numbers in (("decay", decay), ("margin", margin), ("asked", asked)):
+    for name, numbers in (("decay", decay), ("margin", margin), ("required", required)):
         if numbers.shape != (len(plants.labels),):
             raise ArgumentError(f"plant_set_certificates: {name} must be ({len(plants.labels)},), got {numbers.shape}")
     proved: list[Certificate] = []
@@ -64,10 +64,10 @@ def plant_set_certificates(
             )
         except NotCertifiedError as error:
             unproved.append(str(error))
-    for k in np.flatnonzero((decay > 0.0) & ((asked < margin) & (asked > 0.0) | (np.arange(len(decay)) == 0))):
-        # With the nominal plant the norm itself; with the others what is asked. Of these the norm is known, or, where
-        # another plant is the worst, known from below.
-        bound = {} if k == 0 else {"gamma": 1.0 / float(asked[k])}
+    for k in np.flatnonzero((decay > 0.0) & ((required < margin) & (required > 0.0) | (np.arange(len(decay)) == 0))):
+        # With the nominal plant the norm itself; with the others the required bound. Of these the norm is known, or,
+        # where another plant is the worst, known from below.
+        bound = {} if k == 0 else {"gamma": 1.0 / float(required[k])}
         known = {} if k == 0 else {"norm": 1.0 / float(margin[k])}
         for system, where in zip(sensitivity_plants(plants, int(k)), ("torques", "pick-offs"), strict=True):
             label = f"{plants.labels[k]}, (S − T)/2 at the {where}"

@@ -240,7 +240,7 @@ def chosen(at: Scaled, null: FloatArray, turning: bool, loop_frequency: float, r
     """Return the models of a subsystem whose G leaves the directions `null` alone, and which has a rotor `turning`."""
     n, none = len(at.D), null[:, :0]
     poles = full_poles(at)
-    # What gives way first stands first.
+    # The first to be left out comes first.
     order = least_opposed_first(at, null)
     unopposed = null.shape[1] if turning else n
     fast = required * loop_frequency

@@ -43,7 +43,7 @@ class PrecessionPart:
     momentum_directions : (n, k)
         Motions whose momenta a cured model keeps, dimensionless; none where precession theory is admissible.
     reasons, cures
-        Why precession theory may not be used as it stands, and what would help: lines of text, none where it may.
+        Why precession theory may not be used without changes, and what would help: lines of text, none where it may.
 
     References
     ----------
@@ -101,7 +101,7 @@ class PrecessionPart:
 
     @property
     def admissible(self) -> bool:
-        """Whether precession theory may be used as it stands."""
+        """Whether precession theory may be used without changes."""
         return not self.reasons
 
     @property

@@ -168,7 +168,7 @@ class Precession:
         -------
         control.StateSpace
             States: the angles, then ``pi_`` + the leading angle of each momentum kept. Where a restraint holds a null
-            direction its angles are no states: ``y_`` + angle then stands for a combination of angles that the
+            direction its angles are no states: ``y_`` + angle then names a combination of angles that the
             direction does not change, and angles follow torques at once. Inputs: the torquers in the file's order, then
             Omega1 to Omega3. Outputs: the angles in the file's order. All deviate from the trim.
 

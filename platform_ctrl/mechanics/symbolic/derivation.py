@@ -117,7 +117,7 @@ def _matrices(
 ) -> dict[str, Expression]:
     m, n = len(platform.rotors), len(platform.gimbals)
     square = (3 + n, 3 + n)
-    # The paper differentiates (24) as it stands; exactly, what is differentiated has one order more.
+    # The paper differentiates the truncated (24); the exact derivative needs one order more.
     in_G_A = up_to(core.A_star, order) if terms == "paper" else core.A_star
     B = core.B if order is None else up_to(core.B, order + 1)
     zero = _at_zero(core.B, order)

@@ -187,7 +187,7 @@ def gimbal_rows(
     A_star, BtL
         To second order in the angles; coefficients (symbols, 3 + n, 3 + n) and (symbols, 3 + n).
     carried
-        None: exact. With the paper's rule BᵀA_R B, whose slope stands before Ω̇ q.
+        None: exact. With the paper's rule BᵀA_R B, whose slope is the coefficient of Ω̇ q.
     names
         Of Omega1 to Omega3, and of their derivatives.
     elements

@@ -1,4 +1,4 @@
-"""The equations in symbols, the paper's number by number. SymPy is loaded when they are asked for."""
+"""The equations in symbols, the paper's number by number. SymPy is loaded when they are derived."""
 
 from __future__ import annotations
 

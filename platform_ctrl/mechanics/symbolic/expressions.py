@@ -67,7 +67,7 @@ class Taylor:
 
 
 class Trigonometric:
-    """2 k stands for sin q_k, 2 k + 1 for cos q_k; cos² is written 1 − sin², so that the form is unique."""
+    """2 k means sin q_k, 2 k + 1 means cos q_k; cos² is written 1 − sin², so that the form is unique."""
 
     def times(self, left: Monomial, right: Monomial) -> tuple[tuple[float, Monomial], ...]:
         """Return the product with cos² replaced."""

@@ -114,7 +114,7 @@ def _broken(written: str) -> str:
                 lines.append(line)
                 line = ""
             line += piece
-    # A sign that begins a cell stands before a number, not between two.
+    # A sign that begins a cell is unary.
     lines = [re.sub(r"^-", "{-}", one) for one in [*lines, line]]
     return " \\\\\n  & \\quad ".join(lines)
 

@@ -152,7 +152,7 @@ class Notation:
         return negative, self.style.times.join(top + moving)
 
     def _bracket(self, expression: Expression) -> tuple[bool, str]:
-        """Return a sum in brackets; where its first term is negative, the sign stands before them."""
+        """Return a sum in brackets; where its first term is negative, the sign comes before them."""
         terms = self.terms(expression)
         flip = terms[0][0]
         opening, closing = self.style.brackets
@@ -195,7 +195,7 @@ class Notation:
         return key
 
     def _factor_key(self, expression: Expression) -> Key:
-        """Return what sorts factors: a power stands where its base would."""
+        """Return the sort key of a factor: a power is placed like its base."""
         return self._key(expression.base if expression.is_Pow else expression)
 
 

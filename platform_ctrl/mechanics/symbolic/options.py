@@ -1,4 +1,4 @@
-"""What can be asked of the equations. Kept apart from SymPy: the command line reads it at every start."""
+"""Forms, terms and orders of the equations. Without SymPy: the command line reads them at every start."""
 
 from __future__ import annotations
 
