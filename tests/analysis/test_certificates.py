@@ -253,7 +253,7 @@ def test_closed_loops_are_those_of_analysis(states: int, own: int) -> None:
     rng = np.random.default_rng(7)
     A, B, C, D = (rng.standard_normal(shape) for shape in ((states, states), (states, 2), (3, states), (3, 2)))
     K = StateArrays(*(0.3 * rng.standard_normal(shape) for shape in ((own, own), (own, 3), (2, own), (2, 3))), dt=0.1)
-    theirs = closed_loop(StateArrays(A, B, C, D, K.dt), K)
+    theirs = closed_loop(StateArrays(A, B, C, D, K.dt), K)[:4]
     # Inputs [d, n, u], outputs [u, y, y + n].
     P = StateArrays(
         A,
