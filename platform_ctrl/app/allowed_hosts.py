@@ -48,7 +48,7 @@ class AllowedHosts:
         return cls(listening=host, names=frozenset(names))
 
     @property
-    def own(self) -> bool:
+    def local_only(self) -> bool:
         """Whether only this machine reaches what listens."""
         return is_loopback(self.listening)
 

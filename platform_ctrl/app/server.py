@@ -43,7 +43,7 @@ class Building:
     def result(self) -> object:
         """Return the backend; waits for it."""
         self._thread.join()
-        self.heed()
+        self.raise_error()
         return self._made
 
     def close(self) -> None:
@@ -51,7 +51,7 @@ class Building:
         if self._made is not None:
             getattr(self._made, "close", lambda: None)()
 
-    def heed(self) -> None:
+    def raise_error(self) -> None:
         """Raise what `make` raised, if it did."""
         if self._error is not None:
             raise self._error
@@ -82,7 +82,7 @@ class PageServer:
     allow
         Names by which browsers may ask, besides this machine's own ones where it listens to itself alone.
     make
-        Called with the backend and every new document, which it fills; default: `designer.page.app.page`.
+        Called with the backend and every new document, which it fills; default: `page.document.page`.
     """
 
     def __init__(
@@ -99,7 +99,7 @@ class PageServer:
         self._socket = _bound(host, port)
         self.port: int = self._socket.getsockname()[1]
         self.application: PageApplication | None = None
-        self._workbench, self._make = backend, make
+        self._backend, self._make = backend, make
         self._ended = threading.Event()
 
     @property
@@ -117,17 +117,17 @@ class PageServer:
         """Number of sessions: pages that are open, or were a moment ago."""
         return 0 if self.application is None else len(self.application.sessions)
 
-    def run(self, ready: Callable[[], None] | None = None, heed: Callable[[], None] | None = None) -> None:
-        """Answer until `end` is called, or `heed` raises."""
+    def run(self, ready: Callable[[], None] | None = None, check: Callable[[], None] | None = None) -> None:
+        """Answer until `end` is called, or `check` raises."""
         # Not asyncio.run: at the end it would wait for whatever the pages still work out in threads.
         loop = asyncio.new_event_loop()
         asyncio.set_event_loop(loop)
         with _one_line_each(), self._socket:
             try:
-                loop.run_until_complete(self._answer(ready, heed))
+                loop.run_until_complete(self._answer(ready, check))
             finally:
-                if isinstance(self._workbench, Building):
-                    self._workbench.close()  # nobody else has it; one that is given may be used further
+                if isinstance(self._backend, Building):
+                    self._backend.close()  # nobody else has it; one that is given may be used further
                 for task in asyncio.all_tasks(loop):
                     task.cancel()
                 loop.run_until_complete(asyncio.sleep(0))
@@ -138,7 +138,7 @@ class PageServer:
         """Let `run` return; from any thread."""
         self._ended.set()
 
-    async def _answer(self, ready: Callable[[], None] | None, heed: Callable[[], None] | None) -> None:
+    async def _answer(self, ready: Callable[[], None] | None, check: Callable[[], None] | None) -> None:
         from bokeh.server.server import BaseServer
         from tornado.ioloop import IOLoop
 
@@ -160,10 +160,10 @@ class PageServer:
             if ready is not None:
                 ready()
             while not self._ended.is_set():
-                if isinstance(self._workbench, Building):
-                    self._workbench.heed()
-                if heed is not None:
-                    heed()
+                if isinstance(self._backend, Building):
+                    self._backend.raise_error()
+                if check is not None:
+                    check()
                 await asyncio.sleep(_LOOK)
         finally:
             server.stop()
@@ -174,16 +174,16 @@ class PageServer:
         """Fill a new document; where that fails the page says so in a line, and so does the terminal."""
         from platform_ctrl.app.web import FAILED
 
-        shared, told = self._workbench, False
+        shared, reported = self._backend, False
         try:
             if isinstance(shared, Building):
-                told = True  # what went wrong there ends the server, which says so
+                reported = True  # what went wrong there ends the server, which says so
                 shared = shared.result()
-                told = False
+                reported = False
             (self._make or _page())(shared, document)
         except Exception as error:
             words = str(error) if isinstance(error, PlatformCtrlError) else f"{type(error).__name__}: {error}"
-            if not told:
+            if not reported:
                 _say(f"a page could not be made: {words}")
             document.clear()
             document.template_variables[FAILED] = f"This page could not be made: {_line(words)}"
@@ -196,7 +196,7 @@ def require_bokeh() -> None:
         import tomlkit  # noqa: F401
     except ModuleNotFoundError as error:
         raise InputError(
-            f"the designer's page needs {error.name}, which is not installed: pip install 'platform_ctrl[designer]'"
+            f"the page needs {error.name}, which is not installed: pip install 'platform_ctrl[designer]'"
         ) from None
 
 
@@ -245,7 +245,7 @@ def _line(words: str) -> str:
     return " ".join(words.split())[:400]
 
 
-class _Telling(logging.Handler):
+class _OneLine(logging.Handler):
     """A line where the page's own code failed; nothing about what others send."""
 
     def emit(self, record: logging.LogRecord) -> None:
@@ -265,7 +265,7 @@ def _one_line_each() -> Iterator[None]:
     loggers = [logging.getLogger(name) for name in _LIBRARIES]
     before = [(logger.handlers[:], logger.propagate, logger.level) for logger in loggers]
     for logger in loggers:
-        logger.handlers, logger.propagate = [_Telling(logging.ERROR)], False
+        logger.handlers, logger.propagate = [_OneLine(logging.ERROR)], False
         logger.setLevel(logging.ERROR)
     try:
         yield

@@ -97,7 +97,7 @@ def serve(
             if port is None and server.port != PORT:
                 typer.echo(f"port {PORT} is taken: another one is used", err=True)
             typer.echo(f"{read.name}: {server.address} (Ctrl-C ends it)")
-        if not server.hosts.own:
+        if not server.hosts.local_only:
             typer.echo(_warned(server), err=True)
         sys.stdout.flush()
         if shown:

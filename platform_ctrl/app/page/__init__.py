@@ -1,1 +1,1 @@
-"""The page: what a browser shows of the designer, and what it may ask for. Bokeh is loaded with `page.app`."""
+"""The page: what a browser shows, and what it may request. Bokeh is loaded with `page.document`."""
