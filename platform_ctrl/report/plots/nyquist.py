@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
+from matplotlib.patches import Patch, Polygon
 from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, named_system, scaled
@@ -273,21 +273,11 @@ def _style(k: int, *, mirrored: bool = False) -> dict[str, Any]:
 
 def _panel(axes: Axes, curves: list[ChannelCurve], radius: float, alpha: float) -> list[Line2D]:
     half = 1.06 * radius
-    axes.set_aspect("equal")
-    axes.set_xlim(-half, half)
-    axes.set_ylim(-half, half)
-    axes.axhline(0.0, color=REFERENCE, linewidth=0.6, zorder=0)
-    axes.axvline(0.0, color=REFERENCE, linewidth=0.6, zorder=0)
-    linear_axis(axes.xaxis, 6)
-    linear_axis(axes.yaxis, 6)
-    axes.set_xlabel("real part of L")
+    plane_of_L(axes, 0.0, half)
     rim = radius * np.exp(1j * np.linspace(0.0, 2.0 * np.pi, 361))
     axes.plot(rim.real, rim.imag, color=REFERENCE, linewidth=0.8, linestyle=(0, (1.2, 1.8)), zorder=1)
-    if 0.0 < alpha < 2.0:
-        low, high = -(2.0 + alpha) / (2.0 - alpha), -(2.0 - alpha) / (2.0 + alpha)
-        disk = 0.5 * (low + high) + 0.5 * (high - low) * rim / radius
-        axes.fill(disk.real, disk.imag, facecolor=BAND, edgecolor=MUTED, linewidth=0.9, zorder=0.5)
-    axes.plot([-1.0], [0.0], "+", color=LIMIT, markersize=10, markeredgewidth=1.6, linestyle="none", zorder=5)
+    margin_disk(axes, alpha)
+    critical_point(axes)
     lines = []
     for k, curve in enumerate(curves):
         shown = _on_rim(curve.loop_transfer, radius)
@@ -302,6 +292,44 @@ def _panel(axes: Axes, curves: list[ChannelCurve], radius: float, alpha: float) 
     return lines
 
 
+def plane_of_L(axes: Axes, centre: float, half: float) -> None:
+    """Show the square of half width `half` about a point of the real axis, with both axes of the plane."""
+    axes.set_aspect("equal")
+    axes.set_xlim(centre - half, centre + half)
+    axes.set_ylim(-half, half)
+    axes.axhline(0.0, color=REFERENCE, linewidth=0.6, zorder=0)
+    axes.axvline(0.0, color=REFERENCE, linewidth=0.6, zorder=0)
+    linear_axis(axes.xaxis, 6)
+    linear_axis(axes.yaxis, 6)
+    axes.set_xlabel("real part of L")
+
+
+def critical_point(axes: Axes) -> Line2D:
+    """Draw a cross at −1."""
+    [cross] = axes.plot([-1.0], [0.0], "+", color=LIMIT, markersize=10, markeredgewidth=1.6, linestyle="none", zorder=5)
+    return cross
+
+
+def margin_disk(axes: Axes, alpha: float) -> Polygon | None:
+    """Shade the values of L that a disk margin `alpha` excludes; nothing where they are none, or a half plane."""
+    if not 0.0 < alpha < 2.0:
+        return None
+    low, high = -(2.0 + alpha) / (2.0 - alpha), -(2.0 - alpha) / (2.0 + alpha)
+    disk = 0.5 * (low + high) + 0.5 * (high - low) * np.exp(1j * np.linspace(0.0, 2.0 * np.pi, 361))
+    [drawn] = axes.fill(disk.real, disk.imag, facecolor=BAND, edgecolor=MUTED, linewidth=0.9, zorder=0.5)
+    return drawn
+
+
+def arrow(axes: Axes, L: ComplexArray, k: int, length: float, colour: str) -> None:
+    """Draw an arrow head at the k-th point of a curve, towards the next one."""
+    step = L[k + 1] - L[k]
+    if step == 0.0:
+        return
+    tail = L[k] - length * step / abs(step)
+    style = {"arrowstyle": "-|>", "color": colour, "mutation_scale": 12, "linewidth": 0.0}
+    axes.annotate("", (L[k].real, L[k].imag), (tail.real, tail.imag), arrowprops=style, zorder=4)
+
+
 def _arrow(axes: Axes, shown: ComplexArray, radius: float, colour: str) -> None:
     """Point towards rising frequency in the middle of the longest stretch inside the rim."""
     inside = np.isfinite(shown) & (np.abs(shown) < 0.97 * radius)
@@ -314,12 +342,7 @@ def _arrow(axes: Axes, shown: ComplexArray, radius: float, colour: str) -> None:
         return
     along = np.cumsum(np.abs(np.diff(shown[a:b])))
     k = min(a + int(np.searchsorted(along, 0.5 * length)), b - 2)
-    way = shown[k + 1] - shown[k]
-    if way == 0.0:
-        return
-    tail = shown[k] - 0.01 * radius * way / abs(way)
-    arrow = {"arrowstyle": "-|>", "color": colour, "mutation_scale": 12, "linewidth": 0.0}
-    axes.annotate("", (shown[k].real, shown[k].imag), (tail.real, tail.imag), arrowprops=arrow, zorder=4)
+    arrow(axes, shown, k, 0.01 * radius, colour)
 
 
 def _frequencies(axes: Axes, places: LabelPlacer, curve: ChannelCurve, radius: float, colour: str) -> None:

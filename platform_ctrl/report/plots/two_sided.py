@@ -15,17 +15,14 @@ from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.classical.complex_shaping import ComplexLoop, TwoSidedNyquist
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.report.plots.label_placement import LabelPlacer
+from platform_ctrl.report.plots.nyquist import arrow, critical_point, margin_disk, plane_of_L
 from platform_ctrl.report.quantities import HZ
 from platform_ctrl.report.style import (
-    BAND,
     DASHES,
     LIMIT,
-    MUTED,
-    REFERENCE,
     SERIES,
     legend_above,
     legend_rows,
-    linear_axis,
     panels,
     standalone,
 )
@@ -72,15 +69,8 @@ def two_sided_nyquist(curve: TwoSidedNyquist | ComplexLoop) -> Figure:
     for axes, centre, half in ((wide, 0.0, _WIDE), (close, -1.0, _CLOSE)):
         drawn = [_branch(axes, curve, sign) for sign in (1, -1)]
         disk = _disk(axes, curve)
-        [critical] = axes.plot([-1.0], [0.0], "+", color=LIMIT, markersize=10, markeredgewidth=1.6, linestyle="none")
-        axes.set_aspect("equal")
-        axes.set_xlim(centre - half, centre + half)
-        axes.set_ylim(-half, half)
-        axes.axhline(0.0, color=REFERENCE, linewidth=0.6, zorder=0)
-        axes.axvline(0.0, color=REFERENCE, linewidth=0.6, zorder=0)
-        linear_axis(axes.xaxis, 6)
-        linear_axis(axes.yaxis, 6)
-        axes.set_xlabel("real part of L")
+        critical = critical_point(axes)
+        plane_of_L(axes, centre, half)
         places = LabelPlacer(axes, [np.column_stack([line.get_xdata(), line.get_ydata()]) for line in drawn])
         places.reserve(-1.0, 0.0, 5.0)
         taken: list[complex] = []
@@ -116,16 +106,10 @@ def _branch(axes: Axes, curve: TwoSidedNyquist, sign: int) -> Any:
 
 def _disk(axes: Axes, curve: TwoSidedNyquist) -> Any:
     """Values of L that a change of the margin's size in gain and phase could bring to −1, and where L touches them."""
-    alpha = curve.disk_margin
-    if not 0.0 < alpha < 2.0:
-        return None
-    low, high = -(2.0 + alpha) / (2.0 - alpha), -(2.0 - alpha) / (2.0 + alpha)
-    turn = np.exp(1j * np.linspace(0.0, 2.0 * np.pi, 200))
-    rim = 0.5 * (low + high) + 0.5 * (high - low) * turn
-    k = int(np.argmin(np.abs(curve.frequency - curve.margin_frequency)))
-    touching = curve.loop_transfer[k]
-    axes.plot([touching.real], [touching.imag], "D", color=LIMIT, markersize=4, zorder=3)
-    [drawn] = axes.fill(rim.real, rim.imag, facecolor=BAND, edgecolor=MUTED, linewidth=0.9, zorder=0.5)
+    drawn = margin_disk(axes, curve.disk_margin)
+    if drawn is not None:
+        touching = curve.loop_transfer[int(np.argmin(np.abs(curve.frequency - curve.margin_frequency)))]
+        axes.plot([touching.real], [touching.imag], "D", color=LIMIT, markersize=4, zorder=3)
     return drawn
 
 
@@ -144,16 +128,7 @@ def _arrows(axes: Axes, curve: TwoSidedNyquist, sign: int, centre: float, half: 
             continue
         k = start + int(np.searchsorted(np.cumsum(steps), 0.5 * steps.sum()))
         k = min(k, end - 2)
-        direction = L[k + 1] - L[k]
-        if direction == 0.0:
-            continue
-        tail = L[k] - 0.01 * half * direction / abs(direction)
-        axes.annotate(
-            "",
-            (L[k].real, L[k].imag),
-            (tail.real, tail.imag),
-            arrowprops={"arrowstyle": "-|>", "color": SERIES[0 if sign > 0 else 1], "mutation_scale": 12},
-        )
+        arrow(axes, L, k, 0.01 * half, SERIES[0 if sign > 0 else 1])
 
 
 def _label(
