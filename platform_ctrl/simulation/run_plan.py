@@ -18,7 +18,6 @@ from platform_ctrl.simulation.packing import Packed, Skeleton, numbers, skeleton
 from platform_ctrl.simulation.scenarios import (
     FaultKey,
     expect_scenario,
-    expect_size,
     part_of,
     plants_of,
     put_faults,
@@ -29,9 +28,8 @@ from platform_ctrl.simulation.scenarios import (
     put_torquers,
     rate,
     states,
-    unit_quaternions,
 )
-from platform_ctrl.simulation.servo_rotors import check_step, initial_spins
+from platform_ctrl.simulation.servo_rotors import check_step
 from platform_ctrl.simulation.step_limit import check_elements
 
 # Which random numbers an action draws: the upper digits of its channel.
@@ -88,15 +86,10 @@ def timing(duration: float, period: float, delay: float, longest: float) -> Timi
 
 def prepared(scenario: Scenario, period: float, longest: float) -> Prepared:
     """Judge a scenario, but for the length of its steps, which are judged for a batch at a time."""
-    expect_scenario(scenario)
-    expect_size(scenario, period)
+    expect_scenario(scenario, period)
     platform, free = scenario.platform, scenario.mode == "stabilised"
     when = timing(scenario.duration, period, scenario.delay, longest)
     shape = skeleton(platform)
-    if scenario.spin is not None:
-        initial_spins(platform, scenario.spin, (shape.at.servos,))
-    if scenario.attitude.shape != (4,):
-        unit_quaternions(scenario.attitude, (4,))
     faults: dict[FaultKey, Fault] = {}
     for fault in scenario.faults:
         action, part = arrays.ACTIONS[FAULT_KINDS[fault.kind].action], fault.part or ""

@@ -18,36 +18,28 @@ from platform_ctrl.job.scenario import Scenario
 from platform_ctrl.plant.platform import Platform
 from platform_ctrl.simulation.kernel import arrays
 from platform_ctrl.simulation.packing import Packed, Skeleton
-from platform_ctrl.simulation.servo_rotors import servo_rotors, with_rotor_states
+from platform_ctrl.simulation.servo_rotors import initial_spins, servo_rotors, with_rotor_states
 
 # What a run may take of memory and time.
 _SAMPLES, _PERIODS, _SUBSTEPS = 1e8, 1e3, 1e8
 
 
-def expect_scenario(scenario: object) -> None:
-    """Judge an argument that has to be a scenario, and all that is in it but the sizes of steps."""
+def expect_scenario(scenario: object, period: float) -> None:
+    """Refuse what is no scenario, or one that cannot be simulated; steps are checked for a batch at a time."""
     if not isinstance(scenario, Scenario):
         raise ArgumentError(f"scenario: given {short(scenario)}; expected a Scenario")
-    positive("duration", scenario.duration, zero=True)
-    positive("delay", scenario.delay, zero=True)
     whole("seed", scenario.seed, 0, 2**64 - 1)
     whole("run", scenario.run, 0, 2**64 - 1)
-    _start(scenario)
-    _motion(scenario)
-    for fault in scenario.faults:
-        part_of(scenario.platform, fault)
-
-
-def expect_size(scenario: object, period: float) -> None:
-    """Judge how many samples a scenario has, and over how many its delay reaches."""
-    if not isinstance(scenario, Scenario):
-        raise ArgumentError(f"scenario: given {short(scenario)}; expected a Scenario")
     for name, most in (("duration", _SAMPLES), ("delay", _PERIODS)):
         time = positive(name, getattr(scenario, name), zero=True)
         if time > most * period:
             raise ArgumentError(
                 f"{name}: {time:.6g} s are {time / period:.3g} periods; expected at most {most:.0e} of them"
             )
+    _start(scenario)
+    _motion(scenario)
+    for fault in scenario.faults:
+        part_of(scenario.platform, fault)
 
 
 def steps(period: float, step: float) -> tuple[float, float]:
@@ -71,6 +63,10 @@ def _start(scenario: Scenario) -> None:
     real_array("q", scenario.q, (len(gimbals),))
     real_array("rate", scenario.rate, (len(gimbals),))
     real_array("Omega", scenario.Omega, (3,))
+    if scenario.spin is not None:
+        initial_spins(scenario.platform, scenario.spin, (len(servo_rotors(scenario.platform)),))
+    if scenario.attitude.shape != (4,):  # its norm is checked for a batch at a time
+        unit_quaternions(scenario.attitude, (4,))
     for gimbal, angle in zip(gimbals, scenario.q, strict=True):
         if gimbal.stops is not None and not gimbal.stops[0] <= angle <= gimbal.stops[1]:
             raise ArgumentError(
