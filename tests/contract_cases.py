@@ -268,7 +268,7 @@ FUNCTIONS: dict[str, dict[str, Callable[[], Any]]] = {
     "analysis.frequency_response": {"system": one, **of(frequency=W)},
     "analysis.gang": JOINED | of(frequency=W),
     "analysis.h2_norm": {"system": one},
-    "analysis.hinf_norm": {"system": one},
+    "analysis.hinf_norm": {"system": one, **of(tolerance=1e-9)},
     "analysis.intersample_h2": CALL | {"P": lambda: general(False), "K": lambda: one(0.1)},
     "analysis.intersample_norm": CALL | {"P": lambda: general(False), "K": lambda: one(0.1)},
     "analysis.is_stable": {"system": one},

@@ -32,6 +32,7 @@ from platform_ctrl.analysis.arrays import (
 from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.analysis.transfer_function import NamedSystem, linear_arrays
 from platform_ctrl.common.arguments import indices, number, one_of
+from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
 
@@ -229,6 +230,7 @@ def closed_loop_with_sensitivity(plant: NamedSystem, controller: NamedSystem, at
     return StateArrays(A, B[:, part], C[part], D[part, part] + np.eye(D[part, part].shape[0]), P.dt)
 
 
+@check_arguments
 def series(first: StateArrays, second: StateArrays, sign: float = 1.0) -> StateArrays:
     """Return `sign` times the second system after the first; leading batch axes broadcast.
 
