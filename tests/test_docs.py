@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 
 from platform_ctrl import read_job, read_platform
+from platform_ctrl.analysis.metrics import METRICS
 from platform_ctrl.cli import main
 from platform_ctrl.job.methods import METHODS
 from platform_ctrl.job.reading import JOB_FILE
@@ -156,6 +157,26 @@ def test_the_section_of_a_table_names_its_keys_and_no_others(page: str, heading:
 def test_both_formats_are_looked_at_in_full() -> None:
     found = {heading for file in FORMATS.values() for heading, _ in tables(file)}
     assert {"The whole file", "`[[rotor]]`", "`[loop.limits]`", "`limits` of a manoeuvre"} <= found
+
+
+def limit_rows() -> list[str]:
+    """The rows of the table of limits: what the table of metrics says, an entry a row."""
+    rows = []
+    for metric in METRICS.values():
+        if metric.key:
+            keys = [f"{metric.key}_{scope}" if scope else metric.key for scope in metric.scopes]
+            names = ", ".join(f"`{key}`" for key in (*keys, *filter(None, [metric.frequency_key])))
+            edge = f"; Hz{'' if metric.needs_frequency else ', optional'}" if metric.frequency_key else ""
+            best = f"; no loop has more than {metric.best:g}" if metric.best else ""
+            kind = f"number > 0{f', {metric.unit}' if metric.unit else ''}{edge}{best}"
+            rows.append(f"| {names} | {kind} | {metric.sense}: {metric.meaning} |")
+    return rows
+
+
+def test_the_table_of_limits_is_that_of_the_metrics() -> None:
+    section = (ROOT / "docs" / "job-file.md").read_text(encoding="utf-8").partition("### `[loop.limits]`\n")[2]
+    table = section.partition("| --- | --- | --- |\n")[2].partition("\n\n")[0]
+    assert table.splitlines() == limit_rows()
 
 
 @pytest.mark.parametrize("method", sorted(METHODS))

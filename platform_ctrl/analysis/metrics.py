@@ -177,14 +177,15 @@ METRICS: dict[str, Metric] = {
         unit="Hz",
         scale=2.0 * np.pi,
         sense="at least",
-        meaning="lowest frequency at which the largest singular value of S, at the input or the output, reaches 1/√2",
+        meaning="lowest frequency at which the largest singular value of S, at plant input or output, reaches 1/√2",
         measure=Bandwidth(gradient=lambda loops, limit, floor, members: loops.level(limit, floor)[0]),
     ),
     "disk margin": Metric(
         name="disk margin",
         key="disk_margin",
         sense="at least",
-        meaning="α = 1/‖(S − T)/2‖, all channels at once, the smaller of input and output",
+        meaning="1/‖(S − T)/2‖∞, the smaller of input and output. Unstructured: all channels at once, "
+        "cross-talk included",
         measure=Peak(transfers=(loop_set.HALF_OUTPUT, loop_set.HALF_INPUT), reciprocal=True),
         scopes=("", "spread", "faults"),
         best=2.0,
@@ -193,7 +194,7 @@ METRICS: dict[str, Metric] = {
         name="sensitivity peak",
         key="sensitivity_peak",
         sense="at most",
-        meaning="‖S‖, the larger of input and output",
+        meaning="‖S‖∞, the larger of input and output",
         measure=Peak(transfers=(loop_set.S_OUTPUT, loop_set.S_INPUT)),
         scopes=("", "spread"),
     ),
@@ -201,7 +202,7 @@ METRICS: dict[str, Metric] = {
         name="complementary peak",
         key="complementary_peak",
         sense="at most",
-        meaning="‖T‖, the larger of input and output",
+        meaning="‖T‖∞, the larger of input and output",
         measure=Peak(transfers=(loop_set.T_OUTPUT, loop_set.T_INPUT)),
         scopes=("", "spread"),
     ),
@@ -209,7 +210,8 @@ METRICS: dict[str, Metric] = {
         name="damping",
         key="damping",
         sense="at least",
-        meaning="damping ratio of every closed-loop pole above a tenth of the nutation frequency",
+        meaning="smallest damping ratio of the closed-loop poles faster than a tenth of nutation (poles in z taken to "
+        "s by ln z / T)",
         measure=Direct(
             function=lambda loops, request: minimum_damping(loops.poles, loops.slow, loops.period),
             gradient=lambda loops, limit, floor, members: loops.damping(floor, limit, members),
@@ -223,8 +225,8 @@ METRICS: dict[str, Metric] = {
         key="fastest_pole",
         unit="rad/s",
         sense="at most",
-        meaning="magnitude of the closed-loop poles in the w-plane, w = (2/T) (z − 1)/(z + 1), where a delay "
-        "counts 2/T",
+        meaning="magnitude of the closed-loop poles in the w-plane, (2/T) (z − 1)/(z + 1). A delay counts 2/T; a pole "
+        "that rings at the Nyquist frequency is infinitely fast. With stability and damping this is a pole region",
         measure=Direct(
             function=lambda loops, request: fastest_pole(loops.poles, loops.period),
             gradient=lambda loops, limit, floor, members: loops.fastest(floor, limit, members),

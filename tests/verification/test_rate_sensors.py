@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from platform_ctrl import read_platform, verification
-from platform_ctrl.analysis import joined
+from platform_ctrl.analysis import interconnect_controllers
 from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.job.job import CoupledLimits, Job, Sampling, Spread
 from platform_ctrl.mechanics.linearisation import linearise
@@ -202,4 +202,4 @@ def test_a_sensor_that_no_controller_uses_changes_no_plant():
     job = job_of(data)
     system = coupled_plant(job, linearise(job.platform), [arm])
     assert system.output_labels == ["q_a"]
-    assert joined([arm], ["q_a"], ["Qa"], PERIOD).input_labels == ["q_a"]
+    assert interconnect_controllers([arm], ["q_a"], ["Qa"], PERIOD).input_labels == ["q_a"]
