@@ -162,7 +162,7 @@ class Backend:
     def moved(self, settings: Settings, slider: str, number: float) -> Settings:
         """Return the settings with a slider at another number."""
         new = moved(settings, {one.name: one for one in self.sliders(settings)}, slider, number)
-        return self._loops.holding(settings, new)
+        return self._loops.with_shown_designs_noted(settings, new)
 
     def job(self, settings: Settings) -> Job:
         """Return the job with the plant, sampling, range of Omega, options and closed designs of the settings."""
@@ -221,7 +221,7 @@ class Backend:
 
     def is_designed(self, settings: Settings, design: str | None = None) -> bool:
         """Return whether a design of the loop is there for just these settings; those that sliders build always are."""
-        return self._designs.there(settings, design)
+        return self._designs.is_available(settings, design)
 
     def redesign(
         self,

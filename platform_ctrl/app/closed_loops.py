@@ -143,12 +143,12 @@ class ClosedLoops:
                 start = _designed_for(start, loop, design, conditions)
         # What the job closes is closed here too wherever there is a controller for it.
         closed = {
-            spec.name: spec.use if self.there(start, spec, spec.use) else start.closed[spec.name]
+            spec.name: spec.use if self.is_available(start, spec, spec.use) else start.closed[spec.name]
             for spec in self.read.loops
         }
         self.options.start = start.but(closed=closed, design=closed[start.loop])
 
-    def there(self, settings: Settings, spec: LoopSpec, name: str) -> bool:
+    def is_available(self, settings: Settings, spec: LoopSpec, name: str) -> bool:
         """Return whether a design of a loop is there for just these settings."""
         design = spec.designs[known_name("design", name, tuple(d.name for d in spec.designs))]
         return (
@@ -189,7 +189,7 @@ class ClosedLoops:
         options = settings.options[spec.name][design.name]
         return Conditions(tuple(sorted(options.items())), *self.plants.key(settings))
 
-    def wanted(self, settings: Settings, spec: LoopSpec, design: DesignSpec) -> Conditions:
+    def target_conditions(self, settings: Settings, spec: LoopSpec, design: DesignSpec) -> Conditions:
         """Return the conditions for which the controller of a design is to be made.
 
         It stays what it was while the plant is moved, and is designed anew when its own options are.
@@ -198,13 +198,13 @@ class ClosedLoops:
         before = settings.designed_for.get(spec.name, {}).get(design.name)
         return before if before is not None and before.options == now.options else now
 
-    def seen(self, settings: Settings, spec: LoopSpec, design: DesignSpec) -> Conditions | None:
+    def available_conditions(self, settings: Settings, spec: LoopSpec, design: DesignSpec) -> Conditions | None:
         """Return the conditions of the controller that is there: the wanted one, until then the one before it."""
         before = settings.designed_for.get(spec.name, {}).get(design.name)
-        found = (self.wanted(settings, spec, design), before)
+        found = (self.target_conditions(settings, spec, design), before)
         return next((one for one in found if self.store.found(spec.name, design.name, one) is not None), None)
 
-    def holding(self, old: Settings, new: Settings) -> Settings:
+    def with_shown_designs_noted(self, old: Settings, new: Settings) -> Settings:
         """Return settings that a slider was moved to, with the designs that the page shows noted as what they are."""
         shown = [(old.loop, old.design), *((old.loop, name) for name in old.overlays)]
         if old.mode == "stabilised":
@@ -219,13 +219,13 @@ class ClosedLoops:
                 # Back where it started: nothing of the way is left.
                 new = _designed_for(new, loop, name, first)
                 continue
-            conditions = self.wanted(old, spec, design)
+            conditions = self.target_conditions(old, spec, design)
             known = self.store.found(loop, name, conditions) is not None
-            if known and self.wanted(new, spec, design) != conditions:
+            if known and self.target_conditions(new, spec, design) != conditions:
                 new = _designed_for(new, loop, name, conditions)
         return new
 
-    def following(self, settings: Settings, spec: LoopSpec, design: DesignSpec) -> Settings:
+    def designed_for_these(self, settings: Settings, spec: LoopSpec, design: DesignSpec) -> Settings:
         """Return the settings with the controller of a design that is made for them as they are."""
         if built_directly(design):
             return settings
@@ -277,7 +277,7 @@ class ClosedLoops:
             if spec.kind == "caging":
                 name = settings.closed[spec.name]
                 design = next(d for d in spec.designs if d.name == name)
-                seen = None if built_directly(design) else self.seen(settings, spec, design)
+                seen = None if built_directly(design) else self.available_conditions(settings, spec, design)
                 options = tuple(sorted(settings.options[spec.name][name].items()))
                 others.append((spec.name, name, seen, options, settings.parts_on(spec.name, name)))
 
@@ -358,7 +358,7 @@ class ClosedLoops:
             return classical_arrays(
                 self.options.used(settings, spec, design), self.plants.gyros(settings, spec), period
             ), ""
-        seen = self.seen(settings, spec, design)
+        seen = self.available_conditions(settings, spec, design)
         made = self.store.found(spec.name, design.name, seen)
         if made is None:
             raise DesignError(f"{spec.name}, {design.name}: is not designed yet; expected it to be designed first")

@@ -23,44 +23,44 @@ from platform_ctrl.job.job import DesignSpec, LoopSpec
 
 Make = Callable[[Callable[[], bool]], None]
 
-# A wish that is followed by another within this time is not begun, s: a slider is still moving.
+# A request that is followed by another within this time is not begun, s: a slider is still moving.
 _PAUSE = 0.6
 
 
 class DesignQueue:
-    """What is being designed, and what is wanted next."""
+    """What is being designed, and what is requested next."""
 
     def __init__(self, pause: float = _PAUSE) -> None:
         self._pause = pause
         self._lock = threading.Condition()
-        self._wanted: dict[tuple[str, str], tuple[Hashable, Make]] = {}
+        self._requested: dict[tuple[str, str], tuple[Hashable, Make]] = {}
         self._failed: dict[tuple[str, str], tuple[Hashable, str]] = {}
         self._listeners: list[Callable[[], None]] = []
         self._worker: threading.Thread | None = None
         self._ended = False
 
-    def want(self, loop: str, design: str, key: Hashable, make: Make) -> str:
-        """Request for a design and return a line about it; the same wish again changes nothing.
+    def request(self, loop: str, design: str, key: Hashable, make: Make) -> str:
+        """Request a design and return a line about it; the same request again changes nothing.
 
-        `make` is called in a thread with what tells it that it is not wanted any more.
+        `make` is called in a thread with a function that says whether it was cancelled.
         """
         name = (loop, design)
         with self._lock:
             failed = self._failed.get(name)
             if failed is not None and failed[0] == key:
                 return failed[1]
-            if not self._ended and self._wanted.get(name, (None,))[0] != key:
-                self._wanted[name] = (key, make)
+            if not self._ended and self._requested.get(name, (None,))[0] != key:
+                self._requested[name] = (key, make)
                 self._lock.notify_all()
                 if self._worker is None:
                     self._worker = threading.Thread(target=self._work, daemon=True)
                     self._worker.start()
         return f"{design}: is being designed; it is shown as soon as it is there"
 
-    def wants(self, loop: str, design: str) -> bool:
+    def is_requested(self, loop: str, design: str) -> bool:
         """Whether a design is being made, or will be."""
         with self._lock:
-            return (loop, design) in self._wanted
+            return (loop, design) in self._requested
 
     def listen(self, listener: Callable[[], None]) -> Callable[[], None]:
         """Have `listener` called in a thread after each design, and return what ends that."""
@@ -74,38 +74,38 @@ class DesignQueue:
         return end
 
     def end(self) -> None:
-        """Give up what is going on and what is wanted."""
+        """Give up what is going on and what is requested."""
         with self._lock:
             self._ended = True
-            self._wanted.clear()
+            self._requested.clear()
             self._lock.notify_all()
 
     def _work(self) -> None:
         while True:
             with self._lock:
-                if self._ended or not self._wanted:
-                    # Nobody waits: the next wish starts another thread.
+                if self._ended or not self._requested:
+                    # Nothing waits: the next request starts another thread.
                     self._worker = None
                     return
-                name, wish = next(iter(self._wanted.items()))
-                if self._lock.wait(self._pause) and self._wanted.get(name) is not wish:
+                name, request = next(iter(self._requested.items()))
+                if self._lock.wait(self._pause) and self._requested.get(name) is not request:
                     continue
-                if self._wanted.get(name) is not wish:
+                if self._requested.get(name) is not request:
                     continue
-            self._make(name, *wish)
+            self._make(name, *request)
 
     def _make(self, name: tuple[str, str], key: Hashable, make: Make) -> None:
-        def unwanted() -> bool:
-            return self._ended or self._wanted.get(name, (None,))[0] != key
+        def cancelled() -> bool:
+            return self._ended or self._requested.get(name, (None,))[0] != key
 
         line = ""
         try:
-            make(unwanted)
+            make(cancelled)
         except PlatformCtrlError as error:
             line = str(error)
         with self._lock:
-            if self._wanted.get(name, (None,))[0] == key:
-                del self._wanted[name]
+            if self._requested.get(name, (None,))[0] == key:
+                del self._requested[name]
                 if line:
                     self._failed[name] = (key, line)
             listeners = list(self._listeners)
@@ -142,10 +142,10 @@ class Designs:
         """Have `listener` called in a thread after each design that pictures wait for, and return what ends that."""
         return self._queue.listen(listener)
 
-    def there(self, settings: Settings, design: str | None = None) -> bool:
+    def is_available(self, settings: Settings, design: str | None = None) -> bool:
         """Return whether a design, or the one that is worked on, is there for just these settings."""
         spec = self._loops.spec(settings.loop)
-        return self._loops.there(settings, spec, settings.design if design is None else design)
+        return self._loops.is_available(settings, spec, settings.design if design is None else design)
 
     def make(
         self,
@@ -157,11 +157,11 @@ class Designs:
         """Have a design made in a process of its own, unless it is there, and return the settings that show it."""
         loops = self._loops
         spec, own = loops.design(settings if design is None else settings.but(design=design))
-        if not self.there(settings, own.name):
+        if not self.is_available(settings, own.name):
             task = Designing(job=loops.job(settings), loop=spec.name, design=own.name)
             made = processes.run_in_process(task, progress, cancelled)
             loops.store.put(spec.name, own.name, loops.conditions(settings, spec, own), made)
-        return loops.following(settings, spec, own)
+        return loops.designed_for_these(settings, spec, own)
 
     def caged(self, settings: Settings, again: bool = True) -> tuple[CagedLoop, tuple[str, ...]]:
         """Return the loop with its controller; one that a method has to make is asked for, and anew with `again`."""
@@ -169,19 +169,22 @@ class Designs:
         spec, design = loops.design(settings)
         if built_directly(design):
             return loops.caged(settings)
-        conditions, seen = loops.wanted(settings, spec, design), loops.seen(settings, spec, design)
+        conditions, seen = (
+            loops.target_conditions(settings, spec, design),
+            loops.available_conditions(settings, spec, design),
+        )
         if seen == conditions:
             return loops.caged(settings)
 
         def wanted() -> str:
-            def make(unwanted: processes.IsCancelled) -> None:
-                self.make(loops.at(settings, spec, design, conditions), None, cancelled=unwanted)
+            def make(cancelled: processes.IsCancelled) -> None:
+                self.make(loops.at(settings, spec, design, conditions), None, cancelled=cancelled)
 
-            return self._queue.want(spec.name, design.name, conditions, make)
+            return self._queue.request(spec.name, design.name, conditions, make)
 
         if seen is None:
             line = f"{spec.name}, {wanted()}"
-            raise DesignPending(line) if self._queue.wants(spec.name, design.name) else DesignError(line)
+            raise DesignPending(line) if self._queue.is_requested(spec.name, design.name) else DesignError(line)
         loop, notes = loops.caged(settings)
         return (loop, (wanted(),)) if again else (loop, notes)
 
