@@ -21,7 +21,6 @@ from one_gyro_runs import MANOEUVRES
 from platform_ctrl import analysis, campaign, design, export, simulation, verification
 from platform_ctrl.analysis import certificates
 from platform_ctrl.job import job
-from platform_ctrl.job import scenario as scenario_module
 from platform_ctrl.job.parameters import parameters
 from platform_ctrl.job.requirements import Requirement, requirement
 from platform_ctrl.job.variation import ANY, Vary
@@ -237,6 +236,26 @@ def of(**given: Any) -> dict[str, Callable[[], Any]]:
 
 SYSTEM = of(**matrices())
 FUNCTIONS: dict[str, dict[str, Callable[[], Any]]] = {
+    "figures.Omega_sensitivity": {"plant": pair},
+    "figures.bode": {"systems": one},
+    "figures.campaign_histograms": {"campaign": summary},
+    "figures.campbell": {"platform": platform, **of(gimbals=("9", "10"))},
+    "figures.disk_margin_region": of(margins=0.5),
+    "figures.gang_of_four": {"plant": plant, "controllers": controller},
+    "figures.gimbal_tree": {"platform": platform},
+    "figures.nichols": {"loops": one},
+    "figures.nyquist": {"loops": one},
+    "figures.pole_map": {"systems": one},
+    "figures.root_locus": {"plant": plant, "controller": controller},
+    "figures.root_locus_over_spin": {
+        "platform": platform,
+        "controller": controller,
+        **of(gimbals=("9", "10"), period=PERIOD),
+    },
+    "figures.singular_values": {"systems": one},
+    "figures.step_response": {"systems": one},
+    "figures.time_run": {"run": trajectory, "platform": platform},
+    "figures.two_sided_nyquist": {"curve": lambda: shaped().nyquist},
     "element_forces": POINT,
     "equations": {"platform": platform},
     "forward_dynamics": POINT | of(force=[0.0] * 8),
@@ -525,8 +544,7 @@ INSTANCES: dict[str, Callable[[], Any]] = {
     "requirements.LoopRequirement.check_closed_loop": lambda: requirement("damping", 0.1),
     "requirements.LoopRequirement.check_controller": lambda: requirement("controller gain", 0.1),
     "requirements.Requirement": lambda: Requirement(name="angle", limit=0.1, unit="rad", sense="at most"),
-    "scenario.Fault": lambda: simulation.Fault(name="lost", kind="torquer weak", part="Q9", at=0.1, share=0.5),
-    "scenario.FaultKeys": lambda: scenario_module.FaultKeys(part="torquer", needed=("share",)),
+    "simulation.Fault": lambda: simulation.Fault(name="lost", kind="torquer weak", part="Q9", at=0.1, share=0.5),
     "scenario.HalfCosine": lambda: simulation.HalfCosine(axis=1, rate=1.0, rise=0.1, hold=0.1),
     "scenario.Scenario": scenario,
     "scenario.TimeTable": lambda: simulation.TimeTable(t=np.array([0.0, 1.0]), values=np.zeros((2, 3))),
@@ -537,7 +555,7 @@ INSTANCES: dict[str, Callable[[], Any]] = {
     "simulation.Rollout": lambda: simulation.rollout(platform(), [Q], [V], step=1e-4, steps=2),
     "simulation.Simulator": stepper,
     "simulation.Trajectory": trajectory,
-    "terms.Term": lambda: pc.terms(platform(), Omega=(1, 1, 1), rates=[0.01] * 5).terms[0],
+    "term_table.Term": lambda: pc.terms(platform(), Omega=(1, 1, 1), rates=[0.01] * 5).terms[0],
     "variation.Range": lambda: ANY,
     "variation.Vary": lambda: Vary(
         parameter="rotor.11.spin", distribution="uniform", numbers={"low": 0.9, "high": 1.1}
