@@ -37,12 +37,12 @@ def result():
 def test_the_job_asks_for_no_less_than_it_should(result):
     """The figures of the main job: nobody loosens them unseen."""
     by_loop = {spec.name: spec.limits for spec in result.job.loops}
-    assert (by_loop["caging 9-10"].bandwidth_hz, by_loop["caging 4-5-7"].bandwidth_hz) == (45, 30)
+    assert (by_loop["caging 9-10"]["bandwidth_hz"], by_loop["caging 4-5-7"]["bandwidth_hz"]) == (45, 30)
     for name in ("caging 9-10", "caging 4-5-7"):
         limits = by_loop[name]
         assert (limits["disk_margin"], limits["damping"], limits["torque_noise"]) == (0.5, 0.1, 0.005)
         assert (limits["disk_margin_spread"], limits["damping_spread"]) == (0.3, 0.05)
-    assert (by_loop["caging 9-10"].Omega_rejection, by_loop["caging 4-5-7"].Omega_rejection) == (0.003, 0.006)
+    assert (by_loop["caging 9-10"]["Omega_rejection"], by_loop["caging 4-5-7"]["Omega_rejection"]) == (0.003, 0.006)
     assert (result.job.spread.inertia, result.job.spread.spin) == (0.1, 0.1)
     assert (result.job.coupled.disk_margin, result.job.coupled.coupling_cost) == (0.5, 0.02)
     assert (result.job.sampling.period, result.job.sampling.delay) == (5e-4, 5e-4)

@@ -44,6 +44,15 @@ def interconnect_controllers(
     ArgumentError
         A signal that nothing gives, an output that two give, or another sample period.
     """
+    arrays = interconnected(controllers, inputs, outputs, period)
+    names = [name for K in controllers for name in K.state_labels]
+    return named_system(arrays, inputs, outputs, names, name="all loops")
+
+
+def interconnected(
+    controllers: Sequence[control.StateSpace], inputs: Sequence[str], outputs: Sequence[str], period: float
+) -> StateArrays:
+    """Return the matrices of `interconnect_controllers`; python-control refuses systems without inputs."""
     parts = [state_arrays(system, _where(k, system)) for k, system in enumerate(controllers)]
     states = sum(len(K.A) for K in parts)
     size = states + len(inputs)
@@ -87,9 +96,7 @@ def interconnect_controllers(
                 f"expected one of {', '.join(outputs)}"
             )
     final = np.array([rows[name] if name in made else np.zeros(size) for name in outputs]).reshape(len(outputs), size)
-    arrays = StateArrays(after[:, :states], after[:, states:], final[:, :states], final[:, states:], period)
-    names = [name for K in controllers for name in K.state_labels]
-    return named_system(arrays, inputs, outputs, names, name="all loops")
+    return StateArrays(after[:, :states], after[:, states:], final[:, :states], final[:, states:], period)
 
 
 def _where(k: int, system: control.StateSpace) -> str:

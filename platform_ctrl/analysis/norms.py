@@ -304,6 +304,7 @@ def h2_norm(system: StateSystem) -> float:
     return math.sqrt(max(0.0, float(np.trace(C @ X @ C.T) + np.sum(D * D))))
 
 
+@check_arguments
 def noise_rms(system: StateSystem, rms: ArrayLike, allow_unstable: bool = False) -> FloatArray:
     """Return the rms of every output of a discrete system, or of a stack of them, driven by white samples.
 

@@ -45,8 +45,8 @@ def poles(system: StateSystem | ArrayLike) -> ComplexArray:
     Parameters
     ----------
     system
-        Continuous or discrete; or a state matrix A, or a stack of them, (..., n, n). The poles of a system are computed
-        in balanced states, the eigenvalues of a matrix as it is.
+        Continuous or discrete, SI; or a state matrix A, or a stack of them, (..., n, n). The poles of a system are
+        computed in balanced states, the eigenvalues of a matrix as it is.
 
     Returns
     -------

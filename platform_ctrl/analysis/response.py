@@ -18,6 +18,7 @@ from platform_ctrl.analysis.transfer_function import (
     rational_response,
 )
 from platform_ctrl.common.arguments import complex_numbers, positive
+from platform_ctrl.common.signatures import short
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
 
@@ -71,8 +72,8 @@ def frequency_response(
     J. Demmel et al., ACM Transactions on Mathematical Software 32, 2006.
     """
     w = frequencies(frequency, "frequency_response")
-    if axis not in (-1, -3):
-        raise ArgumentError(f"frequency_response: axis must be -1 or -3, got {axis!r}")
+    if not isinstance(axis, int) or axis not in (-1, -3):
+        raise ArgumentError(f"frequency_response: axis must be -1 or -3, got {short(axis)}")
     tolerance = positive("frequency_response: tolerance", tolerance)
     if isinstance(system, StateArrays) or not isinstance(system, Sequence):
         return np.moveaxis(_response_of(system, w, tolerance), -1, axis)

@@ -83,7 +83,7 @@ def write_campaign(
 
     Parameters
     ----------
-    plan, simulated, rare
+    plan, result, rare
         What was simulated.
     command, again
         The command that did it, and the one that simulates a run again, without the run's number.

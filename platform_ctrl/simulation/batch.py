@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from platform_ctrl.analysis.arrays import state_arrays
-from platform_ctrl.analysis.interconnection import interconnect_controllers
+from platform_ctrl.analysis.interconnection import interconnected
 from platform_ctrl.common.arguments import whole
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray, value
@@ -190,10 +189,10 @@ def merged_controller(
     Where Omega is prescribed controllers that act on the root are left out.
     """
     roots = {t.name for t in platform.torquers if t.root_axis is not None}
-    # What is no controller stays: `interconnect_controllers` refuses it.
+    # What is no controller stays: `interconnected` refuses it.
     active = [K for K in controllers if mode == "stabilised" or not roots & set(getattr(K, "output_labels", ()))]
     sensors, torquers = [s.name for s in platform.sensors], [t.name for t in platform.torquers]
-    K = state_arrays(interconnect_controllers(active, sensors, torquers, period), "controllers")
+    K = interconnected(active, sensors, torquers, period)
     return controller_rows(K.A, K.B, K.C, K.D)
 
 

@@ -17,7 +17,7 @@ import pytest
 import platform_ctrl as pc
 from one_gyro_job import JOB
 from platform_ctrl import design, export
-from platform_ctrl.cli import main, staged
+from platform_ctrl.cli import atomic_output, main
 from platform_ctrl.errors import InputError
 from platform_ctrl.export.exporters import exporters
 from platform_ctrl.job.reading import read_job
@@ -211,11 +211,11 @@ def test_a_folder_of_its_own_is_renewed_but_never_what_somebody_changed(
 
 def test_files_that_an_export_no_longer_has_go_away(tmp_path: Path) -> None:
     def written(*names: str) -> None:
-        with staged.all_or_none() as stage:
-            folder = stage.folder(tmp_path / "c", staged.own_files("--c", tmp_path / "c"))
+        with atomic_output.all_or_none() as stage:
+            folder = stage.folder(tmp_path / "c", atomic_output.own_files("--c", tmp_path / "c"))
             for name in names:
                 (folder / name).write_text(name)
-            staged.write_folder_record(folder, {})
+            atomic_output.write_folder_record(folder, {})
 
     written("a", "b")
     written("b", "d")
@@ -249,9 +249,9 @@ def test_ctrl_c_while_files_move_waits_until_they_have(there: Path, monkeypatch:
         signal.raise_signal(signal.SIGINT)
         moved(old, new)
 
-    with staged.all_or_none() as stage:
+    with atomic_output.all_or_none() as stage:
         stage.file(there / "first").write_text("1")
-    with pytest.raises(KeyboardInterrupt), staged.all_or_none() as stage:  # noqa: PT012
+    with pytest.raises(KeyboardInterrupt), atomic_output.all_or_none() as stage:  # noqa: PT012
         for name in ("first", "second"):
             stage.file(there / name).write_text("2")
         monkeypatch.setattr(os, "replace", interrupted)
@@ -271,7 +271,7 @@ def test_what_cannot_take_its_place_puts_everything_back(there: Path) -> None:
         moved(old, new)
 
     def write() -> None:
-        with staged.all_or_none() as stage:
+        with atomic_output.all_or_none() as stage:
             (stage.folder(there / "c", {}) / "third").write_text("new")
             for name in ("first", "second"):
                 stage.file(there / name).write_text("new")

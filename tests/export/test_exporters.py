@@ -41,7 +41,7 @@ def test_the_recipes_exporter_is_an_option_of_the_command(
     with_poles: None, job: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["export", "--help"]) == 0
-    assert "Poles of the plant as text." in capsys.readouterr().out
+    assert "Poles of the plant as text." in " ".join(capsys.readouterr().out.split())
     assert main(["export", "job.toml", "--poles", "poles.txt", "--digits", "9", "--mjcf", "p.xml", "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert [one["format"] for one in told["written"]] == ["mjcf", "poles"]

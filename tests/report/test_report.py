@@ -42,9 +42,8 @@ from platform_ctrl.report.figures import limit_lines
 from platform_ctrl.report.figures.coupled import margin_bars_figure
 from platform_ctrl.report.figures.loop import disturbance_figure, sensitivity_figure
 from platform_ctrl.report.loop_responses import following_grid, loop_responses, root_locus
-from platform_ctrl.report.page import captions, comparison, tables
+from platform_ctrl.report.page import captions, comparison, summary, tables
 from platform_ctrl.report.page import job_page as document
-from platform_ctrl.report.page import summary as verdict_words
 from platform_ctrl.report.page.campaign_tables import chances
 from platform_ctrl.report.quantities import claimed, compared, percent, plain, quantity
 from platform_ctrl.verification import JobResult, checked
@@ -525,13 +524,13 @@ def test_plants_are_counted_by_what_they_stand_for(compared_designs: JobResult, 
 
 def test_the_price_of_the_simple_controller_is_a_number(compared_designs: JobResult, compared_page: str) -> None:
     [outcome] = compared_designs.loops
-    sentences = verdict_words.price(outcome)
+    sentences = summary.compared_with_alternatives(outcome)
     others = [d for d in outcome.alternatives if d.passed]
-    best = max(others, key=verdict_words.bandwidth_hz)
+    best = max(others, key=summary.bandwidth_hz)
     assert f"“{best.name}”" in sentences[0]
     assert f"{outcome.closed.controller.nstates} states" in sentences[0]
     assert "4\u00a0% above 1.25, which no controller" in sentences[-1]
-    gained = 100.0 * (80.0 / verdict_words.bandwidth_hz(outcome.closed) - 1.0)
+    gained = 100.0 * (80.0 / summary.bandwidth_hz(outcome.closed) - 1.0)
     assert f"{plain(gained, 2, 'up')}\u00a0% is all that any other could add" in sentences[-2]
     for sentence in sentences:
         assert sentence in visible_text(compared_page)
@@ -542,25 +541,30 @@ def test_the_price_depends_on_who_is_faster_and_simpler(compared_designs: JobRes
 
     def told(closed: str, *others: str) -> str:
         chosen = tuple(d for d in outcome.designs if d.name in (closed, *others))
-        return verdict_words.price(dataclasses.replace(outcome, designs=chosen, use=closed))[0]
+        return summary.compared_with_alternatives(dataclasses.replace(outcome, designs=chosen, use=closed))[0]
 
     named = {d.name: d for d in outcome.designs}
     fewer = named["H-infinity"].controller.nstates - named["slow"].controller.nstates
     assert fewer > 0
-    assert verdict_words.bandwidth_hz(named["slow"]) < verdict_words.bandwidth_hz(named["H-infinity"])
+    assert summary.bandwidth_hz(named["slow"]) < summary.bandwidth_hz(named["H-infinity"])
     assert f"is the price of {fewer} states fewer" in told("slow", "H-infinity")
     assert f"more bandwidth with {fewer} states more" in told("H-infinity", "slow")
     assert "is given up without fewer states" in told("slow", "simple")
     assert told("simple", "slow").endswith("more bandwidth.")
-    assert verdict_words.price(dataclasses.replace(outcome, designs=outcome.designs[1:2], use="H-infinity")) != []
-    assert verdict_words.price(dataclasses.replace(outcome, designs=outcome.designs[3:], use="slow")) == []
+    assert (
+        summary.compared_with_alternatives(dataclasses.replace(outcome, designs=outcome.designs[1:2], use="H-infinity"))
+        != []
+    )
+    assert (
+        summary.compared_with_alternatives(dataclasses.replace(outcome, designs=outcome.designs[3:], use="slow")) == []
+    )
 
 
 def test_what_a_design_pays_in_is_the_limit_it_comes_nearer_to(compared_designs: JobResult) -> None:
     [outcome] = compared_designs.loops
     named = {d.name: d for d in outcome.designs}
     pair = (named["H-infinity"], named["simple"])
-    sentences = verdict_words.price(dataclasses.replace(outcome, designs=pair, use="H-infinity"))
+    sentences = summary.compared_with_alternatives(dataclasses.replace(outcome, designs=pair, use="H-infinity"))
     theirs = {one.name: one.ratio for one in named["simple"].results}
     worst = max(
         (one for one in named["H-infinity"].results if not one.name.startswith(("bandwidth", "slowest"))),

@@ -39,7 +39,7 @@ def test_a_cage_keeps_the_energy_at_the_step_that_is_allowed_and_is_refused_beyo
     with pytest.raises(
         ArgumentError, match=r"step: 0.0001 s is too long for the cage of gimbal 'a'; expected at most 9"
     ):
-        caged(platform, None)
+        caged(platform, 1e-4)
     run = caged(platform, 0.99 * allowed)
     assert run.completed
     before, after = energy(platform, 0.0, 0.5), energy(platform, run.q[-1, 0], run.rate[-1, 0])
@@ -57,7 +57,7 @@ def test_a_cage_keeps_the_energy_at_the_step_that_is_allowed_and_is_refused_beyo
 )
 def test_every_stiff_element_is_named_by_both_kinds_of_run(elements, kind):
     platform = gimbal(**elements)
-    for call in (lambda: rollout(platform, [[0.0]], np.ones((1, 4))), lambda: caged(platform, None)):
+    for call in (lambda: rollout(platform, [[0.0]], np.ones((1, 4))), lambda: caged(platform, 1e-4)):
         with pytest.raises(ArgumentError, match=f"is too long for the {kind} of gimbal 'a'"):
             call()
 

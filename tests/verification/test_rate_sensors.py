@@ -83,7 +83,7 @@ def test_a_torque_on_a_bare_platform_is_drawn_with_its_own_angle_alone():
     job = job_of(plant())
     model = linearise(job.platform)
     result = types.SimpleNamespace(job=job, model=model, coupled=verification.coupled_check(job, model, [SERVO]))
-    [axes] = platform_disturbance_figure.__wrapped__(result).axes
+    [axes] = platform_disturbance_figure(result).axes
     assert "its own angle" in axes.get_title()
 
 
