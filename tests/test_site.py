@@ -165,7 +165,7 @@ def test_every_public_name_is_in_the_reference(site: Path, module: str) -> None:
 
 def test_names_that_a_docstring_lists_together_have_each_their_own_type(site: Path) -> None:
     page = (site / "reference" / "requirements.html").read_text(encoding="utf-8")
-    entry = page[page.index('id="platform_ctrl.job.requirements.CheckResult"') :].split("<h3")[0]
+    entry = page[page.index('id="platform_ctrl.job.judging.CheckResult"') :].split("<h3")[0]
     rows = [re.sub(r"<[^>]*>|\s", "", row).strip() for row in entry.split('<tr class="doc-section-item">')]
     assert {row[:10] for row in rows} >= {"valuefloat", "limitfloat", "unitstrAsm", "senseSense"}
 

@@ -120,7 +120,7 @@ def alike(one: Any, other: Any) -> bool:
         return one.keys() == other.keys() and all(alike(one[key], other[key]) for key in one)
     if isinstance(one, list):
         return len(one) == len(other) and all(map(alike, one, other))
-    return bool(one == (pytest.approx(other, rel=3e-9) if isinstance(one, float) else other))
+    return bool(one == (pytest.approx(other, rel=3e-9, abs=1e-10) if isinstance(one, float) else other))
 
 
 def test_reading_what_was_written_gives_the_same_verdicts_and_figures(
