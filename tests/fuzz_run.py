@@ -14,6 +14,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
+from unittest import mock
 
 import typer.main
 from hypothesis import HealthCheck, Phase, settings
@@ -74,7 +75,9 @@ def ended(*arguments: str | Path, folder: Path | None = None, seconds: float = L
     """Run a command; `folder`, its current one and its input's, has the same files as before if the input is wrong."""
     before = None if folder is None else contents(folder)
     out, err = (io.TextIOWrapper(io.BytesIO(), encoding="utf-8", newline="", write_through=True) for _ in range(2))
-    with _watched(arguments, seconds), contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+    # The commands are the same every time: to gather them takes longer than to read a small file.
+    gathered = mock.patch.object(typer.main, "get_command", _get_command)
+    with _watched(arguments, seconds), gathered, contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
         code = main([str(argument) for argument in arguments])
     found = Ended(code, *(stream.buffer.getvalue().decode("utf-8") for stream in (out, err)))  # type: ignore[attr-defined]
     assert found.code in (0, 1, 2), found
@@ -115,5 +118,4 @@ def _watched(arguments: tuple[str | Path, ...], seconds: float) -> Iterator[None
         faulthandler.cancel_dump_traceback_later()
 
 
-# The commands are the same every time: to gather them takes longer than to read a small file.
-typer.main.get_command = functools.cache(typer.main.get_command)  # type: ignore[assignment]
+_get_command = functools.cache(typer.main.get_command)

@@ -61,7 +61,7 @@ class ExportCommand:
         from platform_ctrl.cli.atomic_output import all_or_none, own_files, sha256, write_folder_record
         from platform_ctrl.cli.terminal import progress
 
-        chosen = {e: options[e.name] for e in exporters() if options.get(e.name) is not None}
+        chosen = {e: options[e.name] for e in exporters() if options[e.name] is not None}
         chosen = {e: chosen[e] for e in sorted(chosen, key=lambda e: not e.suffix)}  # files first
         settings = _settings(chosen, options)
         with progress(quiet or as_json, f"reading {job}") as say:

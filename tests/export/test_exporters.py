@@ -5,8 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-import subprocess
-import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -16,10 +15,18 @@ import platform_ctrl as pc
 from one_gyro_job import JOB
 from platform_ctrl.cli import main
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.export.exporters import Exporter, exporters, register
+from platform_ctrl.export.exporters import Exporter, exporters, register, unregister
 
 DOCS = Path(__file__).parents[2] / "docs"
 RECIPE = (DOCS / "architecture.md").read_text(encoding="utf-8").partition("### Add an exporter")[2]
+
+
+@pytest.fixture
+def with_poles() -> Iterator[None]:
+    """The exporter of the documentation is registered."""
+    exec(re.findall(r"```python\n(.*?)```", RECIPE, flags=re.DOTALL)[0], {})
+    yield
+    unregister("poles")
 
 
 @pytest.fixture
@@ -30,18 +37,13 @@ def job(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return path
 
 
-def test_the_recipes_exporter_is_an_option_of_the_command(job: Path) -> None:
-    """In a process of its own, as a user's script: the command line is read with what is registered by then."""
-    recipe = re.findall(r"```python\n(.*?)```", RECIPE, flags=re.DOTALL)[0]
-    script = f"import sys\n{recipe}\nfrom platform_ctrl.cli import main\nsys.exit(main(sys.argv[1:]))\n"
-
-    def printed(*arguments: str) -> str:
-        command = [sys.executable, "-c", script, *arguments]
-        return subprocess.run(command, capture_output=True, text=True, check=True).stdout
-
-    assert "Poles of the plant as text." in " ".join(printed("export", "--help").split())
-    asked = ("export", "job.toml", "--poles", "poles.txt", "--digits", "9", "--mjcf", "p.xml", "--json")
-    told = json.loads(printed(*asked))
+def test_the_recipes_exporter_is_an_option_of_the_command(
+    with_poles: None, job: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["export", "--help"]) == 0
+    assert "Poles of the plant as text." in " ".join(capsys.readouterr().out.split())
+    assert main(["export", "job.toml", "--poles", "poles.txt", "--digits", "9", "--mjcf", "p.xml", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
     assert [one["format"] for one in told["written"]] == ["mjcf", "poles"]
     assert told["written"][1]["sha256"] == hashlib.sha256(Path("poles.txt").read_bytes()).hexdigest()
     written = np.loadtxt("poles.txt") @ [1.0, 1j]
