@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, named_system, state_arrays
+from platform_ctrl.analysis.frequency_grids import tuning_grid
 from platform_ctrl.analysis.resolvent import ON_A_GRID
 from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.common.arguments import whole
@@ -228,21 +229,6 @@ class PlantSet:
 def members(groups: Sequence[str], of: Sequence[str]) -> BoolArray:
     """Return which entries of `groups` are among `of`."""
     return np.array([group in of for group in groups], dtype=np.bool_)
-
-
-def tuning_grid(nutation: float, period: float) -> FloatArray:
-    """Return frequencies, rad/s, dense where margins are lost: between a sixth and about twice the nutation."""
-    nyquist = np.pi / period
-    # Where nutation is faster than what is sampled, the grid covers what is left below the Nyquist frequency.
-    slowest = min(nutation / 150.0, nyquist / 100.0)
-    edges = np.clip([slowest, nutation / 6.0, 2.2 * nutation, 0.999 * nyquist], None, 0.999 * nyquist)
-    counts = (15, 60, 15)
-    parts = [
-        np.geomspace(low, high, k, endpoint=False)
-        for low, high, k in zip(edges, edges[1:], counts, strict=False)
-        if high > low
-    ]
-    return np.append(np.concatenate(parts), 0.999 * nyquist)
 
 
 def plant_set(

@@ -11,6 +11,7 @@ import numpy as np
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
 from platform_ctrl.analysis.bandwidth import bandwidth_of_response
 from platform_ctrl.analysis.feedback import sensitivity_functions
+from platform_ctrl.analysis.frequency_grids import following_grid
 from platform_ctrl.analysis.loop_metrics import LoopMetrics, measure, measured
 from platform_ctrl.analysis.loop_set import LoopSet
 from platform_ctrl.analysis.measuring import MetricRequest
@@ -21,7 +22,6 @@ from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.app.curves import (
     channel_response,
     degrees,
-    dense_grid,
     gain_locus,
     held_responses,
     round_up,
@@ -29,6 +29,7 @@ from platform_ctrl.app.curves import (
 )
 from platform_ctrl.app.parts import (
     EDGE,
+    GRID_POINTS,
     POINTS,
     Band,
     ChannelMargins,
@@ -186,7 +187,7 @@ def _grid(plant: PlantSet, s: ComplexArray) -> FloatArray:
     low = max(min(2e-3 * plant.nutation, 0.05 * nyquist), 1e-4 * nyquist)
     # What the loop does slowest is in the diagram.
     low = max(min(low, 0.2 * float(np.abs(s[np.isfinite(s)]).min(initial=np.inf))), 1e-5 * nyquist)
-    grid = dense_grid(np.concatenate([s, own]), low, EDGE * nyquist)
+    grid = following_grid(np.concatenate([s, own]), low, EDGE * nyquist, GRID_POINTS)
     # The band's own frequencies among them: its phases are those of this curve and a difference.
     return np.union1d(grid, plant.frequency)
 

@@ -9,33 +9,12 @@ import numpy as np
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
 from platform_ctrl.analysis.feedback import closed_loop
 from platform_ctrl.analysis.plant_set import BoolArray
+from platform_ctrl.analysis.pole_branches import pole_branches
 from platform_ctrl.analysis.poles import continuous_poles
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.report.loop_responses import followed
 
-# A pole sharper than this is drawn as if it had this damping: no spike of one point.
-_SHARPEST = 2e-3
-# Offsets from a resonance in units of its half-width.
-_OFFSETS = np.array([0.0, 0.35, 0.7, 1.2, 2.0, 3.5, 6.0])
 # Values beyond this are of a loop that diverges: no page has to draw them.
 _FARTHEST = 1e12
-
-
-def dense_grid(poles: ComplexArray, low: float, high: float, points: int = 160) -> FloatArray:
-    """Return frequencies from `low` to `high`, rad/s, logarithmic, denser at the resonances of `poles` (s-plane)."""
-    s = np.asarray(poles).ravel()
-    s = s[np.isfinite(s)]
-    centre = np.abs(s.imag)
-    sharp = (centre > low) & (centre < high) & (np.abs(s.real) < 0.5 * centre)
-    width = np.maximum(np.abs(s.real[sharp]), _SHARPEST * centre[sharp])
-    near = centre[sharp][:, None] + width[:, None] * np.concatenate([-_OFFSETS, _OFFSETS[1:]])
-    grid = np.unique(np.concatenate([np.geomspace(low, high, points), near.ravel()]))
-    grid = grid[(grid >= low) & (grid <= high)]
-    # Next to an undamped pole the response is infinite, and sensitivities have no digits left.
-    for at in centre[sharp][np.abs(s.real[sharp]) < _SHARPEST * centre[sharp]]:
-        grid = grid[np.abs(grid - at) > 0.3 * _SHARPEST * at]
-    kept = np.concatenate([[True], np.diff(np.log(grid)) > 2e-4])
-    return np.asarray(grid[kept])
 
 
 def channel_response(S: ComplexArray, channel: int) -> ComplexArray:
@@ -164,7 +143,7 @@ def gain_locus(
     # From 0 on poles move as the root of the factor: closer steps there.
     half = points // 2
     gains = np.concatenate([np.linspace(0.0, 1.0, half + 1) ** 1.5, np.linspace(1.0, highest, half)[1:]])
-    return gains, continuous_poles(followed(poles(gains)), period)
+    return gains, continuous_poles(pole_branches(poles(gains)), period)
 
 
 def moved_by_gain(gains: FloatArray, branches: ComplexArray, present: ComplexArray) -> BoolArray:

@@ -10,16 +10,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, state_arrays
+from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
 from platform_ctrl.analysis.feedback import closed_loop, sensitivity_functions
-from platform_ctrl.analysis.interconnection import interconnect_controllers
+from platform_ctrl.analysis.frequency_grids import following_grid
+from platform_ctrl.analysis.interconnection import interconnected
 from platform_ctrl.analysis.peaks import peak
 from platform_ctrl.analysis.poles import continuous_poles, poles
 from platform_ctrl.analysis.resolvent import ON_A_GRID, AxisResponse
 from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.analysis.sampled import held_input, sampled
-from platform_ctrl.app.curves import arrays_of, dense_grid
-from platform_ctrl.app.parts import EDGE
+from platform_ctrl.app.curves import arrays_of
+from platform_ctrl.app.parts import EDGE, GRID_POINTS
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.plants import changed
 from platform_ctrl.job.job import Job, LoopSpec, Sampling
@@ -278,8 +279,8 @@ class StabilisedLoop:
         """Return all controllers as one, the plants' inputs that it sets, and its torquers."""
         used = {name for K in self.controllers for name in K.output_labels}
         torquers = [name for name in plants.torquers if name in used]
-        K = interconnect_controllers(self.controllers, plants.sensors, torquers, plants.period)
-        return state_arrays(K, "controllers"), [plants.torquers.index(name) for name in torquers], tuple(torquers)
+        K = interconnected(self.controllers, plants.sensors, torquers, plants.period)
+        return K, [plants.torquers.index(name) for name in torquers], tuple(torquers)
 
 
 def used_arrays(arrays: StateArrays, k: int, at: list[int]) -> StateArrays:
@@ -296,7 +297,7 @@ def loop_grid(P: StateArrays, s: ComplexArray) -> FloatArray:
     low = max(min(0.1 * slowest, 0.01 * nyquist), 1e-5 * nyquist)
     own = continuous_poles(poles(P.A), P.dt)
     # Free poles at z = 1 are integrators, no resonances.
-    return dense_grid(np.concatenate([s, own]), low, EDGE * nyquist)
+    return following_grid(np.concatenate([s, own]), low, EDGE * nyquist, GRID_POINTS)
 
 
 class Sensitivity:

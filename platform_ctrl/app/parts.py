@@ -20,6 +20,8 @@ from platform_ctrl.report.quantities import signal_series
 POINTS = 240
 # What is sampled is looked at up to this share of Nyquist's frequency: at its edge sensitivities say nothing.
 EDGE = 0.999
+# Frequencies of a curve besides those at its resonances.
+GRID_POINTS = 160
 
 
 @value

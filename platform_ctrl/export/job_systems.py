@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from platform_ctrl.analysis import continuous_poles, gang, interconnect_controllers, poles
+from platform_ctrl.analysis import continuous_poles, gang, poles
+from platform_ctrl.analysis.frequency_grids import following_grid
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray, input_value
 from platform_ctrl.design.loop import sampled_plant
@@ -19,8 +20,7 @@ from platform_ctrl.export.system_record import SystemRecord, signal_units, syste
 from platform_ctrl.job.job import Faults, Job, Spread
 from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.mechanics.state_space import state_space
-from platform_ctrl.report.loop_responses import following_grid
-from platform_ctrl.verification.coupled import coupled_plant
+from platform_ctrl.verification.coupled import coupled_plant, one_controller
 from platform_ctrl.verification.given import outcomes_from
 
 if TYPE_CHECKING:
@@ -148,7 +148,8 @@ def job_responses(job: Job, controllers: Sequence[control.StateSpace]) -> tuple[
         what = f"{job.name}: {name} broken at one torquer, its others closed"
         out += _broken(f"loop {name}", plant, closed[name], frequency, what)
     if len(controllers) > 1:
-        plant, K = _all_closed(job, controllers)
+        plant = coupled_plant(job, linearise(job.platform), controllers)
+        K = one_controller(job, controllers, plant)
         what = f"{job.name}: broken at one torquer, everything else closed, on the coupled plant"
         out += _broken("all loops", plant, K, frequency, what)
     return tuple(out)
@@ -172,15 +173,6 @@ def _frequency(job: Job) -> FloatArray:
     nyquist = np.pi / job.sampling.period
     found = [continuous_poles(poles(plant), job.sampling.period) for _, plant in _loop_plants(job)]
     return following_grid(np.concatenate([[], *found]), _LOWEST * nyquist, 0.999 * nyquist, _POINTS)
-
-
-def _all_closed(job: Job, controllers: Sequence[control.StateSpace]) -> tuple[control.StateSpace, control.StateSpace]:
-    """Return the coupled sampled plant, and all controllers as one."""
-    plant = coupled_plant(job, linearise(job.platform), controllers)
-    used = {name for K in controllers for name in K.output_labels}
-    torquers = [name for name in plant.input_labels if name in used]
-    seen = [sensor.name for sensor in job.platform.sensors if sensor.name in plant.output_labels]
-    return plant, interconnect_controllers(controllers, seen, torquers, job.sampling.period)
 
 
 def _broken(

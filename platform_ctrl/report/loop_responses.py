@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, state_arrays
 from platform_ctrl.analysis.feedback import Gang, closed_loop, gang
+from platform_ctrl.analysis.frequency_grids import following_grid
 from platform_ctrl.analysis.loop_set import LoopSet
 from platform_ctrl.analysis.measuring import MetricRequest
 from platform_ctrl.analysis.metrics import exact_value
 from platform_ctrl.analysis.plant_set import PlantSet
+from platform_ctrl.analysis.pole_branches import pole_branches, values_at_breakaways
 from platform_ctrl.analysis.poles import continuous_poles
 from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.analysis.singular_values import largest_singular_values
@@ -23,75 +25,6 @@ from platform_ctrl.mechanics.linearisation import LinearModel
 from platform_ctrl.mechanics.state_space import state_space
 from platform_ctrl.plant.platform import OMEGA_NAMES
 
-Poles = Callable[[FloatArray], ComplexArray]
-
-# Halvings of a step, and values altogether, at most: a pole that leaps cannot be followed however short the steps.
-_HALVINGS, _MOST = 14, 3000
-
-
-def followed(z: ComplexArray) -> ComplexArray:
-    """Sort the columns of each row so that every column moves as little as possible from row to row."""
-    from scipy.optimize import linear_sum_assignment
-
-    out = z.copy()
-    for k in range(1, len(z)):
-        distance = np.abs(out[k - 1][:, None] - z[k][None, :])
-        nearest = distance.argmin(axis=1)
-        # Mostly each has its own nearest: nothing is to be weighed then.
-        own = len(set(nearest.tolist())) == len(nearest)
-        out[k] = z[k][nearest if own else linear_sum_assignment(distance)[1]]
-    return out
-
-
-def near_breakaways(values: FloatArray, poles: Poles) -> FloatArray:
-    """Return more values around those where poles leave the real axis: there they move fastest."""
-
-    def real(z: ComplexArray) -> FloatArray:
-        return np.asarray((z.imag == 0.0).sum(axis=-1), dtype=np.float64)
-
-    counts = real(poles(values))
-    at = np.flatnonzero(np.diff(counts))
-    low, high, left = values[at].copy(), values[at + 1].copy(), counts[at]
-    for _ in range(24 if at.size else 0):
-        middle = 0.5 * (low + high)
-        before = real(poles(middle)) == left
-        low, high = np.where(before, middle, low), np.where(before, high, middle)
-    steps = (values[1] - values[0]) * (np.arange(-8, 9) / 8.0) ** 2 * np.sign(np.arange(-8, 9))
-    more = (high[:, None] + steps).ravel()
-    return np.asarray(more[(more >= values[0]) & (more <= values[-1])])
-
-
-def traced(values: FloatArray, poles: Poles, shown: Callable[[ComplexArray], ComplexArray], step: float) -> FloatArray:
-    """Return `values` with more between them, until no pole moves further than `step` from one to the next.
-
-    Parameters
-    ----------
-    values : (N,)
-        Increasing.
-    poles
-        Poles (k, n) at k values.
-    shown
-        Where a pole is drawn: steps count there; poles that are not finite there do not.
-    step
-        Longest move.
-    """
-    values = np.union1d(values, near_breakaways(values, poles))
-    z = poles(values)
-    for _ in range(_HALVINGS):
-        with np.errstate(invalid="ignore"):
-            moved = np.abs(np.diff(shown(followed(z)), axis=0))
-        long = np.flatnonzero(np.nan_to_num(moved, nan=0.0, posinf=0.0).max(axis=1, initial=0.0) > step)
-        if not long.size or len(values) + long.size > _MOST:
-            break
-        between = 0.5 * (values[long] + values[long + 1])
-        values, z = np.insert(values, long + 1, between), np.insert(z, long + 1, poles(between), axis=0)
-    return values
-
-
-# Offsets from a resonance in units of its half-width: its shape is drawn whatever its sharpness.
-_OFFSETS = np.array([0.0, 0.35, 0.7, 1.0, 1.5, 2.5, 4.0, 7.0, 12.0])
-# A pole sharper than this is drawn as if it had this damping: no spike of one point, no division by zero.
-_SHARPEST = 2e-3
 # Whose peaks are drawn however narrow they are.
 _REJECTION = MetricRequest(kind="Omega rejection")
 _PEAKS = (*(MetricRequest(kind=kind) for kind in ("disk margin", "sensitivity peak", "complementary peak")), _REJECTION)
@@ -205,25 +138,6 @@ class RootLocus:
         return float(self.gains[low]), float(self.gains[high])
 
 
-def following_grid(poles: ComplexArray, low: float, high: float, points: int = 220) -> FloatArray:
-    """Return frequencies from `low` to `high`, logarithmic, denser around every resonance of `poles` (s-plane)."""
-    plain = np.geomspace(low, high, points)
-    near = [plain]
-    for s in np.asarray(poles).ravel():
-        centre = abs(s.imag)
-        if np.isfinite(centre) and low < centre < high and abs(s.real) < 0.5 * centre:
-            width = max(abs(s.real), _SHARPEST * centre)
-            near += [centre + width * _OFFSETS, centre - width * _OFFSETS]
-    grid = np.concatenate(near)
-    grid = np.unique(grid[(grid >= low) & (grid <= high)])
-    # A marginally stable pole: keep off it, its response is infinite there.
-    for s in np.asarray(poles).ravel():
-        if abs(s.real) < _SHARPEST * abs(s.imag):
-            grid = grid[np.abs(grid - abs(s.imag)) > 0.3 * _SHARPEST * abs(s.imag)]
-    kept = np.concatenate([[True], np.diff(np.log(grid)) > 2e-4])
-    return np.asarray(grid[kept])
-
-
 def loop_responses(model: LinearModel, outcome: LoopOutcome) -> LoopResponses | None:
     """Return the responses of all designs of `outcome`; None for a loop that is judged in the coupled system alone."""
     designs = [design for design in outcome.designs if design.plants is not None]
@@ -335,8 +249,8 @@ def root_locus(design: LoopDesign, highest: float = 2.0, points: int = 161) -> R
         return np.asarray(np.linalg.eigvals(A), dtype=np.complex128)
 
     gains = np.linspace(0.0, highest, points)
-    gains = np.union1d(gains, near_breakaways(gains, poles))
-    z = followed(poles(gains))
+    gains = np.union1d(gains, values_at_breakaways(gains, poles))
+    z = pole_branches(poles(gains))
     return RootLocus(
         gains=gains,
         branches=continuous_poles(z, plants.period),

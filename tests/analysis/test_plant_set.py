@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from platform_ctrl.analysis import StateArrays, frequency_response, sampled, state_arrays
-from platform_ctrl.analysis.plant_set import plant_set, tuning_grid
+from platform_ctrl.analysis.plant_set import plant_set
 from platform_ctrl.design.plants import cases, loop_plants
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.job import Faults, Spread
@@ -193,11 +193,3 @@ def test_a_controller_is_joined_by_the_names_of_its_signals(job):
         plants.joined(StateArrays(*empty, D, 0.0))
     with pytest.raises(ArgumentError, match="1 inputs and 1 outputs; expected 2 and 2"):
         plants.joined(StateArrays(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.eye(1), PERIOD))
-
-
-@pytest.mark.parametrize("period", [1e-6, 5e-4, 2e-3, 1.0])
-def test_the_grid_covers_two_decades_up_to_the_nyquist_frequency_at_any_rate(period):
-    grid = tuning_grid(474.0, period)
-    assert np.all(np.diff(grid) > 0.0)
-    assert grid[-1] == pytest.approx(0.999 * np.pi / period)
-    assert grid[0] <= 0.0101 * grid[-1]

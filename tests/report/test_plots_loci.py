@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import platform_ctrl as pc
+from platform_ctrl.analysis.pole_branches import pole_branches
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.report import figures
-from platform_ctrl.report.loop_responses import followed
 from platform_ctrl.report.style import LIMIT
 
 pytestmark = pytest.mark.usefixtures("untraced")
@@ -115,7 +115,7 @@ def test_followed_poles_keep_their_column_when_they_overtake_each_other():
     t = np.linspace(0.0, 1.0, 60)
     lines = np.array([t - 0.5 + 0.2j, 0.5 - t - 0.2j, 0.1 + 0.9j * t]).T
     shuffled = np.array([np.random.default_rng(k).permutation(row) for k, row in enumerate(lines)])
-    out = followed(shuffled)
+    out = pole_branches(shuffled)
     assert sorted(map(tuple, out.T.tolist()), key=str) == sorted(map(tuple, lines.T.tolist()), key=str)
 
 

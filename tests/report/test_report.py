@@ -41,7 +41,7 @@ from platform_ctrl.report.figures import coupled as coupled_figures
 from platform_ctrl.report.figures import limit_lines
 from platform_ctrl.report.figures.coupled import margin_bars_figure
 from platform_ctrl.report.figures.loop import disturbance_figure, sensitivity_figure
-from platform_ctrl.report.loop_responses import following_grid, loop_responses, root_locus
+from platform_ctrl.report.loop_responses import loop_responses, root_locus
 from platform_ctrl.report.page import captions, comparison, summary, tables
 from platform_ctrl.report.page import job_page as document
 from platform_ctrl.report.page.campaign_tables import chances
@@ -955,21 +955,6 @@ def test_every_pole_of_a_shipped_plant_belongs_to_one_mode(name: str, Omega: tup
 
 
 # Responses
-
-
-@settings(max_examples=40, deadline=None)
-@given(st.floats(3e-3, 0.6), st.floats(20.0, 2000.0))
-def test_the_grid_shows_the_peak_of_every_resonance(damping: float, frequency: float) -> None:
-    s = frequency * (-damping + 1j * np.sqrt(1.0 - damping**2))
-    w = following_grid(np.array([s, s.conjugate()]), 1.0, 1e4)
-    gain = np.abs(frequency**2 / ((frequency**2 - w**2) + 2j * damping * frequency * w))
-    assert gain.max() == pytest.approx(1.0 / (2.0 * damping * np.sqrt(1.0 - damping**2)), rel=0.02)
-
-
-def test_no_response_is_evaluated_on_an_undamped_pole() -> None:
-    w = following_grid(np.array([100j, -100j, 0.0]), 1.0, 1e4)
-    assert np.abs(w - 100.0).min() > 0.01
-    assert np.all(np.diff(w) > 0.0)
 
 
 def test_responses_are_finite_and_agree_with_the_measures(result: JobResult) -> None:

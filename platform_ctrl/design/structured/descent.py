@@ -17,6 +17,7 @@ import numpy as np
 
 from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.bandwidth import LEVEL
+from platform_ctrl.analysis.frequency_grids import tuning_grid
 from platform_ctrl.analysis.loop_metrics import measure
 from platform_ctrl.analysis.loop_set import LoopSet
 from platform_ctrl.analysis.plant_set import PlantSet
@@ -407,14 +408,7 @@ def _updated(H: FloatArray, move: FloatArray, here: _Pieces, there: _Pieces, wei
 
 def finer(plants: PlantSet) -> PlantSet:
     """Return the set on a grid on which no resonance of its closed loops hides between two points."""
-    nyquist = 0.999 * np.pi / plants.period
-    edges = np.minimum(plants.nutation * np.array([1.0 / 100.0, 1.0 / 6.0, 2.2, np.inf]), nyquist)
-    parts = [
-        np.geomspace(low, high, k, endpoint=False)
-        for low, high, k in zip(edges, edges[1:], (15, 130, 25), strict=False)
-        if high > low
-    ]
-    grid = np.append(np.concatenate(parts), nyquist)
+    grid = tuning_grid(plants.nutation, plants.period, fine=True)
     no_direct = np.zeros((*plants.D.shape[:-1], plants.B_Omega.shape[-1]))
     return dataclasses.replace(
         plants,

@@ -13,12 +13,12 @@ from matplotlib.figure import Figure
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, named_system
 from platform_ctrl.analysis.feedback import closed_loop, gang
+from platform_ctrl.analysis.frequency_grids import following_grid
 from platform_ctrl.analysis.poles import continuous_poles, poles
 from platform_ctrl.common.files import write_whole
 from platform_ctrl.common.text import text_width
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.report.loop_responses import following_grid
 from platform_ctrl.report.quantities import HZ, in_one_unit
 from platform_ctrl.report.style import (
     BAND,

@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 
 from platform_ctrl.analysis.arrays import ComplexArray, state_arrays
 from platform_ctrl.analysis.feedback import gang
+from platform_ctrl.analysis.frequency_grids import following_grid
 from platform_ctrl.analysis.poles import continuous_poles
 from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.analysis.sampled import sampled
@@ -19,7 +20,6 @@ from platform_ctrl.mechanics.state_space import state_space as linear_state_spac
 from platform_ctrl.plant.platform import OMEGA_NAMES, ROOT_TORQUE_NAMES
 from platform_ctrl.report.figures.loop import phase_axes, phase_in_degrees
 from platform_ctrl.report.figures.poles import half_plane_axes
-from platform_ctrl.report.loop_responses import following_grid
 from platform_ctrl.report.plots.loci import upper_half_plane
 from platform_ctrl.report.quantities import HZ, root_series, signal_series
 from platform_ctrl.report.style import (

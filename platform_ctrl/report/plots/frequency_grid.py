@@ -7,19 +7,17 @@ response is infinite or 0, is come close to from both sides.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.arrays import ComplexArray, frequencies
+from platform_ctrl.analysis.frequency_grids import around_resonances
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.report.plots.systems import ON, DrawnSystem, sorted_data
 
-_NEAR = np.array([0.0, 0.2, 0.4, 0.6, 0.8, 1.0, 1.3, 1.7, 2.2, 3.0, 4.0])
-_GROWTH = 1.5
 # Relative distance up to which a pole or zero on the stability boundary is come close to.
 CLOSEST = 1e-6
 # The range without a single pole or zero, Hz.
@@ -66,7 +64,7 @@ def grid(
             _judge(systems, low, high, name)
             return given
     _judge(systems, low, high, name)
-    own = [_around(s, low, high) for one in systems for s in (one.poles, one.zeros)]
+    own = [around_resonances(s, low, high, ON, CLOSEST) for one in systems for s in (one.poles, one.zeros)]
     edges = [np.array([LAST * one.nyquist]) for one in systems if low < LAST * one.nyquist < high]
     every = np.unique(np.concatenate([np.geomspace(low, high, points), *own, *edges]))
     every = every[(every >= low) & (every <= high)]
@@ -74,18 +72,6 @@ def grid(
         for undamped in one.undamped:
             every = every[np.abs(every - undamped) > 0.5 * CLOSEST * undamped]
     return every
-
-
-def _around(s: ComplexArray, low: float, high: float) -> FloatArray:
-    """Return points around the resonances (or dips) among poles (or zeros)."""
-    s = np.unique(s[(np.abs(s.imag) > low) & (np.abs(s.imag) < high) & (np.abs(s.real) < 0.5 * np.abs(s.imag))])
-    out = [np.zeros(0)]
-    for centre, distance in sorted({(abs(one.imag), abs(one.real)) for one in s}):
-        width = distance if distance > ON * centre else CLOSEST * centre
-        count = math.ceil(math.log(max(0.25 * centre / (4.0 * width), 1.0)) / math.log(_GROWTH))
-        offsets = width * np.concatenate([_NEAR, 4.0 * _GROWTH ** np.arange(1, count + 1)])
-        out += [centre + offsets, centre - offsets]
-    return np.concatenate(out)
 
 
 def _judge(systems: Sequence[DrawnSystem], low: float, high: float, name: str) -> None:

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, scaled, state_arrays
 from platform_ctrl.analysis.feedback import closed_loop, loop_transfer
+from platform_ctrl.analysis.pole_branches import Poles, pole_branches, refined_values
 from platform_ctrl.analysis.poles import continuous_poles
 from platform_ctrl.analysis.sampled import sampled, with_lag
 from platform_ctrl.analysis.transfer_function import LinearSystem
@@ -22,7 +23,6 @@ from platform_ctrl.errors import ArgumentError
 from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.mechanics.state_space import state_space
 from platform_ctrl.plant.platform import Platform
-from platform_ctrl.report.loop_responses import Poles, followed, traced
 from platform_ctrl.report.plots.label_placement import LabelPlacer
 from platform_ctrl.report.plots.systems import as_state_space, drawn_systems
 from platform_ctrl.report.quantities import HZ
@@ -374,7 +374,7 @@ def traced_locus(values: FloatArray, poles: Poles, dt: float) -> Locus:
         outside = ~(np.abs(s) < 3.0 * view.reach)
         return np.where(outside, np.nan, view.stretch * s.real + 1j * s.imag)
 
-    fine = traced(coarse, poles, shown, _STEP * view.reach)
+    fine = refined_values(coarse, poles, shown, _STEP * view.reach)
     z = poles(fine)
     stable = _stable(z, dt)
     at = np.flatnonzero(stable[1:] != stable[:-1])
@@ -389,7 +389,7 @@ def traced_locus(values: FloatArray, poles: Poles, dt: float) -> Locus:
     stable[fine >= fine[-1] - beside] = _stable(poles(np.array([fine[-1] - 2.0 * beside])), dt)[0]
     return Locus(
         values=fine,
-        branches=followed(z),
+        branches=pole_branches(z),
         nominal=nominal,
         dt=dt,
         stable=stable,
