@@ -77,7 +77,7 @@ def entry(job: Job, name: str, block: Sequence[FloatArray], gimbals: tuple[str, 
     """A controller of some gimbals from its matrices."""
     return {
         "name": name, "dt": job.sampling.period, "delay": job.sampling.delay,
-        **{key: np.asarray(item).tolist() for key, item in zip("ABCD", block, strict=True)},
+        **{key: np.asarray(item).tolist() for key, item in zip("ABCD", block[:4], strict=True)},
         "inputs": [job.platform.pickoff_on(g).name for g in gimbals],
         "outputs": [job.platform.torquer_on(g).name for g in gimbals],
     }  # fmt: skip

@@ -16,7 +16,7 @@ from platform_ctrl.analysis import PlantSet, StateArrays
 from platform_ctrl.analysis.loop_metrics import measured
 from platform_ctrl.analysis.loop_set import LoopSet
 from platform_ctrl.analysis.poles import continuous_poles
-from platform_ctrl.design.partition import first_order, notch
+from platform_ctrl.design.partition import first_order, notch, side_by_side
 from platform_ctrl.design.plants import loop_plants
 from platform_ctrl.job.reading import read_job
 from platform_ctrl.job.requirements import LoopRequirement
@@ -53,12 +53,12 @@ def controller(numbers: np.ndarray) -> StateArrays:
     zero9, rate9, zero10, rate10, cross, centre, depth, width = numbers
     leads = []
     for J, zero, rate in ((J9, zero9, rate9), (J10, zero10, rate10)):
-        a, b, c, d = first_order(1.0, zero, 1.0 / (2.0 * np.pi * 800.0), 1.0, PERIOD)
+        a, b, c, d, _ = first_order(1.0, zero, 1.0 / (2.0 * np.pi * 800.0), 1.0, PERIOD)
         leads.append((a, b, -J * rate * c, -J * rate * d))
     A, B, C, D = (block_diag(*parts) for parts in zip(*leads, strict=True))
     D = D + L * cross * np.array([[0.0, -1.0], [1.0, 0.0]])
     one = notch(2.0 * np.pi * centre, depth, width, PERIOD)
-    a, b, c, d = (block_diag(part, part) for part in one)
+    a, b, c, d, _ = side_by_side(one, one)
     both = np.block([[a, np.zeros((len(a), len(A)))], [B @ c, A]])
     return StateArrays(both, np.vstack([b, B @ d]), np.hstack([D @ c, C]), D @ d, PERIOD)
 

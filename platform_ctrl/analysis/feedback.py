@@ -244,7 +244,7 @@ def series(first: StateArrays, second: StateArrays, sign: float = 1.0) -> StateA
     Returns
     -------
     StateArrays
-        States of the first system, then of the second; sample period of the first.
+        States of the first system, then of the second; sample period of the first that has one.
 
     Raises
     ------
@@ -252,7 +252,7 @@ def series(first: StateArrays, second: StateArrays, sign: float = 1.0) -> StateA
         Shapes that do not fit, or numbers that are not finite.
     """
     A1, B1, C1, D1, dt = system_arrays("series: first", *first)
-    A2, B2, C2, D2, _ = system_arrays("series: second", *second)
+    A2, B2, C2, D2, second_dt = system_arrays("series: second", *second)
     if D2.shape[-1] != D1.shape[-2]:
         raise ArgumentError(f"series: second must have {D1.shape[-2]} inputs, as many as first has outputs")
     sign = number("series: sign", sign)
@@ -269,7 +269,7 @@ def series(first: StateArrays, second: StateArrays, sign: float = 1.0) -> StateA
     C[..., :n1] = sign * (D2 @ C1)
     C[..., n1:] = sign * C2
     D = np.array(np.broadcast_to(sign * (D2 @ D1), (*batch, C2.shape[-2], B1.shape[-1])))
-    return StateArrays(A, B, C, D, dt)
+    return StateArrays(A, B, C, D, dt or second_dt)
 
 
 def _closed_loop(

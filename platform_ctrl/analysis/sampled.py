@@ -93,7 +93,7 @@ def _sampled(
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
     m = B.shape[-1]
     lags = not_negative("sampled: lag", 0.0 if lag is None else lag, m)
-    A, B, C, D = with_lag(A, B, C, D, lags)
+    A, B, C, D, _ = with_lag(StateArrays(A, B, C, D), lags)
 
     period, whole, part = split_delay("sampled", period, delay, m)
     reach = whole + (1 if part > 0.0 else 0)
@@ -144,13 +144,12 @@ def split_delay(where: str, period: float, delay: float, inputs: int) -> tuple[f
     return period, whole, 0.0 if part < 1e-9 else part
 
 
-def with_lag(
-    A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, lags: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return A, B, C, D with a first-order lag in front of every input whose time constant is not zero."""
+def with_lag(system: StateArrays, lags: FloatArray) -> StateArrays:
+    """Return a continuous system with a first-order lag in front of every input whose time constant is not zero."""
     slow = np.flatnonzero(lags > 0.0)
     if slow.size == 0:
-        return A, B, C, D
+        return system
+    A, B, C, D, _ = system
     n, m, p, k = A.shape[-1], B.shape[-1], C.shape[-2], slow.size
     batch = np.broadcast_shapes(A.shape[:-2], B.shape[:-2], C.shape[:-2], D.shape[:-2])
     new_A = np.zeros((*batch, n + k, n + k))
@@ -166,7 +165,7 @@ def with_lag(
     new_C[..., :, n:] = D[..., :, slow]
     new_D = np.array(np.broadcast_to(D, (*batch, p, m)))
     new_D[..., :, slow] = 0.0
-    return new_A, new_B, new_C, new_D
+    return StateArrays(new_A, new_B, new_C, new_D)
 
 
 def held_input(A: FloatArray, B: FloatArray, duration: float) -> tuple[FloatArray, FloatArray]:
@@ -226,7 +225,7 @@ def bilinear_to_continuous(system: control.StateSpace) -> control.StateSpace:
     arrays = state_arrays(system, "bilinear_to_continuous")
     if arrays.dt == 0.0:
         raise ArgumentError("bilinear_to_continuous: the system is continuous already, expected dt > 0")
-    return _mapped(system, arrays, _to_w_plane, arrays.dt, 0.0)
+    return _mapped(system, arrays, _to_w_plane)
 
 
 def bilinear_to_discrete(system: control.StateSpace, period: float) -> control.StateSpace:
@@ -257,53 +256,48 @@ def bilinear_to_discrete(system: control.StateSpace, period: float) -> control.S
     if arrays.dt != 0.0:
         raise ArgumentError(f"bilinear_to_discrete: the system has dt = {arrays.dt} s, expected a continuous system")
     period = positive("bilinear_to_discrete: period", period)
-    return _mapped(system, arrays, _from_w_plane, period, period)
+    return _mapped(system, arrays, lambda balanced: _from_w_plane(balanced, period))
 
 
 def _mapped(
-    system: control.StateSpace,
-    arrays: StateArrays,
-    bilinear: Callable[..., tuple[FloatArray, FloatArray, FloatArray, FloatArray]],
-    period: float,
-    dt: float,
+    system: control.StateSpace, arrays: StateArrays, bilinear: Callable[[StateArrays], StateArrays]
 ) -> control.StateSpace:
     """Return a system mapped by `_to_w_plane` or `_from_w_plane`; its states keep their names and units."""
     s = state_scaling(*arrays[:3])
-    A, B, C = arrays.A * s / s[:, None], arrays.B / s[:, None], arrays.C * s
-    A, B, C, D = bilinear(A, B, C, arrays.D, period)
+    A, B, C, D, dt = bilinear(
+        StateArrays(arrays.A * s / s[:, None], arrays.B / s[:, None], arrays.C * s, arrays.D, arrays.dt)
+    )
     out = StateArrays(A * s[:, None] / s, B * s[:, None], C / s, D, dt)
     return named_system(out, list(system.input_labels), list(system.output_labels), list(system.state_labels))
 
 
-def to_w_plane(
-    A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, period: float
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+def to_w_plane(system: StateArrays) -> StateArrays:
     """Return the arrays of `bilinear_to_continuous`, in balanced states."""
-    return _to_w_plane(*scaled(A, B, C), D, period)
+    return _to_w_plane(StateArrays(*scaled(*system[:3]), system.D, system.dt))
 
 
-def _to_w_plane(
-    A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, period: float
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+def _to_w_plane(system: StateArrays) -> StateArrays:
+    A, B, C, D, period = system
     eye = np.eye(A.shape[-1])
     inverse = _inverse(A + eye, "bilinear_to_continuous: the system has a pole at z = -1")
     root = 2.0 / math.sqrt(period)
-    return 2.0 / period * (inverse @ (A - eye)), root * (inverse @ B), root * (C @ inverse), D - C @ inverse @ B
+    return StateArrays(
+        2.0 / period * (inverse @ (A - eye)), root * (inverse @ B), root * (C @ inverse), D - C @ inverse @ B
+    )
 
 
-def from_w_plane(
-    A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, period: float
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+def from_w_plane(system: StateArrays, period: float) -> StateArrays:
     """Return the arrays of `bilinear_to_discrete`, in balanced states."""
-    return _from_w_plane(*scaled(A, B, C), D, period)
+    return _from_w_plane(StateArrays(*scaled(*system[:3]), system.D), period)
 
 
-def _from_w_plane(
-    A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, period: float
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+def _from_w_plane(system: StateArrays, period: float) -> StateArrays:
+    A, B, C, D, _ = system
     half, root, eye = 0.5 * period, math.sqrt(period), np.eye(A.shape[-1])
     inverse = _inverse(eye - half * A, f"bilinear_to_discrete: the system has a pole at 2/period = {2.0 / period:g}")
-    return inverse @ (eye + half * A), root * (inverse @ B), root * (C @ inverse), D + half * (C @ inverse @ B)
+    return StateArrays(
+        inverse @ (eye + half * A), root * (inverse @ B), root * (C @ inverse), D + half * (C @ inverse @ B), period
+    )
 
 
 def _inverse(matrix: FloatArray, where: str) -> FloatArray:

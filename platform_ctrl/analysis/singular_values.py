@@ -98,7 +98,7 @@ class FrequencyAxis:
         if dt > 0.0:
             try:
                 if self._w_plane is None:
-                    self._w_plane = to_w_plane(*self.system[:4], period=dt)
+                    self._w_plane = to_w_plane(self.system)[:4]
                 system = self._w_plane
             except ArgumentError:
                 # A pole next to z = -1, which the map would send to infinity.

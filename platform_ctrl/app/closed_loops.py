@@ -60,7 +60,7 @@ def at_rate(K: StateArrays, period: float, design: str) -> StateArrays:
     if abs(K.dt - period) <= 1e-12 * period:
         return K
     try:
-        return StateArrays(*from_w_plane(*to_w_plane(*K[:4], K.dt), period), period)
+        return from_w_plane(to_w_plane(K), period)
     except PlatformCtrlError:
         raise DesignError(
             f"{design}: Tustin's rule carries it to no controller at {1.0 / period:.4g} Hz; move one of its numbers to "

@@ -86,7 +86,7 @@ def parts_used(options: Mapping[str, float], parts: tuple[str, ...]) -> dict[str
 
 def classical_arrays(options: Mapping[str, float], channel: Channels, period: float) -> StateArrays:
     """Return the sampled controller of a classical design of complete options."""
-    controller = StateArrays(*classical_controller(dict(options), channel, period), dt=period)
+    controller = classical_controller(dict(options), channel, period)
     if not all(bool((abs(item) < 1e300).all()) for item in controller[:4]):
         raise DesignError("classical: the options make a controller beyond floating-point numbers; expected others")
     return controller

@@ -15,7 +15,7 @@ from platform_ctrl.analysis.feedback import closed_loop
 from platform_ctrl.analysis.loop_metrics import LoopMetrics, measure
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.common.values import value
-from platform_ctrl.design.partition import Block, Channels, channels
+from platform_ctrl.design.partition import Channels, channels
 from platform_ctrl.design.plants import rows_of
 from platform_ctrl.errors import DesignError, NotCertifiedError
 from platform_ctrl.job.job import DesignSpec, Job, LoopSpec
@@ -136,7 +136,7 @@ class Designed:
     Attributes
     ----------
     controller
-        Sampled with the job's period, u = K y.
+        u = K y, sampled with the job's period or a static gain.
     options
         The method's numbers as finally used, in the units of the job file.
     claims
@@ -145,7 +145,7 @@ class Designed:
         Names of the signals; by default the pick-offs and the torquers of the loop's plants.
     """
 
-    controller: Block
+    controller: StateArrays
     options: dict[str, float]
     claims: dict[str, float] = field(default_factory=dict)
     inputs: tuple[str, ...] = ()
@@ -170,7 +170,7 @@ def designed(problem: LoopProblem) -> LoopDesign:
             largest = {name: max(result.ratio for result in results) for name, results in ratios.items() if results}
             out = dataclasses.replace(out, claims=out.claims | largest)
         return out
-    K = StateArrays(*found.controller, dt=problem.job.sampling.period)
+    K = found.controller._replace(dt=problem.job.sampling.period)
     return LoopDesign(
         loop=spec.name,
         name=design.name,
@@ -183,7 +183,7 @@ def designed(problem: LoopProblem) -> LoopDesign:
 
 def certified(spec: LoopSpec, design: DesignSpec, found: Designed, plants: PlantSet) -> LoopDesign:
     """Return the design with all its numbers recomputed from the closed loops."""
-    K = StateArrays(*found.controller, dt=plants.period)
+    K = found.controller._replace(dt=plants.period)
     measures = measure(plants, K, requirements_of(spec))
     if not measures.decay[0] > 0.0:
         raise NotCertifiedError(

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
+from platform_ctrl.analysis.arrays import StateArrays, state_arrays
 from platform_ctrl.analysis.sampled import from_w_plane, to_w_plane
 from platform_ctrl.common.signatures import short
 from platform_ctrl.common.values import FloatArray, value
@@ -43,32 +43,28 @@ def partition(P: StateSpace, nmeas: int, ncon: int, sampled: bool = False) -> Pa
     sampled
         Whether a plant with dt > 0 is taken, too.
     """
-    from control import StateSpace
-
-    if not isinstance(P, StateSpace):
-        raise ArgumentError(f"plant: given a {type(P).__name__}; expected a control.StateSpace")
-    if P.dt is True:
-        raise ArgumentError("plant: sampled without a period (dt=True); expected the period in s")
-    if P.dt and not sampled:
+    arrays = state_arrays(P, "plant")
+    if arrays.dt and not sampled:
         raise ArgumentError(
-            f"plant: sampled (dt = {P.dt}); expected a continuous plant, for example in the bilinear w-plane"
+            f"plant: must be continuous, got dt = {arrays.dt} s; use analysis.bilinear_to_continuous first"
         )
-    for name, number, total, what in (("nmeas", nmeas, P.noutputs, "outputs"), ("ncon", ncon, P.ninputs, "inputs")):
+    for name, number, total, signals in (("nmeas", nmeas, P.noutputs, "outputs"), ("ncon", ncon, P.ninputs, "inputs")):
         if isinstance(number, bool) or not (isinstance(number, int | np.integer) and 1 <= number < total):
             raise ArgumentError(
-                f"plant: {name} = {short(number)} of {total} {what}; expected a whole number from 1 to {total - 1}"
+                f"plant: {name} must be a whole number from 1 to {total - 1}, as the plant has {total} {signals}, "
+                f"got {short(number)}"
             )
     if P.nstates == 0:
-        raise ArgumentError("plant: no states; expected a dynamic plant")
-    A, B, C, D = (np.asarray(m, dtype=np.float64) for m in (P.A, P.B, P.C, P.D))
-    for name, m in zip("ABCD", (A, B, C, D), strict=True):
-        if not np.all(np.isfinite(m)):
-            raise ArgumentError(f"plant: matrix {name} is not finite; expected finite entries")
-    nz, nw = P.noutputs - nmeas, P.ninputs - ncon
+        raise ArgumentError("plant: has no states; a static gain needs no controller design")
+    return split(arrays, P.noutputs - nmeas, P.ninputs - ncon)
+
+
+def split(plant: StateArrays, nz: int, nw: int) -> Partition:
+    """Split a plant behind its first `nz` outputs and first `nw` inputs."""
+    A, B, C, D, dt = plant
     return Partition(
         A=A, B1=B[:, :nw], B2=B[:, nw:], C1=C[:nz], C2=C[nz:],
-        D11=D[:nz, :nw], D12=D[:nz, nw:], D21=D[nz:, :nw], D22=D[nz:, nw:],
-        dt=float(P.dt or 0.0),
+        D11=D[:nz, :nw], D12=D[:nz, nw:], D21=D[nz:, :nw], D22=D[nz:, nw:], dt=dt,
     )  # fmt: skip
 
 
@@ -79,21 +75,12 @@ def in_w_plane(plant: Partition) -> Partition:
     """
     if plant.dt == 0.0:
         return plant
-    nz, nw = plant.D11.shape
-    one = whole(plant)
-    A, B, C, D = to_w_plane(one.A, one.B, one.C, one.D, plant.dt)
-    return Partition(
-        A=A, B1=B[:, :nw], B2=B[:, nw:], C1=C[:nz], C2=C[nz:],
-        D11=D[:nz, :nw], D12=D[:nz, nw:], D21=D[nz:, :nw], D22=D[nz:, nw:],
-    )  # fmt: skip
+    return split(to_w_plane(whole(plant)), *plant.D11.shape)
 
 
 def out_of_w_plane(K: StateArrays, period: float) -> StateArrays:
     """Return a controller of the plant that `in_w_plane` made as a sampled one; for `period` 0 as it is."""
-    if period == 0.0:
-        return K
-    A, B, C, D = from_w_plane(K.A, K.B, K.C, K.D, period)
-    return StateArrays(A=A, B=B, C=C, D=D)
+    return K if period == 0.0 else from_w_plane(K, period)
 
 
 def with_direct_path(K: StateArrays, D22: FloatArray) -> StateArrays:
@@ -132,6 +119,7 @@ def whole(plant: Partition) -> StateArrays:
         B=np.hstack([plant.B1, plant.B2]),
         C=np.vstack([plant.C1, plant.C2]),
         D=np.block([[plant.D11, plant.D12], [plant.D21, plant.D22]]),
+        dt=plant.dt,
     )
 
 
@@ -158,33 +146,25 @@ def closed_loop_system(P: StateSpace, loop: StateArrays) -> StateSpace:
     )  # fmt: skip
 
 
-Block = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
-# Real or complex matrices.
-Numbers = TypeVar("Numbers", FloatArray, ComplexArray)
-
-
-def first_order(b1: float, b0: float, a1: float, a0: float, period: float) -> Block:
+def first_order(b1: float, b0: float, a1: float, a0: float, period: float) -> StateArrays:
     """Return (b1 s + b0)/(a1 s + a0), sampled by Tustin's rule."""
     two = 2.0 / period
     lead, last = a1 * two + a0, a0 - a1 * two
     high, low = b1 * two + b0, b0 - b1 * two
     pole = -last / lead
     direct = high / lead
-    return (
-        np.array([[pole]]),
-        np.array([[1.0]]),
-        np.array([[low / lead + direct * pole]]),
-        np.array([[direct]]),
+    return StateArrays(
+        np.array([[pole]]), np.array([[1.0]]), np.array([[low / lead + direct * pole]]), np.array([[direct]]), period
     )
 
 
-def notch(frequency: float, depth: float, width: float, period: float) -> Block:
+def notch(frequency: float, depth: float, width: float, period: float) -> StateArrays:
     """Return (s² + 2 depth width f s + f²)/(s² + 2 width f s + f²), by Tustin's rule prewarped at f = `frequency`."""
     f2, damping = frequency**2, 2.0 * width * frequency
     return _prewarped((1.0, depth * damping, f2), (1.0, damping, f2), frequency, period)
 
 
-def low_pass(frequency: float, damping: float, period: float) -> Block:
+def low_pass(frequency: float, damping: float, period: float) -> StateArrays:
     """Return f²/(s² + 2 damping f s + f²), by Tustin's rule prewarped at f = `frequency`, rad/s."""
     f2 = frequency**2
     return _prewarped((0.0, 0.0, f2), (1.0, 2.0 * damping * frequency, f2), frequency, period)
@@ -192,7 +172,7 @@ def low_pass(frequency: float, damping: float, period: float) -> Block:
 
 def _prewarped(
     numerator: tuple[float, float, float], denominator: tuple[float, float, float], frequency: float, period: float
-) -> Block:
+) -> StateArrays:
     """Return (b2 s² + b1 s + b0)/(a2 s² + a1 s + a0), by Tustin's rule prewarped at `frequency`, rad/s."""
     two = frequency / np.tan(0.5 * frequency * period)
     b, a = (
@@ -200,40 +180,36 @@ def _prewarped(
         for c2, c1, c0 in (numerator, denominator)
     )
     a, b = a / a[0], b / a[0]
-    return (
+    return StateArrays(
         np.array([[-a[1], -a[2]], [1.0, 0.0]]),
         np.array([[1.0], [0.0]]),
         np.array([[b[1] - b[0] * a[1], b[2] - b[0] * a[2]]]),
         np.array([[b[0]]]),
+        period,
     )
 
 
-def gain(matrix: FloatArray | float) -> Block:
-    """Return a static gain."""
+def gain(matrix: FloatArray | float) -> StateArrays:
+    """Return a static gain: `dt` is 0, whatever it is joined with."""
     D = np.atleast_2d(np.asarray(matrix, dtype=np.float64))
-    return np.zeros((0, 0)), np.zeros((0, D.shape[1])), np.zeros((D.shape[0], 0)), D
+    return StateArrays(np.zeros((0, 0)), np.zeros((0, D.shape[1])), np.zeros((D.shape[0], 0)), D)
 
 
-def series(
-    first: tuple[Numbers, Numbers, Numbers, Numbers], *others: tuple[Numbers, Numbers, Numbers, Numbers]
-) -> tuple[Numbers, Numbers, Numbers, Numbers]:
-    """Return the blocks one after another, `first` first."""
-    A, B, C, D = first
-    for a, b, c, d in others:
-        A = np.block([[A, np.zeros((len(A), len(a)))], [b @ C, a]])
-        B, C, D = np.vstack([B, b @ D]), np.hstack([d @ C, c]), d @ D
-    return A, B, C, D
-
-
-def side_by_side(*blocks: Block) -> Block:
-    """Return blocks with inputs and outputs of their own."""
+def side_by_side(*systems: StateArrays) -> StateArrays:
+    """Return one system of several, each with its own inputs and outputs."""
     from scipy.linalg import block_diag
 
-    A, B, C, D = (block_diag(*parts) for parts in zip(*blocks, strict=True))
-    return A, B, C, D
+    A, B, C, D = (block_diag(*(system[k] for system in systems)) for k in range(4))
+    return StateArrays(A, B, C, D, systems[0].dt)
 
 
-# A block whose h is this small against the largest is no gyroscopic pair.
+def between(first: FloatArray, system: StateArrays, last: FloatArray) -> StateArrays:
+    """Return last · system · first, with matrices for the other signals."""
+    A, B, C, D, dt = system
+    return StateArrays(A, B @ first, last @ C, last @ D @ first, dt)
+
+
+# A pair whose h is this small against the largest is not gyroscopic.
 _NO_GYRO = 1e-9
 
 

@@ -13,11 +13,10 @@ from platform_ctrl.analysis.loop_metrics import LoopMetrics, measure
 from platform_ctrl.analysis.loop_set import LoopSet
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.design.partition import Block
 from platform_ctrl.job.requirements import LoopRequirement
 
 BoolArray = NDArray[np.bool_]
-Builder = Callable[[dict[str, float]], Block]
+Builder = Callable[[dict[str, float]], StateArrays]
 
 # How far options may move, as a factor: where nothing gets better the search would go on to infinity.
 _FARTHEST = 1e6
@@ -25,13 +24,13 @@ _FARTHEST = 1e6
 _IN_VIEW = 8
 
 
-def worst_ratio(controller: Block, plants: PlantSet, requirements: Sequence[LoopRequirement]) -> float:
+def worst_ratio(controller: StateArrays, plants: PlantSet, requirements: Sequence[LoopRequirement]) -> float:
     """Return the largest ratio of all requirements; beyond 10 for an unstable loop, more the faster it diverges."""
     return _worst(_on_grid(controller, plants, requirements), plants, requirements)
 
 
-def _on_grid(controller: Block, plants: PlantSet, requirements: Sequence[LoopRequirement]) -> LoopMetrics:
-    return measure(plants, StateArrays(*controller, dt=plants.period), requirements, exact=False)
+def _on_grid(controller: StateArrays, plants: PlantSet, requirements: Sequence[LoopRequirement]) -> LoopMetrics:
+    return measure(plants, controller._replace(dt=plants.period), requirements, exact=False)
 
 
 def _worst(measures: LoopMetrics, plants: PlantSet, requirements: Sequence[LoopRequirement]) -> float:
@@ -141,9 +140,11 @@ def tune(
     return options(best)
 
 
-def _exactly(controller: Block, plants: PlantSet, requirements: Sequence[LoopRequirement]) -> tuple[float, PlantSet]:
+def _exactly(
+    controller: StateArrays, plants: PlantSet, requirements: Sequence[LoopRequirement]
+) -> tuple[float, PlantSet]:
     """Return the largest ratio over all frequencies, and the plants on a grid that has those that it is reached at."""
-    loops = LoopSet(plants, StateArrays(*controller, dt=plants.period))
+    loops = LoopSet(plants, controller._replace(dt=plants.period))
     measures = measure(plants, loops.controller, requirements, loops=loops)
     return _worst(measures, plants, requirements), plants.finer(loops.peak_frequencies)
 

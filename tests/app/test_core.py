@@ -108,7 +108,7 @@ def test_poles_and_requirements_are_those_of_the_certified_design(
 ) -> None:
     job, spec, plants, K = _closed(bench, settings)
     design = next(d for d in spec.designs if d.name == settings.design)
-    made = certified(spec, design, Designed(controller=tuple(K[:4]), options={}), plants)
+    made = certified(spec, design, Designed(controller=K, options={}), plants)
     assert [(r.name, r.passed) for r in picture.requirements] == [(r.name, r.passed) for r in made.results]
     np.testing.assert_allclose([r.value for r in picture.requirements], [r.value for r in made.results], rtol=1e-6)
     s = continuous_poles(closed_loop_poles(plants, made.controller), plants.period)

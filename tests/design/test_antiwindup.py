@@ -223,7 +223,7 @@ def caging(job: Job) -> control.StateSpace:
         "rolloff_hz": 900.0,
     }  # fmt: skip
     block = classical_controller(options, channels(model, [3, 4]), job.sampling.period)
-    return control.StateSpace(*block, job.sampling.period, inputs=["alpha9", "beta10"], outputs=["Q9", "Q10"])
+    return control.StateSpace(*block, inputs=["alpha9", "beta10"], outputs=["Q9", "Q10"])
 
 
 def test_the_caging_loop_survives_on_the_non_linear_plant_what_is_proved(job: Job, caging: control.StateSpace) -> None:

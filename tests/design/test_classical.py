@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 
-from platform_ctrl.analysis.arrays import StateArrays, named_system, state_arrays
+from platform_ctrl.analysis.arrays import named_system, state_arrays
+from platform_ctrl.analysis.feedback import series
 from platform_ctrl.analysis.loop_metrics import measure
 from platform_ctrl.design.classical.caging import classical_controller, starting_values
 from platform_ctrl.design.classical.crossover import from_crossover_and_margin
 from platform_ctrl.design.classical.stabilisation import platform_servo, rate_estimate
 from platform_ctrl.design.loop import Designed, LoopProblem, certified, closed_loop_poles, sampled_plant
-from platform_ctrl.design.partition import channels, first_order, gain, low_pass, notch, series, side_by_side
+from platform_ctrl.design.partition import channels, first_order, gain, low_pass, notch, side_by_side
 from platform_ctrl.design.plants import cases, changed, loop_plants
 from platform_ctrl.design.riccati.pole_placement import pole_placement
 from platform_ctrl.design.tuning import tune, worst_ratio
@@ -47,7 +48,7 @@ def two_axis(job):
 
 
 def same_response(block, continuous, tolerance=1e-9):
-    A, B, C, D = block
+    A, B, C, D, _ = block
     expected = control.sample_system(continuous, PERIOD, method="tustin")
     w = np.geomspace(1.0, 6000.0, 50)
     ours = np.array([(C @ np.linalg.solve(z * np.eye(len(A)) - A, B) + D)[0, 0] for z in np.exp(1j * w * PERIOD)])
@@ -66,7 +67,7 @@ def test_prewarped_blocks_are_exact_where_they_are_meant_to_be(f):
     at = np.exp(1j * f * PERIOD)
 
     def value(block):
-        A, B, C, D = block
+        A, B, C, D, _ = block
         return (C @ np.linalg.solve(at * np.eye(len(A)) - A, B) + D)[0, 0]
 
     assert value(notch(f, 0.2, 0.3, PERIOD)) == pytest.approx(0.2, abs=1e-9)
@@ -135,9 +136,9 @@ def test_cross_gain_alone_drives_nutation_unstable_and_the_direct_lead_damps_it(
     options = starting_values({"crossover_hz": 10.0}, channel, two_axis.nutation, PERIOD)
     weak = options | {"damping_hz": 1e-6, "damping2_hz": 1e-6}
     cross = classical_controller(weak, channel, PERIOD)
-    decay = measure(two_axis, StateArrays(*cross, dt=PERIOD)).decay[0]
+    decay = measure(two_axis, cross).decay[0]
     assert -decay == pytest.approx(2 * np.pi * 10.0, rel=0.4)
-    damped = measure(two_axis, StateArrays(*classical_controller(options, channel, PERIOD), dt=PERIOD))
+    damped = measure(two_axis, classical_controller(options, channel, PERIOD))
     assert damped.decay[0] > 0.0
     assert damped.damping[0] > 0.1
 
@@ -147,7 +148,7 @@ def test_no_integrator_is_doubled(model):
     for rows in ([0, 1, 2], [3, 4]):
         channel = channels(model, rows)
         options = starting_values({"notch_depth": 0.5}, channel, 500.0, PERIOD)
-        A = classical_controller(options, channel, PERIOD)[0]
+        A = classical_controller(options, channel, PERIOD).A
         assert np.sum(np.abs(np.linalg.eigvals(A) - 1.0) < 1e-6) == len(rows)
 
 
@@ -156,7 +157,7 @@ def test_blocks_are_put_together_as_said():
     z = np.exp(0.3j)
 
     def at(block):
-        A, B, C, D = block
+        A, B, C, D, _ = block
         return C @ np.linalg.solve(z * np.eye(len(A)) - A, B) + D
 
     np.testing.assert_allclose(at(series(one, two)), at(two) @ at(one))
@@ -207,7 +208,7 @@ def test_certified_figures_come_from_the_closed_loop(job, model, two_axis):
 def test_the_exact_margins_are_never_above_those_of_the_grid(job, model, two_axis):
     channel = channels(model, [3, 4])
     options = starting_values(job.loops[1].designs[0].options, channel, two_axis.nutation, PERIOD)
-    K = StateArrays(*classical_controller(options, channel, PERIOD), dt=PERIOD)
+    K = classical_controller(options, channel, PERIOD)
     rough, exact = measure(two_axis, K, exact=False), measure(two_axis, K)
     assert np.all(exact.disk_margin <= rough.disk_margin * (1 + 1e-9))
     np.testing.assert_allclose(exact.disk_margin, rough.disk_margin, rtol=0.02)
@@ -216,7 +217,7 @@ def test_the_exact_margins_are_never_above_those_of_the_grid(job, model, two_axi
 def test_torque_noise_is_what_a_long_random_run_shows(job, model, two_axis):
     channel = channels(model, [3, 4])
     options = starting_values(job.loops[1].designs[0].options, channel, two_axis.nutation, PERIOD)
-    K = StateArrays(*classical_controller(options, channel, PERIOD), dt=PERIOD)
+    K = classical_controller(options, channel, PERIOD)
     measures = measure(two_axis, K)
     named = named_system(K, two_axis.angles, two_axis.torques)
     loop = control.feedback(named, sampled_plant(two_axis), sign=1)
@@ -271,7 +272,7 @@ def test_a_lag_raises_the_gain_at_low_frequencies_alone(model):
     lagging = starting_values({"integral_hz": 0.1, "lag_hz": 2.0, "lag_ratio": 4.0}, channel, 474.0, PERIOD)
 
     def cross(options, hz):
-        A, B, C, D = classical_controller(options, channel, PERIOD)
+        A, B, C, D, _ = classical_controller(options, channel, PERIOD)
         z = np.exp(2j * np.pi * hz * PERIOD)
         return abs((C @ np.linalg.solve(z * np.eye(len(A)) - A, B) + D)[0, 1])
 
@@ -289,7 +290,7 @@ def test_the_spin_notch_stands_at_the_rotors_spin_and_holds_every_path_back(mode
     z = np.exp(1250j * PERIOD)
     responses = []
     for options in (plain, notched):
-        A, B, C, D = classical_controller(options, channel, PERIOD)
+        A, B, C, D, _ = classical_controller(options, channel, PERIOD)
         responses.append(C @ np.linalg.solve(z * np.eye(len(A)) - A, B) + D)
     np.testing.assert_allclose(responses[1], 0.05 * responses[0], rtol=1e-8)
 
@@ -318,7 +319,7 @@ def test_crossover_and_margin_give_the_weakest_lead_that_has_the_margin(model, t
     assert measure(two_axis, K).disk_margin[0] == pytest.approx(found.disk_margin, rel=1e-6)
     weaker = found.options | {name: 0.98 * found.options[name] for name in ("damping_hz", "damping2_hz")}
     block = classical_controller(weaker, channels(model, [3, 4]), PERIOD)
-    assert measure(two_axis, StateArrays(*block, dt=PERIOD)).disk_margin[0] < 0.5
+    assert measure(two_axis, block).disk_margin[0] < 0.5
 
 
 def test_a_phase_margin_is_the_disk_margin_that_holds_it(model):

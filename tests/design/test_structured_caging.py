@@ -75,12 +75,12 @@ REQUIREMENTS = [
 
 
 def whole(block):
-    A, B, C, D = block
+    A, B, C, D, _ = block
     return np.block([[A, B], [C, D]])
 
 
 def parts(M, n):
-    return M[:n, :n], M[:n, n:], M[n:, :n], M[n:, n:]
+    return StateArrays(M[:n, :n], M[:n, n:], M[n:, :n], M[n:, n:], 5e-4)
 
 
 MAPS = {
@@ -163,7 +163,7 @@ def test_pieces_are_the_ratios_that_are_certified(cases, name):
     plants, _, K = cases[name]
     plants = plants.only(range(4))
     loops = ClosedLoops(finer(plants), K)
-    measures = measure(plants, StateArrays(*K, dt=plants.period), REQUIREMENTS)
+    measures = measure(plants, K, REQUIREMENTS)
     for asked in REQUIREMENTS:
         found = pieces(loops, asked, 0.5)
         if asked.kind == "bandwidth":
@@ -228,10 +228,10 @@ def test_truncation_keeps_what_matters():
     A = np.diag([0.9, 0.5, -0.3, 0.2])
     B, C, D = rng.standard_normal((4, 2)), rng.standard_normal((2, 4)), np.zeros((2, 2))
     C[:, 3] *= 1e-9
-    less = balanced_truncation((A, B, C, D), 3, sampled=True)
-    assert len(less[0]) == 3
+    less = balanced_truncation(StateArrays(A, B, C, D, 0.1), 3)
+    assert len(less.A) == 3
     for z in np.exp(1j * np.array([0.1, 1.0, 3.0])):
-        full, small = (c @ np.linalg.solve(z * np.eye(len(a)) - a, b) + d for a, b, c, d in ((A, B, C, D), less))
+        full, small = (c @ np.linalg.solve(z * np.eye(len(a)) - a, b) + d for a, b, c, d in ((A, B, C, D), less[:4]))
         np.testing.assert_allclose(small, full, atol=1e-7)
 
 
@@ -421,9 +421,9 @@ def test_a_resonance_between_two_points_of_the_grid_is_seen(cases):
     """Nearly no gain: the nutation rings on, in a peak far narrower than the grid."""
     plants, _, K = cases["caging 9-10"]
     plants = plants.only([0])
-    weak = (K[0], K[1], 2e-7 * K[2], 2e-7 * K[3])
+    weak = StateArrays(K.A, K.B, 2e-7 * K.C, 2e-7 * K.D, K.dt)
     margin = requirement("disk margin", 0.5)
-    measured = measure(plants, StateArrays(*weak, dt=plants.period), [margin]).disk_margin[0]
+    measured = measure(plants, weak, [margin]).disk_margin[0]
     assert measured < 0.01
     assert pieces(ClosedLoops(finer(plants), weak), margin, 0.5).ratio.max() == pytest.approx(0.5 / measured, rel=0.01)
 

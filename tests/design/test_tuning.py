@@ -8,9 +8,10 @@ from typing import Any
 import pytest
 
 import platform_ctrl as pc
+from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.design import tuning
 from platform_ctrl.design.classical.caging import classical_controller, starting_values
-from platform_ctrl.design.partition import Block, channels
+from platform_ctrl.design.partition import channels
 from platform_ctrl.design.plants import plants_of, rows_of
 from platform_ctrl.job.requirements import loop_requirements
 
@@ -44,7 +45,7 @@ def test_options_stay_within_reach_of_their_start(direction: float, monkeypatch:
     start = starting_values({}, channel, plants.nutation, plants.period)
     tried: list[float] = []
 
-    def build(options: dict[str, float]) -> Block:
+    def build(options: dict[str, float]) -> StateArrays:
         tried.append(options["crossover_hz"] / start["crossover_hz"])
         return classical_controller(options, channel, plants.period)
 
@@ -69,7 +70,7 @@ def test_what_need_not_move_keeps_its_number_to_the_last_digit() -> None:
     start = starting_values(given, channel, plants.nutation, plants.period)
     asked = loop_requirements(spec.limits | {"disk_margin": 0.01})
 
-    def build(options: dict[str, float]) -> Block:
+    def build(options: dict[str, float]) -> StateArrays:
         return classical_controller(options, channel, plants.period)
 
     assert tuning.tune(start, list(start), build, plants, asked, evaluations=5) == start

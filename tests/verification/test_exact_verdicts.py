@@ -9,7 +9,6 @@ from pathlib import Path
 import control
 import numpy as np
 import pytest
-from scipy.linalg import block_diag
 
 import dense_peak
 import narrow_loops
@@ -22,7 +21,7 @@ from platform_ctrl.analysis.loop_set import LoopSet
 from platform_ctrl.app.free_measures import requirements
 from platform_ctrl.app.free_plants import StabilisedLoop, corners, free_models, free_plants
 from platform_ctrl.cli import main
-from platform_ctrl.design.partition import notch
+from platform_ctrl.design.partition import notch, side_by_side
 from platform_ctrl.design.structured.descent import Search
 from platform_ctrl.design.structured.families import Named
 from platform_ctrl.design.structured.loops import ClosedLoops
@@ -219,8 +218,8 @@ def test_the_tuner_goes_on_where_a_limit_is_missed_between_the_points_of_its_gri
     asked = [requirement("stability", 0.05, over=SPREAD), requirement("sensitivity peak", 3.0, over=SPREAD)]
     start = {"depth": 0.20796, "width": 0.0061867}
 
-    def build(options: dict[str, float]) -> tuple[np.ndarray, ...]:
-        return narrow_loop(**options)[:4]
+    def build(options: dict[str, float]) -> StateArrays:
+        return narrow_loop(**options)
 
     assert worst_ratio(build(start), plants, asked) < 0.95
     found = tune(start, list(start), build, plants, asked, upper={"depth": 1.0, "width": 1.0})
@@ -240,11 +239,11 @@ def test_the_structured_search_goes_on_where_a_limit_is_missed_between_the_point
     monkeypatch.setattr(ClosedLoops, "_hidden", lambda self, *_: self.none())
     asked = [requirement("stability", 0.05, over=SPREAD), requirement("sensitivity peak", 3.0, over=SPREAD)]
     start = {"depth": 0.3, "width": 0.003}
-    family = Named(lambda options: narrow_loop(**options)[:4], start, list(start), {"depth": 1.0, "width": 1.0})
+    family = Named(lambda options: narrow_loop(**options), start, list(start), {"depth": 1.0, "width": 1.0})
     told: list[float] = []
     found = Search(plants, asked, 0.02, 200, lambda hard, soft: told.append(hard)).run(family)
     assert told[0] < 0.9  # what it sees at first
-    K = StateArrays(*family.block(found.x), PERIOD)
+    K = family.block(found.x)
     true = worst_of("sensitivity peak", plants, K)
     assert true <= 3.0
 
@@ -265,7 +264,7 @@ def test_the_page_sees_a_narrow_resonance_of_the_coupled_loop(
     """The page works its values out its own way, fast enough for a slider: they are those of the coupled check."""
     job, (first, second, servo) = three_loops
     A, B, C, D, _ = state_arrays(second, "K")
-    a, b, c, d = (block_diag(part, part) for part in notch(2.0 * np.pi * centre_hz, depth, width, PERIOD))
+    a, b, c, d, _ = side_by_side(*[notch(2.0 * np.pi * centre_hz, depth, width, PERIOD)] * 2)
     both = np.block([[a, np.zeros((len(a), len(A)))], [B @ c, A]])
     K = StateArrays(both, np.vstack([b, B @ d]), np.hstack([D @ c, C]), D @ d, PERIOD)
     controllers = (first, named_system(K, second.input_labels, second.output_labels), servo)

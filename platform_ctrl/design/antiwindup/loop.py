@@ -176,7 +176,7 @@ def limited_loop(
     rise = positive("limited_loop: rise", rise)
     rho = 4.0 * math.pi / rise if corner is None else positive("limited_loop: corner", corner)
     lags = not_negative("limited_loop: lag", 0.0 if lag is None else lag, m)
-    A, B, C, _ = with_lag(P.A, P.B[:, u], P.C[y], np.zeros((p, m)), lags)
+    A, B, C, _, _ = with_lag(StateArrays(P.A, P.B[:, u], P.C[y], np.zeros((p, m))), lags)
     n = len(A)
     moved = np.zeros((n, 1))
     moved[: len(P.A)] = P.B @ w

@@ -22,9 +22,10 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
+from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.loop import Designed, LoopProblem, completed
-from platform_ctrl.design.partition import Block, Channels, first_order, gain, notch
+from platform_ctrl.design.partition import Channels, between, first_order, gain, notch
 from platform_ctrl.design.tuning import tune
 from platform_ctrl.errors import DesignError
 from platform_ctrl.job.job import DesignSpec
@@ -54,19 +55,19 @@ class Stage(NamedTuple):
     name: str
     kind: Kind
     note: str
-    block: Block
+    block: StateArrays
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
 
 
-def flattened(stages: Sequence[Stage], inputs: Sequence[str], outputs: Sequence[str]) -> Block:
-    """Return the diagram from `inputs` to `outputs` as one block; its states are those of the stages in their order."""
-    n, m = sum(len(stage.block[0]) for stage in stages), len(inputs)
+def flattened(stages: Sequence[Stage], inputs: Sequence[str], outputs: Sequence[str]) -> StateArrays:
+    """Return the diagram from `inputs` to `outputs` as one system; its states are the stages' in their order."""
+    n, m = sum(len(stage.block.A) for stage in stages), len(inputs)
     rows: dict[str, FloatArray] = dict(zip(inputs, np.eye(m, n + m, n), strict=True))
     later = np.zeros((n, n + m))
     first = 0
     for stage in stages:
-        a, b, c, d = stage.block
+        a, b, c, d, _ = stage.block
         last = first + len(a)
         taken = np.array([rows[name] for name in stage.inputs])
         shown = d @ taken
@@ -77,7 +78,8 @@ def flattened(stages: Sequence[Stage], inputs: Sequence[str], outputs: Sequence[
         rows.update(zip(stage.outputs, shown, strict=True))
         first = last
     given = np.array([rows[name] for name in outputs])
-    return later[:, :n], later[:, n:], given[:, :n], given[:, n:]
+    period = max(stage.block.dt for stage in stages)
+    return StateArrays(later[:, :n], later[:, n:], given[:, :n], given[:, n:], period)
 
 
 # Moved by the tuner, in this order: the simplex depends on it.
@@ -172,7 +174,7 @@ def _spin_hz(given: dict[str, float], channel: Channels) -> float:
     return float(channel.spins.mean() / (2.0 * np.pi))
 
 
-def classical_controller(options: dict[str, float], channel: Channels, period: float) -> Block:
+def classical_controller(options: dict[str, float], channel: Channels, period: float) -> StateArrays:
     """Return the sampled controller (u = K y, no hidden sign) for complete `options` (see `starting_values`).
 
     Parameters
@@ -189,9 +191,8 @@ def classical_controller(options: dict[str, float], channel: Channels, period: f
     """
     count = range(len(channel.basis))
     directions, torques = [_measured(k) for k in count], [_set(k) for k in count]
-    A, B, C, D = flattened(classical_stages(options, channel, period), directions, torques)
-    basis: FloatArray = channel.basis
-    return A, B @ basis, basis.T @ C, basis.T @ D @ basis
+    along = flattened(classical_stages(options, channel, period), directions, torques)
+    return between(channel.basis, along, channel.basis.T)
 
 
 def classical_diagram(

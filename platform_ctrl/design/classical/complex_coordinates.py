@@ -169,7 +169,7 @@ def complex_plant(
     plain = named_system(StateArrays(A, B, C, np.zeros((2, 2)), 0.0), torques, angles, states_named)
     lags = np.array([t.lag for t in torquers])
     if period is None:
-        arrays = StateArrays(*with_lag(A, B, C, np.zeros((2, 2)), lags), dt=0.0)
+        arrays = with_lag(StateArrays(A, B, C, np.zeros((2, 2))), lags)
         labels = states_named + [f"lag_{name}" for name, lag in zip(torques, lags, strict=True) if lag > 0.0]
         rate = np.vstack([rate, np.zeros((len(labels) - len(rate), 3))])
     else:

@@ -28,7 +28,6 @@ from platform_ctrl.common.arguments import positive
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.classical.complex_coordinates import ComplexSystem, complex_response, transfer
-from platform_ctrl.design.partition import series
 from platform_ctrl.errors import ArgumentError, NotCertifiedError, NotStabilisableError
 from platform_ctrl.plant.platform import OMEGA_NAMES
 
@@ -184,7 +183,7 @@ def complex_loop(
     J, h = plant.inertia, plant.momentum
     if not J > 0.0:
         raise ArgumentError("complex_loop: the plant has no inertia; expected one from complex_plant")
-    cross = [_block(1.0, rad["integral_hz"], 1.0, 0.0, plant.dt)]
+    cross = _block(1.0, rad["integral_hz"], 1.0, 0.0, plant.dt)
     if notch_hz is not None:
         centre = 2.0 * np.pi * notch_hz
         if not np.isfinite(centre) or centre == 0.0 or (plant.dt and abs(centre) >= np.pi / plant.dt):
@@ -196,9 +195,9 @@ def complex_loop(
             # Tustin's rule bends frequencies: prewarped at the centre.
             bend = 2.0 / plant.dt * np.tan(0.5 * centre * plant.dt) / centre
             centre, width = centre * bend, width * bend
-        cross.append(_block(1.0, notch_depth * width - 1j * centre, 1.0, width - 1j * centre, plant.dt))
+        cross = _series(cross, _block(1.0, notch_depth * width - 1j * centre, 1.0, width - 1j * centre, plant.dt))
     lead = _block(1.0, rad["lead_hz"], 1.0 / rad["rolloff_hz"], 1.0, plant.dt)
-    A, B, C, D = _sum(_scaled(1j * h * rad["crossover_hz"], series(*cross)), _scaled(-J * rad["damping_hz"], lead))
+    A, B, C, D = _sum(_scaled(1j * h * rad["crossover_hz"], cross), _scaled(-J * rad["damping_hz"], lead))
     controller = ComplexSystem(
         A=A,
         B=B,
@@ -387,6 +386,12 @@ def _block(b1: complex, b0: complex, a1: complex, a0: complex, dt: float) -> Par
 def _scaled(factor: complex, parts: Parts) -> Parts:
     A, B, C, D = parts
     return A, B, np.asarray(factor * C), np.asarray(factor * D)
+
+
+def _series(first: Parts, second: Parts) -> Parts:
+    (A, B, C, D), (a, b, c, d) = first, second
+    whole = np.block([[A, np.zeros((len(A), len(a)))], [b @ C, a]])
+    return whole, np.vstack([B, b @ D]), np.hstack([d @ C, c]), d @ D
 
 
 def _sum(one: Parts, two: Parts) -> Parts:

@@ -150,7 +150,7 @@ def from_crossover_and_margin(
         return start | {name: ratio * strength * nutation_hz for name, ratio in zip(names, _RATIOS, strict=True)}
 
     def controller(strength: float) -> control.StateSpace:
-        K = StateArrays(*classical_controller(with_lead(strength), channel, period), dt=period)
+        K = classical_controller(with_lead(strength), channel, period)
         return named_system(K, plant.output_labels, plant.input_labels[:2], name=f"cross-axis, {crossover_hz:g} Hz")
 
     def margin(strength: float) -> float:

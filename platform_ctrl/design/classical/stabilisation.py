@@ -16,7 +16,7 @@ import numpy as np
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.classical.caging import Stage, flattened
 from platform_ctrl.design.loop import Designed, LoopProblem, completed
-from platform_ctrl.design.partition import first_order, gain, low_pass, series
+from platform_ctrl.design.partition import between, first_order, gain, low_pass
 from platform_ctrl.errors import DesignError
 from platform_ctrl.mechanics.linearisation import LinearModel
 
@@ -67,8 +67,7 @@ def platform_servo(problem: LoopProblem) -> Designed:
         raise DesignError(f"{spec.name}: no torquer on {wanted}; expected one in the plant file", model)
     period = job.sampling.period
     turns, speeds = _per_axis("turn"), _per_axis("speed")
-    axes = flattened(_axis_stages(options, period), turns, speeds)
-    servo = series(gain(estimate), axes, gain(_strength(options, model)))
+    servo = between(estimate, flattened(_axis_stages(options, period), turns, speeds), _strength(options, model))
     return Designed(
         controller=servo,
         options=options,

@@ -22,11 +22,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from platform_ctrl.analysis.arrays import StateArrays, named_system
+from platform_ctrl.analysis.arrays import StateArrays, named_system, state_arrays
+from platform_ctrl.analysis.feedback import series
 from platform_ctrl.common.arguments import positive, real_array
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.lmi.scheduled import Scheduled, scheduled
-from platform_ctrl.design.partition import channels, series
+from platform_ctrl.design.partition import between, channels
 from platform_ctrl.design.riccati.weighted_loop import signal_names
 from platform_ctrl.design.synthesis import hinf
 from platform_ctrl.errors import ArgumentError
@@ -95,21 +96,16 @@ class ScheduledCaging:
         ArgumentError
             The rate lies outside the limits.
         """
-        import control
-
         rate = real_array("Omega", Omega, (3,))
         if np.any(np.abs(rate) > self.Omega_max * (1 + 1e-9)):
             raise ArgumentError(f"Omega: given {rate.tolist()}; expected at most {self.Omega_max.tolist()} rad/s")
         k = len(self.weight_rate)
         eye = np.eye(k)
         # The weight's integrator belongs to the controller: it stands before K.
-        weight = np.zeros((k, k)), eye, np.diag(self.weight_rate), eye / self.peak
+        weight = StateArrays(np.zeros((k, k)), eye, np.diag(self.weight_rate), eye / self.peak)
         K = self.scheduled.at(monomial_values(self.scheduled.box.names, rate))
-        A, B, C, D = series(weight, (K.A, K.B, K.C, K.D))
-        return control.StateSpace(
-            A, B @ self.basis, self.torque @ C, self.torque @ D @ self.basis,
-            inputs=list(self.angles), outputs=list(self.torques), remove_useless_states=False,
-        )  # fmt: skip
+        whole = between(self.basis, series(weight, state_arrays(K, "controller")), self.torque)
+        return named_system(whole, self.angles, self.torques)
 
 
 def scheduled_caging(

@@ -182,7 +182,7 @@ def _weight(weight: Any, size: int, where: str, period: float) -> StateArrays:
     out = weight_arrays(1.0 if weight is None else weight, size, period, where)
     if (out.D.shape[0] if where == "input_weight" else out.D.shape[1]) != size:
         raise ArgumentError(f"{where}: of shape {out.D.shape}; expected it to fit {size} signals")
-    return StateArrays(*to_w_plane(*out[:4], period=period), dt=0.0) if period > 0 and len(out.A) else out
+    return to_w_plane(out) if period > 0 and len(out.A) else out
 
 
 def _white(weight: StateArrays, period: float) -> StateArrays:

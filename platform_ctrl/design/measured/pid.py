@@ -45,7 +45,8 @@ def realisation(gains: FloatArray, filter_time: float, period: float) -> StateAr
     # The gains and the bandwidth of each pick-off's filter, as `PID` orders its parameters.
     parameters = np.append(gains, np.full(n, 1.0 / filter_time))
     A, B, C, D = (part.at for part in PID(filter_order=1, filtered="derivative").block(parameters, n, n))
-    return StateArrays(A, B, C, D) if period == 0.0 else StateArrays(*from_w_plane(A, B, C, D, period), dt=period)
+    K = StateArrays(A, B, C, D)
+    return K if period == 0.0 else from_w_plane(K, period)
 
 
 def masks(pattern: Pattern | ArrayLike, n: int) -> FloatArray:

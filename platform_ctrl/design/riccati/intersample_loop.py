@@ -95,7 +95,7 @@ def caging_plant(job: Job, controller: control.StateSpace) -> tuple[control.Stat
     P = state_arrays(whole[angles, [*torques, *OMEGA_NAMES, *torques]], "caging_plant")
     m, p = len(torques), len(angles)
     lags = np.concatenate([np.zeros(m + 3), [t.lag for t in used]])
-    A, B, C, D = with_lag(P.A, P.B, P.C, P.D, lags)
+    A, B, C, D, _ = with_lag(P, lags)
     names = [f"disturbing_{name}" for name in torques] + [*OMEGA_NAMES, *torques]
     arrays = StateArrays(A, B, np.vstack([C, C]), np.vstack([D, D]), 0.0)
     return named_system(arrays, names, [*angles, *(f"measured_{name}" for name in angles)]), m, p

@@ -27,12 +27,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import StateArrays, named_system
+from platform_ctrl.analysis.arrays import StateArrays, named_system, state_arrays
+from platform_ctrl.analysis.feedback import series
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.sampled import from_w_plane, to_w_plane
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.loop import Designed, LoopProblem, completed
-from platform_ctrl.design.partition import Block, Channels, series
+from platform_ctrl.design.partition import Channels, between
 from platform_ctrl.design.riccati.h2 import h2
 from platform_ctrl.design.synthesis import HinfMethod, hinf
 from platform_ctrl.job.job import DesignSpec
@@ -60,16 +61,15 @@ class WeightedPlant:
     weight_rate: FloatArray
     torque_unit: FloatArray
 
-    def weight(self) -> Block:
+    def weight(self) -> StateArrays:
         """Return W_e in the w-plane. Its integrator belongs to the controller: W_e stands before K."""
         eye = np.eye(self.size)
-        return np.zeros((self.size, self.size)), eye, np.diag(self.weight_rate), np.diag(self.weight_gain)
+        none = np.zeros((self.size, self.size))
+        return StateArrays(none, eye, np.diag(self.weight_rate), np.diag(self.weight_gain))
 
-    def at_gimbals(self, controller: Block, channel: Channels) -> Block:
+    def at_gimbals(self, controller: StateArrays, channel: Channels) -> StateArrays:
         """Return a controller of the channels, in units of torque, as one from angles to torques in N m."""
-        A, B, C, D = controller
-        out = channel.basis.T * self.torque_unit
-        return A, B @ channel.basis, out @ C, out @ D @ channel.basis
+        return between(channel.basis, controller, channel.basis.T * self.torque_unit)
 
 
 def signal_names(size: int) -> tuple[list[str], list[str]]:
@@ -91,9 +91,8 @@ def weighted_plant(options: dict[str, float], channel: Channels, plants: PlantSe
         [np.repeat(channel.momenta, 2) * plants.nutation, channel.inertias[pairs:] * plants.nutation**2]
     )
     into = channel.basis.T * unit
-    A, B, C, D = to_w_plane(
-        plants.A[0], plants.B[0] @ into, channel.basis @ plants.C[0], channel.basis @ plants.D[0] @ into, plants.period
-    )
+    nominal = StateArrays(plants.A[0], plants.B[0], plants.C[0], plants.D[0], plants.period)
+    A, B, C, D, _ = to_w_plane(between(into, nominal, channel.basis))
     n, eye, none = len(A), np.eye(size), np.zeros((size, size))
     disturbance = np.diag(by_channel("disturbance"))
     gain, rate = np.full(size, 1.0 / options["sensitivity_peak"]), 2.0 * np.pi * by_channel("bandwidth_hz")
@@ -143,8 +142,7 @@ def hinf_design(problem: LoopProblem, method: HinfMethod | None = None) -> Desig
     weighted = weighted_plant(options, channel, plants)
     P = named_system(weighted.arrays, *signal_names(weighted.size))
     found = hinf(P, weighted.size, weighted.size, method=method, backoff=options["backoff"])
-    K = found.controller
-    sampled = from_w_plane(*series(weighted.weight(), (K.A, K.B, K.C, K.D)), plants.period)
+    sampled = from_w_plane(series(weighted.weight(), state_arrays(found.controller, "controller")), plants.period)
     claims = {"gamma": found.gamma, "gamma_optimal": found.gamma_optimal}
     return Designed(controller=weighted.at_gimbals(sampled, channel), options=options, claims=claims)
 
@@ -155,9 +153,8 @@ def lqg_design(problem: LoopProblem) -> Designed:
     options = lqg_options(problem.design, channel, plants.nutation, plants.period)
     weighted = weighted_plant(options, channel, plants)
     size, period = weighted.size, plants.period
-    P = named_system(StateArrays(*from_w_plane(*weighted.arrays[:4], period), dt=period), *signal_names(size))
+    P = named_system(from_w_plane(weighted.arrays, period), *signal_names(size))
     found = h2(P, size, size)
-    K = found.controller
-    sampled = series(from_w_plane(*weighted.weight(), period), (K.A, K.B, K.C, K.D))
+    sampled = series(from_w_plane(weighted.weight(), period), state_arrays(found.controller, "controller"))
     claims = {"gamma": found.gamma, "gamma_optimal": found.gamma_optimal}
     return Designed(controller=weighted.at_gimbals(sampled, channel), options=options, claims=claims)

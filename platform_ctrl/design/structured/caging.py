@@ -13,10 +13,11 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.design.classical.caging import TUNABLE, classical_controller, starting_values, upper_bounds
 from platform_ctrl.design.loop import Designed, LoopProblem, completed
-from platform_ctrl.design.partition import Block, Channels
+from platform_ctrl.design.partition import Channels
 from platform_ctrl.design.riccati.weighted_loop import hinf_design
 from platform_ctrl.design.structured.descent import Found, Search
 from platform_ctrl.design.structured.families import Family, Named, Pid, StateSpace, of_order, without_integrators
@@ -90,7 +91,7 @@ def tuned_controller(
     channel: Channels,
     plants: PlantSet,
     requirements: Sequence[LoopRequirement],
-    others: Sequence[Callable[[], Block]],
+    others: Sequence[Callable[[], StateArrays]],
     progress: Callable[[float, float], None],
 ) -> Designed:
     """Return a controller of the given structure that meets the requirements, or comes nearest.
@@ -129,7 +130,7 @@ def tuned_controller(
 
     first = search(cross_axis, 1.0 if structure == "cross-axis" else _SHARES["cross-axis"])
     best: tuple[Found, Family] = first, cross_axis
-    starts: list[Callable[[], Block]] = [lambda: cross_axis.block(first.x), *others]
+    starts: list[Callable[[], StateArrays]] = [lambda: cross_axis.block(first.x), *others]
     starts = starts[: int(options["starts"])] if structure != "cross-axis" else []
     for start in starts:
         try:
@@ -155,7 +156,7 @@ def tuned_controller(
     controller = family.block(found.x)
     claims = {
         "parameters": float(len(family.start)),
-        "order": float(len(controller[0])),
+        "order": float(len(controller.A)),
         "starts": float(max(1, len(starts))),
         "evaluations": float(spent),
     }

@@ -185,7 +185,7 @@ class Search:
         """Return the frequencies at which a limit is exceeded that seems to be met; None where none is, exactly."""
         if found.hard > 1.0:
             return None
-        K = StateArrays(*family.block(found.x[: len(family.start)]), dt=self._plants.period)
+        K = family.block(found.x[: len(family.start)])._replace(dt=self._plants.period)
         loops = LoopSet(self._plants, K)
         measures = measure(self._plants, K, self._limits, loops=loops)
         met = all(np.all(limit.ratios(measures) <= 1.0) for limit in self._limits)

@@ -15,9 +15,10 @@ from typing import Protocol
 import numpy as np
 
 from platform_ctrl.analysis.arrays import StateArrays
+from platform_ctrl.analysis.feedback import series
 from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.design.partition import Block, Channels, first_order, series, side_by_side
+from platform_ctrl.design.partition import Channels, between, first_order, side_by_side
 from platform_ctrl.design.structured.starts import balanced_truncation
 
 # Relative step of the differences that stand for a builder's own derivative; the builder is smooth and cheap.
@@ -42,7 +43,7 @@ class Family(Protocol):
     lower: FloatArray
     upper: FloatArray
 
-    def block(self, x: FloatArray) -> Block:
+    def block(self, x: FloatArray) -> StateArrays:
         """Return the controller."""
 
     def jacobian(self, x: FloatArray) -> FloatArray:
@@ -66,7 +67,7 @@ class Named:
 
     def __init__(
         self,
-        build: Callable[[dict[str, float]], Block],
+        build: Callable[[dict[str, float]], StateArrays],
         values: dict[str, float],
         movable: Sequence[str],
         largest: dict[str, float],
@@ -81,7 +82,7 @@ class Named:
         """Return all numbers."""
         return self._values | {name: float(v) for name, v in zip(self.names, np.exp(x), strict=True)}
 
-    def block(self, x: FloatArray) -> Block:
+    def block(self, x: FloatArray) -> StateArrays:
         """Return the controller."""
         return self._build(self.values(x))
 
@@ -104,7 +105,7 @@ class Pid:
     """
 
     def __init__(
-        self, like: Block, channel: Channels, period: float, nutation: float, integral: float, rolloff: float
+        self, like: StateArrays, channel: Channels, period: float, nutation: float, integral: float, rolloff: float
     ) -> None:
         self._period, self._basis = period, channel.basis
         self._n = len(channel.basis)
@@ -123,7 +124,7 @@ class Pid:
         self.lower[3 * self._n**2 + self._n :] = np.log(_FILTER_DAMPING)
         self.start = np.minimum(self.start, self.upper)
 
-    def block(self, x: FloatArray) -> Block:
+    def block(self, x: FloatArray) -> StateArrays:
         """Return the controller."""
         n = self._n
         K_P, K_I, K_D = x[: 3 * n * n].reshape(3, n, n) * self._unit
@@ -134,7 +135,8 @@ class Pid:
         shown = K_P @ angle + K_I @ integral + K_D @ rate
         into = np.vstack([B, self._period * angle[:, 3 * n :]])
         whole = np.block([[A, np.zeros((2 * n, n))], [self._period * angle[:, : 2 * n], np.eye(n)]])
-        return whole, into @ basis, basis.T @ shown[:, : 3 * n], basis.T @ shown[:, 3 * n :] @ basis
+        along = StateArrays(whole, into, shown[:, : 3 * n], shown[:, 3 * n :], self._period)
+        return between(basis, along, basis.T)
 
     def jacobian(self, x: FloatArray) -> FloatArray:
         """Return dM/dx: what the gains read, and central differences for the filters."""
@@ -153,7 +155,7 @@ class Pid:
         """Return A, B of the filters, and the filtered angle and rate of every channel from [filters, integrals, y]."""
         n = self._n
         w, z = np.exp(x[3 * n * n : 3 * n * n + n]), np.exp(x[3 * n * n + n :])
-        A, B, C, D = side_by_side(*(_low_pass(w[k], z[k], self._period) for k in range(n)))
+        A, B, C, D, _ = side_by_side(*(_low_pass(w[k], z[k], self._period) for k in range(n)))
         none = np.zeros((n, n))
         angle, rate = (np.hstack([C[k::2], none, D[k::2]]) for k in (0, 1))
         return A, B, angle, rate / self._nutation
@@ -164,9 +166,9 @@ class Pid:
         out[:, 2 * self._n : 3 * self._n] += np.eye(self._n)
         return self._integral * out
 
-    def _fitted(self, like: Block, nutation: float, rolloff: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def _fitted(self, like: StateArrays, nutation: float, rolloff: float) -> tuple[FloatArray, FloatArray, FloatArray]:
         w = np.geomspace(0.1 * nutation, min(4.0 * nutation, 0.4 * np.pi / self._period), 40)
-        target = self._basis @ frequency_response(StateArrays(*like, self._period), w, -3) @ self._basis.T
+        target = self._basis @ frequency_response(like, w, -3) @ self._basis.T
         s = 2.0 / self._period * 1j * np.tan(0.5 * w * self._period)
         F = rolloff**2 / (s**2 + 1.6 * rolloff * s + rolloff**2)
         terms = np.array([F, F / s, F * s]).T
@@ -190,8 +192,8 @@ class StateSpace:
         rad/s: PI = 1 + integral/s, by Tustin's rule.
     """
 
-    def __init__(self, inner: Block, channel: Channels, period: float, nutation: float, integral: float) -> None:
-        A, B, C, D = inner
+    def __init__(self, inner: StateArrays, channel: Channels, period: float, nutation: float, integral: float) -> None:
+        A, B, C, D, self._period = inner
         self._n, self._size = len(A), len(D)
         self._basis, self._gain, self._slow = channel.basis, 1.0 + 0.5 * integral * period, integral * period
         # Rates in units of the nutation, torques in units of the direct term, states between the two.
@@ -227,49 +229,52 @@ class StateSpace:
         out[..., k + n :, k + n :] = self._gain * D @ self._basis
         return out
 
-    def block(self, x: FloatArray) -> Block:
+    def block(self, x: FloatArray) -> StateArrays:
         """Return the controller."""
         k = self._size
         M = self._placed(self._origin + x.reshape(self._units.shape) * self._units)
         M[:k, :k] += np.eye(k)
         M[:k, k + self._n :] += self._basis
         n = k + self._n
-        return M[:n, :n], M[:n, n:], M[n:, :n], M[n:, n:]
+        return StateArrays(M[:n, :n], M[:n, n:], M[n:, :n], M[n:, n:], self._period)
 
     def jacobian(self, x: FloatArray) -> FloatArray:
         """Return dM/dx."""
         return self._derivative
 
 
-def differences(build: Callable[[FloatArray], Block], x: FloatArray, which: Sequence[int] | None = None) -> FloatArray:
+def differences(
+    build: Callable[[FloatArray], StateArrays], x: FloatArray, which: Sequence[int] | None = None
+) -> FloatArray:
     """Return dM/dx of a builder by central differences, for all parameters or those in `which`."""
     out = []
     for k in range(len(x)) if which is None else which:
         step = np.zeros(len(x))
         step[k] = _STEP
-        (A, B, C, D), (a, b, c, d) = build(x + step), build(x - step)
+        (A, B, C, D, _), (a, b, c, d, _) = build(x + step), build(x - step)
         out.append(np.block([[A - a, B - b], [C - c, D - d]]) / (2.0 * _STEP))
     return np.array(out)
 
 
-def _low_pass(frequency: float, damping: float, period: float) -> Block:
+def _low_pass(frequency: float, damping: float, period: float) -> StateArrays:
     """Return y → [F y, s F y], F = f²/(s² + 2 damping f s + f²), by Tustin's rule."""
     A = np.array([[0.0, 1.0], [-(frequency**2), -2.0 * damping * frequency]])
     B = np.array([[0.0], [frequency**2]])
     half, eye = 0.5 * period, np.eye(2)
     inverse = np.asarray(np.linalg.inv(eye - half * A), dtype=np.float64)
     into: FloatArray = inverse @ B
-    return inverse @ (eye + half * A), period * into, inverse, half * into
+    return StateArrays(inverse @ (eye + half * A), period * into, inverse, half * into, period)
 
 
-def without_integrators(controller: Block, channel: Channels, integral: float, period: float) -> Block | None:
+def without_integrators(
+    controller: StateArrays, channel: Channels, integral: float, period: float
+) -> StateArrays | None:
     """Return a controller without its PI, 1 + integral/s, in the channels of the gyros; None if unstable then."""
     from scipy.linalg import schur, solve_sylvester
 
-    A, B, C, D = controller
     basis = channel.basis
     undone = side_by_side(*[first_order(1.0, 0.0, 1.0, integral, period)] * len(basis))
-    A, B, C, D = series(undone, (A, B @ basis.T, basis @ C, basis @ D @ basis.T))
+    A, B, C, D, _ = series(undone, between(basis.T, controller, basis))
     triangle, vectors, kept = schur(A, sort=lambda re, im=0.0: bool(abs(complex(re, im) - 1.0) > _INTEGRATOR))
     left, right = triangle[:kept, :kept], triangle[kept:, kept:]
     if kept and np.abs(np.linalg.eigvals(left)).max() >= 1.0:
@@ -277,25 +282,26 @@ def without_integrators(controller: Block, channel: Channels, integral: float, p
     # The integrators are no longer excited: what remains is split from them.
     X = solve_sylvester(left, -right, -triangle[:kept, kept:]) if kept < len(A) else np.zeros((kept, 0))
     B, C = vectors.T @ B, C @ vectors
-    return left, B[:kept] - X @ B[kept:], C[:, :kept], D
+    return StateArrays(left, B[:kept] - X @ B[kept:], C[:, :kept], D, period)
 
 
-def of_order(block: Block, order: int, rate: float) -> Block:
-    """Return a stable block with `order` states: balanced truncation, or with faint modes of its own added.
+def of_order(system: StateArrays, order: int, rate: float) -> StateArrays:
+    """Return a stable system with `order` states: balanced truncation, or with faint modes of its own added.
 
     Parameters
     ----------
-    block
+    system
         Stable, sampled.
     order
         Number of states.
     rate
         Nutation frequency times period: added modes lie there, well damped.
     """
-    A, B, C, D = balanced_truncation(block, order, sampled=True)
+    less = balanced_truncation(system, order)
+    A, B, C, D, period = less
     missing = order - len(A)
     if missing <= 0:
-        return A, B, C, D
+        return less
     size = len(D)
     own = np.zeros((missing, missing))
     for k in range(0, missing, 2):
@@ -310,4 +316,4 @@ def of_order(block: Block, order: int, rate: float) -> Block:
     first = len(A)
     whole = np.zeros((order, order))
     whole[:first, :first], whole[first:, first:] = A, own
-    return whole, np.vstack([B, into]), np.hstack([C, out.T]), D
+    return StateArrays(whole, np.vstack([B, into]), np.hstack([C, out.T]), D, period)

@@ -11,13 +11,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from platform_ctrl.analysis.arrays import ComplexArray
+from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
 from platform_ctrl.analysis.bandwidth import LEVEL
 from platform_ctrl.analysis.norms import stationary_covariance
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.poles import continuous_poles
 from platform_ctrl.common.values import FloatArray, value
-from platform_ctrl.design.partition import Block
 from platform_ctrl.design.structured.maps import (
     S_INPUT,
     S_OUTPUT,
@@ -151,9 +150,9 @@ class ClosedLoops:
         Sampled, u = K y.
     """
 
-    def __init__(self, plants: PlantSet, controller: Block) -> None:
+    def __init__(self, plants: PlantSet, controller: StateArrays) -> None:
         self.plants = plants
-        self.A_K, self.B_K, self.C_K, self.D_K = controller
+        self.A_K, self.B_K, self.C_K, self.D_K, _ = controller
         self.M = np.block([[self.A_K, self.B_K], [self.C_K, self.D_K]])
         self.order = len(self.A_K)
         self.p, self.m = plants.C.shape[-2], plants.B.shape[-1]

@@ -10,7 +10,7 @@ from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.norms import stationary_covariance
 from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.design.partition import Block, Partition
+from platform_ctrl.design.partition import Partition
 from platform_ctrl.design.structured.norm import ClosedLoop, augmented
 from platform_ctrl.design.structured.parametrised import Parametrised
 
@@ -18,30 +18,28 @@ from platform_ctrl.design.structured.parametrised import Parametrised
 _NEGLIGIBLE = 1e-7
 
 
-def balanced_truncation(block: Block, order: int, sampled: bool, negligible: float = _NEGLIGIBLE) -> Block:
-    """Return the balanced truncation of a stable block, by square roots (Tombs and Postlethwaite 1987).
+def balanced_truncation(system: StateArrays, order: int, negligible: float = _NEGLIGIBLE) -> StateArrays:
+    """Return the balanced truncation of a stable system, by square roots (Tombs and Postlethwaite 1987).
 
     Parameters
     ----------
-    block
+    system
         Stable.
     order
         Most states that are kept: fewer where the others are negligible.
-    sampled
-        Whether it is a sampled one.
     negligible
         Share of the largest Hankel singular value below which a state is left out.
     """
-    A, B, C, D = block
+    A, B, C, D, dt = system
     if not len(A):
-        return block
-    reach, show = (_root(_gramian(a, b, sampled)) for a, b in ((A, B), (A.T, C.T)))
+        return system
+    reach, show = (_root(_gramian(a, b, dt > 0.0)) for a, b in ((A, B), (A.T, C.T)))
     U, s, V = np.linalg.svd(show.T @ reach)
     order = min(order, int(np.sum(s > negligible * s[0])))
     scale = 1.0 / np.sqrt(s[:order])
     right, left = reach @ V[:order].T * scale, (show @ U[:, :order] * scale).T
     first, into, out = (np.asarray(item, dtype=np.float64) for item in (left @ A @ right, left @ B, C @ right))
-    return first, into, out, D
+    return StateArrays(first, into, out, D, dt)
 
 
 def _gramian(A: FloatArray, B: FloatArray, sampled: bool) -> FloatArray:
@@ -76,10 +74,10 @@ def truncated(K: StateArrays, order: int) -> StateArrays | None:
     if np.max(np.linalg.eigvals(K.A).real, initial=-np.inf) >= 0.0:
         return None
     try:
-        A, B, C, D = balanced_truncation((K.A, K.B, K.C, K.D), order, sampled=False, negligible=_ROUNDING)
+        less = balanced_truncation(K, order, _ROUNDING)
     except np.linalg.LinAlgError:
         return None
-    return StateArrays(A=A, B=B, C=C, D=D) if len(A) == order else None
+    return less if len(less.A) == order else None
 
 
 class Fit:

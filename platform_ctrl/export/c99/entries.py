@@ -187,7 +187,7 @@ def sections_of(stages: Iterable[Stage]) -> tuple[Section, ...]:
 
 
 def _section(stage: Stage) -> Section:
-    A, B, C, D = stage.block
+    A, B, C, D, _ = stage.block
     n = len(A)
     states = [f"{stage.name}_x{k + 1}" if n > 1 else f"{stage.name}_x" for k in range(n)]
     sources = [*stage.inputs, *states]

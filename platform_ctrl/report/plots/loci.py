@@ -297,7 +297,7 @@ def spin_locus(
         share = k[:, None, None]
         A, B, C, D = (now + share * more for now, more in zip(still[:4], change[:4], strict=True))
         plant = StateArrays(A, B, C, D, 0.0)
-        P = StateArrays(*with_lag(*plant[:4], lags), dt=0.0) if period is None else sampled(plant, dt, late, lags)
+        P = with_lag(plant, lags) if period is None else sampled(plant, dt, late, lags)
         return np.asarray(np.linalg.eigvals(closed_loop(P, K).A), dtype=np.complex128)
 
     return traced_locus(factors, poles, dt)
