@@ -282,17 +282,16 @@ def test_the_result_does_not_depend_on_how_fast_the_clock_runs(monkeypatch: pyte
 
 
 def test_a_process_that_dies_loses_no_start(monkeypatch: pytest.MonkeyPatch) -> None:
-    from platform_ctrl.design.side_process import Ended
     from platform_ctrl.design.structured import side_by_side
 
-    def dies(*_: object) -> None:
-        raise Ended
+    def dies(*_: object, **options: object) -> None:
+        raise OSError
 
     P, nmeas, ncon = problem("REA2")
     asked: dict[str, Any] = {"structure": design.Static(), "starts": 3, "evaluations": 300}
     alone = design.structured(P, nmeas, ncon, processes=1, **asked)
     monkeypatch.setattr(side_by_side, "_WORTH_PROCESSES", 0.0)
-    monkeypatch.setattr(side_by_side, "SideProcess", dies)
+    monkeypatch.setattr(side_by_side, "TaskProcess", dies)
     found = design.structured(P, nmeas, ncon, processes=2, **asked)
     assert [s.value for s in found.searches] == [s.value for s in alone.searches]
 

@@ -8,7 +8,6 @@ this process. Past the time limit it is killed; the next problem gets a new one.
 from __future__ import annotations
 
 import atexit
-import inspect
 import os
 import threading
 import warnings
@@ -19,9 +18,8 @@ from typing import Any
 import numpy as np
 
 from platform_ctrl.analysis.arrays import StateArrays
+from platform_ctrl.common.processes import ProcessDied, ProcessTimeout, TaskProcess
 from platform_ctrl.common.values import value
-from platform_ctrl.design.lmi import worker
-from platform_ctrl.design.side_process import Ended, Late, SideProcess
 from platform_ctrl.errors import InfeasibleError, TimeLimitError, UnscalableError
 
 # Given to the solver to stop by itself before it is killed, s.
@@ -44,19 +42,21 @@ class _Shared:
 
     def __init__(self) -> None:
         self.lock = threading.Lock()
-        self.worker: SideProcess | None = None
+        self.worker: TaskProcess | None = None
 
     def solve(self, request: dict[str, Any], time_limit: float) -> dict[str, Any]:
+        from platform_ctrl.common.clarabel_task import clarabel_solution
+
         with self.lock:
             for _ in range(ATTEMPTS):
                 try:
-                    kept, self.worker = self.worker or SideProcess(inspect.getsource(worker)), None
+                    kept, self.worker = self.worker or TaskProcess(clarabel_solution), None
                     answer: dict[str, Any] = kept.ask(request, time_limit)
-                except (Ended, OSError):
+                except (ProcessDied, OSError):
                     continue
                 self.worker = kept
                 return answer
-        raise Ended
+        raise ProcessDied
 
     def end(self) -> None:
         if self.worker is not None:
@@ -89,7 +89,6 @@ def solve(
     tolerance: float = 1e-8,
     cure: str = "",
     decompose: bool = True,
-    wait: float = 0.0,
 ) -> Solved:
     """Solve a cvxpy problem in silence; afterwards its variables have values.
 
@@ -113,8 +112,6 @@ def solve(
         What to try next, for messages.
     decompose
         Whether matrices with zeros may be taken apart. Of small ones that only makes the problem larger.
-    wait
-        Pause of the worker before it solves, s: stands for a solver that hangs.
     """
     cp = import_module("cvxpy")
     next_step = f"; {cure}" if cure else ""
@@ -122,20 +119,20 @@ def solve(
         warnings.simplefilter("ignore")
         try:
             data, chain, inverse = problem.get_problem_data(cp.CLARABEL, solver_opts={})
-            request = _request(data, time_limit, tolerance) | {"wait": wait}
+            request = _request(data, time_limit, tolerance)
             request["settings"]["chordal_decomposition_enable"] = decompose
             answer = _shared.solve(request, time_limit + GRACE)
             status = answer["status"]
             if status == "MaxTime":
-                raise Late
+                raise ProcessTimeout
             if "x" in answer:
                 problem.unpack_results(SimpleNamespace(**answer), chain, inverse)
-        except Late:
+        except ProcessTimeout:
             raise TimeLimitError(
                 f"{what}: the solver did not finish in {time_limit:.3g} s and was ended; give a larger time_limit",
                 P,
             ) from None
-        except Ended:
+        except ProcessDied:
             raise UnscalableError(
                 f"{what}: the solver's process died {ATTEMPTS} times; expected an answer{next_step}", P
             ) from None

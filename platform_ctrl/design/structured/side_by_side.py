@@ -2,27 +2,25 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
-import inspect
 import os
-import queue
-import threading
 import time
+from collections import deque
 from collections.abc import Callable, Sequence
+from queue import SimpleQueue
 from typing import Any
 
 import numpy as np
 
+from platform_ctrl.common.processes import ProcessTimeout, TaskProcess, next_result
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.design.lmi import worker
-from platform_ctrl.design.side_process import Ended, Late, SideProcess
-from platform_ctrl.design.structured.run import Limits, Outcome, Problem, divides, searched
+from platform_ctrl.design.structured.run import Limits, Outcome, Problem, answered, divides, searched
 
 # Work below this is done sooner here than processes start, s.
 _WORTH_PROCESSES = 4.0
 # Longest time beyond its deadline that a search gets before its process is killed, s.
 _GRACE = 5.0
-_POLL = 0.1
 
 # Shares of the evaluations for the first descent of all starts, for all that have not ended by then, and for the best
 # that have not ended then either; the rest is for the polish of the best. What a descent stands at says little about
@@ -183,51 +181,37 @@ def _side_by_side(
 
 
 def _in_processes(questions: Sequence[dict[str, Any]], deadline: float, count: int) -> list[Outcome | None]:
-    """Return the answers; None to what was not answered."""
+    """Return the outcome of every search; None where its process died or the deadline was over."""
     out: list[Outcome | None] = [None] * len(questions)
-    waiting: queue.SimpleQueue[int] = queue.SimpleQueue()
-    for k in range(len(questions)):
-        waiting.put(k)
-    done: queue.SimpleQueue[tuple[int, Outcome] | None] = queue.SimpleQueue()
-    running: list[SideProcess] = []
-    stopped = threading.Event()
-
-    def work() -> None:
-        side: SideProcess | None = None
-        try:
-            while not stopped.is_set() and time.monotonic() < deadline:
-                try:
-                    k = waiting.get_nowait()
-                except queue.Empty:
-                    return
-                try:
-                    if side is None:
-                        side = SideProcess(inspect.getsource(worker), f"{searched.__module__}:answered")
-                        running.append(side)
-                    answer = side.ask(questions[k], deadline - time.monotonic() + _GRACE)
-                    if "outcome" in answer:
-                        done.put((k, answer["outcome"]))
-                except (Ended, Late, OSError):
-                    side = None
-        finally:
-            done.put(None)
-
-    for _ in range(count):
-        threading.Thread(target=work, daemon=True).start()
-    left = count
+    waiting = deque(range(len(questions)))
+    results: SimpleQueue[tuple[TaskProcess, Any]] = SimpleQueue()
+    running: dict[TaskProcess, int | None] = {}
     try:
-        while left:
-            try:
-                found = done.get(timeout=_POLL)
-            except queue.Empty:
+        with contextlib.suppress(OSError):
+            for _ in range(count):
+                running[TaskProcess(answered, results=results)] = None
+        while running:
+            process, result = next_result(results, deadline - time.monotonic() + _GRACE)
+            if process not in running:
                 continue
-            if found is None:
-                left -= 1
+            done = running.pop(process)
+            if done is not None:
+                out[done] = result
+            if result is None:
+                process.end()
+                # One that could not start is not replaced: the others do its work, or the caller.
+                if done is not None and waiting:
+                    with contextlib.suppress(OSError):
+                        running[TaskProcess(answered, results=results)] = None
+            elif waiting and time.monotonic() < deadline:
+                running[process] = k = waiting.popleft()
+                process.send(questions[k])
             else:
-                out[found[0]] = found[1]
+                process.end()
+    except ProcessTimeout:
+        pass
     finally:
         # An interrupt passes through here too.
-        stopped.set()
-        for side in running:
-            side.end()
+        for process in running:
+            process.end()
     return out
