@@ -17,7 +17,7 @@ import platform_ctrl as pc
 
 # One loop of a job: what examples/three_gyro_platform.toml says about gimbals 9 and 10, without tuning.
 JOB = {
-    "schema": 1,
+    "schema": 2,
     "name": "gyro 9-10",
     "plant": "three_gyro_platform",
     "operation": {"Omega": [0.0, 0.0, 0.0]},

@@ -46,7 +46,7 @@ given = parser.parse_args()
 
 job = pc.read_job(
     {
-        "schema": 1,
+        "schema": 2,
         "name": "gyro 9-10",
         "plant": "three_gyro_platform",
         "operation": {"Omega": [0.0, 0.0, 0.0]},

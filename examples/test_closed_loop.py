@@ -34,7 +34,7 @@ CONTROLLER = {
     "notch_width": 0.15,
 }
 JOB = {
-    "schema": 1,
+    "schema": 2,
     "name": "gyro 9-10",
     "plant": "three_gyro_platform",
     "operation": {"Omega": [0.0, 0.0, 0.0]},

@@ -31,7 +31,7 @@ from platform_ctrl.errors import SimulationError
 from platform_ctrl.job.reading import read_job
 
 TEXT = """
-schema = 1
+schema = 2
 name = "a turn, many times"
 plant = "three_gyro_platform"
 operation = { Omega = [0.0, 0.0, 0.0], seed = 7 }

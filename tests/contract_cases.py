@@ -353,7 +353,7 @@ FUNCTIONS: dict[str, dict[str, Callable[[], Any]]] = {
     "platform.is_rate": of(signal="Omega1"),
     "design.anti_windup": {"loop": limited},
     "design.caging_loop_limits": {"job": asked, "controller": closed, **of(axis=1)},
-    "design.caging_survival": {"job": asked, "controller": closed},
+    "design.caging_largest_Omega": {"job": asked, "controller": closed},
     "design.complex_loop": {
         "plant": coordinates,
         **of(crossover_hz=8.0, integral_hz=1.0, damping_hz=30.0, lead_hz=20.0, rolloff_hz=2000.0),
@@ -381,7 +381,7 @@ FUNCTIONS: dict[str, dict[str, Callable[[], Any]]] = {
     "design.scheduled": of(plant=lambda p: general(), names=("a",), low=[0.0], high=[1.0], nmeas=1, ncon=1),
     "design.scheduled_caging": {"platform": platform, **of(gimbals=("9", "10"), bandwidth_hz=8.0)},
     "design.structured": {"plants": general, **of(nmeas=1, ncon=1, structure=design.Static(), starts=1)},
-    "design.survived_Omega": {"loop": limited},
+    "design.largest_Omega": {"loop": limited},
     "design.two_sided_nyquist": {"plant": coordinates, "controller": lambda: shaped().controller},
     "export.controller_systems": {"job": asked, "controllers": lambda: [closed()]},
     "export.job_responses": {"job": asked, "controllers": lambda: [closed()]},
@@ -489,8 +489,8 @@ INSTANCES: dict[str, Callable[[], Any]] = {
     "design.Estimator": lambda: design.lqe(general(), np.eye(2), np.eye(3)),
     "design.IntersampleGains": lambda: design.intersample_gains(asked(), closed()),
     "design.Lead": design.Lead,
-    "design.LoopSurvival": lambda: design.LoopSurvival(
-        axis=1, rise=0.5, nominal=design.survived_Omega(limited()), spread=1.0, spread_label="nominal"
+    "design.LoopLargestOmega": lambda: design.LoopLargestOmega(
+        axis=1, rise=0.5, nominal=design.largest_Omega(limited()), worst_case=1.0, worst_case_label="nominal"
     ),
     "design.MeasuredDesign": lambda: measured_design(),
     "design.Multiobjective": lambda: design.multiobjective(general(), 1, 1, [norm_limit()]),
@@ -513,7 +513,7 @@ INSTANCES: dict[str, Callable[[], Any]] = {
     "design.StateFeedback": lambda: design.lqr(general(), np.eye(2), np.eye(3)),
     "design.StateSpaceOrder": lambda: design.StateSpaceOrder(states=2),
     "design.Static": design.Static,
-    "design.SurvivedOmega": lambda: design.survived_Omega(limited()),
+    "design.LargestOmega": lambda: design.largest_Omega(limited()),
     "design.Synthesis": lambda: design.hinf(general(), 1, 1, method="riccati"),
     "design.TwoSidedNyquist": lambda: shaped().nyquist,
     "export.SystemRecord": lambda: export.system_record(one()),
@@ -528,7 +528,7 @@ INSTANCES: dict[str, Callable[[], Any]] = {
     "job.LoopSpec": lambda: asked().loops[0],
     "job.Manoeuvre": lambda: asked().manoeuvres[0],
     "job.Sampling": lambda: asked().sampling,
-    "job.Spread": job.Spread,
+    "job.Uncertainty": job.Uncertainty,
     "kinematics.Kinematics": lambda: kinematics.kinematics(platform(), np.zeros(5)),
     "matrices.MagnusMatrices": lambda: pc.matrices(platform()),
     "rotors.RotorMomenta": lambda: pc.rotor_momenta(platform()),

@@ -99,7 +99,7 @@ def figure(kind: str, plants, k: int, K, frequency: float | None = None) -> floa
     match kind:
         case "sensitivity peak":
             return max(peak(lambda f: S(f, "input")), peak(lambda f: S(f, "output")))
-        case "complementary peak":
+        case "complementary sensitivity peak":
             return max(peak(lambda f: S(f, "input", 0.0)), peak(lambda f: S(f, "output", 0.0)))
         case "disk margin":
             return 1.0 / max(peak(lambda f: S(f, "input", 0.5)), peak(lambda f: S(f, "output", 0.5)))

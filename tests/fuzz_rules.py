@@ -96,6 +96,7 @@ def _taken(kind: str) -> Callable[[Any], bool]:
         ("table", lambda item: isinstance(item, dict)),
         ("text or table", lambda item: _text(item) or isinstance(item, dict)),
         ("true or false", lambda item: isinstance(item, bool)),
+        ("2, or 1", lambda item: _whole(item) and item in (1, 2)),
         ("1, 2 or 3", lambda item: _whole(item) and item in (1, 2, 3)),
         ("above 0, up to 1", lambda item: _number(item) and 0 < item <= 1),
         ("number > ", lambda item: _number(item) and (item > 0 or not kind.startswith("number > 0"))),

@@ -35,11 +35,11 @@ def plants(delay: float) -> PlantSet:
     return loop_plants(
         read_job(
             {
-                "schema": 1,
+                "schema": 2,
                 "name": "9-10",
                 "plant": "three_gyro_platform",
                 "operation": {"Omega": [1.0, 1.0, 1.0]},
-                "spread": {"inertia": 0.1, "spin": 0.1},
+                "uncertainty": {"inertia": 0.1, "spin": 0.1},
                 "sampling": {"rate_hz": 2000, "delay": delay},
                 "loop": [loop | {"design": [{"name": "K", "method": "classical"}]}],
             }

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 JOB = """
-schema = 1
+schema = 2
 name = "gyro 9-10"
 plant = "three_gyro_platform"
 operation = { Omega = [0.0, 0.0, 0.0] }

@@ -21,7 +21,7 @@ PERIOD = 0.0005
 RATES = ["Omega1", "Omega2", "Omega3"]
 STATES = ["alpha9", "beta10", "p_alpha9", "p_beta10"]
 JOB = {
-    "schema": 1,
+    "schema": 2,
     "name": "one loop",
     "plant": "three_gyro_platform",
     "operation": {"Omega": [0.0, 0.0, 0.0], "seed": 7},

@@ -41,9 +41,9 @@ def test_the_job_asks_for_no_less_than_it_should(result):
     for name in ("caging 9-10", "caging 4-5-7"):
         limits = by_loop[name]
         assert (limits["disk_margin"], limits["damping"], limits["torque_noise"]) == (0.5, 0.1, 0.005)
-        assert (limits["disk_margin_spread"], limits["damping_spread"]) == (0.3, 0.05)
+        assert (limits["disk_margin_worst_case"], limits["damping_worst_case"]) == (0.3, 0.05)
     assert (by_loop["caging 9-10"]["Omega_rejection"], by_loop["caging 4-5-7"]["Omega_rejection"]) == (0.003, 0.006)
-    assert (result.job.spread.inertia, result.job.spread.spin) == (0.1, 0.1)
+    assert (result.job.uncertainty.inertia, result.job.uncertainty.spin) == (0.1, 0.1)
     assert (result.job.coupled.disk_margin, result.job.coupled.coupling_cost) == (0.5, 0.02)
     assert (result.job.sampling.period, result.job.sampling.delay) == (5e-4, 5e-4)
     assert [t.lag for t in result.job.platform.torquers] == [2e-4] * 8
@@ -137,7 +137,7 @@ def test_every_claim_of_every_shipped_design_is_proved(path):
                 assert found.proved, found
     together = result.proofs["", ""]
     assert (together.proved, together.of) == (1, 1)
-    shown = [one for one in result.requirements if one.name == "claims proved"]
+    shown = [one for one in result.requirements if one.name == "certified properties"]
     assert [one.value for one in shown] == [1.0] * len(shown)
     assert {one.stage for one in shown} == {"decoupled", "coupled"}
     assert any("certificates" in line for line in said)
@@ -155,7 +155,7 @@ def test_what_is_proved_is_what_is_claimed(path):
         ]
         margin = 1 / max(torques.bound, pickoffs.bound)
         assert margin == pytest.approx(made.measures.disk_margin[0], rel=2e-6)
-        asked = next(s.limits["disk_margin_spread"] for s in result.job.loops if s.name == made.loop)
+        asked = next(s.limits["disk_margin_worst_case"] for s in result.job.loops if s.name == made.loop)
         if asked is not None:
             over = [one for one in made.certificates if one.claim == "norm"]
             assert len(over) == 2 * len(made.measures.decay)

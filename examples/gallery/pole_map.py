@@ -12,7 +12,7 @@ PERIOD, DELAY = 0.0005, 0.0005  # s
 NUMBERS = {"crossover_hz": 70, "integral_hz": 2, "damping_hz": 78, "damping2_hz": 92, "lead_hz": 7, "rolloff_hz": 900}
 job = pc.read_job(
     {
-        "schema": 1,
+        "schema": 2,
         "name": "gyro 9-10",
         "plant": "three_gyro_platform",
         "operation": {"Omega": [0.0, 0.0, 0.0]},

@@ -15,7 +15,7 @@ for crossover_hz in (40, 35):
     loop = {"name": "caging 9-10", "kind": "caging", "gimbals": ["9", "10"], "use": "classical", "design": [design]}
     job = pc.read_job(
         {
-            "schema": 1,
+            "schema": 2,
             "name": "gyro 9-10",
             "plant": "three_gyro_platform",
             "operation": {"Omega": [0.0, 0.0, 0.0]},

@@ -71,7 +71,7 @@ class LoopMetrics:
         Parameters
         ----------
         groups
-            Among ``"nominal"``, ``"spread"``, ``"Omega"`` and ``"faults"``; other names have no members.
+            Among ``"nominal"``, ``"uncertainty"``, ``"Omega"`` and ``"faults"``; other names have no members.
 
         Returns
         -------

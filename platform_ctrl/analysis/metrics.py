@@ -41,7 +41,8 @@ class Metric:
     measure
         How it is measured.
     scopes
-        Which limits a job file may set: ``""`` for the nominal plant, ``"spread"`` (key + ``_spread``), ``"faults"``.
+        Which limits a job file may set: ``""``: of the nominal plant; ``"worst_case"`` and ``"faults"``: with the key's
+        ending ``_worst_case`` or ``_faults``.
     best
         The best value that any loop can have, in `unit`.
     of
@@ -161,7 +162,7 @@ def _h2_norm(loops: Loops, request: Request) -> FloatArray:
 
 METRICS: dict[str, Metric] = {
     "stability": Metric(
-        name="slowest decay",
+        name="minimum decay rate",
         unit="1/s",
         sense="at least",
         meaning="decay rate of the slowest pole",
@@ -187,7 +188,7 @@ METRICS: dict[str, Metric] = {
         meaning="1/‖(S − T)/2‖∞, the smaller of input and output. Unstructured: all channels at once, "
         "cross-talk included",
         measure=Peak(transfers=(loop_set.HALF_OUTPUT, loop_set.HALF_INPUT), reciprocal=True),
-        scopes=("", "spread", "faults"),
+        scopes=("", "worst_case", "faults"),
         best=2.0,
     ),
     "sensitivity peak": Metric(
@@ -196,15 +197,15 @@ METRICS: dict[str, Metric] = {
         sense="at most",
         meaning="‖S‖∞, the larger of input and output",
         measure=Peak(transfers=(loop_set.S_OUTPUT, loop_set.S_INPUT)),
-        scopes=("", "spread"),
+        scopes=("", "worst_case"),
     ),
-    "complementary peak": Metric(
-        name="complementary peak",
-        key="complementary_peak",
+    "complementary sensitivity peak": Metric(
+        name="complementary sensitivity peak",
+        key="complementary_sensitivity_peak",
         sense="at most",
         meaning="‖T‖∞, the larger of input and output",
         measure=Peak(transfers=(loop_set.T_OUTPUT, loop_set.T_INPUT)),
-        scopes=("", "spread"),
+        scopes=("", "worst_case"),
     ),
     "damping": Metric(
         name="damping",
@@ -216,7 +217,7 @@ METRICS: dict[str, Metric] = {
             function=lambda loops, request: minimum_damping(loops.poles, loops.slow, loops.period),
             gradient=lambda loops, limit, floor, members: loops.damping(floor, limit, members),
         ),
-        scopes=("", "spread", "faults"),
+        scopes=("", "worst_case", "faults"),
         best=1.0,
         of="closed loop",
     ),
@@ -244,7 +245,7 @@ METRICS: dict[str, Metric] = {
     "Omega rejection": Metric(
         name="angle from Omega",
         key="Omega_rejection",
-        unit="rad s/rad",
+        unit="rad/(rad/s)",
         sense="at most",
         meaning="peak gain from the platform's rate to the angles",
         measure=Peak(transfers=(loop_set.ANGLE_PER_OMEGA,)),
@@ -278,9 +279,9 @@ METRICS: dict[str, Metric] = {
         "not count",
         measure=Peak(transfers=(loop_set.TORQUE_SHARE,), banded=True),
     ),
-    "controller poles": Metric(
+    "fastest controller pole": Metric(
         name="fastest pole of the controller",
-        key="controller_poles",
+        key="fastest_controller_pole",
         unit="rad/s",
         sense="at most",
         meaning="magnitude of the controller's poles in the w-plane",

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 BoolArray = NDArray[np.bool_]
 
 # What a plant of a set stands for: the nominal one; other parameters; another platform rate; a part that fails.
-Group = Literal["nominal", "spread", "Omega", "faults"]
+Group = Literal["nominal", "uncertainty", "Omega", "faults"]
 
 
 @value
@@ -39,7 +39,7 @@ class PlantSet:
     period
         Of the samples, s.
     labels, groups
-        What each plant is, and what it stands for: ``"nominal"``, ``"spread"``, ``"Omega"`` or ``"faults"``.
+        What each plant is, and what it stands for: ``"nominal"``, ``"uncertainty"``, ``"Omega"`` or ``"faults"``.
     torques, angles
         Names of the m inputs and p outputs.
     B_Omega : (N, n, 3)
@@ -151,7 +151,7 @@ class PlantSet:
         Parameters
         ----------
         groups
-            Among ``"nominal"``, ``"spread"``, ``"Omega"`` and ``"faults"``.
+            Among ``"nominal"``, ``"uncertainty"``, ``"Omega"`` and ``"faults"``.
 
         Returns
         -------
@@ -247,11 +247,11 @@ def plant_set(
 ) -> PlantSet:
     """Return the set, its responses worked out once on `tuning_grid`.
 
-    Without `groups` the first plant is the nominal one and the others are its spread; without the rest the platform
-    does not turn and the torquers have no limits.
+    Without `groups` the first plant is the nominal one and the others have uncertain parameters; without the rest the
+    platform does not turn and the torquers have no limits.
     """
     grid = tuning_grid(nutation, plants.dt)
-    others: list[Group] = ["spread" for _ in labels[1:]]
+    others: list[Group] = ["uncertainty" for _ in labels[1:]]
     B_Omega = np.zeros((*plants.A.shape[:-1], 3)) if B_Omega is None else B_Omega
     # Both together: what is worked out for each plant, and each of its angles, is then worked out once.
     m = plants.B.shape[-1]

@@ -51,7 +51,7 @@ from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.job.scenario import HalfCosine
 
 # Groups that a band shows: a part that fails is another story.
-_BAND = ("nominal", "spread", "Omega")
+_BAND = ("nominal", "uncertainty", "Omega")
 # States of a closed loop up to which norms are worked out while a slider moves.
 _QUICK = 32
 

@@ -1,4 +1,4 @@
-"""The whole platform, free to turn, sampled: nominal, at other rates, and with all of a spread moved together."""
+"""The whole platform, free to turn, sampled: nominal, at other rates, and with all uncertain parameters changed."""
 
 from __future__ import annotations
 
@@ -87,14 +87,14 @@ class FreePlants:
 
 
 def corners(job: Job) -> list[tuple[str, Platform, FloatArray]]:
-    """Return label, platform and rate of the nominal plant, of the corners of Omega, and of those of the spread.
+    """Return label, platform and rate of the nominal plant, and of the corners of Omega and of the parameters.
 
     All inertias move together there, and all momenta: a corner for each sign of each would be hundreds.
     """
     platform, still = job.platform, np.zeros(3)
     out = [("nominal", platform, still)]
     gimbals, rotors = [g.name for g in platform.gimbals], [r.name for r in platform.rotors]
-    widths = [("J", job.spread.inertia, gimbals), ("L", job.spread.spin, rotors)]
+    widths = [("J", job.uncertainty.inertia, gimbals), ("L", job.uncertainty.spin, rotors)]
     widths = [one for one in widths if one[1] > 0.0 and one[2]]
     for signs in product((-1.0, 1.0), repeat=len(widths)) if widths else ():
         moved: dict[str, dict[str, float]] = {"J": {}, "L": {}}
@@ -191,7 +191,7 @@ class SpinningModels:
             scale = abs(nominal) or max((abs(r.angular_momentum) for r in self._rotors.values()), default=0.0) or 1.0
             moved = []
             for label, platform, Omega in self._cases:
-                # A plant of the spread has this rotor's L larger by a factor.
+                # A plant of the uncertainty has this rotor's L larger by a factor.
                 own = next(r.angular_momentum for r in platform.rotors if r.name == name)
                 factor = own / nominal if nominal else 1.0
                 rotors = tuple(

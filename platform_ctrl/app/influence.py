@@ -80,7 +80,7 @@ def deciding(measures: LoopMetrics, asked: Sequence[LoopRequirement]) -> list[in
     out = {0}
     for one in asked:
         ratios = one.ratios(measures)
-        if one.metric.of != "controller" and one.over_spread and len(ratios):
+        if one.metric.of != "controller" and one.beyond_nominal and len(ratios):
             plants = np.flatnonzero(measures.of(one.over))
             out |= {int(plants[k]) for k in np.argsort(-ratios)[:2]}
     return sorted(out)

@@ -211,7 +211,7 @@ class QuickPlants:
         rates = np.array([case.Omega for case in linear.cases])
         for name, change in changes.items():
             share = self.shares[name]
-            # A plant of the spread has this rotor's L larger by a factor.
+            # A plant of the uncertainty has this rotor's L larger by a factor.
             factor = np.array([_factor(case.platform, name, self.momenta[name]) for case in linear.cases]) * change
             G = factor[:, None, None] * share.G
             K = factor[:, None, None] * np.einsum("ka,aij->kij", rates, share.K)

@@ -9,10 +9,11 @@ from __future__ import annotations
 import errno
 import os
 import sys
-from collections.abc import Sequence
+import warnings
+from collections.abc import Callable, Sequence
 from typing import Any
 
-from platform_ctrl.errors import DesignError, PlatformCtrlError, SimulationError
+from platform_ctrl.errors import DesignError, OldKeyWarning, PlatformCtrlError, SimulationError
 
 __all__ = ["main"]
 
@@ -31,7 +32,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if hasattr(stream, "reconfigure"):  # a name that the terminal cannot show must not stop the work
             stream.reconfigure(errors="backslashreplace")
     try:
-        code = _run(list(sys.argv[1:] if arguments is None else arguments))
+        with warnings.catch_warnings():
+            warnings.simplefilter("always", OldKeyWarning)
+            warnings.showwarning = _shown(warnings.showwarning)
+            code = _run(list(sys.argv[1:] if arguments is None else arguments))
         sys.stdout.flush()
     except BrokenPipeError:
         # Whoever read our output has gone; what is left in the buffer must not complain when the program ends.
@@ -53,6 +57,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
             # A library that was interrupted while it was loaded may crash the interpreter's orderly end.
             os._exit(code)
     return code
+
+
+def _shown(otherwise: Callable[..., None]) -> Callable[..., None]:
+    """Return what shows a warning: one about a file's keys as one line, the others as before."""
+
+    def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
+        if issubclass(category, OldKeyWarning):
+            print(f"platform-ctrl: warning: {message}", file=sys.stderr)
+        else:
+            otherwise(message, category, *where, **more)
+
+    return show
 
 
 def _began_with_interrupt(error: BaseException | None) -> bool:

@@ -65,7 +65,7 @@ def check(
 
     The same verdicts as those of design, without designing. Every figure is measured anew from the matrices; nothing
     that the file claims is believed, and what is not confirmed of it is told on stderr. Use it after the plant, the
-    spread or a limit has changed, or for controllers that were made elsewhere.
+    uncertainty or a limit has changed, or for controllers that were made elsewhere.
 
     \b
     platform-ctrl check job.toml                                          the controllers of out/result.json

@@ -212,7 +212,11 @@ def _show_verdict(console: Console, results: Sequence[CheckResult], added: str) 
     words = f"{missed} of {len(results)} requirements not met" if missed else f"all {len(results)} requirements met"
     words += added
     # How slow the slowest pole is, if it decays at all, is no measure of how tight a design is; nor is a proof.
-    telling = [one for one in results if not (one.passed and one.name.startswith(("slowest decay", "claims proved")))]
+    telling = [
+        one
+        for one in results
+        if not (one.passed and one.name.startswith(("minimum decay rate", "certified properties")))
+    ]
     if telling:
         worst = min(telling, key=lambda one: (one.passed, one.margin))
         words += f"; {'worst' if missed else 'tightest'}: {_subject(worst)}, {worst.name}"

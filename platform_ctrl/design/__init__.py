@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from platform_ctrl.design.antiwindup.compensator import AntiWindup, SurvivedOmega, anti_windup, survived_Omega
-from platform_ctrl.design.antiwindup.job import LoopSurvival, caging_loop_limits, caging_survival
+from platform_ctrl.design.antiwindup.compensator import AntiWindup, LargestOmega, anti_windup, largest_Omega
+from platform_ctrl.design.antiwindup.job import LoopLargestOmega, caging_largest_Omega, caging_loop_limits
 from platform_ctrl.design.antiwindup.loop import LimitedLoop, limited_loop
 from platform_ctrl.design.classical.complex_coordinates import ComplexSystem, complex_plant, complex_response
 from platform_ctrl.design.classical.complex_shaping import ComplexLoop, TwoSidedNyquist, complex_loop, two_sided_nyquist
@@ -34,11 +34,12 @@ __all__ = [
     "CrossoverDesign",
     "Estimator",
     "IntersampleGains",
+    "LargestOmega",
     "Lead",
     "LimitedLoop",
     "LoopDesign",
+    "LoopLargestOmega",
     "LoopOutcome",
-    "LoopSurvival",
     "LqgDesign",
     "MeasuredDesign",
     "Multiobjective",
@@ -54,12 +55,11 @@ __all__ = [
     "Static",
     "Structure",
     "StructuredDesign",
-    "SurvivedOmega",
     "Synthesis",
     "TwoSidedNyquist",
     "anti_windup",
+    "caging_largest_Omega",
     "caging_loop_limits",
-    "caging_survival",
     "complex_loop",
     "complex_plant",
     "complex_response",
@@ -67,6 +67,7 @@ __all__ = [
     "h2",
     "hinf",
     "intersample_gains",
+    "largest_Omega",
     "limited_loop",
     "loops",
     "lqe",
@@ -81,6 +82,5 @@ __all__ = [
     "scheduled",
     "scheduled_caging",
     "structured",
-    "survived_Omega",
     "two_sided_nyquist",
 ]

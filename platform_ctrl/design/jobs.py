@@ -11,7 +11,7 @@ from platform_ctrl.common.values import value
 from platform_ctrl.design.loop import LoopDesign, LoopProblem, Progress, designed
 from platform_ctrl.design.plants import plants_of
 from platform_ctrl.errors import ArgumentError, DesignError
-from platform_ctrl.job.job import Job, LoopSpec, Spread
+from platform_ctrl.job.job import Job, LoopSpec, Uncertainty
 from platform_ctrl.job.reading import read_job
 from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.plant.platform import OMEGA_NAMES
@@ -31,9 +31,9 @@ def with_caging_claims(job: Job, design: LoopDesign, *, closed: bool) -> LoopDes
     return dataclasses.replace(design, claims=claims)
 
 
-def survived_name(axis: int, *, spread: bool = False) -> str:
+def largest_Omega_name(axis: int, *, worst_case: bool = False) -> str:
     """Return the name of the claim of the Omega that a loop survives about a root axis, 1 to 3."""
-    return f"survived {OMEGA_NAMES[axis - 1]}{' over the spread' if spread else ''}, rad/s"
+    return f"largest {OMEGA_NAMES[axis - 1]} without saturation{', worst case' if worst_case else ''}, rad/s"
 
 
 def _between_samples(job: Job, design: LoopDesign) -> dict[str, float]:
@@ -45,22 +45,22 @@ def _between_samples(job: Job, design: LoopDesign) -> dict[str, float]:
         return {}
     return {
         "intersample torque rejection, rad/(N m)": gains.torque_rejection,
-        "intersample Omega rejection, rad s/rad": gains.Omega_rejection,
+        "intersample Omega rejection, rad/(rad/s)": gains.Omega_rejection,
     }
 
 
 def _at_the_limits(job: Job, design: LoopDesign) -> dict[str, float]:
-    from platform_ctrl.design.antiwindup.job import caging_survival
+    from platform_ctrl.design.antiwindup.job import caging_largest_Omega
 
-    # One plant of the spread may leave the loop unstable: what holds for the plant as it is stays.
-    for requested in (job, dataclasses.replace(job, spread=Spread())):
+    # One plant of the uncertainty may leave the loop unstable: what holds for the plant as it is stays.
+    for requested in (job, dataclasses.replace(job, uncertainty=Uncertainty())):
         try:
-            found = caging_survival(requested, design.controller)
+            found = caging_largest_Omega(requested, design.controller)
         except (ArgumentError, DesignError):
             continue
-        out = {survived_name(one.axis): one.nominal.Omega for one in found}
-        if requested.spread.inertia > 0.0 or requested.spread.spin > 0.0:
-            out |= {survived_name(one.axis, spread=True): one.spread for one in found}
+        out = {largest_Omega_name(one.axis): one.nominal.Omega for one in found}
+        if requested.uncertainty.inertia > 0.0 or requested.uncertainty.spin > 0.0:
+            out |= {largest_Omega_name(one.axis, worst_case=True): one.worst_case for one in found}
         return out
     return {}
 

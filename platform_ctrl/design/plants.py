@@ -1,4 +1,4 @@
-"""The plants that a loop has to stand: the nominal one, the parameter spread, the range of Omega, parts that fail."""
+"""The plants that a loop must control: the nominal one, uncertain parameters, the range of Omega, parts that fail."""
 
 from __future__ import annotations
 
@@ -88,23 +88,23 @@ class Case:
 def cases(job: Job, gimbals: tuple[str, ...]) -> list[Case]:
     """Return the plants that the loop on `gimbals` has to stand, the nominal one first.
 
-    Then every corner of the spread and the samples inside it, the grid of Omega, and the faults.
+    Then every corner of the parameter uncertainty and the samples inside it, the grid of Omega, and the faults.
     """
     platform, still, whole = job.platform, np.zeros(3), np.ones(len(gimbals))
     out = [Case(label="nominal", group="nominal", platform=platform, Omega=still, torque=whole)]
-    for label, parameters in _spread(job, gimbals):
+    for label, parameters in _varied(job, gimbals):
         moved = changed(platform, **parameters)
-        out.append(Case(label=label, group="spread", platform=moved, Omega=still, torque=whole))
+        out.append(Case(label=label, group="uncertainty", platform=moved, Omega=still, torque=whole))
     for rates in _rates(job.Omega, job.Omega_grid):
         label = f"Omega = ({rates[0]:g}, {rates[1]:g}, {rates[2]:g}) rad/s"
         out.append(Case(label=label, group="Omega", platform=platform, Omega=np.array(rates), torque=whole))
     return [*out, *_faults(job, gimbals)]
 
 
-def _spread(job: Job, gimbals: tuple[str, ...]) -> Iterator[tuple[str, dict[str, dict[str, float]]]]:
-    """Walk the relative changes of J and L at the corners of the spread, then at the samples inside it."""
-    named = [("inertia", g, job.spread.inertia) for g in gimbals]
-    named += [("spin", name, job.spread.spin) for name in _carried(job.platform, gimbals)]
+def _varied(job: Job, gimbals: tuple[str, ...]) -> Iterator[tuple[str, dict[str, dict[str, float]]]]:
+    """Walk the relative changes of J and L at the corners of the uncertainty, then at the samples inside it."""
+    named = [("inertia", g, job.uncertainty.inertia) for g in gimbals]
+    named += [("spin", name, job.uncertainty.spin) for name in _carried(job.platform, gimbals)]
     named = [entry for entry in named if entry[2] > 0.0]
     if not named:
         return
@@ -132,13 +132,13 @@ def subsystems_over(platform: Platform, Omega: FloatArray, grid: int) -> tuple[t
 
 def _samples(job: Job, dimension: int) -> list[list[float]]:
     """Return points of the box [-1, 1]: a scrambled Sobol sequence (Owen), the same for the same seed."""
-    if job.spread.samples == 0:
+    if job.uncertainty.samples == 0:
         return []
     from scipy.stats import qmc
 
     points = qmc.Sobol(dimension, scramble=True, seed=np.random.default_rng(job.seed))
     # Drawn by powers of two, for which alone the sequence is balanced.
-    drawn = points.random_base2(math.ceil(math.log2(job.spread.samples)))[: job.spread.samples]
+    drawn = points.random_base2(math.ceil(math.log2(job.uncertainty.samples)))[: job.uncertainty.samples]
     return [[float(entry) for entry in row] for row in 2.0 * drawn - 1.0]
 
 

@@ -156,7 +156,7 @@ def _worst_plants(measures: LoopMetrics, requirements: Sequence[LoopRequirement]
         return [int(k) for k in np.argsort(decay)]
     ratios = np.zeros(len(decay))
     for requirement in requirements:
-        if requirement.over_spread and requirement.metric.of != "controller":
+        if requirement.beyond_nominal and requirement.metric.of != "controller":
             requested = measures.of(requirement.over)
             ratios[requested] = np.maximum(ratios[requested], requirement.ratios(measures))
     return [int(k) for k in np.argsort(-ratios)]

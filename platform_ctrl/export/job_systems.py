@@ -17,7 +17,7 @@ from platform_ctrl.design.loop import sampled_plant
 from platform_ctrl.design.plants import plants_of
 from platform_ctrl.export.csv_responses import response_data
 from platform_ctrl.export.system_record import SystemRecord, signal_units, system_record
-from platform_ctrl.job.job import Faults, Job, Spread
+from platform_ctrl.job.job import Faults, Job, Uncertainty
 from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.mechanics.state_space import state_space
 from platform_ctrl.verification.coupled import coupled_plant, one_controller
@@ -157,7 +157,7 @@ def job_responses(job: Job, controllers: Sequence[control.StateSpace]) -> tuple[
 
 def _nominal(job: Job) -> Job:
     """Return the job with the plant as it stands alone."""
-    return dataclasses.replace(job, spread=Spread(), faults=Faults(), Omega=np.zeros(3))
+    return dataclasses.replace(job, uncertainty=Uncertainty(), faults=Faults(), Omega=np.zeros(3))
 
 
 def _loop_plants(job: Job) -> Iterator[tuple[str, control.StateSpace]]:

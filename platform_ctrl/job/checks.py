@@ -148,11 +148,15 @@ def job_mistakes(data: Data, platform: Platform | None) -> list[Mistake]:
 
 def _sets(data: Data) -> Iterator[Mistake]:
     """Judge what the sets of plants are made of."""
-    spread = data.get("spread")
-    samples = number_of(spread, "samples") if isinstance(spread, dict) else None
-    if isinstance(spread, dict) and samples and not any(number_of(spread, key) for key in ("inertia", "spin")):
-        wrong = f"samples = {given(spread['samples'])}: neither inertia nor spin has a spread"
-        yield Mistake(("spread", "samples"), f"{wrong}; expected inertia or spin > 0 beside it")
+    uncertainty = data.get("uncertainty")
+    samples = number_of(uncertainty, "samples") if isinstance(uncertainty, dict) else None
+    if (
+        isinstance(uncertainty, dict)
+        and samples
+        and not any(number_of(uncertainty, key) for key in ("inertia", "spin"))
+    ):
+        wrong = f"samples = {given(uncertainty['samples'])}: neither inertia nor spin is uncertain"
+        yield Mistake(("uncertainty", "samples"), f"{wrong}; expected inertia or spin > 0 beside it")
     faults = data.get("faults")
     for i, loop in tables(data, "loop"):
         for table in ("limits", "soft"):

@@ -30,7 +30,7 @@ _INITIAL = Shape(dict, {}, others=("", fields.NUMBER))
 
 
 @input_value
-class Spread:
+class Uncertainty:
     """How far the parameters lie from their nominal values.
 
     Attributes
@@ -276,7 +276,7 @@ class Job:
         The plant itself.
     Omega : (3,)
         Largest platform rate about each axis, rad/s.
-    spread, faults
+    uncertainty, faults
         How far the parameters may lie from their nominal values, and the faults that the design allows for.
     sampling
         Sample period and delay of the controllers.
@@ -298,7 +298,7 @@ class Job:
     Omega: Annotated[fields.Rates, At("operation", "Omega")]
     Omega_grid: Annotated[fields.GridPoints, At("operation", "Omega_grid")] = 2
     seed: Annotated[fields.Seed, At("operation", "seed")] = 0
-    spread: Annotated[Spread, TABLE] = field(default_factory=Spread)
+    uncertainty: Annotated[Uncertainty, TABLE] = field(default_factory=Uncertainty)
     faults: Annotated[Faults, TABLE] = field(default_factory=Faults)
     sampling: Annotated[Sampling, TABLE]
     loops: Annotated[tuple[LoopSpec, ...], Array("loop", least=1, most=MOST_LOOPS)]

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import dataclasses
 import os
+import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from platform_ctrl.common.values import replaced
-from platform_ctrl.errors import InputError
+from platform_ctrl.errors import InputError, OldKeyWarning
 from platform_ctrl.job.checks import job_mistakes, variation_mistakes
 from platform_ctrl.job.job import Job
-from platform_ctrl.plant.fields import PLANT, SCHEMA
+from platform_ctrl.job.old_names import renamed
+from platform_ctrl.plant.fields import PLANT, Expected, integer
 from platform_ctrl.plant.mistakes import Mistake, report
 from platform_ctrl.plant.platform import Platform
 from platform_ctrl.plant.reading import judge_plant, open_plant
@@ -22,10 +24,12 @@ from platform_ctrl.plant.tables import Key, made, overfull, read_table, shape
 __all__ = ["read_job"]
 
 
+SCHEMA = 2
+_SCHEMAS = Expected(f"{SCHEMA} (or 1: the older names of keys are read for one version)", integer(1, SCHEMA))
 # The whole file.
 JOB_FILE = dataclasses.replace(
     shape(Job),
-    keys={"schema": Key(SCHEMA, "schema", needed=True), "plant": Key(PLANT, "plant", needed=True)}
+    keys={"schema": Key(_SCHEMAS, "schema", needed=True), "plant": Key(PLANT, "plant", needed=True)}
     | {**shape(Job).keys},
 )
 
@@ -52,6 +56,11 @@ def read_job(
     ------
     InputError
         One line: which file, table and key, what was given, what is expected.
+
+    Warns
+    -----
+    OldKeyWarning
+        A file with ``schema = 1`` has keys that have been renamed.
     """
     start = None if folder is None else path_of(folder, "a folder")
     if isinstance(source, Mapping):
@@ -60,9 +69,10 @@ def read_job(
         document = open_file(path_of(source, "the path of a job file or a dict"))
     if crowd := list(overfull(JOB_FILE, document.data)):
         raise report(document.label, document.data, crowd)
+    old_keys, old_wrong = renamed(document.data)
     platform, plant_wrong = _plant(document, start or document.folder)
     read, wrong = read_table(JOB_FILE, document.data)
-    mistakes = [*document.mistakes, *plant_wrong, *job_mistakes(document.data, platform), *wrong]
+    mistakes = [*document.mistakes, *old_wrong, *plant_wrong, *job_mistakes(document.data, platform), *wrong]
     if mistakes or platform is None:
         raise report(document.label, document.data, mistakes)
     del read["schema"]
@@ -73,6 +83,11 @@ def read_job(
         job = replaced(job, {"campaign": replaced(job.campaign, {"seed": job.seed})})
     if mistakes := list(variation_mistakes(job)):
         raise report(document.label, document.data, mistakes)
+    if old_keys:
+        words = (
+            f"{document.label}: old keys are read for one version: {', '.join(old_keys)}; write them with schema = 2"
+        )
+        warnings.warn(words, OldKeyWarning, stacklevel=2)
     return job
 
 

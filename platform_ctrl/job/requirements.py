@@ -31,8 +31,8 @@ if TYPE_CHECKING:
 __all__ = [
     "FAULTS",
     "NOMINAL",
-    "SPREAD",
     "STABLE",
+    "WORST_CASE",
     "CheckResult",
     "LoopRequirement",
     "Requirement",
@@ -42,11 +42,11 @@ __all__ = [
 ]
 
 NOMINAL: tuple[Group, ...] = ("nominal",)
-SPREAD: tuple[Group, ...] = ("nominal", "spread", "Omega")
+WORST_CASE: tuple[Group, ...] = ("nominal", "uncertainty", "Omega")
 FAULTS: tuple[Group, ...] = ("nominal", "faults")
 # Groups of plants by the ending of a limit's key, and how a name says them.
-SCOPES: dict[str, tuple[Group, ...]] = {"": NOMINAL, "spread": SPREAD, "faults": FAULTS}
-SCOPE_WORDS = {"": "", "spread": " over the spread", "faults": " with a fault"}
+SCOPES: dict[str, tuple[Group, ...]] = {"": NOMINAL, "worst_case": WORST_CASE, "faults": FAULTS}
+SCOPE_WORDS = {"": "", "worst_case": ", worst case", "faults": " with a fault"}
 
 
 @input_value
@@ -78,7 +78,7 @@ class LoopRequirement(Requirement):
         return METRICS[self.kind]
 
     @property
-    def over_spread(self) -> bool:
+    def beyond_nominal(self) -> bool:
         """Whether it is about more than the nominal plant."""
         return any(group != "nominal" for group in self.over)
 
@@ -153,14 +153,14 @@ class LoopRequirement(Requirement):
         worst = int(values.argmax() if self.sense == "at most" else values.argmin())
         if self.metric.of == "controller":
             where = "controller"
-        elif self.kind == "torque noise" and not self.over_spread:
+        elif self.kind == "torque noise" and not self.beyond_nominal:
             where = f"torquer {plants.torques[worst]}"
-        elif self.over_spread:
+        elif self.beyond_nominal:
             where = plants.labels[np.flatnonzero(plants.of(self.over))[worst]]
         else:
             where = "nominal plant"
         # Of the nominal plant and of the controller there is one.
-        number = len(values) if self.over_spread else 1
+        number = len(values) if self.beyond_nominal else 1
         return self.judge(
             float(values[worst]),
             subject=subject,
@@ -238,7 +238,7 @@ class LoopRequirement(Requirement):
 
     @check_arguments
     def check_controller(self, controller: control.StateSpace, *, subject: str = "", design: str = "") -> CheckResult:
-        """Judge a controller by itself: "controller poles" and "controller gain" (from `frequency` on).
+        """Judge a controller by itself: "fastest controller pole" and "controller gain" (from `frequency` on).
 
         Parameters
         ----------
@@ -289,7 +289,7 @@ def requirement(
     limit
         Above 0, in the unit of the metric.
     over
-        Groups of plants that it is about: `NOMINAL`, `SPREAD` (with Omega), `FAULTS`, or any choice of groups.
+        Groups of plants that it is about: `NOMINAL`, `WORST_CASE` (with Omega), `FAULTS`, or any choice of groups.
     hard
         False for a goal.
     frequency
@@ -342,7 +342,7 @@ def requirement(
 
 
 def limit_keys() -> dict[str, tuple[str, str]]:
-    """Return the keys of ``[loop.limits]``: of each the metric, and ``""``, ``"spread"``, ``"faults"`` or ``"hz"``.
+    """Return the keys of ``[loop.limits]``: of each the metric, and ``""``, ``"worst_case"``, ``"faults"`` or ``"hz"``.
 
     ``"hz"`` is the edge of the metric's band; the others are the plants that the limit is about.
     """

@@ -27,7 +27,10 @@ from platform_ctrl.plant.platform import OMEGA_NAMES
 
 # Whose peaks are drawn however narrow they are.
 _REJECTION = MetricRequest(kind="Omega rejection")
-_PEAKS = (*(MetricRequest(kind=kind) for kind in ("disk margin", "sensitivity peak", "complementary peak")), _REJECTION)
+_PEAKS = (
+    *(MetricRequest(kind=kind) for kind in ("disk margin", "sensitivity peak", "complementary sensitivity peak")),
+    _REJECTION,
+)
 _SHARE = MetricRequest(kind="torque limit")
 
 
@@ -60,9 +63,9 @@ class DesignResponses:
         Largest singular value from torque disturbance to angle.
     torque_share : (N,)
         Torque over its limit for a sinusoidal platform rate of the job's size, worst torquer; 0 without limits.
-    poles, spread_poles, fault_poles
-        Closed loop with the nominal plant, with those of the spread and of Omega, and with a fault; s-plane
-        equivalents, rad/s.
+    poles, varied_poles, fault_poles
+        Closed loop with the nominal plant, with uncertain parameters and Omega, and with a fault; s-plane equivalents,
+        rad/s.
     """
 
     design: LoopDesign
@@ -79,7 +82,7 @@ class DesignResponses:
     angle_per_torque: FloatArray
     torque_share: FloatArray
     poles: ComplexArray
-    spread_poles: ComplexArray
+    varied_poles: ComplexArray
     fault_poles: ComplexArray
 
 
@@ -224,7 +227,7 @@ def _design_responses(
         angle_per_torque=largest_singular_values(_frequency_first(responses.angle_per_torque)),
         torque_share=np.linalg.norm(share, axis=-1).max(axis=-1, initial=0.0),
         poles=poles[0],
-        spread_poles=poles[1:][~faults[1:]].ravel(),
+        varied_poles=poles[1:][~faults[1:]].ravel(),
         fault_poles=poles[faults].ravel(),
     )
 

@@ -27,9 +27,9 @@ UNSTABLE = "none (unstable)"
 BOUND = {"at least": "\u2265", "at most": "\u2264"}
 
 # Units that the name of a claim may end in, after a comma as on an axis.
-_UNITS = frozenset({"Hz", "rad/s", "rad", "s", "1/s", "N m", "N m/rad", "rad/(N m)", "rad s/rad", "N m s/rad"})
+_UNITS = frozenset({"Hz", "rad/s", "rad", "s", "1/s", "N m", "N m/rad", "rad/(N m)", "rad/(rad/s)", "N m s/rad"})
 # Claims that are bounds from below and from above, by the first words of their names.
-_LEAST = ("survived", "gamma_optimal", "disk_margin", "damping")
+_LEAST = ("largest Omega", "gamma_optimal", "disk_margin", "damping")
 _MOST = ("gamma", "bandwidth_bound", "intersample", "limit_ratio", "goal_ratio")
 # Claims whose names are not words yet; the second is a share.
 _CLAIMED = {
@@ -184,7 +184,8 @@ def claimed(name: str, number: float) -> tuple[str, str]:
     Parameters
     ----------
     name
-        Ends in ``, `` and a unit (``"survived Omega1, rad/s"``), or in ``_hz`` as options do; otherwise a plain number.
+        Ends in ``, `` and a unit (``"largest Omega1 without saturation, rad/s"``), or in ``_hz`` as options do;
+        otherwise a plain number.
     number
         In that unit.
     """

@@ -13,6 +13,7 @@ import numpy as np
 
 from platform_ctrl.job.faults import FAULT_KINDS, Fault
 from platform_ctrl.job.job import Campaign, Job, Manoeuvre
+from platform_ctrl.job.reading import SCHEMA as JOB_SCHEMA
 from platform_ctrl.job.scenario import Vibration
 from platform_ctrl.plant.force_elements import Cage, Erection, Friction, Spring, Unbalance
 from platform_ctrl.plant.platform import OMEGA_NAMES, ROOT_TORQUE_NAMES, PickOff, Platform, RateSensor, Rotor, Torquer
@@ -24,10 +25,14 @@ Part = Torquer | PickOff | RateSensor | Spring | Friction | Cage | Unbalance | E
 def job_data(job: Job) -> dict[str, Any]:
     """Return the job as a dict of the job file's structure, with the plant as a table."""
     data: dict[str, Any] = {
-        "schema": 1,
+        "schema": JOB_SCHEMA,
         "name": job.name,
         "operation": {"Omega": job.Omega.tolist(), "Omega_grid": job.Omega_grid, "seed": job.seed},
-        "spread": {"inertia": job.spread.inertia, "spin": job.spread.spin, "samples": job.spread.samples},
+        "uncertainty": {
+            "inertia": job.uncertainty.inertia,
+            "spin": job.uncertainty.spin,
+            "samples": job.uncertainty.samples,
+        },
         "faults": _given(dataclasses.asdict(job.faults)),
         "sampling": {"rate_hz": 1.0 / job.sampling.period, "delay": job.sampling.delay},
         "coupled": _given({"disk_margin": job.coupled.disk_margin, "coupling_cost": job.coupled.coupling_cost}),

@@ -24,7 +24,7 @@ from platform_ctrl.verification.simulated import Run, fly
 if TYPE_CHECKING:
     import control
 
-PROVED = Requirement(name="claims proved", limit=1.0, unit="", sense="at least")
+PROVED = Requirement(name="certified properties", limit=1.0, unit="", sense="at least")
 
 
 @value
@@ -45,7 +45,7 @@ class Proofs:
 
     @property
     def proved(self) -> int:
-        """Number of claims proved."""
+        """Number of certified properties."""
         return sum(one.proved for one in self.verifications)
 
     @property

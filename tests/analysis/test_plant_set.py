@@ -9,7 +9,7 @@ from platform_ctrl.analysis import StateArrays, frequency_response, sampled, sta
 from platform_ctrl.analysis.plant_set import plant_set
 from platform_ctrl.design.plants import cases, loop_plants
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.job.job import Faults, Spread
+from platform_ctrl.job.job import Faults, Uncertainty
 from platform_ctrl.job.reading import read_job
 from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.mechanics.matrices import matrices
@@ -28,7 +28,7 @@ def job():
 
 def with_everything(job, **changes):
     everything = {
-        "spread": Spread(inertia=0.1, spin=0.2, samples=6),
+        "uncertainty": Uncertainty(inertia=0.1, spin=0.2, samples=6),
         "Omega_grid": 3,
         "faults": Faults(slow_rotor=0.5, weak_torquer=0.25),
     }
@@ -48,23 +48,23 @@ def motions(A):
 
 def test_a_job_that_asks_for_nothing_new_has_the_corners_alone(job):
     plants = loop_plants(job, ("9", "10"))
-    assert plants.groups == ("nominal", *["spread"] * 8, *["Omega"] * 8)
+    assert plants.groups == ("nominal", *["uncertainty"] * 8, *["Omega"] * 8)
     assert plants.torque_limit.tolist() == [0.25, 0.25]
     assert plants.Omega.tolist() == [1.0, 1.0, 1.0]
 
 
 def test_the_groups_stand_one_after_the_other(full):
     groups = full.groups
-    counts = [groups.count(name) for name in ("nominal", "spread", "Omega", "faults")]
+    counts = [groups.count(name) for name in ("nominal", "uncertainty", "Omega", "faults")]
     assert counts == [1, 8 + 6, 27 - 1, 1 + 2]
-    assert list(groups) == sorted(groups, key=["nominal", "spread", "Omega", "faults"].index)
+    assert list(groups) == sorted(groups, key=["nominal", "uncertainty", "Omega", "faults"].index)
     assert len(set(full.labels)) == len(groups) == len(full.A)
 
 
 def test_samples_lie_inside_the_corners_and_are_all_different(job):
     nominal = job.platform
     J, momenta = np.diag(matrices(nominal).A_star)[3:], np.array([r.angular_momentum for r in nominal.rotors])
-    found = [case for case in cases(with_everything(job), ("9", "10")) if case.group == "spread"][8:]
+    found = [case for case in cases(with_everything(job), ("9", "10")) if case.group == "uncertainty"][8:]
     changes = np.array(
         [
             [
@@ -82,8 +82,8 @@ def test_samples_lie_inside_the_corners_and_are_all_different(job):
 
 def test_samples_follow_from_the_seed_and_more_of_them_only_add(job):
     def labels(seed, samples):
-        chosen = with_everything(job, seed=seed, spread=Spread(inertia=0.1, spin=0.1, samples=samples))
-        return [case.label for case in cases(chosen, ("9", "10")) if case.group == "spread"][8:]
+        chosen = with_everything(job, seed=seed, uncertainty=Uncertainty(inertia=0.1, spin=0.1, samples=samples))
+        return [case.label for case in cases(chosen, ("9", "10")) if case.group == "uncertainty"][8:]
 
     assert labels(1, 5) == labels(1, 5) == labels(1, 9)[:5]
     assert not set(labels(1, 5)) & set(labels(2, 5))
@@ -172,7 +172,7 @@ def test_plants_that_nothing_else_is_said_of_do_not_turn_and_know_no_torque_limi
     plants = plant_set(
         StateArrays(A, one, one, 0.0 * one, 1.0), ("a", "b"), ("Q",), ("angle",), nutation=1.0, noise=np.zeros(1)
     )
-    assert plants.groups == ("nominal", "spread")
+    assert plants.groups == ("nominal", "uncertainty")
     assert not np.any(plants.Omega_response)
     assert np.all(np.isinf(plants.torque_limit))
 

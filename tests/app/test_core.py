@@ -26,7 +26,7 @@ from platform_ctrl.cli import main
 from platform_ctrl.design.loop import Designed, certified, closed_loop_poles, sampled_plant
 from platform_ctrl.design.plants import LinearPlants, loop_plants, with_spins
 from platform_ctrl.errors import ArgumentError, DesignError, PlatformCtrlError
-from platform_ctrl.job.job import Job, LoopSpec, Spread
+from platform_ctrl.job.job import Job, LoopSpec, Uncertainty
 from platform_ctrl.job.reading import read_job
 from platform_ctrl.mechanics.linearisation import LinearModel, linearise
 from platform_ctrl.verification.coupled import coupled_check
@@ -383,7 +383,7 @@ def test_history_goes_back_and_forth_and_forgets_the_oldest(bench: Backend) -> N
 @pytest.mark.slow
 def test_nothing_grows_while_sliders_move(bench: Backend, settings: Settings) -> None:
     # A set of one plant is moved in no time.
-    bench = Backend(dataclasses.replace(bench.read, Omega=np.zeros(3), spread=Spread()))
+    bench = Backend(dataclasses.replace(bench.read, Omega=np.zeros(3), uncertainty=Uncertainty()))
     bare = settings.but(band=False)
     rng = np.random.default_rng(4)
 
@@ -431,7 +431,7 @@ def _bare_job(**plant: object) -> Backend:
     return Backend(
         read_job(
             {
-                "schema": 1,
+                "schema": 2,
                 "name": "bare",
                 "plant": whole,
                 "operation": {"Omega": [0.0, 0.0, 0.0]},
@@ -446,7 +446,7 @@ ROTOR = {"name": "r", "carrier": "b", "axis": [1, 0, 0], "axial_inertia": 1e-4, 
 
 
 @pytest.mark.parametrize("rotors", [[], [{**ROTOR, "spin": 400.0}]])
-def test_plants_without_gyro_spread_limits_or_delay_have_pictures(rotors: list[dict[str, object]]) -> None:
+def test_plants_without_gyro_uncertainty_limits_or_delay_have_pictures(rotors: list[dict[str, object]]) -> None:
     bench = _bare_job(**({"rotor": rotors} if rotors else {}))
     settings = bench.start("both")
     picture = bench.picture(settings)
@@ -488,7 +488,7 @@ def test_a_turn_that_is_shown_loads_the_gimbals_also_without_rotors() -> None:
     ]
     job = read_job(
         {
-            "schema": 1,
+            "schema": 2,
             "name": "two axes",
             "plant": {
                 "schema": 1,

@@ -35,14 +35,14 @@ if TYPE_CHECKING:
     from platform_ctrl.app.server import PageServer
 
 JOB = """# A comment that is to stay.
-schema = 1
+schema = 2
 name = "gyros <9 & 10>"
 plant = "three_gyro_platform"
 
 [operation]
 Omega = [0.0, 0.0, 0.0]
 
-[spread]
+[uncertainty]
 inertia = 0.05
 
 [sampling]
@@ -54,7 +54,7 @@ name = "caging 9-10"
 kind = "caging"
 gimbals = ["9", "10"]
 use = "classical"
-limits = { bandwidth_hz = 20, disk_margin = 0.4, disk_margin_spread = 0.3 }
+limits = { bandwidth_hz = 20, disk_margin = 0.4, disk_margin_worst_case = 0.3 }
 
 [[loop.design]]
 name = "classical"
@@ -281,8 +281,8 @@ def test_a_drag_is_held_back_by_a_limit_that_is_met_and_shift_lets_it_go_on(page
 
 
 def test_what_is_left_of_a_limit_is_said_as_more_where_it_has_no_room(page: Page) -> None:
-    # 0.05 1/s are asked of the slowest decay, and some hundred times as much is there.
-    row = page.locator("#requirements tbody tr", has_text="slowest decay").first
+    # 0.05 1/s are asked of the minimum decay rate, and some hundred times as much is there.
+    row = page.locator("#requirements tbody tr", has_text="minimum decay rate").first
     assert "> +999 %" in (row.text_content() or "")
 
 

@@ -32,14 +32,14 @@ from platform_ctrl.plant.source import shipped_models
 SHIPPED = Path(__file__).parents[2] / "examples" / "three_gyro_platform.toml"
 LOOP = "caging 9-10"
 TWO = """# Kept: what the user wrote.
-schema = 1
+schema = 2
 name = "two designs"
 plant = "three_gyro_platform"   # a shipped one
 
 [operation]
 Omega = [1.0, 1.0, 1.0]
 
-[spread]
+[uncertainty]
 spin = 0.05
 
 [sampling]

@@ -97,7 +97,7 @@ def job() -> Job:
     ]
     return read_job(
         {
-            "schema": 1,
+            "schema": 2,
             "name": "everything",
             "plant": plant(),
             "operation": {"Omega": [1.0, 1.0, 1.0], "seed": 7},

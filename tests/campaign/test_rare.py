@@ -18,7 +18,7 @@ from platform_ctrl.errors import ArgumentError, SimulationError
 
 TURN = {"mode": "caged", "rate": 0.1, "rise": 0.01, "hold": 0.0, "duration": 0.02}
 JOB = {
-    "schema": 1,
+    "schema": 2,
     "name": "short turns",
     "plant": "three_gyro_platform",
     "operation": {"Omega": [1.0, 1.0, 1.0], "seed": 1976},

@@ -91,7 +91,7 @@ def test_json_has_the_comparison_and_is_alone_on_standard_output(
         "gyro.moved.png",
     )
     states = {one["name"]: one["state"] for one in found["figures"] if one["subject"] == "caging 9-10"}
-    assert (states["bandwidth"], states["slowest decay"]) == ("worse", "within")
+    assert (states["bandwidth"], states["minimum decay rate"]) == ("worse", "within")
     assert "3 worse" in err
     assert "baseline" not in json.loads((there / "check" / "result.json").read_text(encoding="utf-8"))
 

@@ -23,7 +23,7 @@ from refused_command import refused
 from verification.test_records import alike
 
 JOB = """
-schema = 1
+schema = 2
 name = "three gyros, fixed numbers"
 plant = "three_gyro_platform"
 operation = { Omega = [0.0, 0.0, 0.0], seed = 7 }

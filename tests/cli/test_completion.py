@@ -18,7 +18,7 @@ from platform_ctrl.cli.commands import app
 from platform_ctrl.plant.source import platform_source, shipped_models
 
 JOB = """
-schema = 1
+schema = 2
 name = "job"
 plant = "gimballed_gyro"
 [[loop]]

@@ -172,7 +172,7 @@ def test_a_job_file_is_a_test_file_with_an_item_for_every_requirement(runs: pyte
     done.stdout.fnmatch_lines(
         [
             "gyro.toml::caging 9-10: disk margin PASSED*",
-            "gyro.toml::all loops closed: claims proved PASSED*",
+            "gyro.toml::all loops closed: certified properties PASSED*",
             "caging 9-10, classical: bandwidth 27.68 Hz, at least 35 Hz: not met, margin -21 %",
             "  nominal plant; *",
         ]
@@ -229,9 +229,11 @@ def shipped_requirements() -> tuple[pc.Job, list[str]]:
     from cli.test_cli import JOB as THREE_GYROS
 
     text = THREE_GYROS.replace('name = "stabilisation"', 'name = "stabilisation"\nlimits = { torque_noise = 0.01 }')
-    text = text.replace("limits = { bandwidth_hz = 20,", "limits = { damping_faults = 0.001, damping_spread = 0.01,")
+    text = text.replace(
+        "limits = { bandwidth_hz = 20,", "limits = { damping_faults = 0.001, damping_worst_case = 0.01,"
+    )
     text = text.replace("limits = { angle = 0.0005 }", "limits = { attitude = 0.01, angle = 0.0005 }")
-    job = pc.read_job(_parsed(text + "\n[faults]\nweak_torquer = 0.9\n[spread]\nspin = 0.01\n"))
+    job = pc.read_job(_parsed(text + "\n[faults]\nweak_torquer = 0.9\n[uncertainty]\nspin = 0.01\n"))
     result = pc.verification.checked(job, pc.design.loops(job))
     return job, [f"{one.subject}: {one.name}" for one in result.requirements]
 

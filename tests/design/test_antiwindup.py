@@ -10,8 +10,8 @@ import pytest
 
 from limited_response import half_cosine, limited_response
 from platform_ctrl.analysis import time_response
-from platform_ctrl.design.antiwindup.compensator import AntiWindup, anti_windup, survived_Omega, with_excess
-from platform_ctrl.design.antiwindup.job import caging_loop_limits, caging_survival
+from platform_ctrl.design.antiwindup.compensator import AntiWindup, anti_windup, largest_Omega, with_excess
+from platform_ctrl.design.antiwindup.job import caging_largest_Omega, caging_loop_limits
 from platform_ctrl.design.antiwindup.loop import LimitedLoop, limited_loop
 from platform_ctrl.design.classical.caging import classical_controller
 from platform_ctrl.design.partition import channels
@@ -85,7 +85,7 @@ def test_below_the_limits_the_response_is_that_of_the_linear_loop() -> None:
 
 def test_certified_is_below_simulated_is_below_static() -> None:
     one = loop()
-    found = survived_Omega(one)
+    found = largest_Omega(one)
     assert found.verification.proved
     assert found.static_Omega == one.static_Omega
     b = half_cosine(one, hold=0.5, after=0.5)
@@ -100,7 +100,7 @@ def test_certified_is_below_simulated_is_below_static() -> None:
 
 def test_no_manoeuvre_leaves_the_ellipsoid() -> None:
     one = loop()
-    found = survived_Omega(one)
+    found = largest_Omega(one)
     rng = np.random.default_rng(0)
     # Of either sign and switching at once; a rate that has reached its bound turns back.
     for length in (20, 200):
@@ -116,7 +116,7 @@ def test_no_manoeuvre_leaves_the_ellipsoid() -> None:
 @pytest.mark.parametrize(("rise", "share"), [(0.5, 0.99), (0.1, 0.85)])
 def test_the_ellipsoid_gives_away_little_against_the_exact_peak(rise: float, share: float) -> None:
     one = loop(rise)
-    found = survived_Omega(one)
+    found = largest_Omega(one)
     state, u, y = one.B_w[:, 0], np.zeros(1), np.zeros(1)
     for _ in range(20000):
         u, y, state = u + np.abs(one.K @ state), y + np.abs(one.C @ state), one.A @ state
@@ -128,13 +128,13 @@ def test_the_ellipsoid_gives_away_little_against_the_exact_peak(rise: float, sha
 
 def test_torques_beyond_their_limits_allow_no_less() -> None:
     one = loop()
-    plain, more = survived_Omega(one), survived_Omega(one, saturating=True)
+    plain, more = largest_Omega(one), largest_Omega(one, saturating=True)
     assert more.verification.proved
     assert plain.Omega <= more.Omega < one.static_Omega
 
 
 def test_a_claim_too_large_is_not_proved() -> None:
-    found = survived_Omega(loop())
+    found = largest_Omega(loop())
     wrong = dataclasses.replace(found.ellipsoid, Omega=1.02 * found.Omega)
     assert not wrong.verify().proved
     assert "positive definite" in wrong.verify().reason
@@ -142,7 +142,7 @@ def test_a_claim_too_large_is_not_proved() -> None:
 
 @pytest.mark.parametrize(("factor", "named"), [(0.9, "the invariance"), (1.1, "the limit of torque")])
 def test_an_ellipsoid_of_another_size_is_rejected(factor: float, named: str) -> None:
-    found = survived_Omega(loop()).ellipsoid
+    found = largest_Omega(loop()).ellipsoid
     shown = dataclasses.replace(found, Q=factor * found.Q).verify()
     assert not shown.proved
     assert shown.reason.startswith(named)
@@ -226,15 +226,19 @@ def caging(job: Job) -> control.StateSpace:
     return control.StateSpace(*block, inputs=["alpha9", "beta10"], outputs=["Q9", "Q10"])
 
 
-def test_the_caging_loop_survives_on_the_non_linear_plant_what_is_proved(job: Job, caging: control.StateSpace) -> None:
-    found = caging_survival(dataclasses.replace(job, spread=dataclasses.replace(job.spread, inertia=0.0)), caging)
+def test_the_caging_loop_keeps_its_limits_on_the_non_linear_plant_up_to_the_proved_rate(
+    job: Job, caging: control.StateSpace
+) -> None:
+    found = caging_largest_Omega(
+        dataclasses.replace(job, uncertainty=dataclasses.replace(job.uncertainty, inertia=0.0)), caging
+    )
     assert [one.axis for one in found] == [1, 3]
     first = found[0]
     assert first.nominal.static_Omega == pytest.approx(0.25 / 0.15)
     assert 0.97 * first.nominal.static_Omega < first.nominal.Omega < first.nominal.static_Omega
     # A rotor with ten per cent more momentum needs ten per cent more torque.
-    assert first.spread == pytest.approx(first.nominal.Omega / 1.1, rel=0.01)
-    assert "L11+10%" in first.spread_label
+    assert first.worst_case == pytest.approx(first.nominal.Omega / 1.1, rel=0.01)
+    assert "L11+10%" in first.worst_case_label
 
     def run(rate: float) -> bool:
         out = simulated(

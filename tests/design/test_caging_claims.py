@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
-from platform_ctrl.design import LoopOutcome, caging_survival, loops
-from platform_ctrl.design.jobs import survived_name, with_caging_claims
+from platform_ctrl.design import LoopOutcome, caging_largest_Omega, loops
+from platform_ctrl.design.jobs import largest_Omega_name, with_caging_claims
 from platform_ctrl.design.riccati.intersample_loop import intersample_gains
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.reading import read_job
@@ -19,11 +19,11 @@ from platform_ctrl.verification.given import outcomes_from
 from platform_ctrl.verification.simulated import fly
 
 DATA: dict[str, Any] = {
-    "schema": 1,
+    "schema": 2,
     "name": "one gyro",
     "plant": "three_gyro_platform",
     "operation": {"Omega": [0.0, 0.0, 0.0]},
-    "spread": {"spin": 0.1},
+    "uncertainty": {"spin": 0.1},
     "sampling": {"rate_hz": 2000, "delay": 0.0005},
     "loop": [
         {
@@ -51,7 +51,7 @@ DATA: dict[str, Any] = {
         }
     ],
 }
-TORQUE, RATE = "intersample torque rejection, rad/(N m)", "intersample Omega rejection, rad s/rad"
+TORQUE, RATE = "intersample torque rejection, rad/(N m)", "intersample Omega rejection, rad/(rad/s)"
 
 
 @pytest.fixture(scope="module")
@@ -67,7 +67,8 @@ def outcome(job: Job) -> LoopOutcome:
 def test_every_caging_design_claims_its_gains_between_the_samples(job: Job, outcome: LoopOutcome) -> None:
     for made in outcome.designs:
         gains = intersample_gains(job, made.controller)
-        assert (made.claims[TORQUE], made.claims[RATE]) == (gains.torque_rejection, gains.Omega_rejection)
+        expected = (gains.torque_rejection, gains.Omega_rejection)
+        assert (made.claims[TORQUE], made.claims[RATE]) == pytest.approx(expected, rel=1e-9)
 
 
 def test_the_closed_design_alone_claims_what_it_survives_about_the_axes_that_load_it(
@@ -75,9 +76,9 @@ def test_the_closed_design_alone_claims_what_it_survives_about_the_axes_that_loa
 ) -> None:
     (other,) = outcome.alternatives
     assert set(other.claims) == {TORQUE, RATE}
-    found = caging_survival(job, outcome.closed.controller)
-    expected = {survived_name(one.axis): one.nominal.Omega for one in found}
-    expected |= {survived_name(one.axis, spread=True): one.spread for one in found}
+    found = caging_largest_Omega(job, outcome.closed.controller)
+    expected = {largest_Omega_name(one.axis): one.nominal.Omega for one in found}
+    expected |= {largest_Omega_name(one.axis, worst_case=True): one.worst_case for one in found}
     assert {name: number for name, number in outcome.closed.claims.items() if name not in (TORQUE, RATE)} == expected
     assert [one.axis for one in found] == [1, 3]
 
@@ -99,20 +100,20 @@ def test_a_torquer_without_limit_and_a_loop_that_is_not_stable_claim_nothing(job
     assert with_caging_claims(job, unstable, closed=True).claims == {}
 
 
-def test_where_one_plant_of_the_spread_is_not_stable_the_nominal_claim_stays(outcome: LoopOutcome) -> None:
+def test_where_one_uncertain_plant_is_not_stable_the_nominal_claim_stays(outcome: LoopOutcome) -> None:
     wide = copy.deepcopy(DATA)
-    wide["spread"] = {"spin": 0.9}
+    wide["uncertainty"] = {"spin": 0.9}
     closed = dataclasses.replace(outcome.closed, claims={})
     claims = with_caging_claims(read_job(wide), closed, closed=True).claims
-    assert claims[survived_name(1)] == outcome.closed.claims[survived_name(1)]
-    assert survived_name(1, spread=True) not in claims
+    assert claims[largest_Omega_name(1)] == outcome.closed.claims[largest_Omega_name(1)]
+    assert largest_Omega_name(1, worst_case=True) not in claims
 
 
 def test_the_run_is_told_beside_what_is_proved(job: Job, outcome: LoopOutcome) -> None:
     run = fly(job, job.manoeuvres[0], [outcome.closed.controller])
     told = sentence_on_rate_limit(run, [outcome])
     shown = [float(number) for number in re.findall(r"(\d\.\d+) (?:rad/s|over)", told)]
-    proved = [outcome.closed.claims[survived_name(1, spread=over)] for over in (False, True)]
+    proved = [outcome.closed.claims[largest_Omega_name(1, worst_case=worst)] for worst in (False, True)]
     assert shown == pytest.approx(proved, rel=0.01)
     # Never more than was proved.
     assert all(number <= claim for number, claim in zip(shown, proved, strict=True))

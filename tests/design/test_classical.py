@@ -110,7 +110,7 @@ def test_a_change_of_inertia_moves_one_J_alone(job):
     np.testing.assert_allclose(matrices(moved).L / matrices(job.platform).L, [1.2, 1, 1])
 
 
-def test_every_corner_of_the_spread_and_of_the_rate_is_in_the_set(job):
+def test_every_corner_of_the_uncertainty_and_of_the_rate_is_in_the_set(job):
     found = cases(job, ("9", "10"))
     assert found[0].label == "nominal"
     assert len(found) == 1 + 2**3 + 2**3
@@ -166,7 +166,7 @@ def test_blocks_are_put_together_as_said():
 
 def test_tuning_meets_the_requirements_from_rules_of_thumb(job, model, two_axis):
     """9-10 with limits relaxed by a tenth, so that the test stays short; the start does not meet them."""
-    limits = job.loops[1].limits | {"bandwidth_hz": 40.0, "disk_margin_spread": 0.28}
+    limits = job.loops[1].limits | {"bandwidth_hz": 40.0, "disk_margin_worst_case": 0.28}
     asked = loop_requirements(limits)
     channel = channels(model, [3, 4])
     start = starting_values({"integral_hz": 2.0}, channel, two_axis.nutation, PERIOD)
@@ -202,7 +202,7 @@ def test_certified_figures_come_from_the_closed_loop(job, model, two_axis):
     assert design.measures.disk_margin[0] == pytest.approx(swept, rel=1e-3)
     sigma = np.linalg.norm(S, 2, axis=(1, 2))
     assert design.measures.bandwidth <= w[np.argmax(sigma >= np.sqrt(0.5))] * (1 + 1e-9)
-    assert {r.name for r in design.results} >= {"bandwidth", "disk margin over the spread", "torque noise, rms"}
+    assert {r.name for r in design.results} >= {"bandwidth", "disk margin, worst case", "torque noise, rms"}
 
 
 def test_the_exact_margins_are_never_above_those_of_the_grid(job, model, two_axis):

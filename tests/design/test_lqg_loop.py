@@ -15,11 +15,11 @@ from platform_ctrl.job.reading import read_job
 from platform_ctrl.mechanics.linearisation import linearise
 
 JOB = {
-    "schema": 1,
+    "schema": 2,
     "name": "caging 9-10",
     "plant": "three_gyro_platform",
     "operation": {"Omega": [1.0, 1.0, 1.0]},
-    "spread": {"inertia": 0.1, "spin": 0.1},
+    "uncertainty": {"inertia": 0.1, "spin": 0.1},
     "sampling": {"rate_hz": 2000, "delay": 0.0005},
     "loop": [
         {
@@ -27,7 +27,7 @@ JOB = {
             "kind": "caging",
             "gimbals": ["9", "10"],
             "use": "LQG",
-            "limits": {"disk_margin": 0.5, "damping": 0.2, "disk_margin_spread": 0.4, "damping_spread": 0.1},
+            "limits": {"disk_margin": 0.5, "damping": 0.2, "disk_margin_worst_case": 0.4, "damping_worst_case": 0.1},
             "design": [{"name": "LQG", "method": "lqg"}],
         }
     ],

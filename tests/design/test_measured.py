@@ -314,7 +314,7 @@ def test_dead_time_is_exact_and_not_rational():
     """First-order lag with dead time, continuous: the limit on S binds on the exact response."""
     w = np.geomspace(0.01, 100.0, 100)
     plant = control.FRD((1.0 / (1j * w + 1.0))[None, None], w, inputs=["u"], outputs=["y"])
-    options = {"filter_time": 0.02, "sensitivity_peak": 1.4, "complementary_peak": 1.4}
+    options = {"filter_time": 0.02, "sensitivity_peak": 1.4, "complementary_sensitivity_peak": 1.4}
     found = measured_pid(plant, dead_time=0.3, **options)
     inside = control.FRD((np.exp(-0.3j * w) / (1j * w + 1.0))[None, None], w, inputs=["u"], outputs=["y"])
     np.testing.assert_allclose(measured_pid(inside, **options).gains, found.gains, rtol=1e-6)
@@ -380,7 +380,9 @@ def test_arguments_that_make_no_sense_are_named(measured, design):
         "gains that the pattern leaves out": {"pattern": "diagonal", "start": design.start},
         "expected a number, or a function": {"torque_per_noise": lambda w: w[:3]},
         "angle_per_torque is .*; expected a number, or a function": {"angle_per_torque": lambda w: 1j * w},
-        "complementary_peak is .*; expected a number, or a function": {"complementary_peak": lambda w: 1 / len([])},
+        "complementary_sensitivity_peak is .*; expected a number, or a function": {
+            "complementary_sensitivity_peak": lambda w: 1 / len([])
+        },
         r"unstable: given 1\.5; expected a whole number": {"unstable": 1.5},
         "integrators: given 'x'; expected a whole number": {"integrators": "x"},
         "steps = -1; expected a whole number": {"steps": -1},

@@ -17,7 +17,7 @@ from platform_ctrl.job.requirements import loop_requirements
 
 GIMBALS = ("outer", "inner")
 JOB = {
-    "schema": 1,
+    "schema": 2,
     "name": "a margin that no loop has",
     "plant": "gimballed_gyro",
     "operation": {"Omega": [0.0, 0.0, 0.0]},

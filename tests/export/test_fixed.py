@@ -40,7 +40,7 @@ from platform_ctrl.job.job import manoeuvre_scenario
 NUMBERS = ("q31", "q15")
 JOB = pc.read_job(
     {
-        "schema": 1,
+        "schema": 2,
         "name": "gyro 9-10",
         "plant": "three_gyro_platform",
         "operation": {"Omega": [1.0, 1.0, 1.0]},

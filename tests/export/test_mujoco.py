@@ -22,7 +22,7 @@ from platform_ctrl import design, simulation
 from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.export import read_mjcf, write_mjcf
 from platform_ctrl.export.mujoco.mjcf_writer import REGULATED
-from platform_ctrl.job.job import Faults, Job, Spread, manoeuvre_scenario
+from platform_ctrl.job.job import Faults, Job, Uncertainty, manoeuvre_scenario
 from platform_ctrl.job.reading import read_job
 from platform_ctrl.plant.source import shipped_models
 from single_runs import simulated
@@ -175,7 +175,7 @@ def main_job() -> tuple[Job, list[control.StateSpace]]:
         dataclasses.replace(loop, designs=(dataclasses.replace(made, tune=False),), use=made.name)
         for loop, made in zip(job.loops, chosen, strict=True)
     )
-    job = dataclasses.replace(job, loops=loops, spread=Spread(), faults=Faults(), Omega=np.zeros(3))
+    job = dataclasses.replace(job, loops=loops, uncertainty=Uncertainty(), faults=Faults(), Omega=np.zeros(3))
     return job, [outcome.closed.controller for outcome in design.loops(job)]
 
 

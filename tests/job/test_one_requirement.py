@@ -21,7 +21,7 @@ from platform_ctrl.design.structured.goals import pieces
 from platform_ctrl.design.structured.loops import ClosedLoops
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.reading import read_job
-from platform_ctrl.job.requirements import SPREAD, loop_requirements, requirement
+from platform_ctrl.job.requirements import WORST_CASE, loop_requirements, requirement
 from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.report import page_html
 from platform_ctrl.report.page import tables
@@ -29,13 +29,13 @@ from platform_ctrl.verification.records import result_record
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "three_gyro_platform.toml"
 # The object that everything below is given. The slow classical loop of the fixture misses it.
-DAMPED = requirement("damping", 0.12, over=SPREAD, name="damping over the spread")
+DAMPED = requirement("damping", 0.12, over=WORST_CASE, name="damping, worst case")
 
 
 @pytest.fixture(scope="module")
 def job() -> Job:
     job = read_job(EXAMPLE)
-    loop = dataclasses.replace(job.loops[1], limits={"damping_spread": DAMPED.limit}, soft={})
+    loop = dataclasses.replace(job.loops[1], limits={"damping_worst_case": DAMPED.limit}, soft={})
     return dataclasses.replace(job, loops=(loop,), manoeuvres=())
 
 

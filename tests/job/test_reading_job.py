@@ -15,6 +15,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from plant.test_reading_plant import JUNK, Change, add, both, drop, mutate, outcome, plant, put, refusal, toml_file
+from platform_ctrl.cli import main as command
+from platform_ctrl.errors import OldKeyWarning
 from platform_ctrl.job.methods import METHODS
 from platform_ctrl.job.reading import read_job
 from platform_ctrl.job.requirements import limit_keys
@@ -25,11 +27,11 @@ EXAMPLE = Path(__file__).parents[2] / "examples" / "three_gyro_platform.toml"
 def job() -> dict[str, Any]:
     """Return a small valid job on a shipped plant."""
     return {
-        "schema": 1,
+        "schema": 2,
         "name": "two loops",
         "plant": "three_gyro_platform",
         "operation": {"Omega": [1.0, 0.5, 0], "seed": 7},
-        "spread": {"inertia": 0.1, "spin": 0.2},
+        "uncertainty": {"inertia": 0.1, "spin": 0.2},
         "sampling": {"rate_hz": 2000, "delay": 0.0005},
         "loop": [
             {
@@ -84,7 +86,7 @@ PUSH = '[[manoeuvre]] 2 "push"'
 
 MISTAKES: dict[str, tuple[Change, list[str]]] = {
     "schema missing": (drop("schema"), ['missing key "schema"']),
-    "schema 3": (put(3, "schema"), ["schema = 3", "expected 1"]),
+    "schema 3": (put(3, "schema"), ["schema = 3", "expected 2"]),
     "name empty": (put("", "name"), ['name = ""', "empty"]),
     "unknown table": (put([{}], "manouvre"), ['unknown table "manouvre"', 'did you mean "manoeuvre"?']),
     "plant missing": (drop("plant"), ['missing key "plant"', "a shipped model, a path relative to this file"]),
@@ -103,12 +105,15 @@ MISTAKES: dict[str, tuple[Change, list[str]]] = {
     ),
     "seed negative": (put(-1, "operation", "seed"), ["seed = -1", "a whole number >= 0"]),
     "seed a fraction": (put(0.5, "operation", "seed"), ["seed = 0.5", "a whole number >= 0"]),
-    "spread too large": (put(0.95, "spread", "spin"), ["[spread]", "spin = 0.95", "from 0 to 0.9"]),
-    "spread negative": (put(-0.1, "spread", "inertia"), ["[spread]", "inertia = -0.1", "from 0 to 0.9"]),
-    "a fraction of a sample": (put(2.5, "spread", "samples"), ["[spread]", "samples = 2.5", "from 0 to 1000"]),
+    "uncertainty too large": (put(0.95, "uncertainty", "spin"), ["[uncertainty]", "spin = 0.95", "from 0 to 0.9"]),
+    "uncertainty negative": (put(-0.1, "uncertainty", "inertia"), ["[uncertainty]", "inertia = -0.1", "from 0 to 0.9"]),
+    "a fraction of a sample": (
+        put(2.5, "uncertainty", "samples"),
+        ["[uncertainty]", "samples = 2.5", "from 0 to 1000"],
+    ),
     "samples of nothing": (
-        put({"samples": 4}, "spread"),
-        ["[spread]", "samples = 4: neither inertia nor spin has a spread", "inertia or spin > 0"],
+        put({"samples": 4}, "uncertainty"),
+        ["[uncertainty]", "samples = 4: neither inertia nor spin is uncertain", "inertia or spin > 0"],
     ),
     "a grid of one point": (put(1, "operation", "Omega_grid"), ["Omega_grid = 1", "a whole number from 2 to 9"]),
     "a rotor that is too fast": (put({"slow_rotor": 1.5}, "faults"), ["[faults]", "slow_rotor = 1.5", "from 0 to 1"]),
@@ -330,12 +335,76 @@ def test_a_job_that_cannot_be_opened_is_one_line(tmp_path: Path) -> None:
     assert "is not TOML" in refusal(read_job, tmp_path / "broken.toml")
 
 
+OLD_KEYS = {
+    "disk_margin_spread": 0.3,
+    "sensitivity_peak_spread": 4.0,
+    "complementary_peak": 2.0,
+    "complementary_peak_spread": 3.0,
+    "damping_spread": 0.05,
+    "controller_poles": 1e4,
+}
+NEW_KEYS = [
+    "disk_margin_worst_case",
+    "sensitivity_peak_worst_case",
+    "complementary_sensitivity_peak",
+    "complementary_sensitivity_peak_worst_case",
+    "damping_worst_case",
+    "fastest_controller_pole",
+]
+
+
+def old_job() -> dict[str, Any]:
+    """Return a job with schema = 1 and every key that has been renamed since."""
+    data = job()
+    data["loop"][0]["limits"] = dict(OLD_KEYS)
+    return {("spread" if key == "uncertainty" else key): item for key, item in data.items()} | {"schema": 1}
+
+
+def test_old_keys_of_schema_1_are_read_with_one_warning_that_lists_the_new_names() -> None:
+    with pytest.warns(OldKeyWarning) as told:
+        read = read_job(old_job())
+    assert (read.uncertainty.inertia, read.uncertainty.spin) == (0.1, 0.2)
+    assert read.loops[0].limits == dict(zip(NEW_KEYS, OLD_KEYS.values(), strict=True))
+    [line] = [str(one.message) for one in told]
+    assert "\n" not in line
+    for old, new in zip(["spread", *OLD_KEYS], ["uncertainty", *NEW_KEYS], strict=True):
+        assert f"{old} is now {new}" in line
+
+
+def test_the_command_says_so_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    import tomlkit
+
+    file = tmp_path / "old.toml"
+    file.write_text(tomlkit.dumps(old_job()), encoding="utf-8")
+    assert command(["check", str(file), "--controllers", str(tmp_path / "none.json"), "-q"]) == 2
+    warning, error = capsys.readouterr().err.splitlines()
+    assert warning.startswith(
+        f"platform-ctrl: warning: {file}: old keys are read for one version: spread is now uncert"
+    )
+    assert "none.json" in error
+
+
+@pytest.mark.parametrize("key", OLD_KEYS)
+def test_old_keys_of_schema_2_are_refused_by_the_new_name(key: str) -> None:
+    data = job()
+    data["loop"][0]["limits"] = {key: OLD_KEYS[key]}
+    new = dict(zip(OLD_KEYS, NEW_KEYS, strict=True))[key]
+    assert f'"{key}" is called "{new}"' in refusal(read_job, data)
+    data = job() | {"spread": {"inertia": 0.1}}
+    assert '"spread" is called "uncertainty"' in refusal(read_job, data)
+
+
+def test_an_old_key_beside_its_new_one_is_refused() -> None:
+    data = job() | {"spread": {"inertia": 0.1}, "schema": 1}
+    assert '"spread" is the old name of "uncertainty"; leave one of them out' in refusal(read_job, data)
+
+
 def test_what_is_read_is_the_job() -> None:
     read = read_job(job())
     assert (read.name, read.plant, read.seed) == ("two loops", "three_gyro_platform", 7)
     assert read.platform.name == "three-gyro platform"
     assert read.Omega.tolist() == [1.0, 0.5, 0.0]
-    assert (read.spread.inertia, read.spread.spin) == (0.1, 0.2)
+    assert (read.uncertainty.inertia, read.uncertainty.spin) == (0.1, 0.2)
     assert (read.sampling.period, read.sampling.delay) == (1 / 2000, 0.0005)
     caging, servo = read.loops
     assert (caging.kind, caging.gimbals, caging.use) == ("caging", ("9", "10"), "hand")
@@ -359,7 +428,7 @@ def test_what_is_read_is_the_job() -> None:
 def test_the_set_of_plants_and_the_goals_are_read() -> None:
     data = job()
     data["operation"]["Omega_grid"] = 3
-    data["spread"]["samples"] = 16
+    data["uncertainty"]["samples"] = 16
     data["faults"] = {"slow_rotor": 0, "weak_torquer": 0.5}
     caging = data["loop"][0]
     caging["limits"] |= {
@@ -369,10 +438,10 @@ def test_the_set_of_plants_and_the_goals_are_read() -> None:
         "torque_limit": 1,
         "Omega_rejection": 2,
     }
-    caging["soft"] = {"bandwidth_hz": 60, "sensitivity_peak_spread": 2}
+    caging["soft"] = {"bandwidth_hz": 60, "sensitivity_peak_worst_case": 2}
     caging["design"].append({"name": "simple", "method": "structured", "structure": "cross-axis"})
     read = read_job(data)
-    assert (read.Omega_grid, read.spread.samples) == (3, 16)
+    assert (read.Omega_grid, read.uncertainty.samples) == (3, 16)
     assert (read.faults.slow_rotor, read.faults.weak_torquer) == (0.0, 0.5)
     limits, soft = read.loops[0].limits, read.loops[0].soft
     assert (limits.get("damping_faults"), limits.get("tracking"), limits.get("tracking_hz")) == (0.01, 0.1, 5.0)
@@ -381,7 +450,7 @@ def test_the_set_of_plants_and_the_goals_are_read() -> None:
         None,
         2.0,
     )
-    assert (soft.get("bandwidth_hz"), soft.get("sensitivity_peak_spread"), soft.get("damping")) == (60.0, 2.0, None)
+    assert (soft.get("bandwidth_hz"), soft.get("sensitivity_peak_worst_case"), soft.get("damping")) == (60.0, 2.0, None)
     assert [design.structure for design in read.loops[0].designs] == [None, None, "cross-axis"]
 
 
@@ -401,29 +470,29 @@ def test_a_job_is_written_and_read_back_whole() -> None:
     names = list(limit_keys())
     data = job() | {"faults": {"slow_rotor": 0.5}}
     data["operation"]["Omega_grid"] = 4
-    data["spread"]["samples"] = 3
+    data["uncertainty"]["samples"] = 3
     data["loop"][0]["soft"] = dict.fromkeys(names, 0.25)
     data["loop"][0]["design"].append({"name": "simple", "method": "structured", "structure": "pid", "order": 2})
     read = read_job(data)
     again = read_job(job_data(read))
     assert job_data(again) == job_data(read)
-    assert (again.Omega_grid, again.spread.samples, again.faults.slow_rotor) == (4, 3, 0.5)
+    assert (again.Omega_grid, again.uncertainty.samples, again.faults.slow_rotor) == (4, 3, 0.5)
     assert again.loops[0].soft.get("tracking_hz") == 0.25
     assert again.loops[0].designs[2].structure == "pid"
 
 
 def test_what_may_be_left_out_asks_for_nothing() -> None:
     data = job()
-    for key in ("spread", "coupled", "manoeuvre"):
+    for key in ("uncertainty", "coupled", "manoeuvre"):
         del data[key]
     del data["operation"]["seed"]
     del data["loop"][0]["limits"]
     read = read_job(data)
-    assert (read.spread.inertia, read.spread.spin, read.seed, read.manoeuvres) == (0.0, 0.0, 0, ())
+    assert (read.uncertainty.inertia, read.uncertainty.spin, read.seed, read.manoeuvres) == (0.0, 0.0, 0, ())
     assert read.coupled.disk_margin is None
     assert read.loops[0].limits.get("bandwidth_hz") is None
     assert read.loops[0].soft.get("bandwidth_hz") is None
-    assert (read.Omega_grid, read.spread.samples, read.faults.slow_rotor, read.faults.weak_torquer) == (
+    assert (read.Omega_grid, read.uncertainty.samples, read.faults.slow_rotor, read.faults.weak_torquer) == (
         2,
         0,
         None,

@@ -102,7 +102,7 @@ def test_a_loop_around_a_rotor_that_stands_still_is_one_around_two_inertias():
     loop["design"] = [{"name": "one", "method": "classical", "inertial_crossover_hz": 40.0}]
     job = pc.read_job(
         {
-            "schema": 1,
+            "schema": 2,
             "name": "a gyro at rest",
             "plant": plant,
             "operation": {"Omega": [0.1, 0.1, 0.1]},

@@ -34,7 +34,7 @@ pytestmark = pytest.mark.usefixtures("untraced")
 
 # A job whose last line is wrong: a plant that is refused is told first, one that is accepted leaves that line to blame.
 JOB = """
-schema = 1
+schema = 2
 name = "a job"
 plant = "plant.toml"
 operation = { Omega = [1.0, 1.0, 1.0] }

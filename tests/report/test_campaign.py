@@ -27,7 +27,7 @@ from platform_ctrl.verification.records import laid_out
 
 TURN = {"mode": "caged", "rate": 1.0, "rise": 0.5, "hold": 1.0, "duration": 2.5}
 JOB = {
-    "schema": 1,
+    "schema": 2,
     "name": "tolerances & <faults>",
     "plant": "three_gyro_platform",
     "operation": {"Omega": [1.0, 1.0, 1.0], "seed": 1976},

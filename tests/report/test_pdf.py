@@ -25,11 +25,11 @@ from platform_ctrl.verification import JobResult, checked
 
 NAME = "a #b $c$ *d* _e_ @f \\g <h> \"i\" 'j' `k` // l /*m*/ ~ -- [n] {o} %p & r é Ω \u201cs\u201d"
 JOB: dict[str, Any] = {
-    "schema": 1,
+    "schema": 2,
     "name": NAME,
     "plant": "three_gyro_platform",
     "operation": {"Omega": [0.0, 0.0, 0.5], "seed": 7},
-    "spread": {"inertia": 0.1},
+    "uncertainty": {"inertia": 0.1},
     "sampling": {"rate_hz": 2000, "delay": 0.0005},
     "loop": [
         {

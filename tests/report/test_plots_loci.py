@@ -37,7 +37,7 @@ def job():
     design = {"name": "classical", "method": "classical", **NUMBERS}
     return pc.read_job(
         {
-            "schema": 1,
+            "schema": 2,
             "name": "gyro 9-10",
             "plant": "three_gyro_platform",
             "operation": {"Omega": [0.0, 0.0, 0.0]},

@@ -72,11 +72,11 @@ CAGED = {
     "limits": {"angle": 0.003, "torque_share": 1.0},
 }
 JOB: dict[str, Any] = {
-    "schema": 1,
+    "schema": 2,
     "name": "three gyros, a <b>bold</b> $name$",
     "plant": "three_gyro_platform",
     "operation": {"Omega": [0.0, 0.0, 0.5], "seed": 7},
-    "spread": {"inertia": 0.1},
+    "uncertainty": {"inertia": 0.1},
     "sampling": {"rate_hz": 2000, "delay": 0.0005},
     "loop": [
         {
@@ -123,8 +123,8 @@ def page(result: JobResult) -> str:
 
 @pytest.fixture(scope="module")
 def lone_loop() -> JobResult:
-    """One loop, no servo, no manoeuvre, no spread: the platform is carried, and the other gyros are left out."""
-    job = pc.read_job({**JOB, "name": "one loop", "loop": [CAGING], "manoeuvre": [], "spread": {}, "coupled": {}})
+    """One loop, no servo, no manoeuvre, no uncertainty: the platform is carried, and the other gyros are left out."""
+    job = pc.read_job({**JOB, "name": "one loop", "loop": [CAGING], "manoeuvre": [], "uncertainty": {}, "coupled": {}})
     return checked(job, loops(job))
 
 
@@ -137,7 +137,7 @@ def lone_page(lone_loop: JobResult) -> str:
 def compared_designs() -> JobResult:
     """Four designs of one loop, with goals and faults; the simple one is closed, and has claims."""
     limits = {"bandwidth_hz": 20, "disk_margin": 0.4, "sensitivity_peak": 3, "tracking": 0.5, "tracking_hz": 2}
-    limits |= {"torque_limit": 5, "fastest_pole": 3e4, "disk_margin_spread": 0.2, "damping_faults": 0.001}
+    limits |= {"torque_limit": 5, "fastest_pole": 3e4, "disk_margin_worst_case": 0.2, "damping_faults": 0.001}
     loop = {
         **CAGING,
         "use": "simple",
@@ -153,7 +153,12 @@ def compared_designs() -> JobResult:
     more = {"loop": [loop], "manoeuvre": [], "coupled": {}, "faults": {"weak_torquer": 0.8}}
     job = pc.read_job({**JOB, **more})
     [outcome] = loops(job)
-    claims = {"gamma": 1.3, "gamma_optimal": 1.25, "bandwidth_bound_hz": 80.0, "survived Omega1, rad/s": 1.31}
+    claims = {
+        "gamma": 1.3,
+        "gamma_optimal": 1.25,
+        "bandwidth_bound_hz": 80.0,
+        "largest Omega1 without saturation, rad/s": 1.31,
+    }
     closed = dataclasses.replace(outcome.designs[0], claims=claims)
     return checked(job, [dataclasses.replace(outcome, designs=(closed, *outcome.designs[1:]))])
 
@@ -392,7 +397,7 @@ def test_the_worst_requirement_of_a_subject_comes_first(result: JobResult) -> No
     margins = {(one.subject, one.name): (one.passed, one.margin) for one in result.requirements}
     rows = tables.requirement_rows(result)
     for above, below in pairwise(rows):
-        if above.subject == below.subject and below.requirement != "claims proved":
+        if above.subject == below.subject and below.requirement != "certified properties":
             assert margins[above.subject, above.requirement] <= margins[below.subject, below.requirement]
 
 
@@ -443,7 +448,7 @@ def test_a_narrow_terminal_lists_goals_too_and_no_proof_is_the_tightest(
     assert sum(line.startswith("not met") and "goal: disk margin" in line for line in lines) == 1
     verdict = " ".join(lines[next(k for k, line in enumerate(lines) if line.startswith("PASSED")) :])
     assert "tightest" in verdict
-    assert "claims proved" not in verdict
+    assert "certified properties" not in verdict
 
 
 def test_a_design_beside_the_closed_one_shows_its_goals_too(compared_designs: JobResult) -> None:
@@ -468,7 +473,7 @@ def test_what_is_proved_is_what_the_certificates_say(compared_designs: JobResult
     for text, design in zip(rows["disk margin of the nominal plant"], outcome.designs, strict=True):
         assert design.measures is not None
         assert float(text.removeprefix("≥ ")) == pytest.approx(design.measures.disk_margin[0], rel=1e-3)
-    for text, found in zip(rows["slowest decay over all plants"], proofs, strict=True):
+    for text, found in zip(rows["minimum decay rate over all plants"], proofs, strict=True):
         bounds = [one.bound for one in found.certificates if one.claim == "stability"]
         assert float(text.split()[1]) == pytest.approx(min(bounds), rel=1e-2)
 
@@ -484,8 +489,8 @@ def test_a_claim_without_proof_is_said(compared_designs: JobResult) -> None:
     wrong = dataclasses.replace(compared_designs, proofs={**compared_designs.proofs, key: part})
     rows = {row.name: row.cells[0] for row in comparison.proof_rows([outcome.closed], [part])}
     assert rows["stable"].met is False
-    assert "slowest decay over all plants" not in rows
-    assert rows["claims proved"].text.startswith(f"✗ {whole.of - 1} of {whole.of + 1}")
+    assert "minimum decay rate over all plants" not in rows
+    assert rows["certified properties"].text.startswith(f"✗ {whole.of - 1} of {whole.of + 1}")
     text = visible_text(report.page_html(wrong))
     assert "X is not positive definite" in text
     assert "Not proved: simple, no proof of <this>" in text
@@ -493,7 +498,7 @@ def test_a_claim_without_proof_is_said(compared_designs: JobResult) -> None:
 
 def test_all_claims_proved_are_counted_in_the_table_of_requirements(compared_designs: JobResult) -> None:
     shown = {row.subject: (row.value, row.limit) for row in tables.requirement_rows(compared_designs)
-             if row.requirement == "claims proved"}  # fmt: skip
+             if row.requirement == "certified properties"}  # fmt: skip
     closed = compared_designs.loops[0].closed
     proofs = compared_designs.proofs[closed.loop, closed.name]
     assert shown == {"caging 9-10": (f"{proofs.of} of {proofs.of}", "all"), "all loops closed": ("1 of 1", "all")}
@@ -505,18 +510,20 @@ def test_plants_are_counted_by_what_they_stand_for(compared_designs: JobResult, 
     assert plants is not None
     assert measures is not None
     words = comparison.plants_in_words(plants)
-    assert words == "9 plants: the nominal one, 4 of the parameter spread, 2 with a platform rate and 2 with a fault"
+    assert (
+        words == "9 plants: the nominal one, 4 of the parameter uncertainty, 2 with a platform rate and 2 with a fault"
+    )
     assert words in visible_text(compared_page)
     rows = comparison.group_rows(closed)
     assert [(row[0], row[1]) for row in rows] == [
         ("nominal", "1"),
-        ("parameter spread", "4"),
+        ("parameter uncertainty", "4"),
         ("platform rates", "2"),
         ("faults", "2"),
     ]
     margins = [float(row[4]) for row in rows]
     assert min(margins[:3]) == pytest.approx(
-        measures.disk_margin[measures.of(("nominal", "spread", "Omega"))].min(), rel=1e-3
+        measures.disk_margin[measures.of(("nominal", "uncertainty", "Omega"))].min(), rel=1e-3
     )
     assert margins[3] == pytest.approx(measures.disk_margin[measures.of(("faults",))].min(), rel=1e-3)
     assert "torquer" in rows[3][5]
@@ -578,14 +585,14 @@ def test_what_a_design_pays_in_is_the_limit_it_comes_nearer_to(compared_designs:
     ("name", "number", "words"),
     [
         ("bandwidth_bound_hz", 66.3, ("bandwidth bound", "66.3 Hz")),
-        ("survived Omega1, rad/s", 1.31, ("survived Omega1", "1.31 rad/s")),
+        ("largest Omega1 without saturation, rad/s", 1.31, ("largest Omega1 without saturation", "1.31 rad/s")),
         ("intersample angle, rad", 0.002, ("intersample angle", "2 mrad")),
         ("intersample torque rejection, rad/(N m)", 0.06, ("intersample torque rejection", "0.06 rad/(N m)")),
         ("price", 0.041, ("price of simplicity", "+4.1 %")),
         ("gamma", 1.25, ("norm on the weights, γ", "1.25")),
         ("order", 8.0, ("order", "8")),
         ("torque noise, rms", 2.0, ("torque noise, rms", "2")),
-        ("survived Omega2, rad/s", float("inf"), ("survived Omega2", "∞")),
+        ("largest Omega2 without saturation, rad/s", float("inf"), ("largest Omega2 without saturation", "∞")),
         ("gap", float("nan"), ("gap", "–")),
     ],
 )
@@ -712,8 +719,14 @@ def test_an_interval_of_probabilities_is_printed_no_narrower_than_it_is(high: fl
 
 
 def test_a_rate_that_is_proved_is_rounded_down_and_a_norm_up() -> None:
-    assert claimed("survived Omega1, rad/s", 1.59978) == ("survived Omega1", "1.599 rad/s")
-    assert claimed("survived Omega1 over the spread, rad/s", 1.6) == ("survived Omega1 over the spread", "1.6 rad/s")
+    assert claimed("largest Omega1 without saturation, rad/s", 1.59978) == (
+        "largest Omega1 without saturation",
+        "1.599 rad/s",
+    )
+    assert claimed("largest Omega1 without saturation, worst case, rad/s", 1.6) == (
+        "largest Omega1 without saturation, worst case",
+        "1.6 rad/s",
+    )
     assert claimed("gamma", 1.59971)[1] == "1.6"
     assert claimed("gamma_optimal", 1.59978)[1] == "1.599"
     assert claimed("bandwidth_bound_hz", 59.9961)[1] == "60 Hz"
@@ -846,7 +859,7 @@ def test_poles_with_a_fault_are_told_apart(compared_designs: JobResult) -> None:
     assert responses is not None
     for one in responses.designs:
         order = len(one.poles)
-        assert (len(one.spread_poles), len(one.fault_poles)) == (6 * order, 2 * order)
+        assert (len(one.varied_poles), len(one.fault_poles)) == (6 * order, 2 * order)
 
 
 def test_the_page_of_four_designs_is_whole(compared_designs: JobResult, compared_page: str) -> None:
@@ -854,7 +867,7 @@ def test_the_page_of_four_designs_is_whole(compared_designs: JobResult, compared
     assert not re.search(r"\b(nan|inf)\b", text, re.IGNORECASE)
     assert "proved in interval arithmetic" in text
     rows = {row[0]: row[1:] for row in Cells(compared_page).rows if len(row) == 6}
-    assert rows["survived Omega1"] == ["", "1.31 rad/s", "–", "–", "–"]
+    assert rows["largest Omega1 without saturation"] == ["", "1.31 rad/s", "–", "–", "–"]
     assert rows["bandwidth bound"][1] == "80 Hz"
     for design in compared_designs.loops[0].designs:
         assert design.name in text

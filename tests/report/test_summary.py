@@ -25,11 +25,11 @@ from platform_ctrl.verification import JobResult, checked
 pytestmark = pytest.mark.usefixtures("untraced")
 
 JOB: dict[str, Any] = {
-    "schema": 1,
+    "schema": 2,
     "name": "one gyro & <two> gimbals",
     "plant": "three_gyro_platform",
     "operation": {"Omega": [0.0, 0.0, 0.5], "seed": 7},
-    "spread": {"inertia": 0.1},
+    "uncertainty": {"inertia": 0.1},
     "sampling": {"rate_hz": 2000, "delay": 0.0005},
     "loop": [
         {
@@ -168,7 +168,7 @@ def test_a_run_that_was_lost_and_no_run_at_all_are_told(result: JobResult) -> No
 
 
 def test_how_slow_the_slowest_pole_is_is_never_the_tightest(result: JobResult) -> None:
-    slow = [one for one in result.requirements if one.name.startswith("slowest decay")]
+    slow = [one for one in result.requirements if one.name.startswith("minimum decay rate")]
     assert slow
     assert tightest(slow) is None
     assert tightest([]) is None

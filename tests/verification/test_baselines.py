@@ -36,7 +36,7 @@ from platform_ctrl.verification.baselines import (
 from platform_ctrl.verification.baselines.file import remove_plot
 
 JOB: dict[str, Any] = {
-    "schema": 1,
+    "schema": 2,
     "name": "three gyros",
     "plant": "three_gyro_platform",
     "operation": {"Omega": [0.0, 0.0, 0.0]},
@@ -176,6 +176,21 @@ def test_the_file_has_a_figure_a_line_and_the_controllers_as_check_reads_them(re
         np.testing.assert_array_equal(K.C, outcome.closed.controller.C)
 
 
+def test_a_baseline_with_the_row_names_of_earlier_versions_is_read_and_compared(result: JobResult, file: Path) -> None:
+    text = file.read_text(encoding="utf-8")
+    for old, new in (
+        ("slowest decay", "minimum decay rate"),
+        (" over the spread", ", worst case"),
+        ("claims proved", "certified properties"),
+    ):
+        assert new in text
+        text = text.replace(new, old)
+    file.write_text(text, encoding="utf-8")
+    found = compare(result, read_baseline(file))
+    assert found.passed
+    assert not found.of("new", "missing")
+
+
 def test_an_accepted_result_passes_and_nothing_has_moved(result: JobResult, file: Path) -> None:
     comparison = compare(result, read_baseline(file))
     assert comparison.passed
@@ -232,7 +247,7 @@ def test_of_what_was_proved_nothing_may_be_lost_and_a_loss_near_zero_has_an_abso
     result: JobResult,
 ) -> None:
     tolerances = {one.name: one.tolerance for one in accepted(result).figures}
-    proved, lost = tolerances["claims proved"], tolerances["disk margin lost by coupling"]
+    proved, lost = tolerances["certified properties"], tolerances["disk margin lost by coupling"]
     assert proved is not None
     assert proved.allowed(1.0) == 0.0
     assert lost is not None
@@ -331,9 +346,9 @@ def test_an_update_makes_folders(result: JobResult, tmp_path: Path) -> None:
         (lambda data: data["figures"].insert(0, 1), "figures 1: given 1; expected a table"),
         (
             lambda data: data["figures"][1].update(value="2"),
-            'over the spread": value: given "2"; expected a number, or',
+            'worst case": value: given "2"; expected a number, or',
         ),
-        (lambda data: data["figures"][0].update(value=1e999), '"slowest decay": value: given inf'),
+        (lambda data: data["figures"][0].update(value=1e999), '"minimum decay rate": value: given inf'),
         (lambda data: data["figures"][0].update(sense="more"), 'sense: given "more"; expected "at least" or "at most"'),
         (lambda data: data["figures"][0].update(realtive=0.1), 'unknown key "realtive"; did you mean "relative"?'),
         (lambda data: data["figures"][0].update(absolute=True), "absolute: given true; expected a number >= 0"),

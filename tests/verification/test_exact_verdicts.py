@@ -28,17 +28,17 @@ from platform_ctrl.design.structured.loops import ClosedLoops
 from platform_ctrl.design.tuning import tune, worst_ratio
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.reading import read_job
-from platform_ctrl.job.requirements import SPREAD, requirement
+from platform_ctrl.job.requirements import WORST_CASE, requirement
 from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.verification.coupled import coupled_check, sensed_rates
 
 PERIOD = 5e-4
 JOB = """
-schema = 1
+schema = 2
 name = "gyro 9-10, no delay"
 plant = "three_gyro_platform"
 operation = { Omega = [0.0, 0.0, 0.0] }
-spread = { inertia = 0.1, spin = 0.1 }
+uncertainty = { inertia = 0.1, spin = 0.1 }
 sampling = { rate_hz = 2000, delay = 0.0 }
 
 [[loop]]
@@ -46,7 +46,7 @@ name = "caging 9-10"
 kind = "caging"
 gimbals = ["9", "10"]
 use = "classical"
-limits = { sensitivity_peak_spread = 3.0 }
+limits = { sensitivity_peak_worst_case = 3.0 }
 design = [{ name = "classical", method = "classical" }]
 """
 # The plant with which the loop below all but oscillates.
@@ -62,7 +62,7 @@ def narrow_loop(depth: float = 0.20796, width: float = 0.0061867) -> StateArrays
 # of a search alone would have said, and what is true.
 FOUND = {
     "sensitivity peak": (0.0, [32.96, 429.6, 7.721, 241.6, 45.21, 230.1, 3.86, 0.00837], 2.133, 431.8),
-    "complementary peak": (0.0, [49.39, 251.1, 36.52, 205.3, 67.92, 154.0, 6.913, 0.002673], 1.339, 98.18),
+    "complementary sensitivity peak": (0.0, [49.39, 251.1, 36.52, 205.3, 67.92, 154.0, 6.913, 0.002673], 1.339, 98.18),
     "disk margin": (0.0, [13.34, 392.2, 6.27, 414.1, 28.97, 258.7, 3.475, 0.01136], 0.654, 0.002229),
     "tracking": (5e-4, [34.36, 66.86, 92.87, 272.4, 103.7, 35.41, 8.638, 0.002239], 1.683, 42.54),
     "Omega rejection": (5e-4, [30.28, 470.8, 56.41, 63.73, 117.4, 296.5, 4.608, 0.0356], 0.01144, 0.3412),
@@ -106,7 +106,7 @@ def test_check_fails_a_loop_whose_sensitivity_peaks_between_all_grid_points(
     assert "FAILED" in capsys.readouterr().out
     record = json.loads((tmp_path / "result.json").read_text(encoding="utf-8"))
     (missed,) = [one for one in record["requirements"] if not one["passed"]]
-    assert missed["name"] == "sensitivity peak over the spread"
+    assert missed["name"] == "sensitivity peak, worst case"
     assert missed["value"] == pytest.approx(true, rel=1e-8)
     assert missed["value"] >= true * (1.0 - 1e-12)
     assert missed["method"] == "exact"
@@ -120,7 +120,7 @@ def _sensitivities(plants: PlantSet, K: StateArrays) -> np.ndarray:
 
 
 def test_a_search_sees_the_resonance_that_its_grid_misses(plants: PlantSet) -> None:
-    asked = requirement("sensitivity peak", 3.0, over=SPREAD)
+    asked = requirement("sensitivity peak", 3.0, over=WORST_CASE)
     rough = measure(plants, narrow_loop(), [asked], exact=False)
     assert not rough.exact
     assert asked.values(rough).max() > 50.0
@@ -131,7 +131,7 @@ def test_a_search_sees_the_resonance_that_its_grid_misses(plants: PlantSet) -> N
 def test_what_a_grid_misses_the_most_is_in_the_figure(kind: str) -> None:
     delay, numbers, grid, true = FOUND[kind]
     among, K = narrow_loops.plants(delay).only(range(9)), narrow_loops.controller(np.array(numbers))
-    asked = requirement(kind, 1.0, over=SPREAD, frequency=EDGE.get(kind))  # type: ignore[arg-type]
+    asked = requirement(kind, 1.0, over=WORST_CASE, frequency=EDGE.get(kind))  # type: ignore[arg-type]
     on_grid = measured(narrow_loops.OnGrid(among, K), asked) / asked.metric.scale
     assert (on_grid.min() if asked.sense == "at least" else on_grid.max()) == pytest.approx(grid, rel=1e-3)
     result = asked.check(among, K)
@@ -164,13 +164,13 @@ def test_poles_and_noise_next_to_the_stability_boundary_keep_their_digits(kind: 
     decay = min(-one.real.max() for one in s)
     fast = [one[np.abs(one) > among.nutation / 10.0] for one in s]
     damping = min((-one.real / np.abs(one)).min() for one in fast)
-    assert requirement("stability", 1.0, over=SPREAD).check(among, K).value == pytest.approx(decay, rel=1e-7)
-    assert requirement("damping", 1.0, over=SPREAD).check(among, K).value == pytest.approx(damping, rel=1e-7)
+    assert requirement("stability", 1.0, over=WORST_CASE).check(among, K).value == pytest.approx(decay, rel=1e-7)
+    assert requirement("damping", 1.0, over=WORST_CASE).check(among, K).value == pytest.approx(damping, rel=1e-7)
     rms = dense_peak.noise(loops[0], among.noise)
     assert requirement("torque noise", 1.0).check(among, K).value == pytest.approx(rms.max(), rel=1e-7)
 
 
-@pytest.mark.parametrize("kind", ["sensitivity peak", "complementary peak", "torque limit"])
+@pytest.mark.parametrize("kind", ["sensitivity peak", "complementary sensitivity peak", "torque limit"])
 def test_the_coupled_check_sees_what_a_grid_misses(kind: str, plants: PlantSet, tmp_path: Path) -> None:
     """Margins of channels alone and of both at once: by brute force over frequency, and over the scaling d."""
     (tmp_path / "job.toml").write_text(f"{JOB}\n[coupled]\ndisk_margin = 0.1\n", encoding="utf-8")
@@ -202,7 +202,7 @@ def test_the_coupled_check_sees_what_a_grid_misses(kind: str, plants: PlantSet, 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", FOUND)
 def test_no_search_finds_a_loop_that_is_worse_than_its_figure(kind: str) -> None:
-    asked = requirement(kind, 1.0, over=SPREAD, frequency=EDGE.get(kind))  # type: ignore[arg-type]
+    asked = requirement(kind, 1.0, over=WORST_CASE, frequency=EDGE.get(kind))  # type: ignore[arg-type]
     for delay, seed in ((0.0, 3), (5e-4, 4)):
         numbers, factor = narrow_loops.worst_found(asked, delay, seed)
         among, K = narrow_loops.plants(delay).only(range(9)), narrow_loops.controller(numbers)
@@ -215,7 +215,7 @@ def test_the_tuner_goes_on_where_a_limit_is_missed_between_the_points_of_its_gri
 ) -> None:
     # Without the poles' frequencies the search starts blind: its grid sees nothing wrong with the narrow loop.
     monkeypatch.setattr(LoopSet, "narrow", {})
-    asked = [requirement("stability", 0.05, over=SPREAD), requirement("sensitivity peak", 3.0, over=SPREAD)]
+    asked = [requirement("stability", 0.05, over=WORST_CASE), requirement("sensitivity peak", 3.0, over=WORST_CASE)]
     start = {"depth": 0.20796, "width": 0.0061867}
 
     def build(options: dict[str, float]) -> StateArrays:
@@ -237,7 +237,7 @@ def test_the_structured_search_goes_on_where_a_limit_is_missed_between_the_point
 ) -> None:
     monkeypatch.setattr(LoopSet, "narrow", {})
     monkeypatch.setattr(ClosedLoops, "_hidden", lambda self, *_: self.none())
-    asked = [requirement("stability", 0.05, over=SPREAD), requirement("sensitivity peak", 3.0, over=SPREAD)]
+    asked = [requirement("stability", 0.05, over=WORST_CASE), requirement("sensitivity peak", 3.0, over=WORST_CASE)]
     start = {"depth": 0.3, "width": 0.003}
     family = Named(lambda options: narrow_loop(**options), start, list(start), {"depth": 1.0, "width": 1.0})
     told: list[float] = []

@@ -30,9 +30,9 @@ pytestmark = pytest.mark.usefixtures("untraced")
 
 @pytest.fixture(scope="module")
 def small() -> tuple[Any, tuple[LoopOutcome, ...]]:
-    """One loop of the main job, without spread and manoeuvres."""
+    """One loop of the main job, without uncertainty and manoeuvres."""
     data = tomllib.loads(Path("examples/three_gyro_platform.toml").read_text(encoding="utf-8"))
-    for name in ("spread", "operation", "coupled", "manoeuvre", "fault", "campaign"):
+    for name in ("uncertainty", "operation", "coupled", "manoeuvre", "fault", "campaign"):
         data.pop(name, None)
     [loop] = [loop for loop in data["loop"] if loop["name"] == "caging 9-10"]
     loop |= {
@@ -59,7 +59,7 @@ def test_a_forged_certificate_of_a_closed_design_fails_the_job(small: tuple[Any,
         result = checked(job, [with_certificates(outcome, certificates=tuple(bad))])
         assert not result.passed
         [missed] = [one for one in result.requirements if not one.passed]
-        assert (missed.name, missed.subject) == ("claims proved", "caging 9-10")
+        assert (missed.name, missed.subject) == ("certified properties", "caging 9-10")
         assert missed.value == pytest.approx(1 - 1 / len(bad))
         assert "is not positive definite" in missed.evidence
     silent = checked(job, [with_certificates(outcome, unproved=("no proof that it is fast",))])
@@ -77,7 +77,7 @@ def test_certificates_of_another_controller_prove_nothing_of_a_design(
     )
     result = checked(job, [with_certificates(outcome, controller=other)])
     [missed] = [one for one in result.requirements if not one.passed]
-    assert (missed.name, missed.value) == ("claims proved", 0.0)
+    assert (missed.name, missed.value) == ("certified properties", 0.0)
     assert "of another loop" in missed.evidence
 
 
@@ -193,7 +193,7 @@ def test_an_unstable_coupled_system_claims_nothing(small: tuple[Any, tuple[LoopO
 
 def test_an_unstable_loop_is_not_certified() -> None:
     data = tomllib.loads(Path("examples/three_gyro_platform.toml").read_text(encoding="utf-8"))
-    for name in ("spread", "coupled", "manoeuvre", "fault", "campaign"):
+    for name in ("uncertainty", "coupled", "manoeuvre", "fault", "campaign"):
         data.pop(name, None)
     [loop] = [loop for loop in data["loop"] if loop["name"] == "caging 9-10"]
     loop |= {

@@ -10,7 +10,7 @@ import pytest
 from platform_ctrl import read_platform, verification
 from platform_ctrl.analysis import interconnect_controllers
 from platform_ctrl.errors import ArgumentError, InputError
-from platform_ctrl.job.job import CoupledLimits, Job, Sampling, Spread
+from platform_ctrl.job.job import CoupledLimits, Job, Sampling, Uncertainty
 from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.mechanics.state_space import state_space
 from platform_ctrl.report.figures.coupled import platform_compliance, platform_disturbance_figure
@@ -48,7 +48,7 @@ def job_of(data, delay=0.0):
         plant="",
         platform=read_platform(data),
         Omega=np.zeros(3),
-        spread=Spread(),
+        uncertainty=Uncertainty(),
         sampling=Sampling(period=PERIOD, delay=delay),
         loops=(),
         coupled=CoupledLimits(),

@@ -1,7 +1,7 @@
 """Torque limits of a caging loop: which Omega it provably survives, and anti-windup gains with a region of attraction.
 
 Two figures by two means. While Omega alone moves, a good loop need not touch its limits until the torques that hold the
-gyros take nearly all of them: `survived_Omega` proves up to where, by an ellipsoid from a Lyapunov equation. A shock
+gyros take nearly all of them: `largest_Omega` proves up to where, by an ellipsoid from a Lyapunov equation. A shock
 does drive the torques beyond their limits; then the controller's states run on with an error that its torques cannot
 follow. `anti_windup` feeds the excess back into those states, x⁺ = A x + B y + E (limited u − u), by the gain that
 makes the region of shocks from which the loop provably returns largest.
@@ -18,7 +18,7 @@ from platform_ctrl.analysis.certificates import Verification
 from platform_ctrl.common.arguments import positive, real_array
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray, value
-from platform_ctrl.design.antiwindup.lmi import InvariantEllipsoid, below_the_limits, slowest_decay, widest
+from platform_ctrl.design.antiwindup.lmi import InvariantEllipsoid, below_the_limits, minimum_decay_rate, widest
 from platform_ctrl.design.antiwindup.loop import LimitedLoop
 from platform_ctrl.errors import InfeasibleError, NotCertifiedError
 
@@ -26,13 +26,13 @@ if TYPE_CHECKING:
     from control import StateSpace
     from numpy.typing import ArrayLike
 
-# Shares of the slowest decay among which the best ellipsoid is looked for; and the one for shocks.
+# Shares of the minimum decay rate among which the best ellipsoid is looked for; and the one for shocks.
 _SHARES = (0.02, 0.04, 0.08, 0.13, 0.2, 0.28, 0.36, 0.44, 0.52, 0.6, 0.7, 0.8)
 _OF_SHOCKS = 0.1
 
 
 @value
-class SurvivedOmega:
+class LargestOmega:
     """The largest Omega for which torques and angles provably stay within their limits.
 
     Attributes
@@ -91,7 +91,7 @@ class AntiWindup:
 
 
 @check_arguments
-def survived_Omega(loop: LimitedLoop, *, saturating: bool = False, time_limit: float = 60.0) -> SurvivedOmega:
+def largest_Omega(loop: LimitedLoop, *, saturating: bool = False, time_limit: float = 60.0) -> LargestOmega:
     """Return the largest Omega for which the loop provably keeps within its stops and returns.
 
     The bound is sharp to a few per cent where the manoeuvre is slow against the loop; for fast ones an ellipsoid
@@ -109,7 +109,7 @@ def survived_Omega(loop: LimitedLoop, *, saturating: bool = False, time_limit: f
 
     Returns
     -------
-    SurvivedOmega
+    LargestOmega
         The rate, and the ellipsoid that proves it.
 
     Raises
@@ -125,18 +125,18 @@ def survived_Omega(loop: LimitedLoop, *, saturating: bool = False, time_limit: f
 
     See docs/torque-limits.md.
     """
-    slowest = slowest_decay(loop)
+    slowest = minimum_decay_rate(loop)
     best = max((below_the_limits(loop, share * slowest) for share in _SHARES), key=lambda one: one.Omega)
     if saturating:
         best = max(best, widest(loop, best.Omega, best.alpha, time_limit=time_limit), key=lambda one: one.Omega)
     shown = best.verify()
     if not shown.proved:
         raise NotCertifiedError(
-            f"survived_Omega: not proved for {best.Omega:.6g} rad/s: {shown.reason}; expected a proof; "
+            f"largest_Omega: not proved for {best.Omega:.6g} rad/s: {shown.reason}; expected a proof; "
             "give a loop whose slow and fast poles lie closer together",
             loop,
         )
-    return SurvivedOmega(Omega=best.Omega, static_Omega=loop.static_Omega, ellipsoid=best, verification=shown)
+    return LargestOmega(Omega=best.Omega, static_Omega=loop.static_Omega, ellipsoid=best, verification=shown)
 
 
 @check_arguments
@@ -184,7 +184,7 @@ def anti_windup(
     order = loop.R.shape[1]
     if not order:
         raise InfeasibleError("anti_windup: the controller has no states; expected one that can wind up", loop)
-    alpha = _OF_SHOCKS * slowest_decay(loop)
+    alpha = _OF_SHOCKS * minimum_decay_rate(loop)
     without = widest(
         loop, Omega, alpha, directions=directions, gain=np.zeros((order, len(loop.controls))), time_limit=time_limit
     )

@@ -1,4 +1,4 @@
-"""The limits of a job's caging loops: which Omega each survives, for the plant as it is and over its spread."""
+"""The limits of a job's caging loops: the largest Omega without saturation, nominal and in the worst case."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import value
-from platform_ctrl.design.antiwindup.compensator import SurvivedOmega, survived_Omega
+from platform_ctrl.design.antiwindup.compensator import LargestOmega, largest_Omega
 from platform_ctrl.design.antiwindup.loop import LimitedLoop, limited_loop
 from platform_ctrl.design.plants import cases
 from platform_ctrl.errors import ArgumentError
@@ -28,7 +28,7 @@ _RISE = 0.5
 
 
 @value
-class LoopSurvival:
+class LoopLargestOmega:
     """The Omega about one axis that a caging loop survives.
 
     Attributes
@@ -39,17 +39,17 @@ class LoopSurvival:
         Length of the half-cosine in which Omega may rise and fall, s.
     nominal
         Of the plant as it is.
-    spread
-        The least over the plants of the parameter spread (at rest), rad/s, each with a proof of its own.
-    spread_label
+    worst_case
+        The least over the plants of the parameter uncertainty (at rest), rad/s, each with a proof of its own.
+    worst_case_label
         Which plant that is.
     """
 
     axis: int
     rise: float
-    nominal: SurvivedOmega
-    spread: float
-    spread_label: str
+    nominal: LargestOmega
+    worst_case: float
+    worst_case_label: str
 
 
 @check_arguments
@@ -79,7 +79,7 @@ def caging_loop_limits(
     Returns
     -------
     LimitedLoop
-        For `survived_Omega` and `anti_windup`.
+        For `largest_Omega` and `anti_windup`.
 
     Raises
     ------
@@ -121,9 +121,9 @@ def caging_loop_limits(
 
 
 @check_arguments
-def caging_survival(
+def caging_largest_Omega(
     job: Job, controller: StateSpace, *, rise: float | None = None, axes: Sequence[int] = (1, 2, 3)
-) -> tuple[LoopSurvival, ...]:
+) -> tuple[LoopLargestOmega, ...]:
     """Return the Omega that a caging loop survives about every root axis that loads its torquers.
 
     Parameters
@@ -137,7 +137,7 @@ def caging_survival(
 
     Returns
     -------
-    tuple of LoopSurvival
+    tuple of LoopLargestOmega
         One for each axis that loads a torquer.
 
     Raises
@@ -156,14 +156,16 @@ def caging_survival(
         loop = caging_loop_limits(job, controller, axis, rise=rise)
         if np.all(np.abs(loop.u_steady) < _NO_LOAD * loop.limits):
             continue
-        nominal = survived_Omega(loop)
+        nominal = largest_Omega(loop)
         least, label = nominal.Omega, "nominal"
         for case in cases(job, gimbals):
-            if case.group != "spread":
+            if case.group != "uncertainty":
                 continue
             varied = caging_loop_limits(job, controller, axis, rise=rise, platform=case.platform)
-            found = survived_Omega(varied).Omega
+            found = largest_Omega(varied).Omega
             if found < least:
                 least, label = found, case.label
-        out.append(LoopSurvival(axis=axis, rise=loop.rise, nominal=nominal, spread=least, spread_label=label))
+        out.append(
+            LoopLargestOmega(axis=axis, rise=loop.rise, nominal=nominal, worst_case=least, worst_case_label=label)
+        )
     return tuple(out)

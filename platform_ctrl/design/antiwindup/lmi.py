@@ -169,7 +169,7 @@ def below_the_limits(loop: LimitedLoop, alpha: float) -> InvariantEllipsoid:
     squares = [np.einsum("ij,jk,ik->i", rows, Q, rows) for rows in (loop.K, loop.C)]
     if not all(np.all(square >= 0.0) for square in squares):
         raise NotCertifiedError(
-            f"survived Omega: no invariant ellipsoid was found at a decay of {alpha:.3g} 1/s; expected a loop that is "
+            f"largest Omega: no invariant ellipsoid was found at a decay of {alpha:.3g} 1/s; expected a loop that is "
             "farther from instability",
             loop,
         )
@@ -190,7 +190,7 @@ def below_the_limits(loop: LimitedLoop, alpha: float) -> InvariantEllipsoid:
     )
 
 
-def slowest_decay(loop: LimitedLoop) -> float:
+def minimum_decay_rate(loop: LimitedLoop) -> float:
     """Return the largest α for which the linear loop has an invariant ellipsoid: 1 − ρ²."""
     return 1.0 - float(spectral_radius(poles(loop.A))) ** 2
 
@@ -233,7 +233,7 @@ def widest(
         Rate of the manoeuvres that it has to stand, below `LimitedLoop.static_Omega`; without `directions` the point
         from which a larger one is sought.
     alpha
-        Decay, below `slowest_decay`.
+        Decay, below `minimum_decay_rate`.
     directions : (n, k), optional
         States whose largest common multiple inside is to be as large as possible. Default: as large an Omega as
         possible.

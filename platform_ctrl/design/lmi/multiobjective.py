@@ -124,8 +124,8 @@ def multiobjective(
         Number of measurements y and of controls u: the last outputs and the last inputs.
     requirements
         `requirements.requirement` of kind "H-infinity norm" or "H2 norm" (of a channel of w and z, with weights),
-        "stability", "damping", "fastest pole" (of the closed loop) or "controller poles". Soft norms (``hard=False``)
-        are minimised: the largest of their ratios to their limits. Where none is soft, all norms are.
+        "stability", "damping", "fastest pole" (of the closed loop) or "fastest controller pole". Soft norms
+        (``hard=False``) are minimised: the largest of their ratios to their limits. Where none is soft, all norms are.
     backoff
         Relative distance from the least ratio and from the hard limits, positive.
     time_limit

@@ -44,7 +44,7 @@ def region(requested: LoopRequirement, period: float = 0.0, rate: float = 1.0, t
     Parameters
     ----------
     requested
-        "stability" (slowest decay), "damping" or "fastest pole".
+        "stability" (minimum decay rate), "damping" or "fastest pole".
     period
         Sample period, s: then the region is one of the w-plane, w = (2/T) (z − 1)/(z + 1). A decay is a disc there,
         exactly; a damping is a sector that is narrow enough for poles up to 1/T rad/s.

@@ -111,8 +111,8 @@ def robust(
     nmeas, ncon
         Number of measurements y and of controls u: the last outputs and the last inputs.
     requirements
-        As in `multiobjective`, less "controller poles". The certificate covers every convex combination of the closed
-        loops, hence of the plants where B2 and C2 (with D12 and D21) are the same for all.
+        As in `multiobjective`, less "fastest controller pole". The certificate covers every convex combination of the
+        closed loops, hence of the plants where B2 and C2 (with D12 and D21) are the same for all.
     backoff
         Relative distance from the least ratio, positive.
     time_limit

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from control import StateSpace
 
 NORMS = ("H-infinity norm", "H2 norm")
-CONTROLLER = "controller poles"
+CONTROLLER = "fastest controller pole"
 
 
 @value

@@ -117,7 +117,7 @@ def measured_pid(
     filter_time: float | None = None,
     pattern: Pattern | ArrayLike = "full",
     sensitivity_peak: Bound = 2.0,
-    complementary_peak: Bound | None = None,
+    complementary_sensitivity_peak: Bound | None = None,
     disk_margin: Bound | None = None,
     torque_per_noise: Bound | None = None,
     angle_per_torque: Bound | None = None,
@@ -146,7 +146,7 @@ def measured_pid(
     pattern
         Which gains are free: ``"full"``, ``"diagonal"``, ``"cross-axis"`` (two angles: integral action across, rate
         action along), or zeros and ones (n, n) or (3, n, n), dimensionless.
-    sensitivity_peak, complementary_peak
+    sensitivity_peak, complementary_sensitivity_peak
         Largest ‖S‖ and ‖T‖, at angles and at torques.
     disk_margin
         Least 1/‖(S − T)/2‖, at both.
@@ -204,7 +204,7 @@ def measured_pid(
     tau = _filter_time(filter_time, plants.period)
     requested: dict[str, Bound | None] = {
         "sensitivity_peak": sensitivity_peak,
-        "complementary_peak": complementary_peak,
+        "complementary_sensitivity_peak": complementary_sensitivity_peak,
         "disk_margin": disk_margin,
         "torque_per_noise": torque_per_noise,
         "angle_per_torque": angle_per_torque,

@@ -3,7 +3,7 @@
 With Z = I − P K (at the angles) or I − K P (at the torques), S = Z⁻¹ and T = I − S,
 
     sensitivity peak       ‖S‖ ≤ m                 c = 0
-    complementary peak     ‖S − I‖ ≤ m             c = 1
+    complementary sensitivity peak     ‖S − I‖ ≤ m             c = 1
     disk margin            ‖S − I/2‖ ≤ m = 1/α     c = 1/2
 
 have one form: ‖S − c I‖ ≤ m exactly if the least singular value of Z + a I is at least r, with a = c/(m² − c²) and
@@ -31,7 +31,7 @@ from platform_ctrl.errors import ArgumentError
 # A number, or its value over frequencies in rad/s.
 Bound = float | Callable[[FloatArray], FloatArray]
 
-CENTRES = {"sensitivity_peak": 0.0, "complementary_peak": 1.0, "disk_margin": 0.5}
+CENTRES = {"sensitivity_peak": 0.0, "complementary_sensitivity_peak": 1.0, "disk_margin": 0.5}
 # Finite limits lie below this: their squares are numbers still.
 _LARGEST = 1e100
 # Those that compare P S.
@@ -81,7 +81,7 @@ def _bound(name: str, requested: Bound, frequency: FloatArray) -> FloatArray:
             f"measured_pid: {name} is {short(requested)}; expected a number, or a function of frequencies in rad/s "
             f"that returns as many"
         ) from None
-    least = 1.0 if name in ("sensitivity_peak", "complementary_peak") else 0.0
+    least = 1.0 if name in ("sensitivity_peak", "complementary_sensitivity_peak") else 0.0
     most = {"disk_margin": 2.0, "resonance_damping": 1.0}.get(name, _LARGEST)
     if not np.all((m > least) & (m < most) | (m == np.inf) & (most == _LARGEST)):
         range_of = f"> {least:g}" if most == _LARGEST else f"between {least:g} and {most:g}"

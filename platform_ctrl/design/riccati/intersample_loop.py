@@ -33,7 +33,7 @@ class IntersampleGains:
     torque_frequency, Omega_frequency
         Where the peaks are, rad/s, up to π/T; None where the peak belongs to no frequency.
     Omega_rejection
-        From Omega to the angles, rad s/rad.
+        From Omega to the angles, rad/(rad/s).
     """
 
     torque_rejection: float

@@ -90,8 +90,8 @@ def structured(
         What the controller looks like (see `structures`); its numbers may be bounded, tied and fixed.
     requirements
         Instead of the H-infinity norm from w to z: requirements of the kinds "H-infinity norm", "H2 norm" (of named,
-        weighted channels) and "stability" (slowest decay). The largest soft ratio is minimised while every hard one is
-        met; without soft ones the largest hard ratio.
+        weighted channels) and "stability" (minimum decay rate). The largest soft ratio is minimised while every hard
+        one is met; without soft ones the largest hard ratio.
     starts
         From how many points the search begins. The first ones are the structure's own values and fits to full-order
         controllers, the others scattered. Those behind the
@@ -263,8 +263,8 @@ def _task(
         decay = max(decay, float(limit))
     if requested[0].controller:
         raise ArgumentError(
-            "structured: given a requirement of kind 'controller poles'; expected 'H-infinity norm', 'H2 norm' or "
-            "'stability'; bound the structure's numbers instead"
+            "structured: given a requirement of kind 'fastest controller pole'; expected 'H-infinity norm', 'H2 norm' "
+            "or 'stability'; bound the structure's numbers instead"
         )
     if not requested[0].norms:
         raise ArgumentError("structured: no norm among the requirements; expected at least one to be made small")

@@ -82,7 +82,7 @@ def margin_bars_figure(check: CoupledCheck) -> Figure:
     axes.set_xlim(-0.7, len(x) - 0.3)
     axes.set_ylim(0.0, 1.18 * max(0.1, float(decoupled.max(initial=0.0)), float(coupled.max(initial=0.0))))
     linear_axis(axes.yaxis)
-    axes.set_ylabel("disk margin, 1")
+    axes.set_ylabel("disk margin")
     axes.set_xlabel("torquer: its loop broken, all others closed")
     legend_above(figure, [first, second], ["in its design model", "in the coupled system, with the change"])
     return figure
@@ -113,7 +113,7 @@ def simultaneous_margin_figure(check: CoupledCheck, limit: float | None) -> Figu
         ha="center",
         fontsize=7.5,
     )
-    axes.set_ylabel("disk margin, 1")
+    axes.set_ylabel("disk margin")
     legend_above(figure, handles, labels)
     return figure
 

@@ -82,7 +82,7 @@ def damping_lines(axes: Axes, spec: LoopSpec, top: float, named: bool) -> None:
     limits = spec.limits
     rays = (
         (limits.get("damping"), DASHED, LIMIT, 0.96),
-        (limits.get("damping_spread"), DOTTED, LIMIT, 0.88),
+        (limits.get("damping_worst_case"), DOTTED, LIMIT, 0.88),
         (limits.get("damping_faults"), DASH_DOTTED, LIMIT, 0.80),
         (spec.soft.get("damping"), DASH_DOTTED, MUTED, 0.72),
     )

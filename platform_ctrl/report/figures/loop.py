@@ -64,7 +64,12 @@ def sensitivity_figure(responses: LoopResponses, spec: LoopSpec) -> Figure:
     if "bandwidth_hz" in limits:
         left.axvspan(f[0], limits["bandwidth_hz"], color=BAND, linewidth=0, zorder=0)
     goal_frequency(left, soft.get("bandwidth_hz"))
-    peaks = ((left, "sensitivity peak"), (left, "tracking"), (middle, "complementary peak"), (right, "disk margin"))
+    peaks = (
+        (left, "sensitivity peak"),
+        (left, "tracking"),
+        (middle, "complementary sensitivity peak"),
+        (right, "disk margin"),
+    )
     for axes, kind in peaks:
         limit_lines(axes, spec, kind)
     left.set_title("S: what is left of a disturbance")

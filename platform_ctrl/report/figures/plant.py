@@ -21,16 +21,16 @@ _APART = 0.05
 def nutation_figure(result: JobResult) -> Figure | None:
     """Natural frequencies at rest over the rotors' speed (all alike); None for a plant without nutation.
 
-    To the Campbell chart come the spread of the rotors' speed and the bandwidths of the loops.
+    To the Campbell diagram come the uncertainty of the rotors' speed and the bandwidths of the loops.
     """
     if not nutation_over_speed(result, np.array(_SPINS)):
         return None
     figure = campbell(result.job.platform, spins=_SPINS)
     axes = figure.axes[0]
     nominal = axes.get_xlim()[1] / _SPINS[1]
-    spread, (low, high) = result.job.spread.spin, axes.get_ylim()
-    if spread > 0.0:
-        axes.axvspan((1.0 - spread) * nominal, (1.0 + spread) * nominal, color=BAND, linewidth=0, zorder=0)
+    uncertainty, (low, high) = result.job.uncertainty.spin, axes.get_ylim()
+    if uncertainty > 0.0:
+        axes.axvspan((1.0 - uncertainty) * nominal, (1.0 + uncertainty) * nominal, color=BAND, linewidth=0, zorder=0)
     loops = sorted(((bandwidth_hz(one.closed), one.spec.name) for one in result.loops), reverse=True)
     last = 2.0 * high
     for bandwidth, name in loops:

@@ -30,16 +30,16 @@ _LABELLED_GAINS = (0.0, 0.5, 1.0, 1.5, 2.0)
 
 
 def pole_figure(responses: LoopResponses, spec: LoopSpec, nutation: float, period: float) -> Figure:
-    """Closed-loop poles of the nominal plant (strong), of the spread (faint) and with faults (crosses)."""
+    """Closed-loop poles of the nominal plant (strong), of uncertain plants (faint) and with faults (crosses)."""
     names = design_names(responses)
     figure, [[wide, close]] = panels(1, 2, 3.7, legend=legend_rows(names))
     nyquist = np.pi / period
     handles = []
     for axes in (wide, close):
         for k, one in enumerate(responses.designs):
-            spread, faults, own = (upper_half_plane(s) for s in (one.spread_poles, one.fault_poles, one.poles))
+            varied, faults, own = (upper_half_plane(s) for s in (one.varied_poles, one.fault_poles, one.poles))
             style: dict[str, Any] = {"color": SERIES[k % 8], "linestyle": "none", "marker": MARKERS[k % 8]}
-            axes.plot(spread.real, spread.imag, **style | {"markersize": 1.8, "alpha": 0.35, "markeredgewidth": 0})
+            axes.plot(varied.real, varied.imag, **style | {"markersize": 1.8, "alpha": 0.35, "markeredgewidth": 0})
             crossed = {"marker": "x", "markersize": 2.6, "alpha": 0.75, "markeredgewidth": 0.7}
             axes.plot(faults.real, faults.imag, **style | crossed)
             drawn = axes.plot(

@@ -100,7 +100,7 @@ def _judged(cell: comparison.Cell) -> Cell:
 
 def group_table(rows: Sequence[tuple[str, ...]]) -> Table:
     """Return the groups of plants that a loop has to stand."""
-    numbers = "plants|slowest decay|least damping|least disk margin"
+    numbers = "plants|minimum decay rate|least damping|least disk margin"
     return table(f"group|{numbers}|with", list(rows), numbers=numbers, form="narrow")
 
 

@@ -10,7 +10,7 @@ from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.poles import continuous_poles, spectral_abscissa
 from platform_ctrl.design.jobs import LoopOutcome
 from platform_ctrl.design.loop import LoopDesign
-from platform_ctrl.job.requirements import FAULTS, SPREAD
+from platform_ctrl.job.requirements import FAULTS, WORST_CASE
 from platform_ctrl.plant.platform import Platform
 from platform_ctrl.report.loop_responses import LoopResponses, RootLocus
 from platform_ctrl.report.page.comparison import plants_in_words
@@ -22,8 +22,12 @@ from platform_ctrl.verification.verdict import JobResult
 
 def nutation(result: JobResult) -> str:
     """Campbell chart."""
-    spread = result.job.spread.spin
-    shaded = f" The shaded band is the spread of the rotors' speed, ±{plain(100.0 * spread, 3)} %." if spread else ""
+    uncertainty = result.job.uncertainty.spin
+    shaded = (
+        f" The shaded band is the uncertainty of the rotors' speed, ±{plain(100.0 * uncertainty, 3)} %."
+        if uncertainty
+        else ""
+    )
     return (
         "Natural frequencies of the uncontrolled gimbals at rest over the speed of the rotors, all at the same share "
         "of their own; markers are the nominal plant. Dotted lines are the bandwidths of the closed loops: the closer "
@@ -65,7 +69,7 @@ def sensitivity(outcome: LoopOutcome, responses: LoopResponses) -> str:
         )
     bandwidth = measures.bandwidth / (2.0 * np.pi)
     limits, soft = outcome.spec.limits, outcome.spec.soft
-    drawn = ("bandwidth_hz", "tracking", "sensitivity_peak", "complementary_peak", "disk_margin")
+    drawn = ("bandwidth_hz", "tracking", "sensitivity_peak", "complementary_sensitivity_peak", "disk_margin")
     goals = [soft.get(key) for key in drawn]
     marks = []
     if limits.get("bandwidth_hz") is not None:
@@ -73,7 +77,7 @@ def sensitivity(outcome: LoopOutcome, responses: LoopResponses) -> str:
     if limits.get("tracking") is not None:
         marks.append("red area: forbidden by the limit on tracking")
     marks.append("thin: the smallest singular value" + (" of the closed design" if len(outcome.designs) > 2 else ""))
-    asked = [limits.get("sensitivity_peak"), limits.get("complementary_peak"), limits.get("disk_margin")]
+    asked = [limits.get("sensitivity_peak"), limits.get("complementary_sensitivity_peak"), limits.get("disk_margin")]
     lines = " Dashed red lines are limits of the nominal plant, whose curves these are." if any(asked) else ""
     return (
         f"Left: the curve stays below 1/√2 up to the bandwidth, {quantity(bandwidth, 'Hz', 3)} for "
@@ -89,7 +93,7 @@ def _margins(design: LoopDesign) -> str:
     if measures is None:
         return ""
     parts = []
-    for groups, where in ((SPREAD, "over spread and platform rates"), (FAULTS, "with a fault")):
+    for groups, where in ((WORST_CASE, "over all uncertain parameters and platform rates"), (FAULTS, "with a fault")):
         chosen = measures.of(groups)
         if chosen.sum() > 1:
             parts.append(f"{plain(float(measures.disk_margin[chosen].min()), 3, 'down')} {where}")
@@ -161,10 +165,10 @@ def poles(outcome: LoopOutcome, plants: PlantSet) -> str:
     if "fastest_pole" in limits:
         fast = quantity(limits["fastest_pole"], "rad/s")
         asked += f" Red arc: poles may be as fast as {fast} in the w-plane, a circle there."
-    faint = "; faint: those with the parameter spread or a platform rate" if len(plants.labels) > 1 else ""
+    faint = "; faint: those with the parameter uncertainty or a platform rate" if len(plants.labels) > 1 else ""
     crosses = "; crosses: those with a fault" if "faults" in plants.groups else ""
     goals = _goal_lines((soft.get("damping"), soft.get("fastest_pole")))
-    reach = " How far the clouds reach to the right is what the spread costs." if faint else ""
+    reach = " How far the clouds reach to the right is what the uncertainty costs." if faint else ""
     return (
         f"Poles as s = ln(z)/T with {plants_in_words(plants)}. Strong: the nominal plant{faint}{crosses}. Stable poles "
         f"lie left of the shaded half plane.{asked}{goals}{reach}"
@@ -175,7 +179,7 @@ def _rays(limits: Mapping[str, float]) -> str:
     """Return which ray of the pole map is which."""
     rays = (
         (limits.get("damping"), "dashed", "for the nominal plant"),
-        (limits.get("damping_spread"), "dotted", "over the spread"),
+        (limits.get("damping_worst_case"), "dotted", "in the worst case"),
         (limits.get("damping_faults"), "dash-dotted", "with a fault"),
     )
     return "; ".join(f"{dashes}, {ratio:g}, {where}" for ratio, dashes, where in rays if ratio is not None)
@@ -215,7 +219,7 @@ def coupled_summary(result: JobResult) -> str:
     decay = -float(spectral_abscissa(continuous_poles(check.poles, result.job.sampling.period)))
     if not check.stable:
         return (
-            f"The coupled system is unstable: its slowest decay is {plain(decay, 3, 'down')} 1/s, expected above 0. "
+            f"The coupled system is unstable: its minimum decay rate, {plain(decay, 3, 'down')} 1/s, must be above 0. "
             "Margins and noise have no meaning until it is stable; try slower loops, or caging loops and servo "
             "further apart in bandwidth."
         )

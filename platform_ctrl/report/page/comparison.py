@@ -12,7 +12,7 @@ from platform_ctrl.common.values import value
 from platform_ctrl.design.jobs import LoopOutcome
 from platform_ctrl.design.loop import LoopDesign
 from platform_ctrl.job.judging import CheckResult
-from platform_ctrl.job.requirements import FAULTS, SPREAD, requirement
+from platform_ctrl.job.requirements import FAULTS, SCOPE_WORDS, WORST_CASE, requirement
 from platform_ctrl.report.quantities import (
     BOUND,
     DASH,
@@ -31,7 +31,7 @@ from platform_ctrl.verification.verdict import JobResult, Proofs
 GOAL = "goal: "
 _GROUPS: dict[Group, tuple[str, str]] = {
     "nominal": ("nominal", "the nominal one"),
-    "spread": ("parameter spread", "{} of the parameter spread"),
+    "uncertainty": ("parameter uncertainty", "{} of the parameter uncertainty"),
     "Omega": ("platform rates", "{} with a platform rate"),
     "faults": ("faults", "{} with a fault"),
 }
@@ -141,11 +141,11 @@ def _measured(measures: LoopMetrics) -> dict[str, str]:
         "damping": plain(float(measures.damping[0]), rounding="down"),
         "torque noise, rms": quantity(float(measures.torque_noise.max(initial=0.0)), "N m", rounding="up"),
     }
-    for groups, where in ((SPREAD, "over the spread"), (FAULTS, "with a fault")):
+    for groups, words in ((WORST_CASE, SCOPE_WORDS["worst_case"]), (FAULTS, SCOPE_WORDS["faults"])):
         chosen = measures.of(groups)
         if chosen.sum() > 1:
-            out[f"disk margin {where}"] = plain(float(measures.disk_margin[chosen].min()), rounding="down")
-            out[f"damping {where}"] = plain(float(measures.damping[chosen].min()), rounding="down")
+            out[f"disk margin{words}"] = plain(float(measures.disk_margin[chosen].min()), rounding="down")
+            out[f"damping{words}"] = plain(float(measures.damping[chosen].min()), rounding="down")
     return out
 
 
@@ -181,7 +181,7 @@ def _proved(design: LoopDesign, proofs: Proofs) -> dict[str, Cell]:
     }
     if whole:
         least = quantity(min(decay.values()), "1/s", 3, rounding="down")
-        out["slowest decay over all plants"] = Cell(text=f"≥ {least}")
+        out["minimum decay rate over all plants"] = Cell(text=f"≥ {least}")
     if plants.labels[0] in margins:
         out["disk margin of the nominal plant"] = Cell(text=f"≥ {plain(margins[plants.labels[0]], rounding='down')}")
     others = [margins[label] for label in plants.labels[1:] if label in margins]
@@ -191,7 +191,7 @@ def _proved(design: LoopDesign, proofs: Proofs) -> dict[str, Cell]:
         )
     bits = max((found.precision for found in proofs.verifications), default=0)
     all_of = proofs.proved == proofs.of
-    out["claims proved"] = Cell(
+    out["certified properties"] = Cell(
         text=f"{MET if all_of else NOT_MET} {_share(proofs.proved, proofs.of)}, {bits} bits", met=all_of
     )
     return out
@@ -212,7 +212,7 @@ def plants_in_words(plants: PlantSet) -> str:
 
 
 def group_rows(design: LoopDesign) -> list[tuple[str, str, str, str, str, str]]:
-    """Return for each group of plants how many, slowest decay, least damping and disk margin, and where the last is."""
+    """Return for each group of plants how many, minimum decay rate, damping and disk margin, and where the last is."""
     plants, measures = design.plants, design.measures
     if plants is None or measures is None or len(set(plants.groups)) == 1:
         return []

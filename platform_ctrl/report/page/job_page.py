@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from platform_ctrl.common.files import write_whole
 from platform_ctrl.common.signatures import check_arguments
-from platform_ctrl.design.jobs import LoopOutcome, survived_name
+from platform_ctrl.design.jobs import LoopOutcome, largest_Omega_name
 from platform_ctrl.report.figures.coupled import (
     coupled_pole_figure,
     margin_bars_figure,
@@ -60,10 +60,10 @@ if TYPE_CHECKING:
 def sentence_on_rate_limit(run: Run, loops: Sequence[LoopOutcome]) -> str:
     """Return a sentence: up to which Omega about the run's axis the closed loops keep off their limits; or nothing."""
     axis = run.manoeuvre.axis
-    held, spread = (_least(loops, survived_name(axis, spread=over)) for over in (False, True))
+    held, worst = (_least(loops, largest_Omega_name(axis, worst_case=worst_case)) for worst_case in (False, True))
     if run.manoeuvre.mode != "caged" or held is None:
         return ""
-    varied = "" if spread is None else f", {plain(spread, 3, 'down')} over the parameter spread"
+    varied = "" if worst is None else f", {plain(worst, 3, 'down')} in the worst case"
     return (
         f"Up to {plain(held, 3, 'down')} rad/s about this axis{varied}, torques and angles of the linear loops are "
         f"proved to keep within their limits, noise apart; this run goes to {plain(run.manoeuvre.rate, 3)}."

@@ -145,7 +145,7 @@ def tightest(results: Sequence[CheckResult]) -> CheckResult | None:
 
     How slow the slowest pole is, as long as it decays, is no measure of how tight a design is; nor is a proof.
     """
-    telling = [one for one in results if not (one.passed and one.name.startswith(("slowest decay", PROVED.name)))]
+    telling = [one for one in results if not (one.passed and one.name.startswith(("minimum decay rate", PROVED.name)))]
     return min(telling, key=lambda one: (one.passed, one.margin), default=None)
 
 

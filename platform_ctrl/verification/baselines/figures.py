@@ -10,7 +10,7 @@ from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import value
 from platform_ctrl.design.loop import LoopDesign
 from platform_ctrl.job.judging import CheckResult, Sense
-from platform_ctrl.job.requirements import FAULTS, SPREAD
+from platform_ctrl.job.requirements import FAULTS, SCOPE_WORDS, WORST_CASE
 from platform_ctrl.verification import CoupledCheck, JobResult, Run, largest
 from platform_ctrl.verification.simulated import RUN_FIGURES
 
@@ -57,7 +57,7 @@ def figures_of(result: JobResult) -> tuple[Figure, ...]:
     """Return the figures of a job, each once, in the order loops, all loops closed, manoeuvres.
 
     All requirements and goals; and, whether or not anything is asked of them, of every caging loop bandwidth, disk
-    margin, damping and torque noise, the worst disk margin and damping over the spread and with a fault; of all loops
+    margin, damping and torque noise, the worst disk margin and damping, worst case and with a fault; of all loops
     together the simultaneous disk margin, and disk margin and torque noise of every torquer; of every run the largest
     angles and the largest share of a torquer's limit. They belong to the closed designs: the name of a design is no
     part of them.
@@ -132,11 +132,11 @@ def _measured(design: LoopDesign) -> Iterator[Figure]:
     yield _least(subject, "damping", measures.damping[0])
     noise = float(measures.torque_noise.max())
     yield Figure(subject=subject, name="torque noise, rms", value=noise, unit="N m", sense="at most")
-    for groups, words in ((SPREAD, "over the spread"), (FAULTS, "with a fault")):
+    for groups, words in ((WORST_CASE, SCOPE_WORDS["worst_case"]), (FAULTS, SCOPE_WORDS["faults"])):
         plants = measures.of(groups)
         if plants.sum() > 1:
-            yield _least(subject, f"disk margin {words}", measures.disk_margin[plants].min())
-            yield _least(subject, f"damping {words}", measures.damping[plants].min())
+            yield _least(subject, f"disk margin{words}", measures.disk_margin[plants].min())
+            yield _least(subject, f"damping{words}", measures.damping[plants].min())
 
 
 def _least(subject: str, name: str, number: float) -> Figure:

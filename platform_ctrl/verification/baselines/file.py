@@ -15,6 +15,7 @@ from platform_ctrl.common.files import write_whole
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import value
 from platform_ctrl.job.judging import Sense
+from platform_ctrl.job.old_names import current_name
 from platform_ctrl.plant.mistakes import given
 from platform_ctrl.plant.source import read_json
 from platform_ctrl.verification import JobResult
@@ -226,9 +227,9 @@ def _figure(table: Table, default: Tolerance) -> AcceptedFigure:
     number = table.item("value", "a number, or null for none")
     return AcceptedFigure(
         subject=table.text("subject", "a loop, a manoeuvre or all loops closed"),
-        name=table.text("name", "the name of a figure"),
+        name=current_name(table.text("name", "the name of a figure")),
         value=math.inf if number is None else table.number("value", "a number, or null for none"),
-        unit=table.text("unit", "a unit, empty for a plain number", empty=True),
+        unit=current_name(table.text("unit", "a unit, empty for a plain number", empty=True)),
         sense=cast(Sense, table.one_of("sense", ("at least", "at most"))),
         tolerance=_tolerance(table, default),
     )
