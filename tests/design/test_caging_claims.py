@@ -112,7 +112,7 @@ def test_where_one_uncertain_plant_is_not_stable_the_nominal_claim_stays(outcome
 def test_the_run_is_told_beside_what_is_proved(job: Job, outcome: LoopOutcome) -> None:
     run = fly(job, job.manoeuvres[0], [outcome.closed.controller])
     told = sentence_on_rate_limit(run, [outcome])
-    shown = [float(number) for number in re.findall(r"(\d\.\d+) (?:rad/s|over)", told)]
+    shown = [float(number) for number in re.findall(r"(\d\.\d+) (?:rad/s|in the worst)", told)]
     proved = [outcome.closed.claims[largest_Omega_name(1, worst_case=worst)] for worst in (False, True)]
     assert shown == pytest.approx(proved, rel=0.01)
     # Never more than was proved.
