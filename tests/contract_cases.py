@@ -20,11 +20,12 @@ from one_gyro_job import JOB as ONE_LOOP
 from one_gyro_runs import MANOEUVRES
 from platform_ctrl import analysis, campaign, design, export, simulation, verification
 from platform_ctrl.analysis import certificates
+from platform_ctrl.analysis.arrays import state_arrays
+from platform_ctrl.analysis.certificates.closed_loop import closed as loop_of
 from platform_ctrl.job import job
 from platform_ctrl.job.parameters import parameters
 from platform_ctrl.job.requirements import Requirement, requirement
 from platform_ctrl.job.variation import ANY, Vary
-from platform_ctrl.mechanics import kinematics
 from platform_ctrl.verification import baselines
 
 PERIOD = 0.0005
@@ -89,7 +90,7 @@ def matrices(K: bool = False) -> dict[str, Any]:
 
 
 def arrays(dt: float = 0.0) -> analysis.StateArrays:
-    return analysis.state_arrays(one(dt), "")
+    return state_arrays(one(dt), "")
 
 
 @functools.cache
@@ -274,7 +275,6 @@ FUNCTIONS: dict[str, dict[str, Callable[[], Any]]] = {
     "with_regulated_rotors": POINT,
     "with_rotors_as_gimbals": {"platform": platform},
     "analysis.bandwidth": JOINED,
-    "analysis.bandwidth_of_response": of(frequency=np.arange(1.0, 6.0), S=np.ones((4, 5, 2, 2), dtype=complex)),
     "analysis.bilinear_to_continuous": {"system": lambda: one(0.1)},
     "analysis.bilinear_to_discrete": {"system": one, **of(period=0.1)},
     "analysis.closed_loop": JOINED,
@@ -297,18 +297,15 @@ FUNCTIONS: dict[str, dict[str, Callable[[], Any]]] = {
     },
     "analysis.loop_margins": JOINED,
     "analysis.loop_transfer": JOINED,
-    "analysis.measure": {"plants": plants, "controller": lambda: analysis.state_arrays(closed(), "")},
+    "analysis.measure": {"plants": plants, "controller": lambda: state_arrays(closed(), "")},
     "analysis.minimum_damping": of(poles=np.array([0.5, 0.1 + 0.2j]), dt=0.1),
     "analysis.noise_rms": {"system": lambda: one(0.1), **of(rms=[1.0])},
     "analysis.poles": {"system": one},
     "analysis.response_at": {"system": one, **of(z=1j * W)},
     "analysis.sampled": {"system": one, **of(period=0.1)},
     "analysis.sensitivity_functions": of(loop=np.ones((3, 2, 2), dtype=complex)),
-    "analysis.series": {"first": arrays, "second": arrays},
     "analysis.spectral_abscissa": of(poles=np.array([-0.5, -0.1 + 0.2j])),
     "analysis.spectral_radius": of(poles=np.array([-0.5, -0.1 + 0.2j])),
-    "analysis.state_arrays": {"system": one, **of(where="a test")},
-    "analysis.named_system": {"arrays": arrays, **of(inputs=["u"], outputs=["y"])},
     "analysis.time_response": {"system": one, **of(timepts=[0.0, 0.1, 0.2], inputs=[[0.0, 1.0, 1.0]])},
     "baselines.accepted": {"result": result},
     "baselines.compare": {"result": result, "baseline": baseline},
@@ -325,22 +322,19 @@ FUNCTIONS: dict[str, dict[str, Callable[[], Any]]] = {
     "campaign.run_campaign": {"plan": planned, **of(folder="runs")},
     "campaign.statistics": {"table": table, **of(limits=LIMITS)},
     "campaign.summarise": {"plan": planned, "table": table},
-    "certificates.closed": {"system": arrays},
     "certificates.h2_certificate": SYSTEM,
     "certificates.margin_certificates": {
-        "plant": lambda: analysis.state_arrays(plant(), ""),
-        "controller": lambda: analysis.state_arrays(controller(), ""),
+        "plant": lambda: state_arrays(plant(), ""),
+        "controller": lambda: state_arrays(controller(), ""),
     },
     "certificates.norm_certificate": SYSTEM,
     "certificates.plant_set_certificates": {
         "plants": plants,
-        "controller": lambda: analysis.state_arrays(closed(), ""),
+        "controller": lambda: state_arrays(closed(), ""),
         **of(decay=np.ones(1), margin=np.ones(1), asked=np.ones(1)),
     },
-    "certificates.proved": {"certificate": certificate},
     "certificates.region_certificate": of(A=[[-1.0, 0.0], [0.0, -2.0]], L=[[0.0]], M=[[1.0]]),
     "certificates.stability_certificate": of(A=[[-1.0, 0.0], [0.0, -2.0]]),
-    "certificates.static_gain": of(gain=np.eye(2), dt=0.0),
     "verification.checked": {"job": asked, "loops": outcomes},
     "verification.coupled_check": {"job": asked, "model": model, "controllers": lambda: [closed()]},
     "verification.fly": {"job": asked, "manoeuvre": lambda: asked().manoeuvres[0], "controllers": lambda: [closed()]},
@@ -399,9 +393,6 @@ FUNCTIONS: dict[str, dict[str, Callable[[], Any]]] = {
     "export.write_responses": {"response": measured, **NEW},
     "export.write_systems": {"systems": lambda: export.model_systems(asked()), **NEW},
     "job.manoeuvre_scenario": {"job": asked, "manoeuvre": lambda: asked().manoeuvres[0]},
-    "kinematics.kinematics": {"platform": platform, **of(q=np.zeros(5))},
-    "kinematics.topology": {"platform": platform},
-    "parameter_varying.monomial_values": of(monomials=("1", "Omega1"), Omega=[1.0, 2.0, 3.0]),
     "parameters.parameters": {"scenarios": lambda: [scenario()], "faults": lambda: []},
     "parameters.varied_scenario": {
         "scenario": scenario,
@@ -421,9 +412,6 @@ FUNCTIONS: dict[str, dict[str, Callable[[], Any]]] = {
     "simulation.simulate_batch": {"scenarios": lambda: [scenario()], "controllers": list, **of(period=PERIOD)},
     "simulation.rollout": {"platform": platform, **of(q=[Q] * 2, velocity=[V] * 2, step=1e-4, steps=2, every=1)},
     "simulation.Simulator": {"scenario": scenario, "controllers": list, **of(period=PERIOD)},
-    "state_space.gimbal_torquers": {"model": model, **of(gimbals=("9",))},
-    "state_space.subsystems_of_all": {"models": lambda: [model()]},
-    "state_space.whole_subsystems": {"model": model, **of(gimbals=("9", "10"))},
     "testing.assert_baseline": {"result": result, "file": lambda: file("baseline")},
     "testing.assert_requirements": {"result": result},
 }
@@ -456,7 +444,7 @@ INSTANCES: dict[str, Callable[[], Any]] = {
     "analysis.DiskMargin": lambda: analysis.disk_margin(one()),
     "analysis.Gang": lambda: analysis.gang(plant(), controller(), W),
     "analysis.LoopMargins": lambda: analysis.loop_margins(plant(), controller()),
-    "analysis.LoopMetrics": lambda: analysis.measure(plants(), analysis.state_arrays(closed(), "")),
+    "analysis.LoopMetrics": lambda: analysis.measure(plants(), state_arrays(closed(), "")),
     "analysis.PlantSet": plants,
     "analysis.StateArrays": arrays,
     "baselines.AcceptedFigure": lambda: baseline().figures[0],
@@ -476,7 +464,7 @@ INSTANCES: dict[str, Callable[[], Any]] = {
     "campaign.Rerun": lambda: campaign.rerun(planned(), 0),
     "campaign.Summary": summary,
     "certificates.Certificate": certificate,
-    "certificates.ClosedLoop": lambda: certificates.closed(arrays()),
+    "certificates.ClosedLoop": lambda: loop_of(arrays()),
     "certificates.Verification": lambda: certificate().verify(),
     "verification.CoupledCheck": lambda: result().coupled,
     "verification.JobResult": result,
@@ -529,10 +517,8 @@ INSTANCES: dict[str, Callable[[], Any]] = {
     "job.Manoeuvre": lambda: asked().manoeuvres[0],
     "job.Sampling": lambda: asked().sampling,
     "job.Uncertainty": job.Uncertainty,
-    "kinematics.Kinematics": lambda: kinematics.kinematics(platform(), np.zeros(5)),
     "matrices.MagnusMatrices": lambda: pc.matrices(platform()),
     "rotors.RotorMomenta": lambda: pc.rotor_momenta(platform()),
-    "kinematics.Topology": lambda: kinematics.topology(platform()),
     "parameter_varying.AffineModel": lambda: varying().affine(),
     "parameter_varying.FrozenRows": lambda: varying().at([0.1, 0.0, 0.0]),
     "parameter_varying.FrozenSystem": lambda: varying().grid(2, [0.1, 0.0, 0.0])[0],

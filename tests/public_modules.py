@@ -28,7 +28,6 @@ MODULES = (
     "job.variation",
     "mechanics.equations",
     "mechanics.forces",
-    "mechanics.kinematics",
     "mechanics.matrices",
     "mechanics.rotors",
     "mechanics.linearisation",

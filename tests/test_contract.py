@@ -32,7 +32,6 @@ ANSWERED = {
         "loop",
     ): "a matrix that is not finite has no sensitivity, and leaves the others alone",
     ("analysis.spectral_abscissa", "poles"): "numbers are poles, whole or complex ones",
-    ("certificates.proved", "problem"): "any object: it is handed on",
     ("analysis.Channel", "input_weight"): "kinds of systems are told apart where it is used",
     ("analysis.Channel", "output_weight"): "kinds of systems are told apart where it is used",
     ("export.ResponseTable", "response"): "kinds of systems are told apart where it is used",

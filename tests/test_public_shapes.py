@@ -15,8 +15,6 @@ from numpydoc.docscrape import NumpyDocString, Parameter
 import platform_ctrl as pc
 from platform_ctrl import analysis, campaign, design, simulation
 from platform_ctrl.analysis import certificates
-from platform_ctrl.mechanics import kinematics
-from platform_ctrl.mechanics.parameter_varying import monomial_values
 
 PLATFORM = pc.read_platform("three_gyro_platform")
 MODEL = pc.linearise(PLATFORM)
@@ -84,8 +82,6 @@ VALUES: dict[str, Callable[[], Any]] = {
     "LinearModel": lambda: MODEL,
     "MagnusMatrices": lambda: pc.matrices(PLATFORM, velocity=[0.1] * 8),
     "RotorMomenta": lambda: pc.rotor_momenta(PLATFORM),
-    "Kinematics": lambda: kinematics.kinematics(PLATFORM, np.zeros(5)),
-    "Topology": lambda: kinematics.topology(PLATFORM),
     "ParameterVaryingModel": varying,
     "AffineModel": lambda: varying().affine(),
     "FrozenRows": lambda: varying().at([0.1, 0.0, 0.0]),
@@ -131,16 +127,10 @@ CALLS: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
             analysis.response_at,
             {"system": PAIR, "z": 1j * np.arange(4)},
         ),
-        (
-            "bandwidth_of_response",
-            analysis.bandwidth_of_response,
-            {"frequency": np.arange(1.0, 6.0), "S": np.ones((4, 5, 2, 2), dtype=complex)},
-        ),
         ("error", pc.precession(MODEL, gimbals=("9", "10")).error, {"frequency": [1.0, 2.0, 3.0]}),
         ("state", varying().state, {"q": [0.0, 0.1], "rates": [0.0, 0.0], "Omega": [0.0, 0.0, 1.0]}),
         ("rhs", varying().rhs, {"t": 0.0, "x": np.zeros(4), "Omega": np.zeros(3), "Q": np.zeros(2)}),
         ("complex_response", design.complex_response, {"system": coordinates(), "frequency": [-1.0, 1.0, 2.0]}),
-        ("monomial_values", monomial_values, {"monomials": ("1", "Omega1"), "Omega": [1, 2, 3]}),
     )
 }
 

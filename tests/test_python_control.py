@@ -14,6 +14,7 @@ import pytest
 
 import platform_ctrl as pc
 from platform_ctrl import analysis, design
+from platform_ctrl.analysis.arrays import state_arrays
 from test_public_shapes import VALUES
 
 MODEL = pc.linearise(pc.read_platform("three_gyro_platform"))
@@ -209,7 +210,7 @@ def test_systems_of_other_shapes_travel_too() -> None:
         control.ss([], [], [], [[1.0, 2.0]]),
         control.ss(np.zeros((2, 2)), np.zeros((2, 0)), np.eye(2), np.zeros((2, 0))),
     ):
-        analysis.state_arrays(system, "test")
+        state_arrays(system, "test")
         again = pickle.loads(pickle.dumps(system))
         assert again.D.shape == system.D.shape
         assert (again.nstates, again.ninputs, again.noutputs) == (system.nstates, system.ninputs, system.noutputs)

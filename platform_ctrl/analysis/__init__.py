@@ -6,16 +6,16 @@ leading batch axes in the functions that a tuner calls. Systems are continuous (
 
 from __future__ import annotations
 
-from platform_ctrl.analysis.arrays import StateArrays, named_system, state_arrays
-from platform_ctrl.analysis.bandwidth import bandwidth, bandwidth_of_response
+from platform_ctrl.analysis.arrays import StateArrays
+from platform_ctrl.analysis.bandwidth import bandwidth
 from platform_ctrl.analysis.channel import Channel
+from platform_ctrl.analysis.disks import disk_phase, disk_to_gain_phase
 from platform_ctrl.analysis.feedback import (
     Gang,
     closed_loop,
     gang,
     loop_transfer,
     sensitivity_functions,
-    series,
 )
 from platform_ctrl.analysis.interconnection import interconnect_controllers
 from platform_ctrl.analysis.intersample import intersample_h2, intersample_norm
@@ -24,8 +24,6 @@ from platform_ctrl.analysis.margins import (
     DiskMargin,
     LoopMargins,
     disk_margin,
-    disk_phase,
-    disk_to_gain_phase,
     loop_margins,
 )
 from platform_ctrl.analysis.norms import h2_norm, hinf_norm, noise_rms
@@ -55,7 +53,6 @@ __all__ = [
     "PlantSet",
     "StateArrays",
     "bandwidth",
-    "bandwidth_of_response",
     "bilinear_to_continuous",
     "bilinear_to_discrete",
     "closed_loop",
@@ -77,15 +74,12 @@ __all__ = [
     "loop_transfer",
     "measure",
     "minimum_damping",
-    "named_system",
     "noise_rms",
     "poles",
     "response_at",
     "sampled",
     "sensitivity_functions",
-    "series",
     "spectral_abscissa",
     "spectral_radius",
-    "state_arrays",
     "time_response",
 ]

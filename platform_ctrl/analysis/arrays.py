@@ -44,26 +44,9 @@ class StateArrays(NamedTuple):
 
 @check_arguments
 def state_arrays(system: control.StateSpace, where: str) -> StateArrays:
-    """Return the arrays of `system`.
+    """Return the arrays of `system`; one without a time base (``dt=None``) counts as continuous.
 
-    A system without a time base (``dt=None``, a static gain) counts as continuous.
-
-    Parameters
-    ----------
-    system
-        Continuous or discrete; a system without a time base (``dt=None``, a static gain) counts as continuous.
-    where
-        What messages call it.
-
-    Returns
-    -------
-    StateArrays
-        Without batch axes.
-
-    Raises
-    ------
-    ArgumentError
-        It is not a `control.StateSpace`, or its numbers are not finite; the message begins with `where`.
+    `where` is what messages call it. Data, a system that is not finite or has ``dt=True`` raise an `ArgumentError`.
     """
     portable(system)
     try:
@@ -144,26 +127,7 @@ def named_system(
 ) -> control.StateSpace:
     """Return a `control.StateSpace` with named signals; names that occur twice are numbered.
 
-    Parameters
-    ----------
-    arrays
-        Of one system, without batch axes.
-    inputs, outputs
-        Names, as many as there are columns of B and rows of C.
-    states
-        Names, as many as there are states; default x0, x1 and so on.
-    name
-        Of the system; a full stop becomes an underscore.
-
-    Returns
-    -------
-    control.StateSpace
-        With `arrays.dt` as its time base.
-
-    Raises
-    ------
-    ArgumentError
-        Arrays that do not fit one another, or names that are not as many as the arrays have signals.
+    States are called x0, x1 and so on by default; a full stop in `name` becomes an underscore.
     """
     import control
 
@@ -234,17 +198,10 @@ def square_responses(name: str, given: ArrayLike, nan: bool = False) -> ComplexA
 
 
 def state_scaling(A: FloatArray, B: FloatArray, C: FloatArray) -> FloatArray:
-    """Return powers of two s such that states x / s make [A B; C 0] balanced (Osborne).
+    """Return powers of two s (n,) such that states x / s make [A B; C 0] balanced (Osborne).
 
-    Parameters
-    ----------
-    A, B, C
-        Arrays of one system, or stacks of them: then one scaling serves the whole stack.
-
-    Returns
-    -------
-    (n,)
-        Scaled arrays are ``A * s / s[:, None]``, ``B / s[:, None]``, ``C * s``: exact in floating point.
+    One scaling serves a whole stack. Scaled arrays are ``A * s / s[:, None]``, ``B / s[:, None]``, ``C * s``: exact in
+    floating point.
     """
     # The routine itself: what is around it in scipy.linalg takes longer than a small matrix.
     from scipy.linalg.lapack import dgebal

@@ -42,11 +42,6 @@ def bandwidth(plant: control.StateSpace, controller: control.StateSpace, at: At 
         rad/s. 0 if the closed loop is not stable or S is that large at the lowest frequencies already; the Nyquist
         frequency (infinity for a continuous loop) if S never gets there.
 
-    Raises
-    ------
-    ArgumentError
-        If plant and controller do not fit together.
-
     References
     ----------
     S. Skogestad, I. Postlethwaite, Multivariable Feedback Control, 2005, ch. 2.
@@ -110,25 +105,9 @@ def _grid(axis: FrequencyAxis, s: ComplexArray) -> FloatArray:
 
 
 def bandwidth_of_response(frequency: FloatArray, S: ComplexArray) -> FloatArray:
-    """Return the bandwidth from sensitivities on a grid, for a tuner: no state-space computations.
+    """Return the bandwidth, rad/s, from sensitivities (..., N, m, m) on a grid (N,), for a tuner: interpolated.
 
-    Parameters
-    ----------
-    frequency : (N,)
-        Rising, rad/s.
-    S : complex (..., N, m, m)
-        Sensitivity at those frequencies, batch axes first; dimensionless.
-
-    Returns
-    -------
-    (...)
-        rad/s, interpolated on logarithmic axes; the first frequency if S is that large there already, the
-        last if it never gets there.
-
-    Raises
-    ------
-    ArgumentError
-        Frequencies that do not rise, or shapes that do not fit.
+    The first frequency if S is that large there already, the last if it never gets there.
     """
     frequency = frequencies(frequency, "bandwidth_of_response")
     S = square_responses("bandwidth_of_response: S", S)

@@ -32,10 +32,6 @@ class Channel:
         None, a number, one number for each signal (k,), a matrix (outputs × inputs of the weight), or a system:
         continuous for a continuous loop, with the loop's sample period for a sampled one. In the units that turn the
         signals into what counts.
-
-    References
-    ----------
-    S. Skogestad, I. Postlethwaite, Multivariable Feedback Control, 2005, ch. 9.
     """
 
     inputs: tuple[str, ...] = ()

@@ -58,10 +58,6 @@ class Gang:
         From torque disturbance d to angle y, P S_input, rad/(N m) or the plant's units.
     torque_per_noise : (m, p, N)
         From pick-off noise n to torque u, K S_output, N m/rad or the controller's units.
-
-    References
-    ----------
-    K. J. Åström, R. M. Murray, Feedback Systems, 2008, ch. 11.
     """
 
     frequency: FloatArray
@@ -91,15 +87,6 @@ def loop_transfer(plant: NamedSystem, controller: NamedSystem, at: At = "input")
     -------
     control.StateSpace
         Square: as many channels as the controller has outputs (or inputs).
-
-    Raises
-    ------
-    ArgumentError
-        If sizes, names or sample periods do not fit.
-
-    References
-    ----------
-    K. J. Åström, R. M. Murray, Feedback Systems, 2008, ch. 11.
     """
     P, K, torques, angles = _matched(plant, controller, "loop_transfer")
     P = StateArrays(P.A, P.B[:, torques], P.C[angles], P.D[np.ix_(angles, torques)], P.dt)
@@ -150,10 +137,6 @@ def closed_loop(
     ------
     ArgumentError
         If sizes, names or sample periods do not fit, or the algebraic loop I - D_K D_P is singular.
-
-    References
-    ----------
-    K. J. Åström, R. M. Murray, Feedback Systems, 2008, ch. 11.
     """
     if isinstance(plant, StateArrays) and isinstance(controller, StateArrays):
         return _closed_loop(plant, controller, torques, angles)
@@ -197,10 +180,6 @@ def gang(plant: NamedSystem, controller: NamedSystem, frequency: ArrayLike) -> G
     ------
     ArgumentError
         As in `closed_loop`, and if `frequency` is not a vector of finite numbers >= 0.
-
-    References
-    ----------
-    K. J. Åström, R. M. Murray, Feedback Systems, 2008, ch. 11.
     """
     P, K, torques, angles = _matched(plant, controller, "gang")
     w = frequencies(frequency, "gang")
@@ -232,25 +211,7 @@ def closed_loop_with_sensitivity(plant: NamedSystem, controller: NamedSystem, at
 
 @check_arguments
 def series(first: StateArrays, second: StateArrays, sign: float = 1.0) -> StateArrays:
-    """Return `sign` times the second system after the first; leading batch axes broadcast.
-
-    Parameters
-    ----------
-    first, second
-        In their units; the second takes in what the first puts out.
-    sign
-        Factor of the output, 1 or -1.
-
-    Returns
-    -------
-    StateArrays
-        States of the first system, then of the second; sample period of the first that has one.
-
-    Raises
-    ------
-    ArgumentError
-        Shapes that do not fit, or numbers that are not finite.
-    """
+    """Return `sign` times the second system after the first; the sample period is that of the first that has one."""
     A1, B1, C1, D1, dt = system_arrays("series: first", *first)
     A2, B2, C2, D2, second_dt = system_arrays("series: second", *second)
     if D2.shape[-1] != D1.shape[-2]:
@@ -311,6 +272,15 @@ def _closed_loop(
     outputs = np.concatenate([u, y], axis=-2)
     N = n + n_K
     return StateArrays(rate[..., :N], rate[..., N:], outputs[..., :N], outputs[..., N:], dt)
+
+
+def performance_loop(plant: StateArrays, controller: StateArrays) -> StateArrays:
+    """Return the loop from w to z of a plant with inputs [w, u] and outputs [z, y] closed by u = K y."""
+    ncon, nmeas = controller.D.shape
+    nz, nw = plant.D.shape[0] - nmeas, plant.D.shape[1] - ncon
+    A, B, C, D, dt = closed_loop(plant, controller, range(nw, nw + ncon), range(nz, nz + nmeas))
+    z = slice(ncon, ncon + nz)
+    return StateArrays(A, B[:, :nw], C[z], D[z, :nw], dt)
 
 
 def _solve_algebraic_loop(matrix: FloatArray, right: FloatArray) -> FloatArray:
@@ -375,15 +345,6 @@ def sensitivity_functions(loop: ComplexArray) -> tuple[ComplexArray, ComplexArra
     -------
     S, T : complex (..., m, m)
         Dimensionless; inf in a matrix where I + L is singular or not a number.
-
-    Raises
-    ------
-    ArgumentError
-        `loop` is not square matrices of numbers.
-
-    References
-    ----------
-    K. J. Åström, R. M. Murray, Feedback Systems, 2008, ch. 11.
     """
     from platform_ctrl.analysis.kernels import invert
 

@@ -45,16 +45,9 @@ ROUNDED, ROUNDED_ENTRY = 2.0**-18, 2.0**-12
 
 
 class HessenbergRefinement:
-    """D + C (z I - A)^-1 B of one system by elimination in Hessenberg form, refined.
+    """D + C (z I - A)^-1 B of a system with two states or more by elimination in Hessenberg form, refined.
 
-    Parameters
-    ----------
-    A, B, C, D
-        Arrays of one system with two states or more, inputs and outputs.
-    lacks : (n,)
-        Low-order part of the diagonal of A in double-double precision.
-    H, Q : (n, n)
-        Hessenberg form and orthogonal change of states: A = Q H Q'.
+    `lacks` (n,) is the low-order part of the diagonal of A in double-double precision; A = Q H Q'.
     """
 
     def __init__(

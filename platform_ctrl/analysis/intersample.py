@@ -21,10 +21,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from platform_ctrl.analysis.arrays import StateArrays, state_arrays, state_scaling
+from platform_ctrl.analysis.feedback import performance_loop
 from platform_ctrl.analysis.lifting import (
     PeriodExceedsLevel,
     SampledPlant,
-    close,
     lifted_plant,
     period_noise,
     sampled_plant,
@@ -107,7 +107,7 @@ def norm_of_stable_loop(
             lifted = lifted_plant(plant, level)
         except PeriodExceedsLevel:
             return _BEYOND
-        A, B, C, D = close(lifted, plant, controller)
+        A, B, C, D, _ = performance_loop(lifted, controller)
         if not np.all(np.isfinite(A)) or not float(spectral_radius(poles(A))) < 1.0:
             return _BEYOND
         norm, frequency = hinf_norm(StateArrays(A, B, C, D, plant.period), True, 1e-10)
@@ -178,7 +178,7 @@ def intersample_h2(P: control.StateSpace, K: control.StateSpace, nmeas: int, nco
     _require_stable(plant, controller, "intersample_h2")
     # At an infinite level w gains nothing by what it sees: Q and G become the Gramians of the period.
     lifted = lifted_plant(plant, math.inf)
-    A, B, C, _ = close(lifted, plant, controller)
+    A, B, C, _, _ = performance_loop(lifted, controller)
     X = stationary_covariance(A, B)
     own = period_noise(plant)
     return math.sqrt(max(0.0, (float(np.trace(C @ X @ C.T)) + own) / plant.period))
@@ -206,8 +206,7 @@ def _require_stable(plant: SampledPlant, controller: StateArrays, where: str) ->
         lifted = lifted_plant(plant, math.inf)
     except PeriodExceedsLevel:
         raise ArgumentError(f"{where}: within a period the plant moves too far; expected a shorter period") from None
-    A, _, _, _ = close(lifted, plant, controller)
-    radius = float(spectral_radius(poles(A)))
+    radius = float(spectral_radius(poles(performance_loop(lifted, controller).A)))
     if not radius < 1.0:
         raise ArgumentError(
             f"{where}: the sampled loop is not stable (a pole at |z| = {radius:.6g}); "

@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from platform_ctrl.analysis.arrays import StateArrays, state_arrays, state_scaling
-from platform_ctrl.analysis.feedback import closed_loop
 from platform_ctrl.analysis.sampled import split_delay
 from platform_ctrl.common.signatures import short
 from platform_ctrl.common.values import FloatArray
@@ -146,16 +145,6 @@ def lifted_plant(plant: SampledPlant, level: float) -> StateArrays:
         D=np.hstack([np.zeros((nz + p, nw)), np.vstack([C_z, y])[:, size:]]),
         dt=period,
     )
-
-
-def close(
-    lifted: StateArrays, plant: SampledPlant, controller: StateArrays
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return A, B, C, D from w to z of a lifted plant with u = K y."""
-    m, p = plant.B2.shape[1], len(plant.C2)
-    nw, nz = lifted.B.shape[1] - m, len(lifted.C) - p
-    A, B, C, D, _ = closed_loop(lifted, controller, torques=range(nw, nw + m), angles=range(nz, nz + p))
-    return A, B[:, :nw], C[m : m + nz], D[m : m + nz, :nw]
 
 
 def _stretch(

@@ -5,7 +5,7 @@ The parts of a closed loop are named by where they begin and end:
     [torque, Omega, noise] → [torque, angle]        u = K (y + noise),  y = P (u + torque) + P_Omega Omega
 
 The largest gain over frequency is taken on the set's grid and at the closed-loop poles that are narrower than the
-grid's spacing (`LoopSet.grid_peaks`): quick enough for a search. Over all frequencies it is a norm (`peaks.peak`).
+grid's spacing (`LoopSet.grid_peaks`): quick enough for a search. Over all frequencies it is a norm (`norms.peak`).
 """
 
 from __future__ import annotations
@@ -20,8 +20,7 @@ from numpy.typing import NDArray
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
 from platform_ctrl.analysis.channel import Channel
 from platform_ctrl.analysis.feedback import closed_loop, sensitivities_of_plants
-from platform_ctrl.analysis.norms import gains
-from platform_ctrl.analysis.peaks import Band
+from platform_ctrl.analysis.norms import Band, gains
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.poles import continuous_poles, poles, spectral_abscissa
 from platform_ctrl.analysis.response import frequency_response
@@ -59,16 +58,9 @@ Parts = Sequence[Transfer] | Channel
 
 
 class SingleLoop:
-    """One system: a loop that is closed already, or a controller alone.
+    """One system with named signals: a loop that is closed already, or a controller alone.
 
-    Parameters
-    ----------
-    arrays
-        Of the system.
-    inputs, outputs
-        Names of its signals.
-    slow
-        Frequency, rad/s, below which poles and gains do not count.
+    Below the frequency `slow`, rad/s, poles and gains do not count.
     """
 
     def __init__(self, arrays: StateArrays, inputs: Sequence[str], outputs: Sequence[str], slow: float = 0.0) -> None:
@@ -99,15 +91,7 @@ class SingleLoop:
 
 
 class LoopSet:
-    """A controller closed around every plant of a set, each part computed when it is first needed.
-
-    Parameters
-    ----------
-    plants
-        N plants with m torques and p angles.
-    controller
-        u = K y, same sample period.
-    """
+    """A controller u = K y closed around every plant of a set, each part computed when it is first needed."""
 
     def __init__(self, plants: PlantSet, controller: StateArrays) -> None:
         self.plants = plants

@@ -15,13 +15,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, frequencies
+from platform_ctrl.analysis.disks import disk_factors, disk_to_gain_phase, worst_factors
 from platform_ctrl.analysis.feedback import At, closed_loop_with_sensitivity
-from platform_ctrl.analysis.mu import SLACK, MuPeak, disk_factors, mu_bounds, perturbation, search_grid, worst_factors
+from platform_ctrl.analysis.mu import SLACK, MuPeak, mu_bounds, perturbation, search_grid
 from platform_ctrl.analysis.norms import hinf_norm, peak_gain
 from platform_ctrl.analysis.poles import continuous_poles, poles, spectral_abscissa
 from platform_ctrl.analysis.singular_values import largest_singular_values
 from platform_ctrl.analysis.transfer_function import LinearSystem, NamedSystem, linear_arrays
-from platform_ctrl.common.arguments import number, positive, real_numbers
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
@@ -336,11 +336,6 @@ def loop_margins(plant: NamedSystem, controller: NamedSystem, at: At = "input", 
     LoopMargins
         One margin for each channel.
 
-    Raises
-    ------
-    ArgumentError
-        If plant and controller do not fit together.
-
     References
     ----------
     P. Seiler, A. Packard, P. Gahinet, IEEE Control Systems Magazine 40(5), 2020.
@@ -361,95 +356,6 @@ def loop_margins(plant: NamedSystem, controller: NamedSystem, at: At = "input", 
         alpha=np.array([_inverse(norm) for norm, _ in peaks]),
         frequency=np.array([frequency for _, frequency in peaks]),
     )
-
-
-def disk_to_gain_phase(alpha: float, skew: float = 0.0) -> tuple[float, float, float]:
-    """Return the lowest and highest gain factor and the phase in rad that a disk of size `alpha` contains.
-
-    The highest factor is infinite and the phase pi where the disk does not bound them.
-
-    Parameters
-    ----------
-    alpha
-        Size of the disk, dimensionless; 0 is no margin.
-    skew
-        Skew of the disk, dimensionless.
-
-    Returns
-    -------
-    lowest, highest, phase
-        Two gain factors and a phase in rad. The highest factor is infinite and the phase π where the disk does not
-        bound them.
-
-    Raises
-    ------
-    ArgumentError
-        A negative `alpha`, or numbers that are not finite.
-
-    References
-    ----------
-    P. Seiler, A. Packard, P. Gahinet, IEEE Control Systems Magazine 40(5), 2020.
-    """
-    alpha = positive("disk_to_gain_phase: alpha", alpha, zero=True)
-    skew = number("disk_to_gain_phase: skew", skew)
-    low = (2.0 - alpha * (1.0 - skew)) / (2.0 + alpha * (1.0 + skew))
-    denominator = 2.0 - alpha * (1.0 + skew)
-    if denominator == 0.0:
-        return low, math.inf, math.acos(min(1.0, max(-1.0, low)))
-    high = (2.0 + alpha * (1.0 - skew)) / denominator
-    cosine = (1.0 + low * high) / (low + high) if low + high != 0.0 else math.inf
-    phase = math.acos(cosine) if abs(cosine) <= 1.0 else math.pi
-    return low, high if high > 0.0 else math.inf, phase
-
-
-@check_arguments
-def disk_phase(gain: ArrayLike, alpha: float, skew: float = 0.0) -> FloatArray:
-    """Return the phase up to which a loop may turn while its gain changes by a factor: both inside the same disk.
-
-    Factors f = gain exp(±j phase) with |f - 1| < alpha/2 |1 - skew + (1 + skew) f| make up the disk. With skew 0 its
-    edge is at cos phase = (gain + 1/gain)/2 (4 - alpha²)/(4 + alpha²): the highest and lowest gain leave no phase, and
-    the largest phase of all is that at gain 1.
-
-    Parameters
-    ----------
-    gain : (...)
-        Gain factors, > 0, dimensionless.
-    alpha
-        Size of the disk, dimensionless: a disk margin.
-    skew
-        Skew of the disk, dimensionless.
-
-    Returns
-    -------
-    (...)
-        rad, 0 to π; NaN where the gain alone leaves the disk.
-
-    Raises
-    ------
-    ArgumentError
-        An argument of another kind than annotated.
-
-    References
-    ----------
-    P. Seiler, A. Packard, P. Gahinet, IEEE Control Systems Magazine 40(5), 2020.
-
-    Examples
-    --------
-    >>> from platform_ctrl import analysis
-    >>> analysis.disk_phase([0.6, 1.0, 1.3, 1.7], 0.5).round(3)  # 1.7 is too much by itself
-    array([0.  , 0.49, 0.42,  nan])
-    """
-    gain, alpha = real_numbers("disk_phase: gain", gain), min(alpha, 1e9)
-    a, b = 0.5 * alpha * (1.0 - skew), 0.5 * alpha * (1.0 + skew)
-    # |f - 1| < |a + b f| leaves 2 gain (1 + a b) cos(phase) > need.
-    need, weight = gain**2 * (1.0 - b**2) + 1.0 - a**2, 2.0 * gain * (1.0 + a * b)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        cosine = np.where(weight != 0.0, need / weight, np.where(need < 0.0, -1.0, 2.0))
-    if 1.0 + a * b < 0.0:
-        # The disk's outside: turned the other way round.
-        return np.where(cosine < -1.0, math.nan, math.pi)[()]
-    # The ends themselves, but for rounding, are on the edge.
-    return np.where(cosine > 1.0 + 1e-12, math.nan, np.arccos(np.clip(cosine, -1.0, 1.0)))[()]
 
 
 def _inverse(mu: float) -> float:

@@ -15,8 +15,7 @@ import numpy as np
 from platform_ctrl.analysis.bandwidth import LEVEL, bandwidth_of_response, bandwidth_of_sensitivity
 from platform_ctrl.analysis.channel import Channel
 from platform_ctrl.analysis.loop_set import S_INPUT, S_OUTPUT, Indices, LoopSet, SingleLoop, Transfer
-from platform_ctrl.analysis.norms import gains, resonances
-from platform_ctrl.analysis.peaks import TOLERANCE, WHOLE, Band, exceeds, peak
+from platform_ctrl.analysis.norms import PEAK_TOLERANCE, WHOLE, Band, exceeds, gains, peak, resonances
 from platform_ctrl.analysis.poles import continuous_poles, poles
 from platform_ctrl.common.values import FloatArray, value
 
@@ -145,7 +144,7 @@ class Bandwidth:
         if not loops.decay[k] > 0.0:
             return 0.0, 0.0
         at = min(map(bandwidth_of_sensitivity, loops.parts(_SENSITIVITIES, k)))
-        return (1.0 - TOLERANCE) * at, (1.0 + _ABOVE) * at
+        return (1.0 - PEAK_TOLERANCE) * at, (1.0 + _ABOVE) * at
 
     def holds(self, loops: LoopSet, request: Request, k: int, bound: float) -> bool:
         """Return whether S of the stable plant `k` is shown to stay below the level up to `bound`."""

@@ -8,14 +8,13 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, named_system
+from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
 from platform_ctrl.analysis.norms import resonances
 from platform_ctrl.analysis.singular_values import FrequencyAxis, largest_singular_values
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.errors import ArgumentError
 
 if TYPE_CHECKING:
-    import control
+    pass
 
 
 class MuBounds(NamedTuple):
@@ -39,14 +38,9 @@ class MuBounds(NamedTuple):
 
 
 def mu_bounds(M: ComplexArray, tolerance: float = 1e-6) -> MuBounds:
-    """Return both bounds of mu for matrices (N, m, m), faster where each resembles the one before.
+    """Return both bounds of mu for finite matrices (N, m, m), faster where each resembles the one before.
 
-    Parameters
-    ----------
-    M : complex (N, m, m)
-        Finite.
-    tolerance
-        Relative, of the upper bound; every returned value is an upper bound whatever the tolerance.
+    `tolerance` is relative; every returned upper bound is one whatever the tolerance.
     """
     # Compiled, or taken from numba's cache, with the first call.
     from platform_ctrl.analysis import mu_kernel
@@ -218,60 +212,3 @@ def _middle(low: float, high: float) -> float:
     if math.isinf(high):
         return 3.0 * low if low > 0.0 else 1.0
     return math.sqrt(low * high) if low > 0.0 else 0.3 * high
-
-
-def disk_factors(delta: ComplexArray, skew: float) -> ComplexArray:
-    """Return the factors f of perturbations delta; infinite where the disk reaches an infinite gain or delta is."""
-    out = np.full(delta.shape, complex(math.inf, 0.0))
-    below = 1.0 - 0.5 * (1.0 + skew) * np.where(np.isfinite(delta), delta, 0.0)
-    finite = np.isfinite(delta) & (np.abs(below) > 1e-12)
-    out[finite] = (1.0 + 0.5 * (1.0 - skew) * delta[finite]) / below[finite]
-    return out
-
-
-def worst_factors(factors: ComplexArray, frequency: float, skew: float, dt: float) -> control.StateSpace:
-    """Return systems with real coefficients, one for each channel, that equal `factors` at `frequency`."""
-    if not np.all(np.isfinite(factors)):
-        raise ArgumentError(
-            "destabilising: no factors make the loop unstable, or one of them is infinite; expected finite ones"
-        )
-    delta = (factors - 1.0) / (0.5 * (1.0 - skew) + 0.5 * (1.0 + skew) * factors)
-    sizes = np.abs(delta)
-    real = np.abs(delta.imag) <= 1e-12 * sizes
-    # The axis, or the circle seen from w = (z - 1)/(z + 1).
-    at = math.tan(0.5 * frequency * dt) if dt else frequency
-    if not np.all(real) and not 0.0 < at < 1e15 * (1.0 if dt else math.inf):
-        raise ArgumentError(
-            f"destabilising: the factors {np.array2string(factors, precision=4)} at {frequency:g} rad/s are complex, "
-            "where a system with real coefficients has a real response; they stand for factors at frequencies nearby"
-        )
-    one = [_all_pass(complex(d), bool(r), at, dt) for d, r in zip(delta, real, strict=True)]
-    A, B, C, D = (np.array(column) for column in zip(*one, strict=True))
-    # f = 1 + delta / (1 - b delta).
-    b = 0.5 * (1.0 + skew)
-    open_loop = 1.0 - b * D
-    dynamic = ~real
-    eye = np.eye(len(delta))
-    arrays = StateArrays(
-        np.diag((A + B * b * C / open_loop)[dynamic]),
-        (eye * (B / open_loop))[dynamic],
-        (eye * (C / open_loop))[:, dynamic],
-        np.diag(1.0 + D / open_loop),
-        dt,
-    )
-    names = [f"f{i + 1}" for i in range(len(delta))]
-    return named_system(arrays, [f"{name}_in" for name in names], [f"{name}_out" for name in names])
-
-
-def _all_pass(delta: complex, real: bool, at: float, dt: float) -> tuple[float, float, float, float]:
-    """Return A, B, C, D of r (s - c)/(s + c), or of the same in w, that equals delta at `at`; of a gain if `real`."""
-    if real:
-        return 0.0, 0.0, 0.0, delta.real
-    r = math.copysign(abs(delta), delta.imag)
-    phase = math.atan2(delta.imag, delta.real)
-    phase = phase if delta.imag > 0.0 else phase + math.pi
-    c = at / math.tan(0.5 * (math.pi - phase))
-    if dt == 0.0:
-        return -c, 1.0, -2.0 * c * r, r
-    q = (1.0 - c) / (1.0 + c)
-    return q, 1.0, r * (q * q - 1.0), r * q

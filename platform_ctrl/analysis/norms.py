@@ -31,6 +31,13 @@ from platform_ctrl.errors import ArgumentError
 FAN = np.linspace(-1.0, 1.0, 15)
 
 
+# Relative error of a peak: what is returned is the upper end.
+PEAK_TOLERANCE = 5e-10
+
+Band = tuple[float, float]
+WHOLE: Band = (0.0, np.inf)
+
+
 @check_arguments
 def hinf_norm(system: StateSystem, allow_unstable: bool = False, tolerance: float = 1e-9) -> tuple[float, float]:
     """Return the H-infinity norm of `system` and the frequency where it is reached.
@@ -111,18 +118,9 @@ def _is_small(system: StateArrays) -> bool:
 def peak_gain(
     axis: FrequencyAxis, s: ComplexArray, tolerance: float, known: tuple[float, float] | None = None
 ) -> tuple[float, float]:
-    """Return the largest gain of a system without poles on the boundary, and its frequency.
+    """Return the largest gain of a system with poles `s`, none on the boundary, and its frequency.
 
-    Parameters
-    ----------
-    axis
-        The system, with states.
-    s : complex (n,)
-        Its continuous(-equivalent) poles.
-    tolerance
-        Relative.
-    known
-        A gain near the largest, and its frequency, where these have been looked for; default next to the poles.
+    `known` is a gain near the largest and its frequency, where these have been looked for; default next to the poles.
     """
     # Compiled, or taken from numba's cache, with the first call.
     from platform_ctrl.analysis import phase_bound
@@ -216,11 +214,6 @@ def _between(w: FloatArray) -> FloatArray:
     return np.concatenate([w, between, 0.5 * (w[1:] + w[:-1]), [0.5 * w[0], 2.0 * w[-1]]])
 
 
-def crossing_frequencies(system: StateArrays, level: float) -> FloatArray:
-    """Return sorted frequencies, rad/s, that contain all at which a singular value crosses `level`."""
-    return FrequencyAxis(system).crossings(level)
-
-
 def gains(system: StateArrays, frequency: FloatArray) -> FloatArray:
     """Return the largest singular value at each frequency, (N,); inf where the response is not finite."""
     return largest_singular_values(frequency_response(system, frequency, -3))
@@ -271,10 +264,6 @@ def h2_norm(system: StateSystem) -> float:
     ------
     ArgumentError
         If the system is not stable, or is continuous and has a direct term.
-
-    References
-    ----------
-    K. Zhou, J. C. Doyle, K. Glover, Robust and Optimal Control, 1996, ch. 4.
     """
     A, B, C, D, dt = linear_arrays(system, "h2_norm")
     if dt == 0.0 and np.any(D):
@@ -326,10 +315,6 @@ def noise_rms(system: StateSystem, rms: ArrayLike, allow_unstable: bool = False)
     ------
     ArgumentError
         If the system is continuous, or not stable and `allow_unstable` is not set, or `rms` has another shape.
-
-    References
-    ----------
-    K. J. Åström, B. Wittenmark, Computer-Controlled Systems, 1997, ch. 10.
     """
     A, B, C, D, dt = linear_arrays(system, "noise_rms", stack=True)
     if dt == 0.0:
@@ -371,3 +356,43 @@ def stationary_covariance(A: FloatArray, B: FloatArray) -> FloatArray:
         power = power @ power
     X[stable] = inside
     return X
+
+
+def peak(system: StateArrays, band: Band = WHOLE) -> tuple[float, float]:
+    """Return an upper bound of the largest singular value over `band`, within 5e-10, and the peak's frequency, rad/s.
+
+    Stable where the band is the whole axis; poles may lie anywhere outside of the band.
+    """
+    if band == WHOLE:
+        norm, frequency = hinf_norm(system, allow_unstable=True, tolerance=PEAK_TOLERANCE)
+        return norm * (1.0 + PEAK_TOLERANCE), frequency
+    axis = FrequencyAxis(system)
+    own = resonances(continuous_poles(poles(system.A), system.dt))
+    level, frequency = 0.0, 0.0
+    for _ in range(60):
+        found, at = _largest(axis, own, band)
+        if found <= level:
+            break
+        level, frequency = found * (1.0 + PEAK_TOLERANCE), at
+        own = level_frequencies(axis, level)
+    return level, frequency
+
+
+def exceeds(system: StateArrays, level: float, s: ComplexArray, band: Band = WHOLE) -> bool:
+    """Return whether the largest singular value is above `level` anywhere in `band`, or may be.
+
+    The system has no poles in the band; `s` (n,) are its continuous(-equivalent) ones.
+    """
+    axis = FrequencyAxis(system)
+    crossings = level_frequencies(axis, level)
+    if not crossings.size and level > 0.0 and axis.system.A.size:
+        # The Hamiltonian leaves floating point: nothing is shown.
+        return True
+    # The poles' own frequencies too: next to a narrow peak a crossing is as inexact as the pole.
+    own = np.concatenate([np.abs(s.imag[np.isfinite(s)]), crossings])
+    return _largest(axis, own, band)[0] > level
+
+
+def _largest(axis: FrequencyAxis, own: FloatArray, band: Band) -> tuple[float, float]:
+    low, top = band[0], min(band[1], axis.edge)
+    return axis.largest(np.concatenate([[low, top], own[(own > low) & (own < top)]])) if low <= top else (0.0, low)

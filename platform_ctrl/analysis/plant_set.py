@@ -96,11 +96,6 @@ class PlantSet:
             Inputs: the torques, then Omega1 to Omega3, rad/s, held between the samples; outputs: the angles.
             ``control.interconnect([plant, controller], inputs=["Omega1", "Omega2", "Omega3"], outputs=...)`` closes the
             loop of a controller u = K y.
-
-        Raises
-        ------
-        ArgumentError
-            There is no plant `k`.
         """
         k = whole("PlantSet.system: k", k, 0, len(self.labels) - 1)
         B, D = np.hstack([self.B[k], self.B_Omega[k]]), np.hstack([self.D[k], np.zeros((len(self.angles), 3))])

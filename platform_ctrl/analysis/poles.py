@@ -82,15 +82,6 @@ def continuous_poles(poles: ComplexArray, dt: float) -> ComplexArray:
     -------
     complex (..., n)
         rad/s, |Im s| <= π/dt; ``-inf`` for z = 0.
-
-    Raises
-    ------
-    ArgumentError
-        Not numbers, or NaN among them; `dt` below zero.
-
-    References
-    ----------
-    K. J. Åström, B. Wittenmark, Computer-Controlled Systems, 1997, ch. 2.
     """
     z, dt = complex_numbers("continuous_poles: poles", poles), positive("continuous_poles: dt", dt, zero=True)
     if dt == 0.0:
@@ -120,11 +111,6 @@ def damping_ratio(poles: ComplexArray) -> FloatArray:
     -------
     (..., n)
         Dimensionless, from -1 to 1.
-
-    Raises
-    ------
-    ArgumentError
-        Not numbers along at least one axis, or NaN among them.
     """
     s = complex_numbers("damping_ratio: poles", poles)
     size = np.abs(s)
@@ -146,15 +132,6 @@ def damping(system: StateSystem) -> Damping:
     -------
     Damping
         One entry for each pole.
-
-    Raises
-    ------
-    ArgumentError
-        `system` is not a `control.StateSpace` or proper `TransferFunction` of finite numbers.
-
-    References
-    ----------
-    K. J. Åström, R. M. Murray, Feedback Systems, 2008, ch. 6.
 
     Examples
     --------
@@ -185,11 +162,6 @@ def minimum_damping(poles: ComplexArray, above: float = 0.0, dt: float = 0.0) ->
     -------
     (...)
         Dimensionless, from -1 to 1; 1 where no pole is that fast.
-
-    Raises
-    ------
-    ArgumentError
-        Not numbers along at least one axis, or NaN among them; `above` or `dt` below zero.
     """
     s, above = continuous_poles(poles, dt), positive("minimum_damping: above", above, zero=True)
     counts = (np.abs(s) > above) | (s.real > 0.0)
@@ -216,11 +188,6 @@ def spectral_radius(poles: ComplexArray) -> FloatArray:
     -------
     (...)
         Dimensionless.
-
-    Raises
-    ------
-    ArgumentError
-        Not numbers along at least one axis, or NaN among them.
     """
     out: FloatArray = np.abs(_judged(poles, "spectral_radius")).max(axis=-1, initial=0.0)
     return out
@@ -238,11 +205,6 @@ def spectral_abscissa(poles: ComplexArray) -> FloatArray:
     -------
     (...)
         In the units of the poles.
-
-    Raises
-    ------
-    ArgumentError
-        Not numbers along at least one axis, or NaN among them.
     """
     out: FloatArray = _judged(poles, "spectral_abscissa").real.max(axis=-1, initial=-np.inf)
     return out
@@ -262,12 +224,6 @@ def is_stable(system: StateSystem, margin: float = 0.0) -> bool:
     -------
     bool
         True if all poles do.
-
-    Raises
-    ------
-    ArgumentError
-        `system` is not a `control.StateSpace` or proper `TransferFunction` of finite numbers, or `margin` no finite
-        number.
     """
     dt = linear_arrays(system, "is_stable").dt
     return bool(spectral_abscissa(continuous_poles(poles(system), dt)) < -number("is_stable: margin", margin))

@@ -87,14 +87,7 @@ def band(A: FloatArray) -> Band:
 class Refinement:
     """D + C (z I - A)^-1 B by elimination with pivots, refined.
 
-    Parameters
-    ----------
-    A, B, C, D
-        Arrays of one system with states, inputs and outputs.
-    lacks : (n,)
-        What the diagonal of A has beyond its doubles.
-    narrow
-        `band(A)`.
+    `lacks` (n,) is what the diagonal of A has beyond its doubles, `narrow` is ``band(A)``.
     """
 
     def __init__(

@@ -133,16 +133,9 @@ def plain(array: FloatArray) -> FloatArray:
 
 
 class AxisResponse:
-    """The response of one system along its frequency axis: what does not depend on the frequency is worked out once.
+    """The response of one system along its frequency axis: what does not depend on the frequency is computed once.
 
-    Parameters
-    ----------
-    system
-        With states, inputs and outputs.
-    tolerated
-        As of `frequency_response`.
-    balanced
-        Whether the states are balanced.
+    `balanced` says whether the states are balanced already; `tolerated` is as in `frequency_response`.
     """
 
     def __init__(self, system: StateArrays, tolerated: float = TOLERATED, balanced: bool = False) -> None:
@@ -163,16 +156,9 @@ class AxisResponse:
 
 
 class Resolvent:
-    """D + C (z I - A)^-1 B of one system, all that does not depend on z worked out once.
+    """D + C (z I - A)^-1 B of one balanced system, all that does not depend on z computed once.
 
-    Parameters
-    ----------
-    A, B, C, D
-        Arrays of one system with states, inputs and outputs, balanced; D is zero where it is not given.
-    lacks : (n,), optional
-        What the diagonal of A has beyond its doubles.
-    tolerated
-        As of `frequency_response`.
+    `lacks` (n,) is what the diagonal of A has beyond its doubles. D is zero where it is not given.
     """
 
     def __init__(

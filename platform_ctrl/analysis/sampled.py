@@ -65,10 +65,6 @@ def sampled(
     ------
     ArgumentError
         If the system is not continuous, or `period`, `delay` or `lag` make no sense.
-
-    References
-    ----------
-    K. J. Åström, B. Wittenmark, Computer-Controlled Systems, 1997, sec. 2.3.
     """
     arrays = system_arrays("sampled", *system) if isinstance(system, StateArrays) else state_arrays(system, "sampled")
     if arrays.dt != 0.0:
@@ -217,10 +213,6 @@ def bilinear_to_continuous(system: control.StateSpace) -> control.StateSpace:
     ------
     ArgumentError
         If the system is continuous, or has a pole at z = -1 (which would go to infinity).
-
-    References
-    ----------
-    K. J. Åström, B. Wittenmark, Computer-Controlled Systems, 1997, ch. 8.
     """
     arrays = state_arrays(system, "bilinear_to_continuous")
     if arrays.dt == 0.0:
@@ -247,10 +239,6 @@ def bilinear_to_discrete(system: control.StateSpace, period: float) -> control.S
     ------
     ArgumentError
         If the system is discrete, `period` is not > 0, or a pole lies at 2/period (which would go to infinity).
-
-    References
-    ----------
-    K. J. Åström, B. Wittenmark, Computer-Controlled Systems, 1997, ch. 8.
     """
     arrays = state_arrays(system, "bilinear_to_discrete")
     if arrays.dt != 0.0:

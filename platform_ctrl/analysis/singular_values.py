@@ -27,19 +27,9 @@ Matrices = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 
 
 class FrequencyAxis:
-    """One system on the imaginary axis or the unit circle.
+    """One system, of any stability and number of states, on the imaginary axis or the unit circle.
 
-    Parameters
-    ----------
-    system
-        Any stability, any number of states.
-
-    Attributes
-    ----------
-    system
-        In balanced states.
-    edge
-        The highest frequency, rad/s: infinite, or the Nyquist frequency.
+    `system` is it in balanced states; `edge` is the highest frequency, rad/s: infinite, or the Nyquist frequency.
     """
 
     def __init__(self, system: StateArrays) -> None:
@@ -82,14 +72,9 @@ class FrequencyAxis:
         return float(sizes[i]), float(frequency[i])
 
     def crossings(self, level: float, scaling: FloatArray | None = None) -> FloatArray:
-        """Return sorted frequencies, rad/s, that contain all at which a singular value crosses `level`.
+        """Return sorted frequencies, rad/s, that contain all at which a singular value crosses `level` > 0.
 
-        Parameters
-        ----------
-        level
-            Without a crossing unless > 0.
-        scaling : (m,), optional
-            d: of diag(d) H diag(d)^-1 instead of the square system H itself.
+        With `scaling` d (m,): of diag(d) H diag(d)^-1 instead of the square system H itself.
         """
         dt = self.system.dt
         if len(self.system.A) == 0 or not level > 0.0:

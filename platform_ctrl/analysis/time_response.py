@@ -65,10 +65,6 @@ def time_response(
     ArgumentError
         If shapes do not fit, times do not increase, the steps differ from a discrete system's sample period,
         impulses would reach an output at once (D is not zero), or the system is improper or data.
-
-    References
-    ----------
-    K. J. Åström, B. Wittenmark, Computer-Controlled Systems, 1997, sec. 2.3.
     """
     A, B, C, D, dt = linear_arrays(system, "time_response")
     times, steps = _times(timepts, dt)

@@ -28,23 +28,8 @@ _REALISED = 1e-7
 def linear_arrays(system: StateSystem, where: str, stack: bool = False) -> StateArrays:
     """Return the arrays of a `control.StateSpace`, or a minimal realisation of a `control.TransferFunction`.
 
-    Parameters
-    ----------
-    system
-        Continuous or discrete; without a time base (``dt=None``) it counts as continuous.
-    where
-        What messages call it.
-    stack
-        Whether `StateArrays` may have batch axes.
-
-    Returns
-    -------
-    StateArrays
-        Without batch axes unless they were given.
-
-    References
-    ----------
-    T. Kailath, Linear Systems, 1980, sec. 6.4.
+    `where` is what messages call it, and `stack` says whether `StateArrays` may have batch axes. T. Kailath, Linear
+    Systems, 1980, sec. 6.4.
     """
     if isinstance(system, StateArrays):
         arrays = system_arrays(where, *system)

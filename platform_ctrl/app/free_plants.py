@@ -14,7 +14,7 @@ from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
 from platform_ctrl.analysis.feedback import closed_loop, sensitivity_functions
 from platform_ctrl.analysis.frequency_grids import following_grid
 from platform_ctrl.analysis.interconnection import interconnected
-from platform_ctrl.analysis.peaks import peak
+from platform_ctrl.analysis.norms import peak
 from platform_ctrl.analysis.poles import continuous_poles, poles
 from platform_ctrl.analysis.resolvent import ON_A_GRID, AxisResponse
 from platform_ctrl.analysis.response import frequency_response

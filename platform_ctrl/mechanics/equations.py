@@ -35,11 +35,6 @@ def inverse_dynamics(platform: Platform, q: ArrayLike, velocity: ArrayLike, acce
     (3 + n,)
         [M, Q], N m.
 
-    Raises
-    ------
-    ArgumentError
-        Wrong shape or not finite.
-
     Notes
     -----
     Equal to A* u̇ + (G_A + G_R + G_root) u of `matrices`, eq. (11).

@@ -59,11 +59,6 @@ def element_forces(
     (3 + n,)
         [M, Q], N m.
 
-    Raises
-    ------
-    ArgumentError
-        Wrong shape or not finite.
-
     References
     ----------
     K. Magnus, Ingenieur-Archiv 1976, eq. (11).

@@ -10,12 +10,10 @@ from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.plant.platform import Platform
 
-__all__ = ["Kinematics", "Topology", "kinematics", "topology"]
-
 
 @value
 class Topology:
-    """The tree of bodies as arrays.
+    """The tree of bodies as arrays (R. Featherstone, Rigid Body Dynamics Algorithms, 2008, ch. 4).
 
     Body 0 is the root, body k + 1 is the body of gimbal k.
 
@@ -31,20 +29,14 @@ class Topology:
         ``above[j, i]``: turning gimbal j turns the axis of gimbal i.
     carriers : (m,)
         Body that each of the m rotors spins in.
-    axes : (n, 3)
-        Gimbal axes in the parents' axes, unit vectors.
+    axes, spin_axes : (n, 3), (m, 3)
+        Of gimbals in the parents' axes, of rotors in body axes; unit vectors.
     inertias : (1 + n, 3, 3)
         Bodies with the rotors' transverse inertia A (1 − s sᵀ), without C; in body axes, kg m².
-    spin_axes : (m, 3)
-        In body axes, unit vectors.
     C, L : (m,)
         Axial inertias, kg m²; relative (regulated) or total axial (free) angular momenta, N m s.
     regulated : (m,) bool
-        Whether the rotor's relative spin is held (a servo rotor counts as held).
-
-    References
-    ----------
-    R. Featherstone, Rigid Body Dynamics Algorithms, 2008, ch. 4.
+        Whether the rotor's relative spin is regulated (a servo rotor counts as regulated).
     """
 
     order: tuple[int, ...]
@@ -62,23 +54,7 @@ class Topology:
 
 @check_arguments
 def topology(platform: Platform) -> Topology:
-    """Return the tree of a platform as arrays.
-
-    Parameters
-    ----------
-    platform
-        The platform.
-
-    Returns
-    -------
-    Topology
-        The tree, in the file's order of gimbals and rotors.
-
-    Raises
-    ------
-    ArgumentError
-        Not a platform, or the gimbals carry each other in a ring.
-    """
+    """Return the tree of a platform as arrays, in the file's order of gimbals and rotors."""
     parents, carriers = platform.parents, 1 + platform.carriers
     order = _parents_first(platform.name, parents.tolist())
     n, rotors = len(parents), platform.rotors
@@ -136,10 +112,6 @@ class Kinematics:
         Rotor axes, unit vectors.
     jacobians : (1 + n, 3, 3 + n)
         Body rates: ω_b = jacobians[b] @ [Omega, q̇]; dimensionless.
-
-    References
-    ----------
-    R. Featherstone, Rigid Body Dynamics Algorithms, 2008, ch. 4.
     """
 
     tree: Topology
@@ -159,29 +131,7 @@ def cross_matrix(vector: FloatArray) -> FloatArray:
 
 @check_arguments
 def kinematics(platform: Platform, q: FloatArray) -> Kinematics:
-    """Return the directions of everything at given angles.
-
-    Parameters
-    ----------
-    platform
-        The platform.
-    q : (n,)
-        Gimbal angles in the file's order, rad.
-
-    Returns
-    -------
-    Kinematics
-        In root axes.
-
-    Raises
-    ------
-    ArgumentError
-        Not a platform, the gimbals carry each other in a ring, or `q` has another shape.
-
-    References
-    ----------
-    R. Featherstone, Rigid Body Dynamics Algorithms, 2008, ch. 4.
-    """
+    """Return the directions of everything at gimbal angles q (n,), rad, in root axes."""
     return configuration(topology(platform), q)
 
 

@@ -135,11 +135,6 @@ def matrices(platform: Platform, q: ArrayLike | None = None, velocity: ArrayLike
     MagnusMatrices
         All matrices at that state.
 
-    Raises
-    ------
-    ArgumentError
-        Wrong shape or not finite.
-
     References
     ----------
     K. Magnus, Ingenieur-Archiv 1976, eqs. (3), (11) to (14).

@@ -40,7 +40,6 @@ __all__ = [
     "FrozenSystem",
     "MatrixPolynomial",
     "ParameterVaryingModel",
-    "monomial_values",
     "parameter_varying",
 ]
 
@@ -108,11 +107,6 @@ class AffineModel:
         -------
         (2k, 2k)
             In the units of the states over s.
-
-        Raises
-        ------
-        ArgumentError
-            Wrong shape or not finite.
         """
         rho = real_array("parameters", parameters, (len(self.parameters),))
         return np.asarray(self.A_0 + np.tensordot(rho, self.A, axes=1))
@@ -129,11 +123,6 @@ class AffineModel:
         -------
         control.StateSpace
             With the names of `states`, `inputs` and `outputs`.
-
-        Raises
-        ------
-        ArgumentError
-            Wrong shape or not finite.
         """
         import control
 
@@ -213,11 +202,6 @@ class ParameterVaryingModel(_WithDictionary):
         -------
         FrozenRows
             Of the chosen gimbals.
-
-        Raises
-        ------
-        ArgumentError
-            Wrong shape or not finite.
         """
         rate, change = real_array("Omega", Omega, (3,)), real_array("Omega_dot", Omega_dot, (3,), 0.0)
         forcing = self.M_Omega @ change + self.Q0.at(rate)
@@ -319,11 +303,6 @@ class ParameterVaryingModel(_WithDictionary):
         -------
         (2k,)
             Angles, rad, and the states p, N m s.
-
-        Raises
-        ------
-        ArgumentError
-            Wrong shape or not finite.
         """
         k = len(self.M)
         angles, rate = real_array("q", q, (k,)), real_array("Omega", Omega, (3,))

@@ -52,20 +52,13 @@ class MatrixPolynomial:
 
         Parameters
         ----------
-        Omega : (3,)
-            rad/s.
-        Omega_dot : (3,)
-            rad/s²; default zero.
+        Omega, Omega_dot : (3,)
+            rad/s, rad/s²; the derivative is zero by default.
 
         Returns
         -------
         (...)
             In SI units.
-
-        Raises
-        ------
-        ArgumentError
-            Wrong shape or not finite.
         """
         values = monomial_values(self.monomials, Omega, Omega_dot)
         return np.asarray(np.tensordot(values, self.coefficients, axes=1))
@@ -98,26 +91,9 @@ class MatrixPolynomial:
 def monomial_values(
     monomials: Sequence[str], Omega: ArrayLike = (0.0, 0.0, 0.0), Omega_dot: ArrayLike | None = None
 ) -> FloatArray:
-    """Return the values of named monomials at a rate and its derivative.
+    """Return the values of named monomials at a rate, rad/s, and its derivative, rad/s², (monomials,).
 
-    Parameters
-    ----------
-    monomials
-        Names such as ``"1"``, ``"Omega1^2"``, ``"Omega1*Omega2"``, ``"Omega1'"``.
-    Omega : (3,)
-        rad/s.
-    Omega_dot : (3,)
-        rad/s²; default zero.
-
-    Returns
-    -------
-    (monomials,)
-        In SI units.
-
-    Raises
-    ------
-    ArgumentError
-        Wrong shape, not finite, or a name that is no monomial.
+    Names are such as ``"1"``, ``"Omega1^2"``, ``"Omega1*Omega2"``, ``"Omega1'"``.
     """
     variables = np.concatenate([real_array("Omega", Omega, (3,)), real_array("Omega_dot", Omega_dot, (3,), 0.0)])
     for name in monomials:

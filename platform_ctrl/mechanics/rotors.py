@@ -61,11 +61,6 @@ def rotor_momenta(platform: Platform, q: ArrayLike | None = None, velocity: Arra
     RotorMomenta
         Of the m rotors in the file's order.
 
-    Raises
-    ------
-    ArgumentError
-        Wrong shape or not finite.
-
     References
     ----------
     K. Magnus, Ingenieur-Archiv 1976, eqs. (2), (4), (8).
@@ -95,11 +90,6 @@ def with_free_rotors(platform: Platform, q: ArrayLike | None = None, velocity: A
     Platform
         The same plant with cyclic rotors alone.
 
-    Raises
-    ------
-    ArgumentError
-        Wrong shape or not finite.
-
     References
     ----------
     K. Magnus, Ingenieur-Archiv 1976, eqs. (4), (8).
@@ -126,11 +116,6 @@ def with_regulated_rotors(
     -------
     Platform
         The same plant with regulated rotors alone.
-
-    Raises
-    ------
-    ArgumentError
-        Wrong shape or not finite.
 
     References
     ----------

@@ -28,6 +28,8 @@ from platform_ctrl.plant.platform import FORCE_NAMES, OMEGA_NAMES, ROOT_TORQUE_N
 if TYPE_CHECKING:
     import control
 
+__all__ = ["state_space", "subsystems"]
+
 
 @check_arguments
 def subsystems(model: LinearModel) -> tuple[tuple[str, ...], ...]:
@@ -47,11 +49,6 @@ def subsystems(model: LinearModel) -> tuple[tuple[str, ...], ...]:
     tuple of tuples
         Names of the gimbals of each group.
 
-    Raises
-    ------
-    ArgumentError
-        It is not a linear model.
-
     References
     ----------
     K. Magnus, Ingenieur-Archiv 1976, eq. (27).
@@ -67,23 +64,7 @@ def subsystems(model: LinearModel) -> tuple[tuple[str, ...], ...]:
 
 @check_arguments
 def subsystems_of_all(models: Sequence[LinearModel]) -> tuple[tuple[str, ...], ...]:
-    """Return the groups of gimbals whose equations are coupled in any of several models of the same gimbals.
-
-    Parameters
-    ----------
-    models
-        From `linearise`, for example at several platform rates.
-
-    Returns
-    -------
-    tuple of tuples
-        Names of the gimbals of each group.
-
-    Raises
-    ------
-    ArgumentError
-        There are none, or not all of them are of the same gimbals.
-    """
+    """Return the groups of gimbals whose equations are coupled in any of several models of the same gimbals."""
     names = {model.gimbal_names for model in models}
     if len(names) != 1:
         given = "; ".join(", ".join(gimbals) for gimbals in sorted(names)) or "none"
@@ -213,25 +194,7 @@ def _free(model: LinearModel, specific_force: bool) -> control.StateSpace:
 
 @check_arguments
 def whole_subsystems(model: LinearModel, gimbals: Sequence[str] | None) -> list[int]:
-    """Return the rows of the named gimbals, of all without names.
-
-    Parameters
-    ----------
-    model
-        From `linearise`.
-    gimbals
-        Names; None: all.
-
-    Returns
-    -------
-    list of int
-        Indices of rows, in the file's order.
-
-    Raises
-    ------
-    ArgumentError
-        A string, an unknown name, or names that cut through a subsystem.
-    """
+    """Return the rows of the named gimbals (default all); an error where they cut through a subsystem."""
     if gimbals is None:
         return list(range(len(model.gimbal_names)))
     chosen = set(known_names("gimbals", gimbals, model.gimbal_names))
@@ -250,24 +213,9 @@ def whole_subsystems(model: LinearModel, gimbals: Sequence[str] | None) -> list[
 
 @check_arguments
 def gimbal_torquers(model: LinearModel, gimbals: Sequence[str]) -> tuple[list[str], FloatArray]:
-    """Return the torquers on the named gimbals.
+    """Return the torquers on the named gimbals: names in the file's order, and a selection (g, t) of ones and zeros.
 
-    Parameters
-    ----------
-    model
-        From `linearise`.
-    gimbals
-        Names of gimbals, in the order of the rows.
-
-    Returns
-    -------
-    names, selection : list of str, (g, t)
-        Names of the t torquers, in the file's order; and which of the g gimbals each turns, 1 or 0 (dimensionless).
-
-    Raises
-    ------
-    ArgumentError
-        An argument of another kind than annotated.
+    A row of the selection is a gimbal, in the order given; 1 where the torquer turns it (dimensionless).
     """
     torquers = [t for t in model.platform.torquers if t.gimbal in gimbals]
     torque_map = np.zeros((len(gimbals), len(torquers)))

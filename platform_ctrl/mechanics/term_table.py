@@ -166,11 +166,6 @@ class TermTable:
         -------
         tuple of Term
             By falling size.
-
-        Raises
-        ------
-        ArgumentError
-            There is no such gimbal.
         """
         known_name("gimbal", gimbal, self.platform.gimbal_names)
         return tuple(term for term in self.terms if term.gimbal == gimbal)
@@ -201,11 +196,6 @@ class TermTable:
         -------
         str
             A block for each gimbal.
-
-        Raises
-        ------
-        ArgumentError
-            A string in place of a sequence, or there is no such gimbal.
         """
         names = self.platform.gimbal_names
         lines = []

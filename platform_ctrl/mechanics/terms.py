@@ -320,11 +320,6 @@ def terms(
     TermTable
         Ranked equation by equation.
 
-    Raises
-    ------
-    ArgumentError
-        Wrong shape, not finite, or `frequency` not above zero.
-
     Notes
     -----
     Poles are those of the gimbals whose equations share terms, also such that are zero at this Omega; Omega and Omega'

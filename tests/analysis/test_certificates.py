@@ -19,14 +19,13 @@ from platform_ctrl import analysis
 from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.certificates import (
     Certificate,
-    closed,
     h2_certificate,
     norm_certificate,
-    proved,
     region_certificate,
     stability_certificate,
 )
-from platform_ctrl.analysis.certificates.closed_loop import stabilising
+from platform_ctrl.analysis.certificates.certificate import proved
+from platform_ctrl.analysis.certificates.closed_loop import closed, stabilising
 from platform_ctrl.analysis.certificates.intervals import balls, positive_definite
 from platform_ctrl.analysis.feedback import closed_loop
 from platform_ctrl.errors import ArgumentError, NotCertifiedError

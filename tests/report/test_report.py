@@ -23,7 +23,8 @@ from hypothesis.extra import numpy as hnp
 import narrow_loops
 import platform_ctrl as pc
 from legend_entries import without_a_curve
-from platform_ctrl import analysis, report
+from platform_ctrl import report
+from platform_ctrl.analysis.arrays import named_system
 from platform_ctrl.analysis.poles import continuous_poles
 from platform_ctrl.cli.terminal import show_result
 from platform_ctrl.common.text import Rounding, at_least
@@ -833,9 +834,7 @@ def test_captions_say_peaks_that_every_grid_misses() -> None:
     assert plants is not None
     # A narrow notch in the way of the nutation; the worst of several axes is more than that of any one.
     K = narrow_loops.controller(np.array([28.549, 285.48, 26.282, 305.64, 235.28, 75.46, 0.20796, 0.0061867]))
-    narrow = remeasured(
-        outcome.spec, outcome.closed.name, analysis.named_system(K, plants.angles, plants.torques), plants
-    )
+    narrow = remeasured(outcome.spec, outcome.closed.name, named_system(K, plants.angles, plants.torques), plants)
     outcome = dataclasses.replace(outcome, designs=(narrow,))
     responses = loop_responses(linearise(job.platform), outcome)
     assert responses is not None

@@ -15,6 +15,7 @@ import pytest
 
 from platform_ctrl import analysis
 from platform_ctrl.analysis import StateArrays
+from platform_ctrl.analysis.feedback import series
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.simulation.batch import compile_kernel
 from platform_ctrl.simulation.compilation import is_compiled
@@ -28,7 +29,7 @@ ENTRIES: dict[str, Callable[[StateArrays], Any]] = {
     "noise_rms": lambda system: analysis.noise_rms(system, np.ones(1)),
     "sampled": lambda system: analysis.sampled(system._replace(dt=0.0), 0.1, 0.25),
     "closed_loop": lambda system: analysis.closed_loop(system, OTHER),
-    "series": lambda system: analysis.series(system, OTHER),
+    "series": lambda system: series(system, OTHER),
 }
 OTHER = StateArrays(-np.eye(1), np.ones((1, 1)), np.ones((1, 1)), np.zeros((1, 1)), 0.1)
 

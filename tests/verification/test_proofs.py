@@ -16,7 +16,8 @@ import pytest
 
 import platform_ctrl as pc
 from platform_ctrl.analysis.arrays import StateArrays
-from platform_ctrl.analysis.certificates import Certificate, closed
+from platform_ctrl.analysis.certificates import Certificate
+from platform_ctrl.analysis.certificates.closed_loop import closed
 from platform_ctrl.analysis.certificates.plant_set import sensitivity_plants
 from platform_ctrl.design import LoopOutcome, loops
 from platform_ctrl.errors import NotCertifiedError

@@ -319,25 +319,7 @@ def _energy_left(system: BallSystem, X: Balls, bound: float, dt: float) -> Balls
 
 @check_arguments
 def proved(certificate: Certificate, problem: object = None) -> Certificate:
-    """Return `certificate` if it verifies.
-
-    Parameters
-    ----------
-    certificate
-        To be verified.
-    problem
-        What the error carries along, for whoever wants to look at it.
-
-    Returns
-    -------
-    Certificate
-        The same.
-
-    Raises
-    ------
-    NotCertifiedError
-        It does not; the message says what fails.
-    """
+    """Return `certificate` if it verifies, else raise `NotCertifiedError` with `problem` attached."""
     found = certificate.verify()
     if not found.proved:
         raise NotCertifiedError(

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.arrays import StateArrays, state_scaling
 from platform_ctrl.analysis.certificates.intervals import Balls, balls, blocks, identity
+from platform_ctrl.analysis.feedback import performance_loop
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
@@ -92,31 +93,20 @@ class ClosedLoop:
         return "" if self.finite else "a matrix is not finite"
 
     def rounded(self) -> StateArrays:
-        """Return the closed loop from w to z in floating point: what a certificate is looked for with.
+        """Return the closed loop in floating point: what a certificate is searched with.
 
         Returns
         -------
         StateArrays
-            From w to z; not well posed it is a `numpy.linalg.LinAlgError`.
+            From w to z; a loop that is not well posed is an `ArgumentError`.
         """
         if self.controller is None:
             return StateArrays(self.A, self.B, self.C, self.D, self.dt)
-        A_K, B_K, C_K, D_K = self.controller
-        (q, p), n = D_K.shape, len(self.A)
-        m, r = self.B.shape[1] - q, self.C.shape[0] - p
-        B1, B2, C1, C2 = self.B[:, :m], self.B[:, m:], self.C[:r], self.C[r:]
-        D11, D12, D21, D22 = self.D[:r, :m], self.D[:r, m:], self.D[r:, :m], self.D[r:, m:]
-        # u = F [x, x_K, w] from u = D_K (C2 x + D21 w + D22 u) + C_K x_K; y likewise.
-        F = np.linalg.solve(np.eye(q) - D_K @ D22, np.hstack([D_K @ C2, C_K, D_K @ D21]))
-        y = np.hstack([C2, np.zeros((p, len(A_K))), D21]) + D22 @ F
-        top = np.hstack([self.A, np.zeros((n, len(A_K))), B1]) + B2 @ F
-        low = np.hstack([np.zeros((len(A_K), n)), A_K, np.zeros((len(A_K), m))]) + B_K @ y
-        z = np.hstack([C1, np.zeros((r, len(A_K))), D11]) + D12 @ F
-        rate, N = np.vstack([top, low]), self.order
-        return StateArrays(rate[:, :N], rate[:, N:], z[:, :N], z[:, N:], self.dt)
+        plant = StateArrays(self.A, self.B, self.C, self.D, self.dt)
+        return performance_loop(plant, StateArrays(*self.controller, self.dt))
 
     def enclosed(self) -> BallSystem:
-        """Return balls that contain the exact closed loop from w to z, at the present working precision.
+        """Return balls that contain the exact closed loop, at the present working precision.
 
         Returns
         -------
@@ -176,25 +166,7 @@ def matrices_of(
 
 @check_arguments
 def static_gain(gain: FloatArray, dt: float) -> StateArrays:
-    """Return u = gain y as a controller without states.
-
-    Parameters
-    ----------
-    gain : (u, y)
-        In units of u per y.
-    dt
-        Sample period, s; 0: continuous.
-
-    Returns
-    -------
-    StateArrays
-        With D alone.
-
-    Raises
-    ------
-    ArgumentError
-        `gain` is no matrix.
-    """
+    """Return u = gain y (u, y) as a controller without states."""
     if gain.ndim != 2:
         raise ArgumentError(f"static_gain: gain must be a matrix, got shape {gain.shape}")
     q, p = gain.shape
@@ -207,26 +179,7 @@ def closed(
 ) -> ClosedLoop:
     """Return the loop of a plant and u = K y as a certificate speaks of it; without a controller the system.
 
-    Parameters
-    ----------
-    system
-        The plant with inputs [w, u] and outputs [z, y], or the whole system.
-    controller
-        K of the last inputs and outputs.
-    label
-        What it is, for example the corner of a plant set.
-    where
-        What messages call it.
-
-    Returns
-    -------
-    ClosedLoop
-        With the matrices as given, nothing rounded.
-
-    Raises
-    ------
-    ArgumentError
-        Sizes or sample periods do not fit.
+    With a controller the plant has inputs [w, u] and outputs [z, y]. Nothing is rounded.
     """
     A, B, C, D, dt = matrices_of(*system[:4], system.dt, where)
     if controller is None:
@@ -266,17 +219,12 @@ def stabilising(
 ) -> FloatArray | None:
     """Return X in the coordinates T x of the stabilising solution, or None.
 
-    Parameters
-    ----------
-    loop, T
-        The closed loop and the coordinates.
-    weight
-        Multiple of the identity, in these coordinates, that is added to C'C. None: no C, and in place of the identity
-        the rates of the coordinates, |diag A|, so that X is about the identity for modes.
-    gamma
-        Norm for which the Riccati equation is solved; infinite: then B does not matter (Lyapunov's equation).
-    decay
-        Rate, 1/s, by which the solutions are slowed down first.
+    `weight` is the multiple of the identity, in these coordinates, that is added to C'C. None: no C, and in place of
+    the
+    identity the rates of the coordinates, |diag A|, so that X is about the identity for modes. `gamma` is the norm for
+    which the Riccati equation is solved; infinite: B does not matter (Lyapunov's equation). `decay`, 1/s, is the rate
+    by
+    which the solutions are slowed down first.
     """
     with flint.ctx.workprec(_BITS):
         try:

@@ -43,18 +43,13 @@ def blocks(rows: list[list[Balls]]) -> Balls:
 
 
 def positive_definite(M: Balls) -> tuple[bool | None, float]:
-    """Decide whether a symmetric matrix of balls is positive definite.
+    """Decide whether a symmetric matrix of balls is positive definite; None: the balls are too wide to tell.
 
     First W M W' is enclosed, W the inverse of a Cholesky factor in floating point: where that is diagonally dominant
     with positive diagonal (Gershgorin), W and M are nonsingular and M, congruent to it, is positive definite. Where
-    it is not, the pivots of M = L D L' are enclosed one by one and decide by their signs (Sylvester).
-
-    Returns
-    -------
-    definite
-        True or False: proved. None: the balls are too wide to tell; try again with more bits.
-    margin
-        Where True: a lower bound of the smallest eigenvalue of M scaled to a unit diagonal; 0 otherwise.
+    it is not, the pivots of M = L D L' are enclosed one by one and decide by their signs (Sylvester). Where it is
+    positive
+    definite the number is a lower bound of the smallest eigenvalue of M scaled to a unit diagonal.
     """
     n = M.nrows()
     if n == 0:

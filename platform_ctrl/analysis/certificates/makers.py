@@ -159,15 +159,15 @@ def norm_certificate(
         The system in its units; with a controller the plant with inputs [w, u] and outputs [z, y]. Shapes (n, n), (n,
         m), (p, n), (p, m).
     dt
-        Sample period, s; 0: continuous.
+        As in `stability_certificate`, s.
     gamma
         The bound that is claimed, in units of z per w; default the norm and as little above it as can be proved.
     controller
-        u = K y.
+        As in `stability_certificate`.
     norm
         The norm, in the same units, where it is known already: it is not computed again.
     label
-        What it is.
+        As in `stability_certificate`.
 
     Returns
     -------
@@ -176,15 +176,11 @@ def norm_certificate(
 
     Raises
     ------
-    ArgumentError
-        Matrices that do not fit together.
     NotCertifiedError
         The system is not stable, its norm is not below `gamma`, or no proof was found.
 
     References
     ----------
-    S. Boyd, L. El Ghaoui, E. Feron, V. Balakrishnan, Linear Matrix Inequalities in System and Control Theory, 1994.
-
     See docs/certificates.md.
     """
     where = "norm_certificate"
@@ -213,12 +209,12 @@ def h2_certificate(
     A, B, C, D
         As in `norm_certificate`; D zero if continuous.
     dt
-        As in `norm_certificate`, s.
+        As in `stability_certificate`, s.
     bound
         What is claimed, in units of z per w (continuous: times s^-1/2); default the norm and as little above it as can
         be proved.
     controller, label
-        As in `norm_certificate`.
+        As in `stability_certificate`.
 
     Returns
     -------
@@ -227,15 +223,11 @@ def h2_certificate(
 
     Raises
     ------
-    ArgumentError
-        Matrices that do not fit together.
     NotCertifiedError
         The system is not stable, its norm is not below `bound`, or no proof was found.
 
     References
     ----------
-    S. Boyd, L. El Ghaoui, E. Feron, V. Balakrishnan, Linear Matrix Inequalities in System and Control Theory, 1994.
-
     See docs/certificates.md.
     """
     where = "h2_certificate"
@@ -269,7 +261,7 @@ def _rounded(loop: ClosedLoop, where: str) -> StateArrays:
         raise ArgumentError(f"{where}: a matrix is not finite; expected finite numbers, dt >= 0")
     try:
         return loop.rounded()
-    except np.linalg.LinAlgError:
+    except ArgumentError:
         raise NotCertifiedError(
             f"{where}: I − D_K D22 is singular; expected a well-posed loop; try another controller", loop
         ) from None

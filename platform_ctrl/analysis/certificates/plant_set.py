@@ -169,18 +169,14 @@ def region_certificate(
 
     Parameters
     ----------
-    A : (n, n)
-        x' = A x, or x(k+1) = A x(k), in the system's units.
+    A
+        As in `stability_certificate`.
     L, M : (k, k)
         The region, L symmetric, s in rad/s. Damping above cos θ: L = 0, M = [[sin θ, cos θ], [−cos θ, sin θ]].
     dt
         Sample period, s; > 0: the region is one of the w-plane, w = (2/dt) (z − 1)/(z + 1).
-    B, C, D
-        With a controller u = K y: A, B, C, D are the plant from u to y, in its units. Shapes (n, m), (p, n), (p, m).
-    controller
-        K.
-    label
-        What it is.
+    B, C, D, controller, label
+        As in `stability_certificate`.
 
     Returns
     -------
@@ -210,7 +206,7 @@ def region_certificate(
         raise ArgumentError(f"{where}: a matrix is not finite; expected finite numbers, dt >= 0")
     try:
         T = real_modes(loop.rounded().A)
-    except np.linalg.LinAlgError:
+    except (ArgumentError, np.linalg.LinAlgError):
         T = np.eye(loop.order)
     certificate = Certificate(claim="region", bound=0.0, loops=(loop,), X=np.eye(loop.order), coordinates=T, L=L, M=M)
     found = certificate.verify()

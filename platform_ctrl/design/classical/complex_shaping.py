@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, named_system, state_arrays
 from platform_ctrl.analysis.certificates import Certificate, stability_certificate
 from platform_ctrl.analysis.feedback import closed_loop
-from platform_ctrl.analysis.peaks import peak
+from platform_ctrl.analysis.norms import peak
 from platform_ctrl.analysis.poles import continuous_poles
 from platform_ctrl.common.arguments import positive
 from platform_ctrl.common.signatures import check_arguments

@@ -32,7 +32,8 @@ from platform_ctrl.design.riccati.weighted_loop import signal_names
 from platform_ctrl.design.synthesis import hinf
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.mechanics.linearisation import Terms, linearise
-from platform_ctrl.mechanics.parameter_varying import AffineModel, monomial_values, parameter_varying
+from platform_ctrl.mechanics.parameter_varying import AffineModel, parameter_varying
+from platform_ctrl.mechanics.polynomials import monomial_values
 from platform_ctrl.plant.platform import Platform
 
 if TYPE_CHECKING:

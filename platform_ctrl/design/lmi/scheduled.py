@@ -25,7 +25,7 @@ from platform_ctrl.design.lmi.tasks import claimed_loop
 from platform_ctrl.design.partition import Partition, closed_loop, controller_system
 from platform_ctrl.design.scaling import require_stabilisable
 from platform_ctrl.errors import NotCertifiedError, UnscalableError
-from platform_ctrl.mechanics.parameter_varying import monomial_values
+from platform_ctrl.mechanics.polynomials import monomial_values
 
 if TYPE_CHECKING:
     from control import StateSpace

@@ -144,11 +144,6 @@ class Precession:
         -------
         PrecessionPart
             The test with its figures.
-
-        Raises
-        ------
-        ArgumentError
-            Unknown gimbal.
         """
         known_name("gimbal", gimbal, self.gimbals)
         return next(part for part in self.parts if gimbal in part.gimbals)

@@ -17,7 +17,8 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter, NullLo
 from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.arrays import ComplexArray
-from platform_ctrl.analysis.margins import DiskMargin, disk_margin, disk_phase, disk_to_gain_phase
+from platform_ctrl.analysis.disks import disk_phase, disk_to_gain_phase
+from platform_ctrl.analysis.margins import DiskMargin, disk_margin
 from platform_ctrl.analysis.transfer_function import LinearSystem
 from platform_ctrl.common.arguments import positive
 from platform_ctrl.common.signatures import check_arguments
