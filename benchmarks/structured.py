@@ -26,10 +26,11 @@ from platform_ctrl.design.plants import loop_plants, rows_of
 from platform_ctrl.design.riccati.weighted_loop import WeightedPlant, hinf_options, signal_names, weighted_plant
 from platform_ctrl.design.scaling import autoscale
 from platform_ctrl.design.structured.norm import ClosedLoop
+from platform_ctrl.design.structured.pid import PID
 from platform_ctrl.design.structured.result import least_norm
 from platform_ctrl.design.structured.run import Goal, Limits, Problem
 from platform_ctrl.design.structured.side_by_side import best_found
-from platform_ctrl.design.structured.structures import PID, Static
+from platform_ctrl.design.structured.structures import Static
 from platform_ctrl.design.structured.synthesis import structured
 from platform_ctrl.errors import PlatformCtrlError
 from platform_ctrl.job.reading import read_job

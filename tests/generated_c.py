@@ -17,7 +17,7 @@ from platform_ctrl.design.classical.caging import classical_controller
 from platform_ctrl.design.loop import LoopProblem, designed
 from platform_ctrl.design.partition import channels
 from platform_ctrl.design.plants import rows_of
-from platform_ctrl.design.structured.families import Pid
+from platform_ctrl.design.structured.caging import pid_structure
 from platform_ctrl.job.job import Job
 from platform_ctrl.mechanics.linearisation import linearise
 
@@ -55,7 +55,7 @@ def pid_entry(job: Job, gimbals: tuple[str, ...]) -> dict[str, Any]:
     model = linearise(job.platform)
     channel = channels(model, rows_of(model, gimbals))
     like = classical_controller(CLASSICAL[gimbals], channel, job.sampling.period)
-    family = Pid(like, channel, job.sampling.period, 500.0, 12.6, 5000.0)
+    family = pid_structure(like, channel, job.sampling.period, 500.0, 12.6, 5000.0)
     return entry(job, f"caging {'-'.join(gimbals)}", family.block(family.start), gimbals) | {
         "design": "structured", "method": "structured", "options": {"integral_hz": 2.0},
     }  # fmt: skip

@@ -20,8 +20,9 @@ from platform_ctrl.design.riccati.intersample_loop import IntersampleGains, inte
 from platform_ctrl.design.riccati.lq import Estimator, LqgDesign, StateFeedback, lqe, lqg, lqr
 from platform_ctrl.design.riccati.pole_placement import PolePlacement, pole_placement
 from platform_ctrl.design.riccati.sampled_hinf import SampledSynthesis, sampled_hinf
+from platform_ctrl.design.structured.pid import PID
 from platform_ctrl.design.structured.result import StructuredDesign
-from platform_ctrl.design.structured.structures import PID, Lead, Notch, Series, StateSpaceOrder, Static, Structure
+from platform_ctrl.design.structured.structures import Lead, Notch, Series, StateSpaceOrder, Static, Structure
 from platform_ctrl.design.structured.synthesis import structured
 from platform_ctrl.design.synthesis import Claim, Synthesis, hinf
 

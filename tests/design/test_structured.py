@@ -133,7 +133,7 @@ def test_a_pid_has_the_transfer_function_that_it_says() -> None:
     ):
         units = Units(gain=np.ones((1, 1)), rate=1.0)
         names = [one.name for one in structure.parameters(1, 1, units)]
-        A, B, C, D = (m.at for m in structure.block(np.array([gains[name] for name in names]), 1, 1))
+        A, B, C, D, _ = structure.block(np.array([gains[name] for name in names]), 1, 1)
         found = [(C @ np.linalg.solve(one * np.eye(len(A)) - A, B) + D)[0, 0] for one in s]
         np.testing.assert_allclose(found, expected, rtol=1e-10)
 

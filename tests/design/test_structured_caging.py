@@ -14,8 +14,14 @@ from platform_ctrl.analysis.loop_metrics import measure
 from platform_ctrl.design.classical.caging import classical_controller, starting_values
 from platform_ctrl.design.partition import channels
 from platform_ctrl.design.plants import plants_of, rows_of
+from platform_ctrl.design.structured.caging import (
+    classical_structure,
+    free_structure,
+    of_order,
+    pid_structure,
+    without_integrators,
+)
 from platform_ctrl.design.structured.descent import finer
-from platform_ctrl.design.structured.families import Pid, StateSpace, of_order, without_integrators
 from platform_ctrl.design.structured.goals import pieces
 from platform_ctrl.design.structured.loops import ClosedLoops, at_least
 from platform_ctrl.design.structured.maps import (
@@ -201,15 +207,16 @@ def test_where_two_singular_values_meet_their_mixtures_span_what_the_largest_can
 def test_families_are_differentiated_and_start_where_they_should(cases, name):
     plants, channel, K = cases[name]
     T, nutation = plants.period, plants.nutation
-    pid = Pid(K, channel, T, nutation, 12.0, 0.4 * 2 * np.pi / T)
+    pid = pid_structure(K, channel, T, nutation, 12.0, 0.4 * 2 * np.pi / T)
     inner = of_order(without_integrators(K, channel, 12.0, T), 5, nutation * T)
-    free = StateSpace(inner, channel, T, nutation, 12.0)
+    free = free_structure(inner, channel, T, nutation, 12.0)
+    classical = classical_structure(starting_values({}, channel, nutation, T), channel, T)
     rng = np.random.default_rng(2)
-    for family in (pid, free):
+    for family in (pid, free, classical):
         x = family.start
         step = 1e-6 * rng.standard_normal(len(x))
         change = 0.5 * (whole(family.block(x + step)) - whole(family.block(x - step)))
-        expected = np.tensordot(step, family.jacobian(x), axes=1)
+        expected = family.jacobian(x) @ step
         np.testing.assert_allclose(change, expected, atol=1e-7 * np.abs(expected).max())
 
 
@@ -218,7 +225,7 @@ def test_a_controller_is_taken_from_its_integrators_and_put_behind_them_again(ca
     rate = 2 * np.pi * 0.024 * plants.nutation / (2 * np.pi)
     inner = without_integrators(K, channel, rate, plants.period)
     assert np.abs(np.linalg.eigvals(inner[0])).max() < 1.0
-    again = StateSpace(inner, channel, plants.period, plants.nutation, rate)
+    again = free_structure(inner, channel, plants.period, plants.nutation, rate)
     theirs, ours = (ClosedLoops(plants.only([0]), block).K for block in (K, again.block(again.start)))
     np.testing.assert_allclose(ours, theirs, rtol=1e-7, atol=1e-7 * np.abs(theirs).max())
 

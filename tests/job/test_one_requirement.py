@@ -15,10 +15,11 @@ from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.design.classical.caging import classical_controller, starting_values
 from platform_ctrl.design.partition import channels
 from platform_ctrl.design.plants import plants_of, rows_of
+from platform_ctrl.design.structured.caging import pid_structure
 from platform_ctrl.design.structured.descent import Search
-from platform_ctrl.design.structured.families import Pid
 from platform_ctrl.design.structured.goals import pieces
 from platform_ctrl.design.structured.loops import ClosedLoops
+from platform_ctrl.design.structured.parametrised import Parametrised
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.reading import read_job
 from platform_ctrl.job.requirements import WORST_CASE, loop_requirements, requirement
@@ -47,22 +48,22 @@ def plants(job: Job) -> PlantSet:
 
 
 @pytest.fixture(scope="module")
-def start(job: Job, plants: PlantSet) -> Pid:
+def start(job: Job, plants: PlantSet) -> Parametrised:
     """A classical loop with little damping, as a PID with free entries."""
     channel = channels(linearise(job.platform), rows_of(linearise(job.platform), job.loops[0].gimbals))
     options = starting_values({"damping_hz": 20.0, "damping2_hz": 20.0}, channel, plants.nutation, plants.period)
     block = classical_controller(options, channel, plants.period)
-    return Pid(block, channel, plants.period, plants.nutation, 2 * np.pi * 2.0, 2 * np.pi * 900.0)
+    return pid_structure(block, channel, plants.period, plants.nutation, 2 * np.pi * 2.0, 2 * np.pi * 900.0)
 
 
 @pytest.fixture(scope="module")
-def tuned(start: Pid, plants: PlantSet) -> StateArrays:
+def tuned(start: Parametrised, plants: PlantSet) -> StateArrays:
     """What the search for the object makes of the start: first use, tuning."""
     found = Search(plants, [DAMPED], 0.02, 200, lambda hard, soft: None).run(start)
     return start.block(found.x)
 
 
-def test_the_tuner_works_on_its_ratio(start: Pid, plants: PlantSet, tuned: StateArrays) -> None:
+def test_the_tuner_works_on_its_ratio(start: Parametrised, plants: PlantSet, tuned: StateArrays) -> None:
     before = start.block(start.start)
     assert not DAMPED.check(plants, before).passed
     assert pieces(ClosedLoops(plants, before), DAMPED).ratio.max() > 1.0

@@ -23,8 +23,9 @@ from platform_ctrl.app.free_plants import StabilisedLoop, corners, free_models, 
 from platform_ctrl.cli import main
 from platform_ctrl.design.partition import notch, side_by_side
 from platform_ctrl.design.structured.descent import Search
-from platform_ctrl.design.structured.families import Named
 from platform_ctrl.design.structured.loops import ClosedLoops
+from platform_ctrl.design.structured.parametrised import Parametrised
+from platform_ctrl.design.structured.structures import Named, Units
 from platform_ctrl.design.tuning import tune, worst_ratio
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.reading import read_job
@@ -239,7 +240,8 @@ def test_the_structured_search_goes_on_where_a_limit_is_missed_between_the_point
     monkeypatch.setattr(ClosedLoops, "_hidden", lambda self, *_: self.none())
     asked = [requirement("stability", 0.05, over=WORST_CASE), requirement("sensitivity peak", 3.0, over=WORST_CASE)]
     start = {"depth": 0.3, "width": 0.003}
-    family = Named(lambda options: narrow_loop(**options), start, list(start), {"depth": 1.0, "width": 1.0})
+    named = Named(build=lambda options: narrow_loop(**options), values=start, largest={"depth": 1.0, "width": 1.0})
+    family = Parametrised(named, 2, 2, Units(gain=np.ones((2, 2)), rate=1.0))
     told: list[float] = []
     found = Search(plants, asked, 0.02, 200, lambda hard, soft: told.append(hard)).run(family)
     assert told[0] < 0.9  # what it sees at first

@@ -17,7 +17,7 @@ from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
 from platform_ctrl.analysis.sampled import from_w_plane
 from platform_ctrl.common.arguments import one_of
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.design.structured.structures import PID
+from platform_ctrl.design.structured.pid import PID
 from platform_ctrl.errors import ArgumentError
 
 Pattern = Literal["full", "diagonal", "cross-axis"]
@@ -44,8 +44,7 @@ def realisation(gains: FloatArray, filter_time: float, period: float) -> StateAr
     n = gains.shape[-1]
     # The gains and the bandwidth of each pick-off's filter, as `PID` orders its parameters.
     parameters = np.append(gains, np.full(n, 1.0 / filter_time))
-    A, B, C, D = (part.at for part in PID(filter_order=1, filtered="derivative").block(parameters, n, n))
-    K = StateArrays(A, B, C, D)
+    K = PID(filter_order=1, filtered="derivative").block(parameters, n, n)
     return K if period == 0.0 else from_w_plane(K, period)
 
 

@@ -14,13 +14,20 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from platform_ctrl.analysis.arrays import StateArrays
+from platform_ctrl.analysis.feedback import series
 from platform_ctrl.analysis.plant_set import PlantSet
+from platform_ctrl.analysis.response import frequency_response
+from platform_ctrl.analysis.sampled import to_w_plane
+from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.classical.caging import TUNABLE, classical_controller, starting_values, upper_bounds
 from platform_ctrl.design.loop import Designed, LoopProblem, completed
-from platform_ctrl.design.partition import Channels
+from platform_ctrl.design.partition import Channels, between, first_order, side_by_side
 from platform_ctrl.design.riccati.weighted_loop import hinf_design
 from platform_ctrl.design.structured.descent import Found, Search
-from platform_ctrl.design.structured.families import Family, Named, Pid, StateSpace, of_order, without_integrators
+from platform_ctrl.design.structured.parametrised import Parametrised
+from platform_ctrl.design.structured.pid import PID
+from platform_ctrl.design.structured.starts import balanced_truncation
+from platform_ctrl.design.structured.structures import Named, Sampled, Series, StateSpaceOrder, Units
 from platform_ctrl.errors import DesignError
 from platform_ctrl.job.job import DesignSpec, Structure
 from platform_ctrl.job.requirements import LoopRequirement, hard_and_soft, requirement
@@ -36,6 +43,11 @@ _STRUCTURES: dict[str, tuple[Structure, ...]] = {
 }
 _COUNTS, _MOST = {"order", "starts", "evaluations"}, 1e6
 _DEFAULT: Structure = "pid"
+# Least damping of the PID's filter: with less it gains phase by a resonance, which would lift the gain at frequencies
+# where gimbals and mountings bend.
+_FILTER_DAMPING = 0.4
+# Poles this near to z = 1 are integrators.
+_INTEGRATOR = 1e-5
 _SHARES = {"cross-axis": 0.2, "pid": 0.3, "state-space": 0.5}
 
 
@@ -45,9 +57,7 @@ def structured_design(problem: LoopProblem) -> Designed:
     structure = design.structure or _DEFAULT
     options = default_options(design, channel, plants.nutation, plants.period)
     first = starting_values({"integral_hz": options["integral_hz"]}, channel, plants.nutation, plants.period)
-    cross_axis = Named(
-        lambda trial: classical_controller(trial, channel, plants.period), first, TUNABLE, upper_bounds(plants.period)
-    )
+    cross_axis = classical_structure(first, channel, plants.period)
     full_order = dataclasses.replace(problem, design=DesignSpec(name=design.name, method="hinf", options={}))
     hard, soft = hard_and_soft(spec.limits, spec.soft)
 
@@ -87,7 +97,7 @@ def default_options(design: DesignSpec, channel: Channels, nutation: float, peri
 def tuned_controller(
     options: dict[str, float],
     structure: Structure,
-    cross_axis: Named,
+    cross_axis: Parametrised,
     channel: Channels,
     plants: PlantSet,
     requirements: Sequence[LoopRequirement],
@@ -121,7 +131,7 @@ def tuned_controller(
         requested.append(requirement("stability", kept))
     spent = 0
 
-    def search(family: Family, share: float) -> Found:
+    def search(family: Parametrised, share: float) -> Found:
         nonlocal spent
         most = int(share * options["evaluations"])
         found = Search(plants, requested, options["reserve"], most, progress).run(family)
@@ -129,7 +139,7 @@ def tuned_controller(
         return found
 
     first = search(cross_axis, 1.0 if structure == "cross-axis" else _SHARES["cross-axis"])
-    best: tuple[Found, Family] = first, cross_axis
+    best: tuple[Found, Parametrised] = first, cross_axis
     starts: list[Callable[[], StateArrays]] = [lambda: cross_axis.block(first.x), *others]
     starts = starts[: int(options["starts"])] if structure != "cross-axis" else []
     for start in starts:
@@ -139,7 +149,7 @@ def tuned_controller(
             # Another method that finds nothing is no reason to give up the first start.
             continue
         rolloff = min(2.0 * np.pi * options["rolloff_hz"], 0.8 * np.pi / plants.period)
-        pid = Pid(block, channel, plants.period, plants.nutation, integral, rolloff)
+        pid = pid_structure(block, channel, plants.period, plants.nutation, integral, rolloff)
         found = search(pid, _SHARES["pid"] if structure == "state-space" else 1.0 - _SHARES["cross-axis"])
         if found.better_than(best[0], options["reserve"]):
             best = found, pid
@@ -148,7 +158,7 @@ def tuned_controller(
             if inner is None:
                 continue
             inner = of_order(inner, int(options["order"]), plants.nutation * plants.period)
-            free = StateSpace(inner, channel, plants.period, plants.nutation, integral)
+            free = free_structure(inner, channel, plants.period, plants.nutation, integral)
             found = search(free, _SHARES["state-space"])
             if found.better_than(best[0], options["reserve"]):
                 best = found, free
@@ -161,5 +171,145 @@ def tuned_controller(
         "evaluations": float(spent),
     }
     if structure == "cross-axis":
-        options = options | cross_axis.values(found.x)
+        options = options | cross_axis.named(found.x)
     return Designed(controller=controller, options=options, claims=claims)
+
+
+def classical_structure(options: dict[str, float], channel: Channels, period: float) -> Parametrised:
+    """Return the classical loop over the numbers that its tuner moves."""
+    moved = [name for name in TUNABLE if name in options]
+    fixed = {name: number for name, number in options.items() if name not in moved}
+    structure = Named(
+        build=lambda trial: classical_controller(trial, channel, period),
+        values={name: options[name] for name in (*moved, *fixed)},
+        largest=upper_bounds(period),
+        fixed=fixed,
+    )
+    size = len(channel.basis)
+    return Parametrised(structure, size, size, Units(gain=np.ones((size, size)), rate=1.0))
+
+
+def pid_structure(
+    like: StateArrays, channel: Channels, period: float, nutation: float, integral: float, rolloff: float
+) -> Parametrised:
+    """Return a matrix PID with a second-order low-pass in every channel, in the channels of the gyros.
+
+    Parameters
+    ----------
+    like
+        Controller whose response the start resembles, between a tenth of the nutation and a fifth of the sample rate.
+    channel, period, nutation
+        Directions; s; rad/s.
+    integral, rolloff
+        rad/s: of the PI of `like`, and the start of the filter.
+    """
+    n = len(channel.basis)
+    K_P, K_I, K_D = _fitted(like, channel, period, nutation, rolloff)
+    unit = float(np.abs(K_P).max() + nutation * np.abs(K_D).max()) or 1.0
+    start = {
+        f"{name}{i + 1}{j + 1}": float(K[i, j])
+        for name, K in (("kp", K_P), ("ki", K_I), ("kd", K_D))
+        for i, j in np.ndindex(n, n)
+    }
+    bounds: dict[str, tuple[float, float]] = {}
+    for k in range(n):
+        start |= {f"filter{k + 1}": rolloff, f"damping{k + 1}": 0.8}
+        # Beyond 1/π of the sample rate Tustin's poles turn negative, and ring.
+        bounds |= {f"filter{k + 1}": (0.0, 0.9 * np.pi / period), f"damping{k + 1}": (_FILTER_DAMPING, 2.0)}
+    structure = Sampled(inner=PID(start=start, bounds=bounds), period=period, basis=channel.basis)
+    return Parametrised(structure, n, n, Units(gain=np.full((n, n), unit), rate=nutation, integral=integral))
+
+
+def _fitted(like: StateArrays, channel: Channels, period: float, nutation: float, rolloff: float) -> FloatArray:
+    """Return the gains K_P, K_I, K_D of the PID whose response is nearest to a controller's, by least squares."""
+    n = len(channel.basis)
+    w = np.geomspace(0.1 * nutation, min(4.0 * nutation, 0.4 * np.pi / period), 40)
+    target = channel.basis @ frequency_response(like, w, -3) @ channel.basis.T
+    s = 2.0 / period * 1j * np.tan(0.5 * w * period)
+    F = rolloff**2 / (s**2 + 1.6 * rolloff * s + rolloff**2)
+    terms = np.array([F, F / s, F * s]).T
+    weight = 1.0 / np.linalg.norm(target, axis=(1, 2))
+    left, right = terms * weight[:, None], target.reshape(len(w), -1) * weight[:, None]
+    found = np.linalg.lstsq(np.vstack([left.real, left.imag]), np.vstack([right.real, right.imag]), rcond=None)[0]
+    return np.asarray(found.reshape(3, n, n), dtype=np.float64)
+
+
+def free_structure(
+    inner: StateArrays, channel: Channels, period: float, nutation: float, integral: float
+) -> Parametrised:
+    """Return a controller of fixed order behind a PI, 1 + integral/s, in every channel: so integral action stays.
+
+    Parameters
+    ----------
+    inner
+        What stands behind the PI, sampled, in the channels of the gyros (see `without_integrators`).
+    channel, period, nutation
+        Directions; s; rad/s, the unit of rates.
+    integral
+        rad/s.
+    """
+    n, rate = len(channel.basis), nutation
+    A, B, C, D, _ = to_w_plane(inner)
+    unit = float(np.abs(D).max()) or float(np.linalg.norm(C) * np.linalg.norm(B)) or 1.0
+    # States in units in which they are as large in B, in units of the rate, as in C, in units of the gain.
+    scale = float(np.sqrt(np.linalg.norm(C) * rate / (np.linalg.norm(B) * unit))) if len(A) else 1.0
+    entries = (("a", A), ("b", B * scale), ("c", C / scale), ("d", D))
+    start = {f"{name}{i + 1}{j + 1}": float(K[i, j]) for name, K in entries for i, j in np.ndindex(*K.shape)}
+    gains = {f"kp{k + 1}{k + 1}": 1.0 for k in range(n)} | {f"ki{k + 1}{k + 1}": integral for k in range(n)}
+    pi = PID(P="diagonal", I="diagonal", D="none", filter_order=0, fixed=gains)
+    blocks = (pi, StateSpaceOrder(states=len(A), start=start))
+    structure = Sampled(inner=Series(blocks=blocks), period=period, basis=channel.basis)
+    return Parametrised(structure, n, n, Units(gain=np.full((n, n), unit), rate=rate))
+
+
+def without_integrators(
+    controller: StateArrays, channel: Channels, integral: float, period: float
+) -> StateArrays | None:
+    """Return a controller without its PI, 1 + integral/s, in the channels of the gyros; None if unstable then."""
+    from scipy.linalg import schur, solve_sylvester
+
+    basis = channel.basis
+    undone = side_by_side(*[first_order(1.0, 0.0, 1.0, integral, period)] * len(basis))
+    A, B, C, D, _ = series(undone, between(basis.T, controller, basis))
+    triangle, vectors, kept = schur(A, sort=lambda re, im=0.0: bool(abs(complex(re, im) - 1.0) > _INTEGRATOR))
+    left, right = triangle[:kept, :kept], triangle[kept:, kept:]
+    if kept and np.abs(np.linalg.eigvals(left)).max() >= 1.0:
+        return None
+    # The integrators are no longer excited: what remains is split from them.
+    X = solve_sylvester(left, -right, -triangle[:kept, kept:]) if kept < len(A) else np.zeros((kept, 0))
+    B, C = vectors.T @ B, C @ vectors
+    return StateArrays(left, B[:kept] - X @ B[kept:], C[:, :kept], D, period)
+
+
+def of_order(system: StateArrays, order: int, rate: float) -> StateArrays:
+    """Return a stable system with `order` states: balanced truncation, or with faint modes of its own added.
+
+    Parameters
+    ----------
+    system
+        Stable, sampled.
+    order
+        Number of states.
+    rate
+        Nutation frequency times period: added modes lie there, well damped.
+    """
+    less = balanced_truncation(system, order)
+    A, B, C, D, period = less
+    missing = order - len(A)
+    if missing <= 0:
+        return less
+    size = len(D)
+    own = np.zeros((missing, missing))
+    for k in range(0, missing, 2):
+        pair = slice(k, min(k + 2, missing))
+        turn = np.array([[-0.7, 1.0], [-1.0, -0.7]]) * (1.0 + 0.15 * k)
+        own[pair, pair] = np.eye(2)[: missing - k, : missing - k] + rate * turn[: missing - k, : missing - k]
+    # Every mode sees and drives another mixture of channels, faintly.
+    phase = np.pi * np.outer(np.arange(missing) + 0.5, np.arange(size) + 0.5) / max(missing, size)
+    unit = float(np.abs(D).max()) or 1.0
+    turn_size = float(np.sqrt(np.linalg.norm(C) / np.linalg.norm(B) / unit)) if len(A) else 1.0
+    into, out = np.sqrt(rate) / turn_size * 0.3 * np.cos(phase), unit * np.sqrt(rate) * turn_size * 0.02 * np.sin(phase)
+    first = len(A)
+    whole = np.zeros((order, order))
+    whole[:first, :first], whole[first:, first:] = A, own
+    return StateArrays(whole, np.vstack([B, into]), np.hstack([C, out.T]), D, period)

@@ -23,10 +23,10 @@ from platform_ctrl.analysis.loop_set import LoopSet
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.common.values import FloatArray, value
-from platform_ctrl.design.structured.families import Family
 from platform_ctrl.design.structured.goals import pieces
 from platform_ctrl.design.structured.loops import ClosedLoops, Numbers
 from platform_ctrl.design.structured.maps import largest
+from platform_ctrl.design.structured.parametrised import Parametrised
 from platform_ctrl.design.structured.quadratic import damped_update, least_maximum
 from platform_ctrl.job.requirements import LoopRequirement
 
@@ -151,7 +151,7 @@ class Search:
         self._guarded = self._wanted is not None and not any(r.kind in slow for r in requirements)
         self._reserve, self._left, self._progress = reserve, evaluations, progress
 
-    def run(self, family: Family, start: FloatArray | None = None) -> Found:
+    def run(self, family: Parametrised, start: FloatArray | None = None) -> Found:
         """Return the best parameters of `family`, from its own start or from `start`."""
         spent = self._left
         best = self._run(family, family.start if start is None else start)
@@ -164,7 +164,7 @@ class Search:
             best = found if found.better_than(best, self._reserve) else best
         return dataclasses.replace(best, evaluations=spent - self._left)
 
-    def _run(self, family: Family, start: FloatArray) -> Found:
+    def _run(self, family: Parametrised, start: FloatArray) -> Found:
         """Return where the search from one start ends."""
         x = np.append(start, np.log(self._bandwidth(family, start))) if self._moving else start
         hard, soft, worst = self._all(family, x)
@@ -181,17 +181,17 @@ class Search:
             best = dataclasses.replace(best, hard=hard, soft=soft)
         return dataclasses.replace(best, x=best.x[: len(family.start)])
 
-    def _missed(self, family: Family, found: Found) -> FloatArray | None:
+    def _missed(self, family: Parametrised, found: Found) -> FloatArray | None:
         """Return the frequencies at which a limit is exceeded that seems to be met; None where none is, exactly."""
         if found.hard > 1.0:
             return None
-        K = family.block(found.x[: len(family.start)])._replace(dt=self._plants.period)
+        K = family.block(found.x[: len(family.start)])
         loops = LoopSet(self._plants, K)
         measures = measure(self._plants, K, self._limits, loops=loops)
         met = all(np.all(limit.ratios(measures) <= 1.0) for limit in self._limits)
         return None if met else loops.peak_frequencies
 
-    def _searched(self, family: Family, best: Found, worst: list[int]) -> Found:
+    def _searched(self, family: Parametrised, best: Found, worst: list[int]) -> Found:
         """Return where a search on the present grid ends that starts from `best`, with `worst` the worst plants."""
         x = best.x
         view = sorted({0, *worst[:_FIRST]})
@@ -228,7 +228,7 @@ class Search:
     def _enough(self, found: Found) -> bool:
         return found.hard <= 1.0 - _SPARED * self._reserve and found.soft <= 1.0 + 1e-6
 
-    def _bandwidth(self, family: Family, x: FloatArray) -> float:
+    def _bandwidth(self, family: Parametrised, x: FloatArray) -> float:
         """Return the bandwidth in Hz, roughly, as a start for the wanted one."""
         loops = ClosedLoops(self._plants.only([0]), family.block(x[: len(family.start)]))
         sizes = np.maximum(largest(loops.S_output[0]), largest(loops.S_input[0]))
@@ -236,7 +236,7 @@ class Search:
         k = int(above[0]) if above.size else len(sizes) - 1
         return float(self._plants.frequency[max(k - 1, 0)]) / (2.0 * np.pi)
 
-    def _honest(self, family: Family, x: FloatArray) -> FloatArray:
+    def _honest(self, family: Parametrised, x: FloatArray) -> FloatArray:
         """Return the parameters with the bandwidth that is there, where the one that they claim is far from it."""
         if not self._moving:
             return x
@@ -245,7 +245,7 @@ class Search:
         there = np.log(self._bandwidth(family, x)) if level > 1.0 + _FAR else x[-1]
         return np.append(x[:-1], min(x[-1], there))
 
-    def _all(self, family: Family, x: FloatArray) -> tuple[float, float, list[int]]:
+    def _all(self, family: Parametrised, x: FloatArray) -> tuple[float, float, list[int]]:
         """Return the largest hard piece and soft ratio over all plants, and the plants, the worst first."""
         found = self._pieces(family, x, self._plants, _RANKED)
         by_plant = np.zeros(len(self._plants.labels))
@@ -261,7 +261,7 @@ class Search:
             hard, soft = max(_ratio(float(found.values[~found.hard].max())), level), 0.0
         return hard, soft, _ranked(by_plant)
 
-    def _pieces(self, family: Family, x: FloatArray, plants: PlantSet, floor: float) -> _Pieces:
+    def _pieces(self, family: Parametrised, x: FloatArray, plants: PlantSet, floor: float) -> _Pieces:
         """Return all pieces; hard ones with the reserve added, so that 1 is their limit."""
         self._left -= 1
         own = x[: len(family.start)]
@@ -276,7 +276,7 @@ class Search:
             owner.append(np.column_stack([np.full(len(ratio), number), plant]).astype(np.intp))
 
         def along(gradient: FloatArray, slope: FloatArray | float = 0.0) -> FloatArray:
-            out = np.tensordot(gradient, derivative, axes=([1, 2], [1, 2]))
+            out = np.tensordot(gradient, derivative, axes=([1, 2], [0, 1]))
             if not self._moving:
                 return out
             return np.column_stack([out, np.broadcast_to(slope, len(out))])
@@ -323,7 +323,7 @@ class Search:
             stable=stable,
         )
 
-    def _descended(self, family: Family, x: FloatArray, plants: PlantSet, state: _State) -> FloatArray:
+    def _descended(self, family: Parametrised, x: FloatArray, plants: PlantSet, state: _State) -> FloatArray:
         """Return where some quadratic programs lead on the plants in view; `state` says whether they came to an end."""
         lower, upper = family.lower, family.upper
         if self._moving:

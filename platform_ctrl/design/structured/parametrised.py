@@ -7,9 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.common.arguments import known_name
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.design.structured.structures import Given, Parameter, Structure, Units
+from platform_ctrl.design.structured.structures import Given, Parameter, Structure, Units, joined
 from platform_ctrl.errors import ArgumentError
 
 # Step of the differences that give second derivatives, in search coordinates.
@@ -47,7 +48,7 @@ class Parametrised:
         self.start = self._coordinates(np.array([one.start for one in free]))
         self.lower = self._coordinates(np.array([one.lower for one in free]))
         self.upper = self._coordinates(np.array([one.upper for one in free]))
-        self._kept: tuple[bytes, FloatArray, FloatArray] | None = None
+        self._kept: tuple[bytes, FloatArray] | None = None
 
     def _coordinates(self, numbers: FloatArray) -> FloatArray:
         out: FloatArray = numbers / self._size
@@ -70,21 +71,22 @@ class Parametrised:
         """Return all parameters by name."""
         return dict(zip(self.names, map(float, self.parameters(x)), strict=True))
 
-    def _at(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        key = x.tobytes()
-        if self._kept is None or self._kept[0] != key:
-            whole = self.structure.block(self.parameters(x), self.nmeas, self.ncon).joined
-            slope = np.where(self.positive, np.exp(np.where(self.positive, x, 0.0)), self._size)
-            self._kept = key, whole.at, (whole.slope @ self._spread) * slope
-        return self._kept[1], self._kept[2]
+    def block(self, x: FloatArray) -> StateArrays:
+        """Return A_K, B_K, C_K, D_K."""
+        return self.structure.block(self.parameters(x), self.nmeas, self.ncon)
 
     def matrix(self, x: FloatArray) -> FloatArray:
         """Return M."""
-        return self._at(x)[0]
+        return joined(self.block(x))
 
     def jacobian(self, x: FloatArray) -> FloatArray:
         """Return dM/dx, (rows, columns, n)."""
-        return self._at(x)[1]
+        key = x.tobytes()
+        if self._kept is None or self._kept[0] != key:
+            slopes = self.structure.slopes(self.parameters(x), self.nmeas, self.ncon)
+            size = np.where(self.positive, np.exp(np.where(self.positive, x, 0.0)), self._size)
+            self._kept = key, (slopes @ self._spread) * size
+        return self._kept[1]
 
     def bend(self, x: FloatArray, weight: FloatArray) -> FloatArray:
         """Return the Hessian of sum(weight * M): differences along the positive numbers, M is affine in each other."""
@@ -93,7 +95,7 @@ class Parametrised:
         for k in along:
             step = np.zeros(len(x))
             step[k] = _STEP
-            ends = [np.einsum("ij,ijx->x", weight, self._at(x + sign * step)[1]) for sign in (1.0, -1.0)]
+            ends = [np.einsum("ij,ijx->x", weight, self.jacobian(x + sign * step)) for sign in (1.0, -1.0)]
             H[:, k] = (ends[0] - ends[1]) / (2.0 * _STEP)
         rest = np.flatnonzero(~self.positive)
         H[np.ix_(along, rest)] = H[np.ix_(rest, along)].T

@@ -1,79 +1,28 @@
 """Structures of controllers: what may be tuned, its names, units and starting values, and the matrices it makes.
 
-Everything is continuous, in s; for a sampled plant it stands in the w-plane, which is Tustin's rule for s. A controller
-is u = K y with no hidden sign.
+Everything is continuous, in s; a sampled plant is taken to the w-plane, where s stands for Tustin's rule. A controller
+is u = K y (positive feedback).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import field
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.common.values import FloatArray, input_value, value
 from platform_ctrl.errors import ArgumentError
 
-
-class Sloped(NamedTuple):
-    """A matrix (r, c) and its derivatives (r, c, n)."""
-
-    at: FloatArray
-    slope: FloatArray
-
-    def __matmul__(self, other: Sloped) -> Sloped:
-        slope = np.einsum("ijx,jk->ikx", self.slope, other.at) + np.einsum("ij,jkx->ikx", self.at, other.slope)
-        return Sloped(self.at @ other.at, slope)
-
-    def widened(self, before: int, after: int) -> Sloped:
-        """Return the same matrix among more parameters."""
-        return Sloped(self.at, np.pad(self.slope, ((0, 0), (0, 0), (before, after))))
-
-
-def constant(matrix: FloatArray, parameters: int) -> Sloped:
-    """Return a matrix that depends on none of so many parameters."""
-    return Sloped(np.asarray(matrix, dtype=np.float64), np.zeros((*np.shape(matrix), parameters)))
-
-
-def tiled(rows: Sequence[Sequence[Sloped]]) -> Sloped:
-    """Return the matrix made of blocks."""
-    return Sloped(
-        np.block([[block.at for block in row] for row in rows]),
-        np.concatenate([np.concatenate([block.slope for block in row], axis=1) for row in rows], axis=0),
-    )
-
-
-class SlopedBlock(NamedTuple):
-    """A, B, C, D of a block."""
-
-    A: Sloped
-    B: Sloped
-    C: Sloped
-    D: Sloped
-
-    @property
-    def order(self) -> int:
-        """Number of states."""
-        return len(self.A.at)
-
-    @property
-    def joined(self) -> Sloped:
-        """The matrix [A, B; C, D]."""
-        return tiled([[self.A, self.B], [self.C, self.D]])
-
-
-def in_series(first: SlopedBlock, second: SlopedBlock) -> SlopedBlock:
-    """Return `second` after `first`; the parameters of `first` stand first."""
-    n1, n2 = first.D.slope.shape[2], second.D.slope.shape[2]
-    a, b, c, d = (m.widened(0, n2) for m in first)
-    A, B, C, D = (m.widened(n1, 0) for m in second)
-    zero = constant(np.zeros((first.order, second.order)), n1 + n2)
-    return SlopedBlock(tiled([[a, zero], [B @ c, A]]), tiled([[b], [B @ d]]), tiled([[D @ c, C]]), D @ d)
-
-
 Mask = NDArray[np.bool_]
+
+# Imaginary step of a derivative: Im f(p + i h)/h is exact to rounding, f being analytic and h² lost beside p.
+_IMAGINARY = 1e-30
+# Relative step of the differences that replace it where a function takes real numbers alone.
+_STEP = 1e-5
 
 
 @value
@@ -104,10 +53,14 @@ class Parameter:
 
 @value
 class Units:
-    """Typical sizes: of the gain from every y to every u, (nu, ny), and of frequency, rad/s."""
+    """Typical sizes: of the gain from every y to every u, (nu, ny), of frequency, and of integral action, both rad/s.
+
+    Without the last one it is that of frequency.
+    """
 
     gain: FloatArray
     rate: float
+    integral: float | None = None
 
 
 class Given(NamedTuple):
@@ -168,20 +121,20 @@ class Structure:
         """
         raise NotImplementedError
 
-    def block(self, p: FloatArray, nmeas: int, ncon: int) -> SlopedBlock:
-        """Return the controller for given values of the parameters, with its derivatives.
+    def block(self, p: FloatArray, nmeas: int, ncon: int) -> StateArrays:
+        """Return the controller for given values of the parameters.
 
         Parameters
         ----------
-        p : (parameters,)
-            Values in the order of `parameters`, in their units.
+        p : (..., parameters)
+            Values in the order of `parameters`, in their units; complex ones where derivatives are taken.
         nmeas, ncon
             Number of measurements y and of controls u.
 
         Returns
         -------
-        SlopedBlock
-            In continuous time, or in the w-plane of a sampled plant.
+        StateArrays
+            In continuous time, or in the w-plane of a sampled plant, with the leading axes of p.
 
         Raises
         ------
@@ -189,6 +142,20 @@ class Structure:
             The structure does not fit so many signals.
         """
         raise NotImplementedError
+
+    def slopes(self, p: FloatArray, nmeas: int, ncon: int) -> FloatArray:
+        """Return the derivatives of [A, B; C, D] with respect to p, (rows, columns, parameters).
+
+        Parameters
+        ----------
+        p : (parameters,)
+            As in `block`.
+        nmeas, ncon
+            Number of measurements y and of controls u.
+        """
+        steps = p + 1j * _IMAGINARY * np.eye(len(p))
+        change = joined(self.block(steps, nmeas, ncon)).imag / _IMAGINARY
+        return np.ascontiguousarray(np.moveaxis(change, 0, -1))
 
     def order(self, nmeas: int, ncon: int) -> int:
         """Return the number of states.
@@ -205,7 +172,7 @@ class Structure:
         """
         units = Units(gain=np.ones((ncon, nmeas)), rate=1.0)
         p = np.array([one.start for one in self.parameters(nmeas, ncon, units)])
-        return self.block(p, nmeas, ncon).order
+        return len(self.block(p, nmeas, ncon).A)
 
     @property
     def free(self) -> bool:
@@ -222,7 +189,18 @@ class Structure:
         return not any(self.given)
 
 
-def _mask(name: str, given: ArrayLike | str, shape: tuple[int, int]) -> Mask:
+def joined(system: StateArrays) -> FloatArray:
+    """Return [A, B; C, D]."""
+    A, B, C, D, _ = system
+    return np.block([[A, B], [C, D]])
+
+
+def zeros(p: FloatArray, *shape: int) -> FloatArray:
+    """Return a matrix of zeros for every row of p, real or complex as p is."""
+    return np.zeros((*p.shape[:-1], *shape), dtype=p.dtype)
+
+
+def mask_of(name: str, given: ArrayLike | str, shape: tuple[int, int]) -> Mask:
     """Return a pattern: booleans (nu, ny), or the words "full", "diagonal", "cross" and "none"."""
     if isinstance(given, str):
         square = np.eye(*shape, dtype=bool)
@@ -243,16 +221,15 @@ def _mask(name: str, given: ArrayLike | str, shape: tuple[int, int]) -> Mask:
     return out
 
 
-def _gains(name: str, mask: Mask, size: FloatArray) -> list[Parameter]:
+def gains_of(name: str, mask: Mask, size: FloatArray) -> list[Parameter]:
+    """Return the entries of a matrix of gains in `mask` as parameters, row by row."""
     return [Parameter(name=f"{name}{i + 1}{j + 1}", start=0.0, size=float(size[i, j])) for i, j in np.argwhere(mask)]
 
 
-def _filled(mask: Mask, p: FloatArray, first: int, total: int) -> Sloped:
-    """Return the matrix whose entries in `mask` are p[first:], row by row."""
-    out = constant(np.zeros(mask.shape), total)
-    for k, (i, j) in enumerate(np.argwhere(mask), start=first):
-        out.at[i, j] = p[k]
-        out.slope[i, j, k] = 1.0
+def filled(mask: Mask, p: FloatArray) -> FloatArray:
+    """Return the matrix whose entries in `mask` are p, row by row."""
+    out = zeros(p, *mask.shape)
+    out[..., mask] = p
     return out
 
 
@@ -277,15 +254,12 @@ class Static(Structure):
 
     def parameters(self, nmeas: int, ncon: int, units: Units) -> tuple[Parameter, ...]:
         """Return the gains."""
-        return tuple(_gains("k", _mask("Static: pattern", self.pattern, (ncon, nmeas)), units.gain))
+        return tuple(gains_of("k", mask_of("Static: pattern", self.pattern, (ncon, nmeas)), units.gain))
 
-    def block(self, p: FloatArray, nmeas: int, ncon: int) -> SlopedBlock:
+    def block(self, p: FloatArray, nmeas: int, ncon: int) -> StateArrays:
         """Return the static block."""
-        n = len(p)
-        D = _filled(_mask("Static: pattern", self.pattern, (ncon, nmeas)), p, 0, n)
-        return SlopedBlock(
-            constant(np.zeros((0, 0)), n), constant(np.zeros((0, nmeas)), n), constant(np.zeros((ncon, 0)), n), D
-        )
+        D = filled(mask_of("Static: pattern", self.pattern, (ncon, nmeas)), p)
+        return StateArrays(zeros(p, 0, 0), zeros(p, 0, nmeas), zeros(p, ncon, 0), D)
 
 
 @input_value
@@ -330,239 +304,29 @@ class StateSpaceOrder(Structure):
         )
         c = np.full((ncon, k), 1.0) * out[:, None] / max(float(out.mean()), 1e-300) * typical
         everything = [
-            *_gains("a", np.ones((k, k), dtype=bool), a),
-            *_gains("b", np.ones((k, nmeas), dtype=bool), b),
-            *_gains("c", np.ones((ncon, k), dtype=bool), c),
+            *gains_of("a", np.ones((k, k), dtype=bool), a),
+            *gains_of("b", np.ones((k, nmeas), dtype=bool), b),
+            *gains_of("c", np.ones((ncon, k), dtype=bool), c),
         ]
         if not self.strictly_proper:
-            everything += _gains("d", np.ones((ncon, nmeas), dtype=bool), units.gain)
+            everything += gains_of("d", np.ones((ncon, nmeas), dtype=bool), units.gain)
         # Distinct stable modes to begin with.
         starts = {f"a{i + 1}{i + 1}": -rate * 2.0 ** (i - 0.5 * (k - 1)) for i in range(k)}
         return tuple(Parameter(name=one.name, start=starts.get(one.name, 0.0), size=one.size) for one in everything)
 
-    def block(self, p: FloatArray, nmeas: int, ncon: int) -> SlopedBlock:
+    def block(self, p: FloatArray, nmeas: int, ncon: int) -> StateArrays:
         """Return the matrices."""
-        n, k = len(p), self.states
-        at = 0
-        parts = []
-        for rows, columns in ((k, k), (k, nmeas), (ncon, k), (ncon, nmeas)):
-            if at >= n and rows * columns:
-                parts.append(constant(np.zeros((rows, columns)), n))
-                continue
-            parts.append(_filled(np.ones((rows, columns), dtype=bool), p, at, n))
-            at += rows * columns
-        return SlopedBlock(*parts)
+        k = self.states
+        if self.strictly_proper:
+            p = np.concatenate([p, zeros(p, ncon * nmeas)], axis=-1)
+        shapes = ((k, k), (k, nmeas), (ncon, k), (ncon, nmeas))
+        parts = np.split(p, np.cumsum([r * c for r, c in shapes[:3]]), axis=-1)
+        A, B, C, D = (part.reshape(*p.shape[:-1], *shape) for part, shape in zip(parts, shapes, strict=True))
+        return StateArrays(A, B, C, D)
 
     def order(self, nmeas: int, ncon: int) -> int:
         """Return the number of states."""
         return self.states
-
-
-@input_value
-class PID(Structure):
-    """Proportional, integral and derivative gains between all or some axes, behind a low-pass on every measurement.
-
-    u = (K_P + K_I/s + K_D s) F(s) y with F = diag(filters), of first order ω/(s + ω) or of second order
-    ω²/(s² + 2 ζ ω s + ω²). Parameters kp11, ..., ki11, ..., kd11, ... (torquer, pick-off), filter1, ... (ω, rad/s) and
-    for the second order damping1, ... (ζ).
-
-    Attributes
-    ----------
-    P, I, D
-        Which gains there are: "full", "diagonal", "cross", "none" or booleans (nu, ny).
-    filter_order
-        0 (only without D), 1 or 2.
-    filtered
-        Whether F stands before everything, or before the derivative alone: u = (K_P + K_I/s + K_D s F(s)) y.
-    filter_zero
-        Whether a second-order F before everything has a zero, too: F = (s/z + 1) ω²/(s² + 2 ζ ω s + ω²), with
-        parameters zero1, ... (z, rad/s). In a sampled controller z = 2/period, held by `fixed`, is a filter that does
-        not wait a sample; left free it is a lead.
-    seen_through : (gains, rates), optional
-        The measurement is already gain + rate/s (rate in 1/s) times the signal that the PID is meant for, channel by
-        channel, each (ny,), as in a mixed-sensitivity plant whose weight on the error stands before the controller: its
-        pole is the PID's integrator, its zero becomes a fixed pole of the controller.
-    start, bounds, fixed, tied
-        As in `Structure`.
-    """
-
-    P: ArrayLike | str = "full"
-    I: ArrayLike | str = "full"  # noqa: E741
-    D: ArrayLike | str = "full"
-    filter_order: Literal[0, 1, 2] = 2
-    filtered: Literal["everything", "derivative"] = "everything"
-    filter_zero: bool = False
-    seen_through: tuple[ArrayLike, ArrayLike] | None = None
-
-    def _masks(self, nmeas: int, ncon: int) -> tuple[Mask, Mask, Mask]:
-        shape = (ncon, nmeas)
-        masks = _mask("PID: P", self.P, shape), _mask("PID: I", self.I, shape), _mask("PID: D", self.D, shape)
-        if self.filter_order not in (0, 1, 2):
-            raise ArgumentError(f"PID: filter_order = {self.filter_order!r}; expected 0, 1 or 2")
-        if self.filter_order == 0 and (np.any(masks[2]) or self.seen_through is not None):
-            raise ArgumentError('PID: filter_order = 0 with a derivative; expected 1 or 2, or D="none"')
-        if self.filter_zero and (self.filter_order != 2 or self.filtered != "everything"):
-            raise ArgumentError("PID: filter_zero without a filter of second order before everything; expected one")
-        return masks
-
-    def parameters(self, nmeas: int, ncon: int, units: Units) -> tuple[Parameter, ...]:
-        """Return gains and filters."""
-        P, integral, D = self._masks(nmeas, ncon)
-        gain, rate = units.gain, units.rate
-        if self.seen_through is not None:
-            gain = gain * np.asarray(self.seen_through[0], dtype=np.float64)
-        out = [*_gains("kp", P, gain), *_gains("ki", integral, gain * rate), *_gains("kd", D, gain / rate)]
-        if self.filter_order:
-            out += [
-                Parameter(
-                    name=f"filter{j + 1}",
-                    start=5.0 * rate,
-                    size=1.0,
-                    positive=True,
-                    lower=1e-3 * rate,
-                    upper=1e5 * rate,
-                )
-                for j in range(nmeas)
-            ]
-        if self.filter_order == 2:
-            out += [
-                Parameter(name=f"damping{j + 1}", start=0.7, size=1.0, positive=True, lower=0.02, upper=50.0)
-                for j in range(nmeas)
-            ]
-        if self.filter_zero:
-            out += [
-                Parameter(
-                    name=f"zero{j + 1}", start=2.0 * rate, size=1.0, positive=True, lower=1e-3 * rate, upper=1e5 * rate
-                )
-                for j in range(nmeas)
-            ]
-        return tuple(out)
-
-    def block(self, p: FloatArray, nmeas: int, ncon: int) -> SlopedBlock:
-        """Return one chain of states for every measurement, and the gains that read them."""
-        P, integral, D = self._masks(nmeas, ncon)
-        n = len(p)
-        counts = np.cumsum([P.sum(), integral.sum(), D.sum()])
-        firsts = (0, *counts[:2])
-        gains = [_filled(mask, p, int(first), n) for mask, first in zip((P, integral, D), firsts, strict=True)]
-        frequency, damping = int(counts[2]), int(counts[2]) + nmeas
-        chains = [
-            self._chain(p, j, (frequency + j, damping + j, damping + nmeas + j), bool(integral[:, j].any()))
-            for j in range(nmeas)
-        ]
-        A = constant(np.zeros((sum(len(c[0].at) for c in chains),) * 2), n)
-        size = len(A.at)
-        B, rows = constant(np.zeros((size, nmeas)), n), constant(np.zeros((3 * nmeas, size)), n)
-        direct = constant(np.zeros((3 * nmeas, nmeas)), n)
-        at = 0
-        for j, (a, b, c, d) in enumerate(chains):
-            here = slice(at, at + len(a.at))
-            at += len(a.at)
-            for whole, part, i, k in (
-                (A, a, here, here),
-                (B, b, here, slice(j, j + 1)),
-                (rows, c, slice(j, 3 * nmeas, nmeas), here),
-                (direct, d, slice(j, 3 * nmeas, nmeas), slice(j, j + 1)),
-            ):
-                whole.at[i, k] = part.at
-                whole.slope[i, k] = part.slope
-        together = Sloped(np.hstack([g.at for g in gains]), np.concatenate([g.slope for g in gains], axis=1))
-        return SlopedBlock(A, B, together @ rows, together @ direct)
-
-    def _chain(
-        self, p: FloatArray, j: int, places_in_p: tuple[int, int, int], integral: bool
-    ) -> tuple[Sloped, Sloped, Sloped, Sloped]:
-        """Return the states behind measurement j and the rows [proportional, integral, derivative] that read them."""
-        n = len(p)
-        frequency, damping, zero = places_in_p
-        degree = self.filter_order
-        through = None
-        if self.seen_through is not None:
-            through = tuple(float(np.asarray(item, dtype=np.float64)[j]) for item in self.seen_through)
-        states = degree + (1 if through or integral else 0)
-        A, B = constant(np.zeros((states, states)), n), constant(np.zeros((states, 1)), n)
-        C, D = constant(np.zeros((3, states)), n), constant(np.zeros((3, 1)), n)
-        w = float(p[frequency]) if degree else 0.0
-        # The filter's states come first, what stands before or behind it last.
-        # Its input is y, or q = y/(gain s + rate) with q' = (y - rate q)/gain: then everything is one integral further.
-        last = states - 1
-        shift = 0
-        if through:
-            gain, rate = through
-            A.at[last, last], B.at[last, 0] = -rate / gain, 1.0 / gain
-            shift = 1
-        if degree == 0:
-            D.at[0, 0] = 1.0
-            if integral:
-                B.at[last, 0], C.at[1, last] = 1.0, 1.0
-            return A, B, C, D
-
-        def fed(row: int, factor: float, slope: dict[int, float], into_A: Sloped, into_B: Sloped) -> None:
-            """Add factor times the filter's input to a row."""
-            target, column = (into_A, last) if through else (into_B, 0)
-            target.at[row, column] += factor
-            for k, one in slope.items():
-                target.slope[row, column, k] += one
-
-        if degree == 1:
-            A.at[0, 0], A.slope[0, 0, frequency] = -w, -1.0
-            fed(0, w, {frequency: 1.0}, A, B)
-        else:
-            z = float(p[damping])
-            A.at[0, 1] = 1.0
-            A.at[1, 0], A.slope[1, 0, frequency] = -w * w, -2.0 * w
-            A.at[1, 1] = -2.0 * z * w
-            A.slope[1, 1, frequency], A.slope[1, 1, damping] = -2.0 * z, -2.0 * w
-            fed(1, w * w, {frequency: 2.0 * w}, A, B)
-        # Rows of C, D: filtered signal x, its first and its second derivative; x stands for P, or for I when shifted.
-        places = (1, 0, 2) if shift else (0, 2, None)
-        C.at[places[0], 0] = 1.0
-        first = constant(np.zeros((1, states)), n), constant(np.zeros((1, 1)), n)
-        if degree == 2:
-            first[0].at[0, 1] = 1.0
-        else:
-            first[0].at[0], first[0].slope[0] = A.at[0], A.slope[0]
-            first[1].at[0], first[1].slope[0] = B.at[0], B.slope[0]
-        C.at[places[1]], C.slope[places[1]] = first[0].at[0], first[0].slope[0]
-        D.at[places[1]], D.slope[places[1]] = first[1].at[0], first[1].slope[0]
-        if places[2] is not None:
-            second = first[0] @ A, first[0] @ B
-            C.at[places[2]], C.slope[places[2]] = second[0].at[0], second[0].slope[0]
-            D.at[places[2]], D.slope[places[2]] = second[1].at[0], second[1].slope[0]
-        elif integral:
-            A.at[last, 0], C.at[1, last] = 1.0, 1.0
-        if self.filtered == "derivative":
-            self._unfilter(A, B, C, D, through, integral)
-        if self.filter_zero:
-            return A, B, *_with_zero(A, B, C, float(p[zero]), zero)
-        return A, B, C, D
-
-    @staticmethod
-    def _unfilter(
-        A: Sloped, B: Sloped, C: Sloped, D: Sloped, through: tuple[float, ...] | None, integral: bool
-    ) -> None:
-        """Let the rows of P and I read the measurement itself."""
-        last = len(A.at) - 1
-        for m in (C, D):
-            m.at[:2], m.slope[:2] = 0.0, 0.0
-        if through:
-            gain, rate = through
-            C.at[0, last], D.at[0, 0], C.at[1, last] = -rate / gain, 1.0 / gain, 1.0
-            return
-        D.at[0, 0] = 1.0
-        if integral:
-            A.at[last], A.slope[last] = 0.0, 0.0
-            B.at[last, 0], C.at[1, last] = 1.0, 1.0
-
-
-def _with_zero(A: Sloped, B: Sloped, C: Sloped, z: float, place: int) -> tuple[Sloped, Sloped]:
-    """Return C and D of the rows (s/z + 1) C (sI − A)⁻¹ B; z is parameter number `place`."""
-    CA, CB = C @ A, C @ B
-    at, slope = C.at + CA.at / z, C.slope + CA.slope / z
-    slope[:, :, place] -= CA.at / z**2
-    direct = CB.slope / z
-    direct[:, :, place] -= CB.at / z**2
-    return Sloped(at, slope), Sloped(CB.at / z, direct)
 
 
 @input_value
@@ -595,21 +359,12 @@ class Lead(Structure):
             for j in range(nmeas)
         )
 
-    def block(self, p: FloatArray, nmeas: int, ncon: int) -> SlopedBlock:
+    def block(self, p: FloatArray, nmeas: int, ncon: int) -> StateArrays:
         """Return the diagonal block."""
-        n = len(p)
-        zero, pole = p[:nmeas], p[nmeas:]
-        A, B, C, D = (constant(np.zeros((nmeas, nmeas)), n) for _ in range(4))
-        for j in range(nmeas):
-            z, q = float(zero[j]), float(pole[j])
-            # (s/z + 1)/(s/q + 1) = q/z + q (1 − q/z)/(s + q)
-            A.at[j, j], A.slope[j, j, nmeas + j] = -q, -1.0
-            B.at[j, j], B.slope[j, j, nmeas + j] = q, 1.0
-            C.at[j, j] = 1.0 - q / z
-            C.slope[j, j, j], C.slope[j, j, nmeas + j] = q / z**2, -1.0 / z
-            D.at[j, j] = q / z
-            D.slope[j, j, j], D.slope[j, j, nmeas + j] = -q / z**2, 1.0 / z
-        return SlopedBlock(A, B, C, D)
+        zeros_at, poles_at = np.split(p, 2, axis=-1)
+        pole, ratio = (number[..., None] * np.eye(nmeas) for number in (poles_at, poles_at / zeros_at))
+        # (s/z + 1)/(s/q + 1) = q/z + q (1 − q/z)/(s + q)
+        return StateArrays(-pole, pole, np.eye(nmeas) - ratio, ratio)
 
 
 @input_value
@@ -638,23 +393,17 @@ class Notch(Structure):
             for j in range(nmeas)
         )
 
-    def block(self, p: FloatArray, nmeas: int, ncon: int) -> SlopedBlock:
+    def block(self, p: FloatArray, nmeas: int, ncon: int) -> StateArrays:
         """Return the diagonal block, two states a signal."""
-        n, m = len(p), nmeas
-        A, B = constant(np.zeros((2 * m, 2 * m)), n), constant(np.zeros((2 * m, m)), n)
-        C, D = constant(np.zeros((m, 2 * m)), n), constant(np.eye(m), n)
-        for j in range(m):
-            f, depth, width = (float(p[k * m + j]) for k in range(3))
-            i = 2 * j
-            # States in units of f: x1' = f x2, x2' = f (y − x1 − 2 width x2);  out = y + 2 width (depth − 1) x2.
-            A.at[i, i + 1], A.slope[i, i + 1, j] = f, 1.0
-            A.at[i + 1, i], A.slope[i + 1, i, j] = -f, -1.0
-            A.at[i + 1, i + 1] = -2.0 * width * f
-            A.slope[i + 1, i + 1, j], A.slope[i + 1, i + 1, 2 * m + j] = -2.0 * width, -2.0 * f
-            B.at[i + 1, j], B.slope[i + 1, j, j] = f, 1.0
-            C.at[j, i + 1] = 2.0 * width * (depth - 1.0)
-            C.slope[j, i + 1, m + j], C.slope[j, i + 1, 2 * m + j] = 2.0 * width, 2.0 * (depth - 1.0)
-        return SlopedBlock(A, B, C, D)
+        m = nmeas
+        f, depth, width = np.split(p, 3, axis=-1)
+        A, B, C, D = zeros(p, 2 * m, 2 * m), zeros(p, 2 * m, m), zeros(p, m, 2 * m), zeros(p, m, m)
+        k = np.arange(m)
+        first, second = 2 * k, 2 * k + 1
+        # States in units of f: x1' = f x2, x2' = f (y − x1 − 2 width x2);  out = y + 2 width (depth − 1) x2.
+        A[..., first, second], A[..., second, first], A[..., second, second] = f, -f, -2.0 * width * f
+        B[..., second, k], C[..., k, second], D[..., k, k] = f, 2.0 * width * (depth - 1.0), 1.0
+        return StateArrays(A, B, C, D)
 
 
 @input_value
@@ -694,16 +443,94 @@ class Series(Structure):
             raise ArgumentError(f"Series: two parameters are called {twice[0]!r}; expected blocks of different names")
         return tuple(out)
 
-    def block(self, p: FloatArray, nmeas: int, ncon: int) -> SlopedBlock:
+    def block(self, p: FloatArray, nmeas: int, ncon: int) -> StateArrays:
         """Return the blocks in series."""
         units = Units(gain=np.ones((ncon, nmeas)), rate=1.0)
-        made: SlopedBlock | None = None
-        at = 0
+        out = StateArrays(
+            zeros(p, 0, 0), zeros(p, 0, nmeas), zeros(p, nmeas, 0), zeros(p, nmeas, nmeas) + np.eye(nmeas)
+        )
         for k, one in enumerate(self.blocks):
             outputs = ncon if k == len(self.blocks) - 1 else nmeas
             count = len(one.parameters(nmeas, outputs, units))
-            part = one.block(p[at : at + count], nmeas, outputs)
-            at += count
-            made = part if made is None else in_series(made, part)
-        assert made is not None
-        return made
+            a, b, c, d, _ = one.block(p[..., :count], nmeas, outputs)
+            A = np.block([[out.A, zeros(p, out.A.shape[-1], a.shape[-1])], [b @ out.C, a]])
+            B, C = np.concatenate([out.B, b @ out.D], axis=-2), np.concatenate([d @ out.C, c], axis=-1)
+            out, p = StateArrays(A, B, C, d @ out.D), p[..., count:]
+        return out
+
+
+@value
+class Sampled(Structure):
+    """A structure by Tustin's rule, in other directions: u = basisᵀ K basis y, states as the trapezium rule has them.
+
+    Attributes
+    ----------
+    inner
+        In the w-plane, in the directions that the rows of `basis` are.
+    period
+        s.
+    basis : (n, n)
+        Orthogonal.
+    """
+
+    inner: Structure
+    period: float
+    basis: FloatArray
+
+    @property
+    def given(self) -> Given:
+        """Everything that was given for the structure inside."""
+        return self.inner.given
+
+    def parameters(self, nmeas: int, ncon: int, units: Units) -> tuple[Parameter, ...]:
+        """Return those of the structure inside."""
+        return self.inner.parameters(nmeas, ncon, units)
+
+    def block(self, p: FloatArray, nmeas: int, ncon: int) -> StateArrays:
+        """Return the sampled block."""
+        A, B, C, D, _ = self.inner.block(p, nmeas, ncon)
+        half, eye = 0.5 * self.period, np.eye(A.shape[-1])
+        inverse = np.linalg.inv(eye - half * A)
+        into, out = inverse @ B @ self.basis, self.basis.T @ C
+        direct = self.basis.T @ D @ self.basis + half * out @ into
+        return StateArrays(inverse @ (eye + half * A), self.period * into, out @ inverse, direct, self.period)
+
+
+@value
+class Named(Structure):
+    """A controller that a function builds from positive numbers with names, as the classical design does.
+
+    Attributes
+    ----------
+    build
+        Numbers by name → A, B, C, D; real numbers alone, smooth in them.
+    values
+        All numbers. What is not to be moved is held by `fixed`.
+    largest
+        Upper bounds of some.
+    """
+
+    build: Callable[[dict[str, float]], StateArrays]
+    values: Mapping[str, float]
+    largest: Mapping[str, float]
+
+    def parameters(self, nmeas: int, ncon: int, units: Units) -> tuple[Parameter, ...]:
+        """Return the numbers."""
+        return tuple(
+            Parameter(name=name, start=number, size=1.0, positive=True, lower=0.0, upper=self.largest.get(name, np.inf))
+            for name, number in self.values.items()
+        )
+
+    def block(self, p: FloatArray, nmeas: int, ncon: int) -> StateArrays:
+        """Return what the function builds."""
+        return self.build(dict(zip(self.values, map(float, p), strict=True)))
+
+    def slopes(self, p: FloatArray, nmeas: int, ncon: int) -> FloatArray:
+        """Return the derivatives by central differences: the function takes real numbers alone."""
+        out = []
+        for k, number in enumerate(p):
+            high, low = (p.copy() for _ in range(2))
+            high[k], low[k] = number * np.exp(_STEP), number * np.exp(-_STEP)
+            change = joined(self.block(high, nmeas, ncon)) - joined(self.block(low, nmeas, ncon))
+            out.append(change / (2.0 * _STEP * number))
+        return np.stack(out, axis=-1)
