@@ -11,21 +11,32 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from platform_ctrl.analysis.arrays import StateArrays
-from platform_ctrl.app import processes
+from platform_ctrl.app.background import IsCancelled, Progress, ServoTuning, Simulating, TaskRunner, Tuning, run_alone
 from platform_ctrl.app.caged import caged_parts
 from platform_ctrl.app.closed_loops import ClosedLoops
 from platform_ctrl.app.controllers import built_directly
+from platform_ctrl.app.curves import Measured, Parts
 from platform_ctrl.app.designs import Designs, never, silent
-from platform_ctrl.app.drag_setup import free_parameters, limits_of
 from platform_ctrl.app.dragging import NO_LIMITS, DragResult, FreeParameters, Limits, dragged_crossover, dragged_pole
-from platform_ctrl.app.influence import caged_influence, moved_slider, stabilised_influence
-from platform_ctrl.app.parts import Measured, Parts
 from platform_ctrl.app.pictures import Drawing, Drawn, Influence, Overlay, Picture
-from platform_ctrl.app.process_tasks import ServoTuning, Simulating, Tuning
-from platform_ctrl.app.processes import IsCancelled, Progress
 from platform_ctrl.app.saving import Saved, controllers_beside, write_job
-from platform_ctrl.app.settings import Choices, Part, Settings, Slider
-from platform_ctrl.app.sliders import moved, option_sliders, plant_sliders, with_options
+from platform_ctrl.app.settings import (
+    Choices,
+    Part,
+    Settings,
+    Slider,
+    moved,
+    option_sliders,
+    plant_sliders,
+    with_options,
+)
+from platform_ctrl.app.slider_effects import (
+    caged_influence,
+    free_parameters,
+    limits_of,
+    moved_slider,
+    stabilised_influence,
+)
 from platform_ctrl.app.stabilised import stabilised_parts
 from platform_ctrl.common.arguments import known_name, whole
 from platform_ctrl.common.signatures import short
@@ -62,7 +73,7 @@ class Backend:
             controllers = controllers_beside(self.path)
         self._loops = ClosedLoops(self.read, None if controllers is None else Path(controllers))
         self._designs = Designs(self._loops)
-        self._simulator = processes.PersistentProcess()
+        self._simulator = TaskRunner()
 
     def close(self) -> None:
         """End the processes that design and simulate."""
@@ -335,9 +346,9 @@ class Backend:
                 design=design.name,
                 movable=free,
                 options=options,
-                caging=tuple((o.controller, o.inputs, o.outputs, o.loop) for o in others),
+                caging=tuple(one.named(one.loop) for one in others),
             )
-        found: dict[str, float] = processes.run_in_process(task, progress, cancelled)
+        found: dict[str, float] = run_alone(task, progress, cancelled)
         # Six digits: more would not be read, and no requirement hangs on them.
         return with_options(settings, {name: float(f"{found[name]:.6g}") for name in free})
 
@@ -437,7 +448,7 @@ class Backend:
         task = Simulating(
             job=self.job(settings),
             manoeuvre=manoeuvre,
-            controllers=tuple((o.controller, o.inputs, o.outputs, f"{o.loop}, {o.design}") for o in saved),
+            controllers=tuple(one.named(f"{one.loop}, {one.design}") for one in saved),
         )
         trajectory: Trajectory = self._simulator.run(task, silent, cancelled)
         return trajectory

@@ -20,14 +20,6 @@ from platform_ctrl.analysis.poles import continuous_poles, minimum_damping
 from platform_ctrl.analysis.resolvent import ON_A_GRID
 from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.app.curves import (
-    channel_response,
-    degrees,
-    gain_locus,
-    held_responses,
-    round_up,
-    sample_times,
-)
-from platform_ctrl.app.parts import (
     EDGE,
     GRID_POINTS,
     POINTS,
@@ -36,8 +28,14 @@ from platform_ctrl.app.parts import (
     Measured,
     Parts,
     channel_margins,
+    channel_response,
+    degrees,
     frequency_parts,
+    gain_locus,
+    held_responses,
     locus,
+    round_up,
+    sample_times,
     settling,
     step_size,
     time_response,

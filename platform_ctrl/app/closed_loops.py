@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any
 from platform_ctrl.analysis.arrays import StateArrays, named_system, state_arrays
 from platform_ctrl.analysis.loop_metrics import LoopMetrics
 from platform_ctrl.analysis.sampled import from_w_plane, to_w_plane
+from platform_ctrl.app.background import Made
 from platform_ctrl.app.caged import CagedLoop, KeptMeasures
 from platform_ctrl.app.controllers import DesignOptions, built_directly, classical_arrays
 from platform_ctrl.app.free_plants import StabilisedLoop
 from platform_ctrl.app.plants import Bounded, JobPlants
-from platform_ctrl.app.process_tasks import Made
 from platform_ctrl.app.saving import SavedController
 from platform_ctrl.app.settings import Conditions, Settings
 from platform_ctrl.common.arguments import known_name

@@ -9,8 +9,7 @@ import numpy as np
 
 from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.app.plants import JobPlants
-from platform_ctrl.app.settings import Settings
-from platform_ctrl.app.sliders import lowest_rate
+from platform_ctrl.app.settings import Settings, lowest_rate
 from platform_ctrl.design.classical.caging import classical_controller, starting_values
 from platform_ctrl.design.loop import LoopProblem, designed
 from platform_ctrl.design.partition import Channels

@@ -8,12 +8,11 @@ from collections.abc import Callable, Hashable
 
 import numpy as np
 
-from platform_ctrl.app import processes
+from platform_ctrl.app.background import Designing, IsCancelled, Progress, run_alone
 from platform_ctrl.app.caged import CagedLoop, caged_overlay
 from platform_ctrl.app.closed_loops import ClosedLoops
 from platform_ctrl.app.controllers import built_directly
 from platform_ctrl.app.pictures import Overlay
-from platform_ctrl.app.process_tasks import Designing
 from platform_ctrl.app.settings import Settings
 from platform_ctrl.app.stabilised import stabilised_overlay
 from platform_ctrl.common.arguments import known_name
@@ -151,15 +150,15 @@ class Designs:
         self,
         settings: Settings,
         design: str | None,
-        progress: processes.Progress = silent,
-        cancelled: processes.IsCancelled = never,
+        progress: Progress = silent,
+        cancelled: IsCancelled = never,
     ) -> Settings:
         """Have a design made in a process of its own, unless it is there, and return the settings that show it."""
         loops = self._loops
         spec, own = loops.design(settings if design is None else settings.but(design=design))
         if not self.is_available(settings, own.name):
             task = Designing(job=loops.job(settings), loop=spec.name, design=own.name)
-            made = processes.run_in_process(task, progress, cancelled)
+            made = run_alone(task, progress, cancelled)
             loops.store.put(spec.name, own.name, loops.conditions(settings, spec, own), made)
         return loops.designed_for_these(settings, spec, own)
 
@@ -177,7 +176,7 @@ class Designs:
             return loops.caged(settings)
 
         def wanted() -> str:
-            def make(cancelled: processes.IsCancelled) -> None:
+            def make(cancelled: IsCancelled) -> None:
                 self.make(loops.at(settings, spec, design, conditions), None, cancelled=cancelled)
 
             return self._queue.request(spec.name, design.name, conditions, make)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from platform_ctrl.analysis.arrays import StateArrays
+from platform_ctrl.app.background import NamedController
 from platform_ctrl.app.controllers import ALWAYS
 from platform_ctrl.app.settings import Settings
 from platform_ctrl.common.files import write_whole
@@ -41,6 +42,10 @@ class SavedController:
     outputs: tuple[str, ...]
     options: dict[str, float]
     note: str = ""
+
+    def named(self, name: str) -> NamedController:
+        """Return it under a name, for a task in another process."""
+        return NamedController(controller=self.controller, inputs=self.inputs, outputs=self.outputs, name=name)
 
 
 @value

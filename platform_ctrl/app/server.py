@@ -201,7 +201,7 @@ def require_bokeh() -> None:
 
 
 def _page() -> Make:
-    from platform_ctrl.app.page.document import page
+    from platform_ctrl.app.page.session import page
 
     made: Make = page
     return made

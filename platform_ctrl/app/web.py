@@ -46,8 +46,6 @@ LINGER = 15_000
 LOOK = 2_000
 # What a browser says when a page is closed or left.
 _LEFT = (1000, 1001)
-# Folders inside the package from which the pages' own files come, by the first part of their address.
-PARTS = {"page": "platform_ctrl.app.page", "tree3d": "platform_ctrl.app.tree3d"}
 KINDS = {
     "css": "text/css; charset=utf-8",
     "js": "text/javascript; charset=utf-8",
@@ -55,7 +53,7 @@ KINDS = {
     "txt": "text/plain; charset=utf-8",
     "woff2": "font/woff2",
 }
-_FILE = re.compile(rf"/(?P<part>{'|'.join(PARTS)})/(?P<name>[\w-][\w.-]*\.(?P<kind>{'|'.join(KINDS)}))")
+_FILE = re.compile(rf"/page/(?P<name>[\w-][\w.-]*\.(?P<kind>{'|'.join(KINDS)}))")
 # The two scripts that Bokeh writes into a page. Any other, whoever managed to put it there, does not run.
 _BOKEH_SCRIPT = re.compile(r"<script>(?=\s*(?:Bokeh\.set_log_level\(|\(function\(\) \{\s*const fn = function\(\) \{))")
 # Among a document's variables: the line that says why it could not be filled.
@@ -121,7 +119,7 @@ class PageApplication(BokehTornado):
             return by(Piece, kind="svg", data=_ICON.encode())
         file = _FILE.fullmatch(path)
         if file is not None:
-            data = self._file(file["part"], file["name"])
+            data = self._file(file["name"])
             return by(Line) if data is None else by(Piece, kind=file["kind"], data=data)
         if path.startswith("/static/js/") and path.endswith(".js"):
             return self.get_handler_delegate(request, StaticHandler, {}, path_args=[path[len("/static/") :].encode()])
@@ -160,14 +158,13 @@ class PageApplication(BokehTornado):
         self.io_loop.add_callback(self._cleanup_sessions)
         return True
 
-    def _file(self, part: str, name: str) -> bytes | None:
-        key = f"{part}/{name}"
-        if key not in self.files:
+    def _file(self, name: str) -> bytes | None:
+        if name not in self.files:
             try:
-                self.files[key] = (resources.files(PARTS[part]) / "assets" / name).read_bytes()
-            except (OSError, ModuleNotFoundError):
+                self.files[name] = (resources.files("platform_ctrl.app.page") / "assets" / name).read_bytes()
+            except OSError:
                 return None
-        return self.files[key]
+        return self.files[name]
 
 
 class Together(ServerConnection):

@@ -131,7 +131,7 @@ class TaskProcess:
         try:
             while True:
                 self._results.put((self, pickle.load(self.process.stdout)))
-        except (OSError, EOFError, ValueError, pickle.UnpicklingError):
+        except Exception:  # whatever a broken pickle raises: the waiting side has to know
             self._results.put((self, None))
 
     def _wait(self, limit: float) -> Any:
@@ -160,6 +160,16 @@ def next_result(
                 raise ProcessTimeout from None
 
 
+# Inside a process: writes a result.
+_write_result: Callable[[object], None] | None = None
+
+
+def send_early(result: object) -> None:
+    """Send a result before the task is done; called by a function that a `TaskProcess` runs."""
+    assert _write_result is not None
+    _write_result(result)
+
+
 def serve() -> None:
     """Work on the tasks of standard input until it ends, which it also does when the other process is gone."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -176,9 +186,13 @@ def serve() -> None:
         except BaseException:
             os._exit(1)
 
-    threading.Thread(target=read, daemon=True).start()
-    result: object = Started()
-    while True:
+    def write(result: object) -> None:
         pickle.dump(result, results, pickle.HIGHEST_PROTOCOL)
         results.flush()
-        result = function(*arguments, tasks.get())
+
+    global _write_result
+    _write_result = write
+    threading.Thread(target=read, daemon=True).start()
+    write(Started())
+    while True:
+        write(function(*arguments, tasks.get()))

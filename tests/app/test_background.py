@@ -9,7 +9,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from platform_ctrl.app.processes import PersistentProcess, TaskCancelled
+from platform_ctrl.app.background import TaskCancelled, TaskRunner
 from platform_ctrl.errors import ArgumentError, DesignError
 from questions import Dying, Sleeping, Who
 
@@ -31,13 +31,13 @@ def gone(process: int) -> bool:
 
 
 @pytest.fixture(scope="module")
-def resident() -> Iterator[PersistentProcess]:
-    made = PersistentProcess()
+def resident() -> Iterator[TaskRunner]:
+    made = TaskRunner()
     yield made
     made.end()
 
 
-def test_the_process_stays_for_the_next_question_also_after_a_refusal(resident: PersistentProcess) -> None:
+def test_the_process_stays_for_the_next_question_also_after_a_refusal(resident: TaskRunner) -> None:
     first = resident.run(Who(), silent, never)
     assert first != os.getpid()
     with pytest.raises(ArgumentError, match="expected sense"):
@@ -46,7 +46,7 @@ def test_the_process_stays_for_the_next_question_also_after_a_refusal(resident: 
 
 
 def test_a_question_that_is_cancelled_ends_the_process_and_the_next_one_has_another(
-    resident: PersistentProcess,
+    resident: TaskRunner,
 ) -> None:
     first = resident.run(Who(), silent, never)
     told: list[str] = []
@@ -59,7 +59,7 @@ def test_a_question_that_is_cancelled_ends_the_process_and_the_next_one_has_anot
     assert resident.run(Who(), silent, never) not in (first, os.getpid())
 
 
-def test_nothing_is_left_once_nobody_asks_any_more(resident: PersistentProcess) -> None:
+def test_nothing_is_left_once_nobody_asks_any_more(resident: TaskRunner) -> None:
     process = resident.run(Who(), silent, never)
     asleep, ended = threading.Event(), []
 
@@ -81,7 +81,7 @@ def test_nothing_is_left_once_nobody_asks_any_more(resident: PersistentProcess) 
 
 
 def test_a_process_ends_with_whom_it_works_for() -> None:
-    resident = PersistentProcess()
+    resident = TaskRunner()
     process = resident.run(Who(), silent, never)
     del resident
     assert gone(process)

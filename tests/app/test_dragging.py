@@ -25,7 +25,7 @@ from tornado.ioloop import IOLoop
 from browser import Screen, chromium, screen
 from designer_pictures import picture
 from platform_ctrl.app.plots import Plots
-from platform_ctrl.app.plots.dragging import LATE, REST
+from platform_ctrl.app.plots.handles import LATE, REST
 
 HZ = 1.0 / (2.0 * np.pi)
 browser = pytest.fixture(scope="module")(chromium)

@@ -21,10 +21,9 @@ pytest.importorskip("tomlkit")
 from bokeh.document import Document
 
 from platform_ctrl.app.backend import Backend
-from platform_ctrl.app.page.changes import LatestTasks, chosen
-from platform_ctrl.app.page.requests import REQUESTS, parse_request
+from platform_ctrl.app.page.messages import REQUESTS, chosen, parse_request
 from platform_ctrl.app.page.session import Session
-from platform_ctrl.app.page.tasks import check_line, target
+from platform_ctrl.app.page.tasks import LatestTasks, check_line, target
 from platform_ctrl.cli import main
 from platform_ctrl.errors import InputError, PlatformCtrlError
 from questions import Sleeping
@@ -599,7 +598,7 @@ def test_a_page_refuses_nonsense_over_its_websocket_and_goes_on(page: Page) -> N
 def test_a_link_opens_the_same_state_and_a_page_that_is_closed_leaves_nothing_behind(
     browser: Browser, server: PageServer, page: Page, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from platform_ctrl.app.page import document as page_app
+    from platform_ctrl.app.page import session as page_app
 
     kept: list[weakref.ref[Any]] = []
 

@@ -21,9 +21,8 @@ from bokeh.protocol import Protocol
 from designer_pictures import DAMPING, broken, empty, picture
 from platform_ctrl.app.pictures import Picture
 from platform_ctrl.app.plots import Plots
+from platform_ctrl.app.plots.data import Unit, View, colours, nice, quantity
 from platform_ctrl.app.plots.locus import rounded
-from platform_ctrl.app.plots.sources import Unit, colours, quantity
-from platform_ctrl.app.plots.views import View, nice
 
 HZ = 1.0 / (2.0 * np.pi)
 

@@ -20,7 +20,7 @@ from hypothesis import strategies as st
 from one_gyro_job import JOB as ONE
 from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.app.backend import Backend
-from platform_ctrl.app.processes import TaskCancelled
+from platform_ctrl.app.background import TaskCancelled
 from platform_ctrl.app.settings import Settings
 from platform_ctrl.app.url_state import decode_state, encode_state, judged
 from platform_ctrl.cli import main

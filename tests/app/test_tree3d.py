@@ -20,7 +20,7 @@ from platform_ctrl.plant.source import shipped_models
 
 pytest.importorskip("bokeh")
 
-from platform_ctrl.app.tree3d.scene import SAMPLES, TreeView, columns, scene
+from platform_ctrl.app.gimbal_tree import SAMPLES, TreeView, columns, scene
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 browser = pytest.fixture(scope="module")(chromium)
 
 TEMPLATE = """{% from macros import embed %}<!doctype html><html lang="en"><head><title>tree</title>
-<script type="module" src="/tree3d/tree.js"></script>{{ bokeh_js|safe }}</head>
+<script type="module" src="/page/tree.js"></script>{{ bokeh_js|safe }}</head>
 <body><div style="position: relative; width: 500px; height: 400px">{{ embed(roots.tree)|safe }}</div>
 {{ plot_script|safe }}</body></html>"""
 

@@ -31,7 +31,7 @@ from refused_command import refused
 pytest.importorskip("bokeh")
 
 from platform_ctrl.app.backend import Backend
-from platform_ctrl.app.page.document import page
+from platform_ctrl.app.page.session import page
 from platform_ctrl.app.server import PORT
 
 if TYPE_CHECKING:
@@ -147,7 +147,7 @@ def test_another_port_than_the_usual_one_is_said(job: Path) -> None:
 
 def test_the_page_is_loaded_without_what_compiles_draws_or_solves() -> None:
     script = (
-        "import sys, platform_ctrl.app.page.document, platform_ctrl.app.server, platform_ctrl.app.backend;"
+        "import sys, platform_ctrl.app.page.session, platform_ctrl.app.server, platform_ctrl.app.backend;"
         "print(sorted({'numba', 'cvxpy', 'control', 'sympy', 'matplotlib'} & set(sys.modules)))"
     )
     run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)

@@ -18,8 +18,8 @@ from platform_ctrl.analysis import PlantSet, StateArrays, measure
 from platform_ctrl.analysis.arrays import named_system, state_arrays
 from platform_ctrl.analysis.loop_metrics import measured
 from platform_ctrl.analysis.loop_set import LoopSet
-from platform_ctrl.app.free_measures import requirements
 from platform_ctrl.app.free_plants import StabilisedLoop, corners, free_models, free_plants
+from platform_ctrl.app.stabilised import requirements
 from platform_ctrl.cli import main
 from platform_ctrl.design.partition import notch, side_by_side
 from platform_ctrl.design.structured.descent import Search

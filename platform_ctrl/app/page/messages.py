@@ -1,16 +1,134 @@
-"""What is sent to a page: a picture's verdict, margins and requirements, and the settings, as plain data."""
+"""The messages between page and server as plain data: requests are checked, pictures and settings are written."""
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Iterable, Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from platform_ctrl.app.pictures import Influence, Margins, Picture
 from platform_ctrl.app.settings import Choices, Mode, Settings, Slider
+from platform_ctrl.common.arguments import known_name, known_names, whole
+from platform_ctrl.common.signatures import short
+from platform_ctrl.common.values import value
+from platform_ctrl.errors import InputError
 from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.job.methods import METHODS
 from platform_ctrl.report.quantities import BOUND, HZ, compared
+
+if TYPE_CHECKING:
+    from platform_ctrl.app.backend import Backend
+
+# Characters of a message, sliders moved by one, and the largest count of either.
+LONGEST = 20_000
+MOVES = 64
+LARGEST_COUNT = 2**53
+
+# Every request, and what belongs to it.
+REQUESTS: Mapping[str, Mapping[str, type]] = {
+    "ready": {},
+    "dark": {"dark": bool},
+    "move": {"moves": list, "gesture": int},
+    "fix": {"slider": str, "fixed": bool},
+    "free": {"free": bool},
+    "part": {"part": str, "on": bool},
+    "reset": {"slider": str},
+    "set": {"name": str, "value": object},
+    "undo": {},
+    "redo": {},
+    "tune": {},
+    "cancel": {},
+    "save": {"name": str, "overwrite": bool},
+    "simulate": {"manoeuvre": str},
+}
+_WORDS = {bool: "true or false", int: "a whole number", str: "a text", list: "a list"}
+
+
+@value
+class Request:
+    """A message of a page.
+
+    Attributes
+    ----------
+    count
+        The page's count of its messages; the answer names it.
+    what
+        One of `REQUESTS`.
+    more
+        What belongs to it, of the right types.
+    """
+
+    count: int
+    what: str
+    more: dict[str, Any]
+
+
+def parse_request(message: object) -> Request:
+    """Return a message of a page, judged."""
+    if not isinstance(message, str) or len(message) > LONGEST:
+        raise InputError(f"the page sent {short(message)}; expected a JSON text of at most {LONGEST} characters")
+    try:
+        read = json.loads(message, parse_constant=_no_constant)
+    except (ValueError, RecursionError):
+        raise InputError(f"the page sent {short(message)}; expected JSON with finite numbers") from None
+    what = read.get("what") if isinstance(read, dict) else None
+    if not isinstance(what, str) or what not in REQUESTS:
+        raise InputError(f"the page requested {short(what)}; expected one of {', '.join(REQUESTS)}")
+    more = {}
+    for name, kind in REQUESTS[what].items():
+        more[name] = _of_kind(f"{what}: {name}", read.get(name), kind)
+    if what == "move":
+        more["moves"] = tuple(_move(one) for one in _few(more["moves"]))
+    count = _of_kind(f"{what}: n", read.get("n"), int)
+    if not 0 <= count <= LARGEST_COUNT:
+        raise InputError(f"{what}: n: given {short(count)}; expected a count")
+    return Request(count=count, what=what, more=more)
+
+
+def request_count(message: object) -> int | None:
+    """Return the count of a message, also of one that makes no sense otherwise: it has to be answered."""
+    try:
+        read = json.loads(message) if isinstance(message, str) and len(message) <= LONGEST else None
+    except (ValueError, RecursionError):
+        return None
+    count = read.get("n") if isinstance(read, dict) else None
+    return count if isinstance(count, int) and not isinstance(count, bool) and 0 <= count <= LARGEST_COUNT else None
+
+
+def number(name: str, given: object) -> float:
+    """Return a finite number."""
+    try:
+        out = float(given) if isinstance(given, int | float) and not isinstance(given, bool) else math.nan
+    except OverflowError:
+        out = math.inf
+    if not math.isfinite(out):
+        raise InputError(f"{name}: given {short(given)}; expected a finite number")
+    return out
+
+
+def _of_kind(name: str, given: object, kind: type) -> Any:
+    if not isinstance(given, kind) or (kind is int and isinstance(given, bool)):
+        raise InputError(f"{name}: given {short(given)}; expected {_WORDS[kind]}")
+    return given
+
+
+def _few(moves: list[Any]) -> list[Any]:
+    if len(moves) > MOVES:
+        raise InputError(f"move: given {len(moves)} moves; expected at most {MOVES}")
+    return moves
+
+
+def _move(one: object) -> tuple[str, float]:
+    if not isinstance(one, dict):
+        raise InputError(f"move: given {short(one)}; expected a slider and its number")
+    slider = _of_kind("move: slider", one.get("slider"), str)
+    return slider, number(slider, one.get("value"))
+
+
+def _no_constant(text: str) -> float:
+    raise ValueError(text)
+
 
 # What a slider's value looked like before a page moved it; a start that no slider has is shown as none.
 Starts = Mapping[str, float]
@@ -179,3 +297,48 @@ def _decibels(margins: Margins, stable: bool) -> str | None:
     up = "∞" if math.isinf(margins.gain_up) else f"{20 * math.log10(margins.gain_up):.1f}"
     down = "−∞" if margins.gain_down <= 0.0 else f"{20 * math.log10(margins.gain_down):.1f}".replace("-", "−")
     return f"+{up} {down}" if margins.gain_up > 0.0 else None
+
+
+# What a page may choose from its lists.
+NAMES = ("mode", "loop", "design", "channel", "plant", "axis", "band", "overlays")
+
+
+def chosen(backend: Backend, settings: Settings, name: str, given: object, plants: tuple[str, ...]) -> Settings:
+    """Return the settings with something else chosen."""
+    choices = backend.choices()
+    known_name("choice", name, NAMES)
+    if name == "axis":
+        return settings.but(axis=whole("axis", given, 1, 3))
+    if name == "band":
+        if not isinstance(given, bool):
+            raise InputError(f"band: given {short(given)}; expected true or false")
+        return settings.but(band=given)
+    if name == "overlays":
+        others = [one for one in choices.designs[settings.loop] if one != settings.design]
+        if not isinstance(given, list):
+            raise InputError(f"overlays: given {short(given)}; expected a list of designs")
+        return settings.but(overlays=tuple(others[k] for k in known_names("overlays", given, others)))
+    text = _text(name, given)
+    if name == "loop":
+        return backend.chosen(settings, loop=text)
+    if name == "design":
+        return backend.chosen(settings, design=text)
+    if name == "channel":
+        known_name("channel", text, choices.channels[settings.loop])
+        return settings.but(channel=text)
+    if name == "plant":
+        known_name("plant", text, plants)
+        return settings.but(plant=text)
+    if text == settings.mode:
+        return settings
+    for loop in choices.loops:
+        other = backend.chosen(settings, loop=loop)
+        if other.mode == text:
+            return other
+    raise InputError(f"mode: given {short(given)}; expected one that this job has a loop for")
+
+
+def _text(name: str, given: object) -> str:
+    if not isinstance(given, str):
+        raise InputError(f"{name}: given {short(given)}; expected a text")
+    return given

@@ -1,20 +1,25 @@
-"""What one page is: its settings, their history, its plots, and what is being worked out for it."""
+"""One page: a Bokeh document with its settings, history, plots and running tasks."""
 
 from __future__ import annotations
 
+import json
 import threading
 from collections.abc import Callable
+from contextlib import suppress
+from functools import cache
 from typing import TYPE_CHECKING, Any
 
+from bokeh.core.properties import Any as AnyProperty
+from bokeh.core.properties import String
+from bokeh.model import DataModel
+
 from platform_ctrl.app.designs import DesignPending
+from platform_ctrl.app.gimbal_tree import TreeView
 from platform_ctrl.app.page import messages
-from platform_ctrl.app.page.changes import LatestTasks, chosen
-from platform_ctrl.app.page.connection import Connection
-from platform_ctrl.app.page.requests import Request, parse_request, request_count
-from platform_ctrl.app.page.tasks import PageTasks, error_text
+from platform_ctrl.app.page.messages import Request, chosen, parse_request, request_count
+from platform_ctrl.app.page.tasks import LatestTasks, PageTasks, error_text
 from platform_ctrl.app.plots import Plots
 from platform_ctrl.app.settings import History
-from platform_ctrl.app.tree3d.scene import TreeView
 from platform_ctrl.app.url_state import decode_state, encode_state
 from platform_ctrl.common.arguments import known_name
 from platform_ctrl.common.values import value
@@ -22,10 +27,57 @@ from platform_ctrl.errors import PlatformCtrlError
 
 if TYPE_CHECKING:
     from bokeh.document import Document
+    from jinja2 import Template
 
     from platform_ctrl.app.backend import Backend
     from platform_ctrl.app.pictures import Drawing, Picture
     from platform_ctrl.app.settings import Settings
+
+
+class MessageModel(DataModel):
+    """The last request of the page, and the last response to it."""
+
+    # Of any type: `requests.parse_request` refuses what is none, with a line.
+    request = AnyProperty(default="")
+    response = String(default="")
+
+
+class Connection:
+    """A page's end on the server; all but `later` runs on the server's loop while the document is locked."""
+
+    def __init__(self, document: Document) -> None:
+        self.document: Document | None = document
+        self.model = MessageModel(name="messages")
+        self._answered = 0
+
+    def close(self) -> None:
+        """Let go of the document: nothing is sent any more."""
+        self.document = None
+
+    def later(self, act: Callable[[], None]) -> None:
+        """Have something done on the server's loop; from any thread."""
+        document = self.document
+        if document is not None:
+            # Bokeh takes a document apart before it says that its page is gone.
+            with suppress(AttributeError):
+                document.add_next_tick_callback(lambda: None if self.document is None else act())
+
+    def soon(self, act: Callable[[], None], wait: int) -> None:
+        """Have something done on the server's loop after `wait` milliseconds, if the page is still there."""
+        document = self.document
+        if document is not None:
+            document.add_timeout_callback(lambda: None if self.document is None else act(), wait)
+
+    def say(self, text: str, kind: str = "quiet", count: int | None = None) -> None:
+        """Write the page's line: ``"quiet"``, ``"good"`` or ``"error"``."""
+        self.answer(count, line={"text": text, "kind": kind})
+
+    def answer(self, count: int | None = None, **parts: Any) -> None:
+        """Send parts of what the page shows, and up to which of its messages, by `count`, everything is done."""
+        self._answered = max(self._answered, count or 0)
+        content = {"n": self._answered, **parts}
+        self.model.update(response=json.dumps(content, allow_nan=False, separators=(",", ":")))
+
 
 # Milliseconds without a change after which the influence of the sliders is worked out.
 IDLE = 350
@@ -396,3 +448,44 @@ class Session:
         if self._idle is not None and self.connection.document is not None:
             self.connection.document.remove_timeout_callback(self._idle)
         self._idle = None
+
+
+# The plots in the order in which they stand, and what they are called to readers who do not see them.
+PANELS = (
+    ("bode", "Bode diagram"),
+    ("nichols", "Nichols plot"),
+    ("locus", "Root locus"),
+    ("step", "Step response"),
+    ("Omega", "Response to a disturbance"),
+)
+
+
+def page(backend: Backend, document: Document) -> None:
+    """Make a page of a new document: with a state of its own, which is dropped with the document's session."""
+    session = Session(backend, document, _state(document))
+    with document.models.freeze():  # what belongs to the document is looked for once, not for every plot
+        for root in session.roots():
+            document.add_root(root)
+    document.on_session_destroyed(session.close)
+    document.title = session.title
+    # A lost page says so itself, and is loaded again with its state: what the server knew of it may be gone.
+    document.config.update(reconnect_session=False, notify_connection_status=False)
+    document.template = _template()
+    document.template_variables.update(panels=PANELS)
+
+
+def _state(document: Document) -> str:
+    """Return the state that the page's address asks for, empty where it asks for none."""
+    context: Any = document.session_context
+    request = None if context is None else context.request
+    given: Any = {} if request is None else request.arguments
+    texts = given.get("state") or [b""]
+    return bytes(texts[0]).decode("utf-8", "replace")
+
+
+@cache
+def _template() -> Template:
+    from jinja2 import Environment, PackageLoader
+
+    loader = PackageLoader("platform_ctrl.app.page")
+    return Environment(loader=loader, autoescape=True, trim_blocks=True).get_template("page.html")

@@ -10,10 +10,9 @@ import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
-from platform_ctrl.app.page.messages import influence_data
-from platform_ctrl.app.page.requests import Request
+from platform_ctrl.app.page.messages import Request, influence_data
 from platform_ctrl.app.saving import controllers_beside
 from platform_ctrl.common.arguments import known_name
 from platform_ctrl.common.signatures import short
@@ -21,10 +20,10 @@ from platform_ctrl.errors import InputError, PlatformCtrlError
 
 if TYPE_CHECKING:
     from platform_ctrl.app.backend import Backend
-    from platform_ctrl.app.page.connection import Connection
+    from platform_ctrl.app.gimbal_tree import TreeView
+    from platform_ctrl.app.page.session import Connection
     from platform_ctrl.app.pictures import Picture
     from platform_ctrl.app.settings import Choices, Settings
-    from platform_ctrl.app.tree3d.scene import TreeView
 
 # A name and no path; nothing that a system keeps to itself.
 _NAME = re.compile(r"[\w .,()+=@-]+(?<![ .])")
@@ -276,3 +275,48 @@ class PageTasks:
                 self._connection.later(done)
 
         threading.Thread(target=run, name="page task", daemon=True).start()
+
+
+T = TypeVar("T")
+
+
+class LatestTasks(Generic[T]):
+    """Tasks that a thread works off; a newer task takes the place of one of the same key that still waits.
+
+    The thread lives as long as there is something to do.
+    """
+
+    def __init__(self, work: Callable[[list[T]], None]) -> None:
+        self._work = work
+        self._lock = threading.Lock()
+        self._waiting: dict[str, T] = {}
+        self._working = False
+        self._closed = False
+
+    def add(self, key: str, task: T) -> None:
+        """Have a task done; the one of the same key that waits is dropped."""
+        with self._lock:
+            if self._closed:
+                return
+            self._waiting.pop(key, None)
+            self._waiting[key] = task
+            if self._working:
+                return
+            self._working = True
+        threading.Thread(target=self._run, name="page", daemon=True).start()
+
+    def close(self) -> None:
+        """Drop what waits; nothing more is taken."""
+        with self._lock:
+            self._closed = True
+            self._waiting.clear()
+
+    def _run(self) -> None:
+        while True:
+            with self._lock:
+                if not self._waiting:
+                    self._working = False
+                    return
+                tasks = list(self._waiting.values())
+                self._waiting.clear()
+            self._work(tasks)

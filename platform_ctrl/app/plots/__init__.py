@@ -9,13 +9,11 @@ from bokeh.models import LayoutDOM
 
 from platform_ctrl.app.pictures import Drawing
 from platform_ctrl.app.plots.bode import BodePanel
+from platform_ctrl.app.plots.data import Sources, View, decades
 from platform_ctrl.app.plots.locus import LocusPanel
 from platform_ctrl.app.plots.nichols import NicholsPanel
 from platform_ctrl.app.plots.panel import Theme
-from platform_ctrl.app.plots.rate_response import RatePanel
-from platform_ctrl.app.plots.sources import Sources
-from platform_ctrl.app.plots.time_response import StepPanel
-from platform_ctrl.app.plots.views import View, decades
+from platform_ctrl.app.plots.responses import RatePanel, StepPanel
 
 
 class Plots:

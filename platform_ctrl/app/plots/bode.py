@@ -11,10 +11,19 @@ from bokeh.models import ColumnDataSource
 from bokeh.models.annotations.geometry import BoxAnnotation, Span
 
 from platform_ctrl.app.pictures import Bode, Drawing
-from platform_ctrl.app.plots.dragging import Drag
+from platform_ctrl.app.plots.data import (
+    LIMIT_DASHES,
+    Sources,
+    View,
+    column,
+    decibels,
+    extent,
+    finite,
+    inner_width,
+    stepped,
+)
+from platform_ctrl.app.plots.handles import Drag
 from platform_ctrl.app.plots.panel import Key, OverlayCurves, Panel, Theme, overlay_keys, tell
-from platform_ctrl.app.plots.sources import LIMIT_DASHES, Sources, column, decibels, extent, finite, inner_width
-from platform_ctrl.app.plots.views import View, stepped
 from platform_ctrl.common.values import FloatArray
 
 # Half the width of the bar, pixels: wide enough to be caught.

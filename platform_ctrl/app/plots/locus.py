@@ -13,12 +13,11 @@ from bokeh.models.annotations.geometry import BoxAnnotation, Span
 from platform_ctrl.analysis.arrays import ComplexArray
 from platform_ctrl.app.pictures import Drawing, Locus
 from platform_ctrl.app.plots.bode import HZ
-from platform_ctrl.app.plots.dragging import Drag
-from platform_ctrl.app.plots.panel import Panel, Theme, tell
-from platform_ctrl.app.plots.sources import (
+from platform_ctrl.app.plots.data import (
     FONT,
     LIMIT_DASHES,
     Sources,
+    View,
     column,
     inner_height,
     inner_width,
@@ -26,7 +25,8 @@ from platform_ctrl.app.plots.sources import (
     strung,
     thinned,
 )
-from platform_ctrl.app.plots.views import View
+from platform_ctrl.app.plots.handles import Drag
+from platform_ctrl.app.plots.panel import Panel, Theme, tell
 from platform_ctrl.common.values import FloatArray
 
 # Points that are put between the two gains, closer where the poles move fastest.

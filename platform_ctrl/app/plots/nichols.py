@@ -8,9 +8,8 @@ import numpy as np
 from bokeh.models.annotations.geometry import Span
 
 from platform_ctrl.app.pictures import Drawing, Nichols
+from platform_ctrl.app.plots.data import Column, Sources, View, column, decibels, extent, stepped, strung, thinned
 from platform_ctrl.app.plots.panel import OverlayCurves, Panel, Theme, overlay_keys, tell
-from platform_ctrl.app.plots.sources import Column, Sources, column, decibels, extent, strung, thinned
-from platform_ctrl.app.plots.views import View, stepped
 from platform_ctrl.common.values import FloatArray
 
 # Points of a thin line, plants that are drawn, points of a region's rim.

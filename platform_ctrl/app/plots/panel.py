@@ -34,11 +34,12 @@ from bokeh.models.widgets.markups import Div
 from bokeh.plotting import figure
 
 from platform_ctrl.app.pictures import Overlay
-from platform_ctrl.app.plots.sources import (
+from platform_ctrl.app.plots.data import (
     FONT,
     NORMAL,
     SMALL,
     Sources,
+    View,
     colours,
     column,
     dashes,
@@ -47,7 +48,6 @@ from platform_ctrl.app.plots.sources import (
     inner_width,
     series,
 )
-from platform_ctrl.app.plots.views import View
 from platform_ctrl.common.values import FloatArray
 
 # Key of a curve: words, name of its colour, dashes, width.

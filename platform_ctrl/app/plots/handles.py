@@ -1,4 +1,4 @@
-"""A handle's drag as it comes from the browser: thinned out in time, and the last place counts."""
+"""Handles on the plots that the mouse drags: the crossover and poles."""
 
 from __future__ import annotations
 

@@ -1,8 +1,4 @@
-"""A platform's bodies in space, each in its own axes: what the view in the browser turns. Nothing here draws.
-
-Frames, pins and discs are those of the report's view of the axes; here every body is a node of the tree, with the point
-about which it turns and the axis, so that one rotation of each node is all that moves.
-"""
+"""A platform's bodies in space, each in its own axes, for the view in the browser. Nothing here draws."""
 
 from __future__ import annotations
 
@@ -324,7 +320,7 @@ SAMPLES = 4000
 class TreeView:
     """The gimbal tree of a platform in 3-D, turning with a run once there is one.
 
-    The template has to load ``/tree3d/tree.js`` as a module.
+    The template has to load ``/page/tree.js`` as a module.
 
     Attributes
     ----------
