@@ -21,6 +21,8 @@ from platform_ctrl.errors import ArgumentError
 _BANDWIDTH = MetricRequest(kind="bandwidth")
 # Metrics that are kept for the nominal plant alone, and those that are kept for every plant.
 _OF_NOMINAL, _OF_ALL = ("bandwidth", "torque noise"), ("stability", "damping", "disk margin")
+# What `measure` measures without being asked for it.
+ALWAYS_MEASURED = ("stability", "bandwidth", "disk margin", "damping", "torque noise")
 
 _FIRST = np.zeros(1, dtype=np.intp)
 

@@ -68,7 +68,7 @@ class BaselineOptions:
             record = _record(self.file, before, passed=True, updated=made.written)
             return Outcome(None, f"baseline: {made.summary}", record)
         comparison = compare(result, self.baseline)
-        from platform_ctrl.report.failure_messages import failure_text, moved_text
+        from platform_ctrl.report.failures import failure_text, moved_text
 
         if comparison.passed:
             remove_plot(plot)

@@ -105,7 +105,7 @@ def check(
         outcome = comparison.outcome(result)  # last: nothing is accepted of which there is no report
         compared |= outcome.record or {}
         if junit is not None:
-            from platform_ctrl.report.junit import write_junit
+            from platform_ctrl.report.failures import write_junit
 
             write_junit(result, junit, comparison=outcome.comparison, baseline=str(baseline))
     for note in notes:

@@ -258,7 +258,7 @@ def design(
         result = checked(read, loops(read, say), say)
         show = write_report(result, out, as_json, say, ["design", str(job), "-o", str(out)], extras=extras)
         if junit is not None:
-            from platform_ctrl.report.junit import write_junit
+            from platform_ctrl.report.failures import write_junit
 
             write_junit(result, junit)
     return show()

@@ -142,11 +142,11 @@ def write_report(
     say(f"drawing the report: {folder / REPORT}")
     with written_together(folder) as unfinished:
         write_record(record, unfinished / RESULT)
-        content = prepared(result, **about) if extras.pdf else result
-        write_page(content, unfinished / REPORT, **about)
+        content = prepared(result, **about)
+        write_page(content, unfinished / REPORT)
         if extras.pdf:
             say(f"setting the report: {folder / PDF}")
-            write_pdf(content, unfinished / PDF, **about)
+            write_pdf(content, unfinished / PDF)
 
     def show() -> int:
         if as_json:

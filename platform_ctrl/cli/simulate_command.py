@@ -205,7 +205,7 @@ def _planned(
 
 
 def _drawn(run: Run, job: Job, title: str, folder: Path, name: str) -> Path:
-    from platform_ctrl.report.figures.runs import write_run_figure
+    from platform_ctrl.report.plots.time_run import write_run_figure
 
     write_run_figure(run, job.platform, title, folder / name)
     return folder / name

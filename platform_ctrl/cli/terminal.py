@@ -198,7 +198,7 @@ def show_inputs(title: str, inputs: Mapping[str, object]) -> None:
 def _show_lines(console: Console, results: Sequence[CheckResult]) -> None:
     from rich.text import Text
 
-    from platform_ctrl.report.failure_messages import value_and_limit
+    from platform_ctrl.report.failures import value_and_limit
 
     for one in results:
         style = "dim" if not one.hard else "green" if one.passed else "bold red"

@@ -1,18 +1,18 @@
-"""What the figures of a loop show, worked out once: responses on a grid that follows the poles, poles, root locus."""
+"""What the plots of a loop show, computed once: responses on a grid that follows the poles, poles, root locus."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 
 import numpy as np
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, state_arrays
-from platform_ctrl.analysis.feedback import Gang, closed_loop, gang
+from platform_ctrl.analysis.feedback import closed_loop, gang
 from platform_ctrl.analysis.frequency_grids import following_grid
 from platform_ctrl.analysis.loop_set import LoopSet
-from platform_ctrl.analysis.measuring import MetricRequest
-from platform_ctrl.analysis.metrics import exact_value
-from platform_ctrl.analysis.plant_set import PlantSet
+from platform_ctrl.analysis.measuring import MetricRequest, Peak
+from platform_ctrl.analysis.metrics import METRICS, exact_value
+from platform_ctrl.analysis.norms import gains
 from platform_ctrl.analysis.pole_branches import pole_branches, values_at_breakaways
 from platform_ctrl.analysis.poles import continuous_poles
 from platform_ctrl.analysis.response import frequency_response
@@ -25,14 +25,6 @@ from platform_ctrl.mechanics.linearisation import LinearModel
 from platform_ctrl.mechanics.state_space import state_space
 from platform_ctrl.plant.platform import OMEGA_NAMES
 
-# Whose peaks are drawn however narrow they are.
-_REJECTION = MetricRequest(kind="Omega rejection")
-_PEAKS = (
-    *(MetricRequest(kind=kind) for kind in ("disk margin", "sensitivity peak", "complementary sensitivity peak")),
-    _REJECTION,
-)
-_SHARE = MetricRequest(kind="torque limit")
-
 
 @value
 class DesignResponses:
@@ -42,10 +34,10 @@ class DesignResponses:
     ----------
     design
         Which.
-    gang
-        Sensitivities.
-    sensitivity, complementary, balanced : (N,)
-        Largest singular values of S, T and (S − T)/2, the larger of input and output.
+    gains : (N,) each
+        By the keys of `METRICS`: the gain over frequency whose peak each metric is.
+    peaks
+        By the same keys: the metrics themselves, over all frequencies.
     smallest_sensitivity : (N,)
         Smallest singular value of S at the input.
     loop_gains : (m, N)
@@ -56,31 +48,19 @@ class DesignResponses:
         Largest singular value of the controller.
     angle_per_rate : (3, N)
         Norm of all angles per rate about each root axis.
-    rejection
-        Largest norm of all angles per rate about any axis, held between samples, over all frequencies, rad per rad/s;
-        infinite where the loop is unstable.
-    angle_per_torque : (N,)
-        Largest singular value from torque disturbance to angle.
-    torque_share : (N,)
-        Torque over its limit for a sinusoidal platform rate of the job's size, worst torquer; 0 without limits.
     poles, varied_poles, fault_poles
-        Closed loop with the nominal plant, with uncertain parameters and Omega, and with a fault; s-plane equivalents,
-        rad/s.
+        Closed loop with the nominal plant, with uncertain parameters and Omega, and with a fault; s-plane
+        equivalents, rad/s.
     """
 
     design: LoopDesign
-    gang: Gang
-    sensitivity: FloatArray
-    complementary: FloatArray
-    balanced: FloatArray
+    gains: Mapping[str, FloatArray]
+    peaks: Mapping[str, float]
     smallest_sensitivity: FloatArray
     loop_gains: FloatArray
     channels: ComplexArray
     controller_gain: FloatArray
     angle_per_rate: FloatArray
-    rejection: float
-    angle_per_torque: FloatArray
-    torque_share: FloatArray
     poles: ComplexArray
     varied_poles: ComplexArray
     fault_poles: ComplexArray
@@ -88,7 +68,7 @@ class DesignResponses:
 
 @value
 class LoopResponses:
-    """Responses of all designs of a loop, on one grid that has the frequencies of their peaks.
+    """Responses of all designs of a loop, on one grid that includes the frequencies of their peaks.
 
     Attributes
     ----------
@@ -97,7 +77,7 @@ class LoopResponses:
     designs
         In the job's order.
     closed
-        Name of the one that is closed.
+        Name of the design that closes the loop.
     open_angle_per_rate : (3, N), open_angle_per_torque : (N,)
         The same disturbances without a controller.
     """
@@ -107,6 +87,11 @@ class LoopResponses:
     closed: str
     open_angle_per_rate: FloatArray
     open_angle_per_torque: FloatArray
+
+    @property
+    def closed_design(self) -> DesignResponses:
+        """The responses of the design that closes the loop."""
+        return next(one for one in self.designs if one.design.name == self.closed)
 
 
 @value
@@ -133,12 +118,19 @@ class RootLocus:
         at = int(np.argmin(np.abs(self.gains - 1.0)))
         if not self.stable[at]:
             return None
-        low = high = at
-        while low > 0 and self.stable[low - 1]:
-            low -= 1
-        while high + 1 < len(self.gains) and self.stable[high + 1]:
-            high += 1
+        unstable = np.flatnonzero(~self.stable)
+        low = unstable[unstable < at].max(initial=-1) + 1
+        high = unstable[unstable > at].min(initial=len(self.gains)) - 1
         return float(self.gains[low]), float(self.gains[high])
+
+
+def peak_metrics() -> dict[str, Peak]:
+    """Return the metrics that are the peak of a gain over frequency, by their keys in `METRICS`."""
+    return {
+        kind: metric.measure
+        for kind, metric in METRICS.items()
+        if isinstance(metric.measure, Peak) and metric.measure.transfers
+    }
 
 
 def loop_responses(model: LinearModel, outcome: LoopOutcome) -> LoopResponses | None:
@@ -146,86 +138,62 @@ def loop_responses(model: LinearModel, outcome: LoopOutcome) -> LoopResponses | 
     designs = [design for design in outcome.designs if design.plants is not None]
     if not designs or designs[0].plants is None:
         return None
-    plants = designs[0].plants
-    plant = sampled_plant(plants)
+    plants = designs[0].plants.only([0])
     nyquist = np.pi / plants.period
-    poles = {id(d): continuous_poles(closed_loop_poles(plants, d.controller), plants.period) for d in designs}
-    plant_poles = continuous_poles(np.linalg.eigvals(plants.A[0]), plants.period)
-    every = np.concatenate([plant_poles, *(poles[id(d)][0] for d in designs)])
+    P = StateArrays(plants.A[0], plants.B[0], plants.C[0], plants.D[0], plants.period)
+    loops = {design.name: LoopSet(plants, plants.joined(design.controller)) for design in designs}
+    poles = np.concatenate([np.linalg.eigvals(P.A), *(loop.poles[0] for loop in loops.values())])
     low = max(min(2e-3 * plants.nutation, 0.05 * nyquist), 1e-4 * nyquist)
-    exact = [LoopSet(plants.only([0]), plants.joined(d.controller)) for d in designs]
-    frequency = _with_peaks(following_grid(every, low, 0.999 * nyquist), exact)
+    grid = following_grid(continuous_poles(poles, plants.period), low, 0.999 * nyquist)
+    # Torquers without a limit have no share of it.
+    kinds = [
+        kind
+        for kind, peak in peak_metrics().items()
+        if not (all(part.of_limit for part in peak.transfers) and np.isinf(plants.torque_limit).all())
+    ]
+    peaks = {
+        name: {kind: exact_value(loop, MetricRequest(kind=kind)) for kind in kinds} for name, loop in loops.items()
+    }
+    at_peaks = np.concatenate([loop.peak_frequencies for loop in loops.values()])
+    frequency = np.union1d(grid, at_peaks[(at_peaks > grid[0]) & (at_peaks < grid[-1])])
     from_rate = _angle_per_rate(model, outcome.spec.gimbals, frequency)
-    no_direct = np.zeros((len(plants.angles), 3))
-    held = StateArrays(plants.A[0], plants.B_Omega[0], plants.C[0], no_direct, plants.period)
-    rate_held = frequency_response(held, frequency, -3)
-    open_torque = frequency_response(
-        StateArrays(plants.A[0], plants.B[0], plants.C[0], plants.D[0], plants.period), frequency, -3
-    )
     return LoopResponses(
         frequency=frequency,
         designs=tuple(
-            _design_responses(
-                d,
-                plants,
-                gang(plant, d.controller, frequency),
-                from_rate,
-                rate_held,
-                poles[id(d)],
-                exact_value(one, _REJECTION),
-            )
-            for d, one in zip(designs, exact, strict=True)
+            _design_responses(one, loops[one.name], peaks[one.name], frequency, from_rate) for one in designs
         ),
         closed=outcome.use,
         open_angle_per_rate=np.linalg.norm(from_rate, axis=1).T,
-        open_angle_per_torque=largest_singular_values(open_torque),
+        open_angle_per_torque=gains(P, frequency),
     )
 
 
-def _with_peaks(grid: FloatArray, loops: Sequence[LoopSet]) -> FloatArray:
-    """Add the frequencies at which the loops' gains are largest: captions and markers tell of the peaks themselves."""
-    for one in loops:
-        for asked in _PEAKS if np.isinf(one.plants.torque_limit).all() else (*_PEAKS, _SHARE):
-            exact_value(one, asked)
-    peaks = np.concatenate([one.peak_frequencies for one in loops])
-    return np.union1d(grid, peaks[(peaks > grid[0]) & (peaks < grid[-1])])
-
-
 def _design_responses(
-    design: LoopDesign,
-    plants: PlantSet,
-    responses: Gang,
-    from_rate: ComplexArray,
-    rate_held: ComplexArray,
-    poles: ComplexArray,
-    rejection: float,
+    design: LoopDesign, loop: LoopSet, peaks: Mapping[str, float], frequency: FloatArray, from_rate: ComplexArray
 ) -> DesignResponses:
-    S_in, T_in = _frequency_first(responses.S_input), _frequency_first(responses.T_input)
-    S_out, T_out = _frequency_first(responses.S_output), _frequency_first(responses.T_output)
+    assert design.plants is not None
+    responses = gang(sampled_plant(design.plants), design.controller, frequency)
+    S_in, S_out, T_in = (np.moveaxis(H, -1, 0) for H in (responses.S_input, responses.S_output, responses.T_input))
     own = np.moveaxis(np.diagonal(S_in, axis1=-2, axis2=-1), -1, 0)
     with np.errstate(all="ignore"):
         # L = S⁻¹ T: never the product of two integrators' infinities.
-        loop = np.linalg.solve(S_in, T_in)
+        loop_transfer = np.linalg.solve(S_in, T_in)
         channels = 1.0 / own - 1.0
-    K = frequency_response(state_arrays(design.controller, design.name), responses.frequency, -3)
-    share = K @ S_out @ rate_held * (plants.Omega / plants.torque_limit[:, None])
-    faults = plants.of(("faults",))
+    poles = continuous_poles(closed_loop_poles(design.plants, design.controller), design.plants.period)
+    faults = design.plants.of(("faults",))
+    metrics = peak_metrics()
     return DesignResponses(
         design=design,
-        gang=responses,
-        sensitivity=np.maximum(largest_singular_values(S_in), largest_singular_values(S_out)),
-        complementary=np.maximum(largest_singular_values(T_in), largest_singular_values(T_out)),
-        balanced=np.maximum(
-            largest_singular_values(0.5 * (S_in - T_in)), largest_singular_values(0.5 * (S_out - T_out))
-        ),
+        gains={
+            kind: np.max([gains(part, frequency) for part in loop.parts(metrics[kind].transfers, 0)], axis=0)
+            for kind in peaks
+        },
+        peaks=peaks,
         smallest_sensitivity=np.asarray(np.linalg.svd(S_in, compute_uv=False)[:, -1], dtype=np.float64),
-        loop_gains=np.asarray(np.linalg.svd(loop, compute_uv=False).T, dtype=np.float64),
+        loop_gains=np.asarray(np.linalg.svd(loop_transfer, compute_uv=False).T, dtype=np.float64),
         channels=channels,
-        controller_gain=largest_singular_values(K),
+        controller_gain=largest_singular_values(frequency_response(loop.controller, frequency, -3)),
         angle_per_rate=np.linalg.norm(S_out @ from_rate, axis=1).T,
-        rejection=rejection,
-        angle_per_torque=largest_singular_values(_frequency_first(responses.angle_per_torque)),
-        torque_share=np.linalg.norm(share, axis=-1).max(axis=-1, initial=0.0),
         poles=poles[0],
         varied_poles=poles[1:][~faults[1:]].ravel(),
         fault_poles=poles[faults].ravel(),
@@ -242,7 +210,9 @@ def _angle_per_rate(model: LinearModel, gimbals: tuple[str, ...], frequency: Flo
 def root_locus(design: LoopDesign, highest: float = 2.0, points: int = 161) -> RootLocus:
     """Return the poles of the nominal closed loop for controller gains 0 to `highest` times the designed ones."""
     if design.plants is None:
-        raise ValueError(f"{design.loop}, {design.name}: no plants of its own, expected a design with plants")
+        raise ValueError(
+            f"root_locus: {design.loop}, {design.name} is designed for the coupled system: it has no plants"
+        )
     plants, K = design.plants, state_arrays(design.controller, design.name)
 
     def poles(gains: FloatArray) -> ComplexArray:
@@ -259,7 +229,3 @@ def root_locus(design: LoopDesign, highest: float = 2.0, points: int = 161) -> R
         branches=continuous_poles(z, plants.period),
         stable=np.abs(z).max(axis=1) < 1.0,
     )
-
-
-def _frequency_first(response: ComplexArray) -> ComplexArray:
-    return np.moveaxis(response, -1, 0)

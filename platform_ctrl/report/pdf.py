@@ -12,7 +12,7 @@ import re
 from importlib import resources
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from platform_ctrl.common.files import write_whole
 from platform_ctrl.common.signatures import check_arguments
@@ -20,9 +20,6 @@ from platform_ctrl.errors import InputError, TypesettingError
 from platform_ctrl.report.page.blocks import Document, Listing, Plate
 from platform_ctrl.report.page.job_page import prepared
 from platform_ctrl.verification.verdict import JobResult
-
-if TYPE_CHECKING:
-    from platform_ctrl.campaign.summary import Summary
 
 # What XML 1.0 cannot hold, and other control characters: nothing that can be set.
 _UNSETTABLE = re.compile("[\x00-\x08\x0b-\x1f\x7f\ud800-\udfff\ufffe\uffff]")
@@ -34,28 +31,16 @@ _FIGURE_FONT = "DejaVu Sans"
 
 
 @check_arguments
-def write_pdf(
-    result: JobResult | Document,
-    path: str | os.PathLike[str],
-    *,
-    command: str | None = None,
-    campaign: Summary | None = None,
-    again: str | None = None,
-) -> Path:
-    """Write the report as PDF to `path`, whole or not at all.
+def write_pdf(result: JobResult | Document, path: str | os.PathLike[str]) -> Path:
+    """Write the report as PDF to `path`: the whole file, or nothing if that fails.
 
     Parameters
     ----------
     result
-        From `platform_ctrl.verification.checked`, or from `platform_ctrl.report.prepared`.
+        From `platform_ctrl.report.prepared`, or from `platform_ctrl.verification.checked` if none of its options is
+        needed.
     path
-        The file; one that exists is replaced.
-    command
-        The command line that does it again; default one that reads the job printed at the end.
-    campaign
-        What a campaign of the job came to, from `platform_ctrl.campaign.summary.summarise`: a section of the report.
-    again
-        The command line that flies one run of the campaign again, without the run's number at its end.
+        The file; an existing one is replaced.
 
     Returns
     -------
@@ -69,22 +54,16 @@ def write_pdf(
     TypesettingError
         Typst could not set the document.
     """
-    return write_whole(path, pdf_bytes(result, command=command, campaign=campaign, again=again))
+    return write_whole(path, pdf_bytes(result))
 
 
 @check_arguments
-def pdf_bytes(
-    result: JobResult | Document,
-    *,
-    command: str | None = None,
-    campaign: Summary | None = None,
-    again: str | None = None,
-) -> bytes:
-    """Return the report as PDF: what the page says, in the same order; the same bytes for the same result.
+def pdf_bytes(result: JobResult | Document) -> bytes:
+    """Return the report as PDF: the content of the page in the same order; the same bytes for the same result.
 
     Parameters
     ----------
-    result, command, campaign, again
+    result
         As in `write_pdf`.
 
     Returns
@@ -100,7 +79,7 @@ def pdf_bytes(
         Typst could not set the document.
     """
     typst = typesetter()
-    return typeset(typst, prepared(result, command=command, campaign=campaign, again=again))
+    return typeset(typst, prepared(result))
 
 
 def typesetter() -> ModuleType:

@@ -17,8 +17,8 @@ from platform_ctrl.cli import main
 from platform_ctrl.cli.atomic_output import written_together
 from platform_ctrl.cli.starting_files import RISE, _turn
 from platform_ctrl.design.plants import subsystems_over
+from platform_ctrl.job.writing import job_data, toml
 from platform_ctrl.plant.source import shipped_models
-from platform_ctrl.report.record import job_data, toml
 from refused_command import refused
 
 

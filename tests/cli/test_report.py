@@ -25,7 +25,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         patch.setattr("platform_ctrl.campaign.engine.columns_by_processes", columns_here)
-        patch.setattr("platform_ctrl.report.write_page", drawn)
+        undrawn(patch, [])
         assert main(["new", "gyro", "-q"]) == 0
         assert main(["design", "gyro.toml", "-q", "--junit", "verdicts/design.xml"]) == 0
         assert main(["campaign", "gyro.toml", "--runs", "12", "--workers", "1", "-q"]) == 0
@@ -41,18 +41,15 @@ def there(made: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 @pytest.fixture
 def pages(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
     """What pages would have been written about, in place of their figures, seconds of work."""
-    asked: list[dict[str, Any]] = []
-    monkeypatch.setattr("platform_ctrl.report.write_page", lambda *given, **about: drawn(*given, **asked_for(about)))
-
-    def asked_for(about: dict[str, Any]) -> dict[str, Any]:
-        asked.append(about)
-        return about
-
-    return asked
+    about: list[dict[str, Any]] = []
+    undrawn(monkeypatch, about)
+    return about
 
 
-def drawn(result: object, path: Path, **about: object) -> None:
-    path.write_text(" ".join(about), encoding="utf-8")
+def undrawn(patch: pytest.MonkeyPatch, about: list[dict[str, Any]]) -> None:
+    """Write pages without content; the options that they were prepared with go to `about`."""
+    patch.setattr("platform_ctrl.report.prepared", lambda result, **options: about.append(options))
+    patch.setattr("platform_ctrl.report.write_page", lambda content, path: path.touch())
 
 
 def test_the_page_and_the_pdf_tell_of_the_campaign(there: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -19,7 +19,7 @@ from platform_ctrl.job.faults import FAULT_KINDS, FaultKind, register_fault
 from platform_ctrl.job.job import manoeuvre_scenario
 from platform_ctrl.job.reading import read_job
 from platform_ctrl.job.scenario import HalfCosine
-from platform_ctrl.report.record import job_data
+from platform_ctrl.job.writing import job_data
 from platform_ctrl.simulation.kernel.arrays import ACTIONS
 
 ROOT = Path(__file__).parents[2]

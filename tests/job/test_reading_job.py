@@ -465,7 +465,7 @@ def test_every_limit_can_be_a_goal() -> None:
 
 
 def test_a_job_is_written_and_read_back_whole() -> None:
-    from platform_ctrl.report.record import job_data
+    from platform_ctrl.job.writing import job_data
 
     names = list(limit_keys())
     data = job() | {"faults": {"slow_rotor": 0.5}}

@@ -19,10 +19,10 @@ from platform_ctrl.campaign.summary import summarise, summary_record
 from platform_ctrl.campaign.table_statistics import statistics
 from platform_ctrl.cli.campaign_output import show_campaign
 from platform_ctrl.report import style
-from platform_ctrl.report.figures import campaign as campaign_figures
 from platform_ctrl.report.page import campaign_tables as tables
-from platform_ctrl.report.page.campaign_page import campaign_page, write_campaign_page
-from platform_ctrl.report.page.campaign_sections import Scale
+from platform_ctrl.report.page.blocks import html as as_html
+from platform_ctrl.report.page.campaign_page import Scale, campaign_document, write_campaign_page
+from platform_ctrl.report.plots import campaign as campaign_figures
 from platform_ctrl.verification.records import laid_out
 
 TURN = {"mode": "caged", "rate": 1.0, "rise": 0.5, "hold": 1.0, "duration": 2.5}
@@ -119,8 +119,12 @@ def summary(made):
 
 @pytest.fixture(scope="module")
 def page(summary):
-    return campaign_page(
-        summary, command="platform-ctrl campaign job.toml --runs 1500", again="platform-ctrl simulate job.toml --run"
+    return as_html(
+        campaign_document(
+            summary,
+            command="platform-ctrl campaign job.toml --runs 1500",
+            again="platform-ctrl simulate job.toml --run",
+        )
     )
 
 
@@ -166,8 +170,8 @@ def test_verdict_and_probabilities_stand_first(page, summary):
     for one in found.requirements:
         assert f"{one.violation.events:,} of {one.violation.runs:,}" in words
         assert tables.chances(one.violation.low, one.violation.high) in words
-    assert "1 run diverged, counted as violating whatever was asked" in words
-    assert "1 run could not be flown, counted neither way" in words
+    assert "1 run diverged, counted as violating every requirement" in words
+    assert "1 run could not be simulated and are not counted" in words
 
 
 def test_worst_runs_can_be_flown_again_and_are_those_of_the_table(page, summary):
@@ -187,7 +191,7 @@ def test_drivers_have_bars_and_the_rest_is_named_as_no_influence(page, summary):
     assert f'width="{130 * angle.influences[0].index:.1f}"' in drawn
     quiet = [one.parameter for one in angle.influences if not one.driver]
     assert "sampling.delay" in quiet
-    assert f"No share told from chance in {angle.runs:,} runs: {', '.join(quiet)}." in drawn
+    assert f"No significant share in {angle.runs:,} runs: {', '.join(quiet)}." in drawn
 
 
 def test_a_rare_event_tells_its_interval_and_what_has_to_come_together(page, summary):
@@ -218,7 +222,7 @@ def test_a_campaign_without_violations_passes_and_bounds_what_it_did_not_see(mad
     summary = summarise(made, by_formula(made, scale=0.3, odd=False))
     bound = clopper_pearson(0, 1500).high
     assert summary.passed
-    shown = html.unescape(campaign_page(summary))
+    shown = html.unescape(as_html(campaign_document(summary)))
     assert "None of 1,500 runs violates a requirement" in shown
     assert f"below {tables.chance(bound)} with 95 % confidence" in shown
     assert "none beyond" in shown
@@ -259,7 +263,7 @@ def test_one_manoeuvre_has_no_group_of_all(capsys):
     one = planned(manoeuvre=JOB["manoeuvre"][:1])
     summary = summarise(one, by_formula(one))
     assert {row.group for row in tables.probability_rows(summary)} == {"turn about 1"}
-    assert "All manoeuvres" not in campaign_page(summary)
+    assert "All manoeuvres" not in as_html(campaign_document(summary))
 
 
 def test_manoeuvres_are_named_as_they_are_typed_and_what_sends_runs_beyond_is_told(page, summary):
@@ -267,7 +271,7 @@ def test_manoeuvres_are_named_as_they_are_typed_and_what_sends_runs_beyond_is_to
     assert "turn about 1 gimbal angle" in words
     assert "Turn about 1" not in words
     angle = next(one for one in summary.sensitivities if (one.requirement, one.manoeuvre) == ("angle", None))
-    assert f"What sends runs beyond the limit: {tables.violation_drivers(angle)}" in words
+    assert f"Inputs of the violations: {tables.violation_drivers(angle)}" in words
     assert "fault.weak Q9" in tables.violation_drivers(angle)
 
 
@@ -359,11 +363,11 @@ def test_a_fault_in_every_violating_run_is_never_among_what_has_no_influence(cap
     words = tables.contrast_words(cause)
     assert words.startswith(f"fault: weak Q9: 3 of {cause.present.runs} runs with it violate a limit (")
     assert words.endswith("; every violating run has it")
-    drawn = html.unescape(re.sub(r"<[^>]+>", " ", campaign_page(summary)))
+    drawn = html.unescape(re.sub(r"<[^>]+>", " ", as_html(campaign_document(summary))))
     assert "in every violating run" in " ".join(drawn.split())
     card = drawn[drawn.index("Shares of variance") :]
     card = card[card.index("Largest gimbal angle") : card.index("Largest platform angle")]
-    assert "No share told from chance" in card
+    assert "No significant share" in card
     assert "fault.weak Q9" not in card
     show_campaign(summary)
     assert words in capsys.readouterr().out

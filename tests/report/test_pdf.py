@@ -19,8 +19,10 @@ import platform_ctrl as pc
 from platform_ctrl import report
 from platform_ctrl.design import loops
 from platform_ctrl.errors import InputError, PlatformCtrlError
-from platform_ctrl.report import pdf, record, style
+from platform_ctrl.job.writing import job_data
+from platform_ctrl.report import pdf, style
 from platform_ctrl.report.page import blocks, tables
+from platform_ctrl.report.page.tables import versions
 from platform_ctrl.verification import JobResult, checked
 
 NAME = "a #b $c$ *d* _e_ @f \\g <h> \"i\" 'j' `k` // l /*m*/ ~ -- [n] {o} %p & r é Ω \u201cs\u201d"
@@ -171,13 +173,13 @@ def _has_alt(item: Any) -> bool:
 def test_the_job_goes_along_as_a_file_that_reads_back(result: JobResult, made: bytes) -> None:
     [attached] = pypdf.PdfReader(io.BytesIO(made)).attachments["job.toml"]
     again = pc.read_job(tomllib.loads(attached.decode()))
-    assert record.job_data(again) == record.job_data(result.job)
+    assert job_data(again) == job_data(result.job)
 
 
 def test_the_command_and_the_versions_stand_at_the_end(text: str) -> None:
     end = text[text.rindex("Inputsandversions") :]
     assert "platform-ctrldesign'myjob.toml'" in end
-    for name, number in record.versions().items():
+    for name, number in versions():
         assert f"{name}{number}" in end
 
 

@@ -25,6 +25,9 @@ import platform_ctrl as pc
 from legend_entries import without_a_curve
 from platform_ctrl import report
 from platform_ctrl.analysis.arrays import named_system
+from platform_ctrl.analysis.loop_set import Transfer
+from platform_ctrl.analysis.measuring import Peak
+from platform_ctrl.analysis.metrics import METRICS, Metric
 from platform_ctrl.analysis.poles import continuous_poles
 from platform_ctrl.cli.terminal import show_result
 from platform_ctrl.common.text import Rounding, at_least
@@ -33,15 +36,16 @@ from platform_ctrl.design.loop import closed_loop_poles, remeasured
 from platform_ctrl.errors import InputError
 from platform_ctrl.job.judging import Sense
 from platform_ctrl.job.requirements import CheckResult, Requirement, requirement
+from platform_ctrl.job.writing import job_data
 from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.plant.force_elements import Spring
 from platform_ctrl.plant.source import shipped_models
-from platform_ctrl.report import modes, record, style
-from platform_ctrl.report.failure_messages import value_and_limit
+from platform_ctrl.report import modes, style
+from platform_ctrl.report.failures import value_and_limit
 from platform_ctrl.report.figures import coupled as coupled_figures
 from platform_ctrl.report.figures import limit_lines
 from platform_ctrl.report.figures.coupled import margin_bars_figure
-from platform_ctrl.report.figures.loop import disturbance_figure, sensitivity_figure
+from platform_ctrl.report.figures.loop import disturbance_figure, further_gains_figure, sensitivity_figure
 from platform_ctrl.report.loop_responses import loop_responses, root_locus
 from platform_ctrl.report.page import captions, comparison, summary, tables
 from platform_ctrl.report.page import job_page as document
@@ -288,7 +292,7 @@ def test_drawing_leaves_the_callers_settings_alone(result: JobResult) -> None:
 
 
 def test_the_same_result_gives_the_same_page_but_for_the_command(lone_loop: JobResult, lone_page: str) -> None:
-    again = report.page_html(lone_loop, command="platform-ctrl design 'my job.toml'")
+    again = report.page_html(report.prepared(lone_loop, command="platform-ctrl design 'my job.toml'"))
     section = '<section id="again">'
     assert again.split(section)[0] == lone_page.split(section)[0]
     assert "platform-ctrl design &#39;my job.toml&#39;" in again.split(section)[1]
@@ -297,7 +301,7 @@ def test_the_same_result_gives_the_same_page_but_for_the_command(lone_loop: JobR
 def test_the_printed_job_reads_back_to_the_last_bit(result: JobResult, page: str) -> None:
     [printed] = re.findall(r"<pre[^>]*>(name = .*?|schema = .*?)</pre>", page, flags=re.DOTALL)
     again = pc.read_job(tomllib.loads(html.unescape(printed)))
-    assert record.job_data(again) == record.job_data(result.job)
+    assert job_data(again) == job_data(result.job)
     before, after = pc.matrices(result.job.platform), pc.matrices(again.platform)
     assert np.array_equal(before.A_star, after.A_star)
     assert np.array_equal(before.L, after.L)
@@ -317,7 +321,7 @@ def test_a_page_is_written_whole_or_not_at_all(
 ) -> None:
     target = tmp_path / "report.html"
     target.write_text("what stood there before")
-    monkeypatch.setattr(document, "page_html", lambda result, **given: "a page with α and Ω")
+    monkeypatch.setattr(document, "page_html", lambda result: "a page with α and Ω")
 
     def refuse(*paths: object) -> None:
         raise OSError(28, "No space left on device")
@@ -336,7 +340,7 @@ def test_a_page_is_written_whole_or_not_at_all(
 def test_a_folder_that_does_not_exist_is_one_line(
     lone_loop: JobResult, tmp_path: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(document, "page_html", lambda result, **given: "a page")
+    monkeypatch.setattr(document, "page_html", lambda result: "a page")
     with pytest.raises(InputError, match="cannot be written") as error:
         report.write_page(lone_loop, tmp_path / "nowhere" / "report.html")
     assert "\n" not in str(error.value)
@@ -422,7 +426,7 @@ def test_goals_stand_apart_from_requirements(compared_designs: JobResult, compar
     assert not any(row.goal for row in tables.requirement_rows(compared_designs))
     assert tables.verdict(compared_designs) == f"all {len(compared_designs.requirements)} requirements met"
     part = re.findall(r'<tbody class="quiet">.*?</tbody>', compared_page, flags=re.DOTALL)[0]
-    assert "no part of the verdict" in part
+    assert "not part of the verdict" in part
     assert [part.count(words) for words in ("✓ reached", "– not reached", "missed")] == [1, 1, 0]
     assert "1 of 2 goals reached" in visible_text(compared_page)
 
@@ -436,7 +440,7 @@ def test_a_goal_that_is_missed_is_dim_in_the_terminal_and_not_red(compared_desig
     [line] = [line for line in capture.get().splitlines() if "goal: disk margin" in line]
     assert "\x1b[2m" in line
     assert "\x1b[1;31m" not in line
-    assert "Goals are no part of the verdict." in capture.get()
+    assert "Goals are not part of the verdict." in capture.get()
 
 
 def test_a_narrow_terminal_lists_goals_too_and_no_proof_is_the_tightest(
@@ -537,9 +541,9 @@ def test_the_price_of_the_simple_controller_is_a_number(compared_designs: JobRes
     best = max(others, key=summary.bandwidth_hz)
     assert f"“{best.name}”" in sentences[0]
     assert f"{outcome.closed.controller.nstates} states" in sentences[0]
-    assert "4\u00a0% above 1.25, which no controller" in sentences[-1]
+    assert "4\u00a0% above 1.25, a lower bound" in sentences[-1]
     gained = 100.0 * (80.0 / summary.bandwidth_hz(outcome.closed) - 1.0)
-    assert f"{plain(gained, 2, 'up')}\u00a0% is all that any other could add" in sentences[-2]
+    assert f"{plain(gained, 2, 'up')}\u00a0% could be gained" in sentences[-2]
     for sentence in sentences:
         assert sentence in visible_text(compared_page)
 
@@ -557,7 +561,7 @@ def test_the_price_depends_on_who_is_faster_and_simpler(compared_designs: JobRes
     assert summary.bandwidth_hz(named["slow"]) < summary.bandwidth_hz(named["H-infinity"])
     assert f"is the price of {fewer} states fewer" in told("slow", "H-infinity")
     assert f"more bandwidth with {fewer} states more" in told("H-infinity", "slow")
-    assert "is given up without fewer states" in told("slow", "simple")
+    assert "is lost without a saving of states" in told("slow", "simple")
     assert told("simple", "slow").endswith("more bandwidth.")
     assert (
         summary.compared_with_alternatives(dataclasses.replace(outcome, designs=outcome.designs[1:2], use="H-infinity"))
@@ -579,7 +583,7 @@ def test_what_a_design_pays_in_is_the_limit_it_comes_nearer_to(compared_designs:
         key=lambda one: one.ratio / theirs[one.name],
     )
     assert worst.ratio > 1.05 * theirs[worst.name]
-    assert any(sentence.startswith(f"It pays most in {worst.name}: ") for sentence in sentences)
+    assert any(sentence.startswith(f"The largest loss is in {worst.name}: ") for sentence in sentences)
 
 
 @pytest.mark.parametrize(
@@ -625,7 +629,7 @@ def test_what_is_not_asked_is_compared_nevertheless(result: JobResult) -> None:
 
 
 def test_what_acts_besides_the_torquers_stands_on_the_page(lone_loop: JobResult, lone_page: str) -> None:
-    assert "What acts besides the torquers" not in lone_page
+    assert "Springs, friction and other elements" not in lone_page
     platform = dataclasses.replace(
         lone_loop.job.platform,
         specific_force=np.array([0.0, 0.0, 9.81]),
@@ -776,6 +780,36 @@ def test_every_legend_entry_of_the_report_looks_like_a_curve_that_is_drawn(
     assert wrong == []
 
 
+def test_a_new_metric_has_its_rows_its_plot_and_its_caption_in_the_report(monkeypatch: pytest.MonkeyPatch) -> None:
+    noise = Metric(
+        name="torque per noise",
+        key="noise_gain",
+        unit="N m/rad",
+        sense="at most",
+        meaning="peak gain from the noise of the pick-offs to the torques",
+        measure=Peak(transfers=(Transfer("noise", "torque"),)),
+        scopes=("", "worst_case"),
+    )
+    monkeypatch.setitem(METRICS, "noise gain", noise)
+    loop = {**CAGING, "limits": {"noise_gain": 2000.0}, "soft": {"noise_gain": 500.0}, "design": CAGING["design"][1:]}
+    job = pc.read_job({**JOB, "loop": [loop], "manoeuvre": [], "coupled": {}})
+    result = checked(job, loops(job))
+    page = report.page_html(result)
+    [row] = [row for row in tables.requirement_rows(result) if row.requirement == noise.name]
+    assert row.limit == "≤ 2000 N m/rad"
+    assert sum(noise.name in " ".join(cells) for cells in Cells(page).rows) >= 2  # requirements, designs side by side
+    [caption] = [
+        text for text in re.findall(r"<figcaption>(.*?)</figcaption>", page, re.DOTALL) if noise.meaning in text
+    ]
+    assert "limit ≤ 2000 N m/rad and goal ≤ 500 N m/rad" in html.unescape(caption)
+    responses = loop_responses(result.model, result.loops[0])
+    assert responses is not None
+    with style.settings():
+        [axes] = further_gains_figure(responses, result.loops[0].spec, ["noise gain"]).axes
+    assert max(axes.lines[0].get_ydata()) == pytest.approx(result.loops[0].closed.results[-1].value, rel=1e-4)
+    assert [float(line.get_ydata()[0]) for line in axes.lines[1:]] == [2000.0, 500.0]
+
+
 def test_designs_differ_by_more_than_colour(compared_designs: JobResult) -> None:
     [outcome] = compared_designs.loops
     responses = loop_responses(compared_designs.model, outcome)
@@ -822,7 +856,7 @@ def test_the_torque_that_a_rate_asks_for_peaks_where_the_requirement_measures_it
     assert responses is not None
     for one in responses.designs:
         [asked] = [r for r in one.design.results if r.name.startswith("torque at full Omega")]
-        assert one.torque_share.max() == pytest.approx(asked.value, rel=1e-8)
+        assert one.gains["torque limit"].max() == pytest.approx(asked.value, rel=1e-8)
 
 
 def test_captions_say_peaks_that_every_grid_misses() -> None:
@@ -840,10 +874,10 @@ def test_captions_say_peaks_that_every_grid_misses() -> None:
     assert responses is not None
     [one] = responses.designs
     true = requirement("Omega rejection", 1.0).check(plants, K).value
-    assert one.rejection == pytest.approx(true, rel=1e-12)
-    assert one.rejection > 1.01 * one.angle_per_rate.max()
+    assert one.peaks["Omega rejection"] == pytest.approx(true, rel=1e-12)
+    assert one.peaks["Omega rejection"] > 1.01 * one.angle_per_rate.max()
     assert f"by more than {plain(1e3 * true, 3, 'up')} mrad" in captions.disturbance(outcome, responses)
-    assert 1.0 / one.balanced.max() == pytest.approx(narrow.measures.disk_margin[0], rel=1e-8)  # type: ignore[union-attr]
+    assert 1.0 / one.gains["disk margin"].max() == pytest.approx(narrow.measures.disk_margin[0], rel=1e-8)  # type: ignore[union-attr]
 
 
 def test_only_plants_whose_rotors_spin_are_told_of_nutation(compared_designs: JobResult) -> None:
@@ -975,10 +1009,10 @@ def test_responses_are_finite_and_agree_with_the_measures(result: JobResult) -> 
     assert responses is not None
     for one in responses.designs:
         assert one.design.measures is not None
-        assert 1.0 / one.balanced.max() == pytest.approx(one.design.measures.disk_margin[0], rel=0.01)
+        assert 1.0 / one.gains["disk margin"].max() == pytest.approx(one.design.measures.disk_margin[0], rel=0.01)
         below = responses.frequency < 0.999 * one.design.measures.bandwidth
-        assert np.all(one.sensitivity[below] < np.sqrt(0.5))
-        for curve in (one.loop_gains, one.channels, one.angle_per_rate, one.angle_per_torque):
+        assert np.all(one.gains["sensitivity peak"][below] < np.sqrt(0.5))
+        for curve in (one.loop_gains, one.channels, one.angle_per_rate, one.gains["torque rejection"]):
             assert np.all(np.isfinite(curve))
     assert loop_responses(result.model, result.loops[2]) is None
 

@@ -16,8 +16,8 @@ from platform_ctrl.campaign.planning import Plan, plan
 from platform_ctrl.campaign.summary import Summary, summarise
 from platform_ctrl.design import loops
 from platform_ctrl.report.page import blocks, campaign_tables
-from platform_ctrl.report.page.campaign_page import campaign_document, campaign_page
-from platform_ctrl.report.page.campaign_sections import as_section, differences
+from platform_ctrl.report.page.blocks import html as as_html
+from platform_ctrl.report.page.campaign_page import as_section, campaign_document, differences
 from platform_ctrl.report.page.summary import opening, tightest
 from platform_ctrl.report.quantities import disk_words
 from platform_ctrl.verification import JobResult, checked
@@ -163,7 +163,7 @@ def test_every_number_of_the_opening_comes_from_the_result(result: JobResult) ->
 def test_a_run_that_was_lost_and_no_run_at_all_are_told(result: JobResult) -> None:
     first = result.runs[0]
     lost = dataclasses.replace(first, trajectory=dataclasses.replace(first.trajectory, ended="diverged at t = 0.1 s"))
-    assert "“0.5 rad/s” did not come to its end" in told(dataclasses.replace(result, runs=(lost, *result.runs[1:])))
+    assert "“0.5 rad/s” ended early" in told(dataclasses.replace(result, runs=(lost, *result.runs[1:])))
     assert "simulated" not in told(dataclasses.replace(result, runs=()))
 
 
@@ -230,11 +230,11 @@ def test_the_page_with_a_campaign_tells_how_to_fly_a_run_again(
     page = report.page_html(with_campaign)
     worst = summary.statistics.worst[0].run
     assert f"<pre>platform-ctrl simulate a.toml --run {worst}</pre>" in page
-    assert f"<pre>platform-ctrl simulate a.toml --run {worst}</pre>" in campaign_page(
-        summary, again="platform-ctrl simulate a.toml --run"
+    assert f"<pre>platform-ctrl simulate a.toml --run {worst}</pre>" in as_html(
+        campaign_document(summary, again="platform-ctrl simulate a.toml --run")
     )
     words = text_of(page)
-    assert "flown with other" not in words
+    assert "simulated with other" not in words
     assert "None is part of this report" not in words
     assert campaign_tables.verdict(summary)[1:] in words
     assert not re.search(r"https?:|\bsrc=|url\((?!#)|@import|href=\"(?!#)", page)
@@ -244,7 +244,7 @@ def test_a_campaign_of_other_controllers_is_called_so(result: JobResult) -> None
     flown = counted(plan(result.job, ()), 1.1)
     assert differences(flown, result) == ["controllers"]
     words = [block.text for block in as_section(flown, result, None).blocks if isinstance(block, blocks.Paragraph)]
-    assert "It was flown with other controllers: its figures are not those of the design above." in words
+    assert "It was simulated with other controllers: its values are not those of the design above." in words
 
 
 def test_a_job_that_describes_a_campaign_says_where_none_is(result: JobResult, prepared: blocks.Document) -> None:

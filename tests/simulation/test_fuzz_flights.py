@@ -72,7 +72,7 @@ def flown(plant: dict[str, object], job: dict[str, object], which: str, number: 
 def undrawn() -> Iterator[None]:
     """Leave out the figures, which are the same curves whatever the file was."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("platform_ctrl.report.figures.runs.write_run_figure", lambda *anything: None)
+        patch.setattr("platform_ctrl.report.plots.time_run.write_run_figure", lambda *anything: None)
         yield
 
 

@@ -18,9 +18,8 @@ from matplotlib.figure import Figure as Drawn
 
 import platform_ctrl as pc
 from platform_ctrl.errors import ArgumentError, InputError
-from platform_ctrl.report.failure_messages import change_text, moved_text
+from platform_ctrl.report.failures import change_text, moved_text, write_junit
 from platform_ctrl.report.figures.baseline_changes import moved_figure, write_moved_figure
-from platform_ctrl.report.junit import write_junit
 from platform_ctrl.verification import JobResult
 from platform_ctrl.verification.baselines import (
     Baseline,

@@ -8,7 +8,7 @@ from pathlib import Path
 from platform_ctrl.common.signatures import check_arguments, short
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.judging import CheckResult
-from platform_ctrl.report.failure_messages import failure_text, missed_text, requirement_text
+from platform_ctrl.report.failures import failure_text, missed_text, requirement_text
 from platform_ctrl.verification import JobResult
 from platform_ctrl.verification.baselines import (
     Comparison,

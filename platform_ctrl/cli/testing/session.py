@@ -16,7 +16,7 @@ from platform_ctrl.job.job import Job
 from platform_ctrl.job.judging import STABLE, CheckResult
 from platform_ctrl.job.reading import read_job
 from platform_ctrl.job.requirements import loop_requirements
-from platform_ctrl.report.failure_messages import margin_text
+from platform_ctrl.report.failures import margin_text
 from platform_ctrl.verification import JobResult, checked, outcomes_from, read_controllers
 from platform_ctrl.verification.baselines import Comparison, Update
 from platform_ctrl.verification.baselines.figures import ALL_LOOPS, COST

@@ -24,7 +24,7 @@ from platform_ctrl.export.fmu.signals import Signal, inputs_of, outputs_of, para
 from platform_ctrl.export.json_systems import write_controllers
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.scenario import Mode
-from platform_ctrl.report.record import job_data, plant_data, toml
+from platform_ctrl.job.writing import job_data, plant_data, toml
 from platform_ctrl.simulation.batch import merged_controller
 from platform_ctrl.verification.given import read_controllers
 from platform_ctrl.verification.records import laid_out

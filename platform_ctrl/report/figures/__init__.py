@@ -6,7 +6,7 @@ before. Figures of a report are made from a job's result, and saved, within `sty
 """
 
 from platform_ctrl.report.plots.bode import bode
-from platform_ctrl.report.plots.campaign_histograms import campaign_histograms
+from platform_ctrl.report.plots.campaign import campaign_histograms
 from platform_ctrl.report.plots.campbell import campbell
 from platform_ctrl.report.plots.disk_region import disk_margin_region
 from platform_ctrl.report.plots.gang_of_four import gang_of_four, singular_values

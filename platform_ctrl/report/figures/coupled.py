@@ -1,4 +1,4 @@
-"""The figures of the coupled check: poles, margins channel by channel and all at once, the platform under torque."""
+"""The plots of the whole platform: natural frequencies; poles, margins and disturbances of the coupled system."""
 
 from __future__ import annotations
 
@@ -18,11 +18,15 @@ from platform_ctrl.common.text import at_least
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.mechanics.state_space import state_space as linear_state_space
 from platform_ctrl.plant.platform import OMEGA_NAMES, ROOT_TORQUE_NAMES
-from platform_ctrl.report.figures.loop import phase_axes, phase_in_degrees
-from platform_ctrl.report.figures.poles import half_plane_axes
+from platform_ctrl.report.figures.loop import half_plane_axes, phase_axes, phase_in_degrees
+from platform_ctrl.report.modes import nutation_over_speed
+from platform_ctrl.report.page.summary import bandwidth_hz
+from platform_ctrl.report.plots.campbell import campbell
 from platform_ctrl.report.plots.loci import upper_half_plane
-from platform_ctrl.report.quantities import HZ, root_series, signal_series
+from platform_ctrl.report.quantities import HZ, quantity, root_series, signal_series
 from platform_ctrl.report.style import (
+    BAND,
+    DOTTED,
     LIMIT,
     MUTED,
     REFERENCE,
@@ -39,6 +43,41 @@ from platform_ctrl.verification.verdict import JobResult
 
 if TYPE_CHECKING:
     import control
+
+
+# Range of the rotors' speed in the Campbell diagram, as a factor.
+_SPINS = (0.0, 1.5)
+# Labels on two lines that are closer than this share of the axis would overlap.
+_APART = 0.05
+
+
+def nutation_figure(result: JobResult) -> Figure | None:
+    """Natural frequencies at rest over the rotors' speed (all alike); None for a plant without nutation.
+
+    A Campbell diagram with the parameter uncertainty of the rotors' speed and the bandwidths of the loops.
+    """
+    if not nutation_over_speed(result, np.array(_SPINS)):
+        return None
+    figure = campbell(result.job.platform, spins=_SPINS)
+    axes = figure.axes[0]
+    nominal = axes.get_xlim()[1] / _SPINS[1]
+    uncertainty, (low, high) = result.job.uncertainty.spin, axes.get_ylim()
+    if uncertainty > 0.0:
+        axes.axvspan((1.0 - uncertainty) * nominal, (1.0 + uncertainty) * nominal, color=BAND, linewidth=0, zorder=0)
+    loops = sorted(((bandwidth_hz(one.closed), one.spec.name) for one in result.loops), reverse=True)
+    last = 2.0 * high
+    for bandwidth, name in loops:
+        if not low < bandwidth < high:
+            continue
+        axes.axhline(bandwidth, color=REFERENCE, linewidth=0.8, linestyle=DOTTED)
+        if last - bandwidth > _APART * high:
+            words = f"bandwidth of {name}, {quantity(bandwidth, 'Hz', 3)}"
+            at = (axes.get_xlim()[1], bandwidth)
+            axes.annotate(
+                words, at, (-3, 2), textcoords="offset points", ha="right", va="bottom", fontsize=7, color=MUTED
+            )
+            last = bandwidth
+    return figure
 
 
 def coupled_pole_figure(result: JobResult) -> Figure:

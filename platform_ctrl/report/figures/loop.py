@@ -1,7 +1,8 @@
-"""The figures of one loop: all designs over one another."""
+"""The plots of one loop: all designs over one another, and the poles and root locus of the one that is closed."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -9,16 +10,26 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from platform_ctrl.analysis.arrays import ComplexArray
+from platform_ctrl.analysis.metrics import METRICS
 from platform_ctrl.common.signatures import short
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.job import LoopSpec
-from platform_ctrl.report.figures.limit_lines import goal_frequency, limit_lines
-from platform_ctrl.report.loop_responses import LoopResponses
+from platform_ctrl.report.figures.limit_lines import (
+    damping_lines,
+    fastest_pole_line,
+    goal_frequency,
+    limit_lines,
+    limited,
+    same_curve,
+)
+from platform_ctrl.report.loop_responses import LoopResponses, RootLocus
+from platform_ctrl.report.plots.loci import upper_half_plane
 from platform_ctrl.report.plots.nichols import nichols
 from platform_ctrl.report.quantities import HZ
 from platform_ctrl.report.style import (
     BAND,
+    INK,
     MARKERS,
     MUTED,
     REFERENCE,
@@ -29,6 +40,7 @@ from platform_ctrl.report.style import (
     legend_above,
     legend_rows,
     line_style,
+    linear_axis,
     panels,
 )
 
@@ -36,163 +48,188 @@ from platform_ctrl.report.style import (
 _ALL_LINES = 2
 # More panels than this are drawn in two rows.
 _ONE_ROW = 4
+# Sensitivity plot, from left to right: the metric whose curve a panel shows, and its title.
+SENSITIVITIES = {
+    "sensitivity peak": "S: what is left of a disturbance",
+    "complementary sensitivity peak": "T: what passes through",
+    "disk margin": "(S − T)/2: 1/disk margin at its peak",
+}
+# Metrics whose curves the other standard plots of a loop show.
+_STANDARD = (*SENSITIVITIES, "Omega rejection", "torque rejection", "torque limit")
 
 
 def sensitivity_figure(responses: LoopResponses, spec: LoopSpec) -> Figure:
-    """Singular values of S, T and (S − T)/2 over frequency, with what is asked of bandwidth, peaks and disk margin."""
+    """Singular values of S, T and (S − T)/2 over frequency, with the limits on bandwidth, peaks and disk margin."""
     names = design_names(responses)
-    figure, [[left, middle, right]] = panels(1, 3, 3.1, legend=legend_rows(names))
-    f = responses.frequency * HZ
-    limits, soft = spec.limits, spec.soft
-    handles = []
+    figure, [row] = panels(1, 3, 3.1, legend=legend_rows(names))
+    f, left = responses.frequency * HZ, row[0]
+    handles: list[Any] = []
+    for axes, (kind, title) in zip(row, SENSITIVITIES.items(), strict=True):
+        curves = [one.gains[kind] for one in responses.designs]
+        drawn = _design_curves(axes, f, curves, responses)
+        handles = handles or drawn
+        gain_limits(axes, curves, low=1e-3, high=1e2)
+        axes.set_title(title)
     for k, one in enumerate(responses.designs):
-        chosen = one.design.name == responses.closed
-        handles += left.plot(f, one.sensitivity, **emphasised(k, chosen))
-        if chosen or len(responses.designs) <= _ALL_LINES:
+        if one.design.name == responses.closed or len(responses.designs) <= _ALL_LINES:
             left.plot(f, one.smallest_sensitivity, **line_style(k) | {"linewidth": 0.7})
-        middle.plot(f, one.complementary, **emphasised(k, chosen))
-        right.plot(f, one.balanced, **emphasised(k, chosen))
         if one.design.measures is not None and np.isfinite(one.design.measures.bandwidth):
             at = one.design.measures.bandwidth * HZ
             left.plot([at], [np.sqrt(0.5)], MARKERS[k % 8], color=SERIES[k % 8], markersize=5, zorder=4)
-    for axes, curves in ((left, "sensitivity"), (middle, "complementary"), (right, "balanced")):
-        frequency_axes(axes, f[0], f[-1])
-        gain_limits(axes, [getattr(one, curves) for one in responses.designs], low=1e-3, high=1e2)
     left.axhline(np.sqrt(0.5), color=REFERENCE, linewidth=0.8)
     at_end: dict[str, Any] = {"textcoords": "offset points", "color": MUTED, "fontsize": 7, "ha": "right", "va": "top"}
     left.annotate("1/√2", (f[-1], np.sqrt(0.5)), (-3, -2), **at_end)
-    if "bandwidth_hz" in limits:
-        left.axvspan(f[0], limits["bandwidth_hz"], color=BAND, linewidth=0, zorder=0)
-    goal_frequency(left, soft.get("bandwidth_hz"))
-    peaks = (
-        (left, "sensitivity peak"),
-        (left, "tracking"),
-        (middle, "complementary sensitivity peak"),
-        (right, "disk margin"),
-    )
-    for axes, kind in peaks:
+    bandwidth = METRICS["bandwidth"].key
+    if bandwidth in spec.limits:
+        left.axvspan(f[0], spec.limits[bandwidth], color=BAND, linewidth=0, zorder=0)
+    goal_frequency(left, spec.soft.get(bandwidth))
+    for axes, kind in zip(row, SENSITIVITIES, strict=True):
         limit_lines(axes, spec, kind)
-    left.set_title("S: what is left of a disturbance")
-    middle.set_title("T: what passes through")
-    right.set_title("(S − T)/2: 1/disk margin at its peak")
     left.set_ylabel("singular values, 1")
     legend_above(figure, handles, names)
     return figure
 
 
 def loop_transfer_figure(responses: LoopResponses, spec: LoopSpec, torques: tuple[str, ...], nutation: float) -> Figure:
-    """Singular values of the loop transfer and of the controller, and the Bode diagram of each channel."""
-    require_each_channel(responses, torques)
+    """Singular values of the loop transfer and of the controller, and the Bode plot of each channel."""
+    for one in responses.designs:
+        if len(one.channels) != len(torques):
+            raise ArgumentError(
+                f"loop_transfer_figure: torques must be the names of the loop's {len(one.channels)} torques, "
+                f"got {short(torques)}"
+            )
     names = design_names(responses)
     figure, rows = panels(2, 1 + len(torques), 4.4, legend=legend_rows(names))
-    f = responses.frequency * HZ
-    handles = []
-    for k, one in enumerate(responses.designs):
+    f, designs = responses.frequency * HZ, responses.designs
+    handles = _design_curves(rows[0][0], f, [one.loop_gains[0] for one in designs], responses, label=False)
+    for k, one in enumerate(designs):
         chosen = one.design.name == responses.closed
-        every = chosen or len(responses.designs) <= _ALL_LINES
-        for j, gain in enumerate(one.loop_gains if every else one.loop_gains[:1]):
-            drawn = rows[0][0].plot(f, gain, **emphasised(k, chosen) | ({} if j == 0 else {"linewidth": 0.8}))
-            handles += drawn if j == 0 else []
-        rows[1][0].plot(f, one.controller_gain, **emphasised(k, chosen))
-        for i, channel in enumerate(one.channels):
-            rows[0][1 + i].plot(f, np.abs(channel), **emphasised(k, chosen))
-            rows[1][1 + i].plot(f, phase_in_degrees(channel), **emphasised(k, chosen))
-    for axes in rows[0]:
-        frequency_axes(axes, f[0], f[-1], label=False)
-        axes.axhline(1.0, color=REFERENCE, linewidth=0.8)
-    gain_limits(rows[0][0], [one.loop_gains for one in responses.designs], low=1e-3, high=1e4)
-    frequency_axes(rows[1][0], f[0], f[-1])
-    gain_limits(rows[1][0], [one.controller_gain for one in responses.designs])
-    limit_lines(rows[1][0], spec, "controller gain", from_hz=nutation / 10.0 * HZ)
+        for gain in one.loop_gains[1:] if chosen or len(designs) <= _ALL_LINES else ():
+            rows[0][0].plot(f, gain, **emphasised(k, chosen) | {"linewidth": 0.8})
+    _design_curves(rows[1][0], f, [one.controller_gain for one in designs], responses)
     for i, name in enumerate(torques):
-        gain_limits(rows[0][1 + i], [np.abs(one.channels[i]) for one in responses.designs], low=1e-3, high=1e4)
-        rows[0][1 + i].set_title(f"{name}, others closed")
-        phase_axes(rows[1][1 + i], f)
+        above, below = rows[0][1 + i], rows[1][1 + i]
+        _design_curves(above, f, [np.abs(one.channels[i]) for one in designs], responses, label=False)
+        _design_curves(below, f, [phase_in_degrees(one.channels[i]) for one in designs], responses, log_gain=False)
+        phase_axes(below, f)
+        gain_limits(above, [np.abs(one.channels[i]) for one in designs], low=1e-3, high=1e4)
+        above.set_title(f"{name}, others closed")
+    for axes in rows[0]:
+        axes.axhline(1.0, color=REFERENCE, linewidth=0.8)
+    gain_limits(rows[0][0], [one.loop_gains for one in designs], low=1e-3, high=1e4)
+    gain_limits(rows[1][0], [one.controller_gain for one in designs])
+    limit_lines(rows[1][0], spec, "controller gain", from_hz=nutation / 10.0 * HZ)
     rows[0][0].set_title("loop transfer")
     rows[0][0].set_ylabel("singular values, 1")
     rows[0][1].set_ylabel("gain, 1")
     rows[1][0].set_title("controller, largest gain")
-    rows[1][0].set_ylabel("N m/rad")
+    rows[1][0].set_ylabel(METRICS["controller gain"].unit)
     rows[1][1].set_ylabel("phase, degrees")
     legend_above(figure, handles, names)
     return figure
 
 
 def disturbance_figure(responses: LoopResponses, spec: LoopSpec) -> Figure:
-    """From platform rate and torque disturbance to the gimbal angles, and the torque that the rate asks for."""
+    """Gains from platform rate and torque disturbance to the gimbal angles, and from the rate to the torque."""
+    designs, f = responses.designs, responses.frequency * HZ
     acting = [a for a in range(3) if np.nanmax(responses.open_angle_per_rate[a], initial=0.0) > 1e-12]
-    shares = [one.torque_share for one in responses.designs]
-    limited = bool(np.nanmax(shares, initial=0.0) > 0.0)
+    shares = [one.gains["torque limit"] for one in designs if "torque limit" in one.gains]
+    limited_torque = bool(np.nanmax(shares, initial=0.0) > 0.0)
     names = ["open loop", *design_names(responses)]
-    number = len(acting) + 1 + limited
+    figure, cells = _cells(len(acting) + 1 + limited_torque, names)
+    for axes, a in zip(cells, acting, strict=False):
+        handles = axes.plot(f, 1e3 * responses.open_angle_per_rate[a], color=REFERENCE, linewidth=1.1)
+        closed = [1e3 * one.angle_per_rate[a] for one in designs]
+        handles += _design_curves(axes, f, closed, responses)
+        _disturbance_limits(axes, closed, 1e3 * responses.open_angle_per_rate[a])
+        axes.set_title(f"rate Omega{a + 1} → angles")
+        limit_lines(axes, spec, "Omega rejection", scale=1e3)
+    cells[0].set_ylabel("mrad per rad/s" if acting else "mrad per mN m")
+    axes = cells[len(acting)]
+    handles = axes.plot(f, responses.open_angle_per_torque, color=REFERENCE, linewidth=1.1)
+    closed = [one.gains["torque rejection"] for one in designs]
+    handles += _design_curves(axes, f, closed, responses)
+    _disturbance_limits(axes, closed, responses.open_angle_per_torque)
+    axes.set_title("torque disturbance → angles")
+    axes.set_ylabel("mrad per mN m")
+    limit_lines(axes, spec, "torque rejection")
+    if limited_torque:
+        axes = cells[-1]
+        _design_curves(axes, f, shares, responses)
+        gain_limits(axes, shares, low=1e-3, high=1e2)
+        axes.axhline(1.0, color=REFERENCE, linewidth=0.8)
+        limit_lines(axes, spec, "torque limit")
+        axes.set_title("full Omega → torque")
+        axes.set_ylabel("torque over its limit, 1")
+    legend_above(figure, handles, names)
+    return figure
+
+
+def further_gains(responses: LoopResponses, spec: LoopSpec) -> list[str]:
+    """Return the metrics with a limit or a goal that are the peak of a gain that no standard plot shows."""
+    shown = {name for kind in _STANDARD for name in same_curve(kind)}
+    kinds = [kind for kind in responses.closed_design.gains if kind not in shown]
+    return [kind for kind in kinds if limited({**spec.soft, **spec.limits}, kind)]
+
+
+def further_gains_figure(responses: LoopResponses, spec: LoopSpec, kinds: Sequence[str]) -> Figure:
+    """Gain over frequency of each of the metrics `kinds`, with its limit and goal."""
+    names = design_names(responses)
+    figure, cells = _cells(len(kinds), names)
+    handles: list[Any] = []
+    for axes, kind in zip(cells, kinds, strict=True):
+        metric = METRICS[kind]
+        curves = [one.gains[kind] / metric.scale for one in responses.designs]
+        handles = _design_curves(axes, responses.frequency * HZ, curves, responses)
+        gain_limits(axes, curves)
+        limit_lines(axes, spec, kind, scale=1.0 / metric.scale)
+        axes.set_title(metric.name)
+        axes.set_ylabel(metric.unit or "1")
+    legend_above(figure, handles, names)
+    return figure
+
+
+def _cells(number: int, names: Sequence[str]) -> tuple[Figure, list[Axes]]:
+    """Return a figure with `number` panels in one or two rows."""
     columns = number if number <= _ONE_ROW else -(-number // 2)
     rows = -(-number // columns)
     figure, grid = panels(rows, columns, 3.0 * rows, legend=legend_rows(names))
     cells = [axes for row in grid for axes in row]
     for unused in cells[number:]:
         unused.remove()
-    f = responses.frequency * HZ
-    handles: list[Any] = []
-    for axes, a in zip(cells, acting, strict=False):
-        opened = 1e3 * responses.open_angle_per_rate[a]
-        handles = _open_and_closed(
-            axes, f, opened, [1e3 * one.angle_per_rate[a] for one in responses.designs], responses
-        )
-        axes.set_title(f"rate Omega{a + 1} → angles")
-        limit_lines(axes, spec, "Omega rejection", scale=1e3)
-    cells[0].set_ylabel("mrad per rad/s" if acting else "mrad per mN m")
-    axes = cells[len(acting)]
-    closed = [one.angle_per_torque for one in responses.designs]
-    handles = _open_and_closed(axes, f, responses.open_angle_per_torque, closed, responses)
-    axes.set_title("torque disturbance → angles")
-    axes.set_ylabel("mrad per mN m")
-    limit_lines(axes, spec, "torque rejection")
-    if limited:
-        _torque_share(cells[number - 1], f, responses, spec)
-    legend_above(figure, handles, names)
-    return figure
+    return figure, cells[:number]
 
 
-def _torque_share(axes: Axes, f: FloatArray, responses: LoopResponses, spec: LoopSpec) -> None:
-    for k, one in enumerate(responses.designs):
-        axes.plot(f, one.torque_share, **emphasised(k, one.design.name == responses.closed))
-    frequency_axes(axes, f[0], f[-1])
-    gain_limits(axes, [one.torque_share for one in responses.designs], low=1e-3, high=1e2)
-    axes.axhline(1.0, color=REFERENCE, linewidth=0.8)
-    limit_lines(axes, spec, "torque limit")
-    axes.set_title("full Omega → torque")
-    axes.set_ylabel("torque over its limit, 1")
-
-
-def _open_and_closed(
-    axes: Axes, f: FloatArray, opened: FloatArray, closed: list[FloatArray], responses: LoopResponses
+def _design_curves(
+    axes: Axes,
+    f: FloatArray,
+    curves: Sequence[FloatArray],
+    responses: LoopResponses,
+    *,
+    log_gain: bool = True,
+    label: bool = True,
 ) -> list[Any]:
-    handles = axes.plot(f, opened, color=REFERENCE, linewidth=1.1)
-    for k, (curve, one) in enumerate(zip(closed, responses.designs, strict=True)):
-        handles += axes.plot(f, curve, **emphasised(k, one.design.name == responses.closed))
-    frequency_axes(axes, f[0], f[-1])
+    """Draw a curve of each design over frequency, the closed one heavier, and return the lines."""
+    lines: list[Any] = []
+    for k, (curve, one) in enumerate(zip(curves, responses.designs, strict=True)):
+        lines += axes.plot(f, curve, **emphasised(k, one.design.name == responses.closed))
+    frequency_axes(axes, f[0], f[-1], log_gain=log_gain, label=label)
+    return lines
+
+
+def _disturbance_limits(axes: Axes, closed: Sequence[FloatArray], opened: FloatArray) -> None:
     top = 10.0 * max((float(np.nanmax(curve)) for curve in closed), default=float(np.nanmax(opened)))
     gain_limits(axes, [*closed, opened], low=1e-5 * top, high=top)
-    return handles
-
-
-def require_each_channel(responses: LoopResponses, torques: tuple[str, ...]) -> None:
-    """Judge the names of the loop's torques."""
-    for one in responses.designs:
-        if len(one.channels) != len(torques):
-            raise ArgumentError(
-                f"torques: given {short(torques)}; expected the names of the loop's {len(one.channels)} torques"
-            )
 
 
 def design_names(responses: LoopResponses) -> list[str]:
-    """Return what the legend calls the designs: which one is closed, where there are several."""
+    """Return the names of the designs for the legend; of several, the closed one is marked."""
     names = [one.design.name for one in responses.designs]
     return names if len(names) == 1 else [f"{name}, closed" if name == responses.closed else name for name in names]
 
 
 def phase_in_degrees(channel: ComplexArray) -> FloatArray:
-    """Phase in degrees, unwrapped, and shifted by whole turns so that it crosses over between −360° and 0."""
+    """Return the phase in degrees, unwrapped, by whole turns between −360° and 0 where the gain is nearest to 1."""
     phase = np.degrees(np.unwrap(np.angle(channel)))
     gain = np.abs(channel)
     middle = phase[int(np.argmin(np.abs(np.log(np.maximum(gain, 1e-300)))))]
@@ -210,20 +247,108 @@ def phase_axes(axes: Axes, f: FloatArray) -> None:
     axes.axhline(-180.0, color=REFERENCE, linewidth=0.8)
 
 
-# No loop has a larger disk margin.
-_LARGEST_MARGIN = 2.0
-
-
 def nichols_figure(responses: LoopResponses, spec: LoopSpec, torques: tuple[str, ...]) -> Figure:
     """Nichols plot of the closed design: the loop that each torquer closes while all the others stay closed."""
     import control
 
-    closed = next(one for one in responses.designs if one.design.name == responses.closed)
     loops = {
         name: control.FrequencyResponseData(channel[None, None, :], responses.frequency)
-        for name, channel in zip(torques, closed.channels, strict=True)
+        for name, channel in zip(torques, responses.closed_design.channels, strict=True)
     }
-    asked = spec.limits.get("disk_margin")
-    figure = nichols(loops, disk_margins=() if asked is None or asked >= _LARGEST_MARGIN else (asked,)).figure
+    metric = METRICS["disk margin"]
+    limit = spec.limits.get(metric.key)
+    possible = limit is not None and (metric.best is None or limit < metric.best)
+    figure = nichols(loops, disk_margins=(limit,) if possible else ()).figure  # type: ignore[arg-type]
     assert isinstance(figure, Figure)
     return figure
+
+
+# Factors on the loop gain that are marked on a root locus.
+_MARKED_GAINS = (0.0, 0.5, 1.0, 1.5, 2.0)
+
+
+def pole_figure(responses: LoopResponses, spec: LoopSpec, nutation: float, period: float) -> Figure:
+    """Closed-loop poles of the nominal plant (strong), of uncertain plants (faint) and with faults (crosses)."""
+    names = design_names(responses)
+    figure, [row] = panels(1, 2, 3.7, legend=legend_rows(names))
+    handles: list[Any] = []
+    for axes in row:
+        drawn: list[Any] = []
+        for k, one in enumerate(responses.designs):
+            varied, faults, own = (upper_half_plane(s) for s in (one.varied_poles, one.fault_poles, one.poles))
+            style: dict[str, Any] = {"color": SERIES[k % 8], "linestyle": "none", "marker": MARKERS[k % 8]}
+            axes.plot(varied.real, varied.imag, **style | {"markersize": 1.8, "alpha": 0.35, "markeredgewidth": 0})
+            crossed = {"marker": "x", "markersize": 2.6, "alpha": 0.75, "markeredgewidth": 0.7}
+            axes.plot(faults.real, faults.imag, **style | crossed)
+            strong = {"markersize": 6, "markerfacecolor": "none", "markeredgewidth": 1.3}
+            drawn += axes.plot(own.real, own.imag, **style | strong)
+        handles = handles or drawn
+    _two_views(row, spec, nutation, period, "poles")
+    legend_above(figure, handles, names)
+    return figure
+
+
+def root_locus_figure(locus: RootLocus, spec: LoopSpec, nutation: float, period: float) -> Figure:
+    """Poles of the closed design while its gain goes from 0 to twice its value."""
+    figure, [row] = panels(1, 2, 3.9, legend=1)
+    handles: list[Any] = []
+    marks = [int(np.argmin(np.abs(locus.gains - g))) for g in _MARKED_GAINS if g <= locus.gains[-1]]
+    for axes in row:
+        for branch in locus.branches.T:
+            shown = np.where(branch.imag > -1e-6 * np.pi / period, branch, np.nan)
+            if np.isfinite(shown.real).any():
+                axes.plot(shown.real, shown.imag, "-", color=SERIES[0], linewidth=1.1)
+        drawn: list[Any] = []
+        for n, k in enumerate(marks):
+            points = upper_half_plane(locus.branches[k])
+            nominal = bool(abs(locus.gains[k] - 1.0) < 1e-9)
+            look: dict[str, Any] = {"color": SERIES[1 if nominal else 0], "markersize": 6.5 if nominal else 4.0}
+            look |= {"linestyle": "none", "marker": MARKERS[n % 8], "markerfacecolor": "none"}
+            drawn += axes.plot(points.real, points.imag, **look)
+        handles = handles or drawn
+    _two_views(row, spec, nutation, period, "branches")
+    _label_gains(row[1], locus, marks, 1.7 * nutation)
+    legend_above(figure, handles, [f"{locus.gains[k]:g} × gain" for k in marks])
+    return figure
+
+
+def _label_gains(axes: Axes, locus: RootLocus, marks: list[int], extent: float) -> None:
+    """Write the gains along the least damped branch."""
+    at_one = locus.branches[int(np.argmin(np.abs(locus.gains - 1.0)))]
+    inside = (at_one.imag > 0.02 * extent) & (at_one.imag < extent) & (at_one.real > -1.2 * extent)
+    if not inside.any():
+        return
+    ratio = np.where(inside, -at_one.real / np.abs(at_one), np.inf)
+    branch = locus.branches[:, int(np.argmin(ratio))]
+    last: complex | None = None
+    for k in marks:
+        s = branch[k]
+        visible = 0.0 <= s.imag < extent and -1.2 * extent < s.real < 0.18 * extent
+        if visible and (last is None or abs(s - last) > 0.045 * extent):
+            at = (s.real, s.imag)
+            axes.annotate(f"{locus.gains[k]:g}", at, (6, 3), textcoords="offset points", fontsize=7.5, color=INK)
+            last = s
+
+
+def _two_views(row: Sequence[Axes], spec: LoopSpec, nutation: float, period: float, what: str) -> None:
+    """Show the upper half plane as a whole, and close to the origin; limits on poles are drawn in both."""
+    nyquist, extent = np.pi / period, 1.7 * nutation
+    views = ((-1.1 * nyquist, 0.12 * nyquist, 1.02 * nyquist), (-1.2 * extent, 0.18 * extent, extent))
+    titles = (f"all {what} up to the Nyquist frequency", "closer to the origin")
+    for k, (axes, (left, right, top), title) in enumerate(zip(row, views, titles, strict=True)):
+        damping_lines(axes, spec, top, named=k == 1)
+        fastest_pole_line(axes, spec, period)
+        half_plane_axes(axes, left, right, 0.0, top)
+        axes.set_ylabel("imaginary part, rad/s")
+        axes.set_title(title)
+
+
+def half_plane_axes(axes: Axes, left: float, right: float, bottom: float, top: float) -> None:
+    """Set the limits of axes that show the upper half plane, with its unstable half shaded."""
+    axes.axvline(0.0, color=REFERENCE, linewidth=0.8)
+    axes.axvspan(0.0, right, color=BAND, linewidth=0, zorder=0)
+    axes.set_xlim(left, right)
+    axes.set_ylim(bottom, top)
+    linear_axis(axes.xaxis, 6)
+    linear_axis(axes.yaxis, 6)
+    axes.set_xlabel("real part, 1/s")

@@ -1,6 +1,6 @@
-"""What a page says, before it is HTML or PDF: sections of blocks in their order, prepared once for both.
+"""The content of a page before it is HTML or PDF: sections of blocks in their order, prepared once for both.
 
-Everything in a block is text, to be shown as it stands; only a plate's picture is markup.
+Everything in a block is text, to be shown as it is; only a plate's picture is markup.
 """
 
 from __future__ import annotations
@@ -233,21 +233,31 @@ def sentence(text: str) -> str:
     return text[:1].upper() + text[1:]
 
 
-def table(titles: str, rows: Sequence[Sequence[str]], *, numbers: str = "", form: str = "") -> Table:
-    """Return a plain table.
+def columns(titles: str, numbers: str = "") -> tuple[Column, ...]:
+    """Return columns; `titles` and those of the columns of numbers have ``|`` between them."""
+    return tuple(Column(title=title, number=title in numbers.split("|")) for title in titles.split("|"))
 
-    Parameters
-    ----------
-    titles
-        Of the columns, with ``|`` between them.
-    rows
-        Text, a cell for each column.
-    numbers
-        Those of the titles that stand over numbers, with ``|`` between them.
-    form
-        As in `Table`.
-    """
-    found = numbers.split("|")
-    columns = tuple(Column(title=title, number=title in found) for title in titles.split("|"))
-    body = tuple(Row(cells=tuple(Cell(text=text) for text in row)) for row in rows)
-    return Table(columns=columns, groups=(Group(rows=body),), form=form)
+
+def cells(*texts: str) -> tuple[Cell, ...]:
+    """Return plain cells."""
+    return tuple(Cell(text=text) for text in texts)
+
+
+def table(titles: str, rows: Sequence[Sequence[str]], *, numbers: str = "", form: str = "") -> Table:
+    """Return a plain table: columns as `columns`, a text for each cell, and the form of `Table`."""
+    body = tuple(Row(cells=cells(*row)) for row in rows)
+    return Table(columns=columns(titles, numbers), groups=(Group(rows=body),), form=form)
+
+
+def html(document: Document) -> str:
+    """Return a document as a page that needs nothing else."""
+    from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
+
+    environment = Environment(
+        loader=PackageLoader("platform_ctrl.report"),
+        autoescape=select_autoescape(default=True, default_for_string=True),
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    return environment.get_template("page.html").render(document=document)

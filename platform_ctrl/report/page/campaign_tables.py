@@ -1,4 +1,4 @@
-"""What a campaign says, as rows of text: for its page and for the terminal."""
+"""The results of a campaign as rows of text, for its page and for the terminal."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from platform_ctrl.common.values import value
 from platform_ctrl.job.variation import Vary
 from platform_ctrl.report.quantities import DASH, MINUS, added_words, count, plain, quantity, times
 
-ALL_MANOEUVRES = "all manoeuvres, figures relative to their limits"
-# Inputs that a table names for a figure.
+ALL_MANOEUVRES = "all manoeuvres, values relative to their limits"
+# Inputs that a table names for a requirement.
 _MOST_DRIVERS = 8
 
 
@@ -30,13 +30,13 @@ class ProbabilityRow:
     Attributes
     ----------
     group, requirement, limit
-        Whose it is, and what is asked.
+        The manoeuvre, the requirement and its limit.
     violations, probability, bounds
         How often it is violated.
     median, high_quantile, largest
-        The figure in half of the runs, in 99 % of them, in all.
+        The value that is not exceeded in half of the runs, in 99 % of them, in all.
     worst
-        Number of the worst run; None where none was flown.
+        Number of the worst run; None if none was simulated.
     numbers
         Estimate and bounds as numbers.
     """
@@ -80,12 +80,12 @@ def _row(one: RequirementStatistics) -> ProbabilityRow:
 
 
 def requirement_name(figure: str | None) -> str:
-    """Return what a figure is called."""
+    """Return the name of a requirement."""
     return "any requirement" if figure in (None, PASSED) else METRICS[figure][0]
 
 
 def figure_words(figure: float, unit: str, like: float | None) -> str:
-    """Return a figure with its unit, in the unit that suits the limit."""
+    """Return a value with its unit, in the unit that suits the limit."""
     return DIVERGED if math.isinf(figure) else quantity(figure, unit, 3, like)
 
 
@@ -99,7 +99,7 @@ def chance(probability: float, rounding: Rounding = "nearest") -> str:
 
 
 def chances(low: float, high: float) -> str:
-    """Return an interval of probabilities, as printed no narrower than it is."""
+    """Return an interval of probabilities, rounded outwards."""
     if low == 0.0:
         return f"below {chance(high, 'up')}"
     if high == 1.0:
@@ -110,7 +110,7 @@ def chances(low: float, high: float) -> str:
 
 
 def _percent(probability: float, rounding: Rounding) -> str:
-    """Return per cent with two digits that matter; near 100 with those that tell it from 100."""
+    """Return per cent with two significant digits; near 100 with enough digits to differ from 100."""
     if probability >= 1.0:
         return "100"
     shown = times(100.0, probability)
@@ -122,19 +122,19 @@ def _percent(probability: float, rounding: Rounding) -> str:
 
 def verdict(summary: Summary) -> str:
     """Return the verdict in a few words."""
-    flown = summary.statistics.violation
-    if flown.events:
-        verb = "violates" if flown.events == 1 else "violate"
-        words = f"{flown.events:,} of {count_words(flown.runs)} {verb} a requirement"
-    elif flown.runs > 1:
-        words = f"none of {count_words(flown.runs)} violates a requirement"
+    violation = summary.statistics.violation
+    if violation.events:
+        verb = "violates" if violation.events == 1 else "violate"
+        words = f"{violation.events:,} of {count_words(violation.runs)} {verb} a requirement"
+    elif violation.runs > 1:
+        words = f"none of {count_words(violation.runs)} violates a requirement"
     else:
-        words = "the run violates no requirement" if flown.runs else "no run was flown"
+        words = "the run violates no requirement" if violation.runs else "no run was simulated"
     return f"{words}{added_words(summary.plan.job.platform)}"
 
 
 def verdict_lines(summary: Summary) -> list[str]:
-    """Return what goes with the verdict: the probability and its bounds, and runs that nothing is known of."""
+    """Return the probability of a violation with its bounds, and how many runs diverged or were not simulated."""
     found = summary.statistics
     sure = f"with {plain(100.0 * found.confidence, 3)} % confidence"
     lines = []
@@ -145,9 +145,9 @@ def verdict_lines(summary: Summary) -> list[str]:
     for rare in summary.rare:
         lines.append(f"{rare_words(rare)}, from rare events")
     if found.diverged:
-        lines.append(f"{count_words(found.diverged)} diverged, counted as violating whatever was asked")
+        lines.append(f"{count_words(found.diverged)} diverged, counted as violating every requirement")
     if found.not_simulated:
-        lines.append(f"{count_words(found.not_simulated)} could not be flown, counted neither way")
+        lines.append(f"{count_words(found.not_simulated)} could not be simulated and are not counted")
     return lines
 
 
@@ -165,15 +165,17 @@ def rare_words(rare: RareResult) -> str:
 
 
 def influence_rows(summary: Summary, one: Sensitivity) -> tuple[list[tuple[Influence, str, str, str]], list[str]]:
-    """Return the drivers of a requirement with index, interval and rank correlation in words; and what is none.
+    """Return the influential inputs of a requirement with index, interval and rank correlation; and the other inputs.
 
-    What sets the violating runs apart is no input without influence, however little of the variance it explains.
+    An input that sets the violating runs apart is not among the others, however little of the variance it explains.
     """
     drivers = [single for single in one.influences if single.driver][:_MOST_DRIVERS]
     rows = [(x, share(x.index), f"{share(x.low)} to {share(x.high)}", signed(x)) for x in drivers]
     violating = {single.parameter for single in one.violations if single.driver}
     violating |= {
-        single.parameter for single in summary.contrasts if single.requirement == one.requirement and telling(single)
+        single.parameter
+        for single in summary.contrasts
+        if single.requirement == one.requirement and significant(single)
     }
     quiet = [single.parameter for single in one.influences if not single.driver]
     return rows, [name for name in quiet if name not in violating]
@@ -191,20 +193,20 @@ def signed(one: Influence) -> str:
     return f"{one.rank_correlation:+.2f}".replace("-", MINUS)
 
 
-def telling(one: Contrast) -> bool:
-    """Return whether a value sets the violating runs apart: by more than chance, or since all of them have it."""
+def significant(one: Contrast) -> bool:
+    """Return whether a value sets the violating runs apart: significantly, or because all of them have it."""
     return one.driver or one.in_every_violation
 
 
 def contrast_groups(summary: Summary) -> list[tuple[str, list[Contrast]]]:
-    """Return all contrasts over all manoeuvres, and those that tell something within one, of any requirement."""
+    """Return all contrasts over all manoeuvres, and the significant ones within a manoeuvre, of any requirement."""
     groups: dict[str | None, list[Contrast]] = {}
     for one in summary.contrasts:
         violated = one.present.events + one.absent.events > 0
-        if one.requirement == PASSED and violated and (one.manoeuvre is None or telling(one)):
+        if one.requirement == PASSED and violated and (one.manoeuvre is None or significant(one)):
             groups.setdefault(one.manoeuvre, []).append(one)
-    flown = {one.name for one, _ in summary.plan.job.campaign_manoeuvres}
-    overall = "All manoeuvres" if len(flown) > 1 else "".join(flown)
+    names = {one.name for one, _ in summary.plan.job.campaign_manoeuvres}
+    overall = "All manoeuvres" if len(names) > 1 else "".join(names)
     return [(manoeuvre or overall, found) for manoeuvre, found in groups.items()]
 
 
@@ -228,22 +230,22 @@ def contrast_words(one: Contrast) -> str:
 
 
 def causes(summary: Summary, figure: str = PASSED) -> list[Contrast]:
-    """Return the values that set the runs that violate something apart by more than chance, over all manoeuvres."""
+    """Return the values that set violating runs apart significantly, over all manoeuvres."""
     return [one for one in summary.contrasts if one.requirement == figure and one.manoeuvre is None and one.driver]
 
 
 def short_drivers(one: Sensitivity, most: int = 3) -> str:
     """Return the strongest drivers in a line."""
-    return _strongest(one.influences, most) or "no input that can be told from chance"
+    return _strongest(one.influences, most) or "no significant input"
 
 
 def violation_drivers(one: Sensitivity, most: int = 3) -> str:
-    """Return the strongest drivers of a limit's violations in a line; nothing where they are not known."""
+    """Return the strongest drivers of a limit's violations in a line; empty where they are not known."""
     return _strongest(one.violations, most)
 
 
 def drivers_of(one: Sensitivity) -> list[str]:
-    """Return the inputs that drive a figure, the strongest first."""
+    """Return the influential inputs of a requirement, the strongest first."""
     return [single.parameter for single in _driving(one.influences)]
 
 
@@ -256,7 +258,7 @@ def _driving(found: Sequence[Influence]) -> list[Influence]:
 
 
 def worst_rows(summary: Summary, runs: Sequence[WorstRun], drivers: Sequence[str]) -> list[tuple[WorstRun, list[str]]]:
-    """Return runs with what they came to and the inputs that matter, in words."""
+    """Return runs with their values and the inputs that matter, in words."""
     rows = []
     for one in runs:
         inputs = summary.inputs_of(one.run)
@@ -294,7 +296,7 @@ def all_drivers(summary: Summary) -> list[str]:
 
 
 def input_rows(summary: Summary) -> list[tuple[str, str]]:
-    """Return what differs from run to run, in words."""
+    """Return the inputs that vary from run to run, in words."""
     plan = summary.plan
     total = sum(plan.weights)
     rows = [
@@ -334,9 +336,9 @@ def ending_rows(summary: Summary) -> list[tuple[str, str, str]]:
 
 
 def moved(plan: Plan, rare: RareResult, most: int = 8) -> list[tuple[str, float]]:
-    """Return the inputs that violating runs have moved most, in standard deviations; a fault's towards happening.
+    """Return the inputs whose means differ most in violating runs, in standard deviations; faults towards occurrence.
 
-    Manoeuvres have no order: they are left out.
+    Manoeuvres have no order and are left out.
     """
     faults = {f"fault.{one.fault}" for one in plan.campaign.faults}
     named = zip(plan.input_names, rare.shift.tolist(), strict=True)
@@ -345,13 +347,13 @@ def moved(plan: Plan, rare: RareResult, most: int = 8) -> list[tuple[str, float]
 
 
 def moved_words(plan: Plan, rare: RareResult) -> str:
-    """Return those that moved by half a standard deviation, in a line."""
-    told = [(name, shift) for name, shift in moved(plan, rare, 4) if abs(shift) >= 0.5]
-    return ", ".join(f"{name} {shift:+.1f} σ".replace("-", MINUS) for name, shift in told)
+    """Return those that differ by half a standard deviation or more, in a line."""
+    shown = [(name, shift) for name, shift in moved(plan, rare, 4) if abs(shift) >= 0.5]
+    return ", ".join(f"{name} {shift:+.1f} σ".replace("-", MINUS) for name, shift in shown)
 
 
 def rare_rows(rare: RareResult) -> list[tuple[str, str]]:
-    """Return a rare event's figures: name and words."""
+    """Return the results of the search for a rare event: name and words."""
     rows = [
         ("probability", chance(rare.probability) if rare.reached else "not reached"),
         (f"{plain(100.0 * rare.confidence, 3)} % interval", chances(rare.low, rare.high)),
@@ -361,10 +363,10 @@ def rare_rows(rare: RareResult) -> list[tuple[str, str]]:
     rows += [
         ("method", "importance splitting" + (" and weighted runs" if rare.method == "cross-entropy" else "")),
         ("repetitions", f"{count(len(rare.repetitions), 'repetition')}, {rare.reached} reached the limit"),
-        ("runs flown", f"{rare.evaluations:,}"),
+        ("runs simulated", f"{rare.evaluations:,}"),
     ]
     if rare.noise_decides:
         few = sorted(one.noises for one in rare.repetitions)[len(rare.repetitions) // 2]
-        words = f"violating runs rest on {count(few, 'realisation')} of it: it decides, and the interval is too narrow"
-        rows.append(("noise", f"{words}; fly more runs a level"))
+        words = f"violating runs share {count(few, 'realisation')} of it, so that the interval is too narrow"
+        rows.append(("noise", f"{words}; simulate more runs per level"))
     return rows

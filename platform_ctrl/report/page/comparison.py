@@ -1,18 +1,18 @@
-"""The designs of a loop side by side: what is asked of them, what they do, what is proved, what they are made of."""
+"""The designs of a loop side by side: limits and goals, metrics, proofs, claims, options, controllers."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 
-import numpy as np
-
-from platform_ctrl.analysis.loop_metrics import LoopMetrics
+from platform_ctrl.analysis.loop_metrics import ALWAYS_MEASURED, LoopMetrics
+from platform_ctrl.analysis.measuring import MetricRequest
+from platform_ctrl.analysis.metrics import METRICS
 from platform_ctrl.analysis.plant_set import Group, PlantSet
 from platform_ctrl.common.values import value
 from platform_ctrl.design.jobs import LoopOutcome
 from platform_ctrl.design.loop import LoopDesign
 from platform_ctrl.job.judging import CheckResult
-from platform_ctrl.job.requirements import FAULTS, SCOPE_WORDS, WORST_CASE, requirement
+from platform_ctrl.job.requirements import SCOPE_WORDS, SCOPES, requirement
 from platform_ctrl.report.quantities import (
     BOUND,
     DASH,
@@ -29,6 +29,7 @@ from platform_ctrl.report.quantities import (
 from platform_ctrl.verification.verdict import JobResult, Proofs
 
 GOAL = "goal: "
+_MARGIN = METRICS["disk margin"].name
 _GROUPS: dict[Group, tuple[str, str]] = {
     "nominal": ("nominal", "the nominal one"),
     "uncertainty": ("parameter uncertainty", "{} of the parameter uncertainty"),
@@ -39,14 +40,14 @@ _GROUPS: dict[Group, tuple[str, str]] = {
 
 @value
 class Cell:
-    """A figure of one design.
+    """A value of one design.
 
     Attributes
     ----------
     text
         Words.
     met
-        Whether it is as asked; None where nothing is asked of it, or nothing that counts.
+        Whether its limit is met; None where there is no limit, or only a goal.
     """
 
     text: str
@@ -55,7 +56,7 @@ class Cell:
 
 @value
 class Row:
-    """One figure of all designs: its name, what is asked, a cell for each."""
+    """One value of all designs: its name, its limit, a cell for each design."""
 
     name: str
     limit: str
@@ -76,8 +77,8 @@ def sections(result: JobResult, outcome: LoopOutcome) -> list[Section]:
     proofs = [result.proofs[design.loop, design.name] for design in designs]
     found = [
         Section(title="limits, measured on the closed loop", rows=tuple(limit_rows(outcome))),
-        Section(title="goals, no part of the verdict", rows=tuple(goal_rows(outcome))),
-        Section(title="measured besides", rows=tuple(measured_rows(outcome))),
+        Section(title="goals, not part of the verdict", rows=tuple(goal_rows(outcome))),
+        Section(title="measured, without a limit", rows=tuple(measured_rows(outcome))),
         Section(title="proved in interval arithmetic", rows=tuple(proof_rows(designs, proofs))),
         Section(title="claimed by the method", rows=tuple(_by_name([_claims(design) for design in designs]))),
         Section(title="options used", rows=tuple(_by_name([_options(design) for design in designs]))),
@@ -87,7 +88,7 @@ def sections(result: JobResult, outcome: LoopOutcome) -> list[Section]:
 
 
 def limit_rows(outcome: LoopOutcome) -> list[Row]:
-    """Return what is asked of every design, met or not."""
+    """Return the limits with the value of every design, met or not."""
 
     def cell(one: CheckResult) -> Cell:
         return Cell(text=f"{MET if one.passed else NOT_MET} {_number(one)}", met=one.passed)
@@ -96,7 +97,7 @@ def limit_rows(outcome: LoopOutcome) -> list[Row]:
 
 
 def goal_rows(outcome: LoopOutcome) -> list[Row]:
-    """Return the loop's goals: reached, or how far from it; a goal that is missed is no failure."""
+    """Return the loop's goals: reached, or by how much they are missed, which is no failure."""
 
     def cell(one: CheckResult) -> Cell:
         if one.passed:
@@ -108,7 +109,7 @@ def goal_rows(outcome: LoopOutcome) -> list[Row]:
 
 
 def _number(one: CheckResult) -> str:
-    """Return the figure in the unit that the limit beside it shows."""
+    """Return the value in the unit of the limit beside it."""
     text, limit = compared(one)
     unit = limit.partition(" ")[2]
     return text.removesuffix(f" {unit}") if unit else text
@@ -127,30 +128,29 @@ def _judged(name: str, found: Sequence[CheckResult | None], cell: Callable[[Chec
 
 
 def measured_rows(outcome: LoopOutcome) -> list[Row]:
-    """Return the figures of every design that nothing is asked of."""
-    asked = {one.name for design in outcome.designs for one in design.results}
+    """Return the metrics of every design that have no limit."""
+    judged = {one.name for design in outcome.designs for one in design.results}
     measured = [{} if design.measures is None else _measured(design.measures) for design in outcome.designs]
-    return [row for row in _by_name(measured) if row.name not in asked]
+    return [row for row in _by_name(measured) if row.name not in judged]
 
 
-def _measured(measures: LoopMetrics) -> dict[str, str]:
-    """Return all figures by the names that requirements give them."""
-    out = {
-        "bandwidth": quantity(measures.bandwidth / (2.0 * np.pi), "Hz", rounding="down"),
-        "disk margin": plain(float(measures.disk_margin[0]), rounding="down"),
-        "damping": plain(float(measures.damping[0]), rounding="down"),
-        "torque noise, rms": quantity(float(measures.torque_noise.max(initial=0.0)), "N m", rounding="up"),
-    }
-    for groups, words in ((WORST_CASE, SCOPE_WORDS["worst_case"]), (FAULTS, SCOPE_WORDS["faults"])):
-        chosen = measures.of(groups)
-        if chosen.sum() > 1:
-            out[f"disk margin{words}"] = plain(float(measures.disk_margin[chosen].min()), rounding="down")
-            out[f"damping{words}"] = plain(float(measures.damping[chosen].min()), rounding="down")
+def _measured(metrics: LoopMetrics) -> dict[str, str]:
+    """Return the worst value of every metric that is always measured, by the names of its limits."""
+    out = {}
+    for kind in ALWAYS_MEASURED:
+        metric = METRICS[kind]
+        for scope in metric.scopes:
+            if scope and metrics.of(SCOPES[scope]).sum() < 2:
+                continue
+            values = metrics.values(MetricRequest(kind=kind, over=SCOPES[scope])) / metric.scale
+            at_least = metric.sense == "at least"
+            worst = float(values.min() if at_least else values.max(initial=0.0))
+            out[metric.name + SCOPE_WORDS[scope]] = quantity(worst, metric.unit, rounding="down" if at_least else "up")
     return out
 
 
 def proof_rows(designs: Sequence[LoopDesign], proofs: Sequence[Proofs]) -> list[Row]:
-    """Return what is proved of every design: with how many plants, and which bounds."""
+    """Return with how many plants every design is proved to be stable, and which bounds are proved."""
     return _rows([_proved(design, found) for design, found in zip(designs, proofs, strict=True)])
 
 
@@ -181,12 +181,12 @@ def _proved(design: LoopDesign, proofs: Proofs) -> dict[str, Cell]:
     }
     if whole:
         least = quantity(min(decay.values()), "1/s", 3, rounding="down")
-        out["minimum decay rate over all plants"] = Cell(text=f"≥ {least}")
+        out[f"{METRICS['stability'].name} over all plants"] = Cell(text=f"≥ {least}")
     if plants.labels[0] in margins:
-        out["disk margin of the nominal plant"] = Cell(text=f"≥ {plain(margins[plants.labels[0]], rounding='down')}")
+        out[f"{_MARGIN} of the nominal plant"] = Cell(text=f"≥ {plain(margins[plants.labels[0]], rounding='down')}")
     others = [margins[label] for label in plants.labels[1:] if label in margins]
     if others:
-        out["disk margin with others"] = Cell(
+        out[f"{_MARGIN} with others"] = Cell(
             text=f"≥ {plain(min(others), rounding='down')}, {count(len(others), 'plant')}"
         )
     bits = max((found.precision for found in proofs.verifications), default=0)
@@ -212,7 +212,7 @@ def plants_in_words(plants: PlantSet) -> str:
 
 
 def group_rows(design: LoopDesign) -> list[tuple[str, str, str, str, str, str]]:
-    """Return for each group of plants how many, minimum decay rate, damping and disk margin, and where the last is."""
+    """Return for each group: number of plants, least decay, damping and disk margin, and the plant of the last."""
     plants, measures = design.plants, design.measures
     if plants is None or measures is None or len(set(plants.groups)) == 1:
         return []
@@ -240,7 +240,7 @@ def group_rows(design: LoopDesign) -> list[tuple[str, str, str, str, str, str]]:
 
 
 def signals(design: LoopDesign) -> dict[str, str]:
-    """Return what a controller reads, what it sets, and its order and sample period, in words."""
+    """Return a controller's inputs and outputs, its order and sample period, in words."""
     K = design.controller
     return {
         "reads": ", ".join(K.input_labels),

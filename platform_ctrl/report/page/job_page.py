@@ -1,9 +1,8 @@
-"""The report of a job: what it says, in which order, and the page that says it."""
+"""The report of a job: its content in order, and the page."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,27 +10,29 @@ from matplotlib.figure import Figure
 
 from platform_ctrl.common.files import write_whole
 from platform_ctrl.common.signatures import check_arguments
-from platform_ctrl.design.jobs import LoopOutcome, largest_Omega_name
+from platform_ctrl.design.jobs import LoopOutcome
+from platform_ctrl.report import style
+from platform_ctrl.report.axes.picture import axes_picture
 from platform_ctrl.report.figures.coupled import (
     coupled_pole_figure,
     margin_bars_figure,
+    nutation_figure,
     platform_disturbance_figure,
     servo_figure,
     simultaneous_margin_figure,
 )
 from platform_ctrl.report.figures.loop import (
     disturbance_figure,
+    further_gains,
+    further_gains_figure,
     loop_transfer_figure,
     nichols_figure,
+    pole_figure,
+    root_locus_figure,
     sensitivity_figure,
 )
-from platform_ctrl.report.figures.plant import nutation_figure
-from platform_ctrl.report.figures.poles import pole_figure, root_locus_figure
-from platform_ctrl.report.figures.runs import run_figure
-from platform_ctrl.report.loop_responses import LoopResponses
-from platform_ctrl.report.page import block_tables as made
+from platform_ctrl.report.loop_responses import LoopResponses, loop_responses, root_locus
 from platform_ctrl.report.page import captions, comparison, tables
-from platform_ctrl.report.page.block_tables import html
 from platform_ctrl.report.page.blocks import (
     Block,
     Document,
@@ -42,63 +43,29 @@ from platform_ctrl.report.page.blocks import (
     Plate,
     Section,
     Verdict,
+    html,
     sentence,
 )
+from platform_ctrl.report.page.campaign_page import as_section, digests
 from platform_ctrl.report.page.summary import opening
-from platform_ctrl.report.quantities import count, plain
-from platform_ctrl.report.record import versions
-from platform_ctrl.verification.simulated import Run
+from platform_ctrl.report.plots.time_run import run_figure
+from platform_ctrl.report.quantities import count
 from platform_ctrl.verification.verdict import JobResult
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from platform_ctrl.campaign.summary import Summary
-    from platform_ctrl.report.loop_responses import LoopResponses
-
-
-def sentence_on_rate_limit(run: Run, loops: Sequence[LoopOutcome]) -> str:
-    """Return a sentence: up to which Omega about the run's axis the closed loops keep off their limits; or nothing."""
-    axis = run.manoeuvre.axis
-    held, worst = (_least(loops, largest_Omega_name(axis, worst_case=worst_case)) for worst_case in (False, True))
-    if run.manoeuvre.mode != "caged" or held is None:
-        return ""
-    varied = "" if worst is None else f", {plain(worst, 3, 'down')} in the worst case"
-    return (
-        f"Up to {plain(held, 3, 'down')} rad/s about this axis{varied}, torques and angles of the linear loops are "
-        f"proved to keep within their limits, noise apart; this run goes to {plain(run.manoeuvre.rate, 3)}."
-    )
-
-
-def _least(loops: Sequence[LoopOutcome], name: str) -> float | None:
-    found = [outcome.closed.claims[name] for outcome in loops if name in outcome.closed.claims]
-    return min(found, default=None)
 
 
 @check_arguments
-def write_page(
-    result: JobResult | Document,
-    path: str | os.PathLike[str],
-    *,
-    command: str | None = None,
-    campaign: Summary | None = None,
-    again: str | None = None,
-) -> Path:
-    """Write the page to `path`, whole or not at all.
+def write_page(result: JobResult | Document, path: str | os.PathLike[str]) -> Path:
+    """Write the page to `path`: the whole file, or nothing if that fails.
 
     Parameters
     ----------
     result
-        From `platform_ctrl.verification.checked`; or from `prepared`, where page and PDF are both written: the figures
-        are drawn once then, and the other options count there.
+        From `prepared`, or from `platform_ctrl.verification.checked` if no option of `prepared` is needed.
     path
-        The file; one that exists is replaced.
-    command
-        The command line that does it again; default one that reads the job printed at the end of the page.
-    campaign
-        What a campaign of the job came to, from `platform_ctrl.campaign.summary.summarise`: a section of the page.
-    again
-        The command line that flies one run of the campaign again, without the run's number at its end.
+        The file; an existing one is replaced.
 
     Returns
     -------
@@ -110,22 +77,16 @@ def write_page(
     InputError
         The file cannot be written.
     """
-    return write_whole(path, page_html(result, command=command, campaign=campaign, again=again))
+    return write_whole(path, page_html(result))
 
 
 @check_arguments
-def page_html(
-    result: JobResult | Document,
-    *,
-    command: str | None = None,
-    campaign: Summary | None = None,
-    again: str | None = None,
-) -> str:
+def page_html(result: JobResult | Document) -> str:
     """Return the page as HTML: self-contained, for light and dark screens and for paper.
 
     Parameters
     ----------
-    result, command, campaign, again
+    result
         As in `write_page`.
 
     Returns
@@ -136,9 +97,9 @@ def page_html(
     Raises
     ------
     ArgumentError
-        An argument of another kind than annotated.
+        `result` is neither a result nor a document.
     """
-    return html(prepared(result, command=command, campaign=campaign, again=again))
+    return html(prepared(result))
 
 
 @check_arguments
@@ -149,12 +110,18 @@ def prepared(
     campaign: Summary | None = None,
     again: str | None = None,
 ) -> Document:
-    """Return what the report says, for `write_page` and `write_pdf`; what is prepared already is returned as it is.
+    """Return the content of the report, for `write_page` and `write_pdf`, with every figure drawn.
 
     Parameters
     ----------
-    result, command, campaign, again
-        As in `write_page`.
+    result
+        From `platform_ctrl.verification.checked`. A document is returned as it is.
+    command
+        The command line that repeats the job; default: one that reads the job printed at the end of the report.
+    campaign
+        Summary of a campaign of the job, from `platform_ctrl.campaign.summary.summarise`; it becomes a section.
+    again
+        The command line that repeats one run of the campaign, without the run's number at its end.
 
     Returns
     -------
@@ -166,15 +133,13 @@ def prepared(
     ArgumentError
         An argument of another kind than annotated.
     """
-    from platform_ctrl.report import style
-
     if isinstance(result, Document):
         return result
     job = result.job
     with style.settings():
         sections = [
             Section(name="summary", title="", blocks=_summary(result, campaign)),
-            Section(name="requirements", title="Requirements", blocks=(made.requirement_table(result),)),
+            Section(name="requirements", title="Requirements", blocks=(tables.requirement_table(result),)),
             _plant(result),
             *(_loop(result, outcome, k) for k, outcome in enumerate(result.loops, 1)),
             Section(name="coupled", title="Coupled system", blocks=_coupled(result)),
@@ -198,8 +163,8 @@ def _summary(result: JobResult, campaign: Summary | None) -> tuple[Block, ...]:
     banner = Verdict(
         passed=result.passed,
         words=sentence(tables.verdict(result)),
-        lines=tuple(f"{row.subject}: {row.requirement} {row.value}, asked {row.limit}" for row in missed),
-        aside=f"{reached} of {count(len(goals), 'goal')} reached: no part of the verdict." if goals else "",
+        lines=tuple(f"{row.subject}: {row.requirement} {row.value}, limit {row.limit}" for row in missed),
+        aside=f"{reached} of {count(len(goals), 'goal')} reached; goals are not part of the verdict." if goals else "",
     )
     first, verdict, *details = opening(result, campaign)
     lead = Paragraph(text=f"{first} {verdict}", tone="lead")
@@ -222,45 +187,40 @@ def _plant(result: JobResult) -> Section:
     blocks: list[Block] = [
         Paragraph(text=_groups_in_words(result)),
         _axes_plate(result),
-        Part(title="Gimbals", blocks=(made.gimbal_table(result),)),
+        Part(title="Gimbals", blocks=(tables.gimbal_table(result),)),
     ]
     if result.job.platform.rotors:
-        blocks.append(Part(title="Rotors", blocks=(made.rotor_table(result),)))
-    elements = made.element_table(result)
+        blocks.append(Part(title="Rotors", blocks=(tables.rotor_table(result),)))
+    elements = tables.element_table(result)
     if elements is not None:
-        blocks.append(Part(title="What acts besides the torquers", blocks=(elements,)))
-    blocks.append(Part(title="Modes of the uncontrolled gimbals", blocks=(made.mode_table(result),)))
+        blocks.append(Part(title="Springs, friction and other elements", blocks=(elements,)))
+    blocks.append(Part(title="Modes of the uncontrolled gimbals", blocks=(tables.mode_table(result),)))
     return Section(name="plant", title="Plant and modes", blocks=(*blocks, *_plant_plates(result)))
 
 
 def _plate(figure: Figure, title: str, caption: str, *, small: bool = False) -> Plate:
-    from platform_ctrl.report import style
-
     return Plate(svg=style.svg(figure, f"{title}. {caption}"), title=title, caption=caption, small=small)
 
 
 def _axes_plate(result: JobResult) -> Plate:
-    from platform_ctrl.report.axes.picture import axes_picture
-
     caption = "Drawn from the plant file: which body turns about which axis, and how they carry each other."
     return Plate(svg=axes_picture(result.job.platform, alone=False), title="Axes and bodies", caption=caption)
 
 
 def _plant_plates(result: JobResult) -> list[Plate]:
-
     nutation = nutation_figure(result)
     if nutation is None:
         return []
-    return [_plate(nutation, "Campbell chart", captions.nutation(result))]
+    return [_plate(nutation, "Campbell diagram", captions.nutation(result))]
 
 
 def _loop(result: JobResult, outcome: LoopOutcome, number: int) -> Section:
-    blocks: list[Block] = [Paragraph(text=captions.loop_summary(outcome)), made.design_table(result, outcome)]
+    blocks: list[Block] = [Paragraph(text=captions.loop_summary(outcome)), tables.design_table(result, outcome)]
     blocks += [Paragraph(text=f"Not proved: {line}", tone="bad") for line in _unproved(result, outcome)]
     groups = comparison.group_rows(outcome.closed)
     if groups:
-        title = f"Plants that “{outcome.use}” has to stand"
-        blocks.append(Part(title=title, blocks=(made.group_table(groups),)))
+        title = f"Plants that “{outcome.use}” must work with"
+        blocks.append(Part(title=title, blocks=(tables.group_table(groups),)))
     blocks += _caging_plates(result, outcome)
     if outcome.spec.kind == "stabilisation":
         blocks += _servo_plates(result)
@@ -278,8 +238,6 @@ def _unproved(result: JobResult, outcome: LoopOutcome) -> list[str]:
 
 
 def _caging_plates(result: JobResult, outcome: LoopOutcome) -> list[Plate]:
-    from platform_ctrl.report.loop_responses import loop_responses, root_locus
-
     responses = loop_responses(result.model, outcome)
     plants = responses.designs[0].design.plants if responses is not None else None
     if responses is None or plants is None:
@@ -292,8 +250,13 @@ def _caging_plates(result: JobResult, outcome: LoopOutcome) -> list[Plate]:
             "Loop transfer",
             captions.loop_transfer(outcome, captions.spins(result.job.platform)),
         ),
-        *_nichols_plate(responses, outcome, plants.torques),
+    ]
+    if not captions.unstable(outcome.closed):
+        figure = nichols_figure(responses, spec, plants.torques)
+        plates.append(_plate(figure, "Nichols plot", captions.nichols(outcome), small=True))
+    plates += [
         _plate(disturbance_figure(responses, spec), "Disturbances", captions.disturbance(outcome, responses)),
+        *_further_plates(responses, outcome),
         _plate(
             pole_figure(responses, spec, plants.nutation, plants.period),
             "Closed-loop poles",
@@ -307,21 +270,20 @@ def _caging_plates(result: JobResult, outcome: LoopOutcome) -> list[Plate]:
     return plates
 
 
-def _nichols_plate(responses: LoopResponses, outcome: LoopOutcome, torques: tuple[str, ...]) -> list[Plate]:
-    if captions.unstable(outcome.closed):
+def _further_plates(responses: LoopResponses, outcome: LoopOutcome) -> list[Plate]:
+    kinds = further_gains(responses, outcome.spec)
+    if not kinds:
         return []
-    figure = nichols_figure(responses, outcome.spec, torques)
-    return [_plate(figure, "Gain over phase", captions.nichols(outcome), small=True)]
+    figure = further_gains_figure(responses, outcome.spec, kinds)
+    return [_plate(figure, "Other gains with limits", captions.further_gains(outcome, responses, kinds))]
 
 
 def _servo_plates(result: JobResult) -> list[Plate]:
-
     figure = servo_figure(result)
     return [] if figure is None else [_plate(figure, "The servo's loops in the coupled system", captions.servo())]
 
 
 def _coupled(result: JobResult) -> tuple[Block, ...]:
-
     check = result.coupled
     blocks: list[Block] = [
         Paragraph(text=captions.coupled_summary(result)),
@@ -334,7 +296,7 @@ def _coupled(result: JobResult) -> tuple[Block, ...]:
     if check.stable and check.simultaneous.frequencies.size:
         figure = simultaneous_margin_figure(check, result.job.coupled.disk_margin)
         blocks.append(_plate(figure, "Disk margin in all channels at once", captions.simultaneous(result)))
-    # Who carries the platform takes every torque on it.
+    # A carried platform does not yield to torques.
     if check.stable and check.free:
         figure = platform_disturbance_figure(result)
         blocks.append(_plate(figure, "Torque on the platform", captions.platform_disturbance()))
@@ -342,7 +304,6 @@ def _coupled(result: JobResult) -> tuple[Block, ...]:
 
 
 def _runs(result: JobResult) -> list[Section]:
-
     if not result.runs:
         return []
     words = (
@@ -354,7 +315,7 @@ def _runs(result: JobResult) -> list[Section]:
     for run in result.runs:
         name = run.manoeuvre.name
         if run.trajectory.t.size:
-            caption = " ".join(filter(None, [captions.run(run, spinning), sentence_on_rate_limit(run, result.loops)]))
+            caption = captions.run(run, spinning, result.loops)
             blocks.append(_plate(run_figure(run, result.job.platform), name, caption))
         else:
             nothing = Paragraph(text=f"The run {run.trajectory.ended}: nothing was recorded.")
@@ -368,11 +329,9 @@ def _campaign(result: JobResult, campaign: Summary | None, again: str | None) ->
             return []
         words = (
             "None is part of this report, though the job describes one: fly it with platform-ctrl campaign job.toml, "
-            "and name its folder with --campaign when the report is made."
+            "and name its folder with --campaign when the report is tables."
         )
         return [Section(name="campaign", title="Campaign", blocks=(Paragraph(text=words),))]
-    from platform_ctrl.report.page.campaign_sections import as_section
-
     return [as_section(campaign, result, again)]
 
 
@@ -388,11 +347,9 @@ def _again(result: JobResult, command: str | None, campaign: Summary | None) -> 
             text="The numbers do not depend on the machine beyond rounding; simulated runs repeat to the bit with the "
             f"same versions and seed {seed}."
         ),
-        Part(title="Versions", blocks=(Facts(rows=tuple(versions().items())),)),
+        Part(title="Versions", blocks=(Facts(rows=tables.versions()),)),
     ]
     if campaign is not None:
-        from platform_ctrl.report.page.campaign_sections import digests
-
         blocks.append(Part(title="Digests of the campaign", blocks=(Facts(rows=digests(campaign)),)))
-    blocks.append(made.record_part(result.job))
+    blocks.append(tables.record_part(result.job))
     return Section(name="again", title="Inputs and versions", blocks=tuple(blocks))

@@ -1,31 +1,40 @@
-"""The first paragraph of the report: what was designed, the verdict, and what stands nearest to a limit."""
+"""The first paragraph of the report: what was designed, the verdict, and what is nearest to its limit."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from platform_ctrl.analysis.metrics import METRICS
+from platform_ctrl.campaign.summary import Summary
+from platform_ctrl.campaign.table import PASSED
 from platform_ctrl.common.text import Rounding
 from platform_ctrl.design.jobs import LoopOutcome
 from platform_ctrl.design.loop import LoopDesign
-from platform_ctrl.job.judging import CheckResult
+from platform_ctrl.job.judging import STABLE, CheckResult
 from platform_ctrl.report.page.blocks import sentence
+from platform_ctrl.report.page.campaign_tables import (
+    causes,
+    chance,
+    chances,
+    contrast_name,
+    count_words,
+    drivers_of,
+)
 from platform_ctrl.report.page.tables import verdict
 from platform_ctrl.report.quantities import BOUND, compared, count, disk_words, listed, percent, plain, quantity
 from platform_ctrl.verification.verdict import PROVED, JobResult
 
-if TYPE_CHECKING:
-    from platform_ctrl.campaign.summary import Summary
-
-# Of two ratios to a limit; less is not worth a sentence.
-_WORTH_TELLING = 1.05
+# Of two ratios to a limit; a smaller difference is not mentioned.
+_NOTABLE = 1.05
+# What a design is not said to lose: bandwidth has a sentence of its own, and decay says little about a stable loop.
+_UNCOUNTED = (METRICS["bandwidth"].name, STABLE.name)
 
 
 def compared_with_alternatives(outcome: LoopOutcome) -> list[str]:
-    """Return sentences: order and bandwidth against the best alternative, and against bounds that are claimed."""
+    """Return sentences: order and bandwidth compared with the best alternative, and with claimed bounds."""
     return [*_against_others(outcome), *_against_bounds(outcome.closed)]
 
 
@@ -59,31 +68,32 @@ def _against_others(outcome: LoopOutcome) -> list[str]:
     fewer = best.controller.nstates - closed.controller.nstates
     loss, gain = _percent(1.0 - own / its), _percent(own / its - 1.0)
     if fewer > 0 and own < its:
-        told = f"{loss} of bandwidth is the price of {count(fewer, 'state')} fewer"
+        difference = f"{loss} of bandwidth is the price of {count(fewer, 'state')} fewer"
     elif fewer > 0:
-        told = f"{gain} more bandwidth with {count(fewer, 'state')} fewer"
+        difference = f"{gain} more bandwidth with {count(fewer, 'state')} fewer"
     elif own < its:
-        told = f"{loss} of bandwidth is given up without fewer states"
+        difference = f"{loss} of bandwidth is lost without a saving of states"
     else:
-        told = f"{gain} more bandwidth with {count(-fewer, 'state')} more" if fewer else f"{gain} more bandwidth"
-    return [f"{text}: {told}.", *_paid_in(closed, best)]
+        difference = f"{gain} more bandwidth with {count(-fewer, 'state')} more" if fewer else f"{gain} more bandwidth"
+    return [f"{text}: {difference}.", *_largest_cost(closed, best)]
 
 
-def _paid_in(closed: LoopDesign, best: LoopDesign) -> list[str]:
-    """Name the limit, bandwidth apart, that `closed` comes nearer to than `best` by most; nothing below 5 %."""
+def _largest_cost(closed: LoopDesign, best: LoopDesign) -> list[str]:
+    """Name the limit, bandwidth apart, to which `closed` is nearer than `best` by most; nothing below 5 %."""
     theirs = {one.name: one for one in best.results}
-    # How slow the slowest pole is says little as long as it decays.
     apart = [
         (one.ratio / theirs[one.name].ratio, one)
         for one in closed.results
-        if one.name in theirs and theirs[one.name].ratio > 0.0 and not one.name.startswith(("bandwidth", "slowest"))
+        if one.name in theirs
+        and theirs[one.name].ratio > 0.0
+        and not one.name.startswith((METRICS["bandwidth"].name, STABLE.name))
     ]
-    worse, paid = max(apart, key=lambda pair: pair[0], default=(1.0, None))
-    if paid is None or not worse > _WORTH_TELLING:
+    worse, cost = max(apart, key=lambda pair: pair[0], default=(1.0, None))
+    if cost is None or not worse > _NOTABLE:
         return []
-    other = theirs[paid.name].value
-    shown = quantity(paid.value, paid.unit, 3, like=paid.limit), quantity(other, paid.unit, 3, like=paid.limit)
-    return [f"It pays most in {paid.name}: {shown[0]} against {shown[1]}."]
+    other = theirs[cost.name].value
+    shown = [quantity(number, cost.unit, 3, like=cost.limit) for number in (cost.value, other)]
+    return [f"The largest loss is in {cost.name}: {shown[0]} compared with {shown[1]}."]
 
 
 def _against_bounds(design: LoopDesign) -> list[str]:
@@ -92,17 +102,17 @@ def _against_bounds(design: LoopDesign) -> list[str]:
     bound = claims.get("bandwidth_bound_hz", np.nan)
     if np.isfinite(bound) and own > 0.0:
         most = quantity(bound, "Hz", 3, rounding="up")
-        share = f": {_percent(bound / own - 1.0, 'up')} is all that any other could add" if own < bound else ""
+        share = f": at most {_percent(bound / own - 1.0, 'up')} could be gained" if own < bound else ""
         out.append(f"No controller within these limits reaches more than {most}{share}.")
     gamma, least = claims.get("gamma", np.nan), claims.get("gamma_optimal", np.nan)
-    told = claims.get("price", gamma / least - 1.0 if least > 0.0 else np.nan)
-    if np.isfinite(told) and np.isfinite(gamma) and np.isfinite(least):
+    price = claims.get("price", gamma / least - 1.0 if least > 0.0 else np.nan)
+    if np.isfinite(price) and np.isfinite(gamma) and np.isfinite(least):
         out.append(
-            f"On its weights the norm is {plain(gamma, rounding='up')}, {_percent(told)} above "
-            f"{plain(least, rounding='down')}, which no controller of any order undercuts."
+            f"On its weights the norm is {plain(gamma, rounding='up')}, {_percent(price)} above "
+            f"{plain(least, rounding='down')}, a lower bound for controllers of any order."
         )
-    elif np.isfinite(told):
-        out.append(f"Its simplicity costs at most {_percent(told, 'up')} against the best controller of any order.")
+    elif np.isfinite(price):
+        out.append(f"Its simplicity costs at most {_percent(price, 'up')} compared with the best of any order.")
     return out
 
 
@@ -114,13 +124,13 @@ def _percent(share: float, rounding: Rounding = "nearest") -> str:
     return f"{plain(100.0 * share, 2, rounding)}\u00a0%"
 
 
-# Margins up to this share belong to what limits a loop, beside the smallest.
+# Requirements with margins up to this share limit a loop, beside the one with the smallest.
 _NEAR = 0.05
 # Requirements of a loop that are named.
 _NAMED = 3
-# More loops than these are not gone through one by one: the nearest to their limits stand for all.
+# Of more loops than these only the nearest to their limits are described.
 _MOST_LOOPS = 4
-# Between a number and its unit no line ends.
+# No line break between a number and its unit.
 _UNIT = re.compile(r"(?<=\d) (?=(?:%|\u00b0|m?rad|k?Hz|m?N m|1/s|s)\b|%)|(?<=[\u2264\u2265]) ")
 _NUMBERS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten", "eleven", "twelve")
 
@@ -143,10 +153,10 @@ def opening(result: JobResult, campaign: Summary | None = None) -> list[str]:
 def tightest(results: Sequence[CheckResult]) -> CheckResult | None:
     """Return the requirement that is missed by most, or met by least; None where nothing has a margin.
 
-    How slow the slowest pole is, as long as it decays, is no measure of how tight a design is; nor is a proof.
+    Stability and proofs that are met are no measure of how tight a design is.
     """
-    telling = [one for one in results if not (one.passed and one.name.startswith(("minimum decay rate", PROVED.name)))]
-    return min(telling, key=lambda one: (one.passed, one.margin), default=None)
+    counted = [one for one in results if not (one.passed and one.name.startswith((STABLE.name, PROVED.name)))]
+    return min(counted, key=lambda one: (one.passed, one.margin), default=None)
 
 
 def _designed(result: JobResult) -> str:
@@ -174,17 +184,13 @@ def _verdict(result: JobResult) -> str:
     worst = tightest(result.requirements)
     missed = sum(not one.passed for one in result.requirements)
     if not result.requirements:
-        return "Nothing is asked of them."
+        return "There are no requirements."
     words = sentence(verdict(result)).replace("requirements met", "requirements are met")
     words = words.replace("not met", "is not met" if missed == 1 else "are not met")
     if worst is None:
         return f"{words}."
     nearest = "the one missed by most" if missed else "the tightest"
-    return f"{words}; {nearest} is {worst.name} of {_whose(worst)}, {_against(worst)}."
-
-
-def _whose(one: CheckResult) -> str:
-    return f"“{one.subject}”"
+    return f"{words}; {nearest} is {worst.name} of “{worst.subject}”, {_against(worst)}."
 
 
 def _against(one: CheckResult) -> str:
@@ -192,7 +198,7 @@ def _against(one: CheckResult) -> str:
     number, limit = compared(one)
     share = percent(abs(one.margin)).removeprefix("+")
     margin = f", {'missed' if one.margin < 0.0 else 'met'} by {share}" if abs(one.margin) < 10.0 else ""
-    return f"{number} where {BOUND[one.sense]} {limit} is asked{margin}"
+    return f"{number} with a limit of {BOUND[one.sense]} {limit}{margin}"
 
 
 def _limits(result: JobResult) -> list[str]:
@@ -200,8 +206,7 @@ def _limits(result: JobResult) -> list[str]:
     found = [(outcome, nearest) for outcome in result.loops if (nearest := tightest(outcome.closed.results))]
     if len(found) > _MOST_LOOPS:
         found = sorted(found, key=lambda pair: (pair[1].passed, pair[1].margin))[:_MOST_LOOPS]
-    told = [_limited(outcome, nearest) for outcome, nearest in found]
-    return [f"{'; '.join(told)}."] if told else []
+    return [f"{'; '.join(_limited(outcome, nearest) for outcome, nearest in found)}."] if found else []
 
 
 def _limited(outcome: LoopOutcome, nearest: CheckResult) -> str:
@@ -216,8 +221,8 @@ def _limited(outcome: LoopOutcome, nearest: CheckResult) -> str:
     near = sorted((one for one in results if one.margin <= _NEAR and tightest([one])), key=lambda one: one.margin)
     if near:
         named = [f"{one.name} ({percent(one.margin)})" for one in near[:_NAMED]]
-        return f"{reaches} is held back by {listed(named)}"
-    return f"{reaches} comes nearest to a limit in {nearest.name} ({percent(nearest.margin)})"
+        return f"{reaches} is limited by {listed(named)}"
+    return f"{reaches} is nearest to a limit in {nearest.name} ({percent(nearest.margin)})"
 
 
 def _together(result: JobResult) -> str:
@@ -236,36 +241,34 @@ def _runs(result: JobResult) -> str:
     if not result.runs:
         return ""
     lost = [run.manoeuvre.name for run in result.runs if not run.trajectory.completed]
-    flown = f"Of {count(len(result.runs), 'simulated run')}" if len(result.runs) > 1 else "The simulated run"
+    runs = f"Of {count(len(result.runs), 'simulated run')}" if len(result.runs) > 1 else "The simulated run"
     if lost:
         names = listed([f"“{name}”" for name in lost])
-        return f"{flown} {names} did not come to {'its' if len(lost) == 1 else 'their'} end."
+        return f"{runs} {names} ended early."
     worst = tightest([one for run in result.runs for one in run.results])
     if worst is None:
         return ""
     verb = "exceeds a limit by most" if not worst.passed else "comes nearest to a limit"
-    return f"{flown} “{worst.subject}” {verb}: {worst.name} {_against(worst)}."
+    return f"{runs} “{worst.subject}” {verb}: {worst.name} {_against(worst)}."
 
 
 def _campaign(summary: Summary) -> str:
-    from platform_ctrl.campaign.table import PASSED
-    from platform_ctrl.report.page import campaign_tables as tables
-    from platform_ctrl.report.page.campaign_tables import chance, chances, contrast_name, count_words, drivers_of
-
     found = summary.statistics
-    flown = found.violation
-    if not flown.runs:
-        return "No run of the campaign was flown."
+    violation = found.violation
+    if not violation.runs:
+        return "No run of the campaign was simulated."
     sure = f"with {plain(100.0 * found.confidence, 3)} % confidence"
-    bounds = chances(flown.low, flown.high)
-    if not flown.events:
-        return f"None of the campaign's {count_words(flown.runs)} violates a requirement: probability {bounds} {sure}."
+    bounds = chances(violation.low, violation.high)
+    if not violation.events:
+        return (
+            f"None of the campaign's {count_words(violation.runs)} violates a requirement: probability {bounds} {sure}."
+        )
     overall = (one for one in summary.sensitivities if one.manoeuvre is None and one.requirement == PASSED)
     drivers = [f"“{name}”" for one in overall for name in drivers_of(one)[:2]]
-    driven = f"; what decides it most is {listed(drivers)}" if drivers else ""
-    causes = [f"“{contrast_name(one)}”" for one in tables.causes(summary) if one.in_every_violation]
-    driven += f"; every violating run has {listed(causes)}" if causes else ""
+    driven = f"; the most influential inputs are {listed(drivers)}" if drivers else ""
+    shared = [f"“{contrast_name(one)}”" for one in causes(summary) if one.in_every_violation]
+    driven += f"; every violating run has {listed(shared)}" if shared else ""
     return (
-        f"In a campaign of {count_words(flown.runs)} the probability of violating a requirement is "
-        f"{chance(flown.estimate)} ({bounds} {sure}){driven}."
+        f"In a campaign of {count_words(violation.runs)} the probability of violating a requirement is "
+        f"{chance(violation.estimate)} ({bounds} {sure}){driven}."
     )

@@ -1,16 +1,35 @@
-"""The tables of the report as rows of text; the terminal shows the same requirement table."""
+"""The tables of the report; the terminal shows the same table of requirements."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from importlib.metadata import version
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from platform_ctrl.analysis.metrics import METRICS
 from platform_ctrl.common.values import value
+from platform_ctrl.design.jobs import LoopOutcome
+from platform_ctrl.job.job import Job
 from platform_ctrl.job.judging import CheckResult
+from platform_ctrl.job.writing import job_data, toml
 from platform_ctrl.plant.platform import PickOff, Torquer
 from platform_ctrl.report.modes import Mode, modes_at
+from platform_ctrl.report.page import comparison
+from platform_ctrl.report.page.blocks import (
+    Cell,
+    Column,
+    Group,
+    Listing,
+    Mark,
+    Paragraph,
+    Part,
+    Row,
+    Strip,
+    Table,
+    table,
+)
 from platform_ctrl.report.quantities import (
     BOUND,
     DASH,
@@ -24,10 +43,11 @@ from platform_ctrl.report.quantities import (
     plain,
     quantity,
 )
+from platform_ctrl.verification import records
 from platform_ctrl.verification.verdict import PROVED, JobResult
 
 if TYPE_CHECKING:
-    from rich.table import Table
+    from rich import table as rich_table
 
 
 @value
@@ -45,7 +65,7 @@ class RequirementRow:
     evidence, method
         What recomputes the value, and how it was found.
     goal
-        Whether it is a goal, which is no part of the verdict.
+        Whether it is a goal, which is not part of the verdict.
     """
 
     subject: str
@@ -81,7 +101,7 @@ def _ordered(result: JobResult, judged: Sequence[CheckResult]) -> tuple[Requirem
     subjects = list(dict.fromkeys(one.subject for one in judged))
 
     def place(one: CheckResult) -> tuple[int, bool, float]:
-        # That all is proved has no margin: it comes last.
+        # That everything is proved has no margin: it comes last.
         margin = np.inf if one.passed and one.name == PROVED.name else one.margin
         return subjects.index(one.subject), one.passed, margin
 
@@ -92,7 +112,7 @@ def _row(result: JobResult, one: CheckResult) -> RequirementRow:
     number, limit = compared(one)
     limit, margin = f"{BOUND[one.sense]} {limit}", percent(one.margin)
     if one.name == PROVED.name:
-        # A share of claims is a number of them, and all are asked for: there is no margin.
+        # All claims have to be proved: there is no margin.
         proofs = result.proofs[one.subject if one.design else "", one.design]
         number, limit, margin = f"{proofs.proved} of {proofs.of}", "all", ""
     share = one.margin if margin and np.isfinite(one.margin) else 0.0
@@ -114,41 +134,41 @@ def _row(result: JobResult, one: CheckResult) -> RequirementRow:
 
 def verdict(result: JobResult) -> str:
     """Return the verdict in a few words."""
-    asked = len(result.requirements)
+    number = len(result.requirements)
     missed = sum(not one.passed for one in result.requirements)
     if missed:
-        words = f"{missed} of {count(asked, 'requirement')} not met"
+        words = f"{missed} of {count(number, 'requirement')} not met"
     else:
-        words = f"all {count(asked, 'requirement')} met" if asked != 1 else "the one requirement is met"
+        words = f"all {count(number, 'requirement')} met" if number != 1 else "the one requirement is met"
     return f"{words}{added_words(result.job.platform)}"
 
 
-def terminal_table(result: JobResult) -> Table:
+def terminal_table(result: JobResult) -> rich_table.Table:
     """Return the requirement table for a terminal."""
-    from rich.table import Table
+    from rich.table import Table as RichTable
     from rich.text import Text
 
-    table = Table(
+    out = RichTable(
         title=Text(result.job.name), title_justify="left", title_style="bold", header_style="bold", expand=False
     )
     for name in ("subject", "requirement"):
-        table.add_column(name, overflow="fold")
+        out.add_column(name, overflow="fold")
     for name in ("value", "limit", "margin"):
-        table.add_column(name, justify="right", no_wrap=True)
-    table.add_column("stage", no_wrap=True)
-    table.add_column("method", no_wrap=True)
-    table.add_column("met", justify="center", no_wrap=True)
+        out.add_column(name, justify="right", no_wrap=True)
+    out.add_column("stage", no_wrap=True)
+    out.add_column("method", no_wrap=True)
+    out.add_column("met", justify="center", no_wrap=True)
     goals = goal_rows(result)
     if goals:
-        table.caption, table.caption_justify = "Goals are no part of the verdict.", "left"
+        out.caption, out.caption_justify = "Goals are not part of the verdict.", "left"
     for subject, rows in by_subject(result).items():
-        table.add_section()
+        out.add_section()
         for k, row in enumerate((*rows, *(goal for goal in goals if goal.subject == subject))):
             style, mark = ("dim", "dim") if row.goal else ("", "green") if row.passed else ("bold red", "bold red")
             cells = [row.requirement, row.value, row.limit, row.margin, row.stage, row.method]
             words = [Text(subject if k == 0 else ""), *(Text(cell, style=style) for cell in cells)]
-            table.add_row(*words, Text(row.symbol, style=mark))
-    return table
+            out.add_row(*words, Text(row.symbol, style=mark))
+    return out
 
 
 def by_subject(result: JobResult) -> dict[str, list[RequirementRow]]:
@@ -160,7 +180,7 @@ def by_subject(result: JobResult) -> dict[str, list[RequirementRow]]:
 
 
 def gimbal_rows(result: JobResult) -> list[tuple[str, ...]]:
-    """Return gimbal, what carries it, axis, angle, J about the axis, stops, torquer and pick-off of each gimbal."""
+    """Return name, parent, axis, angle, J about the axis, stops, torquer and pick-off of each gimbal."""
     platform = result.job.platform
     torquers = {t.gimbal: t for t in platform.torquers if t.gimbal is not None}
     pickoffs = {s.gimbal: s for s in platform.pickoffs}
@@ -213,7 +233,7 @@ def rotor_rows(result: JobResult) -> list[tuple[str, ...]]:
 
 
 def element_rows(result: JobResult) -> list[tuple[str, str, str]]:
-    """Return kind, place and numbers of everything that acts besides the torquers; specific force first."""
+    """Return kind, place and values of specific force, springs, friction and other elements."""
     platform = result.job.platform
     rows: list[tuple[str, str, str]] = []
     if np.any(platform.specific_force):
@@ -269,3 +289,126 @@ def _mode_cells(mode: Mode) -> tuple[str, str, str, str]:
     if mode.growth > 0.0:
         kind += f", unstable, grows at {plain(mode.growth, 3)} 1/s"
     return "-".join(mode.gimbals), kind, str(mode.poles), frequency
+
+
+_BAR = 64.0
+
+
+def requirement_table(result: JobResult) -> Table:
+    """Return every requirement of a job, loop by loop, and each loop's goals after it."""
+    goals, groups = goal_rows(result), []
+    for subject, rows in by_subject(result).items():
+        title = f"{subject}, {rows[0].design}" if rows[0].design else subject
+        groups.append(Group(title=title, rows=tuple(_requirement(row) for row in rows)))
+        wished = tuple(_requirement(row) for row in goals if row.subject == subject)
+        if wished:
+            groups.append(Group(title=f"goals of {subject}, not part of the verdict", rows=wished, quiet=True))
+    columns = (
+        Column(title="requirement"),
+        Column(title="value", number=True),
+        Column(title="limit", number=True),
+        Column(title="margin", number=True),
+        Column(title="stage"),
+        Column(title="method"),
+        Column(title="met"),
+    )
+    return Table(columns=columns, groups=tuple(groups), form="requirements")
+
+
+def _requirement(row: RequirementRow) -> Row:
+    reached = ("reached" if row.passed else "not reached") if row.goal else ("met" if row.passed else "not met")
+    tone = "quiet" if row.goal else "good" if row.passed else "bad"
+    name = row.requirement.removeprefix(comparison.GOAL) if row.goal else row.requirement
+    colour = "reference" if row.goal else "bad" if row.share < 0.0 else "good"
+    marks = (Mark(form="ground", start=0.0, end=1.0), Mark(form="bar", start=0.0, end=abs(row.share), colour=colour))
+    return Row(
+        cells=(
+            Cell(text=name, note=row.evidence),
+            Cell(text=row.value, tone="bad" if tone == "bad" else ""),
+            Cell(text=row.limit),
+            Cell(
+                text=row.margin,
+                tone="bad" if tone == "bad" else "",
+                strip=Strip(length=_BAR, marks=marks if row.margin else ()),
+            ),
+            Cell(text=row.stage),
+            Cell(text=row.method),
+            Cell(text=f"{row.symbol} {reached}", tone=tone),
+        ),
+        missed=not row.passed and not row.goal,
+    )
+
+
+def design_table(result: JobResult, outcome: LoopOutcome) -> Table:
+    """Return the designs of a loop side by side; the column of the one that is closed counts."""
+    columns = [Column(title="design"), Column(title="limit", number=True)]
+    for design in outcome.designs:
+        closed = design.name == outcome.use
+        tag = f"{design.method}, closed" if closed else design.method
+        columns.append(Column(title=design.name, tag=tag, number=True, strong=closed))
+    groups = [
+        Group(
+            title=part.title,
+            quiet=True,
+            rows=tuple(
+                Row(cells=(Cell(text=row.name), Cell(text=row.limit), *(_judged(cell) for cell in row.cells)))
+                for row in part.rows
+            ),
+        )
+        for part in comparison.sections(result, outcome)
+    ]
+    return Table(columns=tuple(columns), groups=tuple(groups), form="designs")
+
+
+def _judged(cell: comparison.Cell) -> Cell:
+    return Cell(text=cell.text, tone="" if cell.met is None else "good" if cell.met else "bad")
+
+
+def group_table(rows: Sequence[tuple[str, ...]]) -> Table:
+    """Return the groups of plants that a loop must work with."""
+    lowest = (METRICS[kind].name for kind in ("stability", "damping", "disk margin"))
+    numbers = "|".join(["plants", *lowest])
+    return table(f"group|{numbers}|with", list(rows), numbers=numbers, form="narrow")
+
+
+def gimbal_table(result: JobResult) -> Table:
+    """Return the gimbals, indented by their level."""
+    return table(
+        "gimbal|carried by|axis|angle|J about the axis|stops|torquer|pick-off noise",
+        gimbal_rows(result),
+        numbers="J about the axis|stops",
+    )
+
+
+def rotor_table(result: JobResult) -> Table:
+    """Return the rotors."""
+    return table("rotor|carried by|spin axis|L|C|spin|speed", rotor_rows(result), numbers="L|C|spin")
+
+
+def element_table(result: JobResult) -> Table | None:
+    """Return specific force, springs, friction and other elements; None without any."""
+    rows = element_rows(result)
+    return table("element|acts on|numbers", rows) if rows else None
+
+
+def mode_table(result: JobResult) -> Table:
+    """Return the modes of the uncontrolled gimbals; a group is named once."""
+    rows, last = [], None
+    for group, motion, poles, frequency, rate in mode_rows(result):
+        rows.append(("" if group == last else group, rate, motion, poles, frequency))
+        last = group
+    return table("group|platform rate|motion|poles|frequency", rows, numbers="poles|frequency")
+
+
+def record_part(job: Job) -> Part:
+    """Return the job with its plant as a listing to be copied."""
+    words = f"All numbers to their last digit, in SI units, with the plant (“{job.plant}” in the job)."
+    return Part(
+        title="Job and plant as read",
+        blocks=(Paragraph(text=words), Listing(text=toml(job_data(job)), file="job.toml")),
+    )
+
+
+def versions() -> tuple[tuple[str, str], ...]:
+    """Return the versions of Python and of every package that the report depends on."""
+    return (*records.versions().items(), ("matplotlib", version("matplotlib")))

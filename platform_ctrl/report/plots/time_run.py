@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from io import StringIO
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from platform_ctrl.common.arguments import known_name, positive
+from platform_ctrl.common.files import write_whole
 from platform_ctrl.common.signatures import check_arguments, short
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
@@ -19,6 +22,7 @@ from platform_ctrl.report.quantities import root_series, signal_series
 from platform_ctrl.report.style import (
     BEYOND,
     DASHED,
+    INK,
     LIMIT,
     MUTED,
     REFERENCE,
@@ -26,14 +30,12 @@ from platform_ctrl.report.style import (
     envelope,
     linear_axis,
     panels,
+    settings,
     signal_style,
     standalone,
 )
 from platform_ctrl.simulation import Trajectory
 from platform_ctrl.verification import Run
-
-if TYPE_CHECKING:
-    pass
 
 # Limits further away than this many times the largest value would flatten the trace: they are named instead of drawn.
 _FAR = 3.7
@@ -290,3 +292,22 @@ def _note(axes: Axes, text: str) -> None:
 def _of_axes(symbol: str) -> dict[str, int]:
     """Return a symbol with the index of each root axis, and the colour of that axis."""
     return {f"{symbol}{index}": root_series(axis) for axis, index in ((1, "₁"), (2, "₂"), (3, "₃"))}
+
+
+def run_figure(run: Run, platform: Platform) -> Figure:
+    """Everything that a run recorded: gimbal angles, torques, platform rate, and with a free platform its attitude."""
+    limits, duration = run.manoeuvre.limits, run.manoeuvre.duration
+    return trajectory_figure(run.trajectory, platform.torquers, signal_series(platform), limits, duration)
+
+
+def write_run_figure(run: Run, platform: Platform, title: str, path: Path) -> None:
+    """Draw everything that a run recorded and write it to `path` as SVG, whole or not at all."""
+    out = StringIO()
+    with settings():
+        figure = run_figure(run, platform)
+        above = 1.0 + 0.12 / figure.get_size_inches()[1]
+        figure.text(0.0, above, title, color=INK, fontsize=9.0, fontweight="bold", ha="left", va="bottom")
+        figure.savefig(
+            out, format="svg", facecolor="white", bbox_inches="tight", pad_inches=0.1, metadata={"Date": None}
+        )
+    write_whole(path, out.getvalue())

@@ -6,7 +6,6 @@ import dataclasses
 import json
 import math
 from collections.abc import Mapping, Sequence
-from importlib.metadata import version
 from typing import Any
 
 import numpy as np
@@ -17,7 +16,6 @@ from platform_ctrl.job.reading import SCHEMA as JOB_SCHEMA
 from platform_ctrl.job.scenario import Vibration
 from platform_ctrl.plant.force_elements import Cage, Erection, Friction, Spring, Unbalance
 from platform_ctrl.plant.platform import OMEGA_NAMES, ROOT_TORQUE_NAMES, PickOff, Platform, RateSensor, Rotor, Torquer
-from platform_ctrl.verification import records
 
 Part = Torquer | PickOff | RateSensor | Spring | Friction | Cage | Unbalance | Erection | Vibration
 
@@ -211,8 +209,3 @@ def _literal(item: Any) -> str:
 
 def _given(data: dict[str, Any]) -> dict[str, Any]:
     return {key: item for key, item in data.items() if item is not None}
-
-
-def versions() -> dict[str, str]:
-    """Return the versions of Python and of every package that the page depends on."""
-    return records.versions() | {"matplotlib": version("matplotlib")}
