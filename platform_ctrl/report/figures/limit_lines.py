@@ -104,7 +104,7 @@ def damping_rays(limits: Mapping[str, float]) -> list[tuple[float, Any, str]]:
         ratio = limits.get(f"{metric.key}_{scope}" if scope else metric.key)
         if ratio is not None:
             dashes, words = _OF_SCOPE[scope]
-            rays.append((ratio, dashes, f"{words}, {ratio:g},{SCOPE_WORDS[scope] or ' for the nominal plant'}"))
+            rays.append((ratio, dashes, f"{words}, {ratio:g}{SCOPE_WORDS[scope] or ' for the nominal plant'}"))
     return rays
 
 
