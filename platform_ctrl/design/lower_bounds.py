@@ -1,9 +1,8 @@
 """Lower bounds on the norm of every closed loop around a plant: H-infinity and H2, no assumption on D12 and D21.
 
-Adjoint signals ζ, with p' = A'p + C1'ζ, that no control can see, B2'p + D12'ζ = 0, show what no control can undo: every
-controller leaves the gain from ζ to ω = B1'p + D11'ζ as it is. The transposed plant shows the same of measurements.
-Such signals live in a subspace, p = S ξ (the largest output-nulling one, of that its reachable and its antistable
-part), where they are those of a regular system
+Adjoint signals ζ, with p' = A'p + C1'ζ and B2'p + D12'ζ = 0, are invisible to the controls: no controller changes the
+gain from ζ to ω = B1'p + D11'ζ. The dual plant gives the same for measurements. Such signals lie in a subspace, p = S ξ
+(the reachable and the antistable part of the largest output-nulling one), where they are those of a regular system
 
     ξ' = A ξ + B η,   ζ = C ξ + D η,   ω = H ξ + E η
 
@@ -14,6 +13,7 @@ of a solver; the optimal K, from a Riccati equation, makes it tight, and an erro
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import warnings
 from collections.abc import Callable, Iterator
@@ -24,28 +24,28 @@ import numpy as np
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.partition import Partition, in_w_plane
 from platform_ctrl.design.riccati.assumptions import DIRECT
-from platform_ctrl.design.riccati.equations import Equation, by_pencil, stabilising
+from platform_ctrl.design.riccati.equations import Equation, by_pencil, hamiltonian, stabilising
 from platform_ctrl.design.scaling import ScaledPlant, autoscaled_with_gain, clustered
 from platform_ctrl.errors import ArgumentError
 
-# Share of the bound that is given away for rounding of its evaluation.
+# Share of the bound that is subtracted for rounding of its evaluation.
 ROUNDING = 5e-11
-# Singular values below this share of the largest are zero, when the subspace is found; and its least angle.
+# Singular values below this share of the largest count as zero in the search of the subspace; and its least angle.
 RANK, ANGLE = 1e-13, 1e-8
-# Couplings below this share of the plant do not reach a state.
+# Couplings below this share of the plant count as zero.
 REACH = 1e-12
-# How far the subspace may be from exact, and how near to the axis an eigenvalue that no input moves is not antistable,
-# relative to the scaled plant.
+# Largest error of the subspace, and largest distance from the axis at which an eigenvalue that no input moves is not
+# antistable, relative to the scaled plant.
 LEAK, AXIS = 1e-11, 1e-8
 # Ratios of sizes below this are rounding, not units.
 UNITS = 1e-8
-# Eigenvalues farther from the axis than this share of the Hamiltonian matrix leave a solution that is only ill-scaled.
+# Eigenvalues farther from the axis than this share of the Hamiltonian matrix: the solution exists and is ill-scaled.
 DISTANCE = 1e-9
 # Added to the right-hand side of a Lyapunov equation in states of unit cost, until the inequality holds with rounding.
 SLACKS = 10.0 ** np.arange(-14.0, -6.0)
 # The search for the least level ends at this relative width of gamma^-2, or after so many steps.
 WIDTH, STEPS = 1e-10, 80
-# A bound this near to the level that a synthesis has reached needs no search.
+# Relative distance to the level of a synthesis below which a bound needs no search.
 NEAR = 1e-8
 # Levels of a scaled plant below this count as zero.
 LEAST_LEVEL = 1e-9
@@ -114,7 +114,7 @@ def h2_lower_bound(plant: Partition, direct: bool = True) -> float:
 
 
 def _evaluated(bound: Callable[[], float]) -> float:
-    """The bound less what rounding may have added; 0 where it cannot be evaluated."""
+    """Return the bound less rounding; 0 where it cannot be evaluated."""
     with warnings.catch_warnings(), np.errstate(all="ignore"):
         warnings.simplefilter("ignore")
         try:
@@ -133,13 +133,10 @@ def _h2(plant: Partition) -> float:
     """The bound of a continuous plant."""
     scaled = autoscaled_with_gain(plant)
     p = _exact(scaled, plant)
-    gain = -scaled.plant.D12.T @ p.D11 @ scaled.plant.D21.T
-    if np.linalg.norm(p.D11 + p.D12 @ gain @ p.D21) > DIRECT * np.linalg.norm(p.D11):
+    closed = p.with_gain(-scaled.plant.D12.T @ p.D11 @ scaled.plant.D21.T)
+    if np.linalg.norm(closed.D11) > DIRECT * np.linalg.norm(p.D11):
         return 0.0  # There is no finite norm.
-    p = Partition(
-        A=p.A + p.B2 @ gain @ p.C2, B1=p.B1 + p.B2 @ gain @ p.D21, B2=p.B2, C1=p.C1 + p.D12 @ gain @ p.C2, C2=p.C2,
-        D11=np.zeros_like(p.D11), D12=p.D12, D21=p.D21, D22=p.D22,
-    )  # fmt: skip
+    p = dataclasses.replace(closed, D11=np.zeros_like(p.D11))
     sides = _both_sides(p)
     controls, measurements = (None, None) if sides is None else (_cost(sides[0]), _cost(sides[1]))
     if controls is None or measurements is None:
@@ -204,17 +201,12 @@ def _cost(side: Side) -> tuple[FloatArray, FloatArray] | None:
 def _exact(scaled: ScaledPlant, given: Partition) -> Partition:
     """The scaled plant with D12 and D21 as they are: where they nearly lose rank, scaling sets the rest to zero."""
     p, root = scaled.plant, math.sqrt(scaled.gain)
-    return Partition(
-        A=p.A, B1=p.B1, B2=p.B2, C1=p.C1, C2=p.C2, D11=p.D11,
-        D12=given.D12 / root @ scaled.control, D21=scaled.measurement @ given.D21 / root, D22=p.D22,
-    )  # fmt: skip
+    return dataclasses.replace(p, D12=given.D12 / root @ scaled.control, D21=scaled.measurement @ given.D21 / root)
 
 
 def _both_sides(p: Partition) -> tuple[Side, Side] | None:
-    controls = _side(p.A, p.B1, p.B2, p.C1, p.D11, p.D12)
-    measurements = _side(p.A.T, p.C1.T, p.C2.T, p.B1.T, p.D11.T, p.D21.T)
     out = []
-    for side in (controls, measurements):
+    for side in (_side(p), _side(p.dual)):
         # Twice: the first costs are those of badly scaled states.
         found = side and _in_states_of_unit_cost(_in_common_units(side))
         found = found and _in_states_of_unit_cost(found)
@@ -225,7 +217,7 @@ def _both_sides(p: Partition) -> tuple[Side, Side] | None:
 
 
 def _in_common_units(side: Side) -> Side:
-    """The same with B and C of one size."""
+    """Return the side with B and C of one size."""
     B, C = float(np.linalg.norm(side.B)), float(np.linalg.norm(side.C))
     unit = math.sqrt(B / C) if B > UNITS * C and C > UNITS * B else 1.0
     one = np.eye(len(side.A))
@@ -233,15 +225,12 @@ def _in_common_units(side: Side) -> Side:
 
 
 def _in_states(side: Side, T: FloatArray, back: FloatArray) -> Side:
-    """The same in states ξ', ξ = T ξ'; `back` is the inverse."""
-    return Side(
-        S=side.S @ T, A=back @ (side.A @ T), B=back @ side.B, C=side.C @ T, D=side.D, H=side.H @ T, E=side.E,
-        fixed=side.fixed,
-    )  # fmt: skip
+    """Return the side in states ξ', ξ = T ξ'; `back` is the inverse."""
+    return side._replace(S=side.S @ T, A=back @ (side.A @ T), B=back @ side.B, C=side.C @ T, H=side.H @ T)
 
 
 def _in_states_of_unit_cost(side: Side) -> Side | None:
-    """The same in states ξ that are reached with ∫ |ζ|² = |ξ|²; None where there is no least."""
+    """Return the side in states ξ that are reached with ∫ |ζ|² = |ξ|²; None where there is no least."""
     level = _at(side, 0.0)[0]
     if level is None:
         return None
@@ -260,7 +249,7 @@ def _kernel(M: FloatArray) -> FloatArray:
 
 
 def _split(V: FloatArray, tolerance: float) -> tuple[FloatArray, FloatArray]:
-    """Orthonormal bases of the range of V and of its complement."""
+    """Return orthonormal bases of the range of V and of its complement."""
     n = len(V)
     if not V.shape[1]:
         return np.zeros((n, 0)), np.eye(n)
@@ -269,13 +258,12 @@ def _split(V: FloatArray, tolerance: float) -> tuple[FloatArray, FloatArray]:
     return U[:, :rank], U[:, rank:]
 
 
-def _side(
-    A: FloatArray, B1: FloatArray, B2: FloatArray, C1: FloatArray, D11: FloatArray, D12: FloatArray
-) -> Side | None:
-    """Return the reduced adjoint system; None where rounding does not leave it exact enough."""
+def _side(p: Partition) -> Side | None:
+    """Return the reduced adjoint system; None where rounding makes it too inexact."""
+    A, B1, B2, C1, D11, D12 = p.A, p.B1, p.B2, p.C1, p.D11, p.D12
     n = len(A)
     V, rest = np.eye(n), np.zeros((n, 0))
-    # Shrinks until every p in V can stay there, unseen by the controls.
+    # Shrinks until it is invariant and invisible to the controls.
     while True:
         k = V.shape[1]
         N = _kernel(np.block([[B2.T @ V, D12.T], [rest.T @ A.T @ V, rest.T @ C1.T]]))
@@ -303,15 +291,15 @@ def _side(
 
 
 def _kernel_of_rows(M: FloatArray) -> FloatArray:
-    """Kernel of a matrix of full row rank."""
+    """Return the kernel of a matrix of full row rank."""
     return np.asarray(np.linalg.svd(M)[2][len(M) :].T) if len(M) else np.eye(M.shape[1])
 
 
 def _reachable_or_antistable(A: FloatArray, B: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Basis of the states that inputs reach, and with them of the eigenvalues in the right half-plane that they do not.
+    """Return a basis of the states that inputs reach and of the other antistable ones, and unreached frequencies.
 
-    What decays by itself has been nothing ever since: no signal on (−∞, 0] contains it. Also returned are the
-    frequencies of eigenvalues on the axis that no input moves.
+    Signals on (−∞, 0] do not contain what decays by itself. The frequencies are those of eigenvalues on the axis that
+    no input moves.
     """
     from scipy.linalg import schur
 
@@ -332,7 +320,7 @@ def _reachable_or_antistable(A: FloatArray, B: FloatArray) -> tuple[FloatArray, 
 
 
 def _at(side: Side, t: float) -> tuple[Level | None, FloatArray]:
-    """Return the solution at t, or None; and the frequencies of eigenvalues on the axis that stand in its way."""
+    """Return the solution at t, or None and the frequencies of eigenvalues on the axis."""
     _, A, B, C, D, H, E, _ = side
     R = D.T @ D - t * E.T @ E
     if not len(A):
@@ -343,12 +331,12 @@ def _at(side: Side, t: float) -> tuple[Level | None, FloatArray]:
     into = np.linalg.solve(R, np.hstack([B.T, N.T]))
     n = len(A)
     # Backwards in time: what leads to ξ from rest is what leaves it.
-    left = -A + B @ into[:, n:]
-    found = stabilising(np.block([[left, -B @ into[:, :n]], [N @ into[:, n:] - Q, -left.T]]))
+    equation = Equation(-A, -B, Q, R, N, discrete=False)
+    found = stabilising(hamiltonian(equation))
     X = found.X
     if X is None and found.distance > DISTANCE and R.size:
         # X is large in some directions and small in others.
-        X = by_pencil(Equation(-A, -B, Q, R, N, discrete=False))
+        X = by_pencil(equation)
     if X is None:
         near = np.abs(found.eigenvalues.real) <= 1e-5 * max(np.abs(found.eigenvalues).max(initial=0.0), 1.0)
         return None, np.unique(np.abs(found.eigenvalues.imag[near]))
@@ -356,7 +344,7 @@ def _at(side: Side, t: float) -> tuple[Level | None, FloatArray]:
 
 
 def _least_level(sides: tuple[Side, Side], near: float) -> float:
-    """Largest level that is shown to be a lower bound, by search in t = gamma⁻² for the last one that is feasible."""
+    """Return the largest level proved to be a lower bound, by search in t = gamma⁻² for the last feasible one."""
     bound = max(max(_gain(side.D, side.E), side.fixed) for side in sides)
     feasible, beyond = 0.0, max(bound, LEAST_LEVEL) ** -2
     t = min((1.0 - WIDTH) * max(near, LEAST_LEVEL) ** -2, beyond) if near > 0.0 else min(1.0, 0.5 * beyond)
@@ -391,7 +379,7 @@ def _is_feasible(sides: tuple[Side, Side], levels: tuple[Level | None, Level | N
 
 
 def _coupling(sides: tuple[Side, Side], levels: tuple[Level, Level]) -> tuple[float, FloatArray, FloatArray]:
-    """Largest x'S_X'S_Y y for x'X x = y'Y y = 1, and x and y."""
+    """Return the largest x'S_X'S_Y y for x'X x = y'Y y = 1, and x and y."""
     L, M = (np.linalg.cholesky(level.X) for level in levels)
     between = np.linalg.solve(L, np.linalg.solve(M, sides[1].S.T @ sides[0].S).T)
     if not between.size:
@@ -401,7 +389,7 @@ def _coupling(sides: tuple[Side, Side], levels: tuple[Level, Level]) -> tuple[fl
 
 
 def _gain(Z: FloatArray, W: FloatArray) -> float:
-    """Largest |W x| / |Z x|, evaluated at the vector that it belongs to."""
+    """Return the largest |W x| / |Z x|, evaluated at its vector."""
     if not Z.shape[1]:
         return 0.0
     R = np.linalg.qr(Z)[1]
@@ -432,7 +420,7 @@ def _of_frequencies(sides: tuple[Side, Side], frequencies: tuple[FloatArray, ...
 
 
 class Signals(NamedTuple):
-    """Adjoint signals on (−∞, 0]: ∫ |ζ|² and ∫ |ω|², and a root of what is left at the end, W = ∫ d/dt ξξ'."""
+    """Adjoint signals on (−∞, 0]: ∫ |ζ|², ∫ |ω|², and a root of the final value, W = ∫ d/dt ξξ'."""
 
     size: float
     seen: float
@@ -461,13 +449,13 @@ def _signals(side: Side, level: Level, x: FloatArray) -> Signals:
 
 
 def _root(P: FloatArray) -> FloatArray:
-    """Root of the positive semidefinite part."""
+    """Return a root of the positive semidefinite part."""
     values, vectors = np.linalg.eigh(P)
     return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
 
 
 def _of_levels(sides: tuple[Side, Side], levels: tuple[Level, Level]) -> Iterator[float]:
-    """Bounds from the signals that the two solutions are least compatible with, and from those of each alone."""
+    """Yield bounds from the signals for which the two solutions are least compatible, and from those of each alone."""
     nothing = [Signals(0.0, 0.0, np.zeros_like(level.X)) for level in levels]
     for k, (side, level) in enumerate(zip(sides, levels, strict=True)):
         if len(level.X):
@@ -480,7 +468,7 @@ def _of_levels(sides: tuple[Side, Side], levels: tuple[Level, Level]) -> Iterato
 
 
 def _dual(sides: tuple[Side, Side], one: Signals, other: Signals) -> float:
-    """Level below which these signals allow no controller: λ² s − λ f − g² = 0.
+    """Return the level below which these signals exclude every controller: λ² s − λ f − g² = 0.
 
     Every pair X, Y of the synthesis inequalities at γ has tr(X W) <= γ s − g²/γ, summed over both sides, with W the end
     of the signals, and tr(X W_X) + tr(Y W_Y) >= f = 2 |W_X^½ S_X' S_Y W_Y^½| in the nuclear norm, by [X, I; I, Y] >= 0.

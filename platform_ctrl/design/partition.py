@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -32,17 +33,28 @@ class Partition:
     D22: FloatArray
     dt: float = 0.0
 
+    @property
+    def dual(self) -> Partition:
+        """The transposed plant: what holds for its controls holds for the measurements of this one."""
+        return Partition(
+            A=self.A.T, B1=self.C1.T, B2=self.C2.T, C1=self.B1.T, C2=self.B2.T,
+            D11=self.D11.T, D12=self.D21.T, D21=self.D12.T, D22=self.D22.T, dt=self.dt,
+        )  # fmt: skip
+
+    def with_gain(self, gain: FloatArray) -> Partition:
+        """Return the plant with u = gain y + u' closed, for D22 = 0."""
+        into, out = self.B2 @ gain, self.D12 @ gain
+        return dataclasses.replace(
+            self,
+            A=self.A + into @ self.C2,
+            B1=self.B1 + into @ self.D21,
+            C1=self.C1 + out @ self.C2,
+            D11=self.D11 + out @ self.D21,
+        )
+
 
 def partition(P: StateSpace, nmeas: int, ncon: int, sampled: bool = False) -> Partition:
-    """Split a plant at its last `nmeas` outputs and last `ncon` inputs.
-
-    Parameters
-    ----------
-    P, nmeas, ncon
-        As in `design.synthesis.hinf`.
-    sampled
-        Whether a plant with dt > 0 is taken, too.
-    """
+    """Split a plant at its last `nmeas` outputs and last `ncon` inputs; `sampled`: it may have dt > 0."""
     arrays = state_arrays(P, "plant")
     if arrays.dt and not sampled:
         raise ArgumentError(
@@ -69,10 +81,7 @@ def split(plant: StateArrays, nz: int, nw: int) -> Partition:
 
 
 def in_w_plane(plant: Partition) -> Partition:
-    """Return a sampled plant in the w-plane, w = (2/T) (z − 1)/(z + 1), where it is continuous; others as they are.
-
-    The map is exact: stability and the H-infinity norm of every loop are kept.
-    """
+    """Return a sampled plant in the w-plane, w = (2/T) (z − 1)/(z + 1), which keeps stability and H-infinity norm."""
     if plant.dt == 0.0:
         return plant
     return split(to_w_plane(whole(plant)), *plant.D11.shape)
@@ -95,7 +104,7 @@ def with_direct_path(K: StateArrays, D22: FloatArray) -> StateArrays:
 
 
 def closed_loop(plant: Partition, K: StateArrays) -> StateArrays:
-    """Lower linear fractional transformation of a plant and u = K y, states [x, xK]."""
+    """Return the lower linear fractional transformation of a plant and u = K y, with states [x, xK]."""
     E = np.linalg.inv(np.eye(len(K.D)) - K.D @ plant.D22)
     # u = E (D_K y0 + C_K xK), y0 = C2 x + D21 w;  y = y0 + D22 u
     Ux, Uk, Uw = E @ K.D @ plant.C2, E @ K.C, E @ K.D @ plant.D21

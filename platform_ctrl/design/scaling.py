@@ -1,7 +1,7 @@
-"""Units in which the matrices of a synthesis are near one, the way back, and what scaling brings to light.
+"""Units in which the matrices of a synthesis are near one, the way back, and the checks that need these units.
 
-In SI units a solver sees 1e-4 kg m² beside 1e4 rad/s and gives up, or worse, does not. Rank and controllability too are
-judged in these units only.
+In SI units a solver gets 1e-4 kg m² beside 1e4 rad/s and fails, with or without an error. Ranks and stabilisability are
+checked in these units too.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.common.values import FloatArray, value
@@ -20,15 +21,15 @@ if TYPE_CHECKING:
 
 # Singular values below this share of the largest (of unit columns or rows) count as zero.
 RANK_TOLERANCE = 1e-8
-# Powers of two that the unit of the norm may be off.
+# A unit of the norm within so many powers of two is left as it is.
 NEAR_UNITS = 4
-# Rounding of an eigenvalue that is the least (of one with condition 1) and the largest counted with, relative to A.
+# Rounding of an eigenvalue with condition 1, and the largest rounding assumed, relative to A.
 ROUNDING, LARGEST_ROUNDING = 1e-14, 1e-9
 
 
 @value
 class ScaledPlant:
-    """A plant in units where its matrices are near one, and what leads back.
+    """A plant in units where its matrices are near one, and the units.
 
     Attributes
     ----------
@@ -62,7 +63,7 @@ class ScaledPlant:
 
 
 def _unit_controls(B2: FloatArray, D12: FloatArray) -> tuple[FloatArray, int]:
-    """S in u = S u' that makes the columns of D12 S orthonormal, or zero where D12 loses rank; and the rank."""
+    """Return S in u = S u' that makes the columns of D12 S orthonormal, or zero where D12 loses rank; and the rank."""
     ncon = D12.shape[1]
     size = np.linalg.norm(D12, axis=0)
     size[size == 0] = 1.0
@@ -70,7 +71,7 @@ def _unit_controls(B2: FloatArray, D12: FloatArray) -> tuple[FloatArray, int]:
     _, sigma, Vt = np.linalg.svd(D12 @ S, full_matrices=True)
     rank = int(np.sum(sigma > RANK_TOLERANCE))
     S = S @ Vt.T
-    # A control that z does not see directly gets its unit from what it does to the states.
+    # A control that is not in z directly gets its unit from its effect on the states.
     sigma = np.concatenate([sigma[:rank], np.linalg.norm(B2 @ S[:, rank:], axis=0)])
     sigma[sigma == 0] = 1.0
     return S / sigma[:ncon], rank
@@ -84,7 +85,7 @@ def autoscale(plant: Partition, gain: float = 1.0) -> ScaledPlant:
     """
     root = np.sqrt(gain)
     moduli = np.abs(np.linalg.eigvals(plant.A))
-    # Poles at 0 come out at the level of rounding, defective ones well above it: they say nothing about time.
+    # Poles at 0 are computed as rounding, defective ones as more: they give no unit of time.
     moduli = moduli[moduli > 1e-6 * np.max(moduli, initial=0.0)]
     rate = float(np.exp(np.mean(np.log(moduli)))) if moduli.size and not plant.dt else 1.0
 
@@ -122,9 +123,9 @@ def autoscaled_with_gain(plant: Partition) -> ScaledPlant:
 
 
 def balance(A: FloatArray, B: FloatArray, C: FloatArray, sweeps: int = 50) -> FloatArray:
-    """Powers of two d, (n,), such that row i of [D⁻¹AD, D⁻¹B] is about as long as column i of [D⁻¹AD; CD], D = diag(d).
+    """Return powers of two d, (n,), such that row i of [D⁻¹AD, D⁻¹B] and column i of [D⁻¹AD; CD] are of similar length.
 
-    Osborne's iteration with inputs and outputs held fixed. A state that nothing drives or nobody sees keeps its unit.
+    D = diag(d). Osborne's iteration, inputs and outputs fixed. A state without inputs or outputs keeps its unit.
     """
     n = len(A)
     d = np.ones(n)
@@ -147,7 +148,7 @@ def balance(A: FloatArray, B: FloatArray, C: FloatArray, sweeps: int = 50) -> Fl
 
 
 def unscale(controller: StateArrays, scaled: ScaledPlant) -> StateArrays:
-    """Bring a controller of the scaled plant back to the units of the plant that was given."""
+    """Return a controller of the scaled plant in the units of the plant as given."""
     A, B = scaled.rate * controller.A, scaled.rate * controller.B @ scaled.measurement
     C, D = scaled.control @ controller.C, scaled.control @ controller.D @ scaled.measurement
     return with_direct_path(StateArrays(A=A, B=B, C=C, D=D), scaled.D22)
@@ -156,18 +157,9 @@ def unscale(controller: StateArrays, scaled: ScaledPlant) -> StateArrays:
 def require_stabilisable(
     plant: Partition, P: StateSpace, where: str = "hinf", scaled: ScaledPlant | None = None
 ) -> None:
-    """Judge whether u can stabilise the plant from y.
+    """Raise a NotStabilisableError that names a mode which u cannot stabilise from y.
 
-    Parameters
-    ----------
-    plant
-        Continuous, sampled, or in the w-plane of a sampled P.
-    P
-        The plant as given, for the error.
-    where
-        Who asks.
-    scaled
-        The same scaled, where it is at hand.
+    The plant may be in the w-plane of a sampled P; `scaled` is the same plant, if it is available.
     """
     sigma, word, pole = weakest_mode(scaled or autoscaled_with_gain(plant))
     if word and sigma < 1e-10:
@@ -177,17 +169,17 @@ def require_stabilisable(
             z = pole if plant.dt else (1 + 0.5 * P.dt * pole) / (1 - 0.5 * P.dt * pole)
             at = f"z = {z.real:.6g}{z.imag:+.4g}j"
         raise NotStabilisableError(
-            f"{where}: the plant is not {word}: {verb} the mode at {at}; expected every "
-            "mode that is not stable within reach; put such weights inside the loop or shift their poles to the left",
+            f"{where}: the plant is not {word}: {verb} the mode at {at}; put weights with such modes inside the loop, "
+            "or shift their poles to the left",
             P,
         )
 
 
 def weakest_mode(scaled: ScaledPlant) -> tuple[float, str, complex]:
-    """Distance of the unstable modes to being lost: (smallest singular value relative to A, the property, the pole).
+    """Return the unstable mode that is hardest to stabilise: smallest singular value relative to A, property, pole.
 
-    The pole is in rad/s, of a sampled plant in z. The test of Popov, Belevitch and Hautus on the scaled plant;
-    ``(inf, "", 0)`` where every pole is stable.
+    The pole is in rad/s, of a sampled plant in z. Test of Popov, Belevitch and Hautus; ``(inf, "", 0)`` where every
+    pole is stable.
     """
     plant = scaled.plant
     size = max(1.0, float(np.linalg.norm(plant.A, 2)))
@@ -205,25 +197,21 @@ def weakest_mode(scaled: ScaledPlant) -> tuple[float, str, complex]:
 
 
 def not_stable(plant: Partition, size: float) -> list[complex]:
-    """Poles that are not stable by more than rounding, and the means of the clusters that these belong to."""
+    """Return poles that are not stable by more than rounding, and the means of their clusters."""
     from scipy.linalg import eig
 
     poles, left, right = eig(plant.A, left=True, right=True)
     aligned = np.abs(np.sum(np.conj(left) * right, axis=0))
     rounding = size * np.minimum(ROUNDING * len(poles) / np.maximum(aligned, ROUNDING), LARGEST_ROUNDING)
     found = (np.abs(poles) - 1.0 if plant.dt else poles.real) >= -rounding
-    out = [complex(pole) for pole in poles[found]]
-    for pole in poles[found]:
-        near = poles[np.abs(poles - pole) < 1e-3 * size]
-        if near.size > 1:
-            out.append(complex(np.mean(near)))
-    return out
+    return clustered(poles, size, found)
 
 
-def clustered(poles: np.ndarray[Any, Any], size: float) -> list[complex]:
-    """Poles, and the means of their clusters: a defective pole scatters, the mean of its copies is accurate."""
-    out = [complex(p) for p in poles]
-    for p in poles:
+def clustered(poles: NDArray[Any], size: float, chosen: NDArray[np.bool_] | None = None) -> list[complex]:
+    """Return poles, and the means of their clusters: a defective pole scatters, the mean of its copies is accurate."""
+    those = poles if chosen is None else poles[chosen]
+    out = [complex(p) for p in those]
+    for p in those:
         near = poles[np.abs(poles - p) < 1e-3 * size]
         if near.size > 1:
             out.append(complex(np.mean(near)))

@@ -1,4 +1,4 @@
-"""Output feedback for a plant w, u -> z, y: dispatch to a route, and the judgement of what it returns.
+"""Output feedback for a plant w, u -> z, y: the choice of a route, and the check of what it returns.
 
     w ──►┌───┐──► z
          │ P │
@@ -7,8 +7,8 @@
       └──┤ K │◄─┘
          └───┘
 
-No route sees SI units: it gets a plant whose states, controls, measurements and time are scaled, and what it returns
-is judged by the closed loop of the plant that was given.
+A route gets a plant whose states, controls, measurements and time are scaled; its result is checked by the closed loop
+of the plant as given.
 """
 
 from __future__ import annotations
@@ -245,7 +245,7 @@ def hinf(
         flat = in_w_plane(plant)
     except ArgumentError:
         raise IllPosedError(
-            "hinf: the plant has a pole at z = -1, which the bilinear map sends to infinity; expected none; "
+            "hinf: the plant has a pole at z = -1, which the bilinear map sends to infinity; "
             "sample with another period, or close a small gain from y to u first",
             P,
         ) from None
@@ -279,28 +279,26 @@ def hinf(
     except (IllPosedError, UnscalableError, NotCertifiedError) as error:
         refused = error
     try:
-        # What is wrong, without what the user could do about it.
-        return by("lmi", str(refused).partition("; expected")[0])
+        # What is wrong, without what could be tried.
+        return by("lmi", str(refused).partition(";")[0])
     except DesignError as error:
         raise type(error)(f"{error} (the other route fails, too: {refused})", P) from None
 
 
 def require_time_limit(where: str, given: float) -> None:
-    """Judge a time limit in seconds, which may be infinite."""
+    """Raise an ArgumentError where a time limit is not a positive number of seconds, which may be infinite."""
     if isinstance(given, bool) or not (isinstance(given, int | float | np.number) and given > 0):
-        raise ArgumentError(f"{where}: time_limit = {short(given)}; expected a positive number of seconds")
+        raise ArgumentError(f"{where}: time_limit must be a positive number of seconds, got {short(given)}")
 
 
 def require_regularisation(where: str, method: str, size: float | None) -> None:
-    """Judge the size of a regularisation."""
+    """Raise an ArgumentError where the size of a regularisation makes no sense."""
     if size is None:
         return
     if isinstance(size, bool) or not (isinstance(size, int | float | np.floating) and 0.0 < size < 1.0):
-        raise ArgumentError(
-            f"{where}: regularise = {short(size)}; expected a number between 0 and 1 such as 1e-3, or None"
-        )
+        raise ArgumentError(f"{where}: regularise must be None or a number between 0 and 1, got {short(size)}")
     if method != "riccati":
-        raise ArgumentError(f'{where}: regularise = {size!r} with method {method!r}; expected method="riccati"')
+        raise ArgumentError(f'{where}: regularise needs method="riccati", got {method!r}')
 
 
 def certify(
@@ -318,29 +316,27 @@ def certify(
     reason: str = "",
     least: float | None = None,
 ) -> Synthesis:
-    """Close the loop with the plant as given; return the result only if it is stable and keeps every promise.
+    """Close the loop with the plant as given; return the result only if it is stable and keeps every claim.
 
     Parameters
     ----------
-    P, plant
-        The plant and its `partition`, continuous or sampled.
-    controller
-        u = K y, of the plant's own kind.
+    P, plant, controller
+        The plant, its `partition`, and u = K y, continuous or sampled as the plant.
     gamma_optimal, norm
-        What no controller can undercut.
+        A lower bound on the norm, and which norm.
     least, backoff
-        The least norm that the route found, by default `gamma_optimal`, and the share that it backed off.
+        The least norm that the route found, by default `gamma_optimal`, and the relative distance from it.
     method, residual, reason
         Kept in the result.
     tolerance
         What the norm may exceed ``(1 + backoff) least`` by, relative to `least`.
     claims
-        What else was promised.
+        Further claims of the route.
     """
     try:
         loop = closed_loop(plant, controller)
     except np.linalg.LinAlgError:
-        raise NotCertifiedError(f"{method}: I − D_K D22 is singular, the loop is not well posed; {CURE}", P) from None
+        raise NotCertifiedError(f"{method}: I − D_K D22 is singular: the loop is not well posed; {CURE}", P) from None
     if not all(np.all(np.isfinite(m)) for m in (loop.A, loop.B, loop.C, loop.D)):
         raise NotCertifiedError(f"{method}: the controller is not finite; {CURE}", P)
     poles = _stable_poles(loop.A, plant.dt, method, P)
@@ -385,14 +381,14 @@ def _stable_poles(A: np.ndarray[Any, Any], dt: float, method: str, P: StateSpace
     """Return the eigenvalues of A, all of them stable."""
     poles = np.asarray(np.linalg.eigvals(A), dtype=np.complex128)
     if dt == 0.0:
-        distance, region, unit = poles.real, "in the left half-plane", " rad/s"
+        distance, boundary, unit = poles.real, "the left half-plane", " rad/s"
     else:
-        distance, region, unit = np.abs(poles) - 1.0, "inside the unit circle", ""
+        distance, boundary, unit = np.abs(poles) - 1.0, "the unit circle", ""
     if poles.size and not np.max(distance) < 0:
         worst = poles[np.argmax(distance)]
         raise NotCertifiedError(
-            f"{method}: the closed loop has a pole at {worst.real:.4g}{worst.imag:+.4g}j{unit}; "
-            f"expected all {region}; {CURE}",
+            f"{method}: the closed loop has a pole at {worst.real:.4g}{worst.imag:+.4g}j{unit}, not within {boundary}; "
+            f"{CURE}",
             P,
         )
     return poles
@@ -400,9 +396,8 @@ def _stable_poles(A: np.ndarray[Any, Any], dt: float, method: str, P: StateSpace
 
 def _without_rounding(D: np.ndarray[Any, Any], plant: Partition, controller: StateArrays) -> np.ndarray[Any, Any]:
     """Return the direct term of a continuous closed loop, zero where a controller has cancelled it but for rounding."""
-    size = np.linalg.norm(plant.D11) + np.linalg.norm(plant.D12) * np.linalg.norm(controller.D) * np.linalg.norm(
-        plant.D21
-    )
+    through = np.linalg.norm(plant.D12) * np.linalg.norm(controller.D) * np.linalg.norm(plant.D21)
+    size = np.linalg.norm(plant.D11) + through
     return np.zeros_like(D) if np.linalg.norm(D) <= DIRECT_ROUNDING * size else D
 
 
@@ -410,8 +405,6 @@ def _kept(
     claim: Claim, loop: StateArrays, dt: float, method: str, least: float | None, P: StateSpace
 ) -> tuple[float, float]:
     """Return the norm that is claimed, recomputed, and its frequency, rad/s (nan for the H2 norm)."""
-    import control
-
     nz, nw = loop.D.shape
     into = list(range(nw) if claim.inputs is None else claim.inputs)
     out = list(range(nz) if claim.outputs is None else claim.outputs)
@@ -423,13 +416,13 @@ def _kept(
         shown = f"the norm{of} {found:.6g} at {frequency:.4g} rad/s"
     else:
         try:
-            found = h2_norm(control.StateSpace(loop.A, B, C, D, dt))
+            found = h2_norm(StateArrays(loop.A, B, C, D, dt))
         except ArgumentError as error:
             raise NotCertifiedError(f"{method}: no finite H2 norm{of}: {error}; {CURE}", P) from None
         shown = f"the H2 norm{of} {found:.6g}"
     if not found <= claim.limit:
         for_least = "" if least is None else f" for the least gamma {least:.6g}"
         raise NotCertifiedError(
-            f"{method}: the closed loop has {shown}; expected at most {claim.limit:.6g}{for_least}; {CURE}", P
+            f"{method}: the closed loop has {shown}, more than {claim.limit:.6g}{for_least}; {CURE}", P
         )
     return float(found), float(frequency)

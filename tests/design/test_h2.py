@@ -118,7 +118,7 @@ def test_a_direct_path_is_cancelled_where_a_gain_can_and_named_where_none_can():
     assert result.gamma == pytest.approx(result.gamma_optimal, rel=1e-8)
     D = P.D.copy()
     D[1, 2] = 0.1
-    with pytest.raises(IllPosedError, match=r"D11 has a direct path from u\[2\] to y\[1\]"):
+    with pytest.raises(IllPosedError, match=r"no gain .* cancels the direct path D11 from u\[2\] to y\[1\]"):
         h2(control.ss(P.A, P.B, P.C, D), 2, 2)
 
 
@@ -134,7 +134,7 @@ def test_singular_problems_are_named_and_solved_by_lmi_or_a_stated_regularisatio
         P.A, P.B, P.C, D, inputs=["d1", "d2", "d3", "d4", "Q9", "Q10"], outputs=["e1", "e2", "e3", "e4", "a", "b"]
     )
     name = "Q10" if missing == "D12" else "b"
-    with pytest.raises(IllPosedError, match=rf"{missing} has .* rank 1; .* {name} directly"):
+    with pytest.raises(IllPosedError, match=rf"{missing} must have .* but has 1: .* {name} directly"):
         h2(P, 2, 2)
     lmi = h2(P, 2, 2, method="lmi", backoff=0.02)
     coarse, fine = (h2(P, 2, 2, regularise=size) for size in (1e-2, 1e-3))
@@ -173,12 +173,12 @@ def test_modes_out_of_reach_are_named_in_z_where_the_plant_is_sampled():
     [
         ({"method": "hinf"}, "method: given 'hinf'"),
         ({"backoff": 0.0}, "backoff: given 0.0"),
-        ({"time_limit": -1.0}, "time_limit = -1.0"),
-        ({"regularise": 2.0}, "regularise = 2.0"),
+        ({"time_limit": -1.0}, "time_limit must be .* got -1.0"),
+        ({"regularise": 2.0}, "regularise must be .* got 2.0"),
         ({"regularise": True}, "regularise: given True"),
         ({"time_limit": None}, "time_limit: given None"),
         ({"backoff": "small"}, "backoff: given 'small'"),
-        ({"regularise": 1e-3, "method": "lmi"}, 'expected method="riccati"'),
+        ({"regularise": 1e-3, "method": "lmi"}, 'regularise needs method="riccati"'),
     ],
 )
 def test_arguments_that_make_no_sense_are_refused(options, match):

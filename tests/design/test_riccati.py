@@ -108,7 +108,7 @@ def test_the_one_that_is_refused_among_the_continuous_has_eigenvalues_on_the_axi
 @pytest.mark.parametrize("number", [2, 4])
 def test_the_two_that_are_refused_among_the_discrete_have_no_least_cost(number: int) -> None:
     example = darex(number)
-    with pytest.raises(IllPosedError, match=r"lqr: .*R \+ B'XB, is not positive definite: the cost has no least value"):
+    with pytest.raises(IllPosedError, match=r"lqr: the cost has no least value, since R \+ B'XB is not"):
         solved(example)
     # A stabilising feedback with one impulse: the larger the impulse, the lower the cost.
     A, B, Q, R, N = example[1:6]
@@ -184,7 +184,7 @@ def test_a_sampled_plant_needs_no_weight_of_its_inputs() -> None:
     assert lqr(integrator, [[1.0]], [[0.0]]).poles == pytest.approx(0.0)
     with pytest.raises(IllPosedError, match="do not reach the mode at z = 1"):
         lqr(integrator, [[0.0]], [[0.0]])
-    with pytest.raises(IllPosedError, match=r"Q2 is 0 for u\[0\].*the best input has impulses otherwise"):
+    with pytest.raises(IllPosedError, match=r"otherwise the best input has impulses, but is 0 for u\[0\]"):
         lqr(control.ss(2.0, 0.5, 1.0, 0.0), [[3.0]], [[0.0]])
 
 

@@ -2,11 +2,11 @@
 
 A first solution comes from the ordered real Schur form of the Hamiltonian matrix (Laub, IEEE Transactions on Automatic
 Control 24, 1979) or from SciPy's ordered QZ form of the extended pencil, whichever has a stable loop. Newton's method
-(Kleinman, ibid. 13, 1968; Hewer, ibid. 16, 1971) then takes back what it has lost, with residuals that are worked out
-in more digits: what a nearly singular weight takes from a residual in double precision would be its limit.
+(Kleinman, ibid. 13, 1968; Hewer, ibid. 16, 1971) then corrects it, with residuals in 128 bits: in double precision a
+nearly singular weight would limit them.
 
 None means that there is no stabilising solution: an eigenvalue lies on the stability boundary. Where double precision
-cannot tell, the eigenvalues are found in more digits.
+does not decide this, the eigenvalues are computed with more digits.
 """
 
 from __future__ import annotations
@@ -27,21 +27,21 @@ AXIS = 1e-10
 # Largest asymmetry of a Riccati solution before it is made symmetric, relative to it, and what counts as zero when
 # the matrices of the equation are near one: the solution 0 comes out as rounding.
 SYMMETRY, ZERO = 1e-6, 1e-9
-# Steps of Newton's method at most, and the share of the residual that a step has to leave less than.
+# Largest number of Newton steps, and the ratio of residuals that a step must stay below.
 NEWTON_STEPS, NEWTON_PROGRESS = 30, 0.7
-# Step of Newton's method, in units in which the diagonal of X is near one, that X in doubles does not feel.
+# A Newton step below this, in units in which the diagonal of X is near one, is below the rounding of X.
 NO_STEP = 1e-18
 # Smallest entry on the diagonal of X that units of the states bring to one, relative to the largest.
 SMALLEST_COST = 1e-24
-# Residual over the largest term from which on a residual has to fall, and steps at most until it is as small.
+# Residual over the largest term below which Newton's method converges at once, and most steps to get there.
 DISTANT, DISTANT_STEPS = 1e-2, 100
-# Bits of a residual, and states up to which it is worked out in them.
+# Bits of a residual, and the number of states up to which it is computed with them.
 BITS, PRECISE_STATES = 128, 128
-# Decay of a pole in times of its rounding, or over the norm of the loop's matrix (of sampled loops over 1), with which
-# it is not on the stability boundary; and over that norm where nothing better tells.
+# A pole is off the stability boundary if it decays by this many times its rounding, or by this share of the norm of the
+# loop's matrix (sampled loops: of 1); and the share where the number of states excludes a better test.
 SURE, DEEP, FAR = 1e3, 0.2, 1e-3
-# Else the eigenvalues are found in so many bits, up to so many states. On the boundary is one with less decay over its
-# size, or less size over the largest one's: several that meet in a point are parted by a root of the rounding unit.
+# Otherwise the eigenvalues are computed with so many bits, up to so many states. One is on the boundary if its decay
+# over its size, or its size over the largest, is less: multiple ones separate by a root of the rounding unit.
 EIGENVALUE_BITS, EIGENVALUE_STATES, NO_DECAY, NO_SIZE = 400, 40, 1e-14, 1e-20
 
 
@@ -57,29 +57,15 @@ class Equation(NamedTuple):
 
 
 # F, W, the residual, and the size of its largest term.
-Judged = tuple[FloatArray, FloatArray, FloatArray, float]
+Evaluation = tuple[FloatArray, FloatArray, FloatArray, float]
 
 
 class Subspace(NamedTuple):
-    """What the ordered Schur form of a Hamiltonian matrix says.
-
-    Attributes
-    ----------
-    X
-        The stabilising solution, symmetric; None where there is none.
-    eigenvalues : complex (2n,)
-        Of the Hamiltonian matrix.
-    distance
-        Of the eigenvalues from the imaginary axis, relative to the norm of the matrix.
-    """
+    """The stabilising solution of a Hamiltonian matrix, or None, and the matrix's eigenvalues, (2n,)."""
 
     X: FloatArray | None
     eigenvalues: ComplexArray
-    distance: float
-
-
-def _in_left_half(real: float, imaginary: float) -> bool:
-    return real < 0.0
+    distance: float  # of the eigenvalues from the imaginary axis, relative to the norm of the matrix
 
 
 def stabilising(H: FloatArray, axis: float = AXIS) -> Subspace:
@@ -95,7 +81,7 @@ def stabilising(H: FloatArray, axis: float = AXIS) -> Subspace:
     if not np.isfinite(size):
         return Subspace(None, np.zeros(0, dtype=np.complex128), 0.0)
     _, stable, real, imaginary, U, _, failed = lapack.dgees(
-        _in_left_half, np.array(H, order="F"), lwork=max(1, 70 * n), sort_t=1, overwrite_a=1
+        lambda real, imaginary: real < 0.0, np.array(H, order="F"), lwork=max(1, 70 * n), sort_t=1, overwrite_a=1
     )
     eigenvalues = real + 1j * imaginary
     distance = float(np.abs(real).min(initial=np.inf)) / size if size else 0.0
@@ -112,25 +98,18 @@ def stabilising(H: FloatArray, axis: float = AXIS) -> Subspace:
     return Subspace(0.5 * (X + X.T), eigenvalues, distance)
 
 
-def riccati_solution(
-    A: FloatArray, B: FloatArray, Q: FloatArray, R: FloatArray, N: FloatArray, discrete: bool
-) -> tuple[FloatArray, FloatArray, FloatArray] | None:
+def riccati_solution(equation: Equation) -> tuple[FloatArray, FloatArray, FloatArray] | None:
     """Return X, the gain F = −W⁻¹(B'X + N') that makes A + B F stable, and W = R, or None.
 
     F as in the synthesis formulas of Zhou, Doyle and Glover, u = F x; the K of u = −K x that `lqr` returns is −F.
-
-    X solves A'X + XA + Q − (XB + N) R⁻¹ (B'X + N') = 0: of all inputs that bring x to rest, the least of
-    ∫ x'Qx + 2 x'Nu + u'Ru is x'Xx. R is positive definite; Q need not be.
-
-    Of discrete equations, A'XA − X + Q − (A'XB + N) W⁻¹ (B'XA + N') = 0 with W = R + B'XB and F = −W⁻¹(B'XA + N'): the
-    same for the sum, where W is positive definite. R may be singular, W must not be.
+    Of all inputs that bring x to rest, the least of ∫ x'Qx + 2 x'Nu + u'Ru is x'Xx. R is positive definite; Q need not
+    be. Discrete equations: W = R + B'XB and F = −W⁻¹(B'XA + N'). R may be singular, W must not be.
     """
-    equation = Equation(A, B, Q, R, N, discrete)
     for start in _starts(equation):
         found = _refined(equation, start)
         if found is not None:
             return found if _off_boundary(equation, *found) else None
-    if len(A) <= EIGENVALUE_STATES:
+    if len(equation.A) <= EIGENVALUE_STATES:
         eigenvalues, X = _in_many_digits(equation)
         if _on_boundary(eigenvalues):
             return None
@@ -141,10 +120,10 @@ def riccati_solution(
 
 
 def _starts(equation: Equation) -> Iterator[FloatArray]:
-    """Go through what the two methods find, each at its time."""
+    """Yield what the two methods find, each computed when it is needed."""
     if not equation.discrete:
         try:
-            X = stabilising(_hamiltonian(equation), axis=0.0).X
+            X = stabilising(hamiltonian(equation), axis=0.0).X
         except np.linalg.LinAlgError:
             X = None
         if X is not None:
@@ -172,7 +151,7 @@ def by_pencil(equation: Equation, balanced: bool = True) -> FloatArray | None:
 
 def _refined(equation: Equation, X: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray] | None:
     """Return X, F and W after Newton's method from X; None where the loop of F is not stable."""
-    found = _judged(equation, X)
+    found = _stable(equation, X)
     if found is None:
         return None
     X, found = _near(equation, X, found)
@@ -185,7 +164,7 @@ def _refined(equation: Equation, X: FloatArray) -> tuple[FloatArray, FloatArray,
             step = _step(closed, found[2], s, equation.discrete)
             if step is None or np.all(np.abs(step * unit * unit[:, None]) <= NO_STEP):
                 continue
-            better = _judged(equation, X + step)
+            better = _stable(equation, X + step)
             if better is not None and _size(better[2], unit) < NEWTON_PROGRESS * left:
                 X, found = X + step, better
                 left = _size(found[2], unit)
@@ -195,18 +174,14 @@ def _refined(equation: Equation, X: FloatArray) -> tuple[FloatArray, FloatArray,
     return X, found[0], found[1]
 
 
-def _near(equation: Equation, X: FloatArray, found: Judged) -> tuple[FloatArray, Judged]:
-    """Return a solution from which Newton's method converges at once.
-
-    From any stable loop it converges in the end, at first by a factor of four a step, but the first residual may be
-    larger than that of the start.
-    """
+def _near(equation: Equation, X: FloatArray, found: Evaluation) -> tuple[FloatArray, Evaluation]:
+    """Return a solution from which the residual falls with every Newton step: at first it may rise."""
     first = X, found
     for _ in range(DISTANT_STEPS):
         if float(np.linalg.norm(found[2])) <= DISTANT * found[3]:
             return X, found
         step = _step(equation.A + equation.B @ found[0], found[2], _cost_units(X), equation.discrete)
-        better = None if step is None else _judged(equation, X + step)
+        better = None if step is None else _stable(equation, X + step)
         if step is None or better is None:
             return first
         X, found = X + step, better
@@ -214,10 +189,7 @@ def _near(equation: Equation, X: FloatArray, found: Judged) -> tuple[FloatArray,
 
 
 def _cost_units(X: FloatArray) -> FloatArray:
-    """Return units of the states in which the diagonal of X is near one.
-
-    There the loop is nearly dissipative, and small entries count as much as large ones.
-    """
+    """Return units of the states in which the diagonal of X is near one: small entries count as much as large ones."""
     costs = np.abs(np.diag(X))
     costs = np.maximum(costs, SMALLEST_COST * (float(costs.max(initial=0.0)) or 1.0))
     return np.asarray(np.exp2(-np.round(0.5 * np.log2(costs))))
@@ -243,7 +215,7 @@ def _size(residual: FloatArray, unit: FloatArray) -> float:
     return float(np.linalg.norm(residual)) * float(np.linalg.norm(residual * unit * unit[:, None]))
 
 
-def _judged(equation: Equation, X: FloatArray) -> Judged | None:
+def _stable(equation: Equation, X: FloatArray) -> Evaluation | None:
     """Return F and W of X, the residual and the size of its largest term; None where the loop of F is not stable."""
     try:
         found = _evaluated(equation, X)
@@ -257,11 +229,11 @@ def _judged(equation: Equation, X: FloatArray) -> Judged | None:
     return found if inside else None
 
 
-def _evaluated(equation: Equation, X: FloatArray) -> Judged:
+def _evaluated(equation: Equation, X: FloatArray) -> Evaluation:
     return _in_digits(equation, X) if len(X) <= PRECISE_STATES else _in_doubles(equation, X)
 
 
-def _in_doubles(equation: Equation, X: FloatArray) -> Judged:
+def _in_doubles(equation: Equation, X: FloatArray) -> Evaluation:
     A, B, Q, R, N, discrete = equation
     terms = [A.T @ X @ A, -X, Q] if discrete else [A.T @ X, X @ A, Q]
     cross, W = (A.T @ X @ B + N, R + B.T @ X @ B) if discrete else (X @ B + N, R)
@@ -271,8 +243,8 @@ def _in_doubles(equation: Equation, X: FloatArray) -> Judged:
     return F, W, 0.5 * (residual + residual.T), max(float(np.linalg.norm(term)) for term in terms)
 
 
-def _in_digits(equation: Equation, X: FloatArray) -> Judged:
-    """As `_in_doubles`, rounded to doubles at the end alone."""
+def _in_digits(equation: Equation, X: FloatArray) -> Evaluation:
+    """Return what `_in_doubles` does, computed with more digits."""
     import flint
 
     with flint.ctx.workprec(BITS):
@@ -313,7 +285,7 @@ def _off_boundary(equation: Equation, X: FloatArray, F: FloatArray, W: FloatArra
         error = float(np.linalg.norm(residual)) + math.sqrt(n) * eps * size
         apart = (decay > SURE * rounding) & (decay * decay > SURE * np.abs(input_gain) * error)
     scale = 1.0 if equation.discrete else float(np.linalg.norm(closed, 2))
-    # Several that meet in a point (the states of a delay) have no eigenvectors to tell by.
+    # Multiple poles in one point (the states of a delay) have too few eigenvectors.
     if np.all(apart | (decay > DEEP * scale)):
         return True
     if n <= EIGENVALUE_STATES:
@@ -322,17 +294,14 @@ def _off_boundary(equation: Equation, X: FloatArray, F: FloatArray, W: FloatArra
 
 
 def _on_boundary(eigenvalues: ComplexArray) -> bool:
-    """Return whether one of the eigenvalues found in many digits lies on the imaginary axis."""
+    """Return whether one of the eigenvalues, computed with many digits, lies on the imaginary axis."""
     size = np.abs(eigenvalues)
     near = np.abs(eigenvalues.real) <= NO_DECAY * size
     return bool(np.any(near | (size <= NO_SIZE * size.max(initial=0.0))))
 
 
 def well_conditioned(closed: FloatArray, X: FloatArray, discrete: bool) -> bool:
-    """Return whether the poles of the loop are stable by much more than rounding, in the units of the costs X.
-
-    A loop that is so proves that its plant is stabilisable, however small the entries by which it is.
-    """
+    """Return whether the loop's poles are stable by much more than rounding: then the plant is stabilisable."""
     from scipy.linalg import eig
 
     unit = _cost_units(X)
@@ -345,9 +314,9 @@ def well_conditioned(closed: FloatArray, X: FloatArray, discrete: bool) -> bool:
 
 
 def _in_many_digits(equation: Equation) -> tuple[ComplexArray, FloatArray | None]:
-    """Return the eigenvalues of the Hamiltonian (symplectic) pencil, in the half plane; and X if n of them are stable.
+    """Return the eigenvalues of the Hamiltonian (symplectic) pencil, mapped to the half plane, and X if n are stable.
 
-    Where the pencil has lost its meaning, the eigenvalue 0 alone.
+    A singular pencil gives the eigenvalue 0.
     """
     import flint
 
@@ -371,7 +340,7 @@ def _in_many_digits(equation: Equation) -> tuple[ComplexArray, FloatArray | None
             )
             X = top.solve(bottom, algorithm="approx")
         except ZeroDivisionError:
-            # R is singular; or the pencil at z = −1, an eigenvalue on the unit circle; or there is no X.
+            # R is singular, or the pencil is at z = −1, or there is no X.
             return np.zeros(1, dtype=np.complex128), None
         found = np.array([float(x.real) for x in X.entries()]).reshape(n, n)
     return eigenvalues, 0.5 * (found + found.T) if np.all(np.isfinite(found)) else None
@@ -387,35 +356,29 @@ def _in_half_plane(A: Balls, B: Balls, Q: Balls, R: Balls, N: Balls) -> Balls:
     return (M + L).solve(M - L)
 
 
-def _hamiltonian(equation: Equation) -> FloatArray:
+def hamiltonian(equation: Equation) -> FloatArray:
+    """Return the Hamiltonian matrix of a continuous equation."""
     A, B, Q, R, N, _ = equation
     into = np.linalg.solve(R, np.hstack([B.T, N.T]))
     left = A - B @ into[:, len(A) :]
     return np.block([[left, -B @ into[:, : len(A)]], [N @ into[:, len(A) :] - Q, -left.T]])
 
 
-def relative_residual(
-    A: FloatArray, B: FloatArray, Q: FloatArray, R: FloatArray, N: FloatArray, X: FloatArray, discrete: bool
-) -> float:
+def relative_residual(equation: Equation, X: FloatArray) -> float:
     """Return the residual of the equation at X relative to the largest of its terms."""
-    equation = Equation(A, B, Q, R, N, discrete)
     _, _, residual, size = _evaluated(equation, X)
     return float(np.linalg.norm(residual)) / size if size else 0.0
 
 
-def relative_error(
-    A: FloatArray, B: FloatArray, Q: FloatArray, R: FloatArray, N: FloatArray, X: FloatArray, discrete: bool
-) -> float:
-    """Return the step that Newton's method would still take from X, in units in which the diagonal of X is near one.
+def relative_error(equation: Equation, X: FloatArray) -> float:
+    """Return the next Newton step from X, its distance to the solution, in units with a diagonal of X near one.
 
-    It is how far X is from the solution. The residual may be large beside it: with cheap control, what rounding an
-    entry of X leaves of terms that cancel.
+    With cheap control the residual may be large beside it: rounding of entries of X whose terms cancel.
     """
-    equation = Equation(A, B, Q, R, N, discrete)
-    found = _judged(equation, X)
+    found = _stable(equation, X)
     if found is None:
         return math.inf
-    unit, closed = _cost_units(X), A + B @ found[0]
-    steps = [_step(closed, found[2], s, discrete) for s in (unit, np.ones(len(X)))]
+    unit, closed = _cost_units(X), equation.A + equation.B @ found[0]
+    steps = [_step(closed, found[2], s, equation.discrete) for s in (unit, np.ones(len(X)))]
     sizes = [float(np.abs(step * unit * unit[:, None]).max()) for step in steps if step is not None]
     return min(sizes, default=math.inf)

@@ -7,6 +7,7 @@ uses y[k]. The problem is solved in scaled units and judged by the closed loop o
 
 from __future__ import annotations
 
+import dataclasses
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,13 +19,14 @@ from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.lower_bounds import h2_lower_bound
 from platform_ctrl.design.partition import Partition, in_w_plane, partition
 from platform_ctrl.design.riccati.assumptions import (
-    regularised,
+    regularised_and_report,
     require_full_rank,
     require_no_zero_on_axis,
+    widened,
     without_direct_path,
     zero_on_axis,
 )
-from platform_ctrl.design.riccati.equations import relative_residual, riccati_solution
+from platform_ctrl.design.riccati.equations import Equation, relative_residual, riccati_solution
 from platform_ctrl.design.scaling import ScaledPlant, autoscale, autoscaled_with_gain, require_stabilisable, unscale
 from platform_ctrl.design.synthesis import Method, Synthesis, certify, require_regularisation, require_time_limit
 from platform_ctrl.errors import UnscalableError
@@ -36,8 +38,8 @@ WHERE = "h2, riccati"
 # The recomputed norm may exceed the optimum by this share.
 TOLERANCE = 1e-6
 NO_SOLUTION = (
-    "has no stabilising solution in the scaled units; expected modes on the stability boundary well within reach of u "
-    'and y, and no zeros near it; give method="lmi", or regularise=1e-3'
+    "has no stabilising solution in the scaled units: u or y hardly reaches a mode on the stability boundary, or "
+    'a zero is near it; give method="lmi", or regularise=1e-3'
 )
 
 
@@ -136,65 +138,63 @@ def h2(
 def _continuous(
     plant: Partition, P: StateSpace, regularise: float | None
 ) -> tuple[StateArrays, float, dict[str, float]]:
-    """Controller in the units of `plant`, the least norm, and the residuals (scaled)."""
-    scaled = autoscaled_with_gain(plant)
-    extra: dict[str, float] = {}
-    if regularise is not None:
-        changed = regularised(scaled, regularise)
-        if changed.size or changed.shift:
-            extra = {
-                "regularisation of controls and measurements": changed.size,
-                "regularisation by a shift of A, rad/s": changed.shift,
-                "least norm at a tenth of it": _optimal(regularised(scaled, 0.1 * regularise).scaled, P)[1],
-            }
-        scaled = changed.scaled
+    """Return the controller in the units of `plant`, the least norm, and the residuals (scaled)."""
+    scaled, extra = regularised_and_report(
+        autoscaled_with_gain(plant), regularise, "norm", lambda less: _optimal(less, P)[1]
+    )
     require_full_rank(scaled, P, WHERE)
     made, least, residual = _optimal(scaled, P)
     return unscale(made, scaled), least, extra | residual
 
 
 def _optimal(scaled: ScaledPlant, P: StateSpace) -> tuple[StateArrays, float, dict[str, float]]:
-    """Controller of the scaled plant, the least norm in the units of the plant as given, and the residuals."""
+    """Return the controller of the scaled plant, the least norm in units of the plant as given, and the residuals."""
     p, gain = without_direct_path(scaled.plant, P, WHERE)
-    of_X = (p.A, p.B2, p.C1.T @ p.C1, p.D12.T @ p.D12, p.C1.T @ p.D12)
-    of_Y = (p.A.T, p.C2.T, p.B1 @ p.B1.T, p.D21 @ p.D21.T, p.B1 @ p.D21.T)
-    found = []
-    for name, equation in (("X", of_X), ("Y", of_Y)):
-        solution = _solution(equation, discrete=False)
-        if solution is None:
-            require_no_zero_on_axis(scaled, P, WHERE)
-            raise UnscalableError(f"{WHERE}: the equation of {name} {NO_SOLUTION}", P)
-        found.append(solution)
-    if zero_on_axis(p) is not None:
+    of_X, of_Y = _solutions(p)
+    if of_X is None or of_Y is None or zero_on_axis(p) is not None:
         require_no_zero_on_axis(scaled, P, WHERE)
-    (X, F, _), (Y, Lt, _) = found
+    if of_X is None or of_Y is None:
+        raise UnscalableError(f"{WHERE}: the equation of {'Y' if of_X else 'X'} {NO_SOLUTION}", P)
+    (X, F, W), (Y, Lt, _) = of_X, of_Y
     L = Lt.T
-    square = np.trace(p.B1.T @ X @ p.B1) + np.trace(of_X[3] @ F @ Y @ F.T)
+    square = np.trace(p.B1.T @ X @ p.B1) + np.trace(W @ F @ Y @ F.T)
     # The norm of a slower system: time is counted in units of 1/rate.
     least = scaled.gain * float(np.sqrt(max(square, 0.0) * scaled.rate))
-    # The gain D_K stands beside the estimator, which counts it as part of the plant.
+    # D_K is outside the estimator, which counts it as part of the plant.
     made = StateArrays(A=p.A + p.B2 @ F + L @ p.C2, B=-L, C=F, D=gain)
-    residual = {
-        f"relative residual of the Riccati equation of {name}": relative_residual(*equation, V, discrete=False)
-        for name, equation, V in (("X", of_X, X), ("Y", of_Y, Y))
+    return made, least, _residuals(p, X, Y)
+
+
+def _equations(p: Partition) -> list[Equation]:
+    """Return the Riccati equations of X and Y."""
+    return [
+        Equation(one.A, one.B2, one.C1.T @ one.C1, one.D12.T @ one.D12, one.C1.T @ one.D12, discrete=p.dt > 0)
+        for one in (p, p.dual)
+    ]
+
+
+def _solutions(p: Partition) -> list[tuple[FloatArray, FloatArray, FloatArray] | None]:
+    """Return X, gain and weight of both equations; None where there is no solution or none is found."""
+    out: list[tuple[FloatArray, FloatArray, FloatArray] | None] = []
+    for equation in _equations(p):
+        try:
+            out.append(riccati_solution(equation))
+        except np.linalg.LinAlgError:
+            out.append(None)
+    return out
+
+
+def _residuals(p: Partition, X: FloatArray, Y: FloatArray) -> dict[str, float]:
+    return {
+        f"relative residual of the Riccati equation of {name}": relative_residual(equation, V)
+        for name, equation, V in zip("XY", _equations(p), (X, Y), strict=True)
     }
-    return made, least, residual
-
-
-def _solution(
-    equation: tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray], discrete: bool
-) -> tuple[FloatArray, FloatArray, FloatArray] | None:
-    """Return X, gain and weight; None where there is no solution or none is found: what stands in the way is named."""
-    try:
-        return riccati_solution(*equation, discrete=discrete)
-    except np.linalg.LinAlgError:
-        return None
 
 
 def _sampled(
     plant: Partition, direct: bool, P: StateSpace, regularise: float | None
 ) -> tuple[StateArrays, float, dict[str, float]]:
-    """Controller in the units of `plant`, the least norm, and the residuals (scaled)."""
+    """Return the controller in the units of `plant`, the least norm, and the residuals (scaled)."""
     scaled = autoscaled_with_gain(plant)
     found = _optimal_sampled(scaled.plant, direct)
     extra: dict[str, float] = {}
@@ -216,14 +216,12 @@ def _sampled(
 
 
 def _optimal_sampled(p: Partition, direct: bool) -> tuple[StateArrays, float, dict[str, float]] | None:
-    """Controller, least norm and residuals of a sampled plant with D22 = 0; None where an equation has no solution.
+    """Return controller, least norm and residuals of a sampled plant with D22 = 0; None without a solution.
 
     With S the covariance of the innovation e = y − C2 x̂, present state and disturbance are estimated as
     x̂ + Y C2' S⁻¹ e and D21' S⁻¹ e; u is the state feedback F and the disturbance feedback F0 of these.
     """
-    of_X = (p.A, p.B2, p.C1.T @ p.C1, p.D12.T @ p.D12, p.C1.T @ p.D12)
-    of_Y = (p.A.T, p.C2.T, p.B1 @ p.B1.T, p.D21 @ p.D21.T, p.B1 @ p.D21.T)
-    for_X, for_Y = (_solution(equation, discrete=True) for equation in (of_X, of_Y))
+    for_X, for_Y = _solutions(p)
     if for_X is None or for_Y is None:
         return None
     (X, F, W), (Y, Lt, S) = for_X, for_Y
@@ -236,11 +234,7 @@ def _optimal_sampled(p: Partition, direct: bool) -> tuple[StateArrays, float, di
         square -= float(np.trace(W @ present @ S @ present.T))
     B = p.B2 @ present + L
     made = StateArrays(A=p.A + p.B2 @ F - B @ p.C2, B=B, C=F - present @ p.C2, D=present)
-    residual = {
-        f"relative residual of the Riccati equation of {name}": relative_residual(*equation, V, discrete=True)
-        for name, equation, V in (("X", of_X, X), ("Y", of_Y, Y))
-    }
-    return made, float(np.sqrt(max(square, 0.0))), residual
+    return made, float(np.sqrt(max(square, 0.0))), _residuals(p, X, Y)
 
 
 def _regular(p: Partition, size: float) -> Partition:
@@ -249,16 +243,5 @@ def _regular(p: Partition, size: float) -> Partition:
     Every closed-loop norm from the old w to the old z is at most that of this plant, as in `Regularised`.
     """
     nu, ny, grow = p.B2.shape[1], p.C2.shape[0], 1.0 + size
-    nz, nw = p.D11.shape
-    return Partition(
-        A=grow * p.A,
-        B1=grow * np.hstack([p.B1, np.zeros((len(p.A), ny))]),
-        B2=grow * p.B2,
-        C1=np.vstack([p.C1, np.zeros((nu, len(p.A)))]),
-        C2=p.C2,
-        D11=np.block([[p.D11, np.zeros((nz, ny))], [np.zeros((nu, nw + ny))]]),
-        D12=np.vstack([p.D12, size * np.eye(nu)]),
-        D21=np.hstack([p.D21, size * np.eye(ny)]),
-        D22=p.D22,
-        dt=p.dt,
-    )
+    p = dataclasses.replace(p, A=grow * p.A, B1=grow * p.B1, B2=grow * p.B2)
+    return widened(p, size * np.eye(nu), size * np.eye(ny))

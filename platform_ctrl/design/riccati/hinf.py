@@ -7,6 +7,7 @@ theorem 17.1.
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -15,7 +16,7 @@ import numpy as np
 from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.partition import Partition
-from platform_ctrl.design.riccati.assumptions import regularised, require_full_rank, require_no_zero_on_axis
+from platform_ctrl.design.riccati.assumptions import regularised_and_report, require_full_rank, require_no_zero_on_axis
 from platform_ctrl.design.riccati.equations import ZERO, stabilising
 from platform_ctrl.design.scaling import ScaledPlant, unscale
 from platform_ctrl.errors import UnscalableError
@@ -26,21 +27,21 @@ if TYPE_CHECKING:
 WHERE = "hinf, riccati"
 # The least gamma is found to this relative accuracy.
 ACCURACY = 1e-8
-# Least and largest gamma of the scaled plant that are tried.
+# Least and largest gamma of the scaled plant in the search.
 LEAST_GAMMA, LARGEST_GAMMA = 1e-6, 1e8
-# Largest slack that is given from an infinite one, and largest bound on t that a first trial is derived from.
+# What replaces an infinite slack, and the largest bound on t from which the first trial is derived.
 LARGEST_SLACK, LARGEST_FIRST = 1e14, 1e3
-# A slack this many times t comes from solutions of which one is nearly zero.
+# A slack this many times t belongs to solutions of which one is nearly zero.
 FAR_COUPLING = 1e6
 # A solution larger than 1 / this hides a negative eigenvalue in its rounding; at this share of t it is smaller.
 NEARLY_INFINITE, A_LITTLE_BELOW = 1e-5, 1.0 - 1e-3
 # Free parameters that are tried, and the largest condition of the loop around D22.
 SHARES, LARGEST_SHIFT = (0.0, 0.3, -0.3), 1e8
-# Trials of gamma at most; about six are needed.
+# Largest number of trials of gamma; about six are needed.
 LONGEST_SEARCH = 100
-# Eigenvalues this near to the imaginary axis, relative to the norm, are looked at as frequencies of a peak.
+# Eigenvalues this near to the imaginary axis, relative to the norm, give frequencies of a peak.
 NEAR_AXIS = 1e-5
-# An H2 Hamiltonian matrix whose eigenvalues are farther from the axis shows that no zero lies on it.
+# Eigenvalues of the H2 Hamiltonian matrix farther from the axis than this exclude a zero on it.
 SAFE_DISTANCE = 1e-5
 
 
@@ -57,28 +58,16 @@ class Solution:
 def hinf_riccati(
     scaled: ScaledPlant, backoff: float, P: StateSpace, regularise: float | None = None
 ) -> tuple[StateArrays, float, dict[str, float]]:
-    """Controller in the units of the plant that was scaled, the least gamma, and the residuals (scaled).
+    """Return the controller in the units of the plant as given, the least gamma, and the residuals (scaled).
 
-    Parameters
-    ----------
-    scaled, backoff, P
-        The plant, the relative distance from the least gamma, and the plant as given, for errors.
-    regularise
-        Size of what is added where an assumption does not hold; None where that is an error. The least gamma is then
-        that of the plant with it, and the residuals say what it is and how the least gamma changes with a tenth of it.
+    With `regularise` the least gamma is that of the regularised plant; the residuals report what was added.
     """
-    extra: dict[str, float] = {}
-    if regularise is not None:
-        changed = regularised(scaled, regularise)
-        if changed.size or changed.shift:
-            less = regularised(scaled, 0.1 * regularise).scaled
-            form = _normal_form(less.plant)
-            extra = {
-                "regularisation of controls and measurements": changed.size,
-                "regularisation by a shift of A, rad/s": changed.shift,
-                "least gamma at a tenth of it": _least_gamma(form, _sides(form), less, P) * less.gain,
-            }
-        scaled = changed.scaled
+
+    def least_gamma(less: ScaledPlant) -> float:
+        form = _normal_form(less.plant)
+        return _least_gamma(form, _sides(form), less, P) * less.gain
+
+    scaled, extra = regularised_and_report(scaled, regularise, "gamma", least_gamma)
     require_full_rank(scaled, P, WHERE)
     normal = _normal_form(scaled.plant)
     sides = _sides(normal)
@@ -86,8 +75,8 @@ def hinf_riccati(
     best = _trial(sides, ((1 + backoff) * least) ** -2).solution
     if best is None or best.excess >= 0:
         raise UnscalableError(
-            f"hinf, riccati: no solution at {1 + backoff:.6g} times the least gamma {least * scaled.gain:.6g}; "
-            'expected one; give a larger backoff, or method="lmi"',
+            f"{WHERE}: no solution at {1 + backoff:.6g} times the least gamma {least * scaled.gain:.6g}; "
+            'give a larger backoff, or method="lmi"',
             P,
         )
     residual = extra | {"spectral radius of X Y over gamma squared": 1 + float(best.excess)}
@@ -108,27 +97,26 @@ def hinf_riccati(
         except np.linalg.LinAlgError:
             continue
     raise UnscalableError(
-        f"hinf, riccati: the controllers at gamma = {best.gamma * scaled.gain:.6g} are not finite; "
+        f"{WHERE}: the controllers at gamma = {best.gamma * scaled.gain:.6g} are not finite; "
         'give a larger backoff, or method="lmi"',
         P,
     )
 
 
 def _normal_form(plant: Partition) -> Partition:
-    """Rotate z and w so that D12 = [0; I] and D21 = [0, I]; norms do not notice."""
+    """Rotate z and w so that D12 = [0; I] and D21 = [0, I], which keeps the norm."""
     nu, ny = plant.D12.shape[1], plant.D21.shape[0]
     U = np.hstack([np.linalg.svd(plant.D12)[0][:, nu:], plant.D12])
     V = np.hstack([np.linalg.svd(plant.D21.T)[0][:, ny:], plant.D21.T])
-    return Partition(
-        A=plant.A, B1=plant.B1 @ V, B2=plant.B2, C1=U.T @ plant.C1, C2=plant.C2,
-        D11=U.T @ plant.D11 @ V, D12=U.T @ plant.D12, D21=plant.D21 @ V, D22=plant.D22,
-    )  # fmt: skip
+    return dataclasses.replace(
+        plant, B1=plant.B1 @ V, C1=U.T @ plant.C1, D11=U.T @ plant.D11 @ V, D12=U.T @ plant.D12, D21=plant.D21 @ V
+    )
 
 
 class Side(NamedTuple):
-    """The equation of X, or in transposed matrices that of Y, by its Hamiltonian matrix H = fixed − column R⁻¹ row.
+    """The equation of X, or of the dual plant that of Y, by its Hamiltonian matrix H = fixed − column R⁻¹ row.
 
-    gamma stands in R alone, R = weight − gamma² on the first `inputs` entries of the diagonal; all else is made once.
+    Only R = weight − gamma² on the first `inputs` entries of the diagonal depends on gamma.
     """
 
     fixed: FloatArray
@@ -149,19 +137,16 @@ class Side(NamedTuple):
 
 def _sides(p: Partition) -> tuple[Side, Side]:
     out = []
-    for A, B1, B2, C1, D11, D12 in (
-        (p.A, p.B1, p.B2, p.C1, p.D11, p.D12),
-        (p.A.T, p.C1.T, p.C2.T, p.B1.T, p.D11.T, p.D21.T),
-    ):
-        B, D = np.hstack([B1, B2]), np.hstack([D11, D12])
-        fixed = np.block([[A, np.zeros_like(A)], [-C1.T @ C1, -A.T]])
+    for one in (p, p.dual):
+        B, D, C1 = np.hstack([one.B1, one.B2]), np.hstack([one.D11, one.D12]), one.C1
+        fixed = np.block([[one.A, np.zeros_like(one.A)], [-C1.T @ C1, -one.A.T]])
         column, row = np.vstack([B, -C1.T @ D]), np.hstack([D.T @ C1, B.T])
-        out.append(Side(fixed, column, row, D.T @ D, B1.shape[1]))
+        out.append(Side(fixed, column, row, D.T @ D, one.B1.shape[1]))
     return out[0], out[1]
 
 
 class Trial(NamedTuple):
-    """What one gamma gives: the solutions, or what stands in their way.
+    """What one gamma gives: the solutions, or why there are none.
 
     Attributes
     ----------
@@ -169,8 +154,8 @@ class Trial(NamedTuple):
         1/rho(X Y) − gamma⁻²: positive where gamma can be reached, negative where the coupling forbids it; None where
         X or Y does not exist or is not positive semidefinite.
     room
-        1/lambda_max of X and of Y, or 1/lambda_min where that is negative: past gamma at which they become infinite.
-        Zero there, which only matters where the other solution vanishes: else the coupling comes first.
+        1/lambda_max of X and of Y, or 1/lambda_min where that is negative: zero at the gamma where they become
+        infinite.
     axis
         Which side has eigenvalues on the imaginary axis (0 for X, 1 for Y), and their frequencies; else None.
     """
@@ -210,25 +195,25 @@ def _trial(sides: tuple[Side, Side], t: float) -> Trial:
 
 
 def _floor(p: Partition) -> float:
-    """What no controller can undercut: the largest singular value of the rows and columns of D11 out of its reach."""
+    """Return the largest singular value of the rows and columns of D11 that no controller reaches, a lower bound."""
     z, w = p.D11.shape[0] - p.D12.shape[1], p.D11.shape[1] - p.D21.shape[0]
     return float(max(np.linalg.norm(p.D11[:z], 2) if z else 0.0, np.linalg.norm(p.D11[:, :w], 2) if w else 0.0))
 
 
 def _least_gamma(p: Partition, sides: tuple[Side, Side], scaled: ScaledPlant, P: StateSpace) -> float:
-    """Least gamma, searched in t = gamma⁻² from t = 0 upwards; X and Y of t = 0 are those of the H2 problem.
+    """Search the least gamma in t = gamma⁻² from t = 0 upwards, where X and Y are those of the H2 problem.
 
     The slack falls with t and is concave, so interpolation finds its zero in a few steps. Where X or Y ceases to exist
     before, the bound is the peak of the response that no control (or no measurement) reaches, and every t beyond it
-    shows frequencies nearer to that peak.
+    gives frequencies nearer to that peak.
     """
     start = _trial(sides, 0.0)
     if start.slack is None or start.distance < SAFE_DISTANCE:
         require_no_zero_on_axis(scaled, P, WHERE)
     if start.slack is None or start.solution is None:
         raise UnscalableError(
-            "hinf, riccati: no gamma is large enough for both Riccati equations in the scaled units; expected unstable "
-            'modes well within reach of u and y and no zeros near the imaginary axis; give method="lmi"',
+            f"{WHERE}: no gamma is large enough for both Riccati equations, which need unstable modes that u moves and "
+            'y sees well, and no zeros near the imaginary axis; give method="lmi"',
             P,
         )
     # rho(X Y) grows with t, so that gamma² is at least what rho is at t = 0.
@@ -277,8 +262,8 @@ def _least_gamma(p: Partition, sides: tuple[Side, Side], scaled: ScaledPlant, P:
             break
     if reached == 0.0:
         raise UnscalableError(
-            f"hinf, riccati: no gamma up to {LARGEST_GAMMA:.0e} in scaled units is reached; expected unstable modes "
-            'well within reach of u and y; give method="lmi"',
+            f"{WHERE}: no gamma up to {LARGEST_GAMMA:.0e} in scaled units is reached: an unstable mode is hardly moved "
+            'by u or hardly seen by y; give method="lmi"',
             P,
         )
     return 1.0 / math.sqrt(reached)
@@ -292,7 +277,7 @@ def _note(known: list[list[tuple[float, float]]], trial: Trial) -> None:
 
 
 def _zero(known: list[tuple[float, float]]) -> float:
-    """Zero of a function by inverse interpolation through its last two or three points; inf where they tell nothing."""
+    """Return the zero of a function by inverse interpolation through its last two or three points; inf if undefined."""
     if len(known) < 2:
         return math.inf
     (t0, s0), (t1, s1) = known[-2:]
@@ -314,18 +299,17 @@ def _zero(known: list[tuple[float, float]]) -> float:
 
 
 def _unreached(p: Partition, side: int, start: Solution, frequencies: FloatArray) -> float:
-    """Largest gain, at the frequencies and between them, from w to the part of z that no control reaches.
+    """Return the largest gain, at the frequencies and between them, from w to the part of z that no control reaches.
 
     For the other side, to z from the part of w that no measurement sees. State feedback does not change it; that of the
     H2 problem takes the poles off the axis. The largest along all frequencies is the gamma from which X (or Y) exists.
     """
     if frequencies.size == 0:
         return 0.0
-    A, B1, B2, C1, D11, D12 = (
-        (p.A, p.B1, p.B2, p.C1, p.D11, p.D12) if side == 0 else (p.A.T, p.C1.T, p.C2.T, p.B1.T, p.D11.T, p.D21.T)
-    )
-    F = -(B2.T @ (start.X if side == 0 else start.Y) + D12.T @ C1)
-    A, C1 = A + B2 @ F, C1 + D12 @ F
+    p = p if side == 0 else p.dual
+    B1, B2, D11, D12 = p.B1, p.B2, p.D11, p.D12
+    F = -(B2.T @ (start.X if side == 0 else start.Y) + D12.T @ p.C1)
+    A, C1 = p.A + B2 @ F, p.C1 + D12 @ F
     # Crossings come at both signs: 0 lies between the first two.
     w = np.concatenate([[0.0], frequencies, 0.5 * (frequencies[1:] + frequencies[:-1])])
     w = np.concatenate([w, np.sqrt(frequencies[1:] * frequencies[:-1])])
@@ -338,10 +322,7 @@ def _unreached(p: Partition, side: int, start: Solution, frequencies: FloatArray
 
 
 def _central(p: Partition, best: Solution, share: float) -> StateArrays:
-    """The controller with the free parameter Q = `share` gamma I, the central one for 0; every |Q| < gamma keeps gamma.
-
-    The names follow theorem 17.1, with 1 and 2 for the parts of the controller's ports.
-    """
+    """Return the controller with the free parameter Q = `share` gamma I of theorem 17.1; |Q| < gamma keeps gamma."""
     gamma, X, Y = best.gamma, best.X, best.Y
     nw, nz, nu, ny = p.B1.shape[1], p.C1.shape[0], p.B2.shape[1], p.C2.shape[0]
     w, z = nw - ny, nz - nu

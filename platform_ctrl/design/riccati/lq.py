@@ -5,14 +5,13 @@
               (sampled plants: x[k + 1] in place of x', covariances in place of intensities)
 
 State feedback is u = −state_gain x, as in python-control; the controller of `lqg` is u = K y (positive feedback).
-Solved in scaled units; each result is judged by the residual of its Riccati equation and the poles that it leads to.
+Solved in scaled units; each result is checked by the residual of its Riccati equation and the closed-loop poles.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -25,9 +24,9 @@ from platform_ctrl.common.arguments import real_array
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.lower_bounds import h2_lower_bound
-from platform_ctrl.design.partition import Partition, partition, whole, with_direct_path
+from platform_ctrl.design.partition import Partition, partition, split, whole, with_direct_path
 from platform_ctrl.design.riccati.equations import well_conditioned
-from platform_ctrl.design.riccati.quadratic_cost import Weights, judged_weights, solved, square_root
+from platform_ctrl.design.riccati.quadratic_cost import Weights, checked_weights, solved, square_root
 from platform_ctrl.design.scaling import require_stabilisable
 from platform_ctrl.design.synthesis import Synthesis, certify
 from platform_ctrl.errors import ArgumentError, DesignError, NotCertifiedError, NotStabilisableError
@@ -49,7 +48,7 @@ class StateFeedback:
         The plant as given.
     state_gain : (m, n + p)
         K of u = −K [x, xi], as `control.lqr`, in the plant's units; xi (p,) are the integrals (sampled: sums) of y,
-        where they are requested.
+        where these are requested.
     X : (n + p, n + p)
         Of all inputs that bring the state x to rest, the least cost is x' X x, in units of the cost.
     poles : complex (n + p,)
@@ -212,15 +211,9 @@ def lqr(
     array([[1.    , 1.7321]])
     """
     arrays = state_arrays(system, "lqr")
-    weights = judged_weights(
-        "lqr",
-        "Q1, Q2, Q12",
-        (Q1, Q2, Q12),
-        len(arrays.A),
-        arrays.B.shape[1],
-        system.input_labels,
-        system,
-        semidefinite=False,
+    n, m = arrays.B.shape
+    weights = checked_weights(
+        "lqr", "Q1, Q2, Q12", (Q1, Q2, Q12), n, m, system.input_labels, system, semidefinite=False
     )
     return _feedback(system, arrays, weights, integral, "lqr")
 
@@ -256,7 +249,7 @@ def lqe(system: StateSpace, R1: ArrayLike, R2: ArrayLike, R12: ArrayLike | None 
     K. Zhou, J. C. Doyle, K. Glover, Robust and Optimal Control, 1996, ch. 13.
     """
     arrays = state_arrays(system, "lqe")
-    noise = judged_weights(
+    noise = checked_weights(
         "lqe", "R1, R2, R12", (R1, R2, R12), len(arrays.A), len(arrays.C), system.output_labels, system
     )
     return _estimator(system, arrays, noise, "lqe")
@@ -309,19 +302,21 @@ def lqg(
     """
     arrays = state_arrays(system, "lqg")
     n, m = arrays.B.shape
-    weights = judged_weights("lqg", "Q1, Q2, Q12", (Q1, Q2, Q12), n, m, system.input_labels, system)
-    noise = judged_weights("lqg", "R1, R2, R12", (R1, R2, R12), n, len(arrays.C), system.output_labels, system)
+    weights = checked_weights("lqg", "Q1, Q2, Q12", (Q1, Q2, Q12), n, m, system.input_labels, system)
+    noise = checked_weights("lqg", "R1, R2, R12", (R1, R2, R12), n, len(arrays.C), system.output_labels, system)
     feedback = _feedback(system, arrays, weights, integral, "lqg")
     estimator = _estimator(system, arrays, noise, "lqg")
     plant = _cost_plant(arrays, weights, noise, integral)
     try:
         K, least = _joined(plant, arrays, feedback, estimator, weights, direct and arrays.dt > 0.0)
     except np.linalg.LinAlgError:
-        raise NotCertifiedError(
-            "lqg: I + D_K D is singular, the loop is not well posed; try direct=False", system
-        ) from None
+        raise NotCertifiedError("lqg: I + D_K D is singular; try direct=False", system) from None
     measured = [*system.output_labels, *(f"integral of {name}" for name in system.output_labels[: feedback.integrals])]
-    P = _as_system(plant, system, measured)
+    P = named_system(
+        whole(plant),
+        [*(f"noise {k + 1}" for k in range(plant.B1.shape[1])), *system.input_labels],
+        [*(f"cost {k + 1}" for k in range(len(plant.C1))), *measured],
+    )
     parts = partition(P, len(measured), m, sampled=True)
     synthesis = certify(
         P, parts, K,
@@ -341,20 +336,20 @@ def lqg(
 def _with_integrals(
     arrays: StateArrays, weights: Weights, integral: ArrayLike | None, where: str
 ) -> tuple[FloatArray, FloatArray, Weights, int]:
-    """A, B and weights with the integrals of y as further states, and their number."""
+    """Return A, B and weights with the integrals of y as further states, and their number."""
     if integral is None:
         return arrays.A, arrays.B, weights, 0
     (n, m), p = arrays.B.shape, len(arrays.C)
     extra = real_array(f"{where}: integral", integral, (p, p))
     if np.linalg.eigvalsh(0.5 * (extra + extra.T)).min(initial=0.0) < 0.0 or not np.allclose(extra, extra.T):
-        raise ArgumentError(f"{where}: integral is not positive semidefinite; expected a weight of the integrals of y")
+        raise ArgumentError(f"{where}: integral must be a positive semidefinite weight of the integrals of y")
     A, B = _integrated(arrays, p)
     Q = np.block([[weights.first, np.zeros((n, p))], [np.zeros((p, n)), extra]])
     return A, B, Weights(Q, weights.second, np.vstack([weights.cross, np.zeros((p, m))])), p
 
 
 def _integrated(arrays: StateArrays, integrals: int) -> tuple[FloatArray, FloatArray]:
-    """A and B with the integrals (sampled: sums) of y as further states, if there are any."""
+    """Return A and B with the integrals (sampled: sums) of y as further states, if there are any."""
     A, B, C, D, dt = arrays
     if integrals == 0:
         return A, B
@@ -391,8 +386,13 @@ def _estimator(system: StateSpace, arrays: StateArrays, noise: Weights, where: s
 def _named_modes(
     A: FloatArray, B: FloatArray, C: FloatArray, dt: float, where: str, system: StateSpace
 ) -> Iterator[Callable[[], None]]:
-    """Give what raises a NotStabilisableError that names the mode out of reach; it comes before any other error."""
-    require = partial(_require, A, B, C, dt, where, system)
+    """Yield a check that names the mode out of reach in a NotStabilisableError; that comes before other errors."""
+    n, m, p = len(A), B.shape[1], len(C)
+    whole = StateArrays(A, np.hstack([np.eye(n), B]), np.vstack([np.eye(n), C]), np.zeros((n + p, n + m)), dt)
+
+    def require() -> None:
+        require_stabilisable(split(whole, n, n), system, where)
+
     try:
         yield require
     except NotStabilisableError:
@@ -402,18 +402,8 @@ def _named_modes(
         raise
 
 
-def _require(A: FloatArray, B: FloatArray, C: FloatArray, dt: float, where: str, system: StateSpace) -> None:
-    """Raise a NotStabilisableError that names the mode out of reach."""
-    n, m, p = len(A), B.shape[1], len(C)
-    plant = Partition(
-        A=A, B1=np.eye(n), B2=B, C1=np.eye(n), C2=C, D11=np.zeros((n, n)), D12=np.zeros((n, m)),
-        D21=np.zeros((p, n)), D22=np.zeros((p, m)), dt=dt,
-    )  # fmt: skip
-    require_stabilisable(plant, system, where)
-
-
 def _cost_plant(arrays: StateArrays, weights: Weights, noise: Weights, integral: ArrayLike | None) -> Partition:
-    """The H2 problem: w = roots of the noise, z = roots of the cost, measurements [y, its integrals]."""
+    """Return the H2 problem: w = roots of the noise, z = roots of the cost, measurements [y, its integrals]."""
     n, m = arrays.B.shape
     A, B, weights, p = _with_integrals(arrays, weights, integral, "lqg")
     V = square_root(np.block([[noise.first, noise.cross], [noise.cross.T, noise.second]]))
@@ -427,19 +417,10 @@ def _cost_plant(arrays: StateArrays, weights: Weights, noise: Weights, integral:
     )  # fmt: skip
 
 
-def _as_system(p: Partition, system: StateSpace, measured: list[str]) -> StateSpace:
-    one = whole(p)
-    return named_system(
-        StateArrays(one.A, one.B, one.C, one.D, p.dt),
-        [*(f"noise {k + 1}" for k in range(p.B1.shape[1])), *system.input_labels],
-        [*(f"cost {k + 1}" for k in range(len(p.C1))), *measured],
-    )
-
-
 def _joined(
     plant: Partition, arrays: StateArrays, feedback: StateFeedback, estimator: Estimator, weights: Weights, direct: bool
 ) -> tuple[StateArrays, float]:
-    """The controller from [y, its integrals] to u, with the estimate as its states, and the root of the least cost."""
+    """Return the controller from [y, its integrals] to u, states the estimate, and the root of the least cost."""
     n = len(arrays.A)
     X, F, Y, L = feedback.X, -feedback.state_gain, estimator.Y, estimator.observer_gain
     Fx, Fi = F[:, :n], F[:, n:]
@@ -448,7 +429,7 @@ def _joined(
     V2 = plant.D21[: len(arrays.C)]
     present: FloatArray = np.zeros((len(F), len(V2)))
     if direct:
-        # What y[k] says about the present state, and about the noise that will drive the next one.
+        # The estimate from y[k] of the present state, and of the noise that drives the next one.
         S = V2 @ V2.T + arrays.C @ Y @ arrays.C.T
         ahead = -np.linalg.solve(W, plant.B2.T @ X @ plant.B1 @ V2.T)
         present = np.asarray(np.linalg.solve(S, (Fx @ Y @ arrays.C.T + ahead).T).T)
@@ -464,7 +445,7 @@ def _joined(
 
 
 def _with_integrators(K: StateArrays, ny: int, integrals: int, system: StateSpace) -> StateSpace:
-    """The controller from y alone, with states [x̂, xi]."""
+    """Return the controller from y alone, with states [x̂, xi]."""
     n, p = len(K.A), integrals
     dt = float(system.dt or 0.0)
     keep = np.eye(p) if dt else np.zeros((p, p))

@@ -125,11 +125,11 @@ def pole_placement(system: control.StateSpace, poles: ArrayLike, inputs: Sequenc
     chosen = list(system.input_labels) if inputs is None else list(inputs)
     known_names("inputs", chosen, list(system.input_labels))
     A, B = arrays.A, arrays.B[:, [list(system.input_labels).index(name) for name in chosen]]
-    wanted = _judged(poles, len(A))
+    wanted = _checked(poles, len(A))
     scale = state_scaling(A, B, arrays.C)
     A_s, B_s = A * scale / scale[:, None], B / scale[:, None]
-    _judge_modes(A_s, B_s, system)
-    _judge_repeated(wanted, int(np.linalg.matrix_rank(B_s)))
+    _require_movable(A_s, B_s, system)
+    _require_rank(wanted, int(np.linalg.matrix_rank(B_s)))
     # Time in units of the wanted poles.
     unit = (float(np.abs(wanted).max()) or 1.0) if arrays.dt == 0.0 else 1.0
     root = _gramian_root(A_s / unit, B_s / unit, arrays.dt, system)
@@ -140,9 +140,8 @@ def pole_placement(system: control.StateSpace, poles: ArrayLike, inputs: Sequenc
     if not error <= _REACHED:
         k = int(np.abs(reached - wanted).argmax())
         raise NotCertifiedError(
-            f"pole_placement: the pole requested at {wanted[k]:.5g} is at {reached[k]:.5g}; expected {_REACHED:g} of "
-            f"its size or "
-            "less; ask for poles that differ more from one another, or lie nearer to the plant's",
+            f"pole_placement: the pole requested at {wanted[k]:.5g} is at {reached[k]:.5g}, off by more than "
+            f"{_REACHED:g} of its size; choose poles that differ more from one another, or are nearer to the plant's",
             system,
         )
     vectors = np.linalg.eig(A_n - B_n @ K_n)[1]
@@ -153,7 +152,7 @@ def pole_placement(system: control.StateSpace, poles: ArrayLike, inputs: Sequenc
 
 
 def _gramian_root(A: FloatArray, B: FloatArray, dt: float, system: control.StateSpace) -> FloatArray:
-    """Cholesky factor of the Gramian of the plant, made to decay by a shift (or a factor) first."""
+    """Return the Cholesky factor of the plant's Gramian, after a shift (or a factor) that makes it decay."""
     from scipy.linalg import cholesky, solve_continuous_lyapunov, solve_discrete_lyapunov
 
     s = np.linalg.eigvals(A)
@@ -166,47 +165,44 @@ def _gramian_root(A: FloatArray, B: FloatArray, dt: float, system: control.State
         return np.asarray(cholesky(0.5 * (gramian + gramian.T), lower=True), dtype=np.float64)
     except np.linalg.LinAlgError:
         raise NotStabilisableError(
-            "pole_placement: the inputs hardly move some combination of the states; expected a controllable plant; "
-            "give more "
-            "inputs",
+            "pole_placement: the inputs hardly move some combination of the states; give more inputs",
             system,
         ) from None
 
 
-def _judged(poles: ArrayLike, n: int) -> ComplexArray:
+def _checked(poles: ArrayLike, n: int) -> ComplexArray:
     try:
         wanted = np.asarray(poles, dtype=np.complex128)
     except (TypeError, ValueError):
-        raise ArgumentError(f"poles: given {short(poles)}; expected {n} numbers") from None
+        raise ArgumentError(f"poles: must be {n} numbers, got {short(poles)}") from None
     if wanted.shape != (n,) or not np.all(np.isfinite(wanted)):
-        raise ArgumentError(f"poles: given shape {wanted.shape}; expected {n} finite numbers, one for each state")
+        raise ArgumentError(f"poles: must be {n} finite numbers, one for each state, got {short(poles)}")
     rounding = 1e-9 * np.abs(wanted).max(initial=1.0)
     for pole in wanted:
         mirrored = np.sum(np.abs(wanted - np.conj(pole)) <= rounding) == np.sum(np.abs(wanted - pole) <= rounding)
         if not mirrored:
-            raise ArgumentError(f"poles: {pole:.5g} stands there without its conjugate; expected conjugate pairs")
+            raise ArgumentError(f"poles: complex poles must be conjugate pairs, got {pole:.5g} without its conjugate")
     return wanted
 
 
-def _judge_modes(A: FloatArray, B: FloatArray, system: control.StateSpace) -> None:
+def _require_movable(A: FloatArray, B: FloatArray, system: control.StateSpace) -> None:
     size = float(np.linalg.norm(A)) or 1.0
     for mode in np.linalg.eigvals(A):
         pencil = np.hstack([A - mode * np.eye(len(A)), B * size / max(float(np.linalg.norm(B)), 1e-300)])
         if np.linalg.svd(pencil, compute_uv=False)[-1] < _MOVABLE * size:
             raise NotStabilisableError(
-                f"pole_placement: no input moves the mode at {mode:.5g}; expected a controllable plant; give more "
-                f"inputs",
+                f"pole_placement: no input moves the mode at {mode:.5g}; give more inputs",
                 system,
             )
 
 
-def _judge_repeated(wanted: ComplexArray, rank: int) -> None:
+def _require_rank(wanted: ComplexArray, rank: int) -> None:
     for pole in wanted:
         count = int(np.sum(np.abs(wanted - pole) <= 1e-9 * max(abs(pole), 1e-300)))
         if count > rank:
             raise ArgumentError(
-                f"poles: {pole:.5g} stands there {count} times; expected at most {rank}, the rank of B; move them "
-                f"apart a little"
+                f"poles: a pole may occur at most {rank} times, the rank of B, got {pole:.5g} {count} times; "
+                "move them apart a little"
             )
 
 
@@ -214,36 +210,35 @@ def _placed(A: FloatArray, B: FloatArray, wanted: ComplexArray, system: control.
     import control
 
     with warnings.catch_warnings():
-        # Its "convergence not reached" is about the condition, not about the poles: those are judged afterwards.
+        # Its "convergence not reached" is about the condition, not about the poles, which are checked afterwards.
         warnings.simplefilter("ignore")
         try:
             return _corrected(A, B, np.asarray(control.place(A, B, wanted), dtype=np.float64), wanted)
         except (ValueError, np.linalg.LinAlgError, ArithmeticError) as error:
             line = " ".join(str(error).split())
-            raise NotCertifiedError(f"pole_placement: not found: {line}; try other poles", system) from None
+            raise NotCertifiedError(f"pole_placement: no gain was found: {line}; try other poles", system) from None
 
 
 def _corrected(A: FloatArray, B: FloatArray, K: FloatArray, wanted: ComplexArray) -> FloatArray:
-    """Return K after one Newton step on the poles: those much slower than the fastest are placed coarsely."""
+    """Return K after one Newton step: `place` is coarse for poles much slower than the fastest."""
     s, X = np.linalg.eig(A - B @ K)
     target = _matched(wanted, s)[0]
     inverse = np.linalg.pinv(X)
     moved = inverse @ B  # row i times a column of gains moves pole i
     gains = moved.conj() * ((s - target) / np.maximum((np.abs(moved) ** 2).sum(axis=1), 1e-300))[:, None]
-    better = K + (gains.T @ inverse).real
+    better = np.asarray(K + (gains.T @ inverse).real)
     if not np.all(np.isfinite(better)):
         return K
-    errors = [
-        (np.abs(reached - wanted) / np.maximum(np.abs(wanted), 1e-9)).max()
-        for reached in (
-            _matched(np.linalg.eigvals(A - B @ one).astype(np.complex128), wanted)[0] for one in (K, better)
-        )
-    ]
-    return better if errors[1] < errors[0] else K
+
+    def error(gain: FloatArray) -> float:
+        reached = _matched(np.linalg.eigvals(A - B @ gain).astype(np.complex128), wanted)[0]
+        return float((np.abs(reached - wanted) / np.maximum(np.abs(wanted), 1e-9)).max())
+
+    return min(K, better, key=error)
 
 
 def _matched(found: ComplexArray, wanted: ComplexArray) -> tuple[ComplexArray, float]:
-    """Poles in the order of those wanted, and the largest relative distance."""
+    """Return poles in the order of those wanted, and the largest relative distance."""
     from scipy.optimize import linear_sum_assignment
 
     distance = np.abs(found[None, :] - wanted[:, None])

@@ -1,7 +1,7 @@
-"""Quadratic costs and noise intensities: judged, and their Riccati equation solved in scaled units.
+"""Quadratic costs and noise intensities: checks, and their Riccati equation solved in scaled units.
 
-State feedback and Kalman filter are one problem and its dual; what is said here of weights and inputs holds for
-intensities and measurements too.
+State feedback and Kalman filter are one problem and its dual: weights and inputs below are also intensities and
+measurements.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from platform_ctrl.analysis.arrays import ComplexArray, state_scaling
 from platform_ctrl.analysis.poles import continuous_poles, spectral_abscissa
 from platform_ctrl.common.arguments import real_array
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.design.riccati.equations import relative_error, relative_residual, riccati_solution
+from platform_ctrl.design.riccati.equations import Equation, relative_error, relative_residual, riccati_solution
 from platform_ctrl.errors import ArgumentError, IllPosedError, NotCertifiedError, UnscalableError
 
 if TYPE_CHECKING:
@@ -24,14 +24,14 @@ if TYPE_CHECKING:
 
 # Largest relative residual of a Riccati equation (scaled).
 RESIDUAL = 1e-6
-# Or largest error of its solution, in units of its own, where no solution in doubles has a residual as small: with
-# control so cheap that poles lie more than ten decades apart.
+# Or largest relative error of its solution, where control is so cheap that poles are more than ten decades apart and no
+# solution in doubles has such a residual.
 ERROR = 1e-5
 # A noise intensity may be negative by this share of its largest eigenvalue: rounding.
 SEMIDEFINITE = 1e-10
 # A weight of the inputs whose least eigenvalue, of a unit diagonal, is below this is singular: rounding.
 SINGULAR = 1e-15
-# No weight is larger: products of two are numbers still.
+# Largest weight: the product of two must not overflow.
 _LARGEST = 1e150
 
 
@@ -43,7 +43,7 @@ class Weights(NamedTuple):
     cross: FloatArray
 
 
-def judged_weights(
+def checked_weights(
     where: str,
     names: str,
     given: tuple[ArrayLike | None, ...],
@@ -54,37 +54,25 @@ def judged_weights(
     *,
     semidefinite: bool = True,
 ) -> Weights:
-    """Judge weights or intensities.
+    """Return weights (n, n) of the states, (m, m) of the inputs `labels` and (n, m) between them, None for 0.
 
-    Parameters
-    ----------
-    where, names
-        Who asks, and what the three matrices are called there, separated by commas.
-    given
-        Weights (n, n) of the states, (m, m) of the inputs, and (n, m) between them, None for 0.
-    n, m, labels
-        Numbers of states and inputs, and the inputs' names.
-    system
-        Attached to errors.
-    semidefinite
-        Whether they have to be positive semidefinite together, and the second positive definite: what are intensities,
-        or is a norm squared. Otherwise the second has to be so for continuous systems alone, and the equation decides.
+    With `semidefinite` they have to be positive semidefinite together, and the second positive definite, as intensities
+    and norms squared are. Otherwise the second has to be so for continuous systems only, and the equation decides.
     """
     first, second, between = names.split(", ")
     if not (n and m):
         raise ArgumentError(
-            f"{where}: {second} and {first} would be ({m}, {m}) and ({n}, {n}); expected a plant with states and at "
-            f"least one signal that {second} weights"
+            f"{where}: the plant must have states and at least one signal for {second}, got {n} states and {m} signals"
         )
     Q = real_array(f"{where}: {first}", given[0], (n, n))
     R = real_array(f"{where}: {second}", given[1], (m, m))
     N = real_array(f"{where}: {between}", given[2], (n, m), 0.0)
     for name, matrix in ((first, Q), (second, R), (between, N)):
         if np.any(np.abs(matrix) > _LARGEST):
-            raise ArgumentError(f"{where}: {name} has a number beyond {_LARGEST:g}; expected smaller ones: scale them")
+            raise ArgumentError(f"{where}: {name} must not exceed {_LARGEST:g}; choose other units")
     for name, matrix in ((first, Q), (second, R)):
         if not np.allclose(matrix, matrix.T, rtol=1e-8, atol=1e-12 * float(np.abs(matrix).max(initial=0.0))):
-            raise ArgumentError(f"{where}: {name} is not symmetric; expected a symmetric matrix")
+            raise ArgumentError(f"{where}: {name} must be symmetric")
     Q, R = 0.5 * (Q + Q.T), 0.5 * (R + R.T)
     if semidefinite or not system.dt:
         _require_definite(f"{where}: {second}", R, labels, bool(system.dt), system)
@@ -94,8 +82,8 @@ def judged_weights(
         size[size == 0.0] = 1.0
         if np.linalg.eigvalsh(whole / size / size[:, None])[0] < -SEMIDEFINITE * (n + m):
             raise IllPosedError(
-                f"{where}: [{first}, {between}; {between}', {second}] is not positive semidefinite; expected one: "
-                + ("intensities of noise are never negative" if first == "R1" else "LQG's cost is a norm squared"),
+                f"{where}: [{first}, {between}; {between}', {second}] must be positive semidefinite: "
+                + ("intensities of noise are never negative" if first == "R1" else "the cost of LQG is a norm squared"),
                 system,
             )
     return Weights(Q, R, N)
@@ -103,12 +91,12 @@ def judged_weights(
 
 def _require_definite(name: str, R: FloatArray, labels: list[str], sampled: bool, system: StateSpace) -> None:
     """Raise an IllPosedError that names an input without a weight."""
-    # In units of their own: a weight of 1e-12 beside one of 1 is small, not zero.
-    cure = "" if sampled else ": the best input has impulses otherwise"
+    # With a unit diagonal: a weight of 1e-12 beside one of 1 is small, not zero.
+    reason = "" if sampled else ", otherwise the best input has impulses"
     if not np.all(np.diag(R) > 0.0):
         k = int(np.argmin(np.diag(R)))
         raise IllPosedError(
-            f"{name} is {R[k, k]:.4g} for {labels[k]}; expected a positive definite matrix{cure}; give a small "
+            f"{name} must be positive definite{reason}, but is {R[k, k]:.4g} for {labels[k]}; give a small "
             'positive number, or use design.h2 with method="lmi"',
             system,
         )
@@ -117,8 +105,8 @@ def _require_definite(name: str, R: FloatArray, labels: list[str], sampled: bool
     if values[0] <= SINGULAR * len(R) * values[-1]:
         k = int(np.argmax(np.abs(vectors[:, 0])))
         raise IllPosedError(
-            f"{name} is not positive definite, for {labels[k]} among others; expected a positive definite "
-            f"matrix{cure}; give larger numbers on its diagonal",
+            f"{name} must be positive definite{reason}, but is singular for {labels[k]} among others; "
+            "give larger numbers on its diagonal",
             system,
         )
 
@@ -136,24 +124,24 @@ def solved(
     poles = np.asarray(np.linalg.eigvals(A + B @ found.F), dtype=np.complex128)
     if not spectral_abscissa(continuous_poles(poles, dt)) < 0.0:
         raise NotCertifiedError(
-            f"{where}: the loop is not stable in floating point; expected a stable loop; try weights with less spread",
+            f"{where}: the loop is not stable in floating point; try weights with less spread",
             system,
         )
     size = np.sqrt(np.abs(np.diag(found.W)))
     size[size == 0.0] = 1.0
     if dt and np.linalg.eigvalsh(found.W / size / size[:, None])[0] <= -SEMIDEFINITE:
         raise IllPosedError(
-            f"{where}: the weight of the inputs and of what they bring about, R + B'XB, is not positive definite: the "
-            "cost has no least value; expected larger weights of the inputs",
+            f"{where}: the cost has no least value, since R + B'XB is not positive definite; give the inputs larger "
+            "weights",
             system,
         )
     return found.X, -found.F, poles, found.residual
 
 
 class _Solution(NamedTuple):
-    """What one choice of units has led to: X is None where there is no solution, or none was found."""
+    """The result with one choice of units: X is None where there is no solution, or none was found."""
 
-    equation: tuple[FloatArray, ...]
+    equation: Equation
     rate: float
     exists: bool
     X: FloatArray | None = None
@@ -174,9 +162,9 @@ def _solutions(A: FloatArray, B: FloatArray, weights: Weights, dt: float) -> Ite
         # The unit of time in which A and B are at most near one.
         size = float(np.linalg.norm(As, 2) + np.linalg.norm(Bs) * root)
         rate = 1.0 if dt or not size else float(_power_of_two(size))
-        equation = (As / rate, Bs * (root / rate), Qs / root**2, Rs, Ns / root)
+        equation = Equation(As / rate, Bs * (root / rate), Qs / root**2, Rs, Ns / root, discrete=dt > 0)
         try:
-            found = riccati_solution(*equation, discrete=dt > 0)
+            found = riccati_solution(equation)
         except np.linalg.LinAlgError:
             yield _Solution(equation, rate, exists=True)
             continue
@@ -184,8 +172,8 @@ def _solutions(A: FloatArray, B: FloatArray, weights: Weights, dt: float) -> Ite
             yield _Solution(equation, rate, exists=False)
             continue
         X, F, W = found
-        residual = relative_residual(*equation, X, discrete=dt > 0)
-        accurate = residual <= RESIDUAL or relative_error(*equation, X, discrete=dt > 0) <= ERROR
+        residual = relative_residual(equation, X)
+        accurate = residual <= RESIDUAL or relative_error(equation, X) <= ERROR
         X, F = X * (root**2 / rate) / s / s[:, None], F * (unit[:, None] * root) / s
         yield _Solution(equation, rate, True, X, F, W, residual, accurate)
         if accurate:
@@ -193,24 +181,24 @@ def _solutions(A: FloatArray, B: FloatArray, weights: Weights, dt: float) -> Ite
 
 
 def _refuse(tried: list[_Solution], dt: float, where: str, system: StateSpace) -> None:
-    """Raise what says why there is no solution."""
+    """Raise the error that says why there is no solution."""
     if inaccurate := [one.residual for one in tried if one.X is not None]:
         raise NotCertifiedError(
-            f"{where}: the Riccati equation holds to {min(inaccurate):.2g} alone; expected {RESIDUAL:g}; try weights "
-            "with less spread",
+            f"{where}: the Riccati equation has a relative residual of {min(inaccurate):.2g}, more than {RESIDUAL:g}; "
+            "try weights with less spread",
             system,
         )
     _name_blind_mode(tried[0].equation, tried[0].rate, dt, where, system)
     if any(one.exists for one in tried):
         raise UnscalableError(
-            f"{where}: no stabilising solution of the Riccati equation was found in floating point; expected weights "
-            "and modes with less spread; try other units, or larger weights on the slow states",
+            f"{where}: no stabilising solution of the Riccati equation was found in floating point: weights or modes "
+            "have too much spread; try other units, or larger weights on the slow states",
             system,
         )
     raise IllPosedError(
         f"{where}: the Riccati equation has no stabilising solution: its {'symplectic' if dt else 'Hamiltonian'} "
         f"pencil has eigenvalues on the {'unit circle' if dt else 'imaginary axis'}, or too near to it for floating "
-        "point; expected weights (or intensities) that are positive definite, or less negative",
+        "point; try weights (or intensities) that are positive definite, or less negative",
         system,
     )
 
@@ -220,18 +208,18 @@ def _power_of_two(number: ArrayLike) -> FloatArray:
 
 
 def _all_units(A: FloatArray, B: FloatArray, C: FloatArray) -> Iterator[tuple[FloatArray, float]]:
-    """Go through units of the states, and of the root of the cost."""
+    """Yield units of the states, and of the root of the cost."""
     yield _units(A, B, C)
     s, root = _units_of_plant(A, B, C)
     yield s, root
-    # In which B is as large as A: for costs of the states that are nothing beside the effort of stabilising them.
+    # In which B is as large as A: for costs of the states far below the cost of stabilising them.
     fast, into = float(np.linalg.norm(A * s / s[:, None])), float(np.linalg.norm(B / s[:, None]))
     if fast and into:
         yield s, float(_power_of_two(fast / into))
 
 
 def _units(A: FloatArray, B: FloatArray, C: FloatArray) -> tuple[FloatArray, float]:
-    """Units s of the states, and of the root of the cost, in which B and the root C of their weights are as large."""
+    """Return units s of the states, and of the root of the cost, in which B and the root C of the weights are alike."""
     s, root = np.ones(len(A)), 1.0
     for _ in range(3):
         s = s * state_scaling(A * s / s[:, None], B * root / s[:, None], C * s / root)
@@ -243,14 +231,14 @@ def _units(A: FloatArray, B: FloatArray, C: FloatArray) -> tuple[FloatArray, flo
 
 
 def _units_of_plant(A: FloatArray, B: FloatArray, C: FloatArray) -> tuple[FloatArray, float]:
-    """Units of the states that balance [A B; C 0], and of the cost in which the weight of the states is near one."""
+    """Return units of the states that balance [A B; C 0], and of the cost in which their weight is near one."""
     s = state_scaling(A, B, C if len(C) else np.zeros((1, len(A))))
     return s, float(_power_of_two(max(float(np.linalg.norm(C * s, 2)), np.finfo(float).tiny))) if len(C) else 1.0
 
 
-def _name_blind_mode(equation: tuple[FloatArray, ...], rate: float, dt: float, where: str, system: StateSpace) -> None:
+def _name_blind_mode(equation: Equation, rate: float, dt: float, where: str, system: StateSpace) -> None:
     """Raise an IllPosedError where the weights do not see a mode on the stability boundary."""
-    A, B, Q, R, N = equation
+    A, B, Q, R, N, _ = equation
     across = np.linalg.lstsq(R, N.T)[0]
     closed, seen = A - B @ across, Q - N @ across
     size = 1.0 if dt else float(np.linalg.norm(closed, 2)) or 1.0
@@ -262,13 +250,13 @@ def _name_blind_mode(equation: tuple[FloatArray, ...], rate: float, dt: float, w
             at = f"z = {pole:.6g}" if dt else f"{pole * rate:.4g} rad/s"
             raise IllPosedError(
                 f"{where}: the weights (or noise intensities) do not reach the mode at {at} on the stability boundary; "
-                "expected one on every such mode; add a small weight (or noise) on its states",
+                "add a small weight (or noise) on its states",
                 system,
             )
 
 
 def square_root(Q: FloatArray) -> FloatArray:
-    """Return a root G, Q = G G', of a semidefinite matrix, zero columns left out; of |Q| if it is indefinite."""
+    """Return a root G, Q = G G', of a semidefinite matrix, without zero columns; of |Q| if it is indefinite."""
     size = np.sqrt(np.abs(np.diag(Q)))
     size[size == 0.0] = 1.0
     values, vectors = np.linalg.eigh(Q / size / size[:, None])

@@ -42,8 +42,7 @@ _ACCURACY = 1e-3
 _ROUNDS = 40
 # What the recomputed norm may exceed the backed-off level by.
 _TOLERANCE = 0.01
-# Delayed controls at most, each a state of the lifted plant: about five syntheses of a hundred Schur forms, of twice as
-# many states, take seconds for these and minutes for some times as many.
+# Largest number of delayed controls, each a state of the lifted plant; the time of a synthesis grows with their cube.
 MOST_DELAYED = 100
 _CURE = "give a larger backoff, the other method, or weights with less spread between slow and fast poles"
 
@@ -171,16 +170,13 @@ def sampled_hinf(
             raise IllPosedError(str(error), P) from None
     plant = sampled_plant(P, nmeas, ncon, period, delay, "sampled_hinf")
     if nz < 1 or nw < 1:
-        raise ArgumentError(
-            f"sampled_hinf: P has {nw} disturbances w and {nz} outputs z; expected one of each at least"
-        )
+        raise ArgumentError(f"sampled_hinf: P must have at least one disturbance w and one output z, got {nw} and {nz}")
 
     delayed = plant.reach * ncon
     if delayed > MOST_DELAYED:
         raise ArgumentError(
-            f"sampled_hinf: delay = {delay:.4g} s keeps {delayed} controls of a period of {period:.4g} s waiting, each "
-            f"a state, and the time of a synthesis grows with their cube; expected at most {MOST_DELAYED}: give a "
-            "longer period or a shorter delay"
+            f"sampled_hinf: delay = {delay:.4g} s makes {delayed} delayed controls of a period of {period:.4g} s, each "
+            f"a state, more than {MOST_DELAYED}; give a longer period or a shorter delay"
         )
 
     def solved(level: float, inner: float) -> Synthesis:
@@ -190,7 +186,7 @@ def sampled_hinf(
         bound, least = _least_level(P, plant, lambda level: solved(level, 0.05))
     except PeriodExceedsLevel:
         raise ArgumentError(
-            f"sampled_hinf: given a period of {plant.period:g} s, within which P overflows; expected a shorter one"
+            f"sampled_hinf: P overflows within a period of {plant.period:g} s; give a shorter one"
         ) from None
     level = (1.0 + backoff) * least
     room = 1.0 / _reached(solved(level, 0.05)) - 1.0
@@ -205,7 +201,7 @@ def sampled_hinf(
     limit = (1.0 + backoff + _TOLERANCE) * least
     if not gamma <= limit:
         raise NotCertifiedError(
-            f"sampled_hinf: the sampled loop has the norm {gamma:.6g}; expected at most {limit:.6g} for the least norm "
+            f"sampled_hinf: the sampled loop has the norm {gamma:.6g}, more than {limit:.6g} for the least norm "
             f"{least:.6g}; {_CURE}",
             P,
         )
@@ -253,7 +249,7 @@ def _least_level(P: StateSpace, plant: SampledPlant, designed: Callable[[float],
         guess = level * norm * (1.0 + 0.5 * _ACCURACY) if norm > 1.0 else level * norm * (1.0 - 0.5 * _ACCURACY)
         inside = low < guess < high and np.isfinite(guess)
         level = guess if inside else (np.sqrt(low * high) if np.isfinite(high) and low > 0.0 else 2.0 * level)
-    raise InfeasibleError(f"sampled_hinf: no least level between {low:.6g} and {high:.6g}; expected one; {_CURE}", P)
+    raise InfeasibleError(f"sampled_hinf: no least level was found between {low:.6g} and {high:.6g}; {_CURE}", P)
 
 
 def _from_controls(plant: SampledPlant) -> StateArrays:
