@@ -21,7 +21,7 @@ from platform_ctrl.job.methods import METHODS
 from platform_ctrl.job.reading import read_job
 from platform_ctrl.plant.reading import open_plant
 from platform_ctrl.plant.source import is_shipped_name, read_text
-from platform_ctrl.verification.records import SCHEMA, plain, write_record
+from platform_ctrl.verification.records import SCHEMA, write_record
 
 if TYPE_CHECKING:
     from tomlkit import TOMLDocument
@@ -120,7 +120,7 @@ def write_job(
         raise InputError(str(error).replace("job given as a dict", str(path))) from None
     record = {"schema": SCHEMA, "controllers": [_entry(one, job) for one in controllers]}
     before = beside.read_bytes() if beside.exists() else None
-    write_record(plain(record), beside)
+    write_record(record, beside)
     try:
         write_whole(path, text)
     except InputError:

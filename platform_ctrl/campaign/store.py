@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import re
 from collections import Counter
 from collections.abc import Iterator, Mapping
@@ -22,7 +21,8 @@ import numpy as np
 from platform_ctrl.campaign.identity import Identity
 from platform_ctrl.campaign.single_run import Columns, Kind, schema_of, table_of
 from platform_ctrl.campaign.table import COMPLETED, DIVERGED, ENDED, NOT_SIMULATED, PASSED, RUN, arrow
-from platform_ctrl.common.files import write_whole
+from platform_ctrl.common.files import replaced_file
+from platform_ctrl.common.json_text import write_json
 from platform_ctrl.errors import InputError
 
 RECORD, TABLE, PARTS, LOCK = "campaign.json", "campaign.parquet", "campaign.parts", ".campaign.lock"
@@ -105,7 +105,7 @@ class Store:
         path = folder / f"{runs.start:012d}-{runs.stop:012d}.{_digest(content)}.parquet"
         with self._telling(folder):
             folder.mkdir(exist_ok=True)
-            with _replaced(path) as file:
+            with replaced_file(path, synced=True) as file:
                 file.write(content)
         self._parts[runs] = path
         self._kept_runs += len(runs)
@@ -137,7 +137,7 @@ class Store:
     def _merge(self, counts: Counter[str]) -> None:
         pa = arrow()
         with (
-            _replaced(self.table) as file,
+            replaced_file(self.table, synced=True) as file,
             pa.parquet.ParquetWriter(file, self._schema, write_page_checksum=True) as writer,
         ):
             waiting: list[Any] = []
@@ -283,7 +283,7 @@ def read_record(folder: Path) -> Record | None:
 
 def write_record(folder: Path, record: Mapping[str, Any]) -> None:
     """Write ``campaign.json``, whole or not at all."""
-    write_whole(folder / RECORD, json.dumps(record, indent=2, allow_nan=False) + "\n")
+    write_json(record, folder / RECORD)
 
 
 def _judge(folder: Path, new: Record) -> None:
@@ -362,23 +362,3 @@ def _count(counts: Counter[str], table: Any) -> None:
 
 def _digest(content: bytes) -> str:
     return hashlib.blake2b(content, digest_size=16).hexdigest()
-
-
-@contextmanager
-def _replaced(path: Path) -> Iterator[Any]:
-    """Yield a file that takes the place of `path` when it is complete and on the disk."""
-    unfinished = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        with open(unfinished, "wb") as file:
-            yield file
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(unfinished, path)
-    finally:
-        unfinished.unlink(missing_ok=True)
-    if os.name == "posix":
-        handle = os.open(path.parent, os.O_RDONLY)
-        try:
-            os.fsync(handle)
-        finally:
-            os.close(handle)

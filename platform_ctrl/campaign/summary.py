@@ -11,9 +11,9 @@ from platform_ctrl.campaign.rare_result import RareResult
 from platform_ctrl.campaign.sensitivity import Influence, Sensitivity, sensitivities
 from platform_ctrl.campaign.table import Table
 from platform_ctrl.campaign.table_statistics import CampaignStatistics, RequirementStatistics, WorstRun, statistics
+from platform_ctrl.common.json_text import plain_types
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import value
-from platform_ctrl.verification.records import plain
 
 Record = dict[str, Any]
 
@@ -154,7 +154,7 @@ def summary_record(summary: Summary) -> Record:
         "contrasts": [_contrast(one) for one in summary.contrasts],
         "rare": [rare_record(summary.plan, one) for one in summary.rare],
     }
-    out: Record = plain(record)
+    out: Record = plain_types(record)
     return out
 
 
@@ -192,7 +192,7 @@ def rare_record(plan: Plan, rare: RareResult) -> Record:
             for one in rare.violations
         ],
     }
-    out: Record = plain(record)
+    out: Record = plain_types(record)
     return out
 
 

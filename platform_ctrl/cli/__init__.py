@@ -1,7 +1,7 @@
 """The command ``platform-ctrl``: exit codes, and errors in one line.
 
 0: done, every requirement met. 1: done, a requirement not met; also when a method finds no controller, or a run cannot
-be carried out. 2: the input is wrong. 130: interrupted. Nothing heavy is loaded before a command needs it.
+be simulated. 2: the input is wrong. 130: interrupted. Large libraries are loaded only when a command needs them.
 """
 
 from __future__ import annotations
@@ -13,50 +13,68 @@ import warnings
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from platform_ctrl.cli.interrupts import INTERRUPTED, INTERRUPTED_LINE, ProcessEnd, exit_interrupted, interruptible
 from platform_ctrl.errors import DesignError, OldKeyWarning, PlatformCtrlError, SimulationError
 
 __all__ = ["main"]
 
-INTERRUPTED = 130
-
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command with `arguments` (default: those of the process) and return its exit code."""
-    # Our matrices are small: BLAS threads spend their time waiting for each other, most of it on a busy machine.
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    if sys.stdout is None or sys.stderr is None:
-        # Closed by whoever started us: what would go there goes nowhere, and libraries need not know.
-        nowhere = open(os.devnull, "w")  # noqa: SIM115 - open as long as the process
-        sys.stdout, sys.stderr = sys.stdout or nowhere, sys.stderr or nowhere
-    for stream in (sys.stdout, sys.stderr):
-        if hasattr(stream, "reconfigure"):  # a name that the terminal cannot show must not stop the work
-            stream.reconfigure(errors="backslashreplace")
+    if arguments is not None:
+        code = _guarded(list(arguments))
+        if code == INTERRUPTED:
+            print(INTERRUPTED_LINE, file=sys.stderr, flush=True)
+        return code
     try:
+        end = ProcessEnd()
+        with interruptible() as check:
+            code = _guarded(sys.argv[1:])
+            check()
+        if code == INTERRUPTED:
+            exit_interrupted()
+        end.begin(code)
+    except KeyboardInterrupt:
+        exit_interrupted()
+    return code
+
+
+def _guarded(arguments: list[str]) -> int:
+    """Return the exit code, also where the output cannot be written or a library changes a Ctrl-C to its own error."""
+    try:
+        # The matrices are small: BLAS threads would spend their time waiting for each other.
+        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+        _prepare_streams()
         with warnings.catch_warnings():
             warnings.simplefilter("always", OldKeyWarning)
             warnings.showwarning = _shown(warnings.showwarning)
-            code = _run(list(sys.argv[1:] if arguments is None else arguments))
+            code = _run(arguments)
         sys.stdout.flush()
     except BrokenPipeError:
-        # Whoever read our output has gone; what is left in the buffer must not complain when the program ends.
+        # The reader of our output has ended; what is left in the buffer must not raise when the process ends.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         code = 1
     except OSError as error:
         if error.errno not in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO):
             raise
-        # A full disk behind standard output; files have their own errors, in one line each.
+        # A full disk behind standard output; errors of files are messages of their own.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         code = _failed(f"standard output: {error.strerror or error}", 1)
     except BaseException as error:
         if not _began_with_interrupt(error):
             raise
         code = INTERRUPTED
-    if code == INTERRUPTED:
-        print("platform-ctrl: interrupted", file=sys.stderr, flush=True)
-        if arguments is None:
-            # A library that was interrupted while it was loaded may crash the interpreter's orderly end.
-            os._exit(code)
     return code
+
+
+def _prepare_streams() -> None:
+    """Replace streams that the caller has closed; characters that a terminal cannot show are escaped."""
+    if sys.stdout is None or sys.stderr is None:
+        nowhere = open(os.devnull, "w")  # noqa: SIM115 - open as long as the process
+        sys.stdout, sys.stderr = sys.stdout or nowhere, sys.stderr or nowhere
+    for stream in (sys.stdout, sys.stderr):
+        if hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="backslashreplace")
 
 
 def _shown(otherwise: Callable[..., None]) -> Callable[..., None]:
@@ -72,7 +90,7 @@ def _shown(otherwise: Callable[..., None]) -> Callable[..., None]:
 
 
 def _began_with_interrupt(error: BaseException | None) -> bool:
-    """Whether Ctrl-C is behind an error: libraries that are interrupted may raise their own."""
+    """Return whether Ctrl-C caused an error: libraries that are interrupted may raise their own."""
     while error is not None and not isinstance(error, KeyboardInterrupt):
         error = error.__cause__ or error.__context__
     return error is not None
@@ -85,7 +103,7 @@ def _run(arguments: list[str]) -> int:
 
     command = typer.main.get_command(app)
     try:
-        return int(command.main(_asked(arguments), prog_name="platform-ctrl", standalone_mode=False) or 0)
+        return int(command.main(_with_help(arguments), prog_name="platform-ctrl", standalone_mode=False) or 0)
     except typer.Abort:
         return INTERRUPTED
     except PlatformCtrlError as error:
@@ -96,23 +114,23 @@ def _run(arguments: list[str]) -> int:
         # What typer raises for a wrong command line: its class has moved between modules, this method has not.
         if not hasattr(error, "format_message"):
             raise
-        return _failed(_report_error(error), 2)
+        return _failed(_usage_message(error), 2)
 
 
-def _asked(arguments: list[str]) -> list[str]:
-    """Return the arguments with ``help COMMAND`` as ``COMMAND --help``; without any, the help is asked for."""
+def _with_help(arguments: list[str]) -> list[str]:
+    """Return the arguments with ``help COMMAND`` as ``COMMAND --help``; no arguments as ``--help``."""
     if not arguments or arguments[0] == "help":
         return [*arguments[1:2], "--help"]
     return arguments
 
 
-def _report_error(error: Any) -> str:
-    """Say what is wrong with a command line, what is expected where something is missing, and where help is."""
+def _usage_message(error: Any) -> str:
+    """Return what is wrong with a command line, what an argument that is missing means, and where help is."""
     message: str = error.format_message()
     param, context = getattr(error, "param", None), getattr(error, "ctx", None)
-    wanted = getattr(param, "help", None)
-    if message.startswith("Missing") and wanted:
-        message = f"{message.rstrip('.')}: {wanted}"
+    meaning = getattr(param, "help", None)
+    if message.startswith("Missing") and meaning:
+        message = f"{message.rstrip('.')}: {meaning}"
     return f"{message} (see {getattr(context, 'command_path', 'platform-ctrl')} --help)"
 
 

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import os
 import shutil
-import signal
 import tempfile
-import threading
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
-from platform_ctrl.common.files import write_whole
+from platform_ctrl.cli.interrupts import interrupts_deferred
+from platform_ctrl.common.json_text import write_json
 from platform_ctrl.errors import InputError
 from platform_ctrl.plant.source import read_json
 
@@ -145,22 +143,6 @@ def written_together(folder: Path) -> Iterator[Path]:
         yield stage.folder(folder)
 
 
-@contextmanager
-def interrupts_deferred() -> Iterator[None]:
-    """Let a Ctrl-C wait until the end."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    waiting = []
-    before = signal.signal(signal.SIGINT, lambda number, frame: waiting.append(number))
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
-    if waiting:
-        raise KeyboardInterrupt
-
-
 def own_files(option: str, folder: Path) -> dict[str, str]:
     """Return the files of an earlier export in a folder, with their SHA-256; none in one that is empty or not there."""
     if not os.path.lexists(folder):
@@ -194,7 +176,7 @@ def own_files(option: str, folder: Path) -> dict[str, str]:
 def write_folder_record(folder: Path, about: Mapping[str, object]) -> None:
     """Write which files of a folder are an export's own."""
     files = {path.name: sha256(path) for path in sorted(folder.iterdir())}
-    write_whole(folder / RECORD, json.dumps({"schema": 1, **about, "files": files}, indent=2) + "\n")
+    write_json({"schema": 1, **about, "files": files}, folder / RECORD)
 
 
 def sha256(path: Path) -> str:

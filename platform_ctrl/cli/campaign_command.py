@@ -199,9 +199,9 @@ def campaign(
             again=["platform-ctrl", "simulate", str(job), *files, "--run"],
         )
     if as_json:
-        from platform_ctrl.verification.records import laid_out
+        from platform_ctrl.common.json_text import json_text
 
-        typer.echo(laid_out(record))
+        typer.echo(json_text(record))
     else:
         from platform_ctrl.cli.campaign_output import show_campaign
 

@@ -10,7 +10,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
-from platform_ctrl.cli.terminal import interruptible, screen
+from platform_ctrl.cli.interrupts import interruptible
+from platform_ctrl.cli.terminal import screen
 from platform_ctrl.common.arguments import one_of
 from platform_ctrl.errors import ArgumentError, InputError
 
@@ -113,14 +114,14 @@ def campaign_progress(quiet: bool, runs: int) -> Iterator[tuple[Tick, Say]]:
 
     A Ctrl-C that a library swallowed takes effect at the next call.
     """
-    with interruptible() as heed, _shown(quiet, runs) as (show, say):
+    with interruptible() as check, _shown(quiet, runs) as (show, say):
 
         def tick(done: int, amiss: int) -> None:
-            heed()
+            check()
             show(done, amiss)
 
         yield tick, say
-        heed()
+        check()
 
 
 class Pace:

@@ -5,7 +5,6 @@ In their help a line with a backspace, click's own mark, keeps the lines below i
 
 from __future__ import annotations
 
-import json
 import re
 from pathlib import Path
 from typing import Annotated, Any
@@ -196,6 +195,7 @@ def models(as_json: Json = False) -> None:
     """  # noqa: D301
     import tomllib
 
+    from platform_ctrl.common.json_text import json_text
     from platform_ctrl.plant.source import platform_source, shipped_models
     from platform_ctrl.report.quantities import count
 
@@ -205,7 +205,7 @@ def models(as_json: Json = False) -> None:
         parts = {key: len(plant.get(key, [])) for key in ("gimbal", "rotor", "torquer", "pickoff")}
         listed.append({"name": name, "title": plant["name"], "source": plant.get("source", ""), **parts})
     if as_json:
-        typer.echo(json.dumps(listed, indent=2))
+        typer.echo(json_text(listed))
         return
     width = max(len(model["name"]) for model in listed)
     for model in listed:

@@ -75,14 +75,13 @@ def equations(
     if as_json:
         chosen_form = "json"
     with progress(quiet or as_json, f"deriving the equations of {plant}"):
+        from platform_ctrl.common.json_text import json_text
         from platform_ctrl.mechanics.symbolic.equations import equations as found
         from platform_ctrl.plant.reading import read_platform
 
         written = found(read_platform(plant), chosen_form, chosen_order, chosen_terms)
         if chosen_form == "json":
-            import json
-
-            written = f"{json.dumps(written, indent=2)}\n"
+            written = f"{json_text(written)}\n"
     typer.echo(written, nl=False)
 
 

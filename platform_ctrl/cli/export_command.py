@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import inspect
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
@@ -60,6 +59,7 @@ class ExportCommand:
         """Write what the options ask for, and return the exit code."""
         from platform_ctrl.cli.atomic_output import all_or_none, own_files, sha256, write_folder_record
         from platform_ctrl.cli.terminal import progress
+        from platform_ctrl.common.json_text import json_text
 
         chosen = {e: options[e.name] for e in exporters() if options[e.name] is not None}
         chosen = {e: chosen[e] for e in sorted(chosen, key=lambda e: not e.suffix)}  # files first
@@ -94,7 +94,7 @@ class ExportCommand:
                 for path in paths
             ]
         if as_json:
-            typer.echo(json.dumps(about | {"written": written, "notes": work.notes}, indent=2))
+            typer.echo(json_text(about | {"written": written, "notes": work.notes}))
             return 0
         for exporter, target in chosen.items():
             count = "" if exporter.suffix else f", {len(made[exporter])} files"

@@ -127,8 +127,9 @@ def write_report(
     """
     from platform_ctrl.cli.atomic_output import written_together
     from platform_ctrl.cli.terminal import show_result
+    from platform_ctrl.common.json_text import json_text
     from platform_ctrl.report import prepared, write_page, write_pdf
-    from platform_ctrl.verification.records import laid_out, plain, result_record, write_record
+    from platform_ctrl.verification.records import result_record, write_record
 
     record = result_record(result)
     about: dict[str, Any] = {"command": shlex.join(["platform-ctrl", *command, *extras.words])}
@@ -150,7 +151,7 @@ def write_report(
 
     def show() -> int:
         if as_json:
-            typer.echo(laid_out(record | plain(more or {})))
+            typer.echo(json_text(record | (more or {})))
         else:
             show_result(result)
             files = ", ".join(str(folder / name) for name in (REPORT, PDF) if name in extras.files)

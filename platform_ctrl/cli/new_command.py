@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import re
 import shlex
@@ -60,9 +59,8 @@ def new(
     """  # noqa: D301
     from platform_ctrl.cli.atomic_output import written_together
     from platform_ctrl.cli.starting_files import own_start, start_like
-
-    pass
     from platform_ctrl.cli.terminal import progress
+    from platform_ctrl.common.json_text import json_text
 
     title = _title(name)
     files = (f"{title}_plant.toml", f"{title}.toml")
@@ -82,7 +80,7 @@ def new(
     commands = [shlex.join(["platform-ctrl", *map(str, words)]) for words in then]
     if as_json:
         record = {"schema": 1, "plant": str(plant), "job": str(job), "like": like, "loops": made.loops}
-        typer.echo(json.dumps(record | {"added": made.added, "next": commands}, indent=2, ensure_ascii=False))
+        typer.echo(json_text(record | {"added": made.added, "next": commands}))
         return
     typer.echo(f"plant: {plant}{f' (like {like})' if like else ''}")
     for line in made.added:

@@ -70,7 +70,8 @@ def serve(
     platform-ctrl serve job.toml --json                     the address as JSON, for another program
     """  # noqa: D301
     from platform_ctrl.app.allowed_hosts import AllowedHosts
-    from platform_ctrl.cli.terminal import interruptible, progress
+    from platform_ctrl.cli.interrupts import interruptible
+    from platform_ctrl.cli.terminal import progress
 
     def backend() -> object:
         from platform_ctrl.app.backend import Backend
@@ -103,10 +104,10 @@ def serve(
         if shown:
             _open(server.address)
 
-    # The third Ctrl-C is raised at once, should the server not come to ask.
-    with interruptible(noted=2) as heed, warnings.catch_warnings():
+    # The third Ctrl-C is raised at once, should the server not react.
+    with interruptible(deferred=2) as check, warnings.catch_warnings():
         warnings.filterwarnings("ignore", module="bokeh")  # about nonsense that others send
-        server.run(ready, heed)
+        server.run(ready, check)
 
 
 def _warned(server: PageServer) -> str:

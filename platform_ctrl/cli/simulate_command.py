@@ -117,8 +117,9 @@ def simulate(
 
 
 def _manoeuvre_run(job: Job, manoeuvre: Manoeuvre, controllers: list[control.StateSpace], out: Path | None) -> Shown:
+    from platform_ctrl.common.json_text import json_text
     from platform_ctrl.verification import fly, largest
-    from platform_ctrl.verification.records import laid_out, run_record
+    from platform_ctrl.verification.records import run_record
 
     result = fly(job, manoeuvre, controllers)
     drawn = None if out is None else _drawn(result, job, manoeuvre.name, out, f"manoeuvre-{_place(job, manoeuvre)}.svg")
@@ -126,7 +127,7 @@ def _manoeuvre_run(job: Job, manoeuvre: Manoeuvre, controllers: list[control.Sta
     def show(as_json: bool) -> int:
         if as_json:
             about = {"schema": 1, "job": job.name, "platform": job.platform.name}
-            typer.echo(laid_out(about | run_record(job, result)))
+            typer.echo(json_text(about | run_record(job, result)))
         else:
             from platform_ctrl.cli.terminal import show_run
 
@@ -140,8 +141,9 @@ def _manoeuvre_run(job: Job, manoeuvre: Manoeuvre, controllers: list[control.Sta
 
 def _campaign_run(number: int, plan: Plan, folder: Path, recorded: bool, note: str) -> Shown:
     from platform_ctrl.campaign.rerunning import recorded_row, rerun, unlike
+    from platform_ctrl.common.json_text import json_text
     from platform_ctrl.verification import largest
-    from platform_ctrl.verification.records import laid_out, plain, run_record
+    from platform_ctrl.verification.records import run_record
 
     job = plan.job
     found = rerun(plan, number)
@@ -157,7 +159,7 @@ def _campaign_run(number: int, plan: Plan, folder: Path, recorded: bool, note: s
             about = {"schema": 1, "job": job.name, "platform": job.platform.name, "run": number}
             payload: dict[str, Any] = {"inputs": found.inputs, "row": found.metrics, "figure": str(drawn)}
             payload["as_in_table"] = None if row is None else not unlikely
-            typer.echo(laid_out(plain(about | payload | run_record(found.job, found.run))))
+            typer.echo(json_text(about | payload | run_record(found.job, found.run)))
         else:
             from platform_ctrl.cli.terminal import show_inputs, show_run
 

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import os
-import signal
 import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from types import FrameType
 from typing import TYPE_CHECKING
 
+from platform_ctrl.cli.interrupts import interruptible
 from platform_ctrl.job.judging import CheckResult
 
 if TYPE_CHECKING:
@@ -36,14 +35,14 @@ def progress(quiet: bool, first: str) -> Iterator[Callable[[str], None]]:
     be wrong, the error stands there alone. A line that stands for long is printed again, with its time. `quiet` shows
     none. A Ctrl-C that a library swallowed takes effect at the next step.
     """
-    with interruptible() as heed, _shown(quiet, first) as show:
+    with interruptible() as check, _shown(quiet, first) as show:
 
         def say(line: str) -> None:
-            heed()
+            check()
             show(f"{line}{_compiling(line)}")
 
         yield say
-        heed()
+        check()
 
 
 def _compiling(line: str) -> str:
@@ -106,34 +105,6 @@ def _lines(first: str) -> Iterator[Callable[[str], None]]:
     finally:
         over.set()
         watcher.join()
-
-
-@contextmanager
-def interruptible(noted: int = 0) -> Iterator[Callable[[], None]]:
-    """Yield what raises `KeyboardInterrupt` if there was one: raised in a callback of a library it may get lost.
-
-    The first `noted` ones are not raised where they come, but only there: amid a library they would leave a mess.
-    """
-    seen: list[int] = []
-
-    def note(number: int, frame: FrameType | None) -> None:
-        seen.append(number)
-        if len(seen) > noted:
-            raise KeyboardInterrupt
-
-    def heed() -> None:
-        if seen:
-            raise KeyboardInterrupt
-
-    default = signal.getsignal(signal.SIGINT) is signal.default_int_handler
-    if not default or threading.current_thread() is not threading.main_thread():
-        yield heed  # the signal is ignored or somebody else's, or belongs to another thread
-        return
-    signal.signal(signal.SIGINT, note)
-    try:
-        yield heed
-    finally:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def screen() -> Console:

@@ -7,13 +7,13 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from platform_ctrl.common.files import write_whole
+from platform_ctrl.common.json_text import write_json
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.errors import InputError
 from platform_ctrl.export.system_record import MOST_SYSTEMS, SystemRecord, expect_systems, system_of, system_record
 from platform_ctrl.plant.mistakes import given
 from platform_ctrl.plant.source import path_of, read_json
-from platform_ctrl.verification.records import SCHEMA, laid_out, plain
+from platform_ctrl.verification.records import SCHEMA
 
 if TYPE_CHECKING:
     import control
@@ -45,7 +45,7 @@ def write_systems(systems: Sequence[SystemRecord], path: str | os.PathLike[str])
         The file cannot be written there.
     """
     expect_systems(systems, "write_systems")
-    return write_whole(path, laid_out(plain({"schema": SCHEMA, "systems": [_entry(one) for one in systems]})) + "\n")
+    return write_json({"schema": SCHEMA, "systems": [_entry(one) for one in systems]}, path)
 
 
 @check_arguments
@@ -77,7 +77,7 @@ def write_controllers(controllers: Sequence[control.StateSpace], path: str | os.
     expect_systems(systems, "write_controllers")
     keys = ("name", "dt", "A", "B", "C", "D", "inputs", "outputs", "delay")
     entries = [{key: getattr(one, key) for key in keys} for one in systems]
-    return write_whole(path, laid_out(plain({"schema": SCHEMA, "controllers": entries})) + "\n")
+    return write_json({"schema": SCHEMA, "controllers": entries}, path)
 
 
 def read_systems(path: str | os.PathLike[str]) -> tuple[SystemRecord, ...]:

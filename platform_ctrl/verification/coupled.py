@@ -17,6 +17,7 @@ from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, named_syste
 from platform_ctrl.analysis.feedback import closed_loop, loop_transfer
 from platform_ctrl.analysis.interconnection import interconnect_controllers
 from platform_ctrl.analysis.margins import DiskMargin, disk_margin, loop_margins
+from platform_ctrl.analysis.metrics import METRICS
 from platform_ctrl.analysis.norms import noise_rms
 from platform_ctrl.analysis.poles import continuous_poles, poles, spectral_abscissa
 from platform_ctrl.analysis.sampled import sampled
@@ -25,12 +26,16 @@ from platform_ctrl.common.text import at_most
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.judging import STABLE, CheckResult, Method, Requirement
+from platform_ctrl.job.requirements import loop_requirements
 from platform_ctrl.mechanics.linearisation import LinearModel
 from platform_ctrl.mechanics.state_space import state_space, subsystems
 from platform_ctrl.plant.platform import OMEGA_NAMES, gimbal_rate
 
 if TYPE_CHECKING:
     import control
+
+ALL_LOOPS = "all loops closed"  # subject of what is required of the coupled system
+MARGIN, COST = "simultaneous disk margin", "disk margin lost by coupling"
 
 
 @value
@@ -260,6 +265,20 @@ def _torque_noise(job: Job, loop: control.StateSpace, channels: int) -> FloatArr
     )
 
 
+def coupled_requirements(job: Job) -> tuple[tuple[str, Requirement], ...]:
+    """Return the requirements on the coupled system in the order of the verdict, each with its subject."""
+    limits = job.coupled
+    out = [(ALL_LOOPS, STABLE)]
+    if limits.disk_margin is not None:
+        out.append((ALL_LOOPS, Requirement(name=MARGIN, limit=limits.disk_margin, unit="", sense="at least")))
+    if limits.coupling_cost is not None:
+        out.append((ALL_LOOPS, Requirement(name=COST, limit=limits.coupling_cost, unit="", sense="at most")))
+    for spec in job.loops:
+        if spec.kind == "stabilisation":
+            out += [(spec.name, one) for one in loop_requirements(spec.limits) if one.metric.of_root]
+    return tuple(out)
+
+
 def coupled_results(
     job: Job,
     decay: float,
@@ -269,33 +288,25 @@ def coupled_results(
     noise: FloatArray,
     proved: bool = True,
 ) -> tuple[CheckResult, ...]:
-    """Return the job's coupled limits held against figures of the coupled loop; see `CoupledCheck`.
+    """Return the verdicts on the requirements on the coupled system; see `CoupledCheck`.
 
-    `simultaneous` are a guaranteed lower and an upper bound of the simultaneous disk margin; `proved` says whether
-    the lower one holds between all frequencies.
+    `simultaneous` are a guaranteed lower and an upper bound of the simultaneous disk margin; `proved` is whether the
+    lower one holds between all frequencies.
     """
-    out: list[CheckResult] = []
-
-    def hold(asked: Requirement, measured: float, evidence: str, method: Method = "exact") -> None:
-        out.append(asked.judge(measured, subject="all loops closed", stage="coupled", evidence=evidence, method=method))
-
-    hold(STABLE, decay, "poles of the coupled sampled closed loop")
-    limits = job.coupled
-    if limits.disk_margin is not None:
-        asked = Requirement(name="simultaneous disk margin", limit=limits.disk_margin, unit="", sense="at least")
-        guaranteed = f"{len(channels)} torquers, guaranteed by diagonal scaling; at most {at_most(simultaneous[1], 4)}"
-        hold(asked, simultaneous[0], guaranteed, "bound" if proved else "sampled")
-    if limits.coupling_cost is not None:
-        asked = Requirement(name="disk margin lost by coupling", limit=limits.coupling_cost, unit="", sense="at most")
-        worst = int(np.argmax(cost))
-        hold(asked, float(cost[worst]), f"channel {channels[worst]}, loop by loop")
+    scaling = f"{len(channels)} torquers, guaranteed by diagonal scaling; at most {at_most(simultaneous[1], 4)}"
+    costliest = int(np.argmax(cost))
+    measured: dict[str, tuple[float, str, Method]] = {
+        STABLE.name: (decay, "poles of the coupled sampled closed loop", "exact"),
+        MARGIN: (simultaneous[0], scaling, "bound" if proved else "sampled"),
+        COST: (float(cost[costliest]), f"channel {channels[costliest]}, loop by loop", "exact"),
+    }
     roots = [k for k, name in enumerate(channels) if name in _root_torquers(job)]
-    for spec in job.loops:
-        limit = spec.limits.get("torque_noise")
-        if spec.kind == "stabilisation" and limit is not None and roots:
-            asked = Requirement(name="torque noise, rms", limit=limit, unit="N m", sense="at most")
-            worst = max(roots, key=lambda k: noise[k])
-            evidence = f"torquer {channels[worst]}"
-            found = float(noise[worst])
-            out.append(asked.judge(found, subject=spec.name, stage="coupled", evidence=evidence, method="exact"))
-    return tuple(out)
+    if roots:
+        noisiest = max(roots, key=lambda k: noise[k])
+        measured[METRICS["torque noise"].name] = (float(noise[noisiest]), f"torquer {channels[noisiest]}", "exact")
+    results = []
+    for subject, one in coupled_requirements(job):
+        if one.name in measured:
+            found, evidence, method = measured[one.name]
+            results.append(one.judge(found, subject=subject, stage="coupled", evidence=evidence, method=method))
+    return tuple(results)

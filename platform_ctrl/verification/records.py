@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import math
 import os
 import platform as interpreter
 from collections.abc import Mapping
@@ -14,7 +12,7 @@ import numpy as np
 
 from platform_ctrl import __version__
 from platform_ctrl.analysis.certificates import Certificate, Verification
-from platform_ctrl.common.files import write_whole
+from platform_ctrl.common.json_text import plain_types, write_json
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.design.loop import LoopDesign
 from platform_ctrl.job.job import Job
@@ -65,7 +63,7 @@ def result_record(result: JobResult) -> Record:
         "coupled": _coupled(result.coupled) | {"certificates": _certificates(result.proofs["", ""])},
         "runs": [run_record(job, run) for run in result.runs],
     }
-    out: Record = plain(record)
+    out: Record = plain_types(record)
     return out
 
 
@@ -88,7 +86,7 @@ def run_record(job: Job, run: Run) -> Record:
         "step": trajectory.step,
         "requirements": [_requirement(one) for one in run.results],
     }
-    out: Record = plain(record)
+    out: Record = plain_types(record)
     return out
 
 
@@ -115,7 +113,7 @@ def write_record(record: Mapping[str, Any], path: str | os.PathLike[str]) -> Non
     InputError
         The file cannot be written there.
     """
-    write_whole(path, laid_out(record) + "\n")
+    write_json(record, path)
 
 
 def _controller(result: JobResult, design: LoopDesign) -> Record:
@@ -187,32 +185,3 @@ def _coupled(check: CoupledCheck) -> Record:
             for name, alone, together, cost, noise in figures
         ],
     }
-
-
-def plain(item: Any) -> Any:
-    """Return data in plain types; a number that is not finite is None."""
-    match item:
-        case Mapping():
-            return {str(key): plain(entry) for key, entry in item.items()}
-        case np.ndarray():
-            return plain(item.tolist())
-        case list() | tuple():
-            return [plain(entry) for entry in item]
-        case bool() | np.bool_():
-            return bool(item)
-        case int() | np.integer():
-            return int(item)
-        case float() | np.floating():
-            return float(item) if math.isfinite(item) else None
-    return item
-
-
-def laid_out(item: Any, indent: str = "") -> str:
-    """Return plain data as JSON with a key a line and a row of a matrix a line: it can be read and compared."""
-    inner = indent + "  "
-    if isinstance(item, Mapping) and item:
-        lines = [f"{inner}{json.dumps(key)}: {laid_out(entry, inner)}" for key, entry in item.items()]
-        return "{\n" + ",\n".join(lines) + f"\n{indent}}}"
-    if isinstance(item, list) and any(isinstance(entry, list | dict) for entry in item):
-        return "[\n" + ",\n".join(inner + laid_out(entry, inner) for entry in item) + f"\n{indent}]"
-    return json.dumps(item, allow_nan=False)

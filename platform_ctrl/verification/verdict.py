@@ -18,7 +18,7 @@ from platform_ctrl.errors import NotCertifiedError
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.judging import CheckResult, Requirement, Stage
 from platform_ctrl.mechanics.linearisation import LinearModel, linearise
-from platform_ctrl.verification.coupled import CoupledCheck, coupled_check
+from platform_ctrl.verification.coupled import ALL_LOOPS, CoupledCheck, coupled_check
 from platform_ctrl.verification.simulated import Run, fly
 
 if TYPE_CHECKING:
@@ -227,7 +227,7 @@ def checked(job: Job, loops: Sequence[LoopOutcome], progress: Progress | None = 
         design = outcome.closed
         shown = proofs[design.loop, design.name].judged(design.loop, design.name, "decoupled")
         requirements += [*design.results, *shown]
-    requirements += [*coupled.results, *together.judged("all loops closed", "", "coupled")]
+    requirements += [*coupled.results, *together.judged(ALL_LOOPS, "", "coupled")]
     requirements += [result for run in runs for result in run.results]
     return JobResult(
         job=job,

@@ -18,12 +18,12 @@ from platform_ctrl.campaign.rare_events import rare_event
 from platform_ctrl.campaign.summary import summarise, summary_record
 from platform_ctrl.campaign.table_statistics import statistics
 from platform_ctrl.cli.campaign_output import show_campaign
+from platform_ctrl.common.json_text import json_text
 from platform_ctrl.report import style
 from platform_ctrl.report.page import campaign_tables as tables
 from platform_ctrl.report.page.blocks import html as as_html
 from platform_ctrl.report.page.campaign_page import Scale, campaign_document, write_campaign_page
 from platform_ctrl.report.plots import campaign as campaign_figures
-from platform_ctrl.verification.records import laid_out
 
 TURN = {"mode": "caged", "rate": 1.0, "rise": 0.5, "hold": 1.0, "duration": 2.5}
 JOB = {
@@ -247,7 +247,7 @@ def test_the_terminal_shows_the_same_numbers_at_any_width(summary, capsys, monke
 
 def test_campaign_json_holds_plain_numbers_that_read_back(summary):
     record = summary_record(summary)
-    again = json.loads(laid_out(record))
+    again = json.loads(json_text(record))
     found = summary.statistics
     assert again["statistics"]["violation"]["violations"] == found.violation.events
     assert again["statistics"]["worst"][0]["value"] is None

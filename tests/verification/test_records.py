@@ -15,12 +15,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import platform_ctrl as pc
+from platform_ctrl.common.json_text import json_text
 from platform_ctrl.design import loops
 from platform_ctrl.errors import InputError
 from platform_ctrl.job.job import Job
 from platform_ctrl.verification import JobResult, checked
 from platform_ctrl.verification.given import outcomes_from, read_controllers
-from platform_ctrl.verification.records import laid_out, result_record, write_record
+from platform_ctrl.verification.records import result_record, write_record
 
 JOB: dict[str, Any] = {
     "schema": 2,
@@ -320,4 +321,4 @@ plain = st.recursive(
 @settings(deadline=None)
 @given(plain)
 def test_the_layout_is_json_and_loses_nothing(data: Any) -> None:
-    assert json.loads(laid_out(data)) == data
+    assert json.loads(json_text(data)) == data

@@ -13,13 +13,13 @@ from platform_ctrl.cli.testing.assertions import assert_baseline, assert_met
 from platform_ctrl.design import loops
 from platform_ctrl.errors import PlatformCtrlError
 from platform_ctrl.job.job import Job
-from platform_ctrl.job.judging import STABLE, CheckResult
+from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.job.reading import read_job
 from platform_ctrl.job.requirements import loop_requirements
 from platform_ctrl.report.failures import margin_text
 from platform_ctrl.verification import JobResult, checked, outcomes_from, read_controllers
 from platform_ctrl.verification.baselines import Comparison, Update
-from platform_ctrl.verification.baselines.figures import ALL_LOOPS, COST
+from platform_ctrl.verification.coupled import ALL_LOOPS, coupled_requirements
 from platform_ctrl.verification.simulated import RUN_FIGURES
 from platform_ctrl.verification.verdict import PROVED
 
@@ -36,14 +36,7 @@ def requirements_of(job: Job) -> tuple[Asked, ...]:
         if spec.kind == "caging":
             out += [(spec.name, one.name) for one in loop_requirements(spec.limits)]
             out.append((spec.name, PROVED.name))
-    out.append((ALL_LOOPS, STABLE.name))
-    if job.coupled.disk_margin is not None:
-        out.append((ALL_LOOPS, "simultaneous disk margin"))
-    if job.coupled.coupling_cost is not None:
-        out.append((ALL_LOOPS, COST))
-    for spec in job.loops:
-        if spec.kind == "stabilisation" and spec.limits.get("torque_noise") is not None:
-            out.append((spec.name, "torque noise, rms"))
+    out += [(subject, one.name) for subject, one in coupled_requirements(job)]
     out.append((ALL_LOOPS, PROVED.name))
     out += [(manoeuvre.name, RUN_FIGURES[key][0]) for manoeuvre in job.manoeuvres for key in manoeuvre.limits]
     return tuple(out)

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 from platform_ctrl import __version__
 from platform_ctrl.common.arguments import known_name
 from platform_ctrl.common.files import write_whole
+from platform_ctrl.common.json_text import write_json
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.export.fmu.signals import Signal, inputs_of, outputs_of, parameters_of, runs_of
@@ -27,7 +28,6 @@ from platform_ctrl.job.scenario import Mode
 from platform_ctrl.job.writing import job_data, plant_data, toml
 from platform_ctrl.simulation.batch import merged_controller
 from platform_ctrl.verification.given import read_controllers
-from platform_ctrl.verification.records import laid_out
 
 if TYPE_CHECKING:
     import control
@@ -234,7 +234,7 @@ def _contents(
         "manoeuvre": run,
         "sha256": sums | ({} if result is None else {"result.json": result}),
     }
-    (folder / ABOUT).write_text(laid_out(about) + "\n", encoding="utf-8")
+    write_json(about, folder / ABOUT)
     return about
 
 

@@ -12,10 +12,9 @@ from platform_ctrl.design.loop import LoopDesign
 from platform_ctrl.job.judging import CheckResult, Sense
 from platform_ctrl.job.requirements import FAULTS, SCOPE_WORDS, WORST_CASE
 from platform_ctrl.verification import CoupledCheck, JobResult, Run, largest
+from platform_ctrl.verification.coupled import ALL_LOOPS, MARGIN
 from platform_ctrl.verification.simulated import RUN_FIGURES
 
-ALL_LOOPS = "all loops closed"
-COST = "disk margin lost by coupling"
 _GOAL = "goal: "
 
 
@@ -144,7 +143,7 @@ def _least(subject: str, name: str, number: float) -> Figure:
 
 
 def _coupled(check: CoupledCheck) -> Iterator[Figure]:
-    yield _least(ALL_LOOPS, "simultaneous disk margin", check.simultaneous.guaranteed)
+    yield _least(ALL_LOOPS, MARGIN, check.simultaneous.guaranteed)
     for torquer, margin in zip(check.channels, check.coupled, strict=True):
         yield _least(ALL_LOOPS, f"disk margin, {torquer}", margin)
     for torquer, noise in zip(check.channels, check.torque_noise, strict=True):

@@ -12,6 +12,7 @@ from typing import Any, cast
 
 from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.common.files import write_whole
+from platform_ctrl.common.json_text import json_text
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import value
 from platform_ctrl.job.judging import Sense
@@ -21,8 +22,7 @@ from platform_ctrl.plant.source import read_json
 from platform_ctrl.verification import JobResult
 from platform_ctrl.verification.baselines.comparison import Comparison, Table, compare
 from platform_ctrl.verification.baselines.record import AcceptedFigure, Baseline, LoopMatrices, Tolerance, accepted
-from platform_ctrl.verification.records import SCHEMA, laid_out
-from platform_ctrl.verification.records import plain as plain_types
+from platform_ctrl.verification.records import SCHEMA
 
 _KEYS = ("schema", "job", "tolerance", "figures", "controllers", "plants")
 _TOLERANCE = ("relative", "absolute")
@@ -274,7 +274,7 @@ def _text(baseline: Baseline) -> str:
     controllers = [_controller_record(loop) for loop in baseline.loops]
     plants = [{"loop": loop.loop, **_matrices(loop.plant)} for loop in baseline.loops if loop.plant is not None]
     for key, entries in (("controllers", controllers), ("plants", plants)):
-        lines.append(f'  "{key}": {laid_out(plain_types(entries), "  ")}')
+        lines.append(f'  "{key}": {json_text(entries, "  ")}')
     return "{\n" + ",\n".join(lines) + "\n}\n"
 
 

@@ -13,7 +13,8 @@ from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import input_value, value
 from platform_ctrl.job.judging import Sense
 from platform_ctrl.verification import JobResult
-from platform_ctrl.verification.baselines.figures import COST, Figure, figures_of
+from platform_ctrl.verification.baselines.figures import Figure, figures_of
+from platform_ctrl.verification.coupled import COST
 from platform_ctrl.verification.verdict import PROVED
 
 # The same loop on another machine: what differs by less has not changed, and its text stays as it is.

@@ -1,0 +1,97 @@
+"""Ctrl-C: exit code 130 from the first line of the command to the end of the process, and no half-written files."""
+
+from __future__ import annotations
+
+import atexit
+import os
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from types import FrameType
+from typing import NoReturn
+
+INTERRUPTED = 130
+INTERRUPTED_LINE = "platform-ctrl: interrupted"
+
+
+class _Note:
+    """A handler of SIGINT that counts the signals and raises `KeyboardInterrupt` from the one after `deferred` on."""
+
+    def __init__(self, deferred: int) -> None:
+        self.deferred, self.count = deferred, 0
+
+    def __call__(self, number: int, frame: FrameType | None) -> None:
+        self.count += 1
+        if self.count > self.deferred:
+            raise KeyboardInterrupt
+
+    def check(self) -> None:
+        if self.count:
+            raise KeyboardInterrupt
+
+
+@contextmanager
+def interruptible(deferred: int = 0) -> Iterator[Callable[[], None]]:
+    """Yield a function that raises `KeyboardInterrupt` if Ctrl-C was pressed: libraries may swallow the exception.
+
+    The first `deferred` ones are raised by that function only, not inside a library.
+    """
+    note, before = _Note(deferred), signal.getsignal(signal.SIGINT)
+    ours = before is signal.default_int_handler or isinstance(before, _Note)
+    if not ours or threading.current_thread() is not threading.main_thread():
+        yield note.check  # the signal is ignored, handled by the caller, or belongs to another thread
+        return
+    signal.signal(signal.SIGINT, note)
+    try:
+        yield note.check
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+@contextmanager
+def interrupts_deferred() -> Iterator[None]:
+    """Raise `KeyboardInterrupt` for a Ctrl-C only at the end of the block."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    note = _Note(sys.maxsize)
+    before = signal.signal(signal.SIGINT, note)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+    note.check()
+
+
+def exit_interrupted(*signal_and_frame: object) -> NoReturn:
+    """End the process at once; a library that was interrupted while it was loaded may crash an orderly end."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    print(INTERRUPTED_LINE, file=sys.stderr, flush=True)
+    os._exit(INTERRUPTED)
+
+
+class ProcessEnd:
+    """The end of the process after the work is done; without it, Python dies of a Ctrl-C there (exit status -2).
+
+    Python restores the system's own handler of SIGINT before it clears its modules. Therefore the process ends as soon
+    as all that was registered with `atexit` since this object was made has run.
+    """
+
+    def __init__(self) -> None:
+        self._code: int | None = None
+        atexit.register(self._leave)
+
+    def begin(self, code: int) -> None:
+        """Let Ctrl-C end the process with 130 from here on, and the process else with `code`."""
+        if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
+            signal.signal(signal.SIGINT, exit_interrupted)
+        self._code = code
+
+    def _leave(self) -> None:
+        if self._code is not None:
+            with suppress(OSError, ValueError):  # the reader has ended
+                sys.stdout.flush()
+                sys.stderr.flush()
+            os._exit(self._code)
