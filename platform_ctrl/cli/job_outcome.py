@@ -151,7 +151,7 @@ def write_report(
 
     def show() -> int:
         if as_json:
-            typer.echo(json_text(record | (more or {})))
+            typer.echo(json_text({**record, **(more or {})}))
         else:
             show_result(result)
             files = ", ".join(str(folder / name) for name in (REPORT, PDF) if name in extras.files)

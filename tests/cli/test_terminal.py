@@ -197,7 +197,7 @@ def test_a_file_that_cannot_take_its_place_is_one_line(tmp_path: Path) -> None:
 
 def test_what_is_no_file_is_never_replaced(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
-    with pytest.raises(InputError, match="pipe: cannot be written: is no regular file"):
+    with pytest.raises(InputError, match="pipe: cannot be written: it is no regular file"):
         write_whole(tmp_path / "pipe", "text")
     assert (tmp_path / "pipe").is_fifo()
 
