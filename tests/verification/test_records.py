@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import json
+import os
 import math
 from collections.abc import Callable
 from pathlib import Path
@@ -298,13 +299,10 @@ def test_a_file_is_replaced_whole_or_not_at_all(tmp_path: Path, monkeypatch: pyt
     file = tmp_path / "result.json"
     write_record({"first": 1}, file)
 
-    whole = Path.write_bytes
-
-    def broken(self: Path, content: bytes) -> int:
-        whole(self, content[:5])
+    def full(source: Path, target: Path) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(Path, "write_bytes", broken)
+    monkeypatch.setattr(os, "replace", full)
     with pytest.raises(InputError, match=r"cannot be written: No space left on device"):
         write_record({"second": 2}, file)
     assert json.loads(file.read_bytes()) == {"first": 1}
