@@ -19,7 +19,7 @@ __all__ = ["forward_dynamics", "inverse_dynamics"]
 
 
 def inverse_dynamics(platform: Platform, q: ArrayLike, velocity: ArrayLike, acceleration: ArrayLike) -> FloatArray:
-    """Return the generalised forces [M, Q] that cause a motion.
+    """Return the generalised forces [M, Q] that cause a motion: A* u̇ + (G_A + G_R + G_root) u, eq. (11).
 
     Parameters
     ----------
@@ -34,10 +34,6 @@ def inverse_dynamics(platform: Platform, q: ArrayLike, velocity: ArrayLike, acce
     -------
     (3 + n,)
         [M, Q], N m.
-
-    Notes
-    -----
-    Equal to A* u̇ + (G_A + G_R + G_root) u of `matrices`, eq. (11).
 
     References
     ----------

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -70,62 +71,102 @@ def element_forces(
     angles = real_array("q", q, (n,), 0.0)
     rates = real_array("velocity", velocity, (3 + n,), 0.0)[3:]
     f = platform.specific_force if specific_force is None else real_array("specific_force", specific_force, (3,))
-    return forces_at(platform, configuration(tree, angles), angles, rates, f)
+    return ForceElements(platform, configuration(tree, angles), f).forces(angles, rates)
 
 
-def forces_at(platform: Platform, at: Kinematics, angles: FloatArray, rates: FloatArray, f: FloatArray) -> FloatArray:
-    """Return [M, Q] of all force elements at the gimbals' angles and rates under the specific force f, (3 + n,)."""
-    out = _unbalance_torque(platform, at) @ f
-    for spring in platform.springs:
-        k = platform.gimbal(spring.gimbal)
-        out[3 + k] -= spring.stiffness * (angles[k] - spring.rest)
-    for friction in platform.frictions:
-        k = platform.gimbal(friction.gimbal)
-        out[3 + k] -= friction.viscous * rates[k] + friction.dry(float(rates[k]))
-    for cage in platform.cages:
-        k = platform.gimbal(cage.gimbal)
-        out[3 + k] += _contact(cage, float(angles[k]), float(rates[k]))
-    for erecting in _erections(platform, at, f):
-        out[3 + erecting.gimbal] += min(max(erecting.gain * erecting.tilt, -erecting.limit), erecting.limit)
-    return out
+class _Erecting(NamedTuple):
+    """An erection: gimbal, body and axis (root axes) of its sensor, sine of the tilt, gain and limit."""
+
+    gimbal: int
+    body: int
+    axis: FloatArray
+    tilt: float
+    gain: float
+    limit: float
+
+    @property
+    def torque(self) -> float:
+        """Torque on the gimbal, N m."""
+        return min(max(self.gain * self.tilt, -self.limit), self.limit)
 
 
-def force_slopes(
-    platform: Platform,
-    at: Kinematics,
-    q: FloatArray,
-    specific_force: FloatArray,
-    rate_amplitude: FloatArray | None = None,
-) -> ForceSlopes:
-    """Return the slopes of `element_forces` with the gimbals at rest.
+class ForceElements:
+    """The force elements of a platform with their places, at one configuration under the specific force f (3,)."""
 
-    Dry friction has none at rest. With `rate_amplitude` (n,), rad/s, its describing function replaces it: the viscous
-    friction that takes as much out of an oscillation of that rate, 4 F/(π amplitude), more with a Stribeck curve.
-    """
-    tree, n = at.tree, len(q)
-    rate = np.zeros((n, n))
-    angle, force = _unbalance_slope(platform, at, specific_force), _unbalance_torque(platform, at)
-    for spring in platform.springs:
-        k = platform.gimbal(spring.gimbal)
-        angle[3 + k, k] -= spring.stiffness
-    for friction in platform.frictions:
-        k = platform.gimbal(friction.gimbal)
-        rate[k, k] -= friction.viscous
-        if rate_amplitude is not None:
-            rate[k, k] -= _equivalent(friction, float(rate_amplitude[k]))
-    for cage in platform.cages:
-        k = platform.gimbal(cage.gimbal)
-        if cage.clearance == 0.0 or abs(q[k] - cage.angle) > cage.clearance:
-            angle[3 + k, k] -= cage.stiffness
-            rate[k, k] -= cage.damping
-    size = float(np.linalg.norm(specific_force))
-    for erecting in _erections(platform, at, specific_force):
-        if abs(erecting.gain * erecting.tilt) < erecting.limit:
-            turning = np.cross(at.axes, erecting.axis) * tree.on_path[erecting.body][:, None]
-            row = 3 + erecting.gimbal
-            angle[row] += erecting.gain * (turning @ specific_force) / size
-            force[row] += erecting.gain * (erecting.axis - specific_force / size * erecting.tilt) / size
-    return ForceSlopes(angle=angle, rate=rate, force=force)
+    def __init__(self, platform: Platform, at: Kinematics, f: FloatArray) -> None:
+        gimbal, body = platform.gimbal, platform.body
+        self._at, self._f = at, f
+        self._springs = [(gimbal(spring.gimbal), spring) for spring in platform.springs]
+        self._frictions = [(gimbal(friction.gimbal), friction) for friction in platform.frictions]
+        self._cages = [(gimbal(cage.gimbal), cage) for cage in platform.cages]
+        # Mass moments in root axes, (1 + n, 3), kg m.
+        self._moments = np.zeros((1 + len(platform.gimbals), 3))
+        for unbalance in platform.unbalances:
+            k = body(unbalance.body)
+            self._moments[k] += at.rotations[k] @ unbalance.moment
+        # ∂[M, Q]/∂f, (3 + n, 3), of the moments −(m r) × f.
+        self._unbalance = -np.einsum("bji,bjk->ik", at.jacobians, cross_matrix(self._moments))
+        self._erections: list[_Erecting] = []
+        size = float(np.linalg.norm(f))
+        # Without specific force there is nothing to erect to.
+        for device in platform.erections if size > 0.0 else ():
+            senses = body(device.senses)
+            axis = at.rotations[senses] @ device.axis
+            limit = math.inf if device.limit is None else device.limit
+            tilt = float(axis @ f) / size
+            self._erections.append(_Erecting(gimbal(device.gimbal), senses, axis, tilt, device.gain, limit))
+
+    def forces(self, angles: FloatArray, rates: FloatArray) -> FloatArray:
+        """Return [M, Q] of all elements at the gimbals' angles and rates, (3 + n,)."""
+        out = np.asarray(self._unbalance @ self._f)
+        for k, spring in self._springs:
+            out[3 + k] -= spring.stiffness * (angles[k] - spring.rest)
+        for k, friction in self._frictions:
+            out[3 + k] -= friction.viscous * rates[k] + friction.dry(float(rates[k]))
+        for k, cage in self._cages:
+            out[3 + k] += _contact(cage, float(angles[k]), float(rates[k]))
+        for erecting in self._erections:
+            out[3 + erecting.gimbal] += erecting.torque
+        return out
+
+    def slopes(self, q: FloatArray, rate_amplitude: FloatArray | None = None) -> ForceSlopes:
+        """Return the slopes of the forces with the gimbals at rest.
+
+        Dry friction has none at rest. With `rate_amplitude` (n,), rad/s, its describing function replaces it: the
+        viscous friction that takes as much out of an oscillation of that rate, 4 F/(π amplitude), more with a Stribeck
+        curve.
+        """
+        at, f, n = self._at, self._f, len(q)
+        rate = np.zeros((n, n))
+        angle, force = self._unbalance_slope(), self._unbalance.copy()
+        for k, spring in self._springs:
+            angle[3 + k, k] -= spring.stiffness
+        for k, friction in self._frictions:
+            rate[k, k] -= friction.viscous
+            if rate_amplitude is not None:
+                rate[k, k] -= _equivalent(friction, float(rate_amplitude[k]))
+        for k, cage in self._cages:
+            if cage.clearance == 0.0 or abs(q[k] - cage.angle) > cage.clearance:
+                angle[3 + k, k] -= cage.stiffness
+                rate[k, k] -= cage.damping
+        size = float(np.linalg.norm(f))
+        for erecting in self._erections:
+            if abs(erecting.gain * erecting.tilt) < erecting.limit:
+                turning = np.cross(at.axes, erecting.axis) * at.tree.on_path[erecting.body][:, None]
+                row = 3 + erecting.gimbal
+                angle[row] += erecting.gain * (turning @ f) / size
+                force[row] += erecting.gain * (erecting.axis - f / size * erecting.tilt) / size
+        return ForceSlopes(angle=angle, rate=rate, force=force)
+
+    def _unbalance_slope(self) -> FloatArray:
+        """∂[M, Q]/∂q of the moments −(m r) × f, (3 + n, n)."""
+        at, f, moments = self._at, self._f, self._moments
+        # With gimbal j turns the mass moment of all that it carries, and the axes of the gimbals that it carries.
+        turned = at.tree.on_path.T[:, :, None] * np.cross(at.axes[:, None, :], moments[None, :, :])
+        out: FloatArray = np.einsum("bxi,jbx->ij", at.jacobians, np.cross(f, turned))
+        turning = at.tree.above[:, :, None] * np.cross(at.axes[:, None, :], at.axes[None, :, :])
+        out[3:] += np.einsum("jix,bx,bi->ij", turning, np.cross(f, moments), at.tree.on_path)
+        return out
 
 
 def _equivalent(friction: Friction, amplitude: float) -> float:
@@ -151,57 +192,3 @@ def _contact(cage: Cage, angle: float, rate: float) -> float:
         return 0.0
     side = math.copysign(1.0, deflection)
     return -side * max(0.0, cage.stiffness * beyond + cage.damping * rate * side)
-
-
-@value
-class _Erecting:
-    """An erection at work: gimbal, body and axis (root axes) of its sensor, sine of the tilt, gain and limit."""
-
-    gimbal: int
-    body: int
-    axis: FloatArray
-    tilt: float
-    gain: float
-    limit: float
-
-
-def _erections(platform: Platform, at: Kinematics, f: FloatArray) -> list[_Erecting]:
-    """Without specific force there is nothing to erect to."""
-    size = float(np.linalg.norm(f))
-    if size == 0.0:
-        return []
-    out = []
-    for device in platform.erections:
-        body = platform.body(device.senses)
-        axis = at.rotations[body] @ device.axis
-        limit = math.inf if device.limit is None else device.limit
-        tilt = float(axis @ f) / size
-        gimbal = platform.gimbal(device.gimbal)
-        out.append(_Erecting(gimbal=gimbal, body=body, axis=axis, tilt=tilt, gain=device.gain, limit=limit))
-    return out
-
-
-def _moments(platform: Platform, at: Kinematics) -> FloatArray:
-    """Mass moments in root axes, (1 + n, 3), kg m."""
-    out = np.zeros((1 + len(platform.gimbals), 3))
-    for unbalance in platform.unbalances:
-        body = platform.body(unbalance.body)
-        out[body] += at.rotations[body] @ unbalance.moment
-    return out
-
-
-def _unbalance_torque(platform: Platform, at: Kinematics) -> FloatArray:
-    """∂[M, Q]/∂f, (3 + n, 3): of the moments −(m r) × f."""
-    out: FloatArray = -np.einsum("bji,bjk->ik", at.jacobians, cross_matrix(_moments(platform, at)))
-    return out
-
-
-def _unbalance_slope(platform: Platform, at: Kinematics, f: FloatArray) -> FloatArray:
-    """∂[M, Q]/∂q of the moments −(m r) × f, (3 + n, n)."""
-    tree, moments = at.tree, _moments(platform, at)
-    # With gimbal j turns the mass moment of all that it carries, and the axes of the gimbals that it carries.
-    turned = tree.on_path.T[:, :, None] * np.cross(at.axes[:, None, :], moments[None, :, :])
-    out: FloatArray = np.einsum("bxi,jbx->ij", at.jacobians, np.cross(f, turned))
-    turning = tree.above[:, :, None] * np.cross(at.axes[:, None, :], at.axes[None, :, :])
-    out[3:] += np.einsum("jix,bx,bi->ij", turning, np.cross(f, moments), tree.on_path)
-    return out

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 from platform_ctrl.common.arguments import one_of, real_array
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.mechanics.forces import force_slopes, forces_at
+from platform_ctrl.mechanics.forces import ForceElements
 from platform_ctrl.mechanics.kinematics import Kinematics, configuration, topology
 from platform_ctrl.mechanics.matrices import derivatives, directions, mass_matrix, world_inertias
 from platform_ctrl.plant.platform import Platform
@@ -169,7 +169,8 @@ def linearise(
     inertias = world_inertias(at)
     A_star, B = mass_matrix(at.jacobians, inertias), directions(at)  # (12), (3)
     change = derivatives(at)
-    slopes = force_slopes(platform, at, q0, f, amplitude)
+    elements = ForceElements(platform, at, f)
+    slopes = elements.slopes(q0, amplitude)
     # T1 = uᵀBᵀL: ∂(BᵀL)/∂q, ∂T1/∂q and ∂²T1/∂q² at u = [Omega0, 0].
     momentum_slope = np.einsum("jrx,r->xj", change.B, tree.L)
     energy_slope = np.einsum("jra,r,a->j", change.B[:, :, :3], tree.L, Omega0)
@@ -192,7 +193,7 @@ def linearise(
         q0=q0,
         Omega0=Omega0,
         specific_force=f,
-        Q0=-energy_slope - forces_at(platform, at, q0, np.zeros(n), f)[3:],
+        Q0=-energy_slope - elements.forces(q0, np.zeros(n))[3:],
         M=A_star[3:, 3:],
         G=momentum_slope[3:] - momentum_slope[3:].T,
         K=-curvature,

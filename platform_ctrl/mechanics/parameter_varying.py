@@ -1,8 +1,7 @@
-"""The model as a value: frozen rows, the state-space form affine in its parameters, vertices, grids, simulation."""
+"""The equations (27), linear in the angles, with Omega(t) as their parameter: frozen rows, vertices, grids, ẋ."""
 
 from __future__ import annotations
 
-import dataclasses
 import itertools
 import math
 import numbers
@@ -13,23 +12,22 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from platform_ctrl.common.arguments import distinct, known_names, real_array
+from platform_ctrl.common.arguments import known_names, real_array
 from platform_ctrl.common.signatures import check_arguments, short
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
+from platform_ctrl.mechanics.affine import AffineModel, FrozenSystem, affine_model, momentum_slope
 from platform_ctrl.mechanics.linearisation import Terms, linearise
-from platform_ctrl.mechanics.matrices import inverse_inertia
 from platform_ctrl.mechanics.polynomials import (
     MatrixPolynomial,
     acceleration_part,
     inertia_part,
     monomial_values,
     polynomial,
-    product,
     rotor_part,
     total,
 )
-from platform_ctrl.plant.platform import OMEGA_NAMES, Platform
+from platform_ctrl.plant.platform import Platform
 
 if TYPE_CHECKING:
     import control
@@ -67,88 +65,6 @@ class FrozenRows:
     G: FloatArray
     K: FloatArray
     forcing: FloatArray
-
-
-@value
-class AffineModel:
-    """ẋ = (A_0 + Σ rho_i A_i) x + B u, y = C x: the state matrix affine in the monomials that occur.
-
-    Attributes
-    ----------
-    parameters
-        Names of the monomials rho.
-    A_0, A
-        Constant part and coefficients, in the units of the states over s and the monomials. Shapes (2k, 2k),
-        (parameters, 2k, 2k).
-    B, C
-        Constant, in SI units. Shapes (2k, inputs), (k, 2k).
-    states, inputs, outputs
-        Signal names.
-    """
-
-    parameters: tuple[str, ...]
-    A_0: FloatArray
-    A: FloatArray
-    B: FloatArray
-    C: FloatArray
-    states: tuple[str, ...]
-    inputs: tuple[str, ...]
-    outputs: tuple[str, ...]
-
-    def state_matrix(self, parameters: ArrayLike) -> FloatArray:
-        """Return A at values of the monomials.
-
-        Parameters
-        ----------
-        parameters : (parameters,)
-            In the order of `parameters`, SI units.
-
-        Returns
-        -------
-        (2k, 2k)
-            In the units of the states over s.
-        """
-        rho = real_array("parameters", parameters, (len(self.parameters),))
-        return np.asarray(self.A_0 + np.tensordot(rho, self.A, axes=1))
-
-    def system(self, parameters: ArrayLike) -> control.StateSpace:
-        """Return the system at values of the monomials, which need not belong to any Omega.
-
-        Parameters
-        ----------
-        parameters : (parameters,)
-            In the order of `parameters`, SI units.
-
-        Returns
-        -------
-        control.StateSpace
-            With the names of `states`, `inputs` and `outputs`.
-        """
-        import control
-
-        names = {kind: distinct(kind, getattr(self, kind)) for kind in ("states", "inputs", "outputs")}
-        A, D = self.state_matrix(parameters), np.zeros((len(self.C), self.B.shape[1]))
-        return control.StateSpace(A, self.B, self.C, D, remove_useless_states=False, **names)
-
-
-@value
-class FrozenSystem:
-    """The model frozen at one point: a vertex of the parameters' box or a point of a grid.
-
-    Attributes
-    ----------
-    parameters : (parameters,)
-        Values of the monomials, in the order of `AffineModel.parameters`, SI units.
-    system
-        The control.StateSpace.
-    Omega, Omega_dot : (3,)
-        The rate, rad/s, and its derivative, rad/s², at a grid point; None at a vertex, which need not belong to any.
-    """
-
-    parameters: FloatArray
-    system: control.StateSpace
-    Omega: FloatArray | None = None
-    Omega_dot: FloatArray | None = None
 
 
 class _WithDictionary:
@@ -189,19 +105,17 @@ class ParameterVaryingModel(_WithDictionary):
     Q0: MatrixPolynomial
 
     def at(self, Omega: ArrayLike, Omega_dot: ArrayLike | None = None) -> FrozenRows:
-        """Return the matrices at a rate and its derivative.
+        """Return the matrices of the chosen gimbals at a rate and its derivative.
 
         Parameters
         ----------
-        Omega : (3,)
-            rad/s.
-        Omega_dot : (3,)
-            rad/s²; default zero.
+        Omega, Omega_dot : (3,)
+            rad/s, rad/s²; the derivative is zero by default.
 
         Returns
         -------
         FrozenRows
-            Of the chosen gimbals.
+            In SI units.
         """
         rate, change = real_array("Omega", Omega, (3,)), real_array("Omega_dot", Omega_dot, (3,), 0.0)
         forcing = self.M_Omega @ change + self.Q0.at(rate)
@@ -227,29 +141,21 @@ class ParameterVaryingModel(_WithDictionary):
 
     @cached_property
     def _affine(self) -> AffineModel:
-        return _affine(self)
+        torquers = {t.name: self.gimbals.index(t.gimbal) for t in self.platform.torquers if t.gimbal in self.gimbals}
+        return affine_model((self.M, self.G, self.K), self.angles, torquers, momenta=self.form == "momenta")
 
     def state_space(self, Omega: ArrayLike, Omega_dot: ArrayLike | None = None) -> control.StateSpace:
         """Return the system frozen at a rate and its derivative.
 
         Parameters
         ----------
-        Omega : (3,)
-            rad/s.
-        Omega_dot : (3,)
-            rad/s²; default zero.
+        Omega, Omega_dot : (3,)
+            rad/s, rad/s²; the derivative is zero by default.
 
         Returns
         -------
         control.StateSpace
             Signals as in `affine`.
-
-        Raises
-        ------
-        ArgumentError
-            Wrong shape or not finite.
-        MechanicsError
-            M is singular.
         """
         affine = self._affine
         return affine.system(monomial_values(affine.parameters, Omega, Omega_dot))
@@ -257,34 +163,22 @@ class ParameterVaryingModel(_WithDictionary):
     def forcing(self, Omega: ArrayLike, Omega_dot: ArrayLike | None = None) -> FloatArray:
         """Return what Omega adds to ẋ, the values of the inputs ``d_``.
 
-        ``form="rates"``: (k,), −M_Omega Omega' − Q0(Omega), N m. ``form="momenta"``: (2k,), rad/s and N m, and Omega'
-        does not enter.
-
         Parameters
         ----------
-        Omega : (3,)
-            rad/s.
-        Omega_dot : (3,)
-            rad/s²; default zero.
+        Omega, Omega_dot : (3,)
+            rad/s, rad/s²; the derivative is zero by default.
 
         Returns
         -------
         (k,) or (2k,)
-            N m, or rad/s and N m.
-
-        Raises
-        ------
-        ArgumentError
-            Wrong shape or not finite.
-        MechanicsError
-            M is singular.
+            ``form="rates"``: −M_Omega Omega' − Q0(Omega), N m. ``form="momenta"``: rad/s and N m, without Omega'.
         """
         rate, change = real_array("Omega", Omega, (3,)), real_array("Omega_dot", Omega_dot, (3,), 0.0)
         if self.form == "rates":
             return np.asarray(-self.M_Omega @ change - self.Q0.at(rate))
         to_rates = self._affine.A_0[: len(self.M), len(self.M) :]
         carried = to_rates @ self.M_Omega @ rate
-        rest = (self.G.at(rate) - _momentum_slope(self).at(rate)) @ carried - self.Q0.at(rate)
+        rest = (self.G.at(rate) - momentum_slope(self.K).at(rate)) @ carried - self.Q0.at(rate)
         return np.concatenate([-carried, rest])
 
     def state(self, q: ArrayLike, rates: ArrayLike, Omega: ArrayLike = (0.0, 0.0, 0.0)) -> FloatArray:
@@ -292,10 +186,8 @@ class ParameterVaryingModel(_WithDictionary):
 
         Parameters
         ----------
-        q : (k,)
-            Angles, counted from q0, rad.
-        rates : (k,)
-            Gimbal rates, rad/s.
+        q, rates : (k,)
+            Angles, counted from q0, rad; gimbal rates, rad/s.
         Omega : (3,)
             Platform rate, rad/s.
 
@@ -308,7 +200,7 @@ class ParameterVaryingModel(_WithDictionary):
         angles, rate = real_array("q", q, (k,)), real_array("Omega", Omega, (3,))
         momenta = self.M @ real_array("rates", rates, (k,))
         if self.form == "momenta":
-            momenta = momenta + _momentum_slope(self).at(rate) @ angles + self.M_Omega @ rate
+            momenta = momenta + momentum_slope(self.K).at(rate) @ angles + self.M_Omega @ rate
         return np.concatenate([angles, momenta])
 
     @check_arguments
@@ -336,13 +228,11 @@ class ParameterVaryingModel(_WithDictionary):
         Raises
         ------
         ArgumentError
-            Wrong shape, not finite, or `Omega_dot` left out where the rate changes and ``form="rates"``.
-        MechanicsError
-            M is singular.
+            `Omega_dot` is left out where the rate changes and ``form="rates"``.
         """
         if self.form == "rates" and Omega_dot is None and callable(Omega):
             raise ArgumentError("Omega_dot: not given; expected it with Omega(t), or a model with form='momenta'")
-        k, affine = len(self.M), _affine(self)
+        k, affine = len(self.M), self._affine
         rate = _now(Omega, t)
         change = np.zeros(3) if Omega_dot is None else _now(Omega_dot, t)
         A = affine.state_matrix(monomial_values(affine.parameters, rate, change))
@@ -369,13 +259,6 @@ class ParameterVaryingModel(_WithDictionary):
         -------
         list of FrozenSystem
             One for each vertex.
-
-        Raises
-        ------
-        ArgumentError
-            Wrong shape, not finite or negative.
-        MechanicsError
-            M is singular.
         """
         affine = self._affine
         rates, changes = _limits("Omega_max", Omega_max), _limits("Omega_dot_max", Omega_dot_max)
@@ -396,10 +279,11 @@ class ParameterVaryingModel(_WithDictionary):
         Parameters
         ----------
         points
-            Points along an axis, >= 1 (an odd number holds zero, 1 is zero alone): one number, three for Omega, or six
-            for Omega and Omega'. An axis whose limit is zero has one point.
+            Points along an axis, >= 1 (an odd number has zero among them, 1 is zero alone): one number, three for
+        Omega, or
+            six for Omega and Omega'. An axis whose limit is zero has one point.
         Omega_max, Omega_dot_max : (3,)
-            Largest sizes, >= 0, rad/s and rad/s²; `Omega_dot_max` is zero by default.
+            As in `vertices`, rad/s and rad/s².
 
         Returns
         -------
@@ -409,9 +293,7 @@ class ParameterVaryingModel(_WithDictionary):
         Raises
         ------
         ArgumentError
-            Wrong shape, not finite, negative, `points` that are no whole numbers >= 1, or more than 2^14 in all.
-        MechanicsError
-            M is singular.
+            `points` that are no whole numbers >= 1, or more than 2^14 in all.
         """
         affine = self._affine
         limits = np.concatenate([_limits("Omega_max", Omega_max), _limits("Omega_dot_max", Omega_dot_max)])
@@ -431,57 +313,6 @@ class ParameterVaryingModel(_WithDictionary):
             rho = monomial_values(affine.parameters, rate, change)
             out.append(FrozenSystem(parameters=rho, system=affine.system(rho), Omega=rate, Omega_dot=change))
         return out
-
-
-def _momentum_slope(model: ParameterVaryingModel) -> MatrixPolynomial:
-    """∂A*/∂q Omega, (k, k): how the momenta of resting gimbals change with the angles."""
-    return polynomial({name: model.K[f"{name}'"] for name in OMEGA_NAMES}, model.M.shape)
-
-
-def _affine(model: ParameterVaryingModel) -> AffineModel:
-    k = len(model.M)
-    one = polynomial({"1": inverse_inertia(model.M, model.angles)}, (k, k))
-    minus = polynomial({"1": -np.eye(k)}, (k, k))
-    zero = polynomial({}, (k, k))
-    if model.form == "rates":
-        # ṗ = −G q̇ − K q
-        blocks = [[zero, one], [product(minus, model.K), product(minus, product(model.G, one))]]
-        driven = range(k, 2 * k)
-    else:
-        # q̇ = M⁻¹ (p − N q), ṗ = (N − G) q̇ − K q: the Omega' terms of K are the derivative of N.
-        slope = _momentum_slope(model)
-        rates = [product(minus, product(one, slope)), one]
-        rest = total(slope, product(minus, model.G))
-        constant = {name: model.K[name] for name in model.K.monomials if not name.endswith("'")}
-        stiffness = product(minus, polynomial(constant, (k, k)))
-        blocks = [rates, [total(stiffness, product(rest, rates[0])), product(rest, one)]]
-        driven = range(2 * k)
-    whole = total(*(_placed(block, i, j) for i, row in enumerate(blocks) for j, block in enumerate(row)))
-    parameters = tuple(name for name in whole.monomials if name != "1")
-    torquers = [t for t in model.platform.torquers if t.gimbal in model.gimbals]
-    B = np.zeros((2 * k, len(torquers) + len(driven)))
-    for column, torquer in enumerate(torquers):
-        B[k + model.gimbals.index(str(torquer.gimbal)), column] = 1.0
-    B[:, len(torquers) :] = np.eye(2 * k)[:, driven]
-    states = (*model.angles, *(f"p_{angle}" for angle in model.angles))
-    return AffineModel(
-        parameters=parameters,
-        A_0=whole["1"],
-        A=np.array([whole[name] for name in parameters]).reshape(-1, 2 * k, 2 * k),
-        B=B,
-        C=np.eye(k, 2 * k),
-        states=states,
-        inputs=(*(t.name for t in torquers), *(f"d_{states[j]}" for j in driven)),
-        outputs=model.angles,
-    )
-
-
-def _placed(block: MatrixPolynomial, i: int, j: int) -> MatrixPolynomial:
-    """Put a (k, k) block into its place in a (2k, 2k) matrix."""
-    count, k, _ = block.coefficients.shape
-    out = np.zeros((count, 2 * k, 2 * k))
-    out[:, i * k : (i + 1) * k, j * k : (j + 1) * k] = block.coefficients
-    return dataclasses.replace(block, coefficients=out)
 
 
 def _now(signal: Signal, t: float) -> ArrayLike:

@@ -74,55 +74,37 @@ def rotor_momenta(platform: Platform, q: ArrayLike | None = None, velocity: Arra
 
 
 def with_free_rotors(platform: Platform, q: ArrayLike | None = None, velocity: ArrayLike | None = None) -> Platform:
-    """Return the platform with every rotor's drive taken off at a state: each keeps the p that it has there.
+    """Return the platform with every rotor's drive taken off at a state: each keeps the p (4) that it has there.
 
     Parameters
     ----------
-    platform
-        The platform.
-    q : (n,)
-        Gimbal angles, rad; default zero.
-    velocity : (3 + n,)
-        u = [Omega, q̇], rad/s; default zero.
+    platform, q, velocity
+        As in `rotor_momenta`.
 
     Returns
     -------
     Platform
         The same plant with cyclic rotors alone.
-
-    References
-    ----------
-    K. Magnus, Ingenieur-Archiv 1976, eqs. (4), (8).
     """
-    momenta = rotor_momenta(platform, q, velocity)
-    return _with_rotors(platform, "free", momenta.p)
+    return _with_rotors(platform, "free", rotor_momenta(platform, q, velocity).p)
 
 
 def with_regulated_rotors(
     platform: Platform, q: ArrayLike | None = None, velocity: ArrayLike | None = None
 ) -> Platform:
-    """Return the platform with every rotor regulated from a state on: each keeps the L that it has there.
+    """Return the platform with every rotor regulated from a state on: each keeps the L (8) that it has there.
 
     Parameters
     ----------
-    platform
-        The platform.
-    q : (n,)
-        Gimbal angles, rad; default zero.
-    velocity : (3 + n,)
-        u = [Omega, q̇], rad/s; default zero.
+    platform, q, velocity
+        As in `rotor_momenta`.
 
     Returns
     -------
     Platform
         The same plant with regulated rotors alone.
-
-    References
-    ----------
-    K. Magnus, Ingenieur-Archiv 1976, eqs. (4), (8).
     """
-    momenta = rotor_momenta(platform, q, velocity)
-    return _with_rotors(platform, "regulated", momenta.L)
+    return _with_rotors(platform, "regulated", rotor_momenta(platform, q, velocity).L)
 
 
 def _with_rotors(platform: Platform, control: RotorControl, momenta: FloatArray) -> Platform:

@@ -6,7 +6,7 @@ import dataclasses
 import math
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,7 +15,7 @@ from platform_ctrl.common.arguments import positive, real_array
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.mechanics.coupling import connected, force_rounding, inertia_rounding
-from platform_ctrl.mechanics.forces import force_slopes, forces_at
+from platform_ctrl.mechanics.forces import ForceElements
 from platform_ctrl.mechanics.kinematics import kinematics, topology
 from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.mechanics.polynomials import (
@@ -48,8 +48,7 @@ __all__ = ["terms"]
 Quantity = Callable[[tuple[int, ...]], str]
 
 
-@value
-class Part:
+class Part(NamedTuple):
     """Terms of one kind that share a monomial of Omega and a derivative of the angles.
 
     Attributes
@@ -64,19 +63,19 @@ class Part:
         Of Omega and Omega'.
     coefficients : (n, n) or (n,)
         Entries of the equations.
-    occurs : (n, n) or (n,) bool
-        The place of a term, also of one that is zero because rotors cancel.
     quantity
         Name of an entry.
+    places : (n, n) or (n,) bool, optional
+        Where there is a term, also one that is zero because rotors cancel; default the entries that are not zero.
     """
 
     kind: Kind
     derivative: int | None
     monomial: str
     coefficients: FloatArray
-    occurs: FloatArray
     quantity: Quantity
     off_diagonal: Kind | None = None
+    places: FloatArray | None = None
 
 
 def parts(platform: Platform, q: FloatArray, specific_force: FloatArray, amplitude: FloatArray) -> Iterator[Part]:
@@ -96,11 +95,11 @@ def _mass(platform: Platform, q: FloatArray) -> Iterator[Part]:
         i, j = place
         return symbol("J", names[i] if i == j else f"{names[i]},{names[j]}")
 
-    yield _part("nutation", 2, "1", M, inertia, off_diagonal="coupling inertia")
+    yield Part("nutation", 2, "1", M, inertia, off_diagonal="coupling inertia")
     for a, name in enumerate(OMEGA_NAMES):
         column = clean(model.M_Omega[:, a], np.diag(rounding))
 
-        yield _part("acceleration disturbance", None, f"{name}'", column, _own_inertia(M, column, names))
+        yield Part("acceleration disturbance", None, f"{name}'", column, _own_inertia(M, column, names))
 
 
 def _rotors(platform: Platform, q: FloatArray) -> Iterator[Part]:
@@ -137,7 +136,7 @@ def _inertias(platform: Platform, q: FloatArray) -> Iterator[Part]:
     for kind, derivative, polynomial in kinds:
         for monomial in polynomial.monomials:
             own = _own_inertia(M, polynomial[monomial], names if kind == "inertia acceleration" else ())
-            yield _part(kind, derivative, monomial, polynomial[monomial], own)
+            yield Part(kind, derivative, monomial, polynomial[monomial], own)
 
 
 def _own_inertia(M: FloatArray, coefficients: FloatArray, names: tuple[str, ...]) -> Quantity:
@@ -174,32 +173,12 @@ def _elements(platform: Platform, q: FloatArray, specific_force: FloatArray, amp
             def name(place: tuple[int, ...], given: str = symbol(letter, getattr(element, where))) -> str:
                 return given
 
-            slopes = force_slopes(alone, at, q, specific_force, amplitude)
-            force = forces_at(alone, at, q, np.zeros(len(q)), specific_force)[3:]
+            acting = ForceElements(alone, at, specific_force)
+            slopes, force = acting.slopes(q, amplitude), acting.forces(q, np.zeros(len(q)))[3:]
             rounding = force_rounding(alone, at.tree, float(np.linalg.norm(specific_force)))
-            yield _part(kind, 0, "1", clean(-slopes.angle[3:], rounding), name)
-            yield _part(kind, 1, "1", -slopes.rate, name)
-            yield _part(kind, None, "1", clean(-force, rounding.max(axis=1, initial=0.0)), name)
-
-
-def _part(
-    kind: Kind,
-    derivative: int | None,
-    monomial: str,
-    coefficients: FloatArray,
-    quantity: Quantity,
-    off_diagonal: Kind | None = None,
-) -> Part:
-    occurs = coefficients != 0.0
-    return Part(
-        kind=kind,
-        derivative=derivative,
-        monomial=monomial,
-        coefficients=coefficients,
-        occurs=occurs,
-        quantity=quantity,
-        off_diagonal=off_diagonal,
-    )
+            yield Part(kind, 0, "1", clean(-slopes.angle[3:], rounding), name)
+            yield Part(kind, 1, "1", -slopes.rate, name)
+            yield Part(kind, None, "1", clean(-force, rounding.max(axis=1, initial=0.0)), name)
 
 
 def _sum_of(
@@ -212,14 +191,11 @@ def _sum_of(
 ) -> Part:
     cosines = np.array([unit[monomial] for unit in units])
     coefficients = np.tensordot(sizes, cosines, axes=1)
-    return Part(
-        kind=kind,
-        derivative=derivative,
-        monomial=monomial,
-        coefficients=coefficients,
-        occurs=np.any(cosines != 0.0, axis=0),
-        quantity=lambda place: combination(names, np.array([cosine[place] for cosine in cosines])),
-    )
+
+    def named(place: tuple[int, ...]) -> str:
+        return combination(names, np.array([cosine[place] for cosine in cosines]))
+
+    return Part(kind, derivative, monomial, coefficients, named, places=np.any(cosines != 0.0, axis=0))
 
 
 # Against matrices that are scaled to ones.
@@ -384,7 +360,8 @@ def _entries(
     part: Part, Omega: FloatArray, Omega_dot: FloatArray, amplitudes: dict[int, FloatArray]
 ) -> Iterator[_Entry]:
     rates_before = float(monomial_values((part.monomial,), Omega, Omega_dot)[0])
-    for place in zip(*(k.tolist() for k in np.nonzero(part.occurs)), strict=True):
+    places = part.coefficients if part.places is None else part.places
+    for place in zip(*(k.tolist() for k in np.nonzero(places)), strict=True):
         factor = float(part.coefficients[place]) * rates_before
         amplitude = 1.0 if part.derivative is None else float(amplitudes[part.derivative][place[1]])
         yield _Entry(part=part, place=place, factor=factor, size=abs(factor) * amplitude)

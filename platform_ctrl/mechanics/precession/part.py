@@ -158,9 +158,7 @@ class PrecessionPart:
 
         Parameters
         ----------
-        frequency : (N,)
-            Above 0, rad/s.
-        momentum_states, each_direction
+        frequency, momentum_states, each_direction
             As in `Precession.error`.
 
         Returns
@@ -172,8 +170,6 @@ class PrecessionPart:
         ------
         ArgumentError
             Not a row of numbers > 0.
-        MechanicsError
-            The precession equations have no unique solution.
         """
         omega = np.atleast_1d(np.asarray(frequency))
         omega = real_array("frequency", omega, (omega.size,))

@@ -187,6 +187,8 @@ class Precession:
         ‖P_precession − P‖₂ / ‖P‖₂ with the largest singular values of the transfer functions from torques to angles
         (or rates: the factor jω cancels), in coordinates q = T x, Tᵀ M T = 1, so that no unit and no choice of gimbals
         matters. Of several subsystems the largest counts. With K = 0 and one nutation frequency ν it is ω/ν, exactly.
+        Where
+        the precession equations are refused although they have a unique solution, they are measured all the same.
 
         Parameters
         ----------
@@ -205,11 +207,8 @@ class Precession:
 
         Raises
         ------
-        ArgumentError
-            Not a row of numbers > 0.
         MechanicsError
-            The precession equations have no unique solution. Where they are refused for another reason they are
-            measured all the same.
+            The precession equations have no unique solution.
         """
         of_parts = [part.error(frequency, momentum_states, each_direction) for part in self.parts]
         return np.max(of_parts, axis=0) if of_parts else np.zeros(np.size(frequency))

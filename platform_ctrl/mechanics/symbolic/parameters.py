@@ -42,15 +42,7 @@ def directions(tree: Topology, algebra: Algebra) -> Series:
 
 
 def mass(tree: Topology, algebra: Algebra, forms: FloatArray) -> Series:
-    """Return A, coefficients (symbols, 3 + n, 3 + n).
-
-    Parameters
-    ----------
-    tree, algebra
-        The tree, and what the angles become.
-    forms : (1 + n, symbols, 3, 3)
-        S_k as linear forms in the symbols.
-    """
+    """Return A, coefficients (symbols, 3 + n, 3 + n); `forms` (1 + n, symbols, 3, 3) are the S_k as linear forms."""
     n, symbols = len(tree.parents), forms.shape[1]
     rotations = [algebra.rotation(k, tree.axes[k]) for k in range(n)]
     carried: list[Series] = [{ONE: form} for form in forms]
