@@ -53,7 +53,7 @@ def state_arrays(system: control.StateSpace, where: str) -> StateArrays:
         A, B, C, D, dt = system.A, system.B, system.C, system.D, system.dt
     except AttributeError:
         raise ArgumentError(
-            f"{where}: got {type(system).__name__}, expected a control.StateSpace; convert it with control.ss"
+            f"{where}: must be a control.StateSpace, got {type(system).__name__}; convert it with control.ss"
         ) from None
     if dt is True:
         raise ArgumentError(f"{where}: the system is discrete without a sample period (dt=True); give dt in s")
@@ -184,7 +184,7 @@ def frequencies(frequency: ArrayLike, where: str) -> FloatArray:
     out = np.atleast_1d(real_numbers(f"{where}: frequency", frequency))
     if out.ndim != 1 or not all_finite(out) or out.min(initial=0.0) < 0.0:
         raise ArgumentError(
-            f"{where}: frequency has shape {np.shape(frequency)}, expected a vector of finite numbers >= 0 in rad/s"
+            f"{where}: frequency must be a vector of finite numbers >= 0 in rad/s, got shape {np.shape(frequency)}"
         )
     return out
 

@@ -72,12 +72,12 @@ class Channel:
         if self.input_weight is not None:
             weight = weight_arrays(self.input_weight, len(columns), dt, "input_weight")
             if weight.D.shape[0] != len(columns):
-                raise ArgumentError(f"input_weight: has {weight.D.shape[0]} outputs; expected {len(columns)}")
+                raise ArgumentError(f"input_weight: must have {len(columns)} outputs, got {weight.D.shape[0]}")
             out = series(weight, out)
         if self.output_weight is not None:
             weight = weight_arrays(self.output_weight, len(rows), dt, "output_weight")
             if weight.D.shape[1] != len(rows):
-                raise ArgumentError(f"output_weight: has {weight.D.shape[1]} inputs; expected {len(rows)}")
+                raise ArgumentError(f"output_weight: must have {len(rows)} inputs, got {weight.D.shape[1]}")
             out = series(out, weight)
         return out
 
@@ -88,7 +88,7 @@ def weight_arrays(weight: Any, size: int, dt: float, where: str) -> StateArrays:
         own = state_arrays(weight, where)
         if weight.dt is not None and abs(own.dt - dt) > 1e-9 * max(own.dt, dt):
             raise ArgumentError(
-                f"{where}: has dt = {own.dt} s, the loop {dt} s; expected the same; "
+                f"{where}: must have the loop's dt = {dt} s, got {own.dt} s; "
                 "analysis.bilinear_to_discrete makes a sampled weight of a continuous one"
             )
         return own._replace(dt=dt)
@@ -100,8 +100,8 @@ def weight_arrays(weight: Any, size: int, dt: float, where: str) -> StateArrays:
         gain = gain * np.eye(size) if gain.shape in ((), (size,)) else np.full((), np.nan)
     if gain.ndim != 2 or not np.all(np.isfinite(gain)):
         raise ArgumentError(
-            f"{where}: given {type(weight).__name__}; expected a finite number, {size} numbers, a matrix or a "
-            "control.StateSpace"
+            f"{where}: must be a finite number, {size} numbers, a matrix or a control.StateSpace, "
+            f"got {type(weight).__name__}"
         )
     rows, columns = gain.shape
     return StateArrays(np.zeros((0, 0)), np.zeros((0, columns)), np.zeros((rows, 0)), gain, dt)

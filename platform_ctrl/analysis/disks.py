@@ -109,9 +109,7 @@ def disk_factors(delta: ComplexArray, skew: float) -> ComplexArray:
 def worst_factors(factors: ComplexArray, frequency: float, skew: float, dt: float) -> control.StateSpace:
     """Return systems with real coefficients, one for each channel, that equal `factors` at `frequency`."""
     if not np.all(np.isfinite(factors)):
-        raise ArgumentError(
-            "destabilising: no factors make the loop unstable, or one of them is infinite; expected finite ones"
-        )
+        raise ArgumentError("destabilising: no finite factors make the loop unstable")
     delta = (factors - 1.0) / (0.5 * (1.0 - skew) + 0.5 * (1.0 + skew) * factors)
     sizes = np.abs(delta)
     real = np.abs(delta.imag) <= 1e-12 * sizes

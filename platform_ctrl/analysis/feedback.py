@@ -288,7 +288,7 @@ def _solve_algebraic_loop(matrix: FloatArray, right: FloatArray) -> FloatArray:
     if not smallest > 1e-12 * max(1.0, float(np.abs(matrix).max())):
         raise ArgumentError(
             "closed_loop: the algebraic loop I - D_K D_P is singular (smallest singular value "
-            f"{smallest:.1e}), expected a well-posed loop; add a lag or a delay, or change a direct gain"
+            f"{smallest:.1e}); add a lag or a delay, or change a direct gain"
         )
     return np.asarray(np.linalg.solve(matrix, right), dtype=np.float64)
 
@@ -309,7 +309,7 @@ def _matched(
         P, K = P._replace(dt=dt), K._replace(dt=dt)
     if abs(P.dt - K.dt) > 1e-9 * max(P.dt, K.dt):
         raise ArgumentError(
-            f"{where}: the plant has dt = {P.dt} s and the controller {K.dt} s, expected the same; "
+            f"{where}: plant and controller must have the same sample period, got {P.dt} s and {K.dt} s; "
             "see platform_ctrl.analysis.sampled"
         )
     if isinstance(plant, StateArrays) or isinstance(controller, StateArrays):
@@ -326,7 +326,7 @@ def _matched(
         raise ArgumentError(
             f"{where}: the controller has inputs {list(controller.input_labels)} and outputs "
             f"{list(controller.output_labels)}, the plant outputs {outputs} and inputs {inputs}; "
-            "expected the same names, or the same numbers"
+            "they must have the same names, or be as many"
         )
     return P, K, list(range(P.D.shape[1])), list(range(P.D.shape[0]))
 

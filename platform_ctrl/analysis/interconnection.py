@@ -65,16 +65,16 @@ def interconnected(
     for k, (K, system) in enumerate(zip(parts, controllers, strict=True)):
         where = _where(k, system)
         if not math.isclose(K.dt, period, rel_tol=1e-9):
-            raise ArgumentError(f"{where}: dt is {system.dt!r}; expected the sample period {period:.6g} s")
+            raise ArgumentError(f"{where}: dt must be the sample period {period:.6g} s, got {system.dt!r}")
         unknown = [name for name in system.input_labels if name not in rows]
         if unknown and is_rate(unknown[0]):
             raise ArgumentError(
-                f"{where}: input {unknown[0]!r} is a rate that no sensor measures; expected a rate sensor in the plant"
+                f"{where}: input {unknown[0]!r} is a rate that no sensor measures; add a rate sensor to the plant"
             )
         if unknown:
             raise ArgumentError(
                 f"{where}: input {unknown[0]!r} is neither a pick-off nor an output of an earlier controller; "
-                f"expected one of {', '.join(rows) or 'none'}"
+                f"use one of {', '.join(rows) or 'none'}"
             )
         taken |= set(system.input_labels)
         own = slice(place, place + len(K.A))
@@ -85,7 +85,7 @@ def interconnected(
         u[:, own] += K.C
         for name, row in zip(system.output_labels, u, strict=True):
             if name in rows:
-                raise ArgumentError(f"{where}: output {name!r} exists already; expected a name of its own")
+                raise ArgumentError(f"{where}: output {name!r} exists already; give it another name")
             rows[name] = row
             made[name] = where
         place = own.stop
@@ -93,7 +93,7 @@ def interconnected(
         if name not in outputs and name not in taken:
             raise ArgumentError(
                 f"{where}: output {name!r} is neither a torquer nor an input of a later controller; "
-                f"expected one of {', '.join(outputs)}"
+                f"use one of {', '.join(outputs)}"
             )
     final = np.array([rows[name] if name in made else np.zeros(size) for name in outputs]).reshape(len(outputs), size)
     return StateArrays(after[:, :states], after[:, states:], final[:, :states], final[:, states:], period)

@@ -172,9 +172,7 @@ def intersample_h2(P: control.StateSpace, K: control.StateSpace, nmeas: int, nco
     """
     plant, controller = _arguments(P, K, nmeas, ncon, delay, "intersample_h2")
     if np.any(plant.D11):
-        raise ArgumentError(
-            "intersample_h2: D11 is not zero, so the norm from w to z is infinite; expected z strictly proper from w"
-        )
+        raise ArgumentError("intersample_h2: D11 must be zero, otherwise the norm from w to z is infinite")
     _require_stable(plant, controller, "intersample_h2")
     # At an infinite level w gains nothing by what it sees: Q and G become the Gramians of the period.
     lifted = lifted_plant(plant, math.inf)
@@ -190,13 +188,13 @@ def _arguments(
     controller = state_arrays(K, f"{where} (K)")
     if not controller.dt > 0.0:
         raise ArgumentError(
-            f"{where}: K is continuous, expected dt > 0, the sample period; design it for the sampled loop"
+            f"{where}: K must be discrete, with the sample period as its dt; design it for the sampled loop"
         )
     plant = sampled_plant(P, nmeas, ncon, controller.dt, delay, where)
     if controller.D.shape != (ncon, nmeas):
         raise ArgumentError(
-            f"{where}: K has {controller.D.shape[1]} inputs and {controller.D.shape[0]} outputs; "
-            f"expected nmeas = {nmeas} and ncon = {ncon}"
+            f"{where}: K must have nmeas = {nmeas} inputs and ncon = {ncon} outputs, "
+            f"got {controller.D.shape[1]} and {controller.D.shape[0]}"
         )
     return plant, controller
 
@@ -205,13 +203,10 @@ def _require_stable(plant: SampledPlant, controller: StateArrays, where: str) ->
     try:
         lifted = lifted_plant(plant, math.inf)
     except PeriodExceedsLevel:
-        raise ArgumentError(f"{where}: within a period the plant moves too far; expected a shorter period") from None
+        raise ArgumentError(f"{where}: within a period the plant moves too far; take a shorter period") from None
     radius = float(spectral_radius(poles(performance_loop(lifted, controller).A)))
     if not radius < 1.0:
-        raise ArgumentError(
-            f"{where}: the sampled loop is not stable (a pole at |z| = {radius:.6g}); "
-            "expected all inside the unit circle"
-        )
+        raise ArgumentError(f"{where}: the sampled loop must be stable, it has a pole at |z| = {radius:.6g}")
 
 
 def _size(plant: SampledPlant) -> float:

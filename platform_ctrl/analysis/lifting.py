@@ -71,12 +71,12 @@ def sampled_plant(
     """Split a continuous plant at its last `nmeas` outputs and `ncon` inputs; judge the sampler's and hold's data."""
     A, B, C, D, dt = state_arrays(P, f"{where} (P)")
     if dt != 0.0:
-        raise ArgumentError(
-            f"{where}: P has dt = {dt} s, expected a continuous plant; sampling is part of the analysis"
-        )
+        raise ArgumentError(f"{where}: P must be continuous, got dt = {dt} s; sampling is part of the analysis")
     for name, number, total, what in (("nmeas", nmeas, C.shape[0], "outputs"), ("ncon", ncon, B.shape[1], "inputs")):
         if not (isinstance(number, int | np.integer) and 1 <= number <= total):
-            raise ArgumentError(f"{where}: {name} = {short(number)}; P has {total} {what}, expected 1 to {total}")
+            raise ArgumentError(
+                f"{where}: {name} must be 1 to {total}, since P has {total} {what}, got {short(number)}"
+            )
     period, whole, part = split_delay(where, period, delay, ncon)
     nz, nw = C.shape[0] - nmeas, B.shape[1] - ncon
     D21 = D[nz:, :nw]

@@ -199,15 +199,13 @@ def disk_margin(
     [0.382, 2.618, 0.841]
     """
     if not isinstance(skew, Real) or not math.isfinite(skew):
-        raise ArgumentError(f"disk_margin: skew = {skew!r}, expected a finite number")
+        raise ArgumentError(f"disk_margin: skew must be a finite number, got {skew!r}")
     if hasattr(loop_transfer, "frdata"):
         return _margin_of_data(loop_transfer, skew, frequency)
     L = linear_arrays(loop_transfer, "disk_margin")
     m = L.D.shape[0]
     if L.D.shape != (m, m) or m == 0:
-        raise ArgumentError(
-            f"disk_margin: the loop transfer has {m} outputs and {L.D.shape[1]} inputs, expected a square one"
-        )
+        raise ArgumentError(f"disk_margin: the loop transfer must be square, got {m} outputs and {L.D.shape[1]} inputs")
     disk = _disk_arrays(L, skew)
     s = continuous_poles(poles(disk.A), disk.dt)
     given = None if frequency is None else frequencies(frequency, "disk_margin")
@@ -292,7 +290,7 @@ def _margin_of_data(data: control.FrequencyResponseData, skew: float, frequency:
     N, p, m = L.shape
     if p != m or N == 0 or not np.all(np.isfinite(L)):
         raise ArgumentError(
-            f"disk_margin: the data have {p} outputs, {m} inputs and {N} frequencies, expected finite square matrices"
+            f"disk_margin: the data must be finite square matrices, got {p} outputs, {m} inputs and {N} frequencies"
         )
     order = np.argsort(grid, kind="stable")
     grid, L = grid[order], L[order]
@@ -367,7 +365,7 @@ def _disk_arrays(L: StateArrays, skew: float) -> StateArrays:
     eye = np.eye(L.D.shape[0])
     if np.linalg.svd(eye + L.D, compute_uv=False).min() < 1e-12 * max(1.0, float(np.abs(L.D).max())):
         raise ArgumentError(
-            "disk_margin: I + D of the loop transfer is singular, expected a well-posed loop; add a lag"
+            "disk_margin: the loop is not well posed because I + D of its transfer is singular; add a lag"
         )
     E = np.linalg.inv(eye + L.D)
     return StateArrays(L.A - L.B @ E @ L.C, L.B @ E, -E @ L.C, E + 0.5 * (skew - 1.0) * eye, L.dt)

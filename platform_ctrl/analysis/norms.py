@@ -98,7 +98,7 @@ def _norm(system: StateArrays, tolerance: float, allow_unstable: bool) -> tuple[
     if not allow_unstable and np.any(unstable):
         worst = s[np.argmax(np.where(unstable, s.real, -math.inf))]
         raise ArgumentError(
-            f"hinf_norm: the system is unstable (pole at s = {worst:.6g}), expected a stable one; "
+            f"hinf_norm: the system must be stable, it has a pole at s = {worst:.6g}; "
             "allow_unstable=True gives the L-infinity norm"
         )
     if B.shape[1] == 0 or len(C) == 0:
@@ -267,15 +267,11 @@ def h2_norm(system: StateSystem) -> float:
     """
     A, B, C, D, dt = linear_arrays(system, "h2_norm")
     if dt == 0.0 and np.any(D):
-        raise ArgumentError(
-            "h2_norm: D is not zero, expected a strictly proper continuous system (its norm is infinite)"
-        )
+        raise ArgumentError("h2_norm: D of a continuous system must be zero, otherwise the norm is infinite")
     A, B, C = scaled(A, B, C)
     s = continuous_poles(poles(A), dt)
     if spectral_abscissa(s) >= 0.0:
-        raise ArgumentError(
-            f"h2_norm: the system is not stable (pole at s = {s[np.argmax(s.real)]:.6g}), expected a stable one"
-        )
+        raise ArgumentError(f"h2_norm: the system must be stable, it has a pole at s = {s[np.argmax(s.real)]:.6g}")
     if dt > 0.0:
         X = stationary_covariance(A, B)
     else:
@@ -287,8 +283,8 @@ def h2_norm(system: StateSystem) -> float:
                 X = np.asarray(solve_continuous_lyapunov(A, -B @ B.T), dtype=np.float64)
             except (RuntimeWarning, np.linalg.LinAlgError):
                 raise ArgumentError(
-                    f"h2_norm: a pole at s = {s[np.argmax(s.real)]:.6g} is stable by no more than rounding, expected "
-                    "poles farther from the imaginary axis"
+                    f"h2_norm: a pole at s = {s[np.argmax(s.real)]:.6g} is stable by no more than rounding; "
+                    "poles must be farther from the imaginary axis"
                 ) from None
     return math.sqrt(max(0.0, float(np.trace(C @ X @ C.T) + np.sum(D * D))))
 
@@ -318,7 +314,7 @@ def noise_rms(system: StateSystem, rms: ArrayLike, allow_unstable: bool = False)
     """
     A, B, C, D, dt = linear_arrays(system, "noise_rms", stack=True)
     if dt == 0.0:
-        raise ArgumentError("noise_rms: the system is continuous, expected dt > 0; sample it first")
+        raise ArgumentError("noise_rms: the system must be discrete; sample it first")
     rms = not_negative("noise_rms: rms", rms, B.shape[-1])
     A, B, C = scaled(A, B, C)
     driven = B * rms

@@ -122,20 +122,20 @@ class PlantSet:
         """
         K = controller if isinstance(controller, StateArrays) else state_arrays(controller, "controller")
         if abs(K.dt - self.period) > 1e-9 * self.period:
-            raise ArgumentError(f"controller: has dt = {K.dt} s, the plants {self.period} s; expected the same")
+            raise ArgumentError(f"controller: dt must be {self.period} s, as of the plants, got {K.dt} s")
         if not isinstance(controller, StateArrays):
             columns, rows = list(controller.input_labels), list(controller.output_labels)
             if set(columns) != set(self.angles) or set(rows) != set(self.torques):
                 raise ArgumentError(
-                    f"controller: has inputs {columns} and outputs {rows}; expected {list(self.angles)} and "
-                    f"{list(self.torques)}"
+                    f"controller: inputs and outputs must be {list(self.angles)} and {list(self.torques)}, "
+                    f"got {columns} and {rows}"
                 )
             at, of = [columns.index(name) for name in self.angles], [rows.index(name) for name in self.torques]
             K = StateArrays(K.A, K.B[:, at], K.C[of], K.D[np.ix_(of, at)], K.dt)
         if K.D.shape != (len(self.torques), len(self.angles)):
             raise ArgumentError(
-                f"controller: has {K.D.shape[1]} inputs and {K.D.shape[0]} outputs; expected {len(self.angles)} and "
-                f"{len(self.torques)}"
+                f"controller: must have {len(self.angles)} inputs and {len(self.torques)} outputs, "
+                f"got {K.D.shape[1]} and {K.D.shape[0]}"
             )
         return K
 

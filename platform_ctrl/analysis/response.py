@@ -80,8 +80,8 @@ def frequency_response(
     every = [_response_of(one, w, tolerance) for one in system]
     if len({one.shape for one in every}) != 1:
         raise ArgumentError(
-            f"frequency_response: outputs x inputs of the systems are {sorted({one.shape[:2] for one in every})}, "
-            "expected the same for all of at least one"
+            f"frequency_response: there must be at least one system, and outputs x inputs must be the same for all, "
+            f"got {sorted({one.shape[:2] for one in every})}"
         )
     return np.moveaxis(np.stack(every), -1, axis)
 
@@ -100,14 +100,14 @@ def _measured(data: control.FrequencyResponseData, w: FloatArray) -> ComplexArra
     """Return the values of data at frequencies of their own."""
     own = np.asarray(data.omega, dtype=np.float64)
     if not own.size:
-        raise ArgumentError("frequency_response: the data have no frequencies; expected at least one")
+        raise ArgumentError("frequency_response: the data must have at least one frequency")
     nearest = np.abs(w[:, None] - own).argmin(axis=1)
     far = np.abs(own[nearest] - w) > 1e-9 * np.abs(w)
     if np.any(far):
         k = int(np.argmax(far))
         raise ArgumentError(
             f"frequency_response: the data have no value at {w[k]:g} rad/s, the nearest is at {own[nearest[k]]:g}; "
-            "expected frequencies of the data, which are not interpolated"
+            "take frequencies of the data, which are not interpolated"
         )
     return np.asarray(data.frdata, dtype=np.complex128)[..., nearest]
 

@@ -68,7 +68,7 @@ def sampled(
     """
     arrays = system_arrays("sampled", *system) if isinstance(system, StateArrays) else state_arrays(system, "sampled")
     if arrays.dt != 0.0:
-        raise ArgumentError(f"sampled: the system has dt = {arrays.dt} s already, expected a continuous system")
+        raise ArgumentError(f"sampled: the system must be continuous, got dt = {arrays.dt} s")
     A, B, C, D, lags = _sampled(*arrays[:4], period, delay, lag)
     if isinstance(system, StateArrays):
         return StateArrays(A, B, C, D, float(period))
@@ -132,7 +132,7 @@ def split_delay(where: str, period: float, delay: float, inputs: int) -> tuple[f
     if delay / period * inputs > MOST_HELD:
         raise ArgumentError(
             f"{where}: delay = {delay:.4g} s needs {delay / period * inputs:.4g} states for held inputs; "
-            f"expected at most {MOST_HELD}"
+            f"at most {MOST_HELD} are possible"
         )
     whole = math.floor(delay / period + 1e-9)
     part = delay / period - whole
@@ -188,7 +188,7 @@ def held_input(A: FloatArray, B: FloatArray, duration: float) -> tuple[FloatArra
         phi, held = power[..., :n, :n] * s[:, None] / s, power[..., :n, n:] * s[:, None] * unit
     if not (np.isfinite(phi).all() and np.isfinite(held).all()):
         raise ArgumentError(
-            f"sampled: within {duration:.3g} s the plant grows beyond floating-point numbers; expected a shorter period"
+            f"sampled: within {duration:.3g} s the plant grows beyond floating-point numbers; take a shorter period"
         )
     return phi, held
 
@@ -216,7 +216,7 @@ def bilinear_to_continuous(system: control.StateSpace) -> control.StateSpace:
     """
     arrays = state_arrays(system, "bilinear_to_continuous")
     if arrays.dt == 0.0:
-        raise ArgumentError("bilinear_to_continuous: the system is continuous already, expected dt > 0")
+        raise ArgumentError("bilinear_to_continuous: the system must be discrete (dt > 0), got a continuous one")
     return _mapped(system, arrays, _to_w_plane)
 
 
@@ -242,7 +242,7 @@ def bilinear_to_discrete(system: control.StateSpace, period: float) -> control.S
     """
     arrays = state_arrays(system, "bilinear_to_discrete")
     if arrays.dt != 0.0:
-        raise ArgumentError(f"bilinear_to_discrete: the system has dt = {arrays.dt} s, expected a continuous system")
+        raise ArgumentError(f"bilinear_to_discrete: the system must be continuous, got dt = {arrays.dt} s")
     period = positive("bilinear_to_discrete: period", period)
     return _mapped(system, arrays, lambda balanced: _from_w_plane(balanced, period))
 

@@ -72,7 +72,7 @@ def time_response(
     u = u[None, :] if u.ndim == 1 else u
     if u.shape != (B.shape[1], times.size) or not all_finite(u):
         raise ArgumentError(
-            f"time_response: inputs has shape {np.shape(inputs)}, expected finite ({B.shape[1]}, {times.size})"
+            f"time_response: inputs must be finite, ({B.shape[1]}, {times.size}), got shape {np.shape(inputs)}"
         )
     if initial_state is not None and is_rational(system):
         raise ArgumentError(
@@ -80,10 +80,10 @@ def time_response(
         )
     x0 = np.zeros(len(A)) if initial_state is None else real_numbers("time_response: initial_state", initial_state)
     if x0.shape != (len(A),) or not all_finite(x0):
-        raise ArgumentError(f"time_response: initial_state has shape {x0.shape}, expected finite ({len(A)},)")
+        raise ArgumentError(f"time_response: initial_state must be finite, ({len(A)},), got shape {x0.shape}")
     one_of("time_response: hold", hold, ("foh", "zoh", "impulse"))
     if not (squeeze is None or isinstance(squeeze, bool)):
-        raise ArgumentError(f"time_response: squeeze: given {squeeze!r}; expected None, True or False")
+        raise ArgumentError(f"time_response: squeeze must be None, True or False, got {squeeze!r}")
     y = _outputs(StateArrays(A, B, C, D, dt), times, steps, u, x0, hold)
     if squeeze is None:
         # As there; a system is one of python-control's, which is loaded then.
@@ -107,7 +107,9 @@ def _outputs(
     if dt > 0.0:
         return _in_blocks(A, B, C, D, u, x0)
     if hold == "impulse" and D.any():
-        raise ArgumentError("time_response: hold = 'impulse' and D is not zero, expected D = 0")
+        raise ArgumentError(
+            "time_response: D must be zero with hold = 'impulse': an impulse would reach the output at once"
+        )
     direct = C @ B if hold == "impulse" else D
     step = float(times[-1] - times[0]) / steps.size
     if steps.max() - steps.min() > EQUAL * step + ROUNDING * max(abs(times[0]), abs(times[-1])):
@@ -121,14 +123,14 @@ def _times(timepts: ArrayLike, dt: float) -> tuple[FloatArray, FloatArray]:
     """Return the times and the steps between them."""
     times = real_numbers("time_response: timepts", timepts)
     if times.ndim != 1 or times.size < 2 or not all_finite(times):
-        raise ArgumentError(f"time_response: timepts has shape {times.shape}, expected at least two finite times")
+        raise ArgumentError(f"time_response: timepts must be at least two finite times, got shape {times.shape}")
     steps = times[1:] - times[:-1]
     if steps.min() <= 0.0:
-        raise ArgumentError("time_response: timepts do not increase, expected increasing times")
+        raise ArgumentError("time_response: timepts must increase")
     if dt > 0.0 and np.abs(steps - dt).max() > 1e-6 * dt:
         raise ArgumentError(
-            f"time_response: timepts has steps of {steps.min():g} to {steps.max():g} s, "
-            f"expected equal steps of the system's dt = {dt:g} s"
+            f"time_response: timepts must have equal steps of the system's dt = {dt:g} s, "
+            f"got steps of {steps.min():g} to {steps.max():g} s"
         )
     return times, steps
 

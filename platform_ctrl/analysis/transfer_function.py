@@ -38,13 +38,15 @@ def linear_arrays(system: StateSystem, where: str, stack: bool = False) -> State
         return arrays
     if hasattr(system, "frdata"):
         raise ArgumentError(
-            f"{where}: frequency response data say nothing between their frequencies; expected a control.StateSpace or "
+            f"{where}: frequency response data say nothing between their frequencies; give a control.StateSpace or "
             "TransferFunction (of data take the values that you need from `data.frdata`)"
         )
     if not is_rational(system):
         return state_arrays(system, where)
     if not is_proper(system, where):
-        raise ArgumentError(f"{where}: an improper transfer function; expected no more zeros than poles in any entry")
+        raise ArgumentError(
+            f"{where}: the transfer function is improper, an entry has more zeros than poles; add fast poles"
+        )
     return _realisation(system, where)
 
 
@@ -159,5 +161,5 @@ def _require_same(system: Any, arrays: StateArrays, where: str) -> None:
     if np.any(wrong & np.isfinite(true) & np.isfinite(ours)):
         raise ArgumentError(
             f"{where}: the transfer function has no realisation of its states to {_REALISED:g} in floating point; "
-            "expected a control.StateSpace made from the parts of the system"
+            "make a control.StateSpace from the parts of the system"
         )

@@ -90,7 +90,7 @@ def _parents_first(name: str, parents: list[int]) -> tuple[int, ...]:
     while left:
         ready = [k for k in left if parents[k] < 0 or parents[k] in order]
         if not ready:
-            raise ArgumentError(f"platform {name!r}: the gimbals' parents form a ring; expected a tree")
+            raise ArgumentError(f"platform {name!r}: the gimbals' parents must form a tree, they form a ring")
         order += ready
         left = [k for k in left if k not in ready]
     return tuple(order)

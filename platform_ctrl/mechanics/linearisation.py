@@ -164,7 +164,7 @@ def linearise(
     f = platform.specific_force if specific_force is None else real_array("specific_force", specific_force, (3,))
     amplitude = None if rate_amplitude is None else real_array("rate_amplitude", rate_amplitude, (n,))
     if amplitude is not None and not np.all(amplitude > 0.0):
-        raise ArgumentError(f"rate_amplitude: given {amplitude.tolist()}; expected {n} numbers > 0, rad/s")
+        raise ArgumentError(f"rate_amplitude: must be {n} numbers > 0, rad/s, got {amplitude.tolist()}")
     at = configuration(tree, q0)
     inertias = world_inertias(at)
     A_star, B = mass_matrix(at.jacobians, inertias), directions(at)  # (12), (3)

@@ -193,9 +193,7 @@ def solved_inertia(mass: FloatArray, momenta: FloatArray, names: Sequence[str]) 
     diagonal = np.diag(mass)
     if np.any(diagonal <= 0.0):
         still = names[int(np.argmin(diagonal))]
-        raise MechanicsError(
-            f"A* is singular: {still} moves no inertia; expected some in its body or in what it carries"
-        )
+        raise MechanicsError(f"A* is singular: {still} moves no inertia; give its body some, or what it carries")
     scale = 1.0 / np.sqrt(diagonal)
     unit = scale[:, None] * mass * scale
     values, vectors = np.linalg.eigh(unit)
@@ -204,7 +202,7 @@ def solved_inertia(mass: FloatArray, momenta: FloatArray, names: Sequence[str]) 
         joint = [name for name, part in zip(names, np.abs(vectors[:, 0]), strict=True) if part > 0.3]
         raise MechanicsError(
             f"A* is singular at these angles: {', '.join(joint)} can move without moving any inertia (gimbal lock); "
-            "expected other angles, or an inertia about that axis"
+            "choose other angles, or add inertia about that axis"
         )
     # Elimination keeps more digits of rows of very different size than the eigenvectors do.
     return np.asarray((scale * np.linalg.solve(unit, (scale * momenta.T).T).T).T)

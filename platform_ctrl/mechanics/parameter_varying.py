@@ -231,7 +231,9 @@ class ParameterVaryingModel(_WithDictionary):
             `Omega_dot` is left out where the rate changes and ``form="rates"``.
         """
         if self.form == "rates" and Omega_dot is None and callable(Omega):
-            raise ArgumentError("Omega_dot: not given; expected it with Omega(t), or a model with form='momenta'")
+            raise ArgumentError(
+                "Omega_dot: is needed where Omega is a function of time; give it, or take form='momenta'"
+            )
         k, affine = len(self.M), self._affine
         rate = _now(Omega, t)
         change = np.zeros(3) if Omega_dot is None else _now(Omega_dot, t)
@@ -300,7 +302,7 @@ class ParameterVaryingModel(_WithDictionary):
         counts = [number if limit > 0.0 else 1 for number, limit in zip(_points(points), limits, strict=True)]
         if (count := math.prod(counts)) > _MOST_POINTS:
             raise ArgumentError(
-                f"points: given {short(points)}, {count} in all; expected at most {_MOST_POINTS}: take fewer, or a "
+                f"points: {short(points)} are {count} points, at most {_MOST_POINTS} are possible; take fewer, or a "
                 "limit of zero for an axis that hardly turns"
             )
         axes = [
@@ -317,14 +319,14 @@ class ParameterVaryingModel(_WithDictionary):
 
 def _now(signal: Signal, t: float) -> ArrayLike:
     if hasattr(signal, "ninputs"):
-        raise ArgumentError(f"rhs: given {short(signal)} as a signal; expected numbers or a function of time")
+        raise ArgumentError(f"rhs: a signal must be numbers or a function of time, got {short(signal)}")
     return signal(t) if callable(signal) else signal
 
 
 def _limits(name: str, given: ArrayLike | None) -> FloatArray:
     limits = real_array(name, given, (3,), 0.0)
     if np.any(limits < 0.0):
-        raise ArgumentError(f"{name}: given {limits.tolist()}; expected three numbers >= 0: largest sizes, not ends")
+        raise ArgumentError(f"{name}: must be three numbers >= 0 (largest sizes, not ends), got {limits.tolist()}")
     return limits
 
 
@@ -337,7 +339,7 @@ def _points(points: int | Sequence[int] | NDArray[np.integer[Any]]) -> list[int]
     if len(given) == 3:
         given += [1] * 3
     if len(given) != 6 or not all(_is_count(number) for number in given):
-        raise ArgumentError(f"points: given {short(points)}; expected a whole number >= 1, or three, or six of them")
+        raise ArgumentError(f"points: must be a whole number >= 1, or three, or six of them, got {short(points)}")
     return [int(number) for number in given]
 
 
@@ -400,8 +402,6 @@ def parameter_varying(
     >>> varying.affine().parameters
     ('Omega2', 'Omega1^2', 'Omega1*Omega3', 'Omega2^2', 'Omega3^2')
     """
-    if form not in ("rates", "momenta"):
-        raise ArgumentError(f"form: given {form!r}; expected 'rates' or 'momenta'")
     # Its L and J parts vanish at Omega = 0, except the gyroscopic action: what is left is that of the force elements.
     rest = linearise(platform, terms=terms, q=q, specific_force=specific_force, rate_amplitude=rate_amplitude)
     rows, n = _rows(platform, gimbals), len(platform.gimbals)
@@ -430,5 +430,5 @@ def _rows(platform: Platform, gimbals: Sequence[str] | None) -> list[int]:
     rows = known_names("gimbals", names if gimbals is None else gimbals, names)
     if not rows:
         where = f"platform {platform.name!r} has none" if not names else "given none"
-        raise ArgumentError(f"gimbals: {where}; expected at least one whose angle is a coordinate")
+        raise ArgumentError(f"gimbals: {where}; at least one angle must be a coordinate")
     return rows

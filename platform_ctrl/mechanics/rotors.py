@@ -148,7 +148,7 @@ def with_rotors_as_gimbals(platform: Platform) -> Platform:
             ("angle", angle, platform.angle_names),
         ):
             if needed in taken:
-                raise ArgumentError(f"{what} {needed!r}: expected another name, it is needed for that rotor's body")
+                raise ArgumentError(f"{what} {needed!r}: the name is needed for that rotor's body; choose another one")
         along = np.outer(rotor.axis, rotor.axis)
         inertia = rotor.transverse_inertia * (np.eye(3) - along) + rotor.axial_inertia * along
         added.append(Gimbal(name=name, parent=rotor.carrier, axis=rotor.axis, inertia=inertia, angle=angle))

@@ -68,7 +68,7 @@ def subsystems_of_all(models: Sequence[LinearModel]) -> tuple[tuple[str, ...], .
     names = {model.gimbal_names for model in models}
     if len(names) != 1:
         given = "; ".join(", ".join(gimbals) for gimbals in sorted(names)) or "none"
-        raise ArgumentError(f"models: given models of the gimbals {given}; expected one or more, of the same gimbals")
+        raise ArgumentError(f"models: must be one or more models of the same gimbals, got {given}")
     coupled = np.any([_coupled(model) for model in models], axis=0)
     return tuple(tuple(models[0].gimbal_names[k] for k in group) for group in connected(coupled))
 
@@ -133,8 +133,6 @@ def state_space(
     >>> pc.state_space(model, gimbals=("9", "10")).input_labels
     ['Q9', 'Q10', 'Omega1', 'Omega2', 'Omega3']
     """
-    if root not in ("prescribed", "free"):
-        raise ArgumentError(f"root: given {root!r}; expected 'prescribed' or 'free'")
     if root == "free":
         if gimbals is not None:
             raise ArgumentError("gimbals: given with root='free'; a free platform couples them all: leave it out")
@@ -205,9 +203,7 @@ def whole_subsystems(model: LinearModel, gimbals: Sequence[str] | None) -> list[
             outside = ", ".join(model.gimbal_names[k] for k in sorted(members - chosen))
             rate = " rad/s, ".join(f"{name} = {x:g}" for name, x in zip(OMEGA_NAMES, model.Omega0, strict=True) if x)
             at = f" at {rate} rad/s" if rate else ""
-            raise ArgumentError(
-                f"gimbals: {inside} and {outside} are coupled{at}; expected whole subsystems, here {group}"
-            )
+            raise ArgumentError(f"gimbals: {inside} and {outside} are coupled{at}; give whole subsystems, here {group}")
     return sorted(chosen)
 
 

@@ -294,24 +294,24 @@ def test_one_matrix_serves_every_system_between_the_vertices() -> None:
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"claim": "gain"}, "claim = 'gain'"),
-        ({"bound": math.nan}, "bound = nan"),
-        ({"bound": -1.0}, "bound = -1.0"),
-        ({"loops": ()}, "no closed loop"),
-        ({"X": np.eye(3)}, "X has shape (3, 3); expected (2, 2)"),
-        ({"coordinates": np.eye(3)}, "expected (2, 2)"),
+        ({"claim": "gain"}, "got 'gain'"),
+        ({"bound": math.nan}, "bound must be a positive number, got nan"),
+        ({"bound": -1.0}, "got -1.0"),
+        ({"loops": ()}, "at least one"),
+        ({"X": np.eye(3)}, "X must be (2, 2), got (3, 3)"),
+        ({"coordinates": np.eye(3)}, "must be (2, 2)"),
         ({"loops": (closed(system_of(np.full((2, 2), np.inf))),)}, "not finite"),
         ({"loops": (closed(system_of(-np.eye(2))), closed(system_of(-np.eye(3))))}, "different orders"),
-        ({"bound": "1"}, "bound = '1'"),
-        ({"bound": 10**400}, "expected a positive number"),
-        ({"claim": ["norm"]}, "claim = ['norm']"),
+        ({"bound": "1"}, "got '1'"),
+        ({"bound": 10**400}, "must be a positive number"),
+        ({"claim": ["norm"]}, "got ['norm']"),
         ({"X": [[1.0, 0.0], [0.0, 1.0]]}, "X is no matrix of doubles"),
         ({"X": np.eye(2) * 1j}, "X is no matrix of doubles"),
-        ({"loops": None}, "no closed loop"),
+        ({"loops": None}, "tuple of closed loops"),
         ({"loops": (dataclasses.replace(closed(system_of(-np.eye(2))), A=np.eye(2)[:1]),)}, "do not fit together"),
         ({"loops": (dataclasses.replace(closed(system_of(-np.eye(2))), B=np.zeros((3, 1))),)}, "do not fit together"),
-        ({"loops": (dataclasses.replace(closed(system_of(-np.eye(2))), dt=None),)}, "dt = None"),
-        ({"loops": (dataclasses.replace(closed(system_of(-np.eye(2))), A_K=np.eye(1)),)}, "given in part"),
+        ({"loops": (dataclasses.replace(closed(system_of(-np.eye(2))), dt=None),)}, "got None"),
+        ({"loops": (dataclasses.replace(closed(system_of(-np.eye(2))), A_K=np.eye(1)),)}, "or none of them"),
         ({"claim": "region", "L": np.zeros((0, 0)), "M": np.zeros((0, 0))}, "L and M"),
     ],
 )
@@ -325,7 +325,7 @@ def test_a_senseless_certificate_is_not_proved_and_does_not_raise(change: dict[s
 def test_the_bits_of_a_proof_are_asked_for_in_plain_numbers_and_reported_as_tried() -> None:
     good = stability_certificate(-np.eye(2))
     for precision in (0, -1, 2.5, None):
-        with pytest.raises(ArgumentError, match=r"precision.*; expected a (whole number|number of bits)"):
+        with pytest.raises(ArgumentError, match=r"precision.*(expected a whole number|must be a number of bits)"):
             good.verify(precision)  # type: ignore[arg-type]
     singular = dataclasses.replace(good, coordinates=np.zeros((2, 2))).verify(16)
     assert not singular.proved
@@ -367,7 +367,7 @@ def test_a_loop_that_is_not_well_posed_is_not_proved() -> None:
 
 
 def test_a_direct_term_has_no_h2_norm() -> None:
-    with pytest.raises(NotCertifiedError, match="the H2 norm is infinite"):
+    with pytest.raises(NotCertifiedError, match=r"the H2 norm .* is infinite"):
         h2_certificate([[-1.0]], [[1.0]], [[1.0]], [[1e-300]])
     good = h2_certificate([[-1.0]], [[1.0]], [[1.0]])
     direct = closed(StateArrays(-np.eye(1), np.eye(1), np.eye(1), np.array([[1e-300]]), 0.0))

@@ -162,15 +162,15 @@ def test_what_makes_no_sense_is_said_in_one_line() -> None:
     noisy.D[2, 0] = 1e-3
     with pytest.raises(ArgumentError, match="anti-alias filter"):
         analysis.intersample_norm(noisy, K, 1, 1)
-    with pytest.raises(ArgumentError, match="not stable"):
+    with pytest.raises(ArgumentError, match="must be stable"):
         analysis.intersample_norm(P, control.StateSpace([], [], [], [[-40.0]], 0.7), 1, 1)
-    with pytest.raises(ArgumentError, match="continuous"):
+    with pytest.raises(ArgumentError, match="K must be discrete"):
         analysis.intersample_norm(P, control.StateSpace([], [], [], [[-1.0]]), 1, 1)
     with pytest.raises(ArgumentError, match="nmeas"):
         analysis.intersample_norm(P, K, 9, 1)
     with pytest.raises(ArgumentError, match="inputs and"):
         analysis.intersample_norm(P, K, 2, 1)
-    with pytest.raises(ArgumentError, match="expected a continuous plant"):
+    with pytest.raises(ArgumentError, match="P must be continuous"):
         analysis.intersample_norm(analysis.sampled(P, 0.7), K, 1, 1)
     with pytest.raises(ArgumentError, match="D11"):
         analysis.intersample_h2(plant(D11=1.0), K, 1, 1)

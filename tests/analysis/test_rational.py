@@ -108,10 +108,10 @@ def test_data_are_what_they_are_at_their_frequencies_and_nothing_else() -> None:
     w = np.array([0.5, 1.0, 2.0])
     data = control.frd(RESONANCE, w)
     np.testing.assert_allclose(analysis.frequency_response(data, [2.0, 0.5])[0, 0], RESONANCE(1j * w)[[2, 0]])
-    with pytest.raises(ArgumentError, match=r"no value at 1\.5 rad/s, the nearest is at 1.*; expected frequencies of"):
+    with pytest.raises(ArgumentError, match=r"no value at 1\.5 rad/s, the nearest is at 1.*; take frequencies of"):
         analysis.frequency_response(data, [1.0, 1.5])
     for function in (analysis.hinf_norm, analysis.h2_norm, analysis.poles, analysis.damping, analysis.is_stable):
-        with pytest.raises(ArgumentError, match=r"data say nothing between their frequencies; expected a control\.St"):
+        with pytest.raises(ArgumentError, match=r"data say nothing between their frequencies; give a control\.St"):
             function(data)
     with pytest.raises(ArgumentError, match="data say nothing"):
         analysis.time_response(data, [0, 1], [0, 1])
@@ -119,7 +119,7 @@ def test_data_are_what_they_are_at_their_frequencies_and_nothing_else() -> None:
 
 @pytest.mark.parametrize("ask", [analysis.hinf_norm, analysis.h2_norm, analysis.poles, analysis.disk_margin])
 def test_improper_and_undated_transfer_functions_are_refused(ask) -> None:
-    with pytest.raises(ArgumentError, match="improper transfer function; expected no more zeros than poles"):
+    with pytest.raises(ArgumentError, match="improper, an entry has more zeros than poles"):
         ask(s)
     with pytest.raises(ArgumentError, match="dt=True"):
         ask(control.tf([1.0], [1.0, 0.5], True))

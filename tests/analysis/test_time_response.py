@@ -123,7 +123,7 @@ def test_an_impulse_gives_the_impulse_response() -> None:
     np.testing.assert_allclose(out, expected, atol=1e-10 * np.abs(expected).max())
 
 
-@pytest.mark.parametrize(("hold", "D", "says"), [("linear", 0.0, "foh"), ("impulse", 1.0, "expected D = 0")])
+@pytest.mark.parametrize(("hold", "D", "says"), [("linear", 0.0, "foh"), ("impulse", 1.0, "D must be zero")])
 def test_what_cannot_be_is_refused(hold: Hold, D: float, says: str) -> None:
     with pytest.raises(PlatformCtrlError, match=says):
         analysis.time_response(control.ss([[-1.0]], [[1.0]], [[1.0]], D), [0.0, 1.0], [0.0, 1.0], hold=hold)

@@ -330,9 +330,11 @@ def test_a_channel_that_does_not_fit_is_one_line(plants, controller):
 
     assert "did you mean 'noise_alpha9'?" in outcome(inputs=("noise_alpha",))
     assert "outputs: given 'Q4'" in outcome(outputs=("Q4",))
-    assert "dt = 0.0 s, the loop 0.0005 s" in outcome(inputs=("Q9",), input_weight=control.ss(-1, 1, 1, 0))
-    assert "output_weight: has 1 inputs; expected 2" in outcome(outputs=("Q9", "Q10"), output_weight=np.ones((1, 1)))
-    assert "expected a finite number, 1 numbers" in outcome(inputs=("Q9",), input_weight=np.ones(3))
+    assert "must have the loop's dt = 0.0005 s, got 0.0 s" in outcome(
+        inputs=("Q9",), input_weight=control.ss(-1, 1, 1, 0)
+    )
+    assert "output_weight: must have 2 inputs, got 1" in outcome(outputs=("Q9", "Q10"), output_weight=np.ones((1, 1)))
+    assert "must be a finite number, 1 numbers" in outcome(inputs=("Q9",), input_weight=np.ones(3))
     assert "expected a number" in outcome(input_weight="much")
 
 

@@ -372,9 +372,7 @@ def test_whole_numbers_of_any_type_count_points(platform, points):
     ],
 )
 def test_what_counts_no_points_is_one_line(platform, points):
-    with pytest.raises(
-        ArgumentError, match=r"points: given .*; expected a whole number >= 1, or three, or six"
-    ) as told:
+    with pytest.raises(ArgumentError, match=r"points: must be a whole number >= 1, or three, or six") as told:
         parameter_varying(platform, gimbals=("9", "10")).grid(points, (1.0, 1.0, 1.0))
     assert "\n" not in str(told.value)
 
@@ -409,7 +407,7 @@ def test_mistakes_are_one_line(platform):
     model = parameter_varying(platform)
     with pytest.raises(ArgumentError, match="did you mean '10'"):
         parameter_varying(platform, gimbals=("Q10",))
-    with pytest.raises(ArgumentError, match="form: given 'p'"):
+    with pytest.raises(ArgumentError, match=r"form: .*'rates' or 'momenta'"):
         parameter_varying(platform, form="p")
     with pytest.raises(ArgumentError, match="expected a sequence of names"):
         parameter_varying(platform, gimbals="9")
@@ -419,9 +417,9 @@ def test_mistakes_are_one_line(platform):
         parameter_varying(platform, gimbals=(9, "10"))
     with pytest.raises(ArgumentError, match=r"gimbals: given array\(.*; expected a sequence of names"):
         parameter_varying(platform, gimbals=np.array([["9", "10"]]))
-    with pytest.raises(ArgumentError, match="expected at least one"):
+    with pytest.raises(ArgumentError, match="at least one"):
         parameter_varying(platform, gimbals=())
-    with pytest.raises(ArgumentError, match="has none; expected at least one"):
+    with pytest.raises(ArgumentError, match="has none; at least one"):
         parameter_varying(dataclasses.replace(platform, gimbals=(), rotors=(), torquers=()))
     with pytest.raises(ArgumentError, match="monomial: given 'Omega4'"):
         model.K["Omega4"]
@@ -431,9 +429,9 @@ def test_mistakes_are_one_line(platform):
         model.rhs(0.0, np.zeros(10), manoeuvre)
     with pytest.raises(ArgumentError, match=">= 0"):
         model.vertices((-1, 1, 1))
-    with pytest.raises(ArgumentError, match="points: given 0"):
+    with pytest.raises(ArgumentError, match=r"points: .* got 0"):
         model.grid(0, (1, 1, 1))
-    with pytest.raises(ArgumentError, match="27000 in all"):
+    with pytest.raises(ArgumentError, match="are 27000 points"):
         model.grid(30, (1, 1, 1))
 
 

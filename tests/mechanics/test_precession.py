@@ -699,7 +699,7 @@ def test_wrong_questions_get_one_line(platform):
         precession(model, loop_frequency=0.0)
     with pytest.raises(ArgumentError, match="separation"):
         precession(model, separation=-1.0)
-    with pytest.raises(ArgumentError, match="expected numbers > 0"):
+    with pytest.raises(ArgumentError, match="must be above 0"):
         precession(model, ("9", "10")).error([1.0, 0.0])
     with pytest.raises(ArgumentError, match="did you mean '10'"):
         precession(model).part("100")

@@ -299,7 +299,7 @@ def test_wrong_questions_get_one_line(platform):
         state_space(model, gimbals=("9", "100"))
     with pytest.raises(ArgumentError, match="expected a sequence"):
         state_space(model, gimbals="9")
-    with pytest.raises(ArgumentError, match="expected 'prescribed' or 'free'"):
+    with pytest.raises(ArgumentError, match="'prescribed' or 'free'"):
         state_space(model, root="fixed")
     with pytest.raises(ArgumentError, match="leave it out"):
         state_space(model, root="free", gimbals=("9", "10"))

@@ -495,11 +495,11 @@ def test_every_shipped_platform_has_its_equations(name):
         ({"form": "html"}, "form: given 'html'"),
         ({"terms": "all"}, "terms: given 'all'"),
         ({"terms": ["exact"]}, "terms: given ['exact']"),
-        ({"order": 4}, "order: given 4"),
-        ({"order": np.int64(-1)}, "order: given np.int64(-1)"),
-        ({"order": True}, "order: given True"),
-        ({"order": np.True_}, "order: given np.True_"),
-        ({"order": 1.0}, "order: given 1.0"),
+        ({"order": 4}, "got 4"),
+        ({"order": np.int64(-1)}, "got np.int64(-1)"),
+        ({"order": True}, "True"),
+        ({"order": np.True_}, "np.True_"),
+        ({"order": 1.0}, "1.0"),
     ],
 )
 def test_wrong_options_are_refused_in_one_line(options, message):
@@ -525,7 +525,7 @@ def test_exact_form_of_a_deep_tree_is_refused():
     platform = read_platform(
         {"schema": 1, "name": "deep", "root": {"name": "base", "inertia": [1, 1, 1]}, "gimbal": gimbals}
     )
-    with pytest.raises(ArgumentError, match="order: given None for 4 gimbals, 4 deep; expected at most"):
+    with pytest.raises(ArgumentError, match="order: None is possible up to 5 gimbals, 3 deep, not for 4, 4 deep"):
         equations(platform, order=None)
 
 

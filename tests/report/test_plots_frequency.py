@@ -495,7 +495,10 @@ def test_importing_the_plots_does_not_load_pyplot():
         (lambda: figures.singular_values(1 / s, upper=-1.0), "expected a number > 0"),
         (lambda: figures.singular_values(1 / s, upper=([1.0, 2.0], [1.0, 2.0, 3.0])), "expected a number > 0"),
         (lambda: figures.gang_of_four(control.frd([1.0 + 0j], [1.0]), 1 / s), "given data"),
-        (lambda: figures.gang_of_four(control.ss(1 / s), control.c2d(control.ss(1 / s), 0.1)), "expected the same"),
+        (
+            lambda: figures.gang_of_four(control.ss(1 / s), control.c2d(control.ss(1 / s), 0.1)),
+            "the same sample period",
+        ),
         (lambda: figures.gang_of_four(1 / s, -(1 + s)), "improper"),
         (lambda: figures.Omega_sensitivity(1 / s), "expected Omega1"),
         (lambda: figures.disk_margin_region(-0.1), ">= 0"),

@@ -166,9 +166,7 @@ def test_a_rate_without_a_sensor_is_refused(name):
     data = with_arm(rate_sensor=[{"root_axis": 1}])
     job = job_of(data)
     K = gains([[1.0]], [name], ["M1"])
-    with pytest.raises(
-        ArgumentError, match=rf"input '{name}' is a rate that no sensor measures; expected a rate se"
-    ) as e:
+    with pytest.raises(ArgumentError, match=rf"input '{name}' is a rate that no sensor measures; add a rate se") as e:
         verification.coupled_check(job, linearise(job.platform), [K])
     assert "\n" not in str(e.value)
 

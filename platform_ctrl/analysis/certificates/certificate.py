@@ -150,7 +150,7 @@ class Certificate:
             `precision` is not a whole number of at least 2.
         """
         if not isinstance(precision, int) or precision < 2:
-            raise ArgumentError(f"Certificate.verify: precision = {precision!r}; expected a number of bits, 2 or more")
+            raise ArgumentError(f"Certificate.verify: precision must be a number of bits, 2 or more, got {precision!r}")
         if precision not in self._shown:
             self._shown[precision] = self._verified(precision)
         return self._shown[precision]
@@ -178,10 +178,10 @@ class Certificate:
     def _senseless(self) -> str:
         """Say what is wrong before any arithmetic, or nothing."""
         if not isinstance(self.claim, str) or self.claim not in _INEQUALITY:
-            return f"claim = {self.claim!r}; expected one of {', '.join(_INEQUALITY)}"
+            return f"claim must be one of {', '.join(_INEQUALITY)}, got {self.claim!r}"
         loops = self.loops
         if not isinstance(loops, tuple) or not loops or not all(isinstance(loop, ClosedLoop) for loop in loops):
-            return "no closed loop is given; expected a tuple of them"
+            return "loops must be a tuple of closed loops, at least one"
         wrong = next((loop.mistake for loop in loops if loop.mistake), "")
         if wrong:
             return wrong
@@ -194,9 +194,9 @@ class Certificate:
 
     def _senseless_figures(self, n: int) -> str:
         if not isinstance(self.bound, float | int) or not 0 <= self.bound <= _LARGEST:
-            return f"bound = {self.bound!r}; expected a positive number"
+            return f"bound must be a positive number, got {self.bound!r}"
         if self.bound == 0 and self.claim in ("norm", "h2"):
-            return f"bound = {self.bound!r}; expected a positive number"
+            return f"bound must be a positive number, got {self.bound!r}"
         if self.claim == "region" and not _is_region(self.L, self.M):
             return "L and M are no finite square matrices of one size, L symmetric"
         for name, matrix in (("X", self.X), ("the matrix of coordinates", self.coordinates)):
@@ -205,7 +205,7 @@ class Certificate:
             if not is_matrix(matrix):
                 return f"{name} is no matrix of doubles"
             if matrix.shape != (n, n):
-                return f"{name} has shape {matrix.shape}; expected {(n, n)}"
+                return f"{name} must be {(n, n)}, got {matrix.shape}"
             if not np.all(np.isfinite(matrix)):
                 return "a matrix is not finite"
         return "" if np.array_equal(self.X, self.X.T) else "X is not symmetric"

@@ -77,12 +77,12 @@ class ClosedLoop:
         """What makes it no closed loop, in words; empty where it is one."""
         given = (self.A_K, self.B_K, self.C_K, self.D_K)
         if any(part is None for part in given) and any(part is not None for part in given):
-            return "a controller is given in part; expected A_K, B_K, C_K and D_K, or none of them"
+            return "a controller must have all of A_K, B_K, C_K and D_K, or none of them"
         K = self.controller or ()
         if not all(is_matrix(part) for part in (self.A, self.B, self.C, self.D, *K)):
             return "a closed loop holds what is no matrix of doubles"
         if not isinstance(self.dt, float | int) or isinstance(self.dt, bool):
-            return f"dt = {self.dt!r}; expected a sample period in s, 0: continuous"
+            return f"dt must be a sample period in s, or 0 for a continuous system, got {self.dt!r}"
         n, (r, m) = len(self.A), self.D.shape
         fits = self.A.shape == (n, n) and self.B.shape == (n, m) and self.C.shape == (r, n)
         if K:
@@ -158,8 +158,8 @@ def matrices_of(
         raise ArgumentError(f"{where}: A, B, C, D, dt are no matrices of real numbers and a sample period") from None
     if state.shape != (n, n) or inputs.shape[0] != n or outputs.shape[1:] != (n,) or direct.shape != shape:
         raise ArgumentError(
-            f"{where}: A {state.shape}, B {inputs.shape}, C {outputs.shape}, D {direct.shape}; "
-            "expected (n, n), (n, m), (p, n), (p, m)"
+            f"{where}: A, B, C and D must be (n, n), (n, m), (p, n) and (p, m), "
+            f"got {state.shape}, {inputs.shape}, {outputs.shape} and {direct.shape}"
         )
     return StateArrays(state, inputs, outputs, direct, period)
 
@@ -187,11 +187,13 @@ def closed(
     A_K, B_K, C_K, D_K, dt_K = matrices_of(*controller[:4], controller.dt, f"{where} (controller)")
     if D_K.shape[0] > B.shape[1] or D_K.shape[1] > C.shape[0]:
         raise ArgumentError(
-            f"{where}: the controller has {D_K.shape[1]} inputs and {D_K.shape[0]} outputs, the plant {C.shape[0]} "
-            f"outputs and {B.shape[1]} inputs; expected a plant with inputs [w, u] and outputs [z, y]"
+            f"{where}: the controller has {D_K.shape[1]} inputs and {D_K.shape[0]} outputs, the plant only "
+            f"{C.shape[0]} outputs and {B.shape[1]} inputs; give the plant with inputs [w, u] and outputs [z, y]"
         )
     if dt_K != dt and len(A_K):
-        raise ArgumentError(f"{where}: the plant has dt = {dt:g} s, the controller {dt_K:g} s; expected the same")
+        raise ArgumentError(
+            f"{where}: plant and controller must have the same sample period, got {dt:g} s and {dt_K:g} s"
+        )
     return ClosedLoop(A=A, B=B, C=C, D=D, dt=dt, A_K=A_K, B_K=B_K, C_K=C_K, D_K=D_K, label=label)
 
 

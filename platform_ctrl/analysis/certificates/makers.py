@@ -119,8 +119,8 @@ def stability_certificate(
     rate = -float(spectral_abscissa(continuous_poles(poles(system.A), loop.dt))) if len(system.A) else np.inf
     if not rate > 0.0:
         raise NotCertifiedError(
-            f"stability_certificate: the slowest pole{_of(label)} grows at {-rate:.3g} 1/s; "
-            "expected a stable closed loop; try another controller",
+            f"stability_certificate: the slowest pole{_of(label)} grows at {-rate:.3g} 1/s, "
+            "so the closed loop is not stable; try another controller",
             loop,
         )
     if decay is not None:
@@ -233,7 +233,9 @@ def h2_certificate(
     where = "h2_certificate"
     loop, system = _stable_loop(matrices_of(A, B, C, D, dt, where), controller, label, where)
     if dt == 0 and np.any(system.D):
-        raise NotCertifiedError(f"{where}: D is not zero; expected it zero: the H2 norm is infinite", loop)
+        raise NotCertifiedError(
+            f"{where}: the H2 norm of a continuous system with D ≠ 0 is infinite; remove the direct term", loop
+        )
     s = state_scaling(*system[:3])
     balanced = _in_coordinates(system, np.diag(1.0 / s), np.diag(s))
     X = _gramian(balanced.A, balanced.C.T @ balanced.C, dt)
@@ -258,12 +260,12 @@ def _of(label: str) -> str:
 
 def _rounded(loop: ClosedLoop, where: str) -> StateArrays:
     if not loop.finite:
-        raise ArgumentError(f"{where}: a matrix is not finite; expected finite numbers, dt >= 0")
+        raise ArgumentError(f"{where}: the matrices must be finite and dt at least zero")
     try:
         return loop.rounded()
     except ArgumentError:
         raise NotCertifiedError(
-            f"{where}: I − D_K D22 is singular; expected a well-posed loop; try another controller", loop
+            f"{where}: the loop is not well posed because I − D_K D22 is singular; try another controller", loop
         ) from None
 
 
@@ -273,7 +275,7 @@ def _require_stable(system: StateArrays, where: str, loop: ClosedLoop) -> None:
     growth = float(spectral_abscissa(continuous_poles(poles(system.A), system.dt)))
     if not growth < 0.0:
         raise NotCertifiedError(
-            f"{where}: the slowest pole{_of(loop.label)} grows at {growth:.3g} 1/s; expected a stable closed loop; "
+            f"{where}: the slowest pole{_of(loop.label)} grows at {growth:.3g} 1/s, so the closed loop is not stable; "
             "try another controller",
             loop,
         )

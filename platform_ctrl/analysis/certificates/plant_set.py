@@ -203,7 +203,7 @@ def region_certificate(
     except (TypeError, ValueError):
         raise ArgumentError(f"{where}: L and M are no matrices of real numbers") from None
     if not loop.finite:
-        raise ArgumentError(f"{where}: a matrix is not finite; expected finite numbers, dt >= 0")
+        raise ArgumentError(f"{where}: the matrices must be finite and dt at least zero")
     try:
         T = real_modes(loop.rounded().A)
     except (ArgumentError, np.linalg.LinAlgError):

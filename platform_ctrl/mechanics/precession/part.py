@@ -175,7 +175,7 @@ class PrecessionPart:
         omega = real_array("frequency", omega, (omega.size,))
         if np.any(omega <= 0.0) or np.any(omega > _HIGHEST):
             ends = f"{omega.min():g} to {omega.max():g}"
-            raise ArgumentError(f"frequency: given {ends}; expected numbers > 0 up to {_HIGHEST:g}, rad/s")
+            raise ArgumentError(f"frequency: must be above 0 and up to {_HIGHEST:g} rad/s, got {ends}")
         return distance(*self._reduction(momentum_states), omega, each_direction)
 
     def _reduction(self, momentum_states: bool) -> tuple[Scaled, Reduction]:

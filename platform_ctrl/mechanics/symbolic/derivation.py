@@ -270,8 +270,8 @@ def _not_too_large(platform: Platform, tree: Topology) -> None:
     n, depth = len(platform.gimbals), int(tree.on_path.sum(axis=1).max(initial=0))
     if n > _MOST_GIMBALS or depth > _DEEPEST:
         raise ArgumentError(
-            f"order: given None for {n} gimbals, {depth} deep; expected at most {_MOST_GIMBALS} and {_DEEPEST} deep, "
-            f"or an order from 0 to {HIGHEST_ORDER}"
+            f"order: None is possible up to {_MOST_GIMBALS} gimbals, {_DEEPEST} deep, not for {n}, {depth} deep; "
+            f"take an order from 0 to {HIGHEST_ORDER}"
         )
 
 

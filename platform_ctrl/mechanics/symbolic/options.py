@@ -10,6 +10,5 @@ Form = Literal[Written, "sympy"]
 Terms = Literal["paper", "exact"]
 
 WRITTEN: tuple[Written, ...] = get_args(Written)
-FORMS: tuple[Form, ...] = get_args(Form)
 TERMS: tuple[Terms, ...] = get_args(Terms)
 HIGHEST_ORDER = 3

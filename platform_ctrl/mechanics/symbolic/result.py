@@ -172,7 +172,7 @@ def _number(expression: Expression, point: Mapping[str, float], known: dict[Any,
         return known[expression]
     if expression.is_Symbol:
         if expression.name not in point:
-            raise ArgumentError(f"values: no number for {expression.name!r}; expected one: values={{name: number}}")
+            raise ArgumentError(f"values: {expression.name!r} has no number; give one: values={{name: number}}")
         return float(point[expression.name])
     if expression.is_Number:
         return float(expression)
