@@ -21,8 +21,8 @@ from bokeh.protocol import Protocol
 from designer_pictures import DAMPING, broken, empty, picture
 from platform_ctrl.app.pictures import Picture
 from platform_ctrl.app.plots import Plots
-from platform_ctrl.app.plots.data import Unit, View, colours, nice, quantity
-from platform_ctrl.app.plots.locus import rounded
+from platform_ctrl.app.plots.data import Unit, View, colours, quantity, round_bounds
+from platform_ctrl.app.plots.locus import refined
 
 HZ = 1.0 / (2.0 * np.pi)
 
@@ -194,7 +194,7 @@ def test_an_infinitely_fast_pole_does_not_keep_the_others_from_turning() -> None
     gains = np.linspace(0.0, 400.0, 9)
     poles = np.array([np.sort_complex(np.roots([1.0, DAMPING, k])) for k in gains]).astype(np.complex128)
     branches = np.column_stack([poles, np.full(9, -np.inf)])
-    factors, rows = rounded(gains, branches)
+    factors, rows = refined(gains, branches)
     assert len(factors) > 15
     assert np.all(np.diff(factors) > 0.0)
     assert np.abs(rows[:, :2] ** 2 + DAMPING * rows[:, :2] + factors[:, None]).max() < 1e-9
@@ -418,9 +418,9 @@ def test_where_the_user_has_zoomed_the_view_stays_until_it_is_reset(fresh: Plots
 
 
 def test_bounds_of_axes_are_round() -> None:
-    assert nice(0.0, 9.3) == (-2.0, 10.0)
-    assert nice(-0.31, 0.29) == (-0.4, pytest.approx(0.4))
-    low, high = nice(3.0, 3.0)
+    assert round_bounds(0.0, 9.3) == (-2.0, 10.0)
+    assert round_bounds(-0.31, 0.29) == (-0.4, pytest.approx(0.4))
+    low, high = round_bounds(3.0, 3.0)
     assert low < 3.0 < high
 
 

@@ -9,7 +9,7 @@ from bokeh.models import LayoutDOM
 
 from platform_ctrl.app.pictures import Drawing
 from platform_ctrl.app.plots.bode import BodePanel
-from platform_ctrl.app.plots.data import Sources, View, decades
+from platform_ctrl.app.plots.data import Sources, View
 from platform_ctrl.app.plots.locus import LocusPanel
 from platform_ctrl.app.plots.nichols import NicholsPanel
 from platform_ctrl.app.plots.panel import Theme
@@ -22,42 +22,40 @@ class Plots:
     Attributes
     ----------
     layout
-        Roots by name: ``"bode"``, ``"nichols"``, ``"locus"``, ``"step"``, ``"Omega"``; each stretches with what it
-        is put into.
+        Roots by name: ``"bode"``, ``"nichols"``, ``"locus"``, ``"step"``, ``"Omega"``; each fills its container.
     sources
         Bokeh's column data sources by name: what is drawn, in the units of the axes.
     """
 
     def __init__(self, dark: bool = False) -> None:
-        self._theme = Theme(dark)
-        self._sources = Sources()
+        self._theme, sources = Theme(dark), Sources()
         self._picture: Drawing | None = None
-        # One view for everything over frequency: zooming one zooms all.
-        frequency = View(0.1, 1000.0, decades, logarithmic=True)
-        self._bode = BodePanel(self._theme, self._sources, frequency)
-        self._nichols = NicholsPanel(self._theme, self._sources, self._bode.overlays)
-        self._locus = LocusPanel(self._theme, self._sources)
-        self._step = StepPanel(self._theme, self._sources)
-        self._rate = RatePanel(self._theme, self._sources, frequency)
-        self._panels = (self._bode, self._nichols, self._locus, self._step, self._rate)
-        self._views = [frequency, *(view for one in self._panels for view in one.panel.views)]
-        self.sources = self._sources.by_name
-        self.layout: dict[str, LayoutDOM] = {one.panel.name: one.panel.layout for one in self._panels}
+        # One view for all that is over frequency: zooming one zooms all.
+        self._frequency = frequency = View(
+            0.1, 1000.0, lambda low, high: (low, max(high, 10.0 * low)), logarithmic=True
+        )
+        self._bode = BodePanel(self._theme, sources, frequency)
+        nichols = NicholsPanel(self._theme, sources, self._bode.overlays)
+        self._locus = LocusPanel(self._theme, sources)
+        self._rate = RatePanel(self._theme, sources, frequency)
+        self._panels = (self._bode, nichols, self._locus, StepPanel(self._theme, sources), self._rate)
+        self.sources = sources.by_name
+        self.layout: dict[str, LayoutDOM] = {one.name: one.layout for one in self._panels}
 
     @property
     def drags(self) -> int:
-        """How many drags of a pole or of the crossover have begun: all calls of one drag see the same number."""
-        return self._locus.handles.drag.begun + self._bode.handle.drag.begun
+        """Number of drags so far: all callbacks of one drag see the same number."""
+        return self._locus.handles.drag.count + self._bode.handle.drag.count
 
     def show(self, picture: Drawing) -> None:
-        """Follow a picture: what has changed goes to the browser in one go, no model is made or removed.
+        """Follow a picture: all changes go to the browser together, no model is made or removed.
 
-        Data that are not finite are gaps; where there is nothing to draw the plot says so.
+        Data that are not finite are gaps; a plot with nothing to draw shows a message.
         """
-        about = _about(picture)
-        if self._picture is not None and _about(self._picture) != about:
-            for view in self._views:
-                view.anew()
+        if self._picture is not None and _subject(self._picture) != _subject(picture):
+            for one in self._panels:
+                for view in one.views:
+                    view.forget()
         self._picture = picture
         with self._held():
             for one in self._panels:
@@ -71,25 +69,18 @@ class Plots:
                 self.show(self._picture)
 
     def on_pole_dragged(self, callback: Callable[[complex, complex], None]) -> None:
-        """Call `callback` while a pole is dragged: a few times a second, and once more where it is let go.
+        """Call `callback` a few times a second while a pole is dragged, and at the end.
 
         Parameters
         ----------
         callback
-            Gets the pole as it stands in the picture shown last, and where it is wanted, both rad/s in the upper half
-            of the s-plane; its conjugate goes with it.
+            Gets the pole in the last picture and its target, rad/s, both in the upper half of the s-plane.
         """
-        self._locus.on_dragged(callback)
+        self._locus.handles.callbacks.append(callback)
 
     def on_crossover_dragged(self, callback: Callable[[float], None]) -> None:
-        """Call `callback` while the crossover is dragged: a few times a second, and once more where it is let go.
-
-        Parameters
-        ----------
-        callback
-            Gets the frequency at which the gain is wanted to pass 1, rad/s.
-        """
-        self._bode.on_dragged(callback)
+        """Call `callback` with the new crossover, rad/s, a few times a second while it is dragged, and at the end."""
+        self._bode.handle.callbacks.append(callback)
 
     @contextmanager
     def _held(self) -> Iterator[None]:
@@ -104,7 +95,7 @@ class Plots:
             document.unhold()
 
 
-def _about(picture: Drawing) -> tuple[object, ...]:
-    """Return what a picture is of; the same while sliders move."""
+def _subject(picture: Drawing) -> tuple[object, ...]:
+    """Return what a picture shows apart from the sliders."""
     settings = picture.settings
     return settings.loop, settings.design, settings.channel, settings.axis, settings.overlays

@@ -14,9 +14,10 @@ from bokeh.core.property.descriptors import UnsetValueError
 from bokeh.models import ColumnDataSource, Range1d
 from numpy.typing import NDArray
 
+HZ = 1.0 / (2.0 * math.pi)
 # Dashes of the k-th design in pixels; empty is a solid line.
 DASHES: tuple[tuple[int, ...], ...] = ((), (8, 3), (2, 3), (9, 3, 2, 3), (9, 3, 2, 3, 2, 3), (5, 2), (14, 4), (4, 4))
-# Dashes of what the job asks for, pixels.
+# Dashes of the job's limits, pixels.
 LIMIT_DASHES = (6, 3)
 FONT = 'system-ui, -apple-system, "Segoe UI", "Helvetica Neue", "Noto Sans", "Liberation Sans", Arial, sans-serif'
 SMALL, NORMAL = "11px", "12px"
@@ -26,20 +27,14 @@ _VARIABLE = re.compile(r"--([\w-]+):\s*(#[0-9a-fA-F]{6})\s*;")
 
 
 @cache
-def _themes() -> tuple[dict[str, str], dict[str, str]]:
-    text = resources.files("platform_ctrl.report").joinpath("templates/report.css").read_text(encoding="utf-8")
-    light, dark = (dict(_VARIABLE.findall(block)) for block in _BLOCK.findall(text)[:2])
-    return light, dark
-
-
 def colours(dark: bool) -> dict[str, str]:
-    """Return the colours of a theme by what they are for: ``ink``, ``muted``, ``grid``, ``limit``, ``series-1``, ..."""
-    light_colours, dark_colours = _themes()
-    return dict(dark_colours if dark else light_colours)
+    """Return the colours of a theme by role: ``ink``, ``muted``, ``grid``, ``limit``, ``series-1``, ..."""
+    text = resources.files("platform_ctrl.report").joinpath("templates/report.css").read_text(encoding="utf-8")
+    return dict(_VARIABLE.findall(_BLOCK.findall(text)[int(dark)]))
 
 
 def series(k: int) -> str:
-    """Return the name of the colour of the k-th of several curves."""
+    """Return the role of the colour of the k-th of several curves."""
     return f"series-{1 + k % 8}"
 
 
@@ -49,7 +44,7 @@ def dashes(k: int) -> tuple[int, ...]:
 
 
 class Sources:
-    """The column data sources of a page's plots."""
+    """The column data sources of a page's plots, by name."""
 
     def __init__(self) -> None:
         self.by_name: dict[str, ColumnDataSource] = {}
@@ -62,39 +57,32 @@ class Sources:
         return out
 
     def put(self, name: str, /, **columns: Any) -> None:
-        """Give a source all its columns; nothing is sent where they are as before."""
+        """Set all columns of a source; nothing is sent if they have not changed."""
         source = self.by_name[name]
-        if not _same(source.data, columns):
+        if not all(_equal(source.data[key], one) for key, one in columns.items()):
             source.data = columns
 
-
-def _same(old: dict[str, Any], new: dict[str, Any]) -> bool:
-    if old.keys() != new.keys():
-        return False
-    for name, one in new.items():
-        before = old[name]
-        if isinstance(one, np.ndarray):
-            if not (isinstance(before, np.ndarray) and np.array_equal(before, one, equal_nan=True)):
-                return False
-        elif len(before) != len(one) or not all(map(_equal, before, one)):
-            return False
-    return True
+    def clear(self, name: str) -> None:
+        """Empty a source of numbers."""
+        self.put(name, **{key: column([]) for key in self.by_name[name].data})
 
 
 def _equal(one: Any, other: Any) -> bool:
     if isinstance(one, np.ndarray) or isinstance(other, np.ndarray):
         return np.array_equal(one, other, equal_nan=True)
+    if isinstance(one, list):
+        return len(one) == len(other) and all(map(_equal, one, other))
     return bool(one == other)
 
 
 Column = NDArray[np.float32]
 
-# Beyond this nothing is drawn, and single precision ends.
+# Beyond this nothing is drawn; single precision ends at 3e38.
 _LARGEST = 1e30
 
 
 def column(numbers: Any, scale: float = 1.0) -> Column:
-    """Return real numbers, times `scale`, as a column: what is not finite, or too large to be drawn, is a gap (NaN)."""
+    """Return real numbers times `scale` in single precision; what is not finite or too large becomes a gap (NaN)."""
     with np.errstate(invalid="ignore", over="ignore"):
         out = scale * np.asarray(numbers, dtype=np.float64)
         out = np.where(np.abs(out) <= _LARGEST, out, np.nan)
@@ -107,7 +95,7 @@ def decibels(gain: Any) -> Column:
         return column(20.0 * np.log10(np.asarray(gain, dtype=np.float64)))
 
 
-def strung(rows: Any) -> Column:
+def joined_curves(rows: Any) -> Column:
     """Return the rows of an array (N, F) one after the other with a gap after each: many curves as one line."""
     out = column(rows)
     out = out.reshape(len(out), -1) if out.size else np.zeros((0, 0), np.float32)
@@ -115,28 +103,24 @@ def strung(rows: Any) -> Column:
 
 
 def finite(*columns: Column) -> tuple[Column, ...]:
-    """Return columns of one length without the places at which any of them has a gap."""
+    """Return columns of one length without the places where any of them has a gap."""
     keep = np.logical_and.reduce([np.isfinite(one) for one in columns])
     return tuple(one[keep] for one in columns)
 
 
 def thinned(number: int, most: int) -> NDArray[np.intp]:
-    """Return the places of at most `most` of `number` points, evenly spread, both ends among them."""
+    """Return the indices of at most `most` of `number` points, evenly spaced, with both ends."""
     if number <= most:
         return np.arange(number)
     return np.unique(np.linspace(0, number - 1, most).round().astype(np.intp))
 
 
 def extent(columns: Sequence[Any]) -> tuple[float, float] | None:
-    """Return the least and the largest number of some arrays that can be drawn; None where there is none."""
-    low, high = np.inf, -np.inf
-    for one in columns:
-        numbers = np.asarray(one)
-        with np.errstate(invalid="ignore"):
-            numbers = numbers[np.abs(numbers) <= _LARGEST]
-        if numbers.size:
-            low, high = min(low, float(numbers.min())), max(high, float(numbers.max()))
-    return (low, high) if low <= high else None
+    """Return the smallest and the largest number of some arrays that can be drawn; None if there is none."""
+    numbers = np.concatenate([np.zeros(0), *(np.ravel(one) for one in columns)])
+    with np.errstate(invalid="ignore"):
+        numbers = numbers[np.abs(numbers) <= _LARGEST]
+    return (float(numbers.min()), float(numbers.max())) if numbers.size else None
 
 
 _PREFIXES = ((1e-3, "m"), (1e-6, "µ"), (1e-9, "n"))
@@ -144,53 +128,41 @@ _PREFIXED = frozenset({"rad", "rad/s", "N m", "s", "rad/(rad/s)"})
 
 
 class Unit:
-    """The unit that a size reads well in: it changes only when the numbers have become awkward, not at every move.
+    """A unit with a prefix for readable numbers, which changes only when the numbers have become awkward.
 
-    Attributes
-    ----------
-    name
-        As it is written.
-    scale
-        What numbers in the plain unit are multiplied with.
+    `name` is the unit as written, `scale` the factor on numbers in the plain unit.
     """
 
     def __init__(self) -> None:
         self._plain, self.name, self.scale = "", "", 1.0
 
     def follow(self, unit: str, size: float) -> None:
-        """Choose for numbers in `unit`, the largest of magnitude `size`."""
+        """Choose the prefix for numbers in `unit` whose largest magnitude is `size`."""
         if unit == self._plain and (not 0.0 < size < math.inf or 0.2 <= size * self.scale < 2000.0):
             return
         self._plain = unit
-        self.scale, self.name = _handy(unit, size)
+        self.scale, self.name = _prefixed(unit, size)
 
 
 def quantity(number: float, unit: str) -> str:
-    """Return a number with its unit, both as they read well: ``3 mrad``."""
-    scale, name = _handy(unit, 1.01 * abs(number))
+    """Return a number with its unit and a suitable prefix: ``3 mrad``."""
+    scale, name = _prefixed(unit, 1.01 * abs(number))
     return f"{scale * number:.3g} {name}".rstrip()
 
 
-def _handy(unit: str, size: float) -> tuple[float, str]:
-    # The numerator takes the prefix: "mrad per rad/s".
-    head, between, rest = unit.partition(" per ")
-    if head not in _PREFIXED or not size > 0.0 or size >= 0.5:
+def _prefixed(unit: str, size: float) -> tuple[float, str]:
+    if unit not in _PREFIXED or not size > 0.0 or size >= 0.5:
         return 1.0, unit
     scale, prefix = next((one for one in _PREFIXES if size >= 0.5 * one[0]), _PREFIXES[-1])
-    return 1.0 / scale, f"{prefix}{head}{between}{rest}"
+    return 1.0 / scale, f"{prefix}{unit}"
 
 
-def inner_width(plot: Any) -> float:
-    """Return the width of the figure's frame, pixels; a guess before the browser has said it."""
-    return _told(plot, "inner_width", 320.0)
+def inner_size(plot: Any) -> tuple[float, float]:
+    """Return width and height of the figure's frame, pixels; a guess before the browser has sent them."""
+    return _pixels(plot, "inner_width", 320.0), _pixels(plot, "inner_height", 240.0)
 
 
-def inner_height(plot: Any) -> float:
-    """Return the height of the figure's frame, pixels; a guess before the browser has said it."""
-    return _told(plot, "inner_height", 240.0)
-
-
-def _told(plot: Any, name: str, guess: float) -> float:
+def _pixels(plot: Any, name: str, guess: float) -> float:
     try:
         number = getattr(plot, name)
     except UnsetValueError:
@@ -198,12 +170,14 @@ def _told(plot: Any, name: str, guess: float) -> float:
     return float(number) if isinstance(number, int | float) and number > 10 else guess
 
 
-# The data may shrink to this share of the view before the view shrinks with it.
-_SLACK = 0.42
+Bounds = Callable[[float, float], tuple[float, float]]
+
+# The view shrinks when the data take less than this share of it.
+_SHRINK = 0.42
 
 
-def nice(low: float, high: float) -> tuple[float, float]:
-    """Return round bounds with a little room around `low` to `high`: steps of 1, 2, 2.5 or 5 times a power of ten."""
+def round_bounds(low: float, high: float) -> tuple[float, float]:
+    """Return round bounds with a little margin around the data: steps of 1, 2, 2.5 or 5 times a power of ten."""
     span = high - low
     if not span > 1e-12 * max(abs(low), abs(high)):
         span = 2.0 * abs(high) if high else 2.0
@@ -211,12 +185,12 @@ def nice(low: float, high: float) -> tuple[float, float]:
     rough = span / 6.0
     decade = 10.0 ** math.floor(math.log10(rough))
     step = next(unit * decade for unit in (1.0, 2.0, 2.5, 5.0, 10.0) if unit * decade >= rough * (1.0 - 1e-9))
-    room = 0.04 * span
-    return step * math.floor((low - room) / step), step * math.ceil((high + room) / step)
+    margin = 0.04 * span
+    return step * math.floor((low - margin) / step), step * math.ceil((high + margin) / step)
 
 
-def stepped(step: float, least: float, most: float) -> Callable[[float, float], tuple[float, float]]:
-    """Return bounds that are multiples of `step`, cut to `least` and `most`."""
+def stepped(step: float, least: float, most: float) -> Bounds:
+    """Return the function that gives bounds in multiples of `step`, cut to `least` and `most`."""
 
     def bounds(low: float, high: float) -> tuple[float, float]:
         low, high = max(least, min(low, most - step)), min(most, max(high, least + step))
@@ -226,85 +200,64 @@ def stepped(step: float, least: float, most: float) -> Callable[[float, float], 
     return bounds
 
 
-def decades(low: float, high: float) -> tuple[float, float]:
-    """Return the ends of a logarithmic axis: the data's own."""
-    return low, high if high > low else 10.0 * low
-
-
 class View:
-    """A range that follows the data with some play, and leaves what the user zoomed to alone."""
+    """The range of an axis, which follows the data with some hysteresis and stays where the user has zoomed to.
 
-    def __init__(
-        self,
-        low: float,
-        high: float,
-        bounds: Callable[[float, float], tuple[float, float]] = nice,
-        *,
-        logarithmic: bool = False,
-    ) -> None:
+    `rest` are the bounds without zoom.
+    """
+
+    def __init__(self, low: float, high: float, bounds: Bounds = round_bounds, *, logarithmic: bool = False) -> None:
         self.range = Range1d(start=low, end=high, reset_start=low, reset_end=high)
         self.rest = (low, high)
-        self.moved = False
-        self._bounds = bounds
-        self._logarithmic = logarithmic
-        self._own = False
-        self._begun = False
+        self._bounds, self.logarithmic = bounds, logarithmic
+        self._zoomed = self._setting = self._fitted = False
         for name in ("start", "end"):
             self.range.on_change(name, self._changed)
 
     def _changed(self, name: str, old: object, new: object) -> None:
-        if not self._own:
-            self.moved = not (
-                _near(self.range.start, self.rest[0], self.rest) and _near(self.range.end, self.rest[1], self.rest)
-            )
+        if not self._setting:
+            tolerance = 1e-6 * (self.rest[1] - self.rest[0])
+            ends = zip((self.range.start, self.range.end), self.rest, strict=True)
+            self._zoomed = not all(isinstance(a, int | float) and abs(a - b) <= tolerance for a, b in ends)
 
     def fit(self, data: tuple[float, float] | None) -> None:
-        """Show `data`, least and largest number; None leaves everything as it is.
+        """Show `data`, the smallest and the largest number; None leaves the view as it is.
 
-        The view grows as soon as something would be cut off, and shrinks when the data have left most of it.
+        The view grows as soon as something would be cut off, and shrinks when the data need much less.
         """
-        if data is None or (self._logarithmic and data[0] <= 0.0):
+        if data is None or (self.logarithmic and data[0] <= 0.0):
             return
         bounds = self._bounds(*data)
         # What the bounds cut off on purpose does not count.
         low, high = max(data[0], bounds[0]), min(data[1], bounds[1])
         left, right = self.rest
         inside = left <= low + 1e-9 * abs(low) and high - 1e-9 * abs(high) <= right
-        if self._begun and inside and self._length(*bounds) >= _SLACK * self._length(left, right):
+        if self._fitted and inside and self._length(*bounds) >= _SHRINK * self._length(left, right):
             return
-        self._begun = True
+        self._fitted = True
         self.show(*bounds)
 
-    def anew(self) -> None:
-        """Have the next data fitted closely: they are of something else than those before."""
-        self._begun = False
+    def forget(self) -> None:
+        """Fit the next data closely: they show something else than those before."""
+        self._fitted = False
 
     def show(self, low: float, high: float) -> None:
-        """Rest at `low` to `high`; where the user has zoomed, only after a reset."""
-        if (low, high) == self.rest:
-            return
-        self.rest = (low, high)
-        self._own = True
-        try:
-            if self.moved:
-                self.range.update(reset_start=low, reset_end=high)
-            else:
-                self.range.update(start=low, end=high, reset_start=low, reset_end=high)
-        finally:
-            self._own = False
+        """Set the bounds without zoom; a zoomed view changes only when it is reset."""
+        if (low, high) != self.rest:
+            self.rest = (low, high)
+            self._set(reset_start=low, reset_end=high, **({} if self._zoomed else {"start": low, "end": high}))
 
     def reset(self) -> None:
-        """Go back to rest from wherever the user has zoomed to."""
-        self._own = True
+        """Undo the user's zoom."""
+        self._set(start=self.rest[0], end=self.rest[1])
+        self._zoomed = False
+
+    def _set(self, **ends: float) -> None:
+        self._setting = True
         try:
-            self.range.update(start=self.rest[0], end=self.rest[1])
-            self.moved = False
+            self.range.update(**ends)
         finally:
-            self._own = False
+            self._setting = False
 
     def _length(self, low: float, high: float) -> float:
-        return math.log(high / low) if self._logarithmic else high - low
-
-
-def _near(one: object, other: float, ends: tuple[float, float]) -> bool:
-    return isinstance(one, int | float) and abs(one - other) <= 1e-6 * (ends[1] - ends[0])
+        return math.log(high / low) if self.logarithmic else high - low

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from html import escape
 from typing import Any
 
+import numpy as np
 from bokeh.events import DoubleTap
 from bokeh.models import (
     AdaptiveTicker,
@@ -27,15 +27,17 @@ from bokeh.models import (
     Row,
     WheelZoomTool,
 )
-from bokeh.models.annotations.geometry import Span
+from bokeh.models.annotations.geometry import BoxAnnotation, Span
 from bokeh.models.annotations.labels import Label
 from bokeh.models.widgets.buttons import Button
 from bokeh.models.widgets.markups import Div
 from bokeh.plotting import figure
 
-from platform_ctrl.app.pictures import Overlay
+from platform_ctrl.app.pictures import Drawing, Overlay
 from platform_ctrl.app.plots.data import (
     FONT,
+    HZ,
+    LIMIT_DASHES,
     NORMAL,
     SMALL,
     Sources,
@@ -44,22 +46,21 @@ from platform_ctrl.app.plots.data import (
     column,
     dashes,
     decibels,
-    inner_height,
-    inner_width,
+    inner_size,
     series,
 )
 from platform_ctrl.common.values import FloatArray
 
-# Key of a curve: words, name of its colour, dashes, width.
+# Key of a curve: words, role of its colour, dashes, width.
 Key = tuple[str, str, Sequence[int], float]
 
-# More keys than this stand closer together.
+# More keys than this are written closer together.
 _FEW = 5
 # Steps between ticks, times powers of 360 degrees, or of 10 dB: a phase is read in parts of a turn.
 _TURNS, _DECIBELS = (1.0, 2.0, 5.0, 15.0, 45.0, 90.0, 180.0), (1.0, 2.0, 4.0)
-# Numbers at an axis that would come closer than this are left out, pixels.
+# Least distance of the numbers at an axis, pixels.
 _APART = 2
-# What numbers and words below a figure take from its frame, pixels.
+# Height of the numbers and the label below a figure, pixels.
 _BELOW = 28
 _LEFT, _RIGHT, _TOP = 54, 12, 7
 
@@ -95,37 +96,36 @@ _TIP = """
 
 
 class Theme:
-    """Which property of which model has which colour of the palette, so that all can change in place."""
+    """The colour of each property of each model by role, so that all can change in place."""
 
     def __init__(self, dark: bool) -> None:
-        self.dark = dark
         self.colours = colours(dark)
         self._properties: list[tuple[Model, str, str]] = []
-        self._sheets: list[tuple[Model, str, str]] = []
+        self._texts: list[tuple[Model, str, str]] = []
 
     def paint(self, model: Model, **roles: str) -> None:
-        """Give properties of a model their colours by name, now and after every change of the theme."""
+        """Give properties of a model the colours of their roles, now and after every change of the theme."""
         for name, role in roles.items():
             self._properties.append((model, name, role))
             setattr(model, name, self.colours[role])
 
     def sheet(self, css: str) -> InlineStyleSheet:
-        """Return a style sheet whose ``{names}`` are the theme's colours."""
+        """Return a style sheet in which ``{role}`` stands for a colour of the theme."""
         out = InlineStyleSheet()
-        self.words(out, "css", css)
+        self.text(out, "css", css)
         return out
 
-    def words(self, model: Model, name: str, text: str) -> None:
-        """Give a property a text whose ``{names}`` are the theme's colours."""
-        self._sheets.append((model, name, text))
+    def text(self, model: Model, name: str, text: str) -> None:
+        """Give a property a text in which ``{role}`` stands for a colour of the theme."""
+        self._texts.append((model, name, text))
         setattr(model, name, self._filled(text))
 
     def change(self, dark: bool) -> None:
-        """Switch all that was painted."""
-        self.dark, self.colours = dark, colours(dark)
+        """Switch everything that was painted."""
+        self.colours = colours(dark)
         for model, name, role in self._properties:
             setattr(model, name, self.colours[role])
-        for model, name, text in self._sheets:
+        for model, name, text in self._texts:
             setattr(model, name, self._filled(text))
 
     def _filled(self, text: str) -> str:
@@ -134,22 +134,24 @@ class Theme:
 
 
 class Panel:
-    """Heading, keys of the curves, button that shows everything again, and figures."""
+    """Heading, keys of the curves, reset button, and one or two figures below.
 
-    def __init__(self, name: str, title: str, theme: Theme) -> None:
-        self.name, self._title, self.theme = name, title, theme
-        self.figures: list[Any] = []
+    A plot is a subclass: its constructor adds figures and draws on empty sources, `show` fills the sources.
+    """
+
+    def __init__(self, name: str, title: str, theme: Theme, sources: Sources) -> None:
+        self.name, self._title, self.theme, self.sources = name, title, theme, sources
         self.views: list[View] = []
-        colour = theme.sheet(
-            ":host {{ color: {ink}; }} .detail, .keys {{ color: {muted}; }} .bad {{ color: {limit}; }}"
-        )
+        self._figures = 0
+        colour = theme.sheet(":host {{ color: {ink}; }} .detail, .keys {{ color: {muted}; }}")
         common: dict[str, Any] = {
+            "sizing_mode": "stretch_width",
+            "tags": ["heading"],
             "margin": 0,
             "styles": {"min-width": "0", "overflow": "hidden"},
             "stylesheets": [InlineStyleSheet(css=_HEADING), colour],
         }
-        self._head = Div(sizing_mode="stretch_width", height=18, tags=["heading"], **common)
-        self._keys = Div(sizing_mode="stretch_width", height=16, tags=["heading"], **common)
+        self._head, self._keys = Div(height=18, **common), Div(height=16, **common)
         self._reset = self.button("reset", f"{name}-reset")
         self._reset.on_click(self.reset)
         self.row: Any = Row(
@@ -163,8 +165,12 @@ class Panel:
             name=name,
             css_classes=[f"plot-{name}"],
         )
-        self.say("")
+        self.heading("")
         self.keys([])
+
+    def show(self, picture: Drawing) -> None:
+        """Follow a picture."""
+        raise NotImplementedError
 
     def reset(self) -> None:
         """Show everything again."""
@@ -173,19 +179,16 @@ class Panel:
 
     def button(self, label: str, name: str) -> Button:
         """Return a small button in the page's style."""
-        return Button(
-            label=label, name=name, margin=0, height=18,
-            stylesheets=[self.theme.sheet(_BUTTON)],
-        )  # fmt: skip
+        return Button(label=label, name=name, margin=0, height=18, stylesheets=[self.theme.sheet(_BUTTON)])
 
-    def add(self, x: View, y: View, x_label: str, y_label: str, *, log_x: bool = False, log_y: bool = False) -> Any:
+    def add(self, x: View, y: View, x_label: str, y_label: str) -> Any:
         """Return a new figure below the others, styled, with zoom, pan and reset but without a tool bar."""
         out = figure(
-            name=f"{self.name}-figure-{len(self.figures)}",
+            name=f"{self.name}-figure-{self._figures}",
             x_range=x.range,
             y_range=y.range,
-            x_axis_type="log" if log_x else "linear",
-            y_axis_type="log" if log_y else "linear",
+            x_axis_type="log" if x.logarithmic else "linear",
+            y_axis_type="log" if y.logarithmic else "linear",
             x_axis_label=x_label,
             y_axis_label=y_label,
             toolbar_location=None,
@@ -198,47 +201,39 @@ class Panel:
             min_border_top=_TOP,
             min_border_bottom=0,
             output_backend="canvas",
-            # Nothing is thinned out.
             lod_threshold=None,
             margin=0,
-            # Of two figures the frames are equally high, whether words stand below them or not.
+            # The frames of two figures are equally high, with or without a label below.
             styles={"flex-grow": "1", "flex-basis": f"{_BELOW}px" if x_label else "0"},
         )
+        self._figures += 1
         pan, wheel = PanTool(), WheelZoomTool(zoom_on_axis=True)
         out.add_tools(pan, wheel, ResetTool())
         out.toolbar.active_drag, out.toolbar.active_scroll = pan, wheel
-        for view in (x, y):
-            if view not in self.views:
-                self.views.append(view)
-        # Two clicks show everything again, as the button does.
+        self.views += [view for view in (x, y) if view not in self.views]
         out.on_event(DoubleTap, lambda event: self.reset())
-        self._style(out)
+        # The page shows through: half of the outermost pixels would keep the colour of the theme before.
+        out.background_fill_color = out.border_fill_color = out.outline_line_color = None
+        for axis in (*out.xaxis, *out.yaxis):
+            self._style_axis(axis)
+        for grid in (*out.xgrid, *out.ygrid):
+            self.theme.paint(grid, grid_line_color="grid")
+            grid.grid_line_width = 1
         for name in ("inner_width", "inner_height"):
             out.on_change(name, lambda attr, old, new: self._ticks(out))
-        self.figures.append(out)
         self.layout.children = [*self.layout.children, out]
         return out
 
-    def _style(self, plot: Any) -> None:
-        paint = self.theme.paint
-        # The page shows through: half of the outermost pixels would keep the colour of the theme before.
-        plot.background_fill_color = plot.border_fill_color = plot.outline_line_color = None
-        for axis in (*plot.xaxis, *plot.yaxis):
-            self.style_axis(axis)
-        for grid in (*plot.xgrid, *plot.ygrid):
-            paint(grid, grid_line_color="grid")
-            grid.grid_line_width = 1
-
     def _ticks(self, plot: Any) -> None:
-        """Let a figure have as many ticks as its size on the screen has room for."""
-        for axes, pixels, each in ((plot.xaxis, inner_width(plot), 58.0), (plot.yaxis, inner_height(plot), 24.0)):
+        """Let a figure have as many ticks as there is room for on the screen."""
+        width, height = inner_size(plot)
+        for axes, pixels, each in ((plot.xaxis, width, 58.0), (plot.yaxis, height, 24.0)):
             for axis in axes:
                 if isinstance(axis, LinearAxis):
                     # One number alone tells no scale.
                     axis.ticker.desired_num_ticks = max(3, min(9, round(pixels / each)))
 
-    def style_axis(self, axis: Any) -> None:
-        """Give an axis the page's type, ticks and colours."""
+    def _style_axis(self, axis: Any) -> None:
         self.theme.paint(
             axis,
             axis_line_color="frame",
@@ -255,75 +250,100 @@ class Panel:
         if isinstance(axis, LogAxis):
             axis.ticker = LogTicker(desired_num_ticks=8, num_minor_ticks=0)
             axis.formatter = LogTickFormatter(ticker=axis.ticker, min_exponent=4)
-            # Within a decade numbers come closer and closer together.
+            # Within a decade the numbers come closer and closer together.
             axis.major_label_policy = NoOverlap(min_distance=_APART)
         elif isinstance(axis, LinearAxis):
             axis.ticker.desired_num_ticks = 5
             axis.formatter = BasicTickFormatter(use_scientific=False)
 
     def degrees(self, axis: Any) -> None:
-        """Have ticks of an axis at parts of a turn."""
+        """Put the ticks of an axis at parts of a turn."""
         axis.ticker = AdaptiveTicker(base=360, mantissas=_TURNS, desired_num_ticks=4, num_minor_ticks=0)
 
     def decibels(self, axis: Any) -> None:
-        """Have ticks of an axis at round decibels."""
+        """Put the ticks of an axis at round decibels."""
         axis.ticker = AdaptiveTicker(base=10, mantissas=_DECIBELS, desired_num_ticks=5, num_minor_ticks=0)
 
-    def label_ticks(self, plot: Any, shown: bool, words: str = "") -> None:
-        """Write numbers and words below a figure, or leave them to the figure under it."""
+    def label_ticks(self, plot: Any, shown: bool, label: str = "") -> None:
+        """Write numbers and a label below a figure, or leave them to the figure under it."""
         axis = plot.xaxis[0]
-        # A size of 0 is no size for a power of ten.
+        # The exponents of powers of ten need a size above 0.
         axis.major_label_text_font_size, axis.major_label_text_alpha = (SMALL, 1.0) if shown else ("1px", 0.0)
-        axis.axis_label = words if shown else ""
+        axis.axis_label = label if shown else ""
         axis.major_tick_out = 4 if shown else 0
         # Room for half a number of the vertical axis.
         plot.min_border_bottom = 0 if shown else 8
 
-    def crosshair(self, *plots: Any) -> None:
-        """Let figures have a cross at the mouse; its vertical line goes through all of them."""
-        vertical = Span(dimension="height", line_width=1, line_dash=[3, 3])
-        self.theme.paint(vertical, line_color="reference")
-        for plot in plots:
-            across = Span(dimension="width", line_width=1, line_dash=[3, 3])
-            self.theme.paint(across, line_color="reference")
-            plot.add_tools(CrosshairTool(overlay=(across, vertical), visible=False))
+    # What is drawn.
 
-    def hover(self, plot: Any, renderers: Sequence[Any], rows: Sequence[tuple[str, str]], **settings: Any) -> None:
-        """Let curves tell their numbers: rows of words and Bokeh's fields, which hold the unit."""
-        tool = HoverTool(
-            renderers=list(renderers),
-            tooltips="",
-            visible=False,
-            show_arrow=False,
-            **settings,
+    def draw(
+        self, glyph: Callable[..., Any], *columns: str, source: Any, line: str = "", fill: str = "", **look: Any
+    ) -> Any:
+        """Return what a figure's method `glyph` draws of columns of a source, in the colours of roles."""
+        out = glyph(*columns, source=source, **look)
+        self.theme.paint(
+            out.glyph, **{f"{part}_color": role for part, role in (("line", line), ("fill", fill)) if role}
         )
-        self.theme.words(tool, "tooltips", _tip(rows))
-        plot.add_tools(tool)
+        return out
 
-    def message(self, plot: Any) -> Any:
-        """Return a line of text at the top left of a figure, empty at first, that says what is the matter."""
-        corner = Node(target="frame", symbol="top_left")
-        out: Any = Label(
-            x=corner, y=corner, x_offset=8, y_offset=-5, text="", text_baseline="top", text_font=FONT,
-            text_font_size=NORMAL, level="annotation", visible=False,
-        )  # fmt: skip
-        out.padding = 3
-        self.theme.paint(out, text_color="limit", background_fill_color="page")
-        out.background_fill_alpha = 0.85
+    def span(self, plot: Any, dimension: str, role: str, **look: Any) -> Any:
+        """Return a straight line through a figure; without a location it is not drawn."""
+        out: Any = Span(dimension=dimension, **({"location": None, "line_width": 1} | look))
+        self.theme.paint(out, line_color=role)
         plot.add_layout(out)
         return out
 
-    def say(self, detail: str) -> None:
-        """Write what stands beside the heading."""
+    def limit_line(self, plot: Any, dimension: str) -> Any:
+        """Return a straight line for a limit of the job."""
+        return self.span(plot, dimension, "limit", line_width=1.5, line_dash=list(LIMIT_DASHES))
+
+    def beyond(self, plot: Any, edge: str) -> Any:
+        """Return a shaded region that begins at its ``"bottom"`` or ends at its ``"top"``, hidden at first."""
+        out: Any = BoxAnnotation(visible=False, level="underlay", fill_alpha=1.0, line_alpha=0.0)
+        setattr(out, edge, 0.0)
+        self.theme.paint(out, fill_color="beyond")
+        plot.add_layout(out)
+        return out
+
+    def crosshair(self, *plots: Any) -> None:
+        """Give figures a cross at the mouse; its vertical line goes through all of them."""
+        vertical, *across = (
+            Span(dimension=dimension, line_width=1, line_dash=[3, 3])
+            for dimension in ("height", *("width" for _ in plots))
+        )
+        for one in (vertical, *across):
+            self.theme.paint(one, line_color="reference")
+        for plot, one in zip(plots, across, strict=True):
+            plot.add_tools(CrosshairTool(overlay=(one, vertical), visible=False))
+
+    def hover(self, plot: Any, renderers: Sequence[Any], rows: Sequence[tuple[str, str]], **settings: Any) -> None:
+        """Show numbers of curves at the mouse: rows of a label and Bokeh's fields with the unit."""
+        tool = HoverTool(renderers=list(renderers), tooltips="", visible=False, show_arrow=False, **settings)
+        self.theme.text(tool, "tooltips", _tooltip(rows))
+        plot.add_tools(tool)
+
+    def message(self, plot: Any) -> Any:
+        """Return a line of text at the top left of a figure for what is wrong, hidden at first."""
+        corner = Node(target="frame", symbol="top_left")
+        out: Any = Label(
+            x=corner, y=corner, x_offset=8, y_offset=-5, text="", text_baseline="top", text_font=FONT, padding=3,
+            text_font_size=NORMAL, level="annotation", visible=False, background_fill_alpha=0.85,
+        )  # fmt: skip
+        self.theme.paint(out, text_color="limit", background_fill_color="page")
+        plot.add_layout(out)
+        return out
+
+    def heading(self, detail: str) -> None:
+        """Write a detail beside the title."""
         self._head.text = (
             f'<div class="line" title="{escape(detail)}"><span class="title" role="heading" aria-level="2">'
             f'{escape(self._title)}</span><span class="detail">{escape(detail)}</span></div>'
         )
 
     def keys(self, entries: Sequence[Key]) -> None:
-        """Write what each curve is: words, name of the colour, dashes, width.
+        """Write what each curve is.
 
-        What there is no room for is counted by the page's script; all of it stands in the title.
+        The page's script counts the keys for which there is no room; the title has all of them.
         """
         parts = []
         many = len(entries) > _FEW
@@ -340,13 +360,13 @@ class Panel:
         )
 
 
-def tell(label: Any, text: str) -> None:
+def set_message(label: Any, text: str) -> None:
     """Write a message into a figure; an empty one hides it."""
     label.update(text=text, visible=bool(text))
 
 
-def _tip(rows: Sequence[tuple[str, str]]) -> str:
-    """Return the words of a tooltip with places for the theme's colours; Bokeh's own fields stay as they are."""
+def _tooltip(rows: Sequence[tuple[str, str]]) -> str:
+    """Return the HTML of a tooltip with ``{role}`` for the theme's colours; Bokeh's own fields stay as they are."""
     cells = "".join(
         f'<span class="word">{escape(words)}</span><span class="number">{number}</span>' for words, number in rows
     )
@@ -354,7 +374,7 @@ def _tip(rows: Sequence[tuple[str, str]]) -> str:
     return '<div class="tip">' + cells.replace("{", "{{").replace("}", "}}") + f"<style>{_TIP}</style></div>"
 
 
-_WIDTH = 1.5
+_OVERLAY_WIDTH = 1.5
 
 
 class OverlayCurves:
@@ -364,17 +384,16 @@ class OverlayCurves:
         self._sources, self._theme = sources, theme
         self._source = sources.new("overlays", lists=("xs", "gains", "phases", "colour", "dash", "name"))
 
-    def draw(self, plot: Any, x: str, y: str) -> Any:
+    def draw(self, plot: Any, x: str, y: str) -> None:
         """Draw two of the columns against one another."""
-        return plot.multi_line(x, y, source=self._source, line_color="colour", line_dash="dash", line_width=_WIDTH)
+        plot.multi_line(x, y, source=self._source, line_color="colour", line_dash="dash", line_width=_OVERLAY_WIDTH)
 
     def show(self, overlays: Sequence[Overlay], frequency: FloatArray) -> None:
         """Follow the overlays of a picture; `frequency` in rad/s."""
-        f = column(frequency / math.tau)
         self._sources.put(
             "overlays",
-            xs=[f] * len(overlays),
-            gains=[decibels(one.magnitude) for one in overlays],
+            xs=[column(frequency * HZ)] * len(overlays),
+            gains=[decibels(np.abs(one.response)) for one in overlays],
             phases=[column(one.phase) for one in overlays],
             colour=[self._theme.colours[series(1 + k)] for k in range(len(overlays))],
             dash=[list(dashes(1 + k)) for k in range(len(overlays))],
@@ -383,5 +402,10 @@ class OverlayCurves:
 
 
 def overlay_keys(overlays: Sequence[Overlay]) -> list[Key]:
-    """Return the keys of other designs: name, colour, dashes, width."""
-    return [(one.design, series(1 + k), dashes(1 + k), _WIDTH) for k, one in enumerate(overlays)]
+    """Return the keys of other designs."""
+    return [(one.design, series(1 + k), dashes(1 + k), _OVERLAY_WIDTH) for k, one in enumerate(overlays)]
+
+
+def limit_key(words: str) -> Key:
+    """Return the key of a limit of the job."""
+    return words, "limit", LIMIT_DASHES, 1.5
