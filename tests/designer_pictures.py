@@ -77,7 +77,6 @@ def picture(gain: float = 4000.0, *, overlays: tuple[str, ...] = (), plants: int
             design=name,
             method="structured",
             response=1.5 * responses[0],
-            magnitude=1.5 * size[0],
             phase=phase[0],
             poles=poles(1.5 * gain),
             step=other,

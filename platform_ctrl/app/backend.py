@@ -15,10 +15,10 @@ from platform_ctrl.app.background import IsCancelled, Progress, ServoTuning, Sim
 from platform_ctrl.app.caged import caged_parts
 from platform_ctrl.app.closed_loops import ClosedLoops
 from platform_ctrl.app.controllers import built_directly
-from platform_ctrl.app.curves import Measured, Parts
+from platform_ctrl.app.curves import Parts
 from platform_ctrl.app.designs import Designs, never, silent
 from platform_ctrl.app.dragging import NO_LIMITS, DragResult, FreeParameters, Limits, dragged_crossover, dragged_pole
-from platform_ctrl.app.pictures import Drawing, Drawn, Influence, Overlay, Picture
+from platform_ctrl.app.pictures import Drawing, Drawn, Influence, Measured, Overlay, Picture
 from platform_ctrl.app.saving import Saved, controllers_beside, write_job
 from platform_ctrl.app.settings import (
     Choices,

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import get_args
 
 import numpy as np
+from numpy.typing import NDArray
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
 from platform_ctrl.analysis.bandwidth import bandwidth_of_response
@@ -15,6 +16,7 @@ from platform_ctrl.analysis.frequency_grids import following_grid
 from platform_ctrl.analysis.loop_metrics import LoopMetrics, measure, measured
 from platform_ctrl.analysis.loop_set import LoopSet
 from platform_ctrl.analysis.measuring import MetricRequest
+from platform_ctrl.analysis.metrics import METRICS
 from platform_ctrl.analysis.plant_set import Group, PlantSet
 from platform_ctrl.analysis.poles import continuous_poles, minimum_damping
 from platform_ctrl.analysis.resolvent import ON_A_GRID
@@ -25,22 +27,22 @@ from platform_ctrl.app.curves import (
     POINTS,
     Band,
     ChannelMargins,
-    Measured,
+    LoopCurves,
     Parts,
     channel_margins,
     channel_response,
-    degrees,
     frequency_parts,
     gain_locus,
-    held_responses,
     locus,
+    overlay,
     round_up,
     sample_times,
+    sampled_responses,
     settling,
     step_size,
     time_response,
 )
-from platform_ctrl.app.pictures import Drawn, FrequencyGain, Locus, Margins, Overlay, TimeResponse
+from platform_ctrl.app.pictures import Drawn, FrequencyGain, Locus, Margins, Measured, Overlay, TimeResponse
 from platform_ctrl.app.settings import Settings
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.loop import judged, requirements_of
@@ -48,26 +50,17 @@ from platform_ctrl.job.job import Job, LoopSpec, Manoeuvre, manoeuvre_scenario
 from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.job.scenario import HalfCosine
 
-# Groups that a band shows: a part that fails is another story.
+# Groups that a band shows: failed parts are not among them.
 _BAND = ("nominal", "uncertainty", "Omega")
-# States of a closed loop up to which norms are worked out while a slider moves.
+# Largest number of states of a closed loop for which norms are computed while a slider moves.
 _QUICK = 32
 
 
 @value
 class CagedLoop:
-    """A caging loop with its plants and a controller.
+    """A caging loop: controller u = K y, the whole set of plants, and the plant that is shown alone.
 
-    Attributes
-    ----------
-    job
-        With the settings' spins, sampling and range of Omega.
-    spec, design
-        Which loop and design.
-    plants, shown
-        The whole set, and the plant that is shown alone.
-    controller
-        u = K y.
+    `job` has the spins, sampling and range of Omega of the settings.
     """
 
     job: Job
@@ -77,191 +70,217 @@ class CagedLoop:
     shown: PlantSet
     controller: StateArrays
 
+    @property
+    def exact(self) -> bool:
+        """Whether the loop has few enough states for exact norms while a slider moves."""
+        return int(self.plants.A.shape[-1]) + len(self.controller.A) <= _QUICK
 
-# Measures of a loop that may be known already; else they are taken.
-KeptMeasures = Callable[[Callable[[], LoopMetrics]], LoopMetrics]
-
-
-def loop_measures(loop: CagedLoop, whole: LoopSet | None = None) -> LoopMetrics:
-    """Return the measures that the page shows of a loop: peaks are norms unless it has too many states for that."""
-    asked = requirements_of(loop.spec)
-    if _exact(loop):
-        return measure(loop.plants, loop.controller, asked, loops=whole)
-    return measure(loop.plants, loop.controller, asked, exact=False)
+    def limit(self, metric: str) -> float | None:
+        """Return the job's limit of a metric for the nominal plant, or None."""
+        return self.spec.limits.get(METRICS[metric].key)
 
 
-def _exact(loop: CagedLoop) -> bool:
-    return int(loop.plants.A.shape[-1]) + len(loop.controller.A) <= _QUICK
+# A cache of a loop's metrics: computes them if they are not known.
+CachedMetrics = Callable[[Callable[[], LoopMetrics]], LoopMetrics]
 
 
-def caged_parts(loop: CagedLoop, settings: Settings, kept: KeptMeasures) -> Parts:
-    """Return what is drawn for a caging loop, and what measures it."""
-    spec, plants, K = loop.spec, loop.plants, loop.controller
-    channel = plants.torques.index(settings.channel) if settings.channel in plants.torques else 0
-    shown = LoopSet(loop.shown, K)
-    exact = _exact(loop)
-    whole = LoopSet(plants, K)
+def loop_metrics(loop: CagedLoop, whole: LoopSet | None = None) -> LoopMetrics:
+    """Return the metrics that the page shows of a loop: peaks are norms unless it has too many states for that."""
+    requests = requirements_of(loop.spec)
+    if loop.exact:
+        return measure(loop.plants, loop.controller, requests, loops=whole)
+    return measure(loop.plants, loop.controller, requests, exact=False)
+
+
+class CagedCurves(LoopCurves):
+    """The curves of a caging loop; with `band` those of the whole set too."""
+
+    def __init__(self, loop: CagedLoop, settings: Settings, band: LoopSet | None = None) -> None:
+        plants = loop.plants
+        self._loop, self._axis, self.band = loop, settings.axis, band
+        self.index = plants.torques.index(settings.channel) if settings.channel in plants.torques else 0
+        self.channel = plants.torques[self.index]
+        self.shown = LoopSet(loop.shown, loop.controller)
+        self.poles = continuous_poles(self.shown.poles[0], plants.period)
+        self.stable = bool(self.shown.decay[0] > 0.0)
+
+    def grid(self) -> FloatArray:
+        """Return the frequencies of the Bode diagram, rad/s."""
+        plant, s = self._loop.shown, self.poles
+        nyquist = math.pi / plant.period
+        own = continuous_poles(np.linalg.eigvals(plant.A[0]), plant.period)
+        low = max(min(2e-3 * plant.nutation, 0.05 * nyquist), 1e-4 * nyquist)
+        # The slowest pole is inside the diagram.
+        low = max(min(low, 0.2 * float(np.abs(s[np.isfinite(s)]).min(initial=np.inf))), 1e-5 * nyquist)
+        grid = following_grid(np.concatenate([s, own]), low, EDGE * nyquist, GRID_POINTS)
+        # With the frequencies of the band, whose phases are those of this curve and a difference.
+        return np.union1d(grid, plant.frequency)
+
+    def response(self, frequency: FloatArray) -> ComplexArray:
+        """Return the loop transfer of the plant shown at `frequency` (F,), rad/s."""
+        P = frequency_response(self.plant, frequency, -3, ON_A_GRID)
+        K = frequency_response(self._loop.controller, frequency, -3)
+        return channel_response(sensitivity_functions(-K @ P)[0], self.index)
+
+    @property
+    def plant(self) -> StateArrays:
+        """The plant shown."""
+        one = self._loop.shown
+        return StateArrays(one.A[0], one.B[0], one.C[0], one.D[0], one.period)
+
+    def step(self) -> TimeResponse:
+        """Return the response to a torque step at the channel."""
+        plants, channel = self._loop.plants, slice(self.index, self.index + 1)
+        size = step_size(float(plants.torque_limit[self.index]))
+        duration = settling(self.poles, self.shown.plants.nutation, plants.period, self.stable)
+        t, every = sample_times(duration, plants.period, POINTS)
+        u = np.full(every * (len(t) - 1) + 1, size)
+        m = self.shown.m
+
+        def responses(loops: LoopSet) -> FloatArray:
+            A, B, C, D, _ = loops.own_arrays
+            return sampled_responses(A, B[..., channel], C, D[..., channel], u, every)
+
+        order = [*range(m, m + self.shown.p), *range(m)]
+        title = f"{1e3 * size:g} mN m step at {self.channel}"
+        return self._time_response(title, t, responses, order, np.ones(len(t)))
+
+    def disturbance(self) -> TimeResponse:
+        """Return the response to the job's manoeuvre about the axis, linear model."""
+        plants, m, p = self._loop.plants, self.shown.m, self.shown.p
+        title, duration, limit, rate = caged_rate(self._loop.job, self._axis, plants.nutation)
+        t, every = sample_times(duration, plants.period, POINTS)
+        u = rate(np.arange(every * (len(t) - 1) + 1, dtype=np.float64) * plants.period)
+        largest = float(np.abs(u).max()) or 1.0
+
+        def responses(loops: LoopSet) -> FloatArray:
+            A, B, C, D, _ = loops.arrays
+            column, rows = self._Omega_column, slice(0, m + p)
+            return sampled_responses(A, B[..., column], C[..., rows, :], D[..., rows, column], u, every)
+
+        return self._time_response(title, t, responses, [*range(m, m + p), *range(m)], u[::every] / largest, limit)
+
+    @property
+    def _Omega_column(self) -> slice:
+        return slice(self.shown.m + self._axis - 1, self.shown.m + self._axis)
+
+    def _time_response(
+        self,
+        title: str,
+        t: FloatArray,
+        responses: Callable[[LoopSet], FloatArray],
+        order: list[int],
+        drive: FloatArray,
+        limit: float | None = None,
+    ) -> TimeResponse:
+        plants = self._loop.plants
+        return time_response(
+            self._loop.job.platform,
+            title,
+            t,
+            (*plants.angles, *plants.torques),
+            ("rad",) * self.shown.p + ("N m",) * self.shown.m,
+            (responses(self.shown)[0][order], None if self.band is None else responses(self.band)[:, order]),
+            drive,
+            limit,
+        )
+
+    def disturbance_gain(self, frequency: FloatArray) -> FrequencyGain:
+        """Return the gain from Omega to the angles at `frequency` (F,), rad/s."""
+        A, B, C, D, dt = self.shown.arrays
+        column, rows = self._Omega_column, slice(self.shown.m, self.shown.m + self.shown.p)
+        system = StateArrays(A[0], B[0][:, column], C[0][rows], D[0][rows, column], dt)
+        own = frequency_response(system, frequency, -3, ON_A_GRID)
+        w = low = high = np.zeros(0)
+        if self.band is not None:
+            w = self.band.plants.frequency
+            responses = self.band.S_output @ self.band.plants.Omega_response[..., self._axis - 1 : self._axis]
+            gains = np.linalg.norm(responses[..., 0], axis=-1)
+            low, high = gains.min(axis=0), gains.max(axis=0)
+        return FrequencyGain(
+            title=f"rate Omega{self._axis} → angles",
+            unit="rad/(rad/s)",
+            frequency=frequency,
+            gain=np.asarray(np.linalg.norm(own[..., 0], axis=-1)),
+            band_frequency=w,
+            low=low,
+            high=high,
+            limit=self._loop.limit("Omega rejection"),
+        )
+
+    def locus(self) -> Locus:
+        """Return the root locus."""
+        loop, s = self._loop, self.poles
+        branches = gain_locus(self.plant, loop.controller, points=110 if loop.exact else 40)
+        nyquist = math.pi / loop.shown.period
+        size = np.where(np.isfinite(s), np.abs(s), np.inf)
+        # Oscillations, and what is about as fast as nutation: faster poles would squeeze everything else together.
+        oscillating = size[(s.imag > 1e-6 * size) & (size < 0.7 * nyquist)]
+        nutation = min(loop.shown.nutation, 0.3 * nyquist)
+        reach = min(1.25 * max(oscillating.max(initial=0.0), 1.5 * nutation), nyquist)
+        others = np.zeros(0, dtype=np.complex128)
+        if self.band is not None:
+            others = continuous_poles(self.band.poles, loop.shown.period).ravel()
+        return locus(branches, s, others, reach, nyquist, loop.limit("damping"))
+
+
+def caged_parts(loop: CagedLoop, settings: Settings, cached: CachedMetrics) -> Parts:
+    """Return what is drawn for a caging loop, and the function that measures it."""
+    plants = loop.plants
+    whole = LoopSet(plants, loop.controller)
     inside = np.flatnonzero(plants.of(_BAND))
-    banded = bool(settings.band and len(plants.labels) > 1)
-    every = (whole if len(inside) == len(plants.labels) else whole.only(inside.tolist())) if banded else None
-    s = continuous_poles(shown.poles[0], plants.period)
-    grid = _grid(loop.shown, s)
-    response = shown_channel(loop.shown, K, grid, channel)
-    stable = bool(shown.decay[0] > 0.0)
     band = None
-    if every is not None:
-        band = Band(every.plants.labels, every.plants.frequency, channel_response(every.S_input, channel))
+    if settings.band and len(plants.labels) > 1:
+        band = whole if len(inside) == len(plants.labels) else whole.only(inside.tolist())
+    curves = CagedCurves(loop, settings, band)
+    grid = curves.grid()
+    response = curves.response(grid)
     bode, nichols = frequency_parts(
-        plants.torques[channel],
+        curves.channel,
         grid,
         response,
         math.pi / plants.period,
         settings.plant,
-        band,
-        spec.limits.get("disk_margin"),
+        None
+        if band is None
+        else Band(band.plants.labels, band.plants.frequency, channel_response(band.S_input, curves.index)),
+        loop.limit("disk margin"),
     )
-    margins = channel_margins(grid, response, stable)
-    asked = requirements_of(spec)
+    margins = channel_margins(grid, response, curves.stable)
 
-    def measured() -> Measured:
-        measures = kept(lambda: loop_measures(loop, whole))
-        requirements, goals = judged(spec, loop.design, plants, measures)
+    def measured_parts() -> Measured:
+        metrics = cached(lambda: loop_metrics(loop, whole))
+        requirements, goals = judged(loop.spec, loop.design, plants, metrics)
+        sampled = "peaks are the highest on a frequency grid: the loop is too large for exact ones while a slider moves"
         return Measured(
-            margins=_margins(loop, measures, shown, margins, _disk(loop, measures, shown, exact), exact),
+            margins=_margins(loop, metrics, curves, margins, inside),
             requirements=requirements,
             goals=goals,
-            notes=()
-            if exact
-            else (
-                "peaks are the highest at some frequencies: the loop is too large for exact ones while a slider moves",
-            ),
+            notes=() if loop.exact else (sampled,),
         )
 
     drawn = Drawn(
         bode=bode,
         nichols=nichols,
-        locus=_locus(loop, s, every, exact),
-        step=_step(loop, shown, every, channel, s, stable),
-        Omega_time=_manoeuvre(loop, shown, every, settings.axis),
-        Omega_frequency=_Omega_gain(loop, shown, every, grid, settings.axis),
-        bandwidth=next((one.limit for one in asked if one.hard and one.kind == "bandwidth"), None),
-        stable=stable,
+        locus=curves.locus(),
+        step=curves.step(),
+        Omega_time=curves.disturbance(),
+        Omega_frequency=curves.disturbance_gain(grid),
+        bandwidth=loop.limit("bandwidth"),
+        stable=curves.stable,
         all_stable=bool(np.all(whole.decay[inside] > 0.0)),
     )
-    return drawn, measured
+    return drawn, measured_parts
 
 
 def caged_overlay(
-    loop: CagedLoop, settings: Settings, method: str, frequency: FloatArray, measured: bool = False
+    loop: CagedLoop, settings: Settings, method: str, frequency: FloatArray, with_requirements: bool = False
 ) -> Overlay:
-    """Return what is drawn of another design of the loop, over the picture with the bode diagram at `frequency`.
-
-    Its limits are empty unless they are to be `measured`.
-    """
-    channel = loop.plants.torques.index(settings.channel) if settings.channel in loop.plants.torques else 0
-    shown = LoopSet(loop.shown, loop.controller)
-    response = shown_channel(loop.shown, loop.controller, frequency, channel)
-    s = continuous_poles(shown.poles[0], loop.shown.period)
+    """Return what is drawn of another design of the loop at `frequency` (F,), rad/s."""
     results: tuple[CheckResult, ...] = ()
-    if measured:
-        results = judged(loop.spec, loop.design, loop.plants, loop_measures(loop))[0]
-    return Overlay(
-        design=loop.design,
-        method=method,
-        response=response,
-        magnitude=np.abs(response),
-        phase=degrees(response),
-        poles=s,
-        step=_step(loop, shown, None, channel, s, bool(shown.decay[0] > 0.0)),
-        Omega_step=_manoeuvre(loop, shown, None, settings.axis),
-        Omega_gain=_Omega_gain(loop, shown, None, frequency, settings.axis).gain,
-        requirements=results,
-    )
-
-
-def _grid(plant: PlantSet, s: ComplexArray) -> FloatArray:
-    nyquist = math.pi / plant.period
-    own = continuous_poles(np.linalg.eigvals(plant.A[0]), plant.period)
-    low = max(min(2e-3 * plant.nutation, 0.05 * nyquist), 1e-4 * nyquist)
-    # What the loop does slowest is in the diagram.
-    low = max(min(low, 0.2 * float(np.abs(s[np.isfinite(s)]).min(initial=np.inf))), 1e-5 * nyquist)
-    grid = following_grid(np.concatenate([s, own]), low, EDGE * nyquist, GRID_POINTS)
-    # The band's own frequencies among them: its phases are those of this curve and a difference.
-    return np.union1d(grid, plant.frequency)
-
-
-def shown_channel(plant: PlantSet, K: StateArrays, grid: FloatArray, channel: int) -> ComplexArray:
-    """Return the loop of the first plant broken at one channel, at the frequencies of `grid`, complex (F,)."""
-    P = frequency_response(
-        StateArrays(plant.A[0], plant.B[0], plant.C[0], plant.D[0], plant.period), grid, -3, ON_A_GRID
-    )
-    return channel_response(sensitivity_functions(-frequency_response(K, grid, -3) @ P)[0], channel)
-
-
-def _locus(loop: CagedLoop, s: ComplexArray, every: LoopSet | None, exact: bool) -> Locus:
-    plants = loop.shown
-    P = StateArrays(plants.A[0], plants.B[0], plants.C[0], plants.D[0], plants.period)
-    branches = gain_locus(P, loop.controller, points=110 if exact else 40)
-    nyquist = math.pi / plants.period
-    size = np.where(np.isfinite(s), np.abs(s), np.inf)
-    # Oscillations, and what is about as fast as nutation: faster poles would squeeze everything else together.
-    oscillating = size[(s.imag > 1e-6 * size) & (size < 0.7 * nyquist)]
-    reach = min(1.25 * max(oscillating.max(initial=0.0), 1.5 * min(plants.nutation, 0.3 * nyquist)), nyquist)
-    others = np.zeros(0, dtype=np.complex128) if every is None else continuous_poles(every.poles, plants.period).ravel()
-    return locus(branches, s, others, reach, nyquist, loop.spec.limits.get("damping"))
-
-
-def _step(
-    loop: CagedLoop, shown: LoopSet, every: LoopSet | None, channel: int, s: ComplexArray, stable: bool
-) -> TimeResponse:
-    plants = loop.plants
-    size = step_size(float(plants.torque_limit[channel]))
-    duration = settling(s, shown.plants.nutation, plants.period, stable)
-    t, sampled_every = sample_times(duration, plants.period, POINTS)
-    u = np.full(sampled_every * (len(t) - 1) + 1, size)
-    m = shown.m
-
-    def responses(loops: LoopSet) -> FloatArray:
-        A, B, C, D, _ = loops.own_arrays
-        return held_responses(A, B[..., channel : channel + 1], C, D[..., channel : channel + 1], u, sampled_every)
-
-    order = [*range(m, m + shown.p), *range(m)]
-    return time_response(
-        loop.job.platform,
-        f"{1e3 * size:g} mN m step at {plants.torques[channel]}",
-        t,
-        (*plants.angles, *plants.torques),
-        ("rad",) * shown.p + ("N m",) * m,
-        (responses(shown)[0][order], None if every is None else responses(every)[:, order]),
-        np.ones(len(t)),
-    )
-
-
-def _manoeuvre(loop: CagedLoop, shown: LoopSet, every: LoopSet | None, axis: int) -> TimeResponse:
-    plants = loop.plants
-    title, duration, limit, rate = caged_rate(loop.job, axis, plants.nutation)
-    t, sampled_every = sample_times(duration, plants.period, POINTS)
-    u = rate(np.arange(sampled_every * (len(t) - 1) + 1, dtype=np.float64) * plants.period)
-    m, p = shown.m, shown.p
-    largest = np.abs(u).max()
-
-    def responses(loops: LoopSet) -> FloatArray:
-        A, B, C, D, _ = loops.arrays
-        column = slice(m + axis - 1, m + axis)
-        rows = slice(0, m + p)
-        return held_responses(A, B[..., column], C[..., rows, :], D[..., rows, column], u, sampled_every)
-
-    order = [*range(m, m + p), *range(m)]
-    return time_response(
-        loop.job.platform,
-        title,
-        t,
-        (*plants.angles, *plants.torques),
-        ("rad",) * p + ("N m",) * m,
-        (responses(shown)[0][order], None if every is None else responses(every)[:, order]),
-        u[::sampled_every] / (largest if largest > 0.0 else 1.0),
-        limit,
-    )
+    if with_requirements:
+        results = judged(loop.spec, loop.design, loop.plants, loop_metrics(loop))[0]
+    return overlay(CagedCurves(loop, settings), loop.design, method, frequency, results)
 
 
 def caged_rate(
@@ -276,7 +295,7 @@ def caged_rate(
         return f"{rate:g} rad/s about axis {axis}", 5.0 * rise, None, lambda t: half_cosine(profile, t)
     scenario = manoeuvre_scenario(job, found)
 
-    def given(t: FloatArray) -> FloatArray:
+    def rate_over_time(t: FloatArray) -> FloatArray:
         out = np.zeros(len(t))
         if scenario.profile is not None:
             out += half_cosine(scenario.profile, t)
@@ -284,7 +303,7 @@ def caged_rate(
             out += scenario.Omega_table.at(t)[:, axis - 1]
         return out
 
-    return found.name, found.duration, found.limits.get("angle"), given
+    return found.name, found.duration, found.limits.get("angle"), rate_over_time
 
 
 def _turns(manoeuvre: Manoeuvre) -> bool:
@@ -300,59 +319,25 @@ def half_cosine(profile: HalfCosine, t: FloatArray) -> FloatArray:
     return np.asarray(profile.rate * 0.5 * (1.0 - np.cos(np.pi * share)))
 
 
-def _Omega_gain(loop: CagedLoop, shown: LoopSet, every: LoopSet | None, grid: FloatArray, axis: int) -> FrequencyGain:
-    m, p = shown.m, shown.p
-    A, B, C, D, dt = shown.arrays
-    column, rows = slice(m + axis - 1, m + axis), slice(m, m + p)
-    own = frequency_response(
-        StateArrays(A[0], B[0][:, column], C[0][rows], D[0][rows, column], dt), grid, -3, ON_A_GRID
-    )
-    none = np.zeros(0)
-    w, low, high = none, none, none
-    if every is not None:
-        w = every.plants.frequency
-        responses = every.S_output @ every.plants.Omega_response[..., axis - 1 : axis]
-        gains = np.linalg.norm(responses[..., 0], axis=-1)
-        low, high = gains.min(axis=0), gains.max(axis=0)
-    return FrequencyGain(
-        title=f"rate Omega{axis} → angles",
-        unit="rad/(rad/s)",
-        frequency=grid,
-        gain=np.asarray(np.linalg.norm(own[..., 0], axis=-1)),
-        band_frequency=w,
-        low=low,
-        high=high,
-        limit=loop.spec.limits.get("Omega_rejection"),
-    )
-
-
-def _disk(loop: CagedLoop, measures: LoopMetrics, shown: LoopSet, exact: bool) -> float:
-    """Return the disk margin of the plant shown."""
-    if all(np.array_equal(getattr(loop.shown, of)[0], getattr(loop.plants, of)[0]) for of in ("A", "B", "C", "D")):
-        # The nominal plant's is measured in any case.
-        return float(measures.disk_margin[0])
-    return float(measured(shown, DISK, exact=exact)[0])
-
-
 def _margins(
-    loop: CagedLoop, measures: LoopMetrics, shown: LoopSet, channel: ChannelMargins, disk: float, exact: bool
+    loop: CagedLoop, metrics: LoopMetrics, curves: CagedCurves, channel: ChannelMargins, inside: NDArray[np.intp]
 ) -> Margins:
-    plants = loop.plants
-    inside = np.flatnonzero(plants.of(_BAND))
-    worst = int(inside[np.argmin(measures.disk_margin[inside])])
-    stable = bool(shown.decay[0] > 0.0)
-    found = min(
-        bandwidth_of_response(shown.plants.frequency, S[0]) if stable else 0.0 for S in (shown.S_output, shown.S_input)
-    )
+    plants, shown = loop.plants, curves.shown
+    worst = int(inside[np.argmin(metrics.disk_margin[inside])])
+    disk = float(metrics.disk_margin[0])  # of the nominal plant
+    if not all(np.array_equal(getattr(loop.shown, of)[0], getattr(plants, of)[0]) for of in "ABCD"):
+        request = MetricRequest(kind="disk margin", over=get_args(Group))
+        disk = float(measured(shown, request, exact=loop.exact)[0])
+    bandwidth = 0.0
+    if curves.stable:
+        found = (bandwidth_of_response(shown.plants.frequency, S[0]) for S in (shown.S_output, shown.S_input))
+        bandwidth = float(min(found))
     return Margins(
         disk=disk,
-        worst_disk=float(measures.disk_margin[worst]),
+        worst_disk=float(metrics.disk_margin[worst]),
         worst_plant=plants.labels[worst],
-        worst_sampled=not exact,
+        worst_sampled=not loop.exact,
         **channel._asdict(),
-        bandwidth=float(found),
+        bandwidth=bandwidth,
         damping=float(minimum_damping(shown.poles, shown.plants.nutation / 10.0, plants.period)[0]),
     )
-
-
-DISK = MetricRequest(kind="disk margin", over=get_args(Group))

@@ -11,7 +11,7 @@ from platform_ctrl.analysis.arrays import StateArrays, named_system, state_array
 from platform_ctrl.analysis.loop_metrics import LoopMetrics
 from platform_ctrl.analysis.sampled import from_w_plane, to_w_plane
 from platform_ctrl.app.background import Made
-from platform_ctrl.app.caged import CagedLoop, KeptMeasures
+from platform_ctrl.app.caged import CachedMetrics, CagedLoop
 from platform_ctrl.app.controllers import DesignOptions, built_directly, classical_arrays
 from platform_ctrl.app.free_plants import StabilisedLoop
 from platform_ctrl.app.plants import Bounded, JobPlants
@@ -286,7 +286,7 @@ class ClosedLoops:
 
         return of
 
-    def measured(self, settings: Settings, loop: CagedLoop) -> KeptMeasures:
+    def measured(self, settings: Settings, loop: CagedLoop) -> CachedMetrics:
         """Return what keeps the measures of a caging loop: a drag that is judged is drawn next."""
         key = (loop.spec.name, self.plants.key(settings), _content(loop.controller))
         return lambda make: self._measures.get(key, make)

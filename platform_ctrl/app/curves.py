@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -13,8 +14,8 @@ from platform_ctrl.analysis.feedback import closed_loop
 from platform_ctrl.analysis.plant_set import BoolArray
 from platform_ctrl.analysis.pole_branches import pole_branches
 from platform_ctrl.analysis.poles import continuous_poles
-from platform_ctrl.app.pictures import Bode, Drawn, Locus, Margins, Nichols, TimeResponse
-from platform_ctrl.common.values import FloatArray, value
+from platform_ctrl.app.pictures import Bode, Drawn, FrequencyGain, Locus, Measured, Nichols, Overlay, TimeResponse
+from platform_ctrl.common.values import FloatArray
 from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.plant.platform import Platform
 from platform_ctrl.report.quantities import signal_series
@@ -89,7 +90,7 @@ def sample_times(duration: float, period: float, points: int) -> tuple[FloatArra
     return np.asarray(np.arange(count) * (every * period), dtype=np.float64), every
 
 
-def held_responses(
+def sampled_responses(
     A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, inputs: FloatArray, every: int
 ) -> FloatArray:
     """Return the outputs (..., p, T) of sampled systems at rest for one input, at every `every`-th sample.
@@ -153,7 +154,7 @@ def gain_locus(
 
 
 def moved_by_gain(gains: FloatArray, branches: ComplexArray, present: ComplexArray) -> BoolArray:
-    """Return which of the present poles (n,) the gain moves: by a hundredth of themselves or more, if it is doubled."""
+    """Return which of the present poles (n,) move by a hundredth of themselves or more if the gain is doubled."""
     at = int(np.argmin(np.abs(gains - 1.0)))
     low, high = max(at - 1, 0), min(at + 1, len(gains) - 1)
     with np.errstate(all="ignore"):
@@ -171,28 +172,62 @@ def arrays_of(stack: StateArrays, k: int) -> StateArrays:
 
 # Points of a response over time.
 POINTS = 240
-# What is sampled is looked at up to this share of Nyquist's frequency: at its edge sensitivities say nothing.
+# Sampled loops are shown up to this share of the Nyquist frequency: at its edge sensitivities have no meaning.
 EDGE = 0.999
-# Frequencies of a curve besides those at its resonances.
+# Points of a frequency grid besides those at resonances.
 GRID_POINTS = 160
 
-
-@value
-class Measured:
-    """What is measured; see `Picture`."""
-
-    margins: Margins
-    requirements: tuple[CheckResult, ...]
-    goals: tuple[CheckResult, ...] = ()
-    notes: tuple[str, ...] = ()
-
-
-# What is drawn, and what measures the same loop when it is called.
+# Curves to draw, and the function that measures the same loop.
 Parts = tuple[Drawn, Callable[[], Measured]]
 
 
+class LoopCurves(ABC):
+    """The curves of a closed loop in one mode, shown broken at one torquer.
+
+    A subclass sets `channel`, the torquer's name, and `poles` (n,), rad/s, and `stable` of the plant shown.
+    """
+
+    channel: str
+    poles: ComplexArray
+    stable: bool
+
+    @abstractmethod
+    def response(self, frequency: FloatArray) -> ComplexArray:
+        """Return the loop transfer of the plant shown at `frequency` (F,), rad/s."""
+
+    @abstractmethod
+    def step(self) -> TimeResponse:
+        """Return the response to a torque step."""
+
+    @abstractmethod
+    def disturbance(self) -> TimeResponse:
+        """Return the response to the job's manoeuvre, or to an impulse on the free platform."""
+
+    @abstractmethod
+    def disturbance_gain(self, frequency: FloatArray) -> FrequencyGain:
+        """Return the gain from what disturbs the loop at `frequency` (F,), rad/s."""
+
+
+def overlay(
+    curves: LoopCurves, design: str, method: str, frequency: FloatArray, requirements: tuple[CheckResult, ...]
+) -> Overlay:
+    """Return what is drawn of another design over a picture whose Bode diagram is at `frequency`."""
+    response = curves.response(frequency)
+    return Overlay(
+        design=design,
+        method=method,
+        response=response,
+        phase=degrees(response),
+        poles=curves.poles,
+        step=curves.step(),
+        Omega_step=curves.disturbance(),
+        Omega_gain=curves.disturbance_gain(frequency).gain,
+        requirements=requirements,
+    )
+
+
 class Band(NamedTuple):
-    """The loops of a set: labels of the N plants, frequencies (B,), rad/s, and responses, complex (N, B)."""
+    """The loop transfers of a set: labels of the N plants, frequencies (B,), rad/s, and responses, complex (N, B)."""
 
     labels: tuple[str, ...]
     frequency: FloatArray
@@ -208,7 +243,7 @@ def frequency_parts(
     band: Band | None,
     disk_margin: float | None,
 ) -> tuple[Bode, Nichols]:
-    """Return both diagrams of the loop broken at `channel`; the frequencies of a band are some of `grid`."""
+    """Return both diagrams of the loop broken at `channel`; the frequencies of a band are part of `grid`."""
     magnitude, phase = np.abs(response), degrees(response)
     none = np.zeros(0)
     w, low, high, phase_low, phase_high = none, none, none, none, none
@@ -241,7 +276,7 @@ def frequency_parts(
 
 
 def around(every: FloatArray, own: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the least and the largest over the first axis of `every`, of the same shape as `own`, which counts too."""
+    """Return the extremes over the first axis of `every` and `own`, of the shape of `own`."""
     return np.minimum(every.min(axis=0), own), np.maximum(every.max(axis=0), own)
 
 
@@ -329,7 +364,7 @@ def step_size(limit: float) -> float:
 
 
 def settling(s: ComplexArray, nutation: float, period: float, stable: bool) -> float:
-    """Return how long a step response is worth seeing, s: 1, 2 or 5 times a power of ten."""
+    """Return the duration of a step response, s: 1, 2 or 5 times a power of ten."""
     shortest = max(40.0 * period, 2.0 * math.pi / nutation)
     if not stable:
         return round_up(10.0 * shortest)

@@ -1,4 +1,4 @@
-"""What the designer's page draws for its settings, as frozen values. Nothing here draws."""
+"""What the page draws for its settings, as frozen values. Nothing here draws."""
 
 from __future__ import annotations
 
@@ -17,24 +17,10 @@ BoolArray = NDArray[np.bool_]
 class TimeResponse:
     """Signals over time, of the plant shown, with the band of all others.
 
-    Attributes
-    ----------
-    title
-        What acts: for example ``"1 mN m step at Q9"``.
-    t : (T,)
-        s.
-    signals, units
-        Names and units of the k signals.
-    series
-        Which colour of the palette each has, from 0 on: by its name, as `report.quantities.signal_series` says.
-    values : (k, T)
-        Of the plant shown.
-    low, high : (k, T)
-        Least and largest over the plants of the set; shape (k, 0) without a band.
-    drive : (T,)
-        What acts, over its largest value: dimensionless.
-    limit
-        What the job allows in the first unit, or None.
+    `title` names the input: ``"1 mN m step at Q9"``. `values` (k, T) are those of the plant shown, `low` and `high` the
+    extremes over the set, (k, 0) without a band; `t` in s. `series` is the index of each signal's colour,
+    from 0 (`report.quantities.signal_series`), `drive` (T,) the input over its largest value, and `limit` the job's
+    limit in the first unit, or None.
     """
 
     title: str
@@ -53,28 +39,14 @@ class TimeResponse:
 class Overlay:
     """The loop of another design.
 
-    Attributes
-    ----------
-    design, method
-        Its name, and the method that made it.
-    response : complex (F,)
-        Its loop transfer at the frequencies of the bode diagram, dimensionless.
-    magnitude, phase : (F,)
-        The same as gain (dimensionless) and unwrapped phase, degrees.
-    poles : complex (n,)
-        Of its closed loop, s-plane equivalents, rad/s.
-    step, Omega_step
-        Its responses, as `Picture.step` and `Picture.Omega_time`: same signals and units, a step over times of its own.
-    Omega_gain : (F,)
-        Its response at the frequencies of `Picture.Omega_frequency`, rad/(rad/s).
-    requirements
-        Its limits, measured; empty in a picture, which only draws the loop.
+    `response` (F,) is its loop transfer at the frequencies of the Bode diagram, dimensionless, `phase` its unwrapped
+    phase in degrees, `poles` (n,) the s-plane equivalents of its closed loop's poles, rad/s. `step`, `Omega_step` and
+    `Omega_gain` (F,) are as in `Picture`, a step over times of its own. `requirements` are empty in a picture.
     """
 
     design: str
     method: str
     response: ComplexArray
-    magnitude: FloatArray
     phase: FloatArray
     poles: ComplexArray
     step: TimeResponse
@@ -85,28 +57,11 @@ class Overlay:
 
 @value
 class Bode:
-    """The loop broken at one torquer, all others closed: L = 1/S - 1 there, u = K y without hidden sign.
+    """The loop broken at the torquer `channel`, all others closed: L = 1/S - 1 there, for positive feedback u = +K y.
 
-    Attributes
-    ----------
-    channel
-        The torquer.
-    frequency : (F,)
-        rad/s, denser at resonances.
-    response : complex (F,)
-        Of the plant shown, dimensionless.
-    magnitude, phase : (F,)
-        The same as gain (dimensionless) and unwrapped phase, degrees; at crossover it lies between -360 and 0.
-    band_frequency : (B,)
-        rad/s; empty without a band, as all below.
-    magnitude_low, magnitude_high, phase_low, phase_high : (B,)
-        Least and largest gain (dimensionless) and phase (degrees) over the plants of the set.
-    crossovers : (k,)
-        Frequencies at which the gain passes 1, rad/s, rising.
-    nyquist
-        Nyquist frequency, rad/s.
-    overlays
-        Other designs over it.
+    `response` (F,) of the plant shown, its gain `magnitude` and its unwrapped `phase` in degrees, from -360 to 0 at the
+    crossover. All frequencies are in rad/s, rising. The band has the extremes over the set at `band_frequency` (B,),
+    which is empty without a band. `crossovers` are the frequencies at which the gain passes 1.
     """
 
     channel: str
@@ -126,19 +81,10 @@ class Bode:
 
 @value
 class Nichols:
-    """Gain over phase of the same loop, of all plants of the set.
+    """Gain over phase of the same loop for all plants of the set, the plant shown first.
 
-    Attributes
-    ----------
-    labels
-        Of the plants, the plant shown first; without a band it alone.
-    phase, magnitude : (N, B)
-        Unwrapped phase, degrees, and gain, dimensionless, at the frequencies of the band; without a band (1, F) at
-        those of the curve.
-    frequency : (B,)
-        rad/s.
-    disk_margin
-        What the job asks for, dimensionless, or None: its region is to be kept free.
+    `phase` (N, B), unwrapped, degrees, and `magnitude` (N, B) at `frequency` (B,), rad/s; without a band (1, F) of the
+    plant shown. `disk_margin` is the job's limit, or None.
     """
 
     labels: tuple[str, ...]
@@ -150,24 +96,12 @@ class Nichols:
 
 @value
 class Locus:
-    """Closed-loop poles while all of the controller is multiplied by one factor; s-plane equivalents ln(z)/T, rad/s.
+    """Closed-loop poles for the controller times a factor; s-plane equivalents ln(z)/T, rad/s.
 
-    Attributes
-    ----------
-    gains : (G,)
-        The factors, from 0 on, rising; 1 is among them.
-    branches : complex (G, n)
-        Each column one continuous branch.
-    present : complex (n,)
-        At the factor 1.
-    draggable : (n,)
-        Which of `present` may be dragged: those of the upper half plane that sliders move.
-    others : complex (k,)
-        Closed-loop poles of the other plants of the band.
-    reach
-        How far a view of the plane has to go, rad/s, to show what matters.
-    damping
-        Smallest damping ratio that the job asks for, or None.
+    `gains` (G,) are the factors, rising from 0, with 1 among them, and `branches` (G, n) continuous in each column.
+    `present` (n,) are the poles at the factor 1; `draggable` (n,) those in the upper half plane that sliders move.
+    `others` are poles of the other plants of the band, `reach` the radius to show, and `damping` the job's smallest
+    damping ratio, or None.
     """
 
     gains: FloatArray
@@ -181,20 +115,10 @@ class Locus:
 
 @value
 class FrequencyGain:
-    """Gain from the platform's rate (or a torque on the platform) to the angles over frequency.
+    """Gain over frequency, rad/s, from the platform's rate (or a torque on the platform) to the angles.
 
-    Attributes
-    ----------
-    title, unit
-        What it shows.
-    frequency : (F,)
-        rad/s.
-    gain : (F,)
-        Norm over all angles, of the plant shown.
-    band_frequency, low, high : (B,)
-        rad/s; least and largest gain over the plants of the set; empty without a band.
-    limit
-        What the job allows, in `unit`, or None.
+    `gain` (F,) is the norm over all angles, of the plant shown; `low` and `high` (B,) are the extremes over the set,
+    empty without a band; `limit` the job's limit in `unit`, or None.
     """
 
     title: str
@@ -209,30 +133,28 @@ class FrequencyGain:
 
 @value
 class Margins:
-    """How far the loop is from instability.
+    """Stability margins and related numbers of the loop.
 
     Attributes
     ----------
     disk
-        Disk margin of the plant shown, dimensionless; 0 where it is unstable. Of a caging loop all channels at once, of
-        the stabilised platform at the torquer that is shown broken.
+        Disk margin of the plant shown, dimensionless; 0 if it is unstable. Of a caging loop all channels at once, of
+        the stabilised platform at the torquer at which the loop is shown broken.
     worst_disk, worst_plant
-        The least of the set, and the label of the plant that has it; of the plant shown without a band.
+        The least of the set and the label of its plant; of the plant shown without a band.
     worst_sampled
         Whether that is the least at the frequencies of a grid: between them it may be smaller.
     gain_up, gain_down
-        Factors by which the shown channel's gain may rise and fall; inf and 0 where there is no bound.
-    phase
-        Degrees that the shown channel may lose, least over all crossovers; inf without a crossover.
-    delay
-        Time that the shown channel may be later, s; inf without a crossover.
+        Factors by which the shown channel's gain may rise and fall; inf and 0 without a bound.
+    phase, delay
+        Phase, degrees, and delay, s, that the shown channel may lose, least over all crossovers; inf without one.
     crossover
-        Highest frequency at which the shown channel's gain passes 1, rad/s; None without one.
+        Highest frequency at which the shown channel's gain passes 1, rad/s, or None.
     bandwidth
         Of the plant shown, rad/s: the largest singular value of S reaches 1/sqrt(2). Of a caging loop all channels, of
         the stabilised platform those of the platform's axes.
     damping
-        Smallest damping ratio of its closed-loop poles above a tenth of the nutation frequency, or of the crossover of
+        Smallest damping ratio of the closed-loop poles above a tenth of the nutation frequency, or of the crossover of
         the stabilised platform.
 
     References
@@ -257,23 +179,9 @@ class Margins:
 class Drawn:
     """The curves of some settings.
 
-    Attributes
-    ----------
-    bode, nichols, locus
-        Of the loop at the settings' channel.
-    step
-        Caged: a torque step at the channel's torquer; stabilised: a torque step on the platform about the axis.
-    Omega_time
-        Caged: the job's manoeuvre about the axis, linear model; stabilised: the attitude after a rate step of the
-        platform.
-    Omega_frequency
-        The same over frequency.
-    bandwidth
-        That is asked of the loop, Hz, or None.
-    stable
-        Whether the closed loop of the plant shown is.
-    all_stable
-        Whether all plants of the set are.
+    `step` is the response to a torque step: caged at the channel's torquer, stabilised on the platform about the axis.
+    `Omega_time` is caged the job's manoeuvre about the axis, linear model; stabilised the attitude after a rate step of
+    the platform; `Omega_frequency` the same over frequency. `bandwidth` is the limit, Hz, or None.
     """
 
     bode: Bode
@@ -294,16 +202,18 @@ class Drawn:
 
 
 @value
-class Drawing(Drawn):
-    """What the plots of a page draw.
+class Measured:
+    """Margins, the job's limits and goals as `check` judges them over the set, and lines about what is not shown."""
 
-    Attributes
-    ----------
-    settings
-        What it was made for.
-    plants
-        Labels of all plants that may be shown.
-    """
+    margins: Margins
+    requirements: tuple[CheckResult, ...]
+    goals: tuple[CheckResult, ...] = ()
+    notes: tuple[str, ...] = ()
+
+
+@value
+class Drawing(Drawn):
+    """What the plots of a page draw for `settings`; `plants` are the labels of all plants that may be shown."""
 
     settings: Settings
     plants: tuple[str, ...]
@@ -311,19 +221,7 @@ class Drawing(Drawn):
 
 @value
 class Picture(Drawing):
-    """A drawing with what was measured.
-
-    Attributes
-    ----------
-    margins
-        Of the loop at the settings' channel, of the plant shown and of the set.
-    requirements, goals
-        The job's limits, and its goals, held against the set as `check` would.
-    elapsed
-        What the picture took, s.
-    notes
-        Lines to be told beside it: what is not shown, and why.
-    """
+    """A drawing with the results of `Measured`; `elapsed` is the time that it took, s."""
 
     margins: Margins
     requirements: tuple[CheckResult, ...]
@@ -334,18 +232,11 @@ class Picture(Drawing):
 
 @value
 class Influence:
-    """What each slider does to each requirement: change of its ratio for a slider that is 5 % larger.
+    """The effect of each slider on each requirement.
 
-    Attributes
-    ----------
-    sliders
-        Names.
-    requirements
-        Names, in the order of `Picture.requirements`.
-    ratios : (R,)
-        As they are: at most 1 where met.
-    change : (R, K)
-        Of the ratio, dimensionless: negative is better; inf where the loop becomes unstable, nan where it is already.
+    `ratios` (R,) are those of the requirements, at most 1 where met, in the order of `Picture.requirements`. `change`
+    (R, K) is the change of a ratio for a slider that is 5 % larger: negative is better, inf where the loop becomes
+    unstable, nan where it is already.
     """
 
     sliders: tuple[str, ...]

@@ -11,7 +11,7 @@ import numpy as np
 from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.loop_metrics import LoopMetrics, measure
 from platform_ctrl.analysis.plant_set import PlantSet
-from platform_ctrl.app.caged import CagedLoop, loop_measures
+from platform_ctrl.app.caged import CagedLoop, loop_metrics
 from platform_ctrl.app.closed_loops import ClosedLoops
 from platform_ctrl.app.dragging import FreeParameters, Limits, Ratios
 from platform_ctrl.app.pictures import Influence
@@ -111,7 +111,7 @@ def limits_of(loops: ClosedLoops, settings: Settings, parameters: FreeParameters
 
     def exact(K: StateArrays) -> LoopMetrics:
         now = dataclasses.replace(loop, controller=K)
-        return loops.measured(settings, now)(lambda: loop_measures(now))
+        return loops.measured(settings, now)(lambda: loop_metrics(now))
 
     whole = exact(loop.controller)
     hard = [one for one in requirements_of(spec) if one.hard]

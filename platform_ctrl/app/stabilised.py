@@ -19,17 +19,18 @@ from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.app.curves import (
     POINTS,
     Band,
-    Measured,
+    LoopCurves,
     Parts,
+    arrays_of,
     channel_margins,
     channel_response,
-    degrees,
     frequency_parts,
     gain_locus,
-    held_responses,
     locus,
     moved_by_gain,
+    overlay,
     sample_times,
+    sampled_responses,
     settling,
     step_size,
     time_response,
@@ -43,7 +44,7 @@ from platform_ctrl.app.free_plants import (
     loop_grid,
     used_arrays,
 )
-from platform_ctrl.app.pictures import Drawn, FrequencyGain, Locus, Margins, Overlay, TimeResponse
+from platform_ctrl.app.pictures import Drawn, FrequencyGain, Locus, Margins, Measured, Overlay, TimeResponse
 from platform_ctrl.app.settings import Settings
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import DesignError
@@ -63,23 +64,23 @@ if TYPE_CHECKING:
 
 # Relative tolerance of the structured singular value on a grid.
 _MU = 1e-4
-# Damping of poles at which is looked besides.
+# Poles with less damping than this are looked at besides the grid.
 _NARROW = 0.02
 
-# What a caging loop's margins are without the platform's reaction: the same while the servo moves.
-Kept = Callable[[str, Callable[[], dict[str, float]]], dict[str, float]]
+# A cache of the disk margins of the caging loops alone, which do not change while the servo's sliders move.
+CachedMargins = Callable[[str, Callable[[], dict[str, float]]], dict[str, float]]
 
 
 def requirements(
     loop: StabilisedLoop,
-    kept: Kept,
+    cached: CachedMargins,
     known: tuple[ComplexArray, FloatArray, Sensitivity, ComplexArray] | None = None,
 ) -> tuple[CheckResult, ...]:
-    """Return the coupled limits held against the nominal plant, as `coupled_check` does.
+    """Return the coupled limits of the nominal plant, as `coupled_check` judges them.
 
-    The simultaneous margin alone is not proved: it is the least at some frequencies, those of narrow poles among them,
-    and lies within about a thousandth of what `coupled_check` proves. `known` are the nominal closed loop's poles, a
-    grid, its sensitivity, and that on the grid, where they are at hand.
+    Only the simultaneous margin is not proved: it is the least at some frequencies, with those of narrow poles, and
+    lies within about a thousandth of what `coupled_check` proves. `known` are the nominal closed loop's poles, a grid,
+    its sensitivity, and that on the grid, if they are known.
     """
     job, model, controllers = loop.job, loop.model, loop.controllers
     K, at, torquers = loop.joined(loop.plants)
@@ -98,13 +99,15 @@ def requirements(
         coupled = disk_margins(P, K, range(m))
         closed = StateArrays(A, B[:, :m], C[:m], D[:m, :m] + 0.5 * np.eye(m), P.dt)
         simultaneous = _simultaneous(sensitivity, grid, S, closed, s)
-    decoupled = _decoupled(job, model, controllers, kept)
+    decoupled = _decoupled(job, model, controllers, cached)
     alone = np.array([decoupled[name] for name in torquers])
     cost = np.where(alone > 0.0, 1.0 - coupled / np.maximum(alone, np.finfo(float).tiny), np.inf)
     return coupled_results(job, decay, torquers, cost, simultaneous, noise, proved=False)
 
 
-def _decoupled(job: Job, model: LinearModel, controllers: Sequence[control.StateSpace], kept: Kept) -> dict[str, float]:
+def _decoupled(
+    job: Job, model: LinearModel, controllers: Sequence[control.StateSpace], cached: CachedMargins
+) -> dict[str, float]:
     gimbal = {t.name for t in job.platform.torquers if t.gimbal is not None}
     caging = [K for K in controllers if set(K.output_labels) <= gimbal]
 
@@ -114,7 +117,7 @@ def _decoupled(job: Job, model: LinearModel, controllers: Sequence[control.State
     def of_servo() -> dict[str, float]:
         return _margins_of(one_way_plant(job, model, sensed_rates(job, controllers)), controllers, job, set(inner))
 
-    inner = kept("caging", of_caging)
+    inner = cached("caging", of_caging)
     return of_servo() | inner
 
 
@@ -170,248 +173,221 @@ def _climbed(of: Callable[[FloatArray], ComplexArray], low: float, high: float) 
     return best
 
 
-def turning(
-    loop: StabilisedLoop,
-    settings: Settings,
-    K: StateArrays,
-    at: list[int],
-    grid: FloatArray,
-    s: ComplexArray,
-    stable: bool,
-    banded: bool,
-) -> tuple[TimeResponse, FrequencyGain]:
-    """Return how a torque on the platform turns it: over time after a step, and over the frequencies of `grid`."""
-    axis, period = settings.axis, loop.shown.period
-    size, title, limit = _acting(loop, axis)
-    slow = s[np.isfinite(s) & (np.abs(s) < math.pi / period)]
-    t, every = sample_times(settling(slow, 50.0 / period, period, stable), period, POINTS)
-    u = np.full(every * (len(t) - 1) + 1, size)
-    torquers = [loop.shown.torquers[k] for k in at]
-    step = time_response(
-        loop.job.platform,
-        title,
-        t,
-        (*ATTITUDE, *loop.shown.sensors, *torquers),
-        (*_angle_units(loop), *("N m" for _ in torquers)),
-        (
-            _responses(loop.shown, K, at, axis, u, every)[0],
-            _responses(loop.plants, K, at, axis, u, every) if banded else None,
-        ),
-        np.ones(len(t)),
-        limit,
-    )
-    m, p, k = len(loop.shown.torquers), len(loop.shown.sensors), len(at)
-    column = slice(m + axis - 1, m + axis)
+class StabilisedCurves(LoopCurves):
+    """The curves of the free platform with all loops closed; with `banded` those of the whole set too."""
 
-    def attitude(one: int, w: FloatArray, plants: FreePlants) -> FloatArray:
-        A, B, C, D, dt = plants.turned
-        a, b, c, d, _ = closed_loop(
-            StateArrays(A[one], B[one], C[one], D[one], K.dt), K, torques=at, angles=list(range(p))
+    def __init__(self, loop: StabilisedLoop, settings: Settings, banded: bool = False) -> None:
+        self.loop, self.axis = loop, settings.axis
+        self.controller, self.used, self.torquers = loop.joined(loop.shown)
+        platform = loop.job.platform.torquers
+        # The torquers on the platform that controllers set.
+        self.roots = [t.name for t in platform if t.root_axis is not None and t.name in self.torquers]
+        if not self.roots:
+            raise DesignError(f"{loop.spec.name}: no controller sets a torque on the platform; add a servo to the job")
+        self.channel = settings.channel if settings.channel in self.roots else self.roots[0]
+        self.index = self.torquers.index(self.channel)
+        self.plant = used_arrays(loop.shown.arrays, 0, self.used)
+        self.z_poles = poles(closed_loop(self.plant, self.controller).A)
+        self.poles = continuous_poles(self.z_poles, self.plant.dt)
+        self.stable = bool(spectral_abscissa(self.poles) < 0.0)
+        self.sensitivity = Sensitivity(self.plant, self.controller)
+        self.banded = banded
+
+    def response(self, frequency: FloatArray) -> ComplexArray:
+        """Return the loop transfer of the plant shown at `frequency` (F,), rad/s."""
+        return channel_response(self.sensitivity.at(frequency), self.index)
+
+    def step(self) -> TimeResponse:
+        """Return the response to a step of torque on the platform about the axis."""
+        size, title, limit = self._torque()
+        period = self.loop.shown.period
+        slow = self.poles[np.isfinite(self.poles) & (np.abs(self.poles) < math.pi / period)]
+        t, every = sample_times(settling(slow, 50.0 / period, period, self.stable), period, POINTS)
+        u = np.full(every * (len(t) - 1) + 1, size)
+        names = (*ATTITUDE, *self.loop.shown.sensors, *self.torquers)
+        units = (*self._angle_units(), *("N m" for _ in self.torquers))
+        return self._time_response(title, t, u, every, names, units, np.ones(len(t)), limit)
+
+    def disturbance(self) -> TimeResponse:
+        """Return the attitude after an impulse of torque that would turn the free platform by 1 mrad/s."""
+        axis, period = self.axis, self.loop.shown.period
+        t, every = sample_times(settling(self.poles, 50.0 / period, period, self.stable), period, POINTS)
+        u = np.zeros(every * (len(t) - 1) + 1)
+        u[0] = 1e-3 * float(self.loop.model.root_inertia[axis - 1, axis - 1]) / period
+        drive = np.zeros(len(t))
+        drive[0] = 1.0
+        names = (*ATTITUDE, *self.loop.shown.sensors)
+        title = f"impulse of torque: 1 mrad/s about axis {axis}"
+        return self._time_response(title, t, u, every, names, self._angle_units(), drive)
+
+    def _time_response(
+        self,
+        title: str,
+        t: FloatArray,
+        u: FloatArray,
+        every: int,
+        names: tuple[str, ...],
+        units: tuple[str, ...],
+        drive: FloatArray,
+        limit: float | None = None,
+    ) -> TimeResponse:
+        """Return attitude, angles and torques, as many as there are names, after torques `u` on the platform."""
+
+        def responses(plants: FreePlants) -> FloatArray:
+            k, p = len(self.used), len(plants.sensors)
+            a, b, c, d, _ = self._turned(plants)
+            order = [*range(k + p, k + p + 3), *range(k, k + p), *range(k)][: len(names)]
+            return sampled_responses(
+                a, b[..., self._torque_column], c[..., order, :], d[..., order, self._torque_column], u, every
+            )
+
+        band = responses(self.loop.plants) if self.banded else None
+        return time_response(
+            self.loop.job.platform, title, t, names, units, (responses(self.loop.shown)[0], band), drive, limit
         )
-        found = frequency_response(StateArrays(a, b[:, column], c[k + p :], d[k + p :, column], dt), w, -3, ON_A_GRID)
-        return np.asarray(np.linalg.norm(found[..., 0], axis=-1))
 
-    none = np.zeros(0)
-    w_band, low_gain, high_gain = none, none, none
-    if banded:
-        w_band = loop.plants.frequency
-        whole = loop.plants.response
-        # What acts moves the sensors, these the torques, and both the attitude.
-        k_at = frequency_response(K, w_band, -3, ON_A_GRID)
-        seen, acting = whole[..., :p, at], whole[..., :p, column]
-        torque = np.linalg.solve(np.eye(k) - k_at @ seen, k_at @ acting)
-        moved = whole[..., p:, column] + whole[..., p:, at] @ torque
-        gains = np.linalg.norm(moved[..., 0], axis=-1)
-        low_gain, high_gain = gains.min(axis=0), gains.max(axis=0)
-    return step, FrequencyGain(
-        title=f"torque M{axis} on the platform → attitude",
-        unit="rad/(N m)",
-        frequency=grid,
-        gain=attitude(0, grid, loop.shown),
-        band_frequency=w_band,
-        low=low_gain,
-        high=high_gain,
-    )
+    def _turned(self, plants: FreePlants) -> StateArrays:
+        """Return the closed loops with torques on the platform as inputs and its attitude as outputs."""
+        return closed_loop(plants.turned, self.controller, torques=self.used, angles=list(range(len(plants.sensors))))
+
+    @property
+    def _torque_column(self) -> slice:
+        m = len(self.loop.shown.torquers)
+        return slice(m + self.axis - 1, m + self.axis)
+
+    def _angle_units(self) -> tuple[str, ...]:
+        """Return the units of the attitude and of the sensors."""
+        angles = self.loop.job.platform.angle_names
+        return ("rad",) * 3 + tuple("rad" if name in angles else "rad/s" for name in self.loop.shown.sensors)
+
+    def _torque(self) -> tuple[float, str, float | None]:
+        """Return the torque step of the job's stabilised manoeuvre about the axis, or one that the torquer can hold."""
+        axis = self.axis
+        for one in self.loop.job.manoeuvres:
+            if one.mode == "stabilised" and one.axis == axis and one.torque:
+                return one.torque, one.name, one.limits.get("attitude")
+        limits = [t.limit for t in self.loop.job.platform.torquers if t.root_axis == axis]
+        size = step_size(math.inf if not limits or limits[0] is None else limits[0])
+        return size, f"{1e3 * size:g} mN m step about axis {axis}", None
+
+    def disturbance_gain(self, frequency: FloatArray) -> FrequencyGain:
+        """Return the gain from a torque on the platform to its attitude at `frequency` (F,), rad/s."""
+        column, p, k = self._torque_column, len(self.loop.shown.sensors), len(self.used)
+        a, b, c, d, dt = arrays_of(self._turned(self.loop.shown), 0)
+        system = StateArrays(a, b[:, column], c[k + p :], d[k + p :, column], dt)
+        own = frequency_response(system, frequency, -3, ON_A_GRID)
+        w = low = high = np.zeros(0)
+        if self.banded:
+            w, whole = self.loop.plants.frequency, self.loop.plants.response
+            # The disturbance moves the sensors, these the torques, and both the attitude.
+            K = frequency_response(self.controller, w, -3, ON_A_GRID)
+            torque = np.linalg.solve(np.eye(k) - K @ whole[..., :p, self.used], K @ whole[..., :p, column])
+            moved = whole[..., p:, column] + whole[..., p:, self.used] @ torque
+            gains = np.linalg.norm(moved[..., 0], axis=-1)
+            low, high = gains.min(axis=0), gains.max(axis=0)
+        return FrequencyGain(
+            title=f"torque M{self.axis} on the platform → attitude",
+            unit="rad/(N m)",
+            frequency=frequency,
+            gain=np.asarray(np.linalg.norm(own[..., 0], axis=-1)),
+            band_frequency=w,
+            low=low,
+            high=high,
+        )
+
+    def set_poles(self) -> ComplexArray:
+        """Return the closed-loop poles of the plants of the band, or those of the plant shown, (N, n), rad/s."""
+        if not self.banded:
+            return self.poles[None]
+        A, B, C, D, dt = self.loop.plants.arrays
+        plants = StateArrays(A, B[..., self.used], C, D[..., self.used], dt)
+        return continuous_poles(poles(closed_loop(plants, self.controller).A), dt)
+
+    def band(self) -> tuple[Band, float, str]:
+        """Return the loop transfers of all plants, and the least of their disk margins with its plant."""
+        plants = self.loop.plants
+        response = plants.response[..., : len(plants.sensors), self.used]
+        S = sensitivity_functions(-frequency_response(self.controller, plants.frequency, -3) @ response)[0]
+        peaks = np.abs(S[..., self.index, self.index] - 0.5).max(axis=-1)
+        k = int(np.argmax(peaks))
+        band = Band(plants.labels, plants.frequency, channel_response(S, self.index))
+        return band, 1.0 / float(peaks[k]), plants.labels[k]
+
+    def locus(self, others: ComplexArray, crossover: float) -> Locus:
+        """Return the root locus for the servo's gain on all axes; the caging loops stay closed as they are."""
+        P, K = self.plant, self.controller
+        moving = np.array([name in self.roots for name in self.torquers])
+        m = len(moving)
+        if P.D.any():
+            branches = gain_locus(P, K, points=32)
+        else:
+            inner = StateArrays(
+                K.A, K.B, np.where(moving[:, None], 0.0, K.C), np.where(moving[:, None], 0.0, K.D), K.dt
+            )
+            # Both parts use the same states of the controller: the inner loops first, then the rest as feedback.
+            A, B, _, _, _ = closed_loop(P, inner)
+            feedback = np.hstack([K.D @ P.C, K.C]) * moving[:, None]
+            closed = StateArrays(A, B[:, :m], feedback, np.zeros((m, m)), P.dt)
+            static = StateArrays(np.zeros((0, 0)), np.zeros((0, m)), np.zeros((m, 0)), np.eye(m), P.dt)
+            branches = gain_locus(closed, static, points=32)
+        nyquist = math.pi / P.dt
+        found = locus(branches, self.poles, others.ravel(), min(8.0 * crossover, nyquist), nyquist, None)
+        return dataclasses.replace(found, draggable=found.draggable & moved_by_gain(*branches, self.poles))
 
 
-def rate_step(
-    loop: StabilisedLoop, settings: Settings, K: StateArrays, at: list[int], s: ComplexArray, stable: bool, banded: bool
-) -> TimeResponse:
-    """The attitude after an impulse of torque that would turn the free platform by 1 mrad/s about the axis."""
-    axis, period = settings.axis, loop.shown.period
-    t, every = sample_times(settling(s, 50.0 / period, period, stable), period, POINTS)
-    u = np.zeros(every * (len(t) - 1) + 1)
-    u[0] = 1e-3 * float(loop.model.root_inertia[axis - 1, axis - 1]) / period
-    kept = slice(0, 3 + len(loop.shown.sensors))
-    drive = np.zeros(len(t))
-    drive[0] = 1.0
-    return time_response(
-        loop.job.platform,
-        f"impulse of torque: 1 mrad/s about axis {axis}",
-        t,
-        (*ATTITUDE, *loop.shown.sensors),
-        _angle_units(loop),
-        (
-            _responses(loop.shown, K, at, axis, u, every)[0][kept],
-            _responses(loop.plants, K, at, axis, u, every)[:, kept] if banded else None,
-        ),
-        drive,
-    )
-
-
-def _angle_units(loop: StabilisedLoop) -> tuple[str, ...]:
-    """Return the units of the attitude and of the sensors."""
-    angles = loop.job.platform.angle_names
-    return ("rad",) * 3 + tuple("rad" if name in angles else "rad/s" for name in loop.shown.sensors)
-
-
-def _responses(plants: FreePlants, K: StateArrays, at: list[int], axis: int, u: FloatArray, every: int) -> FloatArray:
-    """Return attitude (3), angles and torques after a torque on the platform about `axis`."""
-    m, p = len(plants.torquers), len(plants.sensors)
-    a, b, c, d, _ = closed_loop(plants.turned, K, torques=at, angles=list(range(p)))
-    k = len(at)
-    order = [*range(k + p, k + p + 3), *range(k, k + p), *range(k)]
-    column = slice(m + axis - 1, m + axis)
-    return held_responses(a, b[..., column], c[..., order, :], d[..., order, column], u, every)
-
-
-def _acting(loop: StabilisedLoop, axis: int) -> tuple[float, str, float | None]:
-    """Return the torque step of the job's stabilised manoeuvre about an axis, or one that the torquer can hold."""
-    for one in loop.job.manoeuvres:
-        if one.mode == "stabilised" and one.axis == axis and one.torque:
-            return one.torque, one.name, one.limits.get("attitude")
-    limits = [t.limit for t in loop.job.platform.torquers if t.root_axis == axis]
-    size = step_size(math.inf if not limits or limits[0] is None else limits[0])
-    return size, f"{1e3 * size:g} mN m step about axis {axis}", None
-
-
-def stabilised_parts(loop: StabilisedLoop, settings: Settings, kept: Kept) -> Parts:
-    """Return what is drawn for the free platform, and what measures it."""
-    K, at, torquers = loop.joined(loop.shown)
-    roots, name = _roots(loop, settings, torquers)
-    channel = torquers.index(name)
-    P = used_arrays(loop.shown.arrays, 0, at)
-    z = poles(closed_loop(P, K).A)
-    s = continuous_poles(z, P.dt)
-    stable = bool(spectral_abscissa(s) < 0.0)
+def stabilised_parts(loop: StabilisedLoop, settings: Settings, cached: CachedMargins) -> Parts:
+    """Return what is drawn for the free platform, and the function that measures it."""
+    curves = StabilisedCurves(loop, settings, bool(settings.band and len(loop.plants.labels) > 1))
+    P, s, stable, channel = curves.plant, curves.poles, curves.stable, curves.index
     grid = np.union1d(loop_grid(P, s), loop.plants.frequency)
-    sensitivity = Sensitivity(P, K)
-    S = sensitivity.at(grid)
+    S = curves.sensitivity.at(grid)
     response = channel_response(S, channel)
-    banded = bool(settings.band and len(loop.plants.labels) > 1)
-    every = _set_poles(loop, K, at) if banded else s[None]
-    channel_own = channel_margins(grid, response, stable)
-    reference = max(channel_own.crossover or 1.0, 1.0)
+    every = curves.set_poles()
+    own_margins = channel_margins(grid, response, stable)
+    reference = max(own_margins.crossover or 1.0, 1.0)
     at_rest = settings.plant == loop.plants.labels[0] and not any(settings.Omega)
-    inside = bool(np.all(spectral_abscissa(every) < 0.0)) if banded else stable
-    band, worst, worst_plant = _band(loop, K, at, channel) if banded else (None, math.inf, settings.plant)
+    all_stable = bool(np.all(spectral_abscissa(every) < 0.0)) if curves.banded else stable
+    band, worst, worst_plant = curves.band() if curves.banded else (None, math.inf, settings.plant)
     bode, nichols = frequency_parts(
-        name, grid, response, math.pi / P.dt, settings.plant, band, loop.job.coupled.disk_margin
+        curves.channel, grid, response, math.pi / P.dt, settings.plant, band, loop.job.coupled.disk_margin
     )
-    step, low_frequency = turning(loop, settings, K, at, grid, s, stable, banded)
 
     def measured() -> Measured:
-        own = float(disk_margins(P, K, [channel])[0]) if stable else 0.0
+        own = float(disk_margins(P, curves.controller, [channel])[0]) if stable else 0.0
+        rows = [curves.torquers.index(one) for one in curves.roots]
         return Measured(
             margins=Margins(
                 disk=own,
-                worst_disk=min(own, worst) if inside else 0.0,
+                worst_disk=min(own, worst) if all_stable else 0.0,
                 worst_plant=worst_plant if worst < own else settings.plant,
-                worst_sampled=banded,
-                **channel_own._asdict(),
-                bandwidth=_bandwidth(grid, S, [torquers.index(one) for one in roots]) if stable else 0.0,
-                damping=float(minimum_damping(z[None], 0.1 * reference, P.dt)[0]),
+                worst_sampled=curves.banded,
+                **own_margins._asdict(),
+                bandwidth=_bandwidth(grid, S, rows) if stable else 0.0,
+                damping=float(minimum_damping(curves.z_poles[None], 0.1 * reference, P.dt)[0]),
             ),
-            requirements=requirements(loop, kept, (s, grid, sensitivity, S) if at_rest else None),
+            requirements=requirements(loop, cached, (s, grid, curves.sensitivity, S) if at_rest else None),
         )
 
     drawn = Drawn(
         bode=bode,
         nichols=nichols,
-        locus=_locus(loop, P, K, s, every, reference),
-        step=step,
-        Omega_time=rate_step(loop, settings, K, at, s, stable, banded),
-        Omega_frequency=low_frequency,
+        locus=curves.locus(every, reference),
+        step=curves.step(),
+        Omega_time=curves.disturbance(),
+        Omega_frequency=curves.disturbance_gain(grid),
         bandwidth=None,
         stable=stable,
-        all_stable=inside,
+        all_stable=all_stable,
     )
     return drawn, measured
 
 
 def stabilised_overlay(
-    loop: StabilisedLoop, settings: Settings, method: str, frequency: FloatArray, kept: Kept | None = None
+    loop: StabilisedLoop, settings: Settings, method: str, frequency: FloatArray, cached: CachedMargins | None = None
 ) -> Overlay:
-    """Return what is drawn of another servo, over the picture with the bode diagram at `frequency`.
-
-    Its limits are measured with `kept` alone.
-    """
-    K, at, torquers = loop.joined(loop.shown)
-    _, name = _roots(loop, settings, torquers)
-    P = used_arrays(loop.shown.arrays, 0, at)
-    s = continuous_poles(poles(closed_loop(P, K).A), P.dt)
-    stable = bool(spectral_abscissa(s) < 0.0)
-    response = channel_response(Sensitivity(P, K).at(frequency), torquers.index(name))
-    step, over_frequency = turning(loop, settings, K, at, frequency, s, stable, False)
-    return Overlay(
-        design=settings.design,
-        method=method,
-        response=response,
-        magnitude=np.abs(response),
-        phase=degrees(response),
-        poles=s,
-        step=step,
-        Omega_step=rate_step(loop, settings, K, at, s, stable, False),
-        Omega_gain=over_frequency.gain,
-        requirements=() if kept is None else requirements(loop, kept),
-    )
-
-
-def _roots(loop: StabilisedLoop, settings: Settings, torquers: tuple[str, ...]) -> tuple[list[str], str]:
-    """Return the torquers on the platform that are set, and the one at which the loop is shown broken."""
-    roots = [t.name for t in loop.job.platform.torquers if t.root_axis is not None and t.name in torquers]
-    if not roots:
-        raise DesignError(f"{loop.spec.name}: no controller sets a torque on the platform; expected a servo")
-    return roots, settings.channel if settings.channel in roots else roots[0]
-
-
-def _band(loop: StabilisedLoop, K: StateArrays, at: list[int], channel: int) -> tuple[Band, float, str]:
-    """Return the loops of all plants broken at a channel, and the least of their margins there with its plant."""
-    w = loop.plants.frequency
-    S = sensitivity_functions(
-        -frequency_response(K, w, -3) @ loop.plants.response[..., : len(loop.plants.sensors), at]
-    )[0]
-    peaks = np.abs(S[..., channel, channel] - 0.5).max(axis=-1)
-    k = int(np.argmax(peaks))
-    return Band(loop.plants.labels, w, channel_response(S, channel)), 1.0 / float(peaks[k]), loop.plants.labels[k]
-
-
-def _set_poles(loop: StabilisedLoop, K: StateArrays, at: list[int]) -> ComplexArray:
-    A, B, C, D, dt = loop.plants.arrays
-    return continuous_poles(poles(closed_loop(StateArrays(A, B[..., at], C, D[..., at], K.dt), K).A), dt)
-
-
-def _locus(
-    loop: StabilisedLoop, P: StateArrays, K: StateArrays, s: ComplexArray, poles: ComplexArray, crossover: float
-) -> Locus:
-    """The servo's gain varies on all root axes; the caging loops stay closed as they are."""
-    roots = {t.name for t in loop.job.platform.torquers if t.root_axis is not None}
-    names = loop.joined(loop.shown)[2]
-    moving = np.array([name in roots for name in names])
-    inner = StateArrays(K.A, K.B, np.where(moving[:, None], 0.0, K.C), np.where(moving[:, None], 0.0, K.D), K.dt)
-    # Both halves read the same states of the controller: close the inner rows first, then the rest as feedback.
-    A, B, _, _, _ = closed_loop(P, inner)
-    m = P.B.shape[1]
-    feedback = np.hstack([K.D @ P.C, K.C]) * moving[:, None]
-    if P.D.any():
-        branches = gain_locus(P, K, points=32)
-    else:
-        closed = StateArrays(A, B[:, :m], feedback, np.zeros((m, m)), P.dt)
-        static = StateArrays(np.zeros((0, 0)), np.zeros((0, m)), np.zeros((m, 0)), np.eye(m), P.dt)
-        branches = gain_locus(closed, static, points=32)
-    nyquist = math.pi / P.dt
-    found = locus(branches, s, poles.ravel(), min(8.0 * crossover, nyquist), nyquist, None)
-    return dataclasses.replace(found, draggable=found.draggable & moved_by_gain(*branches, s))
+    """Return what is drawn of another servo at `frequency` (F,), rad/s; with `cached` its limits are measured too."""
+    results = () if cached is None else requirements(loop, cached)
+    return overlay(StabilisedCurves(loop, settings), settings.design, method, frequency, results)
 
 
 def _bandwidth(grid: FloatArray, S: ComplexArray, rows: list[int]) -> float:

@@ -31,9 +31,7 @@ class Plots:
         self._theme, sources = Theme(dark), Sources()
         self._picture: Drawing | None = None
         # One view for all that is over frequency: zooming one zooms all.
-        self._frequency = frequency = View(
-            0.1, 1000.0, lambda low, high: (low, max(high, 10.0 * low)), logarithmic=True
-        )
+        frequency = View(0.1, 1000.0, _ends, logarithmic=True)
         self._bode = BodePanel(self._theme, sources, frequency)
         nichols = NicholsPanel(self._theme, sources, self._bode.overlays)
         self._locus = LocusPanel(self._theme, sources)
@@ -93,6 +91,11 @@ class Plots:
             yield
         finally:
             document.unhold()
+
+
+def _ends(low: float, high: float) -> tuple[float, float]:
+    """Return the ends of the data as those of a logarithmic axis."""
+    return low, high if high > low else 10.0 * low
 
 
 def _subject(picture: Drawing) -> tuple[object, ...]:

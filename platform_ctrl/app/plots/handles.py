@@ -17,8 +17,8 @@ from platform_ctrl.app.plots.panel import Theme
 
 Place = TypeVar("Place")
 
-# Milliseconds between two places that are passed on; without movement after which a drag is over if the browser does not
-# say so; and that the browser gets for what it sent while the server was busy.
+# Milliseconds between two places that are passed on; without movement after which a drag is over if the browser does
+# not say so; and that the browser gets for what it sent while the server was busy.
 EVERY, REST, LATE = 40, 400, 150
 
 
@@ -214,9 +214,10 @@ class PoleHandles:
     def _box(self, k: int, theme: Theme) -> Any:
         box: Any = BoxAnnotation(
             left=0.0, right=1.0, bottom=0.0, top=1.0, editable=True, movable="both", resizable="none",
-            visible=False, name=f"pole-handle-{k}", fill_alpha=0.10, border_radius=int(_HALF_RING),
+            visible=False, name=f"pole-handle-{k}", fill_alpha=0.10,
             hover_fill_alpha=0.40, line_alpha=0.55, hover_line_alpha=1.0, hover_line_width=1, propagate_hover=True,
         )  # fmt: skip
+        box.border_radius = int(_HALF_RING)
         theme.paint(
             box, fill_color="series-1", hover_fill_color="series-1", line_color="series-1", hover_line_color="ink"
         )

@@ -131,19 +131,13 @@ class LocusPanel(Panel):
         for dimension in ("width", "height"):
             self.span(plot, dimension, "reference", location=0.0)
         required = new("required_damping", "x", "y")
-        dashed = {"line_width": 1.5, "line_dash": list(LIMIT_DASHES)}
+        dashed: dict[str, Any] = {"line_width": 1.5, "line_dash": list(LIMIT_DASHES)}
         self.draw(plot.line, "x", "y", source=required, line="limit", **dashed)
-        labels = new("plane_labels", "x", "y", "dx", "dy", lists=("text", "align", "baseline"))
-        text = plot.text(
-            "x", "y", text="text", source=labels, text_align="align", text_font=value(FONT),
-            text_font_size=value("10px"), text_baseline="baseline", x_offset="dx", y_offset="dy",
-        )  # fmt: skip
-        self.theme.paint(text.glyph, text_color="muted")
 
     def _draw_poles(self, plot: Any) -> None:
         new, draw = self.sources.new, self.draw
         others = new("other_poles", "re", "im")
-        cloud = {"marker": "dot", "size": 8, "line_alpha": 0.0, "fill_alpha": 0.35}
+        cloud: dict[str, Any] = {"marker": "dot", "size": 8, "line_alpha": 0.0, "fill_alpha": 0.35}
         draw(plot.scatter, "re", "im", source=others, fill="series-1", **cloud)
         branches = new("branches", "re", "im", "gain")
         branch = draw(plot.line, "re", "im", source=branches, line="series-3", line_width=1.2, line_alpha=0.75)
@@ -153,7 +147,7 @@ class LocusPanel(Panel):
         plot.scatter("re", "im", source=overlays, marker="x", size=7, line_width=1.3, line_color="colour")
         away = new("dragged", "x0", "y0", "x1", "y1")
         draw(plot.segment, "x0", "y0", "x1", "y1", source=away, line="ink", line_width=1.2, line_dash=[3, 3])
-        target = {"marker": "circle", "size": 9, "fill_alpha": 0.0, "line_width": 1.2}
+        target: dict[str, Any] = {"marker": "circle", "size": 9, "fill_alpha": 0.0, "line_width": 1.2}
         draw(plot.scatter, "x1", "y1", source=away, line="ink", **target)
         poles = new("poles", "re", "im", "damping", "hz")
         cross = draw(plot.scatter, "re", "im", source=poles, line="series-1", marker="x", size=9, line_width=2)
@@ -161,6 +155,12 @@ class LocusPanel(Panel):
         self.hover(plot, [cross], rows)
         rows = [("gain", "× @gain{0.00}"), ("s", "@re{0} ± j @im{0} rad/s")]
         self.hover(plot, [branch], rows, line_policy="nearest")
+        labels = new("plane_labels", "x", "y", "dx", "dy", lists=("text", "align", "baseline"))
+        text = plot.text(
+            "x", "y", text="text", source=labels, text_align="align", text_font=value(FONT),
+            text_font_size=value("10px"), text_baseline="baseline", x_offset="dx", y_offset="dy",
+        )  # fmt: skip
+        self.theme.paint(text.glyph, text_color="muted")
 
     def show(self, picture: Drawing) -> None:
         """Follow a picture."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -45,7 +46,7 @@ class NicholsPanel(Panel):
         overlays.draw(plot, "phases", "gains")
         loop = sources.by_name["loop"]
         line = self.draw(plot.line, "phase", "gain", source=loop, line="series-1", line_width=2.2)
-        look = {"marker": "cross", "size": 11, "line_width": 2}
+        look: dict[str, Any] = {"marker": "cross", "size": 11, "line_width": 2}
         self.draw(plot.scatter, "phase", "gain", source=critical, line="limit", **look)
         rows = [("phase", "@phase{0.0}°"), ("gain", "@gain{0.0} dB"), ("frequency", "@frequency{0.[000]} Hz")]
         self.hover(plot, [line], rows, line_policy="interp")

@@ -281,19 +281,18 @@ class Panel:
     ) -> Any:
         """Return what a figure's method `glyph` draws of columns of a source, in the colours of roles."""
         out = glyph(*columns, source=source, **look)
-        self.theme.paint(
-            out.glyph, **{f"{part}_color": role for part, role in (("line", line), ("fill", fill)) if role}
-        )
+        roles = {"line_color": line, "fill_color": fill}
+        self.theme.paint(out.glyph, **{name: role for name, role in roles.items() if role})
         return out
 
-    def span(self, plot: Any, dimension: str, role: str, **look: Any) -> Any:
+    def span(self, plot: Any, dimension: Any, role: str, **look: Any) -> Any:
         """Return a straight line through a figure; without a location it is not drawn."""
         out: Any = Span(dimension=dimension, **({"location": None, "line_width": 1} | look))
         self.theme.paint(out, line_color=role)
         plot.add_layout(out)
         return out
 
-    def limit_line(self, plot: Any, dimension: str) -> Any:
+    def limit_line(self, plot: Any, dimension: Any) -> Any:
         """Return a straight line for a limit of the job."""
         return self.span(plot, dimension, "limit", line_width=1.5, line_dash=list(LIMIT_DASHES))
 
@@ -307,10 +306,8 @@ class Panel:
 
     def crosshair(self, *plots: Any) -> None:
         """Give figures a cross at the mouse; its vertical line goes through all of them."""
-        vertical, *across = (
-            Span(dimension=dimension, line_width=1, line_dash=[3, 3])
-            for dimension in ("height", *("width" for _ in plots))
-        )
+        vertical = Span(dimension="height", line_width=1, line_dash=[3, 3])
+        across = [Span(dimension="width", line_width=1, line_dash=[3, 3]) for _ in plots]
         for one in (vertical, *across):
             self.theme.paint(one, line_color="reference")
         for plot, one in zip(plots, across, strict=True):
@@ -326,9 +323,10 @@ class Panel:
         """Return a line of text at the top left of a figure for what is wrong, hidden at first."""
         corner = Node(target="frame", symbol="top_left")
         out: Any = Label(
-            x=corner, y=corner, x_offset=8, y_offset=-5, text="", text_baseline="top", text_font=FONT, padding=3,
+            x=corner, y=corner, x_offset=8, y_offset=-5, text="", text_baseline="top", text_font=FONT,
             text_font_size=NORMAL, level="annotation", visible=False, background_fill_alpha=0.85,
         )  # fmt: skip
+        out.padding = 3
         self.theme.paint(out, text_color="limit", background_fill_color="page")
         plot.add_layout(out)
         return out

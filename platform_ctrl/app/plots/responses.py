@@ -56,7 +56,7 @@ class _TimeFigure:
         self._edges = [panel.limit_line(plot, "width") for _ in range(2)]
         self._beyond = [panel.beyond(plot, edge) for edge in ("bottom", "top")]
         plot.extra_y_ranges = {"share": Range1d(start=-1.1, end=1.1)}
-        dotted = {"line_width": 1, "line_dash": [2, 3], "y_range_name": "share"}
+        dotted: dict[str, Any] = {"line_width": 1, "line_dash": [2, 3], "y_range_name": "share"}
         panel.draw(plot.line, "t", "share", source=drive, line="reference", **dotted)
         plot.patches("xs", "ys", source=bands, fill_color="colour", fill_alpha=0.16, line_alpha=0.0)
         plot.multi_line("xs", "ys", source=others, line_color="colour", line_dash="dash", line_width=1.3)
@@ -96,9 +96,8 @@ class _TimeFigure:
         colours = [self._panel.theme.colours[role] for role in roles]
         names = [greek(response.signals[i]) for i in rows]
         self._put(t, [column(one, scale) for one in values], names, unit, colours)
-        areas = (
-            [_outline(t, column(a, scale), column(b, scale)) for a, b in zip(low, high, strict=True)] if band else []
-        )
+        edges = zip(low, high, strict=True) if band else ()
+        areas = [_outline(t, column(a, scale), column(b, scale)) for a, b in edges]
         self._sources.put(
             f"{self._name}_bands", xs=[x for x, _ in areas], ys=[y for _, y in areas], colour=colours[: len(areas)]
         )
