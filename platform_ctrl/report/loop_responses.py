@@ -28,39 +28,19 @@ from platform_ctrl.plant.platform import OMEGA_NAMES
 
 @value
 class DesignResponses:
-    """Responses of one design on the loop's nominal plant.
+    """Responses of one design on the loop's nominal plant."""
 
-    Attributes
-    ----------
-    design
-        Which.
-    gains : (N,) each
-        By the keys of `METRICS`: the gain over frequency whose peak each metric is.
-    peaks
-        By the same keys: the metrics themselves, over all frequencies.
-    smallest_sensitivity : (N,)
-        Smallest singular value of S at the input.
-    loop_gains : (m, N)
-        Singular values of the loop transfer at the input.
-    channels : complex (m, N)
-        Loop transfer of each torquer with all others closed, 1/S_ii − 1.
-    controller_gain : (N,)
-        Largest singular value of the controller.
-    angle_per_rate : (3, N)
-        Norm of all angles per rate about each root axis.
-    poles, varied_poles, fault_poles
-        Closed loop with the nominal plant, with uncertain parameters and Omega, and with a fault; s-plane
-        equivalents, rad/s.
-    """
-
-    design: LoopDesign
+    design: LoopDesign  # Which
+    # (N,) each: By the keys of METRICS: the gain over frequency whose peak each metric is
     gains: Mapping[str, FloatArray]
-    peaks: Mapping[str, float]
-    smallest_sensitivity: FloatArray
-    loop_gains: FloatArray
-    channels: ComplexArray
-    controller_gain: FloatArray
-    angle_per_rate: FloatArray
+    peaks: Mapping[str, float]  # By the same keys: the metrics themselves, over all frequencies
+    smallest_sensitivity: FloatArray  # (N,), Smallest singular value of S at the input
+    loop_gains: FloatArray  # (m, N), Singular values of the loop transfer at the input
+    channels: ComplexArray  # (m, N), Loop transfer of each torquer with all others closed, 1/S_ii − 1
+    controller_gain: FloatArray  # (N,), Largest singular value of the controller
+    angle_per_rate: FloatArray  # (3, N), Norm of all angles per rate about each root axis
+    # Closed loop with the nominal plant, with uncertain parameters and Omega, and with a fault; s-plane equivalents,
+    # rad/s
     poles: ComplexArray
     varied_poles: ComplexArray
     fault_poles: ComplexArray
@@ -68,24 +48,12 @@ class DesignResponses:
 
 @value
 class LoopResponses:
-    """Responses of all designs of a loop, on one grid that includes the frequencies of their peaks.
+    """Responses of all designs of a loop, on one grid that includes the frequencies of their peaks."""
 
-    Attributes
-    ----------
-    frequency : (N,)
-        rad/s.
-    designs
-        In the job's order.
-    closed
-        Name of the design that closes the loop.
-    open_angle_per_rate : (3, N), open_angle_per_torque : (N,)
-        The same disturbances without a controller.
-    """
-
-    frequency: FloatArray
-    designs: tuple[DesignResponses, ...]
-    closed: str
-    open_angle_per_rate: FloatArray
+    frequency: FloatArray  # (N,), rad/s
+    designs: tuple[DesignResponses, ...]  # In the job's order
+    closed: str  # Name of the design that closes the loop
+    open_angle_per_rate: FloatArray  # (3, N), open_angle_per_torque : (N,): The same disturbances without a controller
     open_angle_per_torque: FloatArray
 
     @property
@@ -96,21 +64,11 @@ class LoopResponses:
 
 @value
 class RootLocus:
-    """Closed-loop poles while every gain of the controller is multiplied by one factor.
+    """Closed-loop poles while every gain of the controller is multiplied by one factor."""
 
-    Attributes
-    ----------
-    gains : (G,)
-        The factors.
-    branches : complex (G, poles)
-        s-plane equivalents, rad/s, each column one continuous branch.
-    stable : (G,)
-        Whether the closed loop is.
-    """
-
-    gains: FloatArray
-    branches: ComplexArray
-    stable: np.ndarray[tuple[int], np.dtype[np.bool_]]
+    gains: FloatArray  # (G,), The factors
+    branches: ComplexArray  # (G, poles), s-plane equivalents, rad/s, each column one continuous branch
+    stable: np.ndarray[tuple[int], np.dtype[np.bool_]]  # (G,), Whether the closed loop is
 
     @property
     def stable_range(self) -> tuple[float, float] | None:

@@ -41,28 +41,15 @@ _EQUAL = 1e-6
 
 @value
 class Mode:
-    """A group of poles of the uncontrolled gimbals.
+    """A group of poles of the uncontrolled gimbals."""
 
-    Attributes
-    ----------
-    gimbals
-        The subsystem.
-    kind
-        ``nutation`` and ``precession`` of rotors; ``rigid body``: poles at the origin that no rotor and no restraint
-        takes away; ``pendulum``: an oscillation by unbalance; ``oscillation``, ``divergence`` and ``decay``.
-    poles
-        How many.
-    frequency
-        Of the oscillation, |Im s|, rad/s; 0 where there is none.
-    growth
-        Largest real part, 1/s; 0 where nothing grows.
-    """
-
-    gimbals: tuple[str, ...]
+    gimbals: tuple[str, ...]  # The subsystem
+    # "nutation" and "precession" of rotors; "rigid body": poles at the origin that no rotor and no restraint takes
+    # away; "pendulum": an oscillation by unbalance; "oscillation", "divergence" and "decay"
     kind: Kind
-    poles: int
-    frequency: float
-    growth: float
+    poles: int  # How many
+    frequency: float  # Of the oscillation, |Im s|, rad/s; 0 where there is none
+    growth: float  # Largest real part, 1/s; 0 where nothing grows
 
 
 def gimbal_poles(model: LinearModel, gimbals: tuple[str, ...]) -> ComplexArray:

@@ -13,26 +13,15 @@ from platform_ctrl.common.values import value
 
 @value
 class Mark:
-    """One stroke of a `Strip`; places are shares of its length, from 0 to 1.
+    """One stroke of a `Strip`; places are shares of its length, from 0 to 1."""
 
-    Attributes
-    ----------
-    form
-        ``ground`` and ``bar`` (from `start` to `end`), ``range`` (a line between them), ``tick`` (across, at `start`),
-        ``point`` (at `start`), ``word`` (`text`, centred at `start`).
-    start, end
-        Places.
-    colour
-        One of the page's colours by its name.
-    text
-        Of a word.
-    """
-
+    # "ground" and "bar" (from start to end), "range" (a line between them), "tick" (across, at start), "point" (at
+    # start), "word" (text, centred at start)
     form: str
     start: float
     end: float = 0.0
-    colour: str = "grid"
-    text: str = ""
+    colour: str = "grid"  # One of the page's colours by its name
+    text: str = ""  # Of a word
 
 
 @value
@@ -46,24 +35,12 @@ class Strip:
 
 @value
 class Cell:
-    """A cell of a table.
+    """A cell of a table."""
 
-    Attributes
-    ----------
-    text
-        What stands there.
-    note
-        What stands below it, small.
-    tone
-        ``good``, ``bad``, ``quiet`` or nothing.
-    strip
-        A picture after the text.
-    """
-
-    text: str
-    note: str = ""
-    tone: str = ""
-    strip: Strip | None = None
+    text: str  # The content
+    note: str = ""  # Below the text, small
+    tone: str = ""  # "good", "bad", "quiet" or nothing
+    strip: Strip | None = None  # A picture after the text
 
 
 @value
@@ -79,18 +56,10 @@ class Column:
 
 @value
 class Row:
-    """Cells, the first of which names the row.
+    """Cells, the first of which names the row."""
 
-    Attributes
-    ----------
-    cells
-        One for each column.
-    missed
-        Whether it is a requirement that is not met.
-    """
-
-    cells: tuple[Cell, ...]
-    missed: bool = False
+    cells: tuple[Cell, ...]  # One for each column
+    missed: bool = False  # Whether it is a requirement that is not met
 
 
 @value
@@ -104,20 +73,12 @@ class Group:
 
 @value
 class Table:
-    """A table; without titles it has no head.
-
-    Attributes
-    ----------
-    columns, groups
-        Its content.
-    form
-        ``requirements``, ``designs``, ``narrow`` or nothing.
-    """
+    """A table; without titles it has no head."""
 
     kind: ClassVar[str] = "table"
     columns: tuple[Column, ...]
     groups: tuple[Group, ...]
-    form: str = ""
+    form: str = ""  # "requirements", "designs", "narrow" or nothing
 
     @property
     def headed(self) -> bool:
@@ -204,25 +165,12 @@ class Section:
 
 @value
 class Document:
-    """A whole page.
+    """A whole page."""
 
-    Attributes
-    ----------
-    kicker
-        What kind of page it is.
-    title
-        Name of the job.
-    source
-        The platform and where its numbers come from.
-    passed, verdict
-        In a few words, for the title of a window and the head of printed pages.
-    sections
-        The page.
-    """
-
-    kicker: str
-    title: str
-    source: str
+    kicker: str  # What kind of page it is
+    title: str  # Name of the job
+    source: str  # The platform and where its numbers come from
+    # In a few words, for the title of a window and the head of printed pages
     passed: bool
     verdict: str
     sections: tuple[Section, ...]

@@ -25,33 +25,22 @@ _MOST_DRIVERS = 8
 
 @value
 class ProbabilityRow:
-    """One requirement of a campaign as the tables show it.
+    """One requirement of a campaign as the tables show it."""
 
-    Attributes
-    ----------
-    group, requirement, limit
-        The manoeuvre, the requirement and its limit.
-    violations, probability, bounds
-        How often it is violated.
-    median, high_quantile, largest
-        The value that is not exceeded in half of the runs, in 99 % of them, in all.
-    worst
-        Number of the worst run; None if none was simulated.
-    numbers
-        Estimate and bounds as numbers.
-    """
-
+    # The manoeuvre, the requirement and its limit
     group: str
     requirement: str
     limit: str
+    # How often it is violated
     violations: str
     probability: str
     bounds: str
+    # The value that is not exceeded in half of the runs, in 99 % of them, in all
     median: str
     high_quantile: str
     largest: str
-    worst: int | None
-    numbers: Probability
+    worst: int | None  # Number of the worst run; None if none was simulated
+    numbers: Probability  # Estimate and bounds as numbers
 
 
 def probability_rows(summary: Summary) -> tuple[ProbabilityRow, ...]:

@@ -40,18 +40,10 @@ _GROUPS: dict[Group, tuple[str, str]] = {
 
 @value
 class Cell:
-    """A value of one design.
+    """A value of one design."""
 
-    Attributes
-    ----------
-    text
-        Words.
-    met
-        Whether its limit is met; None where there is no limit, or only a goal.
-    """
-
-    text: str
-    met: bool | None = None
+    text: str  # Words
+    met: bool | None = None  # Whether its limit is met; None where there is no limit, or only a goal
 
 
 @value

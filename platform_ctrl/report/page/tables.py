@@ -52,34 +52,22 @@ if TYPE_CHECKING:
 
 @value
 class RequirementRow:
-    """One requirement as the tables show it.
+    """One requirement as the tables show it."""
 
-    Attributes
-    ----------
-    subject, design, requirement, value, limit, margin, stage
-        Words; `limit` carries its sense, `margin` is in per cent.
-    share
-        The margin as a number between −1 and 1, for a bar; 0 where there is none.
-    passed
-        Whether it is met.
-    evidence, method
-        What recomputes the value, and how it was found.
-    goal
-        Whether it is a goal, which is not part of the verdict.
-    """
-
+    # Words; limit carries its sense, margin is in per cent
     subject: str
     design: str
     requirement: str
     value: str
     limit: str
     margin: str
-    share: float
+    share: float  # The margin as a number between −1 and 1, for a bar; 0 where there is none
     stage: str
-    passed: bool
+    passed: bool  # Whether it is met
+    # What recomputes the value, and how it was found
     evidence: str
     method: str
-    goal: bool = False
+    goal: bool = False  # Whether it is a goal, which is not part of the verdict
 
     @property
     def symbol(self) -> str:

@@ -49,24 +49,12 @@ _WIDTH, _HEIGHT = 9.6, 4.8
 
 @value
 class SpinMode:
-    """One natural frequency of the gimbals over the rotors' speed.
+    """One natural frequency of the gimbals over the rotors' speed."""
 
-    Attributes
-    ----------
-    gimbals
-        The subsystem.
-    kind
-        As `Mode.kind`, at the nominal speed.
-    frequency : (N,)
-        |Im s|, rad/s.
-    nominal
-        At the nominal speed.
-    """
-
-    gimbals: tuple[str, ...]
-    kind: str
-    frequency: FloatArray
-    nominal: float
+    gimbals: tuple[str, ...]  # The subsystem
+    kind: str  # As Mode.kind, at the nominal speed
+    frequency: FloatArray  # (N,), |Im s|, rad/s
+    nominal: float  # At the nominal speed
 
 
 @check_arguments

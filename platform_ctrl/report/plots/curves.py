@@ -24,55 +24,25 @@ _ROUNDING = 1e-11
 
 @value
 class Curve:
-    """One response over frequency.
+    """One response over frequency."""
 
-    Attributes
-    ----------
-    label
-        For the legend.
-    system
-        With one input and one output.
-    frequency : (N,)
-        rad/s.
-    response : complex (N,)
-        NaN where nothing is drawn.
-    phase : (N,)
-        Degrees, without jumps.
-    """
-
-    label: str
-    system: DrawnSystem
-    frequency: FloatArray
-    response: ComplexArray
-    phase: FloatArray
+    label: str  # For the legend
+    system: DrawnSystem  # With one input and one output
+    frequency: FloatArray  # (N,), rad/s
+    response: ComplexArray  # (N,), NaN where nothing is drawn
+    phase: FloatArray  # (N,), Degrees, without jumps
 
 
 @value
 class Margins:
-    """Classical margins of one loop at all of its crossovers, sorted by frequency.
+    """Classical margins of one loop at all of its crossovers, sorted by frequency."""
 
-    Attributes
-    ----------
-    gain_crossovers : (k,)
-        Where the gain is 1, rad/s.
-    phase_margins : (k,)
-        Phase above −180° there, in (−180, 180], degrees.
-    phase_crossovers : (j,)
-        Where the phase is −180° or an odd multiple of it, rad/s.
-    gain_margins : (j,)
-        Factor on the gain that makes it 1 there.
-    stable
-        Whether the closed loop is; None: data cannot tell.
-    disk
-        Disk margin of this channel alone; None where it cannot be had.
-    """
-
-    gain_crossovers: FloatArray
-    phase_margins: FloatArray
-    phase_crossovers: FloatArray
-    gain_margins: FloatArray
-    stable: bool | None
-    disk: DiskMargin | None
+    gain_crossovers: FloatArray  # (k,), Where the gain is 1, rad/s
+    phase_margins: FloatArray  # (k,), Phase above −180° there, in (−180, 180], degrees
+    phase_crossovers: FloatArray  # (j,), Where the phase is −180° or an odd multiple of it, rad/s
+    gain_margins: FloatArray  # (j,), Factor on the gain that makes it 1 there
+    stable: bool | None  # Whether the closed loop is; None: data cannot tell
+    disk: DiskMargin | None  # Disk margin of this channel alone; None where there is none
 
     @property
     def phase_margin(self) -> tuple[float, float] | None:

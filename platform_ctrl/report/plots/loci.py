@@ -42,21 +42,11 @@ _DASHES = (0, (1.2, 1.8))
 
 @value
 class View:
-    """How much of the s-plane is shown.
+    """How much of the s-plane is shown."""
 
-    Attributes
-    ----------
-    reach
-        Up to which imaginary part, rad/s.
-    right
-        Share of the panel to the right of the imaginary axis.
-    stretch
-        How much longer a real part is drawn than an imaginary one.
-    """
-
-    reach: float
-    right: float = _RIGHT
-    stretch: float = 1.0
+    reach: float  # Up to which imaginary part, rad/s
+    right: float = _RIGHT  # Share of the panel to the right of the imaginary axis
+    stretch: float = 1.0  # How much longer a real part is drawn than an imaginary one
 
 
 def round_steps(top: float, number: int = 4) -> FloatArray:
@@ -197,33 +187,15 @@ _STEP = 0.012
 
 @value
 class Locus:
-    """Poles of a closed loop over a number.
+    """Poles of a closed loop over a number."""
 
-    Attributes
-    ----------
-    values : (N,)
-        The number, increasing: closer together where poles move fast.
-    branches : complex (N, n)
-        Poles in their own plane, s in rad/s or z, each column one continuous branch.
-    nominal : complex (n,)
-        Those at 1.
-    dt
-        Sample period, s; 0: continuous.
-    stable : (N,)
-        Whether all poles lie inside the stability boundary.
-    edges : (k,)
-        Numbers between the ends at which that changes, to rounding.
-    view
-        What of the s-plane shows it.
-    """
-
-    values: FloatArray
-    branches: ComplexArray
-    nominal: ComplexArray
-    dt: float
-    stable: NDArray[np.bool_]
-    edges: FloatArray
-    view: View
+    values: FloatArray  # (N,), The number, increasing: closer together where poles move fast
+    branches: ComplexArray  # (N, n), Poles in their own plane, s in rad/s or z, each column one continuous branch
+    nominal: ComplexArray  # (n,), Those at 1
+    dt: float  # Sample period, s; 0: continuous
+    stable: NDArray[np.bool_]  # (N,), Whether all poles lie inside the stability boundary
+    edges: FloatArray  # (k,), Numbers between the ends at which that changes, to rounding
+    view: View  # What of the s-plane shows it
 
     @property
     def s(self) -> ComplexArray:

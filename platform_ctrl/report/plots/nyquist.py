@@ -58,25 +58,14 @@ _COLUMNS = 3
 
 @value
 class ChannelCurve:
-    """One channel's loop transfer along the Nyquist contour of positive frequencies.
+    """One channel's loop transfer along the Nyquist contour of positive frequencies."""
 
-    Attributes
-    ----------
-    frequency : (N,)
-        rad/s; constant along an arc round a pole.
-    loop_transfer : complex (N,)
-        All other channels closed.
-    margin, margin_frequency
-        Disk margin, and where it is reached, rad/s; 0 where the closed loop is unstable, NaN for data.
-    unstable
-        Poles of the closed loop beyond the stability boundary; −1 for data.
-    """
-
-    frequency: FloatArray
-    loop_transfer: ComplexArray
+    frequency: FloatArray  # (N,), rad/s; constant along an arc round a pole
+    loop_transfer: ComplexArray  # (N,), All other channels closed
+    # Disk margin, and where it is reached, rad/s; 0 where the closed loop is unstable, NaN for data
     margin: float
     margin_frequency: float
-    unstable: int
+    unstable: int  # Poles of the closed loop beyond the stability boundary; −1 for data
 
 
 @standalone

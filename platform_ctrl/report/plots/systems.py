@@ -48,35 +48,19 @@ _CONVERTED = re.compile(r"\$\w+$")
 
 @value
 class DrawnSystem:
-    """One system as plots use it.
+    """One system as plots use it."""
 
-    Attributes
-    ----------
-    label
-        What the legend calls it; empty for a single system without a name.
-    inputs, outputs
-        Signal names.
-    dt
-        Sample period, s; 0: continuous.
-    poles, zeros : complex
-        s-plane equivalents, rad/s, finite ones; zeros of every entry and of the whole. Empty for data.
-    undamped : (k,)
-        Frequencies > 0 of poles and zeros on the stability boundary, rad/s.
-    arrays
-        State-space arrays; None for data and for improper transfer functions.
-    source
-        What was given.
-    """
-
-    label: str
+    label: str  # What the legend calls it; empty for a single system without a name
+    # Signal names
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
-    dt: float
+    dt: float  # Sample period, s; 0: continuous
+    # s-plane equivalents, rad/s, finite ones; zeros of every entry and of the whole. Empty for data
     poles: ComplexArray
     zeros: ComplexArray
-    undamped: FloatArray
-    arrays: StateArrays | None
-    source: Any
+    undamped: FloatArray  # (k,), Frequencies > 0 of poles and zeros on the stability boundary, rad/s
+    arrays: StateArrays | None  # State-space arrays; None for data and for improper transfer functions
+    source: Any  # What was given
 
     @property
     def nyquist(self) -> float:
