@@ -147,6 +147,14 @@ def test_the_edge_is_routh_s_for_three_poles():
     assert np.abs(locus.branches[at].imag).max() == pytest.approx(math.sqrt(5.0), rel=1e-6)
 
 
+def test_the_edge_is_found_where_stability_begins_at_the_end_of_the_range():
+    # s³ + 2ζ s² + s + k, with an integrator: stable for 0 < k < 2ζ, much closer to 0 than the first points.
+    lightly_damped = control.ss(control.tf([1.0], [1.0, 2e-3, 1.0, 0.0]))
+    locus = figures.root_locus(lightly_damped, MINUS).locus
+    assert locus.edges == pytest.approx([2e-3], rel=1e-5)
+    assert locus.stable_ranges == [(0.0, pytest.approx(2e-3, rel=1e-5))]
+
+
 def test_a_first_order_loop_moves_along_the_real_axis_with_its_gain():
     locus = figures.root_locus(UNIT, MINUS, gains=[0.0, 3.0]).locus
     assert locus.branches[:, 0] == pytest.approx(-1.0 - locus.values)
@@ -366,26 +374,26 @@ def test_a_loop_that_is_nothing_has_a_nyquist_plot_too():
 @pytest.mark.parametrize(
     ("draw", "says"),
     [
-        (lambda: figures.root_locus(UNIT, MINUS, gains=[1.0]), "gains: given .*at least two"),
-        (lambda: figures.root_locus(UNIT, MINUS, gains=[2.0, 1.0]), "gains: given .*increasing"),
+        (lambda: figures.root_locus(UNIT, MINUS, gains=[1.0]), "gains must be at least two"),
+        (lambda: figures.root_locus(UNIT, MINUS, gains=[2.0, 1.0]), "gains must be .*increasing"),
         (lambda: figures.root_locus(UNIT, MINUS, plane="w"), "plane: given 'w'"),
-        (lambda: figures.root_locus(UNIT, MINUS, plane="z"), "continuous loop"),
-        (lambda: figures.root_locus(UNIT, MINUS, reach=0.0), "reach: given"),
+        (lambda: figures.root_locus(UNIT, MINUS, plane="z"), "needs a sampled loop"),
+        (lambda: figures.root_locus(UNIT, MINUS, reach=0.0), "reach"),
         (lambda: figures.root_locus(MINUS, MINUS), "neither the plant nor the controller"),
-        (lambda: figures.root_locus("plant", MINUS), "plant: given 'plant'"),
+        (lambda: figures.root_locus("plant", MINUS), "plant: .*got 'plant'"),
         (lambda: figures.root_locus(UNIT, ss([[0.5]], [[1.0]], [[1.0]], 0.0, 0.1)), "controller 0.1 s"),
         (lambda: figures.root_locus_over_spin("plant", None, MINUS), "expected a Platform"),
         (lambda: figures.nyquist(ss([[-1.0]], [[1.0, 1.0]], [[1.0]])), "square"),
-        (lambda: figures.nyquist(UNIT, margin=3.0), "margin: given 3.0"),
-        (lambda: figures.nyquist(UNIT, reach=0.5), "reach: given 0.5"),
-        (lambda: figures.nyquist([UNIT, control.append(UNIT, UNIT)]), "same number"),
-        (lambda: figures.pole_map([]), "no system"),
+        (lambda: figures.nyquist(UNIT, margin=3.0), "margin must be below 2, .*got 3.0"),
+        (lambda: figures.nyquist(UNIT, reach=0.5), "reach must be above 1, .*got 0.5"),
+        (lambda: figures.nyquist([UNIT, control.append(UNIT, UNIT)]), "different numbers of channels"),
+        (lambda: figures.pole_map([]), "give at least one"),
         (lambda: figures.pole_map(UNIT, plane="z"), "plane 'z'"),
         (lambda: figures.pole_map(ss([[-1.0]], [[1.0, 1.0]], [[1.0]]), zeros=True), "as many inputs as outputs"),
-        (lambda: figures.step_response(UNIT, duration=-1.0), "duration: given"),
+        (lambda: figures.step_response(UNIT, duration=-1.0), "duration"),
         (lambda: figures.step_response(control.tf(1, [1, -0.5], 0.1), duration=1e9), "at most 20000 s, 200000 samples"),
-        (lambda: figures.step_response([UNIT, control.append(UNIT, UNIT)]), "same outputs and inputs"),
-        (lambda: figures.two_sided_nyquist(UNIT), "expected a TwoSidedNyquist"),
+        (lambda: figures.step_response([UNIT, control.append(UNIT, UNIT)]), "the same shape"),
+        (lambda: figures.two_sided_nyquist(UNIT), "must be a TwoSidedNyquist"),
     ],
 )
 def test_wrong_input_is_told_in_one_line(draw, says):

@@ -9,17 +9,15 @@ from platform_ctrl.report.plots.bode import bode
 from platform_ctrl.report.plots.campaign import campaign_histograms
 from platform_ctrl.report.plots.campbell import campbell
 from platform_ctrl.report.plots.disk_region import disk_margin_region
-from platform_ctrl.report.plots.gang_of_four import gang_of_four, singular_values
+from platform_ctrl.report.plots.gains import Omega_sensitivity, gang_of_four, singular_values
 from platform_ctrl.report.plots.gimbal_tree import gimbal_tree
 from platform_ctrl.report.plots.nichols import nichols
-from platform_ctrl.report.plots.nyquist import nyquist
+from platform_ctrl.report.plots.nyquist import nyquist, two_sided_nyquist
 from platform_ctrl.report.plots.panels import show
 from platform_ctrl.report.plots.pole_map import pole_map
-from platform_ctrl.report.plots.rate_sensitivity import Omega_sensitivity
 from platform_ctrl.report.plots.root_locus import root_locus, root_locus_over_spin
 from platform_ctrl.report.plots.step_response import step_response
 from platform_ctrl.report.plots.time_run import time_run
-from platform_ctrl.report.plots.two_sided import two_sided_nyquist
 
 __all__ = [
     "Omega_sensitivity",

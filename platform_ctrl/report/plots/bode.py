@@ -20,20 +20,17 @@ from platform_ctrl.report.plots.curves import margins as margins_of
 from platform_ctrl.report.plots.frequency_grid import grid
 from platform_ctrl.report.plots.label_placement import LabelPlacer
 from platform_ctrl.report.plots.panels import (
+    GainCurve,
     blocks,
+    control_plot,
     draw,
-    frequency_panels,
+    gain_curves,
     gain_label,
-    gain_panel,
-    gains,
-    legend,
-    line_array,
-    no_response,
     phase_panel,
 )
-from platform_ctrl.report.plots.systems import DrawnSystem, drawable, drawn_systems, unit_of_gain
+from platform_ctrl.report.plots.systems import DrawnSystem, drawable, drawn_systems, shared_unit, unit_of_gain
 from platform_ctrl.report.quantities import HZ, plain
-from platform_ctrl.report.style import REFERENCE, SERIES, standalone
+from platform_ctrl.report.style import SERIES, standalone
 
 if TYPE_CHECKING:
     import control
@@ -109,52 +106,43 @@ def bode(
 
     P. Seiler, A. Packard, P. Gahinet, IEEE Control Systems Magazine 40(5), 2020.
     """
-    import control
-
     drawn = drawn_systems("bode", systems, labels, square=loops is True)
     as_loops = all(_is_loop(one) for one in drawn) if loops is None else loops
     if as_loops and (outputs is not None or inputs is not None):
         as_loops = False
         if loops:
-            raise ArgumentError("bode: outputs and inputs choose entries of plants; expected them without loops=True")
-    found = _loop_blocks(drawn, frequency) if as_loops else _entry_blocks(drawn, frequency, outputs, inputs)
-    number = sum(len(block) for block in found)
-    columns = len(found[0])
-    measured = {
-        id(one): margins_of(one) for row in found for block in row for one in block.curves if as_loops and margins
-    }
-    written = max(len(block.curves) for row in found for block in row) <= _WRITTEN and number <= 2 * _COLUMNS
-    handles: dict[str, Any] = {}
+            raise ArgumentError("bode: outputs and inputs choose entries of plants; leave them out with loops=True")
+    rows = _loop_blocks(drawn, frequency) if as_loops else _entry_blocks(drawn, frequency, outputs, inputs)
+    every = [block for row in rows for block in row]
+    measured = {id(one): margins_of(one) for block in every for one in block.curves if as_loops and margins}
+    written = max(len(block.curves) for block in every) <= _WRITTEN and len(every) <= 2 * _COLUMNS
     names = {
-        id(one): _with(one.label, "" if number > 1 else _words(measured.get(id(one)), written))
-        for row in found
-        for block in row
+        id(one): _with(one.label, "" if len(every) > 1 else _words(measured.get(id(one)), written))
+        for block in every
         for one in block.curves
     }
     together = list(dict.fromkeys(name for name in names.values() if name))
-    tall = (2.3, 1.8) if len(found) == 1 else (1.5, 1.15)
-    figure, axes = blocks(
-        len(found), columns, tall, together, titles=any(block.title for row in found for block in row)
-    )
-    lines = line_array(axes)
-    for i, row in enumerate(found):
+    tall = (2.3, 1.8) if len(rows) == 1 else (1.5, 1.15)
+    _, axes = blocks(len(rows), len(rows[0]), tall, together, titles=any(block.title for block in every))
+    lines: dict[tuple[int, int], list[Any]] = {at: [] for at in np.ndindex(axes.shape)}
+    handles: dict[str, Any] = {}
+    for i, row in enumerate(rows):
         for j, block in enumerate(row):
             pair = axes[2 * i, j], axes[2 * i + 1, j]
-            own = _draw_block(pair, block, dB, as_loops, measured, written)
-            lines[2 * i, j], lines[2 * i + 1, j] = own
-            for one, line in zip(block.curves, own[0], strict=True):
+            lines[2 * i, j], lines[2 * i + 1, j] = _draw_block(pair, block, dB, as_loops)
+            for one, line in zip(block.curves, lines[2 * i, j], strict=True):
                 handles.setdefault(names[id(one)], line)
+            if measured:
+                _mark(pair, block, dB, measured, written)
             if j == 0 or (not as_loops and not dB):
-                pair[0].set_ylabel(gain_label("gain", _shared_unit(block), dB))
-            if number > 1 and measured:
+                pair[0].set_ylabel(gain_label("gain", shared_unit([one.system for one in block.curves]), dB))
+            if len(every) > 1 and measured:
                 _corner(pair[0], [_words(measured[id(one)], written) for one in block.curves])
             if j == 0:
                 pair[1].set_ylabel("phase, degrees")
-    for j in range(len(found[-1]), columns):
-        for k in (-2, -1):
-            axes[k, j].set_visible(False)
-    shown = legend(figure, [handles[name] for name in together], together)
-    return control.ControlPlot(lines, axes, figure, legend=shown)
+    for unused in axes[-2:, len(rows[-1]) :].flat:
+        unused.set_visible(False)
+    return control_plot(axes, list(lines.values()), [handles[name] for name in together], together)
 
 
 def _is_loop(one: DrawnSystem) -> bool:
@@ -165,7 +153,8 @@ def _is_loop(one: DrawnSystem) -> bool:
 
 def _loop_blocks(drawn: Sequence[DrawnSystem], frequency: ArrayLike | None) -> list[list[_Block]]:
     if len({one.shape for one in drawn}) != 1:
-        raise ArgumentError(f"bode: loops of {sorted({len(one.inputs) for one in drawn})} channels; expected the same")
+        numbers = sorted({len(one.inputs) for one in drawn})
+        raise ArgumentError(f"bode: the loops have different numbers of channels, {numbers}; draw them one by one")
     own = [channels("bode", one) for one in drawn]
     every = grid([one for part in own for one in part], frequency, name="bode", loops=True)
     names = [drawable(greek(name)) for name in drawn[0].inputs]
@@ -192,7 +181,7 @@ def _entry_blocks(
 ) -> list[list[_Block]]:
     if len({one.shape for one in drawn}) != 1:
         shapes = ", ".join(sorted({"{} × {}".format(*one.shape) for one in drawn}))
-        raise ArgumentError(f"bode: systems of {shapes} outputs × inputs; expected the same, or loops=True")
+        raise ArgumentError(f"bode: the systems have different shapes, {shapes} outputs × inputs; draw them one by one")
     rows = chosen("bode: outputs", outputs, drawn[0].outputs)
     columns = chosen("bode: inputs", inputs, drawn[0].inputs)
     every = grid(drawn, frequency, name="bode")
@@ -227,106 +216,68 @@ def chosen(name: str, given: Sequence[str | int] | str | int | None, known: Sequ
     """Return the numbers of signals that are named or numbered, in the order given; default all."""
     if given is None:
         return list(range(len(known)))
-    one_by_one = [given] if isinstance(given, str | int) else list(given)
     out = []
-    for one in one_by_one:
+    for one in [given] if isinstance(given, str | int) else given:
         if isinstance(one, str):
             out.append(known_name(name, one, known))
         elif isinstance(one, int | np.integer) and not isinstance(one, bool) and 0 <= one < len(known):
             out.append(int(one))
         else:
-            raise ArgumentError(f"{name}: given {short(one)}; expected a name, or a number below {len(known)}")
+            raise ArgumentError(f"{name} must be names, or numbers below {len(known)}, got {short(one)}")
     if not out:
-        raise ArgumentError(f"{name}: given none; expected at least one")
+        raise ArgumentError(f"{name} must be at least one, got none")
     return out
 
 
-def _shared_unit(block: _Block) -> str:
-    units = {unit_of_gain(one.system) for one in block.curves}
-    return units.pop() if len(units) == 1 else ""
-
-
-def _draw_block(
-    pair: tuple[Axes, Axes],
-    block: _Block,
-    dB: bool,
-    as_loops: bool,
-    measured: Mapping[int, Margins],
-    written: bool,
-) -> tuple[list[Any], list[Any]]:
+def _draw_block(pair: tuple[Axes, Axes], block: _Block, dB: bool, as_loops: bool) -> tuple[list[Any], list[Any]]:
     above, below = pair
     above.set_title(block.title)
-    amounts = [gains(one.response, dB=dB) for one in block.curves]
-    styled = list(zip(block.curves, amounts, range(len(amounts)), strict=True))
-    upper = [draw(above, one.frequency, amount, k) for one, amount, k in styled]
-    lower = [draw(below, one.frequency, one.phase, k) for one, _, k in styled]
-    ends = [one.frequency[k] for one in block.curves for k in (0, -1) if len(one.frequency)]
-    systems = [one.system for one in block.curves]
-    frequency_panels(pair, min(ends), max(ends), systems)
-    sizes = [(one.system, one.frequency, np.abs(one.response)) for one in block.curves]
-    gain_panel(above, sizes, dB=dB, more=[0.5, 2.0] if as_loops else [])
-    if not any(np.isfinite(one.response).any() for one in block.curves):
-        no_response(above)
+    curves = [GainCurve(one.system, one.frequency, np.abs(one.response), k) for k, one in enumerate(block.curves)]
+    upper = gain_curves(above, curves, dB=dB, below=[below], unity=as_loops)
+    lower = [draw(below, one.frequency, one.phase, k) for k, one in enumerate(block.curves)]
     phase_panel(below, [one.phase for one in block.curves], critical=as_loops)
-    if as_loops:
-        above.axhline(0.0 if dB else 1.0, color=REFERENCE, linewidth=0.9, zorder=1)
-    if measured:
-        _mark(pair, block, amounts, dB, measured, written)
     return upper, lower
 
 
-def _mark(
-    pair: tuple[Axes, Axes],
-    block: _Block,
-    amounts: Sequence[Any],
-    dB: bool,
-    measured: Mapping[int, Margins],
-    written: bool,
-) -> None:
+def _mark(pair: tuple[Axes, Axes], block: _Block, dB: bool, measured: Mapping[int, Margins], written: bool) -> None:
+    """Mark the margins of the curves of a block, and write them."""
     above, below = pair
-    places = tuple(
-        LabelPlacer(axes, [np.column_stack([one.frequency * HZ, y]) for one, y in zip(block.curves, ys, strict=True)])
-        for axes, ys in ((above, amounts), (below, [one.phase for one in block.curves]))
-    )
-    one_gain = 0.0 if dB else 1.0
-    for room, level in zip(places, (one_gain, -180.0), strict=True):
-        room.avoid([np.column_stack([room.axes.get_xlim(), [level, level]])])
+    unity = 0.0 if dB else 1.0
+    places = []
+    for axes, level in zip(pair, (unity, -180.0), strict=True):
+        places.append(LabelPlacer(axes, axes.get_lines()))
+        places[-1].avoid([np.column_stack([axes.get_xlim(), [level, level]])])
     # Small margins are written first: they find the best places.
     notes: list[tuple[float, LabelPlacer, str, float, float, str]] = []
     for k, one in enumerate(block.curves):
         found, colour = measured[id(one)], SERIES[k % len(SERIES)]
         dot: dict[str, Any] = {"color": colour, "marker": "o", "markersize": 4.2, "linestyle": "none", "zorder": 4}
-        rod: dict[str, Any] = {
-            "color": colour,
-            "linewidth": 2.6,
-            "alpha": 0.55,
-            "solid_capstyle": "butt",
-            "zorder": 2.5,
-        }
+        bar: dict[str, Any] = {"color": colour, "linewidth": 2.6, "alpha": 0.55, "zorder": 2.5}
+        bar["solid_capstyle"] = "butt"
         for w, margin in zip(found.gain_crossovers, found.phase_margins, strict=True):
             phase = float(np.interp(w, one.frequency, one.phase))
-            # The margin's own −180°, whichever turn the curve is on.
+            # The margin's own −180°, on whichever turn the curve is.
             level = 360.0 * round((phase - margin + 180.0) / 360.0) - 180.0
-            below.plot([w * HZ] * 2, [level, level + margin], **rod)
+            below.plot([w * HZ] * 2, [level, level + margin], **bar)
             below.plot([w * HZ], [level + margin], **dot)
-            above.plot([w * HZ], [one_gain], **dot | {"markersize": 2.8})
+            above.plot([w * HZ], [unity], **dot | {"markersize": 2.8})
             text = f"{degrees_words(margin)} at {plain(w * HZ, 3)} Hz"
             notes.append((abs(margin) / 60.0, places[1], text, w * HZ, level + margin, colour))
-        shown = {pair[1] for pair in (found.lowest_gain, found.highest_gain) if pair is not None}
+        shown = {nearest[1] for nearest in (found.lowest_gain, found.highest_gain) if nearest is not None}
         for w, factor in zip(found.phase_crossovers, found.gain_margins, strict=True):
             gain = -20.0 * np.log10(factor) if dB else 1.0 / factor
             if w in shown:
-                above.plot([w * HZ] * 2, [gain, one_gain], **rod)
+                above.plot([w * HZ] * 2, [gain, unity], **bar)
                 above.plot([w * HZ], [gain], **dot)
                 text = f"{gain_words(factor, dB)} at {plain(w * HZ, 3)} Hz"
                 notes.append((abs(np.log2(factor)), places[0], text, w * HZ, gain, colour))
             else:
                 above.plot([w * HZ], [gain], **dot | {"markersize": 2.8, "markerfacecolor": "none"})
     if written:
-        for _, room, _, x, y, _ in notes:
-            room.reserve(x, y)
-        for rank, (_, room, text, x, y, colour) in enumerate(sorted(notes, key=lambda note: note[0])):
-            room.write(text, x, y, colour=colour, bold=True, required=rank < 2)
+        for _, place, _, x, y, _ in notes:
+            place.reserve(x, y)
+        for rank, (_, place, text, x, y, colour) in enumerate(sorted(notes, key=lambda note: note[0])):
+            place.write(text, x, y, colour=colour, bold=True, required=rank < 2)
 
 
 def degrees_words(angle: float) -> str:

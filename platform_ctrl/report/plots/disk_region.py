@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter, NullLocator
 from numpy.typing import ArrayLike
 
@@ -27,8 +28,8 @@ from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.report.plots.frequency_grid import grid
 from platform_ctrl.report.plots.label_placement import LabelPlacer
-from platform_ctrl.report.plots.panels import blocks, curve_style, legend, line_array
-from platform_ctrl.report.plots.systems import DrawnSystem, as_state_space, drawable, drawn_systems, gaps
+from platform_ctrl.report.plots.panels import blocks, control_plot, curve_style
+from platform_ctrl.report.plots.systems import DrawnSystem, as_state_space, drawn_systems, gaps, listed
 from platform_ctrl.report.quantities import HZ, disk_gain_or_phase, plain
 from platform_ctrl.report.style import REFERENCE, standalone
 
@@ -65,9 +66,9 @@ def disk_margin_region(
 ) -> control.ControlPlot:
     """Draw the changes of gain and phase that are safe in every channel at once.
 
-    Inside a region no change makes the loop unstable, at whatever frequencies it happens. Where the region ends on the
-    axes stand the gain margins and the phase margin that it contains. Of a loop with one channel the dotted curve says
-    which changes make it unstable (−1/L): the region touches it.
+    Inside a region no change makes the loop unstable, at whatever frequencies it happens. The gain and phase
+    margins that a region contains are written where it ends on the axes. For a loop with one channel the dotted curve
+    shows the changes that make it unstable (−1/L): the region touches it.
 
     Parameters
     ----------
@@ -97,47 +98,35 @@ def disk_margin_region(
     ----------
     P. Seiler, A. Packard, P. Gahinet, IEEE Control Systems Magazine 40(5), 2020.
     """
-    import control
-
-    judged_skew("disk_margin_region", skew)
+    checked_skew("disk_margin_region", skew)
     regions = _regions(margins, labels, skew)
     words = [_words(region, skew) for region in regions]
-    figure, axes = blocks(1, 1, (4.0,), words, titles=False, width=7.2)
+    _, axes = blocks(1, 1, (4.0,), words, titles=False, width=7.2)
     panel = axes[0, 0]
-    lines = line_array(axes)
     left, right, top = _window(regions, skew)
     gain = np.geomspace(left, right, 401)
-    handles = []
+    lines = []
     for k, region in enumerate(regions):
         rim_gain, rim_phase = _rim(region.alpha, skew, gain)
         [line] = panel.plot(rim_gain, rim_phase, **curve_style(k) | {"marker": "", "linewidth": 1.7, "zorder": 3})
         panel.fill_between(rim_gain, rim_phase, 0.0, color=line.get_color(), alpha=0.10, linewidth=0)
-        lines[0, 0].append(line)
-        handles.append(line)
+        lines.append(line)
     _axes(panel, left, right, top)
     curves = [_critical(panel, region, k, frequency) for k, region in enumerate(regions)]
-    _mark(panel, regions, skew, [*(np.column_stack(line.get_data()) for line in lines[0, 0]), *curves])
-    return control.ControlPlot(lines, axes, figure, legend=legend(figure, handles, words))
+    _mark(panel, regions, skew, [*lines, *curves])
+    return control_plot(axes, [lines], lines, words)
 
 
-def judged_skew(name: str, skew: object) -> float:
-    """Return a skew as a float."""
+def checked_skew(name: str, skew: object) -> None:
+    """Raise ArgumentError if a skew is no finite number."""
     if not isinstance(skew, Real) or isinstance(skew, bool) or not math.isfinite(skew):
-        raise ArgumentError(f"{name}: skew = {skew!r}; expected a finite number")
-    return float(skew)
+        raise ArgumentError(f"{name}: skew must be a finite number, got {skew!r}")
 
 
 def exclusion(alpha: float, skew: float, points: int = 721) -> ComplexArray:
-    """Return the rim of the values of L that a disk margin `alpha` keeps free: there |S + (skew − 1)/2| is 1/alpha.
+    """Return the rim of the values of L that a disk margin keeps free: there |S + (skew − 1)/2| is 1/alpha.
 
-    Parameters
-    ----------
-    alpha
-        Below 2/(1 + |skew|): the region holds neither 0 nor infinity.
-    skew
-        Skew of the disk.
-    points
-        Along the closed curve.
+    `alpha` is below 2/(1 + |skew|), so that the region holds neither 0 nor infinity.
     """
     delta = np.exp(2j * np.pi * np.linspace(0.0, 1.0, points))
     return np.asarray(
@@ -147,26 +136,14 @@ def exclusion(alpha: float, skew: float, points: int = 721) -> ComplexArray:
 
 def _regions(margins: Any, labels: Sequence[str] | None, skew: float) -> list[_Region]:
     name = "disk_margin_region"
-    if isinstance(margins, Mapping):
-        if labels is not None:
-            raise ArgumentError(f"{name}: labels are given twice; expected them as keys or as labels")
-        labels, margins = [str(key) for key in margins], list(margins.values())
-    given = list(margins) if isinstance(margins, Sequence | np.ndarray) and not isinstance(margins, str) else [margins]
-    if not given:
-        raise ArgumentError(f"{name}: given no margin and no loop; expected at least one")
-    if labels is not None and (
-        isinstance(labels, str) or not isinstance(labels, Sequence | np.ndarray) or len(labels) != len(given)
-    ):
-        raise ArgumentError(f"{name}: labels: expected {len(given)} strings, one for each margin")
+    given, texts = listed(name, margins, labels)
     out = []
-    for k, one in enumerate(given):
-        label = None if labels is None else drawable(str(labels[k]))
+    for k, (one, label) in enumerate(zip(given, texts, strict=True)):
         if isinstance(one, Real) and not isinstance(one, bool):
             out.append(_Region(label=label or "", alpha=positive(name, float(one), zero=True), loop=None, margin=None))
             continue
         [loop] = drawn_systems(name if len(given) == 1 else f"{name}: loop {k + 1}", one, square=True)
-        data = loop.is_data
-        found = disk_margin(loop.source if data else as_state_space(name, loop), skew=skew)
+        found = disk_margin(loop.source if loop.is_data else as_state_space(name, loop), skew=skew)
         text = label if label is not None else loop.label or ("L" if len(given) == 1 else f"L {k + 1}")
         out.append(_Region(label=text, alpha=found.alpha, loop=loop, margin=found))
     return out
@@ -259,7 +236,7 @@ def _critical(panel: Axes, region: _Region, k: int, frequency: ArrayLike | None)
     return np.column_stack([gain, phase])
 
 
-def _mark(panel: Axes, regions: Sequence[_Region], skew: float, curves: Sequence[FloatArray]) -> None:
+def _mark(panel: Axes, regions: Sequence[_Region], skew: float, curves: Sequence[FloatArray | Line2D]) -> None:
     """Write the margins where the regions end on the axes, and the frequency where a loop is touched."""
     places = LabelPlacer(panel, curves)
     for k, region in enumerate(regions):

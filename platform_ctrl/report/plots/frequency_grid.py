@@ -34,21 +34,11 @@ def grid(
     loops: bool = False,
     points: int = 400,
 ) -> FloatArray:
-    """Return the ascending frequencies > 0, rad/s, that responses of all `systems` are drawn at.
+    """Return the ascending frequencies > 0, rad/s, at which the responses of all `systems` are drawn.
 
-    Parameters
-    ----------
-    systems
-        From `drawn_systems`.
-    frequency
-        None: a range that shows all poles and zeros, for sampled systems up to the Nyquist frequency. Two numbers: the
-        ends of the range. Otherwise the frequencies themselves.
-    name
-        What a message begins with: the plot's name.
-    loops
-        Whether gains of 1 have to be seen.
-    points
-        Of the plain grid, before poles and zeros add theirs.
+    `frequency` is None for a range that shows all poles and zeros (of loops also the crossings of gain 1; of sampled
+    systems up to the Nyquist frequency), the two ends of a range, or the frequencies themselves. `points` counts those
+    of the plain grid, before poles and zeros add theirs.
     """
     if frequency is None:
         low, high = _range(systems, loops)
@@ -56,7 +46,7 @@ def grid(
         given = frequencies(frequency, name)
         if not np.any(given) or not np.all(np.diff(given) > 0.0) or (given.size == 2 and given[0] == 0.0):
             raise ArgumentError(
-                f"{name}: frequency: expected ascending numbers in rad/s, or the two ends of a range > 0 rad/s"
+                f"{name}: frequency must be ascending numbers in rad/s, or the two ends of a range > 0 rad/s"
             )
         given = given[given > 0.0]
         low, high = float(given[0]), float(given[-1])
@@ -81,8 +71,10 @@ def _judge(systems: Sequence[DrawnSystem], low: float, high: float, name: str) -
             own = sorted_data(one.source)[0]
             first, last = float(own[0]), float(own[-1])
         if low > last * (1.0 + 1e-9) or high < first * (1.0 - 1e-9):
-            what = f"{one.label or 'the system'} is known from {first:.6g} to {last:.6g} rad/s"
-            raise ArgumentError(f"{name}: frequency: given {low:.6g} to {high:.6g} rad/s; {what}")
+            raise ArgumentError(
+                f"{name}: frequency: {low:.6g} to {high:.6g} rad/s is outside the range of "
+                f"{one.label or 'the system'}, {first:.6g} to {last:.6g} rad/s"
+            )
 
 
 def _range(systems: Sequence[DrawnSystem], loops: bool) -> tuple[float, float]:
@@ -102,9 +94,9 @@ def _range(systems: Sequence[DrawnSystem], loops: bool) -> tuple[float, float]:
             zeros = zeros[zeros > 1e-12 * zeros.max(initial=0.0)]
         corners = np.concatenate([corners, zeros])
         own = _crossed(one, corners) if loops or not corners.size else np.zeros(0)
-        spread = np.concatenate([corners, own])
-        if spread.size:
-            ends += [0.1 * float(spread.min()), min(10.0 * float(spread.max()), LAST * one.nyquist)]
+        shown = np.concatenate([corners, own])
+        if shown.size:
+            ends += [0.1 * float(shown.min()), min(10.0 * float(shown.max()), LAST * one.nyquist)]
         if one.dt:
             ends.append(LAST * one.nyquist)
             ends.append(min([1e-3 * one.nyquist, *ends]))

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
 
 from platform_ctrl.analysis.arrays import ComplexArray
 from platform_ctrl.common.text import text_width
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.report.style import INK, MUTED
 
-# Directions in degrees, the favourite first, and distances in points at which words are tried.
+# Directions in degrees, the best first, and distances in points at which labels are tried.
 _DIRECTIONS = (20, -20, 160, -160, 90, -90, 55, -55, 125, -125)
 _DISTANCES = (4.5, 9.0, 14.0)
 _LINE = 1.25  # height of a line over its font size
@@ -20,28 +22,23 @@ _APART = 2.0  # between words, points
 
 
 class LabelPlacer:
-    """Places labels in one panel whose limits are set.
+    """Places labels in one panel whose limits are set, off `curves`: lines, or points (k, 2) in data coordinates."""
 
-    Parameters
-    ----------
-    axes
-        The panel.
-    curves
-        Points (k, 2) in data coordinates that words had better not hide.
-    """
-
-    def __init__(self, axes: Axes, curves: Sequence[FloatArray] = ()) -> None:
+    def __init__(self, axes: Axes, curves: Sequence[FloatArray | Line2D] = ()) -> None:
         axes.apply_aspect()
         self.axes = axes
         self._unit = 72.0 / axes.figure.dpi
         box = axes.get_window_extent()
         self._low, self._high = (np.array(corner) * self._unit for corner in (box.min, box.max))
-        self._ink = np.concatenate([np.zeros((0, 2)), *(_dense(self.points(curve)) for curve in curves)])
+        self._ink = np.zeros((0, 2))
+        self.avoid(curves)
         self._taken: list[tuple[FloatArray, FloatArray]] = []
+        self._dots: list[FloatArray] = []
         self._later: list[tuple[str, float, float, tuple[int, ...]]] = []
 
-    def avoid(self, curves: Sequence[FloatArray]) -> None:
-        """Keep words off more curves, points (k, 2) each."""
+    def avoid(self, curves: Sequence[FloatArray | Line2D]) -> None:
+        """Keep labels off more curves."""
+        curves = [curve.get_xydata() if isinstance(curve, Line2D) else curve for curve in curves]
         self._ink = np.concatenate([self._ink, *(_dense(self.points(curve)) for curve in curves)])
 
     def points(self, at: FloatArray) -> FloatArray:
@@ -65,9 +62,36 @@ class LabelPlacer:
         return float(steps[inside[1:] & inside[:-1]].sum())
 
     def reserve(self, x: float, y: float, radius: float = 3.5) -> None:
-        """Keep words off a marker."""
+        """Keep labels off a marker."""
         for at in self.points(np.array([[x, y]])):
             self._taken.append((at - radius, at + radius))
+
+    def write_frequencies(
+        self,
+        hz: FloatArray,
+        curve: FloatArray,
+        dot: str,
+        *,
+        numbers: Sequence[float] = (1.0, 2.0, 3.0, 5.0, 7.0),
+        apart: float,
+        words: Callable[[float], str] = "{:g}".format,
+        **look: Any,
+    ) -> None:
+        """Put dots in the colour `dot` at round frequencies along a curve (N, 2), where there is room, and write them.
+
+        `hz` are its ascending frequencies; dots keep `apart`, points, from each other.
+        """
+        decades = 10.0 ** np.arange(np.floor(np.log10(max(hz[0], 1e-9))), np.ceil(np.log10(hz[-1])) + 1.0)
+        for f in (number * decade for decade in decades for number in numbers):
+            x, y = (float(np.interp(f, hz, column)) for column in curve.T)
+            if not hz[0] <= f <= hz[-1] or not self.shows(x, y):
+                continue
+            at = self.points(np.array([[x, y]]))[0]
+            if any(np.linalg.norm(at - other) < apart for other in self._dots):
+                continue
+            self._dots.append(at)
+            self.axes.plot([x], [y], "o", color=dot, markersize=3.0, zorder=4)
+            self.write(words(f), x, y, **look)
 
     def write_later(self, text: str, x: float, y: float, directions: tuple[int, ...]) -> None:
         """Remember a label of the panel's own scales: `write_remaining` writes it where the others leave room."""
@@ -101,7 +125,7 @@ class LabelPlacer:
         for distance in _DISTANCES:
             for rank, turn in enumerate(np.radians(directions)):
                 direction = np.array([np.cos(turn), np.sin(turn)])
-                # Straight up or down the words stand centred, to the sides they begin or end at the point.
+                # Above and below, labels are centred; beside, they begin or end at the point.
                 middle = at + distance * direction + half * np.where(np.abs(direction) > 0.3, np.sign(direction), 0.0)
                 low, high = middle - half, middle + half
                 outside = float(np.maximum(0.0, np.maximum(self._low - low, high - self._high)).sum())

@@ -130,18 +130,9 @@ def z_plane(axes: Axes, period: float) -> LabelPlacer:
 
 
 def view_of(ends: ComplexArray, between: ComplexArray, nyquist: float, reach: float | None = None) -> View:
-    """Return a view of the s-plane that shows poles, the very fast ones left out.
+    """Return a view of the s-plane that shows the poles `ends`, 1/s, and those `between` that are no faster.
 
-    Parameters
-    ----------
-    ends
-        Poles that are to be seen, 1/s.
-    between
-        Others that are taken in as long as they are no faster.
-    nyquist
-        Nyquist frequency of a sampled system, infinite otherwise: what lies beyond its half is delay and roll-off.
-    reach
-        Given: as far as this.
+    Very fast poles are left out, and of a sampled system those beyond half the Nyquist frequency: delay and roll-off.
     """
     bound = _bound(ends, nyquist)
     every = np.concatenate([ends, between])
@@ -217,7 +208,7 @@ def gain_locus(plant: LinearSystem, controller: LinearSystem, gains: ArrayLike |
     L = state_arrays(loop_transfer(*parts), "root_locus")
     A, B, C = scaled(L.A, L.B, L.C)
     if not len(A):
-        raise ArgumentError("root_locus: neither the plant nor the controller has a state; expected poles to draw")
+        raise ArgumentError("root_locus: neither the plant nor the controller has a state; there are no poles to draw")
     eye = np.eye(len(L.D))
 
     def poles(k: FloatArray) -> ComplexArray:
@@ -260,9 +251,9 @@ def spin_locus(
     dt = 0.0 if period is None else positive("period", period)
     late = positive("delay", delay, zero=True)
     if period is None and late:
-        raise ArgumentError(f"delay: given {delay!r} without a period; expected 0, or a sample period in s as well")
+        raise ArgumentError(f"root_locus_over_spin: a delay of {delay!r} s needs a sample period; give period in s")
     if controller.dt is not None and abs(K.dt - dt) > 1e-9 * max(K.dt, dt):
-        raise ArgumentError(f"period: given {period!r}, the controller has dt = {K.dt} s; expected the same")
+        raise ArgumentError(f"root_locus_over_spin: period must be the controller's dt, {K.dt} s, got {period!r}")
     still, change, lags = _affine_plant(platform, gimbals, rotors, Omega, controller)
 
     def poles(k: FloatArray) -> ComplexArray:
@@ -285,7 +276,7 @@ def with_rotors_at_rest(platform: Platform, rotors: Sequence[str] | None) -> tup
     turning = [r.name for r in platform.rotors if r.name in chosen and r.angular_momentum != 0.0]
     if not turning:
         given = ", ".join(map(repr, chosen)) or "none at all"
-        raise ArgumentError(f"rotors: {given} of platform {platform.name!r}; expected at least one that spins")
+        raise ArgumentError(f"rotors must include one of platform {platform.name!r} that spins, got {given}")
     return changed(platform, {}, dict.fromkeys(turning, -1.0)), turning
 
 
@@ -308,8 +299,8 @@ def _affine_plant(
         torques, angles = list(controller.output_labels), list(controller.input_labels)
     elif (len(torques), len(angles)) != (controller.noutputs, controller.ninputs):
         raise ArgumentError(
-            f"controller: from {list(controller.input_labels)} to {list(controller.output_labels)}, the gimbals have "
-            f"angles {angles} and torquers {torques}; expected the same names, or the same numbers"
+            f"root_locus_over_spin: the controller must use angles {angles} and torquers {torques}, or as many, "
+            f"got inputs {list(controller.input_labels)} and outputs {list(controller.output_labels)}"
         )
     P, P0 = (state_arrays(system[angles, torques], "gimbals") for system in (full, none))
     change = StateArrays(P.A - P0.A, P.B - P0.B, P.C - P0.C, P.D - P0.D, 0.0)
@@ -328,7 +319,7 @@ def increasing(name: str, given: ArrayLike | None, default: FloatArray) -> Float
         return default
     out = real_numbers(name, given)
     if out.ndim != 1 or out.size < 2 or not np.isfinite(out).all() or np.any(np.diff(out) <= 0.0):
-        raise ArgumentError(f"{name}: given {short(given)}; expected at least two finite increasing numbers")
+        raise ArgumentError(f"{name} must be at least two finite increasing numbers, got {short(given)}")
     return out
 
 
@@ -346,19 +337,18 @@ def traced_locus(values: FloatArray, poles: Poles, dt: float) -> Locus:
         outside = ~(np.abs(s) < 3.0 * view.reach)
         return np.where(outside, np.nan, view.stretch * s.real + 1j * s.imag)
 
+    # At an end of the range the loop may be undamped: what counts there is stability a little inside.
+    inside = np.array([1.0, -1.0]) * 2.0 * _BESIDE * (values[-1] - values[0]) + values[[0, -1]]
+
+    def stability(at: FloatArray) -> NDArray[np.bool_]:
+        return _stable(poles(np.clip(at, *inside)), dt)
+
     fine = refined_values(coarse, poles, shown, _STEP * view.reach)
-    z = poles(fine)
-    stable = _stable(z, dt)
+    stable = stability(fine)
     at = np.flatnonzero(stable[1:] != stable[:-1])
-    found = [_edge(poles, dt, float(fine[k]), float(fine[k + 1]), bool(stable[k])) for k in at]
-    # Undamped at an end of the range: on the boundary there, stable or not as soon as it moves.
-    beside = _BESIDE * float(fine[-1] - fine[0])
-    edges = [edge for edge in found if fine[0] + beside < edge < fine[-1] - beside]
+    edges = [_edge(stability, float(fine[k]), float(fine[k + 1]), bool(stable[k])) for k in at]
     fine = np.union1d(fine, edges)
-    z = poles(fine)
-    stable = _stable(z, dt)
-    stable[fine <= fine[0] + beside] = _stable(poles(np.array([fine[0] + 2.0 * beside])), dt)[0]
-    stable[fine >= fine[-1] - beside] = _stable(poles(np.array([fine[-1] - 2.0 * beside])), dt)[0]
+    z, stable = poles(fine), stability(fine)
     return Locus(
         values=fine,
         branches=pole_branches(z),
@@ -376,14 +366,11 @@ def _stable(z: ComplexArray, dt: float) -> NDArray[np.bool_]:
     return np.asarray(growth < -_ON * size)
 
 
-def _edge(poles: Callable[[FloatArray], ComplexArray], dt: float, low: float, high: float, before: bool) -> float:
+def _edge(stability: Callable[[FloatArray], NDArray[np.bool_]], low: float, high: float, before: bool) -> float:
     """Bisect to where stability changes."""
     for _ in range(80):
         middle = 0.5 * (low + high)
         if not low < middle < high:
             break
-        if bool(_stable(poles(np.array([middle])), dt)[0]) == before:
-            low = middle
-        else:
-            high = middle
+        low, high = (middle, high) if bool(stability(np.array([middle]))[0]) == before else (low, middle)
     return 0.5 * (low + high)

@@ -1,4 +1,4 @@
-"""Nichols charts of loops, with the regions that disk margins keep free."""
+"""Nichols plots of loops, with the regions that disk margins keep free."""
 
 from __future__ import annotations
 
@@ -15,13 +15,12 @@ from platform_ctrl.analysis.transfer_function import LinearSystem
 from platform_ctrl.common.arguments import positive
 from platform_ctrl.common.signatures import check_arguments, short
 from platform_ctrl.common.text import greek
-from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.report.plots.curves import Curve, Margins, channels, curve, margins
-from platform_ctrl.report.plots.disk_region import exclusion, judged_skew
+from platform_ctrl.report.plots.disk_region import checked_skew, exclusion
 from platform_ctrl.report.plots.frequency_grid import grid
 from platform_ctrl.report.plots.label_placement import LabelPlacer
-from platform_ctrl.report.plots.panels import blocks, curve_style, gains, legend, line_array
+from platform_ctrl.report.plots.panels import blocks, control_plot, curve_style, gains
 from platform_ctrl.report.plots.systems import drawable, drawn_systems
 from platform_ctrl.report.quantities import HZ, plain
 from platform_ctrl.report.style import BAND, FRAME, LIMIT, MUTED, REFERENCE, standalone
@@ -31,8 +30,8 @@ if TYPE_CHECKING:
 
 # What is shown at most above and below a gain of 1, dB.
 _HIGHEST, _LOWEST = 60.0, -60.0
-# Round numbers that are written along a curve, Hz times powers of ten.
-_ROUND = (1.0, 2.0, 5.0)
+# Curves that carry frequencies.
+_WRITTEN = 6
 
 
 @check_arguments
@@ -46,10 +45,10 @@ def nichols(
     skew: float = 0.0,
     T_peaks: Sequence[float] | float = (),
 ) -> control.ControlPlot:
-    """Draw loop transfers as gain over phase, with the regions that they stay out of when they have a disk margin.
+    """Draw loop transfers as gain over phase, with the regions that a disk margin keeps them out of.
 
     A loop with several channels is drawn channel by channel, each broken with all others closed (1/S_ii − 1). A diamond
-    stands where a curve comes closest to the critical point in the sense of the disk margin.
+    marks where a curve comes closest to the critical point in the sense of the disk margin.
 
     Parameters
     ----------
@@ -82,24 +81,22 @@ def nichols(
     ----------
     P. Seiler, A. Packard, P. Gahinet, IEEE Control Systems Magazine 40(5), 2020.
     """
-    import control
-
-    judged_skew("nichols", skew)
+    checked_skew("nichols", skew)
     alphas = _numbers("nichols: disk_margins", disk_margins)
     most = 2.0 / (1.0 + abs(skew))
     for alpha in alphas:
         if alpha >= most - 1e-9:
-            raise ArgumentError(f"nichols: disk_margins: given {alpha:g}; expected less than 2/(1 + |skew|) = {most:g}")
+            raise ArgumentError(f"nichols: disk_margins must be below 2/(1 + |skew|) = {most:g}, got {alpha:g}")
     peaks = _numbers("nichols: T_peaks", T_peaks)
     for peak in peaks:
         if peak <= 1.0:
-            raise ArgumentError(f"nichols: T_peaks: given {peak:g}; expected more than 1")
+            raise ArgumentError(f"nichols: T_peaks must be above 1, got {peak:g}")
     drawn = drawn_systems("nichols", loops, labels, square=True)
     parts = [channels("nichols", one) for one in drawn]
     every = grid([one for part in parts for one in part], frequency, name="nichols", loops=True)
     curves = []
     for one, part in zip(drawn, parts, strict=True):
-        # Products of systems lose their signal names: those of the first will do.
+        # Products of systems lose their signal names: those of the first are used.
         own_names = drawn[0].inputs if len(drawn[0].inputs) == len(part) else one.inputs
         for name, own in zip(own_names, part, strict=True):
             words = [one.label] if one.label or len(part) == 1 else []
@@ -108,19 +105,24 @@ def nichols(
     found = [margins(one, skew=skew) for one in curves]
     names = [_legend_words(one, measured) for one, measured in zip(curves, found, strict=True)]
     regions = [f"disk margin {alpha:g}" + (f", skew {skew:g}" if skew else "") for alpha in alphas]
-    figure, axes = blocks(1, 1, (5.0,), [*names, *regions], titles=False, width=7.6)
+    _, axes = blocks(1, 1, (5.0,), [*names, *regions], titles=False, width=7.6)
     panel = axes[0, 0]
-    lines = line_array(axes)
     _window(panel, curves)
     shaded = _regions(panel, alphas, skew)
-    lines[0, 0] += [_line(panel, one, k) for k, one in enumerate(curves)]
-    places = LabelPlacer(panel, [np.column_stack([one.phase, gains(one.response, dB=True)]) for one in curves])
-    _critical(panel, places)
+    lines = [_line(panel, one, k) for k, one in enumerate(curves)]
+    places = LabelPlacer(panel, lines)
+    for centre in _centres(panel):
+        panel.plot([centre], [0.0], "+", color=LIMIT, markersize=10, markeredgewidth=1.6, zorder=4)
+        places.reserve(centre, 0.0, 5.0)
     _closest(panel, places, curves, found)
     _peaks(panel, places, peaks)
-    _frequencies(panel, places, curves)
-    shown = legend(figure, [*lines[0, 0], *shaded], [*names, *regions])
-    return control.ControlPlot(lines, axes, figure, legend=shown)
+    for line, one in zip(lines[:_WRITTEN], curves, strict=False):
+        if len(one.frequency) > 1:
+            hz, look = one.frequency * HZ, {"colour": MUTED, "size": 6.5, "words": lambda f: f"{plain(f, 3)} Hz"}
+            places.write_frequencies(
+                hz, line.get_xydata(), line.get_color(), numbers=(1.0, 2.0, 5.0), apart=26.0, **look
+            )
+    return control_plot(axes, [lines], [*lines, *shaded], [*names, *regions])
 
 
 def _numbers(name: str, given: Any) -> list[float]:
@@ -128,7 +130,7 @@ def _numbers(name: str, given: Any) -> list[float]:
     try:
         return sorted((positive(name, item) for item in items), reverse=True)
     except ArgumentError:
-        raise ArgumentError(f"{name}: given {short(given)}; expected numbers > 0") from None
+        raise ArgumentError(f"{name} must be numbers > 0, got {short(given)}") from None
 
 
 def _legend_words(one: Curve, found: Margins) -> str:
@@ -151,7 +153,7 @@ def _window(panel: Axes, curves: Sequence[Curve]) -> None:
     step = 10.0 if high - low <= 80.0 else 20.0
     panel.set_ylim(step * math.floor(low / step), step * math.ceil(high / step))
     panel.yaxis.set_major_locator(MultipleLocator(step))
-    # A delay turns the phase for ever: two turns will do.
+    # A delay turns the phase for ever: two turns are enough.
     left, right = max(left, -900.0), min(right, 360.0)
     turn = 45.0 if right - left <= 360.0 else 90.0 if right - left <= 720.0 else 180.0
     room = 0.03 * (right - left)
@@ -199,12 +201,6 @@ def _line(panel: Axes, one: Curve, k: int) -> Any:
     return line
 
 
-def _critical(panel: Axes, places: LabelPlacer) -> None:
-    for centre in _centres(panel):
-        panel.plot([centre], [0.0], "+", color=LIMIT, markersize=10, markeredgewidth=1.6, zorder=4)
-        places.reserve(centre, 0.0, 5.0)
-
-
 def _closest(panel: Axes, places: LabelPlacer, curves: Sequence[Curve], found: Sequence[Margins]) -> None:
     for k, (one, measured) in enumerate(zip(curves, found, strict=True)):
         if measured.disk is None or measured.stable is False or not len(one.frequency):
@@ -228,26 +224,3 @@ def _peaks(panel: Axes, places: LabelPlacer, peaks: Sequence[float]) -> None:
             panel.plot(centre + phase, level, color=FRAME, linewidth=0.9, zorder=1.2)
             top = int(np.argmax(level))
             places.write(f"|T| {plain(peak, 3)}", centre + phase[top], level[top], colour=MUTED, size=6.5)
-
-
-def _frequencies(panel: Axes, places: LabelPlacer, curves: Sequence[Curve]) -> None:
-    """Write round frequencies along the curves, where there is room."""
-    taken: list[FloatArray] = []
-    for k, one in enumerate(curves[:6]):
-        if len(one.frequency) < 2:
-            continue
-        f, level = one.frequency * HZ, gains(one.response, dB=True)
-        decades = 10.0 ** np.arange(math.floor(math.log10(f[0])), math.ceil(math.log10(f[-1])) + 1)
-        for hz in (number * decade for decade in decades for number in _ROUND):
-            if not f[0] <= hz <= f[-1]:
-                continue
-            x, y = float(np.interp(hz, f, one.phase)), float(np.interp(hz, f, level))
-            if not (np.isfinite(x) and np.isfinite(y) and places.shows(x, y)):
-                continue
-            at = places.points(np.array([[x, y]]))[0]
-            if any(np.linalg.norm(at - other) < 26.0 for other in taken):
-                continue
-            taken.append(at)
-            colour = curve_style(k)["color"]
-            panel.plot([x], [y], "o", color=colour, markersize=3.0, zorder=4)
-            places.write(f"{plain(hz, 3)} Hz", x, y, colour=MUTED, size=6.5)

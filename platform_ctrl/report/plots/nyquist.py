@@ -1,4 +1,4 @@
-"""Nyquist plots, channel by channel, closed over poles without damping by arcs of finite size."""
+"""Nyquist plots: channel by channel, closed around undamped poles by arcs; of a complex loop, two-sided."""
 
 from __future__ import annotations
 
@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Polygon
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, named_system, scaled
 from platform_ctrl.analysis.margins import disk_margin
@@ -18,17 +19,21 @@ from platform_ctrl.analysis.poles import poles
 from platform_ctrl.analysis.singular_values import boundary_poles
 from platform_ctrl.analysis.transfer_function import LinearSystem
 from platform_ctrl.common.arguments import positive
+from platform_ctrl.common.signatures import short
+from platform_ctrl.common.text import at_least
 from platform_ctrl.common.values import FloatArray, value
+from platform_ctrl.design.classical.complex_shaping import ComplexLoop, TwoSidedNyquist
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.report.plots.curves import channels
 from platform_ctrl.report.plots.frequency_grid import grid
 from platform_ctrl.report.plots.label_placement import LabelPlacer
-from platform_ctrl.report.plots.panels import line_array
+from platform_ctrl.report.plots.panels import control_plot
 from platform_ctrl.report.plots.systems import DrawnSystem, drawable, drawn_systems
 from platform_ctrl.report.quantities import HZ, count, disk_gain_or_phase
 from platform_ctrl.report.quantities import plain as number
 from platform_ctrl.report.style import (
     BAND,
+    DASHES,
     INK,
     LIMIT,
     MUTED,
@@ -48,12 +53,14 @@ if TYPE_CHECKING:
 
 # How far from the origin the view goes; larger |L| lies on the rim.
 _REACH = 3.0
-# Radius of the way round a pole on the axis, of its frequency.
+# Radius of the half circle around a pole on the axis, as a share of its frequency.
 _INDENT = 1e-3
 # Steps of the curve, of the rim's radius, at most; how often they are halved, and points at most.
 _STEP, _HALVINGS, _MOST = 0.03, 7, 8000
-_ROUND = np.array([1.0, 2.0, 3.0, 5.0, 7.0])
 _COLUMNS = 3
+_RIM = (0, (1.2, 1.8))
+# Least distance of the dots at round frequencies, points.
+_APART = 20.0
 
 
 @value
@@ -114,39 +121,33 @@ def nyquist(
 
     P. Seiler, A. Packard, P. Gahinet, IEEE Control Systems Magazine 40(5), 2020.
     """
-    import control
-
     systems = drawn_systems("nyquist", loops, labels, square=True)
     sizes = {system.shape[0] for system in systems}
     if len(sizes) > 1:
-        raise ArgumentError(f"nyquist: loops of {sorted(sizes)} channels; expected the same number in all of them")
+        raise ArgumentError(f"nyquist: the loops have different numbers of channels, {sorted(sizes)}; draw them apart")
     radius = positive("nyquist: reach", reach)
     if radius <= 1.0:
-        raise ArgumentError(f"nyquist: reach: given {reach!r}; expected more than 1, so that -1 is in view")
-    asked = None if margin is None else positive("nyquist: margin", margin)
-    if asked is not None and asked >= 2.0:
-        raise ArgumentError(
-            f"nyquist: margin: given {margin!r}; expected less than 2, where the disk becomes a half plane"
-        )
+        raise ArgumentError(f"nyquist: reach must be above 1, so that -1 is in view, got {reach!r}")
+    required = None if margin is None else positive("nyquist: margin", margin)
+    if required is not None and required >= 2.0:
+        raise ArgumentError(f"nyquist: margin must be below 2, where the disk becomes a half plane, got {margin!r}")
     [size] = sizes
     curves = [_channels(system, frequency, radius) for system in systems]
-
-    columns = min(size, _COLUMNS)
-    rows = -(-size // columns)
-    names = [system.label or "L, ω > 0" for system in systems]
     own = [[one[k].margin for one in curves if np.isfinite(one[k].margin)] for k in range(size)]
-    disks = [asked or min(margins, default=0.0) for margins in own]
+    disks = [required or min(margins, default=0.0) for margins in own]
     with_disk = any(0.0 < alpha < 2.0 for alpha in disks)
+    names = [system.label or "L, ω > 0" for system in systems]
     names += ["ω < 0", "−1", *(["disk of the margin"] if with_disk else []), f"|L| > {radius:g}: on the rim"]
-    width = 6.4 if columns == 1 else 9.6
+    columns = min(size, _COLUMNS)
+    rows, width = -(-size // columns), 6.4 if columns == 1 else 9.6
     rowed = legend_rows(names, width)
     cell = (width - 0.76 - (columns - 1) * 0.68) / columns
     height = rows * cell + (rows - 1) * 0.72 + 0.46 + 0.08 + 0.22 * rowed + 0.24
     figure, panel_grid = panels(rows, columns, height, width=width, legend=rowed)
     every = [axes for row in panel_grid for axes in row]
-    drawn: list[list[Line2D]] = []
+    lines = []
     for k, axes in enumerate(every[:size]):
-        drawn.append(_panel(axes, [one[k] for one in curves], radius, disks[k]))
+        lines.append(_panel(axes, [one[k] for one in curves], radius, disks[k]))
         _title(axes, [one[k] for one in curves], drawable(systems[0].inputs[k]) if size > 1 else "")
     for axes in every[size:]:
         axes.set_axis_off()
@@ -157,14 +158,10 @@ def nyquist(
         tuple(Line2D([], [], **_style(k, mirrored=True)) for k in range(len(systems))),
         Line2D([], [], marker="+", color=LIMIT, linestyle="none", markersize=9, markeredgewidth=1.6),
         *([Patch(facecolor=BAND, edgecolor=MUTED)] if with_disk else []),
-        Line2D([], [], color=REFERENCE, linewidth=0.8, linestyle=(0, (1.2, 1.8))),
+        Line2D([], [], color=REFERENCE, linewidth=0.8, linestyle=_RIM),
     ]
     legend_above(figure, handles, names)
-    shown = np.array([every[:size]])
-    lines = line_array(shown)
-    for k, own_lines in enumerate(drawn):
-        lines[0, k] = own_lines
-    return control.ControlPlot(lines, shown, figure)
+    return control_plot(np.array([every[:size]]), lines)
 
 
 def _channels(system: DrawnSystem, frequency: ArrayLike | None, reach: float) -> list[ChannelCurve]:
@@ -183,7 +180,7 @@ def _channels(system: DrawnSystem, frequency: ArrayLike | None, reach: float) ->
         loop = StateArrays(*scaled(*one.arrays[:3]), *one.arrays[3:])
         direct = 1.0 + loop.D[0, 0]
         if abs(direct) <= 1e-12:
-            raise ArgumentError("nyquist: 1 + D of a loop is 0: an algebraic loop; add a lag or a delay to it")
+            raise ArgumentError("nyquist: 1 + D of a loop is 0, an algebraic loop; add a lag or a delay")
         closed = poles(loop.A - loop.B @ loop.C / direct)
         growth = np.abs(closed) - 1.0 if loop.dt else closed.real / np.abs(closed).max(initial=1e-300)
         margin = disk_margin(named_system(loop, one.inputs, one.outputs))
@@ -203,12 +200,12 @@ def _channels(system: DrawnSystem, frequency: ArrayLike | None, reach: float) ->
 def _contour(A: FloatArray, dt: float, frequency: FloatArray) -> ComplexArray:
     """Return points s of the contour of positive frequencies, upwards: right round the poles on the axis."""
     poles, on = boundary_poles(A, dt) if len(A) else (np.zeros(0, dtype=np.complex128), np.zeros(0, dtype=np.bool_))
-    held = np.unique(np.abs(poles.imag[on & np.isfinite(poles)]))
+    centres = np.unique(np.abs(poles.imag[on & np.isfinite(poles)]))
     low, high = float(frequency[0]), float(frequency[-1])
     turn = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 121)
     along, pieces = frequency, []
     done = -np.inf
-    for centre in held:
+    for centre in centres:
         if centre <= 1e-6 * low:
             # From the real axis on: the other half is that of negative frequencies.
             pieces.append(low * np.exp(1j * turn[60:]))
@@ -264,7 +261,7 @@ def _panel(axes: Axes, curves: list[ChannelCurve], radius: float, alpha: float) 
     half = 1.06 * radius
     plane_of_L(axes, 0.0, half)
     rim = radius * np.exp(1j * np.linspace(0.0, 2.0 * np.pi, 361))
-    axes.plot(rim.real, rim.imag, color=REFERENCE, linewidth=0.8, linestyle=(0, (1.2, 1.8)), zorder=1)
+    axes.plot(rim.real, rim.imag, color=REFERENCE, linewidth=0.8, linestyle=_RIM, zorder=1)
     margin_disk(axes, alpha)
     critical_point(axes)
     lines = []
@@ -273,8 +270,9 @@ def _panel(axes: Axes, curves: list[ChannelCurve], radius: float, alpha: float) 
         [line] = axes.plot(shown.real, shown.imag, **_style(k))
         axes.plot(shown.real, -shown.imag, **_style(k, mirrored=True))
         lines.append(line)
-        _arrow(axes, shown, radius, SERIES[k % len(SERIES)])
-    places = LabelPlacer(axes, [np.column_stack([line.get_xdata(), line.get_ydata()]) for line in axes.lines])
+        inside = np.isfinite(shown) & (np.abs(shown) < 0.97 * radius)
+        arrows(axes, shown, inside, radius, SERIES[k % len(SERIES)])
+    places = LabelPlacer(axes, axes.lines)
     places.reserve(-1.0, 0.0, 5.0)
     for k, curve in enumerate(curves):
         _frequencies(axes, places, curve, radius, SERIES[k % len(SERIES)])
@@ -319,19 +317,17 @@ def arrow(axes: Axes, L: ComplexArray, k: int, length: float, colour: str) -> No
     axes.annotate("", (L[k].real, L[k].imag), (tail.real, tail.imag), arrowprops=style, zorder=4)
 
 
-def _arrow(axes: Axes, shown: ComplexArray, radius: float, colour: str) -> None:
-    """Point towards rising frequency in the middle of the longest stretch inside the rim."""
-    inside = np.isfinite(shown) & (np.abs(shown) < 0.97 * radius)
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], inside.astype(np.int8), [0]]))).reshape(-1, 2)
-    stretches = [(np.abs(np.diff(shown[a:b])).sum(), a, b) for a, b in edges if b - a > 2]
-    if not stretches:
-        return
-    length, a, b = max(stretches)
-    if length < 0.2 * radius:
-        return
-    along = np.cumsum(np.abs(np.diff(shown[a:b])))
-    k = min(a + int(np.searchsorted(along, 0.5 * length)), b - 2)
-    arrow(axes, shown, k, 0.01 * radius, colour)
+def arrows(axes: Axes, L: ComplexArray, visible: NDArray[np.bool_], half: float, colour: str, most: int = 1) -> None:
+    """Point towards rising frequency in the middle of the longest visible stretches, `most` of them at most."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], visible.astype(np.int8), [0]]))).reshape(-1, 2)
+    stretches = sorted(((np.abs(np.diff(L[a:b])).sum(), a, b) for a, b in edges if b - a > 2), reverse=True)
+    for length, a, b in stretches[:most]:
+        if length > 0.2 * half:
+            k = min(a + int(np.searchsorted(np.cumsum(np.abs(np.diff(L[a:b]))), 0.5 * length)), b - 2)
+            step = L[k + 1] - L[k]
+            tail = L[k] - 0.01 * half * step / abs(step)
+            style = {"arrowstyle": "-|>", "color": colour, "mutation_scale": 12, "linewidth": 0.0}
+            axes.annotate("", (L[k].real, L[k].imag), (tail.real, tail.imag), arrowprops=style, zorder=4)
 
 
 def _frequencies(axes: Axes, places: LabelPlacer, curve: ChannelCurve, radius: float, colour: str) -> None:
@@ -343,22 +339,12 @@ def _frequencies(axes: Axes, places: LabelPlacer, curve: ChannelCurve, radius: f
             axes.plot([L[k].real], [L[k].imag], "D", color=LIMIT, markersize=4, zorder=5)
             places.reserve(L[k].real, L[k].imag, 3.0)
             places.write(f"{hz[k]:.3g} Hz", L[k].real, L[k].imag, colour=LIMIT, bold=True, required=True)
-    first, last = np.log10(max(hz.min(), 1e-9)), np.log10(hz.max())
-    taken: list[complex] = []
-    for decade in 10.0 ** np.arange(np.floor(first), np.ceil(last) + 1.0):
-        for x in _ROUND * decade:
-            k = int(np.searchsorted(hz, x))
-            if not 0 < k < len(hz) or not np.isfinite(L[k]) or abs(L[k]) > 0.96 * radius:
-                continue
-            if any(abs(L[k] - other) < 0.1 * radius for other in taken):
-                continue
-            taken.append(complex(L[k]))
-            axes.plot([L[k].real], [L[k].imag], "o", color=colour, markersize=3.0, zorder=4)
-            places.write(f"{x:g}", L[k].real, L[k].imag, colour=INK)
+    inside = np.where(np.abs(L) < 0.96 * radius, L, complex(np.nan, np.nan))
+    places.write_frequencies(hz, np.column_stack([inside.real, inside.imag]), colour, apart=_APART, colour=INK)
 
 
 def _title(axes: Axes, curves: list[ChannelCurve], name: str) -> None:
-    """Say in the panel's title what the plot proves."""
+    """Write the disk margin, or the number of unstable poles, into the panel's title."""
     head = f"{name}: " if name else ""
     if len(curves) > 1 or curves[0].unstable < 0:
         axes.set_title(head.removesuffix(": ") or "frequencies in Hz")
@@ -369,3 +355,96 @@ def _title(axes: Axes, curves: list[ChannelCurve], name: str) -> None:
         return
     allowed = " or ".join(disk_gain_or_phase(curve.margin))
     axes.set_title(f"{head}disk margin {number(curve.margin, 3, 'down')}: {allowed}")
+
+
+# Half width of the close view about −1, and of the wide one.
+_CLOSE, _WIDE = 1.8, 6.0
+
+
+@standalone
+def two_sided_nyquist(curve: TwoSidedNyquist | ComplexLoop) -> Figure:
+    """L over positive and negative frequencies: as a whole, and close to −1 with the disk that its margin keeps free.
+
+    The disk holds the points that perturbed loops of the margin's size would need to reach −1: L touches it once.
+
+    Parameters
+    ----------
+    curve
+        From `design.complex_shaping.complex_loop`: the loop itself, or its ``nyquist``.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Two panels.
+
+    Raises
+    ------
+    ArgumentError
+        It is something else.
+    """
+    curve = curve.nyquist if isinstance(curve, ComplexLoop) else curve
+    if not isinstance(curve, TwoSidedNyquist):
+        raise ArgumentError(
+            f"two_sided_nyquist: curve must be a TwoSidedNyquist or ComplexLoop, from complex_loop, got {short(curve)}"
+        )
+    names = ["ω > 0: turning from α to β", "ω < 0: from β to α", "−1"]
+    if 0.0 < curve.disk_margin < 2.0:
+        names.append(
+            f"disk margin {at_least(curve.disk_margin, 2)}; L touches it at {_signed(curve.margin_frequency * HZ)} Hz"
+        )
+    figure, [[wide, close]] = panels(1, 2, 4.9, legend=legend_rows(names))
+    handles: list[Any] = []
+    for axes, centre, half in ((wide, 0.0, _WIDE), (close, -1.0, _CLOSE)):
+        drawn = [_branch(axes, curve, sign) for sign in (1, -1)]
+        disk = _disk(axes, curve)
+        critical = critical_point(axes)
+        plane_of_L(axes, centre, half)
+        places = LabelPlacer(axes, drawn)
+        places.reserve(-1.0, 0.0, 5.0)
+        for sign in (1, -1):
+            w, L = _side(curve, sign)
+            visible = _inside(L, centre, half, 0.9)
+            colour = SERIES[0 if sign > 0 else 1]
+            arrows(axes, L, visible, half, colour, most=3)
+            order = np.argsort(np.abs(w))
+            shown = np.where(visible, L, complex(np.nan, np.nan))[order]
+            hz, points = np.abs(w[order]) * HZ, np.column_stack([shown.real, shown.imag])
+            places.write_frequencies(hz, points, colour, apart=_APART, words=lambda f, sign=sign: _signed(sign * f))
+        handles = [*drawn, critical, *([disk] if disk is not None else [])]
+    wide.set_ylabel("imaginary part of L")
+    legend_above(figure, handles, names)
+    wide.set_title(f"L = −K P, frequencies in Hz; turns round −1: {curve.encirclements}")
+    close.set_title("close to −1" if curve.disk_margin else f"close to −1; {curve.closed_unstable} unstable poles")
+    return figure
+
+
+def _signed(number: float) -> str:
+    return f"{number:+.4g}".replace("-", "−")
+
+
+def _side(curve: TwoSidedNyquist, sign: int) -> tuple[FloatArray, ComplexArray]:
+    chosen = curve.frequency * sign > 0.0
+    return curve.frequency[chosen], curve.loop_transfer[chosen]
+
+
+def _branch(axes: Axes, curve: TwoSidedNyquist, sign: int) -> Any:
+    _, L = _side(curve, sign)
+    # Across a pole the curve goes through infinity: no line is drawn there.
+    far = np.abs(L) > 50.0
+    L = np.where(far, np.nan, L)
+    k = 0 if sign > 0 else 1
+    [line] = axes.plot(L.real, L.imag, color=SERIES[k], linestyle=DASHES[k], linewidth=1.6)
+    return line
+
+
+def _disk(axes: Axes, curve: TwoSidedNyquist) -> Any:
+    """Values of L that a change of the margin's size in gain and phase could bring to −1, and where L touches them."""
+    drawn = margin_disk(axes, curve.disk_margin)
+    if drawn is not None:
+        touching = curve.loop_transfer[int(np.argmin(np.abs(curve.frequency - curve.margin_frequency)))]
+        axes.plot([touching.real], [touching.imag], "D", color=LIMIT, markersize=4, zorder=3)
+    return drawn
+
+
+def _inside(L: ComplexArray, centre: float, half: float, share: float) -> NDArray[np.bool_]:
+    return np.isfinite(L) & (np.abs(L.real - centre) < share * half) & (np.abs(L.imag) < share * half)

@@ -1,10 +1,15 @@
-"""Panels over frequency: blocks of gain above phase, their axes, lines that greyscale tells apart, limits shaded."""
+"""The scheme that the plots of systems share.
+
+A plot checks its arguments, gets its systems from `systems.drawn_systems` and their frequencies from
+`frequency_grid.grid`, asks `blocks` for a figure, draws each panel (`gain_curves` where it shows gains), and returns
+`control_plot`, which adds the legend.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -158,26 +163,58 @@ def gains(response: ComplexArray | FloatArray, dB: bool) -> FloatArray:
     return np.asarray(20.0 * np.log10(size) if dB else size, dtype=np.float64)
 
 
-def gain_panel(
-    axes: Axes, curves: Sequence[tuple[DrawnSystem, FloatArray, FloatArray]], *, dB: bool, more: Sequence[float] = ()
-) -> None:
-    """Give a panel its gain axis.
+class GainCurve(NamedTuple):
+    """A gain (N,) over frequency (N,), rad/s, drawn in the style of the k-th curve."""
 
-    Parameters
-    ----------
-    axes
-        The panel.
-    curves
-        System, frequency (N,) in rad/s, and gain (N,), each. Poles without damping run through the upper edge, zeros of
-        little damping through the lower one.
-    dB
-        Whether the axis is in decibels.
-    more
-        Gains that have to be seen as well.
+    system: DrawnSystem
+    frequency: FloatArray
+    gain: FloatArray
+    k: int
+    style: dict[str, Any] = {}  # noqa: RUF012  # never changed
+
+
+Level = tuple[FloatArray, FloatArray] | None
+
+
+def gain_curves(
+    panel: Axes,
+    curves: Sequence[GainCurve],
+    *,
+    dB: bool,
+    below: Sequence[Axes] = (),
+    upper: Level = None,
+    lower: Level = None,
+    unity: bool = False,
+) -> list[Any]:
+    """Draw gains with their axes, a line at 1 if `unity`, and limits from `bound`; return the lines.
+
+    `below` are panels under this one that share its frequency axis.
+    """
+    lines = [draw(panel, one.frequency, gains(one.gain, dB=dB), one.k, **one.style) for one in curves]
+    ends = [one.frequency[k] for one in curves for k in (0, -1) if len(one.frequency)]
+    frequency_panels([panel, *below], min(ends), max(ends), [one.system for one in curves])
+    more = [0.5, 2.0] if unity else []
+    more += [share * float(gain) for level, share in ((upper, 2.0), (lower, 0.5)) if level for gain in level[1]]
+    gain_panel(panel, curves, dB=dB, more=more)
+    if unity:
+        panel.axhline(0.0 if dB else 1.0, color=REFERENCE, linewidth=0.9, zorder=1)
+    if any(np.isfinite(one.gain).any() for one in curves):
+        shade(panel, upper, dB=dB)
+        shade(panel, lower, dB=dB, below=True)
+    else:
+        panel.text(0.5, 0.5, "no response", transform=panel.transAxes, ha="center", va="center", color=MUTED)
+        panel.tick_params(axis="y", labelleft=False)
+    return lines
+
+
+def gain_panel(axes: Axes, curves: Sequence[GainCurve], *, dB: bool, more: Sequence[float] = ()) -> None:
+    """Give a panel a gain axis that shows `curves` and the gains `more`.
+
+    Poles without damping run through the upper edge, lightly damped zeros through the lower one.
     """
     high: list[float] = list(more)
     low: list[float] = list(more)
-    for system, frequency, gain in curves:
+    for system, frequency, gain, *_ in curves:
         fine = np.isfinite(gain) & (gain > 0.0)
         off = fine & ~near(system.undamped, frequency, 0.01)
         light = system.zeros[np.abs(system.zeros.real) < 0.01 * np.abs(system.zeros.imag)]
@@ -244,42 +281,38 @@ def legend(figure: Figure, handles: Sequence[Any], labels: Sequence[str]) -> Any
     )
 
 
-def line_array(axes: NDArray[Any]) -> NDArray[Any]:
-    """Return an empty list for each of the axes: what a ControlPlot collects its lines in."""
-    out = np.empty(axes.shape, dtype=object)
-    for at in np.ndindex(out.shape):
-        out[at] = []
-    return out
+def control_plot(
+    axes: NDArray[Any], lines: Sequence[Sequence[Any]], handles: Sequence[Any] = (), names: Sequence[str] = ()
+) -> control.ControlPlot:
+    """Return a plot with the lines of each of its axes, in the order of `axes.flat`, and a legend of any names."""
+    import control
+
+    listed = np.empty(axes.shape, dtype=object)
+    for at, own in zip(np.ndindex(axes.shape), lines, strict=True):
+        listed[at] = list(own)
+    figure = axes.flat[0].figure
+    return control.ControlPlot(listed, axes, figure, legend=legend(figure, handles, names))
 
 
-def bound(name: str, given: ArrayLike | tuple[ArrayLike, ArrayLike] | None) -> tuple[FloatArray, FloatArray] | None:
+def bound(name: str, given: ArrayLike | tuple[ArrayLike, ArrayLike] | None) -> Level:
     """Return a level over frequency, (frequency, level): a number holds everywhere, two vectors are a polyline."""
     if given is None:
         return None
-    expected = "a number > 0, or a pair (frequencies in rad/s, levels) of ascending and positive numbers"
-    try:
-        alone = np.ndim(given) == 0  # type: ignore[arg-type]  # ragged pairs are judged below
-    except ValueError:
-        alone = False
-    if alone:
-        level = real_numbers(name, given)
-        if not np.isfinite(level) or level <= 0.0:
-            raise ArgumentError(f"{name}: given {given!r}; expected {expected}")
-        return np.array([0.0, math.inf]), np.full(2, float(level))
-    if not isinstance(given, Sequence | np.ndarray) or isinstance(given, str) or len(given) != 2:
-        raise ArgumentError(f"{name}: given {short(given)}; expected {expected}")
-    w, level = (np.atleast_1d(real_numbers(name, item)) for item in given)
-    if level.size == 1:
-        level = np.full(w.shape, level.item())
-    fine = w.ndim == 1 and w.shape == level.shape and w.size > 1
-    if not fine or not np.all(np.isfinite(w)) or not np.all(np.isfinite(level)):
-        raise ArgumentError(f"{name}: expected {expected}")
-    if w[0] < 0.0 or np.any(np.diff(w) < 0.0) or level.min() <= 0.0:
-        raise ArgumentError(f"{name}: expected {expected}")
+    pair = isinstance(given, Sequence | np.ndarray) and not isinstance(given, str) and len(given) == 2
+    frequency, levels = given if pair else ([0.0, math.inf], given)  # type: ignore[misc]  # two of them: just seen
+    w, level = np.atleast_1d(real_numbers(name, frequency)), np.atleast_1d(real_numbers(name, levels))
+    level = np.full(w.shape, level.item()) if level.size == 1 else level
+    fine = w.ndim == 1 and w.shape == level.shape and w.size > 1 and bool(np.isfinite(level).all())
+    fine = fine and not np.isnan(w).any() and not (pair and np.isinf(w).any())
+    if not fine or w[0] < 0.0 or np.any(np.diff(w) < 0.0) or level.min() <= 0.0:
+        raise ArgumentError(
+            f"{name} must be a number > 0, or a pair of ascending frequencies in rad/s and positive levels, "
+            f"got {short(given)}"
+        )
     return w, level
 
 
-def shade(axes: Axes, level: tuple[FloatArray, FloatArray] | None, *, dB: bool = False, below: bool = False) -> None:
+def shade(axes: Axes, level: Level, *, dB: bool = False, below: bool = False) -> None:
     """Draw a level from `bound`, and shade what lies above it (or below) and is not allowed; axes have their limits."""
     if level is None:
         return
@@ -304,12 +337,6 @@ def shade(axes: Axes, level: tuple[FloatArray, FloatArray] | None, *, dB: bool =
         color=LIMIT,
         annotation_clip=True,
     )
-
-
-def no_response(axes: Axes) -> None:
-    """Say in a panel that there is nothing to draw."""
-    axes.text(0.5, 0.5, "no response", transform=axes.transAxes, ha="center", va="center", color=MUTED)
-    axes.tick_params(axis="y", labelleft=False)
 
 
 def gain_label(words: str, unit: str, dB: bool) -> str:
@@ -337,7 +364,7 @@ def show(*plots: Figure | control.ControlPlot) -> None:
     """
     figures = [_figure(plot) for plot in plots]
     if not figures:
-        raise ArgumentError("show: given no plot; expected at least one Figure or control.ControlPlot")
+        raise ArgumentError("show: no plot was given; give at least one Figure or control.ControlPlot")
     from matplotlib import pyplot
 
     backend = pyplot.get_backend()
@@ -354,7 +381,7 @@ def show(*plots: Figure | control.ControlPlot) -> None:
 def _figure(plot: object) -> Figure:
     figure = plot if isinstance(plot, Figure) else getattr(plot, "figure", None)
     if not isinstance(figure, Figure):
-        raise ArgumentError(f"show: given {short(plot)}; expected a Figure or a control.ControlPlot")
+        raise ArgumentError(f"show: a plot must be a Figure or a control.ControlPlot, got {short(plot)}")
     return figure
 
 

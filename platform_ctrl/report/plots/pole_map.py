@@ -18,7 +18,7 @@ from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.report.plots.label_placement import LabelPlacer
 from platform_ctrl.report.plots.loci import s_plane, view_of, z_plane
-from platform_ctrl.report.plots.panels import line_array
+from platform_ctrl.report.plots.panels import control_plot
 from platform_ctrl.report.plots.systems import DrawnSystem, drawn_systems
 from platform_ctrl.report.quantities import HZ, count
 from platform_ctrl.report.quantities import plain as number
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 _HEIGHT = 5.4
 # Poles of a system whose damping is written, at most, and up to which damping ratio.
 _WRITTEN, _DAMPED = 3, 0.5
-# A zero this much faster than all poles is one at infinity, rounded.
+# A zero this much faster than all poles is at infinity, but for rounding.
 _FAR = 1e6
 
 
@@ -47,8 +47,8 @@ def pole_map(
 ) -> control.ControlPlot:
     """Poles of one or several systems, continuous and sampled ones together, with damping rays and frequency arcs.
 
-    A sampled system's poles stand at s = ln(z)/T; those of a delay, z = 0, lie infinitely far to the left. Damping and
-    frequency of the least damped poles are written beside them. The lower half plane is the mirror image.
+    A sampled system's poles are drawn at s = ln(z)/T; those of a delay, z = 0, are infinitely far to the left.
+    Damping and frequency of the least damped poles are written beside them. The lower half plane is the mirror image.
 
     Parameters
     ----------
@@ -73,21 +73,20 @@ def pole_map(
     ArgumentError
         Something that has no poles, or an option without sense.
     """
-    import control
-
     one_of("pole_map: plane", plane, ("s", "z"))
     drawn = drawn_systems("pole_map", systems, labels, data=False)
     for system in drawn:
         if system.arrays is None:
-            raise ArgumentError("pole_map: an improper transfer function; expected as many poles as zeros, or more")
+            raise ArgumentError("pole_map: an improper transfer function has more zeros than poles; add poles")
         if zeros and system.shape[0] != system.shape[1]:
             raise ArgumentError(
-                f"pole_map: zeros of a system with {system.shape[0]} outputs and {system.shape[1]} inputs; "
-                "expected as many inputs as outputs: choose signals, for example system[['alpha9'], ['Q9']]"
+                "pole_map: zeros need as many inputs as outputs, "
+                f"got {system.shape[1]} inputs and {system.shape[0]} outputs; "
+                "choose signals, for example system[['alpha9'], ['Q9']]"
             )
     periods = {system.dt for system in drawn}
     if plane == "z" and (0.0 in periods or len(periods) > 1):
-        raise ArgumentError(f"pole_map: plane 'z' for sample periods {sorted(periods)} s; expected a common one > 0")
+        raise ArgumentError(f"pole_map: plane 'z' needs one sample period > 0 for all systems, got {sorted(periods)} s")
     poles = [_poles(system) for system in drawn]
     every = np.concatenate(poles)
     nyquist = max((system.nyquist for system in drawn if system.dt), default=np.inf)
@@ -124,10 +123,7 @@ def pole_map(
     handles: list[Any] = list(lines)
     handles += [tuple(drawn_zeros)] if drawn_zeros else []
     legend_above(figure, handles, names)
-    panel = np.array([[axes]])
-    every_line = line_array(panel)
-    every_line[0, 0] = lines
-    return control.ControlPlot(every_line, panel, figure)
+    return control_plot(np.array([[axes]]), [lines])
 
 
 def _poles(system: DrawnSystem) -> ComplexArray:
@@ -179,7 +175,7 @@ def _written(places: LabelPlacer, system: DrawnSystem, s: ComplexArray, plane: s
 
 
 def _outside(axes: Axes, s: ComplexArray, plane: str) -> None:
-    """Say how many poles lie beyond the view: none is left out silently."""
+    """Write how many poles are beyond the view."""
     if plane == "z":
         return
     (left, right), (_, top) = axes.get_xlim(), axes.get_ylim()

@@ -20,7 +20,7 @@ from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.report.plots.label_placement import LabelPlacer
 from platform_ctrl.report.plots.loci import Locus, gain_locus, s_plane, spin_locus, upper_half_plane, z_plane
-from platform_ctrl.report.plots.panels import line_array
+from platform_ctrl.report.plots.panels import control_plot
 from platform_ctrl.report.quantities import listed
 from platform_ctrl.report.quantities import plain as number
 from platform_ctrl.report.style import INK, LIMIT, SERIES, legend_above, panels, standalone
@@ -50,8 +50,8 @@ def root_locus(
 ) -> control.ControlPlot:
     """Poles of the closed loop while all of the controller's gains are multiplied by one factor.
 
-    Crosses stand where the factor is least (0: the poles of plant and controller), rings at the design itself; the
-    factors are written along the branches, and the stability boundary is crossed where the red diamonds are. Only the
+    Crosses mark the smallest factor (0: the poles of plant and controller), rings the design itself; the factors are
+    written along the branches, and red diamonds mark where the stability boundary is crossed. Only the
     upper half plane is drawn, the lower one is its mirror image.
 
     Parameters
@@ -144,19 +144,16 @@ def root_locus_over_spin(
 
 
 def _drawn(locus: Locus, word: str, quantity: str, plane: Plane, reach: float | None) -> control.ControlPlot:
-    import control
-
     one_of("plane", plane, ("s", "z"))
     if plane == "z" and not locus.dt:
-        raise ArgumentError("plane: given 'z' for a continuous loop; expected 's', or a sampled plant and controller")
+        raise ArgumentError("root_locus: plane 'z' needs a sampled loop, got a continuous one; use plane 's'")
     view = locus.view if reach is None else dataclasses.replace(locus.view, reach=positive("reach", reach))
     figure, [[axes]] = panels(1, 1, _HEIGHT, legend=1)
     places = z_plane(axes, locus.dt) if plane == "z" else s_plane(axes, view)
     points = locus.branches if plane == "z" else locus.s
     nominal = locus.nominal if plane == "z" else continuous_poles(locus.nominal, locus.dt)
     lines = _branches(axes, points)
-    curves = [np.column_stack([line.get_xdata(), line.get_ydata()]) for line in lines]
-    places.avoid(curves)
+    places.avoid(lines)
     handles: list[Any] = [Line2D([], [], marker="o", linestyle="-", markersize=3.2, color=SERIES[0], linewidth=1.3)]
     names = [quantity]
     at_start = f"{word} {number(locus.values[0], 3)}"
@@ -192,11 +189,8 @@ def _drawn(locus: Locus, word: str, quantity: str, plane: Plane, reach: float | 
         places.write(text, at.real, at.imag)
     places.write_remaining()
     legend_above(figure, handles, names)
-    axes.set_title(f"{_stable_words(locus, word)}")
-    panel = np.array([[axes]])
-    drawn = line_array(panel)
-    drawn[0, 0] = lines
-    plot = control.ControlPlot(drawn, panel, figure)
+    axes.set_title(_stable_words(locus, word))
+    plot = control_plot(np.array([[axes]]), [lines])
     plot.locus = locus
     return plot
 
@@ -269,12 +263,12 @@ def _stable_words(locus: Locus, word: str) -> str:
         return f"{word} {span}: stable nowhere"
     if ranges == [(low, high)]:
         return f"{word} {span}: stable everywhere"
-    told = []
+    words = []
     for start, end in ranges:
         if start == low:
-            told.append(f"below {number(end, 4)}")
+            words.append(f"below {number(end, 4)}")
         elif end == high:
-            told.append(f"above {number(start, 4)}")
+            words.append(f"above {number(start, 4)}")
         else:
-            told.append(f"between {number(start, 4)} and {number(end, 4)}")
-    return f"{word} {span}: stable {listed(told)}"
+            words.append(f"between {number(start, 4)} and {number(end, 4)}")
+    return f"{word} {span}: stable {listed(words)}"

@@ -16,7 +16,7 @@ from platform_ctrl.common.arguments import positive
 from platform_ctrl.common.text import greek
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.report.plots.panels import line_array
+from platform_ctrl.report.plots.panels import control_plot
 from platform_ctrl.report.plots.systems import DrawnSystem, drawable, drawn_systems, ratio_unit, unit
 from platform_ctrl.report.quantities import power_of_ten
 from platform_ctrl.report.style import (
@@ -54,7 +54,7 @@ def step_response(
 ) -> control.ControlPlot:
     """Outputs of one or several systems after a step of 1 at each input, exact at the drawn times.
 
-    Sampled systems are drawn as stairs. Where the response settles, a grey line says at which value.
+    Sampled systems are drawn as stairs. A grey line marks the final value of a response that settles.
 
     Parameters
     ----------
@@ -74,33 +74,29 @@ def step_response(
     Raises
     ------
     ArgumentError
-        Systems of different shapes or too many signals, something that is no system, or a duration without sense.
+        Systems of different shapes or too many signals, something that is no system, or a duration that is not above 0.
     """
-    import control
-
     drawn = drawn_systems("step_response", systems, labels, data=False)
     if any(system.arrays is None for system in drawn):
-        raise ArgumentError("step_response: an improper transfer function; expected as many poles as zeros, or more")
+        raise ArgumentError("step_response: an improper transfer function has more zeros than poles; add poles")
     shapes = {system.shape for system in drawn}
     if len(shapes) > 1:
-        raise ArgumentError(f"step_response: systems of shapes {sorted(shapes)}; expected the same outputs and inputs")
+        raise ArgumentError(f"step_response: the systems must have the same shape, got {sorted(shapes)}")
     [(p, m)] = shapes
     if p * m > _PANELS:
         raise ArgumentError(
-            f"step_response: {p} outputs and {m} inputs; expected at most {_PANELS} panels: "
+            f"step_response: at most {_PANELS} panels can be drawn, got {p} outputs and {m} inputs; "
             "choose signals, for example system[['alpha9'], ['Q9', 'Q10']]"
         )
     end = _duration(drawn) if duration is None else positive("step_response: duration", duration)
     longest = min((_SAMPLES * system.dt for system in drawn if system.dt), default=end)
     if end > longest:
-        raise ArgumentError(
-            f"step_response: duration: given {end:g} s; expected at most {longest:g} s, {_SAMPLES} samples"
-        )
+        raise ArgumentError(f"step_response: duration must be at most {longest:g} s, {_SAMPLES} samples, got {end:g} s")
     names = [system.label or "step response" for system in drawn]
     legend = legend_rows(names) if len(drawn) > 1 or drawn[0].label else 0
     height = 0.8 + 0.22 * legend + p * {1: 2.6, 2: 2.2}.get(p, 1.7) + 0.6 * (p - 1)
     figure, grid = panels(p, m, height, legend=legend)
-    lines = line_array(np.array(grid))
+    lines: dict[tuple[int, int], list[Any]] = {at: [] for at in np.ndindex(p, m)}
     for k, system in enumerate(drawn):
         t = _times(system, end)
         assert system.arrays is not None
@@ -122,7 +118,7 @@ def step_response(
         _labelled(grid[i][j], drawn[0], i, j, end, bottom=i == p - 1)
     if legend:
         legend_above(figure, [lines[0, 0][k] for k in range(len(drawn))], names)
-    return control.ControlPlot(lines, np.array(grid), figure)
+    return control_plot(np.array(grid), list(lines.values()))
 
 
 def _duration(systems: Sequence[DrawnSystem]) -> float:

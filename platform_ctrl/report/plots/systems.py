@@ -1,13 +1,10 @@
-"""What the plots for scripts are given: systems of several kinds judged and made alike, with labels and units.
-
-Frequency responses of them are drawn on `platform_ctrl.report.plots.frequency_grid.grid`.
-"""
+"""The systems of a plot: several kinds checked and brought to one form, with labels and units."""
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
@@ -104,74 +101,71 @@ def drawn_systems(
     square: bool = False,
     data: bool = True,
 ) -> tuple[DrawnSystem, ...]:
-    """Return one or several systems judged and made alike.
+    """Return one or several systems in the form that plots use.
 
-    Parameters
-    ----------
-    name
-        What the plot is called: it begins every message.
-    systems
-        `control.StateSpace`, `TransferFunction` or `FrequencyResponseData`; several in a sequence or under their
-        labels in a mapping.
-    labels
-        One for each; default the systems' names, or their numbers.
-    square
-        Whether as many outputs as inputs are needed (a loop transfer).
-    data
-        Whether data will do.
+    `name` is the plot's and begins every message. With `square` each needs as many outputs as inputs (a loop transfer);
+    `data` says whether `control.FrequencyResponseData` are accepted.
     """
-    if isinstance(systems, Mapping):
-        if labels is not None:
-            raise ArgumentError(f"{name}: labels are given twice; expected them as keys or as labels")
-        labels, systems = [str(key) for key in systems], list(systems.values())
-    several = isinstance(systems, Sequence) or (isinstance(systems, np.ndarray) and systems.ndim > 0)
-    given = list(systems) if several and not isinstance(systems, str) else [systems]
-    if not given:
-        raise ArgumentError(f"{name}: given no system; expected at least one")
-    texts = _labels(name, given, labels)
+    given, texts = listed(name, systems, labels)
+    if labels is None and not isinstance(systems, Mapping):
+        texts = _own_names(given)
     return tuple(
-        _drawn(name if len(given) == 1 else f"{name}: system {k + 1}", system, text, square, data)
+        _drawn(name if len(given) == 1 else f"{name}: system {k + 1}", system, text or "", square, data)
         for k, (system, text) in enumerate(zip(given, texts, strict=True))
     )
 
 
-def _labels(name: str, systems: Sequence[Any], labels: Sequence[str] | None) -> list[str]:
+def listed(name: str, given: Any, labels: Sequence[str] | None) -> tuple[list[Any], list[str | None]]:
+    """Return the items of one, a sequence or a mapping, with their labels, None where there is none."""
+    if isinstance(given, Mapping):
+        if labels is not None:
+            raise ArgumentError(f"{name}: labels are given twice; give them as keys or as labels, not both")
+        labels, given = [str(key) for key in given], list(given.values())
+    items = list(given) if _several(given) and not isinstance(given, str) else [given]
+    if not items:
+        raise ArgumentError(f"{name}: nothing was given; give at least one")
     if labels is None:
-        known = [str(getattr(system, "name", None) or "") for system in systems]
-        known = ["" if _NAMELESS.search(text) else _CONVERTED.sub("", text) for text in known]
-        if len(systems) > 1:
-            known = [text if text and known.count(text) == 1 else f"{text} {k + 1}" for k, text in enumerate(known)]
-        return [drawable(text.strip()) for text in known]
-    if isinstance(labels, str):
-        labels = [labels]
-    several = isinstance(labels, Sequence) or (isinstance(labels, np.ndarray) and labels.ndim > 0)
-    texts = list(labels) if several else []
-    if not several or not all(isinstance(text, str) for text in texts):
-        raise ArgumentError(f"{name}: labels: given {short(labels)}; expected strings")
-    if len(texts) != len(systems):
-        raise ArgumentError(f"{name}: labels: given {len(texts)}; expected {len(systems)}, one for each system")
-    return [drawable(text) for text in texts]
+        return items, [None] * len(items)
+    texts = [labels] if isinstance(labels, str) else list(labels) if _several(labels) else []
+    if not texts or not all(isinstance(text, str) for text in texts):
+        raise ArgumentError(f"{name}: labels must be strings, got {short(labels)}")
+    if len(texts) != len(items):
+        raise ArgumentError(f"{name}: labels must be {len(items)}, one for each, got {len(texts)}")
+    return items, [drawable(text) for text in texts]
+
+
+def _several(given: object) -> bool:
+    return isinstance(given, Sequence) or (isinstance(given, np.ndarray) and given.ndim > 0)
+
+
+def _own_names(systems: Sequence[Any]) -> list[str | None]:
+    """Return the names of systems, numbered where several have none or the same."""
+    known = [str(getattr(system, "name", None) or "") for system in systems]
+    known = ["" if _NAMELESS.search(text) else _CONVERTED.sub("", text) for text in known]
+    if len(systems) > 1:
+        known = [text if text and known.count(text) == 1 else f"{text} {k + 1}" for k, text in enumerate(known)]
+    return [drawable(text.strip()) for text in known]
 
 
 def _drawn(where: str, system: Any, label: str, square: bool, data: bool) -> DrawnSystem:
     if not all(hasattr(system, needed) for needed in ("input_labels", "output_labels", "dt")):
         kinds = "control.StateSpace, TransferFunction" + (" or FrequencyResponseData" if data else "")
-        raise ArgumentError(f"{where}: given {short(system)}; expected a {kinds}, or several in a list")
+        raise ArgumentError(f"{where}: a system must be a {kinds}, or several in a list, got {short(system)}")
     if system.dt is True:
-        raise ArgumentError(f"{where}: the system is discrete without a sample period (dt=True); give dt in s")
+        raise ArgumentError(f"{where}: the system is sampled but has no sample period (dt=True); give dt in s")
     p, m = system.noutputs, system.ninputs
     if not p or not m or (square and p != m):
-        expected = "a square loop transfer" if square else "at least one of each"
-        raise ArgumentError(f"{where}: the system has {p} outputs and {m} inputs; expected {expected}")
+        needed = "a square loop transfer is needed" if square else "at least one of each is needed"
+        raise ArgumentError(f"{where}: the system has {p} outputs and {m} inputs; {needed}")
     dt = 0.0 if system.dt is None else float(system.dt)
     arrays = None
     nothing = np.zeros(0, dtype=np.complex128)
     poles, zeros, undamped = nothing, nothing, np.zeros(0)
     if hasattr(system, "frdata"):
         if not data:
-            raise ArgumentError(f"{where}: given data; expected a control.StateSpace or TransferFunction")
+            raise ArgumentError(f"{where}: data cannot be used here; give a control.StateSpace or TransferFunction")
         if not np.any(sorted_data(system)[0]):
-            raise ArgumentError(f"{where}: the data have no frequency above 0; expected at least one")
+            raise ArgumentError(f"{where}: the data have no frequency above 0; at least one is needed")
     elif is_rational(system) and not is_proper(system, where):
         poles, zeros = (_finite_roots(rows, dt) for rows in (system.den_list, system.num_list))
     else:
@@ -285,6 +279,12 @@ def unit_of_gain(system: DrawnSystem) -> str:
     return ratio_unit(above.pop(), below.pop())
 
 
+def shared_unit(systems: Iterable[DrawnSystem]) -> str:
+    """Return the unit of gain that systems share; empty where they differ."""
+    units = {unit_of_gain(one) for one in systems}
+    return units.pop() if len(units) == 1 else ""
+
+
 def ratio_unit(above: str, below: str) -> str:
     """Return the unit of `above` over `below`; ``1`` where they are the same."""
     if above == below:
@@ -330,7 +330,7 @@ def as_state_space(name: str, system: DrawnSystem) -> control.StateSpace:
     import control
 
     if system.arrays is None:
-        raise ArgumentError(f"{name}: an improper transfer function; expected no more zeros than poles")
+        raise ArgumentError(f"{name}: an improper transfer function has no state space; add poles")
     if hasattr(system.source, "A"):
         return system.source
     A, B, C, D, _ = system.arrays

@@ -1,44 +1,49 @@
-"""The gang of four: what a closed loop does to disturbances and noise, S, T, P S and K S."""
+"""Gains over frequency: singular values, the gang of four S, T, P S and K S, and platform rate to angles."""
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
 from numpy.typing import ArrayLike
 
-from platform_ctrl.analysis.arrays import ComplexArray
+from platform_ctrl.analysis.arrays import ComplexArray, named_system
 from platform_ctrl.analysis.feedback import Gang, closed_loop, gang
 from platform_ctrl.analysis.poles import is_stable
 from platform_ctrl.analysis.transfer_function import LinearSystem
 from platform_ctrl.common.signatures import check_arguments
+from platform_ctrl.common.text import greek
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
+from platform_ctrl.plant.platform import OMEGA_NAMES, is_rate
+from platform_ctrl.report.plots.bode import chosen
+from platform_ctrl.report.plots.curves import entry_curves
 from platform_ctrl.report.plots.frequency_grid import grid
 from platform_ctrl.report.plots.label_placement import LabelPlacer
 from platform_ctrl.report.plots.panels import (
+    GainCurve,
+    Level,
     blocks,
     bound,
+    control_plot,
     curve_style,
-    draw,
-    frequency_panels,
+    gain_curves,
     gain_label,
-    gain_panel,
     gains,
-    legend,
-    line_array,
-    shade,
 )
 from platform_ctrl.report.plots.systems import (
     DrawnSystem,
     as_state_space,
+    drawable,
     drawn_systems,
     ratio_unit,
+    shared_unit,
     unit,
-    unit_of_gain,
 )
 from platform_ctrl.report.quantities import HZ, plain
 from platform_ctrl.report.style import REFERENCE, standalone
@@ -90,37 +95,21 @@ def singular_values(
     ----------
     S. Skogestad, I. Postlethwaite, Multivariable Feedback Control, 2005, ch. 3.
     """
-    import control
-
     above, below = bound("singular_values: upper", upper), bound("singular_values: lower", lower)
     drawn = drawn_systems("singular_values", systems, labels)
     every = grid(drawn, frequency, name="singular_values")
     # One without a name needs no legend.
     names = [one.label or "largest and smallest gain" for one in drawn] if len(drawn) > 1 or drawn[0].label else []
-    figure, axes = blocks(1, 1, (3.4,), names, titles=False)
-    panel = axes[0, 0]
-    lines = line_array(axes)
-    handles, shown, ends = [], [], []
+    curves = []
     for k, one in enumerate(drawn):
         w, response = one.along(every)
-        values = singular(response)
-        ends += [w[0], w[-1]]
-        for n, row in enumerate(values):
-            first = n == 0
-            style = {"linewidth": 1.7} if first else {"linewidth": 0.9, "marker": "", "alpha": 0.85}
-            line = draw(panel, w, gains(row, dB=dB), k, **style)
-            lines[0, 0].append(line)
-            handles += [line] if first else []
-            shown.append((one, w, row))
-    levels = [] if above is None else [2.0 * float(g) for g in above[1]]
-    levels += [] if below is None else [0.5 * float(g) for g in below[1]]
-    frequency_panels([panel], min(ends), max(ends), drawn)
-    gain_panel(panel, shown, dB=dB, more=levels)
-    shade(panel, above, dB=dB)
-    shade(panel, below, dB=dB, below=True)
-    units = {unit_of_gain(one) for one in drawn}
-    panel.set_ylabel(gain_label("singular values", units.pop() if len(units) == 1 else "", dB))
-    return control.ControlPlot(lines, axes, figure, legend=legend(figure, handles[: len(names)], names))
+        looks = [{"linewidth": 1.7}, *[{"linewidth": 0.9, "marker": "", "alpha": 0.85}] * (min(one.shape) - 1)]
+        curves += [GainCurve(one, w, row, k, look) for row, look in zip(singular(response), looks, strict=True)]
+    _, axes = blocks(1, 1, (3.4,), names, titles=False)
+    lines = gain_curves(axes[0, 0], curves, dB=dB, upper=above, lower=below)
+    axes[0, 0].set_ylabel(gain_label("singular values", shared_unit(drawn), dB))
+    first = np.cumsum([0, *(min(one.shape) for one in drawn)])[:-1]
+    return control_plot(axes, [lines], [lines[k] for k in first][: len(names)], names)
 
 
 def singular(response: ComplexArray) -> FloatArray:
@@ -204,8 +193,6 @@ def gang_of_four(
     ----------
     K. J. Åström, R. M. Murray, Feedback Systems, 2008, ch. 11.
     """
-    import control
-
     limits = [
         bound(f"gang_of_four: {name}_limit", given)
         for name, given in (("S", S_limit), ("T", T_limit), ("PS", PS_limit), ("KS", KS_limit))
@@ -219,26 +206,18 @@ def gang_of_four(
         names = [f"at the plant's input{unstable}", f"at the plant's output{unstable}"]
     if not several and not sides and closed[0].stable and not closed[0].label:
         names = []
-    figure, axes = blocks(2, 2, (2.0,), names)
-    lines = line_array(axes)
-    curves = [_curves(one, several, sides) for one in closed]
+    _, axes = blocks(2, 2, (2.0,), names)
     units, titles = _units(closed[0].loop, closed[0].gang)
+    lines = []
     for n, panel in enumerate(axes.flat):
-        rows = [row for one in curves for row in one[n]]
-        lines[n // 2, n % 2] = [draw(panel, every, gains(row, dB=dB), k) for k, row in enumerate(rows)]
-        frequency_panels([panel], every[0], every[-1], [one.loop for one in closed])
-        levels = [] if limits[n] is None else [2.0 * float(g) for g in limits[n][1]]  # type: ignore[index]  # just judged
-        flat = [0.5, 2.0] if n < 2 else []
-        gain_panel(panel, [(closed[0].loop, every, row) for row in rows], dB=dB, more=[*levels, *flat])
-        if n < 2:
-            panel.axhline(0.0 if dB else 1.0, color=REFERENCE, linewidth=0.9, zorder=1)
-        shade(panel, limits[n], dB=dB)
+        rows = [(one.loop, row) for one in closed for row in _curves(one, several, sides)[n]]
+        curves = [GainCurve(loop, every, row, k) for k, (loop, row) in enumerate(rows)]
+        lines.append(gain_curves(panel, curves, dB=dB, upper=limits[n], unity=n < 2))
         panel.set_title(titles[n])
         panel.set_ylabel(gain_label("gain", units[n], dB))
         if n < 2 and len(rows) <= 3:
-            _peaks(panel, every, rows, dB, limits[n])
-    handles = lines[0, 0][: len(names)]
-    return control.ControlPlot(lines, axes, figure, legend=legend(figure, handles, names))
+            _peaks(panel, lines[-1], dB, limits[n])
+    return control_plot(axes, lines, lines[0][: len(names)], names)
 
 
 def _closed(
@@ -254,7 +233,7 @@ def _closed(
     top = min(one.nyquist for one in loops)
     every = every[every <= top]
     if not every.size:
-        raise ArgumentError(f"gang_of_four: frequency: all above the Nyquist frequency, {top:.6g} rad/s")
+        raise ArgumentError(f"gang_of_four: frequency must reach below the Nyquist frequency, {top:.6g} rad/s")
     out = [
         _Closed(
             label=K.label,
@@ -296,31 +275,128 @@ def _units(loop: DrawnSystem, g: Gang) -> tuple[list[str], list[str]]:
     return ["", "", ratio_unit(angle, torque), ratio_unit(torque, angle)], titles
 
 
-def _peaks(
-    panel: Axes,
-    w: FloatArray,
-    rows: Sequence[FloatArray],
-    dB: bool,
-    limit: tuple[FloatArray, FloatArray] | None,
-) -> None:
+def _peaks(panel: Axes, lines: Sequence[Line2D], dB: bool, limit: Level) -> None:
     """Mark the peak of each curve, and write it."""
-    levels = [gains(row, dB=dB) for row in rows]
-    places = LabelPlacer(panel, [np.column_stack([w * HZ, level]) for level in levels])
+    places = LabelPlacer(panel, lines)
     left, right = panel.get_xlim()
     places.avoid([np.array([[left, 0.0 if dB else 1.0], [right, 0.0 if dB else 1.0]])])
     if limit is not None:
         places.avoid([np.column_stack([np.clip(limit[0] * HZ, left, right), gains(limit[1], dB=dB)])])
     written: list[float] = []
-    for k, level in enumerate(levels):
+    for k, line in enumerate(lines):
+        f, level = line.get_xydata().T
         if not np.isfinite(level).any():
             continue
         at = int(np.nanargmax(level))
         colour = curve_style(k)["color"]
-        panel.plot([w[at] * HZ], [level[at]], "o", color=colour, markersize=4.0, zorder=4)
-        number = f"{plain(level[at], 3)} dB" if dB else plain(level[at], 3)
-        text = f"{number} at {plain(w[at] * HZ, 3)} Hz"
+        panel.plot([f[at]], [level[at]], "o", color=colour, markersize=4.0, zorder=4)
         # At the plant's input and output it is often the same.
         if any(abs(level[at] - other) <= 2e-3 * abs(other) for other in written):
             continue
         written.append(float(level[at]))
-        places.write(text, w[at] * HZ, level[at], colour=colour, bold=True, required=k == 0)
+        text = f"{plain(level[at], 3)}{' dB' if dB else ''} at {plain(f[at], 3)} Hz"
+        places.write(text, f[at], level[at], colour=colour, bold=True, required=k == 0)
+
+
+@check_arguments
+@standalone
+def Omega_sensitivity(
+    plant: LinearSystem,
+    controllers: LinearSystem | Sequence[LinearSystem] | Mapping[str, LinearSystem] | None = None,
+    *,
+    frequency: ArrayLike | None = None,
+    labels: Sequence[str] | None = None,
+    angles: Sequence[str | int] | None = None,
+    rates: Sequence[str | int] | None = None,
+    limit: ArrayLike | tuple[ArrayLike, ArrayLike] | None = None,
+    dB: bool = False,
+) -> control.ControlPlot:
+    """Draw how much the gimbal angles move per platform rate Omega, without control and with each controller closed.
+
+    Parameters
+    ----------
+    plant
+        From `state_space`: inputs torquers and Omega1 to Omega3, outputs angles. For sampled controllers the plant as
+        they see it, `analysis.sampled`; the rate is then held from sample to sample.
+    controllers
+        u = K y without a hidden sign, joined to the plant by signal names, or by position where it has others and as
+        many as there are torquers and angles. One, several in a sequence, a mapping from labels, or none.
+    frequency : (N,) or (2,), optional
+        rad/s: the frequencies themselves, or two numbers as the ends of a range; default wherever poles and zeros are.
+    labels
+        One for each controller; default their names.
+    angles, rates
+        Names or numbers of the plant's outputs and of its rates that are drawn; default all angles that a rate moves,
+        and all rates that move one.
+    limit : scalar, or a pair of (N,)
+        What the gain must not exceed, shaded above: a number, rad per rad/s, or a pair (frequencies in rad/s, levels).
+    dB
+        Whether gains are in decibels; the limit is given as a plain number all the same.
+
+    Returns
+    -------
+    control.ControlPlot
+        ``axes`` (angles, rates); ``lines`` in each: without control, then each controller.
+
+    Raises
+    ------
+    ArgumentError
+        The plant has no rate among its inputs, plant and controllers do not fit together, unknown angles or rates,
+        frequencies that are not ascending and positive, or a limit that is not.
+
+    References
+    ----------
+    K. Magnus, Ingenieur-Archiv 1976, eq. (27).
+    """
+    name = "Omega_sensitivity"
+    level = bound(f"{name}: limit", limit)
+    [P] = drawn_systems(f"{name}: plant", plant, data=False)
+    rate_names = [one for one in P.inputs if one in OMEGA_NAMES]
+    if not rate_names:
+        raise ArgumentError(
+            f"{name}: the plant needs {', '.join(OMEGA_NAMES)} among its inputs, got {', '.join(P.inputs[:6])}; "
+            "platform_ctrl.state_space(model) has them"
+        )
+    given = [] if controllers is None else list(drawn_systems(f"{name}: controllers", controllers, labels, data=False))
+    # Among the plant's outputs a rate of the platform itself is no angle.
+    outputs = [one for one in P.outputs if not is_rate(one)]
+    whole = as_state_space(f"{name}: plant", P)
+    torquers = [one for one in P.inputs if one not in rate_names]
+    loops = [closed_loop(whole, _joinable(K, torquers, outputs)) for K in given]
+    systems = [whole[outputs, rate_names], *(loop[outputs, rate_names] for loop in loops)]
+    drawn = list(drawn_systems(name, systems, ["without control", *(K.label for K in given)]))
+    every = grid(drawn, frequency, name=name)
+    rows, columns = chosen(f"{name}: angles", angles, outputs), chosen(f"{name}: rates", rates, rate_names)
+    entries = [entry_curves(one, every, [[""] * len(rate_names)] * len(outputs)) for one in drawn]
+    known = [[[bool(np.isfinite(c.response).any()) for c in row] for row in one] for one in entries]
+    moves = np.logical_or.reduce(np.array(known), axis=0)
+    if angles is None:
+        rows = [i for i in rows if moves[i, columns].any()] or rows
+    if rates is None:
+        columns = [j for j in columns if moves[rows, j].any()] or columns
+    names = ["without control"]
+    for K, loop in zip(given, loops, strict=True):
+        names.append((K.label or "controlled") + ("" if is_stable(loop) else ", not stable"))
+    _, axes = blocks(len(rows), len(columns), (1.75 if len(rows) > 1 else 2.6,), names)
+    lines = []
+    uncontrolled = {"color": REFERENCE, "linestyle": "-", "linewidth": 1.3}
+    for panel, (i, j) in zip(axes.flat, itertools.product(rows, columns), strict=True):
+        curves = [
+            GainCurve(one.system, one.frequency, np.abs(one.response), max(k - 1, 0), {} if k else uncontrolled)
+            for k, one in enumerate(entry[i][j] for entry in entries)
+        ]
+        lines.append(gain_curves(panel, curves, dB=dB, upper=level))
+        panel.set_title(f"{drawable(greek(rate_names[j]))} to {drawable(greek(outputs[i]))}")
+        if i != rows[-1]:
+            panel.set_xlabel("")
+        if j == columns[0]:
+            panel.set_ylabel(gain_label("gain", "rad per rad/s", dB))
+    return control_plot(axes, lines, lines[0], names)
+
+
+def _joinable(K: DrawnSystem, torquers: Sequence[str], angles: Sequence[str]) -> control.StateSpace:
+    """Return a controller under the plant's names where it has none of them: products of systems lose theirs."""
+    known = set(K.outputs) <= set(torquers) and set(K.inputs) <= set(angles)
+    if known or K.arrays is None or K.shape != (len(torquers), len(angles)):
+        return as_state_space("Omega_sensitivity: controllers", K)
+    return named_system(K.arrays, angles, torquers)
