@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from platform_ctrl import read_platform
+from platform_ctrl import read_platform, shipped_models
 from platform_ctrl.common.files import write_whole
-from platform_ctrl.plant.source import shipped_models
 from platform_ctrl.report.axes.picture import axes_picture
 
 PICTURES = Path(__file__).parent / "pictures"

@@ -16,7 +16,6 @@ import tomllib
 import numpy as np
 
 import platform_ctrl as pc
-from platform_ctrl.plant.source import platform_source
 
 J1z, J2, J3, M, R, G, SPEED = 0.5, 0.001, 0.01, 1.0, 2.0, 9.81, 1000.0  # published
 h, LIMIT = J3 * SPEED, 5.0
@@ -56,7 +55,7 @@ def main() -> None:
     expected = published(q, v, torque)
     rows = [(f"published acceleration {k + 1}, rad/s2", expected[k], found["free"][k]) for k in range(2)]
 
-    weightless = tomllib.loads(platform_source("ae353_cmg"))
+    weightless = tomllib.loads(pc.platform_source("ae353_cmg"))
     del weightless["root"]["specific_force"]
     real = pc.read_platform(weightless)
     ideal = pc.with_regulated_rotors(real)

@@ -71,7 +71,8 @@ both = pc.analysis.disk_margin(pc.analysis.loop_transfer(sampled, controller, at
 one = pc.analysis.loop_margins(sampled, controller)
 print(f"bandwidth (largest gain of S at 1/sqrt 2): {bandwidth / (2.0 * np.pi):.1f} Hz")
 for name, alpha in [*zip(one.channels, one.alpha, strict=True), ("Q9 and Q10 at once", both.lower)]:
-    low, high, phase = pc.analysis.disk_to_gain_phase(alpha)
+    high = (2.0 + alpha) / (2.0 - alpha)  # the disk of factors |f - 1| <= alpha/2 |f + 1|
+    low, phase = 1.0 / high, 2.0 * np.arctan(alpha / 2.0)
     print(f"{name}: disk margin {alpha:.3f}, so gain x {low:.2f} to x {high:.2f} or phase {np.degrees(phase):.0f} deg")
 
 figure, axes = plt.subplots(2, 2, figsize=(11, 7), sharex=True, layout="constrained")
@@ -94,7 +95,7 @@ for torque, response in loop.items():
     draw(loop_gain, loop_phase, response, f"broken at {torque}, the other closed: gain 1 at {at} Hz")
     loop_gain.plot(crossing, np.ones(len(crossing)), "k.")
 
-nutation = np.abs(pc.analysis.poles(gyro)).max() / (2.0 * np.pi)
+nutation = np.abs(gyro.poles()).max() / (2.0 * np.pi)
 for each in axes.flat:
     each.axvline(nutation, color="0.6", linestyle=":", zorder=0)
     each.grid(alpha=0.3)

@@ -43,7 +43,7 @@ def main() -> None:
     orbit = 2.0 * np.pi / 5560.0  # the station turns once in 92.7 min
     moved = torques(cmg, 0.0, (rate, 0.0), (0.0, orbit, 0.0))
     model = pc.linearise(cmg)
-    poles = pc.analysis.poles(pc.state_space(model))
+    poles = pc.state_space(model).poles()
     rows = [
         ("nutation, rad/s", H / np.sqrt(model.M[0, 0] * model.M[1, 1]), np.abs(poles).max()),
         ("output of the outer gimbal at 3.1 deg/s, N m", OUTPUT, np.linalg.norm(made[:3])),

@@ -17,14 +17,13 @@ import numpy as np
 from scipy.optimize import brentq
 
 import platform_ctrl as pc
-from platform_ctrl.plant.source import platform_source
 
 TORQUE = 0.1  # N m, on axis 2
 
 
 def braked(friction: bool) -> pc.Platform:
     """The shipped plant with the brake of axis 3 on: a stiff cage about gimbal B."""
-    plant = tomllib.loads(platform_source("ecp_750"))
+    plant = tomllib.loads(pc.platform_source("ecp_750"))
     plant["cage"] = [{"gimbal": "B", "stiffness": 1e6, "damping": 300.0}]
     if not friction:
         del plant["friction"]
@@ -33,7 +32,7 @@ def braked(friction: bool) -> pc.Platform:
 
 def nutation(platform: pc.Platform, q2: float) -> complex:
     """The pole of nutation at a tilt of the rotor, 1/s: the slowest that oscillates."""
-    poles = pc.analysis.poles(pc.state_space(pc.linearise(platform, q=[0.0, 0.0, q2])))
+    poles = pc.state_space(pc.linearise(platform, q=[0.0, 0.0, q2])).poles()
     return min(poles[poles.imag > 1.0], key=abs)
 
 

@@ -78,7 +78,7 @@ def main() -> None:
     row(
         "nutation, rad/s: L/sqrt(J_outer J_inner), poles",
         nutation,
-        np.abs(pc.analysis.poles(pc.state_space(model))).max(),
+        np.abs(pc.state_space(model).poles()).max(),
     )
     t, _, beta = run(ideal, 0.0, (0.0, 1.0))
     row("nutation, rad/s: non-linear run", nutation, whole_periods(t, beta)[0])

@@ -89,11 +89,11 @@ def main() -> None:
     )
 
     model = pc.linearise(banked(horizon), (0.0, TURN * sin(BANK), TURN * cos(BANK)), q=(-BANK, 0.0))
-    slow = min(pc.analysis.poles(pc.state_space(model)), key=abs)
+    slow = min(pc.state_space(model).poles(), key=abs)
     row("poles in the turn, 1/s: real part -kappa cos(phi)", -kappa * cos(BANK), slow.real)
     row("poles in the turn, 1/s: imaginary part omega", TURN, abs(slow.imag))
     level = pc.linearise(horizon)
-    nutation = max(pc.analysis.poles(pc.state_space(level)), key=abs)
+    nutation = max(pc.state_space(level).poles(), key=abs)
     friction = horizon.frictions[0].viscous * np.sum(1.0 / np.diag(level.M)) / 2.0
     row("decay of the nutation, 1/s: d (1/Jo + 1/Ji)/2 - kappa", friction - kappa, -nutation.real)
     if not file:

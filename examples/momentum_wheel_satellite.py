@@ -44,7 +44,7 @@ def variant(satellite: pc.Platform, h: float, stiffness: float | None = None, da
 
 def poles(satellite: pc.Platform, Omega0: float = OMEGA0) -> np.ndarray:
     """Poles of the free satellite about its rotation; the one at zero, for its momentum, is left out."""
-    found = pc.analysis.poles(pc.state_space(pc.linearise(satellite, (0.0, Omega0, 0.0)), root="free"))
+    found = pc.state_space(pc.linearise(satellite, (0.0, Omega0, 0.0)), root="free").poles()
     return np.delete(found, np.abs(found).argmin())
 
 

@@ -22,7 +22,7 @@ Ja, Jb = 0.0375 + 0.0213 + 0.0027 + 0.0028, 0.0179 + 0.0027 + 0.0028  # silver a
 
 def nutation(platform: pc.Platform, q2: float) -> float:
     """Frequency of nutation with the blue gimbal at q2, rad/s."""
-    return float(np.abs(pc.analysis.poles(pc.state_space(pc.linearise(platform, q=[0.0, 0.0, q2])))).max())
+    return float(np.abs(pc.state_space(pc.linearise(platform, q=[0.0, 0.0, q2])).poles()).max())
 
 
 def precession(platform: pc.Platform, torque: float) -> tuple[float, float]:

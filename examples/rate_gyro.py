@@ -64,7 +64,7 @@ def main() -> None:
     systems = {Omega1: pc.state_space(pc.linearise(balanced, (Omega1, 0, 0))) for Omega1 in (-2.0, 0.0, 2.0)}
     still, turning = systems[0.0], systems[ABOUT_SPIN]
     gain = {Omega1: float(np.real(s["theta", "Omega2"].dcgain())) for Omega1, s in systems.items()}
-    pole = pc.analysis.poles(still)[0]
+    pole = still.poles()[0]
 
     print(f"{'quantity':58s}{'theory':>12s}{'computed':>12s}")
     row("gain, rad per rad/s: L/k", L / k, gain[0.0])
@@ -79,7 +79,7 @@ def main() -> None:
     row("bandwidth (-3 dB), rad/s", natural * sqrt(z + sqrt(z**2 + 1.0)), bandwidth(still))
     stiffer = 1.0 + L * ABOUT_SPIN / k
     row("gain at Omega1 = 2 rad/s, rad per rad/s: L/(k + L Omega1)", L / k / stiffer, gain[ABOUT_SPIN])
-    row("natural frequency at Omega1 = 2 rad/s", natural * sqrt(stiffer), abs(pc.analysis.poles(turning)[0]))
+    row("natural frequency at Omega1 = 2 rad/s", natural * sqrt(stiffer), abs(turning.poles()[0]))
     row(
         "Omega1 that takes all restraint away, rad/s: -k/L",
         -k / L,

@@ -30,6 +30,7 @@ from scipy.spatial.transform import Rotation
 
 import platform_ctrl as pc
 from platform_ctrl.plant.force_elements import Cage
+from platform_ctrl.simulation.free_motion import Rollout
 
 STEP = 5e-5  # s, a fortieth of a nutation or less
 PAIR, PAIR_TIME = 2e-4, 0.05  # N m on gimbal 5, and the opposite on 7; s
@@ -50,7 +51,7 @@ def held(platform: pc.Platform) -> pc.Platform:
 
 def run(
     platform: pc.Platform, duration: float, rates: dict[str, float], torques: dict[str, float], Omega: ArrayLike = 0.0
-) -> pc.simulation.Rollout:
+) -> Rollout:
     """The non-linear platform under constant torques of gimbals, from zero angles and the given gimbal rates."""
     velocity, force = np.zeros((2, 3 + len(platform.gimbals)))
     velocity[:3] = Omega
@@ -72,7 +73,7 @@ def angles_of_directions_kept(turned: np.ndarray) -> dict[str, float]:
 def poles_with_9_caged(platform: pc.Platform, rate: float) -> np.ndarray:
     """Poles of gimbals 9 and 10 on a platform that turns about axis 2, gimbal 9 in a cage as good as rigid."""
     rigid = dataclasses.replace(platform, cages=(Cage(gimbal="9", stiffness=1e7),))
-    return pc.analysis.poles(pc.state_space(pc.linearise(rigid, (0.0, rate, 0.0)), gimbals=("9", "10")))
+    return pc.state_space(pc.linearise(rigid, (0.0, rate, 0.0)), gimbals=("9", "10")).poles()
 
 
 def main() -> None:
@@ -87,7 +88,7 @@ def main() -> None:
     k4, k5, k7, k9, k10 = (platform.gimbal(name) for name in ("4", "5", "7", "9", "10"))
     J4, J5, J7, J9, J10 = np.diag(model.M)
     print(f"{'quantity':58s}{'theory':>12s}{'computed':>12s}")
-    poles = np.sort(np.abs(pc.analysis.poles(pc.state_space(model))))
+    poles = np.sort(np.abs(pc.state_space(model).poles()))
     row("nutation of 4-5-7, rad/s", sqrt(L6**2 / (J4 * J5) + L8**2 / (J4 * J7)), poles[-1])
     row("nutation of 9-10, rad/s: L11/sqrt(J9 J10)", L11 / sqrt(J9 * J10), poles[-3])
 

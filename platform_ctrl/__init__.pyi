@@ -14,10 +14,8 @@ from .mechanics.forces import element_forces as element_forces
 from .mechanics.linearisation import LinearModel as LinearModel
 from .mechanics.linearisation import linearise as linearise
 from .mechanics.matrices import matrices as matrices
-from .mechanics.parameter_varying import ParameterVaryingModel as ParameterVaryingModel
 from .mechanics.parameter_varying import parameter_varying as parameter_varying
-from .mechanics.precession import Precession as Precession
-from .mechanics.precession import precession as precession
+from .mechanics.precession.result import precession as precession
 from .mechanics.rotors import rotor_momenta as rotor_momenta
 from .mechanics.rotors import with_free_rotors as with_free_rotors
 from .mechanics.rotors import with_regulated_rotors as with_regulated_rotors
@@ -25,7 +23,6 @@ from .mechanics.rotors import with_rotors_as_gimbals as with_rotors_as_gimbals
 from .mechanics.state_space import state_space as state_space
 from .mechanics.state_space import subsystems as subsystems
 from .mechanics.symbolic.equations import equations as equations
-from .mechanics.term_table import TermTable as TermTable
 from .mechanics.terms import terms as terms
 from .plant.force_elements import Cage as Cage
 from .plant.force_elements import Erection as Erection
@@ -39,5 +36,7 @@ from .plant.platform import RateSensor as RateSensor
 from .plant.platform import Rotor as Rotor
 from .plant.platform import Torquer as Torquer
 from .plant.reading import read_platform as read_platform
+from .plant.source import platform_source as platform_source
+from .plant.source import shipped_models as shipped_models
 
 __version__: str

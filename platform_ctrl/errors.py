@@ -86,7 +86,3 @@ class NotCertifiedError(DesignError):
 
 class SimulationError(PlatformCtrlError):
     """A simulated run could not be carried out (it diverged, or its set-up is inconsistent)."""
-
-
-class TypesettingError(PlatformCtrlError):
-    """A page could not be set as PDF."""

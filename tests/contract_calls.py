@@ -26,7 +26,7 @@ import numpy as np
 
 from contract_cases import FUNCTIONS, INSTANCES, METHODS, STRUCTURES, model, one, platform
 from platform_ctrl.errors import PlatformCtrlError
-from public_modules import methods, public
+from public_modules import described, methods, public
 
 # CPU time that a call may take, s, what it compiles included, and memory that a process may have, bytes.
 SECONDS, MEMORY = 100, 12 << 30
@@ -64,13 +64,13 @@ def cases() -> dict[str, Case]:
         elif fields := _fields(item):
             made = {field: functools.partial(_field, name, field) for field in fields}
             found[name] = Case(name, item, made, fields=True)
+    for path, item in described().items():
+        name = short_name(path)
         for method, member in methods(item) if inspect.isclass(item) else ():
             label = f"{name}.{method}"
-            if (
-                not isinstance(member, property)
-                and taken(member)
-                and not (label.startswith("design.") and method in STRUCTURES)
-            ):
+            if isinstance(member, property) or not taken(member) or method in STRUCTURES:
+                continue
+            if path in public() or label in METHODS:
                 found[label] = Case(label, functools.partial(_method, name, method), METHODS[label])
     return found
 
@@ -87,8 +87,8 @@ def _fields(cls: type) -> tuple[str, ...]:
     return tuple(getattr(cls, "_fields", ()))
 
 
-# A base class without a value of its own; what takes any number of figures.
-UNTAKEN = ("design.Structure", "figures.show")
+# What takes any number of figures, and what takes nothing.
+UNTAKEN = ("figures.show", "shipped_models")
 
 
 def _field(name: str, field: str) -> Any:
@@ -108,7 +108,7 @@ def _method(cls: str, method: str, /, **given: Any) -> Any:
 
 @functools.cache
 def _classes() -> dict[str, type]:
-    return {short_name(path): item for path, item in public().items() if inspect.isclass(item)}
+    return {short_name(path): item for path, item in described().items() if inspect.isclass(item)}
 
 
 def signature(case: Case) -> dict[str, inspect.Parameter]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from platform_ctrl.app.pictures import Bode, FrequencyGain, Locus, Margins, Nichols, Overlay, Picture, TimeResponse
 from platform_ctrl.app.settings import Settings
-from platform_ctrl.job.requirements import CheckResult
+from platform_ctrl.job.judging import CheckResult
 
 DAMPING = 20.0
 

@@ -12,9 +12,10 @@ import numpy as np
 from scipy.linalg import block_diag
 from scipy.optimize import differential_evolution
 
-from platform_ctrl.analysis import PlantSet, StateArrays
+from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.loop_metrics import measured
 from platform_ctrl.analysis.loop_set import LoopSet
+from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.poles import continuous_poles
 from platform_ctrl.design.partition import first_order, notch, side_by_side
 from platform_ctrl.design.plants import loop_plants

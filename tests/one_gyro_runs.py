@@ -11,7 +11,8 @@ import control
 from one_gyro_job import JOB
 from platform_ctrl.job.job import Job, manoeuvre_scenario
 from platform_ctrl.job.reading import read_job
-from platform_ctrl.simulation import Trajectory, simulate
+from platform_ctrl.simulation import simulate
+from platform_ctrl.simulation.closed_loop import Trajectory
 
 MANOEUVRES = """
 [[manoeuvre]]

@@ -9,7 +9,7 @@ from platform_ctrl import simulation
 from platform_ctrl.job.faults import Fault
 from platform_ctrl.job.scenario import Scenario
 from platform_ctrl.plant.platform import Gimbal, PickOff, Platform, RateSensor, Torquer
-from platform_ctrl.simulation import Trajectory
+from platform_ctrl.simulation.closed_loop import Trajectory
 
 PERIOD = 1e-3
 J = 2e-3

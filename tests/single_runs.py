@@ -8,7 +8,8 @@ from typing import Any
 import control
 
 from platform_ctrl.plant.platform import Platform
-from platform_ctrl.simulation import Scenario, Trajectory, simulate
+from platform_ctrl.simulation import Scenario, simulate
+from platform_ctrl.simulation.closed_loop import Trajectory
 
 
 def simulated(

@@ -25,16 +25,8 @@ ALL = 10**6
 PARTS = ("analysis", "campaign", "design", "export", "report", "others")
 # Answered although the argument is wrong at first sight, with the reason.
 ANSWERED = {
-    ("requirements.Requirement.judge", "measured"): "a value that is no number does not meet its limit",
-    ("requirements.Requirement.ratio", "measured"): "a value that is no number does not meet its limit",
-    (
-        "analysis.sensitivity_functions",
-        "loop",
-    ): "a matrix that is not finite has no sensitivity, and leaves the others alone",
-    ("analysis.spectral_abscissa", "poles"): "numbers are poles, whole or complex ones",
     ("analysis.Channel", "input_weight"): "kinds of systems are told apart where it is used",
     ("analysis.Channel", "output_weight"): "kinds of systems are told apart where it is used",
-    ("export.ResponseTable", "response"): "kinds of systems are told apart where it is used",
     ("export.write_c", "entries"): "an empty list of controllers",
 }
 
@@ -135,11 +127,10 @@ def test_arguments_are_refused_without_assertions_too(package: str, tmp_path: Pa
 
 # What answered otherwise than in a sentence once: case, parameter, argument.
 FOUND = (
-    ("ParameterVaryingModel.grid", "points", "sampled"),
-    ("ParameterVaryingModel.rhs", "Omega_dot", "frd"),
-    ("Precession.error", "frequency", "with 1e308"),
+    ("parameter_varying.ParameterVaryingModel.grid", "points", "sampled"),
+    ("parameter_varying.ParameterVaryingModel.rhs", "Omega_dot", "frd"),
+    ("result.Precession.error", "frequency", "with 1e308"),
     ("analysis.hinf_norm", "tolerance", "10^30"),
-    ("campaign.clopper_pearson", "runs", "10^400"),
     ("design.from_crossover_and_margin", "gimbals", "[]"),
     ("design.limited_loop", "lag", "empty"),
     ("design.limited_loop", "limits", "3-d"),
@@ -148,7 +139,7 @@ FOUND = (
     ("design.sampled_hinf", "period", "10^30"),
     ("design.structured", "seed", "-1"),
     ("figures.nyquist", "labels", "sampled"),
-    ("scenario.TimeTable.at", "t", "1j"),
+    ("simulation.TimeTable.at", "t", "1j"),
 )
 
 

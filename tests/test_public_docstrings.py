@@ -19,7 +19,7 @@ import pytest
 from numpydoc.docscrape import NumpyDocString, Parameter
 
 from platform_ctrl import errors
-from public_modules import methods, public
+from public_modules import described, methods, public
 
 HOUSE = Path(__file__).resolve().parent.parent
 
@@ -89,17 +89,19 @@ UNIT = re.compile(
 @functools.cache
 def functions() -> dict[str, Callable[..., Any]]:
     """Return the public functions and methods by name; what overrides a method is described where that is."""
-    found = {name: item for name, item in public().items() if not inspect.isclass(item)}
+    found = {name: item for name, item in described().items() if not inspect.isclass(item)}
     for name, item in classes().items():
         inherited = {m for base in item.__mro__[1:-1] for m in vars(base)}
         own = {m: f for m, f in methods(item) if not isinstance(f, property) and m not in inherited}
+        if name not in public():  # methods that are for the package alone are described in a line
+            own = {m: f for m, f in own.items() if parsed(f)["Parameters"]}
         found |= {f"{name}.{m}": f for m, f in own.items()}
     return found
 
 
 def classes() -> dict[str, type]:
     """Return the public classes by name."""
-    return {name: item for name, item in public().items() if inspect.isclass(item)}
+    return {name: item for name, item in described().items() if inspect.isclass(item)}
 
 
 def parsed(item: object) -> NumpyDocString:
@@ -196,7 +198,7 @@ def test_classes_say_what_they_hold(name: str) -> None:
             judge_numbers({method: inspect.getdoc(member) or ""}, {method: annotation})
 
 
-SOURCED = {name: item for name, item in public().items() if parsed(item)["References"]}
+SOURCED = {name: item for name, item in described().items() if parsed(item)["References"]}
 
 
 @pytest.mark.parametrize("name", SOURCED)
@@ -214,7 +216,7 @@ def test_the_reference_pages_generator_reads_every_docstring_without_a_warning(
 ) -> None:
     package = griffe.load("platform_ctrl", docstring_parser="numpy", resolve_aliases=False)
     with caplog.at_level(logging.WARNING):
-        for item in public().values():
+        for item in described().values():
             found = package[f"{item.__module__}.{item.__qualname__}".removeprefix("platform_ctrl.")]
             members = [member for name, member in found.members.items() if name[0] != "_"] if found.is_class else []
             for one in (found, *members):
@@ -223,7 +225,7 @@ def test_the_reference_pages_generator_reads_every_docstring_without_a_warning(
     assert [record.getMessage() for record in caplog.records] == []
 
 
-EXAMPLES = {name: item for name, item in public().items() if parsed(item)["Examples"]}
+EXAMPLES = {name: item for name, item in described().items() if parsed(item)["Examples"]}
 
 
 @pytest.mark.parametrize("name", EXAMPLES)

@@ -14,7 +14,17 @@ from numpydoc.docscrape import NumpyDocString, Parameter
 
 import platform_ctrl as pc
 from platform_ctrl import analysis, campaign, design, simulation
-from platform_ctrl.analysis import certificates
+from platform_ctrl.analysis.bandwidth import bandwidth_of_response
+from platform_ctrl.analysis.certificates.makers import stability_certificate
+from platform_ctrl.analysis.response import response_at
+from platform_ctrl.campaign.rare_result import RareResult
+from platform_ctrl.design.antiwindup.loop import LimitedLoop
+from platform_ctrl.design.classical.complex_coordinates import ComplexSystem, complex_response
+from platform_ctrl.design.classical.complex_shaping import ComplexLoop
+from platform_ctrl.mechanics.parameter_varying import ParameterVaryingModel
+from platform_ctrl.simulation.batch import BatchResult
+from platform_ctrl.simulation.closed_loop import Trajectory
+from platform_ctrl.simulation.free_motion import Rollout
 
 PLATFORM = pc.read_platform("three_gyro_platform")
 MODEL = pc.linearise(PLATFORM)
@@ -36,42 +46,42 @@ def gyro() -> tuple[control.StateSpace, control.StateSpace]:
     return made.plant, made.controller
 
 
-def limited() -> design.LimitedLoop:
+def limited() -> LimitedLoop:
     whole = pc.state_space(MODEL, gimbals=("9", "10"))
     return design.limited_loop(whole, gyro()[1], "Omega1", limits=0.5, rise=0.5)
 
 
-def varying() -> pc.ParameterVaryingModel:
+def varying() -> ParameterVaryingModel:
     return pc.parameter_varying(PLATFORM, gimbals=("9", "10"))
 
 
-def coordinates() -> design.ComplexSystem:
+def coordinates() -> ComplexSystem:
     return design.complex_plant(MODEL, ("9", "10"), balance=True)
 
 
-def shaped() -> design.ComplexLoop:
+def shaped() -> ComplexLoop:
     return design.complex_loop(
         coordinates(), crossover_hz=8.0, integral_hz=1.0, damping_hz=30.0, lead_hz=20.0, rolloff_hz=2000.0
     )
 
 
-def trajectory() -> simulation.Trajectory:
+def trajectory() -> Trajectory:
     scenario = simulation.Scenario(platform=PLATFORM, mode="stabilised", duration=0.01, delay=0.0)
     return simulation.simulate(scenario, [], period=PERIOD)
 
 
-def batch() -> simulation.BatchResult:
+def batch() -> BatchResult:
     runs = [
         simulation.Scenario(platform=PLATFORM, mode="caged", duration=0.01, delay=0.0, seed=1, run=k) for k in range(3)
     ]
     return simulation.simulate_batch(runs, [], period=PERIOD)
 
 
-def rolled() -> simulation.Rollout:
+def rolled() -> Rollout:
     return simulation.rollout(PLATFORM, q=[[0.01] * 5] * 3, velocity=[[0.02] * 8] * 3, step=1e-4, steps=4, every=2)
 
 
-def seldom() -> campaign.RareResult:
+def seldom() -> RareResult:
     return campaign.rare_event(lambda u, _: u.sum(axis=1) / 1.9, 2, samples=400, repetitions=2)
 
 
@@ -99,7 +109,7 @@ VALUES: dict[str, Callable[[], Any]] = {
     "ComplexSystem": coordinates,
     "TwoSidedNyquist": lambda: shaped().nyquist,
     "LimitedLoop": limited,
-    "Certificate": lambda: certificates.stability_certificate([[-1.0, 0.0], [0.0, -2.0]]),
+    "Certificate": lambda: stability_certificate([[-1.0, 0.0], [0.0, -2.0]]),
     "Rollout": rolled,
     "Trajectory": trajectory,
     "BatchResult": batch,
@@ -120,17 +130,21 @@ CALLS: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
             analysis.time_response,
             {"system": PAIR, "timepts": np.arange(7) * 0.1, "inputs": np.ones((5, 7)), "initial_state": np.ones(4)},
         ),
-        ("poles", analysis.poles, {"system": PAIR}),
         ("noise_rms", analysis.noise_rms, {"system": control.ss(0.5, [[1, 1]], [[1], [2], [3]], 0, 1), "rms": [1, 2]}),
         (
             "response_at",
-            analysis.response_at,
+            response_at,
             {"system": PAIR, "z": 1j * np.arange(4)},
+        ),
+        (
+            "bandwidth_of_response",
+            bandwidth_of_response,
+            {"frequency": np.arange(1.0, 6.0), "S": np.ones((4, 5, 2, 2), dtype=complex)},
         ),
         ("error", pc.precession(MODEL, gimbals=("9", "10")).error, {"frequency": [1.0, 2.0, 3.0]}),
         ("state", varying().state, {"q": [0.0, 0.1], "rates": [0.0, 0.0], "Omega": [0.0, 0.0, 1.0]}),
         ("rhs", varying().rhs, {"t": 0.0, "x": np.zeros(4), "Omega": np.zeros(3), "Q": np.zeros(2)}),
-        ("complex_response", design.complex_response, {"system": coordinates(), "frequency": [-1.0, 1.0, 2.0]}),
+        ("complex_response", complex_response, {"system": coordinates(), "frequency": [-1.0, 1.0, 2.0]}),
     )
 }
 

@@ -15,6 +15,10 @@ import pytest
 import platform_ctrl as pc
 from platform_ctrl import analysis, design
 from platform_ctrl.analysis.arrays import state_arrays
+from platform_ctrl.analysis.poles import is_stable
+from platform_ctrl.analysis.sampled import bilinear_to_continuous, bilinear_to_discrete
+from platform_ctrl.design.classical.crossover import CrossoverDesign
+from platform_ctrl.design.loop import LoopDesign
 from test_public_shapes import VALUES
 
 MODEL = pc.linearise(pc.read_platform("three_gyro_platform"))
@@ -41,14 +45,14 @@ JOB = {
 
 
 @pytest.fixture(scope="module")
-def crossover() -> design.CrossoverDesign:
+def crossover() -> CrossoverDesign:
     return design.from_crossover_and_margin(
         MODEL, ("9", "10"), crossover_hz=8.0, disk_margin=0.5, period=PERIOD, delay=1.5 * PERIOD
     )
 
 
 @pytest.fixture(scope="module")
-def loop() -> design.LoopDesign:
+def loop() -> LoopDesign:
     return design.loops(JOB)[0].closed
 
 
@@ -61,7 +65,7 @@ def test_interconnect_closes_the_loop_of_a_design_by_the_names_of_its_signals(
     assert made.plant.input_labels == [*made.controller.output_labels, *RATES]
     theirs = control.interconnect([made.plant, made.controller], inputs=RATES, outputs=angles)
     ours = analysis.closed_loop(made.plant, made.controller)
-    assert analysis.is_stable(theirs)
+    assert is_stable(theirs)
     w = np.geomspace(1.0, 6000.0, 30)
     expected = analysis.frequency_response(ours[angles, RATES], w)
     np.testing.assert_allclose(analysis.frequency_response(theirs, w), expected, rtol=1e-8)
@@ -75,7 +79,7 @@ def test_interconnect_closes_a_loop_that_was_shaped_in_complex_coordinates(perio
     )
     angles = list(made.real_controller.input_labels)
     theirs = control.interconnect([made.real_plant, made.real_controller], inputs=RATES, outputs=angles)
-    assert analysis.is_stable(theirs)
+    assert is_stable(theirs)
     assert made.real_plant.state_labels[:4] == STATES
     # The same plant by other means: lags and delay in the torques' way, the rate held.
     whole = pc.state_space(MODEL, gimbals=("9", "10"))
@@ -106,22 +110,22 @@ def test_the_rate_of_the_platform_is_held_but_neither_late_nor_lagging(of: str, 
     np.testing.assert_allclose(found, control.forced_response(direct, t, u).outputs, rtol=0, atol=1e-13)
 
 
-def test_designs_of_a_job_name_the_states_of_their_plant(loop: design.LoopDesign) -> None:
+def test_designs_of_a_job_name_the_states_of_their_plant(loop: LoopDesign) -> None:
     assert loop.plant is not None
     assert loop.plant.state_labels[:4] == STATES
     assert all(name.startswith(("lag_Q", "Q9_held", "Q10_held")) for name in loop.plant.state_labels[4:])
 
 
-def test_names_of_states_last(crossover: design.CrossoverDesign) -> None:
+def test_names_of_states_last(crossover: CrossoverDesign) -> None:
     gyro = pc.state_space(MODEL, gimbals=("9", "10"))
     assert gyro.state_labels == STATES
     part = analysis.arrays.selected(gyro, ["beta10"], ["Q9"])
     assert part.state_labels == STATES
-    for made in (part, gyro, analysis.bilinear_to_discrete(gyro, PERIOD), crossover.plant):
+    for made in (part, gyro, bilinear_to_discrete(gyro, PERIOD), crossover.plant):
         assert made.state_labels[:4] == STATES
     sampled = analysis.sampled(part, PERIOD, delay=PERIOD, lag=0.001)
     assert sampled.state_labels == [*STATES, "lag_Q9", "Q9_held1"]
-    assert analysis.bilinear_to_continuous(analysis.sampled(gyro, PERIOD)).state_labels == STATES
+    assert bilinear_to_continuous(analysis.sampled(gyro, PERIOD)).state_labels == STATES
     plant, controller = crossover.plant, crossover.controller
     own, its = list(plant.state_labels), [f"controller_{name}" for name in controller.state_labels]
     assert analysis.closed_loop(plant, controller).state_labels == own + its
@@ -131,7 +135,7 @@ def test_names_of_states_last(crossover: design.CrossoverDesign) -> None:
 
 def test_the_bilinear_map_there_and_back_is_the_system_state_by_state() -> None:
     gyro = analysis.sampled(pc.state_space(MODEL, gimbals=("9", "10")), PERIOD)
-    again = analysis.bilinear_to_discrete(analysis.bilinear_to_continuous(gyro), PERIOD)
+    again = bilinear_to_discrete(bilinear_to_continuous(gyro), PERIOD)
     for name in "ABCD":
         given, back = getattr(gyro, name), getattr(again, name)
         np.testing.assert_allclose(back, given, rtol=1e-9, atol=1e-12 * max(1e-6, np.abs(given).max()))

@@ -40,7 +40,6 @@ def on_files(files: Files, config: Any) -> Files:
     for file in written:
         for k, svg in enumerate(drawn.of_page(file.content_string, file.src_uri, digest)):
             add(f"pictures/{_picture(file.src_uri, k)}", svg)
-    names.MODULES[:] = [module for file in written for module in names.MARK.findall(file.content_string)]
     return files
 
 
@@ -51,7 +50,7 @@ def on_page_markdown(markdown: str, page: Any, config: Any, files: Files) -> str
         shown = gallery.figure(f"{up}pictures/{_picture(page.file.src_uri, k)}", picture.description, caption=True)
         markdown = markdown.replace(picture.comment, shown, 1)
     markdown = markdown.replace("<!-- gallery -->", gallery.page())
-    markdown = names.MARK.sub(lambda found: names.entries(found[1]), markdown)
+    markdown = names.MARK.sub(lambda found: names.entries(found[1], found[2]), markdown)
     for folder in SHOWN:
         markdown = markdown.replace(f"<!-- list of {folder} -->", _list(folder))
     return _LINK.sub(lambda found: f"]({_page_of(found[1], page.file.src_uri, up)})", markdown)

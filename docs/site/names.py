@@ -1,22 +1,29 @@
 """Public names: tables of them, the reference's entries, and links to these from wherever a name is set as code.
 
-A module's names are those of its `__all__`, or all that it defines itself. Every class and function has one entry, on
-the page of the module nearest to where it is defined; other modules that give it too have a row that leads there.
+A page of docs/reference/ asks for the names of a public module with ``<!-- names of MODULE -->``: those of its
+`__all__`, or all that it defines itself. ``<!-- entries of MODULE -->`` asks for what is defined in a module that is
+not public itself. Every public class and function, and every class that one of them returns, has one entry: on the
+page of the module nearest to where it is defined.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import importlib
 import inspect
 import re
 import sys
+from collections.abc import Iterator
 from functools import cache
+from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-# The modules that have their names on a page, as the pages ask for them.
-MODULES: list[str] = []
-MARK = re.compile(r"^<!-- names of ([\w.]+) -->$", re.MULTILINE)
+MARK = re.compile(r"^<!-- (names|entries) of ([\w.]+) -->$", re.MULTILINE)
+_PAGES = [path.read_text(encoding="utf-8") for path in sorted(Path(__file__).parents[1].glob("reference/*.md"))]
+_MARKS = [mark for page in _PAGES for mark in MARK.findall(page)]
+# The public modules.
+MODULES = sorted(module for kind, module in _MARKS if kind == "names")
 # Outside the reference these are the fixtures of the pytest plugin.
 _FIXTURES = ("assert_baseline", "closed_loop")
 # Functions of one word are called like parameters and everyday words: only what is pointed to is led there.
@@ -48,30 +55,92 @@ def identifier(item: Any) -> str:
 
 
 @cache
-def homes() -> dict[str, str]:
-    """Return for every class and function by its identifier the module under which it has its entry."""
-    out: dict[str, str] = {}
+def public() -> dict[str, Any]:
+    """Return the public classes and functions, each once, by the module that gives them and their name there."""
+    found: dict[str, Any] = {}
     for module in MODULES:
-        for item in names(module).values():
-            if documented(item):
-                before = out.get(identifier(item))
-                if before is None or _nearness(module, item) > _nearness(before, item):
-                    out[identifier(item)] = module
-    return out
+        for name, item in names(module).items():
+            if documented(item) and item not in found.values():
+                found[f"{module}.{name}"] = item
+    return found
 
 
-def _nearness(module: str, item: Any) -> int:
-    return len(module) if f"{item.__module__}.".startswith(f"{module}.") and module != "platform_ctrl" else 0
+@cache
+def results() -> dict[str, type]:
+    """Return the classes that users receive without a public name, by identifier: returned, or attributes of these."""
+    waiting = list(public().values())
+    found: dict[str, type] = {}
+    while waiting:
+        for kind in _given(waiting.pop()):
+            if kind not in found.values() and kind not in public().values():
+                found[identifier(kind)] = kind
+                waiting.append(kind)
+    return found
 
 
-def entries(module: str) -> str:
+def _given(item: Any) -> Iterator[type]:
+    """Yield the documented classes of the package that a function returns, or a class has as attributes or returns."""
+    if not inspect.isclass(item):
+        yield from _classes(item.__module__, inspect.signature(item).return_annotation)
+        return
+    for field in dataclasses.fields(item) if dataclasses.is_dataclass(item) else ():
+        if field.name[0] != "_":
+            yield from _classes(item.__module__, field.type)
+    for name, member in vars(item).items():
+        function = member.fget if isinstance(member, property) else member
+        if name[0] != "_" and inspect.isfunction(function):
+            yield from _classes(item.__module__, inspect.signature(function).return_annotation)
+
+
+def _classes(module: str, annotation: object) -> Iterator[type]:
+    for name in re.findall(r"\w+", str(annotation)):
+        kind = getattr(sys.modules[module], name, None) or _imported_for_types(module).get(name)
+        if inspect.isclass(kind) and kind.__module__.startswith("platform_ctrl") and "\nAttributes\n" in _doc(kind):
+            yield kind
+
+
+@cache
+def _imported_for_types(module: str) -> dict[str, Any]:
+    """Return what a module imports from the package for annotations only."""
+    source = inspect.getsource(sys.modules[module])
+    found = re.findall(r"^    from (platform_ctrl[\w.]*) import ([\w, ]+)$", source, re.MULTILINE)
+    return {name: getattr(importlib.import_module(m), name, None) for m, many in found for name in many.split(", ")}
+
+
+def _doc(item: Any) -> str:
+    return inspect.getdoc(item) or ""
+
+
+@cache
+def homes() -> dict[str, str]:
+    """Return for every public class and function and every result, by its identifier, the module with its entry."""
+    entries = {module for kind, module in _MARKS if kind == "entries"}
+    found = {}
+    for name, item in _by_identifier().items():
+        giving = {module for module in MODULES if item in names(module).values()}
+        shown = entries | (giving or set(MODULES))
+        inside = [module for module in shown if f"{item.__module__}.".startswith(f"{module}.")]
+        found[name] = max(inside or giving, key=len)
+    return found
+
+
+def entries(kind: str, module: str) -> str:
     """Return what the reference has of a module: the table of its names, and the entries that are at home here."""
-    rows, own = [], []
-    for name, item in sorted(names(module).items(), key=lambda pair: pair[0].lower()):
-        rows.append(f"| {_led(name, item)} | {_told(item)} |")
-        if documented(item) and homes()[identifier(item)] == module:
-            own.append(f"::: {identifier(item)}")
+    given = names(module) if kind == "names" else {}
+    here = {name: item for name, item in _by_identifier().items() if homes()[name] == module}
+    given = given | {item.__qualname__: item for item in here.values() if item not in given.values()}
+    rows = [f"| {_led(name, item)} | {_told(item)} |" for name, item in _sorted(given)]
+    own = [f"::: {identifier(item)}" for _, item in _sorted(given) if documented(item) and identifier(item) in here]
     return "| name | is |\n| --- | --- |\n" + "\n".join(rows) + "\n\n" + "\n\n".join(own) + "\n"
+
+
+@cache
+def _by_identifier() -> dict[str, Any]:
+    return {identifier(item): item for item in public().values()} | results()
+
+
+def _sorted(found: dict[str, Any]) -> list[tuple[str, Any]]:
+    return sorted(found.items(), key=lambda pair: pair[0].lower())
 
 
 def _led(name: str, item: Any) -> str:
@@ -82,7 +151,7 @@ def _led(name: str, item: Any) -> str:
 
 def _told(item: Any) -> str:
     if documented(item) or isinstance(item, ModuleType):
-        return (inspect.getdoc(item) or "").partition("\n\n")[0].replace("\n", " ").replace("|", "\\|")
+        return _doc(item).partition("\n\n")[0].replace("\n", " ").replace("|", "\\|")
     return f"`{item!r}`".replace("|", "\\|")
 
 
@@ -112,10 +181,8 @@ def _alone() -> dict[str, str]:
 def _functions() -> dict[str, str]:
     """Return the names of classes and functions that no other public class or function has."""
     found: dict[str, set[str]] = {}
-    for module in MODULES:
-        for name, item in names(module).items():
-            if documented(item):
-                found.setdefault(name, set()).add(identifier(item))
+    for item in _by_identifier().values():
+        found.setdefault(item.__name__, set()).add(identifier(item))
     return {name: meant.pop() for name, meant in found.items() if len(meant) == 1}
 
 

@@ -20,10 +20,9 @@ def _():
 
     import platform_ctrl as pc
     from platform_ctrl.job.requirements import requirement
-    from platform_ctrl.plant.source import platform_source
     from platform_ctrl.report import figures
 
-    return control, figures, mo, np, pc, platform_source, requirement, tomllib
+    return control, figures, mo, np, pc, requirement, tomllib
 
 
 @app.cell
@@ -50,10 +49,10 @@ def _(mo):
 
 
 @app.cell
-def _(control, np, pc, platform_source, tomllib):
+def _(control, np, pc, tomllib):
     def gyro_with(speed):
         """Return the platform with rotor 11 at another speed: a plant is a dict as well."""
-        plant = tomllib.loads(platform_source("three_gyro_platform"))
+        plant = tomllib.loads(pc.platform_source("three_gyro_platform"))
         for rotor in plant["rotor"]:
             if rotor["name"] == "11":
                 rotor["angular_momentum"] *= speed
@@ -77,7 +76,7 @@ def _(control, np, pc, platform_source, tomllib):
 
 
 @app.cell
-def _(crossover, delay, gyro_with, lead, loop_with, pc, rate, spin):
+def _(crossover, delay, gyro_with, lead, loop_with, np, pc, rate, spin):
     period = 1.0 / rate.value
     controller = loop_with(crossover.value, lead.value, rate.value)
     platform = gyro_with(spin.value)
@@ -85,16 +84,18 @@ def _(crossover, delay, gyro_with, lead, loop_with, pc, rate, spin):
     plant = pc.analysis.sampled(gyro, period, 1e-3 * delay.value, [2e-4, 2e-4])
     closed = pc.analysis.closed_loop(plant, controller)
     loop = pc.analysis.loop_transfer(plant, controller)
-    stable = pc.analysis.is_stable(closed)
+    stable = bool((np.abs(closed.poles()) < 1.0).all())
     return closed, controller, loop, period, plant, stable
 
 
 @app.cell
-def _(closed, controller, loop, np, pc, period, plant, requirement, stable):
+def _(closed, controller, loop, np, pc, plant, requirement, stable):
     limits = {"disk margin": 0.5, "damping": 0.1, "bandwidth": 25.0}
+    poles = pc.analysis.damping(closed)
+    counted = (poles.natural_frequency > 50.0) | (poles.ratio < 0.0)
     measured = {
         "disk margin": float(pc.analysis.disk_margin(loop)) if stable else 0.0,
-        "damping": float(pc.analysis.minimum_damping(pc.analysis.poles(closed), above=50.0, dt=period)),
+        "damping": float(poles.ratio[counted].min()),
         "bandwidth": pc.analysis.bandwidth(plant, controller) / (2 * np.pi) if stable else 0.0,
     }
     verdict = [

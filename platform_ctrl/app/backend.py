@@ -46,7 +46,7 @@ from platform_ctrl.job.methods import METHODS
 from platform_ctrl.job.reading import read_job
 
 if TYPE_CHECKING:
-    from platform_ctrl.simulation import Trajectory
+    from platform_ctrl.simulation.closed_loop import Trajectory
 
 # Digits of a slider's steps, and up to which a number is one that somebody typed, or that tuning found.
 _DIGITS, _TYPED = 4, 6

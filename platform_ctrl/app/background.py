@@ -16,7 +16,7 @@ from platform_ctrl.errors import DesignError, PlatformCtrlError
 from platform_ctrl.job.job import DesignSpec, Job, LoopSpec
 
 if TYPE_CHECKING:
-    from platform_ctrl.simulation import Trajectory
+    from platform_ctrl.simulation.closed_loop import Trajectory
 
 Progress = Callable[[str], None]
 IsCancelled = Callable[[], bool]
@@ -316,7 +316,7 @@ class Simulating:
 
     def run(self, progress: Progress) -> Trajectory:
         """Return the run."""
-        from platform_ctrl.verification.simulated import fly
+        from platform_ctrl.verification.simulated import simulate_manoeuvre
 
         manoeuvre = next(one for one in self.job.manoeuvres if one.name == self.manoeuvre)
-        return fly(self.job, manoeuvre, [one.system() for one in self.controllers]).trajectory
+        return simulate_manoeuvre(self.job, manoeuvre, [one.system() for one in self.controllers]).trajectory

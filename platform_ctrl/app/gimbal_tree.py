@@ -14,7 +14,7 @@ from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.mechanics.kinematics import topology
 from platform_ctrl.plant.platform import Platform
 from platform_ctrl.report.axes.bodies import Shape, bodies, camera, levels
-from platform_ctrl.simulation import Trajectory
+from platform_ctrl.simulation.closed_loop import Trajectory
 
 # Radii, in those of a rotor's disc.
 _BAR, _PIN, _BEARING, _ARROW, _TORQUER = 0.085, 0.055, 0.12, 0.03, 0.16

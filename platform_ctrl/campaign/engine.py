@@ -92,7 +92,7 @@ def run_campaign(
     progress, say
         Called after each chunk of runs, and with a line where something should be known.
     simulate
-        Simulates runs as `flight.fly` does, its default; a function that worker processes can import.
+        Simulates runs as `single_run.simulate_runs` does, its default; a function that worker processes can import.
 
     Returns
     -------

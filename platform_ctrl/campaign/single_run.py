@@ -15,7 +15,7 @@ from platform_ctrl.plant.mistakes import one_line
 if TYPE_CHECKING:
     from platform_ctrl.campaign.planning import Plan
     from platform_ctrl.job.scenario import Scenario
-    from platform_ctrl.simulation import BatchResult
+    from platform_ctrl.simulation.batch import BatchResult
 
 
 def simulate_runs(plan: Plan, runs: Sequence[int], *, threads: int = 1, device: str = "cpu") -> dict[str, Array]:

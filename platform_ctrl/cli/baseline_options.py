@@ -13,7 +13,8 @@ from platform_ctrl.errors import InputError
 
 if TYPE_CHECKING:
     from platform_ctrl.verification import JobResult
-    from platform_ctrl.verification.baselines import Baseline, Change, Comparison
+    from platform_ctrl.verification.baselines.comparison import Change, Comparison
+    from platform_ctrl.verification.baselines.record import Baseline
 
 
 @dataclass(frozen=True)
@@ -57,8 +58,8 @@ class BaselineOptions:
         """Compare, and draw what moved beside the file; or update the file."""
         if self.file is None:
             return Outcome()
-        from platform_ctrl.verification.baselines import compare, plot_beside, update_baseline
-        from platform_ctrl.verification.baselines.file import remove_plot
+        from platform_ctrl.verification.baselines import compare, update_baseline
+        from platform_ctrl.verification.baselines.file import plot_beside, remove_plot
 
         plot = plot_beside(self.file)
         if self.update or self.baseline is None:

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     from platform_ctrl.campaign.planning import Plan
     from platform_ctrl.job.job import Job, Manoeuvre
-    from platform_ctrl.verification import Run
+    from platform_ctrl.verification.simulated import Run
 
 TABLE = "campaign.parquet"
 
@@ -118,10 +118,10 @@ def simulate(
 
 def _manoeuvre_run(job: Job, manoeuvre: Manoeuvre, controllers: list[control.StateSpace], out: Path | None) -> Shown:
     from platform_ctrl.common.json_text import json_text
-    from platform_ctrl.verification import fly, largest
     from platform_ctrl.verification.records import run_record
+    from platform_ctrl.verification.simulated import largest, simulate_manoeuvre
 
-    result = fly(job, manoeuvre, controllers)
+    result = simulate_manoeuvre(job, manoeuvre, controllers)
     drawn = None if out is None else _drawn(result, job, manoeuvre.name, out, f"manoeuvre-{_place(job, manoeuvre)}.svg")
 
     def show(as_json: bool) -> int:
@@ -142,8 +142,8 @@ def _manoeuvre_run(job: Job, manoeuvre: Manoeuvre, controllers: list[control.Sta
 def _campaign_run(number: int, plan: Plan, folder: Path, recorded: bool, note: str) -> Shown:
     from platform_ctrl.campaign.rerunning import recorded_row, rerun, unlike
     from platform_ctrl.common.json_text import json_text
-    from platform_ctrl.verification import largest
     from platform_ctrl.verification.records import run_record
+    from platform_ctrl.verification.simulated import largest
 
     job = plan.job
     found = rerun(plan, number)

@@ -16,7 +16,8 @@ from platform_ctrl.job.judging import CheckResult
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from platform_ctrl.verification import JobResult, Run
+    from platform_ctrl.verification import JobResult
+    from platform_ctrl.verification.simulated import Run
 
 # Columns that a pipe is given, which has no width of its own; narrower terminals get lines instead of a table.
 _PIPE_WIDTH = 120

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, named_system, state_arrays
-from platform_ctrl.analysis.certificates import Certificate, plant_set_certificates
+from platform_ctrl.analysis.certificates import Certificate
+from platform_ctrl.analysis.certificates.plant_set import plant_set_certificates
 from platform_ctrl.analysis.feedback import closed_loop
 from platform_ctrl.analysis.loop_metrics import LoopMetrics, measure
 from platform_ctrl.analysis.plant_set import PlantSet

@@ -20,7 +20,8 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, state_arrays
-from platform_ctrl.analysis.certificates import Certificate, h2_certificate, norm_certificate
+from platform_ctrl.analysis.certificates import Certificate
+from platform_ctrl.analysis.certificates.makers import h2_certificate, norm_certificate
 from platform_ctrl.analysis.norms import h2_norm, hinf_norm
 from platform_ctrl.analysis.poles import continuous_poles
 from platform_ctrl.common.arguments import one_of, positive

@@ -1,12 +1,6 @@
-from .c99.c_files import Written as Written
 from .c99.c_files import write_c as write_c
-from .csv_responses import response_data as response_data
 from .csv_responses import write_responses as write_responses
 from .fmu.fmu_file import write_fmu as write_fmu
-from .job_systems import ResponseTable as ResponseTable
-from .job_systems import controller_systems as controller_systems
-from .job_systems import job_responses as job_responses
-from .job_systems import model_systems as model_systems
 from .json_systems import read_systems as read_systems
 from .json_systems import write_controllers as write_controllers
 from .json_systems import write_systems as write_systems
@@ -14,5 +8,4 @@ from .matlab import read_mat as read_mat
 from .matlab import write_mat as write_mat
 from .mujoco.mjcf_reader import read_mjcf as read_mjcf
 from .mujoco.mjcf_writer import write_mjcf as write_mjcf
-from .system_record import SystemRecord as SystemRecord
 from .system_record import system_record as system_record

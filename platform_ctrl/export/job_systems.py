@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from platform_ctrl.analysis import continuous_poles, gang, poles
+from platform_ctrl.analysis import gang
 from platform_ctrl.analysis.frequency_grids import following_grid
+from platform_ctrl.analysis.poles import continuous_poles, poles
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray, input_value
 from platform_ctrl.design.loop import sampled_plant

@@ -20,8 +20,6 @@ from platform_ctrl.plant.force_elements import Unbalance
 from platform_ctrl.plant.platform import OMEGA_NAMES, Platform, Rotor
 from platform_ctrl.plant.tables import Shape, shape
 
-__all__ = ["Parameter", "parameters", "varied_scenario"]
-
 # What a number may be when it is drawn, by what a plant file expects of it.
 _RANGES: dict[Any, Range] = {
     get_args(kind)[1]: allowed

@@ -21,9 +21,6 @@ from platform_ctrl.plant.reading import judge_plant, open_plant
 from platform_ctrl.plant.source import Document, open_file, open_mapping, path_of
 from platform_ctrl.plant.tables import Key, made, overfull, read_table, shape
 
-__all__ = ["read_job"]
-
-
 SCHEMA = 2
 _SCHEMAS = Expected(f"{SCHEMA} (or 1: the older names of keys are read for one version)", integer(1, SCHEMA))
 # The whole file.

@@ -28,18 +28,7 @@ from platform_ctrl.job.judging import STABLE, CheckResult, Requirement
 if TYPE_CHECKING:
     import control
 
-__all__ = [
-    "FAULTS",
-    "NOMINAL",
-    "STABLE",
-    "WORST_CASE",
-    "CheckResult",
-    "LoopRequirement",
-    "Requirement",
-    "hard_and_soft",
-    "loop_requirements",
-    "requirement",
-]
+__all__ = ["requirement"]
 
 NOMINAL: tuple[Group, ...] = ("nominal",)
 WORST_CASE: tuple[Group, ...] = ("nominal", "uncertainty", "Omega")

@@ -15,8 +15,6 @@ from platform_ctrl.mechanics.kinematics import Kinematics, configuration, topolo
 from platform_ctrl.mechanics.matrices import mass_matrix, solved_inertia, world_inertias
 from platform_ctrl.plant.platform import OMEGA_NAMES, Platform
 
-__all__ = ["forward_dynamics", "inverse_dynamics"]
-
 
 def inverse_dynamics(platform: Platform, q: ArrayLike, velocity: ArrayLike, acceleration: ArrayLike) -> FloatArray:
     """Return the generalised forces [M, Q] that cause a motion: A* u̇ + (G_A + G_R + G_root) u, eq. (11).

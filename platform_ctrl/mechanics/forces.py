@@ -14,8 +14,6 @@ from platform_ctrl.mechanics.kinematics import Kinematics, configuration, cross_
 from platform_ctrl.plant.force_elements import Cage, Friction
 from platform_ctrl.plant.platform import Platform
 
-__all__ = ["element_forces"]
-
 
 @value
 class ForceSlopes:

@@ -13,8 +13,6 @@ from platform_ctrl.errors import MechanicsError
 from platform_ctrl.mechanics.kinematics import Kinematics, configuration, cross_matrix, topology
 from platform_ctrl.plant.platform import Platform
 
-__all__ = ["MagnusMatrices", "matrices"]
-
 
 @value
 class MagnusMatrices:

@@ -15,8 +15,6 @@ from platform_ctrl.mechanics.kinematics import configuration, topology
 from platform_ctrl.mechanics.matrices import directions
 from platform_ctrl.plant.platform import Gimbal, Platform, RotorControl
 
-__all__ = ["RotorMomenta", "rotor_momenta", "with_free_rotors", "with_regulated_rotors", "with_rotors_as_gimbals"]
-
 
 @value
 class RotorMomenta:

@@ -15,8 +15,6 @@ from platform_ctrl.common.text import LETTERS, dotted, initial, padded, width
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.plant.platform import Platform
 
-__all__ = ["Kind", "Term", "TermTable"]
-
 Kind = Literal[
     "nutation",
     "coupling inertia",

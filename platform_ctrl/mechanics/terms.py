@@ -41,9 +41,6 @@ from platform_ctrl.mechanics.term_table import (
 from platform_ctrl.mechanics.term_table import rates as rate_names
 from platform_ctrl.plant.platform import OMEGA_NAMES, Platform
 
-__all__ = ["terms"]
-
-
 # Name of the quantity before an entry of the equations, from its place.
 Quantity = Callable[[tuple[int, ...]], str]
 

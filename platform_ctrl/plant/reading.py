@@ -15,8 +15,6 @@ from platform_ctrl.plant.platform import Platform
 from platform_ctrl.plant.source import Document, is_shipped_name, open_file, open_mapping, open_shipped, path_of
 from platform_ctrl.plant.tables import Key, made, overfull, read_table, shape
 
-__all__ = ["read_platform"]
-
 # The whole file.
 PLANT_FILE = dataclasses.replace(
     shape(Platform), keys={"schema": Key(SCHEMA, "schema", needed=True)} | {**shape(Platform).keys}

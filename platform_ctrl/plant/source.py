@@ -18,8 +18,6 @@ from typing import Any
 from platform_ctrl.errors import InputError
 from platform_ctrl.plant.mistakes import Mistake, given, one_line, plain, suggestion
 
-__all__ = ["platform_source", "shipped_models"]
-
 # Bytes of a file at most; TOML takes seconds to read and to judge where it has more.
 MOST_OF_ANY, MOST_OF_TOML = 64 * 2**20, 2**20
 # A key of so many parts: what tomllib does with it takes time by the square of their number.

@@ -24,7 +24,8 @@ from platform_ctrl.report.quantities import (
     pessimistic_rounding,
     times,
 )
-from platform_ctrl.verification.baselines import Change, Comparison, LoopMatrices
+from platform_ctrl.verification.baselines.comparison import Change, Comparison
+from platform_ctrl.verification.baselines.record import LoopMatrices
 
 if TYPE_CHECKING:
     from platform_ctrl.verification import JobResult

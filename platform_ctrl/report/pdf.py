@@ -16,7 +16,7 @@ from typing import Any
 
 from platform_ctrl.common.files import write_whole
 from platform_ctrl.common.signatures import check_arguments
-from platform_ctrl.errors import InputError, TypesettingError
+from platform_ctrl.errors import InputError, PlatformCtrlError
 from platform_ctrl.report.page.blocks import Document, Listing, Plate
 from platform_ctrl.report.page.job_page import prepared
 from platform_ctrl.verification.verdict import JobResult
@@ -51,7 +51,7 @@ def write_pdf(result: JobResult | Document, path: str | os.PathLike[str]) -> Pat
     ------
     InputError
         The file cannot be written, or typst is not installed.
-    TypesettingError
+    PlatformCtrlError
         Typst could not set the document.
     """
     return write_whole(path, pdf_bytes(result))
@@ -75,7 +75,7 @@ def pdf_bytes(result: JobResult | Document) -> bytes:
     ------
     InputError
         Typst is not installed.
-    TypesettingError
+    PlatformCtrlError
         Typst could not set the document.
     """
     typst = typesetter()
@@ -109,7 +109,7 @@ def typeset(typst: ModuleType, content: Document) -> bytes:
             words = " ".join(str(error).split())
         else:
             return bytes(made)
-    raise TypesettingError(f"the report cannot be set as PDF: typst says: {words}")
+    raise PlatformCtrlError(f"the report cannot be set as PDF: typst says: {words}")
 
 
 def light_colours(sheet: str) -> dict[str, str]:

@@ -5,20 +5,17 @@ numba is loaded, and the kernel compiled or taken from its cache, with the first
 
 from platform_ctrl.job.faults import Fault
 from platform_ctrl.job.scenario import HalfCosine, Scenario, TimeTable, Vibration
-from platform_ctrl.simulation.batch import BatchResult, simulate_batch
-from platform_ctrl.simulation.closed_loop import Trajectory, simulate
-from platform_ctrl.simulation.free_motion import Rollout, rollout
+from platform_ctrl.simulation.batch import simulate_batch
+from platform_ctrl.simulation.closed_loop import simulate
+from platform_ctrl.simulation.free_motion import rollout
 from platform_ctrl.simulation.stepping import Simulator
 
 __all__ = [
-    "BatchResult",
     "Fault",
     "HalfCosine",
-    "Rollout",
     "Scenario",
     "Simulator",
     "TimeTable",
-    "Trajectory",
     "Vibration",
     "rollout",
     "simulate",

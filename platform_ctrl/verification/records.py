@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from platform_ctrl import __version__
-from platform_ctrl.analysis.certificates import Certificate, Verification
+from platform_ctrl.analysis.certificates import Certificate
+from platform_ctrl.analysis.certificates.certificate import Verification
 from platform_ctrl.common.json_text import plain_types, write_json
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.design.loop import LoopDesign

@@ -11,7 +11,8 @@ from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import value
 from platform_ctrl.job.job import Job, Manoeuvre, manoeuvre_scenario
 from platform_ctrl.job.judging import CheckResult, Requirement
-from platform_ctrl.simulation import Trajectory, simulate
+from platform_ctrl.simulation import simulate
+from platform_ctrl.simulation.closed_loop import Trajectory
 
 if TYPE_CHECKING:
     import control
@@ -37,7 +38,7 @@ class Run:
 
 
 @check_arguments
-def fly(job: Job, manoeuvre: Manoeuvre, controllers: Sequence[control.StateSpace]) -> Run:
+def simulate_manoeuvre(job: Job, manoeuvre: Manoeuvre, controllers: Sequence[control.StateSpace]) -> Run:
     """Run one manoeuvre: caged with the caging loops alone and Omega prescribed, stabilised with all loops.
 
     Parameters
@@ -76,7 +77,7 @@ def largest(job: Job, trajectory: Trajectory) -> dict[str, tuple[float, str]]:
     job
         The job that the run is from.
     trajectory
-        From `fly`.
+        From `simulate_manoeuvre`.
 
     Returns
     -------

@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from platform_ctrl.analysis.arrays import StateArrays, state_arrays
-from platform_ctrl.analysis.certificates import Certificate, Verification, stability_certificate
+from platform_ctrl.analysis.certificates import Certificate
+from platform_ctrl.analysis.certificates.certificate import Verification
+from platform_ctrl.analysis.certificates.makers import stability_certificate
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import value
 from platform_ctrl.design.jobs import LoopOutcome
@@ -19,7 +21,7 @@ from platform_ctrl.job.job import Job
 from platform_ctrl.job.judging import CheckResult, Requirement, Stage
 from platform_ctrl.mechanics.linearisation import LinearModel, linearise
 from platform_ctrl.verification.coupled import ALL_LOOPS, CoupledCheck, coupled_check
-from platform_ctrl.verification.simulated import Run, fly
+from platform_ctrl.verification.simulated import Run, simulate_manoeuvre
 
 if TYPE_CHECKING:
     import control
@@ -221,7 +223,7 @@ def checked(job: Job, loops: Sequence[LoopOutcome], progress: Progress | None = 
     runs = []
     for manoeuvre in job.manoeuvres:
         say(f"simulated run: {manoeuvre.name}")
-        runs.append(fly(job, manoeuvre, controllers))
+        runs.append(simulate_manoeuvre(job, manoeuvre, controllers))
     requirements: list[CheckResult] = []
     for outcome in loops:
         design = outcome.closed

@@ -17,16 +17,12 @@ from scipy.linalg import expm, solve_continuous_are, solve_discrete_are
 
 from platform_ctrl import analysis
 from platform_ctrl.analysis.arrays import StateArrays
-from platform_ctrl.analysis.certificates import (
-    Certificate,
-    h2_certificate,
-    norm_certificate,
-    region_certificate,
-    stability_certificate,
-)
+from platform_ctrl.analysis.certificates import Certificate
 from platform_ctrl.analysis.certificates.certificate import proved
 from platform_ctrl.analysis.certificates.closed_loop import closed, stabilising
 from platform_ctrl.analysis.certificates.intervals import balls, positive_definite
+from platform_ctrl.analysis.certificates.makers import h2_certificate, norm_certificate, stability_certificate
+from platform_ctrl.analysis.certificates.plant_set import region_certificate
 from platform_ctrl.analysis.feedback import closed_loop
 from platform_ctrl.errors import ArgumentError, NotCertifiedError
 

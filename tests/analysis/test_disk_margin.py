@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from platform_ctrl import PlatformCtrlError, analysis, linearise, read_platform, state_space
+from platform_ctrl.analysis.poles import continuous_poles, is_stable, spectral_abscissa
 from random_loops import stable_loop
 
 
@@ -65,11 +66,11 @@ def test_the_perturbation_puts_a_pole_on_the_stability_boundary(m: int, seed: in
     L = stable_loop(seed, m, 6, dt)
     found = analysis.disk_margin(L, skew)
     factors = found.destabilising()
-    assert analysis.is_stable(factors) or factors.nstates == 0
+    assert is_stable(factors) or factors.nstates == 0
     reached = analysis.frequency_response(factors, [found.frequency])[:, :, 0]
     np.testing.assert_allclose(np.diag(reached), found.perturbation, rtol=1e-9)
     closed = control.feedback(factors * L, control.ss([], [], [], np.eye(m), dt))
-    s = analysis.continuous_poles(np.linalg.eigvals(closed.A), float(closed.dt))
+    s = continuous_poles(np.linalg.eigvals(closed.A), float(closed.dt))
     assert np.abs(s - 1j * found.frequency).min() < 1e-9
     # Its size is that of the upper bound, and it is real where the frequency is an end of the axis.
     delta = (found.perturbation - 1.0) / (0.5 * (1.0 - skew) + 0.5 * (1.0 + skew) * found.perturbation)
@@ -80,7 +81,7 @@ def test_the_perturbation_puts_a_pole_on_the_stability_boundary(m: int, seed: in
     f = (1.0 + 0.5 * (1.0 - skew) * weaker) / (1.0 - 0.5 * (1.0 + skew) * weaker)
     if found.is_real:
         A = L.A - (L.B * f.real) @ L.C
-        assert analysis.spectral_abscissa(analysis.continuous_poles(np.linalg.eigvals(A), float(L.dt))) < 0.0
+        assert spectral_abscissa(continuous_poles(np.linalg.eigvals(A), float(L.dt))) < 0.0
 
 
 def test_complex_factors_at_the_end_of_the_axis_are_told() -> None:

@@ -11,6 +11,7 @@ from scipy.optimize import minimize_scalar
 
 import platform_ctrl as pc
 from platform_ctrl import analysis
+from platform_ctrl.analysis.margins import disk_phase, disk_to_gain_phase
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.report.quantities import disk_words
 from random_loops import stable_loop
@@ -57,7 +58,7 @@ def turned(gain: float, degrees: float) -> list[complex]:
 
 def edge(alpha: float, skew: float, gains: FloatArray) -> np.ndarray:
     """Factors on the edge of the disk."""
-    phase = analysis.disk_phase(gains, alpha, skew)
+    phase = disk_phase(gains, alpha, skew)
     return np.concatenate([gains * np.exp(1j * phase), gains * np.exp(-1j * phase)])
 
 
@@ -69,20 +70,20 @@ def test_every_pair_inside_is_stable_and_the_worst_on_the_edge_is_not(seed: int,
     found = analysis.disk_margin(loop, skew)
     assert found.alpha > 0.0
     worst = complex(found.perturbation[0])
-    assert analysis.disk_phase(abs(worst), found.alpha, skew) == pytest.approx(abs(np.angle(worst)), abs=1e-6)
+    assert disk_phase(abs(worst), found.alpha, skew) == pytest.approx(abs(np.angle(worst)), abs=1e-6)
     assert radius(matrices, worst) == pytest.approx(1.0, abs=1e-6)
-    low, high, _ = analysis.disk_to_gain_phase(0.999 * found.alpha, skew)
+    low, high, _ = disk_to_gain_phase(0.999 * found.alpha, skew)
     inside = edge(0.999 * found.alpha, skew, np.geomspace(max(low, 1e-6), min(high, 1e6), 101))
     assert max(radius(matrices, f) for f in inside) < 1.0
 
 
 def test_the_gain_and_the_phase_that_a_disk_allows_alone_are_too_much_together(channels) -> None:
     for loop, alpha in channels.values():
-        low, high, phase = analysis.disk_to_gain_phase(alpha)
+        low, high, phase = disk_to_gain_phase(alpha)
 
         def least(log_gain: float, sign: float, loop=loop, alpha=alpha) -> float:
             gain = np.exp(log_gain)
-            return -radius(loop, gain * np.exp(1j * sign * float(analysis.disk_phase(gain, alpha))))
+            return -radius(loop, gain * np.exp(1j * sign * float(disk_phase(gain, alpha))))
 
         ends = (np.log(low) + 1e-9, np.log(high) - 1e-9)
         reached = [-minimize_scalar(least, bounds=ends, args=(sign,), method="bounded").fun for sign in (-1.0, 1.0)]
@@ -90,7 +91,7 @@ def test_the_gain_and_the_phase_that_a_disk_allows_alone_are_too_much_together(c
         together = [radius(loop, end * np.exp(1j * sign * phase)) for end in (low, high) for sign in (-1.0, 1.0)]
         assert max(together) > 1.005
     [loop, alpha] = channels["Q9"]
-    _, high, phase = analysis.disk_to_gain_phase(alpha)
+    _, high, phase = disk_to_gain_phase(alpha)
     assert radius(loop, high * np.exp(-1j * phase)) == pytest.approx(1.041, abs=5e-4)
 
 

@@ -12,6 +12,15 @@ from hypothesis import strategies as st
 
 from platform_ctrl import PlatformCtrlError, analysis
 from platform_ctrl.analysis.arrays import StateArrays
+from platform_ctrl.analysis.feedback import sensitivity_functions
+from platform_ctrl.analysis.poles import (
+    continuous_poles,
+    damping_ratio,
+    is_stable,
+    minimum_damping,
+    spectral_abscissa,
+    spectral_radius,
+)
 
 seeds = st.integers(0, 2**31 - 1)
 W = np.geomspace(0.05, 30.0, 25)
@@ -63,7 +72,7 @@ def test_closed_loop_agrees_with_gang_and_with_the_loop_transfer(seed: int, dt: 
     np.testing.assert_allclose(H[3:, 3:], -g.T_output, atol=size)
     for at, S in (("input", g.S_input), ("output", g.S_output)):
         L = stacked(analysis.frequency_response(analysis.loop_transfer(plant, controller, at=at), W))
-        from_L, _ = analysis.sensitivity_functions(L)
+        from_L, _ = sensitivity_functions(L)
         np.testing.assert_allclose(from_L, stacked(S), atol=1e-7 * max(1.0, np.abs(S).max() ** 2))
 
 
@@ -71,7 +80,7 @@ def test_the_convention_is_torque_equals_k_times_pick_off() -> None:
     # 1/s with u = -5 y: T = 5/(s + 5); a unit torque disturbance deflects by 1/5; no noise gets to the torque at DC.
     plant = control.ss([[0.0]], [[1.0]], [[1.0]], 0)
     loop = analysis.closed_loop(plant, control.ss([], [], [], [[-5.0]]))
-    np.testing.assert_allclose(analysis.poles(loop), [-5.0])
+    np.testing.assert_allclose(loop.poles(), [-5.0])
     np.testing.assert_allclose(
         analysis.frequency_response(loop, [0.0])[:, :, 0], [[-1.0, 0.0], [0.2, -1.0]], atol=1e-14
     )
@@ -131,17 +140,15 @@ def test_damping_of_a_sampled_resonator_is_that_of_the_continuous_one() -> None:
 def test_minimum_damping_counts_fast_and_unstable_poles_only() -> None:
     slow, fast = [-0.01 + 1j, -0.01 - 1j], [-30.0 + 40j, -30.0 - 40j]
     poles = np.array([slow + fast, [2.0, 3.0, *fast], [*fast, *fast]])
-    np.testing.assert_allclose(analysis.minimum_damping(poles, above=10.0), [0.6, -1.0, 0.6])
-    np.testing.assert_allclose(analysis.minimum_damping(poles[0]), 0.01, rtol=1e-3)
-    assert analysis.minimum_damping(np.zeros(0, dtype=complex)) == 1.0
+    np.testing.assert_allclose(minimum_damping(poles, above=10.0), [0.6, -1.0, 0.6])
+    np.testing.assert_allclose(minimum_damping(poles[0]), 0.01, rtol=1e-3)
+    assert minimum_damping(np.zeros(0, dtype=complex)) == 1.0
 
 
 def test_a_pole_on_the_negative_axis_of_z_oscillates_at_the_nyquist_frequency() -> None:
-    s = analysis.continuous_poles(np.array([-0.5, 0.0, 1.0]), 0.1)
+    s = continuous_poles(np.array([-0.5, 0.0, 1.0]), 0.1)
     np.testing.assert_allclose(s[0], (math.log(0.5) + 1j * math.pi) / 0.1)
-    np.testing.assert_allclose(
-        analysis.damping_ratio(s), [math.log(2.0) / math.hypot(math.log(2.0), math.pi), 1.0, 0.0]
-    )
+    np.testing.assert_allclose(damping_ratio(s), [math.log(2.0) / math.hypot(math.log(2.0), math.pi), 1.0, 0.0])
 
 
 @given(st.floats(1e-9, 0.99), st.floats(1e-6, 1e3))
@@ -149,17 +156,17 @@ def test_a_pole_on_the_negative_axis_of_z_oscillates_at_the_nyquist_frequency() 
 def test_slow_poles_keep_their_damping_through_z(zeta: float, w0: float) -> None:
     period = 1e-3
     s = w0 * complex(-zeta, math.sqrt(1.0 - zeta * zeta))
-    back = analysis.continuous_poles(np.array([np.exp(s * period)]), period)[0]
+    back = continuous_poles(np.array([np.exp(s * period)]), period)[0]
     # z itself holds s only to a rounding of 1.
     assert abs(back - s) <= 1e-12 * abs(s) + 1e-15 / period
 
 
 def test_stability_is_strict_and_may_ask_for_a_decay_rate() -> None:
-    assert analysis.is_stable(control.ss([[-2.0]], [[1.0]], [[1.0]], 0))
-    assert not analysis.is_stable(control.ss([[0.0]], [[1.0]], [[1.0]], 0))
-    assert not analysis.is_stable(control.ss([[1.0]], [[1.0]], [[1.0]], 0, 0.1))
+    assert is_stable(control.ss([[-2.0]], [[1.0]], [[1.0]], 0))
+    assert not is_stable(control.ss([[0.0]], [[1.0]], [[1.0]], 0))
+    assert not is_stable(control.ss([[1.0]], [[1.0]], [[1.0]], 0, 0.1))
     decaying = control.ss([[math.exp(-0.2)]], [[1.0]], [[1.0]], 0, 0.1)
-    assert analysis.is_stable(decaying, margin=1.9)
-    assert not analysis.is_stable(decaying, margin=2.1)
-    assert analysis.spectral_radius(analysis.poles(decaying)) == pytest.approx(math.exp(-0.2))
-    assert analysis.spectral_abscissa(np.array([-3.0 + 1j, -2.0])) == -2.0
+    assert is_stable(decaying, margin=1.9)
+    assert not is_stable(decaying, margin=2.1)
+    assert spectral_radius(decaying.poles()) == pytest.approx(math.exp(-0.2))
+    assert spectral_abscissa(np.array([-3.0 + 1j, -2.0])) == -2.0

@@ -76,7 +76,7 @@ def test_points_next_to_lightly_damped_poles(zeta: float, dt: float) -> None:
     system = system_of(turned(modes(own, np.array([zeta, zeta, 0.3, zeta])), rng), 2, 2, rng)
     if dt:
         system = analysis.sampled(system, dt)
-    poles = analysis.poles(system)
+    poles = system.poles()
     near = np.unique(np.abs(np.log(poles.astype(complex)).imag / dt if dt else poles.imag))
     w = np.concatenate([x * (1.0 + zeta * np.linspace(-3.0, 3.0, 7)) for x in near])
     assert deviation(system, w) < 1e-9

@@ -13,7 +13,7 @@ from scipy.linalg import block_diag
 from exact_norm import gain_exceeds
 from platform_ctrl import PlatformCtrlError, analysis
 from platform_ctrl.analysis.arrays import StateArrays
-from platform_ctrl.analysis.certificates import norm_certificate
+from platform_ctrl.analysis.certificates.makers import norm_certificate
 from platform_ctrl.analysis.phase_bound import all_pass, doubtful, middles, phases
 from platform_ctrl.analysis.singular_values import FrequencyAxis, boundary_poles, pencil_crossings
 from platform_ctrl.common.values import FloatArray

@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from platform_ctrl import PlatformCtrlError, analysis
+from platform_ctrl.analysis.margins import disk_to_gain_phase
 from platform_ctrl.analysis.mu import mu_bounds
 from random_loops import stable_loop
 
@@ -180,7 +181,7 @@ def test_loop_margins_are_siso_margins_with_the_other_channels_closed() -> None:
 
 @pytest.mark.parametrize(("alpha", "skew"), [(0.5, 0.0), (0.9, 0.4), (0.6, -0.8), (1.2, 0.0)])
 def test_gain_and_phase_lie_on_the_edge_of_the_disk(alpha: float, skew: float) -> None:
-    low, high, phase = analysis.disk_to_gain_phase(alpha, skew)
+    low, high, phase = disk_to_gain_phase(alpha, skew)
     for f in (low, high, np.exp(1j * phase)):
         # f = (1 + (1 - skew)/2 alpha delta) / (1 - (1 + skew)/2 alpha delta) solved for delta.
         delta = (f - 1.0) / (0.5 * alpha * ((1.0 - skew) + f * (1.0 + skew)))
@@ -188,8 +189,8 @@ def test_gain_and_phase_lie_on_the_edge_of_the_disk(alpha: float, skew: float) -
 
 
 def test_a_disk_margin_of_two_allows_any_gain_and_a_right_angle() -> None:
-    assert analysis.disk_to_gain_phase(2.0) == pytest.approx((0.0, math.inf, math.pi / 2.0))
-    assert analysis.disk_to_gain_phase(0.0) == pytest.approx((1.0, 1.0, 0.0))
+    assert disk_to_gain_phase(2.0) == pytest.approx((0.0, math.inf, math.pi / 2.0))
+    assert disk_to_gain_phase(0.0) == pytest.approx((1.0, 1.0, 0.0))
 
 
 def test_what_is_no_loop_is_refused() -> None:

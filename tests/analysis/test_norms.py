@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from platform_ctrl import PlatformCtrlError, analysis
 from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.bandwidth import bandwidth_of_response
+from platform_ctrl.analysis.sampled import bilinear_to_continuous, bilinear_to_discrete
 from platform_ctrl.analysis.singular_values import largest_singular_values
 from platform_ctrl.common.values import FloatArray
 
@@ -104,9 +105,9 @@ def test_hinf_norm_is_reached_and_never_below_a_grid(seed: int) -> None:
 @settings(max_examples=20, deadline=None)
 def test_the_bilinear_map_keeps_norm_and_comes_back(seed: int) -> None:
     system = random_system(seed, dt=0.05)
-    w_plane = analysis.bilinear_to_continuous(system)
+    w_plane = bilinear_to_continuous(system)
     assert analysis.hinf_norm(w_plane)[0] == pytest.approx(analysis.hinf_norm(system)[0], rel=1e-7)
-    back = analysis.bilinear_to_discrete(w_plane, 0.05)
+    back = bilinear_to_discrete(w_plane, 0.05)
     w = np.linspace(0.0, 60.0, 20)
     reference = analysis.frequency_response(system, w)
     np.testing.assert_allclose(
@@ -118,9 +119,9 @@ def test_the_bilinear_map_keeps_norm_and_comes_back(seed: int) -> None:
 
 def test_the_bilinear_map_refuses_a_pole_that_goes_to_infinity() -> None:
     with pytest.raises(PlatformCtrlError, match="z = -1"):
-        analysis.bilinear_to_continuous(control.ss([[-1.0]], [[1.0]], [[1.0]], 0, 0.1))
+        bilinear_to_continuous(control.ss([[-1.0]], [[1.0]], [[1.0]], 0, 0.1))
     with pytest.raises(PlatformCtrlError, match="2/period"):
-        analysis.bilinear_to_discrete(control.ss([[20.0]], [[1.0]], [[1.0]], 0), 0.1)
+        bilinear_to_discrete(control.ss([[20.0]], [[1.0]], [[1.0]], 0), 0.1)
 
 
 def test_an_unstable_system_has_no_hinf_norm_but_a_peak() -> None:

@@ -5,8 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from platform_ctrl.analysis import StateArrays, frequency_response, sampled
-from platform_ctrl.analysis.arrays import state_arrays
+from platform_ctrl.analysis import frequency_response, sampled
+from platform_ctrl.analysis.arrays import StateArrays, state_arrays
 from platform_ctrl.analysis.plant_set import plant_set
 from platform_ctrl.design.plants import cases, loop_plants
 from platform_ctrl.errors import ArgumentError

@@ -9,6 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from platform_ctrl import PlatformCtrlError, analysis
+from platform_ctrl.analysis.arrays import StateArrays
+from platform_ctrl.analysis.response import response_at
 from platform_ctrl.common.values import FloatArray
 
 seeds = st.integers(0, 2**31 - 1)
@@ -77,7 +79,7 @@ def test_a_stack_gives_what_its_systems_give_one_by_one() -> None:
     A, B = rng.normal(size=(2, 3, 5, 5)), rng.normal(size=(5, 2))
     C, D = rng.normal(size=(3, 2, 5)), rng.normal(size=(2, 2))
     z = 1j * np.geomspace(0.1, 10.0, 700)
-    out = analysis.response_at(analysis.StateArrays(A, B, C, D, 0.0), z)
+    out = response_at(StateArrays(A, B, C, D, 0.0), z)
     assert out.shape == (2, 3, 700, 2, 2)
     truth = C[:, None] @ np.linalg.solve(z[:, None, None] * np.eye(5) - A[:, :, None], B + 0j) + D
     np.testing.assert_allclose(out, truth, rtol=1e-9, atol=1e-11)

@@ -394,7 +394,8 @@ def test_a_design_made_in_the_background_is_that_of_its_method(bench: Backend) -
 
 
 def test_controllers_of_a_result_are_shown_as_they_are(bench: Backend, tmp_path: Path) -> None:
-    from platform_ctrl.verification import checked, result_record, write_record
+    from platform_ctrl.verification import checked
+    from platform_ctrl.verification.records import result_record, write_record
 
     result = checked(bench.read, loops(bench.read))
     write_record(result_record(result), tmp_path / "result.json")

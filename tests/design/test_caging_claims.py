@@ -9,14 +9,14 @@ from typing import Any
 
 import pytest
 
-from platform_ctrl.design import LoopOutcome, caging_largest_Omega, loops
-from platform_ctrl.design.jobs import largest_Omega_name, with_caging_claims
+from platform_ctrl.design import caging_largest_Omega, loops
+from platform_ctrl.design.jobs import LoopOutcome, largest_Omega_name, with_caging_claims
 from platform_ctrl.design.riccati.intersample_loop import intersample_gains
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.reading import read_job
 from platform_ctrl.report.page.job_page import sentence_on_rate_limit
 from platform_ctrl.verification.given import outcomes_from
-from platform_ctrl.verification.simulated import fly
+from platform_ctrl.verification.simulated import simulate_manoeuvre
 
 DATA: dict[str, Any] = {
     "schema": 2,
@@ -110,7 +110,7 @@ def test_where_one_uncertain_plant_is_not_stable_the_nominal_claim_stays(outcome
 
 
 def test_the_run_is_told_beside_what_is_proved(job: Job, outcome: LoopOutcome) -> None:
-    run = fly(job, job.manoeuvres[0], [outcome.closed.controller])
+    run = simulate_manoeuvre(job, job.manoeuvres[0], [outcome.closed.controller])
     told = sentence_on_rate_limit(run, [outcome])
     shown = [float(number) for number in re.findall(r"(\d\.\d+) (?:rad/s|in the worst)", told)]
     proved = [outcome.closed.claims[largest_Omega_name(1, worst_case=worst)] for worst in (False, True)]

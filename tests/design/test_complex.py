@@ -6,6 +6,7 @@ import pytest
 
 import platform_ctrl as pc
 from platform_ctrl import analysis
+from platform_ctrl.analysis.poles import continuous_poles, is_stable
 from platform_ctrl.design.classical.complex_coordinates import complex_plant, complex_response
 from platform_ctrl.design.classical.complex_shaping import complex_loop, two_sided_nyquist
 from platform_ctrl.design.plants import changed
@@ -90,7 +91,7 @@ def test_the_disk_margin_is_that_of_the_real_loop(gyro, loop):
 
 def test_closed_loop_poles_are_those_of_the_real_loop(gyro, loop):
     plant = analysis.sampled(gyro, PERIOD, DELAY, [LAG, LAG])
-    assert analysis.is_stable(analysis.closed_loop(plant, loop.real_controller))
+    assert is_stable(analysis.closed_loop(plant, loop.real_controller))
     assert loop.nyquist.closed_unstable == 0
 
 
@@ -104,7 +105,7 @@ def test_encirclements_count_the_unstable_poles(model, period):
         controller = turned(base, factor)
         count = two_sided_nyquist(plant, controller)
         closed = analysis.closed_loop(plant.real_system(), controller.real_system())
-        s = analysis.continuous_poles(analysis.poles(closed), closed.dt)
+        s = continuous_poles(closed.poles(), closed.dt)
         assert 2 * count.closed_unstable == np.sum(s.real > 0.0)
         assert count.closed_unstable == count.open_unstable - count.encirclements
         seen.add(count.closed_unstable)
@@ -167,7 +168,7 @@ def test_unequal_axes_are_named_and_can_be_balanced():
     ours = analysis.frequency_response(plant.real_system(), w)
     np.testing.assert_allclose(ours, analysis.frequency_response(true, w), rtol=1e-8, atol=1e-12)
     loop = complex_loop(plant, **LOOP)
-    assert analysis.is_stable(analysis.closed_loop(true, loop.real_controller))
+    assert is_stable(analysis.closed_loop(true, loop.real_controller))
     # Units do not touch the margin of channels that move by themselves; the complex one is at most that.
     own = analysis.disk_margin(analysis.loop_transfer(true, loop.real_controller))
     assert loop.nyquist.disk_margin <= own.alpha * (1.0 + 1e-6)

@@ -10,8 +10,10 @@ import pytest
 import platform_ctrl as pc
 from platform_ctrl import analysis
 from platform_ctrl.analysis.arrays import named_system
-from platform_ctrl.design.measured import measured_pid, read_measurement
+from platform_ctrl.analysis.poles import is_stable
 from platform_ctrl.design.measured.contour import contour, plant_integrators, unstable_poles
+from platform_ctrl.design.measured.data import read_measurement
+from platform_ctrl.design.measured.design import measured_pid
 from platform_ctrl.design.measured.pid import basis, controller_response, masks, realisation
 from platform_ctrl.design.measured.search import candidates, fitted_mechanics
 from platform_ctrl.errors import (
@@ -165,7 +167,7 @@ def test_the_nyquist_count_is_that_of_the_poles_for_all_kinds_of_controllers(pla
         for size in (0.1, 1.0, 4.0):
             trial = gains * size * (1.0 + 0.5 * rng.standard_normal(gains.shape))
             K = named_system(realisation(trial, 2e-4, PERIOD), ANGLES, TORQUES)
-            true = int(np.sum(np.abs(analysis.poles(analysis.closed_loop(plant, K))) > 1.0))
+            true = int(np.sum(np.abs(analysis.closed_loop(plant, K).poles()) > 1.0))
             try:
                 found = unstable_poles(path, lambda s, g=trial: controller_response(g, basis(s, 2e-4, PERIOD)))
             except NotCertifiedError:
@@ -298,7 +300,7 @@ def test_one_controller_serves_several_measured_plants(plant, design):
     assert found.unstable_poles == (0, 0)
     assert max(ratio.max() for response in found.responses for ratio in response.ratios.values()) <= 1.0
     for one in (plant, second_plant()):
-        assert analysis.is_stable(analysis.closed_loop(one, found.controller))
+        assert is_stable(analysis.closed_loop(one, found.controller))
 
 
 def second_plant():

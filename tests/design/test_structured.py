@@ -13,11 +13,15 @@ import pytest
 
 from platform_ctrl import analysis, design
 from platform_ctrl.analysis.channel import Channel
+from platform_ctrl.analysis.poles import is_stable
+from platform_ctrl.analysis.sampled import bilinear_to_discrete
 from platform_ctrl.design.partition import Partition, partition
 from platform_ctrl.design.structured.norm import ClosedLoop, augmented
 from platform_ctrl.design.structured.objective import WorstNorm, WorstPower
 from platform_ctrl.design.structured.parametrised import Parametrised
-from platform_ctrl.design.structured.structures import Units
+from platform_ctrl.design.structured.result import StructuredDesign
+from platform_ctrl.design.structured.structures import Structure, Units
+from platform_ctrl.design.synthesis import Synthesis
 from platform_ctrl.errors import ArgumentError, NotFoundError, NotStabilisableError, TimeLimitWarning
 from platform_ctrl.job.requirements import requirement
 
@@ -26,7 +30,7 @@ PROBLEMS = json.loads((Path(__file__).parents[1] / "data" / "compleib.json").rea
 # Published problems that take a second each; benchmarks/structured.py goes through all of them.
 QUICK = ("AC17", "NN2", "EB1", "PSM", "AC8")
 
-STRUCTURES: dict[str, design.Structure] = {
+STRUCTURES: dict[str, Structure] = {
     "static": design.Static(),
     "static, diagonal": design.Static(pattern="diagonal"),
     "second order": design.StateSpaceOrder(states=2),
@@ -88,7 +92,7 @@ def random_plant(rng: np.random.Generator, n: int = 5) -> Partition:
 
 
 @pytest.fixture(scope="module")
-def best() -> design.Synthesis:
+def best() -> Synthesis:
     return design.hinf(gyro(), 2, 2, method="riccati")
 
 
@@ -199,7 +203,7 @@ def test_static_gains_reach_the_published_norms(name: str) -> None:
 
 
 @pytest.mark.slow
-def test_a_richer_structure_costs_less(best: design.Synthesis) -> None:
+def test_a_richer_structure_costs_less(best: Synthesis) -> None:
     pd = design.structured(gyro(), 2, 2, structure=design.PID(I="none", filter_order=1), starts=4, processes=1)
     two = design.structured(gyro(), 2, 2, structure=design.StateSpaceOrder(states=2), starts=4, processes=1)
     four = design.structured(gyro(), 2, 2, structure=design.StateSpaceOrder(states=4), starts=3, processes=1)
@@ -215,14 +219,14 @@ def test_one_controller_serves_several_plants_and_is_worst_at_one_of_them() -> N
     K = alone.controller
     for P, gamma, loop in zip(plants, together.gammas, together.closed_loops, strict=True):
         assert analysis.hinf_norm(P.lft(together.controller))[0] == pytest.approx(gamma, rel=1e-6)
-        assert analysis.is_stable(loop)
-    others = max(analysis.hinf_norm(P.lft(K))[0] if analysis.is_stable(P.lft(K)) else np.inf for P in plants)
+        assert is_stable(loop)
+    others = max(analysis.hinf_norm(P.lft(K))[0] if is_stable(P.lft(K)) else np.inf for P in plants)
     assert alone.gamma <= together.gamma <= others * (1 + 1e-6)
     assert all(one.verify().proved for one in together.certificates)
 
 
 def test_a_sampled_plant_gets_a_sampled_controller_of_the_same_norm() -> None:
-    P = analysis.bilinear_to_discrete(gyro(), 0.2)
+    P = bilinear_to_discrete(gyro(), 0.2)
     sampled = design.structured(P, 2, 2, structure=design.StateSpaceOrder(states=2), starts=2, processes=1)
     flat = design.structured(gyro(), 2, 2, structure=design.StateSpaceOrder(states=2), starts=2, processes=1)
     assert sampled.controller.dt == 0.2
@@ -317,7 +321,7 @@ def test_hard_limits_are_met_and_the_soft_norm_pays_for_them() -> None:
     )
     structure = design.StateSpaceOrder(states=2)
 
-    def at(limit: float) -> design.StructuredDesign:
+    def at(limit: float) -> StructuredDesign:
         asked = [
             requirement("H-infinity norm", limit, channel=noise),
             requirement("H-infinity norm", 1.0, channel=disturbance, hard=False),
@@ -377,7 +381,7 @@ def test_what_cannot_be_is_said_in_one_line() -> None:
         with pytest.raises(ArgumentError, match=said):
             design.structured(P, 2, 2, **wrong)
     with pytest.raises(ArgumentError, match="plant 2 has dt"):
-        design.structured([P, analysis.bilinear_to_discrete(P, 0.1)], 2, 2, structure=design.Static())
+        design.structured([P, bilinear_to_discrete(P, 0.1)], 2, 2, structure=design.Static())
     with pytest.raises(ArgumentError, match="no plants"):
         design.structured([], 2, 2, structure=design.Static())
 

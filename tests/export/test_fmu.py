@@ -26,7 +26,8 @@ from platform_ctrl.export import write_fmu
 from platform_ctrl.export.fmu.signals import inputs_of, outputs_of, parameters_of, variable_name
 from platform_ctrl.job.job import Job, manoeuvre_scenario
 from platform_ctrl.job.reading import read_job
-from platform_ctrl.simulation import HalfCosine, Scenario, Trajectory, simulate
+from platform_ctrl.simulation import HalfCosine, Scenario, simulate
+from platform_ctrl.simulation.closed_loop import Trajectory
 
 COLUMNS = {
     "angle": ("q", "angle_names"),

@@ -21,7 +21,9 @@ from fuzz_bytes import mangled
 from one_gyro_job import JOB
 from platform_ctrl import analysis, design, export
 from platform_ctrl.errors import ArgumentError, InputError
-from platform_ctrl.export import SystemRecord
+from platform_ctrl.export.csv_responses import response_data
+from platform_ctrl.export.job_systems import controller_systems, job_responses, model_systems
+from platform_ctrl.export.system_record import SystemRecord
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.reading import read_job
 from platform_ctrl.verification import read_controllers
@@ -41,7 +43,7 @@ def controllers(job: Job) -> list[control.StateSpace]:
 
 @pytest.fixture(scope="module")
 def systems(job: Job, controllers: list[control.StateSpace]) -> tuple[SystemRecord, ...]:
-    return export.controller_systems(job, controllers) + export.model_systems(job)
+    return controller_systems(job, controllers) + model_systems(job)
 
 
 def same(one: SystemRecord, other: SystemRecord) -> bool:
@@ -200,7 +202,7 @@ def test_a_small_mat_file_does_not_become_gigabytes(tmp_path: Path, monkeypatch:
 def test_responses_are_read_by_read_measurement_and_by_pandas(
     job: Job, controllers: list[control.StateSpace], tmp_path: Path
 ) -> None:
-    tables = export.job_responses(job, controllers)
+    tables = job_responses(job, controllers)
     assert [table.name for table in tables] == [
         "plant caging 9-10",
         "controller caging 9-10",
@@ -224,7 +226,7 @@ def test_responses_are_read_by_read_measurement_and_by_pandas(
 
 def test_the_loop_of_a_torquer_is_the_return_ratio(job: Job, controllers: list[control.StateSpace]) -> None:
     """L = -K P where the other torquer's loop is closed by hand."""
-    plant, K, L = (one.response for one in export.job_responses(job, controllers)[:3])
+    plant, K, L = (one.response for one in job_responses(job, controllers)[:3])
     P, G = (np.moveaxis(np.asarray(one.frdata), -1, 0) for one in (plant, K))
     KP = -G @ P  # u = K y: the sign of the loop as it is drawn
     schur = KP[:, 0, 0] - KP[:, 0, 1] * KP[:, 1, 0] / (1.0 + KP[:, 1, 1])
@@ -233,9 +235,9 @@ def test_the_loop_of_a_torquer_is_the_return_ratio(job: Job, controllers: list[c
 
 def test_responses_that_cannot_be_written_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "r.csv"
-    response = export.response_data(control.ss(-1, 1, 1, 0), [1, 2, 3])
+    response = response_data(control.ss(-1, 1, 1, 0), [1, 2, 3])
     with pytest.raises(ArgumentError, match="at least 3 finite frequencies"):
-        export.write_responses(export.response_data(control.ss(-1, 1, 1, 0), [0.0, 1.0, 2.0]), path)
+        export.write_responses(response_data(control.ss(-1, 1, 1, 0), [0.0, 1.0, 2.0]), path)
     with pytest.raises(ArgumentError, match=r"response: given 3; expected a control\.FRD"):
         export.write_responses(3, path)
     with pytest.raises(ArgumentError, match="form: given 'bode'"):

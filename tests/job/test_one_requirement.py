@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from platform_ctrl import design, verification
-from platform_ctrl.analysis import PlantSet
 from platform_ctrl.analysis.arrays import StateArrays
+from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.design.classical.caging import classical_controller, starting_values
 from platform_ctrl.design.partition import channels
 from platform_ctrl.design.plants import plants_of, rows_of
@@ -24,8 +24,8 @@ from platform_ctrl.job.job import Job
 from platform_ctrl.job.reading import read_job
 from platform_ctrl.job.requirements import WORST_CASE, loop_requirements, requirement
 from platform_ctrl.mechanics.linearisation import linearise
-from platform_ctrl.report import page_html
 from platform_ctrl.report.page import tables
+from platform_ctrl.report.page.job_page import page_html
 from platform_ctrl.verification.records import result_record
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "three_gyro_platform.toml"

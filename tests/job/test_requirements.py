@@ -10,7 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from platform_ctrl import design, verification
-from platform_ctrl.analysis import Channel, closed_loop, frequency_response, measure
+from platform_ctrl.analysis import Channel, closed_loop, frequency_response
+from platform_ctrl.analysis.loop_metrics import measure
 from platform_ctrl.analysis.measuring import Peak
 from platform_ctrl.analysis.metrics import METRICS
 from platform_ctrl.analysis.plant_set import Group

@@ -15,7 +15,8 @@ from platform_ctrl.mechanics.equations import inverse_dynamics
 from platform_ctrl.mechanics.forces import element_forces
 from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.mechanics.matrices import matrices
-from platform_ctrl.mechanics.parameter_varying import monomial_values, parameter_varying
+from platform_ctrl.mechanics.parameter_varying import parameter_varying
+from platform_ctrl.mechanics.polynomials import monomial_values
 from platform_ctrl.mechanics.state_space import state_space
 from platform_ctrl.plant.force_elements import Friction, Spring, Unbalance
 from platform_ctrl.plant.platform import Torquer

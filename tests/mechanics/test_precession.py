@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 
 from platform_ctrl.errors import ArgumentError, MechanicsError
 from platform_ctrl.mechanics.linearisation import linearise
-from platform_ctrl.mechanics.precession import choice, precession
+from platform_ctrl.mechanics.precession import choice
+from platform_ctrl.mechanics.precession.result import precession
 from platform_ctrl.mechanics.state_space import state_space
 from platform_ctrl.plant.force_elements import Cage, Erection, Friction, Spring
 from platform_ctrl.plant.reading import read_platform

@@ -140,7 +140,7 @@ def held(platform: pc.Platform) -> pc.Platform:
 
 
 def poles(model: pc.LinearModel) -> np.ndarray:
-    return pc.analysis.poles(pc.state_space(model))
+    return pc.state_space(model).poles()
 
 
 @pytest.mark.parametrize("name", ["gimballed_gyro", "rate_gyro", "gyro_horizon", "suspended_platform"])
@@ -296,7 +296,7 @@ def satellite(h: float, inertia: tuple[float, ...] = (800, 1000, 1150), locked: 
 
 
 def growth_of(platform: pc.Platform, Omega0: float) -> float:
-    found = pc.analysis.poles(pc.state_space(pc.linearise(platform, (0.0, Omega0, 0.0)), root="free"))
+    found = pc.state_space(pc.linearise(platform, (0.0, Omega0, 0.0)), root="free").poles()
     return float(np.delete(found, np.abs(found).argmin()).real.max())
 
 
@@ -369,7 +369,7 @@ def test_the_non_linear_satellite_keeps_its_axis_with_the_wheel_and_loses_it_wit
 def test_the_nutation_quoted_in_the_satellite_is_that_of_its_free_motion() -> None:
     platform = satellite(20.0, locked=True)
     J1, _, J3 = momenta(platform)
-    found = np.abs(pc.analysis.poles(pc.state_space(pc.linearise(platform), root="free")))
+    found = np.abs(pc.state_space(pc.linearise(platform), root="free").poles())
     assert np.sort(found)[1] == pytest.approx(20.0 / sqrt(J1 * J3), rel=1e-4)
     assert "0.02085 rad/s (period 301 s)" in platform_source("momentum_wheel_satellite")
     assert 20.0 / sqrt(J1 * J3) == pytest.approx(0.02085, rel=1e-3)

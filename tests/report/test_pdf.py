@@ -21,8 +21,10 @@ from platform_ctrl.design import loops
 from platform_ctrl.errors import InputError, PlatformCtrlError
 from platform_ctrl.job.writing import job_data
 from platform_ctrl.report import pdf, style
-from platform_ctrl.report.page import blocks, tables
+from platform_ctrl.report.page import blocks, job_page, tables
+from platform_ctrl.report.page.job_page import page_html
 from platform_ctrl.report.page.tables import versions
+from platform_ctrl.report.pdf import pdf_bytes
 from platform_ctrl.verification import JobResult, checked
 
 NAME = "a #b $c$ *d* _e_ @f \\g <h> \"i\" 'j' `k` // l /*m*/ ~ -- [n] {o} %p & r é Ω \u201cs\u201d"
@@ -70,12 +72,12 @@ def result() -> JobResult:
 
 @pytest.fixture(scope="module")
 def prepared(result: JobResult) -> blocks.Document:
-    return report.prepared(result, command="platform-ctrl design 'my job.toml'")
+    return job_page.prepared(result, command="platform-ctrl design 'my job.toml'")
 
 
 @pytest.fixture(scope="module")
 def made(prepared: blocks.Document) -> bytes:
-    return report.pdf_bytes(prepared)
+    return pdf_bytes(prepared)
 
 
 @pytest.fixture(scope="module")
@@ -112,7 +114,7 @@ def plates(block: Any) -> list[blocks.Plate]:
 def test_every_text_of_the_document_is_in_the_pdf_and_on_the_page_as_it_stands(
     prepared: blocks.Document, text: str
 ) -> None:
-    page = squeezed(html.unescape(re.sub(r"<(?!h>)[^>]*>", " ", report.page_html(prepared))))
+    page = squeezed(html.unescape(re.sub(r"<(?!h>)[^>]*>", " ", page_html(prepared))))
     shown = {squeezed(one) for one in texts(prepared.sections)}
     assert len(shown) > 100
     # The listing stands in two columns: a page may end anywhere in it.
@@ -149,10 +151,10 @@ def test_sections_and_figures_come_in_the_order_of_the_page(prepared: blocks.Doc
     places = [text.index(squeezed(f"Figure {k}. {title}")) for k, title in enumerate(titles, 1)]
     assert places == sorted(places)
     names = [section.title for section in prepared.sections if section.title]
-    page = report.page_html(prepared)
+    page = page_html(prepared)
     on_page = [page.index(f"<h2>{html.escape(name, quote=False)}") if "<" not in name else 0 for name in names]
     assert [place for place in on_page if place] == sorted(place for place in on_page if place)
-    outline = pypdf.PdfReader(io.BytesIO(report.pdf_bytes(prepared))).outline
+    outline = pypdf.PdfReader(io.BytesIO(pdf_bytes(prepared))).outline
     assert [one.title for one in outline if not isinstance(one, list)] == names
 
 
@@ -184,7 +186,7 @@ def test_the_command_and_the_versions_stand_at_the_end(text: str) -> None:
 
 
 def test_the_same_result_gives_the_same_bytes(prepared: blocks.Document, made: bytes) -> None:
-    assert report.pdf_bytes(prepared) == made
+    assert pdf_bytes(prepared) == made
 
 
 def test_nothing_in_a_pdf_is_loaded_from_elsewhere(made: bytes) -> None:
@@ -209,13 +211,13 @@ def test_pictures_lose_no_colour_and_have_their_font(prepared: blocks.Document) 
 @pytest.mark.parametrize("title", ["\u6f22\u5b57", "\ue000 private", "a\x01b\x07", "x" * 3000, "two\nlines", ""])
 def test_titles_that_no_font_holds_or_no_line_are_set_all_the_same(prepared: blocks.Document, title: str) -> None:
     short = dataclasses.replace(prepared, title=title, sections=prepared.sections[:1])
-    assert report.pdf_bytes(short).startswith(b"%PDF-")
+    assert pdf_bytes(short).startswith(b"%PDF-")
 
 
 def test_a_word_as_long_as_a_page_ends_within_it(prepared: blocks.Document) -> None:
     word = "w" * 900
     paragraph = blocks.Section(name="one", title="one", blocks=(blocks.Paragraph(text=f"{word}."),))
-    [page] = pypdf.PdfReader(io.BytesIO(report.pdf_bytes(dataclasses.replace(prepared, sections=(paragraph,))))).pages
+    [page] = pypdf.PdfReader(io.BytesIO(pdf_bytes(dataclasses.replace(prepared, sections=(paragraph,))))).pages
     lines = [line for line in page.extract_text().splitlines() if "www" in line]
     assert len(lines) > 3
     assert "".join(lines).replace("\u200b", "") == f"{word}."
@@ -229,7 +231,7 @@ def test_runs_that_were_lost_and_loops_that_are_not_there_are_set_too(result: Jo
     }
     trajectory = dataclasses.replace(run.trajectory, ended="diverged at t = 0 s", **cut)
     lost = dataclasses.replace(result, loops=(), runs=(dataclasses.replace(run, trajectory=trajectory),))
-    words = "".join(page.extract_text() for page in pypdf.PdfReader(io.BytesIO(report.pdf_bytes(lost))).pages)
+    words = "".join(page.extract_text() for page in pypdf.PdfReader(io.BytesIO(pdf_bytes(lost))).pages)
     assert squeezed("The run diverged at t = 0 s: nothing was recorded.") in squeezed(words)
 
 
@@ -247,7 +249,7 @@ def test_what_typst_refuses_is_one_line(prepared: blocks.Document) -> None:
     wrong = blocks.Plate(svg="<svg>never closed", title="wrong", caption="")
     broken = dataclasses.replace(prepared, sections=(blocks.Section(name="one", title="one", blocks=(wrong,)),))
     with pytest.raises(PlatformCtrlError, match="cannot be set as PDF") as error:
-        report.pdf_bytes(broken)
+        pdf_bytes(broken)
     assert "\n" not in str(error.value)
 
 

@@ -13,6 +13,7 @@ import pytest
 
 import platform_ctrl as pc
 from platform_ctrl import analysis
+from platform_ctrl.analysis.margins import disk_phase, disk_to_gain_phase
 from platform_ctrl.report import figures
 from platform_ctrl.report.plots.curves import channels, curve, margins
 from platform_ctrl.report.plots.disk_region import exclusion
@@ -71,7 +72,7 @@ def test_a_resonance_has_its_whole_shape_however_sharp(damping):
 def test_a_plant_without_damping_is_finite_everywhere_and_its_peak_has_flanks():
     plant = gyro()[["alpha9", "beta10"], ["Q9", "Q10"]]
     plot = figures.bode(plant)
-    nutation = np.abs(analysis.poles(plant)).max() * HZ
+    nutation = np.abs(plant.poles()).max() * HZ
     for axes in plot.axes[0]:
         for line in axes.get_lines():
             f, gain = line.get_data()
@@ -304,13 +305,13 @@ def test_the_safe_region_holds_what_the_disk_holds(alpha, skew):
     radius, turn = np.sqrt(rng.random(4000)), 2.0 * np.pi * rng.random(4000)
     delta = radius * np.exp(1j * turn)
     factor = (1.0 + 0.5 * alpha * (1.0 - skew) * delta) / (1.0 - 0.5 * alpha * (1.0 + skew) * delta)
-    room = analysis.disk_phase(np.abs(factor), alpha, skew)
+    room = disk_phase(np.abs(factor), alpha, skew)
     assert np.all(np.abs(np.angle(factor)) <= room + 1e-10)
-    low, high, phase = analysis.disk_to_gain_phase(alpha, skew)
-    assert analysis.disk_phase(1.0, alpha, skew) == pytest.approx(phase)
-    assert np.isnan(analysis.disk_phase(0.999 * low, alpha, skew))
+    low, high, phase = disk_to_gain_phase(alpha, skew)
+    assert disk_phase(1.0, alpha, skew) == pytest.approx(phase)
+    assert np.isnan(disk_phase(0.999 * low, alpha, skew))
     if math.isfinite(high):
-        assert np.isnan(analysis.disk_phase(1.001 * high, alpha, skew))
+        assert np.isnan(disk_phase(1.001 * high, alpha, skew))
 
 
 def test_the_safe_region_carries_its_classical_margins():
@@ -318,7 +319,7 @@ def test_the_safe_region_carries_its_classical_margins():
     assert legend_texts(plot) == ["asked: disk margin 0.5: gain × 0.6 to 1.66 or phase ±28°"]
     assert {"× 0.6", "× 1.66", "28°"} <= set(texts(plot.axes[0, 0]))
     gain, phase = plot.lines[0, 0][0].get_data()
-    low, high, top = analysis.disk_to_gain_phase(0.5)
+    low, high, top = disk_to_gain_phase(0.5)
     assert (gain[0], gain[-1]) == pytest.approx((low, high))
     assert (phase[0], phase[-1]) == (0.0, 0.0)
     assert np.interp(1.0, gain, phase) == pytest.approx(math.degrees(top), rel=1e-4)
@@ -331,7 +332,7 @@ def test_what_destabilises_a_loop_touches_its_region_and_stays_outside():
         line for line in plot.axes[0, 0].get_lines() if len(line.get_xdata()) > 200 and line.get_linewidth() == 1.0
     ]
     gain, phase = dotted.get_data()
-    room = np.degrees(analysis.disk_phase(gain, analysis.disk_margin(loop).alpha))
+    room = np.degrees(disk_phase(gain, analysis.disk_margin(loop).alpha))
     inside = np.isfinite(room)
     assert np.all(phase[inside] >= room[inside] - 1e-6)
     assert np.min(phase[inside] - room[inside]) < 0.05

@@ -10,6 +10,7 @@ import pytest
 
 import platform_ctrl as pc
 from platform_ctrl.analysis.pole_branches import pole_branches
+from platform_ctrl.analysis.poles import continuous_poles, is_stable, spectral_radius
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.report import figures
 from platform_ctrl.report.style import LIMIT
@@ -90,15 +91,15 @@ def markers(axes, marker, colour=None):
 def test_at_gain_1_the_locus_passes_through_the_poles_of_the_closed_loop(over_gain, plant, controller):
     locus = over_gain.locus
     at = int(np.flatnonzero(locus.values == 1.0)[0])
-    closed = pc.analysis.poles(pc.analysis.closed_loop(plant, controller))
+    closed = pc.analysis.closed_loop(plant, controller).poles()
     assert nearest(locus.branches[at], closed) < 1e-9
     rings = markers(over_gain.axes[0, 0], "o", "#d55e00")
-    s = pc.analysis.continuous_poles(closed, PERIOD)
+    s = continuous_poles(closed, PERIOD)
     assert nearest(s, rings) < 1e-6 * np.abs(s).max()
 
 
 def test_at_gain_0_the_locus_begins_at_the_poles_of_plant_and_controller(over_gain, plant, controller):
-    z = np.concatenate([pc.analysis.poles(plant), pc.analysis.poles(controller)])
+    z = np.concatenate([plant.poles(), controller.poles()])
     # Multiple poles: their computed places differ by the square root of rounding.
     assert nearest(over_gain.locus.branches[0], z) < 1e-6
     assert nearest(z, over_gain.locus.branches[0]) < 1e-6
@@ -124,7 +125,7 @@ def test_the_edge_of_stability_is_where_the_spectral_radius_crosses_1(over_gain,
 
     def radius(gain):
         closed = pc.analysis.closed_loop(plant, gain * controller)
-        return float(pc.analysis.spectral_radius(pc.analysis.poles(closed)))
+        return float(spectral_radius(closed.poles()))
 
     low, high = 1.0, 2.5
     for _ in range(50):
@@ -186,7 +187,7 @@ def test_the_z_plane_shows_the_same_loop(plant, controller, over_gain):
 
 
 def test_over_spin_the_nominal_poles_are_those_of_the_loop(over_spin, plant, controller):
-    closed = pc.analysis.poles(pc.analysis.closed_loop(plant, controller))
+    closed = pc.analysis.closed_loop(plant, controller).poles()
     assert nearest(over_spin.locus.nominal, closed) < 1e-8
 
 
@@ -201,7 +202,7 @@ def test_over_spin_the_plant_is_the_linearised_one_at_every_speed(job, controlle
     system = pc.state_space(pc.linearise(faster, Omega=Omega))[ANGLES, TORQUES]
     lag = [torquer.lag for torquer in job.platform.torquers if torquer.gimbal in ("9", "10")]
     sampled = pc.analysis.sampled(system, PERIOD, DELAY, lag)
-    closed = pc.analysis.poles(pc.analysis.closed_loop(sampled, controller))
+    closed = pc.analysis.closed_loop(sampled, controller).poles()
     assert nearest(plot.locus.branches[-1], closed) < 1e-5
     assert nearest(closed, plot.locus.branches[-1]) < 1e-5
 
@@ -214,7 +215,7 @@ def test_over_spin_stability_ends_where_the_poles_say(over_spin, job, controller
     lag = [torquer.lag for torquer in job.platform.torquers if torquer.gimbal in ("9", "10")]
     for share, stable in ((edge * 1.001, True), (edge * 0.999, False)):
         plant = pc.analysis.sampled(gyro(changed(job.platform, {}, {"11": share - 1.0})), PERIOD, DELAY, lag)
-        assert pc.analysis.is_stable(pc.analysis.closed_loop(plant, controller)) is stable
+        assert is_stable(pc.analysis.closed_loop(plant, controller)) is stable
 
 
 def test_a_nyquist_curve_is_the_loop_transfer_with_the_other_channel_closed(plant, controller):

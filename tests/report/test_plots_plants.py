@@ -70,7 +70,7 @@ def written(figure):
 def test_nutation_at_nominal_speed_is_the_model_s_pole(three):
     found = curves(figures.campbell(three))
     for group in (("4", "5", "7"), ("9", "10")):
-        fastest = np.abs(pc.analysis.poles(pc.state_space(pc.linearise(three), gimbals=group))).max()
+        fastest = np.abs(pc.state_space(pc.linearise(three), gimbals=group).poles()).max()
         [(name, (rpm, hz))] = [item for item in found.items() if item[0].startswith(f"nutation of {'-'.join(group)}:")]
         assert np.interp(1250.0 * RPM, rpm, hz) == pytest.approx(fastest * HZ, rel=1e-4)
         assert f"{fastest * HZ:.3g} Hz at nominal speed" in name
@@ -107,7 +107,7 @@ def test_every_mode_of_a_chart_is_a_pole_of_the_model_at_that_speed(gyro):
         slower = dataclasses.replace(
             sprung, rotors=(dataclasses.replace(rotor, angular_momentum=share * rotor.angular_momentum),)
         )
-        poles = np.abs(pc.analysis.poles(pc.state_space(pc.linearise(slower))).imag) * HZ
+        poles = np.abs(pc.state_space(pc.linearise(slower)).poles().imag) * HZ
         for rpm, hz in curves(figures.campbell(sprung)).values():
             assert np.abs(poles - np.interp(share * rotor.spin * RPM, rpm, hz)).min() < 0.01
 
@@ -222,7 +222,7 @@ def test_a_trajectory_is_shaded_beyond_the_limits_that_are_given(flown, gyro):
 
 
 def test_a_run_is_shaded_beyond_the_limits_of_its_manoeuvre(flown, gyro):
-    from platform_ctrl.verification import Run
+    from platform_ctrl.verification.simulated import Run
 
     limit = 1.5 * float(np.abs(flown.q).max())
     manoeuvre = Manoeuvre(name="turn", mode="caged", duration=0.05, limits={"angle": limit})

@@ -50,6 +50,7 @@ from platform_ctrl.report.loop_responses import loop_responses, root_locus
 from platform_ctrl.report.page import captions, comparison, summary, tables
 from platform_ctrl.report.page import job_page as document
 from platform_ctrl.report.page.campaign_tables import chances
+from platform_ctrl.report.page.job_page import page_html
 from platform_ctrl.report.quantities import claimed, compared, percent, plain, quantity
 from platform_ctrl.verification import JobResult, checked
 
@@ -123,7 +124,7 @@ def result() -> JobResult:
 
 @pytest.fixture(scope="module")
 def page(result: JobResult) -> str:
-    return report.page_html(result)
+    return page_html(result)
 
 
 @pytest.fixture(scope="module")
@@ -135,7 +136,7 @@ def lone_loop() -> JobResult:
 
 @pytest.fixture(scope="module")
 def lone_page(lone_loop: JobResult) -> str:
-    return report.page_html(lone_loop)
+    return page_html(lone_loop)
 
 
 @pytest.fixture(scope="module")
@@ -170,7 +171,7 @@ def compared_designs() -> JobResult:
 
 @pytest.fixture(scope="module")
 def compared_page(compared_designs: JobResult) -> str:
-    return report.page_html(compared_designs)
+    return page_html(compared_designs)
 
 
 class Cells(HTMLParser):
@@ -292,7 +293,7 @@ def test_drawing_leaves_the_callers_settings_alone(result: JobResult) -> None:
 
 
 def test_the_same_result_gives_the_same_page_but_for_the_command(lone_loop: JobResult, lone_page: str) -> None:
-    again = report.page_html(report.prepared(lone_loop, command="platform-ctrl design 'my job.toml'"))
+    again = page_html(report.prepared(lone_loop, command="platform-ctrl design 'my job.toml'"))
     section = '<section id="again">'
     assert again.split(section)[0] == lone_page.split(section)[0]
     assert "platform-ctrl design &#39;my job.toml&#39;" in again.split(section)[1]
@@ -368,7 +369,7 @@ def test_an_unstable_given_controller_is_called_unstable(lone_loop: JobResult) -
     assert outcome.closed.plants is not None
     design = remeasured(outcome.spec, "given", wrong, outcome.closed.plants)
     unstable = checked(lone_loop.job, [dataclasses.replace(outcome, designs=(design,), use="given")])
-    page = report.page_html(unstable)
+    page = page_html(unstable)
     text = visible_text(page)
     assert not unstable.coupled.stable
     assert "Its closed loop is unstable" in text
@@ -390,7 +391,7 @@ def test_runs_that_diverged_are_drawn_as_far_as_they_went(result: JobResult) -> 
             cut["command"][-1] = np.nan
         trajectory = dataclasses.replace(run.trajectory, ended=f"diverged at t = {samples} ms", **cut)
         lost.append(dataclasses.replace(run, trajectory=trajectory))
-    text = report.page_html(dataclasses.replace(result, loops=(), runs=tuple(lost)))
+    text = page_html(dataclasses.replace(result, loops=(), runs=tuple(lost)))
     assert [f"diverged at t = {samples} ms" in visible_text(text) for samples in (0, 1, 40)] == [True] * 3
     assert not re.search(r"\b(nan|inf)\b", visible_text(text), re.IGNORECASE)
 
@@ -496,7 +497,7 @@ def test_a_claim_without_proof_is_said(compared_designs: JobResult) -> None:
     assert rows["stable"].met is False
     assert "minimum decay rate over all plants" not in rows
     assert rows["certified properties"].text.startswith(f"✗ {whole.of - 1} of {whole.of + 1}")
-    text = visible_text(report.page_html(wrong))
+    text = visible_text(page_html(wrong))
     assert "X is not positive definite" in text
     assert "Not proved: simple, no proof of <this>" in text
 
@@ -653,7 +654,7 @@ def test_what_acts_besides_the_torquers_stands_on_the_page(lone_loop: JobResult,
         ("unbalance", "10", "(0, 1·10⁻⁶, 0) kg m"),
         ("erection", "9", "1 mN m × tilt of +1 of 10, at most 0.5 mN m"),
     ]
-    shown = Cells(report.page_html(loaded)).rows
+    shown = Cells(page_html(loaded)).rows
     for row in rows:
         assert list(row) in shown
 
@@ -776,7 +777,7 @@ def test_every_legend_entry_of_the_report_looks_like_a_curve_that_is_drawn(
         return plain_svg(figure, description)
 
     monkeypatch.setattr(style, "svg", judged)
-    report.page_html(result)
+    page_html(result)
     assert wrong == []
 
 
@@ -794,7 +795,7 @@ def test_a_new_metric_has_its_rows_its_plot_and_its_caption_in_the_report(monkey
     loop = {**CAGING, "limits": {"noise_gain": 2000.0}, "soft": {"noise_gain": 500.0}, "design": CAGING["design"][1:]}
     job = pc.read_job({**JOB, "loop": [loop], "manoeuvre": [], "coupled": {}})
     result = checked(job, loops(job))
-    page = report.page_html(result)
+    page = page_html(result)
     [row] = [row for row in tables.requirement_rows(result) if row.requirement == noise.name]
     assert row.limit == "≤ 2000 N m/rad"
     assert sum(noise.name in " ".join(cells) for cells in Cells(page).rows) >= 2  # requirements, designs side by side

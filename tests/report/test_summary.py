@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 
 import platform_ctrl as pc
-from platform_ctrl import report
 from platform_ctrl.campaign.planning import Plan, plan
 from platform_ctrl.campaign.summary import Summary, summarise
 from platform_ctrl.design import loops
-from platform_ctrl.report.page import blocks, campaign_tables
+from platform_ctrl.report.page import blocks, campaign_tables, job_page
 from platform_ctrl.report.page.blocks import html as as_html
 from platform_ctrl.report.page.campaign_page import as_section, campaign_document, differences
+from platform_ctrl.report.page.job_page import page_html
 from platform_ctrl.report.page.summary import opening, tightest
 from platform_ctrl.report.quantities import disk_words
 from platform_ctrl.verification import JobResult, checked
@@ -101,12 +101,12 @@ def summary(planned: Plan) -> Summary:
 
 @pytest.fixture(scope="module")
 def prepared(result: JobResult) -> blocks.Document:
-    return report.prepared(result)
+    return job_page.prepared(result)
 
 
 @pytest.fixture(scope="module")
 def with_campaign(result: JobResult, summary: Summary) -> blocks.Document:
-    return report.prepared(result, campaign=summary, again="platform-ctrl simulate a.toml --run")
+    return job_page.prepared(result, campaign=summary, again="platform-ctrl simulate a.toml --run")
 
 
 def told(result: JobResult, campaign: Summary | None = None) -> str:
@@ -227,7 +227,7 @@ def test_the_campaigns_section_has_the_figures_and_rows_of_the_campaigns_own_pag
 def test_the_page_with_a_campaign_tells_how_to_fly_a_run_again(
     with_campaign: blocks.Document, summary: Summary
 ) -> None:
-    page = report.page_html(with_campaign)
+    page = page_html(with_campaign)
     worst = summary.statistics.worst[0].run
     assert f"<pre>platform-ctrl simulate a.toml --run {worst}</pre>" in page
     assert f"<pre>platform-ctrl simulate a.toml --run {worst}</pre>" in as_html(
@@ -248,20 +248,20 @@ def test_a_campaign_of_other_controllers_is_called_so(result: JobResult) -> None
 
 
 def test_a_job_that_describes_a_campaign_says_where_none_is(result: JobResult, prepared: blocks.Document) -> None:
-    words = text_of(report.page_html(prepared))
+    words = text_of(page_html(prepared))
     assert "None is part of this report" in words
     assert "--campaign" in words
     without = dataclasses.replace(result, job=dataclasses.replace(result.job, campaign=None), loops=(), runs=())
-    assert 'id="campaign"' not in report.page_html(without)
+    assert 'id="campaign"' not in page_html(without)
 
 
 def test_what_is_prepared_once_is_drawn_once(result: JobResult, prepared: blocks.Document) -> None:
-    assert report.prepared(prepared) is prepared
-    assert report.page_html(prepared) == report.page_html(result)
+    assert job_page.prepared(prepared) is prepared
+    assert page_html(prepared) == page_html(result)
 
 
 def test_every_figure_has_a_number_and_a_name_for_those_who_do_not_see_it(prepared: blocks.Document) -> None:
-    page = report.page_html(prepared)
+    page = page_html(prepared)
     figures = re.findall(r"<figure.*?</figure>", page, flags=re.DOTALL)
     assert len(figures) == page.count("<figure") > 10
     for figure in figures:
@@ -271,7 +271,7 @@ def test_every_figure_has_a_number_and_a_name_for_those_who_do_not_see_it(prepar
 
 
 def test_paper_gets_light_colours_and_whole_figures_and_rows(prepared: blocks.Document) -> None:
-    page = report.page_html(prepared)
+    page = page_html(prepared)
     printed = page[page.index("@media print {") : page.index("</style>")]
     assert "break-inside: avoid" in printed
     assert "break-after: avoid" in printed

@@ -14,7 +14,8 @@ from oracle_trees import MujocoTree, PinocchioTree, rotation
 from platform_ctrl.mechanics.matrices import matrices
 from platform_ctrl.plant.platform import Platform
 from platform_ctrl.plant.reading import read_platform
-from platform_ctrl.simulation import Rollout, rollout
+from platform_ctrl.simulation import rollout
+from platform_ctrl.simulation.free_motion import Rollout
 from simulation.test_forces import furnished, three_gimbals
 from simulation.test_plant import THREE_GYROS
 

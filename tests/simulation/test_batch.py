@@ -14,6 +14,7 @@ from platform_ctrl import simulation
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.faults import Fault
 from platform_ctrl.job.scenario import Scenario
+from platform_ctrl.simulation.batch import BatchResult
 from signal_and_gimbal import PERIOD, RMS, fault, gain, plant, scenario
 
 LOOP = [
@@ -58,7 +59,7 @@ def mixed() -> list[Scenario]:
     ]
 
 
-def rows(figures: simulation.BatchResult) -> np.ndarray:
+def rows(figures: BatchResult) -> np.ndarray:
     names = ("angle", "attitude", "torque_share", "saturated", "stop_contacts")
     counts = np.column_stack([figures.samples, figures.requested])
     return np.concatenate([*(getattr(figures, name) for name in names), counts], axis=1)

@@ -14,8 +14,9 @@ import numpy as np
 import pytest
 
 from platform_ctrl import analysis
-from platform_ctrl.analysis import StateArrays
-from platform_ctrl.analysis.feedback import series
+from platform_ctrl.analysis.arrays import StateArrays
+from platform_ctrl.analysis.feedback import sensitivity_functions, series
+from platform_ctrl.analysis.response import response_at
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.simulation.batch import compile_kernel
 from platform_ctrl.simulation.compilation import is_compiled
@@ -24,7 +25,7 @@ W = np.array([1.0, 2.0])
 SHAPES: tuple[tuple[int, ...], ...] = ((2, 2), (2, 1), (1, 2), (1, 1))
 ENTRIES: dict[str, Callable[[StateArrays], Any]] = {
     "frequency_response": lambda system: analysis.frequency_response(system, W),
-    "response_at": lambda system: analysis.response_at(system, 1j * W),
+    "response_at": lambda system: response_at(system, 1j * W),
     "hinf_norm": analysis.hinf_norm,
     "noise_rms": lambda system: analysis.noise_rms(system, np.ones(1)),
     "sampled": lambda system: analysis.sampled(system._replace(dt=0.0), 0.1, 0.25),
@@ -42,7 +43,7 @@ def arrays() -> list[np.ndarray]:
 def test_a_direct_term_of_another_size_does_not_end_the_process() -> None:
     code = (
         "import numpy as np; from platform_ctrl import analysis, errors\n"
-        "system = analysis.StateArrays([[.5]], [[1]], [[1]], np.zeros((5, 5)), 0.1)\n"
+        "system = StateArrays([[.5]], [[1]], [[1]], np.zeros((5, 5)), 0.1)\n"
         "try: analysis.frequency_response(system, np.array([1.0, 2.0]))\n"
         "except errors.ArgumentError as error: print(error)"
     )
@@ -86,7 +87,7 @@ def test_lists_and_whole_numbers_are_arrays_too() -> None:
 )
 def test_sensitivities_need_square_matrices(wrong: Any) -> None:
     with pytest.raises(ArgumentError):
-        analysis.sensitivity_functions(wrong)
+        sensitivity_functions(wrong)
 
 
 KEPT = {

@@ -17,7 +17,8 @@ from platform_ctrl import read_platform
 from platform_ctrl.errors import ArgumentError, SimulationError
 from platform_ctrl.job.faults import Fault
 from platform_ctrl.job.scenario import HalfCosine, Scenario, Vibration
-from platform_ctrl.simulation import BatchResult, rollout, simulate_batch
+from platform_ctrl.simulation import rollout, simulate_batch
+from platform_ctrl.simulation.batch import BatchResult
 
 # Rounding alone differs: where products and sums are fused, which multiplies by what a run makes of small differences.
 ROUNDING = 1e-11

@@ -15,7 +15,7 @@ import platform_ctrl as pc
 from platform_ctrl import simulation
 from platform_ctrl.job.scenario import Scenario, TimeTable
 from platform_ctrl.plant.platform import PickOff
-from platform_ctrl.simulation import Trajectory
+from platform_ctrl.simulation.closed_loop import Trajectory
 from platform_ctrl.simulation.kernel.devices import philox
 from signal_and_gimbal import PERIOD, RMS, J, fault, flown, gain, plant, scenario, within
 

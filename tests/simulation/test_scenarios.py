@@ -16,7 +16,7 @@ from platform_ctrl import simulation
 from platform_ctrl.job.faults import Fault
 from platform_ctrl.job.scenario import HalfCosine, Scenario, TimeTable, Vibration
 from platform_ctrl.plant.platform import Platform
-from platform_ctrl.simulation import BatchResult
+from platform_ctrl.simulation.batch import BatchResult
 
 PERIOD, STEP = 5e-4, 1e-4
 

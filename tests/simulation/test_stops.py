@@ -11,7 +11,7 @@ import platform_ctrl as pc
 from platform_ctrl import simulation
 from platform_ctrl.job.scenario import Scenario
 from platform_ctrl.plant.platform import Gimbal, Platform
-from platform_ctrl.simulation import Trajectory
+from platform_ctrl.simulation.closed_loop import Trajectory
 from signal_and_gimbal import PERIOD, J, fault, flown, gain, plant, scenario, within
 
 # Stops.

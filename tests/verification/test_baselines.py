@@ -21,18 +21,10 @@ from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.report.failures import change_text, moved_text, write_junit
 from platform_ctrl.report.figures.baseline_changes import moved_figure, write_moved_figure
 from platform_ctrl.verification import JobResult
-from platform_ctrl.verification.baselines import (
-    Baseline,
-    Tolerance,
-    accepted,
-    compare,
-    figures_of,
-    plot_beside,
-    read_baseline,
-    update_baseline,
-    write_baseline,
-)
-from platform_ctrl.verification.baselines.file import remove_plot
+from platform_ctrl.verification.baselines import accepted, compare, read_baseline, update_baseline
+from platform_ctrl.verification.baselines.figures import figures_of
+from platform_ctrl.verification.baselines.file import plot_beside, remove_plot, write_baseline
+from platform_ctrl.verification.baselines.record import Baseline, Tolerance
 
 JOB: dict[str, Any] = {
     "schema": 2,

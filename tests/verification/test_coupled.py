@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 
 from platform_ctrl import analysis, design, verification
+from platform_ctrl.analysis.interconnection import interconnect_controllers
 from platform_ctrl.job.reading import read_job
 from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.mechanics.state_space import state_space
-from platform_ctrl.verification.coupled import coupled_plant
-from platform_ctrl.verification.simulated import largest
+from platform_ctrl.verification.coupled import coupled_check, coupled_plant
+from platform_ctrl.verification.simulated import largest, simulate_manoeuvre
 from single_runs import simulated
 
 pytestmark = pytest.mark.usefixtures("untraced")
@@ -136,7 +137,7 @@ def test_the_platform_turns_the_gyros_reactions_into_little(result):
 def test_small_non_linear_motion_is_the_linear_coupled_motion(job, controllers):
     """From a small tilt of gimbal 9 all loops bring the angles back as the sampled linear model says."""
     plant = coupled_plant(job, linearise(job.platform), controllers)
-    K = analysis.interconnect_controllers(
+    K = interconnect_controllers(
         controllers, [s.name for s in job.platform.pickoffs], list(plant.input_labels), job.sampling.period
     )
     closed = analysis.closed_loop(plant, K)
@@ -164,7 +165,7 @@ def test_small_non_linear_motion_is_the_linear_coupled_motion(job, controllers):
 def test_a_caged_gyro_measures_the_rate_in_flight(job, controllers):
     """During the held 1 rad/s about axis 1 the mean torque Q9 is L11 Omega1."""
     manoeuvre = job.manoeuvres[0]
-    run = verification.fly(job, manoeuvre, controllers).trajectory
+    run = simulate_manoeuvre(job, manoeuvre, controllers).trajectory
     held = (run.t > 0.9) & (run.t < 1.4)
     Q9 = run.torque[held, run.torquer_names.index("Q9")].mean()
     assert pytest.approx(0.15, rel=2e-3) == Q9
@@ -179,7 +180,7 @@ def test_a_weak_torquer_loses_the_gyro_and_the_verdict_says_so(job, controllers)
         torquers=tuple(dataclasses.replace(t, limit=0.05 if t.gimbal else t.limit) for t in job.platform.torquers),
     )
     job = dataclasses.replace(job, platform=weak)
-    run = verification.fly(job, job.manoeuvres[0], controllers)
+    run = simulate_manoeuvre(job, job.manoeuvres[0], controllers)
     assert not any(r.passed for r in run.results)
     assert largest(job, run.trajectory)["torque_share"][0] > 1.0
 
@@ -188,17 +189,17 @@ def test_signals_that_do_not_fit_are_named(job, controllers):
     from platform_ctrl.errors import ArgumentError
 
     with pytest.raises(ArgumentError, match="neither a pick-off nor an output of an earlier controller"):
-        verification.coupled_check(job, linearise(job.platform), controllers[::-1])
+        coupled_check(job, linearise(job.platform), controllers[::-1])
 
 
 def test_without_a_platform_loop_the_platform_is_carried(job, controllers):
     """Caging loops alone: Omega given, no coupling to pay for; one loop alone leaves the other gyros out."""
     model = linearise(job.platform)
-    both = verification.coupled_check(job, model, controllers[:2])
+    both = coupled_check(job, model, controllers[:2])
     assert both.stable
     assert both.plant.input_labels == ["Q4", "Q5", "Q7", "Q9", "Q10"]
     np.testing.assert_array_equal(both.cost, 0.0)
-    lone = verification.coupled_check(job, model, [controllers[1]])
+    lone = coupled_check(job, model, [controllers[1]])
     assert lone.stable
     assert lone.plant.output_labels == ["alpha9", "beta10"]
     np.testing.assert_allclose(lone.coupled, both.coupled[3:], rtol=1e-7)

@@ -14,10 +14,10 @@ import dense_peak
 import narrow_loops
 from cli.test_cli import undrawn  # noqa: F401
 from platform_ctrl import design
-from platform_ctrl.analysis import PlantSet, StateArrays, measure
-from platform_ctrl.analysis.arrays import named_system, state_arrays
-from platform_ctrl.analysis.loop_metrics import measured
+from platform_ctrl.analysis.arrays import StateArrays, named_system, state_arrays
+from platform_ctrl.analysis.loop_metrics import measure, measured
 from platform_ctrl.analysis.loop_set import LoopSet
+from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.app.free_plants import StabilisedLoop, corners, free_models, free_plants
 from platform_ctrl.app.stabilised import requirements
 from platform_ctrl.cli import main

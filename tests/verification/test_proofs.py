@@ -19,7 +19,8 @@ from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.certificates import Certificate
 from platform_ctrl.analysis.certificates.closed_loop import closed
 from platform_ctrl.analysis.certificates.plant_set import sensitivity_plants
-from platform_ctrl.design import LoopOutcome, loops
+from platform_ctrl.design import loops
+from platform_ctrl.design.jobs import LoopOutcome
 from platform_ctrl.errors import NotCertifiedError
 from platform_ctrl.verification import checked
 from platform_ctrl.verification.recorded import unconfirmed

@@ -7,14 +7,14 @@ import control
 import numpy as np
 import pytest
 
-from platform_ctrl import read_platform, verification
-from platform_ctrl.analysis import interconnect_controllers
+from platform_ctrl import read_platform
+from platform_ctrl.analysis.interconnection import interconnect_controllers
 from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.job.job import CoupledLimits, Job, Sampling, Uncertainty
 from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.mechanics.state_space import state_space
 from platform_ctrl.report.figures.coupled import platform_compliance, platform_disturbance_figure
-from platform_ctrl.verification.coupled import coupled_plant, measuring
+from platform_ctrl.verification.coupled import coupled_check, coupled_plant, measuring
 from platform_ctrl.verification.given import read_controllers
 
 PERIOD = 0.001
@@ -68,7 +68,7 @@ SERVO = gains(-np.diag([10.0, 20.0, 30.0]), OMEGA, M)
 def test_a_bare_platform_held_by_its_rate_sensors_has_the_poles_of_the_textbook(delay):
     """J ω' = −k ω, sampled: z = 1 − k T/J; a period later z² − z + k T/J = 0."""
     job = job_of(plant(), delay)
-    found = verification.coupled_check(job, linearise(job.platform), [SERVO])
+    found = coupled_check(job, linearise(job.platform), [SERVO])
     ratio = np.array([10.0, 20.0, 30.0]) * PERIOD / ROOT
     expected = 1 - ratio if delay == 0.0 else np.concatenate([np.roots([1, -1, r]) for r in ratio])
     np.testing.assert_allclose(np.sort_complex(found.poles), np.sort_complex(expected), atol=1e-12)
@@ -82,7 +82,7 @@ def test_a_bare_platform_held_by_its_rate_sensors_has_the_poles_of_the_textbook(
 def test_a_torque_on_a_bare_platform_is_drawn_with_its_own_angle_alone():
     job = job_of(plant())
     model = linearise(job.platform)
-    result = types.SimpleNamespace(job=job, model=model, coupled=verification.coupled_check(job, model, [SERVO]))
+    result = types.SimpleNamespace(job=job, model=model, coupled=coupled_check(job, model, [SERVO]))
     [axes] = platform_disturbance_figure(result).axes
     assert "its own angle" in axes.get_title()
 
@@ -90,7 +90,7 @@ def test_a_torque_on_a_bare_platform_is_drawn_with_its_own_angle_alone():
 def test_rate_noise_shakes_the_torque_as_an_autoregression_of_first_order():
     """u = −k (ω + n), ω[i+1] = ω[i] + T/J u[i]: var u = k² σ² (1 + (kT/J)²/(1 − (1 − kT/J)²))."""
     job = job_of(plant())
-    found = verification.coupled_check(job, linearise(job.platform), [SERVO])
+    found = coupled_check(job, linearise(job.platform), [SERVO])
     k = np.array([10.0, 20.0, 30.0])
     ratio = k * PERIOD / ROOT
     # At 1 kHz the sample sees all of the 500 Hz that the noise is wide.
@@ -101,7 +101,7 @@ def test_rate_noise_shakes_the_torque_as_an_autoregression_of_first_order():
 def test_a_gimbals_rate_closes_a_loop_on_the_carried_platform():
     job = job_of(with_arm())
     damper = gains([[-2.0, -0.1]], ["q_a", "q_a_rate"], ["Qa"])
-    found = verification.coupled_check(job, linearise(job.platform), [damper])
+    found = coupled_check(job, linearise(job.platform), [damper])
     assert not found.free
     T = PERIOD
     A, B = np.array([[1, T], [0, 1]]), np.array([[T**2 / 2], [T]]) / ARM
@@ -114,7 +114,7 @@ def test_a_given_rate_of_the_platform_closes_no_loop():
     job = job_of(with_arm())
     model = linearise(job.platform)
     parts = [gains([[-2.0, -0.1, feed]], ["q_a", "q_a_rate", "Omega1"], ["Qa"]) for feed in (0.0, 5.0)]
-    still, fed = (verification.coupled_check(job, model, [K]) for K in parts)
+    still, fed = (coupled_check(job, model, [K]) for K in parts)
     np.testing.assert_allclose(np.sort_complex(fed.poles), np.sort_complex(still.poles), atol=1e-14)
     np.testing.assert_allclose(fed.coupled, still.coupled, rtol=1e-12)
     # Its sensor's noise reaches the torque all the same: 5 N m s times 1e-4 rad/s, and a little back through the arm.
@@ -125,7 +125,7 @@ def test_a_free_platform_and_its_arm_turn_as_two_bodies_on_one_axis():
     """Q between them, M on the base: J_b ω' = M − Q and J_a (ω + q̇)' = Q, both torques proportional to rates."""
     job = job_of(with_arm())
     arm = gains([[-0.1]], ["q_a_rate"], ["Qa"])
-    found = verification.coupled_check(job, linearise(job.platform), [arm, SERVO])
+    found = coupled_check(job, linearise(job.platform), [arm, SERVO])
     mobility = np.array([[1 / ROOT[0], -1 / ROOT[0]], [-1 / ROOT[0], 1 / ROOT[0] + 1 / ARM]])  # of (ω, q̇) on (M, Q)
     about_1 = np.linalg.eigvals(np.eye(2) - PERIOD * mobility @ np.diag([10.0, 0.1]))
     # The arm takes part in the turning about the other axes.
@@ -154,7 +154,7 @@ def test_the_picture_of_what_turns_the_platform_knows_loops_closed_over_rates():
     job = job_of(with_arm())
     arm = gains([[-2.0, -0.1]], ["q_a", "q_a_rate"], ["Qa"])
     model = linearise(job.platform)
-    found = verification.coupled_check(job, model, [arm, SERVO])
+    found = coupled_check(job, model, [arm, SERVO])
     result = types.SimpleNamespace(job=job, model=model, coupled=found)
     opened, closed = platform_compliance(result, np.array([0.01]))
     assert opened.shape == closed.shape == (1, 4, 3)
@@ -167,7 +167,7 @@ def test_a_rate_without_a_sensor_is_refused(name):
     job = job_of(data)
     K = gains([[1.0]], [name], ["M1"])
     with pytest.raises(ArgumentError, match=rf"input '{name}' is a rate that no sensor measures; add a rate se") as e:
-        verification.coupled_check(job, linearise(job.platform), [K])
+        coupled_check(job, linearise(job.platform), [K])
     assert "\n" not in str(e.value)
 
 

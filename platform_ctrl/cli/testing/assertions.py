@@ -10,15 +10,9 @@ from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.report.failures import failure_text, missed_text, requirement_text
 from platform_ctrl.verification import JobResult
-from platform_ctrl.verification.baselines import (
-    Comparison,
-    Update,
-    compare,
-    plot_beside,
-    read_baseline,
-    update_baseline,
-)
-from platform_ctrl.verification.baselines.file import remove_plot
+from platform_ctrl.verification.baselines import compare, read_baseline, update_baseline
+from platform_ctrl.verification.baselines.comparison import Comparison
+from platform_ctrl.verification.baselines.file import Update, plot_beside, remove_plot
 
 
 @check_arguments

@@ -12,7 +12,8 @@ import pytest
 if TYPE_CHECKING:
     from platform_ctrl.cli.testing.session import BaselineTest, JobFile, JobSession, JobUnderTest, RequirementTest
     from platform_ctrl.verification import JobResult
-    from platform_ctrl.verification.baselines import Comparison, Update
+    from platform_ctrl.verification.baselines.comparison import Comparison
+    from platform_ctrl.verification.baselines.file import Update
 
 _MARKER = "platform_job"
 _NOTES = "platform_ctrl_notes"

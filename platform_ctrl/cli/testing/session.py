@@ -17,9 +17,11 @@ from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.job.reading import read_job
 from platform_ctrl.job.requirements import loop_requirements
 from platform_ctrl.report.failures import margin_text
-from platform_ctrl.verification import JobResult, checked, outcomes_from, read_controllers
-from platform_ctrl.verification.baselines import Comparison, Update
+from platform_ctrl.verification import JobResult, checked, read_controllers
+from platform_ctrl.verification.baselines.comparison import Comparison
+from platform_ctrl.verification.baselines.file import Update
 from platform_ctrl.verification.coupled import ALL_LOOPS, coupled_requirements
+from platform_ctrl.verification.given import outcomes_from
 from platform_ctrl.verification.simulated import RUN_FIGURES
 from platform_ctrl.verification.verdict import PROVED
 

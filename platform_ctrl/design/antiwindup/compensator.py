@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from platform_ctrl.analysis.arrays import StateArrays, named_system, state_arrays
-from platform_ctrl.analysis.certificates import Verification
+from platform_ctrl.analysis.certificates.certificate import Verification
 from platform_ctrl.common.arguments import positive, real_array
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray, value

@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from platform_ctrl.analysis.certificates import Verification
+from platform_ctrl.analysis.certificates.certificate import Verification
 from platform_ctrl.analysis.norms import stationary_covariance
 from platform_ctrl.analysis.poles import poles, spectral_radius
 from platform_ctrl.common.text import at_least
@@ -54,10 +54,10 @@ class InvariantEllipsoid:
     alpha
         V falls by this share in a sample once Omega is constant.
     gain : (n_K, m)
-        Anti-windup gain E.
-    Q : (n, n), Y : (m, n), S : (m,)
-        The matrices of the inequality; Y and S in units of the room that Omega leaves of each limit. With ``saturates``
-        false Y and S are zero: the torques stay below their limits.
+        Anti-windup gain E, in the units of the system matrices.
+    Q, Y, S
+        The matrices of the inequality, shapes ((n, n), (m, n), (m,)); Y and S in units of the room that Omega leaves of
+        each limit. With ``saturates`` false Y and S are zero: the torques stay below their limits.
     saturates
         Whether it counts on torques beyond their limits.
     """

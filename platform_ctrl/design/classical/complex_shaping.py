@@ -20,7 +20,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, named_system, state_arrays
-from platform_ctrl.analysis.certificates import Certificate, stability_certificate
+from platform_ctrl.analysis.certificates import Certificate
+from platform_ctrl.analysis.certificates.makers import stability_certificate
 from platform_ctrl.analysis.feedback import closed_loop
 from platform_ctrl.analysis.norms import peak
 from platform_ctrl.analysis.poles import continuous_poles

@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from platform_ctrl.analysis.arrays import StateArrays, named_system, selected, state_arrays
-from platform_ctrl.analysis.certificates import Certificate, margin_certificates
+from platform_ctrl.analysis.certificates import Certificate
+from platform_ctrl.analysis.certificates.plant_set import margin_certificates
 from platform_ctrl.analysis.feedback import At, closed_loop_with_sensitivity
 from platform_ctrl.analysis.norms import hinf_norm
 from platform_ctrl.analysis.poles import poles, spectral_radius

@@ -9,14 +9,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from platform_ctrl.analysis.arrays import StateArrays, state_arrays
-from platform_ctrl.analysis.certificates import (
-    Certificate,
-    h2_certificate,
-    norm_certificate,
-    region_certificate,
-    stability_certificate,
-)
+from platform_ctrl.analysis.certificates import Certificate
 from platform_ctrl.analysis.certificates.closed_loop import ClosedLoop
+from platform_ctrl.analysis.certificates.makers import h2_certificate, norm_certificate, stability_certificate
+from platform_ctrl.analysis.certificates.plant_set import region_certificate
 from platform_ctrl.analysis.channel import Channel, weight_arrays
 from platform_ctrl.analysis.feedback import series
 from platform_ctrl.analysis.sampled import to_w_plane

@@ -18,8 +18,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, named_system, state_arrays
-from platform_ctrl.analysis.certificates import Certificate, stability_certificate
+from platform_ctrl.analysis.certificates import Certificate
 from platform_ctrl.analysis.certificates.closed_loop import static_gain
+from platform_ctrl.analysis.certificates.makers import stability_certificate
 from platform_ctrl.common.arguments import real_array
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray, value

@@ -16,8 +16,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.arrays import ComplexArray, state_arrays, state_scaling
-from platform_ctrl.analysis.certificates import Certificate, stability_certificate
+from platform_ctrl.analysis.certificates import Certificate
 from platform_ctrl.analysis.certificates.closed_loop import static_gain
+from platform_ctrl.analysis.certificates.makers import stability_certificate
 from platform_ctrl.common.arguments import known_names
 from platform_ctrl.common.signatures import check_arguments, short
 from platform_ctrl.common.values import FloatArray, value

@@ -21,7 +21,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from platform_ctrl.analysis.arrays import StateArrays, named_system, state_arrays
-from platform_ctrl.analysis.certificates import Certificate, stability_certificate
+from platform_ctrl.analysis.certificates import Certificate
+from platform_ctrl.analysis.certificates.makers import stability_certificate
 from platform_ctrl.analysis.feedback import closed_loop
 from platform_ctrl.analysis.intersample import intersample_norm
 from platform_ctrl.analysis.lifting import PeriodExceedsLevel, SampledPlant, lifted_plant, sampled_plant

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, state_arrays
-from platform_ctrl.analysis.certificates import Certificate, norm_certificate, stability_certificate
+from platform_ctrl.analysis.certificates import Certificate
+from platform_ctrl.analysis.certificates.makers import norm_certificate, stability_certificate
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.lower_bounds import h2_lower_bound, hinf_lower_bound
 from platform_ctrl.design.partition import Partition, whole
@@ -31,7 +32,7 @@ class SearchRecord:
     value
         What it reached: the worst norm, or with requirements the largest ratio; inf where no loop became stable.
     evaluations, seconds
-        What it took.
+        What it took; time in s.
     finished
         Whether it ended by itself.
     """

@@ -34,13 +34,13 @@ class Parameter:
     name
         As in the result.
     start
-        Where the search begins if nothing better is known.
+        Where the search begins if nothing better is known, in the units of the parameter.
     size
         Its unit: a change by so much is large (by e where `positive`).
     positive
         Whether it is searched for by its logarithm.
     lower, upper
-        Bounds.
+        Bounds, in the units of the parameter.
     """
 
     name: str

@@ -12,8 +12,6 @@ if TYPE_CHECKING:
     from platform_ctrl.mechanics.symbolic.result import Equations
     from platform_ctrl.plant.platform import Platform
 
-__all__ = ["equations"]
-
 
 @overload
 def equations(

@@ -51,7 +51,7 @@ class NamedSymbol:
     meaning, unit
         One line; SI.
     value
-        The platform's number; None for what changes with time.
+        The platform's number, SI; None for what changes with time.
     """
 
     name: str

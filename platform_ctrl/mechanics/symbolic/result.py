@@ -112,6 +112,11 @@ class Equations:
             Its name in the plant.
         equation
             ``"partially_linear"`` (27), ``"linear"`` (19) or ``"precession"`` (15).
+
+        Returns
+        -------
+        RowTerms
+            In the symbols of these equations.
         """
         known_name("equation", equation, tuple(self.rows))
         return self.rows[equation][known_name("gimbal", gimbal, self.platform.gimbal_names)]
@@ -137,9 +142,14 @@ class Equations:
         q : (n,)
             Angles, rad; default zero.
         velocity, velocity_dot : (3 + n,)
-            [Omega, q̇] and its derivative; default zero.
+            [Omega, q̇] and its derivative, SI; default zero.
         values
-            Numbers of further symbols by name (torques), or in place of the platform's own.
+            Numbers of further symbols by name (torques), SI, or in place of the platform's own.
+
+        Returns
+        -------
+        (...)
+            As the expression's shape, SI.
         """
         n = len(self.platform.gimbals)
         point = {symbol.name: number for symbol, number in self.numbers().items()}

@@ -34,7 +34,8 @@ from platform_ctrl.report.style import (
     settings,
     standalone,
 )
-from platform_ctrl.verification.baselines import Change, Comparison, LoopMatrices
+from platform_ctrl.verification.baselines.comparison import Change, Comparison
+from platform_ctrl.verification.baselines.record import LoopMatrices
 
 _DPI = 150
 # No more bars than a page holds, and none longer than this many tolerances.

@@ -34,8 +34,8 @@ from platform_ctrl.report.style import (
     signal_style,
     standalone,
 )
-from platform_ctrl.simulation import Trajectory
-from platform_ctrl.verification import Run
+from platform_ctrl.simulation.closed_loop import Trajectory
+from platform_ctrl.verification.simulated import Run
 
 # Limits further away than this many times the largest value would flatten the trace: they are named instead of drawn.
 _FAR = 3.7

@@ -11,9 +11,9 @@ from platform_ctrl.common.values import value
 from platform_ctrl.design.loop import LoopDesign
 from platform_ctrl.job.judging import CheckResult, Sense
 from platform_ctrl.job.requirements import FAULTS, SCOPE_WORDS, WORST_CASE
-from platform_ctrl.verification import CoupledCheck, JobResult, Run, largest
-from platform_ctrl.verification.coupled import ALL_LOOPS, MARGIN
-from platform_ctrl.verification.simulated import RUN_FIGURES
+from platform_ctrl.verification import JobResult
+from platform_ctrl.verification.coupled import ALL_LOOPS, MARGIN, CoupledCheck
+from platform_ctrl.verification.simulated import RUN_FIGURES, Run, largest
 
 _GOAL = "goal: "
 
