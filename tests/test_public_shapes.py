@@ -14,7 +14,6 @@ from numpydoc.docscrape import NumpyDocString, Parameter
 
 import platform_ctrl as pc
 from platform_ctrl import analysis, campaign, design, simulation
-from platform_ctrl.analysis.bandwidth import bandwidth_of_response
 from platform_ctrl.analysis.certificates.makers import stability_certificate
 from platform_ctrl.analysis.response import response_at
 from platform_ctrl.campaign.rare_result import RareResult
@@ -135,11 +134,6 @@ CALLS: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
             "response_at",
             response_at,
             {"system": PAIR, "z": 1j * np.arange(4)},
-        ),
-        (
-            "bandwidth_of_response",
-            bandwidth_of_response,
-            {"frequency": np.arange(1.0, 6.0), "S": np.ones((4, 5, 2, 2), dtype=complex)},
         ),
         ("error", pc.precession(MODEL, gimbals=("9", "10")).error, {"frequency": [1.0, 2.0, 3.0]}),
         ("state", varying().state, {"q": [0.0, 0.1], "rates": [0.0, 0.0], "Omega": [0.0, 0.0, 1.0]}),

@@ -19,7 +19,8 @@ from platform_ctrl.design.riccati.h2 import h2
 from platform_ctrl.design.riccati.lq import lqe, lqg, lqr
 from platform_ctrl.design.riccati.pole_placement import pole_placement
 from platform_ctrl.design.riccati.sampled_hinf import sampled_hinf
-from platform_ctrl.design.structured.structures import PID, Lead, Notch, Series, StateSpaceOrder, Static
+from platform_ctrl.design.structured.pid import PID
+from platform_ctrl.design.structured.structures import Lead, Notch, Series, StateSpaceOrder, Static
 from platform_ctrl.design.structured.synthesis import structured
 from platform_ctrl.design.synthesis import hinf
 

@@ -11,7 +11,7 @@ from scipy.optimize import minimize_scalar
 
 import platform_ctrl as pc
 from platform_ctrl import analysis
-from platform_ctrl.analysis.margins import disk_phase, disk_to_gain_phase
+from platform_ctrl.analysis.disks import disk_phase, disk_to_gain_phase
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.report.quantities import disk_words
 from random_loops import stable_loop

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from platform_ctrl import PlatformCtrlError, analysis
-from platform_ctrl.analysis.margins import disk_to_gain_phase
+from platform_ctrl.analysis.disks import disk_to_gain_phase
 from platform_ctrl.analysis.mu import mu_bounds
 from random_loops import stable_loop
 

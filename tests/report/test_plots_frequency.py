@@ -13,7 +13,7 @@ import pytest
 
 import platform_ctrl as pc
 from platform_ctrl import analysis
-from platform_ctrl.analysis.margins import disk_phase, disk_to_gain_phase
+from platform_ctrl.analysis.disks import disk_phase, disk_to_gain_phase
 from platform_ctrl.report import figures
 from platform_ctrl.report.plots.curves import channels, curve, margins
 from platform_ctrl.report.plots.disk_region import exclusion

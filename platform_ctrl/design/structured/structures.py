@@ -144,15 +144,7 @@ class Structure:
         raise NotImplementedError
 
     def slopes(self, p: FloatArray, nmeas: int, ncon: int) -> FloatArray:
-        """Return the derivatives of [A, B; C, D] with respect to p, (rows, columns, parameters).
-
-        Parameters
-        ----------
-        p : (parameters,)
-            As in `block`.
-        nmeas, ncon
-            Number of measurements y and of controls u.
-        """
+        """Return the derivatives of [A, B; C, D] with respect to p, (rows, columns, parameters)."""
         steps = p + 1j * _IMAGINARY * np.eye(len(p))
         change = joined(self.block(steps, nmeas, ncon)).imag / _IMAGINARY
         return np.ascontiguousarray(np.moveaxis(change, 0, -1))
