@@ -61,7 +61,7 @@ class Stage:
                 names = sorted(path.name for path in unfinished.iterdir())
                 for name in names:
                     if own is not None and name not in own and os.path.lexists(target / name):
-                        raise InputError(f"{target / name}: is not of an earlier export; expected no such file")
+                        raise InputError(f"{target / name}: is not part of an earlier export; move it elsewhere")
                 if not target.exists():
                     target.mkdir()
                     undo.append((None, target))
@@ -96,7 +96,7 @@ class Stage:
 
     def _aside(self, target: Path, undo: list[tuple[Path | None, Path]]) -> None:
         if target.is_dir() and not target.is_symlink():
-            raise InputError(f"{target}: is a folder; expected a file or nothing there")
+            raise InputError(f"{target}: is a folder, but must be a file or not exist")
         if os.path.lexists(target):
             before = self._beside(target, target.parent)
             os.replace(target, before / target.name)
@@ -148,7 +148,7 @@ def own_files(option: str, folder: Path) -> dict[str, str]:
     if not os.path.lexists(folder):
         return {}
     if not folder.is_dir():
-        raise InputError(f"{option} {folder}: is a file; expected a folder, or nothing there")
+        raise InputError(f"{option} {folder}: is a file, but must be a folder or not exist")
     try:
         held = [path.name for path in folder.iterdir() if not path.name.startswith(_UNFINISHED)]
     except OSError as error:
@@ -156,20 +156,17 @@ def own_files(option: str, folder: Path) -> dict[str, str]:
     if not held:
         return {}
     if RECORD not in held:
-        expected = "expected a new or empty folder, or one of an earlier export"
-        raise InputError(f"{option} {folder}: holds files that are not of an earlier export; {expected}")
+        raise InputError(f"{option} {folder}: holds files of no earlier export; name a new or empty folder")
     _, record = read_json(folder / RECORD, "the record of an export")
     files = record.get("files") if isinstance(record, dict) else None
     if not isinstance(files, dict) or not all(isinstance(item, str) for item in files.values()):
-        raise InputError(f"{option} {folder}: {RECORD} there is not the record of an export; expected a new folder")
+        raise InputError(f"{option} {folder}: {RECORD} there is not the record of an export; name a new folder")
     for name, known in files.items():
         # A name that leads out of the folder is not one that an export wrote.
         if Path(name).name != name:
-            raise InputError(f"{option} {folder}: {RECORD} there is not the record of an export; expected a new folder")
+            raise InputError(f"{option} {folder}: {RECORD} there is not the record of an export; name a new folder")
         if name in held and sha256(folder / name) != known:
-            raise InputError(
-                f"{option} {folder}: {name} was changed since it was exported; expected it as it was: move it elsewhere"
-            )
+            raise InputError(f"{option} {folder}: {name} was changed since it was exported; move it elsewhere")
     return {**files, RECORD: ""}
 
 

@@ -44,7 +44,7 @@ class BaselineOptions:
         """Check the options before the work."""
         if file is None:
             if update:
-                raise InputError("--update-baseline: without --baseline FILE; expected the file to write")
+                raise InputError("--update-baseline: needs --baseline FILE, the file to write")
             return cls(None, False)
         from platform_ctrl.verification.baselines import read_baseline
 
@@ -89,12 +89,12 @@ def writable(option: str, file: Path, others: Iterable[Path | None] = ()) -> Non
     """
     try:
         if file.is_dir():
-            raise InputError(f"{option} {file}: is a folder; expected a file")
+            raise InputError(f"{option} {file}: is a folder, but must be a file")
         if file.exists() and not file.is_file():
-            raise InputError(f"{option} {file}: is a device or a pipe; expected a file, or nothing there")
+            raise InputError(f"{option} {file}: is a device or a pipe, but must be a file or not exist")
         expect_no_file_above(option, file)
         if file.resolve() in [other.resolve() for other in others if other is not None]:
-            raise InputError(f"{option} {file}: the command reads or writes that for something else; expected another")
+            raise InputError(f"{option} {file}: the command reads or writes this file for something else; name another")
         file.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=file.parent):
             pass
@@ -106,7 +106,7 @@ def expect_no_file_above(option: str, target: Path) -> None:
     """Make sure that nothing on the way to a target is a file."""
     blocked = next((part for part in target.parents if part.exists() and not part.is_dir()), None)
     if blocked is not None:
-        raise InputError(f"{option} {target}: {blocked} is a file; expected a folder, or nothing there")
+        raise InputError(f"{option} {target}: {blocked} is a file, but must be a folder or not exist")
 
 
 def _record(

@@ -38,10 +38,10 @@ def expect_rare(plan: Plan, requirement: str | None, runs_per_level: int, method
     asked = [ANY, *dict.fromkeys(name for one, _ in plan.job.campaign_manoeuvres for name in one.limits)]
     if requirement is not None and requirement not in asked:
         raise InputError(
-            f"--rare {requirement}: no manoeuvre of the campaign has this limit; expected {', '.join(asked)}"
+            f"--rare {requirement}: no manoeuvre of the campaign has this limit; choose one of {', '.join(asked)}"
         )
     if runs_per_level < FEWEST_SAMPLES:
-        raise InputError(f"--runs-per-level {runs_per_level}: expected at least {FEWEST_SAMPLES}")
+        raise InputError(f"--runs-per-level {runs_per_level}: must be at least {FEWEST_SAMPLES}")
     try:
         one_of("--rare-method", method, METHODS)
     except ArgumentError as error:

@@ -68,7 +68,7 @@ def equations(
     """  # noqa: D301
     chosen_form, chosen_terms = _one_of("--format", form, WRITTEN), _one_of("--terms", terms, TERMS)
     if as_json and chosen_form == "latex":
-        raise InputError("--format latex and --json: given both; expected one of them")
+        raise InputError("--format latex and --json exclude each other; leave one out")
     chosen_order = None if _one_of("--order", order, ORDERS) == EXACT else int(order)
     from platform_ctrl.cli.terminal import progress
 
@@ -89,4 +89,4 @@ def _one_of(option: str, given: str, known: tuple[Word, ...]) -> Word:
     for word in known:
         if word == given:
             return word
-    raise InputError(f"{option}: given {given!r}; expected {', '.join(known[:-1])} or {known[-1]}")
+    raise InputError(f"{option}: must be {', '.join(known[:-1])} or {known[-1]}, got {given!r}")

@@ -139,15 +139,14 @@ def _settings(chosen: Mapping[Exporter, Path], options: Mapping[str, Any]) -> di
     """Return the settings of each exporter that was chosen; those of others must not be given."""
     if not chosen:
         known = ", ".join(e.flag for e in exporters())
-        raise InputError(f"nothing to write; expected one of {known} (see --help)")
+        raise InputError(f"nothing to write; name at least one of {known} (see --help)")
     for exporter in exporters():
         for setting in exporter.settings:
             given = options[_keyword(exporter, setting)]
             if given not in (setting.default, []) and exporter not in chosen:
-                wanted = exporter.flag
-                raise InputError(f"{setting.flag}: says how {wanted} is written; expected {wanted} beside it")
+                raise InputError(f"{setting.flag}: is an option of {exporter.flag}, which must be given too")
             if setting.choices and given not in setting.choices:
-                raise InputError(f"{setting.flag} {given}: expected one of {', '.join(setting.choices)}")
+                raise InputError(f"{setting.flag} {given}: must be one of {', '.join(setting.choices)}")
     return {e: e.judged({s.name: options[_keyword(e, s)] for s in e.settings}) for e in chosen}
 
 
@@ -172,7 +171,7 @@ def _check_targets(inputs: list[Path], targets: Mapping[Exporter, Path]) -> None
             continue
         expect_no_file_above(exporter.flag, target)
         if target.resolve() in [other.resolve() for other in others]:
-            raise InputError(f"{exporter.flag} {target}: is given for something else too; expected a folder of its own")
+            raise InputError(f"{exporter.flag} {target}: is used for something else too; name another folder")
         try:
             target.parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:

@@ -84,11 +84,11 @@ def _not_a_job(path: Path) -> str | None:
         return None
     tables = _tables(path) if there else {}
     if "root" in tables and "loop" not in tables:
-        return f"{name}: is a plant; expected a job that names it: platform-ctrl new NAME --like {name} writes one"
+        return f"{name}: is a plant, not a job; platform-ctrl new NAME --like {name} writes a job for it"
     if not inside:
         return None
     if name in shipped_models():
-        return f"{name}: is a shipped plant; expected a job: platform-ctrl new NAME --like {name} writes one"
+        return f"{name}: is a shipped plant, not a job; platform-ctrl new NAME --like {name} writes a job for it"
     stems = {file.stem: file.name for file in path.parent.glob("*.toml")}
     meant = nearest(path.stem, stems)
     hint = "platform-ctrl new writes one" if meant is None else f"did you mean {path.with_name(stems[meant])}?"
@@ -121,8 +121,8 @@ def controller_file(given: Path | None, folder: Path | None, job: Path | None = 
     file = folder / RESULT if folder is not None and os.path.exists(folder / RESULT) else DESIGNED / RESULT
     if not file.exists():
         raise InputError(
-            f"{file}: there is no such file; expected the controllers that platform-ctrl design writes: run it first, "
-            "or name a file with --controllers"
+            f"{file}: there is no such file; run platform-ctrl design first, which writes controllers, or name a file "
+            "with --controllers"
         )
     return file
 
@@ -140,9 +140,9 @@ def prepare_folder(folder: Path, files: Sequence[str] = ()) -> None:
         with tempfile.TemporaryFile(dir=folder):
             pass
     except (FileExistsError, NotADirectoryError):
-        raise InputError(f"-o {folder}: is not a folder, or lies in a file; expected a folder") from None
+        raise InputError(f"-o {folder}: is no folder, or its path leads through a file; name a folder") from None
     except OSError as error:
         raise InputError(f"-o {folder}: cannot be written to: {error.strerror or error}") from None
     for name in files:
         if os.path.isdir(folder / name):
-            raise InputError(f"-o {folder}: {name} is a folder there; expected a file or nothing")
+            raise InputError(f"-o {folder}: {name} is a folder there, but must be a file or not exist")

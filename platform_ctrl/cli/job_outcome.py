@@ -29,12 +29,12 @@ def expect_campaign(job: Job, folder: Path) -> Record:
     record = read_record(folder)
     if record is None:
         raise InputError(
-            f"--campaign {folder}: there is no {RECORD}; expected the folder that platform-ctrl campaign writes"
+            f"--campaign {folder}: there is no {RECORD}; name the folder that platform-ctrl campaign writes"
         )
     if record.get("job") != job.name:
-        raise InputError(f"--campaign {folder}: is of the job {record.get('job')!r}; expected one of {job.name!r}")
+        raise InputError(f"--campaign {folder}: belongs to the job {record.get('job')!r}, not to {job.name!r}")
     if not record.get("complete") or not (folder / TABLE).is_file():
-        raise InputError(f"--campaign {folder}: is not done; the command that began it goes on: platform-ctrl campaign")
+        raise InputError(f"--campaign {folder}: is not complete; the same platform-ctrl campaign continues it")
     return record
 
 

@@ -66,9 +66,7 @@ def new(
     files = (f"{title}_plant.toml", f"{title}.toml")
     for file in files:
         if os.path.exists(out / file) and not force:
-            raise InputError(
-                f"{out / file}: is there already; choose another NAME or -o DIR, or overwrite with --force"
-            )
+            raise InputError(f"{out / file}: exists already; choose another NAME or -o DIR, or overwrite with --force")
     with progress(quiet or as_json, "reading the plant") as say:
         made = own_start(title, *files) if like is None else start_like(like, title, *files, say)
         prepare_folder(out, files)
@@ -93,7 +91,5 @@ def new(
 def _title(name: str) -> str:
     title = name.removesuffix(".toml")
     if not _NAME.fullmatch(title):
-        raise InputError(
-            f"NAME: given {name!r}; expected letters, digits, _, - and . alone; a folder is named by -o DIR"
-        )
+        raise InputError(f"NAME: {name!r} may contain only letters, digits, _, - and .; name a folder by -o DIR")
     return title

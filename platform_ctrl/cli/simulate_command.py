@@ -87,8 +87,8 @@ def simulate(
     from platform_ctrl.cli.terminal import progress
 
     if (run is None) == (manoeuvre is None):
-        given = "Missing option '--run'" if run is None else "--run and --manoeuvre are both given"
-        raise InputError(f"{given}; expected the number of a run of the campaign, or --manoeuvre with a name or number")
+        wrong = "Missing option '--run'" if run is None else "--run and --manoeuvre exclude each other"
+        raise InputError(f"{wrong}; give --run NUMBER for a run of the campaign, or --manoeuvre NAME")
     with progress(quiet or as_json, f"reading {job}") as say:
         read = job_of(job)
         wanted = str(run if manoeuvre is None else manoeuvre)
@@ -202,7 +202,7 @@ def _planned(
         made = plan(job, controllers)
         note += "; simulated instead: a run of the campaign that the job describes now"
     if number >= made.runs:
-        raise InputError(f"--run {number}: expected a run of the campaign, 0 to {made.runs - 1}")
+        raise InputError(f"--run {number}: the campaign has the runs 0 to {made.runs - 1}")
     return made, folder, record is not None and not odd, note
 
 
@@ -228,8 +228,8 @@ def _manoeuvre(job: Job, wanted: str, path: Path, option: str) -> Manoeuvre:
     if option == "--run" and job.campaign is not None:
         known = ", ".join(map(given, names))
         raise InputError(
-            f"{option} {given(wanted)}: expected the number of a run of the campaign, from 0, or a manoeuvre in "
+            f"{option} {given(wanted)}: must be the number of a run of the campaign, from 0, or a manoeuvre in "
             f"{path}: {known}"
         )
     known = ", ".join(f"{number} {given(name)}" for number, name in enumerate(names, 1))
-    raise InputError(f"{option} {given(wanted)}: no such manoeuvre in {path}; it has {known or 'none'}")
+    raise InputError(f"{option} {given(wanted)}: {path} has no such manoeuvre; its manoeuvres are: {known or 'none'}")

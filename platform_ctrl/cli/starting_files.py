@@ -250,7 +250,7 @@ def start_like(
 
     platform = read_platform(model)
     if not platform.gimbals:
-        raise InputError(f"--like {model}: this plant has no gimbals; expected one with something to cage")
+        raise InputError(f"--like {model}: this plant has no gimbals to cage; choose another one")
     text = _text_of(model)
     plain = tomllib.loads(text)
     text, added = _with_instruments(text, plain)
@@ -258,8 +258,8 @@ def start_like(
         data = tomllib.loads(text)
     except tomllib.TOMLDecodeError:
         raise InputError(
-            f"--like {model}: {', '.join(added)} would have to be added; expected every [[torquer]] and [[pickoff]] as "
-            "a table of its own"
+            f"--like {model}: {', '.join(added)} must be added, but cannot; write every [[torquer]] and [[pickoff]] "
+            "as its own table"
         ) from None
     say(f"starting values of the loops: {platform.name}")
     start = starting_loops(data)

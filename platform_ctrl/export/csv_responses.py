@@ -95,19 +95,21 @@ def write_responses(
         values, w = np.asarray(response.frdata), np.asarray(response.omega, dtype=np.float64)
         outputs, inputs = list(response.output_labels), list(response.input_labels)
     except AttributeError:
-        raise ArgumentError(f"{where}: given {short(type(response).__name__)}; expected a control.FRD") from None
+        raise ArgumentError(f"{where}: response must be a control.FRD, got {short(type(response).__name__)}") from None
     if len(w) < _FEWEST or not (w[0] > 0.0 and np.all(np.diff(w) > 0.0) and np.isfinite(w[-1])):
-        raise ArgumentError(f"{where}: expected at least {_FEWEST} finite frequencies that rise from above zero, rad/s")
+        raise ArgumentError(f"{where}: the response needs {_FEWEST} finite frequencies > 0 that increase, rad/s")
     if not np.isfinite(values).all():
         k = int(np.argwhere(~np.isfinite(values))[0][-1])
-        raise ArgumentError(f"{where}: the response at {w[k]:g} rad/s is not finite; expected other frequencies")
+        raise ArgumentError(f"{where}: the response at {w[k]:g} rad/s is not finite; leave the frequency out")
     for name in (*outputs, *inputs):
         # The first slash parts output and input, and the reader takes the blanks around names away.
         if not name.isprintable() or name != name.strip() or not name or (name in outputs and "/" in name):
-            raise ArgumentError(f"{where}: {short(name)}: cannot stand in the header; expected a name in one line")
+            raise ArgumentError(
+                f"{where}: {short(name)}: cannot stand in the header; use one printable line, in outputs without /"
+            )
     for note in notes:
         if not isinstance(note, str) or not note.isprintable():
-            raise ArgumentError(f"{where}: notes: given {short(note)}; expected lines of text")
+            raise ArgumentError(f"{where}: notes must be lines of text, got {short(note)}")
     header, columns = ["frequency_hz"], [w / _HZ]
     for i, output in enumerate(outputs):
         for j, name in enumerate(inputs):

@@ -161,9 +161,9 @@ def _numbers(flag: str, given: list[str] | None) -> dict[str, float]:
         except ValueError:
             name = ""
         if not name:
-            raise InputError(f"{flag} {one}: expected a name, = and a number, as in alpha9=0.01")
+            raise InputError(f"{flag} {one}: must be a name, = and a number, as in alpha9=0.01")
         if not (math.isfinite(out[name]) and out[name] > 0.0):
-            raise InputError(f"{flag} {one}: expected a finite number > 0")
+            raise InputError(f"{flag} {one}: the number must be finite and > 0")
     return out
 
 
@@ -177,14 +177,14 @@ def _c_settings(given: dict[str, Any]) -> dict[str, Any]:
     ranges, limits = _numbers("--range", given["ranges"]), _numbers("--integral-limit", given["limits"])
     accuracy = given["accuracy"]
     if not (math.isfinite(accuracy) and accuracy > 0.0):
-        raise InputError(f"--accuracy {accuracy!r}: expected a finite number > 0, as in 0.02: 2 % of a torque's limit")
+        raise InputError(f"--accuracy {accuracy!r}: must be finite and > 0, as in 0.02: 2 % of a torque's limit")
     out = {"number": given["number"], "anti_windup": given["anti_windup"]}
     if given["number"] in FIXED_POINT:
         return out | {"ranges": ranges, "limits": limits, "accuracy": accuracy}
     if ranges or limits or accuracy != _ACCURACY.default:
         raise InputError(
-            f"--range, --integral-limit and --accuracy are of fixed point; given --number {given['number']}; "
-            "expected q31 or q15"
+            "--range, --integral-limit and --accuracy are options of fixed point, but --number is "
+            f"{given['number']}; use q31 or q15"
         )
     return out
 

@@ -96,18 +96,18 @@ def read_systems(path: str | os.PathLike[str]) -> tuple[SystemRecord, ...]:
     Raises
     ------
     InputError
-        One line: the file, the system and the key, what was given, what is expected.
+        The file, the system and the key, what is wrong, and what it must be, in one line.
     """
     label, data = read_json(path_of(path, "the path of a JSON file"), _EXPECTED)
     if not isinstance(data, Mapping):
-        raise InputError(f"{label}: given {given(data)}; expected {_EXPECTED}")
+        raise InputError(f"{label}: must be {_EXPECTED}, got {given(data)}")
     schema = data.get("schema")
     if isinstance(schema, bool) or schema != SCHEMA:
-        raise InputError(f'{label}: "schema" is {given(schema)}; expected {SCHEMA}, the format that this version reads')
+        raise InputError(f'{label}: "schema" is {given(schema)}, but this version reads {SCHEMA}')
     key = "systems" if "systems" in data else "controllers"
     entries = data.get(key)
     if not isinstance(entries, list) or not 0 < len(entries) <= MOST_SYSTEMS:
-        raise InputError(f'{label}: "{key}" is {given(entries)}; expected a list of 1 to {MOST_SYSTEMS} systems')
+        raise InputError(f'{label}: "{key}" must be a list of 1 to {MOST_SYSTEMS} systems, got {given(entries)}')
     return tuple(_system(f"{label}: {key} {number}", entry) for number, entry in enumerate(entries, 1))
 
 
@@ -118,5 +118,5 @@ def _entry(one: SystemRecord) -> dict[str, Any]:
 
 def _system(where: str, entry: object) -> SystemRecord:
     if not isinstance(entry, Mapping):
-        raise InputError(f"{where}: given {given(entry)}; expected a table with name, dt, A, B, C, D, ...")
+        raise InputError(f"{where}: must be a table with name, dt, A, B, C, D, ..., got {given(entry)}")
     return system_of(where, entry)

@@ -81,10 +81,10 @@ def _tag(data: bytes, at: int, end: int, little: bool) -> tuple[int, int, int, i
     return word, start, size, min(start + size + -size % 8, end)
 
 
-def _expected(data: bytes, at: int, end: int, little: bool, kind: int) -> tuple[int, int, int]:
+def _element(data: bytes, at: int, end: int, little: bool, kind: int) -> tuple[int, int, int]:
     found, start, size, after = _tag(data, at, end, little)
     if found != kind:
-        raise ValueError(f"an element of type {found} stands where {kind} is expected")
+        raise ValueError(f"an element has the type {found} instead of {kind}")
     return start, size, after
 
 
@@ -96,21 +96,21 @@ def _class_of(part: bytes, little: bool) -> int:
 
 def _judge(data: bytes, at: int, end: int, little: bool, depth: int) -> int:
     """Judge the array at `at` with all that it holds, and return where the next one begins."""
-    start, size, after = _expected(data, at, end, little, _MATRIX)
+    start, size, after = _element(data, at, end, little, _MATRIX)
     if size == 0:
         return after
     end = start + size
-    flags, size, at = _expected(data, start, end, little, _UINT32)
+    flags, size, at = _element(data, start, end, little, _UINT32)
     if size != 8:
         raise ValueError("the flags of an array have a wrong length")
     word = _word(data, flags, little)
-    start, size, at = _expected(data, at, end, little, _INT32)
+    start, size, at = _element(data, at, end, little, _INT32)
     if size % 4 or not 8 <= size <= 128:
         raise ValueError("the dimensions of an array have a wrong length")
     count = math.prod(_word(data, start + 4 * k, little) for k in range(size // 4))
     if count > _MOST_ELEMENTS:
         raise ValueError(f"an array has {count} elements")
-    at = _expected(data, at, end, little, _INT8)[2]
+    at = _element(data, at, end, little, _INT8)[2]
     _judge_content(data, at, end, little, depth, word, count)
     return after
 
@@ -133,9 +133,9 @@ def _judge_content(data: bytes, at: int, end: int, little: bool, depth: int, wor
     if depth >= _DEEPEST:
         raise ValueError("structs and cells lie too deep in one another")
     if kind == _STRUCT:
-        start, size, at = _expected(data, at, end, little, _INT32)
+        start, size, at = _element(data, at, end, little, _INT32)
         length = _word(data, start, little)
-        _, size, at = _expected(data, at, end, little, _INT8)
+        _, size, at = _element(data, at, end, little, _INT8)
         if not 0 < length <= 64 or size % length or size // length > _MOST_FIELDS:
             raise ValueError("the names of a struct's fields have a wrong length")
         count *= size // length
@@ -154,7 +154,7 @@ _FIELDS = {
     "input_units": "InputUnit",
     "output_units": "OutputUnit",
 }
-_EXPECTED = "a MAT file (save -v7) with structs of A, B, C, D"
+_READABLE = "a MAT file (save -v7) with structs of A, B, C, D"
 
 
 @check_arguments
@@ -222,20 +222,20 @@ def read_mat(path: str | os.PathLike[str]) -> tuple[SystemRecord, ...]:
     label = one_line(str(file))
     content = _bytes(file, label)
     if content[:4] == b"\x89HDF" or b"MATLAB 7.3" in content[:HEADER_LENGTH]:
-        raise InputError(f"{label}: is MATLAB's format 7.3; expected {_EXPECTED}")
+        raise InputError(f"{label}: is in MATLAB's format 7.3; save {_READABLE}")
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # two structs of one name: the later one is meant
             held = import_module("scipy.io").loadmat(io.BytesIO(structs(content)), struct_as_record=True)
     except Exception as error:  # of broken bytes scipy raises whatever came up
-        raise InputError(f"{label}: cannot be read: {one_line(str(error))[:200]}; expected {_EXPECTED}") from None
+        raise InputError(f"{label}: cannot be read: {one_line(str(error))[:200]}; save {_READABLE}") from None
     found = []
     for name, item in held.items():
         for number, entry in enumerate(item.ravel() if _is_struct(item) else ()):
             where = f"{label}: {one_line(name)}" + (f"({number + 1})" if item.size > 1 else "")
             found.append(_system(where, name if item.size == 1 else f"{name}_{number + 1}", entry))
     if not 0 < len(found) <= MOST_SYSTEMS:
-        raise InputError(f"{label}: holds {len(found)} systems; expected {_EXPECTED}, 1 to {MOST_SYSTEMS}")
+        raise InputError(f"{label}: holds {len(found)} systems; save {_READABLE}, 1 to {MOST_SYSTEMS} of them")
     return tuple(found)
 
 
@@ -278,7 +278,7 @@ def _bytes(file: Path, label: str) -> bytes:
         words = getattr(error, "strerror", None) or str(error)
         raise InputError(f"{label}: cannot be read: {one_line(words)}") from None
     if len(content) > MOST_OF_ANY:
-        raise InputError(f"{label}: is larger than {MOST_OF_ANY // 2**20} MiB; expected {_EXPECTED} of at most that")
+        raise InputError(f"{label}: is larger than {MOST_OF_ANY // 2**20} MiB; save {_READABLE} in a smaller file")
     return content
 
 
@@ -305,7 +305,7 @@ def _system(where: str, name: str, entry: np.void) -> SystemRecord:
 
 def _matrix(where: str, field: str, item: Any) -> Any:
     if not isinstance(item, np.ndarray) or item.dtype.kind not in "iufb" or item.ndim != 2:
-        raise InputError(f"{where}: {field}: is no matrix of real numbers; expected one")
+        raise InputError(f"{where}: {field}: must be a matrix of real numbers")
     return item
 
 
@@ -325,7 +325,7 @@ def _number(where: str, field: str, item: object) -> float:
         return 0.0
     if isinstance(item, np.ndarray) and item.dtype.kind in "iufb" and np.all(item == item.ravel()[0]):
         return float(item.ravel()[0])
-    raise InputError(f"{where}: {field}: is no number, or several that differ; expected one number")
+    raise InputError(f"{where}: {field}: must be one number, or several equal ones")
 
 
 def _strings(where: str, field: str, item: object) -> list[str]:
@@ -338,4 +338,4 @@ def _strings(where: str, field: str, item: object) -> list[str]:
         nested = [_strings(where, field, entry) for entry in item.ravel()]
         if all(len(texts) <= 1 for texts in nested):
             return [texts[0] if texts else "" for texts in nested]
-    raise InputError(f"{where}: {field}: is neither text nor a cell of text; expected names")
+    raise InputError(f"{where}: {field}: must be text or a cell of text")

@@ -114,7 +114,7 @@ def system_record(
     title = str(system.name) if name is None else name
     for kind, text in (("name", title), ("note", note)):
         if not isinstance(text, str) or not text.isprintable() or (kind == "name" and not text.strip()):
-            raise ArgumentError(f"{where}: {kind}: given {short(text)}; expected text in one line")
+            raise ArgumentError(f"{where}: {kind} must be text in one line, got {short(text)}")
     return SystemRecord(
         name=title,
         A=A,
@@ -143,9 +143,9 @@ def signal_units(platform: Platform) -> dict[str, str]:
 def expect_systems(systems: Sequence[SystemRecord], where: str) -> None:
     """Judge what has to be a list of systems."""
     if isinstance(systems, SystemRecord) or not all(isinstance(one, SystemRecord) for one in systems):
-        raise ArgumentError(f"{where}: expected a list of SystemRecord, for example from system_record")
+        raise ArgumentError(f"{where}: systems must be a list of SystemRecord, for example from system_record")
     if not 0 < len(systems) <= MOST_SYSTEMS:
-        raise ArgumentError(f"{where}: given {len(systems)} systems; expected 1 to {MOST_SYSTEMS}")
+        raise ArgumentError(f"{where}: there must be 1 to {MOST_SYSTEMS} systems, got {len(systems)}")
 
 
 def system_of(where: str, data: Mapping[str, Any]) -> SystemRecord:
@@ -165,7 +165,7 @@ def system_of(where: str, data: Mapping[str, Any]) -> SystemRecord:
     p = max(len(C) if C.size else 0, len(D) if D.size else 0)
     m = max(B.shape[1] if B.size else 0, D.shape[1] if D.size else 0)
     if max(n, m, p) > MOST:
-        raise InputError(f"{where}: has {n} states, {m} inputs and {p} outputs; expected at most {MOST} of each")
+        raise InputError(f"{where}: has {n} states, {m} inputs and {p} outputs; at most {MOST} of each are possible")
     shapes = {"A": (n, n), "B": (n, m), "C": (p, n), "D": (p, m)}
     arrays = {}
     for key, item in (("A", A), ("B", B), ("C", C), ("D", D)):
@@ -174,11 +174,11 @@ def system_of(where: str, data: Mapping[str, Any]) -> SystemRecord:
             item = np.zeros(wanted)
         if item.shape != wanted:
             raise InputError(
-                f"{where}: {key}: is {item.shape[0]} x {item.shape[1]}; expected {wanted[0]} x {wanted[1]}"
+                f"{where}: {key}: must be {wanted[0]} x {wanted[1]}, got {item.shape[0]} x {item.shape[1]}"
             )
         arrays[key] = item
     if not p or not m:
-        raise InputError(f"{where}: has {m} inputs and {p} outputs; expected some of both")
+        raise InputError(f"{where}: has {m} inputs and {p} outputs; it needs at least one of each")
     dt, delay = (_time(where, key, data) for key in ("dt", "delay"))
     return SystemRecord(
         **arrays,
@@ -198,19 +198,19 @@ def _rows(where: str, key: str, data: Mapping[str, Any]) -> FloatArray:
     """Return a matrix; one without elements has the shape (0, 0)."""
     item = data.get(key)
     if item is None:
-        raise InputError(f'{where}: missing "{key}"; expected a matrix')
+        raise InputError(f'{where}: the matrix "{key}" is missing')
     if isinstance(item, np.ndarray):
         if item.dtype.kind not in "iufb" or item.ndim != 2:
-            raise InputError(f"{where}: {key}: is no matrix of real numbers; expected one")
+            raise InputError(f"{where}: {key}: must be a matrix of real numbers")
         array = item.astype(np.float64)
     else:
         if not isinstance(item, list) or not all(isinstance(row, list) for row in item):
-            raise InputError(f"{where}: {key}: given {given(item)}; expected a list of rows")
+            raise InputError(f"{where}: {key}: must be a list of rows, got {given(item)}")
         widths = {len(row) for row in item}
         if len(widths) > 1 or max([len(item), *widths]) > MOST:
-            expected = f"rows of one length, at most {MOST} of at most {MOST} numbers"
             raise InputError(
-                f"{where}: {key}: has {len(item)} rows of {sorted(widths)[:3]} numbers; expected {expected}"
+                f"{where}: {key}: has {len(item)} rows of {sorted(widths)[:3]} numbers; rows must have the same "
+                f"length, at most {MOST} rows of at most {MOST} numbers"
             )
         numbers = [[finite_number(element) for element in row] for row in item]
         array = np.array([[np.nan if x is None else x for x in row] for row in numbers], dtype=np.float64)
@@ -218,7 +218,7 @@ def _rows(where: str, key: str, data: Mapping[str, Any]) -> FloatArray:
         return np.zeros((0, 0))
     if not np.isfinite(array).all():
         i, j = np.argwhere(~np.isfinite(array))[0]
-        raise InputError(f"{where}: {key}: element ({i + 1}, {j + 1}) is no finite number; expected one")
+        raise InputError(f"{where}: {key}: element ({i + 1}, {j + 1}) must be a finite number")
     return array
 
 
@@ -226,14 +226,14 @@ def _time(where: str, key: str, data: Mapping[str, Any]) -> float:
     item = data.get(key, 0.0)
     number = finite_number(item)
     if number is None or number < 0.0:
-        raise InputError(f"{where}: {key}: given {given(item)}; expected a finite number >= 0, s")
+        raise InputError(f"{where}: {key}: must be a finite number >= 0, s, got {given(item)}")
     return number
 
 
 def _text(where: str, key: str, data: Mapping[str, Any]) -> str:
     item = data.get(key, "")
     if not isinstance(item, str) or not item.isprintable():
-        raise InputError(f"{where}: {key}: given {given(item)}; expected text in one line")
+        raise InputError(f"{where}: {key}: must be text in one line, got {given(item)}")
     return item
 
 
@@ -241,13 +241,13 @@ def _names(where: str, key: str, data: Mapping[str, Any], count: int, default: s
     """Return names of signals, each once; units (`default` None) may be alike, and are "" where there are none."""
     item = data.get(key) or []
     if not isinstance(item, Sequence) or isinstance(item, str) or not all(isinstance(name, str) for name in item):
-        raise InputError(f"{where}: {key}: given {given(item)}; expected a list of names")
+        raise InputError(f"{where}: {key}: must be a list of names, got {given(item)}")
     if not any(item):
         return ("",) * count if default is None else tuple(f"{default}{k}" for k in range(1, count + 1))
     if len(item) != count:
-        raise InputError(f"{where}: {key}: has {len(item)} names; expected {count}, as the matrices have")
+        raise InputError(f"{where}: {key}: has {len(item)} names, but the matrices have {count} signals or states")
     for k, name in enumerate(item):
         if not name.isprintable() or (default is not None and (not name.strip() or name in item[:k])):
             wrong = f"name {k + 1} is {given(name)}"
-            raise InputError(one_line(f"{where}: {key}: {wrong}; expected each name once, in one line"))
+            raise InputError(one_line(f"{where}: {key}: {wrong}; each name must be unique, in one line"))
     return tuple(item)

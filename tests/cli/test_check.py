@@ -120,20 +120,20 @@ def test_wrong_input_is_one_line_before_any_work(there: Path, capsys: pytest.Cap
     assert "none.json: there is no such file; --update-baseline writes it" in refused(
         capsys, *check, "--baseline", "none.json"
     )
-    assert "--update-baseline: without --baseline FILE" in refused(capsys, *check, "--update-baseline")
+    assert "--update-baseline: needs --baseline FILE" in refused(capsys, *check, "--update-baseline")
     assert "out/result.json: " in refused(capsys, *check, "--baseline", "out/result.json")
     assert "--baseline out: is a folder" in refused(capsys, *check, "--baseline", "out", "--update-baseline")
-    assert "--junit job.toml/x.xml: job.toml is a file; expected a folder" in refused(
+    assert "--junit job.toml/x.xml: job.toml is a file, but must be a folder" in refused(
         capsys, *check, "--junit", "job.toml/x.xml"
     )
     # What is no file would be gone, were a file to take its place.
     os.mkfifo("pipe")
-    assert "--junit pipe: is a device or a pipe; expected a file" in refused(capsys, *check, "--junit", "pipe")
+    assert "--junit pipe: is a device or a pipe, but must be a file" in refused(capsys, *check, "--junit", "pipe")
     assert "--junit out: is a folder" in refused(capsys, *check, "--junit", "out")
     before = Path("job.toml").read_text()
     for taken in ("job.toml", "./out/result.json", "gyro.json", "check/report.html", "check/result.json"):
         held = ["--baseline", "gyro.json", "--junit", taken]
-        assert "for something else; expected another" in refused(capsys, *check, *held)
+        assert "for something else; name another" in refused(capsys, *check, *held)
     assert Path("job.toml").read_text() == before
 
 

@@ -244,23 +244,29 @@ def test_the_shell_gets_completion(monkeypatch: pytest.MonkeyPatch) -> None:
         (["design", "qqq"], "qqq: there is no such file; platform-ctrl new writes one"),
         (
             ["design", "rate_gyro"],
-            "rate_gyro: is a shipped plant; expected a job: platform-ctrl new NAME --like rate_gyro",
+            "rate_gyro: is a shipped plant, not a job; platform-ctrl new NAME --like rate_gyro",
         ),
         (
             ["design", "plant.toml"],
-            "plant.toml: is a plant; expected a job that names it: platform-ctrl new NAME --like",
+            "plant.toml: is a plant, not a job; platform-ctrl new NAME --like",
         ),
         (["equations", "job.toml"], "job.toml: is a job"),
         (["design", "."], "is a directory; expected a TOML file"),
         (["design", "wrong.toml"], 'unknown key "bandwith_hz"; did you mean "bandwidth_hz"?'),
-        (["design", "job.toml", "-o", "job.toml"], "-o job.toml: is not a folder"),
-        (["design", "job.toml", "-o", "job.toml/out"], "-o job.toml/out: is not a folder, or lies in a file"),
+        (["design", "job.toml", "-o", "job.toml"], "-o job.toml: is no folder"),
+        (
+            ["design", "job.toml", "-o", "job.toml/out"],
+            "-o job.toml/out: is no folder, or its path leads through a file",
+        ),
         (["check", "job.toml", "-o", "taken"], "-o taken: report.html is a folder there"),
         (["check", "job.toml", "--controllers", "none.json"], "none.json: there is no such file"),
         (["check", "job.toml", "--controllers", "out"], "out: is a directory"),
         (["check", "job.toml", "--controllers", "job.toml"], "job.toml: is not JSON"),
         (["check", "job.toml", "--controllers", "faster.json"], 'controllers 1 "caging 4-5-7": dt: given 0.0001 s'),
-        (["simulate", "job.toml", "--run", "3"], '--run "3": no such manoeuvre in job.toml; it has 1 "turn", 2 "step"'),
+        (
+            ["simulate", "job.toml", "--run", "3"],
+            '--run "3": job.toml has no such manoeuvre; its manoeuvres are: 1 "turn", 2 "step"',
+        ),
     ],
 )
 def test_wrong_input_is_one_line_and_ends_with_two(
@@ -280,7 +286,9 @@ def test_check_and_simulate_say_where_controllers_come_from(
     monkeypatch.chdir(tmp_path)
     (tmp_path / "job.toml").write_text(JOB, encoding="utf-8")
     for arguments in (["check", "job.toml"], ["simulate", "job.toml", "--run", "1"]):
-        assert f"{Path('out') / 'result.json'}: there is no such file; expected" in refused(capsys, *arguments)
+        assert f"{Path('out') / 'result.json'}: there is no such file; run platform-ctrl design first" in refused(
+            capsys, *arguments
+        )
 
 
 def test_a_process_ends_with_two_and_one_line_without_colour_or_boxes(tmp_path: Path) -> None:

@@ -51,11 +51,11 @@ def test_a_plant_file_serves_as_well(tmp_path: Path, capsys: pytest.CaptureFixtu
     [
         (["no_such_plant"], 'there is no shipped model "no_such_plant"'),
         (["nowhere/plant.toml"], "there is no such file"),
-        ([PLANT, "--format", "pdf"], "--format: given 'pdf'; expected text, latex or json"),
-        ([PLANT, "--format", "latex", "--json"], "--format latex and --json: given both; expected one of them"),
-        ([PLANT, "--terms", "all"], "--terms: given 'all'; expected paper or exact"),
-        ([PLANT, "--order", "4"], "--order: given '4'; expected 0, 1, 2, 3 or exact"),
-        ([PLANT, "--order", "one"], "--order: given 'one'"),
+        ([PLANT, "--format", "pdf"], "--format: must be text, latex or json, got 'pdf'"),
+        ([PLANT, "--format", "latex", "--json"], "--format latex and --json exclude each other"),
+        ([PLANT, "--terms", "all"], "--terms: must be paper or exact, got 'all'"),
+        ([PLANT, "--order", "4"], "--order: must be 0, 1, 2, 3 or exact, got '4'"),
+        ([PLANT, "--order", "one"], "--order: must be 0, 1, 2, 3 or exact, got 'one'"),
         ([], "Missing argument"),
     ],
 )

@@ -108,19 +108,19 @@ def test_controllers_saved_beside_the_job_are_found(there: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        ([], "nothing to write; expected one of --c, --mat"),
-        (["--c", "c", "--number", "q7"], "--number q7: expected one of double, float, q31, q15"),
-        (["--c", "c", "--anti-windup", "some"], "--anti-windup some: expected one of back-calculation"),
-        (["--csv", "c", "--form", "dB"], "--form dB: expected one of complex, polar"),
-        (["--mjcf", "p.xml", "--root", "loose"], "--root loose: expected one of free, prescribed, fixed"),
-        (["--mat", "job.toml"], "--mat job.toml: the command reads or writes that for something else"),
-        (["--mat", "x", "--mjcf", "x"], "--mat x: the command reads or writes that for something else"),
-        (["--c", "x", "--csv", "x"], "--c x: is given for something else too"),
-        (["--mat", "out"], "--mat out: is a folder; expected a file"),
-        (["--c", "out"], "--c out: holds files that are not of an earlier export; expected a new or empty folder"),
-        (["--c", "job.toml"], "--c job.toml: is given for something else too"),
-        (["--c", "out/result.json/a/c"], "--c out/result.json/a/c: out/result.json is a file; expected a folder"),
-        (["--mat", "job.toml/k.mat"], "--mat job.toml/k.mat: job.toml is a file; expected a folder, or nothing there"),
+        ([], "nothing to write; name at least one of --c, --mat"),
+        (["--c", "c", "--number", "q7"], "--number q7: must be one of double, float, q31, q15"),
+        (["--c", "c", "--anti-windup", "some"], "--anti-windup some: must be one of back-calculation"),
+        (["--csv", "c", "--form", "dB"], "--form dB: must be one of complex, polar"),
+        (["--mjcf", "p.xml", "--root", "loose"], "--root loose: must be one of free, prescribed, fixed"),
+        (["--mat", "job.toml"], "--mat job.toml: the command reads or writes this file for something else"),
+        (["--mat", "x", "--mjcf", "x"], "--mat x: the command reads or writes this file for something else"),
+        (["--c", "x", "--csv", "x"], "--c x: is used for something else too"),
+        (["--mat", "out"], "--mat out: is a folder, but must be a file"),
+        (["--c", "out"], "--c out: holds files of no earlier export; name a new or empty folder"),
+        (["--c", "job.toml"], "--c job.toml: is used for something else too"),
+        (["--c", "out/result.json/a/c"], "--c out/result.json/a/c: out/result.json is a file, but must be a folder"),
+        (["--mat", "job.toml/k.mat"], "--mat job.toml/k.mat: job.toml is a file, but must be a folder or not exist"),
         (["--mat", "k.mat", "--controllers", "job.toml"], "job.toml: is not JSON"),
         (["--fmu", "p.fmu", "--manoeuvre", "loop"], "loop"),
     ],
@@ -149,13 +149,15 @@ def test_wrong_input_is_one_line_and_writes_nothing(
 def test_an_option_of_what_is_not_written_is_refused(
     option: str, of: str, there: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert f"expected --{of} beside it" in refused(capsys, "export", "job.toml", "--mat", "k.mat", option)
+    assert f"is an option of --{of}" in refused(capsys, "export", "job.toml", "--mat", "k.mat", option)
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no named pipes")
 def test_what_is_no_plain_file_is_never_replaced_by_one(there: Path, capsys: pytest.CaptureFixture[str]) -> None:
     os.mkfifo("pipe")
-    assert "--mjcf pipe: is a device or a pipe; expected" in refused(capsys, "export", "job.toml", "--mjcf", "pipe")
+    assert "--mjcf pipe: is a device or a pipe, but must be a file" in refused(
+        capsys, "export", "job.toml", "--mjcf", "pipe"
+    )
     assert Path("pipe").is_fifo()
 
 
@@ -175,7 +177,7 @@ def test_the_plant_that_the_job_reads_is_never_written_over(
 
 def test_without_controllers_the_line_says_what_to_run(there: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (there / "out" / "result.json").unlink()
-    assert "platform-ctrl design writes: run it first" in refused(capsys, "export", "job.toml", "--c", "c")
+    assert "run platform-ctrl design first" in refused(capsys, "export", "job.toml", "--c", "c")
     assert "there is no such file" in refused(capsys, "export", "nowhere.toml", "--c", "c")
 
 
@@ -204,7 +206,7 @@ def test_a_folder_of_its_own_is_renewed_but_never_what_somebody_changed(
     for name in ("export.json", "plant_caging_9-10.csv"):
         (there / "r" / name).write_text('{"files": {}}' if name == "export.json" else "measured")
     capsys.readouterr()
-    assert "is not of an earlier export" in refused(capsys, "export", "job.toml", "--csv", "r", "-q")
+    assert "is not part of an earlier export" in refused(capsys, "export", "job.toml", "--csv", "r", "-q")
     (there / "r" / "export.json").write_text('{"files": {"../job.toml": ""}}')
     assert "is not the record of an export" in refused(capsys, "export", "job.toml", "--csv", "r", "-q")
 
@@ -309,13 +311,13 @@ def test_ranges_and_accuracy_of_fixed_point_stand_in_the_command_that_writes_it_
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        (["--number", "q31", "--range", "alpha"], "--range alpha: expected a name, = and a number, as in alpha9=0.01"),
-        (["--range", "alpha9=1"], "--accuracy are of fixed point; given --number double; expected q31 or q15"),
+        (["--number", "q31", "--range", "alpha"], "--range alpha: must be a name, = and a number, as in alpha9=0.01"),
+        (["--range", "alpha9=1"], "--accuracy are options of fixed point, but --number is double; use q31 or q15"),
         (["--number", "q31", "--range", "gamma=1"], "ranges: given 'gamma'"),
-        (["--number", "q31", "--range", "alpha9=nan"], "--range alpha9=nan: expected a finite number > 0"),
-        (["--number", "q31", "--integral-limit", "pi=-1"], "--integral-limit pi=-1: expected a finite number > 0"),
-        (["--number", "q15", "--accuracy", "-1"], "--accuracy -1.0: expected a finite number > 0"),
-        (["--number", "float", "--accuracy", "0.1"], "--accuracy are of fixed point; given --number float"),
+        (["--number", "q31", "--range", "alpha9=nan"], "--range alpha9=nan: the number must be finite and > 0"),
+        (["--number", "q31", "--integral-limit", "pi=-1"], "--integral-limit pi=-1: the number must be finite and > 0"),
+        (["--number", "q15", "--accuracy", "-1"], "--accuracy -1.0: must be finite and > 0"),
+        (["--number", "float", "--accuracy", "0.1"], "--accuracy are options of fixed point, but --number is float"),
     ],
 )
 def test_ranges_that_make_no_sense_are_refused_in_one_line(options: list[str], said: str, there: Path, capsys) -> None:

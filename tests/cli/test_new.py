@@ -186,7 +186,7 @@ def test_names_that_need_quotes_come_through(there: Path) -> None:
 
 def test_files_that_are_there_stay_unless_told_otherwise(there: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (there / "gyro.toml").write_text("mine", encoding="utf-8")
-    assert "gyro.toml: is there already" in refused(capsys, "new", "gyro")
+    assert "gyro.toml: exists already" in refused(capsys, "new", "gyro")
     assert names(there) == ["gyro.toml"]
     assert (there / "gyro.toml").read_text(encoding="utf-8") == "mine"
     assert main(["new", "gyro", "--force"]) == 0
@@ -197,14 +197,14 @@ def test_files_that_are_there_stay_unless_told_otherwise(there: Path, capsys: py
     ("arguments", "words"),
     [
         (["new"], "Missing argument 'NAME'"),
-        (["new", "a/b"], "NAME: given 'a/b'; expected letters, digits"),
-        (["new", ""], "NAME: given ''"),
-        (["new", ".."], "NAME: given '..'"),
+        (["new", "a/b"], "NAME: 'a/b' may contain only letters, digits"),
+        (["new", ""], "NAME: ''"),
+        (["new", ".."], "NAME: '..'"),
         (["new", "x", "--like", "ecp_75"], 'did you mean "ecp_750"?'),
         (["new", "x", "--like", "none.toml"], "none.toml: there is no such file"),
         (["new", "x", "--like", "bare.toml"], "--like bare.toml: this plant has no gimbals"),
         (["new", "x", "--like", "inline.toml"], "--like inline.toml: a torquer on g, a pick-off on g"),
-        (["new", "x", "-o", "bare.toml"], "-o bare.toml: is not a folder"),
+        (["new", "x", "-o", "bare.toml"], "-o bare.toml: is no folder"),
     ],
 )
 def test_wrong_input_is_one_line_and_nothing_is_written(

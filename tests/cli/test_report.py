@@ -95,11 +95,11 @@ def test_a_folder_without_a_finished_campaign_of_the_job_is_refused_before_the_w
     there: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     given = ["design", "gyro.toml", "-o", "never", "--campaign"]
-    assert "--campaign out: there is no campaign.json; expected the folder that" in refused(capsys, *given, "out")
+    assert "--campaign out: there is no campaign.json; name the folder that" in refused(capsys, *given, "out")
     record = json.loads((there / "campaign" / "campaign.json").read_text(encoding="utf-8"))
     for name, changed, words in (
-        ("stranger", {"job": "another"}, "is of the job 'another'; expected one of 'gyro'"),
-        ("begun", {"complete": False}, "is not done; the command that began it goes on: platform-ctrl campaign"),
+        ("stranger", {"job": "another"}, "belongs to the job 'another', not to 'gyro'"),
+        ("begun", {"complete": False}, "is not complete; the same platform-ctrl campaign continues it"),
     ):
         (there / name).mkdir()
         (there / name / "campaign.json").write_text(json.dumps(record | changed), encoding="utf-8")

@@ -186,7 +186,7 @@ def test_an_interrupt_while_files_move_waits_until_they_have(tmp_path: Path, mon
 def test_a_file_that_cannot_take_its_place_is_one_line(tmp_path: Path) -> None:
     (tmp_path / "one").write_text("old")
     (tmp_path / "two").mkdir()
-    with pytest.raises(InputError, match="two: is a folder; expected a file"), written_together(tmp_path) as folder:  # noqa: PT012
+    with pytest.raises(InputError, match="two: is a folder, but must be a file"), written_together(tmp_path) as folder:  # noqa: PT012
         (folder / "one").write_text("new")
         (folder / "two").write_text("new")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["one", "two"]

@@ -252,9 +252,9 @@ def test_a_marked_test_runs_once_for_every_requirement_and_the_baseline(runs: py
     [
         ('"gyro.toml"', "", "takes neither `requirement` nor `job_result`"),
         ("", "requirement", "missing a required argument: 'job'"),
-        ('"gyro.toml", goals=1', "requirement", "expected (job, controllers=, baseline=)"),
+        ('"gyro.toml", goals=1', "requirement", "the arguments are (job, controllers=, baseline=)"),
         ('"missing.toml"', "requirement", "missing.toml: there is no such file"),
-        ('"gyro.toml", baseline=3', "requirement", "baseline: given 3; expected the path of a file"),
+        ('"gyro.toml", baseline=3', "requirement", "baseline: must be the path of a file, got 3"),
     ],
 )
 def test_a_wrong_marker_is_one_line(runs: pytest.Pytester, marker: str, argument: str, said: str) -> None:
@@ -354,7 +354,7 @@ def test_what_is_no_result_or_no_file_is_told_in_one_line(runs: pytest.Pytester)
     done = run(runs)
     done.assert_outcomes(failed=3)
     for said in (
-        "baseline: given 3; expected the path of a file",
+        "baseline: must be the path of a file, got 3",
         "'gyro.toml'; expected a JobResult",
         "given None; e",
     ):

@@ -91,19 +91,19 @@ def test_json_that_makes_no_sense_is_one_line(systems: tuple[SystemRecord, ...],
         assert "\n" not in str(caught.value)
         return str(caught.value).removeprefix(f"{file}: systems 1: ")
 
-    assert refused(A="gone") == 'missing "A"; expected a matrix'
-    assert refused(B=[[1.0, 2.0]]) == "B: is 1 x 2; expected 4 x 2"
-    assert refused(D=[[1.0, None], [0.0, 0.0]]) == "D: element (1, 2) is no finite number; expected one"
-    assert refused(dt=-1) == "dt: given -1; expected a finite number >= 0, s"
-    assert refused(inputs=["a"]) == "inputs: has 1 names; expected 2, as the matrices have"
-    assert refused(outputs=["a", "a"]) == 'outputs: name 2 is "a"; expected each name once, in one line'
+    assert refused(A="gone") == 'the matrix "A" is missing'
+    assert refused(B=[[1.0, 2.0]]) == "B: must be 4 x 2, got 1 x 2"
+    assert refused(D=[[1.0, None], [0.0, 0.0]]) == "D: element (1, 2) must be a finite number"
+    assert refused(dt=-1) == "dt: must be a finite number >= 0, s, got -1"
+    assert refused(inputs=["a"]) == "inputs: has 1 names, but the matrices have 2 signals or states"
+    assert refused(outputs=["a", "a"]) == 'outputs: name 2 is "a"; each name must be unique, in one line'
     assert refused(C=[[0.0] * 4, [0.0] * 3]).startswith("C: has 2 rows of [3, 4] numbers")
-    assert refused(name=["x"]) == 'name: given ["x"]; expected text in one line'
+    assert refused(name=["x"]) == 'name: must be text in one line, got ["x"]'
     assert refused(A=[[0.0] * 1001]).startswith("A: has 1 rows of [1001] numbers")
     (tmp_path / "list.json").write_text("[]")
-    with pytest.raises(InputError, match="expected a JSON file with systems"):
+    with pytest.raises(InputError, match="must be a JSON file with systems"):
         export.read_systems(tmp_path / "list.json")
-    with pytest.raises(ArgumentError, match="expected 1 to 1000"):
+    with pytest.raises(ArgumentError, match="1 to 1000"):
         export.write_systems([], tmp_path / "none.json")
     assert not (tmp_path / "none.json").exists()
 
@@ -176,13 +176,13 @@ def test_mat_that_makes_no_sense_is_one_line(tmp_path: Path) -> None:
 
     matrices = {"A": -1.0, "B": 1.0, "C": 1.0, "D": 0.0}
     assert refused({"x": 1.0}).startswith("holds 0 systems")
-    assert refused({"s": matrices | {"A": "text"}}) == "s: A: is no matrix of real numbers; expected one"
-    assert refused({"s": matrices | {"A": 1j}}) == "s: A: is no matrix of real numbers; expected one"
-    assert refused({"s": matrices | {"A": np.nan}}) == "s: A: element (1, 1) is no finite number; expected one"
-    assert refused({"s": matrices | {"B": [[1.0, 2.0]]}}).startswith("s: D: is 1 x 1; expected 1 x 2")
-    assert refused({"s": matrices | {"Ts": -1.0}}).startswith("s: dt: given -1.0")
-    assert refused({"s": matrices | {"InputName": 3.0}}).startswith("s: InputName: is neither text")
-    assert refused(b"\x89HDF\r\n").startswith("is MATLAB's format 7.3")
+    assert refused({"s": matrices | {"A": "text"}}) == "s: A: must be a matrix of real numbers"
+    assert refused({"s": matrices | {"A": 1j}}) == "s: A: must be a matrix of real numbers"
+    assert refused({"s": matrices | {"A": np.nan}}) == "s: A: element (1, 1) must be a finite number"
+    assert refused({"s": matrices | {"B": [[1.0, 2.0]]}}).startswith("s: D: must be 1 x 2, got 1 x 1")
+    assert refused({"s": matrices | {"Ts": -1.0}}).startswith("s: dt: must be a finite number")
+    assert refused({"s": matrices | {"InputName": 3.0}}).startswith("s: InputName: must be text")
+    assert refused(b"\x89HDF\r\n").startswith("is in MATLAB's format 7.3")
     assert refused(b"").startswith("cannot be read")
     with pytest.raises(InputError, match="cannot be read"):
         export.read_mat(tmp_path / "missing.mat")
@@ -191,7 +191,7 @@ def test_mat_that_makes_no_sense_is_one_line(tmp_path: Path) -> None:
 def test_a_small_mat_file_does_not_become_gigabytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("platform_ctrl.export.matlab.MOST_INFLATED", 2**20)
     matrices = {"A": np.zeros((300, 300)), "B": 1.0, "C": 1.0, "D": 1.0}
-    for copies, words in ((1, "s: B: is 1 x 1"), (2, "inflates to more than 1 MiB")):
+    for copies, words in ((1, "s: B: must be 300 x 1"), (2, "inflates to more than 1 MiB")):
         held = {f"s{k}": matrices for k in range(copies)}
         scipy.io.savemat(tmp_path / "zeros.mat", held, do_compression=True)
         assert (tmp_path / "zeros.mat").stat().st_size < 2**14
@@ -236,7 +236,7 @@ def test_the_loop_of_a_torquer_is_the_return_ratio(job: Job, controllers: list[c
 def test_responses_that_cannot_be_written_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "r.csv"
     response = response_data(control.ss(-1, 1, 1, 0), [1, 2, 3])
-    with pytest.raises(ArgumentError, match="at least 3 finite frequencies"):
+    with pytest.raises(ArgumentError, match="3 finite frequencies"):
         export.write_responses(response_data(control.ss(-1, 1, 1, 0), [0.0, 1.0, 2.0]), path)
     with pytest.raises(ArgumentError, match=r"response: given 3; expected a control\.FRD"):
         export.write_responses(3, path)

@@ -43,7 +43,7 @@ def read(controllers: str | bytes) -> tuple[bool, str]:
     Path("k.json").write_bytes(controllers if isinstance(controllers, bytes) else controllers.encode())
     given = ["--controllers", "k.json", "-o", "every_job_key.toml"]
     error = ended("check", "every_job_key.toml", *given, "-q", folder=Path()).error
-    accepted = error.startswith("-o every_job_key.toml: is not a folder")
+    accepted = error.startswith("-o every_job_key.toml: is no folder")
     assert accepted or error.startswith(("k.json: ", "controllers: ", "controller "))
     return accepted, error
 

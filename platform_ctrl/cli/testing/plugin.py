@@ -190,7 +190,9 @@ def _job(marker: pytest.Mark, config: pytest.Config, node: Any) -> JobUnderTest:
             *marker.args, **marker.kwargs
         )
     except TypeError as error:
-        pytest.fail(f"{node.nodeid}: {_MARKER}: {error}; expected (job, controllers=, baseline=)", pytrace=False)
+        pytest.fail(
+            f"{node.nodeid}: {_MARKER}: {error}; the arguments are (job, controllers=, baseline=)", pytrace=False
+        )
     given = {"controllers": None, "baseline": None} | options.arguments
     folder = node.path.parent
     from platform_ctrl.cli.testing.assertions import baseline_path

@@ -114,7 +114,7 @@ def write_c(
     """
     for name, given, known in (("number", number, _NUMBERS), ("anti_windup", anti_windup, _ANTI_WINDUP)):
         if given not in known:
-            raise ArgumentError(f"{name}: given {given!r}; expected one of {', '.join(known)}")
+            raise ArgumentError(f"{name}: must be one of {', '.join(known)}, got {given!r}")
     judged = entries_of(job, entries)
     schemes, remarks = [], []
     notes: list[str] = []
@@ -139,7 +139,7 @@ def write_c(
         target.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         why = error.strerror or error
-        raise InputError(f"{target}: {why}; expected a folder, or a path where one can be") from None
+        raise InputError(f"{target}: {why}; name a folder, or a path where one can be made") from None
     files = tuple(write_whole(target / name, text) for name, text in texts.items())
     return Written(files=files, notes=tuple(notes))
 

@@ -65,7 +65,7 @@ def entries_of(job: Job, given: Sequence[Mapping[str, Any] | control.StateSpace]
         signals (that of `design.anti_windup` too, with its inputs ``excess_``), in order of evaluation.
     """
     if isinstance(given, Mapping | str) or not isinstance(given, Sequence):
-        raise ArgumentError(f"entries: given {short(given)}; expected a list of controllers")
+        raise ArgumentError(f"entries: must be a list of controllers, got {short(given)}")
     records = [one if isinstance(one, Mapping) else _record(one, job) for one in given]
     plain, excess = zip(*(_without_excess(one) for one in records), strict=True) if records else ((), ())
     judged = read_controllers({"schema": SCHEMA, "controllers": list(plain)}, job)
@@ -127,8 +127,8 @@ def _without_excess(record: Mapping[str, Any]) -> tuple[Mapping[str, Any], Float
         return record, None
     if through.any():
         raise InputError(
-            f"controller {record.get('name')!r}: the excess of a torque acts on an output of the same step; expected "
-            "it to act on states alone"
+            f"controller {record.get('name')!r}: the excess of a torque acts on an output of the same step; it may act "
+            "on states only"
         )
     plain = {"inputs": inputs[:count], "B": B[:, :count].tolist(), "D": D[:, :count].tolist()}
     return {**record, **plain}, into

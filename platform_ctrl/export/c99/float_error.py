@@ -69,7 +69,7 @@ def float_scheme(scheme: Scheme) -> Scheme:
     def rounded(x: float, what: str) -> float:
         if not abs(x) <= most:
             raise UnscalableError(
-                f"{scheme.name}: {what}: {x:.3g} does not fit a float; expected at most {most:.3g}: use double", scheme
+                f"{scheme.name}: {what}: {x:.3g} does not fit a float, which ends at {most:.3g}; use double", scheme
             )
         # What is smaller than any normal number is lost; whether that matters, the response tells.
         return float(np.float32(x)) if abs(x) >= least else 0.0
@@ -104,7 +104,7 @@ def float_error(scheme: Scheme, ranges: Mapping[str, float], steps: int | None =
     if not max(response, pole) <= _REFUSED:
         raise UnscalableError(
             f"{scheme.name}: in single precision a pole moves by {pole:.2g} of its distance from z = 1 and the "
-            f"response by {response:.2g}; expected at most {_REFUSED:g}: use double",
+            f"response changes by {response:.2g}, where {_REFUSED:g} is allowed; use double",
             scheme,
         )
     states, lasting = _state_magnitudes(scheme, K, inputs)

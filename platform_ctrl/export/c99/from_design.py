@@ -66,8 +66,8 @@ def scheme_of(job: Job, entry: Entry, provenance: Provenance | None = None) -> S
             gain = None if entry.excess is None else np.asarray(np.linalg.solve(T, entry.excess), dtype=np.float64)
             return scheme(written, _excess_rows(made, gain))
     raise NotCertifiedError(
-        f"controller {entry.loop!r}: written out in sections it is another controller; expected matrices that rounding "
-        "does not change so much: give it in balanced states",
+        f"controller {entry.loop!r}: rounding changes its response when it is written in sections; give it in "
+        "balanced states",
         entry,
     )
 

@@ -163,20 +163,20 @@ def arrays(scheme: Scheme) -> StateArrays:
     states, inputs = scheme.states, scheme.inputs
     known = dict(zip((*states, *inputs), np.eye(len(states) + len(inputs)), strict=True))
     if len(known) != len(states) + len(inputs):
-        raise ArgumentError(f"scheme {scheme.name!r}: two states or inputs have one name; expected distinct names")
+        raise ArgumentError(f"scheme {scheme.name!r}: two states or inputs have the same name; rename one")
 
     def total(row: Row) -> FloatArray:
         out = np.zeros(len(states) + len(inputs))
         for term in row.terms:
             if not math.isfinite(term.coefficient):
                 raise ArgumentError(
-                    f"scheme {scheme.name!r}: {row.target!r} has the coefficient {term.coefficient}; expected "
-                    "a finite number"
+                    f"scheme {scheme.name!r}: {row.target!r} has the coefficient {term.coefficient}, which "
+                    "must be finite"
                 )
             if term.source not in known:
                 raise ArgumentError(
-                    f"scheme {scheme.name!r}: {row.target!r} takes in {term.source!r}; expected an input, a state or a "
-                    "signal that is computed before it"
+                    f"scheme {scheme.name!r}: {row.target!r} uses {term.source!r}, which must be an input, a state or "
+                    "a signal that is computed before it"
                 )
             out += term.coefficient * known[term.source]
         return out
@@ -185,13 +185,13 @@ def arrays(scheme: Scheme) -> StateArrays:
     for section in scheme.sections:
         for row in section.signals:
             if row.target in known:
-                raise ArgumentError(f"scheme {scheme.name!r}: {row.target!r} is there twice; expected distinct names")
+                raise ArgumentError(f"scheme {scheme.name!r}: {row.target!r} exists twice; rename one")
             known[row.target] = total(row)
         # What a state becomes may depend on signals of its own section, and on those before it.
         following += [total(row) for row in section.states]
     missing = [name for name in scheme.outputs if name not in known]
     if missing:
-        raise ArgumentError(f"scheme {scheme.name!r}: no signal {missing[0]!r}; expected one for every output")
+        raise ArgumentError(f"scheme {scheme.name!r}: the output {missing[0]!r} has no signal; add one")
     width = len(states) + len(inputs)
     later = np.array(following).reshape(len(states), width)
     shown = np.array([known[name] for name in scheme.outputs]).reshape(len(scheme.outputs), width)
@@ -207,8 +207,8 @@ def excess_gain(scheme: Scheme) -> FloatArray:
         for term in row.terms:
             if row.target not in states or term.source not in outputs:
                 raise ArgumentError(
-                    f"scheme {scheme.name!r}: an excess of {term.source!r} into {row.target!r}; expected an output and "
-                    "a state"
+                    f"scheme {scheme.name!r}: an excess of {term.source!r} into {row.target!r} must lead from an "
+                    "output to a state"
                 )
             out[states.index(row.target), outputs.index(term.source)] += term.coefficient
     return out

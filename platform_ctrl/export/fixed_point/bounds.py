@@ -122,7 +122,7 @@ def _powers(A: Balls) -> tuple[list[Enclosed], FloatArray, FloatArray]:
             return powers, sums @ _geometric(size) * _UP, size
         if not np.all(np.isfinite(size)):
             raise UnscalableError(
-                "fixed point: responses grow beyond 1e308; expected states and signals in units of like size", product
+                "fixed point: responses grow beyond 1e308; scale states and signals to similar sizes", product
             )
         if len(powers) > _LONGEST:
             raise SlowError

@@ -64,7 +64,7 @@ def formats_for(task: Task, bounds: Mapping[str, float], given: Mapping[str, int
         fraction = given.get(name, fraction_for(bound, bits)) if usable else 0
         if not usable or abs(fraction) > _FRACTIONS:
             raise UnscalableError(
-                f"fixed point: {name!r} is at most {bound:.3g}; expected neither so small nor so large a number",
+                f"fixed point: {name!r} has the bound {bound:.3g}, too small or large for a format; change its unit",
                 scheme,
             )
         largest = 2 ** (bits - 1) - 1 if saturates is None else count_of(saturates, fraction)

@@ -180,8 +180,8 @@ def _proved(
             worst = max(shares, key=lambda row: shares[row])
             raise task.refused(
                 worst,
-                f"{name} may be wrong by {error[name]:.3g}, {error[name] / full:.2g} of its largest value, most of it "
-                f"by {worst!r}; expected at most {accuracy:g}",
+                f"the error of {name} may reach {error[name]:.3g}, {error[name] / full:.2g} of its largest value, most "
+                f"of it from {worst!r}; the limit is {accuracy:g}",
                 "give smaller ranges of the inputs, or a larger accuracy; or ",
             )
     drift = {

@@ -93,8 +93,7 @@ class Machine:
     def _fitting(self, count: int, bits: int, name: str) -> int:
         if not -(2 ** (bits - 1)) <= count < 2 ** (bits - 1):
             raise SimulationError(
-                f"fixed point: {name!r} reaches {count}; expected a number that fits {bits} bits; give it fewer digits "
-                "behind the point"
+                f"fixed point: {name!r} reaches {count}, which does not fit {bits} bits; give it fewer fraction digits"
             )
         return count
 

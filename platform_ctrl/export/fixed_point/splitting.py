@@ -92,9 +92,9 @@ def taken_apart(scheme: Scheme) -> Parts:
             leaks[group[0]] = float(flint.arb(-polynomial[0] - 1))
         elif not inside_circle(polynomial):
             raise InfeasibleError(
-                f"fixed point: section {section[group[0]]!r}: a pole of magnitude {largest_root(polynomial):.9g} in z; "
-                "expected poles inside the unit circle, or single integrals; design a stable controller, or export "
-                "it as double or float",
+                f"fixed point: section {section[group[0]]!r}: a pole has the magnitude "
+                f"{largest_root(polynomial):.9g} in z, but must lie inside the unit circle or be a single integrator; "
+                "design a stable controller, or export it as double or float",
                 scheme,
             )
     excess = {row.target: _sum(row) for row in acting_excess(scheme)}
@@ -208,8 +208,8 @@ def integral_limits(scheme: Scheme, parts: Parts, given: Mapping[str, float] | N
         shows = np.abs(gain[:, j]) > 1e-9 * np.abs(gain).max(initial=0.0)
         if name not in out and not (shows.any() and np.all(np.isfinite(torque[shows]))):
             raise InfeasibleError(
-                f"fixed point: section {parts.section[name]!r}: no limit is known for the integral {name!r}; expected "
-                "a limit of the torquer that it drives in the plant file; or give its largest value (limits; on the "
+                f"fixed point: section {parts.section[name]!r}: no limit is known for the integral {name!r}; add a "
+                "limit of the torquer that it drives to the plant file, or give its largest value (limits; on the "
                 f"command line --integral-limit {name}=NUMBER)",
                 scheme,
             )

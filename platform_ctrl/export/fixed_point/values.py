@@ -212,8 +212,8 @@ def input_ranges(
             out[name] = (1.0 + margin) * known[name]
         else:
             raise InputError(
-                f"fixed point: no range is known for {name!r}; expected stops of its gimbal or a limit of its torquer "
-                f"in the plant file; or give its largest magnitude (ranges; on the command line --range {name}=NUMBER)"
+                f"fixed point: no range is known for {name!r}; add stops of its gimbal or a limit of its torquer to "
+                f"the plant file, or give its largest magnitude (ranges; on the command line --range {name}=NUMBER)"
             )
     return out
 
@@ -222,7 +222,7 @@ def check_names(what: str, given: Mapping[str, float], known: tuple[str, ...]) -
     """Refuse a name that nothing has."""
     for name in given:
         if name not in known:
-            raise ArgumentError(f"{what}: given {name!r}; expected one of {', '.join(known) or 'none'}")
+            raise ArgumentError(f"{what}: {name!r} is unknown here; it must be one of {', '.join(known) or 'none'}")
 
 
 def _known(platform: Platform) -> dict[str, float]:

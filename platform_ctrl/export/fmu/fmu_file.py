@@ -161,7 +161,7 @@ def write_fmu(
     """
     builder = _builder()
     if not controllers:
-        raise ArgumentError("controllers: none given; expected one at least")
+        raise ArgumentError("controllers: the list is empty; give at least one")
     modes: tuple[Mode, ...] = ("caged", "stabilised")
     for mode in modes:
         merged_controller(job.platform, controllers, job.sampling.period, mode)

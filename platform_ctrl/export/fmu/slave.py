@@ -151,7 +151,7 @@ class PlatformSlave(Fmi3Slave):  # type: ignore[misc]
     def _setter(self, signal: Signal) -> Callable[[Any], None]:
         def put(number: Any) -> None:
             if signal.causality == "parameter" and self._begun:
-                self.fail(f"{signal.name}: is set while the unit runs; expected before or during initialisation")
+                self.fail(f"{signal.name}: cannot be set while the unit runs; set it before or during initialisation")
                 return
             self._given[signal.name] = number
             self._stale = self._stale or not self._begun
@@ -212,12 +212,10 @@ class PlatformSlave(Fmi3Slave):  # type: ignore[misc]
             self._start = time - stepper.sample * period
         expected = self._start + stepper.sample * period
         if not abs(time - expected) <= _DRIFT * period:
-            raise SimulationError(
-                f"the step begins at t = {time:.9g} s; expected where the last ended, {expected:.9g} s"
-            )
+            raise SimulationError(f"the step begins at t = {time:.9g} s, but the last one ended at {expected:.9g} s")
         samples = round(length / period) if math.isfinite(length) else 0
         if samples < 1 or abs(length - samples * period) > _NEAR * period:
-            text = f"a step of {length:.9g} s: expected a whole number of sample periods of {period:.9g} s"
+            text = f"a step of {length:.9g} s is no whole number of sample periods of {period:.9g} s"
             self.log(text, Fmi3Status.discard)
             return Fmi3Status.discard
         given = self._acting(stepper.scenario.mode)
@@ -237,17 +235,17 @@ class PlatformSlave(Fmi3Slave):  # type: ignore[misc]
         Omega, slope, moment, joints = self._input_values()
         if mode == "caged":
             if moment.any():
-                raise InputError("M1 to M3 are inputs of stabilised runs; this one is caged: expected zero")
+                raise InputError("M1 to M3 are inputs of stabilised runs and must be zero in this caged run")
             return {"Omega": Omega, "Omega_rate": slope, "gimbal_torque": joints}
         if Omega.any() or slope.any():
-            raise InputError("Omega1 to Omega3 are inputs of caged runs; this one is stabilised: expected zero")
+            raise InputError("Omega1 to Omega3 are inputs of caged runs and must be zero in this stabilised run")
         return {"torque": moment, "gimbal_torque": joints}
 
     def _input_values(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         numbers = np.array([self._given[one.name] for one in self._inputs], dtype=np.float64)
         if not np.isfinite(numbers).all():
             wrong = self._inputs[int(np.flatnonzero(~np.isfinite(numbers))[0])].name
-            raise InputError(f"{wrong}: given a number that is not finite")
+            raise InputError(f"{wrong}: must be a finite number")
         return numbers[:3], numbers[3:6], numbers[6:9], numbers[9:]
 
     def terminate(self) -> None:
@@ -299,7 +297,7 @@ class PlatformSlave(Fmi3Slave):  # type: ignore[misc]
         names = runs_of(job)
         chosen = int(given["manoeuvre"])
         if not 1 <= chosen <= len(names):
-            raise InputError(f"manoeuvre: given {chosen}; expected 1 to {len(names)}")
+            raise InputError(f"manoeuvre: must be 1 to {len(names)}, got {chosen}")
         platform = job.platform
         spins = [given[one.name] for one in self._parameters if one.name.startswith("spin.")]
         platform = with_spins(platform, dict(zip((rotor.name for rotor in platform.rotors), spins, strict=True)))
@@ -312,7 +310,7 @@ class PlatformSlave(Fmi3Slave):  # type: ignore[misc]
         else:
             own = Scenario(platform=job.platform, mode=mode, duration=0.0, delay=job.sampling.delay)
         if own.mode == "caged" and Omega.any():
-            raise InputError("initial.Omega1 to 3 are parameters of stabilised runs; this one is caged: expected zero")
+            raise InputError("initial.Omega1 to 3 are parameters of stabilised runs and must be zero in this caged run")
         return replaced(
             own,
             {

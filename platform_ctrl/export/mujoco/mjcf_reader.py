@@ -73,7 +73,7 @@ def read_mjcf(path: str | os.PathLike[str], spins: Mapping[str, float] | None = 
     finally:
         mujoco.set_mju_user_warning(before)
     if any("NaN" in words for words in warned):
-        raise InputError(f"{label}: holds a number that is NaN; expected finite ones")
+        raise InputError(f"{label}: holds a number that is NaN; all numbers must be finite")
     with np.errstate(all="ignore"):  # what is not finite is refused with its place
         tables = _Model(mujoco, model, label, dict(spins or {})).tables()
     try:
@@ -101,7 +101,7 @@ class _Model:
         self.rotors = [k for k, body in enumerate(self.bodies) if self._is_rotor(k, body)]
         self.gimbals = [k for k in range(1, len(self.bodies)) if k not in self.rotors]
         if not self.gimbals and not self.rotors:
-            raise InputError(f"{label}: has no body on a hinge; expected gimbals")
+            raise InputError(f"{label}: has no body on a hinge; a platform needs at least one gimbal or rotor")
 
     def tables(self) -> Tables:
         """Return the plant."""
@@ -152,7 +152,9 @@ class _Model:
         names = {self._hinge(k): body.joint for k, body in enumerate(self.bodies) if body.joint >= 0}
         for name, spin in told.items():
             if name not in names or not isinstance(spin, int | float) or not math.isfinite(spin):
-                raise InputError(f"{self.label}: spins: {given(name)} = {given(spin)}; expected hinges and rad/s")
+                raise InputError(
+                    f"{self.label}: spins: {given(name)} = {given(spin)} must be a hinge and a finite rate, rad/s"
+                )
         if told:
             return {names[name]: float(spin) for name, spin in told.items()}
         if not self.model.nkey:
@@ -214,9 +216,9 @@ class _Model:
         body, model = self.bodies[k], self.model
         dof = int(model.jnt_dofadr[body.joint])
         if model.dof_damping[dof] or model.dof_frictionloss[dof] or model.jnt_stiffness[body.joint]:
-            raise self._wrong(k, "is a rotor with friction or a spring on its hinge; expected neither")
+            raise self._wrong(k, "is a rotor with friction or a spring on its hinge; remove it")
         if model.jnt_limited[body.joint]:
-            raise self._wrong(k, "is a rotor with a limited angle; expected none")
+            raise self._wrong(k, "is a rotor with a limited angle; remove the limit")
         centre = body.moment / body.mass
         inertia = body.about(centre)[1]
         C = float(body.axis @ inertia @ body.axis)
@@ -251,7 +253,7 @@ class _Model:
     def _gimbal(self, k: int, inertia: FloatArray) -> Tables:
         body, model, joint = self.bodies[k], self.model, self.bodies[k].joint
         if model.dof_armature[model.jnt_dofadr[joint]]:
-            raise self._wrong(k, "has an armature on its hinge; expected it as inertia of the body")
+            raise self._wrong(k, "has an armature on its hinge; add it to the inertia of the body")
         out: Tables = {
             "name": body.name,
             "parent": self.bodies[body.parent].name,
@@ -275,7 +277,7 @@ class _Model:
         model, joint = self.model, self.bodies[k].joint
         dof, name = int(model.jnt_dofadr[joint]), self.bodies[k].name
         if np.any(model.jnt_stiffnesspoly[joint]) or np.any(model.dof_dampingpoly[dof]):
-            raise self._wrong(k, "has a spring or damper that is not linear; expected linear ones")
+            raise self._wrong(k, "has a spring or damper that is not linear; a platform has only linear ones")
         if stiffness := float(model.jnt_stiffness[joint]):
             rest = float(model.qpos_spring[model.jnt_qposadr[joint]]) - self._reference(joint)
             out["spring"].append({"gimbal": name, "stiffness": stiffness, "rest": rest})
@@ -301,7 +303,7 @@ class _Model:
                     torquers += self._root_torquer(k, where, out)
             elif not (on_joint and joint in wheels and joint in self.servos):
                 raise InputError(
-                    f"{where} acts on no gimbal; expected motors on hinges of gimbals or on the root's joint"
+                    f"{where} acts on no gimbal; motors must act on hinges of gimbals or on the root's joint"
                 )
         out["torquer"] = torquers
 
@@ -310,7 +312,7 @@ class _Model:
         turning = gear[3:] if self.model.jnt_type[self.root_joint] == FREE else gear[:3]
         axes = np.flatnonzero(turning)
         if len(axes) != 1 or self.model.jnt_type[self.root_joint] not in (BALL, FREE):
-            raise InputError(f"{where} turns the root about no axis of its own; expected one of three in gear")
+            raise InputError(f"{where} must turn the root about one of its three axes; set one of them in gear")
         first = 3 if self.model.jnt_type[self.root_joint] == FREE else 0
         return self._torquer(k, where, {"root_axis": int(axes[0]) + 1}, first + int(axes[0]), out)
 
@@ -323,7 +325,7 @@ class _Model:
             out["spring"].append({**acts, "stiffness": -float(bias[1]), "rest": -float(bias[0] / bias[1])})
             return []
         if np.any(bias) or scale == 0.0 or model.actuator_gaintype[k] != 0:
-            raise InputError(f"{where} is no motor; expected a torque that its control alone gives")
+            raise InputError(f"{where} is no motor; its torque must depend on its control alone")
         table = dict(acts)
         if model.actuator(k).name:
             table["name"] = one_line(model.actuator(k).name)
@@ -331,7 +333,7 @@ class _Model:
         if kind in (int(dyn.mjDYN_FILTER), int(dyn.mjDYN_FILTEREXACT)):
             table["lag"] = float(model.actuator_dynprm[k, 0])
         elif kind != int(dyn.mjDYN_NONE):
-            raise InputError(f"{where} has dynamics that are no first-order filter; expected none or a filter")
+            raise InputError(f"{where} has dynamics other than a first-order filter, which a torquer cannot have")
         limits = []
         for limited, ends, size in (
             (model.actuator_ctrllimited[k], model.actuator_ctrlrange[k], abs(scale)),
@@ -339,7 +341,9 @@ class _Model:
         ):
             if limited:
                 if not math.isclose(-ends[0], ends[1], rel_tol=1e-9):
-                    raise InputError(f"{where} has limits {ends[0]:g} and {ends[1]:g}; expected the same to both sides")
+                    raise InputError(
+                        f"{where} has the limits {ends[0]:g} and {ends[1]:g}, which must be equal to both sides"
+                    )
                 limits.append(size * float(ends[1]))
         if limits:
             table["limit"] = min(limits)

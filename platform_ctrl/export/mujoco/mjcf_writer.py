@@ -107,7 +107,9 @@ def _judge_names(platform: Platform) -> None:
     for names, reserved in ((bodies, "world"), (joints, "")):
         for k, name in enumerate(names):
             if name == reserved or name in names[:k]:
-                raise ArgumentError(f"write_mjcf: {short(name)} names something else in MuJoCo; expected another name")
+                raise ArgumentError(
+                    f"write_mjcf: {short(name)} is used twice or reserved in MuJoCo; choose another name"
+                )
 
 
 def _add_root(world: Element, platform: Platform, bodies: list[Placed], root: Root, step: float) -> list[float]:

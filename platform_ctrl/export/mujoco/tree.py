@@ -68,20 +68,16 @@ def bodies_of(mujoco: Any, model: Any, label: str) -> tuple[list[Body], int, flo
     """Return the bodies, the root first and parents before children; the root's joint or −1; and their size, m."""
     for count, what in ((model.neq, "equality constraints"), (model.ntendon, "tendons"), (model.nplugin, "plugins")):
         if count:
-            raise InputError(f"{label}: has {what}; expected bodies on hinges alone")
+            raise InputError(f"{label}: has {what}, but may have only bodies on hinges; remove them")
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     mujoco.mj_comPos(model, data)
     read = (data.xpos, data.xmat, data.xipos, data.ximat, data.xaxis, data.xanchor, model.body_mass, model.body_inertia)
     if any(not np.all(np.abs(numbers) < _LARGEST) for numbers in read):
-        raise InputError(
-            f"{label}: has a place, mass or inertia that is not finite or huge; expected what can be built"
-        )
+        raise InputError(f"{label}: has a position, mass or inertia that is huge or not finite; correct it")
     held = [k for k in range(1, model.nbody) if model.body_parentid[k] == 0 and _moves(model, k)]
     if not held:
-        raise InputError(
-            f"{label}: has no body that carries or is a gimbal; expected a root body with gimbals on hinges"
-        )
+        raise InputError(f"{label}: has no gimbal; it needs a root body that carries bodies on hinges")
     root = 0
     if len(held) == 1 and (
         model.body_jntnum[held[0]] == 0 or model.jnt_type[model.body_jntadr[held[0]]] in (BALL, FREE)
@@ -115,7 +111,7 @@ def bodies_of(mujoco: Any, model: Any, label: str) -> tuple[list[Body], int, flo
             continue
         elif len(joints) > 1 or model.jnt_type[joints[0]] != HINGE:
             raise InputError(
-                f"{label}: body {given(name)} does not hang on one hinge; expected one hinge for each body"
+                f"{label}: body {given(name)} must hang on exactly one hinge; split its joints over several bodies"
             )
         else:
             body.parent, body.joint = place[parent], joints[0]
@@ -181,14 +177,16 @@ class Chains:
             apart.append((k, mass))
             if not self._on_axis(k, own):
                 words = "turns about an axis that meets neither that of its carrier nor its own centre of mass"
-                raise self._wrong(k, f"{words}; expected all axes to meet at one point, or balanced gimbals")
+                raise self._wrong(k, f"{words}; all axes must meet at one point, or the gimbal must be balanced")
         for k, mass in reversed(apart):
             bodies[bodies[k].parent].take(mass, centre[k])
         for k in [0, *self.gimbals]:
             moments[k], inertias[k] = bodies[k].about(centre[k])
             balanced = np.linalg.norm(moments[k]) <= NEAR * self.size * bodies[k].mass
             if not balanced and any(self._within(k, top) for top, _ in apart):
-                raise self._wrong(k, "is out of balance, and its axis does not meet the others; expected one of both")
+                raise self._wrong(
+                    k, "is out of balance and its axis does not meet the others; only one of both is possible"
+                )
         return inertias, moments
 
     def root_centre(self) -> FloatArray:
