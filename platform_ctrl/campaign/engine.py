@@ -109,7 +109,7 @@ def run_campaign(
         `workers` or `device` make no sense.
     """
     if workers is not None and workers < 1:
-        raise ArgumentError(f"workers: given {workers}; expected at least one")
+        raise ArgumentError(f"workers must be at least one, got {workers}")
     arrow()
     expect_device(device)
     crew = workers or (processors() if device == "cpu" else 1)

@@ -34,9 +34,9 @@ def real_array(name: str, given: ArrayLike | None, shape: tuple[int, ...], defau
         return np.full(shape, default)
     array = np.array(real_numbers(name, given, f" of shape {shape}"))
     if array.shape != shape:
-        raise ArgumentError(f"{name}: given shape {array.shape}; expected {shape}")
+        raise ArgumentError(f"{name} must have shape {shape}, got {array.shape}")
     if not np.all(np.isfinite(array)):
-        raise ArgumentError(f"{name}: given a number that is not finite; expected {shape} finite numbers")
+        raise ArgumentError(f"{name} must be finite numbers of shape {shape}, got one that is not")
     return array
 
 
@@ -60,20 +60,20 @@ def _numbers(name: str, given: object, kinds: str, expected: str) -> NDArray[Any
             return array
     except Exception:  # what numpy calls to read an object of another library may raise anything
         pass
-    raise ArgumentError(f"{name}: given {short(given)}; expected {expected}")
+    raise ArgumentError(f"{name} must be {expected}, got {short(given)}")
 
 
 def number(name: str, given: object, finite: bool = True) -> float:
     """Return a (finite) float of a Python or numpy number or an array without axes, not of a complex one or a bool."""
     real = isinstance(given, Real) and not isinstance(given, bool)
     if not real and not (isinstance(given, np.ndarray) and given.ndim == 0 and given.dtype.kind in "iuf"):
-        raise ArgumentError(f"{name}: given {short(given)}; expected a number")
+        raise ArgumentError(f"{name} must be a number, got {short(given)}")
     try:
         out = float(given)  # type: ignore[arg-type]
     except OverflowError:
-        raise ArgumentError(f"{name}: too large for a floating-point number; expected a finite one") from None
+        raise ArgumentError(f"{name} must be a finite number, got one too large for floating point") from None
     if finite and not math.isfinite(out):
-        raise ArgumentError(f"{name}: given {given!r}; expected a finite number")
+        raise ArgumentError(f"{name} must be a finite number, got {given!r}")
     return out
 
 
@@ -81,7 +81,7 @@ def positive(name: str, given: float, zero: bool = False) -> float:
     """Return a finite float above zero (or, with `zero`, not below it)."""
     out = number(name, given, finite=False)
     if not math.isfinite(out) or out < 0.0 or (out == 0.0 and not zero):
-        raise ArgumentError(f"{name}: given {given!r}; expected a finite number {'>=' if zero else '>'} 0")
+        raise ArgumentError(f"{name} must be a finite number {'>=' if zero else '>'} 0, got {given!r}")
     return out
 
 
@@ -106,7 +106,7 @@ def whole(name: str, given: object, least: int, most: int | None = None) -> int:
     number = int(given) if isinstance(given, int | np.integer) and not isinstance(given, bool) else None
     if number is None or not least <= number <= (LARGEST - 1 if most is None else most):
         expected = f">= {least}" if most is None else f"from {least} to {most}"
-        raise ArgumentError(f"{name}: given {short(given)}; expected a whole number {expected}")
+        raise ArgumentError(f"{name} must be a whole number {expected}, got {short(given)}")
     return number
 
 
@@ -126,7 +126,7 @@ def one_of(name: str, given: object, options: Sequence[str]) -> None:
     """Judge a word that selects something."""
     if not isinstance(given, str) or given not in options:
         *first, last = map(repr, options)
-        raise ArgumentError(f"{name}: given {short(given)}; expected {', '.join(first)} or {last}")
+        raise ArgumentError(f"{name} must be {', '.join(first)} or {last}, got {short(given)}")
 
 
 def known_name(kind: str, given: str, known: Sequence[str]) -> int:
@@ -135,24 +135,22 @@ def known_name(kind: str, given: str, known: Sequence[str]) -> int:
         return list(known).index(given)
     near = nearest(str(given), known)
     hint = "" if near is None else f"; did you mean {near!r}?"
-    raise ArgumentError(
-        f"{kind}: given {given!r}; expected one of {', '.join(map(repr, known)) or 'none at all'}{hint}"
-    )
+    raise ArgumentError(f"{kind} must be one of {', '.join(map(repr, known)) or 'none at all'}, got {given!r}{hint}")
 
 
 def known_names(kind: str, given: Sequence[str], known: Sequence[str]) -> list[int]:
     """Return the indices of names in `known`, in its order, each once."""
     if isinstance(given, str):
-        raise ArgumentError(
-            f"{kind}: given the string {given!r}; expected a sequence of names, for example ({given!r},)"
-        )
+        raise ArgumentError(f"{kind} must be a sequence of names, such as ({given!r},), got the string {given!r}")
     try:
         names = list(given)
     except TypeError:
-        raise ArgumentError(f"{kind}: given {short(given)}; expected a sequence of names, which are strings") from None
+        raise ArgumentError(f"{kind} must be a sequence of names, which are strings, got {short(given)}") from None
     for name in names:
         if not isinstance(name, str):
-            raise ArgumentError(f"{kind}: given {short(name)} among the names; expected strings, such as {known[:1]}")
+            raise ArgumentError(
+                f"{kind} must be a sequence of names, such as {known[:1]}, got {short(name)} among them"
+            )
     return sorted({known_name(kind, name, known) for name in names})
 
 
@@ -161,7 +159,7 @@ def distinct(kind: str, names: Sequence[str]) -> list[str]:
     for name in names:
         if list(names).count(name) > 1:
             raise ArgumentError(
-                f"{kind}: {name!r} would name two of them; expected angles and torquers of other names in the plant"
+                f"{kind}: {name!r} would name two of them; give angles and torquers different names in the plant"
             )
     return list(names)
 

@@ -233,13 +233,13 @@ def _kind(annotation: object, names: _Names) -> Kind | None:
 
 def _refusal(name: str, kind: Kind, given: object) -> str:
     if kind.holds(given) and not isinstance(given, float):
-        return f"{name}: given a number that is not finite; expected finite {kind.words}"
+        return f"{name} must be {kind.words}, all finite, got one that is not"
     if isinstance(given, list | tuple) and kind.items is not None:
         wrong = next((item for item in given if not kind.items.holds(item)), given)
         among = "names" if kind.items is _PLAIN[str] else "items"
-        return f"{name}: given {short(wrong)} among the {among}; expected {kind.words}"
+        return f"{name} must be {kind.words}, got {short(wrong)} among the {among}"
     text = f"the string {given!r}" if isinstance(given, str) and "a sequence" in kind.words else short(given)
-    return f"{name}: given {text}; expected {kind.words}"
+    return f"{name} must be {kind.words}, got {text}"
 
 
 def _number(given: object) -> bool:

@@ -32,7 +32,7 @@ _RUNS = 1 << 19
 def expect_device(device: object) -> None:
     """Refuse a device that cannot be used here."""
     if device not in ("cpu", "cuda"):
-        raise ArgumentError(f"device: given {device!r}; expected 'cpu' or 'cuda'")
+        raise ArgumentError(f"device must be 'cpu' or 'cuda', got {device!r}")
     if device == "cuda":
         _cuda()
 

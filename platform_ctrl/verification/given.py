@@ -60,15 +60,15 @@ def read_controllers(
     """
     label, data = ("controllers given as a dict", source) if isinstance(source, Mapping) else opened(source)
     if not isinstance(data, Mapping):
-        raise InputError(f'{label}: given {given(data)}; expected a table with "schema" and "controllers"')
+        raise InputError(f'{label} must be a table with "schema" and "controllers", got {given(data)}')
     schema = data.get("schema")
     if isinstance(schema, bool) or schema != SCHEMA:
-        shown = f"schema = {given(schema)}" if "schema" in data else 'missing key "schema"'
-        raise InputError(f"{label}: {shown}; expected {SCHEMA}, the format that this version reads")
+        shown = f"got {given(schema)}" if "schema" in data else "but the key is missing"
+        raise InputError(f"{label}: schema must be {SCHEMA}, the format that this version reads, {shown}")
     entries = data.get(key, [] if key != "controllers" else None)
     if not isinstance(entries, list) or (not entries and key == "controllers"):
-        shown = f"{key} = {given(entries)}" if key in data else f'missing key "{key}"'
-        raise InputError(f"{label}: {shown}; expected a list of controllers")
+        shown = f"got {given(entries)}" if key in data else "but the key is missing"
+        raise InputError(f"{label}: {key} must be a list of controllers, {shown}")
     known = [s.name for s in job.platform.sensors]
     made_by: dict[str, str] = {}
     out = []
@@ -78,7 +78,7 @@ def read_controllers(
             if name in made_by:
                 raise InputError(
                     f"{label}: {key} {number}: outputs: {given(name)} is set by {made_by[name]} already; "
-                    "expected each torque once"
+                    "give each torque one controller"
                 )
             made_by[name] = f"{key} {number}"
         out.append(K)
@@ -97,7 +97,7 @@ class _Entry:
         title = given(data["name"]) if isinstance(data, Mapping) and isinstance(data.get("name"), str) else ""
         self.where = f"{label}: {key} {number}{' ' + title if title else ''}"
         if not isinstance(data, Mapping):
-            raise InputError(f"{self.where}: given {given(data)}; expected a table with name, dt, A, B, C, D, ...")
+            raise InputError(f"{self.where} must be a table with name, dt, A, B, C, D, ..., got {given(data)}")
         self.data = data
 
     def controller(self, job: Job, known: Sequence[str]) -> control.StateSpace:
@@ -110,7 +110,7 @@ class _Entry:
         for one in inputs:
             if one not in known and is_rate(one):
                 wrong = f"{given(one)} is a rate that no sensor of the plant measures"
-                raise self._mistake("inputs", f"{wrong}; expected [[rate_sensor]] for it in the plant file")
+                raise self._mistake("inputs", f"{wrong}; add a [[rate_sensor]] for it to the plant file")
             if one not in known:
                 wrong = f"{given(one)} is no pick-off of the plant and no output of a controller before it"
                 raise self._mistake("inputs", f"{wrong}; {suggestion(one, known)}")
@@ -121,13 +121,13 @@ class _Entry:
         period, delay = job.sampling.period, job.sampling.delay
         dt = self._number("dt")
         if not math.isclose(dt, period, rel_tol=1e-9):
-            raise self._mistake("dt", f"given {dt:g} s; expected the job's sample period, {period:g} s")
+            raise self._mistake("dt", f"{dt:g} s is not the job's sample period, {period:g} s")
         waits = self._number("delay")
         if not math.isclose(waits, delay, rel_tol=1e-9, abs_tol=1e-9 * period):
-            raise self._mistake("delay", f"given {waits:g} s; expected the job's delay, {delay:g} s")
+            raise self._mistake("delay", f"{waits:g} s is not the job's delay, {delay:g} s")
         order = self._length("A")
         if order > MOST_STATES:
-            raise self._mistake("A", f"has {order} rows; expected at most {MOST_STATES} states")
+            raise self._mistake("A", f"has {order} rows; at most {MOST_STATES} states are allowed")
         arrays = StateArrays(
             A=self._matrix("A", order, order),
             B=self._matrix("B", order, len(inputs)),
@@ -140,39 +140,40 @@ class _Entry:
         return named_system(arrays, inputs, outputs, name=title)
 
     def _mistake(self, key: str, text: str) -> InputError:
-        return InputError(one_line(f"{self.where}: {key}: {text}"))
+        joined = " " if text.startswith("must ") else ": "
+        return InputError(one_line(f"{self.where}: {key}{joined}{text}"))
 
     def _item(self, key: str, expected: str) -> object:
         if key not in self.data:
-            raise InputError(f'{self.where}: missing key "{key}"; expected {expected}')
+            raise InputError(f'{self.where}: the key "{key}" is missing; it must be {expected}')
         return self.data[key]
 
     def _text(self, key: str) -> str:
         item = self._item(key, "a name")
         if not isinstance(item, str) or not item.strip() or not item.isprintable():
-            raise self._mistake(key, f"given {given(item)}; expected a name")
+            raise self._mistake(key, f"must be a name, got {given(item)}")
         return item
 
     def _names(self, key: str) -> list[str]:
         item = self._item(key, "a list of signal names")
         if not isinstance(item, list) or not item or not all(isinstance(name, str) for name in item):
-            raise self._mistake(key, f"given {given(item)}; expected a list of signal names")
+            raise self._mistake(key, f"must be a list of signal names, got {given(item)}")
         for k, name in enumerate(item):
             if name in item[:k]:
-                raise self._mistake(key, f"{given(name)} stands there twice; expected each signal once")
+                raise self._mistake(key, f"{given(name)} is listed twice; leave one of them out")
         return item
 
     def _number(self, key: str) -> float:
         item = self._item(key, "a number, s")
         number = finite_number(item)
         if number is None:
-            raise self._mistake(key, f"given {given(item)}; expected a finite number, s")
+            raise self._mistake(key, f"must be a finite number, s, got {given(item)}")
         return number
 
     def _length(self, key: str) -> int:
         item = self._item(key, "a matrix as a list of rows")
         if not isinstance(item, list):
-            raise self._mistake(key, f"given {given(item)}; expected a matrix as a list of rows")
+            raise self._mistake(key, f"must be a matrix as a list of rows, got {given(item)}")
         return 0 if item == [[]] else len(item)
 
     def _matrix(self, key: str, rows: int, columns: int) -> FloatArray:
@@ -182,18 +183,18 @@ class _Entry:
         if rows * columns == 0 and all(row == [] for row in item):
             return np.zeros((rows, columns))
         if len(item) != rows:
-            raise self._mistake(key, f"has {len(item)} row{'' if len(item) == 1 else 's'}; expected {shape}")
+            raise self._mistake(key, f"must be {shape}, has {len(item)} row{'' if len(item) == 1 else 's'}")
         out = np.zeros((rows, columns))
         for i, row in enumerate(item):
             if not isinstance(row, list):
-                raise self._mistake(key, f"row {i + 1} is {given(row)}; expected {shape}")
+                raise self._mistake(key, f"must be {shape}, row {i + 1} is {given(row)}")
             if len(row) != columns:
                 wrong = f"row {i + 1} has {len(row)} element{'' if len(row) == 1 else 's'}"
-                raise self._mistake(key, f"{wrong}; expected {shape}")
+                raise self._mistake(key, f"must be {shape}, {wrong}")
             for j, entry in enumerate(row):
                 number = finite_number(entry)
                 if number is None:
-                    raise self._mistake(key, f"element ({i + 1}, {j + 1}) is {given(entry)}; expected a finite number")
+                    raise self._mistake(key, f"element ({i + 1}, {j + 1}) must be a finite number, got {given(entry)}")
                 out[i, j] = number
         return out
 
@@ -232,15 +233,14 @@ def outcomes_from(
         if spec.name in placed:
             raise InputError(
                 f"controllers: {given(placed[spec.name].name)} and {given(K.name)} both close the loop "
-                f"{given(spec.name)}; expected one for each loop"
+                f"{given(spec.name)}; give one for each loop"
             )
         placed[spec.name] = K
     for spec in job.loops:
         if spec.name not in placed:
             wanted = ", ".join(sorted(_torques(job, spec)))
             raise InputError(
-                f"controllers: none closes the loop {given(spec.name)} of the job; "
-                f"expected one with the outputs {wanted}"
+                f"controllers: none closes the loop {given(spec.name)} of the job; add one with the outputs {wanted}"
             )
     specs = {spec.name: spec for spec in job.loops}
     others: dict[str, list[control.StateSpace]] = {name: [] for name in placed}
@@ -286,11 +286,11 @@ def _loop_of(job: Job, K: control.StateSpace) -> LoopSpec:
         if pickoffs and set(K.input_labels) != pickoffs:
             raise InputError(
                 f"controller {given(K.name)}: inputs {', '.join(K.input_labels)}; the loop {given(spec.name)} is "
-                f"measured with {', '.join(sorted(pickoffs))}: expected just these"
+                f"measured with {', '.join(sorted(pickoffs))}: give just these"
             )
         return spec
     loops = "; ".join(f"{spec.name}: {', '.join(sorted(_torques(job, spec)))}" for spec in job.loops)
     raise InputError(
         f"controller {given(K.name)}: its outputs {', '.join(K.output_labels)} are those of no loop of the job; "
-        f"expected one of {loops}"
+        f"they must be those of one loop ({loops})"
     )

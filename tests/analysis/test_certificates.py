@@ -467,7 +467,7 @@ def test_a_region_of_vertices_is_that_of_what_lies_between_and_a_disc_holds_the_
         found = dataclasses.replace(common, **senseless).verify()
         assert not found.proved
         assert "L and M" in found.reason
-    with pytest.raises(ArgumentError, match="L: given 'x'; expected real numbers"):
+    with pytest.raises(ArgumentError, match="L must be real numbers, got 'x'"):
         region_certificate(A, "x", disc)
 
 

@@ -132,12 +132,15 @@ def test_what_cannot_be_is_refused(hold: Hold, D: float, says: str) -> None:
 @pytest.mark.parametrize(
     ("ask", "says"),
     [
-        (lambda system: analysis.time_response(system, "0 1", [1, 2]), "timepts: given '0 1'; expected real numbers"),
-        (lambda system: analysis.time_response(system, [0, 1], [[1], [1, 2]]), "inputs: given .*; expected real"),
-        (lambda system: analysis.time_response(system, [0, 1], [1j, 2]), "inputs: given .*; expected real numbers"),
-        (lambda system: analysis.time_response(system, [0, 1], [1, 2], initial_state="x"), "initial_state: given 'x'"),
-        (lambda system: analysis.frequency_response(system, "a"), "frequency: given 'a'; expected real numbers"),
-        (lambda system: analysis.disk_margin(system, skew="a"), "skew: given 'a'; expected a number"),
+        (lambda system: analysis.time_response(system, "0 1", [1, 2]), "timepts must be real numbers, got '0 1'"),
+        (lambda system: analysis.time_response(system, [0, 1], [[1], [1, 2]]), "inputs must be real numbers"),
+        (lambda system: analysis.time_response(system, [0, 1], [1j, 2]), "inputs must be real numbers, got .*"),
+        (
+            lambda system: analysis.time_response(system, [0, 1], [1, 2], initial_state="x"),
+            "initial_state must .*got 'x'",
+        ),
+        (lambda system: analysis.frequency_response(system, "a"), "frequency must be real numbers, got 'a'"),
+        (lambda system: analysis.disk_margin(system, skew="a"), "skew must be a number, got 'a'"),
     ],
 )
 def test_what_are_no_numbers_is_refused_in_one_line(ask, says: str) -> None:

@@ -406,9 +406,9 @@ def test_workers_that_die_of_everything_stop_the_campaign(
 
 
 def test_wrong_arguments_are_told(tmp_path: Path) -> None:
-    with pytest.raises(ArgumentError, match="workers: given 0"):
+    with pytest.raises(ArgumentError, match="workers must be at least one, got 0"):
         carried_out(planned(runs=8), tmp_path, workers=0)
-    with pytest.raises(ArgumentError, match="device: given 'tpu'; expected 'cpu' or 'cuda'"):
+    with pytest.raises(ArgumentError, match="device must be 'cpu' or 'cuda', got 'tpu'"):
         carried_out(planned(runs=8), tmp_path, device="tpu")
 
 

@@ -535,17 +535,23 @@ def test_inputs_at_points_of_ones_own_are_those_of_their_quantiles() -> None:
 @pytest.mark.parametrize(
     ("ask", "words"),
     [
-        (lambda: plan(job(), [], runs=0), "runs: given 0; expected a whole number from 1"),
-        (lambda: plan(job(), [], runs=2.5), "runs: given 2.5"),  # type: ignore[arg-type]
-        (lambda: plan(job(), [], seed=-1), "seed: given -1"),
-        (lambda: plan(job(), [], sampling="grid"), "sampling: given 'grid'; expected 'sobol', 'latin-hypercube'"),  # type: ignore[arg-type]
+        (lambda: plan(job(), [], runs=0), "runs must be a whole number from 1 to 1073741824, got 0"),
+        (lambda: plan(job(), [], runs=2.5), "runs must be a whole number or None, got 2.5"),  # type: ignore[arg-type]
+        (lambda: plan(job(), [], seed=-1), "seed must be a whole number from 0 to 9223372036854775807, got -1"),
+        (lambda: plan(job(), [], sampling="grid"), "or 'random' or None, got 'grid'"),  # type: ignore[arg-type]
         (lambda: plan(dataclasses.replace(job(), manoeuvres=()), []), "without a manoeuvre"),
-        (lambda: mixed().scenario(256), "run: given 256; expected a whole number from 0 to 255"),
-        (lambda: mixed().scenario(-1), "run: given -1"),
-        (lambda: mixed().inputs(5, 300), "end of the runs: given 300; expected a whole number from 5 to 256"),
+        (lambda: mixed().scenario(256), "run must be a whole number from 0 to 255, got 256"),
+        (lambda: mixed().scenario(-1), "run must be a whole number from 0 to 255, got -1"),
+        (lambda: mixed().inputs(5, 300), "end of the runs must be a whole number from 5 to 256, got 300"),
         (lambda: planned(uniform("rotor.12.spin")), 'parameter = "rotor.12.spin": does not exist'),
-        (lambda: planned(faults=(CampaignFault(fault="x", probability=1.0),)), "fault of the campaign: given 'x'"),
-        (lambda: planned(manoeuvres=(CampaignManoeuvre(name="x"),)), "manoeuvre of the campaign: given 'x'"),
+        (
+            lambda: planned(faults=(CampaignFault(fault="x", probability=1.0),)),
+            "fault of the campaign must be one of 'power'",
+        ),
+        (
+            lambda: planned(manoeuvres=(CampaignManoeuvre(name="x"),)),
+            "manoeuvre of the campaign must be one of 'turn', 'push', got 'x'",
+        ),
         (
             lambda: planned(Vary(parameter="sampling.delay", distribution="uniform", numbers={"low": 0.0})),
             'has no number "high"',

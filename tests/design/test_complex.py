@@ -181,7 +181,7 @@ def test_the_order_of_the_gimbals_turns_the_sense(model):
 def test_what_makes_no_sense_is_said(model, sampled_plant, loop):
     with pytest.raises(ArgumentError, match="given 3 gimbals; expected the two of one gyro"):
         complex_plant(model, ("4", "5", "7"))
-    with pytest.raises(ArgumentError, match="damping_hz: given -1"):
+    with pytest.raises(ArgumentError, match=r"damping_hz must .*got -1"):
         complex_loop(sampled_plant, **LOOP | {"damping_hz": -1.0})
     with pytest.raises(ArgumentError, match=r"notch_hz = 1000\.0; expected a number other than 0 below"):
         complex_loop(sampled_plant, **LOOP, notch_hz=1000.0)
@@ -193,7 +193,7 @@ def test_what_makes_no_sense_is_said(model, sampled_plant, loop):
         two_sided_nyquist(complex_plant(model, PAIR), loop.controller)
     with pytest.raises(ArgumentError, match="does not rise"):
         two_sided_nyquist(sampled_plant, loop.controller, W[::-1])
-    with pytest.raises(ArgumentError, match="frequency: given a number that is not finite"):
+    with pytest.raises(ArgumentError, match="frequency must be real numbers, all finite, got one that is not"):
         complex_response(sampled_plant, [np.nan])
 
 

@@ -454,7 +454,7 @@ def test_lists_are_expected_where_single_things_are_given():
     P = spring(1.0)
     with pytest.raises(ArgumentError, match="given a LoopRequirement; expected a sequence, each"):
         design.multiobjective(P, 1, 1, H)
-    with pytest.raises(ArgumentError, match="plants: given a StateSpace; expected a sequence, each a StateSpace"):
+    with pytest.raises(ArgumentError, match="plants must be a sequence, each a StateSpace, got a StateSpace"):
         design.robust(P, 1, 1, [H])
     for names in ("k", ["k", "k"], []):
         with pytest.raises(ArgumentError, match=r"expected a (list of different|sequence of) names"):

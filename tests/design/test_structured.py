@@ -367,15 +367,21 @@ def test_what_cannot_be_is_said_in_one_line() -> None:
             P, 2, 2, structure=structure, requirements=asked + soft, starts=2, evaluations=3000, processes=1
         )
     for wrong, said in (
-        ({"structure": "PID"}, "expected a Structure"),
-        ({"structure": design.Static(), "starts": 0}, "expected a whole number"),
-        ({"structure": design.Static(), "time_limit": -1.0}, "expected a positive number of seconds"),
-        ({"structure": design.Static(), "evaluations": 0.5}, "expected a whole number"),
+        ({"structure": "PID"}, "must be a Structure"),
+        ({"structure": design.Static(), "starts": 0}, "must be a whole number"),
+        (
+            {"structure": design.Static(), "time_limit": -1.0},
+            "structured: time_limit = -1.0; expected a positive number of seconds",
+        ),
+        ({"structure": design.Static(), "evaluations": 0.5}, "must be a whole number"),
         ({"structure": design.Static(fixed={"k13": 1.0})}, "k13"),
         ({"structure": design.Static(bounds={"k11": (2.0, 1.0)})}, "expected lower < upper"),
         ({"structure": design.Static(tied=(("k11",),))}, "groups of two names or more"),
-        ({"structure": design.Static(pattern="round")}, "expected 'full'"),
-        ({"structure": design.PID(start={"filter1": -1.0})}, "expected a positive number"),
+        (
+            {"structure": design.Static(pattern="round")},
+            "Static: pattern: given 'round'; expected 'full', 'diagonal', 'cross', 'none' or booleans",
+        ),
+        ({"structure": design.PID(start={"filter1": -1.0})}, "must be a positive number"),
         ({"structure": design.Static(), "requirements": [requirement("damping", 0.1), *soft]}, "'damping'"),
     ):
         with pytest.raises(ArgumentError, match=said):

@@ -382,7 +382,7 @@ def test_every_kind_of_fault_is_an_action_of_the_kernel_and_a_row_of_the_documen
 def test_a_kind_of_fault_is_registered_once_and_has_numbers_of_faults() -> None:
     with pytest.raises(ArgumentError, match="fault kind 'torquer dead' exists already"):
         register_fault(FAULT_KINDS["torquer dead"])
-    with pytest.raises(ArgumentError, match="fault kind 'tired': number: given 'mood'; expected 'at'"):
+    with pytest.raises(ArgumentError, match="fault kind 'tired': number must be 'at', got 'mood'"):
         register_fault(FaultKind(name="tired", effect="", part=None, needed=("mood",), action="no torque"))
 
 

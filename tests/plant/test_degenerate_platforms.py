@@ -187,14 +187,14 @@ def test_what_is_no_platform_is_refused_with_the_way_to_one(given):
         lambda p: pc.inverse_dynamics(p, [], [], []),
         lambda p: rollout(p, [[]], [[]]),
     ):
-        with pytest.raises(PlatformCtrlError, match=r"platform: given .*; expected a Platform, for example"):
+        with pytest.raises(PlatformCtrlError, match=r"platform must be a Platform, for example, got .*"):
             call(given)
 
 
 @pytest.mark.parametrize("given", [None, 3, LOCKED], ids=["none", "number", "platform"])
 def test_what_is_no_model_is_refused_with_the_way_to_one(given):
     for call in (pc.state_space, pc.subsystems, pc.precession):
-        with pytest.raises(PlatformCtrlError, match=r"model: given .*; expected a LinearModel, from linearise"):
+        with pytest.raises(PlatformCtrlError, match=r"model must be a LinearModel, from linearise, got .*"):
             call(given)
 
 

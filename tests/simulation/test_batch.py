@@ -123,8 +123,8 @@ def test_no_scenarios_have_no_figures() -> None:
         ({"duration": 1e6}, "duration: 1e+06 s are 1e+09 periods; expected at most 1e+08 of them"),
         ({"duration": 1e300}, "duration: 1e+300 s are"),
         ({"delay": 1.01}, "delay: 1.01 s are 1.01e+03 periods; expected at most 1e+03 of them"),
-        ({"duration": np.inf}, "duration: given inf; expected a finite number >= 0"),
-        ({"duration": -1.0}, "duration: given -1.0"),
+        ({"duration": np.inf}, "duration must be a finite number >= 0, got inf"),
+        ({"duration": -1.0}, "duration must be a finite number >= 0, got -1.0"),
     ],
 )
 def test_absurd_sizes_are_refused(changed: dict[str, float], message: str) -> None:

@@ -222,7 +222,7 @@ def test_a_run_on_the_gpu_does_not_depend_on_those_beside_it():
 
 
 def test_an_unknown_device_is_refused_with_those_that_exist():
-    with pytest.raises(ArgumentError, match=r"device: given 'gpu'; expected 'cpu' or 'cuda'"):
+    with pytest.raises(ArgumentError, match=r"device must be 'cpu' or 'cuda', got 'gpu'"):
         rollout(**some_runs("three_gyro_platform", 1, 1), device="gpu")
 
 

@@ -342,9 +342,9 @@ def test_a_step_is_judged_by_what_the_motor_turns_the_wheel_against():
 @pytest.mark.parametrize("spin", [[20.0], [20.0, np.nan], "fast", [[20.0, 1.0]]])
 def test_spins_that_make_no_sense_are_refused_and_named(spin):
     platform = gyro_on_a_block()
-    with pytest.raises(ArgumentError, match=r"^(Scenario: )?spin: given "):
+    with pytest.raises(ArgumentError, match=r"^(Scenario: )?spin must "):
         simulated(platform, [], period=1e-3, delay=0.0, duration=0.0, mode="caged", spin=spin)
-    with pytest.raises(ArgumentError, match=r"^spin: given "):
+    with pytest.raises(ArgumentError, match=r"^spin must "):
         rollout(platform, np.zeros((2, 2)), np.zeros((2, 5)), spin=spin)
 
 

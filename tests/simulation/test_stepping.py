@@ -100,16 +100,16 @@ def test_a_stepper_says_what_it_cannot_do(gyro):
     caged = Simulator(
         Scenario(platform=job.platform, mode="caged", duration=0.0, delay=0.0), controllers, period=period
     )
-    with pytest.raises(ArgumentError, match="torque: given in mode 'caged'"):
+    with pytest.raises(ArgumentError, match="torque: given in mode 'caged'; it is an input in mode 'stabilised' alone"):
         caged.advance(1, torque=[0.0, 0.0, 0.0])
-    with pytest.raises(ArgumentError, match="samples: given 0"):
+    with pytest.raises(ArgumentError, match=r"samples must .*got 0"):
         caged.advance(0)
-    with pytest.raises(ArgumentError, match=r"Omega: given shape \(2,\)"):
+    with pytest.raises(ArgumentError, match=r"Omega must .*got \(2,\)"):
         caged.advance(1, Omega=[0.0, 0.0])
-    with pytest.raises(ArgumentError, match="snapshot: given shape"):
+    with pytest.raises(ArgumentError, match=r"snapshot: given shape \(1,\); expected that of this run"):
         caged.restore([1.0])
     free = Scenario(platform=job.platform, mode="stabilised", duration=0.0, delay=0.0)
-    with pytest.raises(ArgumentError, match="Omega: given in mode 'stabilised'"):
+    with pytest.raises(ArgumentError, match="Omega: given in mode 'stabilised'; it is an input in mode 'caged' alone"):
         Simulator(free, controllers, period=period, Omega=[0.0, 0.0, 0.0])
     assert caged.sample == 0
     ended = caged.advance(5, gimbal_torque=np.full(len(job.platform.gimbals), 1e300))

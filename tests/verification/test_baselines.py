@@ -329,27 +329,36 @@ def test_an_update_makes_folders(result: JobResult, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (lambda data: data.update(schema=2), "schema = 2; expected 1"),
-        (lambda data: data.pop("figures"), 'missing key "figures"'),
+        (lambda data: data.update(schema=2), "schema must be 1, the format that this version reads, got 2"),
+        (lambda data: data.pop("figures"), 'the key "figures" is missing'),
         (lambda data: data.update(figure=[]), 'unknown key "figure"; did you mean "figures"?'),
-        (lambda data: data.update(job=3), "job: given 3; expected the title of a job"),
-        (lambda data: data.update(tolerance={"relative": -1}), "tolerance: relative: given -1; expected a number >= 0"),
-        (lambda data: data["figures"].insert(0, 1), "figures 1: given 1; expected a table"),
+        (lambda data: data.update(job=3), "job must be the title of a job, got 3"),
+        (lambda data: data.update(tolerance={"relative": -1}), "tolerance: relative must be a number >= 0, got -1"),
+        (lambda data: data["figures"].insert(0, 1), "figures 1 must be a table, got 1"),
         (
             lambda data: data["figures"][1].update(value="2"),
-            'worst case": value: given "2"; expected a number, or',
+            'worst case": value must be a number, or',
         ),
-        (lambda data: data["figures"][0].update(value=1e999), '"minimum decay rate": value: given inf'),
-        (lambda data: data["figures"][0].update(sense="more"), 'sense: given "more"; expected "at least" or "at most"'),
+        (
+            lambda data: data["figures"][0].update(value=1e999),
+            '"minimum decay rate": value must be a number, or null for none, got inf',
+        ),
+        (lambda data: data["figures"][0].update(sense="more"), 'sense must be "at least" or "at most", got "more"'),
         (lambda data: data["figures"][0].update(realtive=0.1), 'unknown key "realtive"; did you mean "relative"?'),
-        (lambda data: data["figures"][0].update(absolute=True), "absolute: given true; expected a number >= 0"),
-        (lambda data: data["figures"].append(data["figures"][0]), 'stands there twice for "caging 4-5-7"'),
-        (lambda data: data["controllers"][0].pop("A"), 'controllers 1 "caging 4-5-7": missing key "A"'),
-        (lambda data: data["controllers"][0].update(dt=0), "dt: given 0.0; expected the sample period, s"),
-        (lambda data: data["controllers"][0]["A"].pop(), "A: row 1 is "),
-        (lambda data: data["controllers"][0]["B"].pop(), "B: given "),
-        (lambda data: data["controllers"][0].update(inputs=["a", "a"]), "inputs: given"),
-        (lambda data: data["plants"][0]["D"][0].__setitem__(0, None), 'plants 1 "caging 4-5-7": D: row 1 is [None'),
+        (lambda data: data["figures"][0].update(absolute=True), "absolute must be a number >= 0, got true"),
+        (lambda data: data["figures"].append(data["figures"][0]), 'the figure is listed twice for "caging 4-5-7"'),
+        (lambda data: data["controllers"][0].pop("A"), 'controllers 1 "caging 4-5-7": the key "A" is missing'),
+        (lambda data: data["controllers"][0].update(dt=0), "dt must be the sample period, from 1e-9 to 1e6 s, got 0.0"),
+        (lambda data: data["controllers"][0]["A"].pop(), "A: row 1 must be "),
+        (lambda data: data["controllers"][0]["B"].pop(), "B must be a 6 x 3 matrix"),
+        (
+            lambda data: data["controllers"][0].update(inputs=["a", "a"]),
+            "inputs must be a list of signal names, each once",
+        ),
+        (
+            lambda data: data["plants"][0]["D"][0].__setitem__(0, None),
+            'plants 1 "caging 4-5-7": D: row 1 must be 3 finite numbers, got [None',
+        ),
     ],
 )
 def test_a_file_that_makes_no_sense_is_one_line_with_its_name_and_the_key(
@@ -371,7 +380,7 @@ def test_a_file_that_makes_no_sense_is_one_line_with_its_name_and_the_key(
         (b"[" * 100_000, "nested too deeply"),
         (b"9" * 5000, "cannot be read"),
         (b"\xff", "is not UTF-8"),
-        (b"[1]", "given [1]; expected a table"),
+        (b"[1]", "must be a table, got [1]"),
         (b"", "is not JSON"),
     ],
 )
@@ -419,7 +428,7 @@ def test_a_file_in_which_anything_is_changed_is_read_or_refused_in_one_line(
 def test_an_update_does_not_overwrite_what_is_no_baseline(result: JobResult, tmp_path: Path) -> None:
     file = tmp_path / "result.json"
     file.write_text('{"schema": 1, "controllers": []}')
-    with pytest.raises(InputError, match='missing key "figures"'):
+    with pytest.raises(InputError, match='the key "figures" is missing'):
         update_baseline(result, file)
     assert json.loads(file.read_text()) == {"schema": 1, "controllers": []}
 

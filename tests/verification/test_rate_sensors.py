@@ -188,7 +188,7 @@ def test_a_file_of_controllers_may_name_rates_that_are_measured_and_no_others():
     record = {"schema": 1, "controllers": [copy.deepcopy(ENTRY)]}
     [K] = read_controllers(record, job_of(with_arm()))
     assert K.input_labels == ["q_a", "Omega1"]
-    expected = r'inputs: "Omega1" is a rate that no sensor of the plant measures; expected \[\[rate_sensor\]\]'
+    expected = r'inputs: "Omega1" is a rate that no sensor of the plant measures; add a \[\[rate_sensor\]\]'
     with pytest.raises(InputError, match=expected) as caught:
         read_controllers(record, job_of(with_arm(rate_sensor=[{"root_axis": 2}])))
     assert "\n" not in str(caught.value)

@@ -201,15 +201,24 @@ def second(record: dict[str, Any]) -> Any:
 Change = Callable[[dict[str, Any]], object]
 
 MISTAKES: dict[str, tuple[Change, str]] = {
-    "no schema": (lambda r: r.pop("schema"), 'missing key "schema"; expected 1'),
-    "another schema": (lambda r: r.update(schema=2), "schema = 2; expected 1"),
-    "schema is true": (lambda r: r.update(schema=True), "schema = true; expected 1"),
-    "no controllers": (lambda r: r.pop("controllers"), 'missing key "controllers"'),
-    "an empty list": (lambda r: r.update(controllers=[]), "controllers = []; expected a list"),
-    "no table": (lambda r: r["controllers"].insert(0, 3), "controllers 1: given 3; expected a table"),
-    "no name": (lambda r: second(r).pop("name"), 'controllers 2: missing key "name"'),
-    "no matrix": (lambda r: second(r).pop("D"), 'controllers 2 "caging 9-10": missing key "D"'),
-    "no delay": (lambda r: second(r).pop("delay"), 'missing key "delay"'),
+    "no schema": (
+        lambda r: r.pop("schema"),
+        "schema must be 1, the format that this version reads, but the key is missing",
+    ),
+    "another schema": (lambda r: r.update(schema=2), "schema must be 1, the format that this version reads, got 2"),
+    "schema is true": (
+        lambda r: r.update(schema=True),
+        "schema must be 1, the format that this version reads, got true",
+    ),
+    "no controllers": (
+        lambda r: r.pop("controllers"),
+        "controllers must be a list of controllers, but the key is missing",
+    ),
+    "an empty list": (lambda r: r.update(controllers=[]), "controllers must be a list of controllers, got []"),
+    "no table": (lambda r: r["controllers"].insert(0, 3), "controllers 1 must be a table with name"),
+    "no name": (lambda r: second(r).pop("name"), 'controllers 2: the key "name" is missing'),
+    "no matrix": (lambda r: second(r).pop("D"), 'controllers 2 "caging 9-10": the key "D" is missing'),
+    "no delay": (lambda r: second(r).pop("delay"), 'the key "delay" is missing'),
     "unknown input": (
         lambda r: second(r).update(inputs=["alpha9", "betta10"]),
         'inputs: "betta10" is no pick-off of the plant and no output of a controller before it; did you mean "beta10"?',
@@ -218,25 +227,40 @@ MISTAKES: dict[str, tuple[Change, str]] = {
         lambda r: second(r).update(outputs=["Q9", "Q11"]),
         'outputs: "Q11" is no torquer of the plant; did you mean',
     ),
-    "input twice": (lambda r: second(r).update(inputs=["alpha9", "alpha9"]), "stands there twice"),
+    "input twice": (lambda r: second(r).update(inputs=["alpha9", "alpha9"]), "is listed twice"),
     "input from a later controller": (
         lambda r: r["controllers"].insert(0, r["controllers"].pop()),
         "no output of a controller before it",
     ),
     "output set twice": (lambda r: r["controllers"].append(second(r)), "is set by controllers 2 already"),
-    "inputs no list": (lambda r: second(r).update(inputs="alpha9"), 'inputs: given "alpha9"; expected a list'),
-    "continuous": (lambda r: second(r).update(dt=0), "dt: given 0 s; expected the job's sample period, 0.0005 s"),
-    "dt is text": (lambda r: second(r).update(dt="x"), 'dt: given "x"; expected a finite number'),
-    "another delay": (lambda r: second(r).update(delay=0.0), "delay: given 0 s; expected the job's delay"),
-    "A not square": (lambda r: second(r)["A"].pop(), "A: row 1 has 4 elements; expected 3 x 3 (square)"),
-    "A no matrix": (lambda r: second(r).update(A=1.0), "A: given 1.0; expected a matrix"),
-    "B too short": (lambda r: second(r)["B"].pop(), "B: has 3 rows; expected 4 x 2"),
-    "C ragged": (lambda r: second(r)["C"][1].append(0.0), "C: row 2 has 5 elements; expected 2 x 4"),
-    "D no list of rows": (lambda r: second(r).update(D=[1.0, 2.0]), "D: row 1 is 1.0; expected 2 x 2"),
-    "D not finite": (lambda r: second(r)["D"][0].__setitem__(1, math.inf), "D: element (1, 2) is inf;"),
-    "D null": (lambda r: second(r)["D"][0].__setitem__(1, None), "D: element (1, 2) is None;"),
-    "D true": (lambda r: second(r)["D"][1].__setitem__(0, True), "D: element (2, 1) is true;"),
-    "D beyond floats": (lambda r: second(r)["D"][1].__setitem__(0, 10**400), "D: element (2, 1) is an integer"),
+    "inputs no list": (
+        lambda r: second(r).update(inputs="alpha9"),
+        'inputs must be a list of signal names, got "alpha9"',
+    ),
+    "continuous": (lambda r: second(r).update(dt=0), "dt: 0 s is not the job's sample period, 0.0005 s"),
+    "dt is text": (lambda r: second(r).update(dt="x"), 'dt must be a finite number, s, got "x"'),
+    "another delay": (lambda r: second(r).update(delay=0.0), "delay: 0 s is not the job's delay"),
+    "A not square": (lambda r: second(r)["A"].pop(), "A must be 3 x 3 (square), row 1 has 4 elements"),
+    "A no matrix": (lambda r: second(r).update(A=1.0), "A must be a matrix as a list of rows, got 1.0"),
+    "B too short": (lambda r: second(r)["B"].pop(), "B must be 4 x 2 (by inputs, outputs and A), has 3 rows"),
+    "C ragged": (
+        lambda r: second(r)["C"][1].append(0.0),
+        "C must be 2 x 4 (by inputs, outputs and A), row 2 has 5 elements",
+    ),
+    "D no list of rows": (
+        lambda r: second(r).update(D=[1.0, 2.0]),
+        "D must be 2 x 2 (by inputs, outputs and A), row 1 is 1.0",
+    ),
+    "D not finite": (
+        lambda r: second(r)["D"][0].__setitem__(1, math.inf),
+        "D: element (1, 2) must be a finite number, got inf",
+    ),
+    "D null": (lambda r: second(r)["D"][0].__setitem__(1, None), "D: element (1, 2) must be a finite number, got None"),
+    "D true": (lambda r: second(r)["D"][1].__setitem__(0, True), "D: element (2, 1) must be a finite number, got true"),
+    "D beyond floats": (
+        lambda r: second(r)["D"][1].__setitem__(0, 10**400),
+        "D: element (2, 1) must be a finite number, got an integer",
+    ),
 }
 
 
@@ -255,7 +279,7 @@ def test_every_mistake_is_one_line_that_names_its_place(record: dict[str, Any], 
     ("content", "words"),
     [
         (b"{", "is not JSON: "),
-        (b"[1]", "given [1]; expected a table"),
+        (b"[1]", 'must be a table with "schema"'),
         (b"\xff\xfe", "is not UTF-8 text"),
         (b"[" * 100_000, "nested too deeply"),
         (b'{"schema": ' + b"1" * 5000 + b"}", "cannot be read"),
@@ -280,14 +304,16 @@ def test_a_missing_file_and_a_folder_are_refused(job: Job, tmp_path: Path) -> No
 
 def test_loops_and_controllers_that_do_not_match_are_named(record: dict[str, Any], job: Job) -> None:
     controllers = read_controllers(record, job)
-    with pytest.raises(InputError, match='none closes the loop "stabilisation" of the job; expected one with'):
+    with pytest.raises(InputError, match='none closes the loop "stabilisation" of the job; add one with'):
         outcomes_from(job, controllers[:2])
     with pytest.raises(InputError, match='both close the loop "caging 9-10"'):
         outcomes_from(job, [*controllers, controllers[1]])
     half = copy.deepcopy(record)
     second(half).update(outputs=["Q9"], C=second(half)["C"][:1], D=second(half)["D"][:1])
     del half["controllers"][2]
-    with pytest.raises(InputError, match="its outputs Q9 are those of no loop of the job; expected one of caging 4-5"):
+    with pytest.raises(
+        InputError, match=r"its outputs Q9 are those of no loop of the job; they must be those of one loop .caging 4-5"
+    ):
         outcomes_from(job, read_controllers(half, job))
     more = copy.deepcopy(record)
     more["controllers"][1]["inputs"] = ["alpha9", "beta7"]

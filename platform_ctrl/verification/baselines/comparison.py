@@ -195,7 +195,7 @@ class Table:
 
     def __init__(self, where: str, data: object, known: Sequence[str]) -> None:
         if not isinstance(data, Mapping):
-            raise InputError(f"{where}: given {given(data)}; expected a table")
+            raise InputError(f"{where} must be a table, got {given(data)}")
         self.where, self.data = where, data
         for key in data:
             if key not in known:
@@ -208,14 +208,14 @@ class Table:
     def item(self, key: str, expected: str) -> Any:
         """Return what stands under `key`."""
         if key not in self.data:
-            raise self.mistake(f'missing key "{key}"; expected {expected}')
+            raise self.mistake(f'the key "{key}" is missing; it must be {expected}')
         return self.data[key]
 
     def text(self, key: str, expected: str, *, empty: bool = False) -> str:
         """Return a printable text."""
         item = self.item(key, expected)
         if not isinstance(item, str) or not item.isprintable() or not (item.strip() or empty):
-            raise self.mistake(f"{key}: given {given(item)}; expected {expected}")
+            raise self.mistake(f"{key} must be {expected}, got {given(item)}")
         return item
 
     def one_of(self, key: str, options: Sequence[str]) -> str:
@@ -223,21 +223,21 @@ class Table:
         expected = " or ".join(f'"{option}"' for option in options)
         item = self.text(key, expected)
         if item not in options:
-            raise self.mistake(f"{key}: given {given(item)}; expected {expected}")
+            raise self.mistake(f"{key} must be {expected}, got {given(item)}")
         return item
 
     def number(self, key: str, expected: str) -> float:
         """Return a finite number."""
         out = finite_number(self.item(key, expected))
         if out is None:
-            raise self.mistake(f"{key}: given {given(self.data[key])}; expected {expected}")
+            raise self.mistake(f"{key} must be {expected}, got {given(self.data[key])}")
         return out
 
     def positive(self, key: str, expected: str) -> float:
         """Return a number >= 0."""
         out = self.number(key, expected)
         if out < 0.0:
-            raise self.mistake(f"{key}: given {given(self.data[key])}; expected {expected}")
+            raise self.mistake(f"{key} must be {expected}, got {given(self.data[key])}")
         return out
 
     def names(self, key: str) -> tuple[str, ...]:
@@ -249,7 +249,7 @@ class Table:
             or not all(isinstance(name, str) and name for name in item)
             or len(set(item)) < len(item)
         ):
-            raise self.mistake(f"{key}: given {given(item)}; expected a list of signal names, each once")
+            raise self.mistake(f"{key} must be a list of signal names, each once, got {given(item)}")
         return tuple(item)
 
     def matrix(self, key: str, rows: int, columns: int) -> FloatArray:
@@ -259,11 +259,11 @@ class Table:
         if rows * columns == 0 and isinstance(item, list) and all(row == [] for row in item):
             return out
         if not isinstance(item, list) or len(item) != rows:
-            raise self.mistake(f"{key}: given {given(item)}; expected a matrix of {rows} x {columns} as a list of rows")
+            raise self.mistake(f"{key} must be a {rows} x {columns} matrix as a list of rows, got {given(item)}")
         for i, row in enumerate(item):
             numbers = [finite_number(entry) for entry in row] if isinstance(row, list) else []
             if len(numbers) != columns or any(number is None for number in numbers):
-                raise self.mistake(f"{key}: row {i + 1} is {given(row)}; expected {columns} finite numbers")
+                raise self.mistake(f"{key}: row {i + 1} must be {columns} finite numbers, got {given(row)}")
             out[i] = np.array(numbers, dtype=np.float64)
         return out
 
@@ -271,7 +271,7 @@ class Table:
         """Walk a list of tables."""
         item = self.item(key, expected)
         if not isinstance(item, list):
-            raise self.mistake(f"{key}: given {given(item)}; expected {expected}")
+            raise self.mistake(f"{key} must be {expected}, got {given(item)}")
         for number, entry in enumerate(item, 1):
             name = entry.get("name", entry.get("loop")) if isinstance(entry, Mapping) else None
             title = f" {given(name)}" if isinstance(name, str) else ""

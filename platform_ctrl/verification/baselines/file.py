@@ -93,7 +93,7 @@ def read_baseline(path: str | os.PathLike[str]) -> Baseline:
     table = Table(label, data, _KEYS)
     schema = table.item("schema", f"{SCHEMA}, the format that this version reads")
     if isinstance(schema, bool) or schema != SCHEMA:
-        raise table.mistake(f"schema = {given(schema)}; expected {SCHEMA}, the format that this version reads")
+        raise table.mistake(f"schema must be {SCHEMA}, the format that this version reads, got {given(schema)}")
     tolerance = Tolerance()
     if "tolerance" in table.data:
         own = Table(f"{label}: tolerance", table.data["tolerance"], _TOLERANCE)
@@ -102,7 +102,7 @@ def read_baseline(path: str | os.PathLike[str]) -> Baseline:
     for entry in table.tables("figures", "a list of figures", _FIGURE):
         figure = _figure(entry, tolerance)
         if (figure.subject, figure.name) in figures:
-            raise entry.mistake(f"stands there twice for {given(figure.subject)}; expected each figure once")
+            raise entry.mistake(f"the figure is listed twice for {given(figure.subject)}; leave one of them out")
         figures[figure.subject, figure.name] = figure
     plants: dict[str, Table] = {}
     if "plants" in table.data:
@@ -240,7 +240,7 @@ def _loop(table: Table, plants: Mapping[str, Table]) -> LoopMatrices:
     inputs, outputs = table.names("inputs"), table.names("outputs")
     dt, delay = (table.positive(key, "a number >= 0, s") for key in ("dt", "delay"))
     if not 1e-9 <= dt <= 1e6:
-        raise table.mistake(f"dt: given {given(dt)}; expected the sample period, s")
+        raise table.mistake(f"dt must be the sample period, from 1e-9 to 1e6 s, got {given(dt)}")
     plant = plants.get(name)
     return LoopMatrices(
         loop=name,
