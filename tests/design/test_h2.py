@@ -171,13 +171,13 @@ def test_modes_out_of_reach_are_named_in_z_where_the_plant_is_sampled():
 @pytest.mark.parametrize(
     ("options", "match"),
     [
-        ({"method": "hinf"}, "method: given 'hinf'"),
-        ({"backoff": 0.0}, "backoff: given 0.0"),
+        ({"method": "hinf"}, "method must be 'lmi' or 'riccati', got 'hinf'"),
+        ({"backoff": 0.0}, "h2: backoff must be a finite number > 0, got 0.0"),
         ({"time_limit": -1.0}, "time_limit must be .* got -1.0"),
         ({"regularise": 2.0}, "regularise must be .* got 2.0"),
-        ({"regularise": True}, "regularise: given True"),
-        ({"time_limit": None}, "time_limit: given None"),
-        ({"backoff": "small"}, "backoff: given 'small'"),
+        ({"regularise": True}, "regularise must be a number or None, got True"),
+        ({"time_limit": None}, "time_limit must be a number, got None"),
+        ({"backoff": "small"}, "backoff must be a number, got 'small'"),
         ({"regularise": 1e-3, "method": "lmi"}, 'regularise needs method="riccati"'),
     ],
 )

@@ -191,10 +191,10 @@ def test_what_no_input_moves_or_no_weight_sees_is_named():
 @pytest.mark.parametrize(
     ("given", "match"),
     [
-        ((np.eye(3), np.eye(1)), r"Q1: given shape \(3, 3\); expected \(2, 2\)"),
+        ((np.eye(3), np.eye(1)), r"lqr: Q1 must have shape \(2, 2\), got \(3, 3\)"),
         (([[1, 2], [0, 1]], np.eye(1)), "Q1 must be symmetric"),
         ((np.eye(2), np.eye(1), None, [[-1.0]]), "integral must be a positive semidefinite"),
-        ((np.eye(2), [[np.nan]]), "Q2: given a number that is not finite"),
+        ((np.eye(2), [[np.nan]]), r"lqr: Q2 must be finite numbers of shape \(1, 1\), got one that is not"),
     ],
 )
 def test_arguments_that_make_no_sense_are_refused(given, match):

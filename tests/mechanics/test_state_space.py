@@ -297,13 +297,13 @@ def test_wrong_questions_get_one_line(platform):
         state_space(model, gimbals=("9",))
     with pytest.raises(ArgumentError, match="did you mean"):
         state_space(model, gimbals=("9", "100"))
-    with pytest.raises(ArgumentError, match="expected a sequence"):
+    with pytest.raises(ArgumentError, match="gimbals must be a sequence of names or None, got the string '9'"):
         state_space(model, gimbals="9")
     with pytest.raises(ArgumentError, match="'prescribed' or 'free'"):
         state_space(model, root="fixed")
     with pytest.raises(ArgumentError, match="leave it out"):
         state_space(model, root="free", gimbals=("9", "10"))
-    with pytest.raises(ArgumentError, match="expected 'exact' or 'paper'"):
+    with pytest.raises(ArgumentError, match="terms must be 'exact' or 'paper', got 'both'"):
         linearise(platform, terms="both")
     with pytest.raises(ArgumentError, match=r"shape \(2,\); expected \(3,\)"):
         linearise(platform, Omega=(0, 1))

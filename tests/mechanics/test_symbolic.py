@@ -493,9 +493,9 @@ def test_every_shipped_platform_has_its_equations(name):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"form": "html"}, "form: given 'html'"),
-        ({"terms": "all"}, "terms: given 'all'"),
-        ({"terms": ["exact"]}, "terms: given ['exact']"),
+        ({"form": "html"}, "got 'html'"),
+        ({"terms": "all"}, "got 'all'"),
+        ({"terms": ["exact"]}, "got ['exact']"),
         ({"order": 4}, "got 4"),
         ({"order": np.int64(-1)}, "got np.int64(-1)"),
         ({"order": True}, "True"),
