@@ -399,7 +399,7 @@ def test_arguments_that_make_no_sense_are_named(measured, design):
             measured_pid(measured, **options)
     with pytest.raises(
         ArgumentError,
-        match="measured_pid: the measurement is 'StateSpace'; expected a control.FRD, see read_measurement",
+        match=r"measured_pid: the measurement is 'StateSpace'; expected a control.FRD, see read_measurement",
     ):
         measured_pid(design.controller)
     with pytest.raises(ArgumentError, match="expected as many of both"):

@@ -412,19 +412,27 @@ def test_mistakes_are_one_line(platform):
         parameter_varying(platform, form="p")
     with pytest.raises(ArgumentError, match="gimbals must be a sequence of names or None, got the string '9'"):
         parameter_varying(platform, gimbals="9")
-    with pytest.raises(ArgumentError, match="gimbals: given 9; expected a sequence of names"):
+    with pytest.raises(ArgumentError, match="gimbals must be a sequence of names or None, got 9"):
         parameter_varying(platform, gimbals=9)
-    with pytest.raises(ArgumentError, match=r"gimbals: given 9 among the names; expected a sequence of names"):
+    with pytest.raises(ArgumentError, match="gimbals must be a sequence of names or None, got 9 among the names"):
         parameter_varying(platform, gimbals=(9, "10"))
-    with pytest.raises(ArgumentError, match=r"gimbals: given array\(.*; expected a sequence of names"):
+    with pytest.raises(
+        ArgumentError, match=r"gimbals must be a sequence of names or None, got array\(\[\['9', '10'\]\], dtype='<U2'\)"
+    ):
         parameter_varying(platform, gimbals=np.array([["9", "10"]]))
     with pytest.raises(ArgumentError, match="at least one"):
         parameter_varying(platform, gimbals=())
     with pytest.raises(ArgumentError, match="has none; at least one"):
         parameter_varying(dataclasses.replace(platform, gimbals=(), rotors=(), torquers=()))
-    with pytest.raises(ArgumentError, match="monomial: given 'Omega4'"):
+    with pytest.raises(
+        ArgumentError,
+        match=r"monomial must be one of '1', 'Omega1', 'Omega2', 'Omega3', 'Omega1\^2', 'Omega1\*Omega2', 'Omega1",
+    ):
         model.K["Omega4"]
-    with pytest.raises(ArgumentError, match="monomial: given 'Omega4'"):
+    with pytest.raises(
+        ArgumentError,
+        match=r"monomial must be one of '1', 'Omega1', 'Omega2', 'Omega3', 'Omega1\^2', 'Omega1\*Omega2', 'Omega1",
+    ):
         monomial_values(("Omega4",))
     with pytest.raises(ArgumentError, match="form='momenta'"):
         model.rhs(0.0, np.zeros(10), manoeuvre)

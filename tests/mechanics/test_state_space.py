@@ -305,5 +305,5 @@ def test_wrong_questions_get_one_line(platform):
         state_space(model, root="free", gimbals=("9", "10"))
     with pytest.raises(ArgumentError, match="terms must be 'exact' or 'paper', got 'both'"):
         linearise(platform, terms="both")
-    with pytest.raises(ArgumentError, match=r"shape \(2,\); expected \(3,\)"):
+    with pytest.raises(ArgumentError, match=r"Omega must have shape \(3,\), got \(2,\)"):
         linearise(platform, Omega=(0, 1))

@@ -377,13 +377,19 @@ def test_a_loop_that_is_nothing_has_a_nyquist_plot_too():
     [
         (lambda: figures.root_locus(UNIT, MINUS, gains=[1.0]), "gains must be at least two"),
         (lambda: figures.root_locus(UNIT, MINUS, gains=[2.0, 1.0]), "gains must be .*increasing"),
-        (lambda: figures.root_locus(UNIT, MINUS, plane="w"), "plane: given 'w'"),
+        (lambda: figures.root_locus(UNIT, MINUS, plane="w"), "plane must be 's' or 'z', got 'w'"),
         (lambda: figures.root_locus(UNIT, MINUS, plane="z"), "needs a sampled loop"),
         (lambda: figures.root_locus(UNIT, MINUS, reach=0.0), "reach"),
         (lambda: figures.root_locus(MINUS, MINUS), "neither the plant nor the controller"),
         (lambda: figures.root_locus("plant", MINUS), "plant: .*got 'plant'"),
-        (lambda: figures.root_locus(UNIT, ss([[0.5]], [[1.0]], [[1.0]], 0.0, 0.1)), "controller 0.1 s"),
-        (lambda: figures.root_locus_over_spin("plant", None, MINUS), "expected a Platform"),
+        (
+            lambda: figures.root_locus(UNIT, ss([[0.5]], [[1.0]], [[1.0]], 0.0, 0.1)),
+            "loop_transfer: plant and controller must have the same sample period, got 0.0 s and 0.1 s; see ",
+        ),
+        (
+            lambda: figures.root_locus_over_spin("plant", None, MINUS),
+            "platform must be a Platform, for example from read_platform, got 'plant'",
+        ),
         (lambda: figures.nyquist(ss([[-1.0]], [[1.0, 1.0]], [[1.0]])), "square"),
         (lambda: figures.nyquist(UNIT, margin=3.0), "margin must be below 2, .*got 3.0"),
         (lambda: figures.nyquist(UNIT, reach=0.5), "reach must be above 1, .*got 0.5"),

@@ -290,7 +290,10 @@ def test_histograms_are_the_same_of_statistics_and_of_a_folder(tmp_path):
             lambda p, t: figures.campbell("gyro"),
             "platform must be a Platform, for example from read_platform, got 'gyro'",
         ),
-        (lambda p, t: figures.campbell(dataclasses.replace(p, rotors=())), "at least one that spins"),
+        (
+            lambda p, t: figures.campbell(dataclasses.replace(p, rotors=())),
+            "rotors must include one of platform 'two-axis gimballed gyro' that spins, got none at all",
+        ),
         (lambda p, t: figures.campbell(p, rotor="x"), "rotor must be one of 'rotor', got 'x'"),
         (
             lambda p, t: figures.campbell(p, rotors="rotor"),
@@ -319,7 +322,7 @@ def test_histograms_are_the_same_of_statistics_and_of_a_folder(tmp_path):
         ),
         (lambda p, t: figures.campaign_histograms(statistics(table(), LIMITS), LIMITS), "limits are given"),
         (lambda p, t: figures.show(), "no plot"),
-        (lambda p, t: figures.show(p), "expected a Figure"),
+        (lambda p, t: figures.show(p), "show: a plot must be a Figure or a control.ControlPlot, got a Platform"),
     ],
 )
 def test_wrong_input_is_told_in_one_line(draw, says, gyro, flown):
