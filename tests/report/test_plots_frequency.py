@@ -495,7 +495,7 @@ def test_importing_the_plots_does_not_load_pyplot():
         (lambda: figures.nichols(gyro()), "a square loop transfer is needed"),
         (lambda: figures.nichols(1 / s, disk_margins=2.5), "below 2/(1 + |skew|) = 2, got 2.5"),
         (lambda: figures.nichols(1 / s, T_peaks=(0.5,)), "must be above 1, got 0.5"),
-        (lambda: figures.nichols(1 / s, skew=math.nan), "skew: given nan; expected a number"),
+        (lambda: figures.nichols(1 / s, skew=math.nan), "skew must be a number, got nan"),
         (lambda: figures.singular_values(1 / s, upper=-1.0), "must be a number > 0"),
         (lambda: figures.singular_values(1 / s, upper=([1.0, 2.0], [1.0, 2.0, 3.0])), "must be a number > 0"),
         (lambda: figures.gang_of_four(control.frd([1.0 + 0j], [1.0]), 1 / s), "data cannot be used here"),
@@ -507,7 +507,7 @@ def test_importing_the_plots_does_not_load_pyplot():
         (lambda: figures.Omega_sensitivity(1 / s), "needs Omega1"),
         (lambda: figures.disk_margin_region(-0.1), ">= 0"),
         (lambda: figures.disk_margin_region([]), "give at least one"),
-        (lambda: figures.disk_margin_region(0.5, labels=3), "labels: given 3; expected a sequence of names"),
+        (lambda: figures.disk_margin_region(0.5, labels=3), "labels must be a sequence of names or None, got 3"),
         (lambda: figures.disk_margin_region(gyro()), "a square loop transfer is needed"),
     ],
 )
