@@ -39,8 +39,8 @@ class AllowedHosts:
         loopback = is_loopback(host)
         if not loopback and not allow:
             raise InputError(
-                f"--host {host}: other machines could reach the pages; expected --allow NAME too, once for each name "
-                "or address by which browsers will ask for this machine"
+                f"--host {host}: other machines could reach the page; give --allow NAME too, once for each name or "
+                "address under which browsers reach this machine"
             )
         names = {_name(one) for one in allow}
         if loopback:
@@ -105,7 +105,7 @@ def _name(given: str) -> str:
     found = _HOST.fullmatch(name)
     if found is None or found[3] is not None:
         raise InputError(
-            f"--allow {given!r}: expected a name or an address as browsers show it, without http:// and without a port"
+            f"--allow {given!r}: must be a name or an address as browsers show it, without http:// and without a port"
         )
     return found[1].rstrip(".")
 

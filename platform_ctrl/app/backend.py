@@ -121,7 +121,7 @@ class Backend:
         spec, _ = self._loops.design(settings)
         labels = self.plants(settings)
         if settings.plant not in labels:
-            raise ArgumentError(f"plant: given {short(settings.plant)}; expected the label of one of {len(labels)}")
+            raise ArgumentError(f"plant: {short(settings.plant)} is none of the {len(labels)} plants of the loop")
         known_name("channel", settings.channel, self._loops.plants.channels_of(spec))
         # Those of other loops and of parts that are off stay fixed.
         methods = sorted({one.method for loop in self.read.loops for one in loop.designs})
@@ -202,8 +202,8 @@ class Backend:
                 measured = measure()
         except (np.linalg.LinAlgError, FloatingPointError, OverflowError):
             raise DesignError(
-                f"{settings.loop}, {settings.design}: the loop's numbers leave floating point; expected less extreme "
-                "settings"
+                f"{settings.loop}, {settings.design}: the loop cannot be computed in floating point; choose less "
+                "extreme values"
             ) from None
         values = _fields(measured) | {"notes": (*notes, *measured.notes)}
         return Picture(**drawing, **values, elapsed=time.perf_counter() - begun)
@@ -275,7 +275,7 @@ class Backend:
         `on_limited` is called with the names of the limits that keep it from going all the way.
         """
         if not (np.isfinite(pole) and np.isfinite(target)):
-            raise ArgumentError(f"pole: given {pole} to {target}; expected finite numbers, rad/s")
+            raise ArgumentError(f"pole: both places must be finite, rad/s, got {pole} and {target}")
 
         def solve(parameters: FreeParameters, plant: StateArrays, channel: int, limits: Limits) -> DragResult:
             return dragged_pole(parameters, plant, complex(pole), complex(target), limits)
@@ -296,11 +296,11 @@ class Backend:
         `now` is the crossover that is dragged, rad/s; None: the highest. It stops at limits, unless it is `free`.
         """
         if not np.isfinite(frequency):
-            raise ArgumentError(f"frequency: given {frequency}; expected a finite number, rad/s")
+            raise ArgumentError(f"frequency must be a finite number of rad/s, got {frequency}")
         if now is None:
             bode = self.picture(settings.but(band=False, overlays=())).bode
             if not len(bode.crossovers):
-                raise DesignError(f"{settings.channel}: its gain does not pass 1; expected a loop that crosses over")
+                raise DesignError(f"{settings.channel}: the loop has no crossover to drag, its gain never passes 1")
             now = float(bode.crossovers[-1])
             # Left of the diagram it could not be taken hold of again.
             frequency = max(float(frequency), min(now, _INSIDE * float(bode.frequency[0])))
@@ -331,9 +331,7 @@ class Backend:
         spec, design = self._loops.design(settings)
         free = tuple(k.name for k in self.sliders(settings) if k.tunable and not k.fixed)
         if not free:
-            raise DesignError(
-                f"{spec.name}, {design.name}: no slider is free to be tuned; expected one that is not fixed"
-            )
+            raise DesignError(f"{spec.name}, {design.name}: no slider is free to be tuned; free at least one")
         options = self._loops.options.used(settings, spec, design)
         task: Tuning | ServoTuning
         if spec.kind == "caging":

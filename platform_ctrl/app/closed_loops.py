@@ -361,7 +361,7 @@ class ClosedLoops:
         seen = self.available_conditions(settings, spec, design)
         made = self.store.found(spec.name, design.name, seen)
         if made is None:
-            raise DesignError(f"{spec.name}, {design.name}: is not designed yet; expected it to be designed first")
+            raise DesignError(f"{spec.name}, {design.name}: is not designed yet; wait until it is")
         K, note = at_rate(made.controller, period, design.name), ""
         if seen != self.conditions(settings, spec, design):
             carried = "" if K is made.controller else " and carried over to this sample rate by Tustin's rule"

@@ -87,7 +87,7 @@ def classical_arrays(options: Mapping[str, float], channel: Channels, period: fl
     """Return the sampled controller of a classical design of complete options."""
     controller = classical_controller(dict(options), channel, period)
     if not all(bool((abs(item) < 1e300).all()) for item in controller[:4]):
-        raise DesignError("classical: the options make a controller beyond floating-point numbers; expected others")
+        raise DesignError("classical: the controller of these options is not finite; choose less extreme ones")
     return controller
 
 

@@ -52,18 +52,9 @@ _INSIDE, _SHORTER = 1e-3, 4
 
 @value
 class FreeParameters:
-    """The sliders that may move, and what they make.
+    """The sliders that may move, and the sampled controller that `build` makes of them.
 
-    Attributes
-    ----------
-    names
-        Of the sliders.
-    start, low, high : (k,)
-        Where they stand, and as far as they may go.
-    weights : (k,)
-        How readily each moves.
-    build
-        Sliders → sampled controller.
+    `start` (k,) are their values, `low` and `high` the ends, and `weights` (k,) how easily each moves.
     """
 
     names: tuple[str, ...]
@@ -85,19 +76,12 @@ class FreeParameters:
 
 @value
 class Limits:
-    """The requirements that are met where a drag begins, and that it must not make missed.
+    """The requirements that are met at the start of a drag, and that it must keep.
 
-    Attributes
-    ----------
-    names
-        Of the k requirements.
-    bound : (k,)
-        Ratios up to which they count as met.
-    exact, rough, near, local
-        Sliders → their ratios (k,): as the page shows them; on a grid, which sees no peak between its points; on a grid
-        with its error where the drag begins taken out; the same of the plants that decide alone, good for slopes.
-    steps
-        Most steps along a limit that a drag takes: a hand that drags asks for more of them.
+    `bound` (k,) are the ratios up to which they count as met. Functions of the sliders give their ratios (k,): `exact`
+    as the page shows them; `rough` on a frequency grid, which misses peaks between its points; `near` on a grid,
+    corrected by its error at the start; `local` the same for the deciding plants alone, for slopes. `steps` is the
+    largest number of steps along a limit: dragging calls again and again.
     """
 
     names: tuple[str, ...]
@@ -289,7 +273,7 @@ def dragged_crossover(
     _expect_sliders(parameters)
     nyquist = math.pi / plant.dt
     if not 0.0 < target < nyquist:
-        raise DesignError(f"crossover: dragged to {target:.4g} rad/s; expected up to {nyquist:.4g} rad/s, Nyquist's")
+        raise DesignError(f"crossover: {target:.4g} rad/s is not below the Nyquist frequency of {nyquist:.4g} rad/s")
 
     def residual(w: float) -> Residual:
         grid = np.array([w])
@@ -386,7 +370,7 @@ def _reached(
             normal = W @ J.T
             ridge = 1e-12 * np.trace(normal)
             if not ridge > 0.0:
-                raise DesignError(f"{what} does not move with any slider that is free; expected others to be freed")
+                raise DesignError(f"{what} does not move with any slider that is free; free others")
             dx = -W.T @ np.linalg.solve(normal + ridge * np.eye(len(r)), r)
             out = ((x + dx < low) & (x <= low + 1e-12)) | ((x + dx > high) & (x >= high - 1e-12))
             out &= free > 0.0

@@ -38,25 +38,12 @@ _BAND_POINTS = 36
 
 @value
 class FreePlants:
-    """Sampled plants of the free platform: torquers → sensors, and what acts on the platform itself.
+    """Sampled plants of the free platform: torquers → sensors, and torques on the platform → its attitude.
 
-    Attributes
-    ----------
-    labels
-        Of the N plants, the nominal one first.
-    torquers, sensors
-        Names of inputs and outputs that controllers use.
-    arrays
-        A, B, C, D of torquers → sensors, stacks (N, ...).
-    turned
-        The same with the platform's attitude as states and outputs: torques M1 to M3 on the platform, held and not
-        delayed, behind the torquers' inputs; ATTITUDE behind the sensors.
-    period
-        s.
-    frequency : (F,)
-        Of the band, rad/s.
-    response : complex (N, F, sensors + 3, torquers + 3)
-        Of `turned` there.
+    `labels` are those of the N plants, the nominal one first. `arrays` are stacks (N, ...) from `torquers` to
+    `sensors`; `turned` has the attitude as states and outputs too: torques M1 to M3 on the platform, held and not
+    delayed, behind the torquers' inputs; ATTITUDE behind the sensors. `response` (N, F, sensors + 3, torquers + 3) is
+    that of `turned` at the band's `frequency` (F,), rad/s.
     """
 
     labels: tuple[str, ...]
@@ -112,20 +99,10 @@ def corners(job: Job) -> list[tuple[str, Platform, FloatArray]]:
 
 @value
 class FreeModels:
-    """The free platform before it is sampled: torquers → sensors, torques on the root, and what Omega is made of.
+    """The free platform before it is sampled: torquers → sensors, torques on the root, and its rate.
 
-    Attributes
-    ----------
-    labels
-        Of the N plants.
-    torquers, sensors
-        Names of inputs and outputs.
-    lags : (m,)
-        Of the torquers, s.
-    A, B, C
-        Shapes (N, n, n), (N, n, m), (N, p, n).
-    B_root, C_rate
-        Torques M1 to M3 on the platform, and its rate. Shapes (N, n, 3), (N, 3, n).
+    Stacks of N plants: A (N, n, n), B (N, n, m), C (N, p, n), `B_root` (N, n, 3) for torques M1 to M3 on the platform
+    and `C_rate` (N, 3, n) for its rate; `lags` (m,) of the torquers, s.
     """
 
     labels: tuple[str, ...]
@@ -253,18 +230,9 @@ def _turned(models: FreeModels, period: float, delay: float) -> StateArrays:
 class StabilisedLoop:
     """All loops of a job closed around the free platform.
 
-    Attributes
-    ----------
-    job
-        With the settings' spins, sampling and range of Omega.
-    model
-        At rest.
-    spec
-        The stabilisation loop.
-    controllers
-        `control.StateSpace` of each loop, in the job's order.
-    plants, shown
-        The set (the nominal plant alone without a band), and the plant that is shown.
+    `job` has the spins, sampling and range of Omega of the settings, `model` is that at rest, and `controllers` has a
+    `control.StateSpace` for each loop in the job's order. `plants` is the set (the nominal plant alone without a band),
+    and `shown` the plant that is shown.
     """
 
     job: Job

@@ -27,28 +27,10 @@ _ROUND = 0.55
 class Node:
     """A body of the tree.
 
-    Attributes
-    ----------
-    name, label
-        Name of the body, and what stands beside it: its name, and of a gimbal the angle.
-    kind
-        ``"root"``, ``"gimbal"`` or ``"rotor"``.
-    parent
-        Index of the node that carries it; −1 for the root.
-    pivot : (3,)
-        Point about which it turns, from its parent's, in its parent's axes; in radii of a rotor's disc.
-    axis : (3,)
-        Unit vector about which it turns, in its parent's axes; zero for the root.
-    level
-        Joints between the root and this body.
-    spin
-        Of a rotor against its carrier, rad/s; 0 for others.
-    control
-        How a rotor is held: ``"regulated"``, ``"free"`` or ``"servo"``; empty for others.
-    tip : (3,)
-        Where its name stands, in its own axes, from its own pivot.
-    pieces
-        What it is made of, in its own axes from its own pivot: kind, points, radius.
+    `kind` is ``"root"``, ``"gimbal"`` or ``"rotor"``, `parent` the index of the node that carries it, -1 for the root.
+    `pivot` (3,) is the point about which it turns, from its parent's, in radii of a rotor's disc, and `axis` (3,) the
+    unit vector, both in its parent's axes. `level` counts the joints to the root, `spin` is in rad/s. `tip` (3,) is the
+    place of its label and `pieces` are its shapes (kind, points, radius), both in its own axes from its own pivot.
     """
 
     name: str
@@ -66,18 +48,10 @@ class Node:
 
 @value
 class Scene:
-    """What is seen of a platform.
+    """What is shown of a platform: the root, the gimbals and the rotors in the file's order.
 
-    Attributes
-    ----------
-    nodes
-        The root, the gimbals in the file's order, the rotors in the file's order.
-    camera : (3, 3)
-        Directions to the right, up and toward the viewer, in root axes.
-    centre : (3,)
-        Middle of everything, in radii of a rotor's disc.
-    reach
-        Radius of a ball about the centre that holds everything, in the same.
+    `camera` (3, 3) are the directions to the right, up and toward the viewer, in root axes; a ball of radius `reach`
+    about `centre`, in radii of a rotor's disc, holds everything.
     """
 
     nodes: tuple[Node, ...]

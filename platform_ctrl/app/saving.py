@@ -50,15 +50,7 @@ class SavedController:
 
 @value
 class Saved:
-    """What was written.
-
-    Attributes
-    ----------
-    job, controllers
-        Paths of both files.
-    notes
-        Lines to be told: loops that close another design than the job did, because it was not designed.
-    """
+    """Paths of both files that were written, and lines about loops that close another design than the job did."""
 
     job: Path
     controllers: Path
@@ -80,39 +72,26 @@ def write_job(
     used: Mapping[str, Mapping[str, Mapping[str, float]]],
     controllers: Sequence[SavedController],
 ) -> Saved:
-    """Write the job as it stands on the page, and its controllers beside it.
+    """Write the job with the settings of the page, and its controllers beside it.
 
-    Parameters
-    ----------
-    source
-        The file that the job was read from.
-    path
-        Where to write it.
-    overwrite
-        Whether what stands there may go.
-    settings, start
-        As the page is set, and as the job was.
-    job
-        What the file has to be read as.
-    used
-        Loop → design → options that are used, of the designs that sliders make.
-    controllers
-        One for each loop, in the job's order.
+    `source` is the file that the job was read from, `start` its settings, and `job` what the new file has to be read
+    as. `used` are the options of the designs that sliders build, by loop and design. `overwrite` allows to replace
+    files.
     """
     if source is None:
-        raise InputError("save: the job was not read from a file; expected one, whose text is kept")
+        raise InputError("save: the job was not read from a file; open the page with a job file, whose text is kept")
     path = Path(path)
     if path.suffix != ".toml":
-        raise InputError(f"{path}: does not end in .toml; expected the name of a job file")
+        raise InputError(f"{path}: the name of a job file must end in .toml")
     beside = controllers_beside(path)
     plant = (source.parent / job.plant).resolve()
     for one in (path, beside):
         if one.resolve() == plant:
-            raise InputError(f"{one}: the job reads its plant from it; expected another name")
+            raise InputError(f"{one}: the job reads its plant from it; choose another name")
         if one.exists() and not one.is_file():
-            raise InputError(f"{one}: is no file; expected another name")
+            raise InputError(f"{one}: is not a file; choose another name")
         if not overwrite and os.path.lexists(one):
-            raise InputError(f"{one}: stands there already; expected another name, or to overwrite it")
+            raise InputError(f"{one}: exists already; choose another name or overwrite it")
     text = job_text(source, path.parent, settings, start, used)
     try:
         read_job(_plain(text), folder=path.parent)

@@ -69,20 +69,18 @@ class Building:
 
 
 class PageServer:
-    """A server that is bound to its port; it answers once it runs.
+    """A server that is bound to its port; it responds once it runs.
 
     Parameters
     ----------
     backend
-        `Backend` that all pages share, or a `Building` one; handed on to `make`.
-    host
-        Address to listen on.
-    port
-        Port; None: the first free one from `PORT` on; 0: any.
+        `Backend` that all pages share, or a `Building` one; passed to `make`.
+    host, port
+        Address to listen on; port None: the first free one from `PORT` on; 0: any.
     allow
-        Names by which browsers may ask, besides this machine's own ones where it listens to itself alone.
+        Names under which browsers may reach it, besides this machine's own ones if it listens to itself alone.
     make
-        Called with the backend and every new document, which it fills; default: `page.document.page`.
+        Fills a new document, called with the backend and the document; default: `page.session.page`.
     """
 
     def __init__(
@@ -218,7 +216,7 @@ def _bound(host: str, port: int | None) -> socket.socket:
                 continue
             if error.errno == errno.EADDRINUSE:
                 raise InputError(
-                    f"--port {tried}: taken by another program; expected a free one, or no --port: then one is found"
+                    f"--port {tried}: is used by another program; give a free port, or none to have one found"
                 ) from None
             what = f"--port {tried}" if error.errno == errno.EACCES else f"--host {host}"
             raise InputError(f"{what}: cannot be listened on: {error.strerror or error}") from None

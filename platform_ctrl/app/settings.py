@@ -26,16 +26,8 @@ LoopOptions = Mapping[str, Mapping[str, Options]]
 class Conditions(NamedTuple):
     """All that a design of a method depends on: equal conditions give the same controller.
 
-    Attributes
-    ----------
-    options
-        Name and number of each option, sorted by name.
-    rate_hz, delay
-        Sample rate, Hz, and time from sample to torque, s.
-    spins
-        Name and spin of each rotor, rad/s, sorted by name.
-    Omega : (3,)
-        Largest platform rate about each axis, rad/s.
+    `options` and `spins` (rad/s) are pairs of name and number, sorted by name; `rate_hz` in Hz, `delay` in s, `Omega`
+    (3,) the largest platform rate about each axis, rad/s.
     """
 
     options: tuple[tuple[str, float], ...]
@@ -52,7 +44,7 @@ class Conditions(NamedTuple):
 
 @value
 class Settings:
-    """All that a page is set to; every part is plain data, so that a link can hold it.
+    """All that a page is set to, as plain data that a link can hold.
 
     Attributes
     ----------
@@ -60,34 +52,30 @@ class Settings:
         ``"caged"``: Omega is prescribed, a caging loop is shown; ``"stabilised"``: the platform is free, all loops are
         closed, and the servo on the platform is shown.
     loop, design
-        Names of the loop and of its design that is worked on.
+        Names of the loop and of its design that are shown.
     options
         Loop → design → option → number, in the units of the job file.
     optional
-        Loop → design → names of the optional parts that are switched on: ``"lag"``, ``"notch"``, ``"spin_notch"``.
+        Loop → design → names of the optional parts that are on: ``"lag"``, ``"notch"``, ``"spin_notch"``.
     rate_hz, delay
         Sample rate, Hz, and time from sample to torque, s.
     spins
         Rotor → spin relative to its carrier, rad/s.
     Omega : (3,)
         Platform rate at which the plants are shown, rad/s. Beyond the job's range it widens that range.
-    plant
-        Label of the plant of the set that is shown.
-    band
-        Whether all plants of the set are shown around it.
+    plant, band
+        Label of the plant that is shown, and whether all plants of the set are shown around it.
     fixed
-        Names of sliders that neither drag nor tuning moves.
+        Names of sliders that neither dragging nor tuning moves.
     overlays
         Names of other designs of the loop that are shown as well.
-    channel
-        Torquer at which the loop is shown broken, all others closed.
-    axis
-        Root axis of the responses to Omega, or to a torque on the platform: 1 to 3.
+    channel, axis
+        Torquer at which the loop is shown broken, and root axis of the responses, 1 to 3.
     closed
-        Loop → name of the design that is closed there, while another loop is worked on and in what is saved.
+        Loop → design that is closed there while another loop is shown, and in what is saved.
     designed_for
-        Loop → design → the conditions for which the controller that the page shows was designed. Without an entry it is
-        the one for the settings as they are; with one it stays while rotors, sampling or platform rate are moved.
+        Loop → design → conditions of the controller that the page shows, which stays while rotors, sampling or platform
+        rate are moved. Without an entry it is the controller for the settings as they are.
     """
 
     mode: Mode
@@ -139,31 +127,11 @@ class Settings:
 
 @value
 class Slider:
-    """A number of the settings that a slider moves.
+    """A number of the settings that a slider moves from `low` to `high`; a number beyond the ends may be typed.
 
-    Attributes
-    ----------
-    name
-        What `Backend.moved` calls it: ``crossover_hz``, ``rate_hz``, ``delay``, ``spin 11``, ``Omega1``, ...
-    label, unit
-        For people.
-    group
-        Where it stands: ``"gains"``, ``"lead"``, ``"notch"``, ``"lag"``, ``"design"`` (options of a method that
-        designs), ``"sampling"``, ``"rotors"`` or ``"Omega"``.
-    low, high, value
-        Ends of the slider, and where it stands. A number beyond the ends may be typed.
-    logarithmic
-        Whether equal steps are equal factors.
-    tip
-        A line that says what it does.
-    fixed
-        Whether drag and tuning leave it alone.
-    part
-        The optional part that it belongs to (see `Settings`), else empty.
-    tunable
-        Whether drag and tuning may move it.
-    background
-        Whether moving it asks for a new design, which takes seconds (`Backend.redesign`).
+    `group` is a heading of the page; ``"design"`` has the options of a method that designs. Dragging and tuning move a
+    slider that is `tunable` and not `fixed`. `part` is the optional part that it belongs to, or empty. Moving a slider
+    in the `background` requests a new design, which takes seconds.
     """
 
     name: str
@@ -183,17 +151,7 @@ class Slider:
 
 @value
 class Part:
-    """A part of a controller that is there or not: a lag or a notch.
-
-    Attributes
-    ----------
-    name, label
-        ``"lag"``, ``"notch"`` or ``"spin_notch"``, and what people call it.
-    on
-        Whether it is there.
-    tip
-        A line that says what it does.
-    """
+    """An optional part of a controller: a lag or a notch; `label` and `tip` are shown on the page."""
 
     name: str
     label: str
@@ -203,21 +161,7 @@ class Part:
 
 @value
 class Choices:
-    """What a page lets choose from; no slider changes it.
-
-    Attributes
-    ----------
-    loops
-        Names of the job's loops.
-    designs
-        Loop → names of its designs.
-    methods
-        Loop → design → method.
-    channels
-        Loop → torquers at which it may be shown broken.
-    manoeuvres
-        Names of the job's manoeuvres.
-    """
+    """The lists of the page, which no slider changes: loops, their designs with methods, and their torquers."""
 
     loops: tuple[str, ...]
     designs: dict[str, tuple[str, ...]] = field(default_factory=dict)
@@ -377,8 +321,8 @@ def moved(settings: Settings, sliders: Mapping[str, Slider], name: str, number: 
         longest = _LONGEST_DELAY / new.rate_hz
         if not 0.0 <= new.delay <= longest * (1.0 + 1e-9):
             raise ArgumentError(
-                f"{name}: given {short(number)}, so that the delay is {new.delay * new.rate_hz:.4g} periods; expected "
-                f"0 to {_LONGEST_DELAY:g}"
+                f"{name}: the delay must be 0 to {_LONGEST_DELAY:g} periods, with {short(number)} it is "
+                f"{new.delay * new.rate_hz:.4g}"
             )
         return new
     if name.startswith("spin ") and sliders[name].group == "rotors":
@@ -405,12 +349,12 @@ def _number(name: str, given: float) -> float:
     try:
         out = float(given)
     except (TypeError, ValueError, OverflowError):
-        raise ArgumentError(f"{name}: given {short(given)}; expected a number") from None
+        raise ArgumentError(f"{name} must be a number, got {short(given)}") from None
     if isinstance(given, bool) or not math.isfinite(out):
-        raise ArgumentError(f"{name}: given {short(given)}; expected a finite number")
+        raise ArgumentError(f"{name} must be a finite number, got {short(given)}")
     return out
 
 
 def _expect(name: str, at: float, low: float, high: float) -> None:
     if not low <= at <= high:
-        raise ArgumentError(f"{name}: given {at:g}; expected a number from {low:g} to {high:g}")
+        raise ArgumentError(f"{name} must be from {low:g} to {high:g}, got {at:g}")

@@ -57,11 +57,11 @@ def test_a_page_whose_server_ends_says_so_and_comes_back_as_it_stood_with_the_se
 @pytest.mark.parametrize(
     ("name", "why"),
     [
-        ("x" * 81, "81 characters"),
-        (".hidden", "no dot at its beginning"),
-        ("Con.old", "keeps it for a device"),
-        ("../out", "expected letters"),
-        ("..", "expected letters"),
+        ("x" * 81, "this one has 81"),
+        (".hidden", "must not begin with a dot"),
+        ("Con.old", "for a device"),
+        ("../out", "only letters"),
+        ("..", "only letters"),
     ],
 )
 def test_a_name_that_is_refused_is_told_why(tmp_path: Path, name: str, why: str) -> None:

@@ -159,7 +159,7 @@ def test_a_state_that_the_job_does_not_know_is_told_in_one_line(shipped: Backend
     with pytest.raises(InputError) as told:
         judged(shipped, changed)
     assert "\n" not in str(told.value)
-    assert "expected" in str(told.value)
+    assert re.search("must|is unknown|expected", str(told.value))
 
 
 def test_a_saved_job_is_the_picture_and_check_accepts_it(
@@ -283,7 +283,7 @@ def test_saving_never_lands_on_the_plant_or_a_folder_and_leaves_nothing_half_wri
         bench.save(settings, tmp_path / "mine_plant.toml", overwrite=True)
     assert (tmp_path / "mine_plant.toml").read_text() == plant
     (tmp_path / "folder.toml").mkdir()
-    with pytest.raises(InputError, match=r"folder\.toml: is no file"):
+    with pytest.raises(InputError, match=r"folder\.toml: is not a file"):
         bench.save(settings, tmp_path / "folder.toml", overwrite=True)
     before = sorted(path.name for path in tmp_path.iterdir())
 
@@ -298,13 +298,13 @@ def test_saving_never_lands_on_the_plant_or_a_folder_and_leaves_nothing_half_wri
 
 def test_saving_keeps_what_stands_there_unless_it_may_go(bench: Backend, job_file: Path, tmp_path: Path) -> None:
     settings = bench.start()
-    with pytest.raises(InputError, match="stands there already"):
+    with pytest.raises(InputError, match="exists already"):
         bench.save(settings, job_file)
     assert job_file.read_text() == TWO
     assert not (tmp_path / "gyro.controllers.json").exists()
     bench.save(settings, job_file, overwrite=True)
     assert read_job(job_file).name == "two designs"
-    with pytest.raises(InputError, match="does not end in"):
+    with pytest.raises(InputError, match="must end in"):
         bench.save(settings, tmp_path / "gyro.json")
     with pytest.raises(InputError):
         bench.save(settings, tmp_path / "nowhere" / "gyro.toml")

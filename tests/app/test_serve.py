@@ -402,7 +402,7 @@ def test_a_workbench_that_cannot_be_made_ends_the_server_and_its_page_says_why(
 
 @pytest.mark.parametrize("host", ["0.0.0.0", "::", "192.0.2.7", "lab-pc"])
 def test_other_machines_are_let_in_only_by_name(host: str) -> None:
-    with pytest.raises(InputError, match=f"--host {host}: other machines could reach the pages; expected --allow"):
+    with pytest.raises(InputError, match=f"--host {host}: other machines could reach the page; give --allow"):
         AllowedHosts.of(host)
     hosts = AllowedHosts.of(host, ["Lab-PC.local", "192.0.2.7", "2001:db8::1"])
     assert not hosts.local_only
@@ -414,12 +414,12 @@ def test_other_machines_are_let_in_only_by_name(host: str) -> None:
 
 @pytest.mark.parametrize("name", ["http://lab-pc", "lab-pc:5006", "", "a b", "*", "<x>", "-x", "é"])
 def test_a_name_to_allow_that_is_none_is_one_line(name: str) -> None:
-    with pytest.raises(InputError, match=r"--allow .*: expected a name or an address as browsers show it"):
+    with pytest.raises(InputError, match=r"--allow .*: must be a name or an address as browsers show it"):
         AllowedHosts.of("0.0.0.0", [name])
 
 
 def test_a_taken_port_and_a_strange_host_are_one_line(server: PageServer) -> None:
-    with pytest.raises(InputError, match=f"--port {server.port}: taken by another program; expected a free one"):
+    with pytest.raises(InputError, match=f"--port {server.port}: is used by another program; give a free port"):
         PageServer(None, port=server.port, make=a_slider)
     with pytest.raises(InputError, match=r"--host 192\.0\.2\.7: cannot be listened on"):
         PageServer(None, host="192.0.2.7", port=0, allow=["x"], make=a_slider)

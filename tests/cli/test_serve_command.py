@@ -126,7 +126,7 @@ def test_what_is_wrong_is_one_line(job: Path, capsys: pytest.CaptureFixture[str]
     assert "none.json: there is no such file" in refused(capsys, "serve", str(job), "-q", "--controllers", "none.json")
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
-        assert f"--port {port}: taken by another program" in refused(
+        assert f"--port {port}: is used by another program" in refused(
             capsys, "serve", str(job), "-q", "--port", str(port)
         )
     assert "--port" in refused(capsys, "serve", str(job), "--port", "70000")

@@ -47,17 +47,7 @@ _WORDS = {bool: "true or false", int: "a whole number", str: "a text", list: "a 
 
 @value
 class Request:
-    """A message of a page.
-
-    Attributes
-    ----------
-    count
-        The page's count of its messages; the answer names it.
-    what
-        One of `REQUESTS`.
-    more
-        What belongs to it, of the right types.
-    """
+    """A checked message of a page: its `count`, which the response names, its kind `what`, and its typed content."""
 
     count: int
     what: str
@@ -67,14 +57,14 @@ class Request:
 def parse_request(message: object) -> Request:
     """Return a message of a page, judged."""
     if not isinstance(message, str) or len(message) > LONGEST:
-        raise InputError(f"the page sent {short(message)}; expected a JSON text of at most {LONGEST} characters")
+        raise InputError(f"a message must be JSON of at most {LONGEST} characters, the page sent {short(message)}")
     try:
         read = json.loads(message, parse_constant=_no_constant)
     except (ValueError, RecursionError):
-        raise InputError(f"the page sent {short(message)}; expected JSON with finite numbers") from None
+        raise InputError(f"a message must be JSON with finite numbers, the page sent {short(message)}") from None
     what = read.get("what") if isinstance(read, dict) else None
     if not isinstance(what, str) or what not in REQUESTS:
-        raise InputError(f"the page requested {short(what)}; expected one of {', '.join(REQUESTS)}")
+        raise InputError(f"a request must be one of {', '.join(REQUESTS)}, the page sent {short(what)}")
     more = {}
     for name, kind in REQUESTS[what].items():
         more[name] = _of_kind(f"{what}: {name}", read.get(name), kind)
@@ -82,7 +72,7 @@ def parse_request(message: object) -> Request:
         more["moves"] = tuple(_move(one) for one in _few(more["moves"]))
     count = _of_kind(f"{what}: n", read.get("n"), int)
     if not 0 <= count <= LARGEST_COUNT:
-        raise InputError(f"{what}: n: given {short(count)}; expected a count")
+        raise InputError(f"{what}: n must be a count, got {short(count)}")
     return Request(count=count, what=what, more=more)
 
 
@@ -103,25 +93,25 @@ def number(name: str, given: object) -> float:
     except OverflowError:
         out = math.inf
     if not math.isfinite(out):
-        raise InputError(f"{name}: given {short(given)}; expected a finite number")
+        raise InputError(f"{name} must be a finite number, got {short(given)}")
     return out
 
 
 def _of_kind(name: str, given: object, kind: type) -> Any:
     if not isinstance(given, kind) or (kind is int and isinstance(given, bool)):
-        raise InputError(f"{name}: given {short(given)}; expected {_WORDS[kind]}")
+        raise InputError(f"{name} must be {_WORDS[kind]}, got {short(given)}")
     return given
 
 
 def _few(moves: list[Any]) -> list[Any]:
     if len(moves) > MOVES:
-        raise InputError(f"move: given {len(moves)} moves; expected at most {MOVES}")
+        raise InputError(f"move: at most {MOVES} sliders move together, got {len(moves)}")
     return moves
 
 
 def _move(one: object) -> tuple[str, float]:
     if not isinstance(one, dict):
-        raise InputError(f"move: given {short(one)}; expected a slider and its number")
+        raise InputError(f"move: each move must be a slider and its number, got {short(one)}")
     slider = _of_kind("move: slider", one.get("slider"), str)
     return slider, number(slider, one.get("value"))
 
@@ -311,12 +301,12 @@ def chosen(backend: Backend, settings: Settings, name: str, given: object, plant
         return settings.but(axis=whole("axis", given, 1, 3))
     if name == "band":
         if not isinstance(given, bool):
-            raise InputError(f"band: given {short(given)}; expected true or false")
+            raise InputError(f"band must be true or false, got {short(given)}")
         return settings.but(band=given)
     if name == "overlays":
         others = [one for one in choices.designs[settings.loop] if one != settings.design]
         if not isinstance(given, list):
-            raise InputError(f"overlays: given {short(given)}; expected a list of designs")
+            raise InputError(f"overlays must be a list of designs, got {short(given)}")
         return settings.but(overlays=tuple(others[k] for k in known_names("overlays", given, others)))
     text = _text(name, given)
     if name == "loop":
@@ -335,10 +325,10 @@ def chosen(backend: Backend, settings: Settings, name: str, given: object, plant
         other = backend.chosen(settings, loop=loop)
         if other.mode == text:
             return other
-    raise InputError(f"mode: given {short(given)}; expected one that this job has a loop for")
+    raise InputError(f"mode: this job has no loop for {short(given)}")
 
 
 def _text(name: str, given: object) -> str:
     if not isinstance(given, str):
-        raise InputError(f"{name}: given {short(given)}; expected a text")
+        raise InputError(f"{name} must be a text, got {short(given)}")
     return given

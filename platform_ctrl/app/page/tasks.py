@@ -35,13 +35,13 @@ def target(folder: Path, name: str) -> Path:
     """Return the path of the job file that a page wants to save."""
     stem = name.strip().removesuffix(".toml")
     if len(stem) > _LONGEST:
-        raise InputError(f"name: {len(stem)} characters; expected at most {_LONGEST}")
+        raise InputError(f"name: it may have at most {_LONGEST} characters, this one has {len(stem)}")
     if _RESERVED.fullmatch(stem) is not None:
-        raise InputError(f"name: given {short(name)}; expected another: Windows keeps it for a device")
+        raise InputError(f"name: Windows reserves {short(name)} for a device; choose another one")
     if _NAME.fullmatch(stem) is None:
-        raise InputError(f"name: given {short(name)}; expected letters, digits, blanks, . , ( ) + = @ - or _")
+        raise InputError(f"name: only letters, digits, blanks, . , ( ) + = @ - and _ are allowed, got {short(name)}")
     if stem.startswith("."):
-        raise InputError(f"name: given {short(name)}; expected no dot at its beginning: such files are hidden")
+        raise InputError(f"name: {short(name)} must not begin with a dot, which would hide the file")
     return folder / f"{stem}.toml"
 
 
