@@ -109,7 +109,7 @@ def test_what_json_says_can_be_asked_and_a_page_that_is_open_does_not_hold_it_up
 
 
 def test_other_machines_need_names_and_are_told_of(job: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert "expected --allow NAME too" in refused(capsys, "serve", str(job), "--host", "0.0.0.0")
+    assert "give --allow NAME too" in refused(capsys, "serve", str(job), "--host", "0.0.0.0")
     with serving(
         job, "--quiet", "--port", "0", "--host", "0.0.0.0", "--allow", "lab-pc.local", "--no-browser"
     ) as process:
