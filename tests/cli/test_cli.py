@@ -262,7 +262,7 @@ def test_the_shell_gets_completion(monkeypatch: pytest.MonkeyPatch) -> None:
         (["check", "job.toml", "--controllers", "none.json"], "none.json: there is no such file"),
         (["check", "job.toml", "--controllers", "out"], "out: is a directory"),
         (["check", "job.toml", "--controllers", "job.toml"], "job.toml: is not JSON"),
-        (["check", "job.toml", "--controllers", "faster.json"], 'controllers 1 "caging 4-5-7": dt: given 0.0001 s'),
+        (["check", "job.toml", "--controllers", "faster.json"], 'controllers 1 "caging 4-5-7": dt: 0.0001 s is not'),
         (
             ["simulate", "job.toml", "--run", "3"],
             '--run "3": job.toml has no such manoeuvre; its manoeuvres are: 1 "turn", 2 "step"',

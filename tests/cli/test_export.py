@@ -313,7 +313,7 @@ def test_ranges_and_accuracy_of_fixed_point_stand_in_the_command_that_writes_it_
     [
         (["--number", "q31", "--range", "alpha"], "--range alpha: must be a name, = and a number, as in alpha9=0.01"),
         (["--range", "alpha9=1"], "--accuracy are options of fixed point, but --number is double; use q31 or q15"),
-        (["--number", "q31", "--range", "gamma=1"], "ranges: given 'gamma'"),
+        (["--number", "q31", "--range", "gamma=1"], "ranges must be one of 'alpha9', 'beta10', got 'gamma'"),
         (["--number", "q31", "--range", "alpha9=nan"], "--range alpha9=nan: the number must be finite and > 0"),
         (["--number", "q31", "--integral-limit", "pi=-1"], "--integral-limit pi=-1: the number must be finite and > 0"),
         (["--number", "q15", "--accuracy", "-1"], "--accuracy -1.0: must be finite and > 0"),

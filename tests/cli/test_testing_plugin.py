@@ -355,8 +355,8 @@ def test_what_is_no_result_or_no_file_is_told_in_one_line(runs: pytest.Pytester)
     done.assert_outcomes(failed=3)
     for said in (
         "baseline: must be the path of a file, got 3",
-        "'gyro.toml'; expected a JobResult",
-        "given None; e",
+        "must be a JobResult, got 'gyro.toml'",
+        "got None",
     ):
         done.stdout.fnmatch_lines([f"E*ArgumentError: *{said}*"])
 
@@ -367,7 +367,7 @@ def test_a_corrupted_baseline_is_one_line_and_is_not_overwritten(runs: pytest.Py
     for arguments in ((), ("--update-baselines",)):
         done = run(runs, *arguments)
         done.assert_outcomes(failed=1)
-        done.stdout.fnmatch_lines(["E*InputError: gyro.json: figures: given 3; expected a list of figures"])
+        done.stdout.fnmatch_lines(["E*InputError: gyro.json: figures must be a list of figures, got 3"])
     assert json.loads(file.read_text(encoding="utf-8"))["figures"] == 3
 
 

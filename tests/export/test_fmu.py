@@ -304,7 +304,7 @@ def test_what_goes_wrong_is_logged_and_an_error_of_the_step(folder):
     refused("Omega1 to Omega3 are inputs of caged runs", {"Omega1": 1.0}, manoeuvre=2)
     refused("Omega1: must be a finite number", {"Omega1": float("nan")}, manoeuvre=1)
     refused("manoeuvre: must be 1 to 4, got 9", {}, manoeuvre=9)
-    refused("delay: given -1.0", {}, manoeuvre=1, delay=-1.0)
+    refused("delay must be a finite number >= 0, got -1.0", {}, manoeuvre=1, delay=-1.0)
     refused("initial.Omega1 to 3 are parameters of stabilised runs", {}, manoeuvre=1, initial__Omega1=1.0)
     refused("the last one ended at 0.0005 s", {}, time=0.1, manoeuvre=1)
     refused("spin.'11': cannot be set while the unit runs", {"spin.'11'": 5.0}, manoeuvre=1)
@@ -337,9 +337,9 @@ def test_the_unit_runs_elsewhere_and_from_another_process(gyro, unit, tmp_path):
 
 def test_what_cannot_be_written_is_refused_in_one_line(gyro, tmp_path, monkeypatch):
     job, controllers = gyro
-    with pytest.raises(ArgumentError, match="manoeuvre: given 'roll'"):
+    with pytest.raises(ArgumentError, match=r"manoeuvre must be one of .* got 'roll'"):
         write_fmu(job, controllers, tmp_path / "x.fmu", manoeuvre="roll")
-    with pytest.raises(ArgumentError, match="seed: given 9223372036854775808"):
+    with pytest.raises(ArgumentError, match=r"seed must .*got 9223372036854775808"):
         write_fmu(replace(job, seed=2**63), controllers, tmp_path / "x.fmu")
     with pytest.raises(InputError, match="cannot be written"):
         write_fmu(job, controllers, tmp_path / "no folder" / "x.fmu")
