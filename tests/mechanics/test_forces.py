@@ -148,6 +148,13 @@ def test_horizontal_acceleration_enters_as_specific_force():
     assert free.input_labels == ["Qarm", "M1", "M2", "M3", "f1", "f2", "f3"]
 
 
+def lost_per_squared_rate(friction, amplitude):
+    """Mean power that friction takes from an oscillation of that rate, over the mean square of the rate."""
+    rates = amplitude * np.cos((np.arange(20000) + 0.5) * 2 * np.pi / 20000)
+    lost = np.mean([(friction.viscous * rate + friction.dry(rate)) * rate for rate in rates])
+    return lost / np.mean(rates**2)
+
+
 def test_friction_opposes_and_dry_friction_differs_by_side():
     platform = pendulum(friction=[{"gimbal": "arm", "viscous": 0.5, "coulomb": [0.2, 0.3], "coulomb_rate": 0.01}])
     torque = [element_forces(platform, [0.0], [0, 0, 0, rate])[3] for rate in (-1.0, 0.0, 1.0)]
@@ -155,10 +162,7 @@ def test_friction_opposes_and_dry_friction_differs_by_side():
     assert linearise(platform).Q_rate[0, 0] == -0.5
     # An oscillation of amplitude V loses 4 V F per cycle to dry friction of mean F, pi V² d / omega to a viscous one.
     equivalent = linearise(platform, rate_amplitude=[2.0]).Q_rate[0, 0]
-    phase = (np.arange(20000) + 0.5) * 2 * np.pi / 20000
-    rates = 2.0 * np.cos(phase)
-    lost = np.mean([element_forces(platform, [0.0], [0, 0, 0, r])[3] * r for r in rates])
-    assert equivalent * np.mean(rates**2) == pytest.approx(lost, rel=1e-3)
+    assert equivalent == pytest.approx(-lost_per_squared_rate(platform.frictions[0], 2.0), rel=1e-3)
 
 
 STRIBECK = {"gimbal": "arm", "coulomb": [0.2, 0.3], "breakaway": [0.5, 0.4], "stribeck_rate": 0.3, "coulomb_rate": 1e-4}
@@ -249,10 +253,7 @@ def test_the_describing_function_takes_what_a_stribeck_curve_takes(amplitude):
     smooth = 1e-6 * amplitude
     platform = pendulum(friction=[STRIBECK | {"viscous": 0.5, "coulomb_rate": smooth}])
     equivalent = linearise(platform, rate_amplitude=[amplitude]).Q_rate[0, 0]
-    phase = (np.arange(20000) + 0.5) * 2 * np.pi / 20000
-    rates = amplitude * np.cos(phase)
-    lost = np.mean([element_forces(platform, [0.0], [0, 0, 0, r])[3] * r for r in rates])
-    assert equivalent * np.mean(rates**2) == pytest.approx(lost, rel=1e-6)
+    assert equivalent == pytest.approx(-lost_per_squared_rate(platform.frictions[0], amplitude), rel=1e-6)
 
 
 def test_a_cage_with_play_pushes_and_never_pulls():
