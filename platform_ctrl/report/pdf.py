@@ -1,6 +1,6 @@
 """The report as PDF: the same document as the page, set by typst.
 
-The document goes in as data: the template shows every text as it stands, whatever signs are in it.
+The document goes in as data: the template shows every text as it is, whatever characters are in it.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from typing import Any
 from platform_ctrl.common.files import write_whole
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.errors import InputError, PlatformCtrlError
+from platform_ctrl.report.axes.picture import theme_colours
 from platform_ctrl.report.page.blocks import Document, Listing, Plate
 from platform_ctrl.report.page.job_page import prepared
 from platform_ctrl.verification.verdict import JobResult
@@ -25,7 +26,6 @@ from platform_ctrl.verification.verdict import JobResult
 _UNSETTABLE = re.compile("[\x00-\x08\x0b-\x1f\x7f\ud800-\udfff\ufffe\uffff]")
 _LONG = re.compile(r"\S{60,}")
 _VARIABLE = re.compile(r"var\(--([a-z0-9-]+)(?:, *#[0-9a-f]+)?\)")
-_DEFINED = re.compile(r"--([a-z0-9-]+): (#[0-9a-f]{6})")
 # Fonts of figures: those they are laid out for.
 _FIGURE_FONT = "DejaVu Sans"
 
@@ -96,7 +96,7 @@ def typeset(typst: ModuleType, content: Document) -> bytes:
     import matplotlib as mpl
 
     templates = resources.files("platform_ctrl.report") / "templates"
-    colours = light_colours(templates.joinpath("report.css").read_text(encoding="utf-8"))
+    colours = theme_colours("light")
     data = plain_data(content, colours) | {"colours": colours}
     inputs = {"document": json.dumps(data, ensure_ascii=False)}
     fonts = [str(Path(mpl.get_data_path()) / "fonts" / "ttf")]
@@ -110,11 +110,6 @@ def typeset(typst: ModuleType, content: Document) -> bytes:
         else:
             return bytes(made)
     raise PlatformCtrlError(f"the report cannot be set as PDF: typst says: {words}")
-
-
-def light_colours(sheet: str) -> dict[str, str]:
-    """Return the colours of the light page by their names: the first definition of each in its style sheet."""
-    return dict(reversed(_DEFINED.findall(sheet)))
 
 
 def plain_data(item: Any, colours: dict[str, str]) -> Any:

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from platform_ctrl import read_platform
 from platform_ctrl.common.text import greek, text_width
 from platform_ctrl.plant.source import shipped_models
-from platform_ctrl.report.axes.picture import DARK, LIGHT, axes_picture
+from platform_ctrl.report.axes.picture import axes_picture, theme_colours
 from platform_ctrl.report.axes.svg import direction_text
 from tree_cases import platforms
 
@@ -315,15 +315,14 @@ def test_a_picture_is_small_and_loads_nothing(model):
     assert not re.search(r"href|url\(|@import|@font-face|<script|<image", text)
 
 
-def test_colours_are_those_of_the_report():
-    css = (ROOT / "platform_ctrl" / "report" / "templates" / "report.css").read_text(encoding="utf-8")
-    themes = [
-        dict(re.findall(r"--([\w-]+): (#\w+)", block)) for block in re.findall(r":root \{(.*?)\}", css, re.DOTALL)
-    ]
-    for colours, theme in zip((LIGHT, DARK), themes, strict=True):
-        assert colours.items() <= theme.items()
-    assert set(LIGHT) == set(DARK)
-    assert set(re.findall(r"var\(--([\w-]+)\)", axes_picture(plant()))) == set(LIGHT)
+def test_a_picture_that_stands_alone_has_all_its_colours_for_both_themes():
+    text = axes_picture(plant())
+    used = set(re.findall(r"var\(--([\w-]+)\)", text))
+    for defined in re.findall(r"svg:root\{(.*?)\}", text):
+        assert set(re.findall(r"--([\w-]+):#", defined)) == used
+    light, dark = theme_colours("light"), theme_colours("dark")
+    assert used <= set(light) == set(dark)
+    assert (light["page"], dark["page"]) == ("#ffffff", "#14181e")
 
 
 @MODEL

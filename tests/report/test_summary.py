@@ -235,7 +235,7 @@ def test_the_page_with_a_campaign_tells_how_to_fly_a_run_again(
     )
     words = text_of(page)
     assert "simulated with other" not in words
-    assert "None is part of this report" not in words
+    assert "this report has none" not in words
     assert campaign_tables.verdict(summary)[1:] in words
     assert not re.search(r"https?:|\bsrc=|url\((?!#)|@import|href=\"(?!#)", page)
 

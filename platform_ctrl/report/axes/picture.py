@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import re
+from importlib import resources
+from typing import Literal
+
 import numpy as np
 
 from platform_ctrl.common.text import greek
@@ -26,100 +30,31 @@ WIDTH = 1000.0
 _MARGIN, _HEAD, _FOOT = 24.0, 58.0, 124.0
 _BESIDE, _ABOVE, _LEAST_WIDTH = 500.0, 640.0, 430.0  # the view's height beside or above the scheme, its width
 
-# The page's own variables and colours; a picture that stands alone sets them itself.
-LIGHT = {
-    "page": "#ffffff",
-    "ink": "#1b2430",
-    "muted": "#5c6675",
-    "frame": "#b9c0ca",
-    "band": "#dfe7f1",
-    "reference": "#8a93a0",
-    "series-1": "#0072b2",
-    "series-2": "#d55e00",
-    "series-3": "#009e73",
-    "series-4": "#cc79a7",
-    "series-7": "#7a7a00",
-    "series-8": "#6a5acd",
-}
-DARK = {
-    "page": "#14181e",
-    "ink": "#e6e9ee",
-    "muted": "#a0a9b6",
-    "frame": "#4a5361",
-    "band": "#222c3a",
-    "reference": "#7d8795",
-    "series-1": "#4aa8e6",
-    "series-2": "#f58a3c",
-    "series-3": "#2fc799",
-    "series-4": "#e8a0c6",
-    "series-7": "#c9c94a",
-    "series-8": "#a79bf0",
-}
+_TEMPLATES = resources.files("platform_ctrl.report") / "templates"
 
-_RULES = """
-.axes-picture text{font:15px system-ui,-apple-system,"Segoe UI","Helvetica Neue",Arial,sans-serif;fill:var(--ink)}
-.axes-picture path,.axes-picture line{fill:none;stroke-linecap:round;stroke-linejoin:round}
-.axes-picture .paper{fill:var(--page)}
-.axes-picture .title{font-size:18px;font-weight:600}
-.axes-picture .muted,.axes-picture .edge-axis{fill:var(--muted)}
-.axes-picture .small{font-size:13px}
-.axes-picture .strong,.axes-picture .angle,.axes-picture .rotor-name{font-weight:600}
-.axes-picture .angle,.axes-picture .edge-angle{fill:var(--series-2);font-weight:600}
-.axes-picture .rotor-name{fill:var(--series-1)}
-.axes-picture .node-name,.axes-picture .edge-axis,.axes-picture .edge-angle{font-size:14px}
-.axes-picture .haloed{paint-order:stroke;stroke:var(--page);stroke-width:4px;stroke-linejoin:round}
-.axes-picture .halo{stroke:var(--page);stroke-width:8px;stroke-linecap:butt}
-.axes-picture .bar{stroke-width:4px}
-.axes-picture .pin{stroke-width:2.4px}
-.axes-picture .plate{fill:var(--band);stroke-width:3px}
-.axes-picture .level-1{stroke:var(--ink)}
-.axes-picture .level-2{stroke:var(--series-8)}
-.axes-picture .level-3{stroke:var(--series-7)}
-.axes-picture .level-4{stroke:var(--series-4)}
-.axes-picture .level-5{stroke:var(--reference)}
-.axes-picture .mount{stroke:var(--muted);stroke-width:2.4px}
-.axes-picture .hatch,.axes-picture .leader{stroke:var(--muted);stroke-width:1.1px}
-.axes-picture .bearing{fill:var(--page);stroke:var(--ink);stroke-width:1.6px}
-.axes-picture .axis,.axes-picture .turn{stroke:var(--series-2);stroke-width:2.4px}
-.axes-picture .spin,.axes-picture .shaft{stroke:var(--series-1);stroke-width:3px}
-.axes-picture .shaft{stroke-width:2.2px}
-.axes-picture .axis-head,.axes-picture .turn-head{fill:var(--series-2)}
-.axes-picture .spin-head{fill:var(--series-1)}
-.axes-picture .disc,.axes-picture .node.rotor{fill:var(--band);stroke:var(--series-1);stroke-width:2px}
-.axes-picture .disc-side{fill:var(--band)}
-.axes-picture .triad{stroke:var(--ink);stroke-width:2px}
-.axes-picture .triad-head{fill:var(--ink)}
-.axes-picture .torquer{fill:var(--series-3);stroke:var(--page);stroke-width:1px}
-.axes-picture .pickoff,.axes-picture .erection{fill:var(--page);stroke:var(--series-3);stroke-width:2px}
-.axes-picture .spring,.axes-picture .cage{stroke:var(--series-3);stroke-width:2px}
-.axes-picture .edge{stroke:var(--muted);stroke-width:1.8px}
-.axes-picture .edge.regulated,.axes-picture .edge.free,.axes-picture .edge.servo{stroke:var(--series-1)}
-.axes-picture .free{stroke-dasharray:6 4}
-.axes-picture .servo{stroke-dasharray:9 3 1.5 3}
-.axes-picture .node.root{fill:var(--ink);stroke:var(--ink)}
-.axes-picture .node.gimbal{fill:var(--page);stroke-width:2.2px}
-.axes-picture .root-node{fill:var(--page);font-weight:600}
-.axes-picture .rule{stroke:var(--frame);stroke-width:1px}
-""".strip()
+
+def style_rules() -> str:
+    """Return the style rules of the picture, without the colours."""
+    return _TEMPLATES.joinpath("axes.css").read_text(encoding="utf-8").strip()
+
+
+def theme_colours(theme: Literal["light", "dark"]) -> dict[str, str]:
+    """Return the colours of the report's page by their names."""
+    sheet = _TEMPLATES.joinpath("report.css").read_text(encoding="utf-8")
+    found = re.findall(r"--([a-z0-9-]+): (#[0-9a-f]{6})", sheet)
+    # The light colours are the first definitions of their names, the dark ones the last.
+    return dict(found) if theme == "dark" else dict(found) | dict(reversed(found))
 
 
 def axes_picture(platform: Platform, alone: bool = True) -> str:
-    """Return a picture of the axes of `platform` as the text of an SVG file, or as an element of the report's page.
+    """Return a picture of the axes of `platform`: the text of an SVG file, or with `alone` false an element of a page.
 
     On the left the bodies: gimbals as frames on their bearings with the positive direction and turn of their angle,
     rotors as discs with the direction of L, the root as hatched mounts and as axes 1, 2, 3. In the model all axes go
-    through one point; the drawing moves bodies apart and keeps every direction. On the right the tree of the bodies,
-    each joint with its axis in the parent's axes and its angle. Where the tree is too wide it stands below.
+    through one point; the drawing moves bodies apart and keeps every direction. On the right, or below if it is wide,
+    the tree of the bodies: each joint with its axis in the parent's axes and its angle.
 
-    The same platform gives the same text. Colours are those of the report's page, light or dark as the reader's
-    screen; nothing is loaded from elsewhere.
-
-    Parameters
-    ----------
-    platform
-        What is drawn.
-    alone
-        Whether the text is a file of its own, with its own colours; otherwise it takes those of the page around it.
+    The same platform gives the same text; nothing is loaded from elsewhere. Colours are those of the report's page.
     """
     scheme = structure_scheme(platform)
     beside = WIDTH - 3.0 * _MARGIN - scheme.width >= _LEAST_WIDTH
@@ -136,14 +71,15 @@ def axes_picture(platform: Platform, alone: bool = True) -> str:
         at = 0.5 * (width - scheme.width), _HEAD + view.height + _MARGIN
     height = bottom + _FOOT
     size = f"{number(width)} {number(height)}"
-    dark = f"@media (prefers-color-scheme:dark){{svg:root{{{_variables(DARK)}}}}}\n"
-    colours = f"svg:root{{{_variables(LIGHT)}}}\n{dark}" if alone else ""
+    rules = style_rules()
+    dark = f"@media (prefers-color-scheme:dark){{svg:root{{{_variables('dark', rules)}}}}}\n"
+    colours = f"svg:root{{{_variables('light', rules)}}}\n{dark}" if alone else ""
     space = 'xmlns="http://www.w3.org/2000/svg" ' if alone else ""
     pieces = [
         f'<svg {space}class="axes-picture" viewBox="0 0 {size}" role="img">',
         f"<title>{plain_text(f'Axes of {platform.name}')}</title>",
         f"<desc>{plain_text(description(platform))}</desc>",
-        f"<style>\n{colours}{_RULES}</style>",
+        f"<style>\n{colours}{rules}</style>",
         f'<rect class="paper" width="{number(width)}" height="{number(height)}" rx="6"/>',
         words(platform.name, (_MARGIN, 34.0), "title"),
         f'<g class="view" transform="translate({number(_MARGIN)} {number(top)})">\n{view.svg}\n</g>',
@@ -171,8 +107,10 @@ def description(platform: Platform) -> str:
     return " ".join(sentences)
 
 
-def _variables(colours: dict[str, str]) -> str:
-    return "".join(f"--{name}:{colour};" for name, colour in colours.items())
+def _variables(theme: Literal["light", "dark"], rules: str) -> str:
+    colours = theme_colours(theme)
+    used = sorted(set(re.findall(r"var\(--([\w-]+)\)", rules)), key=list(colours).index)
+    return "".join(f"--{name}:{colours[name]};" for name in used)
 
 
 def _foot(platform: Platform, rows: FloatArray, top: float, width: float) -> str:

@@ -328,8 +328,8 @@ def _campaign(result: JobResult, campaign: Summary | None, again: str | None) ->
         if result.job.campaign is None:
             return []
         words = (
-            "None is part of this report, though the job describes one: fly it with platform-ctrl campaign job.toml, "
-            "and name its folder with --campaign when the report is tables."
+            "The job describes a campaign, but this report has none: run platform-ctrl campaign job.toml, and name its "
+            "folder with --campaign when the report is made."
         )
         return [Section(name="campaign", title="Campaign", blocks=(Paragraph(text=words),))]
     return [as_section(campaign, result, again)]

@@ -1,4 +1,4 @@
-"""How the figures of a campaign's runs are distributed, against their limits."""
+"""The results of a campaign's runs: histograms with their limits, and how often a level is exceeded."""
 
 from __future__ import annotations
 
@@ -39,15 +39,15 @@ from platform_ctrl.report.style import (
 
 _COLUMNS = 3
 _BINS = 48
-# A limit farther away than this many times the largest figure would squeeze the histogram: it is named instead.
+# A limit beyond this multiple of the largest value would squeeze the histogram: it is written instead.
 _FAR = 2.5
-# Figures beyond so many times the limit, or what 90 % of the runs reach, are counted and not drawn.
+# Values beyond this multiple of the limit, or of the 90 % quantile, are counted and not drawn.
 _WILD = 2.0
-# A limit below this share of the figures would squeeze the histogram: it is named instead.
+# A limit below this share of the values would squeeze the histogram: it is written instead.
 _LOW = 0.25
-# Where the axis begins at the latest, as a share of the limit.
+# Largest start of the axis, as a share of the limit.
 _BEFORE = 0.9
-# Share of a panel beyond the limit, at least: what is said of it stands there.
+# Least share of a panel beyond the limit: the note is written there.
 _BEYOND_LIMIT = 0.3
 _CELL = 1.75
 
@@ -59,7 +59,7 @@ def campaign_histograms(
     *,
     figure: str | None = None,
 ) -> Figure:
-    """Histograms of a campaign's figures, a panel for each manoeuvre that asks for one; beyond the limit in red.
+    """Histograms of a campaign's results, a panel for each limit of each manoeuvre; red beyond the limit.
 
     Parameters
     ----------
@@ -67,10 +67,10 @@ def campaign_histograms(
         What `campaign.statistics` or `campaign.summarise` returned, the folder that ``platform-ctrl campaign`` wrote,
         its table (Parquet, or a dict of columns), or what `run_campaign` returned.
     limits
-        What each manoeuvre asks of each figure at most, {manoeuvre: {figure: limit}}, in SI units; needed for a table,
+        Upper limits of each manoeuvre, {manoeuvre: {figure: limit}}, in SI units; needed for a table,
         and for a folder without statistics.
     figure
-        ``"angle"``, ``"attitude"`` or ``"torque_share"``; default all that are asked for.
+        ``"angle"``, ``"attitude"`` or ``"torque_share"``; default all that have a limit.
 
     Returns
     -------
@@ -80,7 +80,7 @@ def campaign_histograms(
     Raises
     ------
     ArgumentError
-        Something else, a table without limits, or nothing is asked of the runs.
+        Something else, a table without limits, or no limit on the runs.
     InputError
         The files cannot be read.
     """
@@ -92,7 +92,7 @@ def campaign_histograms(
     if not cells:
         what = "any figure" if figure is None else repr(figure)
         raise ArgumentError(
-            f"campaign_histograms: no manoeuvre has a limit on {what}, or none was flown; nothing to draw"
+            f"campaign_histograms: no simulated manoeuvre has a limit on {what}; there is nothing to draw"
         )
     columns = 2 if len(cells) == 4 else min(_COLUMNS, len(cells))
     return histograms(cells, columns)
@@ -101,22 +101,20 @@ def campaign_histograms(
 def _statistics(campaign: object, limits: Limits | None) -> CampaignStatistics:
     if isinstance(campaign, CampaignStatistics | Summary):
         if limits is not None:
-            raise ArgumentError("campaign_histograms: limits are given with statistics, which have their own")
+            raise ArgumentError("campaign_histograms: statistics have their own limits; leave limits out")
         return campaign.statistics if isinstance(campaign, Summary) else campaign
     if isinstance(campaign, CampaignResult):
         return statistics(campaign.table, _limits(campaign.record, limits))
     if isinstance(campaign, str | os.PathLike):
         folder = Path(campaign)
         if not folder.exists():
-            raise InputError(
-                f"campaign_histograms: {folder}: does not exist; expected a campaign's folder or its table"
-            )
+            raise InputError(f"campaign_histograms: {folder} does not exist; give a campaign's folder or its table")
         record = read_record(folder) if folder.is_dir() else None
         if record is not None:
             return statistics(folder / TABLE, _limits(record, limits))
     elif not isinstance(campaign, Mapping | list | tuple):
         raise ArgumentError(
-            f"campaign_histograms: given {short(campaign)}; expected statistics, a campaign's folder or its table"
+            f"campaign_histograms: campaign must be statistics, a campaign's folder or its table, got {short(campaign)}"
         )
     return statistics(campaign, _limits({}, limits))
 
@@ -131,14 +129,13 @@ def _limits(record: Mapping[str, Any], limits: Limits | None) -> Limits:
             out.setdefault(one["manoeuvre"], {})[one["requirement"]] = one["limit"]
     if not out:
         raise ArgumentError(
-            "campaign_histograms: the table does not say what was asked; "
-            "give limits, for example {'turn': {'angle': 0.003}}"
+            "campaign_histograms: the table has no limits; give them, for example {'turn': {'angle': 0.003}}"
         )
     return out
 
 
 def histograms(wanted: Sequence[tuple[RequirementStatistics, str]], columns: int) -> Figure:
-    """Return a figure with a histogram for each pair of what is asked and the figure it is asked of, row by row."""
+    """Return a figure with a histogram for each pair of a requirement and its metric, row by row."""
     rows = -(-len(wanted) // columns)
     drawn, grid = panels(rows, columns, 0.85 + rows * _CELL + (rows - 1) * 0.55)
     cells = [axes for row in grid for axes in row]
@@ -152,7 +149,7 @@ def histograms(wanted: Sequence[tuple[RequirementStatistics, str]], columns: int
 
 
 def _histogram_panel(axes: Axes, one: RequirementStatistics, name: str) -> None:
-    """Draw the histogram of one figure in one manoeuvre, beyond its limit in red."""
+    """Draw the histogram of one metric in one manoeuvre, red beyond its limit."""
     values, limit = distribution_of(one), one.limit
     assert limit is not None
     factor, unit = handy_unit(METRICS[name][1], limit)
@@ -216,12 +213,12 @@ def shade_beyond(axes: Axes, limit: float, reach: float = 0.0) -> None:
 
 
 def asked(found: CampaignStatistics, name: str) -> list[RequirementStatistics]:
-    """Return what the campaign says about one figure, manoeuvre by manoeuvre."""
+    """Return the requirements on one metric, manoeuvre by manoeuvre."""
     return [one for one in found.requirements if one.requirement == name and one.manoeuvre is not None and one.limit]
 
 
 def distribution_of(one: RequirementStatistics) -> Distribution:
-    """Return the distribution of a figure that was asked for."""
+    """Return the distribution of a metric with a limit."""
     assert one.distribution is not None
     return one.distribution
 
@@ -276,5 +273,5 @@ def _exceedance_axes(axes: Axes, name: str, found: CampaignStatistics) -> None:
 
 
 def histogram_figure(found: CampaignStatistics, name: str) -> Figure:
-    """How one figure is distributed in each manoeuvre that asks for it, its limit in red."""
+    """Return histograms of one metric in each manoeuvre with a limit on it."""
     return histograms([(one, name) for one in asked(found, name)], _COLUMNS)

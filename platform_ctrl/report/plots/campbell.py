@@ -1,4 +1,4 @@
-"""The Campbell chart: what the gimbals swing with over the speed of the rotors, and what the rotors excite."""
+"""The Campbell diagram: natural frequencies of the gimbals, and what the rotors excite, over the rotors' speed."""
 
 from __future__ import annotations
 
@@ -38,11 +38,11 @@ from platform_ctrl.report.style import (
     standalone,
 )
 
-# Speeds at which the modes are worked out, at least.
+# Speeds at which the modes are computed, at least.
 _SPEEDS = 401
 # A frequency this small against the fastest is none: poles at zero come out that large.
 _ZERO = 1e-5
-# Meetings in the corner, where everything begins, say nothing: share of the largest speed.
+# Intersections near the origin, where all lines begin, do not count: share of the largest speed.
 _CORNER = 0.005
 _WIDTH, _HEIGHT = 9.6, 4.8
 
@@ -69,10 +69,10 @@ def campbell(
     orders: ArrayLike = (1.0, 2.0),
     Omega: ArrayLike = (0.0, 0.0, 0.0),
 ) -> Figure:
-    """Natural frequencies of the uncontrolled gimbals over the speed of the rotors, with the lines that rotors excite.
+    """Natural frequencies of the uncontrolled gimbals over the speed of the rotors, with multiples of that speed.
 
-    Nutation is what rises with L, a mode for each gyroscopic pair; precession is slower: it rises with a platform rate
-    that stiffens the gimbals, and falls where springs do. Grey lines are multiples of the rotors' speed (1×:
+    Nutation rises with L, one mode for each gyroscopic pair; precession is slower: it rises if a platform rate
+    stiffens the gimbals, and falls if springs do. Grey lines are multiples of the rotors' speed (1×:
     unbalance); where one meets a mode, a diamond says at which speed.
 
     Parameters
@@ -111,10 +111,10 @@ def campbell(
     """
     factors = increasing("spins", spins, np.array([0.0, 1.5]))
     if factors[0] < 0.0:
-        raise ArgumentError(f"spins: given {factors[0]:g}; expected factors >= 0")
+        raise ArgumentError(f"campbell: spins must be factors >= 0, got {factors[0]:g}")
     multiples = np.atleast_1d(real_numbers("orders", orders))
     if multiples.ndim != 1 or not np.all(np.isfinite(multiples) & (multiples > 0.0)):
-        raise ArgumentError("orders: expected finite numbers > 0, such as (1, 2)")
+        raise ArgumentError(f"campbell: orders must be finite numbers > 0, such as (1, 2), got {multiples}")
     stopped, turning = with_rotors_at_rest(platform, rotors)
     reference = _reference(platform, turning, rotor)
     speed = np.union1d(factors, np.linspace(factors[0], factors[-1], _SPEEDS))
@@ -154,7 +154,9 @@ def campbell(
     if modes:
         legend_above(figure, handles, labels)
     else:
-        axes.annotate("no mode of these gimbals swings", (0.5, 0.5), xycoords="axes fraction", color=MUTED, ha="center")
+        axes.annotate(
+            "these gimbals have no oscillating mode", (0.5, 0.5), xycoords="axes fraction", color=MUTED, ha="center"
+        )
     return figure
 
 
@@ -213,7 +215,7 @@ def _smooth(sorted_lines: FloatArray) -> FloatArray:
 def _spin_lines(
     axes: Axes, modes: list[SpinMode], speed: FloatArray, unit: float, reference: list[float], orders: FloatArray
 ) -> None:
-    """Draw multiples of the rotors' speeds, and where they meet the modes."""
+    """Draw multiples of the rotors' speeds, and where they intersect the modes."""
     right, top = axes.get_xlim()[1], axes.get_ylim()[1]
     named = []
     for spin in reference:

@@ -89,11 +89,13 @@ def _channel(plot: str, loop: DrawnSystem, k: int) -> DrawnSystem:
             own = 1.0 / S[:, k, k] - 1.0
         return _part(loop, k, k, None, control.frd(own.reshape(1, 1, -1), w, dt=loop.source.dt))
     if loop.arrays is None:
-        raise ArgumentError(f"{where}: improper; expected a loop transfer with no more zeros than poles")
+        raise ArgumentError(f"{where}: an improper loop transfer cannot be closed; add poles")
     A, B, C, D, dt = loop.arrays
     M = np.eye(len(others)) + D[np.ix_(others, others)]
     if np.linalg.svd(M, compute_uv=False).min(initial=1.0) < 1e-12 * max(1.0, float(np.abs(D).max(initial=0.0))):
-        raise ArgumentError(f"{where}: I + D of the channels beside {name} is singular; expected a well-posed loop")
+        raise ArgumentError(
+            f"{where}: I + D of the channels beside {name} is singular, so that they cannot be closed; add a lag"
+        )
     # e_o = -v_o for the others.
     F = np.linalg.inv(M)
     seen, direct = F @ C[others], F @ D[np.ix_(others, [k])]

@@ -24,7 +24,7 @@ from platform_ctrl.plant.platform import OMEGA_NAMES, is_rate
 from platform_ctrl.report.plots.bode import chosen
 from platform_ctrl.report.plots.curves import entry_curves
 from platform_ctrl.report.plots.frequency_grid import grid
-from platform_ctrl.report.plots.label_placement import LabelPlacer
+from platform_ctrl.report.plots.label_placement import LabelPlacer, points_of
 from platform_ctrl.report.plots.panels import (
     GainCurve,
     Level,
@@ -103,7 +103,10 @@ def singular_values(
     curves = []
     for k, one in enumerate(drawn):
         w, response = one.along(every)
-        looks = [{"linewidth": 1.7}, *[{"linewidth": 0.9, "marker": "", "alpha": 0.85}] * (min(one.shape) - 1)]
+        looks: list[dict[str, Any]] = [
+            {"linewidth": 1.7},
+            *[{"linewidth": 0.9, "marker": "", "alpha": 0.85}] * (min(one.shape) - 1),
+        ]
         curves += [GainCurve(one, w, row, k, look) for row, look in zip(singular(response), looks, strict=True)]
     _, axes = blocks(1, 1, (3.4,), names, titles=False)
     lines = gain_curves(axes[0, 0], curves, dB=dB, upper=above, lower=below)
@@ -284,7 +287,7 @@ def _peaks(panel: Axes, lines: Sequence[Line2D], dB: bool, limit: Level) -> None
         places.avoid([np.column_stack([np.clip(limit[0] * HZ, left, right), gains(limit[1], dB=dB)])])
     written: list[float] = []
     for k, line in enumerate(lines):
-        f, level = line.get_xydata().T
+        f, level = points_of(line).T
         if not np.isfinite(level).any():
             continue
         at = int(np.nanargmax(level))

@@ -38,8 +38,8 @@ class LabelPlacer:
 
     def avoid(self, curves: Sequence[FloatArray | Line2D]) -> None:
         """Keep labels off more curves."""
-        curves = [curve.get_xydata() if isinstance(curve, Line2D) else curve for curve in curves]
-        self._ink = np.concatenate([self._ink, *(_dense(self.points(curve)) for curve in curves)])
+        own = [points_of(curve) if isinstance(curve, Line2D) else curve for curve in curves]
+        self._ink = np.concatenate([self._ink, *(_dense(self.points(curve)) for curve in own)])
 
     def points(self, at: FloatArray) -> FloatArray:
         """Return data coordinates (k, 2) as points of the page, those that are not finite left out."""
@@ -159,6 +159,11 @@ class LabelPlacer:
             annotation_clip=False,
             zorder=6,
         )
+
+
+def points_of(line: Line2D) -> FloatArray:
+    """Return the points (N, 2) of a line, data coordinates."""
+    return np.asarray(line.get_xydata(), dtype=np.float64)
 
 
 def _dense(points: FloatArray) -> FloatArray:

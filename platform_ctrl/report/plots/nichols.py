@@ -116,11 +116,17 @@ def nichols(
         places.reserve(centre, 0.0, 5.0)
     _closest(panel, places, curves, found)
     _peaks(panel, places, peaks)
-    for line, one in zip(lines[:_WRITTEN], curves, strict=False):
-        if len(one.frequency) > 1:
-            hz, look = one.frequency * HZ, {"colour": MUTED, "size": 6.5, "words": lambda f: f"{plain(f, 3)} Hz"}
+    for line, loop in zip(lines[:_WRITTEN], curves, strict=False):
+        if len(loop.frequency) > 1:
             places.write_frequencies(
-                hz, line.get_xydata(), line.get_color(), numbers=(1.0, 2.0, 5.0), apart=26.0, **look
+                loop.frequency * HZ,
+                line.get_xydata(),
+                line.get_color(),
+                numbers=(1.0, 2.0, 5.0),
+                apart=26.0,
+                words=lambda f: f"{plain(f, 3)} Hz",
+                colour=MUTED,
+                size=6.5,
             )
     return control_plot(axes, [lines], [*lines, *shaded], [*names, *regions])
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -389,9 +390,8 @@ def two_sided_nyquist(curve: TwoSidedNyquist | ComplexLoop) -> Figure:
         )
     names = ["ω > 0: turning from α to β", "ω < 0: from β to α", "−1"]
     if 0.0 < curve.disk_margin < 2.0:
-        names.append(
-            f"disk margin {at_least(curve.disk_margin, 2)}; L touches it at {_signed(curve.margin_frequency * HZ)} Hz"
-        )
+        touching = _signed(curve.margin_frequency, curve.margin_frequency * HZ)
+        names.append(f"disk margin {at_least(curve.disk_margin, 2)}; L touches it at {touching} Hz")
     figure, [[wide, close]] = panels(1, 2, 4.9, legend=legend_rows(names))
     handles: list[Any] = []
     for axes, centre, half in ((wide, 0.0, _WIDE), (close, -1.0, _CLOSE)):
@@ -409,7 +409,7 @@ def two_sided_nyquist(curve: TwoSidedNyquist | ComplexLoop) -> Figure:
             order = np.argsort(np.abs(w))
             shown = np.where(visible, L, complex(np.nan, np.nan))[order]
             hz, points = np.abs(w[order]) * HZ, np.column_stack([shown.real, shown.imag])
-            places.write_frequencies(hz, points, colour, apart=_APART, words=lambda f, sign=sign: _signed(sign * f))
+            places.write_frequencies(hz, points, colour, apart=_APART, words=partial(_signed, sign))
         handles = [*drawn, critical, *([disk] if disk is not None else [])]
     wide.set_ylabel("imaginary part of L")
     legend_above(figure, handles, names)
@@ -418,8 +418,8 @@ def two_sided_nyquist(curve: TwoSidedNyquist | ComplexLoop) -> Figure:
     return figure
 
 
-def _signed(number: float) -> str:
-    return f"{number:+.4g}".replace("-", "−")
+def _signed(sign: float, hz: float) -> str:
+    return f"{'+' if sign > 0.0 else '−'}{abs(hz):.4g}"
 
 
 def _side(curve: TwoSidedNyquist, sign: int) -> tuple[FloatArray, ComplexArray]:

@@ -299,8 +299,8 @@ def bound(name: str, given: ArrayLike | tuple[ArrayLike, ArrayLike] | None) -> L
     if given is None:
         return None
     pair = isinstance(given, Sequence | np.ndarray) and not isinstance(given, str) and len(given) == 2
-    frequency, levels = given if pair else ([0.0, math.inf], given)  # type: ignore[misc]  # two of them: just seen
-    w, level = np.atleast_1d(real_numbers(name, frequency)), np.atleast_1d(real_numbers(name, levels))
+    both: Any = given if pair else ([0.0, math.inf], given)
+    w, level = (np.atleast_1d(real_numbers(name, item)) for item in both)
     level = np.full(w.shape, level.item()) if level.size == 1 else level
     fine = w.ndim == 1 and w.shape == level.shape and w.size > 1 and bool(np.isfinite(level).all())
     fine = fine and not np.isnan(w).any() and not (pair and np.isinf(w).any())

@@ -53,15 +53,15 @@ def time_run(
 ) -> Figure:
     """Gimbal angles, torques, platform rate and attitude of a simulated run over time, beyond their limits shaded.
 
-    A run that diverged is drawn up to a red line at its end. Where a limit lies far beyond the trace it stands in the
-    panel's title instead of flattening it.
+    A run that diverged is drawn up to a red line at its end. A limit far beyond the signals is written in the panel's
+    title instead of drawn, which would flatten them.
 
     Parameters
     ----------
     run
         A manoeuvre that was checked (`verification.Run`, with its limits), or a `simulation.Trajectory`.
     platform
-        The plant that was run: tells the torquers' limits. None: they are not drawn.
+        The plant that was run: with the torquers' limits. None: they are not drawn.
     limits
         ``angle``, ``attitude``, rad, ``torque_share``, a share: at most; default those of the manoeuvre, none of a
         trajectory.
@@ -74,19 +74,16 @@ def time_run(
     Raises
     ------
     ArgumentError
-        Something else than a run, another platform than the run's, or a limit that does not exist.
+        Something other than a run, another platform than the run's, or an unknown limit.
     """
     recorded = run.trajectory if isinstance(run, Run) else run
     if limits is None:
-        asked = dict(run.manoeuvre.limits) if isinstance(run, Run) else {}
-    else:
-        if not isinstance(limits, Mapping):
-            raise ArgumentError(
-                f"time_run: limits: given {short(limits)}; expected a mapping such as {{'angle': 0.01}}"
-            )
-        for name in limits:
-            known_name("time_run: limits", name, _LIMITS)
-        asked = {name: positive(f"time_run: limits: {name}", limit) for name, limit in limits.items()}
+        limits = run.manoeuvre.limits if isinstance(run, Run) else {}
+    elif not isinstance(limits, Mapping):
+        raise ArgumentError(f"time_run: limits must be a mapping such as {{'angle': 0.01}}, got {short(limits)}")
+    for name in limits:
+        known_name("time_run: limits", name, _LIMITS)
+    allowed = {name: positive(f"time_run: limits: {name}", limit) for name, limit in limits.items()}
     names = recorded.torquer_names
     if platform is None:
         torquers = [Torquer(name=name, **_place(name)) for name in names]
@@ -97,14 +94,14 @@ def time_run(
         own = tuple(torquer.name for torquer in torquers)
         if own != names or platform.angle_names != recorded.angle_names:
             raise ArgumentError(
-                f"time_run: platform {platform.name!r} has torquers {', '.join(own)}, the run {', '.join(names)}; "
-                "expected the platform that was run"
+                f"time_run: platform must be the one that was run, with torquers {', '.join(names)}; "
+                f"{platform.name!r} has {', '.join(own)}"
             )
     duration = run.manoeuvre.duration if isinstance(run, Run) else math.nan
     if not duration > 0.0:
         duration = float(recorded.t[-1]) if recorded.t.size > 1 else recorded.period
     unknown = {} if platform is not None else {"unlimited": "give the platform to see the torquers' limits"}
-    return trajectory_figure(recorded, torquers, series, asked, duration, **unknown)
+    return trajectory_figure(recorded, torquers, series, allowed, duration, **unknown)
 
 
 def _series(run: Trajectory) -> Mapping[str, int]:
@@ -130,22 +127,10 @@ def trajectory_figure(
     duration: float,
     unlimited: str = "no torquer has a limit",
 ) -> Figure:
-    """Everything that was recorded, as `run_figure`.
+    """Everything that was recorded, up to `duration`, s.
 
-    Parameters
-    ----------
-    t
-        The run.
-    torquers
-        In the order of its columns.
-    series
-        Which colour each angle and torque has, by its name: see `signal_series`.
-    limits
-        By the names of a manoeuvre's limits: ``angle``, ``attitude``, rad; ``torque_share``.
-    duration
-        How long the run was to last, s.
-    unlimited
-        What to say where no torquer has a limit.
+    `torquers` are in the order of the run's columns; `series` gives each angle and torque its colour, see
+    `signal_series`; `limits` are those of a manoeuvre; `unlimited` is shown if no torquer has a limit.
     """
     free = t.mode == "stabilised"
     figure, rows = panels(2, 3 if free else 2, 4.9)
@@ -177,7 +162,7 @@ def trajectory_figure(
 def _angles(
     axes: Axes, t: FloatArray, y: FloatArray, names: Mapping[str, int], limit: float | None, title: str
 ) -> None:
-    """Draw angles in mrad, in μrad where they are tiny and nothing is asked of them."""
+    """Draw angles in mrad, or in μrad if they are tiny and have no limit."""
     small = limit is None and 0.0 < float(np.nanmax(np.abs(y), initial=0.0)) < _TINY
     factor, unit = (1e6, "μrad") if small else (1e3, "mrad")
     _traces(axes, t, factor * y, names, None if limit is None else factor * limit, title, unit)
@@ -187,7 +172,7 @@ def _traces(
     axes: Axes, t: FloatArray, y: FloatArray, names: Mapping[str, int], limit: float | None, title: str, unit: str
 ) -> None:
     """Draw the columns of `y` (N, k) under their names, each in the colour of the palette that its name has."""
-    # The noisiest trace lies at the back, so that it hides no other.
+    # The noisiest signal is drawn first, so that it hides no other.
     noise = np.argsort(np.argsort(-np.nan_to_num(np.abs(np.diff(y, axis=0))).sum(axis=0)))
     handles: list[Any] = []
     for k, colour in enumerate(names.values()):
@@ -197,7 +182,7 @@ def _traces(
     low, high = float(finite.min(initial=0.0)), float(finite.max(initial=0.0))
     largest = max(-low, high)
     if limit is not None and largest > _WILD * limit:
-        # Its beginning and the limit say more than its end.
+        # Its beginning and the limit matter more than its end.
         low, high = max(low, -_WILD * limit), min(high, _WILD * limit)
     if limit is not None and limit <= _FAR * largest:
         low, high = min(low, -1.12 * limit), max(high, 1.12 * limit)
@@ -234,10 +219,10 @@ def _torques(
     title: str,
 ) -> None:
     names = {t.torquer_names[k]: series[t.torquer_names[k]] for k in columns}
-    allowed = {torquers[k].limit for k in columns}
+    torque_limits = {torquers[k].limit for k in columns}
     largest = float(np.nanmax(np.abs(t.torque[:, columns]), initial=0.0)) if columns else 0.0
     factor, unit = (1e3, "mN m") if largest < 1.0 else (1.0, "N m")
-    common = allowed.pop() if len(allowed) == 1 else None
+    common = torque_limits.pop() if len(torque_limits) == 1 else None
     _traces(axes, t.t, factor * t.torque[:, columns], names, None if common is None else factor * common, title, unit)
 
 
@@ -245,7 +230,7 @@ def _shares(
     axes: Axes, t: Trajectory, torquers: Sequence[Torquer], columns: list[int], limit: float | None, unlimited: str
 ) -> None:
     """Bars of the largest commanded torque of every torquer over its own limit."""
-    asked = limit if limit is not None else 1.0
+    allowed = limit if limit is not None else 1.0
     chosen = [k for k in columns if torquers[k].limit is not None]
     axes.set_title("largest command over its limit")
     if not chosen or not t.t.size:
@@ -254,11 +239,11 @@ def _shares(
         return
     peaks = np.nanmax(np.abs(t.command[:, chosen]), axis=0, initial=0.0)
     share = peaks / np.array([torquers[k].limit for k in chosen], dtype=np.float64)
-    share = np.where(np.isfinite(share), share, 10.0 * asked)
+    share = np.where(np.isfinite(share), share, 10.0 * allowed)
     place = np.arange(len(chosen), dtype=np.float64)[::-1]
-    right = 1.12 * max(1.0, asked, min(float(share.max()), 3.0))
+    right = 1.12 * max(1.0, allowed, min(float(share.max()), 3.0))
     axes.barh(
-        place, np.minimum(share, right), 0.6, color=[SERIES[0] if s <= asked else LIMIT for s in share], linewidth=0
+        place, np.minimum(share, right), 0.6, color=[SERIES[0] if s <= allowed else LIMIT for s in share], linewidth=0
     )
     for y, s in zip(place, share, strict=True):
         inside = s > 0.8 * right
@@ -272,7 +257,7 @@ def _shares(
             fontsize=7.5,
             color="#ffffff" if inside else MUTED,
         )
-    axes.axvline(asked, color=LIMIT, linewidth=0.9, linestyle=DASHED)
+    axes.axvline(allowed, color=LIMIT, linewidth=0.9, linestyle=DASHED)
     axes.set_yticks(place, [t.torquer_names[k] for k in chosen])
     axes.tick_params(axis="y", length=0)
     axes.grid(False, axis="y")
