@@ -19,8 +19,8 @@ from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.export import write_c
-from platform_ctrl.export.c99.controller_source import Unit, header, source
 from platform_ctrl.export.c99.entries import Entry, entries_of
+from platform_ctrl.export.c99.floating_files import FloatingFiles
 from platform_ctrl.export.c99.from_design import same_response, scheme_of, with_excess
 from platform_ctrl.export.c99.identifiers import FILES, Names, comment, field_names, identifier
 from platform_ctrl.export.c99.scheme import Provenance, Row, Scheme, Section, Term, arrays, excess_gain
@@ -167,8 +167,8 @@ def test_random_controllers_compiled_are_what_their_matrices_say(job: Job, tmp_p
         scheme = scheme_of(job, controller(A, k, size=10.0))
         number = "double" if k % 2 else "float"
         signals = {name: name for name in (*scheme.inputs, *scheme.outputs)}
-        unit = Unit(scheme=scheme, number=number, prefix=f"c{k}", signals=signals)
-        for end, text in (("h", header(unit)), ("c", source(unit))):
+        unit = FloatingFiles(scheme=scheme, number=number, prefix=f"c{k}", signals=signals)
+        for end, text in (("h", unit.header()), ("c", unit.source())):
             files.append(tmp_path / f"c{k}.{end}")
             files[-1].write_text(text)
         cases.append((scheme, A, number))
@@ -226,8 +226,8 @@ def test_hostile_names_become_identifiers_and_comments(name: str, tmp_path: Path
     assert len({s.lower() for s in signals.values()}) == 17
     files = []
     for number in ("double", "float"):
-        unit = Unit(scheme=scheme, number=number, prefix=f"for_{number}", signals=signals)
-        for end, text in (("h", header(unit)), ("c", source(unit))):
+        unit = FloatingFiles(scheme=scheme, number=number, prefix=f"for_{number}", signals=signals)
+        for end, text in (("h", unit.header()), ("c", unit.source())):
             assert text.isascii()
             files.append(tmp_path / f"for_{number}.{end}")
             files[-1].write_text(text)
@@ -285,10 +285,12 @@ def test_a_controller_without_states_or_limits_is_written_too(job: Job, tmp_path
     )[0]
     scheme = dataclasses.replace(scheme_of(job, one), torque_limits=(np.inf, np.inf))
     assert "none" in back_calculation(scheme).remark
-    unit = Unit(scheme=scheme, number="double", prefix="gain", signals={n: n for n in (*one.inputs, *one.outputs)})
+    unit = FloatingFiles(
+        scheme=scheme, number="double", prefix="gain", signals={n: n for n in (*one.inputs, *one.outputs)}
+    )
     files = [tmp_path / "gain.h", tmp_path / "gain.c"]
-    files[0].write_text(header(unit))
-    files[1].write_text(source(unit))
+    files[0].write_text(unit.header())
+    files[1].write_text(unit.source())
     made = Machine(compiled(files, tmp_path / "lib.so"), "gain", one.inputs, ["Q9", "Q10", "a", "b"], ctypes.c_double)
     assert made.step([3.0, 5.0]) == ([-5.0, 6.0, -5.0, 6.0], 0)
 

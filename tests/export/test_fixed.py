@@ -31,7 +31,7 @@ from platform_ctrl.export.c99.identifiers import field_names
 from platform_ctrl.export.c99.scheme import Row, Scheme, Section, Term, arrays
 from platform_ctrl.export.c99.windup import back_calculation
 from platform_ctrl.export.fixed_point.bounds import gains
-from platform_ctrl.export.fixed_point.controller_source import Unit, header, source
+from platform_ctrl.export.fixed_point.integer_files import IntegerFiles
 from platform_ctrl.export.fixed_point.lowering import fixed_point
 from platform_ctrl.export.fixed_point.model import Machine
 from platform_ctrl.export.fixed_point.values import FixedPoint, input_ranges
@@ -141,6 +141,11 @@ def programmes(classical: Scheme) -> dict[str, FixedPoint]:
     return out
 
 
+def files_of(fixed: FixedPoint, name: str) -> IntegerFiles:
+    signals = {signal: signal for signal in (*fixed.scheme.inputs, *fixed.scheme.outputs)}
+    return IntegerFiles(scheme=fixed.scheme, fixed=fixed, prefix=name, signals=signals)
+
+
 @pytest.fixture(scope="module")
 def runner(programmes: dict[str, FixedPoint], tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Compile all programmes into one, that takes a name and counts and gives counts; undefined behaviour ends it."""
@@ -148,9 +153,9 @@ def runner(programmes: dict[str, FixedPoint], tmp_path_factory: pytest.TempPathF
     folder = tmp_path_factory.mktemp("fixed")
     main, calls = ["#include <stdio.h>", "#include <string.h>"], []
     for name, fixed in programmes.items():
-        signals = {signal: signal for signal in (*fixed.scheme.inputs, *fixed.scheme.outputs)}
-        (folder / f"{name}.h").write_text(header(Unit(fixed=fixed, prefix=name, signals=signals)), encoding="ascii")
-        (folder / f"{name}.c").write_text(source(Unit(fixed=fixed, prefix=name, signals=signals)), encoding="ascii")
+        unit = files_of(fixed, name)
+        (folder / f"{name}.h").write_text(unit.header(), encoding="ascii")
+        (folder / f"{name}.c").write_text(unit.source(), encoding="ascii")
         bits = fixed.formats[fixed.scheme.inputs[0]].bits
         first = fixed.scheme.inputs[0]
         reading = [f'if (scanf("%lld", &x) != 1) return 0; in.{one} = (int{bits}_t)x;' for one in fixed.scheme.inputs]
@@ -478,10 +483,10 @@ def test_names_that_the_code_itself_has_are_no_obstacle(tmp_path: Path) -> None:
     )
     fixed = fixed_point(made, dict.fromkeys(names, 1.0))
     signals = field_names([*names, "Q"])
-    unit = Unit(fixed=fixed, prefix="names", signals=signals)
+    unit = IntegerFiles(scheme=fixed.scheme, fixed=fixed, prefix="names", signals=signals)
     files = [tmp_path / "names.h", tmp_path / "names.c"]
-    files[0].write_text(header(unit))
-    files[1].write_text(source(unit))
+    files[0].write_text(unit.header())
+    files[1].write_text(unit.source())
     compiled(files, tmp_path / "cpp.so", "g++")
     library = compiled(files, tmp_path / "c.so")
     machine = Machine(fixed)
@@ -611,8 +616,7 @@ def test_an_integral_without_a_torque_limit_asks_for_its_own() -> None:
 
 def test_the_header_states_every_format_and_the_proof(programmes: dict[str, FixedPoint], classical: Scheme) -> None:
     for name, fixed in programmes.items():
-        signals = {signal: signal for signal in (*fixed.scheme.inputs, *fixed.scheme.outputs)}
-        text = header(Unit(fixed=fixed, prefix=name, signals=signals))
+        text = files_of(fixed, name).header()
         flat = " ".join(text.replace("*", "").split())
         for form in fixed.formats.values():
             assert f"{form.name} int{form.bits} {form.q}, bit {form.bit:.6g}" in flat
@@ -621,7 +625,7 @@ def test_the_header_states_every_format_and_the_proof(programmes: dict[str, Fixe
             assert f"Error: {output} at most {at_most(fixed.error[output], 3)} N m" in flat
         assert "No overflow:" in flat
         assert max(map(len, text.splitlines())) <= 120
-        assert text == header(Unit(fixed=fixed, prefix=name, signals=signals))
+        assert text == files_of(fixed, name).header()
 
 
 def test_sums_fit_and_every_count_fits_its_word(programmes: dict[str, FixedPoint]) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from types import ModuleType
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -16,9 +15,11 @@ from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.text import at_most
 from platform_ctrl.common.values import value
 from platform_ctrl.errors import ArgumentError, InputError
-from platform_ctrl.export.c99 import controller_source, job_source
+from platform_ctrl.export.c99.controller_files import ControllerFiles, job_files
 from platform_ctrl.export.c99.entries import Entry, entries_of
 from platform_ctrl.export.c99.float_error import TOLD, float_error
+from platform_ctrl.export.c99.floating_files import FloatingFiles
+from platform_ctrl.export.c99.floating_files import Number as Floating
 from platform_ctrl.export.c99.from_design import scheme_of, with_excess
 from platform_ctrl.export.c99.identifiers import FILES, Names, field_names
 from platform_ctrl.export.c99.scheme import Provenance, Scheme, excess_gain
@@ -129,10 +130,10 @@ def write_c(
     known_names("limits", list(limits or {}), [name for scheme in schemes for name in scheme.states])
     if number == "q31" or number == "q15":
         made = [_fixed(job, scheme, number, ranges, limits, accuracy) for scheme in schemes]
-        texts = _integer_texts(job, made, remarks, signals)
+        texts = _integer(job, made, remarks, signals)
         notes += [_integer_note(one) for one in made]
     else:
-        texts, doubts = _floating_texts(job, schemes, remarks, signals, number)
+        texts, doubts = _floating(job, schemes, remarks, signals, number)
         notes += doubts
     target = Path(folder)
     try:
@@ -224,56 +225,41 @@ def _fixed(
     return fixed_point(scheme, found, number=number, limits=own, accuracy=accuracy)
 
 
-def _floating_texts(
-    job: Job,
-    schemes: Sequence[Scheme],
-    remarks: Sequence[str],
-    signals: dict[str, str],
-    number: Literal["double", "float"],
+def _floating(
+    job: Job, schemes: Sequence[Scheme], remarks: Sequence[str], signals: dict[str, str], number: Floating
 ) -> tuple[dict[str, str], list[str]]:
     prefixes = Names(24, FILES)
     notes: list[str] = []
     units = []
     for scheme, remark in zip(schemes, remarks, strict=True):
-        prefix = prefixes.new(scheme.name).lower()
         said = [remark]
         if number == "float":
             more, doubts = _in_single_precision(job, scheme)
             said.append(more)
             notes += doubts
-        units.append(
-            controller_source.Unit(scheme=scheme, number=number, prefix=prefix, signals=signals, remarks=tuple(said))
-        )
-    return _files(job, units, prefixes, controller_source, job_source), notes
+        prefix = prefixes.new(scheme.name).lower()
+        units.append(FloatingFiles(scheme=scheme, number=number, prefix=prefix, signals=signals, remarks=tuple(said)))
+    return _texts(job, units, prefixes), notes
 
 
-def _integer_texts(
-    job: Job, made: Sequence[FixedPoint], remarks: Sequence[str], signals: dict[str, str]
-) -> dict[str, str]:
+def _integer(job: Job, made: Sequence[FixedPoint], remarks: Sequence[str], signals: dict[str, str]) -> dict[str, str]:
     # Ball arithmetic is loaded when it is needed.
-    from platform_ctrl.export.fixed_point import controller_source as controller
-    from platform_ctrl.export.fixed_point import job_source as together
+    from platform_ctrl.export.fixed_point.integer_files import IntegerFiles
 
     prefixes = Names(24, FILES)
-    units = [
-        controller.Unit(
-            fixed=one, prefix=prefixes[one.scheme.name].lower(), signals=signals, remarks=(remark + _ROUNDED,)
-        )
-        for one, remark in zip(made, remarks, strict=True)
-    ]
-    return _files(job, units, prefixes, controller, together)
+    units = []
+    for one, remark in zip(made, remarks, strict=True):
+        prefix, told = prefixes[one.scheme.name].lower(), (remark + _ROUNDED,)
+        units.append(IntegerFiles(scheme=one.scheme, fixed=one, prefix=prefix, signals=signals, remarks=told))
+    return _texts(job, units, prefixes)
 
 
-def _files(
-    job: Job, units: Sequence[Any], prefixes: Names, controller: ModuleType, together: ModuleType
-) -> dict[str, str]:
+def _texts(job: Job, units: Sequence[ControllerFiles], prefixes: Names) -> dict[str, str]:
     """Return the texts of all files by their names: a pair for each controller, and one that runs them in order."""
     texts: dict[str, str] = {}
     for unit in units:
-        texts |= {f"{unit.prefix}.h": controller.header(unit), f"{unit.prefix}.c": controller.source(unit)}
-    whole = prefixes.new(job.name).lower()
-    headed = together.job_header(whole, units)
-    return texts | {f"{whole}.h": headed, f"{whole}.c": together.job_source(whole, units)}
+        texts |= {f"{unit.prefix}.h": unit.header(), f"{unit.prefix}.c": unit.source()}
+    return texts | job_files(prefixes.new(job.name).lower(), units)
 
 
 def _integer_note(made: FixedPoint) -> str:

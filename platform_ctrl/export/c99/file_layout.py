@@ -6,7 +6,7 @@ import textwrap
 from collections.abc import Iterable, Sequence
 
 from platform_ctrl.export.c99.identifiers import comment
-from platform_ctrl.export.c99.scheme import Provenance, Scheme
+from platform_ctrl.export.c99.scheme import Provenance
 
 # Columns of generated code.
 WIDTH = 100
@@ -170,15 +170,3 @@ def job_source_file(
             "",
         ]
     )
-
-
-def measured(schemes: Sequence[Scheme]) -> dict[str, int]:
-    """Return the signals that no controller before gives, each with the number of the first that takes it in."""
-    made: set[str] = set()
-    out: dict[str, int] = {}
-    for k, scheme in enumerate(schemes):
-        for name in scheme.inputs:
-            if name not in made:
-                out.setdefault(name, k)
-        made |= set(scheme.outputs)
-    return out

@@ -1,20 +1,13 @@
-"""A controller in integers as one header and one source file in C99 that also compile as C++."""
+"""The files of a controller in integers: C99 that also compiles as C++."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import ClassVar, cast
+
 from platform_ctrl.common.values import value
-from platform_ctrl.export.c99.file_layout import (
-    WIDTH,
-    acts,
-    block,
-    declared,
-    field,
-    header_file,
-    provenance,
-    remark,
-    signature,
-    struct,
-)
+from platform_ctrl.export.c99.controller_files import ControllerFiles, first_readers
+from platform_ctrl.export.c99.file_layout import WIDTH, block, field, remark, signature
 from platform_ctrl.export.c99.identifiers import Names
 from platform_ctrl.export.fixed_point.c_expressions import (
     counted,
@@ -28,90 +21,154 @@ from platform_ctrl.export.fixed_point.c_expressions import (
     within,
 )
 from platform_ctrl.export.fixed_point.splitting import excess_of
-from platform_ctrl.export.fixed_point.values import FixedPoint, FixedSection, IntegerRow, Product
+from platform_ctrl.export.fixed_point.values import FixedPoint, FixedSection, Format, IntegerRow, Product
 
 
 @value
-class Unit:
-    """What the source files of a controller in integers are made from.
+class IntegerFiles(ControllerFiles):
+    """The files of a controller in integers.
 
     Attributes
     ----------
     fixed
         The controller in integers.
-    prefix
-        First part of all external names; the names of the files.
-    signals
-        Identifiers of inputs and outputs by their names.
-    remarks
-        Paragraphs for the head of the header: anti-windup.
     """
 
     fixed: FixedPoint
-    prefix: str
-    signals: dict[str, str]
-    remarks: tuple[str, ...] = ()
 
+    readings: ClassVar = "counts"
+    includes: ClassVar = ("<stdint.h>",)
+    comments: ClassVar = (
+        "All states to zero.",
+        "One sample: from the counts of this instant to the counts of the outputs; returns the status.",
+    )
+    statuses: ClassVar = (
+        ("CLIPPED", 4, "an input was out of its range and has been cut off"),
+        ("STOPPED", 8, "an integral is at its end"),
+    )
+    job_order: ClassVar = (
+        "In this order; what one gives out before its limit, another takes in within the same sample, rounded to the "
+        "format of that input and cut off at its range:"
+    )
 
-def header(unit: Unit) -> str:
-    """Return the text of the header file."""
-    fixed, signals = unit.fixed, unit.signals
-    p, s, upper = unit.prefix, fixed.scheme, unit.prefix.upper()
-    states = _state_names(fixed)
-    shifts = _shifts(fixed)
-    inputs = [field(integer(fixed.formats[k].bits), signals[k], counted(fixed.formats[k])) for k in s.inputs]
-    outputs = [field(integer(fixed.formats[k].bits), signals[k], counted(fixed.formats[k])) for k in s.outputs]
-    outputs += [field(wide(fixed, k), f"{signals[k]}_commanded", "the same before its limit") for k in s.outputs]
-    kept = []
-    for name, identifier in states.items():
-        form = fixed.formats[name]
-        if name in shifts:
-            kept.append(field("int64_t", identifier, f"2^{shifts[name]} times {form.q}, saturating"))
-        else:
-            kept.append(field(integer(form.bits), identifier, form.q))
-    body = [
-        "/* What a step returns: the sum of what applies. */",
-        f"#define {upper}_OK 0U      /* as it should be */",
-        f"#define {upper}_LIMITED 1U /* an output is at its limit */",
-        f"#define {upper}_CLIPPED 4U /* an input was out of its range and has been cut off */",
-        f"#define {upper}_STOPPED 8U /* an integral is at its end */",
-        "",
-        *struct(f"{p}_in", inputs),
-        *struct(f"{p}_out", outputs),
-        *struct(f"{p}_state", kept or ["    int32_t none; /* not used */"]),
-        *declared(
-            p,
-            "All states to zero.",
-            "One sample: from the counts of this instant to the counts of the outputs; returns the status.",
-        ),
-        "",
-        "/*",
-        " * Between counts and values, for tests and slow paths: the step does not use them.",
-        " * Out of range is cut off; what is not a number counts as zero.",
-        " */",
-    ]
-    for name in s.inputs:
-        body += [*to_count(f"{p}_count_{signals[name]}", fixed.formats[name]), ""]
-    for name in s.outputs:
-        form = fixed.formats[name]
-        body += [*to_value(f"{p}_value_{signals[name]}", integer(form.bits), form), ""]
-        body += [*to_value(f"{p}_value_{signals[name]}_commanded", wide(fixed, name), form), ""]
-    return header_file(p, _head(unit), ["<stdint.h>"], body[:-1])
+    @property
+    def numbers(self) -> str:
+        """A sentence about the type of all numbers."""
+        return "All numbers of a step are integers."
 
+    @property
+    def suffix(self) -> str:
+        """The number format behind the controller's name."""
+        return f" in fixed point, {self.fixed.number}"
 
-def source(unit: Unit) -> str:
-    """Return the text of the source file."""
-    return _Source(unit).text()
+    @property
+    def state_names(self) -> dict[str, str]:
+        """Identifiers of the states by their names."""
+        names = Names(40)
+        return {row.target: names[row.target] for section in self.fixed.sections for row in section.states}
+
+    def fields(self) -> tuple[list[str], list[str], list[str]]:
+        """Return the fields of inputs, outputs and states."""
+        fixed, s, shifts = self.fixed, self.scheme, self.shifts
+        inputs, outputs = ([self._field(name, "") for name in names] for names in (s.inputs, s.outputs))
+        before = "the same before its limit"
+        outputs += [field(wide(fixed, name), f"{self.signals[name]}_commanded", before) for name in s.outputs]
+        states = []
+        for name, identifier in self.state_names.items():
+            form = fixed.formats[name]
+            if name in shifts:
+                states.append(field("int64_t", identifier, f"2^{shifts[name]} times {form.q}, saturating"))
+            else:
+                states.append(field(integer(form.bits), identifier, form.q))
+        return inputs, outputs, states or ["    int32_t none; /* not used */"]
+
+    def _field(self, name: str, label: str) -> str:
+        form = self.fixed.formats[name]
+        return field(integer(form.bits), self.signals[name], f"{label}{counted(form)}")
+
+    def conversions(self) -> list[str]:
+        """Return functions between counts and values."""
+        lines = [
+            "",
+            "/*",
+            " * Between counts and values, for tests and slow paths: the step does not use them.",
+            " * Out of range is cut off; what is not a number counts as zero.",
+            " */",
+        ]
+        for name in self.scheme.inputs:
+            lines += [*to_count(f"{self.prefix}_count_{self.signals[name]}", self.fixed.formats[name]), ""]
+        for name in self.scheme.outputs:
+            form, function = self.fixed.formats[name], f"{self.prefix}_value_{self.signals[name]}"
+            lines += [*to_value(function, integer(form.bits), form), ""]
+            lines += [*to_value(f"{function}_commanded", wide(self.fixed, name), form), ""]
+        return lines[:-1]
+
+    def details(self) -> list[str]:
+        """Return the paragraphs of the head about signals, remarks and cost."""
+        rows = [row for section in self.fixed.sections for row in (*section.signals, *section.states)]
+        products = sum(len(row.products) for row in rows)
+        return [
+            *(line for paragraph in self.remarks for line in (paragraph, "")),
+            *format_lines(self.fixed),
+            "",
+            *self.fixed.proof,
+            "",
+            f"A step takes {products} multiplications and {len(rows)} shifts at most, always in the same order; "
+            f"{len(self.state_names)} states. No allocation, recursion, loop, global variable or library function. "
+            "Pointers are not checked.",
+        ]
+
+    @property
+    def shifts(self) -> dict[str, int]:
+        """Shifts of the integrals by their names."""
+        return {
+            row.target: row.shift
+            for section in self.fixed.sections
+            for row in section.states
+            if self.fixed.formats[row.target].role == "integral"
+        }
+
+    def source(self) -> str:
+        """Return the text of the source file."""
+        return _Source(self).text()
+
+    def job_field(self, name: str, output: bool) -> str:
+        """Return the field of an input or output in the files of the whole job."""
+        return self._field(name, f"{name}, ")
+
+    @classmethod
+    def job_numbers(cls, units: Sequence[ControllerFiles]) -> tuple[str, str]:
+        """Return a sentence about the numbers of all controllers together, and the last paragraphs of the head."""
+        return "", "Formats and proofs stand in these headers. No allocation, recursion, loop or global variable."
+
+    @classmethod
+    def wiring(cls, units: Sequence[ControllerFiles]) -> tuple[list[str], list[tuple[list[str], list[str]]]]:
+        """Return helper functions, and the statements before and after the step of each controller."""
+        readers = cast("dict[str, IntegerFiles]", first_readers(units))
+        given = {name: (f"in->{u.signals[name]}", u.fixed.formats[name].fraction) for name, u in readers.items()}
+        helpers: set[str] = set()
+        wired = []
+        for number, unit in enumerate(cast("Sequence[IntegerFiles]", units), 1):
+            formats, before, after = unit.fixed.formats, [], []
+            for name in unit.scheme.inputs:
+                taken = _rescaled(*given[name], formats[name], helpers)
+                before.append(f"    in_{number}.{unit.signals[name]} = {taken};")
+            for name in unit.scheme.outputs:
+                own = unit.signals[name]
+                after.append(f"    out->{own} = out_{number}.{own};")
+                given[name] = (f"out_{number}.{own}_commanded", formats[name].fraction)
+            wired.append((before, after))
+        return [*(shifted(64) if "shifted" in helpers else []), *(within() if "within" in helpers else [])], wired
 
 
 class _Source:
     """The source file, put together section by section."""
 
-    def __init__(self, unit: Unit) -> None:
+    def __init__(self, unit: IntegerFiles) -> None:
         fixed, p = unit.fixed, unit.prefix
         self.fixed, self.scheme, self.formats = fixed, fixed.scheme, fixed.formats
         self.prefix, self.signals = p, unit.signals
-        self.states, self.shifts = _state_names(fixed), _shifts(fixed)
+        self.states, self.shifts = unit.state_names, unit.shifts
         own = (p, *(f"{p}_{end}" for end in ("step", "reset", "in", "out", "state")))
         self.locals = Names(56, (*own, "within", "shifted32", "shifted64"))
         self.constants: list[str] = []
@@ -311,36 +368,6 @@ class _Source:
         return self.formats[name.removeprefix(excess_of(""))].fraction
 
 
-def _head(unit: Unit) -> list[str]:
-    fixed, prefix = unit.fixed, unit.prefix
-    s = fixed.scheme
-    rows = [row for section in fixed.sections for row in (*section.signals, *section.states)]
-    products = sum(len(row.products) for row in rows)
-    return block(
-        [
-            f"{prefix}.h: the controller {s.name!r} in fixed point, {fixed.number}.",
-            "Generated by platform_ctrl; do not edit. All numbers of a step are integers.",
-            "",
-            *provenance(s.provenance),
-            "",
-            f"Call {prefix}_step once for every sample, {1.0 / s.period:.9g} Hz (every {s.period:.9g} s), with the "
-            f"counts of that instant. {acts(s.period, s.delay)}",
-            "",
-            "Signs: u = K y, with no hidden sign: an output is the torque on its gimbal (or root axis), positive about "
-            "the axis in the plant file, as the angles are.",
-            "",
-            *(line for paragraph in unit.remarks for line in (paragraph, "")),
-            *format_lines(fixed),
-            "",
-            *fixed.proof,
-            "",
-            f"A step takes {products} multiplications and {len(rows)} shifts at most, always in the same order; "
-            f"{len(_state_names(fixed))} states. No allocation, recursion, loop, global variable or library function. "
-            "Pointers are not checked.",
-        ]
-    )
-
-
 def _wrapped(statement: str, between: str = " + ") -> list[str]:
     """Return a statement on several lines where it is too long for one."""
     if len(statement) <= WIDTH:
@@ -348,11 +375,6 @@ def _wrapped(statement: str, between: str = " + ") -> list[str]:
     parts = statement.split(between)
     sign = between.strip()
     return [parts[0], *(f"        {sign} {part}" for part in parts[1:])]
-
-
-def _state_names(fixed: FixedPoint) -> dict[str, str]:
-    names = Names(40)
-    return {row.target: names[row.target] for section in fixed.sections for row in section.states}
 
 
 def _needed(fixed: FixedPoint) -> set[str]:
@@ -366,11 +388,21 @@ def _needed(fixed: FixedPoint) -> set[str]:
     return out
 
 
-def _shifts(fixed: FixedPoint) -> dict[str, int]:
-    """Return the shifts of the integrals."""
-    return {
-        row.target: row.shift
-        for section in fixed.sections
-        for row in section.states
-        if fixed.formats[row.target].role == "integral"
-    }
+def _rescaled(taken: str, fraction: int, form: Format, helpers: set[str]) -> str:
+    """Return an expression for a count of another format: rounded, and cut off where the word ends."""
+    if taken.startswith("in->") and fraction == form.fraction:
+        return taken
+    helpers.add("within")
+    kind, more = integer(form.bits), form.fraction - fraction
+    # The step cuts off at the range, and says so.
+    most = 2 ** (form.bits - 1) - 1
+    largest = literal(most, 64)
+    if more < 0:
+        helpers.add("shifted")
+        half = literal(1 << (-more - 1), 64)
+        return f"({kind})within(shifted64({taken} + {half}, {-more}U), {largest})"
+    if more == 0:
+        return f"({kind})within({taken}, {largest})"
+    # Cut off first: what is left can be multiplied.
+    least = literal(most >> more, 64)
+    return f"({kind})(within({taken}, {least}) * {literal(1 << more, 64)})"

@@ -1,25 +1,15 @@
-"""A scheme as one header and one source file in C99 that also compile as C++."""
+"""The files of a controller in floating point: C99 that also compiles as C++."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Literal
+from collections.abc import Sequence
+from typing import ClassVar, Literal
 
 import numpy as np
 
 from platform_ctrl.common.values import value
-from platform_ctrl.export.c99.file_layout import (
-    WIDTH,
-    acts,
-    block,
-    declared,
-    field,
-    header_file,
-    provenance,
-    remark,
-    signature,
-    struct,
-)
+from platform_ctrl.export.c99.controller_files import ControllerFiles
+from platform_ctrl.export.c99.file_layout import WIDTH, block, field, remark, signature
 from platform_ctrl.export.c99.identifiers import Names, comment
 from platform_ctrl.export.c99.scheme import Row, Scheme, Section, Term, acting_excess
 
@@ -60,31 +50,6 @@ _INNER = " " * 8
 _LARGEST = {"double": "DBL_MAX", "float": "FLT_MAX"}
 
 
-@value
-class Unit:
-    """What the source files of a controller are made from.
-
-    Attributes
-    ----------
-    scheme
-        The controller.
-    number
-        Type of all numbers.
-    prefix
-        First part of all external names; the names of the files.
-    signals
-        Identifiers of inputs and outputs by their names.
-    remarks
-        Paragraphs for the head of the header: anti-windup, rounding.
-    """
-
-    scheme: Scheme
-    number: Number
-    prefix: str
-    signals: dict[str, str]
-    remarks: tuple[str, ...] = ()
-
-
 def literal(x: float, number: Number) -> str:
     """Return a number as a C constant that is read back as it is (a float: the nearest one)."""
     text = repr(float(x)) if number == "double" else str(np.float32(x))
@@ -92,50 +57,119 @@ def literal(x: float, number: Number) -> str:
     return text if number == "double" else f"{text}F"
 
 
-def header(unit: Unit) -> str:
-    """Return the text of the header file."""
-    s, p, kind = unit.scheme, unit.prefix, unit.number
-    names = _state_names(unit)
-    inputs = [field(kind, unit.signals[name], what) for name, what in zip(s.inputs, s.input_units, strict=True)]
-    outputs, commanded = [], []
-    for name, what, limit in zip(s.outputs, s.output_units, s.torque_limits, strict=True):
-        bound = f"{what}, within +-{limit:.9g}: for the torquer" if np.isfinite(limit) else f"{what}, not limited"
-        outputs.append(field(kind, unit.signals[name], bound))
-        commanded.append(field(kind, f"{unit.signals[name]}_commanded", f"{what}, before the limit"))
-    states = [
-        field(kind, names[row.target], f"{number}. {section.name}")
-        for number, section in enumerate(s.sections, 1)
-        for row in section.states
-    ]
-    body = [
-        "/* What a step returns: the sum of what applies. */",
-        f"#define {p.upper()}_OK 0U      /* as it should be */",
-        f"#define {p.upper()}_LIMITED 1U /* an output is at its limit */",
-        f"#define {p.upper()}_HELD 2U    /* an input or a result was not finite: all is as it was */",
-        "",
-        *struct(f"{p}_in", inputs),
-        *struct(f"{p}_out", [*outputs, *commanded]),
-        *struct(f"{p}_state", [*states, f"    {p}_out last; /* what the last step gave */"]),
-        *declared(
-            p,
-            "All states and last outputs to zero.",
-            "One sample: from the inputs of this instant to the outputs; returns the status.",
-        ),
-    ]
-    return header_file(p, _head(unit), (), body)
+@value
+class FloatingFiles(ControllerFiles):
+    """The files of a controller in double or single precision.
 
+    Attributes
+    ----------
+    number
+        Type of all numbers.
+    """
 
-def source(unit: Unit) -> str:
-    """Return the text of the source file."""
-    return _Source(unit).text()
+    number: Number
+
+    comments: ClassVar = (
+        "All states and last outputs to zero.",
+        "One sample: from the inputs of this instant to the outputs; returns the status.",
+    )
+    statuses: ClassVar = (("HELD", 2, "an input or a result was not finite: all is as it was"),)
+
+    @property
+    def numbers(self) -> str:
+        """A sentence about the type of all numbers."""
+        return f"Numbers are of type {self.number}."
+
+    def fields(self) -> tuple[list[str], list[str], list[str]]:
+        """Return the fields of inputs, outputs and states."""
+        s, kind = self.scheme, self.number
+        inputs = [field(kind, self.signals[name], what) for name, what in zip(s.inputs, s.input_units, strict=True)]
+        outputs = [self._output(name, ": for the torquer") for name in s.outputs]
+        outputs += [
+            field(kind, f"{self.signals[name]}_commanded", f"{what}, before the limit")
+            for name, what in zip(s.outputs, s.output_units, strict=True)
+        ]
+        names = self.state_names
+        states = [
+            field(kind, names[row.target], f"{number}. {section.name}")
+            for number, section in enumerate(s.sections, 1)
+            for row in section.states
+        ]
+        return inputs, outputs, [*states, f"    {self.prefix}_out last; /* what the last step gave */"]
+
+    def _output(self, name: str, purpose: str = "") -> str:
+        k = self.scheme.outputs.index(name)
+        what, limit = self.scheme.output_units[k], self.scheme.torque_limits[k]
+        bound = f"{what}, within +-{limit:.9g}{purpose}" if np.isfinite(limit) else f"{what}, not limited"
+        return field(self.number, self.signals[name], bound)
+
+    def details(self) -> list[str]:
+        """Return the paragraphs of the head about signals, remarks and cost."""
+        s, cost = self.scheme, cost_of(self.scheme)
+        limits = [
+            f"limited to +-{x:.9g} {what}" if np.isfinite(x) else "not limited"
+            for x, what in zip(s.torque_limits, s.output_units, strict=True)
+        ]
+        return [
+            *(f"in:  {self._named(name, what)}" for name, what in zip(s.inputs, s.input_units, strict=True)),
+            *(
+                f"out: {self._named(name, what)}, {limit}"
+                for name, what, limit in zip(s.outputs, s.output_units, limits, strict=True)
+            ),
+            "",
+            *(line for paragraph in self.remarks for line in (paragraph, "")),
+            f"A step takes {cost.multiplications} multiplications, {cost.additions} additions and subtractions, and at "
+            f"most {cost.comparisons} comparisons, always in the same order; {len(s.states)} states. No allocation, "
+            "recursion, loop, global variable or library function.",
+            "",
+            "Inputs that are not finite, and states or commands that would not be: the step changes nothing, gives the "
+            f"last outputs again and returns {self.prefix.upper()}_HELD. Pointers are not checked.",
+        ]
+
+    def _named(self, name: str, what: str) -> str:
+        return f"{name} [{what}]" + ("" if self.signals[name] == name else f", field {self.signals[name]}")
+
+    def source(self) -> str:
+        """Return the text of the source file."""
+        return _Source(self).text()
+
+    def job_field(self, name: str, output: bool) -> str:
+        """Return the field of an input or output in the files of the whole job."""
+        if output:
+            return self._output(name)
+        return field(self.number, self.signals[name], self.scheme.input_units[self.scheme.inputs.index(name)])
+
+    @classmethod
+    def job_numbers(cls, units: Sequence[ControllerFiles]) -> tuple[str, str]:
+        """Return a sentence about the numbers of all controllers together, and the last paragraphs of the head."""
+        costs = [cost_of(unit.scheme) for unit in units]
+        return units[0].numbers, (
+            "Signs, limits, anti-windup, and what becomes of inputs that are not finite: there.\n\n"
+            f"A step takes {sum(c.multiplications for c in costs)} multiplications, "
+            f"{sum(c.additions for c in costs)} additions and subtractions, and at most "
+            f"{sum(c.comparisons for c in costs)} comparisons. No allocation, recursion, loop or global variable."
+        )
+
+    @classmethod
+    def wiring(cls, units: Sequence[ControllerFiles]) -> tuple[list[str], list[tuple[list[str], list[str]]]]:
+        """Return helper functions, and the statements before and after the step of each controller."""
+        made: dict[str, str] = {}
+        wired = []
+        for number, unit in enumerate(units, 1):
+            taken = {unit.signals[name]: made.get(name, f"in->{unit.signals[name]}") for name in unit.scheme.inputs}
+            given = [unit.signals[name] for name in unit.scheme.outputs]
+            made |= {name: f"out_{number}.{unit.signals[name]}_commanded" for name in unit.scheme.outputs}
+            before = [f"    in_{number}.{own} = {value};" for own, value in taken.items()]
+            wired.append((before, [f"    out->{own} = out_{number}.{own};" for own in given]))
+        return [], wired
 
 
 class _Source:
     """The source file, put together section by section."""
 
-    def __init__(self, unit: Unit) -> None:
+    def __init__(self, unit: FloatingFiles) -> None:
         self.unit, self.scheme, self.kind = unit, unit.scheme, unit.number
-        self.states = _state_names(unit)
+        self.states = unit.state_names
         # Locals and constants: apart from the fields of inputs, outputs and states, which stand behind an arrow.
         p = unit.prefix
         self.locals = Names(
@@ -313,44 +347,6 @@ class _Source:
         return [*lines, f"{_INNER}}}", "    }", "    *out = state->last;", "    return status;", "}", ""]
 
 
-def _head(unit: Unit) -> list[str]:
-    s = unit.scheme
-    cost: Cost = cost_of(s)
-    rate = 1.0 / s.period
-    paragraphs = [
-        f"{unit.prefix}.h: the controller {s.name!r}.",
-        f"Generated by platform_ctrl; do not edit. Numbers are of type {unit.number}.",
-        "",
-        *provenance(s.provenance),
-        "",
-        f"Call {unit.prefix}_step once for every sample, {rate:.9g} Hz (every {s.period:.9g} s), with the readings "
-        f"of that instant. {acts(s.period, s.delay)}",
-        "",
-        "Signs: u = K y, with no hidden sign: an output is the torque on its gimbal (or root axis), positive about "
-        "the axis in the plant file, as the angles are.",
-        "",
-        *(
-            f"in:  {name} [{what}]" + ("" if unit.signals[name] == name else f", field {unit.signals[name]}")
-            for name, what in zip(s.inputs, s.input_units, strict=True)
-        ),
-        *(
-            f"out: {name} [{what}]"
-            + ("" if unit.signals[name] == name else f", field {unit.signals[name]}")
-            + (f", limited to +-{limit:.9g} {what}" if np.isfinite(limit) else ", not limited")
-            for name, what, limit in zip(s.outputs, s.output_units, s.torque_limits, strict=True)
-        ),
-        "",
-        *(line for remark in unit.remarks for line in (remark, "")),
-        f"A step takes {cost.multiplications} multiplications, {cost.additions} additions and subtractions, and at "
-        f"most {cost.comparisons} comparisons, always in the same order; {len(s.states)} states. No allocation, "
-        "recursion, loop, global variable or library function.",
-        "",
-        "Inputs that are not finite, and states or commands that would not be: the step changes nothing, gives the "
-        f"last outputs again and returns {unit.prefix.upper()}_HELD. Pointers are not checked.",
-    ]
-    return block(paragraphs)
-
-
 def _condition(tests: Sequence[str], indent: str) -> list[str]:
     """Return the head of an if statement that all tests have to pass, some of them a line."""
     lines, line = [], f"{indent}if ("
@@ -362,8 +358,3 @@ def _condition(tests: Sequence[str], indent: str) -> list[str]:
         else:
             line += part
     return [*lines, f"{line}) {{"]
-
-
-def _state_names(unit: Unit) -> Mapping[str, str]:
-    names = Names(40, ("last",))
-    return {name: names[name] for name in unit.scheme.states}
