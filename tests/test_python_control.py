@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import copy
 import dataclasses
+import functools
+import inspect
 import pickle
-from collections.abc import Callable, Iterator
+import re
+from collections.abc import Iterator
 from typing import Any
 
 import control
@@ -13,13 +16,14 @@ import numpy as np
 import pytest
 
 import platform_ctrl as pc
+from contract_calls import cases, instance
 from platform_ctrl import analysis, design
 from platform_ctrl.analysis.arrays import state_arrays
 from platform_ctrl.analysis.poles import is_stable
 from platform_ctrl.analysis.sampled import bilinear_to_continuous, bilinear_to_discrete
 from platform_ctrl.design.classical.crossover import CrossoverDesign
 from platform_ctrl.design.loop import LoopDesign
-from test_public_shapes import VALUES
+from public_modules import described
 
 MODEL = pc.linearise(pc.read_platform("three_gyro_platform"))
 PERIOD = 0.0005
@@ -165,16 +169,27 @@ def arrays_of(item: Any) -> Iterator[tuple[np.ndarray, bool]]:
             yield from arrays_of(one)
 
 
-@pytest.fixture(scope="module", params=[*VALUES, "LoopOutcome", "LqgDesign", "CrossoverDesign", "Job"])
-def result(request: pytest.FixtureRequest) -> Any:
-    one = control.ss(-1.0, 1.0, 1.0, 0.0)
-    more: dict[str, Callable[[], Any]] = {
-        "LoopOutcome": lambda: design.loops(JOB)[0],
-        "LqgDesign": lambda: design.lqg(one, [[1]], [[1]], [[1]], [[1]]),
-        "CrossoverDesign": lambda: request.getfixturevalue("crossover"),
-        "Job": lambda: pc.read_job(JOB),
-    }
-    return (VALUES | more)[request.param]()
+def results() -> list[str]:
+    """Return the public functions that return a value of the package, and the public classes."""
+    kinds = {item.__name__ for item in described().values() if dataclasses.is_dataclass(item)}
+    found = []
+    for name, case in cases().items():
+        said = "" if isinstance(case.function, functools.partial) else str(inspect.signature(case.function))
+        if case.fields or set(re.findall(r"\w+", said.partition("->")[2])) & kinds:
+            found.append(name)
+    return sorted(set(found) - {"campaign.rare_probability", "baselines.update_baseline"})  # of other jobs and files
+
+
+@pytest.fixture(scope="module", params=results())
+def result(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Any:
+    case = cases()[request.param]
+    if case.fields:
+        return instance(case.name)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(tmp_path_factory.mktemp("results"))
+        more = {"form": "sympy"} if case.name == "equations" else {}
+        given = case.function(**{name: make() for name, make in case.arguments.items()}, **more)
+    return given[0] if isinstance(given, tuple) else given
 
 
 def test_values_come_back_from_pickle_and_deepcopy_with_read_only_arrays(result: Any) -> None:
@@ -193,6 +208,9 @@ def test_the_repr_of_a_value_is_a_summary(result: Any) -> None:
     assert max(map(len, lines)) <= 120
     assert lines[0].startswith(type(result).__name__)
     assert "[[" not in repr(result)
+    table = result._repr_html_()
+    assert table.startswith("<table>")
+    assert table.count("<tr>") <= 20
 
 
 def test_a_state_space_comes_back_with_its_names_and_computes_with_its_own_matrices() -> None:

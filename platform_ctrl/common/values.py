@@ -6,6 +6,7 @@ import contextlib
 import copy
 import copyreg
 import dataclasses
+import html
 from collections.abc import Mapping
 from typing import Any, TypeVar, dataclass_transform
 
@@ -99,19 +100,26 @@ def _new_system(kind: Any) -> Any:
     return portable(kind(np.zeros((1, 1)), np.zeros((1, 1)), np.zeros((1, 1)), 0.0, remove_useless_states=False))
 
 
-def _summary(self: Any) -> str:
-    """Return what a value is in twenty lines at most: numbers and names, of arrays and systems their sizes."""
-    kind = type(self).__qualname__
+def _rows(self: Any) -> list[tuple[str, str]]:
+    """Return what a value is, by its fields and in at most twenty lines: numbers, names, and sizes of arrays."""
     names = [field.name for field in dataclasses.fields(self) if not field.name.startswith("_")]
-    items = [f"{name}={_described(getattr(self, name))}" for name in names]
+    shown = len(names) if len(names) <= _LINES - 2 else _LINES - 3
+    rows = [(name, _described(getattr(self, name))) for name in names[:shown]]
+    return rows if shown == len(names) else [*rows, ("...", ", ".join(names[shown:]))]
+
+
+def _summary(self: Any) -> str:
+    """Return the rows of a value as text, on one line where they fit."""
+    kind = type(self).__qualname__
+    items = [f"{name}={text}" if name != "..." else f"... {text}" for name, text in _rows(self)]
     line = f"{kind}({', '.join(items)})"
-    if len(line) <= _COLUMNS:
-        return line
-    shown = len(items) if len(items) <= _LINES - 2 else _LINES - 3
-    lines = [f"    {_cut(item)}," for item in items[:shown]]
-    if shown < len(items):
-        lines.append(f"    ... {_cut(', '.join(names[shown:]))}")
-    return "\n".join([f"{kind}(", *lines, ")"])
+    return line if len(line) <= _COLUMNS else "\n".join([f"{kind}(", *(f"    {_cut(item)}," for item in items), ")"])
+
+
+def _html(self: Any) -> str:
+    """Return the rows of a value as a table: what notebooks show."""
+    rows = (f"<tr><th>{name}</th><td><code>{html.escape(_cut(text))}</code></td></tr>" for name, text in _rows(self))
+    return f"<table><caption>{type(self).__qualname__}</caption>{''.join(rows)}</table>"
 
 
 def _described(item: Any) -> str:
@@ -175,6 +183,7 @@ def value(cls: type[T]) -> type[T]:
     cls.__post_init__ = settled  # type: ignore[attr-defined]
     if "__repr__" not in cls.__dict__:
         cls.__repr__ = _summary  # type: ignore[method-assign]
+    cls._repr_html_ = _html  # type: ignore[attr-defined]
     made = dataclasses.dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)(cls)
     made._settled = settled  # type: ignore[attr-defined]
     made.__setstate__ = _set_state  # type: ignore[attr-defined]
