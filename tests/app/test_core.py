@@ -20,7 +20,7 @@ from platform_ctrl.analysis.poles import continuous_poles
 from platform_ctrl.app.backend import Backend
 from platform_ctrl.app.closed_loops import ClosedLoops
 from platform_ctrl.app.pictures import Picture
-from platform_ctrl.app.plants import Bounded, QuickPlants
+from platform_ctrl.app.plants import QuickPlants
 from platform_ctrl.app.settings import History, Settings
 from platform_ctrl.cli import main
 from platform_ctrl.design.loop import Designed, certified, closed_loop_poles, sampled_plant
@@ -402,15 +402,6 @@ def test_nothing_grows_while_sliders_move(bench: Backend, settings: Settings) ->
     # What is left over from other tests may go meanwhile.
     assert not held(40) - full
     assert not held(4) - full
-
-
-def test_a_bounded_cache_lets_the_oldest_go() -> None:
-    cache: Bounded[int] = Bounded(3)
-    for k in range(10):
-        assert cache.get(k, lambda k=k: k) == k  # type: ignore[misc]
-    assert len(cache) == 3
-    assert cache.found(6) is None
-    assert cache.found(9) == 9
 
 
 def _bare_job(**plant: object) -> Backend:

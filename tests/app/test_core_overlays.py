@@ -73,44 +73,6 @@ def test_another_servo_over_the_picture_is_what_its_own_picture_draws(
     np.testing.assert_allclose([r.value for r in measured.requirements], [r.value for r in own.requirements], rtol=1e-6)
 
 
-def test_it_follows_what_the_other_loops_are_set_to(bench: Backend, settings: Settings, picture: Picture) -> None:
-    bare = settings.but(band=False)
-    inner = bench.moved(bench.chosen(bare, loop="caging 9-10"), "crossover_hz", 40.0)
-    moved = bench.chosen(inner, loop=SERVO).but(overlays=("slow",), axis=2, channel="M2")
-    shown = bench.picture(moved)
-    [over] = shown.bode.overlays
-    _expect_the_loop_of(over, shown.bode.frequency, bench.picture(bench.chosen(moved, design="slow")))
-    assert np.abs(np.sort(over.poles) - np.sort(picture.bode.overlays[0].poles)).max() > 1.0
-
-
-def test_every_plot_of_the_free_platform_draws_it(picture: Picture) -> None:
-    plots = pytest.importorskip("platform_ctrl.app.plots").Plots()
-    plots.show(picture)
-    events = pytest.importorskip("bokeh.events")
-    toggle = plots.layout["Omega"].select_one({"name": "Omega-toggle"})
-    toggle._trigger_event(events.ButtonClick(toggle))
-    for source in ("overlays", "overlay_poles", "step_overlays", "Omega_time_overlays", "Omega_gain_overlays"):
-        assert set(plots.sources[source].data["name"]) == {"slow"}, source
-
-
-def test_no_other_loop_is_closed_unless_it_is_asked_for(
-    bench: Backend, settings: Settings, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    closed: list[str] = []
-    own = bench._loops.stabilised
-
-    def counted(given: Settings) -> object:
-        closed.append(given.design)
-        return own(given)
-
-    monkeypatch.setattr(bench._loops, "stabilised", counted)
-    bare = settings.but(band=False)
-    assert not bench.picture(bare.but(overlays=())).bode.overlays
-    assert closed == ["servo"]
-    bench.picture(bare)
-    assert closed == ["servo", "servo", "slow"]
-
-
 def test_what_is_no_design_of_the_servo_is_refused(bench: Backend, settings: Settings) -> None:
     with pytest.raises(ArgumentError, match="design"):
         bench.overlay(settings, "classical")

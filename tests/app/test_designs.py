@@ -129,16 +129,3 @@ def test_a_link_holds_for_what_a_design_was_made(bench: Backend, start: Settings
 def test_a_damaged_link_says_what_is_wrong_with_it(bench: Backend, given: object) -> None:
     with pytest.raises(InputError, match=r"must|is unknown"):
         judged(bench, {"designed_for": given})
-
-
-def test_margins_that_are_kept_are_those_of_the_controller_that_is_closed(bench: Backend, start: Settings) -> None:
-    new = bench.moved(start, "torque", 1.5 * start.options[LOOP]["lqg"]["torque"])
-    loops = bench._loops
-    assert loops.kept(new)("caging", lambda: {"Q9": 1.0}) == {"Q9": 1.0}
-    # The design is made; until then another controller was closed.
-    spec, design = loops.design(new)
-    made = loops.store.found(LOOP, "lqg", loops.conditions(start, spec, design))
-    assert made is not None
-    loops.store.put(LOOP, "lqg", loops.conditions(new, spec, design), made)
-    assert loops.kept(new)("caging", lambda: {"Q9": 2.0}) == {"Q9": 2.0}
-    assert loops.kept(new)("caging", lambda: {"Q9": 3.0}) == {"Q9": 2.0}

@@ -22,13 +22,12 @@ from bokeh.models import Column, Row
 from bokeh.server.server import Server
 from tornado.ioloop import IOLoop
 
-from browser import Screen, chromium, screen
+from browser import Screen, screen
 from designer_pictures import picture
 from platform_ctrl.app.plots import Plots
 from platform_ctrl.app.plots.handles import LATE, REST
 
 HZ = 1.0 / (2.0 * np.pi)
-browser = pytest.fixture(scope="module")(chromium)
 
 # Where a point of a figure lies on the screen.
 PLACE = """([name, x, y]) => {
@@ -203,16 +202,6 @@ def test_a_pole_that_is_gripped_and_held_can_still_be_dragged_and_a_rest_half_wa
     assert page.plots.drags == before + 1
 
 
-def test_the_crossover_is_dragged_along_the_frequencies(shown: tuple[Page, Screen]) -> None:
-    page, seen = shown
-    first = float(picture().margins.crossover or 0.0) * HZ
-    drag(seen, "bode-figure-0", (first, 10.0), (2.0 * first, 10.0))
-    until(lambda: bool(page.crossovers) and abs(page.crossovers[-1] * HZ / (2.0 * first) - 1.0) < 0.03)
-    # Not every move of the mouse is handed on.
-    assert len(page.crossovers) <= 14
-    assert seen.complaints == []
-
-
 def test_beside_a_handle_the_mouse_moves_the_view(shown: tuple[Page, Screen]) -> None:
     page, seen = shown
     assert page.plots is not None
@@ -223,15 +212,3 @@ def test_beside_a_handle_the_mouse_moves_the_view(shown: tuple[Page, Screen]) ->
     assert page.poles == []
     seen.page.get_by_role("button", name="reset").nth(1).click()
     until(lambda: axis.start == start)
-
-
-def test_the_theme_changes_while_the_page_is_open(shown: tuple[Page, Screen]) -> None:
-    page, seen = shown
-    locus = seen.page.locator("canvas").nth(2)
-    before = locus.screenshot()
-    plots, document = page.plots, page.document
-    assert plots is not None
-    assert document is not None
-    document.add_next_tick_callback(lambda: plots.dark(True))
-    until(lambda: locus.screenshot() != before)
-    assert seen.complaints == []

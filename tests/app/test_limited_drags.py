@@ -70,17 +70,6 @@ def test_a_pole_that_few_sliders_move_little_is_brought_to_its_place_all_the_sam
     assert abs(there - 1.03 * pole) < 1e-6 * abs(pole)
 
 
-def test_a_hand_that_goes_on_past_a_limit_never_makes_anything_missed(bench: Backend, judge: Backend) -> None:
-    settings, goal = bench.start(PAIR), -807.0 + 865.0j
-    pole = first = nearest(bench.picture(settings), -630.0 + 760.0j)
-    for share in np.linspace(0.1, 1.0, 10):
-        settings = bench.drag_pole(settings, pole, first + share * (goal - first))
-        shown = bench.picture(settings)
-        pole = nearest(shown, pole)
-        assert missed(shown) == set()
-    assert missed(judge.picture(settings)) == set()
-
-
 @given(
     loop=st.sampled_from([PAIR, THREE]),
     which=st.integers(0, 4),

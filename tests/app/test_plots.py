@@ -273,16 +273,6 @@ def test_a_signal_has_one_colour_in_angles_and_torques_by_its_name_not_by_its_ro
     assert keys(fresh, "step") == {"α9, Q9": (light["series-4"], ()), "M2": (light["series-7"], ())}
 
 
-def test_other_designs_have_colours_and_dashes_of_their_own(plots: Plots) -> None:
-    plots.show(picture(overlays=("H-infinity", "structured")))
-    data = plots.sources["overlays"].data
-    assert data["name"] == ["H-infinity", "structured"]
-    assert data["colour"] == [colours(False)["series-2"], colours(False)["series-3"]]
-    assert len({tuple(one) for one in data["dash"]}) == 2
-    assert data["gains"][0] == pytest.approx(plots.sources["loop"].data["gain"] + 20.0 * np.log10(1.5), abs=1e-3)
-    assert len(plots.sources["step_overlays"].data["xs"]) == 4
-
-
 def test_names_from_a_job_file_are_text_and_no_markup(plots: Plots) -> None:
     plots.show(picture(overlays=("<img src=x onerror=alert(1)>",)))
     assert "<img" not in heading(plots, "bode")
@@ -324,13 +314,6 @@ def test_the_theme_changes_in_place(plots: Plots, document: Document) -> None:
     assert figure(plots, "locus").xaxis[0].axis_label_text_color == colours(True)["muted"]
     plots.dark(False)
     assert figure(plots, "locus").xaxis[0].axis_label_text_color == colours(False)["muted"]
-
-
-def test_both_themes_have_every_colour() -> None:
-    light, dark = colours(False), colours(True)
-    assert light.keys() == dark.keys()
-    assert {f"series-{k}" for k in range(1, 9)} <= light.keys()
-    assert light["series-1"] == "#0072b2"
 
 
 @pytest.mark.parametrize("number", [60, pytest.param(1000, marks=pytest.mark.slow)])
@@ -442,23 +425,6 @@ def test_the_models_have_no_faults(plots: Plots, document: Document, caplog: pyt
     faults = check_integrity(list(document.models))
     assert not faults.error
     assert not faults.warning
-
-
-def test_a_dragged_pole_tells_where_it_is_wanted(fresh: Plots) -> None:
-    plots = fresh
-    dragged: list[tuple[complex, complex]] = []
-    plots.on_pole_dragged(lambda pole, target: dragged.append((pole, target)))
-    shown = picture()
-    plots.show(shown)
-    [box] = [one for one in named(plots, BoxAnnotation) if (one.name or "").startswith("pole-handle") and one.visible]
-    pole = next(one for one in shown.locus.present if one.imag > 0.0)
-    wide, high = 0.5 * (box.right - box.left), 0.5 * (box.top - box.bottom)
-    assert complex(box.left + wide, box.bottom + high) == pytest.approx(pole)
-    target = complex(-30.0, 40.0)
-    box.update(left=target.real - wide, right=target.real + wide, bottom=target.imag - high, top=target.imag + high)
-    assert dragged[-1] == (pytest.approx(pole), pytest.approx(target))
-    data = plots.sources["dragged"].data
-    assert list(data["y1"]) == pytest.approx([40.0, -40.0])  # the conjugate goes with it
 
 
 def test_a_dragged_pole_is_followed_from_picture_to_picture(fresh: Plots) -> None:

@@ -7,7 +7,6 @@ import json
 import math
 import re
 import threading
-import time
 import tomllib
 from pathlib import Path
 
@@ -20,12 +19,11 @@ from hypothesis import strategies as st
 from one_gyro_job import JOB as ONE
 from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.app.backend import Backend
-from platform_ctrl.app.background import TaskCancelled
 from platform_ctrl.app.settings import Settings
 from platform_ctrl.app.url_state import decode_state, encode_state, judged
 from platform_ctrl.cli import main
 from platform_ctrl.design.jobs import loops
-from platform_ctrl.errors import ArgumentError, DesignError, InputError, PlatformCtrlError
+from platform_ctrl.errors import DesignError, InputError, PlatformCtrlError
 from platform_ctrl.job.reading import read_job
 from platform_ctrl.plant.source import shipped_models
 
@@ -312,16 +310,6 @@ def test_saving_keeps_what_stands_there_unless_it_may_go(bench: Backend, job_fil
         Backend(bench.read).save(settings, tmp_path / "other.toml")
 
 
-def test_inline_tables_are_saved_too(tmp_path: Path) -> None:
-    (tmp_path / "one.toml").write_text(ONE)
-    bench = Backend(tmp_path / "one.toml")
-    settings = _moved(bench, bench.start(), crossover_hz=42.0, delay=4e-4)
-    saved = bench.save(settings, tmp_path / "two.toml")
-    job = read_job(saved.job)
-    assert job.loops[0].designs[0].options["crossover_hz"] == 42.0
-    assert job.sampling.delay == 4e-4
-
-
 def test_a_plant_beside_the_job_is_found_from_another_folder(tmp_path: Path) -> None:
     from platform_ctrl.plant.source import platform_source
 
@@ -347,13 +335,6 @@ def test_tuning_leaves_what_is_fixed_and_meets_what_tune_meets(bench: Backend) -
     results = bench.picture(tuned).requirements
     assert max(r.ratio for r in results) <= 0.96
     assert all(r.passed for r in loops(bench.read)[0].closed.results)
-
-
-def test_a_task_that_is_not_wanted_any_more_ends_at_once(bench: Backend) -> None:
-    begun = time.monotonic()
-    with pytest.raises(TaskCancelled):
-        bench.tune(bench.start(), cancelled=lambda: True)
-    assert time.monotonic() - begun < 30.0
 
 
 def test_a_design_made_in_the_background_is_that_of_its_method(bench: Backend) -> None:
@@ -410,16 +391,6 @@ def test_controllers_of_a_result_are_shown_as_they_are(bench: Backend, tmp_path:
     K = given._loops.caged(settings)[0].controller
     assert isinstance(K, StateArrays)
     assert np.allclose(K.A, closed.controller.A)
-
-
-def test_a_manoeuvre_is_flown_with_the_loops_as_they_are_set(bench: Backend) -> None:
-    settings = _moved(bench, bench.start(), crossover_hz=60.0)
-    flown = bench.simulate(settings, "turn")
-    shown = bench.picture(settings.but(axis=1)).Omega_time
-    peak = np.abs(flown.q[:, 3]).max()
-    assert peak == pytest.approx(np.abs(shown.values[0]).max(), rel=0.1)
-    with pytest.raises(ArgumentError, match="turn"):
-        bench.simulate(settings, "roll")
 
 
 def test_a_loop_whose_design_is_not_there_is_told_when_it_is_saved(shipped: Backend, tmp_path: Path) -> None:

@@ -193,13 +193,6 @@ def test_a_websocket_without_a_pages_token_is_ended(protocols: str, server: Page
     assert answers(server)
 
 
-def test_a_websocket_with_a_token_of_another_server_is_ended(server: PageServer) -> None:
-    with served(make=a_slider) as other:
-        strange = token(other)
-    with Socket(server, f"bokeh, {strange}") as page:
-        assert page.ends()
-
-
 HOSTILE: dict[str, list[bytes]] = {
     "no JSON": [b"nonsense"] * 3,
     "JSON of another kind": [b"[]", b"null", b"17"],
@@ -330,18 +323,6 @@ def _ended(one: socket.socket) -> bool:
         return False
     except ConnectionResetError:
         return True
-
-
-def test_a_closed_page_ends_its_session_at_once() -> None:
-    with served(make=a_slider) as server, Socket(server, f"bokeh, {token(server)}") as page:
-        page.message()
-        assert server.sessions == 1
-        page.send(struct.pack(">H", 1001), opcode=8)
-        assert page.ends()
-        late = time.monotonic() + web.LINGER / 2000.0
-        while server.sessions:
-            assert time.monotonic() < late
-            time.sleep(0.01)
 
 
 def test_a_workbench_made_for_the_server_is_closed_with_it_and_one_that_was_given_is_not() -> None:
