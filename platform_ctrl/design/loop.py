@@ -1,4 +1,4 @@
-"""A designed loop, certified: every figure is recomputed from the actual sampled closed loop."""
+"""A designed loop: all its values are recomputed from the actual sampled closed loop and certified."""
 
 from __future__ import annotations
 
@@ -132,7 +132,7 @@ class LoopProblem:
 
 @value
 class Designed:
-    """What a design method returns; nothing of it is trusted before `designed` has measured the closed loop.
+    """What a design method returns; `designed` measures the closed loop and does not rely on the claims.
 
     Attributes
     ----------
@@ -188,8 +188,8 @@ def certified(spec: LoopSpec, design: DesignSpec, found: Designed, plants: Plant
     measures = measure(plants, K, requirements_of(spec))
     if not measures.decay[0] > 0.0:
         raise NotCertifiedError(
-            f"{spec.name}, {design.name}: the closed loop grows at {-measures.decay[0]:.3g} 1/s; expected a stable "
-            f"loop; try {known_method(design.method).advice}",
+            f"{spec.name}, {design.name}: the closed loop grows at {-measures.decay[0]:.3g} 1/s: it is unstable; try "
+            f"{known_method(design.method).advice}",
             plants,
         )
     out = _with_evidence(spec, design.name, design.method, K, plants, measures)
@@ -263,10 +263,10 @@ def completed(method: str, given: dict[str, float], defaults: dict[str, float]) 
     unused = sorted(set(given) - set(defaults))
     if unused:
         raise DesignError(
-            f"{method}: option {unused[0]!r} has no meaning for this loop; expected some of {', '.join(defaults)}"
+            f"{method}: option {unused[0]!r} has no meaning for this loop; its options are {', '.join(defaults)}"
         )
     out = defaults | given
     wrong = [name for name, x in out.items() if not x > 0.0]
     if wrong:
-        raise DesignError(f"{method}: {wrong[0]} = {out[wrong[0]]:g}; expected a number > 0")
+        raise DesignError(f"{method}: {wrong[0]} must be > 0, got {out[wrong[0]]:g}")
     return out

@@ -21,9 +21,9 @@ from platform_ctrl.mechanics.matrices import matrices
 from platform_ctrl.mechanics.state_space import state_space, subsystems_of_all
 from platform_ctrl.plant.platform import OMEGA_NAMES, PickOff, Platform, Torquer
 
-# Open-loop motion slower than this share of the Nyquist frequency says nothing about where a loop can act.
+# Open-loop motion slower than this share of the Nyquist frequency is no reference for the loop.
 _STILL = 1e-3
-# Radians in a sample period beyond which nothing of a motion is left in the digits of a sampled plant.
+# Largest angle of a motion in a sample period, rad: beyond it a sampled plant has lost all digits.
 _FARTHEST = 1e6
 
 
@@ -266,14 +266,14 @@ def _expect_slow(A: FloatArray, plants: Sequence[Case], period: float) -> None:
         where = f"plant {plants[worst].label}" if plants[worst].label else "the plant"
         raise InputError(
             f"rate_hz = {1.0 / period:.6g}: in a sample period {where} turns by {fastest[worst] * period:.3g} rad or "
-            f"grows as fast; expected at most {_FARTHEST:.0e}"
+            f"grows as fast, more than {_FARTHEST:.0e}; choose a higher rate"
         )
 
 
 def held_rate(A: FloatArray, B: FloatArray, period: float, order: int) -> FloatArray:
     """Return the sampled input of Omega: held like the torques, but neither delayed nor lagging."""
     out = np.zeros((*A.shape[:-2], order, B.shape[-1]))
-    # The sampled states begin with the plant's own, which lags and held torques do not hear of.
+    # The sampled states begin with the plant's own, on which Omega acts directly.
     out[..., : A.shape[-1], :] = held_input(A, B, period)[1]
     return out
 

@@ -281,7 +281,7 @@ def hinf(
         refused = error
     try:
         # What is wrong, without what could be tried.
-        return by("lmi", str(refused).partition(";")[0])
+        return by("lmi", str(refused).rpartition(";")[0])
     except DesignError as error:
         raise type(error)(f"{error} (the other route fails, too: {refused})", P) from None
 
@@ -397,9 +397,13 @@ def _stable_poles(A: np.ndarray[Any, Any], dt: float, method: str, P: StateSpace
 
 def _without_rounding(D: np.ndarray[Any, Any], plant: Partition, controller: StateArrays) -> np.ndarray[Any, Any]:
     """Return the direct term of a continuous closed loop, zero where a controller has cancelled it but for rounding."""
+    return np.zeros_like(D) if np.linalg.norm(D) <= DIRECT_ROUNDING * direct_size(plant, controller) else D
+
+
+def direct_size(plant: Partition, controller: StateArrays) -> float:
+    """Return the size of the terms whose sum is the direct term of a closed loop."""
     through = np.linalg.norm(plant.D12) * np.linalg.norm(controller.D) * np.linalg.norm(plant.D21)
-    size = np.linalg.norm(plant.D11) + through
-    return np.zeros_like(D) if np.linalg.norm(D) <= DIRECT_ROUNDING * size else D
+    return float(np.linalg.norm(plant.D11) + through)
 
 
 def _kept(

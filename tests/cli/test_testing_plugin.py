@@ -215,7 +215,7 @@ def test_a_design_that_fails_fails_every_item_and_is_tried_once(runs: pytest.Pyt
     done = run(runs, "gyro.toml", "-v")
     done.assert_outcomes(failed=ITEMS)
     assert done.stdout.str().count("gyro.toml::caging 9-10: bandwidth FAILED") == 1
-    done.stdout.fnmatch_lines(["caging 9-10, classical: the closed loop grows at *expected a stable loop*"])
+    done.stdout.fnmatch_lines(["caging 9-10, classical: the closed loop grows at *it is unstable; try*"])
 
 
 def test_the_names_of_the_items_are_those_of_the_verdict(shipped_requirements: tuple[pc.Job, list[str]]) -> None:

@@ -129,7 +129,7 @@ def test_dead_time_of_a_continuous_loop_is_exact(model):
     np.testing.assert_allclose(
         two_sided_nyquist(long, controller, W).loop_transfer, fast.loop_transfer * np.exp(-2.8e-3j * W), rtol=1e-9
     )
-    with pytest.raises(ArgumentError, match="has a dead time"):
+    with pytest.raises(ArgumentError, match="without dead time"):
         long.real_system()
 
 
@@ -179,19 +179,19 @@ def test_the_order_of_the_gimbals_turns_the_sense(model):
 
 
 def test_what_makes_no_sense_is_said(model, sampled_plant, loop):
-    with pytest.raises(ArgumentError, match="given 3 gimbals; expected the two of one gyro"):
+    with pytest.raises(ArgumentError, match="must be the two of one gyro, got 3"):
         complex_plant(model, ("4", "5", "7"))
     with pytest.raises(ArgumentError, match=r"damping_hz must .*got -1"):
         complex_loop(sampled_plant, **LOOP | {"damping_hz": -1.0})
-    with pytest.raises(ArgumentError, match=r"notch_hz = 1000\.0; expected a number other than 0 below"):
+    with pytest.raises(ArgumentError, match=r"notch_hz must be .* got 1000\.0"):
         complex_loop(sampled_plant, **LOOP, notch_hz=1000.0)
     with pytest.raises(ArgumentError, match="has no inertia"):
         complex_loop(loop.controller, **LOOP)
-    with pytest.raises(NotStabilisableError, match="1 unstable poles; expected none"):
+    with pytest.raises(NotStabilisableError, match="1 unstable poles"):
         complex_loop(sampled_plant, **LOOP | {"damping_hz": 1.0})
-    with pytest.raises(ArgumentError, match="expected the same"):
+    with pytest.raises(ArgumentError, match="must have dt"):
         two_sided_nyquist(complex_plant(model, PAIR), loop.controller)
-    with pytest.raises(ArgumentError, match="does not rise"):
+    with pytest.raises(ArgumentError, match="must be a rising vector"):
         two_sided_nyquist(sampled_plant, loop.controller, W[::-1])
     with pytest.raises(ArgumentError, match="frequency must be real numbers, all finite, got one that is not"):
         complex_response(sampled_plant, [np.nan])

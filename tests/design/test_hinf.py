@@ -13,6 +13,7 @@ from scipy.linalg import solve_continuous_are
 
 from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.norms import hinf_norm
+from platform_ctrl.design.lmi import conic
 from platform_ctrl.design.lmi.bounded_real import inequalities, minimised
 from platform_ctrl.design.partition import closed_loop, partition
 from platform_ctrl.design.riccati.hinf import _central, _floor, _normal_form, _sides, _trial, hinf_riccati
@@ -250,7 +251,7 @@ def test_solver_s_answer_satisfies_every_inequality_and_none_holds_below_the_lea
     assert len(eigenvalues) == 3
     assert max(eigenvalues) < 0
     scaled = autoscale(partition(P, nmeas, ncon)).plant
-    best = minimised([scaled], where="test", time_limit=60.0, P=P, tolerance=1e-7)
+    best = minimised([scaled], conic.Solver(where="test", cure="", time_limit=60.0, P=P), 1e-7)
     worst = [np.linalg.eigvalsh(m)[-1] for m in inequalities(scaled, 0.9 * best.gamma, best.X, best.Y).values()]
     assert max(worst) > 1e-3
 

@@ -94,5 +94,5 @@ def test_the_weighted_plant_has_the_delay_inside(loop):
 def test_wrong_options_are_named(loop):
     with pytest.raises(DesignError, match="inertial_torque"):
         hinf_design(with_options(loop, {"inertial_torque": 1.0}))
-    with pytest.raises(DesignError, match="expected a number > 0"):
+    with pytest.raises(DesignError, match="must be > 0"):
         hinf_design(with_options(loop, {"torque": 0.0}))

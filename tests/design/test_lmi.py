@@ -121,7 +121,7 @@ def test_threads_share_the_worker():
 
 def test_contradicting_and_unbounded_problems_speak():
     problem, X, _ = lyapunov_problem(sign=-1.0)
-    with pytest.raises(InfeasibleError, match="test: the solver says infeasible") as refused:
+    with pytest.raises(InfeasibleError, match="test: the inequalities are infeasible") as refused:
         solve(problem, X)
     assert refused.value.problem is problem
     X = cp.Variable((2, 2), symmetric=True)
@@ -197,10 +197,10 @@ def test_mixed_designs_lie_between_the_two_pure_ones():
 def test_limits_below_the_least_gamma_are_infeasible_and_the_message_says_how_far():
     P = random_plant()
     best = design.hinf(P, 2, 2, method="riccati").gamma_optimal
-    with pytest.raises(InfeasibleError, match=r"1\.11\d? times the limits") as refused:
+    with pytest.raises(InfeasibleError, match=r"is 1\.11\d?, (more than|not below)") as refused:
         design.multiobjective(P, 2, 2, [h2_bound(), hinf_bound(0.9 * best, hard=True)])
     assert refused.value.problem is P
-    with pytest.raises(InfeasibleError, match=r"1\.11\d? times the limits of the norms"):
+    with pytest.raises(InfeasibleError, match=r"is 1\.11\d?, not below 1"):
         design.multiobjective(P, 2, 2, [hinf_bound(0.9 * best, hard=True)])
     kept = design.multiobjective(P, 2, 2, [hinf_bound(1.01 * best, hard=True)])
     assert kept.outcomes[0].passed
@@ -281,9 +281,7 @@ def test_controller_poles_are_bounded_at_the_same_norm():
 
 def test_a_weight_s_pole_outside_the_region_is_named():
     slow = control.ss(-0.1, 1.0, 1.0, 0.0)
-    with pytest.raises(
-        IllPosedError, match=r"mode at -0\.1\+0j rad/s violates .*; .* no (measurement|control)|weights"
-    ):
+    with pytest.raises(IllPosedError, match=r"mode at -0\.1\+0j rad/s violates .* no (measurement|control)"):
         design.multiobjective(random_plant(), 2, 2, [hinf_bound(outputs=("e1",), output_weight=slow), REGION[0]])
 
 
@@ -291,16 +289,16 @@ def test_an_h2_norm_that_no_controller_makes_finite_is_named():
     P = random_plant()
     D = P.D.copy()
     D[0, 0] = 1.0
-    with pytest.raises(IllPosedError, match="H2 norm: no controller makes the direct term"):
+    with pytest.raises(IllPosedError, match="the H2 norm is infinite"):
         design.multiobjective(control.ss(P.A, P.B, P.C, D), 2, 2, [h2_bound()])
 
 
 @pytest.mark.parametrize(
     ("requirements", "match"),
     [
-        ([], "no requirements"),
-        ([requirement("disk margin", 0.5)], "of kind 'disk margin'; expected 'H-infinity norm'"),
-        ([requirement("damping", 0.5, hard=False)], "soft; expected a hard bound"),
+        ([], "must contain at least one"),
+        ([requirement("disk margin", 0.5)], "must be of kind 'H-infinity norm'.* got 'disk margin'"),
+        ([requirement("damping", 0.5, hard=False)], "must be hard"),
         ([requirement("damping", 1.5)], "positive number below 1"),
     ],
 )
@@ -379,19 +377,19 @@ def test_what_u_drives_must_not_depend_on_the_parameters():
         B[2, 2] = rho[0]
         return control.ss(P.A, B, P.C, P.D, inputs=P.input_labels, outputs=P.output_labels)
 
-    with pytest.raises(IllPosedError, match=r"B2 depends on the parameters \(control 'u'\).* put a lag"):
+    with pytest.raises(IllPosedError, match=r"B2 must not depend .* for control 'u'; put a lag"):
         design.scheduled(plant, ["gain"], [1.0], [2.0], 1, 1)
 
 
 def test_a_plant_that_is_not_affine_is_refused():
-    with pytest.raises(ArgumentError, match="A of the plant is not affine in Omega2"):
+    with pytest.raises(ArgumentError, match="A of the plant must be affine in Omega2"):
         design.scheduled(lambda rho: spring(float(rho[0] ** 2)), ["Omega2"], [0.5], [2.0], 1, 1)
 
 
 def test_parameters_outside_the_box_are_refused():
     result = design.scheduled(by_stiffness, ["Omega2"], [0.5], [2.0], 1, 1)
     np.testing.assert_allclose(result.controller((0, 0.5, 0)).A, result.controllers[0].A)
-    with pytest.raises(ArgumentError, match=r"Omega2 = 3; expected within \[0\.5, 2\]"):
+    with pytest.raises(ArgumentError, match=r"Omega2 must be within \[0\.5, 2\], got 3"):
         result.at([3.0])
 
 
@@ -445,7 +443,7 @@ def test_a_caging_loop_follows_omega_for_little():
         assert K.input_labels == ["alpha9", "beta10"]
         # Integral action: no standing angle.
         assert np.abs(K.poles()).min() < 1e-6
-    with pytest.raises(ArgumentError, match=r"expected at most \[5\.0, 5\.0, 5\.0\] rad/s"):
+    with pytest.raises(ArgumentError, match=r"must be at most \[5\.0, 5\.0, 5\.0\] rad/s"):
         caging.controller((0, 6, 0))
 
 
@@ -457,5 +455,5 @@ def test_lists_are_expected_where_single_things_are_given():
     with pytest.raises(ArgumentError, match="plants must be a sequence, each a StateSpace, got a StateSpace"):
         design.robust(P, 1, 1, [H])
     for names in ("k", ["k", "k"], []):
-        with pytest.raises(ArgumentError, match=r"expected a (list of different|sequence of) names"):
+        with pytest.raises(ArgumentError, match=r"must be a list of different names|expected a sequence of names"):
             design.scheduled(lambda rho: P, names, [0.5] * len(names), [1.0] * len(names), 1, 1)

@@ -1,10 +1,9 @@
-"""Torque limits of a caging loop: which Omega it provably survives, and anti-windup gains with a region of attraction.
+"""Torque limits of a caging loop: the largest Omega without saturation, and anti-windup with a region of attraction.
 
-Two figures by two means. While Omega alone moves, a good loop need not touch its limits until the torques that hold the
-gyros take nearly all of them: `largest_Omega` proves up to where, by an ellipsoid from a Lyapunov equation. A shock
-does drive the torques beyond their limits; then the controller's states run on with an error that its torques cannot
-follow. `anti_windup` feeds the excess back into those states, x⁺ = A x + B y + E (limited u − u), by the gain that
-makes the region of shocks from which the loop provably returns largest.
+While only Omega changes, a good loop does not reach its limits until the torques that hold the gyros take nearly all of
+them: `largest_Omega` proves up to where, by an ellipsoid from a Lyapunov equation. A shock drives the torques beyond
+their limits, and the controller's states wind up. `anti_windup` feeds the excess back into those states,
+x⁺ = A x + B y + E (limited u − u), by the gain that makes the region of shocks from which the loop returns largest.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ if TYPE_CHECKING:
     from control import StateSpace
     from numpy.typing import ArrayLike
 
-# Shares of the minimum decay rate among which the best ellipsoid is looked for; and the one for shocks.
+# Shares of the minimum decay rate at which ellipsoids are tried; and the one for shocks.
 _SHARES = (0.02, 0.04, 0.08, 0.13, 0.2, 0.28, 0.36, 0.44, 0.52, 0.6, 0.7, 0.8)
 _OF_SHOCKS = 0.1
 
@@ -40,12 +39,12 @@ class LargestOmega:
     Omega
         rad/s. It may have either sign and change as the loop's manoeuvre does (`LimitedLoop.jerk`), often.
     static_Omega
-        Where the torques in equilibrium take all of a limit, rad/s: no loop survives more for long.
+        Where the torques in equilibrium take all of a limit, rad/s.
     ellipsoid
-        The proof's data; its `gain` is the anti-windup gain that the figure counts on, zero where torques stay
-        below their limits.
+        The proof's data; its `gain` is the anti-windup gain that is needed, zero where torques stay below their
+        limits.
     verification
-        What became of the proof.
+        Result of the proof.
     """
 
     Omega: float
@@ -68,15 +67,15 @@ class AntiWindup:
         Inputs: the measurements, then ``excess_`` + name for every control, limited less commanded torque of the same
         sample; outputs as before.
     Omega
-        Rate of the manoeuvres that may go on meanwhile, rad/s.
+        Rate of manoeuvres at the same time, rad/s.
     ellipsoid
-        What starts in it comes back, with the gain: the region of attraction, `reach` tells its extent.
+        The region of attraction with the gain.
     without
-        The same for the loop without anti-windup, made as large as can be for the same shocks.
+        The largest region for the same shocks without anti-windup.
     reach, reach_without
-        The largest common multiple of the shocks that lies inside: N m s where they are the unit torque impulses.
+        The largest common multiple of the shocks inside: N m s where they are the unit torque impulses.
     verification
-        What became of the proof of `ellipsoid`.
+        Result of the proof of `ellipsoid`.
     """
 
     loop: LimitedLoop
@@ -92,10 +91,10 @@ class AntiWindup:
 
 @check_arguments
 def largest_Omega(loop: LimitedLoop, *, saturating: bool = False, time_limit: float = 60.0) -> LargestOmega:
-    """Return the largest Omega for which the loop provably keeps within its stops and returns.
+    """Return the largest Omega for which the loop provably stays within its stops and returns.
 
-    The bound is sharp to a few per cent where the manoeuvre is slow against the loop; for fast ones an ellipsoid
-    gives away more.
+    The bound is sharp to a few per cent where the manoeuvre is slow compared with the loop; for fast ones it is more
+    conservative.
 
     Parameters
     ----------
@@ -132,8 +131,8 @@ def largest_Omega(loop: LimitedLoop, *, saturating: bool = False, time_limit: fl
     shown = best.verify()
     if not shown.proved:
         raise NotCertifiedError(
-            f"largest_Omega: not proved for {best.Omega:.6g} rad/s: {shown.reason}; expected a proof; "
-            "give a loop whose slow and fast poles lie closer together",
+            f"largest_Omega: {best.Omega:.6g} rad/s was not proved: {shown.reason}; "
+            "choose a loop with less spread between slow and fast poles",
             loop,
         )
     return LargestOmega(Omega=best.Omega, static_Omega=loop.static_Omega, ellipsoid=best, verification=shown)
@@ -150,7 +149,7 @@ def anti_windup(
     loop
         The loop, see `limited_loop`.
     Omega
-        Rate of the manoeuvres that may go on at the same time, rad/s: less than the loop survives.
+        Rate of manoeuvres at the same time, rad/s: less than the largest without saturation.
     shocks : (n, k), optional
         States whose common multiple is to be as large as possible, in units of the loop's states; default unit torque
         impulses on each axis.
@@ -183,7 +182,7 @@ def anti_windup(
     directions = real_array("anti_windup: shocks", given, (n, given.shape[-1] if given.ndim == 2 else 1))
     order = loop.R.shape[1]
     if not order:
-        raise InfeasibleError("anti_windup: the controller has no states; expected one that can wind up", loop)
+        raise InfeasibleError("anti_windup: the controller must have states: a static one does not wind up", loop)
     alpha = _OF_SHOCKS * minimum_decay_rate(loop)
     without = widest(
         loop, Omega, alpha, directions=directions, gain=np.zeros((order, len(loop.controls))), time_limit=time_limit

@@ -21,15 +21,15 @@ from platform_ctrl.plant.platform import OMEGA_NAMES, Platform
 if TYPE_CHECKING:
     from control import StateSpace
 
-# A torque for 1 rad/s below this share of the limit is none: that rate does not load the loop.
+# A torque for 1 rad/s below this share of the limit counts as zero: that rate does not load the loop.
 _NO_LOAD = 1e-6
-# Where no manoeuvre of the job says how fast Omega rises, s.
+# How fast Omega rises where no manoeuvre of the job specifies it, s.
 _RISE = 0.5
 
 
 @value
 class LoopLargestOmega:
-    """The Omega about one axis that a caging loop survives.
+    """The largest Omega about one axis without saturation of a caging loop.
 
     Attributes
     ----------
@@ -89,20 +89,20 @@ def caging_loop_limits(
         The mass matrix is singular at rest (gimbal lock).
     """
     if axis not in (1, 2, 3):
-        raise ArgumentError(f"axis: given {axis!r}; expected 1, 2 or 3")
+        raise ArgumentError(f"axis: must be 1, 2 or 3, got {axis!r}")
     platform = job.platform if platform is None else platform
     torquers = {t.name: t for t in platform.torquers}
     sensed = {s.name: s.gimbal for s in platform.pickoffs}
     unknown = [name for name in controller.output_labels if name not in torquers]
     unknown += [name for name in controller.input_labels if name not in sensed]
     if unknown:
-        raise ArgumentError(f"controller: {unknown[0]!r} is no torquer or pick-off of the plant; expected their names")
+        raise ArgumentError(f"controller: its signals must be torquers and pick-offs of the plant, got {unknown[0]!r}")
     used = [torquers[name] for name in controller.output_labels]
     gimbals = [str(t.gimbal) for t in used]
     without = [t.name for t in used if t.limit is None]
     if without:
         raise ArgumentError(
-            f"torquer {without[0]!r}: no limit in the plant file; expected one, for windup to have a cause"
+            f"torquer {without[0]!r}: must have a limit in the plant file: without one nothing winds up"
         )
     stops = {g.name: g.stops for g in platform.gimbals}
     reach = [stops[sensed[name]] for name in controller.input_labels]
@@ -124,7 +124,7 @@ def caging_loop_limits(
 def caging_largest_Omega(
     job: Job, controller: StateSpace, *, rise: float | None = None, axes: Sequence[int] = (1, 2, 3)
 ) -> tuple[LoopLargestOmega, ...]:
-    """Return the Omega that a caging loop survives about every root axis that loads its torquers.
+    """Return the largest Omega without saturation about every root axis that loads a caging loop's torquers.
 
     Parameters
     ----------
@@ -133,7 +133,7 @@ def caging_largest_Omega(
     rise
         As in `caging_loop_limits`, s.
     axes
-        Root axes that are meant, 1 to 3.
+        Root axes, 1 to 3.
 
     Returns
     -------

@@ -1,16 +1,16 @@
-"""Ellipsoids that a limited loop does not leave, and anti-windup gains with them, by matrix inequalities.
+"""Invariant ellipsoids of a limited loop, and anti-windup gains with them, by matrix inequalities.
 
-With φ = u − limited u the generalised sector condition holds for every G: where |(K − G) η| stays within the room that
-the limits leave, φ' T (φ − G η) <= 0 for diagonal T > 0 (Gomes da Silva and Tarbouriech, IEEE Trans. Autom. Control 50,
-2005). With V = η' Q⁻¹ η, S = T⁻¹, Y = G Q, X = E S the ellipsoid V <= 1 is kept for all |b| <= 1 if
+With φ = u − limited u the generalised sector condition holds for every G: where |(K − G) η| is within what the limits
+leave, φ' T (φ − G η) <= 0 for diagonal T > 0 (Gomes da Silva and Tarbouriech, IEEE Trans. Autom. Control 50, 2005).
+With V = η' Q⁻¹ η, S = T⁻¹, Y = G Q, X = E S the ellipsoid V <= 1 is invariant for all |b| <= 1 if
 
     | (1−α) Q   −Y'            0     Q A'          |
-    | −Y        2 S            0     −(B S + R X)' |  > 0,     the room: (K Q − Y) rows in the ellipsoid's polar.
+    | −Y        2 S            0     −(B S + R X)' |  > 0,     and the rows of K Q − Y are in the polar.
     | 0         0              α     B_w'          |
     | A Q       −(B S + R X)   B_w   Q             |
 
-Inside it everything that starts there comes back once Omega is constant: V falls by 1 − α a sample at least. Where the
-room is kept by K η itself the torques never reach their limits, φ is zero, and a Lyapunov equation gives Q.
+Every state inside returns to equilibrium once Omega is constant: V falls to 1 − α of its value in a sample at least.
+Where K η itself is within the limits φ is zero, and a Lyapunov equation gives Q.
 """
 
 from __future__ import annotations
@@ -28,38 +28,38 @@ from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.antiwindup.loop import LimitedLoop
 from platform_ctrl.errors import DesignError, InfeasibleError, NotCertifiedError, UnscalableError
 
-# Slack of the matrix inequality in the solver's own units: what a proof has to work with.
+# Slack of the matrix inequality in the solver's units, for the proof.
 _SLACK = 1e-7
-# What the second solution may lose against the best, so that its inequalities are strict: tried one after the other.
-_GIVEN_UP = (1e-3, 3e-3, 1e-2)
-# Share of the torques' limits, and of the states' sizes, by which ellipsoids are rounded off.
+# Relative losses against the best objective, tried in turn, that make the inequalities of the final solution strict.
+_LOSSES = (1e-3, 3e-3, 1e-2)
+# Share of the torques' limits, and of the states' sizes, by which ellipsoids are widened in every direction.
 _FLOOR = 3e-5
-# Samples over which the first guess of a direction's multiple looks.
+# Samples over which the first estimate of a direction's multiple is computed.
 _AHEAD = 200
-# Rounds that bring Omega up to what the last ellipsoid stands.
+# Rounds that raise Omega to what the last ellipsoid allows.
 _ROUNDS = 3
 _CURE = "give a smaller Omega, a slower rise, larger limits, or a loop with more damping"
 
 
 @value
 class InvariantEllipsoid:
-    """The ellipsoid η' Q⁻¹ η <= 1 of a limited loop: what starts in it stays, whatever the manoeuvre.
+    """The ellipsoid η' Q⁻¹ η <= 1 of a limited loop: states that start in it stay in it.
 
     Attributes
     ----------
     loop
         The loop.
     Omega
-        Largest rate of the manoeuvres that it stands, rad/s.
+        Largest rate of the manoeuvres, rad/s.
     alpha
-        V falls by this share in a sample once Omega is constant.
+        V falls at least by this share in a sample once Omega is constant.
     gain : (n_K, m)
         Anti-windup gain E, in the units of the system matrices.
     Q, Y, S
-        The matrices of the inequality, shapes ((n, n), (m, n), (m,)); Y and S in units of the room that Omega leaves of
-        each limit. With ``saturates`` false Y and S are zero: the torques stay below their limits.
+        The matrices of the inequality, shapes ((n, n), (m, n), (m,)); Y and S in units of what Omega leaves of each
+        limit. With ``saturates`` false Y and S are zero: the torques stay below their limits.
     saturates
-        Whether it counts on torques beyond their limits.
+        Whether torques may exceed their limits.
     """
 
     loop: LimitedLoop
@@ -81,7 +81,7 @@ class InvariantEllipsoid:
         return float(1.0 / math.sqrt(self.level(direction)))
 
     def verify(self, precision: int = 128) -> Verification:
-        """Prove in ball arithmetic that the ellipsoid is kept, for the loop's matrices as they stand."""
+        """Prove in ball arithmetic that the ellipsoid is invariant, for the loop's matrices as they are."""
         import flint
 
         from platform_ctrl.analysis.certificates.intervals import positive_definite
@@ -106,7 +106,7 @@ class InvariantEllipsoid:
         return Verification(proved=True, statement=statement, reason=reason, margin=margin, precision=precision)
 
     def _inequalities(self) -> list[tuple[Any, str]]:
-        """What has to be positive definite, in balls, with names."""
+        """Return what has to be positive definite, in balls, with names."""
         import flint
 
         from platform_ctrl.analysis.certificates.intervals import balls, blocks
@@ -161,20 +161,17 @@ def rooms(loop: LimitedLoop, Omega: float) -> tuple[FloatArray, FloatArray]:
 
 
 def below_the_limits(loop: LimitedLoop, alpha: float) -> InvariantEllipsoid:
-    """Return the ellipsoid of the largest Omega whose torques provably stay below their limits, at a decay `alpha`.
-
-    The least invariant ellipsoid of the linear loop, a hair wider so that the inequalities are strict.
-    """
+    """Return the ellipsoid of the largest Omega whose torques provably stay below their limits, at a decay `alpha`."""
     Q = _least(loop, alpha)
     squares = [np.einsum("ij,jk,ik->i", rows, Q, rows) for rows in (loop.K, loop.C)]
     if not all(np.all(square >= 0.0) for square in squares):
         raise NotCertifiedError(
-            f"largest Omega: no invariant ellipsoid was found at a decay of {alpha:.3g} 1/s; expected a loop that is "
-            "farther from instability",
+            f"largest Omega: no invariant ellipsoid was found at a decay of {alpha:.3g} 1/s: the loop is too near to "
+            "instability",
             loop,
         )
     u, y = np.sqrt(squares[0]) + np.abs(loop.u_steady), np.sqrt(squares[1]) + np.abs(loop.angle_steady)
-    # What this Omega does not move never comes to its limit.
+    # What Omega does not move never reaches its limit.
     with np.errstate(divide="ignore"):
         Omega = float(min((loop.limits / u).min(), (loop.stops / y).min())) * (1.0 - 1e-9)
     m, n = loop.K.shape
@@ -196,12 +193,12 @@ def minimum_decay_rate(loop: LimitedLoop) -> float:
 
 
 def _least(loop: LimitedLoop, alpha: float, Omega: float = 1.0, extra: FloatArray | None = None) -> FloatArray:
-    """Return Q = A Q A'/(1−α) + B_w B_w' Omega²/α (+ extra), a hair wider and with no direction left out."""
+    """Return Q = A Q A'/(1−α) + B_w B_w' Omega²/α (+ extra), slightly larger and non-singular."""
     root = math.sqrt(1.0 - alpha)
     driven = [Omega * loop.B_w * (1.0 + 1e-7) / math.sqrt(alpha)]
     if extra is not None:
         driven.append(extra)
-    # A torque far below the limits, and a jolt of every state far below what such torques make of it.
+    # A torque far below the limits, and a change of every state far below the effect of such torques.
     torque = loop.B * loop.limits
     size = np.sqrt(np.diag(stationary_covariance(loop.A / root, torque)))
     size = np.where(size > 0.0, size, max(Omega, 1.0) * loop.jerk)
@@ -223,20 +220,16 @@ def widest(
     gain: FloatArray | None = None,
     time_limit: float = 60.0,
 ) -> InvariantEllipsoid:
-    """Return the ellipsoid that does most for its purpose, with its anti-windup gain, torques beyond limits counted in.
+    """Return the ellipsoid of the largest Omega, or of the largest multiple of `directions`, with anti-windup gain.
 
     Parameters
     ----------
-    loop
-        The loop.
+    loop, alpha
+        The loop, and a decay below `minimum_decay_rate`.
     Omega
-        Rate of the manoeuvres that it has to stand, below `LimitedLoop.static_Omega`; without `directions` the point
-        from which a larger one is sought.
-    alpha
-        Decay, below `minimum_decay_rate`.
+        Largest rate, below `LimitedLoop.static_Omega`; without `directions` where the search of a larger one starts.
     directions : (n, k), optional
-        States whose largest common multiple inside is to be as large as possible. Default: as large an Omega as
-        possible.
+        States whose largest common multiple inside is maximised; default: Omega is.
     gain : (n_K, m), optional
         A given anti-windup gain (zeros: none); default: found with the ellipsoid.
     time_limit
@@ -258,13 +251,13 @@ def widest(
             most, best = reached, found
         Omega = most
     E = best.gain if gain is None else gain
-    # Once more with the gain fixed and a little given up: as far from the boundary as possible.
+    # Once more with the gain fixed and a slightly worse objective: as far from the boundary as possible.
     failure: DesignError
-    for given_up in _GIVEN_UP:
+    for loss in _LOSSES:
         try:
             if directions is None:
-                problem = _Problem(loop, Omega * (1.0 - given_up), alpha, None)
-            return problem.ellipsoid(problem.solve(E, best.objective * (1.0 + given_up), time_limit), E)
+                problem = _Problem(loop, Omega * (1.0 - loss), alpha, None)
+            return problem.ellipsoid(problem.solve(E, best.objective * (1.0 + loss), time_limit), E)
         except (InfeasibleError, NotCertifiedError, UnscalableError) as error:
             failure = error
     raise failure
@@ -272,7 +265,7 @@ def widest(
 
 @value
 class _Solution:
-    """An answer of the solver, in its units; `objective` is the room used (1: all of it), or 1/(multiple)²."""
+    """An answer of the solver, in its units; `objective` is the used share of the limits, or 1/(multiple)²."""
 
     Q: FloatArray
     Y: FloatArray
@@ -282,22 +275,22 @@ class _Solution:
 
 
 class _Problem:
-    """The inequalities in states T η̂ with T T' near the solution, torques in units of the room that Omega leaves."""
+    """The inequalities in states T η̂ with T T' near the solution, torques in units of what Omega leaves of them."""
 
     def __init__(self, loop: LimitedLoop, Omega: float, alpha: float, directions: FloatArray | None) -> None:
         self.loop, self.Omega, self.alpha = loop, Omega, alpha
         self.room, stops = rooms(loop, Omega)
         if not (np.all(self.room > 0.0) and np.all(stops > 0.0)):
             raise InfeasibleError(
-                f"anti-windup: |Omega| = {Omega:.6g} rad/s takes all of a limit in equilibrium; "
-                f"expected less than {loop.static_Omega:.6g}",
+                f"anti-windup: |Omega| must be below {loop.static_Omega:.6g} rad/s, which takes all of a limit in "
+                f"equilibrium, got {Omega:.6g}",
                 loop,
             )
         into = loop.B * self.room
         extra = [0.3 * into]
         self.directions = None
         if directions is not None:
-            # A first guess of the multiple: where the first torque meets its limit.
+            # A first estimate of the multiple: where the first torque reaches its limit.
             state, share = directions, np.zeros(1)
             for _ in range(_AHEAD):
                 share = np.maximum(share, np.max(np.abs(loop.K @ state) / self.room[:, None], initial=0.0))
@@ -388,7 +381,7 @@ class _Problem:
         )
 
     def ellipsoid(self, found: _Solution, gain: FloatArray) -> InvariantEllipsoid:
-        """Return what was found, in SI units, judged anew."""
+        """Return what was found, in SI units, proved."""
         out = InvariantEllipsoid(
             loop=self.loop,
             Omega=self.Omega,
@@ -401,11 +394,11 @@ class _Problem:
         )
         shown = out.verify()
         if not shown.proved:
-            raise NotCertifiedError(f"anti-windup: not proved: {shown.reason}; {_CURE}", self.loop)
+            raise NotCertifiedError(f"anti-windup: the ellipsoid was not proved: {shown.reason}; {_CURE}", self.loop)
         return out
 
     def larger_Omega(self, found: _Solution) -> float:
-        """Return the Omega that the same ellipsoid, grown with it, stands."""
+        """Return the largest Omega for which the ellipsoid, enlarged with it, is invariant."""
         loop = self.loop
         over = self.K @ found.Q - found.Y
         used_u = self.room * np.sqrt(np.einsum("ij,ji->i", over, np.linalg.solve(found.Q, over.T)))

@@ -8,11 +8,10 @@
                 │                                                   ▲
                 └──────────── excess: limited u − u ──► E ──────────┘
 
-For a constant Omega the loop rests at x = x_e Omega, with the torques u_e Omega that hold the gyros (L Omega). What
-moves ξ = x − x_e Omega is the change of Omega alone, and only what is left of the limits, |u_e Omega| taken off,
-serves to bring it back. The change has a bounded derivative filtered at the corner ρ: |b| <= 1 covers every manoeuvre
-whose |Ω' + Ω''/ρ| stays below `jerk` times its largest rate; among them, by construction, the half-cosine of length
-`rise`. Between the samples b is held.
+For a constant Omega the loop rests at x = x_e Omega, with the torques u_e Omega that hold the gyros (L Omega). Only a
+change of Omega moves ξ = x − x_e Omega, and the limits less |u_e Omega| are left to bring it back. The derivative of
+Omega is filtered at the corner ρ: |b| <= 1 covers every manoeuvre whose |Ω' + Ω''/ρ| is below `jerk` times its largest
+rate; among them the half-cosine of length `rise`. Between the samples b is held.
 """
 
 from __future__ import annotations
@@ -85,7 +84,7 @@ class LimitedLoop:
 
     @property
     def static_Omega(self) -> float:
-        """The rate, rad/s, whose torques in equilibrium take all of a limit: nothing survives more for long."""
+        """The rate, rad/s, whose torques in equilibrium take all of a limit."""
         with np.errstate(divide="ignore"):
             shares = np.concatenate([self.limits / np.abs(self.u_steady), self.stops / np.abs(self.angle_steady)])
         return float(shares.min(initial=np.inf))
@@ -144,7 +143,7 @@ def limited_loop(
     lag : (m,) or scalar, optional
         Time constants of the torquers, s; default none.
     rise
-        Length of the half-cosine that has to be covered, s.
+        Length of the half-cosine, s.
     corner
         Corner ρ of the filter, rad/s; default 4 π/rise.
 
@@ -161,8 +160,7 @@ def limited_loop(
     P, K = state_arrays(plant, "limited_loop (plant)"), state_arrays(controller, "limited_loop (controller)")
     if P.dt != 0.0 or not K.dt > 0.0:
         raise ArgumentError(
-            f"limited_loop: given a plant with dt = {P.dt} and a controller with dt = {K.dt}; "
-            "expected a continuous plant and a sampled controller"
+            f"limited_loop: the plant must be continuous and the controller sampled, got dt = {P.dt} and {K.dt}"
         )
     shares = {disturbance: 1.0} if isinstance(disturbance, str) else dict(disturbance)
     u = [known_name("limited_loop, torque", name, plant.input_labels) for name in controller.output_labels]
@@ -172,7 +170,7 @@ def limited_loop(
         w[known_name("limited_loop, disturbance", name, plant.input_labels)] = share
     m, p = len(u), len(y)
     if np.any(P.D[np.ix_(y, u)]) or np.any(P.D[y] @ w):
-        raise ArgumentError("limited_loop: the plant has a direct term; expected angles behind inertias")
+        raise ArgumentError("limited_loop: the plant must have no direct term from torques and disturbance to angles")
     rise = positive("limited_loop: rise", rise)
     rho = 4.0 * math.pi / rise if corner is None else positive("limited_loop: corner", corner)
     lags = not_negative("limited_loop: lag", 0.0 if lag is None else lag, m)
@@ -203,7 +201,9 @@ def limited_loop(
     closed = np.block([[Ap + Bp @ K.D @ Cp, Bp @ K.C], [K.B @ Cp, K.A]])
     radius = float(spectral_radius(poles(closed)))
     if not radius < 1.0:
-        raise ArgumentError(f"limited_loop: without limits a pole lies at |z| = {radius:.6g}; expected a stable loop")
+        raise ArgumentError(
+            f"limited_loop: without limits the loop must be stable, but has a pole at |z| = {radius:.6g}"
+        )
     command = np.hstack([K.D @ Cp, K.C])
     by_Omega, by_slope, by_b = (
         np.vstack([column[own], none]) for column in (Ad[:, rate : rate + 1], Ad[:, slope : slope + 1], late)
@@ -245,5 +245,5 @@ def limited_loop(
 def _each(name: str, given: ArrayLike, count: int) -> FloatArray:
     array = real_numbers(f"limited_loop: {name}", given)
     if array.shape not in ((), (count,)) or not np.all(array > 0.0):
-        raise ArgumentError(f"limited_loop: {name} = {short(given)}; expected one positive number, or {count}")
+        raise ArgumentError(f"limited_loop: {name} must be one positive number or {count}, got {short(given)}")
     return np.full(count, array)

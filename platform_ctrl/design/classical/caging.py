@@ -152,30 +152,26 @@ def starting_values(given: dict[str, float], channel: Channels, nutation: float,
     out = completed("classical", given, out)
     for name in ("notch_hz", "spin_notch_hz"):
         if out.get(name, 0.0) >= 0.5 * rate_hz:
-            raise DesignError(f"classical: {name} = {out[name]:g}; expected less than half the sample rate")
+            raise DesignError(f"classical: {name} must be below half the sample rate, got {out[name]:g}")
     if not out.get("lag_ratio", 2.0) > 1.0:
-        raise DesignError(
-            f"classical: lag_ratio = {out['lag_ratio']:g}; expected more than 1, the gain at low frequencies"
-        )
+        raise DesignError(f"classical: lag_ratio, the gain at low frequencies, must exceed 1, got {out['lag_ratio']:g}")
     return out
 
 
 def _spin_hz(given: dict[str, float], channel: Channels) -> float:
-    """Spin frequency of the rotors, Hz, where it is not given."""
+    """Return the spin frequency of the rotors, Hz, where it is not given."""
     if "spin_notch_hz" in given:
         return given["spin_notch_hz"]
     if not len(channel.spins) or np.ptp(channel.spins) > 1e-3 * channel.spins.max():
         spins = ", ".join(f"{x / (2.0 * np.pi):.4g}" for x in channel.spins) or "none"
         raise DesignError(
-            f"classical: spin_notch_hz is not given, and the rotors of this loop spin at {spins} Hz; expected one "
-            f"spin; "
-            "give spin_notch_hz"
+            f"classical: the rotors of this loop do not have one spin frequency, but {spins} Hz; give spin_notch_hz"
         )
     return float(channel.spins.mean() / (2.0 * np.pi))
 
 
 def classical_controller(options: dict[str, float], channel: Channels, period: float) -> StateArrays:
-    """Return the sampled controller (u = K y, no hidden sign) for complete `options` (see `starting_values`).
+    """Return the sampled controller (u = K y, positive feedback) for complete `options` (see `starting_values`).
 
     Parameters
     ----------

@@ -102,7 +102,7 @@ class ComplexSystem:
             A dead time: no finite number of states has it.
         """
         if self.delay:
-            raise ArgumentError("real_system: the system has a dead time; expected a sampled one, or none")
+            raise ArgumentError("real_system: the system must be sampled or without dead time")
         A, B, C, D, _ = self.real_arrays()
         B, D = B / self.input_scale, D / self.input_scale
         arrays = StateArrays(A, B, self.output_scale[:, None] * C, self.output_scale[:, None] * D, self.dt)
@@ -147,7 +147,7 @@ def complex_plant(
     """
     rows = whole_subsystems(model, gimbals)
     if len(rows) != 2:
-        raise ArgumentError(f"complex_plant: given {len(rows)} gimbals; expected the two of one gyro")
+        raise ArgumentError(f"complex_plant: gimbals must be the two of one gyro, got {len(rows)}")
     delay = positive("complex_plant: delay", delay, zero=True)
     names = list(gimbals)
     torquers = [model.platform.torquer_on(name) for name in names]
@@ -219,7 +219,7 @@ def complex_response(system: ComplexSystem, frequency: ArrayLike) -> ComplexArra
     """
     w = np.atleast_1d(real_numbers("complex_response: frequency", frequency))
     if w.ndim != 1 or not np.all(np.isfinite(w)):
-        raise ArgumentError(f"complex_response: frequency has shape {w.shape}; expected a vector of finite numbers")
+        raise ArgumentError(f"complex_response: frequency must be a vector of finite numbers, got shape {w.shape}")
     return transfer(system, np.asarray(1j * w, dtype=np.complex128))
 
 
@@ -234,7 +234,7 @@ def transfer(system: ComplexSystem, s: ComplexArray) -> ComplexArray:
 
 
 def _complex(name: str, matrix: FloatArray, down: list[str], across: list[str]) -> ComplexArray:
-    """Blocks [[a, −b], [b, a]] as a + ib."""
+    """Return blocks [[a, −b], [b, a]] as a + ib."""
     blocks = matrix.reshape(matrix.shape[0] // 2, 2, matrix.shape[1] // 2, 2).swapaxes(1, 2)
     real, imaginary = (
         0.5 * (blocks[..., 0, 0] + blocks[..., 1, 1]),
@@ -248,15 +248,14 @@ def _complex(name: str, matrix: FloatArray, down: list[str], across: list[str]) 
         rows = (f"{down[2 * k + i]} from {across[2 * j]}, {across[2 * j + 1]}: " for i in (0, 1))
         shown = "; ".join(row + ", ".join(f"{x:.5g}" for x in blocks[k, j, i]) for i, row in enumerate(rows))
         raise ArgumentError(
-            f"complex_plant: {name} is not symmetric about the spin axis ({shown}); expected a, −b; b, a: equal "
-            f"inertias, "
-            "lags and springs; with balance = True the two inertias may differ"
+            f"complex_plant: {name} must be symmetric about the spin axis, blocks a, −b; b, a, got {shown}; inertias, "
+            "lags and springs must be equal, or with balance = True all but the inertias"
         )
     return np.asarray(real + 1j * imaginary, dtype=np.complex128)
 
 
 def _real(matrix: ComplexArray) -> FloatArray:
-    """Entries a + ib as blocks [[a, −b], [b, a]]."""
+    """Return entries a + ib as blocks [[a, −b], [b, a]]."""
     a, b = matrix.real, matrix.imag
     blocks = np.stack([np.stack([a, -b], axis=-1), np.stack([b, a], axis=-1)], axis=1)
     return np.asarray(blocks.reshape(2 * matrix.shape[0], 2 * matrix.shape[1]), dtype=np.float64)

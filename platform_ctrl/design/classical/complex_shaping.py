@@ -128,8 +128,8 @@ class ComplexLoop:
         """
         if self.plant.delay:
             raise NotCertifiedError(
-                f"complex_loop: the continuous plant has a dead time of {self.plant.delay:g} s; expected none for a "
-                "proof; try complex_plant with a period, which holds it in its states",
+                f"complex_loop: there is no proof with the dead time of {self.plant.delay:g} s of a continuous plant; "
+                "try complex_plant with a period, whose states contain it",
                 self,
             )
         A, B, C, D, dt = self.plant.real_arrays()
@@ -183,13 +183,13 @@ def complex_loop(
     rad = {name: 2.0 * np.pi * positive(f"complex_loop: {name}", x) for name, x in numbers.items()}
     J, h = plant.inertia, plant.momentum
     if not J > 0.0:
-        raise ArgumentError("complex_loop: the plant has no inertia; expected one from complex_plant")
+        raise ArgumentError("complex_loop: the plant has no inertia; make it with complex_plant")
     cross = _block(1.0, rad["integral_hz"], 1.0, 0.0, plant.dt)
     if notch_hz is not None:
         centre = 2.0 * np.pi * notch_hz
         if not np.isfinite(centre) or centre == 0.0 or (plant.dt and abs(centre) >= np.pi / plant.dt):
             raise ArgumentError(
-                f"complex_loop: notch_hz = {notch_hz!r}; expected a number other than 0 below half the sample rate"
+                f"complex_loop: notch_hz must be between 0 and half the sample rate, of either sign, got {notch_hz!r}"
             )
         width = notch_width * abs(centre)
         if plant.dt:
@@ -214,8 +214,7 @@ def complex_loop(
     curve = two_sided_nyquist(plant, controller)
     if curve.closed_unstable:
         raise NotStabilisableError(
-            f"complex_loop: the closed loop has {curve.closed_unstable} unstable poles; expected none; try a lower "
-            f"crossover_hz, or "
+            f"complex_loop: the closed loop has {curve.closed_unstable} unstable poles; try a lower crossover_hz, or "
             "another damping_hz",
             curve,
         )
@@ -247,7 +246,7 @@ def two_sided_nyquist(
     """
     if plant.dt != controller.dt:
         raise ArgumentError(
-            f"two_sided_nyquist: plant with dt = {plant.dt:g} s, controller {controller.dt:g} s; expected the same"
+            f"two_sided_nyquist: the controller must have dt = {plant.dt:g} s as the plant, got {controller.dt:g} s"
         )
     poles = np.concatenate([np.linalg.eigvals(item.A) for item in (plant, controller)])
     s = continuous_poles(poles, plant.dt)
@@ -255,9 +254,7 @@ def two_sided_nyquist(
     dense = _frequencies(s, plant)
     shown = dense if frequency is None else np.atleast_1d(np.asarray(frequency, dtype=np.float64))
     if shown.ndim != 1 or not np.all(np.isfinite(shown)) or not np.all(np.diff(shown) > 0.0):
-        raise ArgumentError(
-            "two_sided_nyquist: frequency does not rise; expected a rising vector of finite numbers in rad/s"
-        )
+        raise ArgumentError("two_sided_nyquist: frequency must be a rising vector of finite numbers in rad/s")
 
     def loop(at: ComplexArray) -> ComplexArray:
         return np.asarray(-transfer(plant, at) * transfer(controller, at), dtype=np.complex128)

@@ -1,9 +1,8 @@
 """The classical loop of one gyro from two numbers: the crossover, and the margin that it has to keep.
 
-The crossover sets the cross-axis gain, and with it the PI; what is left is the direct-axis lead, which has to
-outweigh what the cross gain does to nutation. Too little of it leaves nutation undamped, too much runs into the
-delay: the margin has a peak over the lead's strength. The weakest lead that reaches the margin costs the least torque
-noise.
+The crossover sets the cross-axis gain, and with it the PI. The direct-axis lead has to damp nutation, which the cross
+gain destabilises: too little leaves nutation undamped, too much is limited by the delay, so the margin has a maximum
+over the lead's strength. The weakest lead that reaches the margin gives the least torque noise.
 """
 
 from __future__ import annotations
@@ -34,8 +33,7 @@ from platform_ctrl.plant.platform import OMEGA_NAMES
 if TYPE_CHECKING:
     import control
 
-# Strengths of the lead that are tried, as shares of the nutation frequency, and how often the best place is looked
-# at closer.
+# Strengths of the lead that are tried, as shares of the nutation frequency, and refinements of that grid.
 _STRENGTHS = np.geomspace(0.02, 20.0, 40)
 _REFINEMENTS = 4
 # The two axes differ by 10 % either way, as the method's own starting values do.
@@ -56,7 +54,7 @@ class CrossoverDesign:
         ``control.interconnect([plant, controller], inputs=["Omega1", "Omega2", "Omega3"], outputs=...)`` closes the
         loop by the signals' names.
     options
-        Of the method ``classical``, complete: what a job file would take, in the units of the job file.
+        Complete options of the method ``classical`` in a job file, in its units.
     disk_margin
         1/‖(S − T)/2‖ of the sampled loop, dimensionless, the smaller of input and output.
     """
@@ -104,10 +102,9 @@ def from_crossover_and_margin(
     crossover_hz
         Of the cross-axis gain, Hz.
     disk_margin
-        Wanted, dimensionless, 0 to 2; or
+        Required disk margin, dimensionless, 0 to 2; or
     phase_margin_deg
-        phases of so many degrees (the one angle not in rad) in all channels at once, which is the disk margin 2
-        tan(phase/2).
+        required phase margin in all channels at once, degrees, the disk margin 2 tan(phase/2).
     period, delay
         Of the controller, s; the torquers' lags come from the plant.
     **options
@@ -137,7 +134,7 @@ def from_crossover_and_margin(
     wanted = _wanted(disk_margin, phase_margin_deg)
     given = {"crossover_hz": positive("crossover_hz", crossover_hz), **options}
     if twice := sorted({"damping_hz", "damping2_hz"} & set(options)):
-        raise ArgumentError(f"{twice[0]}: given; expected to be found from the margin: leave it out")
+        raise ArgumentError(f"{twice[0]}: follows from the margin; leave it out")
     period, delay = positive("period", period), positive("delay", delay, zero=True)
     plant, channel, nutation = _pair(model, gimbals, period, delay)
     try:
@@ -168,9 +165,8 @@ def from_crossover_and_margin(
     if margins[best] < wanted:
         raise InfeasibleError(
             f"crossover {crossover_hz:g} Hz: the largest disk margin is {margins[best]:.3g}, with a lead of "
-            f"{strengths[best] * nutation_hz:.3g} Hz; expected {wanted:.3g}; try a lower crossover, a shorter delay, "
-            f"or another "
-            "lead_hz",
+            f"{strengths[best] * nutation_hz:.3g} Hz, less than {wanted:.3g}; try a lower crossover, a shorter delay, "
+            "or another lead_hz",
             plant,
         )
     first = int(np.argmax(margins >= wanted))
@@ -200,16 +196,16 @@ def _disk_margin(plant: control.StateSpace, controller: control.StateSpace) -> f
 
 def _wanted(disk_margin: float | None, phase_margin_deg: float | None) -> float:
     if (disk_margin is None) == (phase_margin_deg is None):
-        raise ArgumentError("margin: given both or none; expected disk_margin or phase_margin_deg")
+        raise ArgumentError("margin: give either disk_margin or phase_margin_deg")
     if phase_margin_deg is not None:
         phase = positive("phase_margin_deg", phase_margin_deg)
         if phase >= 90.0:
-            raise ArgumentError(f"phase_margin_deg: given {phase:g}; expected less than 90, where the disk margin is 2")
+            raise ArgumentError(f"phase_margin_deg: must be below 90, where the disk margin is 2, got {phase:g}")
         return float(2.0 * np.tan(0.5 * np.radians(phase)))
     assert disk_margin is not None
     alpha = positive("disk_margin", disk_margin)
     if alpha >= 2.0:
-        raise ArgumentError(f"disk_margin: given {alpha:g}; expected less than 2")
+        raise ArgumentError(f"disk_margin: must be below 2, got {alpha:g}")
     return alpha
 
 
@@ -219,7 +215,7 @@ def _pair(
     """The sampled plant of one gyro, its channel, and its nutation frequency in rad/s."""
     rows = whole_subsystems(model, gimbals)
     if len(rows) != 2 or len((channel := channels(model, rows)).momenta) != 1:
-        raise ArgumentError(f"gimbals: given {tuple(gimbals)}; expected both gimbals of one gyro, which are coupled")
+        raise ArgumentError(f"gimbals: must be the two coupled gimbals of one gyro, got {tuple(gimbals)}")
     names = [model.gimbal_names[k] for k in rows]
     torquers = [model.platform.torquer_on(name) for name in names]
     angles = [model.platform.pickoff_on(name).name for name in names]

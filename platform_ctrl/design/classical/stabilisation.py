@@ -31,8 +31,8 @@ def rate_estimate(model: LinearModel) -> tuple[FloatArray, list[int]]:
         # The last of all three directions, also where fewer gimbals are caged.
         blind = np.linalg.svd(model.G_Omega)[2][-1]
         raise DesignError(
-            f"platform-servo: the caged gyros do not see the rate about ({', '.join(f'{x:.2f}' for x in blind)}); "
-            "expected rotors whose torques G_Omega Omega show all three rates",
+            "platform-servo: the torques of the caged gyros do not depend on the rate about "
+            f"({', '.join(f'{x:.2f}' for x in blind)}); add a rotor whose torque G_Omega Omega does",
             model,
         )
     inverse = (right.T / sizes) @ left.T
@@ -56,7 +56,7 @@ def platform_servo(problem: LoopProblem) -> Designed:
     options = completed(design.method, design.options, defaults)
     if options["filter_hz"] >= 0.5 / job.sampling.period:
         raise DesignError(
-            f"{spec.name}: filter_hz = {options['filter_hz']:g}; expected less than half the sample rate", model
+            f"{spec.name}: filter_hz must be below half the sample rate, got {options['filter_hz']:g}", model
         )
     estimate, used = rate_estimate(model)
     torquers = {t.gimbal: t.name for t in job.platform.torquers if t.gimbal is not None}
@@ -64,7 +64,7 @@ def platform_servo(problem: LoopProblem) -> Designed:
     missing = [model.gimbal_names[k] for k in used if model.gimbal_names[k] not in torquers]
     if missing or set(roots) != {1, 2, 3}:
         wanted = f"gimbal {missing[0]}" if missing else "root axes 1, 2 and 3"
-        raise DesignError(f"{spec.name}: no torquer on {wanted}; expected one in the plant file", model)
+        raise DesignError(f"{spec.name}: there is no torquer on {wanted}; add one to the plant file", model)
     period = job.sampling.period
     turns, speeds = _per_axis("turn"), _per_axis("speed")
     servo = between(estimate, flattened(_axis_stages(options, period), turns, speeds), _strength(options, model))

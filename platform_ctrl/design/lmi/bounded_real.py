@@ -8,6 +8,7 @@ Becker 1995).
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
@@ -15,19 +16,19 @@ import numpy as np
 
 from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.common.values import FloatArray, value
-from platform_ctrl.design.lmi.conic import cvxpy, solve
+from platform_ctrl.design.lmi.conic import Solver, cvxpy
 from platform_ctrl.design.partition import Partition
 from platform_ctrl.errors import IllPosedError
 
-# Largest separation t in [[X, tI], [tI, Y]] ≥ 0 that is requested.
+# Largest separation t in [[X, tI], [tI, Y]] ≥ 0.
 LARGEST_SEPARATION = 10.0
-# What follows a failure.
+# What to try after a failure.
 CURE = 'give a larger backoff, other weights, or method="riccati"'
 
 
 @value
 class Pair:
-    """What the solver returned: gamma, X, Y (n, n) and the separation t (1 where gamma was minimised)."""
+    """The solver's gamma, X, Y (n, n) and separation t (1 where gamma was minimised)."""
 
     gamma: float
     X: FloatArray
@@ -36,26 +37,23 @@ class Pair:
 
 
 def _sides(plant: Partition) -> tuple[tuple[FloatArray, ...], tuple[FloatArray, ...]]:
-    """What the inequalities of X and Y are made of: (N1, F, N2, G) each.
+    """Return (N1, F, N2, G) of the inequalities of X and of Y.
 
     The columns of [N1; N2] span the kernel of [B2' D12'], where the controller has no say. The inequality of X is
     [[He(N1' X F) − gamma N2' N2, G], [G', −gamma I]] < 0 with F = A' N1 + C1' N2, G = N1' B1 + N2' D11;
     that of Y is its dual.
     """
     out = []
-    for A, B1, B2, C1, D11, D12 in (
-        (plant.A, plant.B1, plant.B2, plant.C1, plant.D11, plant.D12),
-        (plant.A.T, plant.C1.T, plant.C2.T, plant.B1.T, plant.D11.T, plant.D21.T),
-    ):
-        _, sigma, Vt = np.linalg.svd(np.hstack([B2.T, D12.T]), full_matrices=True)
+    for p in (plant, plant.dual):
+        _, sigma, Vt = np.linalg.svd(np.hstack([p.B2.T, p.D12.T]), full_matrices=True)
         N = Vt[int(np.sum(sigma > 1e-12 * sigma[0])) :].T
-        N1, N2 = N[: len(A)], N[len(A) :]
-        out.append((N1, A.T @ N1 + C1.T @ N2, N2, N1.T @ B1 + N2.T @ D11))
+        N1, N2 = N[: len(p.A)], N[len(p.A) :]
+        out.append((N1, p.A.T @ N1 + p.C1.T @ N2, N2, N1.T @ p.B1 + N2.T @ p.D11))
     return out[0], out[1]
 
 
 def inequalities(plant: Partition, gamma: float, X: FloatArray, Y: FloatArray) -> dict[str, FloatArray]:
-    """Matrices that are all negative definite only if some controller has a closed-loop norm below `gamma`."""
+    """Return matrices that are all negative definite only if some closed-loop norm is below `gamma`."""
     out = {}
     for name, V, (N1, F, N2, G) in zip(("X", "Y"), (X, Y), _sides(plant), strict=True):
         half = N1.T @ V @ F - 0.5 * gamma * N2.T @ N2
@@ -65,14 +63,19 @@ def inequalities(plant: Partition, gamma: float, X: FloatArray, Y: FloatArray) -
     return out
 
 
-def minimised(plants: Sequence[Partition], *, where: str, time_limit: float, P: object, tolerance: float) -> Pair:
-    """Least gamma for which the inequalities hold for every plant."""
+def coupled(X: Any, Y: Any, t: Any) -> Any:
+    """Return the constraint [[X, tI], [tI, Y]] ≥ 0."""
+    one = np.eye(X.shape[0])
+    return cvxpy().bmat([[X, t * one], [t * one, Y]]) >> 0
+
+
+def minimised(plants: Sequence[Partition], solver: Solver, tolerance: float) -> Pair:
+    """Return the least gamma for which the inequalities hold for every plant, with X and Y."""
     cp = cvxpy()
     n = len(plants[0].A)
     X, Y, gamma = cp.Variable((n, n), symmetric=True), cp.Variable((n, n), symmetric=True), cp.Variable()
-    problem = cp.Problem(cp.Minimize(gamma), _constraints(plants, X, Y, gamma, 0.0, 1.0))
-    what = f"{where}: minimising gamma"
-    solve(problem, (X, Y, gamma), what=what, time_limit=time_limit, P=P, tolerance=tolerance, cure=CURE)
+    constraints = [coupled(X, Y, 1.0), *_constraints(plants, X, Y, gamma, 0.0)]
+    solver.solve(cp.Minimize(gamma), constraints, (X, Y, gamma), "minimising gamma", tolerance)
     return Pair(gamma=float(gamma.value), X=X.value, Y=Y.value, separation=1.0)
 
 
@@ -81,42 +84,35 @@ def separated(
     gamma: float,
     margin: float,
     bound: float,
-    *,
     reward: float,
-    where: str,
-    time_limit: float,
-    P: object,
+    solver: Solver,
     tolerance: float,
 ) -> Pair:
-    """X and Y for which the inequalities hold at `gamma` and [[X, tI], [tI, Y]] ≥ 0 with the largest t.
+    """Return X and Y for which the inequalities hold at `gamma` and [[X, tI], [tI, Y]] ≥ 0 with the largest t.
 
     Parameters
     ----------
-    plants, gamma
-        The plants, and what their norms must stay below.
+    plants, gamma, solver, tolerance
+        As in `minimised`.
     margin
-        How far the inequalities are kept from zero.
-    bound
-        Largest mean eigenvalue of X and of Y.
-    reward
-        What is paid for these means, beside t.
+        Distance of the inequalities from zero.
+    bound, reward
+        Largest mean eigenvalue of X and of Y, and its weight in the goal beside t.
     """
     cp = cvxpy()
     n = len(plants[0].A)
     X, Y, t = cp.Variable((n, n), symmetric=True), cp.Variable((n, n), symmetric=True), cp.Variable()
     mean_X, mean_Y = cp.trace(X) / n, cp.trace(Y) / n
-    constraints = _constraints(plants, X, Y, gamma, margin, t)
+    constraints = [coupled(X, Y, t), *_constraints(plants, X, Y, gamma, margin)]
     constraints += [t <= LARGEST_SEPARATION, mean_X <= bound, mean_Y <= bound]
-    problem = cp.Problem(cp.Maximize(t + reward * (mean_X + mean_Y)), constraints)
-    what = f"{where}: separating X and Y at gamma = {gamma:.6g} (scaled)"
-    solve(problem, (X, Y, t), what=what, time_limit=time_limit, P=P, tolerance=tolerance, cure=CURE)
+    goal, step = cp.Maximize(t + reward * (mean_X + mean_Y)), f"separating X and Y at gamma = {gamma:.6g} (scaled)"
+    solver.solve(goal, constraints, (X, Y, t), step, tolerance)
     return Pair(gamma=gamma, X=X.value, Y=Y.value, separation=float(t.value))
 
 
-def _constraints(plants: Sequence[Partition], X: Any, Y: Any, gamma: Any, margin: float, t: Any) -> list[Any]:
+def _constraints(plants: Sequence[Partition], X: Any, Y: Any, gamma: Any, margin: float) -> list[Any]:
     cp = cvxpy()
-    one = np.eye(len(plants[0].A))
-    constraints = [cp.bmat([[X, t * one], [t * one, Y]]) >> 0]
+    constraints = []
     for plant in plants:
         for V, (N1, F, N2, G) in zip((X, Y), _sides(plant), strict=True):
             half = N1.T @ V @ F
@@ -126,7 +122,7 @@ def _constraints(plants: Sequence[Partition], X: Any, Y: Any, gamma: Any, margin
 
 
 def balancing(pair: Pair) -> FloatArray:
-    """States T, x = T x', in which X and Y are equal and diagonal: the solver reaches six digits, elsewhere three."""
+    """Return states T, x = T x', in which X and Y are equal and diagonal: there the solver is most accurate."""
     values, vectors = np.linalg.eigh(pair.X)
     root = vectors * np.sqrt(np.maximum(values, 1e-10 * values[-1]))
     products, turn = np.linalg.eigh(root.T @ pair.Y @ root)
@@ -137,21 +133,20 @@ def balancing(pair: Pair) -> FloatArray:
 def turned(plant: Partition, T: FloatArray) -> Partition:
     """Return the plant in the states x', x = T x'."""
     Ti = np.linalg.inv(T)
-    return Partition(
-        A=Ti @ plant.A @ T, B1=Ti @ plant.B1, B2=Ti @ plant.B2, C1=plant.C1 @ T, C2=plant.C2 @ T,
-        D11=plant.D11, D12=plant.D12, D21=plant.D21, D22=plant.D22,
-    )  # fmt: skip
+    return dataclasses.replace(
+        plant, A=Ti @ plant.A @ T, B1=Ti @ plant.B1, B2=Ti @ plant.B2, C1=plant.C1 @ T, C2=plant.C2 @ T
+    )
 
 
 def factors(X: FloatArray, Y: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """N and M with I − Y X = N M', of equal size: the states of the controller."""
+    """Return N and M with I − Y X = N M', of equal size: the states of the controller."""
     U, sigma, Vt = np.linalg.svd(np.eye(len(X)) - Y @ X)
     root = np.sqrt(sigma)
     return U * root, Vt.T * root
 
 
 def lyapunov_matrix(X: FloatArray, Y: FloatArray, N: FloatArray, M: FloatArray) -> FloatArray:
-    """V (2n, 2n) of the closed loop in the states [x, xK]: Y is its first block, X that of its inverse."""
+    """Return V (2n, 2n) of the closed loop in the states [x, xK]: Y is its first block, X that of its inverse."""
     one, none = np.eye(len(X)), np.zeros_like(X)
     # V [X, I; M', 0] = [I, Y; 0, N']
     V = np.linalg.solve(np.block([[X, one], [M.T, none]]).T, np.block([[one, Y], [none, N.T]]).T).T
@@ -159,10 +154,10 @@ def lyapunov_matrix(X: FloatArray, Y: FloatArray, N: FloatArray, M: FloatArray) 
 
 
 def reconstructed(plant: Partition, r: int, s: int, best: Pair, P: object) -> StateArrays:
-    """Controller from strictly feasible X and Y; r and s are the ranks of D12 and D21 (Gahinet 1996).
+    """Return a controller from strictly feasible X and Y; r and s are the ranks of D12 and D21 (Gahinet 1996).
 
-    In the variables Â, B̂, Ĉ of the linearised inequality, Ĉ meets the part of X, B̂ that of Y, and Â removes
-    the cross term.
+    In the variables Â, B̂, Ĉ of the linearised inequality, Ĉ satisfies the part of X, B̂ that of Y, and Â cancels the
+    cross term.
     """
     p, gamma, X, Y = plant, best.gamma, best.X, best.Y
     D = _feedthrough(p, r, s, gamma)
@@ -181,7 +176,7 @@ def reconstructed(plant: Partition, r: int, s: int, best: Pair, P: object) -> St
 
 
 def from_linearised(plant: Partition, X: FloatArray, Y: FloatArray, hat: StateArrays) -> StateArrays:
-    """Controller from the linearising variables Â, B̂, Ĉ, D̂ (Scherer, Gahinet and Chilali 1997)."""
+    """Return the controller from the linearising variables Â, B̂, Ĉ, D̂ (Scherer, Gahinet and Chilali 1997)."""
     p, D = plant, hat.D
     N, M = factors(X, Y)
     BK = np.linalg.solve(N, hat.B - Y @ p.B2 @ D)
@@ -192,7 +187,7 @@ def from_linearised(plant: Partition, X: FloatArray, Y: FloatArray, hat: StateAr
 
 
 def _feedthrough(p: Partition, r: int, s: int, gamma: float) -> FloatArray:
-    """D_K with |D11 + D12 D_K D21| < gamma: the central solution of Parrott's problem."""
+    """Return D_K with |D11 + D12 D_K D21| < gamma: the central solution of Parrott's problem."""
     U1, V1 = p.D12[:, :r], p.D21[:s].T
     U0, V0 = np.linalg.svd(U1)[0][:, r:], np.linalg.svd(V1)[0][:, s:]
     a, b, c, d = U0.T @ p.D11 @ V0, U0.T @ p.D11 @ V1, U1.T @ p.D11 @ V0, U1.T @ p.D11 @ V1
@@ -204,7 +199,7 @@ def _feedthrough(p: Partition, r: int, s: int, gamma: float) -> FloatArray:
 def _gain(
     AX: FloatArray, B: FloatArray, M0: FloatArray, E: FloatArray, weight: FloatArray, rank: int, P: object
 ) -> tuple[FloatArray, FloatArray]:
-    """F that makes He(AX + B F) + M' weight M negative definite, and M = M0 + E F; E is zero beyond `rank` columns."""
+    """Return F with He(AX + B F) + M' weight M < 0, and M = M0 + E F; E is zero beyond `rank` columns."""
     F = np.zeros((B.shape[1], AX.shape[0]))
     regular = E[:, :rank]
     F[:rank] = -np.linalg.solve(
@@ -216,7 +211,7 @@ def _gain(
     singular = B[:, rank:]
     if not singular.size:
         return F, M
-    # What z does not see directly may be used without limit (Finsler): as little as is enough, doubled for some margin.
+    # Signals that are not in z directly may be used without limit (Finsler): as little as is enough, doubled.
     gain = 1e-3
     while np.linalg.eigvalsh(left - 2 * gain * singular @ singular.T)[-1] >= 0:
         gain *= 2

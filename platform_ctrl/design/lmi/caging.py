@@ -1,7 +1,7 @@
-"""A caging loop that follows the platform's rate, proved for every Omega(t) within limits.
+"""A caging loop scheduled by the platform's rate, proved for every Omega(t) within limits.
 
 The mixed-sensitivity problem of `design.riccati.weighted_loop` in continuous time, around the parameter-varying model:
-its parameters are Omega and products of it, and with momentum states nothing has to be known of how fast they change.
+its parameters are Omega and products of it; with momentum states they may change at any rate.
 
     ::
 
@@ -76,7 +76,7 @@ class ScheduledCaging:
 
     @property
     def price(self) -> float:
-        """What following any Omega(t) costs in gamma, relative to the design at rest."""
+        """Relative increase of gamma against the design at rest."""
         return self.scheduled.gamma_optimal / self.frozen - 1.0
 
     def controller(self, Omega: ArrayLike) -> StateSpace:
@@ -99,10 +99,10 @@ class ScheduledCaging:
         """
         rate = real_array("Omega", Omega, (3,))
         if np.any(np.abs(rate) > self.Omega_max * (1 + 1e-9)):
-            raise ArgumentError(f"Omega: given {rate.tolist()}; expected at most {self.Omega_max.tolist()} rad/s")
+            raise ArgumentError(f"Omega: must be at most {self.Omega_max.tolist()} rad/s, got {rate.tolist()}")
         k = len(self.weight_rate)
         eye = np.eye(k)
-        # The weight's integrator belongs to the controller: it stands before K.
+        # The weight's integrator belongs to the controller: it is in series before K.
         weight = StateArrays(np.zeros((k, k)), eye, np.diag(self.weight_rate), eye / self.peak)
         K = self.scheduled.at(monomial_values(self.scheduled.box.names, rate))
         whole = between(self.basis, series(weight, state_arrays(K, "controller")), self.torque)
@@ -181,7 +181,7 @@ def scheduled_caging(
     torques = tuple(name for name in affine.inputs if not name.startswith("d_"))
     T = affine.B[k:, : len(torques)]
     if len(torques) != k or np.linalg.matrix_rank(T) < k:
-        raise ArgumentError(f"{WHERE}: torquers {torques} for gimbals {model.gimbals}; expected one for each")
+        raise ArgumentError(f"{WHERE}: each of the gimbals {model.gimbals} must have a torquer, got {torques}")
     rows = [platform.gimbal_names.index(name) for name in model.gimbals]
     channel = channels(linearise(platform, terms=terms), rows)
     pairs = 2 * len(channel.momenta)
@@ -189,7 +189,7 @@ def scheduled_caging(
     moduli = np.abs(np.linalg.eigvals(affine.A_0))
     nutation = float(moduli.max())
     if not nutation > 0:
-        raise ArgumentError(f"{WHERE}: gimbals {model.gimbals} carry no momentum; expected a gyro among them")
+        raise ArgumentError(f"{WHERE}: one of the gimbals {model.gimbals} must carry a rotor with momentum")
     unit = np.concatenate([momenta * nutation, channel.inertias[pairs:] * nutation**2])
     weight_rate = 2 * np.pi * np.array([width] * pairs + [single] * channel.inertial)
     into = np.linalg.inv(T) @ channel.basis.T * unit
@@ -224,7 +224,7 @@ def _weighted(
     sizes: Sequence[float],
     lag: float,
 ) -> StateSpace:
-    """The plant of the synthesis; states: gimbals, torques behind the lag, integrals of the error."""
+    """Return the plant of the synthesis; states: gimbals, torques behind the lag, integrals of the error."""
     complementary, disturbance, torque = sizes
     A, C = affine.state_matrix(rho), basis @ affine.C
     B = affine.B[:, : len(into)] @ into

@@ -1,8 +1,8 @@
 """Solve a cvxpy problem with Clarabel in a process that can be ended.
 
-An interior-point step on a large problem takes minutes and hears neither a time limit nor an interrupt. So the steps
-run elsewhere: the matrices go through a pipe to a worker, which starts at the first use, is used again, and ends with
-this process. Past the time limit it is killed; the next problem gets a new one.
+An interior-point step on a large problem takes minutes and reacts neither to a time limit nor to an interrupt. So the
+matrices go through a pipe to a worker process, which starts at the first use, is used again, and ends with this one.
+After the time limit it is killed; the next problem gets a new one.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from platform_ctrl.common.processes import ProcessDied, ProcessTimeout, TaskProc
 from platform_ctrl.common.values import value
 from platform_ctrl.errors import InfeasibleError, TimeLimitError, UnscalableError
 
-# Given to the solver to stop by itself before it is killed, s.
+# Time after the limit in which the solver may stop before it is killed, s.
 GRACE = 0.25
 # Starts of a worker for one problem.
 ATTEMPTS = 2
@@ -35,6 +35,35 @@ class Solved:
     status: str
     seconds: float
     iterations: int
+
+
+@value
+class Solver:
+    """How the problems of one synthesis are solved.
+
+    Attributes
+    ----------
+    where, cure
+        Method, and what to try next, for messages.
+    time_limit
+        Longest time of one solution, s.
+    P
+        Attached to errors as the problem.
+    """
+
+    where: str
+    cure: str
+    time_limit: float
+    P: Any
+
+    def solve(
+        self, goal: Any, constraints: list[Any], variables: tuple[Any, ...], step: str, tolerance: float
+    ) -> Solved:
+        """Minimise or maximise a goal under constraints; `step` says for what, in messages."""
+        return solve(
+            import_module("cvxpy").Problem(goal, constraints), variables, what=f"{self.where}: {step}",
+            time_limit=self.time_limit, P=self.P, tolerance=tolerance, cure=self.cure,
+        )  # fmt: skip
 
 
 class _Shared:
@@ -90,9 +119,9 @@ def solve(
     cure: str = "",
     decompose: bool = True,
 ) -> Solved:
-    """Solve a cvxpy problem in silence; afterwards its variables have values.
+    """Solve a cvxpy problem without output; afterwards its variables have values.
 
-    An answer that the solver calls inaccurate passes: whoever asks judges every answer by evaluating it again.
+    A result that the solver calls inaccurate is accepted: callers evaluate every result again.
 
     Parameters
     ----------
@@ -100,18 +129,16 @@ def solve(
         A `cvxpy.Problem`.
     variables
         What must have finite values in the end.
-    what
-        Method and step, for messages: ``"hinf, lmi: minimising gamma"``.
+    what, cure
+        Method and step, and what to try next, for messages: ``"hinf, lmi: minimising gamma"``.
     time_limit
-        Longest time that the solver may take, s; it is ended then. Starting it does not count.
+        Longest time of the solver, s, without its start.
     P
         Attached to errors as the problem.
     tolerance
         Of gap and feasibility.
-    cure
-        What to try next, for messages.
     decompose
-        Whether matrices with zeros may be taken apart. Of small ones that only makes the problem larger.
+        Whether matrices with zeros may be decomposed, which makes small problems larger.
     """
     cp = import_module("cvxpy")
     next_step = f"; {cure}" if cure else ""
@@ -129,17 +156,15 @@ def solve(
                 problem.unpack_results(SimpleNamespace(**answer), chain, inverse)
         except ProcessTimeout:
             raise TimeLimitError(
-                f"{what}: the solver did not finish in {time_limit:.3g} s and was ended; give a larger time_limit",
+                f"{what}: the solver did not finish in {time_limit:.3g} s; give a larger time_limit",
                 P,
             ) from None
         except ProcessDied:
-            raise UnscalableError(
-                f"{what}: the solver's process died {ATTEMPTS} times; expected an answer{next_step}", P
-            ) from None
+            raise UnscalableError(f"{what}: the solver's process died {ATTEMPTS} times{next_step}", P) from None
         except (cp.SolverError, ArithmeticError, ValueError, np.linalg.LinAlgError):
             raise UnscalableError(f"{what}: the solver gave up{next_step}", P) from None
     if status in ("PrimalInfeasible", "AlmostPrimalInfeasible"):
-        raise InfeasibleError(f"{what}: the solver says infeasible; expected inequalities that can hold{next_step}", P)
+        raise InfeasibleError(f"{what}: the inequalities are infeasible{next_step}", P)
     if status not in ("Solved", "AlmostSolved") or not all(
         v.value is not None and np.all(np.isfinite(v.value)) for v in variables
     ):

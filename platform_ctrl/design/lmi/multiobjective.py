@@ -1,8 +1,8 @@
 """Output feedback for several requirements at once: norms of channels, pole regions, poles of the controller.
 
 Scherer, Gahinet and Chilali (1997): all inequalities share one Lyapunov matrix, which makes them linear in X, Y and the
-transformed controller. That costs something: the bounds of the inequalities lie above the norms that the controller
-reaches, so both are reported. With one norm alone nothing is lost.
+transformed controller. So the bounds of the inequalities exceed the norms of the closed loop, and both are reported;
+with one norm alone they agree.
 
 The largest soft ratio is minimised while every hard one stays below 1. Then the bounds are relaxed by the back-off and
 X, Y are moved away from X Y = I, where controllers have arbitrarily fast poles.
@@ -33,6 +33,7 @@ from platform_ctrl.design.partition import (
     partition,
 )
 from platform_ctrl.design.scaling import autoscale, require_stabilisable, unscale
+from platform_ctrl.design.synthesis import direct_size
 from platform_ctrl.errors import DesignError, NotCertifiedError
 from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.job.requirements import LoopRequirement
@@ -181,25 +182,24 @@ def multiobjective(
 def _finished(
     solution: Solution, plant: Partition, requirements: Sequence[LoopRequirement], backoff: float
 ) -> Multiobjective:
-    """The controller in the plant's units, with the judgement of its actual closed loop."""
+    """Return the controller in the plant's units, checked by its actual closed loop."""
     problem, best, least, made = solution
     K = out_of_w_plane(unscale(made, problem.scaled), plant.dt)
-    P = problem.P
+    P = problem.solver.P
     loop = closed_loop(plant, K)
-    size = np.linalg.norm(plant.D11) + np.linalg.norm(plant.D12) * np.linalg.norm(K.D) * np.linalg.norm(plant.D21)
-    D = np.where(np.abs(loop.D) > 1e-12 * size, loop.D, 0.0)
+    D = np.where(np.abs(loop.D) > 1e-12 * direct_size(plant, K), loop.D, 0.0)
     controller = controller_system(P, K)
     system = closed_loop_system(P, loop._replace(D=D))
     poles = np.linalg.eigvals(loop.A).astype(np.complex128)
     if not spectral_abscissa(continuous_poles(poles, plant.dt)) < 0:
-        raise NotCertifiedError(f"{WHERE}: the closed loop is not stable; expected it stable; {CURE}", P)
+        raise NotCertifiedError(f"{WHERE}: the closed loop is not stable; {CURE}", P)
     outcomes = judged(requirements, system, controller, WHERE)
     for outcome, requested in zip(outcomes, requirements, strict=True):
         # A hard norm that was minimised has its limit; a soft one what was promised.
         allowed = 1.0 if requested.hard else (1 + backoff + 0.01) * least
         if not outcome.ratio <= allowed:
             raise NotCertifiedError(
-                f"{WHERE}: {outcome.name} is {outcome.value:.6g} {outcome.unit}; expected {outcome.sense} "
+                f"{WHERE}: {outcome.name} is {outcome.value:.6g} {outcome.unit}, but must be {outcome.sense} "
                 f"{outcome.limit * allowed if outcome.sense == 'at most' else outcome.limit / allowed:.6g}; {CURE}",
                 P,
             )

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from platform_ctrl.analysis.arrays import StateArrays
+from platform_ctrl.analysis.arrays import StateArrays, state_arrays
 from platform_ctrl.common.arguments import real_array
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.partition import Partition, partition
@@ -44,7 +44,7 @@ class Box:
         for name, x, a, b in zip(self.names, point, self.low, self.high, strict=True):
             slack = SAME * max(abs(a), abs(b))
             if not a - slack <= x <= b + slack:
-                raise ArgumentError(f"parameters: {name} = {x:.6g}; expected within [{a:.6g}, {b:.6g}]")
+                raise ArgumentError(f"parameters: {name} must be within [{a:.6g}, {b:.6g}], got {x:.6g}")
             share = np.array([1.0]) if a == b else np.clip(np.array([b - x, x - a]) / (b - a), 0.0, 1.0)
             out = np.outer(out, share).ravel()
         return out
@@ -53,13 +53,13 @@ class Box:
 def box(names: Sequence[str], low: ArrayLike, high: ArrayLike, where: str) -> Box:
     """Return a box."""
     if isinstance(names, str) or not names or len(set(names)) < len(names):
-        raise ArgumentError(f"{where}: names {names!r}; expected a list of different names, one for each parameter")
+        raise ArgumentError(f"{where}: names must be a list of different names, one for each parameter, got {names!r}")
     names = tuple(names)
     a, b = (real_array(f"{where}: {word}", x, (len(names),)) for word, x in (("low", low), ("high", high)))
     if not np.all(a <= b):
-        raise ArgumentError(f"{where}: low exceeds high; expected low <= high for each of {', '.join(names)}")
+        raise ArgumentError(f"{where}: low must not exceed high for any of {', '.join(names)}")
     if np.sum(a < b) > MOST_PARAMETERS:
-        raise ArgumentError(f"{where}: {np.sum(a < b)} varying parameters; expected at most {MOST_PARAMETERS}")
+        raise ArgumentError(f"{where}: at most {MOST_PARAMETERS} parameters may vary, got {np.sum(a < b)}")
     return Box(names=names, low=a, high=b)
 
 
@@ -72,28 +72,24 @@ def combined(matrices: Sequence[StateArrays], shares: FloatArray) -> StateArrays
 def vertex_plants(
     plant: Callable[[FloatArray], StateSpace], corners: Box, nmeas: int, ncon: int, where: str
 ) -> tuple[list[StateSpace], list[Partition]]:
-    """Return the plants at the vertices, after making sure that the one in between is what it should be."""
+    """Return the plants at the vertices, after a check that those between are affine."""
     points = corners.vertices()
     systems = [plant(point) for point in points]
     parts = [partition(system, nmeas, ncon) for system in systems]
     require_alike(systems, where)
-    # Affine: at two points that lie on no edge.
+    # At two points that are on no edge.
     for share in (0.5, 0.3):
         weights = share ** np.arange(1, len(corners.names) + 1)
         point = corners.low + weights * (corners.high - corners.low)
-        there, mean = plant(point), _mean(systems, corners.shares(point))
-        for name, expected in zip("ABCD", mean, strict=True):
+        there, mean = plant(point), combined([state_arrays(one, where) for one in systems], corners.shares(point))
+        for name in "ABCD":
             size = max(float(np.max(np.abs(getattr(system, name)), initial=0.0)) for system in systems)
-            if np.max(np.abs(getattr(there, name) - expected), initial=0.0) > SAME * size:
+            if np.max(np.abs(getattr(there, name) - getattr(mean, name)), initial=0.0) > SAME * size:
                 raise ArgumentError(
-                    f"{where}: {name} of the plant is not affine in {', '.join(corners.names)}; expected it affine: "
+                    f"{where}: {name} of the plant must be affine in {', '.join(corners.names)}; "
                     "take its monomials for parameters, as parameter_varying does"
                 )
     return systems, parts
-
-
-def _mean(systems: Sequence[StateSpace], shares: FloatArray) -> list[FloatArray]:
-    return [np.tensordot(shares, np.array([getattr(one, name) for one in systems]), axes=1) for name in "ABCD"]
 
 
 def require_alike(systems: Sequence[StateSpace], where: str) -> None:
@@ -101,7 +97,7 @@ def require_alike(systems: Sequence[StateSpace], where: str) -> None:
     shapes = [(one.nstates, one.ninputs, one.noutputs) for one in systems]
     other = next((shape for shape in shapes if shape != shapes[0]), None)
     if other is not None:
-        raise ArgumentError(f"{where}: plants of (states, inputs, outputs) {shapes[0]} and {other}; expected all alike")
+        raise ArgumentError(f"{where}: plants must have equal (states, inputs, outputs), got {shapes[0]} and {other}")
 
 
 def require_common(parts: Sequence[Partition], names: Sequence[str], system: StateSpace, where: str) -> None:
@@ -119,14 +115,14 @@ def require_common(parts: Sequence[Partition], names: Sequence[str], system: Sta
         else:
             signal, cure = f"measurement {y[row]!r}", "a lag between this measurement and the controller"
         raise IllPosedError(
-            f"{where}: {name} depends on the parameters ({signal}); expected B2, C2, D12, D21 and D22 constant: put "
-            f"{cure}, which moves the dependence into A",
+            f"{where}: {name} must not depend on the parameters, but does for {signal}; put {cure}, which moves the "
+            "dependence into A",
             system,
         )
 
 
 def needed(parts: Sequence[Partition]) -> list[int]:
-    """Indices of plants whose convex hull holds all of them: parameters that act alike leave fewer than the box has."""
+    """Return indices of plants whose convex hull contains all: fewer than the box has if parameters act alike."""
     data = np.array([np.concatenate([p.A.ravel(), p.B1.ravel(), p.C1.ravel(), p.D11.ravel()]) for p in parts])
     size = np.max(np.abs(data), axis=0)
     data = (data - data.mean(axis=0))[:, size > 0] / size[size > 0]

@@ -1,8 +1,8 @@
 """H-infinity controllers for a plant, or for the vertices of a polytope with one Lyapunov matrix, on scaled plants.
 
 Three steps: the least gamma over X, Y with the controller eliminated; at (1 + backoff) times that gamma the pair X, Y
-that stays farthest from X Y = I; and from X, Y a controller in closed form for every vertex.
-Nothing is assumed about D11, D12 and D21. What the solver says is not trusted: the inequalities are evaluated again.
+that is farthest from X Y = I; and from X, Y a controller in closed form for every vertex.
+Nothing is assumed about D11, D12 and D21. The inequalities are evaluated again for the solver's result.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.common.values import FloatArray, value
@@ -26,6 +27,7 @@ from platform_ctrl.design.lmi.bounded_real import (
     separated,
     turned,
 )
+from platform_ctrl.design.lmi.conic import Solver
 from platform_ctrl.design.partition import Partition
 from platform_ctrl.design.scaling import ScaledPlant, autoscale, unscale, weakest_mode
 from platform_ctrl.errors import DesignError, TimeLimitError, UnscalableError
@@ -35,12 +37,12 @@ if TYPE_CHECKING:
 
 # Solved again in other units when the least gamma of the scaled plant is not within 1/8 .. 8.
 GAMMA_RANGE = 8.0
-# Other units of gamma to start from where the first solve gives nothing.
+# Units of gamma that are tried until the first solution succeeds.
 GAINS = (1.0, 1e2, 1e-2, 1e4, 1e-4)
-# A gamma below this (above its inverse) is not looked into any closer.
+# A gamma below this (above its inverse) is not refined.
 LEAST_GAIN = 1e-12
-# Largest mean eigenvalue of X and of Y, and its least multiple of what gamma alone needs: in directions that no
-# inequality bounds X and Y would grow without end.
+# Largest mean eigenvalue of X and of Y, and its least multiple of what gamma alone needs: X and Y are unbounded in some
+# directions otherwise.
 LARGEST_MEAN = 100.0
 LEAST_ROOM = 10.0
 
@@ -51,11 +53,11 @@ class Round(NamedTuple):
     Attributes
     ----------
     strictness
-        How far the inequalities are kept from zero, relative to gamma and the back-off.
+        Distance of the inequalities from zero, relative to gamma and the back-off.
     reward
-        What is paid for the mean eigenvalues of X and Y. The separation sees one direction only. Where X and Y are
-        small in the others, I − X Y is near singular there and the controller has poles ten to a hundred times faster
-        than that of the Riccati route; but large ones hide violations from the solver.
+        Weight of the mean eigenvalues of X and Y. The separation is that of one direction; where X and Y are small in
+        the others, I − X Y is near singular and the controller has poles ten to a hundred times faster than that of the
+        Riccati route, but large ones hide violations from the solver.
     tolerance
         The solver's.
     """
@@ -103,25 +105,13 @@ def quadratic_hinf(
     where: str = "hinf, lmi",
     needed: Sequence[int] = (),
 ) -> Quadratic:
-    """Controllers for plants that share B2, C2, D12, D21 and D22.
+    """Return controllers for plants that share B2, C2, D12, D21 and D22.
 
-    Parameters
-    ----------
-    plants
-        One, or several.
-    backoff
-        Relative distance from the least gamma.
-    time_limit
-        Of one call of the solver, s.
-    P
-        Attached to errors.
-    where
-        For messages.
-    needed
-        Indices of plants whose convex hull holds them all; none: all are needed.
+    `needed` are indices of plants whose convex hull contains all, by default all of them.
     """
     needed = list(needed) or list(range(len(plants)))
-    scaled, vertices, least = _rough(plants, needed, time_limit, P, where)
+    solver = Solver(where=where, cure=CURE, time_limit=time_limit, P=P)
+    scaled, vertices, least = _rough(plants, needed, solver)
     T, failure = np.diag(scaled.state), None
     for attempt in ROUNDS:
         change = balancing(least)
@@ -131,14 +121,11 @@ def quadratic_hinf(
         bound = max(LARGEST_MEAN, LEAST_ROOM * own)
         try:
             hull = [vertices[k] for k in needed]
-            least = minimised(hull, where=where, time_limit=time_limit, P=P, tolerance=FINE)
+            least = minimised(hull, solver, FINE)
             level = (1 + backoff) * least.gamma
             margin = max(LEAST_STRICTNESS, attempt.strictness * min(backoff, 0.02)) * level
-            best = separated(
-                hull, level, margin, bound,
-                reward=attempt.reward, where=where, time_limit=time_limit, P=P, tolerance=attempt.tolerance,
-            )  # fmt: skip
-            residual = _strict(vertices, best, scaled.gain, P, where)
+            best = separated(hull, level, margin, bound, attempt.reward, solver, attempt.tolerance)
+            residual = _strict(vertices, best, scaled.gain, solver)
             made = [reconstructed(v, scaled.control_rank, scaled.measurement_rank, best, P) for v in vertices]
         except TimeLimitError:
             raise
@@ -176,21 +163,28 @@ def rescaled(plant: Partition, scaled: ScaledPlant) -> Partition:
 
 def mean_plant(plants: Sequence[Partition]) -> Partition:
     """Return the plant in the middle."""
+    return weighted_mean(plants, np.full(len(plants), 1.0 / len(plants)))
+
+
+def weighted_mean(plants: Sequence[Partition], weights: ArrayLike) -> Partition:
+    """Return a convex combination of plants."""
     names = ("A", "B1", "B2", "C1", "C2", "D11", "D12", "D21", "D22")
-    return Partition(**{name: np.mean([getattr(plant, name) for plant in plants], axis=0) for name in names})
+    return Partition(
+        **{name: np.tensordot(weights, np.array([getattr(one, name) for one in plants]), axes=1) for name in names}
+    )
 
 
-def _strict(vertices: Sequence[Partition], best: Pair, gain: float, P: object, where: str) -> dict[str, float]:
-    """Residuals of the solver's X and Y; raise an UnscalableError where an inequality is not strict."""
+def _strict(vertices: Sequence[Partition], best: Pair, gain: float, solver: Solver) -> dict[str, float]:
+    """Return residuals of the solver's X and Y; raise an UnscalableError where an inequality is not strict."""
     residual = {"separation of X and Y": best.separation}
     for vertex in vertices:
         for name, matrix in inequalities(vertex, best.gamma, best.X, best.Y).items():
             largest = float(np.linalg.eigvalsh(matrix)[-1])
             if not largest < 0:
                 raise UnscalableError(
-                    f"{where}: X and Y from the solver violate the {name} at gamma = {best.gamma * gain:.6g} "
-                    f"(largest eigenvalue {largest:.2g}, expected < 0); {CURE}",
-                    P,
+                    f"{solver.where}: X and Y from the solver violate the {name} at gamma = {best.gamma * gain:.6g}, "
+                    f"its largest eigenvalue is {largest:.2g}; {CURE}",
+                    solver.P,
                 )
             key = f"largest eigenvalue of the {name}"
             residual[key] = max(largest, residual.get(key, -np.inf))
@@ -198,9 +192,9 @@ def _strict(vertices: Sequence[Partition], best: Pair, gain: float, P: object, w
 
 
 def _rough(
-    plants: Sequence[Partition], needed: Sequence[int], time_limit: float, P: object, where: str
+    plants: Sequence[Partition], needed: Sequence[int], solver: Solver
 ) -> tuple[ScaledPlant, list[Partition], Pair]:
-    """Scaled plants whose least gamma is near one, and the solver's first answer for them."""
+    """Return scaled plants whose least gamma is near one, and the first X and Y."""
     failure: DesignError | None = None
     centre = plants[0] if len(plants) == 1 else mean_plant(plants)
 
@@ -208,13 +202,13 @@ def _rough(
         scaled = autoscale(centre, gain)
         vertices = [scaled.plant] if len(plants) == 1 else [rescaled(plant, scaled) for plant in plants]
         hull = [vertices[k] for k in needed]
-        return scaled, vertices, minimised(hull, where=where, time_limit=time_limit, P=P, tolerance=ROUGH)
+        return scaled, vertices, minimised(hull, solver, ROUGH)
 
     for gain in GAINS:
         try:
             scaled, vertices, rough = attempt(gain)
             while not 1 / GAMMA_RANGE <= rough.gamma <= GAMMA_RANGE and LEAST_GAIN < scaled.gain < 1 / LEAST_GAIN:
-                # Far from one gamma is only known roughly: not too far in one step.
+                # Far from one, gamma is inaccurate: a limited step.
                 scaled, vertices, rough = attempt(scaled.gain * float(np.clip(rough.gamma, 1e-3, 1e6)))
         except TimeLimitError:
             raise
@@ -226,16 +220,16 @@ def _rough(
     hint = ""
     if word and sigma < 1e-4:
         hint = (
-            f"; nearest to a violated assumption: the mode at {pole.real:.4g}{pole.imag:+.4g}j rad/s is "
-            f"hardly {word} (smallest singular value {sigma:.1g} of the scaled plant)"
+            f"; the mode at {pole.real:.4g}{pole.imag:+.4g}j rad/s is hardly {word} (smallest singular value "
+            f"{sigma:.1g} of the scaled plant)"
         )
     assert failure is not None
-    raise type(failure)(f"{failure}{hint}", P) from None
+    raise type(failure)(f"{failure}{hint}", solver.P) from None
 
 
 def hinf_lmi(
     plant: Partition, backoff: float, time_limit: float, P: StateSpace
 ) -> tuple[StateArrays, float, dict[str, float]]:
-    """Controller in the units of `plant`, the least gamma, and how well the inequalities hold (scaled)."""
+    """Return the controller in the units of `plant`, the least gamma, and how well the inequalities hold (scaled)."""
     found = quadratic_hinf([plant], backoff, time_limit, P)
     return found.controllers[0], found.least, found.residual

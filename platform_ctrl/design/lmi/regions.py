@@ -21,7 +21,7 @@ from platform_ctrl.errors import ArgumentError, IllPosedError
 from platform_ctrl.job.requirements import LoopRequirement
 
 REGIONS = ("stability", "damping", "fastest pole")
-# A mode whose pencil [A − sI, B2] (or its dual) has a singular value below this share of A cannot be moved.
+# Singular value of [A − sI, B2] (or its dual), relative to A, below which a mode cannot be moved.
 FIXED = 1e-9
 
 
@@ -39,26 +39,26 @@ class Region:
 
 
 def region(requested: LoopRequirement, period: float = 0.0, rate: float = 1.0, tighter: float = 1.0) -> Region:
-    """Return the region of a requirement.
+    """Return the region of "stability" (minimum decay rate), "damping" or "fastest pole".
 
     Parameters
     ----------
     requested
-        "stability" (minimum decay rate), "damping" or "fastest pole".
+        The requirement.
     period
-        Sample period, s: then the region is one of the w-plane, w = (2/T) (z − 1)/(z + 1). A decay is a disc there,
-        exactly; a damping is a sector that is narrow enough for poles up to 1/T rad/s.
+        Sample period, s: the region is one of the w-plane, w = (2/T) (z − 1)/(z + 1). A decay is a disc there, exactly;
+        a damping is a sector that is narrow enough for poles up to 1/T rad/s.
     rate
         Unit of s, rad/s.
     tighter
-        How many times more than the limit is requested, >= 1; a damping comes closer to 1 by it.
+        Factor of the limit, >= 1; of a damping, divisor of its distance from 1.
     """
     limit, kind = requested.limit, requested.kind
     sense = "at most" if kind == "fastest pole" else "at least"
     if requested.sense != sense or not (math.isfinite(limit) and limit > 0) or (kind == "damping" and limit >= 1):
         below = " below 1" if kind == "damping" else ""
         raise ArgumentError(
-            f"{requested.name}: given {requested.sense} {limit!r}; expected {sense} a positive number{below}"
+            f"{requested.name}: must be {sense} a positive number{below}, got {requested.sense} {limit!r}"
         )
     disc = np.array([[0.0, 1.0], [0.0, 0.0]])
     if kind == "damping":
@@ -82,7 +82,7 @@ def region(requested: LoopRequirement, period: float = 0.0, rate: float = 1.0, t
 
 
 def _sector(damping: float, period: float) -> float:
-    """The damping in the w-plane that is enough for `damping` of poles up to 1 / `period`, rad/s."""
+    """Return the damping in the w-plane that is sufficient for `damping` of poles up to 1 / `period`, rad/s."""
     if period == 0.0:
         return damping
     s = np.linspace(0.0, 1.0, 101)[1:] * complex(-damping, math.sqrt(1 - damping**2))
@@ -109,9 +109,8 @@ def require_movable(scaled: ScaledPlant, wanted: Sequence[Region], where: str, P
                 requested = outside[0]
                 raise IllPosedError(
                     f"{where}: the mode at {real.real:.4g}{real.imag:+.4g}j rad/s violates {requested.name} "
-                    f"{requested.sense} {requested.limit:.4g}, and {text}; expected such modes, as a rule poles of "
-                    "weights, within the "
-                    "region: ask for less, or give the weight another pole",
+                    f"{requested.sense} {requested.limit:.4g}, and {text}; relax the limit, or give the weight another "
+                    "pole",
                     P,
                 )
 

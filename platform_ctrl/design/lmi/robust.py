@@ -1,13 +1,14 @@
 """One controller for several plants, the vertices of a polytope, with one Lyapunov matrix for all of them.
 
-Where y tells the state, the inequalities are linear and their optimum is the best that a common matrix allows. In
-general output feedback they are not: the controller of the mean plant is improved in turns, the controller for a known
-matrix and the matrix for a known controller, and where the first controller fails on the vertices these move
-outwards from the mean as far as each turn allows.
+Where y determines the state, the inequalities are linear and their optimum is the best with a common matrix. In general
+output feedback they are not: the controller of the mean plant is improved in turns, the controller for a known matrix
+and the matrix for a known controller; where the first controller fails on the vertices, these move outwards from the
+mean as far as each turn allows.
 """
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -16,12 +17,12 @@ import numpy as np
 from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.certificates.certificate import Certificate, proved
 from platform_ctrl.common.arguments import positive
-from platform_ctrl.common.signatures import check_arguments
+from platform_ctrl.common.signatures import check_arguments, short
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.lmi.bounded_real import factors, lyapunov_matrix, turned
-from platform_ctrl.design.lmi.conic import cvxpy, solve
+from platform_ctrl.design.lmi.conic import cvxpy
 from platform_ctrl.design.lmi.polytope import require_alike, require_common
-from platform_ctrl.design.lmi.quadratic import mean_plant, rescaled
+from platform_ctrl.design.lmi.quadratic import mean_plant, rescaled, weighted_mean
 from platform_ctrl.design.lmi.regions import state_feedback
 from platform_ctrl.design.lmi.search import CURE, FINE, Problem, constrained, direct, posed
 from platform_ctrl.design.lmi.solutions import KnownMatrix, least_ratio, slackest, solutions
@@ -42,8 +43,8 @@ if TYPE_CHECKING:
     from control import StateSpace
 
 WHERE = "robust, lmi"
-# Turns, what one must bring, and how much of the ratio is given up for slack in between.
-MOST_TURNS, LEAST_PROGRESS, GIVEN_UP = 40, 0.002, 0.03
+# Largest number of turns, the least progress of one, and the share of the ratio that is traded for slack in between.
+MOST_TURNS, LEAST_PROGRESS, TRADED = 40, 0.002, 0.03
 # Strictness of the inequalities while the controller changes (scaled).
 MARGIN = 1e-6
 
@@ -63,7 +64,7 @@ class Robust:
     outcomes
         For every plant every requirement with its value, recomputed from the closed loop, and its ratio.
     ratio
-        What the common Lyapunov matrix proves of the norms that were minimised, relative to their limits, for every
+        Largest ratio to their limits of the norms that were minimised, proved by the common Lyapunov matrix for every
         plant of the polytope; nan where no norm is requested.
     certificate
         The common matrix, proved for the vertices: stability, or where one H-infinity norm is requested that norm, for
@@ -144,23 +145,20 @@ def robust(
     """
     backoff, time_limit = positive(f"{WHERE}: backoff", backoff), positive(f"{WHERE}: time_limit", time_limit)
     if not isinstance(plants, (list, tuple)) or not plants:
-        given = "no plants" if isinstance(plants, (list, tuple)) else f"given a {type(plants).__name__}"
-        raise ArgumentError(f"{WHERE}: {given}; expected a list of at least one plant")
+        raise ArgumentError(f"{WHERE}: plants must be a list of at least one plant, got {short(plants)}")
     systems = list(plants)
     parts = [partition(system, nmeas, ncon) for system in systems]
     require_alike(systems, WHERE)
     require_common(parts, ("D22",), systems[0], WHERE)
     requested = [tasks(system, part, requirements, WHERE) for system, part in zip(systems, parts, strict=True)]
     if requested[0].controller:
-        raise ArgumentError(
-            f"{WHERE}: controller poles are requested; expected requirements of the loop: use multiobjective"
-        )
+        raise ArgumentError(f"{WHERE}: limits of controller poles are not supported; use multiobjective")
     for system, part in zip(systems, parts, strict=True):
         require_stabilisable(part, system, WHERE)
     extended = [one.plant for one in requested]
-    problem = posed(requested[0].with_plant(mean_plant(extended)), 0.0, WHERE, time_limit, systems)
+    problem = posed(dataclasses.replace(requested[0], plant=mean_plant(extended)), 0.0, WHERE, time_limit, systems)
     try:
-        if _tells_state(extended):
+        if _measures_state(extended):
             found, method = _state_feedback(problem, extended, backoff), "state feedback"
         else:
             found, method = _output_feedback(problem, extended, backoff), "output feedback"
@@ -169,7 +167,7 @@ def robust(
     return _finished(found, systems, parts, extended, requirements, f"{WHERE}, {method}")
 
 
-def _tells_state(parts: Sequence[Partition]) -> bool:
+def _measures_state(parts: Sequence[Partition]) -> bool:
     C2 = parts[0].C2
     square = C2.shape[0] == C2.shape[1] and np.linalg.cond(C2 / np.maximum(np.abs(C2).max(axis=0), 1e-300)) < 1e8
     return bool(square) and all(np.array_equal(p.C2, C2) and not np.any(p.D21) for p in parts)
@@ -181,7 +179,7 @@ def _in_states(problem: Problem, parts: Sequence[Partition]) -> list[Partition]:
 
 
 def _state_feedback(problem: Problem, parts: Sequence[Partition], backoff: float) -> _Found:
-    """The least ratio, then the least effort at the relaxed one: Z >= L X⁻¹ L'."""
+    """Find the least ratio, then the least effort at the relaxed one: Z >= L X⁻¹ L'."""
     cp = cvxpy()
     plants = _in_states(problem, parts)
     n, nu = len(plants[0].A), plants[0].B2.shape[1]
@@ -195,11 +193,7 @@ def _state_feedback(problem: Problem, parts: Sequence[Partition], backoff: float
         if not problem.requested.norms:
             constraints.append(cp.trace(X) == n)
         objective = ratio if goal == "ratio" else cp.trace(Z)
-        solve(
-            cp.Problem(cp.Minimize(objective), constraints), (X, L),
-            what=f"{WHERE}: minimising the {goal}",
-            time_limit=problem.time_limit, P=problem.P, tolerance=FINE, cure=CURE,
-        )  # fmt: skip
+        problem.solver.solve(cp.Minimize(objective), constraints, (X, L), f"minimising the {goal}", FINE)
         return X.value, L.value, float(getattr(ratio, "value", ratio))
 
     least = float("nan")
@@ -219,17 +213,17 @@ def _state_feedback(problem: Problem, parts: Sequence[Partition], backoff: float
 
 def _missed(problem: Problem, least: float) -> InfeasibleError:
     return InfeasibleError(
-        f"{WHERE}: {least:.4g} times the limits of the norms can be reached with one Lyapunov matrix for all plants; "
-        f"expected less than 1; {CURE}",
-        problem.P,
+        f"{WHERE}: the least ratio to the limits of the norms with one Lyapunov matrix for all plants is {least:.4g}, "
+        f"not below 1; {CURE}",
+        problem.solver.P,
     )
 
 
 def _output_feedback(problem: Problem, parts: Sequence[Partition], backoff: float) -> _Found:
-    """The controller of the mean plant, improved in turns."""
+    """Improve the controller of the mean plant in turns."""
     solution = next((one for one in solutions(problem, backoff) if not isinstance(one, DesignError)), None)
     if solution is None:
-        raise UnscalableError(f"{WHERE}: no controller for the mean plant; {CURE}", problem.P)
+        raise UnscalableError(f"{WHERE}: no controller for the mean plant was found; {CURE}", problem.solver.P)
     best, K = solution.best, solution.made
     problem = solution.problem._replace(splits=best.splits)
     V = lyapunov_matrix(best.pair.X, best.pair.Y, *factors(best.pair.X, best.pair.Y))
@@ -237,10 +231,10 @@ def _output_feedback(problem: Problem, parts: Sequence[Partition], backoff: floa
     centre, share, step = problem.plant, 1.0, 1.0
     ratio = float("inf")
     for _ in range(MOST_TURNS):
-        plants = [_between(centre, vertex, share) for vertex in vertices]
+        plants = [weighted_mean([centre, vertex], [1 - share, share]) for vertex in vertices]
         try:
             found, new = least_ratio(problem, plants, V, K, backoff) if problem.requested.norms else (1.0, V)
-            ratios = [(1 + GIVEN_UP) * found if goal else 1.0 for goal in problem.goals]
+            ratios = [(1 + TRADED) * found if goal else 1.0 for goal in problem.goals]
             new = slackest(problem, plants, ratios, new, K)
         except (InfeasibleError, UnscalableError):
             # Too far out for this controller.
@@ -261,22 +255,17 @@ def _output_feedback(problem: Problem, parts: Sequence[Partition], backoff: floa
             share, ratio = min(1.0, share + step), float("inf")
     if share < 1.0:
         raise InfeasibleError(
-            f"{WHERE}: one Lyapunov matrix was found for plants up to {max(share, 0.0):.0%} of the way from their mean "
-            f"to the given ones; expected all; {CURE}, or design.scheduled where the parameters are measured",
-            problem.P,
+            f"{WHERE}: one Lyapunov matrix was found only for plants up to {max(share, 0.0):.0%} of the way from their "
+            f"mean to the given ones; {CURE}, or design.scheduled where the parameters are measured",
+            problem.solver.P,
         )
     if problem.requested.norms and not problem.soft and ratio >= 1:
         raise _missed(problem, ratio)
-    return _Found(problem, vertices, K, V, (1 + GIVEN_UP) * ratio if problem.requested.norms else float("nan"))
-
-
-def _between(a: Partition, b: Partition, share: float) -> Partition:
-    names = ("A", "B1", "B2", "C1", "C2", "D11", "D12", "D21", "D22")
-    return Partition(**{name: (1 - share) * getattr(a, name) + share * getattr(b, name) for name in names})
+    return _Found(problem, vertices, K, V, (1 + TRADED) * ratio if problem.requested.norms else float("nan"))
 
 
 def _for_matrix(problem: Problem, plants: Sequence[Partition], V: FloatArray) -> StateArrays:
-    """The controller of the least ratio for a known matrix; without norms, of the most slack."""
+    """Return the controller of the least ratio for a known matrix; without norms, of the most slack."""
     cp = cvxpy()
     known = KnownMatrix(plants, V, direct(problem))
     goal = cp.Variable()
@@ -285,11 +274,8 @@ def _for_matrix(problem: Problem, plants: Sequence[Partition], V: FloatArray) ->
     constraints = [goal >= 0] if norms else [goal <= 1]
     for loop in known.loops:
         constraints += constrained(problem, loop, ratios, 1.0, MARGIN if norms else goal)[0]
-    solve(
-        cp.Problem(cp.Minimize(goal) if norms else cp.Maximize(goal), constraints), known.unknowns,
-        what=f"{WHERE}: the controller for a matrix",
-        time_limit=problem.time_limit, P=problem.P, tolerance=FINE, cure=CURE,
-    )  # fmt: skip
+    direction = cp.Minimize(goal) if norms else cp.Maximize(goal)
+    problem.solver.solve(direction, constraints, known.unknowns, "the controller for a matrix", FINE)
     return known.controller()
 
 
@@ -312,8 +298,8 @@ def _finished(
             allowed = 1.0 if outcome.hard else found.ratio * 1.01
             if not outcome.ratio <= allowed:
                 raise NotCertifiedError(
-                    f"{WHERE}: {outcome.name} is {outcome.value:.6g} {outcome.unit} with plant {len(outcomes)}, "
-                    f"{outcome.ratio:.4g} times what the limit allows; expected {allowed:.4g} times; {CURE}",
+                    f"{WHERE}: {outcome.name} is {outcome.value:.6g} {outcome.unit} with plant {len(outcomes)}, a "
+                    f"ratio of {outcome.ratio:.4g} to the limit, more than {allowed:.4g}; {CURE}",
                     systems,
                 )
     back = np.eye(len(found.V))

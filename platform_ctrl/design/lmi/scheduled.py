@@ -2,7 +2,7 @@
 
 The plant is affine in parameters rho(t) of a box, for example in Omega and its products. One Lyapunov matrix serves all
 vertices, so it serves every rho in the box and every rho(t), however fast it changes; the controller at rho is the
-combination of the vertices' controllers with the convex coordinates of rho.
+convex combination of the vertices' controllers.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from platform_ctrl.analysis.arrays import StateArrays, state_arrays
+from platform_ctrl.analysis.arrays import StateArrays, named_system, state_arrays
 from platform_ctrl.analysis.certificates.certificate import Certificate, proved
 from platform_ctrl.analysis.norms import hinf_norm
 from platform_ctrl.common.arguments import positive
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from control import StateSpace
 
 WHERE = "scheduled, lmi"
-# What the certified bound may exceed the solver's level by.
+# Factors of the solver's level at which the bound is certified, tried in turn.
 SLACK = (1.0, 1.001, 1.01)
 
 
@@ -222,9 +222,7 @@ def scheduled(
         ncon=ncon,
         gamma=certificate.bound,
         gamma_optimal=found.least,
-        norms=np.array(
-            [hinf_norm(StateArrays(one.A, one.B, one.C, one.D, 0.0), allow_unstable=True)[0] for one in loops]
-        ),
+        norms=np.array([hinf_norm(loop, allow_unstable=True)[0] for loop in loops]),
         backoff=backoff,
         certificate=certificate,
         residual=found.residual,
@@ -234,7 +232,7 @@ def scheduled(
 def _certificate(
     parts: Sequence[Partition], controllers: Sequence[StateArrays], level: float, V: FloatArray, problem: object
 ) -> Certificate:
-    """The proof for all vertices with one matrix, at the level or hardly above it."""
+    """Return the proof for all vertices with one matrix, at the level or slightly above it."""
     loops = tuple(
         claimed_loop(p, K, f"vertex {number + 1}") for number, (p, K) in enumerate(zip(parts, controllers, strict=True))
     )
@@ -250,11 +248,5 @@ def _certificate(
 
 
 def _combined(systems: Sequence[StateSpace], shares: FloatArray) -> StateSpace:
-    import control
-
     mean = combined([state_arrays(system, "scheduled") for system in systems], shares)
-    first = systems[0]
-    return control.StateSpace(
-        mean.A, mean.B, mean.C, mean.D,
-        inputs=first.input_labels, outputs=first.output_labels, remove_useless_states=False,
-    )  # fmt: skip
+    return named_system(mean, systems[0].input_labels, systems[0].output_labels)

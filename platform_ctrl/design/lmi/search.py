@@ -1,8 +1,8 @@
 """The search behind `multiobjective`: the least ratio with one Lyapunov matrix, in good states, units and splits.
 
-How much a norm asks of V depends on how its bound is split between its input and its output, and only one of the
-norms may choose freely. The others' splits enter as products; a tangent to the product makes them linear, and
-solving again with the tangent at the last answer never makes the bound worse.
+The constraint of a norm on V depends on how its bound is split between its input and its output, and only one norm's
+split is free. The others' splits are products; a tangent to the product makes them linear, and solving again with the
+tangent at the last result never makes the bound worse.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ import numpy as np
 
 from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.design.lmi.bounded_real import LARGEST_SEPARATION, Pair, balancing, turned
-from platform_ctrl.design.lmi.conic import cvxpy, solve, solved
+from platform_ctrl.design.lmi.bounded_real import LARGEST_SEPARATION, Pair, balancing, coupled, turned
+from platform_ctrl.design.lmi.conic import Solver, cvxpy, solved
 from platform_ctrl.design.lmi.regions import (
     LinearLoop,
     h2_below,
@@ -30,19 +30,19 @@ from platform_ctrl.design.partition import Partition
 from platform_ctrl.design.scaling import ScaledPlant, autoscale
 from platform_ctrl.errors import IllPosedError, InfeasibleError, UnscalableError
 
-CURE = "ask for less, give a larger backoff, or take design.structured, which needs no common Lyapunov matrix"
+CURE = "relax a limit, give a larger backoff, or use design.structured, which needs no common Lyapunov matrix"
 # Tolerances: of the first solve, which finds the right states, of those that improve them, and of the last ones.
 ROUGH, MEDIUM, FINE = 1e-4, 1e-6, 1e-7
 # Norms in scaled units stay within 1/8 .. 8.
 RANGE, LEAST_GAIN = 8.0, 1e-12
-# Rounds in which states, units and splits are improved, and what a round must bring.
+# Largest number of rounds that improve states, units and splits, and the least progress of a round.
 MOST_ROUNDS, LEAST_PROGRESS = 20, 0.005
 # Largest mean eigenvalue of X and of Y, and its least multiple of what the bounds alone need.
 LARGEST_MEAN, LEAST_ROOM = 100.0, 10.0
 
 
 class Problem(NamedTuple):
-    """The scaled problem, in some states: plant, the states T that lead back, what is requested, and the splits."""
+    """The scaled problem: plant in states T, what is requested, and the splits."""
 
     plant: Partition
     scaled: ScaledPlant
@@ -50,9 +50,7 @@ class Problem(NamedTuple):
     requested: Tasks
     splits: tuple[float, ...]
     period: float
-    where: str
-    time_limit: float
-    P: Any
+    solver: Solver
 
     def limit(self, task: NormTask) -> float:
         """Return the limit of a norm in scaled units; time enters the H2 norm."""
@@ -61,7 +59,7 @@ class Problem(NamedTuple):
 
     @property
     def soft(self) -> bool:
-        """Whether a norm is soft."""
+        """Whether one of the norms is soft."""
         return any(not task.requested.hard for task in self.requested.norms)
 
     @property
@@ -71,7 +69,7 @@ class Problem(NamedTuple):
 
 
 class Found(NamedTuple):
-    """An answer of the solver: X, Y and the controller, the ratio, the ratios of all norms, where tangents touch."""
+    """A result of the solver: X, Y and the controller, the ratio, the ratios of all norms, where tangents touch."""
 
     pair: Pair
     hats: StateArrays
@@ -86,11 +84,12 @@ def posed(requested: Tasks, period: float, where: str, time_limit: float, P: obj
     scaled = autoscale(requested.plant, float(np.exp(np.mean(np.log(limits)))) if limits else 1.0)
     require_movable(scaled, [region(one, period, scaled.rate) for one in requested.regions], where, P)
     T, splits = np.diag(scaled.state), (1.0,) * len(limits)
-    return Problem(scaled.plant, scaled, T, requested, splits, period, where, time_limit, P)
+    solver = Solver(where=where, cure=CURE, time_limit=time_limit, P=P)
+    return Problem(scaled.plant, scaled, T, requested, splits, period, solver)
 
 
 def improved_problem(problem: Problem, found: Found, stride: float = 1.0) -> Problem:
-    """The same problem in better states and units, with the splits moved as far as the tangents say, times `stride`."""
+    """Return the problem in better states and units, with the splits moved along the tangents, `stride` times."""
     splits = [old * (new / old) ** stride for old, new in zip(problem.splits, found.splits, strict=True)]
     # H2 norms have another unit of time.
     sizes = [problem.limit(task) * ratio for task, ratio in zip(problem.requested.norms, found.ratios, strict=True)]
@@ -102,7 +101,7 @@ def improved_problem(problem: Problem, found: Found, stride: float = 1.0) -> Pro
 
 
 def best_ratio(problem: Problem, backoff: float) -> tuple[Problem, Found]:
-    """Good states, units and splits, and a first answer."""
+    """Return the problem in good states, units and splits, and a first result."""
     try:
         return _descended(problem, problem.goals, backoff)
     except (InfeasibleError, UnscalableError):
@@ -115,9 +114,9 @@ def best_ratio(problem: Problem, backoff: float) -> tuple[Problem, Found]:
     if found.ratio > enough:
         names = ", ".join(task.requested.name for task, one in zip(problem.requested.norms, hard, strict=True) if one)
         raise InfeasibleError(
-            f"{problem.where}: {names}: {found.ratio:.4g} times the limits can be reached with one Lyapunov matrix for "
-            f"all requirements; expected {enough:.4g} or less; {CURE}",
-            problem.P,
+            f"{problem.solver.where}: {names}: the least ratio to the limits with one Lyapunov matrix for all "
+            f"requirements is {found.ratio:.4g}, more than {enough:.4g}; {CURE}",
+            problem.solver.P,
         )
     return _descended(improved_problem(problem, found), problem.goals, backoff)
 
@@ -125,7 +124,7 @@ def best_ratio(problem: Problem, backoff: float) -> tuple[Problem, Found]:
 def _descended(
     problem: Problem, goals: tuple[bool, ...], backoff: float, enough: float = 0.0, others: bool = True
 ) -> tuple[Problem, Found]:
-    """Solve again in better states and units, with better splits, until the ratio is small enough or stays."""
+    """Solve again in better states and units, with better splits, until the ratio is small enough or constant."""
     found = minimised(problem, goals, backoff, ROUGH, others)
     stride = 1.0
     for _ in range(MOST_ROUNDS):
@@ -143,7 +142,7 @@ def _descended(
         progress = 1 - again.ratio / found.ratio
         if progress > 0 or not settled:
             problem, found = better, again
-        # Tangents are cautious: further along the way that they point, until that fails.
+        # Tangents are conservative: longer steps in their direction, until one fails.
         if progress > LEAST_PROGRESS:
             stride *= 2.0
         elif stride > 1.0:
@@ -180,9 +179,9 @@ def direct(problem: Problem) -> Any:
     if np.linalg.norm(equations @ base - wanted) > 1e-9 * max(1.0, float(np.linalg.norm(wanted))):
         names = ", ".join(task.requested.name for task in problem.requested.norms if task.h2)
         raise IllPosedError(
-            f"{problem.where}: {names}: no controller makes the direct term from w to z vanish, so that the H2 norm is "
-            "infinite; expected D11 + D12 D_K D21 = 0 for some D_K: take another channel, or a weight that rolls off",
-            problem.P,
+            f"{problem.solver.where}: {names}: the H2 norm is infinite, since D11 + D12 D_K D21 = 0 for no D_K; choose "
+            "another channel, or a weight that rolls off",
+            problem.solver.P,
         )
     if rank == equations.shape[1]:
         return np.round(base.reshape(shape), 15)
@@ -193,7 +192,7 @@ def direct(problem: Problem) -> Any:
 def constrained(
     problem: Problem, loop: LinearLoop, ratios: Sequence[Any], tighter: float, margin: float
 ) -> tuple[list[Any], list[Any]]:
-    """The requirements, norms at `ratios` (None: left out) times their limits, regions tighter; and the levels."""
+    """Return the constraints, norms at `ratios` (None: left out) times their limits, regions tighter; and levels."""
     cp = cvxpy()
     out: list[Any] = []
     pairs: list[Any] = []
@@ -216,7 +215,7 @@ def constrained(
 
 
 def tangents(problem: Problem, pairs: Sequence[Any]) -> tuple[float, ...]:
-    """Where the next tangents touch."""
+    """Return where the next tangents touch."""
     out = list(problem.splits)
     for number, levels in enumerate(pairs):
         if number and levels is not None:
@@ -227,7 +226,7 @@ def tangents(problem: Problem, pairs: Sequence[Any]) -> tuple[float, ...]:
 def minimised(
     problem: Problem, goals: tuple[bool, ...], backoff: float, tolerance: float, others: bool = True
 ) -> Found:
-    """The least ratio of the goals, with the other requirements tighter by the back-off, or without the other norms."""
+    """Return the least ratio of the goals, other requirements tighter by the back-off, or without other norms."""
     cp = cvxpy()
     X, Y, hats = _unknowns(problem)
     n = len(problem.plant.A)
@@ -236,12 +235,8 @@ def minimised(
     size = (cp.trace(X) + cp.trace(Y)) / n
     ratios = [ratio if goal else (1 / (1 + backoff) if others else None) for goal in goals]
     constraints, pairs = constrained(problem, loop, ratios, 1 + backoff, 0.0)
-    solve(
-        cp.Problem(cp.Minimize(ratio if any(goals) else size), [loop.V >> 0, ratio >= 0, *constraints]),
-        (X, Y, *_variables(hats)),
-        what=f"{problem.where}: minimising the largest ratio", time_limit=problem.time_limit, P=problem.P,
-        tolerance=tolerance, cure=CURE,
-    )  # fmt: skip
+    goal, constraints = cp.Minimize(ratio if any(goals) else size), [loop.V >> 0, ratio >= 0, *constraints]
+    problem.solver.solve(goal, constraints, (X, Y, *_variables(hats)), "minimising the largest ratio", tolerance)
     least = float(ratio.value) if any(goals) else float("nan")
     pair = Pair(gamma=least, X=X.value, Y=Y.value, separation=1.0)
     shown = tuple(least if goal else 1.0 for goal in goals)
@@ -249,11 +244,11 @@ def minimised(
 
 
 def separated(problem: Problem, found: Found, backoff: float, margin: float) -> Found:
-    """X, Y and the transformed controller farthest from X Y = I at the relaxed bounds."""
+    """Return X, Y and the transformed controller farthest from X Y = I at the relaxed bounds."""
     cp = cvxpy()
     X, Y, hats = _unknowns(problem)
     n = len(problem.plant.A)
-    t, one = cp.Variable(), np.eye(n)
+    t = cp.Variable()
     loop = output_feedback(problem.plant, X, Y, hats)
     ratio = (1 + backoff) * found.ratio if problem.requested.norms else float("nan")
     if not problem.soft and ratio > 1:
@@ -263,17 +258,14 @@ def separated(problem: Problem, found: Found, backoff: float, margin: float) -> 
     own = float(np.sqrt(np.trace(found.pair.X @ found.pair.Y) / n))
     bound = max(LARGEST_MEAN, LEAST_ROOM * own)
     constraints = [
-        cp.bmat([[X, t * one], [t * one, Y]]) >> 0,
+        coupled(X, Y, t),
         t <= LARGEST_SEPARATION,
         cp.trace(X) <= n * bound,
         cp.trace(Y) <= n * bound,
         *required,
     ]
-    solve(
-        cp.Problem(cp.Maximize(t), constraints), (X, Y, *_variables(hats)),
-        what=f"{problem.where}: separating X and Y at the ratio {ratio:.6g}",
-        time_limit=problem.time_limit, P=problem.P, tolerance=FINE, cure=CURE,
-    )  # fmt: skip
+    step = f"separating X and Y at the ratio {ratio:.6g}"
+    problem.solver.solve(cp.Maximize(t), constraints, (X, Y, *_variables(hats)), step, FINE)
     pair = Pair(gamma=ratio, X=X.value, Y=Y.value, separation=float(t.value))
     return Found(pair=pair, hats=solved(hats), ratio=ratio, ratios=tuple(ratios), splits=tangents(problem, pairs))
 

@@ -1,4 +1,4 @@
-"""From the least ratio to controllers: back off, separate X and Y, reconstruct, slow down if requested."""
+"""From the least ratio to controllers: back off, separate X and Y, reconstruct, bound the controller's poles."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.lmi.bounded_real import Pair, balancing, factors, from_linearised, lyapunov_matrix, turned
-from platform_ctrl.design.lmi.conic import cvxpy, solve
+from platform_ctrl.design.lmi.conic import cvxpy
 from platform_ctrl.design.lmi.regions import LinearLoop, output_feedback
 from platform_ctrl.design.lmi.search import (
     CURE,
@@ -45,20 +45,17 @@ def slackest(
 
     Parameters
     ----------
-    problem, plants
-        The requirements, and the scaled plants for which they have to hold.
-    ratios
-        One for each norm.
-    V
-        A matrix to start from.
-    K
-        The controller.
+    problem, plants, ratios
+        The requirements, the scaled plants for which they have to hold, and a ratio for each norm.
+    V, K
+        A matrix to start from, and the controller.
     near
-        A matrix from which that one stays within a factor, as a quadratic form.
+        A matrix from which the result differs by a factor at most, as a quadratic form.
     """
     cp = cvxpy()
     slack = cp.Variable()
-    return _solved(problem, plants, ratios, V, K, slack, cp.Maximize(slack), [slack >= 0], "looking for slack", near)
+    known = _Known(problem, plants, ratios, V, K, near)
+    return known.solved(slack, cp.Maximize(slack), [slack >= 0], "maximising slack")
 
 
 def least_ratio(
@@ -68,45 +65,43 @@ def least_ratio(
     cp = cvxpy()
     ratio = cp.Variable()
     ratios = [ratio if goal else 1 / (1 + backoff) for goal in problem.goals]
-    V = _solved(problem, plants, ratios, V, K, 0.0, cp.Minimize(ratio), [ratio >= 0], "looking for a common matrix")
+    known = _Known(problem, plants, ratios, V, K)
+    V = known.solved(0.0, cp.Minimize(ratio), [ratio >= 0], "minimising the ratio of a common matrix")
     return float(ratio.value), V
 
 
-def _solved(
-    problem: Problem,
-    plants: Sequence[Partition],
-    ratios: Sequence[Any],
-    V: FloatArray,
-    K: StateArrays,
-    slack: Any,
-    objective: Any,
-    more: list[Any],
-    what: str,
-    near: FloatArray | None = None,
-) -> FloatArray:
-    cp = cvxpy()
-    # In the states in which the last V is the identity.
-    root = np.linalg.cholesky(V).T
-    inverse = np.linalg.inv(root)
-    size = len(V)
-    new = cp.Variable((size, size), symmetric=True)
-    constraints = [new >> 1 / ROOM**2 * np.eye(size), cp.trace(new) <= size * ROOM, *more]
-    if near is not None:
-        there = inverse.T @ near @ inverse
-        constraints += [new >> there / NEAR, new << NEAR * there]
-    for plant in plants:
-        loop = closed_loop(plant, K)
-        linear = LinearLoop(
-            V=new, VA=new @ (root @ loop.A @ inverse), VB=new @ (root @ loop.B),
-            C=cp.Constant(loop.C @ inverse), D=cp.Constant(loop.D),
-        )  # fmt: skip
-        constraints += constrained(problem, linear, ratios, 1.0, slack)[0]
-    solve(
-        cp.Problem(objective, constraints), (new,),
-        what=f"{problem.where}: {what}", time_limit=problem.time_limit, P=problem.P, tolerance=FINE, cure=CURE,
-    )  # fmt: skip
-    out = root.T @ new.value @ root
-    return np.asarray(0.5 * (out + out.T))
+class _Known(NamedTuple):
+    """A known controller whose Lyapunov matrix is sought, as in `slackest`."""
+
+    problem: Problem
+    plants: Sequence[Partition]
+    ratios: Sequence[Any]
+    V: FloatArray
+    K: StateArrays
+    near: FloatArray | None = None
+
+    def solved(self, slack: Any, goal: Any, more: list[Any], step: str) -> FloatArray:
+        """Return the matrix of the best goal."""
+        cp = cvxpy()
+        # In the states in which the last V is the identity.
+        root = np.linalg.cholesky(self.V).T
+        inverse = np.linalg.inv(root)
+        size = len(self.V)
+        new = cp.Variable((size, size), symmetric=True)
+        constraints = [new >> 1 / ROOM**2 * np.eye(size), cp.trace(new) <= size * ROOM, *more]
+        if self.near is not None:
+            there = inverse.T @ self.near @ inverse
+            constraints += [new >> there / NEAR, new << NEAR * there]
+        for plant in self.plants:
+            loop = closed_loop(plant, self.K)
+            linear = LinearLoop(
+                V=new, VA=new @ (root @ loop.A @ inverse), VB=new @ (root @ loop.B),
+                C=cp.Constant(loop.C @ inverse), D=cp.Constant(loop.D),
+            )  # fmt: skip
+            constraints += constrained(self.problem, linear, self.ratios, 1.0, slack)[0]
+        self.problem.solver.solve(goal, constraints, (new,), step, FINE)
+        out = root.T @ new.value @ root
+        return np.asarray(0.5 * (out + out.T))
 
 
 class KnownMatrix:
@@ -128,9 +123,9 @@ class KnownMatrix:
     unknowns
         Variables of the problem.
     A_K
-        The controller's state matrix in some states of its own, an expression.
+        The controller's state matrix in states `own` xK, an expression.
     own : (n, n)
-        Those states from the states xK.
+        See `A_K`.
     """
 
     def __init__(self, plants: Sequence[Partition], V: FloatArray, D: Any) -> None:
@@ -140,13 +135,10 @@ class KnownMatrix:
         T = balancing(Pair(gamma=0.0, X=inverse[:n, :n], Y=V[:n, :n], separation=0.0))
         back = np.linalg.inv(T)
         X, Y = back @ inverse[:n, :n] @ back.T, T.T @ V[:n, :n] @ T
-        left, sigma, right = np.linalg.svd(np.eye(n) - Y @ X)
-        root = np.sqrt(sigma)
-        # I − Y X = N M' with columns of N and M of equal size.
-        self._N, self._M = left * root, right.T * root
+        self._N, self._M = factors(X, Y)
         self.own = np.linalg.solve(self._N, T.T @ V[:n, n:])
         nu, ny = D.shape
-        # Unknown are Â, B̂, Ĉ of the first plant, divided by the sizes of X and Y, which are large.
+        # The unknowns are Â, B̂, Ĉ of the first plant, divided by the sizes of X and Y, which are large.
         half = np.sqrt(np.diag(X))
         self.unknowns = cp.Variable((n, n)), cp.Variable((n, ny)), cp.Variable((nu, n))
         sizes = np.diag(half)
@@ -185,7 +177,7 @@ class KnownMatrix:
         )
 
 
-# Rounds, and what one must bring.
+# Largest number of rounds, and the least progress of one.
 MOST_ROUNDS, LEAST_PROGRESS = 40, 1e-3
 # Strictness of the inequalities while the controller changes, and of the bound that is met.
 MARGIN, BELOW = 1e-6, 0.999
@@ -196,7 +188,7 @@ def slowed(problem: Problem, best: Found, K: StateArrays, bound: float) -> State
     n = len(problem.plant.A)
     X, Y = best.pair.X, best.pair.Y
     V = lyapunov_matrix(X, Y, *factors(X, Y))
-    # Near the first matrix: from one to the next their condition would grow without end.
+    # Near the first matrix: otherwise the condition would grow from one to the next.
     first, W = V, V[n:, n:]
     problem = problem._replace(splits=best.splits)
     fastest = _fastest(K)
@@ -217,9 +209,9 @@ def slowed(problem: Problem, best: Found, K: StateArrays, bound: float) -> State
         return K
     rate = problem.scaled.rate
     raise InfeasibleError(
-        f"{problem.where}: the controller's fastest pole has {fastest * rate:.4g} rad/s; expected at most "
-        f"{bound * rate:.4g}, and slower ones were not found; {CURE}",
-        problem.P,
+        f"{problem.solver.where}: the controller's fastest pole has {fastest * rate:.4g} rad/s, more than "
+        f"{bound * rate:.4g}, and a slower one was not found; {CURE}",
+        problem.solver.P,
     )
 
 
@@ -228,7 +220,7 @@ def _fastest(K: StateArrays) -> float:
 
 
 def _slowest(problem: Problem, best: Found, V: FloatArray, W: FloatArray) -> StateArrays:
-    """The controller with the least r in [[−r W, W A_K], [(W A_K)', −r W]] < 0, for a known V."""
+    """Return the controller with the least r in [[−r W, W A_K], [(W A_K)', −r W]] < 0, for a known V."""
     cp = cvxpy()
     known = KnownMatrix([problem.plant], V, direct(problem))
     r = cp.Variable()
@@ -239,27 +231,19 @@ def _slowest(problem: Problem, best: Found, V: FloatArray, W: FloatArray) -> Sta
     turned = root @ known.A_K @ np.linalg.inv(root)
     eye = np.eye(len(W))
     constraints.append(cp.bmat([[r * eye, turned], [turned.T, r * eye]]) >> 0)
-    _solve(problem, cp.Problem(cp.Minimize(r), constraints), (r, *known.unknowns))
+    problem.solver.solve(cp.Minimize(r), constraints, (r, *known.unknowns), "bounding the controller's poles", FINE)
     return known.controller()
 
 
 def _own(K: StateArrays, fastest: float) -> FloatArray:
-    """W > 0 with A_K' W A_K < r² W for an r just above the fastest pole."""
+    """Return W > 0 with A_K' W A_K < r² W for an r just above the fastest pole."""
     from scipy.linalg import solve_discrete_lyapunov
 
     W = solve_discrete_lyapunov(K.A.T / (1.02 * fastest), np.eye(len(K.A)))
     return np.asarray(len(W) / np.trace(W) * 0.5 * (W + W.T))
 
 
-def _solve(problem: Problem, requested: Any, variables: tuple[Any, ...]) -> None:
-    solve(
-        requested, variables,
-        what=f"{problem.where}: bounding the controller's poles", time_limit=problem.time_limit, P=problem.P,
-        tolerance=FINE, cure=CURE,
-    )  # fmt: skip
-
-
-# Strictness of the inequalities in the last step (scaled): until everything holds.
+# Strictness of the inequalities in the last step (scaled), tried in turn.
 MARGINS = (1e-4, 1e-5, 1e-6)
 
 
@@ -282,9 +266,9 @@ def solutions(problem: Problem, backoff: float) -> Iterator[Solution | DesignErr
             found = minimised(problem, problem.goals, backoff, FINE)
             if requested.norms and not problem.soft and found.ratio >= 1:
                 raise InfeasibleError(
-                    f"{problem.where}: {found.ratio:.4g} times the limits of the norms can be reached with one "
-                    f"Lyapunov matrix for all requirements; expected less than 1; {CURE}",
-                    problem.P,
+                    f"{problem.solver.where}: the least ratio to the limits of the norms with one Lyapunov matrix for "
+                    f"all requirements is {found.ratio:.4g}, not below 1; {CURE}",
+                    problem.solver.P,
                 )
             best = separated(problem, found, backoff, margin)
             made = from_linearised(problem.plant, best.pair.X, best.pair.Y, best.hats)
@@ -297,4 +281,4 @@ def solutions(problem: Problem, backoff: float) -> Iterator[Solution | DesignErr
         except DesignError as error:
             yield error
         except np.linalg.LinAlgError as error:
-            yield UnscalableError(f"{problem.where}: {str(error).lower()}; {CURE}", problem.P)
+            yield UnscalableError(f"{problem.solver.where}: {str(error).lower()}; {CURE}", problem.solver.P)

@@ -1,4 +1,4 @@
-"""Requirements as what the inequalities need: weighted channels of a plant with their bounds, and pole regions."""
+"""Requirements in the form of the inequalities: weighted channels of a plant with their bounds, and pole regions."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ class Tasks:
         The plant, in the w-plane if it is sampled, extended by the channels' weights: its w and z are those of the
         channels, one after the other.
     norms, regions
-        What they ask.
+        The norms and pole regions.
     controller
         Bounds on the modulus of the controller's poles.
     """
@@ -73,15 +73,11 @@ class Tasks:
     regions: tuple[LoopRequirement, ...]
     controller: tuple[LoopRequirement, ...]
 
-    def with_plant(self, plant: Partition) -> Tasks:
-        """Return the same requirements of another plant."""
-        return Tasks(plant=plant, norms=self.norms, regions=self.regions, controller=self.controller)
-
 
 def tasks(P: StateSpace, plant: Partition, requirements: Sequence[LoopRequirement], where: str) -> Tasks:
     """Sort requirements and extend the plant by their channels."""
     if not requirements:
-        raise ArgumentError(f"{where}: no requirements; expected at least one, of kind {_kinds()}")
+        raise ArgumentError(f"{where}: requirements must contain at least one, of kind {_kinds()}")
     norms: list[LoopRequirement] = []
     regions: list[LoopRequirement] = []
     controller: list[LoopRequirement] = []
@@ -89,19 +85,17 @@ def tasks(P: StateSpace, plant: Partition, requirements: Sequence[LoopRequiremen
         if not isinstance(requested, LoopRequirement) or requested.kind not in (*NORMS, *REGIONS, CONTROLLER):
             kind = getattr(requested, "kind", type(requested).__name__)
             raise ArgumentError(
-                f"{where}: given a requirement of kind {kind!r}; expected {_kinds()}; for others take design.structured"
+                f"{where}: requirements must be of kind {_kinds()}, got {kind!r}; for others use design.structured"
             )
         if requested.kind in REGIONS:
             region(requested, plant.dt)
         elif requested.sense != "at most" or not (math.isfinite(requested.limit) and requested.limit > 0):
             raise ArgumentError(
-                f"{where}: {requested.name}: given {requested.sense} {requested.limit!r}; "
-                "expected at most a positive number"
+                f"{where}: {requested.name}: must be at most a positive number, got {requested.sense} "
+                f"{requested.limit!r}"
             )
         if not requested.hard and requested.kind not in NORMS:
-            raise ArgumentError(
-                f"{where}: {requested.name} is soft; expected a hard bound: only norms are minimised, poles are bounded"
-            )
+            raise ArgumentError(f"{where}: {requested.name} must be hard: only norms are minimised")
         {CONTROLLER: controller}.get(requested.kind, norms if requested.kind in NORMS else regions).append(requested)
     if norms:
         extended, placed = _extended(P, plant, norms)
@@ -117,7 +111,7 @@ def _kinds() -> str:
 def _extended(
     P: StateSpace, plant: Partition, norms: Sequence[LoopRequirement]
 ) -> tuple[Partition, tuple[NormTask, ...]]:
-    """The plant whose w and z are the weighted signals of the channels, one after the other."""
+    """Return the plant whose w and z are the weighted signals of the channels, one after the other."""
     nw, nz = plant.B1.shape[1], plant.C1.shape[0]
     names_w, names_z = P.input_labels[:nw], P.output_labels[:nz]
     n = len(plant.A)
@@ -174,15 +168,15 @@ def _extended(
 
 
 def _weight(weight: Any, size: int, where: str, period: float) -> StateArrays:
-    """A weight of `size` signals, a sampled one in the w-plane."""
+    """Return a weight of `size` signals, a sampled one in the w-plane."""
     out = weight_arrays(1.0 if weight is None else weight, size, period, where)
     if (out.D.shape[0] if where == "input_weight" else out.D.shape[1]) != size:
-        raise ArgumentError(f"{where}: of shape {out.D.shape}; expected it to fit {size} signals")
+        raise ArgumentError(f"{where}: must fit {size} signals, got shape {out.D.shape}")
     return to_w_plane(out) if period > 0 and len(out.A) else out
 
 
 def _white(weight: StateArrays, period: float) -> StateArrays:
-    """The weight behind √T / (1 + w T/2): with it the H2 norm in the w-plane is that of the sampled system."""
+    """Return the weight behind √T / (1 + w T/2): with it the H2 norm in the w-plane is that of the sampled system."""
     m = weight.B.shape[1]
     corner, eye = 2 / period, np.eye(m)
     first = StateArrays(-corner * eye, corner * eye, np.sqrt(period) * eye, np.zeros((m, m)), 0.0)

@@ -1,9 +1,9 @@
 """The contour of the Nyquist criterion through measured data: the axis, and half circles round poles that lie on it.
 
-A resonance sharper than the frequencies are dense changes the sign of the response from one frequency to the next,
-and the data between do not say on which side of the axis its pole lies. It counts as stable: between the two
-frequencies the contour leaves the axis to the right, with the response of one pole fitted to the data there. Limits
-requested on it cost nothing: what is bounded on the axis is bounded to the right of it.
+A resonance narrower than the distance of the frequencies changes the sign of the response from one frequency to the
+next, and the data do not show on which side of the axis its pole is. It counts as stable: between the two frequencies
+the contour leaves the axis to the right, with the response of one pole fitted to the data. Limits on the half circle
+are no further restriction: what is bounded on the axis is bounded to the right of it.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from platform_ctrl.analysis.arrays import ComplexArray
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import NotCertifiedError
 
-# A pole between two frequencies: the response turns by more than this, rad, and is larger than beyond by this factor.
+# A pole between two frequencies: the response turns by more than this, rad, and exceeds its neighbours by this factor.
 _TURN = np.radians(110.0)
 _PEAK = 1.5
 # Towards the pole the contour first follows the axis, halving the distance so many times.
@@ -73,12 +73,12 @@ def _measured(frequency: FloatArray, P: ComplexArray) -> Contour:
 
 
 def _jumps(P: ComplexArray) -> NDArray[np.bool_]:
-    """Whether a pole lies between two frequencies that are next to each other, (N − 1,)."""
+    """Return whether a pole is between two neighbouring frequencies, (N − 1,)."""
     U, sizes, V = np.linalg.svd(P)
     size = sizes[:, 0]
     left = size[:-1] > size[1:]
     u, v = (np.where(left[:, None], item[:-1], item[1:]) for item in (U[:, :, 0], V[:, 0]))
-    # What turns is the direction in which the larger of the two answers most.
+    # In the direction of the largest singular value of the larger response.
     here, there = (np.einsum("ki,kij,kj->k", u.conj(), item, v.conj()) for item in (P[:-1], P[1:]))
     higher = np.maximum(size[1:], size[:-1])
     beyond = np.concatenate([[0.0], size, [0.0]])
@@ -88,7 +88,7 @@ def _jumps(P: ComplexArray) -> NDArray[np.bool_]:
 
 
 def _around(w: FloatArray, P: ComplexArray, k: int) -> Contour:
-    """The contour between frequencies k and k + 1, round the pole there."""
+    """Return the contour between frequencies k and k + 1, round the pole there."""
     p = _pole(w, P, k)
     approach = 0.5 * min(p.imag - w[k], w[k + 1] - p.imag) * 0.5 ** np.arange(_HALVINGS)
     near = int(np.sum(approach > _NEAREST * (w[k + 1] - w[k])))
@@ -104,7 +104,7 @@ def _around(w: FloatArray, P: ComplexArray, k: int) -> Contour:
 
 
 def _pole(w: FloatArray, P: ComplexArray, k: int) -> complex:
-    """The pole between frequencies k and k + 1, on the axis or left of it."""
+    """Return the pole between frequencies k and k + 1, on the axis or left of it."""
     near = np.arange(max(k - 1, 0), min(k + 3, len(w)))
     if len(near) == 4:
         # P (s − p) = C0 + C1 s at four frequencies, linear in p, C0 and C1.
@@ -120,10 +120,10 @@ def _pole(w: FloatArray, P: ComplexArray, k: int) -> complex:
     return complex(0.0, w[k] + (w[k + 1] - w[k]) * size[1] / size.sum())
 
 
-# An eigenvalue that turns by more than this between two frequencies was not followed, rad.
+# Largest turn of an eigenvalue between two frequencies, rad.
 _LARGEST_TURN = np.radians(140.0)
-# How far the slope of |det P| at the lowest frequencies may lie from a whole number, and its phase from a real one,
-# rad.
+# Largest distance of the slope of |det P| at the lowest frequencies from a whole number, and of its phase from that of
+# a real number, rad.
 _SLOPE_TOLERANCE = 0.3
 _PHASE_TOLERANCE = np.radians(60.0)
 # Points between 0 and the lowest frequency at which the controller alone is followed, and how far down.
@@ -152,39 +152,36 @@ def unstable_poles(plant: Contour, controller: Controller, unstable: int = 0, in
     """
     frequency, P = plant.frequency, plant.P
     L = P @ controller(plant.s)
-    _judge_ends(frequency, L)
-    _judge_resonances(plant, L)
+    _require_gains_at_ends(frequency, L)
+    _require_gain_at_resonances(plant, L)
     turned = _below(frequency, P, L, controller, integrators)
     turned += _between(frequency, np.asarray(np.eye(P.shape[-1]) - L, dtype=np.complex128))
     turned -= float(np.angle(1.0 - np.linalg.eigvals(L[-1])).sum())
     return unstable - round(turned / np.pi)
 
 
-def _judge_ends(frequency: FloatArray, L: ComplexArray) -> None:
+def _require_gains_at_ends(frequency: FloatArray, L: ComplexArray) -> None:
     low, high = np.linalg.svd(L[0], compute_uv=False)[-1], np.abs(np.linalg.eigvals(L[-1])).max()
     if not low > 1.0:
         raise NotCertifiedError(
-            f"stability from data: at the lowest frequency, {frequency[0] * _HZ:.3g} Hz, the least gain of P K is "
-            f"{low:.2g}; "
-            "expected more than 1; measure lower frequencies, or ask for a faster loop"
+            f"stability from data: at the lowest frequency, {frequency[0] * _HZ:.3g} Hz, the least gain of P K must "
+            f"exceed 1, but is {low:.2g}; measure lower frequencies, or require a faster loop"
         )
     if not high < 1.0:
         raise NotCertifiedError(
-            f"stability from data: at the highest frequency, {frequency[-1] * _HZ:.3g} Hz, the gain of P K is "
-            f"{high:.2g}; "
-            "expected less than 1; measure higher frequencies, or bound torque_per_noise"
+            f"stability from data: at the highest frequency, {frequency[-1] * _HZ:.3g} Hz, the gain of P K must be "
+            f"below 1, but is {high:.2g}; measure higher frequencies, or limit torque_per_noise"
         )
 
 
-def _judge_resonances(plant: Contour, L: ComplexArray) -> None:
-    """The pole of the closed loop must not hide between the half circle and the axis."""
+def _require_gain_at_resonances(plant: Contour, L: ComplexArray) -> None:
+    """The closed-loop pole must not be between the half circle and the axis."""
     k = np.flatnonzero(plant.s.real > _OFF_AXIS * plant.frequency)
     weak = np.abs(np.linalg.eigvals(L[k])).max(axis=-1, initial=0.0) < 1.0
     if weak.any():
         raise NotCertifiedError(
-            f"stability from data: the loop hardly moves the resonance at {plant.frequency[k[weak][0]] * _HZ:.4g} "
-            f"Hz; expected P K "
-            "above 1 next to its pole; measure more frequencies there, or ask for resonance_damping"
+            f"stability from data: the gain of P K next to the resonance at {plant.frequency[k[weak][0]] * _HZ:.4g} "
+            "Hz must exceed 1; measure more frequencies there, or require resonance_damping"
         )
 
 
@@ -195,9 +192,8 @@ def plant_integrators(frequency: FloatArray, P: ComplexArray) -> int:
     slope = -float(np.polyfit(w, size, 1)[0])
     if abs(slope - round(slope)) > _SLOPE_TOLERANCE or round(slope) < 0:
         raise NotCertifiedError(
-            f"stability from data: below {frequency[near - 1] * _HZ:.3g} Hz det P falls like frequency to the "
-            f"{slope:.2f}; "
-            "expected a whole number; measure lower frequencies, or give integrators"
+            f"stability from data: below {frequency[near - 1] * _HZ:.3g} Hz det P must fall with a whole power of "
+            f"frequency, but falls with {slope:.2f}; measure lower frequencies, or give integrators"
         )
     return round(slope)
 
@@ -205,16 +201,15 @@ def plant_integrators(frequency: FloatArray, P: ComplexArray) -> int:
 def _below(
     frequency: FloatArray, P: ComplexArray, L: ComplexArray, controller: Controller, integrators: int | None
 ) -> float:
-    """Phase of s^k det Z from 0 to the lowest frequency, less the k quarter turns of s^k over all frequencies."""
+    """Return the phase of s^k det Z from 0 to the lowest frequency, less the k quarter turns of s^k."""
     n, w0 = P.shape[-1], frequency[0]
     k = plant_integrators(frequency, P) if integrators is None else integrators
     at_rest = np.linalg.det(-P[0]) * (1j) ** k
     of_plant = float(np.angle(at_rest**2)) / 2.0
     if abs(of_plant) > _PHASE_TOLERANCE:
         raise NotCertifiedError(
-            f"stability from data: at {w0 * _HZ:.3g} Hz the phase of s^{k} det P is {np.degrees(of_plant):.0f}° off "
-            f"0 or 180°; "
-            "expected the plant at rest; measure lower frequencies, or give integrators"
+            f"stability from data: at {w0 * _HZ:.3g} Hz the phase of s^{k} det P must be near 0 or 180°, but is "
+            f"{np.degrees(of_plant):.0f}° off; measure lower frequencies, or give integrators"
         )
     down = w0 * np.geomspace(_DEPTH, 1.0, _POINTS)
     K = np.asarray(controller(np.asarray(1j * down, dtype=np.complex128)) * down[:, None, None], dtype=np.complex128)
@@ -238,8 +233,7 @@ def _between(frequency: FloatArray, Z: ComplexArray) -> float:
     if widest[k] > _LARGEST_TURN:
         raise NotCertifiedError(
             f"stability from data: between {frequency[k] * _HZ:.4g} and {frequency[k + 1] * _HZ:.4g} Hz the phase of "
-            f"I − P K "
-            f"jumps by {np.degrees(widest[k]):.0f}°; expected less than {np.degrees(_LARGEST_TURN):.0f}°; measure more "
+            f"I − P K jumps by {np.degrees(widest[k]):.0f}°, more than {np.degrees(_LARGEST_TURN):.0f}°; measure more "
             "frequencies there"
         )
     return float(turns.sum())

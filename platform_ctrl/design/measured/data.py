@@ -7,7 +7,7 @@
 
 The first column is ``frequency_hz`` or ``frequency_rad_s``. The others are named output/input and what they hold:
 ``re`` and ``im``, or ``magnitude`` (or ``magnitude_db``) and ``phase_deg``. Lines that begin with # are comments.
-Columns are parted by commas, semicolons or tabs.
+Columns are separated by commas, semicolons or tabs.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _FREQUENCIES = {"frequency_hz": 2.0 * np.pi, "frequency_rad_s": 1.0}
 _PARTS = ("re", "im", "magnitude", "magnitude_db", "phase_deg")
 _FORMS = ({"re", "im"}, {"magnitude", "phase_deg"}, {"magnitude_db", "phase_deg"})
 _FEWEST = 3
-# No frequency and no response in whatever units is as large.
+# Largest frequency and response in any sensible units.
 _LARGEST = 1e100
 
 Line = tuple[int, list[str]]
@@ -76,32 +76,32 @@ def read_measurement(source: str | os.PathLike[str] | TextIO, *, period: float |
     unit, outputs, inputs, columns = _columns(f"{label}, line {number}", header)
     numbers = np.array([_numbers(f"{label}, line {k}", header, row) for k, row in lines])
     if len(lines) < _FEWEST:
-        raise InputError(f"{label}: {len(lines)} frequencies; expected at least {_FEWEST}")
-    _judge_frequency(label, header[0], [k for k, _ in lines], numbers[:, 0])
+        raise InputError(f"{label}: must have at least {_FEWEST} frequencies, got {len(lines)}")
+    _require_rising(label, header[0], [k for k, _ in lines], numbers[:, 0])
     frequency = unit * numbers[:, 0]
     dt = 0.0
     if period is not None:
         dt = positive("read_measurement: period", period)
         if frequency[-1] > np.pi / dt * (1.0 + 1e-9):
             raise InputError(
-                f"{label}, line {lines[-1][0]}: {header[0]} = {numbers[-1, 0]:g} lies above half the sample rate, "
-                f"{np.pi / dt / unit:g}; expected frequencies up to there"
+                f"{label}, line {lines[-1][0]}: {header[0]} must not exceed half the sample rate, "
+                f"{np.pi / dt / unit:g}, got {numbers[-1, 0]:g}"
             )
     response = np.empty((len(outputs), len(inputs), len(lines)), dtype=np.complex128)
     for (output, given_input), parts in columns.items():
         values = _value(numbers, parts)
-        _judge_values(label, [k for k, _ in lines], f"{output}/{given_input}", numbers, parts, values)
+        _require_finite(label, [k for k, _ in lines], f"{output}/{given_input}", numbers, parts, values)
         response[outputs.index(output), inputs.index(given_input)] = values
     control = import_module("control")
     return control.FRD(response, frequency, dt, inputs=inputs, outputs=outputs)
 
 
 def _lines(label: str, text: str) -> list[Line]:
-    """The lines that are neither empty nor comments, with their numbers in the file; the header is the first."""
+    """Return the lines that are neither empty nor comments, with their numbers; the header is the first."""
     numbered = enumerate(text.removeprefix("\ufeff").splitlines(), 1)
     kept = [(k, line) for k, line in numbered if line.strip() and not line.lstrip().startswith("#")]
     if not kept:
-        raise InputError(f"{label}: is empty; expected a header such as: frequency_hz,alpha9/Q9 re,alpha9/Q9 im")
+        raise InputError(f"{label}: is empty; write a header such as: frequency_hz,alpha9/Q9 re,alpha9/Q9 im")
     head = kept[0][1]
     mark = max(",;\t", key=head.count)
     out: list[Line] = []
@@ -117,9 +117,9 @@ def _lines(label: str, text: str) -> list[Line]:
 def _columns(
     where: str, header: list[str]
 ) -> tuple[float, list[str], list[str], dict[tuple[str, str], dict[str, int]]]:
-    """Unit of the frequency, names of outputs and inputs, and the columns of every pair by what they hold."""
+    """Return unit of the frequency, names of outputs and inputs, and the columns of every pair by their part."""
     if header[0] not in _FREQUENCIES:
-        raise InputError(f"{where}: the first column is {given(header[0])}; expected frequency_hz or frequency_rad_s")
+        raise InputError(f"{where}: the first column must be frequency_hz or frequency_rad_s, got {given(header[0])}")
     outputs: list[str] = []
     inputs: list[str] = []
     columns: dict[tuple[str, str], dict[str, int]] = {}
@@ -127,35 +127,34 @@ def _columns(
         pair, _, part = name.rpartition(" ")
         output, slash, an_input = (word.strip() for word in pair.partition("/"))
         if not (output and slash and an_input):
-            raise InputError(f'{where}: column {k + 1} is {given(name)}; expected a name such as "alpha9/Q9 re"')
+            raise InputError(f'{where}: column {k + 1} must have a name such as "alpha9/Q9 re", got {given(name)}')
         if part not in _PARTS:
             raise InputError(
                 f"{where}: column {k + 1} is {given(name)}, which holds {given(part)}: {suggestion(part, _PARTS)}"
             )
         held = columns.setdefault((output, an_input), {})
         if part in held:
-            raise InputError(f"{where}: {given(name)} stands there twice; expected it once")
+            raise InputError(f"{where}: the column {given(name)} occurs twice")
         held[part] = k
         outputs += [output] if output not in outputs else []
         inputs += [an_input] if an_input not in inputs else []
     if not columns:
-        raise InputError(f'{where}: there are no columns but the frequency; expected some such as "alpha9/Q9 re"')
+        raise InputError(f'{where}: the only column is the frequency; add columns such as "alpha9/Q9 re"')
     for output in outputs:
         for an_input in inputs:
             held = columns.get((output, an_input), {})
             if set(held) not in _FORMS:
                 has = f"has {', '.join(held)}" if held else "is missing"
                 raise InputError(
-                    f"{where}: {output}/{an_input} {has}; expected re and im, or magnitude (or magnitude_db) and "
-                    f"phase_deg, "
-                    "for every pair of output and input"
+                    f"{where}: every pair of output and input must have re and im, or magnitude (or magnitude_db) and "
+                    f"phase_deg, but {output}/{an_input} {has}"
                 )
     return _FREQUENCIES[header[0]], outputs, inputs, columns
 
 
 def _numbers(where: str, header: list[str], row: list[str]) -> list[float]:
     if len(row) != len(header):
-        raise InputError(f"{where}: has {len(row)} columns; expected {len(header)} as in the header")
+        raise InputError(f"{where}: must have {len(header)} columns as the header, got {len(row)}")
     out = []
     for name, cell in zip(header, row, strict=True):
         try:
@@ -163,33 +162,33 @@ def _numbers(where: str, header: list[str], row: list[str]) -> list[float]:
         except ValueError:
             number = np.nan
         if not np.isfinite(number):
-            raise InputError(f"{where}: {name} = {given(cell)}; expected a finite number")
+            raise InputError(f"{where}: {name} must be a finite number, got {given(cell)}")
         out.append(number)
     return out
 
 
-def _judge_frequency(label: str, name: str, lines: list[int], frequency: FloatArray) -> None:
+def _require_rising(label: str, name: str, lines: list[int], frequency: FloatArray) -> None:
     before = 0.0
     for line, f in zip(lines, frequency, strict=True):
         if not f > before:
-            raise InputError(f"{label}, line {line}: {name} = {f:g} after {before:g}; expected rising frequencies > 0")
+            raise InputError(f"{label}, line {line}: {name} must be > 0 and rise, got {f:g} after {before:g}")
         before = float(f)
     if before > _LARGEST:
-        raise InputError(f"{label}, line {lines[-1]}: {name} = {before:g}; expected at most {_LARGEST:g}")
+        raise InputError(f"{label}, line {lines[-1]}: {name} must be at most {_LARGEST:g}, got {before:g}")
 
 
-def _judge_values(
+def _require_finite(
     label: str, lines: list[int], pair: str, numbers: FloatArray, parts: dict[str, int], values: ComplexArray
 ) -> None:
     if "magnitude" in parts and (below := numbers[:, parts["magnitude"]] < 0.0).any():
         k = int(below.argmax())
         raise InputError(
-            f"{label}, line {lines[k]}: {pair} magnitude = {numbers[k, parts['magnitude']]:g}; expected 0 or more: "
-            "the sign belongs into phase_deg"
+            f"{label}, line {lines[k]}: {pair} magnitude must be 0 or more, got "
+            f"{numbers[k, parts['magnitude']]:g}; a sign is a phase of 180"
         )
     if (wrong := ~(np.abs(values.real) + np.abs(values.imag) < _LARGEST)).any():
         k = int(wrong.argmax())
-        raise InputError(f"{label}, line {lines[k]}: {pair} is too large a number; expected less than {_LARGEST:g}")
+        raise InputError(f"{label}, line {lines[k]}: {pair} must be less than {_LARGEST:g}")
 
 
 def _value(numbers: FloatArray, parts: dict[str, int]) -> ComplexArray:
@@ -238,33 +237,33 @@ def measured_plants(
     dead_time = positive("measured_pid: dead_time", dead_time, zero=True)
     T = 0.0 if period is None else positive("measured_pid: period", period)
     if hold and not T:
-        raise ArgumentError("measured_pid: hold = True without a period; expected the sample period of the hold in s")
+        raise ArgumentError("measured_pid: hold = True needs period, the sample period of the hold in s")
     several: list[Any] = list(measurement) if isinstance(measurement, list | tuple) else [measurement]
     if not several:
-        raise ArgumentError("measured_pid: given no measurement; expected a control.FRD or several")
+        raise ArgumentError("measured_pid: measurement must be a control.FRD or several, got none")
     frequency, response = [], []
     first = several[0]
     for k, one in enumerate(several, 1):
         where = "measured_pid: the measurement" if len(several) == 1 else f"measured_pid: measurement {k}"
         w, H, dt = _arrays(one, where)
         if dt > 0.0 and T > 0.0 and abs(dt - T) > 1e-9 * T:
-            raise ArgumentError(f"{where} has dt = {dt:g} s and period = {T:g} s; expected the same")
+            raise ArgumentError(f"{where} must have dt = period = {T:g} s, got dt = {dt:g} s")
         if dt > 0.0 and hold:
-            raise ArgumentError(f"{where} is sampled (dt = {dt:g} s), its hold is in it; expected hold = False")
+            raise ArgumentError(f"{where} is sampled (dt = {dt:g} s) and contains its hold; set hold = False")
         T = T or dt
         if H.shape[1] != H.shape[2]:
-            raise ArgumentError(f"{where} has {H.shape[1]} outputs and {H.shape[2]} inputs; expected as many of both")
+            raise ArgumentError(f"{where} must have as many outputs as inputs, got {H.shape[1]} and {H.shape[2]}")
         if list(one.input_labels) != list(first.input_labels) or list(one.output_labels) != list(first.output_labels):
             raise ArgumentError(
-                f"{where} has inputs {list(one.input_labels)} and outputs {list(one.output_labels)}, the first one "
-                f"{list(first.input_labels)} and {list(first.output_labels)}; expected the same in the same order"
+                f"{where} must have the inputs {list(first.input_labels)} and outputs {list(first.output_labels)} of "
+                f"the first one in its order, got {list(one.input_labels)} and {list(one.output_labels)}"
             )
         if T > 0.0:
             inside = w <= np.pi / T * (1.0 + 1e-9)
             w, H = w[inside], H[inside]
         if len(w) < _FEWEST_POINTS:
             raise ArgumentError(
-                f"{where} has {len(w)} frequencies below half the sample rate; expected {_FEWEST_POINTS} or more"
+                f"{where} must have {_FEWEST_POINTS} or more frequencies below half the sample rate, got {len(w)}"
             )
         size = np.abs(H).max(axis=(1, 2))
         if not (size.min() > 1.0 / _LARGEST_RESPONSE and size.max() < _LARGEST_RESPONSE):
@@ -272,8 +271,8 @@ def measured_plants(
                 (size > 1.0 / _LARGEST_RESPONSE).argmin() if size.min() <= 1.0 / _LARGEST_RESPONSE else size.argmax()
             )
             raise ArgumentError(
-                f"{where} has a response of {size[k]:.3g} at {w[k] / (2.0 * np.pi):.4g} Hz; expected rad/(N m), no "
-                f"zeros, nothing above {_LARGEST_RESPONSE:g}"
+                f"{where} must have a response in rad/(N m), not zero and below {_LARGEST_RESPONSE:g}, got "
+                f"{size[k]:.3g} at {w[k] / (2.0 * np.pi):.4g} Hz"
             )
         factor = np.exp(-1j * w * dead_time)
         if hold:
@@ -295,11 +294,11 @@ def _arrays(one: control.FRD, where: str) -> tuple[FloatArray, ComplexArray, flo
         H, w, dt = np.asarray(one.frdata), np.asarray(one.omega, dtype=np.float64), one.dt
     except AttributeError:
         raise ArgumentError(
-            f"{where} is {short(type(one).__name__)}; expected a control.FRD, see read_measurement"
+            f"{where} must be a control.FRD, see read_measurement, got {short(type(one).__name__)}"
         ) from None
     if dt is True:
-        raise ArgumentError(f"{where} is sampled without a period (dt=True); expected dt in s")
+        raise ArgumentError(f"{where} is sampled without a period (dt=True); give dt in s")
     if not (np.all(np.isfinite(H)) and np.all(np.isfinite(w)) and np.all(np.diff(w) > 0.0) and w[0] >= 0.0):
-        raise ArgumentError(f"{where} is not finite, or its frequencies do not rise from >= 0; expected both")
+        raise ArgumentError(f"{where} must be finite, with frequencies that rise from >= 0")
     kept = w > 0.0
     return w[kept], np.moveaxis(H[:, :, kept], -1, 0), float(dt or 0.0)

@@ -53,9 +53,9 @@ class ClosedLoopResponse:
     angle_per_torque : complex (N, n, n)
         P S_input, rad/(N m).
     limits
-        What was required of each, by name, (N,), in its unit; of a disk margin 1/α for ‖(S − T)/2‖.
+        The limits by name, (N,), in their units; of a disk margin 1/α for ‖(S − T)/2‖.
     ratios
-        Ratio of what is reached to what was requested, by name, (N,): at most 1.
+        Ratio of each response to its limit, by name, (N,): at most 1.
     """
 
     frequency: FloatArray
@@ -211,10 +211,10 @@ def measured_pid(
         "resonance_damping": resonance_damping,
     }
     if sensitivity_peak is None:
-        raise ArgumentError("measured_pid: sensitivity_peak = None; expected a limit: it is what keeps the loop stable")
+        raise ArgumentError("measured_pid: sensitivity_peak must be given: it keeps the loop stable")
     for name, number in (("unstable", unstable), ("integrators", integrators), ("steps", steps)):
         if not (number is None and name == "integrators") and not _whole(number):
-            raise ArgumentError(f"measured_pid: {name} = {short(number)}; expected a whole number, 0 or more")
+            raise ArgumentError(f"measured_pid: {name} must be a whole number, 0 or more, got {short(number)}")
     search = Search(
         plants, free, tau, requested, unstable, integrators, time.monotonic() + positive("time_limit", time_limit)
     )
@@ -232,22 +232,20 @@ def _filter_time(given: float | None, period: float) -> float:
         return positive("measured_pid: filter_time", given)
     if period == 0.0:
         raise ArgumentError(
-            "measured_pid: filter_time is missing; a continuous controller needs the time constant of its rate "
-            "action in s"
+            "measured_pid: filter_time must be given for a continuous controller, the time constant of its rate action"
         )
     return _SAMPLED_FILTER * period
 
 
 def _result(search: Search, gains: FloatArray, begun: FloatArray, history: FloatArray) -> MeasuredDesign:
-    """The design, everything recomputed from gains and data."""
+    """Return the design, recomputed from gains and data."""
     plants = search.plants
     worst, name, at = search.worst(gains)
     unstable = search.unstable_poles(gains)
     if worst > 1.0 or any(unstable):
         raise NotCertifiedError(
-            f"measured_pid: {name} is {worst:.6g} times its limit at {at * _HZ:.4g} Hz, {max(unstable)} unstable "
-            f"poles; expected "
-            "at most 1 and none; give more steps",
+            f"measured_pid: {name} is {worst:.6g} times its limit at {at * _HZ:.4g} Hz, with {max(unstable)} unstable "
+            "poles; give more steps",
             plants,
         )
     controller = realisation(gains, search.filter_time, plants.period)

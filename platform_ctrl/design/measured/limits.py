@@ -32,9 +32,9 @@ from platform_ctrl.errors import ArgumentError
 Bound = float | Callable[[FloatArray], FloatArray]
 
 CENTRES = {"sensitivity_peak": 0.0, "complementary_sensitivity_peak": 1.0, "disk_margin": 0.5}
-# Finite limits lie below this: their squares are numbers still.
+# Largest finite limit: its square must not overflow.
 _LARGEST = 1e100
-# Those that compare P S.
+# Limits of P S.
 OF_ANGLE = ("angle_per_torque", "resonance_damping")
 
 
@@ -78,16 +78,16 @@ def _bound(name: str, requested: Bound, frequency: FloatArray) -> FloatArray:
         m = np.broadcast_to(found.astype(np.float64), frequency.shape)
     except (TypeError, ValueError, ArithmeticError, LookupError):
         raise ArgumentError(
-            f"measured_pid: {name} is {short(requested)}; expected a number, or a function of frequencies in rad/s "
-            f"that returns as many"
+            f"measured_pid: {name} must be a number, or a function that returns one for each frequency in rad/s, got "
+            f"{short(requested)}"
         ) from None
     least = 1.0 if name in ("sensitivity_peak", "complementary_sensitivity_peak") else 0.0
     most = {"disk_margin": 2.0, "resonance_damping": 1.0}.get(name, _LARGEST)
     if not np.all((m > least) & (m < most) | (m == np.inf) & (most == _LARGEST)):
         range_of = f"> {least:g}" if most == _LARGEST else f"between {least:g} and {most:g}"
-        raise ArgumentError(f"measured_pid: {name} = {short(requested)}; expected numbers {range_of}")
+        raise ArgumentError(f"measured_pid: {name} must be {range_of}, got {short(requested)}")
     if name == "sensitivity_peak" and not np.isfinite(m).any():
-        raise ArgumentError(f"measured_pid: {name} is infinite; expected a limit: it is what keeps the loop stable")
+        raise ArgumentError(f"measured_pid: {name} must be finite: it keeps the loop stable")
     return np.asarray(1.0 / m if name == "disk_margin" else m)
 
 

@@ -57,7 +57,7 @@ def masks(pattern: Pattern | ArrayLike, n: int) -> FloatArray:
     if isinstance(pattern, str):
         one_of("measured_pid: pattern", pattern, ("full", "diagonal", "cross-axis"))
         if pattern == "cross-axis" and n != 2:
-            raise ArgumentError(f"measured_pid: pattern 'cross-axis' needs two angles, given {n}; give the masks")
+            raise ArgumentError(f"measured_pid: pattern 'cross-axis' needs two angles, got {n}; give zeros and ones")
         chosen: dict[str, tuple[FloatArray, FloatArray, FloatArray]] = {
             "full": (full, full, full),
             "diagonal": (eye, eye, eye),
@@ -71,14 +71,13 @@ def masks(pattern: Pattern | ArrayLike, n: int) -> FloatArray:
         or not np.all((given == 0) | (given == 1))
     ):
         raise ArgumentError(
-            f"measured_pid: pattern has shape {given.shape}; expected 'full', 'diagonal', 'cross-axis', or zeros and "
-            f"ones "
-            f"of shape ({n}, {n}) or (3, {n}, {n}) for the proportional, integral and derivative gains"
+            "measured_pid: pattern must be 'full', 'diagonal', 'cross-axis', or zeros and ones of shape "
+            f"({n}, {n}) or (3, {n}, {n}), got an array of shape {given.shape}"
         )
     out = np.broadcast_to(given.astype(np.float64), (3, n, n)).copy()
     random = out[1] * np.random.default_rng(0).uniform(1.0, 2.0, (n, n))
     if np.linalg.matrix_rank(random) < n:
         raise ArgumentError(
-            "measured_pid: pattern lets the integral gain be singular only; expected integral action on every angle"
+            "measured_pid: pattern makes the integral gain singular; free integral action on every angle"
         )
     return out

@@ -1,13 +1,13 @@
 """One step of the convex-concave procedure: the limits, restricted to inequalities that are linear in the gains.
 
-The least singular value of Y = Z + a I is at least r if Re(U* Y) ≥ r I for some unitary U; with the polar factor of
-the present Y nothing is lost there. So each limit becomes a set that is convex, lies within what the limit allows,
-and holds the present controller if that keeps it. Between two controllers in the same restriction Z is nowhere
-singular: the loop stays stable, as far as the measured frequencies show (Boyd, Hast and Åström, Int. J. Robust
-Nonlinear Control 26, 2016, with Z itself in place of U).
+The least singular value of Y = Z + a I is at least r if Re(U* Y) ≥ r I for some unitary U; the polar factor of the
+present Y is exact there. So each limit becomes a convex set within what the limit allows, which contains the present
+controller if that keeps the limit. Between two controllers in the same restriction Z is nowhere singular: the loop
+stays stable at the measured frequencies (Boyd, Hast and Åström, Int. J. Robust Nonlinear Control 26, 2016, with Z
+itself in place of U).
 
 Limits of the form Z* Z ≥ N* N become Z* V + V* Z − V* V ≥ N* N, true for any V; here V = ρ Z at the present controller,
-ρ ≤ 1 what it reaches over the limit.
+ρ ≤ 1 its ratio to the limit.
 """
 
 from __future__ import annotations
@@ -30,20 +30,20 @@ from platform_ctrl.errors import UnscalableError
 RESERVE = 5e-4
 # A step may bring Z at most this near to singular, as a share of its present distance over that of the limit.
 _NEAREST = 0.3
-# By how much the integral gain may grow in a step, and the solver's tolerance, tried in turn: a step has to be good,
-# not best, and what it keeps is evaluated again.
+# Largest growth of the integral gain in a step, and the solver's tolerance, tried in turn: a step need not be optimal,
+# and its result is evaluated again.
 _TRIALS = ((20.0, 1e-5), (20.0, 1e-3), (4.0, 1e-5), (4.0, 1e-3), (1.5, 1e-5), (1.5, 1e-3))
-# By how much a step may stay within the limits, as a share of them.
+# Largest reserve that a step may leave to the limits, as a share of them.
 _ROOM = 0.05
-# How many times what is requested counts as far.
+# An inequality is weighted less beyond so many times its limit.
 _FAR = 4.0
-# Worth of the integral gain, in units of the present one, while the miss is what counts.
+# Weight of the integral gain, in units of the present one, while the violation is minimised.
 _CARE = 1e-3
 
 
 @value
 class Sample:
-    """A plant at the frequencies that take part: response (N, n, n), actions (N, 3), limits there."""
+    """A plant at the frequencies of a problem: response (N, n, n), actions (N, 3), limits."""
 
     P: ComplexArray
     actions: ComplexArray
@@ -57,14 +57,14 @@ class Sample:
 
 @value
 class Step:
-    """What a step came to: gains (3, n, n), and the largest miss of a restricted limit as a share of it."""
+    """The result of a step: gains (3, n, n), and the largest violation of a restricted limit as a share of it."""
 
     gains: FloatArray
     miss: float
 
 
 class Restriction:
-    """The convex problem, made once and solved anew about each controller.
+    """The convex problem, made once and solved again about each controller.
 
     Parameters
     ----------
@@ -82,14 +82,14 @@ class Restriction:
         self.entries, self.shape = np.argwhere(free > 0.0), free.shape
         v, d = len(self.entries), self.n**2
         self.x, self.t = cp.Variable(v), cp.Variable()
-        # How far limits are missed, and that of the sensitivity, which keeps the loop stable, apart.
-        # Below zero they leave room: without an inside the solver would get stuck.
+        # Violations, that of the sensitivity, which keeps the loop stable, apart. Negative values are a reserve,
+        # without which the problem would have no interior.
         self.miss, self.near = cp.Variable(), cp.Variable()
         self.most, self.nearest = cp.Parameter(nonneg=True), cp.Parameter(nonneg=True)
         self.reward, self.price, self.least, self.growth = (cp.Parameter(nonneg=True) for _ in range(4))
         every = [limit for sample in samples for limit in sample.limits]
-        rows = d * sum(len(_sides(limit, self.n)) * int(_asked(limit).sum()) for limit in every)
-        noise_rows = 2 * d * sum(int(_asked(limit).sum()) for limit in every if limit.name == "torque_per_noise")
+        rows = d * sum(len(_sides(limit, self.n)) * int(_required(limit).sum()) for limit in every)
+        noise_rows = 2 * d * sum(int(_required(limit).sum()) for limit in every if limit.name == "torque_per_noise")
         self.slopes, self.offsets = cp.Parameter((rows, v)), cp.Parameter(rows)
         self.noise_slopes = cp.Parameter((noise_rows, v)) if noise_rows else None
         self.integral = cp.Parameter((d, v))
@@ -108,14 +108,7 @@ class Restriction:
     def step(self, gains: FloatArray, *, miss: float, time_limit: float) -> Step:
         """Return the best controller in the restriction about `gains`.
 
-        Parameters
-        ----------
-        gains
-            The present controller.
-        miss
-            By how much the limits may be missed: 0 maximises the integral gain, anything more makes the miss least.
-        time_limit
-            For the solver, s.
+        With `miss` 0 the integral gain is maximised; otherwise the violation is minimised, to at most `miss`.
         """
         scale = np.linalg.norm(gains, axis=(1, 2))
         unit = np.where(scale > 0.0, scale, scale.max())[self.entries[:, 0]]
@@ -127,7 +120,7 @@ class Restriction:
             K = controller_response(gains, sample.actions)
             dK = np.einsum("kb,vbij->kvij", sample.actions, directions)
             for limit in sample.limits:
-                at = _asked(limit)
+                at = _required(limit)
                 part = Limit(name=limit.name, bound=limit.bound[at])
                 for side in _sides(limit, self.n):
                     slope, offset, weight, least = _linearised(part, side, sample.P[at], K[at], dK[at])
@@ -150,7 +143,7 @@ class Restriction:
         self.integral.value = symmetric.reshape(len(symmetric), -1).T / float(np.linalg.norm(gains[1], 2))
         self.most.value, self.nearest.value = miss, 1.0 - _NEAREST * min(1.0, distance)
         self.reward.value, self.price.value = (_CARE, 1.0) if miss else (1.0, 0.0)
-        # While the miss is what counts the integral action may become weaker, but not vanish.
+        # While the violation is minimised the integral action may become weaker, but not vanish.
         self.least.value = 0.5 / float(np.linalg.cond(gains[1])) if miss else 0.0
         for growth, tolerance in _TRIALS:
             self.growth.value = growth
@@ -181,7 +174,7 @@ class Restriction:
         row = noise_row = 0
         for limit in every:
             slack = self.near if limit.name == "sensitivity_peak" else self.miss
-            for _ in range(len(_sides(limit, n)) * int(_asked(limit).sum())):
+            for _ in range(len(_sides(limit, n)) * int(_required(limit).sum())):
                 matrix = _square(cp, embedding @ hermitian[row : row + d], 2 * n)
                 row += d
                 if limit.name == "torque_per_noise":
@@ -199,7 +192,7 @@ def _sides(limit: Limit, n: int) -> tuple[str, ...]:
     return ("input",) if limit.name in OF_ANGLE else ("output",)
 
 
-def _asked(limit: Limit) -> NDArray[np.bool_]:
+def _required(limit: Limit) -> NDArray[np.bool_]:
     return np.isfinite(limit.bound)
 
 
@@ -220,14 +213,14 @@ def _linearised(
         slope, offset = _hermitian(_star(U)[:, None] @ dZ), _hermitian(_star(U) @ Y) - eye
         # The offset holds the present controller's part, which the unknowns bring again.
         offset = offset - _hermitian(_star(U) @ (Z - eye))
-        # Where Y is far from what is forbidden the inequality counts less: large numbers would hide the others.
+        # Far from the limit the inequality is weighted less: large numbers would hide the others.
         weight = np.minimum(1.0, _FAR * r / np.linalg.norm(Y, 2, axis=(-2, -1)))
         if limit.name == "sensitivity_peak":
             least = float((np.linalg.svd(Z, compute_uv=False)[:, -1] / r).min())
     else:
         V = np.minimum(ratios(limit, P, K), 1.0)[:, None, None] * Z
         m = limit.bound * (1.0 - RESERVE)
-        # In units of what stands on the other side.
+        # In units of the other side.
         unit = (m / np.linalg.norm(P if limit.name in OF_ANGLE else K, 2, axis=(-2, -1)))[:, None, None] ** 2
         slope, offset = (
             2.0 * unit[:, None] * _hermitian(_star(V)[:, None] @ dZ),

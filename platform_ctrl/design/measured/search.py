@@ -55,7 +55,7 @@ class Mechanics:
 
 
 def fitted_mechanics(frequency: FloatArray, P: ComplexArray) -> Mechanics:
-    """Return the mechanics that P (N, n, n) comes nearest to, by least squares of the relative error."""
+    """Return the mechanics fitted to P (N, n, n), by least squares of the relative error."""
     inside = frequency <= 0.5 * frequency[-1]
     w, H = frequency[inside], P[inside]
     return min(
@@ -95,15 +95,16 @@ def candidates(frequency: FloatArray, P: ComplexArray) -> Iterator[FloatArray]:
         yield np.array([0.0 * at_rest, -rate * frequency[-1] * at_rest, 0.0 * at_rest])
 
 
-# Frequencies of each plant that take part at first; those that turn out to be violated join.
+# Number of frequencies of each plant in the first problem, and of those with violated limits that are added at a time.
 _FIRST = 60
 _JOINING = 10
-# The gain has risen, or the miss has fallen, by less than these shares in so many steps: it is at its end.
+# The search ends where the gain rises, or the violation falls, by less than these shares in so many steps.
 _PROGRESS = 1e-2
 _NEARER = 0.01
 _PATIENCE = 2
+# A violation between the frequencies above which these are added before the search goes on.
 _BROKEN = 1.03
-# More than any restriction is missed by.
+# More than any violation.
 _ANY_MISS = 1e6
 _HALVINGS = 6
 _HZ = 1.0 / (2.0 * np.pi)
@@ -127,7 +128,7 @@ class Search:
     ) -> None:
         self.plants, self.free, self.filter_time = plants, free, filter_time
         self.unstable, self.integrators, self.end = unstable, integrators, end
-        # Why the iterations came to their end.
+        # Why the iterations ended.
         self.ended = ""
         self.contours = [contour(w, P) for w, P in zip(plants.frequency, plants.response, strict=True)]
         self.samples = [
@@ -140,13 +141,13 @@ class Search:
         return lambda s: controller_response(gains, basis(s, self.filter_time, self.plants.period))
 
     def unstable_poles(self, gains: FloatArray) -> tuple[int, ...]:
-        """Unstable poles of each closed loop."""
+        """Return the number of unstable poles of each closed loop."""
         return tuple(
             unstable_poles(path, self.controller(gains), self.unstable, self.integrators) for path in self.contours
         )
 
     def worst(self, gains: FloatArray) -> tuple[float, str, float]:
-        """Largest ratio of all limits, which limit, and at what frequency in rad/s."""
+        """Return the largest ratio of all limits, the limit's name, and the frequency in rad/s."""
         found = []
         for sample, path in zip(self.samples, self.contours, strict=True):
             K = controller_response(gains, sample.actions)
@@ -162,12 +163,11 @@ class Search:
         if given is not None:
             gains = real_array("measured_pid: start", given, (3, n, n))
             if np.any(gains[self.free == 0.0]):
-                raise ArgumentError("measured_pid: start has gains that the pattern leaves out; expected zeros there")
+                raise ArgumentError("measured_pid: start must be zero where the pattern is zero")
             unstable = self.unstable_poles(gains)
             if any(unstable):
                 raise NotStabilisableError(
                     f"measured_pid: with the given start the closed loop has {max(unstable)} unstable poles; "
-                    f"expected none; "
                     "leave start out, or give weaker gains",
                     self.plants,
                 )
@@ -190,9 +190,8 @@ class Search:
         if best is None:
             why = f"; for the strongest one: {undecided}" if undecided else ""
             raise NotStabilisableError(
-                "measured_pid: none of the weak controllers read from the data is seen to stabilise every plant; "
-                "give start, the "
-                f"gains (3, {n}, {n}) of one that does{why}",
+                "measured_pid: none of the weak controllers derived from the data provably stabilises every plant; "
+                f"give start, the gains (3, {n}, {n}) of one that does{why}",
                 self.plants,
             )
         return best[1]
@@ -221,9 +220,8 @@ class Search:
                 worst, name, at = self.worst(gains)
                 raise InfeasibleError(
                     f"measured_pid: {name} is {worst:.3g} times its limit at {at * _HZ:.4g} Hz after "
-                    f"{len(history) - 1} steps, "
-                    "and no step brings every limit nearer; expected at most 1; loosen it, free more gains, or give "
-                    "another start",
+                    f"{len(history) - 1} steps, and no step reduces it; loosen it, free more gains, or give another "
+                    "start",
                     self.plants,
                 )
             step = restriction.step(gains, miss=_ANY_MISS, time_limit=self._left())
@@ -258,9 +256,7 @@ class Search:
     def _left(self) -> float:
         left = self.end - time.monotonic()
         if left <= 0.0:
-            raise TimeLimitError(
-                "measured_pid: the time is over; give a larger time_limit, or fewer steps", self.plants
-            )
+            raise TimeLimitError("measured_pid: time_limit is exceeded; give a larger one, or fewer steps", self.plants)
         return left
 
     def _stable_part(self, old: FloatArray, new: FloatArray) -> FloatArray:
@@ -275,7 +271,7 @@ class Search:
             except NotCertifiedError as error:
                 failure = str(error)
         raise NotCertifiedError(
-            f"measured_pid: no part of a step is seen to keep the loop stable: {failure}", self.plants
+            f"measured_pid: no part of a step provably keeps the loop stable: {failure}", self.plants
         )
 
     def _record(self, gains: FloatArray) -> Record:

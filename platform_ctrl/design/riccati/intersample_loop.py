@@ -86,12 +86,12 @@ def caging_plant(job: Job, controller: control.StateSpace) -> tuple[control.Stat
     torques, angles = list(controller.output_labels), list(controller.input_labels)
     unknown = [name for name in torques if name not in torquers]
     if unknown:
-        raise ArgumentError(f"controller: {unknown[0]!r} is no torquer of the plant; expected {', '.join(torquers)}")
+        raise ArgumentError(f"controller: its outputs must be among {', '.join(torquers)}, got {unknown[0]!r}")
     used = [torquers[name] for name in torques]
     whole = state_space(linearise(job.platform), gimbals=[str(t.gimbal) for t in used])
     unseen = [name for name in angles if name not in whole.output_labels]
     if unseen:
-        raise ArgumentError(f"controller: {unseen[0]!r} is no angle of this loop; expected {list(whole.output_labels)}")
+        raise ArgumentError(f"controller: its inputs must be among {list(whole.output_labels)}, got {unseen[0]!r}")
     P = state_arrays(whole[angles, [*torques, *OMEGA_NAMES, *torques]], "caging_plant")
     m, p = len(torques), len(angles)
     lags = np.concatenate([np.zeros(m + 3), [t.lag for t in used]])
