@@ -204,7 +204,7 @@ def test_python_control_agrees_on_the_closed_real_loop(gyro, loop):
 
 
 def test_the_figure_shows_both_branches_the_critical_point_and_the_disk(loop):
-    from platform_ctrl.report.plots.two_sided import two_sided_nyquist as drawn
+    from platform_ctrl.report.plots.nyquist import two_sided_nyquist as drawn
     from platform_ctrl.report.style import settings
 
     with settings():

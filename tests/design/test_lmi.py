@@ -450,10 +450,10 @@ def test_a_caging_loop_follows_omega_for_little():
 def test_lists_are_expected_where_single_things_are_given():
     H = requirement("H-infinity norm", 1.0, hard=False)
     P = spring(1.0)
-    with pytest.raises(ArgumentError, match="given a LoopRequirement; expected a sequence, each"):
+    with pytest.raises(ArgumentError, match="must be a sequence, each a LoopRequirement, got a LoopRequirement"):
         design.multiobjective(P, 1, 1, H)
     with pytest.raises(ArgumentError, match="plants must be a sequence, each a StateSpace, got a StateSpace"):
         design.robust(P, 1, 1, [H])
     for names in ("k", ["k", "k"], []):
-        with pytest.raises(ArgumentError, match=r"must be a list of different names|expected a sequence of names"):
+        with pytest.raises(ArgumentError, match=r"names must be a (list of different names|sequence)"):
             design.scheduled(lambda rho: P, names, [0.5] * len(names), [1.0] * len(names), 1, 1)

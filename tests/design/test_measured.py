@@ -410,5 +410,5 @@ def test_arguments_that_make_no_sense_are_named(measured, design):
     continuous = control.FRD(measured.frdata, w)
     with pytest.raises(ArgumentError, match="filter_time must be given"):
         measured_pid(continuous)
-    with pytest.raises(ArgumentError, match="hold = True without a period"):
+    with pytest.raises(ArgumentError, match="hold = True needs period"):
         measured_pid(continuous, hold=True)

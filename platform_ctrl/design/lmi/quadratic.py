@@ -8,7 +8,7 @@ Nothing is assumed about D11, D12 and D21. The inequalities are evaluated again 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -168,10 +168,12 @@ def mean_plant(plants: Sequence[Partition]) -> Partition:
 
 def weighted_mean(plants: Sequence[Partition], weights: ArrayLike) -> Partition:
     """Return a convex combination of plants."""
+    shares = np.asarray(weights)
     names = ("A", "B1", "B2", "C1", "C2", "D11", "D12", "D21", "D22")
-    return Partition(
-        **{name: np.tensordot(weights, np.array([getattr(one, name) for one in plants]), axes=1) for name in names}
-    )
+    parts: dict[str, Any] = {
+        name: np.tensordot(shares, np.array([getattr(one, name) for one in plants]), axes=1) for name in names
+    }
+    return Partition(**parts)
 
 
 def _strict(vertices: Sequence[Partition], best: Pair, gain: float, solver: Solver) -> dict[str, float]:
