@@ -21,17 +21,17 @@ import numpy as np
 
 from platform_ctrl.analysis.arrays import StateArrays, named_system
 from platform_ctrl.analysis.norms import hinf_norm
+from platform_ctrl.design.fixed_structure.norm import ClosedLoop
+from platform_ctrl.design.fixed_structure.pid import PID
+from platform_ctrl.design.fixed_structure.result import least_norm
+from platform_ctrl.design.fixed_structure.run import Goal, Limits, Problem
+from platform_ctrl.design.fixed_structure.side_by_side import best_found
+from platform_ctrl.design.fixed_structure.structures import Static
+from platform_ctrl.design.fixed_structure.synthesis import structured
 from platform_ctrl.design.partition import Partition, channels, closed_loop, partition
 from platform_ctrl.design.plants import loop_plants, rows_of
 from platform_ctrl.design.riccati.weighted_loop import WeightedPlant, hinf_options, signal_names, weighted_plant
 from platform_ctrl.design.scaling import autoscale
-from platform_ctrl.design.structured.norm import ClosedLoop
-from platform_ctrl.design.structured.pid import PID
-from platform_ctrl.design.structured.result import least_norm
-from platform_ctrl.design.structured.run import Goal, Limits, Problem
-from platform_ctrl.design.structured.side_by_side import best_found
-from platform_ctrl.design.structured.structures import Static
-from platform_ctrl.design.structured.synthesis import structured
 from platform_ctrl.errors import PlatformCtrlError
 from platform_ctrl.job.reading import read_job
 from platform_ctrl.mechanics.linearisation import linearise

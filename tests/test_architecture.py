@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import importlib
+import inspect
 import json
 import os
+import pkgutil
 import re
 import subprocess
 import sys
@@ -13,6 +16,7 @@ from pathlib import Path
 import pytest
 
 import platform_ctrl as pc
+from public_modules import names
 
 HOUSE = Path(__file__).resolve().parent.parent
 HEAVY = {"clarabel", "control", "cvxpy", "jinja2", "matplotlib", "numba", "rich", "scipy", "sympy", "typer"}
@@ -55,6 +59,13 @@ def test_the_compiler_and_what_is_optional_are_loaded_by_what_uses_them_alone() 
 def test_every_public_name_is_there_and_listed(name: str) -> None:
     assert getattr(pc, name) is not None
     assert name in dir(pc)
+
+
+def test_no_public_name_hides_a_module_of_its_package() -> None:
+    for module in names.MODULES:
+        found = importlib.import_module(module)
+        inside = {one.name for one in pkgutil.iter_modules(getattr(found, "__path__", []))}
+        assert not {name for name, item in names.names(module).items() if not inspect.ismodule(item)} & inside, module
 
 
 def test_a_name_that_does_not_exist_is_an_attribute_error() -> None:

@@ -20,7 +20,7 @@ from contract_calls import cases, instance
 from platform_ctrl import analysis, design
 from platform_ctrl.analysis.arrays import state_arrays
 from platform_ctrl.analysis.poles import is_stable
-from platform_ctrl.analysis.sampled import bilinear_to_continuous, bilinear_to_discrete
+from platform_ctrl.analysis.sampling import bilinear_to_continuous, bilinear_to_discrete
 from platform_ctrl.design.classical.crossover import CrossoverDesign
 from platform_ctrl.design.loop import LoopDesign
 from public_modules import described

@@ -7,7 +7,7 @@ which may have leading batch axes in the functions that a tuner calls. Systems a
 
 from __future__ import annotations
 
-from platform_ctrl.analysis.bandwidth import bandwidth
+from platform_ctrl.analysis.bandwidths import bandwidth
 from platform_ctrl.analysis.channel import Channel
 from platform_ctrl.analysis.feedback import (
     closed_loop,
@@ -25,8 +25,8 @@ from platform_ctrl.analysis.poles import (
     damping,
 )
 from platform_ctrl.analysis.response import frequency_response
-from platform_ctrl.analysis.sampled import sampled
-from platform_ctrl.analysis.time_response import time_response
+from platform_ctrl.analysis.sampling import sampled
+from platform_ctrl.analysis.time_responses import time_response
 
 __all__ = [
     "Channel",

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from platform_ctrl.analysis.arrays import StateArrays, state_arrays, state_scaling
-from platform_ctrl.analysis.sampled import split_delay
+from platform_ctrl.analysis.sampling import split_delay
 from platform_ctrl.common.signatures import short
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError

@@ -12,7 +12,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from platform_ctrl.analysis.bandwidth import LEVEL, bandwidth_of_response, bandwidth_of_sensitivity
+from platform_ctrl.analysis.bandwidths import LEVEL, bandwidth_of_response, bandwidth_of_sensitivity
 from platform_ctrl.analysis.channel import Channel
 from platform_ctrl.analysis.loop_set import S_INPUT, S_OUTPUT, Indices, LoopSet, SingleLoop, Transfer
 from platform_ctrl.analysis.norms import PEAK_TOLERANCE, WHOLE, Band, exceeds, gains, peak, resonances
@@ -57,7 +57,7 @@ class MetricRequest:
 
 
 # Derivatives for the structured tuner: (its closed loops, limit in SI units, lowest ratio of interest, plants) →
-# pieces, as the methods of `design.structured.loops.ClosedLoops` return them.
+# pieces, as the methods of `design.fixed_structure.loops.ClosedLoops` return them.
 Gradient = Callable[[Any, float, float, Any], Any]
 
 

@@ -16,7 +16,7 @@ from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, scaled
 from platform_ctrl.analysis.poles import continuous_poles
 from platform_ctrl.analysis.resolvent import AxisResponse
 from platform_ctrl.analysis.response import frequency_response
-from platform_ctrl.analysis.sampled import to_w_plane
+from platform_ctrl.analysis.sampling import to_w_plane
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from platform_ctrl.analysis.arrays import StateArrays, named_system, state_arrays
 from platform_ctrl.analysis.loop_metrics import LoopMetrics
-from platform_ctrl.analysis.sampled import from_w_plane, to_w_plane
+from platform_ctrl.analysis.sampling import from_w_plane, to_w_plane
 from platform_ctrl.app.background import Made
 from platform_ctrl.app.caged import CachedMetrics, CagedLoop
 from platform_ctrl.app.controllers import DesignOptions, built_directly, classical_arrays

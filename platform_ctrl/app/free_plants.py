@@ -18,7 +18,7 @@ from platform_ctrl.analysis.norms import peak
 from platform_ctrl.analysis.poles import continuous_poles, poles
 from platform_ctrl.analysis.resolvent import ON_A_GRID, AxisResponse
 from platform_ctrl.analysis.response import frequency_response
-from platform_ctrl.analysis.sampled import held_input, sampled
+from platform_ctrl.analysis.sampling import held_input, sampled
 from platform_ctrl.app.curves import EDGE, GRID_POINTS, arrays_of
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.plants import changed

@@ -8,6 +8,9 @@ from platform_ctrl.design.antiwindup.loop import limited_loop
 from platform_ctrl.design.classical.complex_coordinates import complex_plant
 from platform_ctrl.design.classical.complex_shaping import complex_loop
 from platform_ctrl.design.classical.crossover import from_crossover_and_margin
+from platform_ctrl.design.fixed_structure.pid import PID
+from platform_ctrl.design.fixed_structure.structures import Lead, Notch, Series, StateSpaceOrder, Static
+from platform_ctrl.design.fixed_structure.synthesis import structured
 from platform_ctrl.design.jobs import loops
 from platform_ctrl.design.lmi.caging import scheduled_caging
 from platform_ctrl.design.lmi.multiobjective import multiobjective
@@ -19,9 +22,6 @@ from platform_ctrl.design.riccati.h2 import h2
 from platform_ctrl.design.riccati.lq import lqe, lqg, lqr
 from platform_ctrl.design.riccati.pole_placement import pole_placement
 from platform_ctrl.design.riccati.sampled_hinf import sampled_hinf
-from platform_ctrl.design.structured.pid import PID
-from platform_ctrl.design.structured.structures import Lead, Notch, Series, StateSpaceOrder, Static
-from platform_ctrl.design.structured.synthesis import structured
 from platform_ctrl.design.synthesis import hinf
 
 __all__ = [

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from platform_ctrl.analysis.arrays import StateArrays, state_arrays
-from platform_ctrl.analysis.sampled import from_w_plane, to_w_plane
+from platform_ctrl.analysis.sampling import from_w_plane, to_w_plane
 from platform_ctrl.common.signatures import short
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError

@@ -11,7 +11,7 @@ import numpy as np
 
 from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.plant_set import Group, PlantSet, plant_set
-from platform_ctrl.analysis.sampled import held_input, sampled, sampled_states
+from platform_ctrl.analysis.sampling import held_input, sampled, sampled_states
 from platform_ctrl.common.arguments import known_name
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError, InputError

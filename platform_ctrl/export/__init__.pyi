@@ -8,4 +8,4 @@ from .matlab import read_mat as read_mat
 from .matlab import write_mat as write_mat
 from .mujoco.mjcf_reader import read_mjcf as read_mjcf
 from .mujoco.mjcf_writer import write_mjcf as write_mjcf
-from .system_record import system_record as system_record
+from .system_records import system_record as system_record

@@ -17,7 +17,7 @@ from platform_ctrl.common.values import FloatArray, input_value
 from platform_ctrl.design.loop import sampled_plant
 from platform_ctrl.design.plants import plants_of
 from platform_ctrl.export.csv_responses import response_data
-from platform_ctrl.export.system_record import SystemRecord, signal_units, system_record
+from platform_ctrl.export.system_records import SystemRecord, signal_units, system_record
 from platform_ctrl.job.job import Faults, Job, Uncertainty
 from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.mechanics.state_space import state_space

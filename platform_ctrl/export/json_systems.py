@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from platform_ctrl.common.json_text import write_json
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.errors import InputError
-from platform_ctrl.export.system_record import MOST_SYSTEMS, SystemRecord, expect_systems, system_of, system_record
+from platform_ctrl.export.system_records import MOST_SYSTEMS, SystemRecord, expect_systems, system_of, system_record
 from platform_ctrl.plant.mistakes import given
 from platform_ctrl.plant.source import path_of, read_json
 from platform_ctrl.verification.records import SCHEMA

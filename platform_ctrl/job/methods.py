@@ -292,9 +292,9 @@ register_method(
 register_method(
     DesignMethod(
         key="structured",
-        design="platform_ctrl.design.structured.caging:structured_design",
+        design="platform_ctrl.design.fixed_structure.caging:structured_design",
         options=_STRUCTURED,
-        defaults="platform_ctrl.design.structured.caging:default_options",
+        defaults="platform_ctrl.design.fixed_structure.caging:default_options",
         advice="weaker limits, or another structure",
         structures=("cross-axis", "pid", "state-space"),
         goals=True,

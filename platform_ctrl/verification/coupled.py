@@ -20,7 +20,7 @@ from platform_ctrl.analysis.margins import DiskMargin, disk_margin, loop_margins
 from platform_ctrl.analysis.metrics import METRICS
 from platform_ctrl.analysis.norms import noise_rms
 from platform_ctrl.analysis.poles import continuous_poles, poles, spectral_abscissa
-from platform_ctrl.analysis.sampled import sampled
+from platform_ctrl.analysis.sampling import sampled
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.text import at_most
 from platform_ctrl.common.values import FloatArray, value

@@ -10,7 +10,7 @@ from platform_ctrl import analysis
 from platform_ctrl.analysis.arrays import StateArrays, state_arrays
 from platform_ctrl.analysis.feedback import closed_loop
 from platform_ctrl.analysis.norms import hinf_norm, stationary_covariance
-from platform_ctrl.analysis.sampled import bilinear_to_discrete, held_input, sampled
+from platform_ctrl.analysis.sampling import bilinear_to_discrete, held_input, sampled
 from platform_ctrl.errors import ArgumentError
 
 

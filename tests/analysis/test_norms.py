@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 from platform_ctrl import PlatformCtrlError, analysis
 from platform_ctrl.analysis.arrays import StateArrays
-from platform_ctrl.analysis.bandwidth import bandwidth_of_response
-from platform_ctrl.analysis.sampled import bilinear_to_continuous, bilinear_to_discrete
+from platform_ctrl.analysis.bandwidths import bandwidth_of_response
+from platform_ctrl.analysis.sampling import bilinear_to_continuous, bilinear_to_discrete
 from platform_ctrl.analysis.singular_values import largest_singular_values
 from platform_ctrl.common.values import FloatArray
 

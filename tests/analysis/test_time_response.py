@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from platform_ctrl import PlatformCtrlError, analysis
-from platform_ctrl.analysis.time_response import Hold
+from platform_ctrl.analysis.time_responses import Hold
 from platform_ctrl.common.values import FloatArray
 
 

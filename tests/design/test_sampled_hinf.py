@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from platform_ctrl import analysis
-from platform_ctrl.analysis.sampled import bilinear_to_discrete, held_input
+from platform_ctrl.analysis.sampling import bilinear_to_discrete, held_input
 from platform_ctrl.design.riccati.sampled_hinf import sampled_hinf
 from platform_ctrl.design.synthesis import hinf
 from platform_ctrl.errors import ArgumentError, IllPosedError, NotStabilisableError

@@ -14,13 +14,13 @@ import pytest
 from platform_ctrl import analysis, design
 from platform_ctrl.analysis.channel import Channel
 from platform_ctrl.analysis.poles import is_stable
-from platform_ctrl.analysis.sampled import bilinear_to_discrete
+from platform_ctrl.analysis.sampling import bilinear_to_discrete
+from platform_ctrl.design.fixed_structure.norm import ClosedLoop, augmented
+from platform_ctrl.design.fixed_structure.objective import WorstNorm, WorstPower
+from platform_ctrl.design.fixed_structure.parametrised import Parametrised
+from platform_ctrl.design.fixed_structure.result import StructuredDesign
+from platform_ctrl.design.fixed_structure.structures import Structure, Units
 from platform_ctrl.design.partition import Partition, partition
-from platform_ctrl.design.structured.norm import ClosedLoop, augmented
-from platform_ctrl.design.structured.objective import WorstNorm, WorstPower
-from platform_ctrl.design.structured.parametrised import Parametrised
-from platform_ctrl.design.structured.result import StructuredDesign
-from platform_ctrl.design.structured.structures import Structure, Units
 from platform_ctrl.design.synthesis import Synthesis
 from platform_ctrl.errors import ArgumentError, NotFoundError, NotStabilisableError, TimeLimitWarning
 from platform_ctrl.job.requirements import requirement
@@ -254,7 +254,7 @@ def test_bounds_ties_and_fixed_numbers_are_kept() -> None:
 
 
 def test_starts_side_by_side_find_the_same_as_one_after_another(monkeypatch: pytest.MonkeyPatch) -> None:
-    from platform_ctrl.design.structured import side_by_side
+    from platform_ctrl.design.fixed_structure import side_by_side
 
     monkeypatch.setattr(side_by_side, "_WORTH_PROCESSES", 0.0)
     P, nmeas, ncon = problem("REA2")
@@ -286,7 +286,7 @@ def test_the_result_does_not_depend_on_how_fast_the_clock_runs(monkeypatch: pyte
 
 
 def test_a_process_that_dies_loses_no_start(monkeypatch: pytest.MonkeyPatch) -> None:
-    from platform_ctrl.design.structured import side_by_side
+    from platform_ctrl.design.fixed_structure import side_by_side
 
     def dies(*_: object, **options: object) -> None:
         raise OSError
@@ -301,7 +301,7 @@ def test_a_process_that_dies_loses_no_start(monkeypatch: pytest.MonkeyPatch) -> 
 
 
 def test_the_search_ends_with_the_start_that_comes_to_the_full_order_bound(monkeypatch: pytest.MonkeyPatch) -> None:
-    from platform_ctrl.design.structured import side_by_side
+    from platform_ctrl.design.fixed_structure import side_by_side
 
     P, nmeas, ncon = problem("AC17")
     one = design.structured(P, nmeas, ncon, structure=design.Static(), starts=6, processes=1)
@@ -433,7 +433,7 @@ def test_two_masses_with_uncertain_spring_decay_by_a_strictly_proper_controller_
 def test_none_found_is_not_infeasible_and_says_where_the_poles_of_the_loop_are(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    from platform_ctrl.design.structured import orders
+    from platform_ctrl.design.fixed_structure import orders
 
     monkeypatch.setattr(orders, "_STARTS", 3)
     plants = [two_masses(k) for k in STIFFNESS]
@@ -452,10 +452,10 @@ def test_none_found_is_not_infeasible_and_says_where_the_poles_of_the_loop_are(
 
 @pytest.mark.parametrize(("evaluations", "deadline", "most"), [(70, np.inf, 70), (10**6, -np.inf, 0)])
 def test_controllers_of_every_order_are_sought_within_the_limits(evaluations: int, deadline: float, most: int) -> None:
+    from platform_ctrl.design.fixed_structure.orders import Orders
+    from platform_ctrl.design.fixed_structure.run import Limits
+    from platform_ctrl.design.fixed_structure.structures import Units
     from platform_ctrl.design.partition import partition
-    from platform_ctrl.design.structured.orders import Orders
-    from platform_ctrl.design.structured.run import Limits
-    from platform_ctrl.design.structured.structures import Units
 
     plants = [partition(two_masses(k), 1, 1) for k in STIFFNESS]
     units = Units(gain=np.ones((1, 1)), rate=1.0)
@@ -467,7 +467,7 @@ def test_controllers_of_every_order_are_sought_within_the_limits(evaluations: in
 
 
 def test_a_lower_order_is_a_start_of_the_next() -> None:
-    from platform_ctrl.design.structured.orders import low_passed, with_state
+    from platform_ctrl.design.fixed_structure.orders import low_passed, with_state
 
     rng = np.random.default_rng(3)
     n, ny, nu = 2, 2, 3

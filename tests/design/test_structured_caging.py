@@ -12,25 +12,25 @@ from platform_ctrl.analysis import loop_set
 from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.loop_metrics import measure
 from platform_ctrl.design.classical.caging import classical_controller, starting_values
-from platform_ctrl.design.partition import channels
-from platform_ctrl.design.plants import plants_of, rows_of
-from platform_ctrl.design.structured.caging import (
+from platform_ctrl.design.fixed_structure.caging import (
     classical_structure,
     free_structure,
     of_order,
     pid_structure,
     without_integrators,
 )
-from platform_ctrl.design.structured.descent import finer
-from platform_ctrl.design.structured.goals import pieces
-from platform_ctrl.design.structured.loops import ClosedLoops, at_least
-from platform_ctrl.design.structured.maps import (
+from platform_ctrl.design.fixed_structure.descent import finer
+from platform_ctrl.design.fixed_structure.goals import pieces
+from platform_ctrl.design.fixed_structure.loops import ClosedLoops, at_least
+from platform_ctrl.design.fixed_structure.maps import (
     CONTROLLER,
     S_OUTPUT,
     map_of,
     torque_per_Omega,
 )
-from platform_ctrl.design.structured.starts import balanced_truncation
+from platform_ctrl.design.fixed_structure.starts import balanced_truncation
+from platform_ctrl.design.partition import channels
+from platform_ctrl.design.plants import plants_of, rows_of
 from platform_ctrl.errors import DesignError
 from platform_ctrl.job.reading import read_job
 from platform_ctrl.job.requirements import WORST_CASE, requirement

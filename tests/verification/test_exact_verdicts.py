@@ -21,11 +21,11 @@ from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.app.free_plants import StabilisedLoop, corners, free_models, free_plants
 from platform_ctrl.app.stabilised import requirements
 from platform_ctrl.cli import main
+from platform_ctrl.design.fixed_structure.descent import Search
+from platform_ctrl.design.fixed_structure.loops import ClosedLoops
+from platform_ctrl.design.fixed_structure.parametrised import Parametrised
+from platform_ctrl.design.fixed_structure.structures import Named, Units
 from platform_ctrl.design.partition import notch, side_by_side
-from platform_ctrl.design.structured.descent import Search
-from platform_ctrl.design.structured.loops import ClosedLoops
-from platform_ctrl.design.structured.parametrised import Parametrised
-from platform_ctrl.design.structured.structures import Named, Units
 from platform_ctrl.design.tuning import tune, worst_ratio
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.reading import read_job

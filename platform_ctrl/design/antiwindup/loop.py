@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.arrays import StateArrays, state_arrays
 from platform_ctrl.analysis.poles import poles, spectral_radius
-from platform_ctrl.analysis.sampled import held_input, sampled, with_lag
+from platform_ctrl.analysis.sampling import held_input, sampled, with_lag
 from platform_ctrl.common.arguments import known_name, not_negative, positive, real_numbers
 from platform_ctrl.common.signatures import check_arguments, short
 from platform_ctrl.common.values import FloatArray, value

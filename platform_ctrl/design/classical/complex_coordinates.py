@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, named_system, state_arrays
-from platform_ctrl.analysis.sampled import sampled, with_lag
+from platform_ctrl.analysis.sampling import sampled, with_lag
 from platform_ctrl.common.arguments import positive, real_numbers
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray, value

@@ -18,7 +18,7 @@ from platform_ctrl.analysis.certificates.plant_set import margin_certificates
 from platform_ctrl.analysis.feedback import At, closed_loop_with_sensitivity
 from platform_ctrl.analysis.norms import hinf_norm
 from platform_ctrl.analysis.poles import poles, spectral_radius
-from platform_ctrl.analysis.sampled import sampled
+from platform_ctrl.analysis.sampling import sampled
 from platform_ctrl.common.arguments import positive
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import value

@@ -15,7 +15,7 @@ from platform_ctrl.analysis.certificates.makers import h2_certificate, norm_cert
 from platform_ctrl.analysis.certificates.plant_set import region_certificate
 from platform_ctrl.analysis.channel import Channel, weight_arrays
 from platform_ctrl.analysis.feedback import series
-from platform_ctrl.analysis.sampled import to_w_plane
+from platform_ctrl.analysis.sampling import to_w_plane
 from platform_ctrl.common.arguments import known_name
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.lmi.regions import REGIONS, region

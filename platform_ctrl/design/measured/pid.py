@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
-from platform_ctrl.analysis.sampled import from_w_plane
+from platform_ctrl.analysis.sampling import from_w_plane
 from platform_ctrl.common.arguments import one_of
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.design.structured.pid import PID
+from platform_ctrl.design.fixed_structure.pid import PID
 from platform_ctrl.errors import ArgumentError
 
 Pattern = Literal["full", "diagonal", "cross-axis"]

@@ -8,7 +8,7 @@ import numpy as np
 
 from platform_ctrl.analysis.arrays import StateArrays, named_system, state_arrays
 from platform_ctrl.analysis.intersample import intersample_norm
-from platform_ctrl.analysis.sampled import with_lag
+from platform_ctrl.analysis.sampling import with_lag
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import value
 from platform_ctrl.errors import ArgumentError

@@ -30,7 +30,7 @@ import numpy as np
 from platform_ctrl.analysis.arrays import StateArrays, named_system, state_arrays
 from platform_ctrl.analysis.feedback import series
 from platform_ctrl.analysis.plant_set import PlantSet
-from platform_ctrl.analysis.sampled import from_w_plane, to_w_plane
+from platform_ctrl.analysis.sampling import from_w_plane, to_w_plane
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.loop import Designed, LoopProblem, completed
 from platform_ctrl.design.partition import Channels, between

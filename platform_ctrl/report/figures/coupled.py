@@ -12,7 +12,7 @@ from platform_ctrl.analysis.feedback import gang
 from platform_ctrl.analysis.frequency_grids import following_grid
 from platform_ctrl.analysis.poles import continuous_poles
 from platform_ctrl.analysis.response import frequency_response
-from platform_ctrl.analysis.sampled import sampled
+from platform_ctrl.analysis.sampling import sampled
 from platform_ctrl.common.arguments import positive
 from platform_ctrl.common.text import at_least
 from platform_ctrl.common.values import FloatArray

@@ -13,7 +13,7 @@ from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, scaled, sta
 from platform_ctrl.analysis.feedback import closed_loop, loop_transfer
 from platform_ctrl.analysis.pole_branches import Poles, pole_branches, refined_values
 from platform_ctrl.analysis.poles import continuous_poles
-from platform_ctrl.analysis.sampled import sampled, with_lag
+from platform_ctrl.analysis.sampling import sampled, with_lag
 from platform_ctrl.analysis.transfer_function import LinearSystem
 from platform_ctrl.common.arguments import known_names, positive, real_numbers
 from platform_ctrl.common.signatures import short

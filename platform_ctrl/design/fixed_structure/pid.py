@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.common.values import FloatArray, input_value
-from platform_ctrl.design.structured.structures import (
+from platform_ctrl.design.fixed_structure.structures import (
     Mask,
     Parameter,
     Structure,

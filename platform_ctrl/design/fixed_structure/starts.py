@@ -10,9 +10,9 @@ from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.norms import stationary_covariance
 from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.common.values import FloatArray
+from platform_ctrl.design.fixed_structure.norm import ClosedLoop, augmented
+from platform_ctrl.design.fixed_structure.parametrised import Parametrised
 from platform_ctrl.design.partition import Partition
-from platform_ctrl.design.structured.norm import ClosedLoop, augmented
-from platform_ctrl.design.structured.parametrised import Parametrised
 
 # Hankel singular values below this share of the largest say nothing.
 _NEGLIGIBLE = 1e-7

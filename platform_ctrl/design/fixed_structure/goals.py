@@ -27,8 +27,8 @@ from numpy.typing import NDArray
 from platform_ctrl.analysis.loop_set import Transfer
 from platform_ctrl.analysis.measuring import ControllerGain, Peak
 from platform_ctrl.analysis.plant_set import PlantSet
-from platform_ctrl.design.structured.loops import ClosedLoops, Pieces, joined
-from platform_ctrl.design.structured.maps import CONTROLLER, Map, map_of, torque_per_Omega
+from platform_ctrl.design.fixed_structure.loops import ClosedLoops, Pieces, joined
+from platform_ctrl.design.fixed_structure.maps import CONTROLLER, Map, map_of, torque_per_Omega
 from platform_ctrl.job.requirements import LoopRequirement
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.common.arguments import known_name
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.design.structured.structures import Given, Parameter, Structure, Units, joined
+from platform_ctrl.design.fixed_structure.structures import Given, Parameter, Structure, Units, joined
 from platform_ctrl.errors import ArgumentError
 
 # Step of the differences that give second derivatives, in search coordinates.

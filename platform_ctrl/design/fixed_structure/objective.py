@@ -9,8 +9,8 @@ from typing import Protocol
 import numpy as np
 
 from platform_ctrl.common.values import FloatArray
+from platform_ctrl.design.fixed_structure.norm import ClosedLoop, ComplexArray
 from platform_ctrl.design.partition import Partition
-from platform_ctrl.design.structured.norm import ClosedLoop, ComplexArray
 
 # Share of its distance to the stability boundary that a pole may lose in one step, to first order.
 _APPROACH = 0.95

@@ -17,17 +17,17 @@ from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.feedback import series
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.response import frequency_response
-from platform_ctrl.analysis.sampled import to_w_plane
+from platform_ctrl.analysis.sampling import to_w_plane
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.classical.caging import TUNABLE, classical_controller, starting_values, upper_bounds
+from platform_ctrl.design.fixed_structure.descent import Found, Search
+from platform_ctrl.design.fixed_structure.parametrised import Parametrised
+from platform_ctrl.design.fixed_structure.pid import PID
+from platform_ctrl.design.fixed_structure.starts import balanced_truncation
+from platform_ctrl.design.fixed_structure.structures import Named, Sampled, Series, StateSpaceOrder, Units
 from platform_ctrl.design.loop import Designed, LoopProblem, completed
 from platform_ctrl.design.partition import Channels, between, first_order, side_by_side
 from platform_ctrl.design.riccati.weighted_loop import hinf_design
-from platform_ctrl.design.structured.descent import Found, Search
-from platform_ctrl.design.structured.parametrised import Parametrised
-from platform_ctrl.design.structured.pid import PID
-from platform_ctrl.design.structured.starts import balanced_truncation
-from platform_ctrl.design.structured.structures import Named, Sampled, Series, StateSpaceOrder, Units
 from platform_ctrl.errors import DesignError
 from platform_ctrl.job.job import DesignSpec, Structure
 from platform_ctrl.job.requirements import LoopRequirement, hard_and_soft, requirement

@@ -18,8 +18,8 @@ from collections.abc import Callable
 import numpy as np
 
 from platform_ctrl.common.values import FloatArray, value
-from platform_ctrl.design.structured.quadratic import damped_update, least_maximum
-from platform_ctrl.design.structured.quasi_newton import Stopped, descended
+from platform_ctrl.design.fixed_structure.quadratic import damped_update, least_maximum
+from platform_ctrl.design.fixed_structure.quasi_newton import Stopped, descended
 
 # x -> values (k,) and gradients (k, n) of the pieces near the maximum; [inf] where there is none.
 Pieces = Callable[[FloatArray], tuple[FloatArray, FloatArray]]

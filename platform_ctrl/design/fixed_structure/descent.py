@@ -16,18 +16,18 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from platform_ctrl.analysis.arrays import StateArrays
-from platform_ctrl.analysis.bandwidth import LEVEL
+from platform_ctrl.analysis.bandwidths import LEVEL
 from platform_ctrl.analysis.frequency_grids import tuning_grid
 from platform_ctrl.analysis.loop_metrics import measure
 from platform_ctrl.analysis.loop_set import LoopSet
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.common.values import FloatArray, value
-from platform_ctrl.design.structured.goals import pieces
-from platform_ctrl.design.structured.loops import ClosedLoops, Numbers
-from platform_ctrl.design.structured.maps import largest
-from platform_ctrl.design.structured.parametrised import Parametrised
-from platform_ctrl.design.structured.quadratic import damped_update, least_maximum
+from platform_ctrl.design.fixed_structure.goals import pieces
+from platform_ctrl.design.fixed_structure.loops import ClosedLoops, Numbers
+from platform_ctrl.design.fixed_structure.maps import largest
+from platform_ctrl.design.fixed_structure.parametrised import Parametrised
+from platform_ctrl.design.fixed_structure.quadratic import damped_update, least_maximum
 from platform_ctrl.job.requirements import LoopRequirement
 
 # What is not stable is worse than anything else.

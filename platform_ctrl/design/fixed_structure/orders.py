@@ -14,12 +14,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from platform_ctrl.common.values import FloatArray, value
+from platform_ctrl.design.fixed_structure.norm import augmented
+from platform_ctrl.design.fixed_structure.parametrised import Parametrised
+from platform_ctrl.design.fixed_structure.quasi_newton import Stopped, descended
+from platform_ctrl.design.fixed_structure.run import Limits
+from platform_ctrl.design.fixed_structure.structures import StateSpaceOrder, Units
 from platform_ctrl.design.partition import Partition
-from platform_ctrl.design.structured.norm import augmented
-from platform_ctrl.design.structured.parametrised import Parametrised
-from platform_ctrl.design.structured.quasi_newton import Stopped, descended
-from platform_ctrl.design.structured.run import Limits
-from platform_ctrl.design.structured.structures import StateSpaceOrder, Units
 
 # Random starts of one order, and most iterations of the descent from each.
 _STARTS, _ITERATIONS = 32, 600

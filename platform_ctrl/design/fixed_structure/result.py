@@ -12,9 +12,9 @@ from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, state_array
 from platform_ctrl.analysis.certificates import Certificate
 from platform_ctrl.analysis.certificates.makers import norm_certificate, stability_certificate
 from platform_ctrl.common.values import FloatArray, value
+from platform_ctrl.design.fixed_structure.structures import Structure
 from platform_ctrl.design.lower_bounds import h2_lower_bound, hinf_lower_bound
 from platform_ctrl.design.partition import Partition, whole
-from platform_ctrl.design.structured.structures import Structure
 from platform_ctrl.design.synthesis import Synthesis, hinf
 from platform_ctrl.errors import DesignError, TimeLimitError
 from platform_ctrl.job.judging import CheckResult

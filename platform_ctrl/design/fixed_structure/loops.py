@@ -1,6 +1,6 @@
 """A controller closed around every plant of a set, with derivatives: responses, singular values, poles, noise.
 
-The formulas stand in `platform_ctrl.design.structured.goals`.
+The formulas stand in `platform_ctrl.design.fixed_structure.goals`.
 """
 
 from __future__ import annotations
@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
-from platform_ctrl.analysis.bandwidth import LEVEL
+from platform_ctrl.analysis.bandwidths import LEVEL
 from platform_ctrl.analysis.norms import stationary_covariance
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.poles import continuous_poles
 from platform_ctrl.common.values import FloatArray, value
-from platform_ctrl.design.structured.maps import (
+from platform_ctrl.design.fixed_structure.maps import (
     S_INPUT,
     S_OUTPUT,
     Map,

@@ -15,7 +15,7 @@ import numpy as np
 
 from platform_ctrl.common.processes import ProcessTimeout, TaskProcess, next_result
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.design.structured.run import Limits, Outcome, Problem, answered, divides, searched
+from platform_ctrl.design.fixed_structure.run import Limits, Outcome, Problem, answered, divides, searched
 
 # Work below this is done sooner here than processes start, s.
 _WORTH_PROCESSES = 4.0

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 
 from platform_ctrl.common.values import FloatArray, value
+from platform_ctrl.design.fixed_structure.minimax import Minimum, Pieces, minimise
+from platform_ctrl.design.fixed_structure.norm import second_order
+from platform_ctrl.design.fixed_structure.objective import Parametrisation, Rescaled, WorstNorm, WorstPower, step_sizes
+from platform_ctrl.design.fixed_structure.parametrised import Parametrised
+from platform_ctrl.design.fixed_structure.quasi_newton import Descent, Stopped, descended
 from platform_ctrl.design.partition import Partition
-from platform_ctrl.design.structured.minimax import Minimum, Pieces, minimise
-from platform_ctrl.design.structured.norm import second_order
-from platform_ctrl.design.structured.objective import Parametrisation, Rescaled, WorstNorm, WorstPower, step_sizes
-from platform_ctrl.design.structured.parametrised import Parametrised
-from platform_ctrl.design.structured.quasi_newton import Descent, Stopped, descended
 
 
 class Chart:

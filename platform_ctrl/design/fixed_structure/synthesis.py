@@ -18,16 +18,16 @@ from platform_ctrl.analysis.arrays import StateArrays, state_arrays
 from platform_ctrl.common.arguments import whole as whole_number
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray, value
+from platform_ctrl.design.fixed_structure.norm import augmented
+from platform_ctrl.design.fixed_structure.orders import Orders
+from platform_ctrl.design.fixed_structure.parametrised import Parametrised
+from platform_ctrl.design.fixed_structure.result import Bound, SearchRecord, StructuredDesign, full_order
+from platform_ctrl.design.fixed_structure.run import Goal, Limits, Outcome, Problem
+from platform_ctrl.design.fixed_structure.side_by_side import best_found
+from platform_ctrl.design.fixed_structure.starts import Fit, around, fits, scattered, truncated
+from platform_ctrl.design.fixed_structure.structures import StateSpaceOrder, Structure, Units
 from platform_ctrl.design.partition import Partition, closed_loop, in_w_plane, out_of_w_plane, partition
 from platform_ctrl.design.scaling import autoscale, require_stabilisable
-from platform_ctrl.design.structured.norm import augmented
-from platform_ctrl.design.structured.orders import Orders
-from platform_ctrl.design.structured.parametrised import Parametrised
-from platform_ctrl.design.structured.result import Bound, SearchRecord, StructuredDesign, full_order
-from platform_ctrl.design.structured.run import Goal, Limits, Outcome, Problem
-from platform_ctrl.design.structured.side_by_side import best_found
-from platform_ctrl.design.structured.starts import Fit, around, fits, scattered, truncated
-from platform_ctrl.design.structured.structures import StateSpaceOrder, Structure, Units
 from platform_ctrl.design.synthesis import require_time_limit
 from platform_ctrl.errors import ArgumentError, NotCertifiedError, NotFoundError, TimeLimitError, TimeLimitWarning
 from platform_ctrl.job.requirements import LoopRequirement
