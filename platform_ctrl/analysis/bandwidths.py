@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     import control
 
 LEVEL = math.sqrt(0.5)
-# Frequencies that are looked at together.
+# Frequencies that are evaluated together.
 _PART = 100
 
 

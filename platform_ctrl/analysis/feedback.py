@@ -1,4 +1,4 @@
-"""Loops closed: u = K y, torque = K(pick-off), no hidden sign.
+"""Closed loops with positive feedback, u = +K y: torque = K(pick-off).
 
 ::
 

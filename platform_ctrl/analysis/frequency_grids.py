@@ -14,7 +14,7 @@ import numpy as np
 from platform_ctrl.analysis.arrays import ComplexArray
 from platform_ctrl.common.values import FloatArray
 
-# Sampled systems are looked at up to this share of the Nyquist frequency.
+# Grids of sampled systems end at this share of the Nyquist frequency.
 _LAST = 0.999
 # Points below, around and above the nutation frequency: for a search, and for one that misses no resonance.
 _COUNTS, _FINE_COUNTS = (15, 60, 15), (15, 130, 25)

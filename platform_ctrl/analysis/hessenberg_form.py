@@ -1,4 +1,4 @@
-"""A system in the states that `resolvent` wants: one chain of states for each input, from that input on.
+"""A system in the states that `resolvent` needs: one chain of states for each input, from that input on.
 
 An orthogonal change of states turns b into beta e1 and A into Hessenberg form, by Householder's reflections (Golub and
 Van Loan, Matrix Computations, sec. 7.4). Short chains are found side by side, a register of them at a time.

@@ -47,7 +47,7 @@ ROUNDED, ROUNDED_ENTRY = 2.0**-18, 2.0**-12
 class HessenbergRefinement:
     """D + C (z I - A)^-1 B of a system with two states or more by elimination in Hessenberg form, refined.
 
-    `lacks` (n,) is the low-order part of the diagonal of A in double-double precision; A = Q H Q'.
+    `A_low` (n,) is the low-order part of the diagonal of A in double-double precision; A = Q H Q'.
     """
 
     def __init__(
@@ -56,13 +56,13 @@ class HessenbergRefinement:
         B: FloatArray,
         C: FloatArray,
         D: FloatArray,
-        lacks: FloatArray,
+        A_low: FloatArray,
         H: FloatArray,
         Q: FloatArray,
     ) -> None:
         n = len(A)
         self._columns, self._Q = np.ascontiguousarray(H.T), Q
-        self._A, self._B, self._D, self._lacks = A, B, D, lacks
+        self._A, self._B, self._D, self._A_low = A, B, D, A_low
         # In the states of the Hessenberg form.
         self._driven, self._seen = self._Q.T @ B, C @ self._Q
         self._weights = np.linalg.norm(C, axis=1)
@@ -72,11 +72,11 @@ class HessenbergRefinement:
         self._middle, self._end = _parted(self._rest, self._bits - 1, axis=1)
 
     def at(
-        self, z: ComplexArray, beyond: ComplexArray, tolerated: float, least: float
+        self, z: ComplexArray, z_low: ComplexArray, tolerated: float, least: float
     ) -> tuple[ComplexArray, NDArray[np.int64]]:
         """Return the response at z (N,), (m, p, N), and the points at which the error may exceed `tolerated`.
 
-        `beyond` is the low-order part of z in double-double precision. The response is inf at a pole z = 0. Entries
+        `z_low` is the low-order part of z in double-double precision. The response is inf at a pole z = 0. Entries
         that are much smaller than the solution they are formed from may be inaccurate. Errors due to the finite
         precision of A itself are not reported.
         """
@@ -85,19 +85,19 @@ class HessenbergRefinement:
         for first in range(0, N, CHUNK):
             part = slice(first, min(first + CHUNK, N))
             with np.errstate(all="ignore"):  # at a pole
-                found[:, :, part], short[part] = self._refined(z[part], beyond[part], tolerated, least)
+                found[:, :, part], short[part] = self._refined(z[part], z_low[part], tolerated, least)
                 again = first + np.flatnonzero(short[part])
                 if again.size:
-                    found[:, :, again], short[again] = self._refined(z[again], beyond[again], tolerated, least, True)
+                    found[:, :, again], short[again] = self._refined(z[again], z_low[again], tolerated, least, True)
         return found, np.flatnonzero(short)
 
     def _refined(
-        self, z: ComplexArray, beyond: ComplexArray, tolerated: float, least: float, precise: bool = False
+        self, z: ComplexArray, z_low: ComplexArray, tolerated: float, least: float, precise: bool = False
     ) -> tuple[ComplexArray, NDArray[np.bool_]]:
         (p, m), (n, _), count = self._D.shape, self._B.shape, len(z)
         N = -(-count // LANES) * LANES
         points = np.empty((4, N))
-        points[:, :count] = z.real, z.imag, beyond.real, beyond.imag
+        points[:, :count] = z.real, z.imag, z_low.real, z_low.imag
         # Unused lanes repeat the last point.
         points[:, count:] = points[:, count - 1 : count]
         # Axes of these arrays: states (or outputs), real and imaginary part, inputs, points.
@@ -111,7 +111,7 @@ class HessenbergRefinement:
         for step in range(STEPS):
             product, product_low = self._product(x, low, precise)
             solution, image = (_lanes(x), _lanes(low)), (_lanes(product), _lanes(product_low))
-            _residuals(_lanes(points), *solution, *image, self._B, self._lacks, _lanes(residual))
+            _residuals(_lanes(points), *solution, *image, self._B, self._A_low, _lanes(residual))
             change = _times(self._Q.T, residual)
             self._solve(points, change)
             entries, added = self._entries(product[n:], product_low[n:], change)
@@ -131,7 +131,7 @@ class HessenbergRefinement:
             if not going.any() or step == STEPS - 1:
                 break
             x, low = _exact_sums(x, low + _times(self._Q, change))
-        self._at_rest(z, beyond, found)
+        self._at_rest(z, z_low, found)
         return found[:, :, :count].swapaxes(0, 1), short[:count]
 
     def _product(self, x: FloatArray, low: FloatArray, precise: bool) -> tuple[FloatArray, FloatArray]:
@@ -147,12 +147,12 @@ class HessenbergRefinement:
         more += again + _times(self._top, end) + _times(self._middle, middle + end) + _times(self._end, x)
         return product, more
 
-    def _at_rest(self, z: ComplexArray, beyond: ComplexArray, found: ComplexArray) -> None:
+    def _at_rest(self, z: ComplexArray, z_low: ComplexArray, found: ComplexArray) -> None:
         """Write inf where z = 0 is a pole: elimination finds A exactly singular."""
         from scipy.linalg.lapack import dgetrf
 
-        rest = np.flatnonzero((z == 0.0) & (beyond == 0.0))
-        if rest.size and not np.any(self._lacks) and dgetrf(self._A)[2] > 0:
+        rest = np.flatnonzero((z == 0.0) & (z_low == 0.0))
+        if rest.size and not np.any(self._A_low) and dgetrf(self._A)[2] > 0:
             found[:, :, rest] = np.inf
 
     def _solve(self, points: FloatArray, numbers: FloatArray) -> None:
@@ -209,7 +209,7 @@ def _residuals(
     product: FloatArray,
     product_low: FloatArray,
     B: FloatArray,
-    lacks: FloatArray,
+    A_low: FloatArray,
     residual: FloatArray,
 ) -> None:
     """Put B - (z I - A) x into `residual`, from A x in double-double precision; z (4, N) with its low-order part."""
@@ -222,10 +222,13 @@ def _residuals(
                 zr, zi = load(z, block, None), load(z, blocks + block, None)
                 xr, xi = load(x, real, None), load(x, imaginary, None)
                 low_r, low_i = load(low, real, None), load(low, imaginary, None)
-                beyond_r, beyond_i = lacks[i] - load(z, 2 * blocks + block, None), -load(z, 3 * blocks + block, None)
+                rest_r, rest_i = (
+                    A_low[i] - load(z, 2 * blocks + block, None),
+                    -load(z, 3 * blocks + block, None),
+                )
                 zero = 0.0 * zr
-                re_low = (beyond_r * xr - beyond_i * xi) - (zr * low_r - zi * low_i)
-                im_low = (beyond_r * xi + beyond_i * xr) - (zr * low_i + zi * low_r)
+                re_low = (rest_r * xr - rest_i * xi) - (zr * low_r - zi * low_i)
+                im_low = (rest_r * xi + rest_i * xr) - (zr * low_i + zi * low_r)
                 re, more = exact_sum(load(product, real, None), zero + B[i, j])
                 re_low += load(product_low, real, None) + more
                 im, im_low = load(product, imaginary, None), im_low + load(product_low, imaginary, None)

@@ -21,7 +21,7 @@ from platform_ctrl.errors import ArgumentError
 _BANDWIDTH = MetricRequest(kind="bandwidth")
 # Metrics that are kept for the nominal plant alone, and those that are kept for every plant.
 _OF_NOMINAL, _OF_ALL = ("bandwidth", "torque noise"), ("stability", "damping", "disk margin")
-# What `measure` measures without being asked for it.
+# What `measure` always measures.
 ALWAYS_MEASURED = ("stability", "bandwidth", "disk margin", "damping", "torque noise")
 
 _FIRST = np.zeros(1, dtype=np.intp)
@@ -48,7 +48,7 @@ class LoopMetrics:
     torque_noise : (m,)
         Nominal rms of the torques from pick-off noise, N m; infinite where the loop is unstable.
     groups
-        What each plant stands for, as in `PlantSet`.
+        What each plant represents, as in `PlantSet`.
     exact
         Whether peaks, bandwidths and margins are taken over all frequencies: the worst of every group of plants that
         a request is about is then exact, and the others are no worse than it. Else they are the largest at the

@@ -135,7 +135,7 @@ def _no_worse(loops: LoopSet, request: Request, k: int, bound: float) -> bool:
 
 
 def _key(request: Request) -> tuple[str, float | None, Channel | None]:
-    """Return what a value is of, whatever plants it is asked of."""
+    """Return the key of a value: its request without the plants."""
     return request.kind, request.frequency, request.channel
 
 

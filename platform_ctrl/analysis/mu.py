@@ -76,7 +76,7 @@ def _largest_eigenvalue(Q: ComplexArray | FloatArray, M: ComplexArray | FloatArr
 def search_grid(system: StateArrays, s: ComplexArray, known: int = 0) -> FloatArray:
     """Return frequencies that follow the closed loop's poles, and some a decade between and beyond them.
 
-    Fewer where `known` others, a hundred or more, are looked at anyway: a peak between them is found by its proof.
+    Fewer where `known` others, a hundred or more, are evaluated anyway: a peak between them is found by its proof.
     """
     few = known >= 100
     finite = s[np.isfinite(s)]
@@ -93,7 +93,7 @@ def search_grid(system: StateArrays, s: ComplexArray, known: int = 0) -> FloatAr
     return np.unique(np.concatenate([[0.0], own[(own >= low) & (own <= high)], fill]))
 
 
-# Relative amount by which mu may exceed its peak between the frequencies that were looked at, once that is proved.
+# Relative amount by which mu may exceed its peak between the frequencies that were evaluated, once that is proved.
 SLACK = 1e-4
 # Where a climb looks between two frequencies.
 FAN = np.linspace(0.0, 1.0, 13)
@@ -105,7 +105,7 @@ class MuPeak:
     Attributes
     ----------
     mu, frequency
-        Upper bound of mu at the highest frequency that was looked at.
+        Upper bound of mu at the highest frequency that was evaluated.
     D, Q : (m,)
         The scalings of that bound, and the phases that reach the lower one.
     M : complex (m, m)
@@ -136,12 +136,12 @@ class MuPeak:
         """Return the response, (N, m, m); at infinite frequency the direct term."""
         return self.axis.response(frequency)
 
-    def climb(self, grid: FloatArray, mu: FloatArray, hills: int = 3) -> None:
-        """Refine the highest local maxima of `mu` on `grid` side by side, the hopeful ones to the end."""
+    def climb(self, grid: FloatArray, mu: FloatArray, count: int = 3) -> None:
+        """Refine the highest local maxima of `mu` on `grid` side by side, the highest of them to the end."""
         padded = np.concatenate([[-np.inf], mu, [-np.inf]])
         tops = np.flatnonzero((padded[1:-1] >= padded[:-2]) & (padded[1:-1] >= padded[2:]))
         tops = tops[mu[tops] >= 0.7 * mu.max()]
-        tops = tops[np.argsort(-mu[tops])][:hills]
+        tops = tops[np.argsort(-mu[tops])][:count]
         left, right = grid[np.maximum(tops - 1, 0)], grid[np.minimum(tops + 1, len(grid) - 1)]
         for step in range(6):
             fan = left[:, None] + (right - left)[:, None] * FAN
@@ -150,19 +150,19 @@ class MuPeak:
                 fan[:, len(FAN) // 2] = grid[tops]
                 fan.sort(axis=1)
             found = self.bounds(fan.ravel()).upper.reshape(fan.shape)
-            hopeful = found.max(axis=1) >= 0.999 * self.mu
-            fan, at = fan[hopeful], found[hopeful].argmax(axis=1)
+            high = found.max(axis=1) >= 0.999 * self.mu
+            fan, at = fan[high], found[high].argmax(axis=1)
             row = np.arange(len(fan))
             below, above = np.maximum(at - 1, 0), np.minimum(at + 1, fan.shape[1] - 1)
             left, right = fan[row, below], fan[row, above]
-            lowest = np.minimum(found[hopeful][row, below], found[hopeful][row, above])
+            lowest = np.minimum(found[high][row, below], found[high][row, above])
             if np.all(lowest >= self.mu * (1.0 - 1e-8)):
                 break
 
     def prove(self, slack: float = SLACK, most: int = 80) -> bool:
         """Show that mu exceeds its peak nowhere by more than `slack`; climb where it does.
 
-        The end of the axis has to have been looked at.
+        The end of the axis has to have been evaluated.
 
         With D fixed, the Hamiltonian of D (S + ...) D^-1 shows where its gain exceeds the peak; another D is needed
         only there (Ferreres, Magni and Biannic, Int. J. Robust Nonlinear Control 13, 2003).

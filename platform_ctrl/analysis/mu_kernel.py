@@ -29,7 +29,7 @@ from platform_ctrl.analysis.mu_centre import (
 from platform_ctrl.common.simd import compiled, internal
 from platform_ctrl.common.values import FloatArray
 
-# Steps of the power iteration from one start, and after how many it is looked at.
+# Steps of the power iteration from one start, and after how many it is checked.
 STEPS, CHECKED, LOOKS = 48, 3, 6
 
 

@@ -1,6 +1,6 @@
 """Norms of systems: H-infinity with its frequency, H2, and the rms that sampled white noise causes.
 
-Between the frequencies at which the gain has been looked at, `phase_bound` says where it may be the largest; more of
+Between the frequencies at which the gain is known, `phase_bound` says where it may be the largest; more of
 them are taken until it is nowhere higher than the best. Where that takes too many (gains that hardly depend on
 frequency), the H-infinity norm follows Bruinsma and Steinbuch (Systems & Control Letters 14, 1990) and Boyd and
 Balakrishnan (ibid. 15, 1990): the eigenvalues of a Hamiltonian matrix show where the largest singular value crosses a
@@ -190,7 +190,7 @@ def _by_crossings(
 def resonances(s: ComplexArray, few: bool = False) -> FloatArray:
     """Return frequencies, rad/s, at which poles s can make peaks: |Im s| and about |Re s| around it, and |s|.
 
-    Few of them, of those in the upper half-plane, will do where what lies between is looked at too.
+    Few of them, of those in the upper half-plane, suffice where what lies between is evaluated too.
     """
     s = s[np.isfinite(s) & (s.imag >= 0.0)]
     centre, width = np.abs(s.imag), np.abs(s.real)

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 BoolArray = NDArray[np.bool_]
 
-# What a plant of a set stands for: the nominal one; other parameters; another platform rate; a part that fails.
+# What a plant of a set represents: the nominal one; other parameters; another platform rate; a part that fails.
 Group = Literal["nominal", "uncertainty", "Omega", "faults"]
 
 
@@ -39,7 +39,7 @@ class PlantSet:
     period
         Of the samples, s.
     labels, groups
-        What each plant is, and what it stands for: ``"nominal"``, ``"uncertainty"``, ``"Omega"`` or ``"faults"``.
+        What each plant is, and what it represents: ``"nominal"``, ``"uncertainty"``, ``"Omega"`` or ``"faults"``.
     torques, angles
         Names of the m inputs and p outputs.
     B_Omega : (N, n, 3)
@@ -152,10 +152,6 @@ class PlantSet:
         -------
         (N,)
             Truth values.
-
-        Notes
-        -----
-        The arguments are not judged: other names have no members.
         """
         return members(self.groups, groups)
 
@@ -201,10 +197,6 @@ class PlantSet:
         -------
         PlantSet
             With the same signals and grid.
-
-        Notes
-        -----
-        The arguments are not judged: an index out of range is an `IndexError`.
         """
         index = np.asarray(chosen, dtype=np.intp)
         return dataclasses.replace(
@@ -240,7 +232,7 @@ def plant_set(
     torque_limit: FloatArray | None = None,
     states: Sequence[str] | None = None,
 ) -> PlantSet:
-    """Return the set, its responses worked out once on `tuning_grid`.
+    """Return the set, its responses computed once on `tuning_grid`.
 
     Without `groups` the first plant is the nominal one and the others have uncertain parameters; without the rest the
     platform does not turn and the torquers have no limits.
@@ -248,7 +240,7 @@ def plant_set(
     grid = tuning_grid(nutation, plants.dt)
     others: list[Group] = ["uncertainty" for _ in labels[1:]]
     B_Omega = np.zeros((*plants.A.shape[:-1], 3)) if B_Omega is None else B_Omega
-    # Both together: what is worked out for each plant, and each of its angles, is then worked out once.
+    # Both together: what depends on the plant and on its angles alone is then computed once.
     m = plants.B.shape[-1]
     B = np.concatenate([plants.B, B_Omega], axis=-1)
     D = np.concatenate([plants.D, np.zeros((*plants.D.shape[:-1], 3))], axis=-1)

@@ -36,8 +36,8 @@ from platform_ctrl.common.values import FloatArray
 STEPS = 11
 # What the next step may still change an entry by.
 ENOUGH = 1e-12
-# Slots of a state: x, what it lacks, and the residual, which becomes the correction of x.
-STATE, LACKING, CHANGE = 6, 2, 4
+# Slots of a state: x, its low-order part, and the residual, which becomes the correction of x.
+STATE, LOW, CHANGE = 6, 2, 4
 # Fewer states are taken in the order that they have.
 SPARSE = 12
 # How far entries stand below and above the diagonal; from a row of the factors to the next; the first one.
@@ -87,31 +87,31 @@ def band(A: FloatArray) -> Band:
 class Refinement:
     """D + C (z I - A)^-1 B by elimination with pivots, refined.
 
-    `lacks` (n,) is what the diagonal of A has beyond its doubles, `narrow` is ``band(A)``.
+    `A_low` (n,) is the low-order part of A's diagonal in double-double precision, `narrow` is ``band(A)``.
     """
 
     def __init__(
-        self, A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, lacks: FloatArray, narrow: Band
+        self, A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, A_low: FloatArray, narrow: Band
     ) -> None:
         n, order = len(A), narrow.order
-        self._A, self._lacks = np.ascontiguousarray(A[np.ix_(order, order)]), lacks[order]
+        self._A, self._A_low = np.ascontiguousarray(A[np.ix_(order, order)]), A_low[order]
         self._B, self._C, self._D = np.ascontiguousarray(B[order]), np.ascontiguousarray(C[:, order]), D
         whole = 2 * narrow.below + narrow.above >= n
         # Rows of the factors are cut off where their band ends.
         self._stride, self._first = (n, 0) if whole else (2 * narrow.below + narrow.above, narrow.below)
         self._below, self._above = narrow.below, narrow.above
 
-    def at(self, z: ComplexArray, beyond: ComplexArray) -> ComplexArray:
-        """Return the response at z (N,), (m, p, N), `beyond` being what z has beyond its doubles; inf at a pole."""
+    def at(self, z: ComplexArray, z_low: ComplexArray) -> ComplexArray:
+        """Return the response at z (N,), (m, p, N), `z_low` being the low-order part of z; inf at a pole."""
         n, (p, m), N = len(self._A), self._D.shape, len(z)
         # The last point fills what is left of a register.
         points = np.empty((2, -(-N // LANES) * LANES), dtype=np.complex128)
-        points[0, :N], points[1, :N] = z, beyond
+        points[0, :N], points[1, :N] = z, z_low
         points[:, N:] = points[:, N - 1 : N]
         found = np.empty((m, p, points.shape[1]), dtype=np.complex128)
         shape = self._below, self._above, self._stride, self._first
         factors = memory(2 * (n * self._stride + n + self._first + 1) + n * self._below)
-        system = self._A, self._lacks, self._B, self._C, self._D
+        system = self._A, self._A_low, self._B, self._C, self._D
         _refined(*system, points, shape, factors, memory(STATE * n), memory(4), found)
         return found[..., :N]
 
@@ -119,7 +119,7 @@ class Refinement:
 @compiled
 def _refined(
     A: FloatArray,
-    lacks: FloatArray,
+    A_low: FloatArray,
     B: FloatArray,
     C: FloatArray,
     D: FloatArray,
@@ -130,7 +130,7 @@ def _refined(
     z: FloatArray,
     found: ComplexArray,
 ) -> None:
-    """Write the response at `points` (2, N), z and what it lacks, into `found` (m, p, N); N is a multiple of LANES."""
+    """Write the response at `points` (2, N), z and its low-order part, into `found` (m, p, N); LANES divides N."""
     (n, m), p, N = B.shape, C.shape[0], points.shape[1]
     for first in range(0, N, LANES):
         for t in range(LANES):
@@ -163,7 +163,7 @@ def _refined(
                 if not anywhere(going):
                     break
                 for i in range(n):
-                    _residual(A, i, lacks[i], B[i, j], z, x, shape)
+                    _residual(A, i, A_low[i], B[i, j], z, x, shape)
 
 
 @inlined
@@ -241,7 +241,7 @@ def _size(memory: FloatArray, slot: int) -> Number:
 
 @internal
 def _swap(memory: FloatArray, one: int, other: int, where: Mask) -> None:
-    """Swap two complex numbers at the points `where` it is said."""
+    """Swap two complex numbers at the points of the mask `where`."""
     for k in range(2):
         a, b = load(memory, one + k, None), load(memory, other + k, None)
         store(memory, one + k, None, choose(where, b, a))
@@ -263,44 +263,44 @@ def _subtract(x: FloatArray, slot: int, a: FloatArray, factor: int, b: FloatArra
 
 @internal
 def exact_sum(a: Number, b: Number) -> tuple[Number, Number]:
-    """Return a + b as a number and what it lacks (Knuth)."""
+    """Return a + b rounded, and its rounding error (Knuth)."""
     total = a + b
     part = total - a
     return total, (a - (total - part)) + (b - part)
 
 
 @internal
-def plus_product(total: Number, lacking: Number, a: Number, b: Number) -> tuple[Number, Number]:
+def plus_product(total: Number, low: Number, a: Number, b: Number) -> tuple[Number, Number]:
     """Add a b to a sum in twice the digits (Ogita, Rump, Oishi, SIAM J. Sci. Comput. 26, 2005)."""
     # Not a product to the compiler, which might take it into the sum.
     product = fused(a, b, -0.0)
     rest = fused(a, b, -product)
     total, more = exact_sum(total, product)
-    return total, lacking + (rest + more)
+    return total, low + (rest + more)
 
 
 @internal
 def _correct(x: FloatArray, slot: int, going: Mask) -> None:
     """Add the correction to a part of x, in twice the digits."""
     change = choose(going, load(x, slot + CHANGE, None), 0.0)
-    total, lacking = exact_sum(load(x, slot, None), load(x, slot + LACKING, None) + change)
+    total, low = exact_sum(load(x, slot, None), load(x, slot + LOW, None) + change)
     store(x, slot, None, total)
-    store(x, slot + LACKING, None, lacking)
+    store(x, slot + LOW, None, low)
 
 
 @internal
-def _residual(A: FloatArray, i: int, lacks: float, b: float, z: FloatArray, x: FloatArray, shape: Shape) -> None:
+def _residual(A: FloatArray, i: int, A_low: float, b: float, z: FloatArray, x: FloatArray, shape: Shape) -> None:
     """Put row i of b - (z I - A) x in twice the digits into its slots."""
     zr, zi, own = load(z, 0, None), load(z, 1, None), STATE * i
     xr, xi, low_r, low_i = (
         load(x, own, None),
         load(x, own + 1, None),
-        load(x, own + LACKING, None),
-        load(x, own + LACKING + 1, None),
+        load(x, own + LOW, None),
+        load(x, own + LOW + 1, None),
     )
-    beyond_r, beyond_i, zero = lacks - load(z, 2, None), -load(z, 3, None), 0.0 * zr
-    re_low = (beyond_r * xr - beyond_i * xi) - (zr * low_r - zi * low_i)
-    im_low = (beyond_r * xi + beyond_i * xr) - (zr * low_i + zi * low_r)
+    low_order_r, low_order_i, zero = A_low - load(z, 2, None), -load(z, 3, None), 0.0 * zr
+    re_low = (low_order_r * xr - low_order_i * xi) - (zr * low_r - zi * low_i)
+    im_low = (low_order_r * xi + low_order_i * xr) - (zr * low_i + zi * low_r)
     re, re_low = plus_product(zero + b, re_low, -zr, xr)
     re, re_low = plus_product(re, re_low, zi, xi)
     im, im_low = plus_product(zero, im_low, -zr, xi)
@@ -318,8 +318,8 @@ def _plus_state(
     """Add a multiple of a state to a complex sum in twice the digits."""
     re, re_low = plus_product(re, re_low, factor, load(x, slot, None))
     im, im_low = plus_product(im, im_low, factor, load(x, slot + 1, None))
-    re_low += factor * load(x, slot + LACKING, None)
-    im_low += factor * load(x, slot + LACKING + 1, None)
+    re_low += factor * load(x, slot + LOW, None)
+    im_low += factor * load(x, slot + LOW + 1, None)
     return re, re_low, im, im_low
 
 

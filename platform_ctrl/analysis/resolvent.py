@@ -42,17 +42,17 @@ def state_response(
     tolerated: float = TOLERATED,
 ) -> ComplexArray:
     """Return C (z - A)^-1 B + D along the frequency axis, (..., p, m, N)."""
-    z, beyond = _on_axis(w, dt)
+    z, low = _on_axis(w, dt)
     if dt == 0.0:
         return responses_at(A, None, B, C, D, z, tolerated=tolerated)
-    return responses_at(*_less_one(A), B, C, D, z, beyond, tolerated)
+    return responses_at(*_less_one(A), B, C, D, z, low, tolerated)
 
 
 def _less_one(A: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return A - I and what its diagonal lacks (..., n).
+    """Return A - I and the low-order part of its diagonal (..., n), in double-double precision.
 
     z - 1 and A - I instead of z and A: nothing cancels far below the sample rate. Both are rounded, which is felt next
-    to poles: what they lack is kept.
+    to poles: their low-order parts are kept.
     """
     shifted = np.array(A, order="C")
     diagonal = shifted.reshape(*A.shape[:-2], -1)[..., :: A.shape[-1] + 1]
@@ -63,7 +63,7 @@ def _less_one(A: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def _on_axis(w: FloatArray, dt: float) -> tuple[ComplexArray, Callable[[NDArray[np.int64]], ComplexArray] | None]:
-    """Return j w, or exp(j w dt) - 1 with what says what that has beyond its doubles."""
+    """Return j w, or exp(j w dt) - 1 with a function that gives its low-order part."""
     z = np.zeros(len(w), dtype=np.complex128)
     if dt == 0.0:
         z.imag = w
@@ -71,11 +71,11 @@ def _on_axis(w: FloatArray, dt: float) -> tuple[ComplexArray, Callable[[NDArray[
     tangent = np.tan(w * (0.5 * dt))
     z.imag = 2.0 * tangent / (1.0 + tangent * tangent)
     z.real = -tangent * z.imag
-    return z, _Beyond(z, w, float(dt))
+    return z, _LowOrderPart(z, w, float(dt))
 
 
-class _Beyond:
-    """What exp(j w dt) - 1 has beyond its doubles z (N,), computed on demand and kept for the rest of a stack."""
+class _LowOrderPart:
+    """The low-order part of exp(j w dt) - 1 beside its doubles z (N,), computed on demand and kept for a stack."""
 
     def __init__(self, z: ComplexArray, w: FloatArray, dt: float) -> None:
         self._z, self._w, self._dt = z, w, dt
@@ -101,12 +101,12 @@ class _Beyond:
 
 def responses_at(
     A: FloatArray,
-    lacks: FloatArray | None,
+    A_low: FloatArray | None,
     B: FloatArray,
     C: FloatArray,
     D: FloatArray,
     z: ComplexArray,
-    z_lacks: Callable[[NDArray[np.int64]], ComplexArray] | None = None,
+    z_low: Callable[[NDArray[np.int64]], ComplexArray] | None = None,
     tolerated: float = TOLERATED,
 ) -> ComplexArray:
     """Return the response at z as (..., p, m, N)."""
@@ -117,12 +117,12 @@ def responses_at(
         return np.array(np.broadcast_to(D[..., None], (*batch, p, m, N)), dtype=np.complex128)
     A, B, C = scaled(A, B, C)
     if alone:
-        return Resolvent(A, B, C, D, lacks, tolerated).at(z, z_lacks)
+        return Resolvent(A, B, C, D, A_low, tolerated).at(z, z_low)
     H = np.empty((*batch, p, m, N), dtype=np.complex128)
     for k in np.ndindex(batch):
         a, b, c, d = (np.broadcast_to(item, (*batch, *item.shape[-2:]))[k] for item in (A, B, C, D))
-        beyond = None if lacks is None else np.broadcast_to(lacks, (*batch, n))[k]
-        H[k] = Resolvent(a, b, c, d, beyond, tolerated).at(z, z_lacks)
+        low = None if A_low is None else np.broadcast_to(A_low, (*batch, n))[k]
+        H[k] = Resolvent(a, b, c, d, low, tolerated).at(z, z_low)
     return H
 
 
@@ -140,12 +140,12 @@ class AxisResponse:
 
     def __init__(self, system: StateArrays, tolerated: float = TOLERATED, balanced: bool = False) -> None:
         A, B, C, D, self._dt = system
-        lacks = None
+        A_low = None
         if self._dt > 0.0:
-            A, lacks = _less_one(A)
+            A, A_low = _less_one(A)
         if not balanced:
             A, B, C = scaled(A, B, C)
-        self._resolvent = Resolvent(A, B, C, D, lacks, tolerated)
+        self._resolvent = Resolvent(A, B, C, D, A_low, tolerated)
 
     def at(self, frequency: FloatArray, tolerated: float | None = None, least: float = 0.0) -> ComplexArray:
         """Return the response at `frequency` (N,), rad/s, complex (N, p, m).
@@ -158,7 +158,7 @@ class AxisResponse:
 class Resolvent:
     """D + C (z I - A)^-1 B of one balanced system, all that does not depend on z computed once.
 
-    `lacks` (n,) is what the diagonal of A has beyond its doubles. D is zero where it is not given.
+    `A_low` (n,) is the low-order part of A's diagonal in double-double precision. D is zero where it is not given.
     """
 
     def __init__(
@@ -167,7 +167,7 @@ class Resolvent:
         B: FloatArray,
         C: FloatArray,
         D: FloatArray | None = None,
-        lacks: FloatArray | None = None,
+        A_low: FloatArray | None = None,
         tolerated: float = TOLERATED,
     ) -> None:
         D = np.zeros((C.shape[0], B.shape[1])) if D is None else D
@@ -177,7 +177,7 @@ class Resolvent:
         if self._turned:
             A, B, C, D = A.T, C.T, B.T, D.T
         self._A, self._B, self._C, self._D = (plain(item) for item in (A, B, C, D))
-        self._lacks = np.zeros(len(A)) if lacks is None else plain(lacks)
+        self._A_low = np.zeros(len(A)) if A_low is None else plain(A_low)
 
     @cached_property
     def _band(self) -> Band:
@@ -195,24 +195,24 @@ class Resolvent:
     def _hessenberg(self) -> HessenbergRefinement:
         from platform_ctrl.analysis.hessenberg_refinement import HessenbergRefinement
 
-        return HessenbergRefinement(self._A, self._B, self._C, self._D, self._lacks, *self._chains.hessenberg())
+        return HessenbergRefinement(self._A, self._B, self._C, self._D, self._A_low, *self._chains.hessenberg())
 
     @cached_property
     def _refinement(self) -> Refinement:
         from platform_ctrl.analysis.refinement import Refinement
 
-        return Refinement(self._A, self._B, self._C, self._D, self._lacks, self._band)
+        return Refinement(self._A, self._B, self._C, self._D, self._A_low, self._band)
 
     def at(
         self,
         z: ComplexArray,
-        lacks: Callable[[NDArray[np.int64]], ComplexArray] | None = None,
+        z_low: Callable[[NDArray[np.int64]], ComplexArray] | None = None,
         tolerated: float | None = None,
         least: float = 0.0,
     ) -> ComplexArray:
         """Return the response at z (N,), (p, m, N).
 
-        `lacks` says on demand what z has beyond its doubles, and `tolerated` may be another this time. An entry below
+        `z_low` gives the low-order part of z on demand, and `tolerated` may be another this time. An entry below
         `least` need be no more accurate than that one.
         """
         tolerated = self._tolerated if tolerated is None else tolerated
@@ -228,18 +228,18 @@ class Resolvent:
             bound = tolerated * (AVERAGED * n if n >= MANY_STATES else 1.0)
             poor = respond(self._chains, self._D, z, H, self._turned, bound, least)
         if poor.size:
-            z_lacks = np.zeros(len(poor), dtype=np.complex128) if lacks is None else lacks(poor)
-            found = self._refined(z[poor], z_lacks, tolerated, least)
+            low = np.zeros(len(poor), dtype=np.complex128) if z_low is None else z_low(poor)
+            found = self._refined(z[poor], low, tolerated, least)
             H[..., poor] = found if self._turned else found.swapaxes(0, 1)
         return H
 
-    def _refined(self, z: ComplexArray, lacks: ComplexArray, tolerated: float, least: float) -> ComplexArray:
+    def _refined(self, z: ComplexArray, z_low: ComplexArray, tolerated: float, least: float) -> ComplexArray:
         n, m = self._B.shape
         if n < MANY_STATES or self._band.work(m) < 64 * n * m:
-            return self._refinement.at(z, lacks)
-        found, short = self._hessenberg.at(z, lacks, tolerated, least)
+            return self._refinement.at(z, z_low)
+        found, short = self._hessenberg.at(z, z_low, tolerated, least)
         if short.size:
-            found[:, :, short] = self._refinement.at(z[short], lacks[short])
+            found[:, :, short] = self._refinement.at(z[short], z_low[short])
         return found
 
     def add(self, H: ComplexArray, z: ComplexArray) -> None:

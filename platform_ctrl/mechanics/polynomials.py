@@ -137,7 +137,7 @@ class RowPolynomials:
     Q0: MatrixPolynomial
 
 
-def bare(platform: Platform) -> Platform:
+def without_elements(platform: Platform) -> Platform:
     """Return the platform without force elements."""
     return dataclasses.replace(platform, springs=(), frictions=(), cages=(), unbalances=(), erections=())
 
@@ -145,7 +145,7 @@ def bare(platform: Platform) -> Platform:
 def rotor_part(platform: Platform, q: FloatArray) -> RowPolynomials:
     """Return what L does about the angles q (n,): gyroscopic action, restraint and disturbance."""
     n = len(q)
-    at = [linearise(bare(platform), rate, "paper", q) for rate in np.eye(3)]
+    at = [linearise(without_elements(platform), rate, "paper", q) for rate in np.eye(3)]
     shared = momentum_rounding(topology(platform))
     G = {"1": clean(at[0].G, shared)}
     K = {name: clean(model.K, shared) for name, model in zip(OMEGA_NAMES, at, strict=True)}
@@ -157,7 +157,7 @@ def inertia_part(platform: Platform, q: FloatArray) -> RowPolynomials:
     """Return what the inertias do about the angles q (n,) at constant Omega: Coriolis and centrifugal terms."""
     n = len(q)
     rotors = tuple(dataclasses.replace(rotor, angular_momentum=0.0) for rotor in platform.rotors)
-    still = dataclasses.replace(bare(platform), rotors=rotors)
+    still = dataclasses.replace(without_elements(platform), rotors=rotors)
     shared = inertia_rounding(topology(platform))
     G, K, Q0 = {}, {}, {}
     at: dict[tuple[int, int], LinearModel] = {}
@@ -179,7 +179,7 @@ def inertia_part(platform: Platform, q: FloatArray) -> RowPolynomials:
 
 def acceleration_part(platform: Platform, q: FloatArray, terms: Terms) -> MatrixPolynomial:
     """Return the coefficient of q from Omega' about the angles q (n,): all of it, or C alone as the paper has it."""
-    turning = linearise(bare(platform), terms=terms, q=q).M_Omega_q
+    turning = linearise(without_elements(platform), terms=terms, q=q).M_Omega_q
     shared = inertia_rounding(topology(platform))
     return polynomial({f"{a}'": clean(turning[:, k], shared) for k, a in enumerate(OMEGA_NAMES)}, (len(q),) * 2)
 

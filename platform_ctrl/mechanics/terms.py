@@ -21,11 +21,11 @@ from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.mechanics.polynomials import (
     MatrixPolynomial,
     acceleration_part,
-    bare,
     clean,
     inertia_part,
     monomial_values,
     rotor_part,
+    without_elements,
 )
 from platform_ctrl.mechanics.term_table import (
     DROPPED_BY_THE_PAPER,
@@ -84,7 +84,7 @@ def parts(platform: Platform, q: FloatArray, specific_force: FloatArray, amplitu
 
 
 def _mass(platform: Platform, q: FloatArray) -> Iterator[Part]:
-    model, rounding = linearise(bare(platform), q=q), inertia_rounding(topology(platform))
+    model, rounding = linearise(without_elements(platform), q=q), inertia_rounding(topology(platform))
     M = clean(model.M, rounding)
     names = platform.gimbal_names
 
@@ -123,7 +123,7 @@ def _rotors(platform: Platform, q: FloatArray) -> Iterator[Part]:
 
 def _inertias(platform: Platform, q: FloatArray) -> Iterator[Part]:
     inertia = inertia_part(platform, q)
-    M, names = linearise(bare(platform), q=q).M, platform.gimbal_names
+    M, names = linearise(without_elements(platform), q=q).M, platform.gimbal_names
     kinds: tuple[tuple[Kind, int | None, MatrixPolynomial], ...] = (
         ("Coriolis", 1, inertia.G),
         ("centrifugal", 0, inertia.K),
@@ -165,7 +165,7 @@ def _elements(platform: Platform, q: FloatArray, specific_force: FloatArray, amp
     for kind, field, where, letter in families:
         for element in getattr(platform, field):
             only: dict[str, Any] = {field: (element,)}
-            alone = dataclasses.replace(bare(platform), **only)
+            alone = dataclasses.replace(without_elements(platform), **only)
 
             def name(place: tuple[int, ...], given: str = symbol(letter, getattr(element, where))) -> str:
                 return given

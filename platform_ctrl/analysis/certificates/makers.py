@@ -39,7 +39,7 @@ Given = ParamSpec("Given")
 
 
 def found_in_doubles(make: Callable[Given, Certificate]) -> Callable[Given, Certificate]:
-    """Keep what floating point says on the way from the user: what it finds is proved or refused afterwards."""
+    """Suppress floating-point warnings: what is found is proved or refused afterwards."""
 
     @functools.wraps(make)
     def made(*args: Given.args, **options: Given.kwargs) -> Certificate:

@@ -93,8 +93,8 @@ class Trial:
             return None
         return complex(found[np.unravel_index(int(np.argmin(gap)), gap.shape)[0]])
 
-    def obstacles(self, required: float) -> list[tuple[str, str]]:
-        """Return what speaks against the reduction, and what would help, where a factor `required` is asked for."""
+    def objections(self, required: float) -> list[tuple[str, str]]:
+        """Return the objections to the reduction, each with a remedy, where the factor `required` is needed."""
         out: list[tuple[str, str]] = []
         lowest = float(np.abs(self.dropped).min(initial=np.inf))
         enough = lowest * (1.0 + _ROUNDING)
@@ -148,7 +148,7 @@ class Trial:
         return out
 
 
-def tried(at: Scaled, kept: Reduction, poles: ComplexArray, loop_frequency: float) -> Trial:
+def trial_of(at: Scaled, kept: Reduction, poles: ComplexArray, loop_frequency: float) -> Trial:
     """Return the trial of a reduction; `poles` are those of the full equations, slowest first."""
     found, chain = roots(at, kept)
     rate = precession_rate(at, kept)
@@ -236,7 +236,7 @@ class Choice:
     trial: Trial
 
 
-def chosen(at: Scaled, null: FloatArray, turning: bool, loop_frequency: float, required: float) -> Choice:
+def choose(at: Scaled, null: FloatArray, turning: bool, loop_frequency: float, required: float) -> Choice:
     """Return the models of a subsystem whose G leaves the directions `null` alone, and which has a rotor `turning`."""
     n, none = len(at.D), null[:, :0]
     poles = full_poles(at)
@@ -255,16 +255,16 @@ def chosen(at: Scaled, null: FloatArray, turning: bool, loop_frequency: float, r
         for h in range(least, most + 1)
         if restrainable and holds(at, order[:, :h], order[:, h:], fast)
     ]
-    trials = [tried(at, candidate, poles, loop_frequency) for candidate in candidates]
+    trials = [trial_of(at, candidate, poles, loop_frequency) for candidate in candidates]
     if trials:
-        good = next((k for k, trial in enumerate(trials) if not trial.obstacles(required)), 0)
+        good = next((k for k, trial in enumerate(trials) if not trial.objections(required)), 0)
         pure: Reduction | None = candidates[good]
         trial, cured = trials[good], candidates[good]
     else:
         pure = Reduction(N=none, H=none) if is_regular(at, np.eye(n)) else None
         cured = Reduction(N=order[:, :least], H=none)
-        trial = tried(at, cured, poles, loop_frequency)
-    if not trials or trial.obstacles(required):
+        trial = trial_of(at, cured, poles, loop_frequency)
+    if not trials or trial.objections(required):
         cured = _cured(at, order, max(least, 1), poles, loop_frequency, required)
     return Choice(scaled=at, held=bool(trials), pure=pure, cured=cured, trial=trial)
 
@@ -275,7 +275,7 @@ def _cured(
     """Return the model with the fewest momenta, at least `least`, that nothing speaks against."""
     for k in range(least, len(order)):
         kept = Reduction(N=order[:, :k], H=order[:, :0])
-        if is_regular(at, order[:, k:]) and not tried(at, kept, poles, loop_frequency).obstacles(required):
+        if is_regular(at, order[:, k:]) and not trial_of(at, kept, poles, loop_frequency).objections(required):
             return kept
     # With all momenta nothing is dropped.
     return Reduction(N=order, H=order[:, :0])

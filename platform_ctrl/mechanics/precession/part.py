@@ -13,7 +13,7 @@ from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError, MechanicsError
 from platform_ctrl.mechanics.kinematics import topology
 from platform_ctrl.mechanics.linearisation import LinearModel
-from platform_ctrl.mechanics.precession.choice import NOTHING, Choice, chosen, slowest
+from platform_ctrl.mechanics.precession.choice import NOTHING, Choice, choose, slowest
 from platform_ctrl.mechanics.precession.reduction import ComplexArray, Reduction, Scaled, distance, echelon, scaled
 
 # Highest frequency, rad/s: its square is a number still.
@@ -186,7 +186,7 @@ class PrecessionPart:
         return self._choice.scaled, kept
 
     def _refusal(self) -> MechanicsError:
-        """Return the error that says why precession theory does not serve, and what would."""
+        """Return the error with the first reason and its cure."""
         return MechanicsError(f"precession theory is not admissible: {self.reasons[0]}; {self.cures[0]}")
 
     @property
@@ -221,7 +221,7 @@ def _in_words(vector: FloatArray, angles: Sequence[str]) -> str:
     return words
 
 
-def lack(at: Scaled, null: FloatArray, names: Sequence[str], fast: float) -> tuple[str, str]:
+def missing_restraint(at: Scaled, null: FloatArray, names: Sequence[str], fast: float) -> tuple[str, str]:
     """Return why null directions that nothing holds stand in the way, and the restraint that would hold them."""
     n, k = null.shape
     singular = f"G_R is {n} x {n} and skew, so its determinant is 0" if n % 2 else f"G_R has rank {n - k} of {n}"
@@ -244,7 +244,7 @@ def lack(at: Scaled, null: FloatArray, names: Sequence[str], fast: float) -> tup
     return why, f"restrain {along}"
 
 
-def keep(names: Sequence[str], n: int) -> str:
+def kept_momenta(names: Sequence[str], n: int) -> str:
     """Return the cure that keeps the momenta of the named directions, of n in all."""
     if len(names) == n:
         return "keep all momenta, that is the full equations"
@@ -257,7 +257,7 @@ def keep(names: Sequence[str], n: int) -> str:
 _SLOW = 0.01
 
 
-def judged(model: LinearModel, rows: Sequence[int], loop_frequency: float | None, required: float) -> PrecessionPart:
+def assessed(model: LinearModel, rows: Sequence[int], loop_frequency: float | None, required: float) -> PrecessionPart:
     """Return the test of one subsystem, the gimbals in `rows`."""
     at = scaled(model, rows)
     gimbals, angles = [model.gimbal_names[k] for k in rows], [model.angle_names[k] for k in rows]
@@ -265,16 +265,16 @@ def judged(model: LinearModel, rows: Sequence[int], loop_frequency: float | None
     null = right[int(np.sum(gyro > NOTHING * gyro[0])) :].T
     if loop_frequency is None:
         loop_frequency = _SLOW * float(gyro[0])
-    turning = _turns(model, rows)
-    choice = chosen(at, null, turning, loop_frequency, required)
+    turning = _has_spinning_rotor(model, rows)
+    choice = choose(at, null, turning, loop_frequency, required)
     directions, names, _ = named_directions(at, null, angles)
     kept, kept_names, _ = named_directions(at, choice.cured.N, angles)
-    findings = choice.trial.obstacles(required)
+    findings = choice.trial.objections(required)
     if not turning:
         findings.insert(0, ("no rotor gives it any momentum", "give it a rotor that spins"))
     elif not choice.held:
-        findings.insert(0, lack(at, null, names, required * loop_frequency))
-    cures = [keep(kept_names, len(rows)), *dict.fromkeys(f"or {cure}" for _, cure in findings)]
+        findings.insert(0, missing_restraint(at, null, names, required * loop_frequency))
+    cures = [kept_momenta(kept_names, len(rows)), *dict.fromkeys(f"or {cure}" for _, cure in findings)]
     return PrecessionPart(
         model=model,
         gimbals=tuple(gimbals),
@@ -290,7 +290,7 @@ def judged(model: LinearModel, rows: Sequence[int], loop_frequency: float | None
     )
 
 
-def _turns(model: LinearModel, rows: Sequence[int]) -> bool:
+def _has_spinning_rotor(model: LinearModel, rows: Sequence[int]) -> bool:
     """Whether any of these gimbals carries a rotor that spins."""
     tree = topology(model.platform)
     return bool(np.any(tree.on_path[tree.carriers][:, rows] & (tree.L[:, None] != 0.0)))

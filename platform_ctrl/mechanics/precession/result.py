@@ -12,7 +12,7 @@ from platform_ctrl.common.arguments import distinct, known_name, positive
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.mechanics.linearisation import LinearModel
-from platform_ctrl.mechanics.precession.part import PrecessionPart, judged, named_directions
+from platform_ctrl.mechanics.precession.part import PrecessionPart, assessed, named_directions
 from platform_ctrl.mechanics.precession.reduction import echelon, reduced_equations
 from platform_ctrl.mechanics.state_space import gimbal_torquers, subsystems, whole_subsystems
 from platform_ctrl.plant.platform import OMEGA_NAMES
@@ -287,5 +287,5 @@ def precession(
     chosen = tuple(model.gimbal_names[k] for k in rows)
     groups = [group for group in subsystems(model) if group[0] in chosen]
     index = model.platform.gimbal
-    parts = tuple(judged(model, [index(name) for name in group], frequency, required) for group in groups)
+    parts = tuple(assessed(model, [index(name) for name in group], frequency, required) for group in groups)
     return Precession(model=model, gimbals=chosen, parts=parts)
