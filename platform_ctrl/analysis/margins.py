@@ -36,11 +36,9 @@ class DiskMargin:
 
     Attributes
     ----------
-    alpha
-        The guaranteed margin: `lower`, dimensionless. 0 if the closed loop is not stable.
     lower, upper
         Dimensionless. No perturbation smaller than `lower` makes the loop unstable; one of size `upper`,
-        `perturbation`, does. They agree up to three channels.
+        `perturbation`, does. They agree up to three channels; 0 if the closed loop is not stable.
     unstructured
         1/‖S + (skew - 1)/2 I‖, dimensionless: the margin against perturbations that couple the channels; not above
         `lower`.
@@ -69,7 +67,6 @@ class DiskMargin:
     P. Seiler, A. Packard, P. Gahinet, IEEE Control Systems Magazine 40(5), 2020.
     """
 
-    alpha: float
     lower: float
     upper: float
     unstructured: float
@@ -83,6 +80,11 @@ class DiskMargin:
     lower_response: FloatArray
     upper_response: FloatArray
     unstructured_response: FloatArray
+
+    @property
+    def alpha(self) -> float:
+        """The margin: `lower`, dimensionless."""
+        return self.lower
 
     def __float__(self) -> float:
         return self.alpha
@@ -264,7 +266,6 @@ def _margin(
         lower_response, upper_response = 1.0 / mu[0], 1.0 / mu[1]
         unstructured_response = 1.0 / gains
     return DiskMargin(
-        alpha=lower,
         lower=lower,
         upper=max(lower, float(np.abs(delta).max())),
         unstructured=min(_inverse(norm), lower),
@@ -376,7 +377,6 @@ def _unstable(skew: float, shown: FloatArray, s: ComplexArray, disk: StateArrays
     worst = s[np.argmax(s.real)]
     rounded = "" if worst.real >= 0.0 else " but for rounding"
     return DiskMargin(
-        alpha=0.0,
         lower=0.0,
         upper=0.0,
         unstructured=0.0,

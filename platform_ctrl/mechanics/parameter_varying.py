@@ -281,9 +281,8 @@ class ParameterVaryingModel(_WithDictionary):
         Parameters
         ----------
         points
-            Points along an axis, >= 1 (an odd number has zero among them, 1 is zero alone): one number, three for
-        Omega, or
-            six for Omega and Omega'. An axis whose limit is zero has one point.
+            Points along an axis, >= 1 (an odd number contains zero, 1 is zero alone): one number, three for Omega,
+            or six for Omega and Omega'. An axis whose limit is zero has one point.
         Omega_max, Omega_dot_max : (3,)
             As in `vertices`, rad/s and rad/s².
 

@@ -6,6 +6,7 @@ Every parameter has a position; a linear form in the parameters is a vector over
 from __future__ import annotations
 
 from itertools import chain
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,8 +14,8 @@ from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.mechanics.kinematics import Topology
 from platform_ctrl.mechanics.symbolic.elements import ElementSymbols, Term, element_terms
 from platform_ctrl.mechanics.symbolic.expressions import ONE, Algebra, Series, add, apply, product, pruned
-from platform_ctrl.mechanics.symbolic.names import NamedSymbol, Names
-from platform_ctrl.plant.platform import OMEGA_NAMES, ROOT_TORQUE_NAMES, Platform
+from platform_ctrl.mechanics.symbolic.names import Kind, NamedSymbol, Names
+from platform_ctrl.plant.platform import OMEGA_NAMES, Platform
 
 
 def composites(tree: Topology) -> FloatArray:
@@ -98,25 +99,19 @@ _ZERO = 1e-15
 _ENTRIES = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 
 
-@value
-class Motion:
-    """Symbols of what changes with time.
+Symbols = tuple[NamedSymbol, ...]
 
-    Attributes
-    ----------
-    angles, rates, accelerations, torques
-        One a gimbal.
-    Omega, Omega_dot, root_torques
-        One a root axis.
-    """
 
-    angles: tuple[NamedSymbol, ...]
-    rates: tuple[NamedSymbol, ...]
-    accelerations: tuple[NamedSymbol, ...]
-    torques: tuple[NamedSymbol, ...]
-    Omega: tuple[NamedSymbol, ...]
-    Omega_dot: tuple[NamedSymbol, ...]
-    root_torques: tuple[NamedSymbol, ...]
+class Motion(NamedTuple):
+    """Symbols of what changes with time: Omega, Omega' and M by root axis, the others by gimbal."""
+
+    Omega: Symbols
+    Omega_dot: Symbols
+    angles: Symbols
+    rates: Symbols
+    accelerations: Symbols
+    torques: Symbols
+    root_torques: Symbols
 
 
 @value
@@ -151,42 +146,27 @@ class Parameters:
 
 def motion_symbols(platform: Platform, names: Names) -> Motion:
     """Return the symbols of angles, rates and torques: they take their names first."""
+    root, gimbals, axes = platform.root_name, platform.gimbals, range(1, 4)
 
-    def root(dots: int) -> tuple[NamedSymbol, ...]:
-        what = ("rate", "angular acceleration")[dots]
-        return tuple(
-            names.motion(
-                name,
-                dots,
-                "acceleration of the root" if dots else "rate of the root",
-                f"{what} of {platform.root_name} about its axis {a}",
-                ("rad/s", "rad/s²")[dots],
-            )
-            for a, name in enumerate(OMEGA_NAMES, 1)
-        )
+    def turning(dots: int, kind: Kind, what: str, unit: str) -> Symbols:
+        about = (f"{what} of {root} about its axis {a}" for a in axes)
+        return tuple(names.motion(name, dots, kind, one, unit) for name, one in zip(OMEGA_NAMES, about, strict=True))
 
-    Omega, Omega_dot = root(0), root(1)
-    angles = tuple(names.motion(g.angle, 0, "angle", f"angle of gimbal {g.name}", "rad") for g in platform.gimbals)
-    rates = tuple(names.motion(g.angle, 1, "rate", f"rate of gimbal {g.name}", "rad/s") for g in platform.gimbals)
-    accelerations = tuple(
-        names.motion(g.angle, 2, "acceleration", f"acceleration of gimbal {g.name}", "rad/s²") for g in platform.gimbals
-    )
-    torques = tuple(
-        names.parameter("Q", g.name, "", "torque", f"torque of the torquers on gimbal {g.name}", "N m", None)
-        for g in platform.gimbals
-    )
-    root_torques = tuple(
-        names.parameter("M", str(a), "", "torque", f"torque on {platform.root_name} about its axis {a}", "N m", None)
-        for a in range(1, 1 + len(ROOT_TORQUE_NAMES))
-    )
+    def moving(dots: int, kind: Kind, unit: str) -> Symbols:
+        return tuple(names.motion(g.angle, dots, kind, f"{kind} of gimbal {g.name}", unit) for g in gimbals)
+
+    def torque(head: str, label: str, what: str) -> NamedSymbol:
+        return names.parameter(head, label, "", "torque", what, "N m", None)
+
+    # In this order they take their names.
     return Motion(
-        angles=angles,
-        rates=rates,
-        accelerations=accelerations,
-        torques=torques,
-        Omega=Omega,
-        Omega_dot=Omega_dot,
-        root_torques=root_torques,
+        Omega=turning(0, "rate of the root", "rate", "rad/s"),
+        Omega_dot=turning(1, "acceleration of the root", "angular acceleration", "rad/s²"),
+        angles=moving(0, "angle", "rad"),
+        rates=moving(1, "rate", "rad/s"),
+        accelerations=moving(2, "acceleration", "rad/s²"),
+        torques=tuple(torque("Q", g.name, f"torque of the torquers on gimbal {g.name}") for g in gimbals),
+        root_torques=tuple(torque("M", str(a), f"torque on {root} about its axis {a}") for a in axes),
     )
 
 
@@ -199,31 +179,24 @@ def parameters(platform: Platform, tree: Topology, names: Names) -> Parameters:
         for symbol, i, j in _inertia_symbols(platform, names, body, S):
             symbols.append(symbol)
             inertias.append((body, i, j))
-    C_at, L_at = [], []
-    for rotor in platform.rotors:
-        if rotor.control == "free":
-            C_at.append(-1)
-            continue
-        C_at.append(len(symbols))
+    regulated = [r for r, rotor in enumerate(platform.rotors) if rotor.control != "free"]
+    C_at = len(symbols)
+    for rotor in (platform.rotors[r] for r in regulated):
         meaning = f"axial inertia of rotor {rotor.name}"
         symbols.append(names.parameter("C", rotor.name, "", "axial inertia", meaning, "kg m²", rotor.axial_inertia))
+    L_at = len(symbols)
     for rotor in platform.rotors:
-        L_at.append(len(symbols))
-        free = rotor.control == "free"
-        meaning = f"angular momentum of rotor {rotor.name} " + ("about its axis" if free else "in its carrier")
-        head, number = "p" if free else "L", rotor.angular_momentum
-        symbols.append(names.parameter(head, rotor.name, "", "momentum", meaning, "N m s", number))
+        head, where = ("p", "about its axis") if rotor.control == "free" else ("L", "in its carrier")
+        meaning = f"angular momentum of rotor {rotor.name} {where}"
+        symbols.append(names.parameter(head, rotor.name, "", "momentum", meaning, "N m s", rotor.angular_momentum))
     elements = ElementSymbols(names, symbols)
     terms, notes = element_terms(platform, tree, elements)
     size = len(symbols)
     S_forms = np.zeros((1 + len(platform.gimbals), size, 3, 3))
     for position, (body, i, j) in enumerate(inertias):
         S_forms[body, position, i, j] = S_forms[body, position, j, i] = 1.0
-    C, L = np.zeros((m, size)), np.zeros((m, size))
-    for r in range(m):
-        if C_at[r] >= 0:
-            C[r, C_at[r]] = 1.0
-        L[r, L_at[r]] = 1.0
+    C, L = np.zeros((m, size)), np.eye(m, size, k=L_at)
+    C[regulated, C_at + np.arange(len(regulated))] = 1.0
     return Parameters(
         symbols=tuple(symbols),
         S=S_forms,
@@ -249,11 +222,10 @@ def _inertia_symbols(platform: Platform, names: Names, body: int, S: FloatArray)
         part = f"{i + 1}" if i == j else f"{i + 1}{j + 1}"
         about = f"inertia about axis {part}" if i == j else f"product of inertia, entry {i + 1}, {j + 1},"
         if i == j == own:
-            symbol = names.parameter("J", label, "", "inertia", f"{about}, its own, of {of}", "kg m²", float(S[i, j]))
-        elif body == 0:
-            symbol = names.parameter("J", part, "", "inertia", f"{about} of {of}", "kg m²", float(S[i, j]))
+            about, shown = f"{about}, its own,", (label, "")
         else:
-            symbol = names.parameter("J", label, part, "inertia", f"{about} of {of}", "kg m²", float(S[i, j]))
+            shown = (part, "") if body == 0 else (label, part)
+        symbol = names.parameter("J", *shown, "inertia", f"{about} of {of}", "kg m²", float(S[i, j]))
         out.append((symbol, i, j))
     return out
 
