@@ -17,8 +17,7 @@ from platform_ctrl.analysis.disks import disk_phase, disk_to_gain_phase
 from platform_ctrl.report import figures
 from platform_ctrl.report.plots.curves import channels, curve, margins
 from platform_ctrl.report.plots.disk_region import exclusion
-from platform_ctrl.report.plots.frequency_grid import grid
-from platform_ctrl.report.plots.systems import drawn_systems, ratio_unit, unit
+from platform_ctrl.report.plots.systems import drawn_systems, grid, ratio_unit, unit
 
 HZ = 1.0 / (2.0 * math.pi)
 s = control.tf("s")

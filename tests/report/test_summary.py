@@ -249,7 +249,7 @@ def test_a_campaign_of_other_controllers_is_called_so(result: JobResult) -> None
 
 def test_a_job_that_describes_a_campaign_says_where_none_is(result: JobResult, prepared: blocks.Document) -> None:
     words = text_of(page_html(prepared))
-    assert "None is part of this report" in words
+    assert "this report has none" in words
     assert "--campaign" in words
     without = dataclasses.replace(result, job=dataclasses.replace(result.job, campaign=None), loops=(), runs=())
     assert 'id="campaign"' not in page_html(without)

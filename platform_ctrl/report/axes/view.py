@@ -1,10 +1,12 @@
-"""The axes of a platform as they are seen: bodies projected, set apart, drawn from far to near, and labelled."""
+"""The bodies of a platform as SVG, in pixels: projected, set apart, drawn from far to near, and labelled."""
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable
+import re
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
+from xml.sax.saxutils import escape, quoteattr
 
 import numpy as np
 
@@ -12,17 +14,90 @@ from platform_ctrl.common.text import greek, text_width
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.plant.platform import Gimbal, Platform
 from platform_ctrl.report.axes.bodies import Shape, bodies, disc_axis, levels
-from platform_ctrl.report.axes.svg import (
-    arrow_head,
-    attribute,
-    circle,
-    direction,
-    level_class,
-    line,
-    number,
-    sign,
-    words,
-)
+from platform_ctrl.report.quantities import axis_text
+
+# What XML 1.0 cannot hold, escaped or not.
+_FORBIDDEN = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\ud800-\udfff\ufffe\uffff]")
+
+
+def plain_text(text: str) -> str:
+    """Return `text` escaped for the inside of an element."""
+    return escape(_FORBIDDEN.sub("\ufffd", text))
+
+
+def attribute(text: str) -> str:
+    """Return `text` as an attribute's value, quotes included."""
+    return quoteattr(_FORBIDDEN.sub("\ufffd", text))
+
+
+def number(x: float) -> str:
+    """Return a coordinate to a tenth of a pixel, without a zero that says nothing."""
+    text = f"{x:.1f}".removesuffix(".0")
+    return "0" if text == "-0" else text
+
+
+def path(points: FloatArray, *, closed: bool = False) -> str:
+    """Return the path data of a polyline through `points`, (k, 2)."""
+    return "M" + "L".join(f"{number(x)} {number(y)}" for x, y in points) + ("Z" if closed else "")
+
+
+def line(points: FloatArray, kind: str, *, closed: bool = False) -> str:
+    """Return a polyline of the CSS class `kind`."""
+    return f'<path class="{kind}" d="{path(points, closed=closed)}"/>'
+
+
+def arrow_head(tail: FloatArray, tip: FloatArray, kind: str, size: float = 10.0) -> str:
+    """Return a filled arrow head at `tip`, seen from `tail`."""
+    along = direction(tail, tip)
+    across = 0.36 * size * np.array([-along[1], along[0]])
+    back = tip - size * along
+    return line(np.array([tip, back + across, back - across]), kind, closed=True)
+
+
+def direction(tail: FloatArray, tip: FloatArray) -> FloatArray:
+    """Return the unit vector from `tail` to `tip`; to the right where they coincide."""
+    along = np.asarray(tip - tail, dtype=np.float64)
+    length = float(np.hypot(*along))
+    return along / length if length > 1e-9 else np.array([1.0, 0.0])
+
+
+def words(text: str, at: Sequence[float], kind: str, anchor: str = "start") -> str:
+    """Return `text` with its baseline starting (or ``middle``, ``end``) at a point."""
+    place = "" if anchor == "start" else f' text-anchor="{anchor}"'
+    return f'<text class="{kind}" x="{number(at[0])}" y="{number(at[1])}"{place}>{plain_text(text)}</text>'
+
+
+def level_class(level: int) -> str:
+    """Return the CSS class of a body that many joints away from the root."""
+    return f"level-{1 + (level - 1) % 5}"
+
+
+def circle(at: Sequence[float], radius: float, kind: str) -> str:
+    """Return a circle."""
+    return f'<circle class="{kind}" cx="{number(at[0])}" cy="{number(at[1])}" r="{number(radius)}"/>'
+
+
+# What acts or measures at a joint, drawn about the origin, with what it is called.
+SIGNS = {
+    "torquer": ("M-4.5-4.5H4.5V4.5H-4.5Z", "torquer"),
+    "pickoff": ("M-4.5 0A4.5 4.5 0 1 1 4.5 0A4.5 4.5 0 1 1-4.5 0Z", "pick-off"),
+    "spring": ("M-6 0L-4-4.5L-1.5 4.5L1.5-4.5L4 4.5L6 0", "spring"),
+    "cage": ("M-2-5.5H-5V5.5H-2M2-5.5H5V5.5H2", "cage"),
+    "erection": ("M-5-4.5H5L0 5Z", "erection"),
+}
+
+
+def sign(kind: str, at: Sequence[float], size: float = 1.0) -> str:
+    """Return one of `SIGNS` at a point."""
+    scale = "" if size == 1.0 else f" scale({size:.2f})"
+    place = f"translate({number(at[0])} {number(at[1])}){scale}"
+    return f'<path class="{kind}" transform="{place}" d="{SIGNS[kind][0]}"/>'
+
+
+def direction_text(axis: FloatArray) -> str:
+    """Return +1, −3 or the components of an axis, without the last digits of a rounded zero."""
+    return axis_text(np.round(axis, 9) + 0.0)
+
 
 _LARGEST, _SMALLEST = 68.0, 24.0  # radius of a disc, pixels
 _SIDE, _SIDE_OF_MANY = 84.0, 64.0  # room beside each body for labels

@@ -84,9 +84,7 @@ def _largest_cost(closed: LoopDesign, best: LoopDesign) -> list[str]:
     apart = [
         (one.ratio / theirs[one.name].ratio, one)
         for one in closed.results
-        if one.name in theirs
-        and theirs[one.name].ratio > 0.0
-        and not one.name.startswith((METRICS["bandwidth"].name, STABLE.name))
+        if one.name in theirs and theirs[one.name].ratio > 0.0 and not one.name.startswith(_UNCOUNTED)
     ]
     worse, cost = max(apart, key=lambda pair: pair[0], default=(1.0, None))
     if cost is None or not worse > _NOTABLE:

@@ -17,7 +17,6 @@ from platform_ctrl.common.values import value
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.report.plots.curves import Curve, Margins, channels, curve, entry_curves
 from platform_ctrl.report.plots.curves import margins as margins_of
-from platform_ctrl.report.plots.frequency_grid import grid
 from platform_ctrl.report.plots.label_placement import LabelPlacer
 from platform_ctrl.report.plots.panels import (
     GainCurve,
@@ -28,7 +27,7 @@ from platform_ctrl.report.plots.panels import (
     gain_label,
     phase_panel,
 )
-from platform_ctrl.report.plots.systems import DrawnSystem, drawable, drawn_systems, shared_unit, unit_of_gain
+from platform_ctrl.report.plots.systems import DrawnSystem, drawable, drawn_systems, grid, shared_unit, unit_of_gain
 from platform_ctrl.report.quantities import HZ, plain
 from platform_ctrl.report.style import SERIES, standalone
 

@@ -26,10 +26,9 @@ from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.text import at_least, at_most
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.report.plots.frequency_grid import grid
 from platform_ctrl.report.plots.label_placement import LabelPlacer
 from platform_ctrl.report.plots.panels import blocks, control_plot, curve_style
-from platform_ctrl.report.plots.systems import DrawnSystem, as_state_space, drawn_systems, gaps, listed
+from platform_ctrl.report.plots.systems import DrawnSystem, as_state_space, drawn_systems, gaps, grid, listed
 from platform_ctrl.report.quantities import HZ, disk_gain_or_phase, plain
 from platform_ctrl.report.style import REFERENCE, standalone
 

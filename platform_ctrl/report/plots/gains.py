@@ -23,7 +23,6 @@ from platform_ctrl.errors import ArgumentError
 from platform_ctrl.plant.platform import OMEGA_NAMES, is_rate
 from platform_ctrl.report.plots.bode import chosen
 from platform_ctrl.report.plots.curves import entry_curves
-from platform_ctrl.report.plots.frequency_grid import grid
 from platform_ctrl.report.plots.label_placement import LabelPlacer, points_of
 from platform_ctrl.report.plots.panels import (
     GainCurve,
@@ -41,6 +40,7 @@ from platform_ctrl.report.plots.systems import (
     as_state_space,
     drawable,
     drawn_systems,
+    grid,
     ratio_unit,
     shared_unit,
     unit,

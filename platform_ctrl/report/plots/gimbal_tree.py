@@ -17,7 +17,7 @@ from platform_ctrl.common.text import greek, text_width
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.plant.platform import Gimbal, Platform, Rotor
 from platform_ctrl.report.axes.bodies import camera, signs, spin_direction
-from platform_ctrl.report.axes.svg import SIGNS, direction_text
+from platform_ctrl.report.axes.view import SIGNS, direction_text
 from platform_ctrl.report.plots.systems import drawable
 from platform_ctrl.report.quantities import RPM
 from platform_ctrl.report.quantities import plain as number

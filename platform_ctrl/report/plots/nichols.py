@@ -18,10 +18,9 @@ from platform_ctrl.common.text import greek
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.report.plots.curves import Curve, Margins, channels, curve, margins
 from platform_ctrl.report.plots.disk_region import checked_skew, exclusion
-from platform_ctrl.report.plots.frequency_grid import grid
 from platform_ctrl.report.plots.label_placement import LabelPlacer
 from platform_ctrl.report.plots.panels import blocks, control_plot, curve_style, gains
-from platform_ctrl.report.plots.systems import drawable, drawn_systems
+from platform_ctrl.report.plots.systems import drawable, drawn_systems, grid
 from platform_ctrl.report.quantities import HZ, plain
 from platform_ctrl.report.style import BAND, FRAME, LIMIT, MUTED, REFERENCE, standalone
 

@@ -1,7 +1,7 @@
 """The scheme that the plots of systems share.
 
 A plot checks its arguments, gets its systems from `systems.drawn_systems` and their frequencies from
-`frequency_grid.grid`, asks `blocks` for a figure, draws each panel (`gain_curves` where it shows gains), and returns
+`systems.grid`, asks `blocks` for a figure, draws each panel (`gain_curves` where it shows gains), and returns
 `control_plot`, which adds the legend.
 """
 
