@@ -18,7 +18,7 @@ from platform_ctrl.app.controllers import built_directly
 from platform_ctrl.app.curves import Parts
 from platform_ctrl.app.designs import Designs, never, silent
 from platform_ctrl.app.dragging import NO_LIMITS, DragResult, FreeParameters, Limits, dragged_crossover, dragged_pole
-from platform_ctrl.app.pictures import Drawing, Drawn, Influence, Measured, Overlay, Picture
+from platform_ctrl.app.pictures import Drawing, Drawn, Influence, Measured, Picture
 from platform_ctrl.app.saving import Saved, controllers_beside, write_job
 from platform_ctrl.app.settings import (
     Choices,
@@ -222,17 +222,6 @@ class Backend:
         overlays, more = self._designs.overlays(settings, spec, parts.bode.frequency)
         parts = dataclasses.replace(parts, bode=dataclasses.replace(parts.bode, overlays=overlays))
         return (parts, measure), (*notes, *more)
-
-    def overlay(self, settings: Settings, design: str) -> Overlay:
-        """Return another design of the loop, to be drawn over the picture of the settings."""
-        spec, _ = self._loops.design(settings)
-        known_name("design", design, tuple(d.name for d in spec.designs))
-        frequency = self.picture(settings.but(overlays=())).bode.frequency
-        return self._designs.overlay(settings, spec, design, frequency, measured=True)[0]
-
-    def is_designed(self, settings: Settings, design: str | None = None) -> bool:
-        """Return whether a design of the loop is there for just these settings; those that sliders build always are."""
-        return self._designs.is_available(settings, design)
 
     def redesign(
         self,

@@ -47,7 +47,6 @@ from platform_ctrl.app.settings import Settings
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.loop import judged, requirements_of
 from platform_ctrl.job.job import Job, LoopSpec, Manoeuvre, manoeuvre_scenario
-from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.job.scenario import HalfCosine
 
 # Groups that a band shows: failed parts are not among them.
@@ -273,14 +272,9 @@ def caged_parts(loop: CagedLoop, settings: Settings, cached: CachedMetrics) -> P
     return drawn, measured_parts
 
 
-def caged_overlay(
-    loop: CagedLoop, settings: Settings, method: str, frequency: FloatArray, with_requirements: bool = False
-) -> Overlay:
+def caged_overlay(loop: CagedLoop, settings: Settings, method: str, frequency: FloatArray) -> Overlay:
     """Return what is drawn of another design of the loop at `frequency` (F,), rad/s."""
-    results: tuple[CheckResult, ...] = ()
-    if with_requirements:
-        results = judged(loop.spec, loop.design, loop.plants, loop_metrics(loop))[0]
-    return overlay(CagedCurves(loop, settings), loop.design, method, frequency, results)
+    return overlay(CagedCurves(loop, settings), loop.design, method, frequency)
 
 
 def caged_rate(

@@ -33,7 +33,7 @@ def part_of(option: str) -> str:
 
 def parts_given(options: Mapping[str, float]) -> tuple[str, ...]:
     """Return the optional parts that a job's options ask for."""
-    return tuple(part for part in _CLASSICAL.parts if any(part_of(name) == part for name in options))
+    return tuple(sorted(part for part in _CLASSICAL.parts if any(part_of(name) == part for name in options)))
 
 
 def acts(option: str, channel: Channels) -> bool:

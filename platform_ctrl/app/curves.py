@@ -16,7 +16,6 @@ from platform_ctrl.analysis.pole_branches import pole_branches
 from platform_ctrl.analysis.poles import continuous_poles
 from platform_ctrl.app.pictures import Bode, Drawn, FrequencyGain, Locus, Measured, Nichols, Overlay, TimeResponse
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.plant.platform import Platform
 from platform_ctrl.report.quantities import signal_series
 
@@ -208,9 +207,7 @@ class LoopCurves(ABC):
         """Return the gain from what disturbs the loop at `frequency` (F,), rad/s."""
 
 
-def overlay(
-    curves: LoopCurves, design: str, method: str, frequency: FloatArray, requirements: tuple[CheckResult, ...]
-) -> Overlay:
+def overlay(curves: LoopCurves, design: str, method: str, frequency: FloatArray) -> Overlay:
     """Return what is drawn of another design over a picture whose Bode diagram is at `frequency`."""
     response = curves.response(frequency)
     return Overlay(
@@ -222,7 +219,6 @@ def overlay(
         step=curves.step(),
         Omega_step=curves.disturbance(),
         Omega_gain=curves.disturbance_gain(frequency).gain,
-        requirements=requirements,
     )
 
 

@@ -1,4 +1,4 @@
-"""Designs that their methods make, beside those that sliders build: which are there, and which are being made."""
+"""Designs that their methods make: which are available, and which are being made."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ from platform_ctrl.job.job import DesignSpec, LoopSpec
 
 Make = Callable[[Callable[[], bool]], None]
 
-# A request that is followed by another within this time is not begun, s: a slider is still moving.
+# A request followed by another within this time is not started, s: a slider is still moving.
 _PAUSE = 0.6
 
 
 class DesignQueue:
-    """What is being designed, and what is requested next."""
+    """The design that is being made, and those that are requested next."""
 
     def __init__(self, pause: float = _PAUSE) -> None:
         self._pause = pause
@@ -54,7 +54,7 @@ class DesignQueue:
                 if self._worker is None:
                     self._worker = threading.Thread(target=self._work, daemon=True)
                     self._worker.start()
-        return f"{design}: is being designed; it is shown as soon as it is there"
+        return f"{design}: is being designed; it is shown as soon as it is available"
 
     def is_requested(self, loop: str, design: str) -> bool:
         """Whether a design is being made, or will be."""
@@ -62,7 +62,7 @@ class DesignQueue:
             return (loop, design) in self._requested
 
     def listen(self, listener: Callable[[], None]) -> Callable[[], None]:
-        """Have `listener` called in a thread after each design, and return what ends that."""
+        """Call `listener` in a thread after each design; return the function that stops it."""
         with self._lock:
             self._listeners.append(listener)
 
@@ -73,7 +73,7 @@ class DesignQueue:
         return end
 
     def end(self) -> None:
-        """Give up what is going on and what is requested."""
+        """Cancel all requests."""
         with self._lock:
             self._ended = True
             self._requested.clear()
@@ -83,7 +83,7 @@ class DesignQueue:
         while True:
             with self._lock:
                 if self._ended or not self._requested:
-                    # Nothing waits: the next request starts another thread.
+                    # The next request starts another thread.
                     self._worker = None
                     return
                 name, request = next(iter(self._requested.items()))
@@ -113,17 +113,17 @@ class DesignQueue:
 
 
 def never() -> bool:
-    """Say no: nobody cancels."""
+    """Return False: nothing is cancelled."""
     return False
 
 
 def silent(line: str) -> None:
-    """Hear a line and tell nobody."""
+    """Ignore a line."""
     del line
 
 
 class DesignPending(DesignError):
-    """Nothing can be shown before a design is there that is being made."""
+    """Nothing can be shown before a design is available."""
 
 
 class Designs:
@@ -134,15 +134,15 @@ class Designs:
         self._queue = DesignQueue()
 
     def end(self) -> None:
-        """Give up what is being made."""
+        """Cancel all requests."""
         self._queue.end()
 
     def listen(self, listener: Callable[[], None]) -> Callable[[], None]:
-        """Have `listener` called in a thread after each design that pictures wait for, and return what ends that."""
+        """Call `listener` in a thread after each design that pictures wait for; return the function that stops it."""
         return self._queue.listen(listener)
 
     def is_available(self, settings: Settings, design: str | None = None) -> bool:
-        """Return whether a design, or the one that is worked on, is there for just these settings."""
+        """Return whether a design, or the selected one, is available for these settings."""
         spec = self._loops.spec(settings.loop)
         return self._loops.is_available(settings, spec, settings.design if design is None else design)
 
@@ -153,7 +153,7 @@ class Designs:
         progress: Progress = silent,
         cancelled: IsCancelled = never,
     ) -> Settings:
-        """Have a design made in a process of its own, unless it is there, and return the settings that show it."""
+        """Make a design in its own process, unless it is available, and return the settings that show it."""
         loops = self._loops
         spec, own = loops.design(settings if design is None else settings.but(design=design))
         if not self.is_available(settings, own.name):
@@ -163,7 +163,7 @@ class Designs:
         return loops.designed_for_these(settings, spec, own)
 
     def caged(self, settings: Settings, again: bool = True) -> tuple[CagedLoop, tuple[str, ...]]:
-        """Return the loop with its controller; one that a method has to make is asked for, and anew with `again`."""
+        """Return the loop with its controller; one that a method has to make is requested, and anew with `again`."""
         loops = self._loops
         spec, design = loops.design(settings)
         if built_directly(design):
@@ -175,28 +175,28 @@ class Designs:
         if seen == conditions:
             return loops.caged(settings)
 
-        def wanted() -> str:
+        def requested() -> str:
             def make(cancelled: IsCancelled) -> None:
                 self.make(loops.at(settings, spec, design, conditions), None, cancelled=cancelled)
 
             return self._queue.request(spec.name, design.name, conditions, make)
 
         if seen is None:
-            line = f"{spec.name}, {wanted()}"
+            line = f"{spec.name}, {requested()}"
             raise DesignPending(line) if self._queue.is_requested(spec.name, design.name) else DesignError(line)
         loop, notes = loops.caged(settings)
-        return (loop, (wanted(),)) if again else (loop, notes)
+        return (loop, (requested(),)) if again else (loop, notes)
 
     def overlays(
         self, settings: Settings, spec: LoopSpec, frequency: FloatArray
     ) -> tuple[tuple[Overlay, ...], tuple[str, ...]]:
-        """Return what lies over a picture, and lines about what does not, or is not quite up to date."""
+        """Return the overlays of a picture, and lines about those that are missing or not up to date."""
         out, notes = [], []
         for name in dict.fromkeys(settings.overlays):
             if name == settings.design or name not in {d.name for d in spec.designs}:
                 continue
             try:
-                found, note = self.overlay(settings, spec, name, frequency)
+                found, note = self._overlay(settings, spec, name, frequency)
             except PlatformCtrlError as error:
                 notes.append(str(error))
                 continue
@@ -204,20 +204,14 @@ class Designs:
             notes += [note] if note else []
         return tuple(out), tuple(notes)
 
-    def overlay(
-        self, settings: Settings, spec: LoopSpec, name: str, frequency: FloatArray, measured: bool = False
-    ) -> tuple[Overlay, str]:
-        """Return one design of the loop as an overlay at `frequency` (F,), rad/s, and a line about it.
-
-        What all other loops are set to stays. Its limits are empty unless they are to be `measured`.
-        """
+    def _overlay(self, settings: Settings, spec: LoopSpec, name: str, frequency: FloatArray) -> tuple[Overlay, str]:
+        """Return one design of the loop as an overlay, and a line about it; all other loops stay as they are."""
         other: DesignSpec = spec.designs[known_name("design", name, tuple(d.name for d in spec.designs))]
         own = settings.but(design=name)
         with np.errstate(all="ignore"):
             if spec.kind != "caging":
-                # Lines about the other loops are those of the picture below it.
+                # The picture below it has the lines about the other loops.
                 free, _ = self._loops.stabilised(own)
-                kept = self._loops.kept(own) if measured else None
-                return stabilised_overlay(free, own, other.method, frequency, kept), ""
+                return stabilised_overlay(free, own, other.method, frequency), ""
             loop, notes = self.caged(own, again=False)
-            return caged_overlay(loop, own, other.method, frequency, measured), " ".join(notes)
+            return caged_overlay(loop, own, other.method, frequency), " ".join(notes)

@@ -1,8 +1,8 @@
 """Drag a closed-loop pole or the crossover somewhere: the sliders that may move follow, as little as they can.
 
 The logarithms of the sliders take Gauss-Newton steps of least norm, dx = W Jᵀ (J W Jᵀ)⁻¹ r, along a straight path from
-where the pole is to where it is wanted, so that it stays the same pole. Where a requirement that is met would be
-missed, steps that keep its linearisation go on along it.
+where the pole is to its target, so that it stays the same pole. Where a requirement would become violated, steps that
+keep its linearisation go on along the limit.
 """
 
 from __future__ import annotations
@@ -24,30 +24,30 @@ Build = Callable[[Mapping[str, float]], StateArrays]
 Ratios = Callable[[Mapping[str, float]], FloatArray]
 Residual = Callable[[StateArrays], FloatArray]
 
-# Most steps along the way, and the share of a frequency that one of fewer may be.
-_WAY, _STRIDE = 8, 0.05
-# Gauss-Newton steps for each, and the largest change of a logarithm in one: a parameter may go from end to end of its
+# Most steps along a path, and the relative length of a step if fewer suffice.
+_MAX_STEPS, _STEP = 8, 0.05
+# Most Gauss-Newton iterations for each, and the largest change of a logarithm in one: a parameter may cross its whole
 # range, a factor of 20 to both sides and as much again below, and needs some more to converge.
-_MOST, _LONGEST = 45, 0.3
-# A full step that takes away less than this share of the distance: the place cannot be reached.
+_MAX_ITERATIONS, _MAX_CHANGE = 45, 0.3
+# A full step that reduces the distance by a smaller share: the target cannot be reached.
 _STALLED = 1e-3
-# Relative distance to the target that counts as there.
-_THERE = 1e-9
-# Relative gain that still counts as 1, and halvings between a frequency where it can be and one where it cannot.
-_CROSSED, _HALVINGS = 1e-6, 5
-# Relative distance at which it is above on one side and below on the other.
-_BESIDE = 1e-3
+# Relative distance at which the target counts as reached.
+_TARGET_TOLERANCE = 1e-9
+# Relative deviation of a gain that still counts as 1, and bisections between a reachable and an unreachable crossover.
+_GAIN_TOLERANCE, _BISECTIONS = 1e-6, 5
+# Relative distance to both sides at which the gain has to be above and below 1.
+_SIDE_STEP = 1e-3
+# Step of finite differences, in logarithms.
 _DIFFERENCE = 1e-6
-# Share of the way to the goal that a step along a limit has to make for another to follow, and the relative distance to
-# the goal that nobody sees.
-_PROGRESS, _ARRIVED = 0.02, 5e-4
-# By how much a ratio on a grid may be wrong.
-_GROSS = 0.02
-# How much more a relative distance to the place wanted counts than the logarithm of a slider.
+# Share of the distance to the target that a step along a limit has to make for another to follow, and the relative
+# distance that cannot be seen.
+_PROGRESS, _INVISIBLE = 0.02, 5e-4
+# Error of a ratio on a frequency grid.
+_GRID_ERROR = 0.02
+# Weight of a relative distance to the target against the logarithm of a slider.
 _PLACE_WEIGHT = 100.0
-# By how much less than a limit a step along it aims at, for its curvature, and how often it is halved where that is
-# not enough.
-_INSIDE, _SHORTER = 1e-3, 4
+# Distance that a step along a limit keeps from it, for its curvature, and how often it is halved if that is not enough.
+_INSIDE, _MAX_HALVINGS = 1e-3, 4
 
 
 @value
@@ -93,7 +93,7 @@ class Limits:
     steps: int = 2
 
     def broken(self, ratios: Ratios, numbers: Mapping[str, float], slack: float = 0.0) -> tuple[str, ...]:
-        """Return the names of the requirements that these sliders make missed; all of them where there is no loop."""
+        """Return the names of the requirements that these sliders violate; all of them if the loop cannot be built."""
         if not self.names:
             return ()
         try:
@@ -142,9 +142,9 @@ def dragged_pole(
     here = here if here.imag >= 0.0 else here.conjugate()
     scale = max(abs(here), abs(goal), 1e-12)
 
-    def residual(wanted: complex) -> Residual:
+    def residual(place: complex) -> Residual:
         def of(K: StateArrays) -> FloatArray:
-            away = _nearest(_poles(K, plant), wanted) - wanted
+            away = _nearest(_poles(K, plant), place) - place
             return np.array([away.real] if real else [away.real, away.imag]) / scale
 
         return of
@@ -154,10 +154,10 @@ def dragged_pole(
     shares = _shares(abs(goal - here) / scale)
     for share in shares:
         last = share == shares[-1]
-        wanted = first + (goal - first) * share
-        new = _reached(parameters, path[-1], residual(wanted), low, high, what, _THERE if last else 1e-3)
+        place = first + (goal - first) * share
+        new = _reached(parameters, path[-1], residual(place), low, high, what, _TARGET_TOLERANCE if last else 1e-3)
         numbers = parameters.numbers(new)
-        limited_by = limits.broken(limits.rough, numbers, _GROSS)
+        limited_by = limits.broken(limits.rough, numbers, _GRID_ERROR)
         if last and not limited_by:
             # As the page judges it, which then need not be done again.
             limited_by = limits.broken(limits.exact, numbers)
@@ -165,7 +165,7 @@ def dragged_pole(
             path += _along(parameters, limits, path[-1], goal, residual, poles, here)
             break
         path.append(new)
-        here = wanted
+        here = place
     return _met(parameters, limits, path, limited_by)
 
 
@@ -183,13 +183,13 @@ def _along(
     here = _nearest(poles(x), here)
     for _ in range(limits.steps):
         away = abs(goal - here)
-        wanted = here + (goal - here) * min(1.0, _STRIDE * abs(goal) / max(away, 1e-300))
-        found = _kept_step(parameters, limits, x, residual(wanted))
+        target = here + (goal - here) * min(1.0, _STEP * abs(goal) / max(away, 1e-300))
+        found = _kept_step(parameters, limits, x, residual(target))
         if found is None:
             break
-        x, here = found, _nearest(poles(found), wanted)
+        x, here = found, _nearest(poles(found), target)
         out.append(x)
-        if abs(goal - here) < _ARRIVED * abs(goal) or abs(goal - here) > (1.0 - _PROGRESS) * away:
+        if abs(goal - here) < _INVISIBLE * abs(goal) or abs(goal - here) > (1.0 - _PROGRESS) * away:
             break
     return out
 
@@ -220,13 +220,13 @@ def _kept_step(parameters: FreeParameters, limits: Limits, x: FloatArray, residu
         moved[k] += _DIFFERENCE
         G[:, k] = (limits.local(numbers(moved)) - ratios) / _DIFFERENCE
     low, high = np.log(parameters.low), np.log(parameters.high)
-    reach = np.minimum(high - x, _LONGEST), np.minimum(x - low, _LONGEST)
+    reach = np.minimum(high - x, _MAX_CHANGE), np.minimum(x - low, _MAX_CHANGE)
     A = np.vstack([_PLACE_WEIGHT * J, np.diag(1.0 / np.sqrt(np.maximum(parameters.weights, 1e-12)))])
     b = np.concatenate([-_PLACE_WEIGHT * r, np.zeros(len(x))])
     within = np.vstack([np.nan_to_num(G), np.eye(len(x)), -np.eye(len(x))])
     room = np.concatenate([np.maximum(limits.bound - _INSIDE - ratios, 0.0), *reach])
     dx = constrained_least_squares(A, b, within, room)
-    for _ in range(_SHORTER):
+    for _ in range(_MAX_HALVINGS):
         new = np.clip(x + dx, low, high)
         try:
             nearer = bool(np.linalg.norm(residual(parameters.controller(new))) < np.linalg.norm(r))
@@ -255,10 +255,10 @@ def constrained_least_squares(A: FloatArray, b: FloatArray, G: FloatArray, h: Fl
     M = solve_triangular(R, G.T, trans="T").T
     rhs = M @ u - h
     E = np.vstack([-M.T, rhs])
-    wanted = np.zeros(len(E))
-    wanted[-1] = 1.0
-    y, rest = nnls(E, wanted)
-    away = E @ y - wanted
+    target = np.zeros(len(E))
+    target[-1] = 1.0
+    y, rest = nnls(E, target)
+    away = E @ y - target
     z = -away[:-1] / away[-1] if rest > 1e-12 else np.zeros(len(u))
     return np.asarray(solve_triangular(R, z + u))
 
@@ -305,7 +305,7 @@ def dragged_crossover(
         path.append(found)
         here = w
     # Where it cannot go all the way it goes as far as it can: a gain that passes 1 nowhere is not taken hold of again.
-    for _ in range(0 if math.isnan(beyond) else _HALVINGS):
+    for _ in range(0 if math.isnan(beyond) else _BISECTIONS):
         middle = math.sqrt(here * beyond)
         found = crossing(path[-1], middle)
         if found is None:
@@ -320,13 +320,13 @@ def _poles(K: StateArrays, plant: StateArrays) -> ComplexArray:
     return continuous_poles(poles(closed_loop(plant, K).A), plant.dt)
 
 
-def _nearest(s: ComplexArray, wanted: complex) -> complex:
-    return complex(s[int(np.nanargmin(_distance(s, wanted)))])
+def _nearest(s: ComplexArray, target: complex) -> complex:
+    return complex(s[int(np.nanargmin(_distance(s, target)))])
 
 
 def _shares(distance: float) -> list[float]:
-    """Return the shares of a way at which to be in turn: a hand that drags asks for a little again and again."""
-    count = min(_WAY, max(1, math.ceil(distance / _STRIDE)))
+    """Return the steps along a path as shares of it: while dragging each call is a short one."""
+    count = min(_MAX_STEPS, max(1, math.ceil(distance / _STEP)))
     return [(k + 1) / count for k in range(count)]
 
 
@@ -334,14 +334,16 @@ def _crossing(
     parameters: FreeParameters, x: FloatArray, residual: Callable[[float], Residual], w: float, what: str
 ) -> FloatArray | None:
     """Return where the gain passes 1 at w, from x on; None where it does not get there, or only touches 1."""
-    found = _reached(parameters, x, residual(w), np.log(parameters.low), np.log(parameters.high), what, _THERE)
+    found = _reached(
+        parameters, x, residual(w), np.log(parameters.low), np.log(parameters.high), what, _TARGET_TOLERANCE
+    )
     K = parameters.controller(found)
-    below, at, above = (float(residual(w * share)(K)[0]) for share in (1.0 - _BESIDE, 1.0, 1.0 + _BESIDE))
-    return found if abs(at) <= _CROSSED and below * above < 0.0 else None
+    below, at, above = (float(residual(w * share)(K)[0]) for share in (1.0 - _SIDE_STEP, 1.0, 1.0 + _SIDE_STEP))
+    return found if abs(at) <= _GAIN_TOLERANCE and below * above < 0.0 else None
 
 
-def _distance(s: ComplexArray, wanted: complex) -> FloatArray:
-    return np.asarray(np.where(np.isfinite(s), np.abs(s - wanted), np.nan))
+def _distance(s: ComplexArray, target: complex) -> FloatArray:
+    return np.asarray(np.where(np.isfinite(s), np.abs(s - target), np.nan))
 
 
 def _expect_sliders(parameters: FreeParameters) -> None:
@@ -359,7 +361,7 @@ def _reached(
     near: float,
 ) -> FloatArray:
     r = residual(parameters.controller(x))
-    for _ in range(_MOST):
+    for _ in range(_MAX_ITERATIONS):
         if np.abs(r).max() <= near:
             break
         J = _slopes(parameters, x, residual, r)
@@ -377,7 +379,7 @@ def _reached(
             if not out.any():
                 break
             free[out] = 0.0
-        share = min(1.0, _LONGEST / max(float(np.abs(dx).max()), 1e-300))
+        share = min(1.0, _MAX_CHANGE / max(float(np.abs(dx).max()), 1e-300))
         dx *= share
         before, better = float(np.linalg.norm(r)), False
         for _ in range(6):

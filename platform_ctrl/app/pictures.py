@@ -41,7 +41,7 @@ class Overlay:
 
     `response` (F,) is its loop transfer at the frequencies of the Bode diagram, dimensionless, `phase` its unwrapped
     phase in degrees, `poles` (n,) the s-plane equivalents of its closed loop's poles, rad/s. `step`, `Omega_step` and
-    `Omega_gain` (F,) are as in `Picture`, a step over times of its own. `requirements` are empty in a picture.
+    `Omega_gain` (F,) are as in `Picture`; a step has its own times.
     """
 
     design: str
@@ -52,7 +52,6 @@ class Overlay:
     step: TimeResponse
     Omega_step: TimeResponse
     Omega_gain: FloatArray
-    requirements: tuple[CheckResult, ...] = ()
 
 
 @value

@@ -26,7 +26,7 @@ from platform_ctrl.verification.records import SCHEMA, write_record
 if TYPE_CHECKING:
     from tomlkit import TOMLDocument
 
-# What a job's controllers are called beside it.
+# Ending of the file of a job's controllers.
 SUFFIX = ".controllers.json"
 
 
@@ -58,7 +58,7 @@ class Saved:
 
 
 def controllers_beside(job: Path) -> Path:
-    """Return where the controllers of a job file stand."""
+    """Return the path of the controllers of a job file."""
     return job.with_name(job.stem + SUFFIX)
 
 
@@ -103,7 +103,7 @@ def write_job(
     try:
         write_whole(path, text)
     except InputError:
-        # Controllers of a job that is not there are of no use.
+        # Without the job file its controllers are useless.
         if before is None:
             beside.unlink(missing_ok=True)
         else:
@@ -119,7 +119,7 @@ def job_text(
     start: Settings,
     used: Mapping[str, Mapping[str, Mapping[str, float]]],
 ) -> str:
-    """Return the text of the job with what the page has changed; everything else of it stays, comments too."""
+    """Return the text of the job with the changes of the page; all else stays, also comments."""
     tomlkit = _tomlkit()
     document = tomlkit.parse(read_text(source, "a job file"))
     if settings.rate_hz != start.rate_hz:
@@ -144,8 +144,8 @@ def job_text(
 
 
 def _put(design: Any, numbers: Mapping[str, float]) -> None:
-    """Write the options of a design: what is there already keeps its place and its comment."""
-    # Parts that are off, and what gyros that are stopped asked for: the method would refuse it.
+    """Write the options of a design; existing keys keep their place and comment."""
+    # The method would refuse options of parts that are off, and those of stopped gyros.
     method = METHODS[str(design["method"])]
     known = method.options if method.parts else {}
     for key in [key for key in design if key in known and key not in (*numbers, ALWAYS)]:
@@ -154,7 +154,7 @@ def _put(design: Any, numbers: Mapping[str, float]) -> None:
         if key not in design or float(design[key]) != x:
             design[key] = int(x) if float(x).is_integer() and abs(x) < 1e15 else x
     if design.get("tune"):
-        # They are the numbers as they are used, no starting values any more.
+        # They are final values now, not starting values.
         design["tune"] = False
 
 
@@ -168,7 +168,7 @@ def _plant(document: TOMLDocument, old: Path, new: Path, settings: Settings, sta
                 rotor.pop("angular_momentum", None)
                 rotor["spin"] = moved[rotor["name"]]
         if isinstance(plant, str):
-            # At the end: keys of the job that follow it would be taken for the plant's.
+            # At the end: keys of the job after it would belong to the plant.
             del document["plant"]
             document.add("plant", _tomlkit().item(whole))
     elif isinstance(plant, str) and not is_shipped_name(str(plant)) and old.resolve() != new.resolve():

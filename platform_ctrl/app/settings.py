@@ -105,24 +105,18 @@ class Settings:
         return self.optional.get(loop, {}).get(design, ())
 
     def data(self) -> dict[str, Any]:
-        """Return everything as JSON knows it; two settings are the same where these dicts are."""
-        out: dict[str, Any] = {one.name: getattr(self, one.name) for one in dataclasses.fields(self)}
-        out["options"] = {
-            loop: {design: dict(options) for design, options in designs.items()}
-            for loop, designs in self.options.items()
-        }
-        out["optional"] = {
-            loop: {design: sorted(parts) for design, parts in designs.items()}
-            for loop, designs in self.optional.items()
-        }
-        out["closed"] = dict(self.closed)
-        out["designed_for"] = {
-            loop: {design: conditions.data() for design, conditions in designs.items()}
-            for loop, designs in self.designed_for.items()
-        }
-        out["spins"], out["Omega"] = dict(self.spins), list(self.Omega)
-        out["fixed"], out["overlays"] = sorted(self.fixed), list(self.overlays)
-        return out
+        """Return everything as JSON values; two settings are equal if these dicts are."""
+        return {one.name: _plain(getattr(self, one.name)) for one in dataclasses.fields(self)}
+
+
+def _plain(item: Any) -> Any:
+    if isinstance(item, Conditions):
+        return item.data()
+    if isinstance(item, Mapping):
+        return {name: _plain(one) for name, one in item.items()}
+    if isinstance(item, frozenset):
+        return sorted(item)
+    return list(item) if isinstance(item, tuple) else item
 
 
 @value

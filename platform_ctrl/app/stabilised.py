@@ -382,12 +382,9 @@ def stabilised_parts(loop: StabilisedLoop, settings: Settings, cached: CachedMar
     return drawn, measured
 
 
-def stabilised_overlay(
-    loop: StabilisedLoop, settings: Settings, method: str, frequency: FloatArray, cached: CachedMargins | None = None
-) -> Overlay:
-    """Return what is drawn of another servo at `frequency` (F,), rad/s; with `cached` its limits are measured too."""
-    results = () if cached is None else requirements(loop, cached)
-    return overlay(StabilisedCurves(loop, settings), settings.design, method, frequency, results)
+def stabilised_overlay(loop: StabilisedLoop, settings: Settings, method: str, frequency: FloatArray) -> Overlay:
+    """Return what is drawn of another servo at `frequency` (F,), rad/s."""
+    return overlay(StabilisedCurves(loop, settings), settings.design, method, frequency)
 
 
 def _bandwidth(grid: FloatArray, S: ComplexArray, rows: list[int]) -> float:

@@ -129,6 +129,7 @@ def job(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def backend(job: Path) -> Iterator[Backend]:
     made = Backend(job)
+    made.picture(made.start())  # compiled before a browser waits for it
     yield made
     made.close()
 

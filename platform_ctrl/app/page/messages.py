@@ -134,23 +134,15 @@ def plain_number(number: float | None) -> float | str | None:
     return float(number)
 
 
+_SLIDER_FIELDS = (
+    "name", "label", "unit", "group", "low", "high", "value", "logarithmic", "tip", "fixed", "tunable",
+)  # fmt: skip
+
+
 def slider_data(sliders: Iterable[Slider], starts: Starts) -> list[dict[str, Any]]:
     """Return the sliders as the page builds them."""
     return [
-        {
-            "name": one.name,
-            "label": one.label,
-            "unit": one.unit,
-            "group": one.group,
-            "low": one.low,
-            "high": one.high,
-            "value": one.value,
-            "logarithmic": one.logarithmic,
-            "tip": one.tip,
-            "fixed": one.fixed,
-            "tunable": one.tunable,
-            "start": starts.get(one.name, one.value),
-        }
+        {name: getattr(one, name) for name in _SLIDER_FIELDS} | {"start": starts.get(one.name, one.value)}
         for one in sliders
     ]
 

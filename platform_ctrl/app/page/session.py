@@ -37,13 +37,13 @@ if TYPE_CHECKING:
 class MessageModel(DataModel):
     """The last request of the page, and the last response to it."""
 
-    # Of any type: `requests.parse_request` refuses what is none, with a line.
+    # Of any type: `parse_request` refuses what is not a request.
     request = AnyProperty(default="")
     response = String(default="")
 
 
 class Connection:
-    """A page's end on the server; all but `later` runs on the server's loop while the document is locked."""
+    """The server's end of the connection to a page; all but `later` runs on the server's loop."""
 
     def __init__(self, document: Document) -> None:
         self.document: Document | None = document
@@ -51,11 +51,11 @@ class Connection:
         self._answered = 0
 
     def close(self) -> None:
-        """Let go of the document: nothing is sent any more."""
+        """Release the document: nothing is sent any more."""
         self.document = None
 
     def later(self, act: Callable[[], None]) -> None:
-        """Have something done on the server's loop; from any thread."""
+        """Call `act` on the server's loop; from any thread."""
         document = self.document
         if document is not None:
             # Bokeh takes a document apart before it says that its page is gone.
@@ -63,7 +63,7 @@ class Connection:
                 document.add_next_tick_callback(lambda: None if self.document is None else act())
 
     def soon(self, act: Callable[[], None], wait: int) -> None:
-        """Have something done on the server's loop after `wait` milliseconds, if the page is still there."""
+        """Call `act` on the server's loop after `wait` milliseconds, unless the page is closed by then."""
         document = self.document
         if document is not None:
             document.add_timeout_callback(lambda: None if self.document is None else act(), wait)
@@ -73,22 +73,23 @@ class Connection:
         self.answer(count, line={"text": text, "kind": kind})
 
     def answer(self, count: int | None = None, **parts: Any) -> None:
-        """Send parts of what the page shows, and up to which of its messages, by `count`, everything is done."""
+        """Send parts of what the page shows; all its messages up to `count` are done."""
         self._answered = max(self._answered, count or 0)
         content = {"n": self._answered, **parts}
         self.model.update(response=json.dumps(content, allow_nan=False, separators=(",", ":")))
 
 
-# Milliseconds without a change after which the influence of the sliders is worked out.
+# Milliseconds without a change after which the influence of the sliders is computed.
 IDLE = 350
-# Seconds that what is drawn may take on its way to the browser before it is measured in any case.
+# Longest time that measuring waits for the drawing to be sent, s.
 _SENDING = 0.05
+_SHOWN_SETTINGS = ("mode", "loop", "design", "channel", "axis", "plant", "band")
 Change = Callable[["Settings"], "Settings"]
 
 
 @value
 class Task:
-    """A change of the settings that is to be shown; steps of one gesture are undone together."""
+    """A change of the settings to be shown; the steps of one gesture are undone together."""
 
     count: int
     change: Change
@@ -97,10 +98,7 @@ class Task:
 
 @value
 class Outcome:
-    """What came of some tasks, the `turn`-th time: a picture, or a line that says why there is none.
-
-    `limited_by` are the limits that kept a drag from going all the way.
-    """
+    """The `turn`-th result of tasks: a picture, or the line of an error; `limited_by` are the limits of a drag."""
 
     settings: Settings
     picture: Picture | None
@@ -113,10 +111,7 @@ class Outcome:
 
 
 class Session:
-    """One page. Everything that it holds goes with it when it is closed.
-
-    Its methods run on the server's loop while the document is locked, but `_work`, which runs in a thread.
-    """
+    """One page. Its methods run on the server's loop while the document is locked; `_work` runs in a thread."""
 
     def __init__(self, backend: Backend, document: Document, state: str) -> None:
         self.backend = backend
@@ -145,25 +140,25 @@ class Session:
         self._changes: LatestTasks[Task] = LatestTasks(self._work)
         self._lock = threading.Lock()
         self._outcome: Outcome | None = None
-        # What is to be drawn next; which time of working out that is of, and of which what the plots show.
+        # What is drawn next; its turn, and the turn of what the plots show.
         self._drawing: Drawing | None = None
         self._turn = self._plotted = 0
         self._sent = threading.Event()
-        # What waits for a design that is being made.
+        # The result that waits for a design.
         self._awaited: Outcome | None = None
         self._idle: Any = None
-        # Whether a drag may make limits missed that are met, and which of them hold the present one back.
+        # Whether a drag may violate limits, and which of them hold the present one back.
         self._free = False
         self._limited_by: tuple[str, ...] = ()
         self._tasks = PageTasks(self)
         self._stop_listening = backend.on_designed(self._designed)
 
     def roots(self) -> list[Any]:
-        """Return what the document holds, each under the name that the template knows."""
+        """Return the roots of the document, by whose names the template places them."""
         return [*self.plots.layout.values(), self.tree.layout, self.connection.model]
 
     def close(self, session_context: object) -> None:
-        """End what is going on and let go of everything; the page is gone."""
+        """Cancel all tasks and release everything; the page is closed."""
         self._stop_listening()
         self._changes.close()
         self._tasks.close()
@@ -171,7 +166,7 @@ class Session:
         self._idle = self._outcome = self.picture = self._drawing = self._awaited = None
 
     def change(self, key: str, change: Change, *, count: int = 0, gesture: object = None) -> None:
-        """Have the settings changed and shown. A change of the same key that still waits is dropped."""
+        """Change the settings and show them; it replaces a waiting change of the same key."""
         self._tasks.cancel_tuning()
         self._no_rest()
         if gesture is None:
@@ -181,12 +176,12 @@ class Session:
     # Requests of the page.
 
     def _requested(self, name: str, old: object, new: object) -> None:
-        """Do what a message requests; what is no request is answered by a line."""
+        """Do what a message requests; a wrong one is answered by an error."""
         try:
             request = parse_request(new)
             getattr(self, f"_on_{request.what}", self._tasks.handle)(request)
         except PlatformCtrlError as error:
-            # What was typed gives way to what is shown.
+            # The sliders show their values again, not what was typed.
             rows = {} if self.picture is None else self._slider_rows(self.picture.settings)
             self.connection.answer(request_count(new), line={"text": str(error), "kind": "error"}, **rows)
 
@@ -272,13 +267,13 @@ class Session:
         self.change("drag", change, gesture=("crossover", self.plots.drags))
 
     def _limited(self, names: tuple[str, ...]) -> None:
-        """Note which limits hold a drag back; called while a change is worked out."""
+        """Remember which limits hold a drag back; called while a change is computed."""
         self._limited_by = names
 
     # What comes of it.
 
     def _designed(self) -> None:
-        """Show the picture again with a design that was waited for, or the one that is waited for; in a thread."""
+        """Compute the picture again with a design that has become available; called in a thread."""
 
         def again() -> None:
             awaited = self._awaited
@@ -291,7 +286,7 @@ class Session:
         self.connection.later(again)
 
     def _work(self, tasks: list[Task]) -> None:
-        """Work out a picture for all tasks together; runs in a thread."""
+        """Compute a picture for all tasks together; runs in a thread."""
         settings, line, picture, awaits = self.settings, None, None, False
         self._turn += 1
         self._limited_by = ()
@@ -306,7 +301,7 @@ class Session:
             line, awaits = str(error), True
         except Exception as error:
             line = error_text(error)
-        # A design that is there now is no step of its own in what a hand does.
+        # A design that has become available is not a separate step of a gesture.
         gesture = next((task.gesture for task in reversed(tasks) if task.gesture != "ready"), "ready")
         count = max(task.count for task in tasks)
         with self._lock:
@@ -330,7 +325,7 @@ class Session:
             self.connection.later(self._show)
 
     def _drawn(self, drawing: Drawing) -> None:
-        """Show what is drawn before it is measured; called in a thread."""
+        """Show the curves before they are measured; called in a thread."""
         self._sent.clear()
         with self._lock:
             scheduled, self._drawing = self._drawing is not None, drawing
@@ -368,14 +363,14 @@ class Session:
             data |= self._picture_data(out.picture)
             self._rest()
         elif self.picture is not None and out.awaits:
-            # The sliders stay those of what is shown; what was chosen stays chosen.
+            # The sliders stay those of the picture; the lists keep the choice.
             data |= self._slider_rows(self.picture.settings)
         elif self.picture is not None:
-            # Everything goes back to what is shown.
+            # Everything returns to the last picture.
             data |= self._picture_data(self.picture)
             self._rest()
             if self._plotted == out.turn:
-                # What could not be measured was drawn already.
+                # Its curves are drawn already, but measuring failed.
                 self.plots.show(self.picture)
         self.connection.answer(out.count, **data)
 
@@ -393,13 +388,7 @@ class Session:
         sliders = self._sliders(settings)
         return {
             "state": {
-                "mode": settings.mode,
-                "loop": settings.loop,
-                "design": settings.design,
-                "channel": settings.channel,
-                "axis": settings.axis,
-                "plant": settings.plant,
-                "band": settings.band,
+                **{name: getattr(settings, name) for name in _SHOWN_SETTINGS},
                 "overlays": list(settings.overlays),
                 "choices": messages.choice_data(self.choices, settings, picture.plants),
                 "undo": self.history.can_undo,
@@ -425,13 +414,13 @@ class Session:
         return [{"name": one.name, "label": one.label, "on": one.on, "tip": one.tip} for one in parts]
 
     def _starts(self, settings: Settings) -> dict[str, float]:
-        """Return where the sliders of these settings stood first: in the job file."""
+        """Return the values of the sliders of these settings in the job file."""
         first = self.backend.start()
         there = first.but(loop=settings.loop, design=settings.design, optional=settings.optional)
         return {one.name: one.value for one in self.backend.sliders(there)}
 
     def _rest(self) -> None:
-        """Once nothing has changed for a while, work out what each slider does to each requirement."""
+        """Compute the effect of each slider on each requirement once nothing has changed for a while."""
         document = self.connection.document
         if document is None:
             return
@@ -450,7 +439,7 @@ class Session:
         self._idle = None
 
 
-# The plots in the order in which they stand, and what they are called to readers who do not see them.
+# The plots in their order on the page, with their names for screen readers.
 PANELS = (
     ("bode", "Bode diagram"),
     ("nichols", "Nichols plot"),
@@ -461,7 +450,7 @@ PANELS = (
 
 
 def page(backend: Backend, document: Document) -> None:
-    """Make a page of a new document: with a state of its own, which is dropped with the document's session."""
+    """Fill a new document with a page, which ends with the document's session."""
     session = Session(backend, document, _state(document))
     with document.models.freeze():  # what belongs to the document is looked for once, not for every plot
         for root in session.roots():
@@ -475,7 +464,7 @@ def page(backend: Backend, document: Document) -> None:
 
 
 def _state(document: Document) -> str:
-    """Return the state that the page's address asks for, empty where it asks for none."""
+    """Return the state in the page's address, or an empty text."""
     context: Any = document.session_context
     request = None if context is None else context.request
     given: Any = {} if request is None else request.arguments

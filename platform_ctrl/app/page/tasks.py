@@ -16,6 +16,7 @@ from platform_ctrl.app.page.messages import Request, influence_data
 from platform_ctrl.app.saving import controllers_beside
 from platform_ctrl.common.arguments import known_name
 from platform_ctrl.common.signatures import short
+from platform_ctrl.common.values import value
 from platform_ctrl.errors import InputError, PlatformCtrlError
 
 if TYPE_CHECKING:
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
     from platform_ctrl.app.pictures import Picture
     from platform_ctrl.app.settings import Choices, Settings
 
-# A name and no path; nothing that a system keeps to itself.
+# A plain file name; those that Windows reserves.
 _NAME = re.compile(r"[\w .,()+=@-]+(?<![ .])")
 _LONGEST = 80
 _RESERVED = re.compile(r"(?i)(con|prn|aux|nul|com\d|lpt\d)(\..*)?")
@@ -79,28 +80,41 @@ class Page(Protocol):
         """Have the settings changed and shown."""
 
 
+# What the page's line says while a task runs, and after it was cancelled.
+_RUNNING = {"tune": "Tuning is going on", "simulate": "A manoeuvre is being simulated"}
+_CANCELLED = {
+    "tune": "Tuning was cancelled; nothing was changed.",
+    "simulate": "The simulation was cancelled.",
+}
+
+
+@value
+class _Running:
+    """A task that a page can cancel; only one runs at a time."""
+
+    name: str
+    cancelled: threading.Event
+
+
 class PageTasks:
-    """The long tasks of a session, each in a thread of its own."""
+    """The long tasks of a session, each in its own thread."""
 
     def __init__(self, page: Page) -> None:
         self._page, self._backend, self._connection = page, page.backend, page.connection
-        self._cancelled: threading.Event | None = None
-        self._run_cancelled: threading.Event | None = None
+        self._running: _Running | None = None
         self._measuring = False
 
     def close(self) -> None:
-        """End what is going on; nothing is sent any more."""
-        self.cancel_tuning()
-        self._cancel_run()
+        """Cancel the task that is running; nothing is sent any more."""
+        self._cancel()
 
     def data(self) -> dict[str, Any]:
         """Return what the page shows for saving and simulating."""
         path = self._backend.path
-        stem = "job" if path is None else path.stem
         manoeuvres = self._page.choices.manoeuvres
         return {
             "folder": str(self._folder()),
-            "stem": f"{stem}-tuned",
+            "stem": f"{'job' if path is None else path.stem}-tuned",
             "manoeuvre": manoeuvres[0] if manoeuvres else "",
         }
 
@@ -109,14 +123,14 @@ class PageTasks:
         getattr(self, f"_on_{request.what}")(request)
 
     def cancel_tuning(self) -> None:
-        """End tuning, if it is going on."""
-        if self._cancelled is not None:
-            self._cancelled.set()
+        """Cancel tuning, if it is running."""
+        if self._running is not None and self._running.name == "tune":
+            self._cancel()
 
     def influence(self, settings: Settings) -> None:
-        """Work out what each slider does to each requirement of these settings, and tell the page."""
+        """Compute the effect of each slider on each requirement of these settings, and send it."""
         page = self._page
-        if self._measuring or self._cancelled is not None:
+        if self._measuring or (self._running is not None and self._running.name == "tune"):
             return
         self._measuring = True
 
@@ -139,63 +153,45 @@ class PageTasks:
         self._do(measured, failed)
 
     def _on_cancel(self, request: Request) -> None:
-        self.cancel_tuning()
-        self._cancel_run()
+        self._cancel()
         self._connection.answer(request.count)
 
     def _on_tune(self, request: Request) -> None:
-        page = self._page
-        if self._cancelled is not None:
-            self._connection.say("Tuning is going on already.", count=request.count)
+        page, settings, last = self._page, self._page.settings, 0.0
+        running = self._begin("tune", "Tuning the rest", request)
+        if running is None:
             return
-        if self._run_cancelled is not None:
-            self._connection.say("A manoeuvre is being simulated; Esc ends that.", count=request.count)
-            return
-        self._cancelled = cancelled = threading.Event()
-        settings, last = page.settings, [0.0]
-        self._connection.answer(request.count, busy={"text": "Tuning the rest", "share": None, "cancel": True})
 
         def progress(line: str) -> None:
+            nonlocal last
             now = time.monotonic()
-            if now - last[0] < PROGRESS_INTERVAL:
-                return
-            last[0] = now
-            busy = {"text": f"Tuning the rest: {line}", "share": None, "cancel": True}
-            self._connection.later(lambda: self._connection.answer(busy=busy) if self._cancelled is cancelled else None)
+            if now - last >= PROGRESS_INTERVAL:
+                last = now
+                self._connection.later(lambda: self._show_busy(running, f"Tuning the rest: {line}"))
 
         def tuned() -> Callable[[], None]:
-            new = self._backend.tune(settings, progress, cancelled.is_set)
+            new = self._backend.tune(settings, progress, running.cancelled.is_set)
 
             def show() -> None:
-                self._cancelled = None
-                self._connection.answer(busy=None)
-                if cancelled.is_set():
-                    self._connection.say("Tuning was cancelled; nothing was changed.")
-                    return
                 if new.options == settings.options:
                     self._connection.say("Tuning found no better values; nothing was changed.")
-                    return
-                page.change("tune", lambda _: new)
+                else:
+                    page.change("tune", lambda _: new)
 
             return show
 
-        def failed(line: str) -> None:
-            self._cancelled = None
-            self._connection.answer(busy=None, line={"text": line, "kind": "quiet" if cancelled.is_set() else "error"})
-
-        self._do(tuned, failed)
+        self._run(running, tuned)
 
     def _on_save(self, request: Request) -> None:
-        page = self._page
         try:
             path = target(self._folder(), request.more["name"])
         except PlatformCtrlError as error:
             self._connection.answer(request.count, saved={"kind": "error", "text": str(error)})
             return
-        settings, overwrite = page.settings, request.more["overwrite"]
-        there = [one.name for one in (path, controllers_beside(path)) if os.path.lexists(one)]
-        if there and not overwrite:
-            reply = {"kind": "error", "text": f"{there[0]} is there already: overwrite it?", "exists": True}
+        settings, overwrite = self._page.settings, request.more["overwrite"]
+        existing = [one.name for one in (path, controllers_beside(path)) if os.path.lexists(one)]
+        if existing and not overwrite:
+            reply = {"kind": "error", "text": f"{existing[0]} exists already: overwrite it?", "exists": True}
             self._connection.answer(request.count, saved=reply)
             return
         self._connection.answer(request.count)
@@ -209,54 +205,63 @@ class PageTasks:
         self._do(saved, lambda line: self._connection.answer(saved={"kind": "error", "text": line}))
 
     def _on_simulate(self, request: Request) -> None:
-        page = self._page
-        manoeuvre = request.more["manoeuvre"]
+        page, settings, manoeuvre = self._page, self._page.settings, request.more["manoeuvre"]
         known_name("manoeuvre", manoeuvre, page.choices.manoeuvres)
-        if self._run_cancelled is not None or self._cancelled is not None:
-            what = "A manoeuvre is being simulated already" if self._cancelled is None else "Tuning is going on"
-            self._connection.say(f"{what}; Esc ends that.", count=request.count)
+        long = f"Simulating {manoeuvre}"
+        if not self._backend.has_simulated:
+            long += ": the first run loads its equations, or compiles them once on this machine"
+        running = self._begin("simulate", "Simulating", request)
+        if running is None:
             return
-        self._run_cancelled = cancelled = threading.Event()
-        settings, first = page.settings, not self._backend.has_simulated
-        busy: dict[str, Any] = {"text": "Simulating", "share": None, "cancel": True}
-        self._connection.answer(request.count, busy=busy)
-
-        def takes_long() -> None:
-            if self._run_cancelled is cancelled:
-                words = f"Simulating {manoeuvre}"
-                if first:
-                    words += ": the first run loads its equations, or compiles them once on this machine"
-                self._connection.answer(busy=busy | {"text": words})
-
-        self._connection.soon(takes_long, LONG)
+        self._connection.soon(lambda: self._show_busy(running, long), LONG)
 
         def simulated() -> Callable[[], None]:
-            trajectory = self._backend.simulate(settings, manoeuvre, cancelled.is_set)
+            trajectory = self._backend.simulate(settings, manoeuvre, running.cancelled.is_set)
             platform = self._backend.job(settings).platform
 
             def show() -> None:
-                self._run_cancelled = None
-                if cancelled.is_set():
-                    self._connection.answer(busy=None)
-                    return
                 page.tree.stage(platform)
                 page.tree.show(trajectory)
-                self._connection.answer(busy=None, simulated=manoeuvre)
+                self._connection.answer(simulated=manoeuvre)
 
             return show
 
-        def failed(line: str) -> None:
-            self._run_cancelled = None
-            reply = {"text": line, "kind": "error"}
-            if cancelled.is_set():
-                reply = {"text": "The simulation was cancelled.", "kind": "quiet"}
-            self._connection.answer(busy=None, line=reply)
+        self._run(running, simulated)
 
-        self._do(simulated, failed)
+    def _begin(self, name: str, words: str, request: Request) -> _Running | None:
+        """Start a task that can be cancelled; None where another one is running, which the page's line then says."""
+        if self._running is not None:
+            self._connection.say(f"{_RUNNING[self._running.name]}; Esc ends that.", count=request.count)
+            return None
+        self._running = running = _Running(name=name, cancelled=threading.Event())
+        self._connection.answer(request.count)
+        self._show_busy(running, words)
+        return running
 
-    def _cancel_run(self) -> None:
-        if self._run_cancelled is not None:
-            self._run_cancelled.set()
+    def _show_busy(self, running: _Running, words: str) -> None:
+        if self._running is running:
+            self._connection.answer(busy={"text": words, "share": None, "cancel": True})
+
+    def _run(self, running: _Running, work: Callable[[], Callable[[], None]]) -> None:
+        """Do `work` of a task in a thread, and show what it returns unless it was cancelled."""
+
+        def ended(show: Callable[[], None]) -> None:
+            self._running = None
+            self._connection.answer(busy=None)
+            if running.cancelled.is_set():
+                self._connection.say(_CANCELLED[running.name])
+            else:
+                show()
+
+        def done() -> Callable[[], None]:
+            show = work()
+            return lambda: ended(show)
+
+        self._do(done, lambda line: ended(lambda: self._connection.say(line, "error")))
+
+    def _cancel(self) -> None:
+        if self._running is not None:
+            self._running.cancelled.set()
 
     def _folder(self) -> Path:
         path = self._backend.path
@@ -283,7 +288,7 @@ T = TypeVar("T")
 class LatestTasks(Generic[T]):
     """Tasks that a thread works off; a newer task takes the place of one of the same key that still waits.
 
-    The thread lives as long as there is something to do.
+    The thread ends when nothing waits.
     """
 
     def __init__(self, work: Callable[[list[T]], None]) -> None:

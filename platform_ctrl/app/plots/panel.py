@@ -341,7 +341,7 @@ class Panel:
     def keys(self, entries: Sequence[Key]) -> None:
         """Write what each curve is.
 
-        The page's script counts the keys for which there is no room; the title has all of them.
+        The page's script counts those that do not fit; the title has all of them.
         """
         parts = []
         many = len(entries) > _FEW
