@@ -80,14 +80,9 @@ def rare_result(
 def write_campaign(
     plan: Plan, result: CampaignResult, rare: tuple[RareResult, ...], *, command: list[str], again: list[str]
 ) -> tuple[Summary, Record]:
-    """Count the table, write campaign.json with what was counted, and the page; return both.
+    """Write campaign.json with the statistics of the table, and the page; return both.
 
-    Parameters
-    ----------
-    plan, result, rare
-        What was simulated.
-    command, again
-        The command that did it, and the one that simulates a run again, without the run's number.
+    `again` is the command that simulates a run again, without the run's number.
     """
     from platform_ctrl.campaign.store import write_record
     from platform_ctrl.campaign.summary import summarise, summary_record

@@ -106,24 +106,11 @@ def write_report(
     *,
     extras: ReportOptions,
 ) -> Shown:
-    """Write all files or none; return what shows the result and gives the exit code, for when the spinner has gone.
+    """Write all files or none; return a function that prints the result and returns the exit code.
 
-    Parameters
-    ----------
-    result
-        Of the job.
-    folder
-        Where the files go.
-    as_json
-        Show the record alone.
-    say
-        Called with a line before each step.
-    command
-        The words of the command line behind its name, the job second.
-    more
-        Printed beside what the result's file holds, as JSON alone.
-    extras
-        What else the report has. A campaign of other controllers is left out, and is an error once all else is done.
+    `command` are the words of the command line without the program's name, the job second; `more` is printed as
+    JSON beside the content of the result's file. A campaign of other controllers is left out, and is an error at
+    the end.
     """
     from platform_ctrl.cli.atomic_output import written_together
     from platform_ctrl.cli.terminal import show_result

@@ -36,48 +36,27 @@ _DISK_MARGIN, _LEAST_DISK_MARGIN = 0.3, 0.05
 
 @value
 class StartingLoop:
-    """A caging loop with starting values.
+    """A caging loop with starting values."""
 
-    Attributes
-    ----------
-    gimbals
-        A subsystem.
-    torque_limit, torque_noise
-        The weakest torquer's limit and what noise may take of it, N m; None where no torquer has a limit.
-    disk_margin
-        Limit: 0.3, or what the starting values reach where that is less.
-    options
-        Of the classical method, Hz.
-    """
-
-    gimbals: tuple[str, ...]
-    disk_margin: float
+    gimbals: tuple[str, ...]  # A subsystem
+    disk_margin: float  # Limit: 0.3, or what the starting values reach where that is less
+    # torque_limit, torque_noise: The weakest torquer's limit and what noise may take of it, N m; None where no torquer
+    # has a limit
     torque_limit: float | None
     torque_noise: float | None
-    options: dict[str, float]
+    options: dict[str, float]  # Of the classical method, Hz
 
 
 @value
 class Start:
-    """What a job for a plant can start from.
+    """What a job for a plant can start from."""
 
-    Attributes
-    ----------
-    fastest_hz
-        The plant's fastest mode, Hz.
-    rate_hz
-        Sample rate, Hz.
-    axis, rate
-        Root axis about which a turn torques the gyros most, and a rate for it, rad/s.
-    loops
-        One for each subsystem.
-    """
-
-    fastest_hz: float
-    rate_hz: float
+    fastest_hz: float  # The plant's fastest mode, Hz
+    rate_hz: float  # Sample rate, Hz
+    # axis, rate: Root axis about which a turn torques the gyros most, and a rate for it, rad/s
     axis: int
     rate: float
-    loops: tuple[StartingLoop, ...]
+    loops: tuple[StartingLoop, ...]  # One for each subsystem
 
 
 def starting_loops(plant: dict[str, Any]) -> Start:
@@ -194,34 +173,17 @@ _WIDTH = 118
 
 @value
 class StartingFiles:
-    """Two files that belong together.
+    """Two files that belong together."""
 
-    Attributes
-    ----------
-    plant, job
-        Their texts; the job names the plant's file.
-    loops
-        Names of the job's loops.
-    added
-        What was added to the plant that it was taken from, a line each.
-    """
-
+    # plant, job: Their texts; the job names the plant's file
     plant: str
     job: str
-    loops: tuple[str, ...]
-    added: tuple[str, ...] = ()
+    loops: tuple[str, ...]  # Names of the job's loops
+    added: tuple[str, ...] = ()  # What was added to the plant that it was taken from, a line each
 
 
 def own_start(name: str, plant_file: str, job_file: str) -> StartingFiles:
-    """Return one gyro in two gimbals and its caging loop, with limits, a manoeuvre and a campaign.
-
-    Parameters
-    ----------
-    name
-        Title of both.
-    plant_file, job_file
-        What the files will be called.
-    """
+    """Return a plant with one gyro in two gimbals and its job: a caging loop, limits, a manoeuvre and a campaign."""
     words = {"name": name, "plant_file": plant_file, "job_file": job_file}
     job = _filled("job.toml.j2", **words)
     names = tuple(loop["name"] for loop in tomllib.loads(job)["loop"])
@@ -231,18 +193,9 @@ def own_start(name: str, plant_file: str, job_file: str) -> StartingFiles:
 def start_like(
     model: str, name: str, plant_file: str, job_file: str, say: Callable[[str], None] = lambda line: None
 ) -> StartingFiles:
-    """Return the text of a plant that exists, and a job with a caging loop for each of its subsystems.
+    """Return the text of an existing plant, shipped or a file, and a job with a caging loop for each of its subsystems.
 
-    A caging loop needs a torquer and a pick-off on each of its gimbals: those that the plant does not have are added.
-
-    Parameters
-    ----------
-    model
-        A shipped plant's name, or the path of a plant file.
-    name, plant_file, job_file
-        As in `own_start`.
-    say
-        Called with a line before the longer part of the work.
+    A caging loop needs a torquer and a pick-off on each of its gimbals: missing ones are added.
     """
     pass
     from platform_ctrl.job.reading import read_job

@@ -30,25 +30,7 @@ _FEWEST = 3
 
 
 def response_data(system: control.StateSpace, frequency: ArrayLike) -> control.FRD:
-    """Return the frequency response of a system with the names of its signals.
-
-    Parameters
-    ----------
-    system
-        Continuous or sampled.
-    frequency : (N,)
-        rad/s.
-
-    Returns
-    -------
-    control.FRD
-        With the system's signals, name and dt.
-
-    Raises
-    ------
-    ArgumentError
-        It is no state space, or the frequencies are not finite numbers >= 0.
-    """
+    """Return the frequency response of a system, with the names of its signals; frequency in rad/s."""
     response = frequency_response(system, frequency)
     control = import_module("control")
     names = {"inputs": list(system.input_labels), "outputs": list(system.output_labels), "name": str(system.name)}

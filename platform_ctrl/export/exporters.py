@@ -26,23 +26,16 @@ FIXED_POINT = ("q31", "q15")
 
 @dataclass
 class Export:
-    """What is exported.
+    """What is exported."""
 
-    Attributes
-    ----------
-    job, job_file
-        The job, and the file that it was read from.
-    controller_file, controller_sha256
-        Where its controllers come from, and the digest of that file; None where nothing needs them.
-    notes
-        Lines for the reader; writers append to it.
-    """
-
+    # job, job_file: The job, and the file that it was read from
     job: Job
     job_file: Path
+    # controller_file, controller_sha256: Where its controllers come from, and the digest of that file; None where
+    # nothing needs them
     controller_file: Path | None = None
     controller_sha256: str | None = None
-    notes: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)  # Lines for the reader; writers append to it
 
     @cached_property
     def controllers(self) -> list[control.StateSpace]:
@@ -54,28 +47,15 @@ class Export:
 
 @dataclass(frozen=True)
 class Setting:
-    """An option that says how an exporter writes: a keyword of its function, ``--a-name`` on the command line.
+    """An option that says how an exporter writes: a keyword of its function, ``--a-name`` on the command line."""
 
-    Attributes
-    ----------
-    name
-        Keyword of the function; `option`, if given, is its name on the command line.
-    metavar, help
-        For ``--help``.
-    default
-        What holds if it is not given.
-    choices
-        The words that are allowed; empty: anything.
-    kind
-        Type of the value; ``list[str]`` may be given more than once.
-    """
-
-    name: str
+    name: str  # Keyword of the function; option, if given, is its name on the command line
+    # metavar, help: For --help
     metavar: str
     help: str
-    default: Any = None
-    choices: tuple[str, ...] = ()
-    kind: Any = str
+    default: Any = None  # What holds if it is not given
+    choices: tuple[str, ...] = ()  # The words that are allowed; empty: anything
+    kind: Any = str  # Type of the value; list[str] may be given more than once
     option: str = ""
 
     @property
@@ -86,35 +66,19 @@ class Setting:
 
 @dataclass(frozen=True)
 class Exporter:
-    """One kind of file, or of folder with files, that a job can be written as.
+    """One kind of file, or of folder with files, that a job can be written as."""
 
-    Attributes
-    ----------
-    name
-        Of the option, without ``--``; ``format`` in the JSON output.
-    title, help
-        For messages and for ``--help``.
-    write
-        ``write(export, path, target, **settings)``: writes to `path`, which takes its place at `target` when all is
-        written.
-    suffix
-        Of the file that is written; empty: a folder.
-    controllers
-        Whether it needs the job's controllers.
-    settings
-        How it can be told to write.
-    judged
-        Returns the settings that `write` gets from those of the command line; raises `InputError` where they do not
-        fit together.
-    """
-
-    name: str
+    name: str  # Of the option, without --; format in the JSON output
+    # title, help: For messages and for --help
     title: str
     help: str
+    # write(export, path, target, **settings): writes to path, which takes its place at target when all is written
     write: Callable[..., None]
-    suffix: str = ""
-    controllers: Literal["needed", "optional", "unused"] = "needed"
-    settings: tuple[Setting, ...] = ()
+    suffix: str = ""  # Of the file that is written; empty: a folder
+    controllers: Literal["needed", "optional", "unused"] = "needed"  # Whether it needs the job's controllers
+    settings: tuple[Setting, ...] = ()  # How it can be told to write
+    # Returns the settings that write gets from those of the command line; raises InputError where they do not fit
+    # together
     judged: Callable[[dict[str, Any]], dict[str, Any]] = dict
 
     @property

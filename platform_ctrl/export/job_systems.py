@@ -33,44 +33,16 @@ _POINTS, _LOWEST = 300, 1e-4
 
 @input_value
 class ResponseTable:
-    """A frequency response of a job, and what it is.
+    """A frequency response of a job, and what it is."""
 
-    Attributes
-    ----------
-    name
-        ``"plant caging 9-10"``, ``"controller ..."`` or ``"loop ..."``.
-    response
-        With named signals.
-    notes
-        What it is, with its units.
-    """
-
-    name: str
-    response: control.FRD
-    notes: tuple[str, ...]
+    name: str  # "plant caging 9-10", "controller ..." or "loop ..."
+    response: control.FRD  # With named signals
+    notes: tuple[str, ...]  # What it is, with its units
 
 
 @check_arguments
 def controller_systems(job: Job, controllers: Sequence[control.StateSpace]) -> tuple[SystemRecord, ...]:
-    """Return a job's controllers with units and delay.
-
-    Parameters
-    ----------
-    job
-        Whose controllers they are.
-    controllers
-        u = K y, as ``read_controllers`` of `platform_ctrl.verification` gives them.
-
-    Returns
-    -------
-    tuple of SystemRecord
-        In their order; what a controller takes in and gives is as in ``result.json``.
-
-    Raises
-    ------
-    ArgumentError
-        One is no state space.
-    """
+    """Return a job's controllers u = K y with units and delay, signals as in ``result.json``."""
     note = "controller u = K y without hidden sign; u acts the delay after the sample and is held"
     return tuple(system_record(K, platform=job.platform, delay=job.sampling.delay, note=note) for K in controllers)
 
@@ -79,23 +51,8 @@ def controller_systems(job: Job, controllers: Sequence[control.StateSpace]) -> t
 def model_systems(job: Job) -> tuple[SystemRecord, ...]:
     """Return the linear models of a job's plant about rest.
 
-    Parameters
-    ----------
-    job
-        Whose plant it is.
-
-    Returns
-    -------
-    tuple of SystemRecord
-        ``plant``: torques and platform rates to angles, continuous; ``plant with free root``: the platform reacts;
-        then for each caging loop its sampled plant, dead time, torquer lag and hold included.
-
-    Raises
-    ------
-    MechanicsError
-        The mass matrix is singular at rest (gimbal lock).
-    InputError
-        A loop's gimbals cut through a subsystem.
+    ``plant``: torques and platform rates to angles, continuous; ``plant with free root``: the platform reacts; then
+    for each caging loop its sampled plant, dead time, torquer lag and hold included.
     """
     model = linearise(job.platform)
     about = f"{job.platform.name}, linear about rest"
@@ -114,26 +71,9 @@ def model_systems(job: Job) -> tuple[SystemRecord, ...]:
 def job_responses(job: Job, controllers: Sequence[control.StateSpace]) -> tuple[ResponseTable, ...]:
     """Return the frequency responses of a job: plants, controllers and loops.
 
-    Parameters
-    ----------
-    job
-        Whose loops they are.
-    controllers
-        As ``read_controllers`` of `platform_ctrl.verification` gives them, one for each loop.
-
-    Returns
-    -------
-    tuple of ResponseTable
-        For every caging loop its sampled plant; every controller; and for every caging loop L of each torquer, broken
-        there with all other torquers of the loop closed: −K P of a loop with one torquer, −1 the critical point. Then
-        the same of the coupled plant with all loops closed.
-
-    Raises
-    ------
-    InputError
-        The controllers do not belong to the job's loops.
-    MechanicsError
-        The mass matrix is singular at rest (gimbal lock).
+    For every caging loop its sampled plant; every controller; for every caging loop L of each torquer, broken there
+    with all other torquers of the loop closed: −K P of a loop with one torquer, −1 the critical point. Then the
+    same of the coupled plant with all loops closed.
     """
     units = signal_units(job.platform)
     frequency = _frequency(job)

@@ -27,40 +27,26 @@ MOST_SYSTEMS = 1000
 
 @value
 class SystemRecord:
-    """A state space as other tools know it.
+    """A state space as other tools know it."""
 
-    Attributes
-    ----------
-    name
-        What it is called.
-    A, B, C, D
-        x' = A x + B u, y = C x + D u; sampled: x[k+1] = ... In the units of the signals. Shapes (n, n), (n, m), (p, n),
-        (p, m).
-    dt
-        Sample period, s; 0: continuous.
-    delay
-        Time by which the outputs act later than the matrices say, s: of a controller from sample to torque.
-    inputs, outputs, states
-        Names.
-    input_units, output_units
-        Units of the signals, "" where none is known.
-    note
-        What it is, in a line.
-    """
-
-    name: str
+    name: str  # What it is called
+    # A, B, C, D: x' = A x + B u, y = C x + D u; sampled: x[k+1] = ... In the units of the signals. Shapes (n, n), (n,
+    # m), (p, n), (p, m).
     A: FloatArray
     B: FloatArray
     C: FloatArray
     D: FloatArray
-    dt: float
+    dt: float  # Sample period, s; 0: continuous
+    # inputs, outputs, states: Names
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
     states: tuple[str, ...]
+    # input_units, output_units: Units of the signals, "" where none is known
     input_units: tuple[str, ...]
     output_units: tuple[str, ...]
+    # Time by which the outputs act later than the matrices say, s: of a controller from sample to torque
     delay: float = 0.0
-    note: str = ""
+    note: str = ""  # What it is, in a line
 
     @property
     def state_space(self) -> control.StateSpace:
@@ -149,14 +135,9 @@ def expect_systems(systems: Sequence[SystemRecord], where: str) -> None:
 
 
 def system_of(where: str, data: Mapping[str, Any]) -> SystemRecord:
-    """Return the system that a file describes, or refuse it in one line.
+    """Return the system that a file describes; `where` is the file and the entry, for messages.
 
-    Parameters
-    ----------
-    where
-        The file and the entry, for messages.
-    data
-        ``A`` to ``D`` as arrays or lists of rows, ``dt``; ``delay``, names, units and ``note`` may be missing.
+    ``A`` to ``D`` are arrays or lists of rows; ``delay``, names, units and ``note`` may be missing.
     """
     D = _rows(where, "D", data)
     A = _rows(where, "A", data)

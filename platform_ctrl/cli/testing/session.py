@@ -50,13 +50,7 @@ Recorder = Callable[[str, object], None]
 
 
 class JobSession:
-    """The jobs of a test session, its options, and what it has to tell at the end.
-
-    Parameters
-    ----------
-    update, plots
-        ``--update-baselines``, ``--platform-plots``.
-    """
+    """The jobs of a test session, and its options ``--update-baselines`` and ``--platform-plots``."""
 
     def __init__(self, update: bool, plots: Path | None) -> None:
         self.update, self.plots = update, plots
@@ -69,16 +63,9 @@ class JobSession:
         return list(self._notes.values())
 
     def closed(self, source: JobSource, controllers: Given = None, folder: Path | None = None) -> JobResult:
-        """Return what a job comes to, from this session's memory where the same was asked for before.
+        """Return the result of a job; the same job with the same controllers is computed once.
 
-        Parameters
-        ----------
-        source
-            The job, or what `read_job` reads.
-        controllers
-            As for the fixture ``closed_loop``.
-        folder
-            Where relative paths start.
+        Relative paths start at `folder`.
         """
         __tracebackhide__ = True
         start = folder or Path()
@@ -118,17 +105,7 @@ class JobSession:
 
 
 class JobUnderTest:
-    """A job that is tested, and what its tests are.
-
-    Parameters
-    ----------
-    session
-        The test session's jobs.
-    source, controllers, folder
-        As for `JobSession.closed`.
-    baseline
-        File of accepted figures; None: no comparison.
-    """
+    """A job and its tests; `baseline` is the file of accepted values, None without comparison."""
 
     def __init__(
         self, session: JobSession, source: JobSource, controllers: Given, folder: Path, baseline: Path | None
@@ -154,13 +131,7 @@ class JobUnderTest:
 
 
 class RequirementTest:
-    """One requirement of a job as a test.
-
-    Attributes
-    ----------
-    subject, name
-        Which requirement.
-    """
+    """One requirement of a job as a test."""
 
     def __init__(self, job: JobUnderTest, asked: Asked) -> None:
         self._job = job
@@ -197,13 +168,7 @@ class RequirementTest:
 
 
 class BaselineTest:
-    """The baseline of a job as a test: no figure is worse than accepted.
-
-    Attributes
-    ----------
-    file
-        The baseline.
-    """
+    """The baseline of a job as a test: no value is worse than accepted."""
 
     id = "baseline"
 

@@ -42,18 +42,10 @@ _ANTI_WINDUP = ("back-calculation", "proved", "none")
 
 @value
 class Written:
-    """What was written.
+    """What was written."""
 
-    Attributes
-    ----------
-    files
-        Their paths.
-    notes
-        A line each for what a reader should know: rounding, limits without anti-windup.
-    """
-
-    files: tuple[Path, ...]
-    notes: tuple[str, ...] = ()
+    files: tuple[Path, ...]  # Their paths
+    notes: tuple[str, ...] = ()  # A line each for what a reader should know: rounding, limits without anti-windup
 
 
 @check_arguments

@@ -31,24 +31,12 @@ _LIMITED = ("LIMITED", 1, "an output is at its limit")
 
 @value
 class ControllerFiles(ABC):
-    """The two files of a controller; a number format is a class derived from this one.
+    """The two files of a controller; a number format is a class derived from this one."""
 
-    Attributes
-    ----------
-    scheme
-        The controller.
-    prefix
-        First part of all external names; the names of the files.
-    signals
-        Identifiers of inputs and outputs by their names.
-    remarks
-        Paragraphs for the head of the header: anti-windup, rounding.
-    """
-
-    scheme: Scheme
-    prefix: str
-    signals: dict[str, str]
-    remarks: tuple[str, ...] = ()
+    scheme: Scheme  # The controller
+    prefix: str  # First part of all external names; the names of the files
+    signals: dict[str, str]  # Identifiers of inputs and outputs by their names
+    remarks: tuple[str, ...] = ()  # Paragraphs for the head of the header: anti-windup, rounding
 
     readings: ClassVar = "readings"  # what a step takes in
     includes: ClassVar[tuple[str, ...]] = ()

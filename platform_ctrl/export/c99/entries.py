@@ -27,42 +27,26 @@ _EXCESS = "excess_"
 
 @value
 class Entry:
-    """A controller of a job.
+    """A controller of a job."""
 
-    Attributes
-    ----------
-    loop, design, method
-        As in the job file; empty where nothing is known.
-    arrays
-        x⁺ = A x + B y, u = C x + D y; ``dt`` is the sample period, s.
-    inputs, outputs
-        Names of the signals.
-    options
-        The method's numbers as finally used, in the units of the job file.
-    excess : (n, m)
-        E of the anti-windup that the controller brings along, or None.
-    """
-
+    # loop, design, method: As in the job file; empty where nothing is known
     loop: str
     design: str = ""
     method: str = ""
-    arrays: StateArrays
+    arrays: StateArrays  # x⁺ = A x + B y, u = C x + D y; dt is the sample period, s
+    # inputs, outputs: Names of the signals
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
+    # The method's numbers as finally used, in the units of the job file
     options: dict[str, float] = field(default_factory=dict)
-    excess: FloatArray | None = None
+    excess: FloatArray | None = None  # (n, m): E of the anti-windup that the controller brings along, or None
 
 
 def entries_of(job: Job, given: Sequence[Mapping[str, Any] | control.StateSpace]) -> tuple[Entry, ...]:
-    """Return the controllers of a job, judged.
+    """Return the controllers of a job, checked against it.
 
-    Parameters
-    ----------
-    job
-        What they have to fit.
-    given
-        Entries of ``controllers`` in ``result.json``, or `control.StateSpace` with ``dt`` and the names of their
-        signals (that of `design.anti_windup` too, with its inputs ``excess_``), in order of evaluation.
+    Each is an entry of ``controllers`` in ``result.json``, or a `control.StateSpace` with ``dt`` and signal names
+    (also one of `design.anti_windup`, with its inputs ``excess_``), in order of evaluation.
     """
     if isinstance(given, Mapping | str) or not isinstance(given, Sequence):
         raise ArgumentError(f"entries: must be a list of controllers, got {short(given)}")
@@ -151,19 +135,7 @@ _SHOWN = {1: ("held",), 2: ("c1", "c2")}
 
 
 def row(target: str, weights: FloatArray, sources: Sequence[str], names: Sequence[str] = ()) -> Row:
-    """Return target = Σ weights sources, without what is zero.
-
-    Parameters
-    ----------
-    target
-        Name.
-    weights : (k,)
-        Coefficients, in the unit of the target per unit of the source.
-    sources
-        As many names.
-    names
-        What the coefficients are called; none: nothing.
-    """
+    """Return target = Σ weights sources, without zero terms; `names` are those of the coefficients."""
     labels = names or [""] * len(sources)
     return Row(
         target=target,
@@ -176,13 +148,7 @@ def row(target: str, weights: FloatArray, sources: Sequence[str], names: Sequenc
 
 
 def sections_of(stages: Iterable[Stage]) -> tuple[Section, ...]:
-    """Return the sections of a block diagram.
-
-    Parameters
-    ----------
-    stages
-        In order of evaluation; those with states have one input and one output.
-    """
+    """Return the sections of a block diagram; stages with states have one input and one output."""
     return tuple(_section(stage) for stage in stages)
 
 

@@ -31,35 +31,16 @@ _LONGEST = 20000
 
 @value
 class FloatError:
-    """How far a controller in single precision is from itself.
+    """The errors of a controller in single precision (Higham, Accuracy and Stability of Numerical Algorithms, ch. 3)."""
 
-    Attributes
-    ----------
-    inputs : (m,)
-        Magnitudes of the inputs that the figures hold for, in their units.
-    response
-        Largest relative change of the frequency response by rounded coefficients.
-    pole
-        Largest shift of a pole by them, relative to its distance from z = 1.
-    bound : (p,)
-        Largest difference of the outputs after `steps` samples from equal states, in their units, while no limit acts
-        and the integrals are worth no more than the limits; inf where the controller is unstable by itself.
-    steps
-        Number of samples.
-    unseen : (m,)
-        Magnitude of a constant input that the integrals may lose, in its unit; zero: none.
-
-    References
-    ----------
-    N. J. Higham, Accuracy and Stability of Numerical Algorithms, 2002, chapter 3.
-    """
-
-    inputs: FloatArray
-    response: float
-    pole: float
+    inputs: FloatArray  # (m,): Magnitudes of the inputs that the figures hold for, in their units
+    response: float  # Largest relative change of the frequency response by rounded coefficients
+    pole: float  # Largest shift of a pole by them, relative to its distance from z = 1
+    # (p,): Largest difference of the outputs after steps samples from equal states, in their units, while no limit acts
+    # and the integrals are worth no more than the limits; inf where the controller is unstable by itself
     bound: FloatArray
-    steps: int
-    unseen: FloatArray
+    steps: int  # Number of samples
+    unseen: FloatArray  # (m,): Magnitude of a constant input that the integrals may lose, in its unit; zero: none
 
 
 def float_scheme(scheme: Scheme) -> Scheme:

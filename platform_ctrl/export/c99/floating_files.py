@@ -16,14 +16,10 @@ from platform_ctrl.export.c99.scheme import Row, Scheme, Section, Term, acting_e
 
 @value
 class Cost:
-    """Operations of one step.
+    """Operations of one step."""
 
-    Attributes
-    ----------
-    multiplications, additions, comparisons
-        Counts; subtractions count as additions, comparisons are the most that there can be.
-    """
-
+    # multiplications, additions, comparisons: Counts; subtractions count as additions, comparisons are the most that
+    # there can be
     multiplications: int
     additions: int
     comparisons: int
@@ -59,15 +55,9 @@ def literal(x: float, number: Number) -> str:
 
 @value
 class FloatingFiles(ControllerFiles):
-    """The files of a controller in double or single precision.
+    """The files of a controller in double or single precision."""
 
-    Attributes
-    ----------
-    number
-        Type of all numbers.
-    """
-
-    number: Number
+    number: Number  # Type of all numbers
 
     comments: ClassVar = (
         "All states and last outputs to zero.",

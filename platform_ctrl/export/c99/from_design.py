@@ -73,15 +73,7 @@ def scheme_of(job: Job, entry: Entry, provenance: Provenance | None = None) -> S
 
 
 def with_excess(scheme: Scheme, gain: FloatArray) -> Scheme:
-    """Return the scheme with another anti-windup gain.
-
-    Parameters
-    ----------
-    scheme
-        The scheme.
-    gain : (states, outputs)
-        E of x⁺ = A x + B y + E (limited u − u), in its states per unit of its outputs.
-    """
+    """Return the scheme with the anti-windup gain E (states, outputs) of x⁺ = A x + B y + E (limited u − u)."""
     return dataclasses.replace(scheme, excess=_excess_rows(scheme, gain))
 
 

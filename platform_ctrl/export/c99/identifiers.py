@@ -35,15 +35,7 @@ _ENDINGS = ("_commanded", "_status")
 
 
 class Names:
-    """Identifiers for names, each of its own; asked twice for a name it gives the same.
-
-    Parameters
-    ----------
-    longest
-        Most characters of an identifier.
-    taken
-        Identifiers that are in use already.
-    """
+    """Unique identifiers for names, at most `longest` characters; the same name gets the same identifier."""
 
     def __init__(self, longest: int = 48, taken: tuple[str, ...] = ()) -> None:
         self._longest = longest

@@ -24,23 +24,12 @@ INTEGRATOR = 1e-6
 
 @value
 class Modes:
-    """A matrix in block-diagonal form.
+    """A matrix in block-diagonal form (Bavely, Stewart, SIAM J. Numerical Analysis 16, 1979)."""
 
-    Attributes
-    ----------
-    T, inverse : (n, n)
-        x = T x_modes; `inverse` @ A @ T is block-diagonal.
-    sizes
-        Of the blocks, in their order.
-
-    References
-    ----------
-    C. A. Bavely, G. W. Stewart, SIAM J. Numerical Analysis 16, 1979.
-    """
-
+    # T, inverse: (n, n): x = T x_modes; inverse @ A @ T is block-diagonal
     T: FloatArray
     inverse: FloatArray
-    sizes: tuple[int, ...]
+    sizes: tuple[int, ...]  # Of the blocks, in their order
 
 
 def modes(A: FloatArray) -> Modes:
@@ -173,16 +162,10 @@ def _note(poles: object, period: float) -> str:
 
 
 def pid_sections(entry: Entry, channel: Channels, angles: tuple[str, ...]) -> tuple[Section, ...] | None:
-    """Return the sections of a matrix PID, or None where the matrices are no such thing at first sight.
+    """Return the sections of a matrix PID, or None where the matrices have another structure.
 
-    Parameters
-    ----------
-    entry
-        The controller: two states of every filter, then the integrals.
-    channel
-        Directions of the gyros.
-    angles
-        Inputs in the order of the outputs' gimbals.
+    The states are two of every filter, then the integrals; `angles` are the inputs in the order of the outputs'
+    gimbals.
     """
     n, T = len(channel.basis), entry.arrays.dt
     A, B, C, D, _ = entry.arrays

@@ -27,90 +27,46 @@ SectionKind = Literal["mix", "integral", "lag", "lead", "notch", "low-pass", "st
 
 @value
 class Term:
-    """A product in a sum.
+    """A product in a sum."""
 
-    Attributes
-    ----------
-    coefficient
-        In the unit of the target per unit of the source.
-    source
-        Name of an input, of an earlier signal, or of a state.
-    name
-        What the coefficient is called where it has a name of its own, for example ``lead_direct``; else empty.
-    """
-
-    coefficient: float
-    source: str
-    name: str = ""
+    coefficient: float  # In the unit of the target per unit of the source
+    source: str  # Name of an input, of an earlier signal, or of a state
+    name: str = ""  # What the coefficient is called where it has a name of its own, for example lead_direct; else empty
 
 
 @value
 class Row:
-    """A sum of products: target = Σ coefficient source.
+    """A sum of products: target = Σ coefficient source."""
 
-    Attributes
-    ----------
-    target
-        Name of a signal, or of a state.
-    terms
-        None of them: the target is zero.
-    """
-
-    target: str
-    terms: tuple[Term, ...]
+    target: str  # Name of a signal, or of a state
+    terms: tuple[Term, ...]  # None of them: the target is zero
 
 
 @value
 class Section:
-    """A part of a controller that means something.
+    """A part of a controller that means something."""
 
-    Attributes
-    ----------
-    name
-        For example ``integral of pair 1, axis 1``.
-    kind
-        What it is.
-    note
-        Its continuous meaning, for example ``zero at 7 Hz, pole at 900 Hz``; or empty.
-    signals
-        Values of this step, in the order in which they are computed.
-    states
-        Next values of its states.
-    """
-
-    name: str
-    kind: SectionKind
-    note: str = ""
-    signals: tuple[Row, ...] = ()
-    states: tuple[Row, ...] = ()
+    name: str  # For example integral of pair 1, axis 1
+    kind: SectionKind  # What it is
+    note: str = ""  # Its continuous meaning, for example zero at 7 Hz, pole at 900 Hz; or empty
+    signals: tuple[Row, ...] = ()  # Values of this step, in the order in which they are computed
+    states: tuple[Row, ...] = ()  # Next values of its states
 
 
 @value
 class Provenance:
-    """Where a controller comes from.
+    """Where a controller comes from."""
 
-    Attributes
-    ----------
-    job, plant
-        Titles.
-    loop, design, method
-        As in the job file.
-    sha256
-        Of the result file, as hexadecimal digits; empty where there is none.
-    versions
-        Of platform_ctrl and what designed the controller, by name.
-    command
-        The command that wrote the code; or empty.
-    """
-
+    # job, plant: Titles
     job: str = ""
     plant: str = ""
+    # loop, design, method: As in the job file
     loop: str = ""
     design: str = ""
     method: str = ""
-    sha256: str = ""
-    versions: dict[str, str] = field(default_factory=dict)
-    command: str = ""
+    sha256: str = ""  # Of the result file, as hexadecimal digits; empty where there is none
+    versions: dict[str, str] = field(default_factory=dict)  # Of platform_ctrl and what designed the controller, by name
+    command: str = ""  # The command that wrote the code; or empty
 
 
 @value
@@ -118,39 +74,25 @@ class Scheme:
     """A sampled controller u = K y, written out.
 
     Names of inputs, signals and states are distinct; every output is a signal of that name.
-
-    Attributes
-    ----------
-    name
-        Of the loop.
-    inputs, input_units
-        Signals that it measures, and their units, for example ``rad``.
-    outputs, output_units
-        Signals that it sets.
-    sections
-        In the order in which they are evaluated.
-    torque_limits : (outputs,)
-        Largest magnitude of each output, in its unit; inf where there is none.
-    excess
-        Anti-windup: what is added to a state's next value, Σ coefficient (limited − commanded); the sources are
-        outputs. Empty: none.
-    period, delay
-        Sample period; from the sample to the instant at which its outputs act, s.
-    provenance
-        Where it comes from.
     """
 
-    name: str
+    name: str  # Of the loop
+    # inputs, input_units: Signals that it measures, and their units, for example rad
     inputs: tuple[str, ...]
     input_units: tuple[str, ...]
+    # outputs, output_units: Signals that it sets
     outputs: tuple[str, ...]
     output_units: tuple[str, ...]
-    sections: tuple[Section, ...]
+    sections: tuple[Section, ...]  # In the order in which they are evaluated
+    # (outputs,): Largest magnitude of each output, in its unit; inf where there is none
     torque_limits: tuple[float, ...]
+    # Anti-windup: what is added to a state's next value, Σ coefficient (limited − commanded); the sources are outputs.
+    # Empty: none.
     excess: tuple[Row, ...] = ()
+    # period, delay: Sample period; from the sample to the instant at which its outputs act, s
     period: float
     delay: float
-    provenance: Provenance = field(default_factory=Provenance)
+    provenance: Provenance = field(default_factory=Provenance)  # Where it comes from
 
     @property
     def states(self) -> tuple[str, ...]:

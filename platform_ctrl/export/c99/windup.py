@@ -29,25 +29,11 @@ _BLIND = 1e-9
 
 @value
 class Windup:
-    """The anti-windup of a scheme.
+    """The anti-windup of a scheme (Åström, Hägglund, Advanced PID Control, 2006, section 3.5)."""
 
-    Attributes
-    ----------
-    gain : (states, outputs)
-        E in the scheme's states per unit of its outputs; zero: none.
-    remark
-        What it is and what it gives, for the header.
-    notes
-        What a reader should know, a line each.
-
-    References
-    ----------
-    K. J. Åström, T. Hägglund, Advanced PID Control, 2006, section 3.5.
-    """
-
-    gain: FloatArray
-    remark: str
-    notes: tuple[str, ...] = ()
+    gain: FloatArray  # (states, outputs): E in the scheme's states per unit of its outputs; zero: none
+    remark: str  # What it is and what it gives, for the header
+    notes: tuple[str, ...] = ()  # What a reader should know, a line each
 
 
 def integrating(K: StateArrays) -> tuple[FloatArray, FloatArray]:

@@ -58,25 +58,14 @@ def enclosed(matrix: Balls) -> Enclosed:
 
 @value
 class Gains:
-    """Upper bounds of Σ|h| over all samples, from each input and from each state's own disturbance.
+    """Upper bounds of Σ|h| over all samples, from each input and from each state's own disturbance."""
 
-    Attributes
-    ----------
-    states
-        (n, m): from the inputs to the states.
-    signals
-        (p, m): from the inputs to the signals.
-    noise_states, noise_signals
-        (n, n), (p, n): from what is added to a state's next value.
-    samples
-        Number of samples that were summed; the tail after them is bounded.
-    """
-
-    states: FloatArray
-    signals: FloatArray
+    states: FloatArray  # (n, m): from the inputs to the states
+    signals: FloatArray  # (p, m): from the inputs to the signals
+    # noise_states, noise_signals: (n, n), (p, n): from what is added to a state's next value
     noise_states: FloatArray
     noise_signals: FloatArray
-    samples: int
+    samples: int  # Number of samples that were summed; the tail after them is bounded
 
 
 def gains(A: Balls, B: Balls, C: Balls, D: Balls) -> Gains:
@@ -186,32 +175,20 @@ def _summed(
 
 @value
 class Responses:
-    """How much of what drives a system from outside, or is added to a row, shows in every signal and state.
-
-    Attributes
-    ----------
-    system
-        The system.
-    norms
-        From the free sources and the states' disturbances.
-    to_states, to_signals : (n, p), (p, p)
-        Magnitudes with which the signals' disturbances enter the states and the signals directly.
-    """
+    """How much of what drives a system from outside, or is added to a row, shows in every signal and state."""
 
     system: ExactSystem
-    norms: Gains
+    norms: Gains  # From the free sources and the states' disturbances
+    # to_states, to_signals: (n, p), (p, p): Magnitudes with which the signals' disturbances enter the states and the
+    # signals directly
     to_states: FloatArray
     to_signals: FloatArray
 
     def bounds(self, sizes: Mapping[str, float], noise: Mapping[str, float]) -> dict[str, float]:
         """Return upper bounds by signal and state.
 
-        Parameters
-        ----------
-        sizes
-            Largest magnitudes of the free sources; those not named are zero.
-        noise
-            Largest magnitudes of what is added to signals and states; the same.
+        `sizes` are the largest magnitudes of the free sources, `noise` of what is added to signals and states;
+        default 0.
         """
         free = np.array([sizes.get(name, 0.0) for name in self.system.free])
         added = np.array([noise.get(name, 0.0) for name in self.system.states])

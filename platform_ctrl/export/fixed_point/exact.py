@@ -37,19 +37,13 @@ def added(rows: Iterable[tuple[Rational, Mapping[str, Rational]]]) -> Sum:
 
 @value
 class ExactSystem:
-    """x⁺ = A x + B u + v, s = C x + D u, with u the free sources and then a disturbance of every signal.
+    """x⁺ = A x + B u + v, s = C x + D u, with u the free sources and then a disturbance of every signal."""
 
-    Attributes
-    ----------
-    states, signals, free
-        Names; the disturbance of a signal is named by `noise_of`.
-    following, shown
-        The sums, by state and signal, of states, free sources and disturbances.
-    """
-
+    # states, signals, free: Names; the disturbance of a signal is named by noise_of
     states: tuple[str, ...]
     signals: tuple[str, ...]
     free: tuple[str, ...]
+    # following, shown: The sums, by state and signal, of states, free sources and disturbances
     following: dict[str, Sum]
     shown: dict[str, Sum]
 
@@ -201,22 +195,10 @@ def _rounded(number: Rational, mantissa: int) -> int:
 def integer_row(
     target: str, row: Sum, largest: Mapping[str, int], mantissa: int, *, keeps: bool, narrow: bool
 ) -> IntegerRow:
-    """Return a row of counts in integers.
+    """Return a row of counts in integers, coefficients with `mantissa` significant bits.
 
-    Parameters
-    ----------
-    target
-        Its target.
-    row
-        Coefficients in counts per count; of a row that `keeps`, without the state itself.
-    largest
-        Largest magnitude of every source's count.
-    mantissa
-        Significant bits of a coefficient.
-    keeps
-        Whether the state is added behind the shift.
-    narrow
-        Whether an accumulator of 32 bits may do.
+    `row` has coefficients in counts per count, of a row that `keeps` (adds the state behind the shift) without the
+    state itself; `largest` the largest count of every source. With `narrow` the accumulator may have 32 bits.
     """
     exact = {name: coefficient for name, coefficient in row.items() if coefficient != 0}
     shift = max([mantissa - 1 - _digits(x) for x in exact.values()], default=0)

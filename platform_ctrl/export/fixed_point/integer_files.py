@@ -26,15 +26,9 @@ from platform_ctrl.export.fixed_point.values import FixedPoint, FixedSection, Fo
 
 @value
 class IntegerFiles(ControllerFiles):
-    """The files of a controller in integers.
+    """The files of a controller in integers."""
 
-    Attributes
-    ----------
-    fixed
-        The controller in integers.
-    """
-
-    fixed: FixedPoint
+    fixed: FixedPoint  # The controller in integers
 
     readings: ClassVar = "counts"
     includes: ClassVar = ("<stdint.h>",)

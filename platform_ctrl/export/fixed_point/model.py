@@ -10,20 +10,11 @@ from platform_ctrl.export.fixed_point.values import FixedPoint, IntegerRow
 
 
 class Machine:
-    """A controller in integers with its states; begins at rest.
+    """A controller in integers with its states, initially zero.
 
-    Parameters
-    ----------
-    fixed
-        The programme.
-
-    Attributes
-    ----------
-    counts
-        By name, of the last step: inputs after saturation, signals and outputs before any limit, states and integrals
-        as read at its beginning.
-    registers
-        Counts of the states, and the accumulators of the integrals.
+    `counts` are those of the last step by name: inputs after saturation, signals and outputs before any limit,
+    states and integrals at its start. `registers` are the counts of the states and the accumulators of the
+    integrals.
     """
 
     def __init__(self, fixed: FixedPoint) -> None:
@@ -38,13 +29,7 @@ class Machine:
         self.counts: dict[str, int] = {}
 
     def step(self, inputs: Sequence[int]) -> tuple[int, ...]:
-        """Return the counts of the outputs for those of the inputs, and go on to the next sample.
-
-        Parameters
-        ----------
-        inputs
-            Counts, in the order of the scheme; beyond their range they are cut off.
-        """
+        """Return the counts of the outputs for those of the inputs, which are limited to their ranges."""
         fixed, formats = self.fixed, self.fixed.formats
         counts = {
             name: _within(int(count), formats[name].largest)

@@ -34,35 +34,17 @@ HEADROOM = 2.0
 
 @value
 class Parts:
-    """A scheme in exact rows.
+    """A scheme in exact rows."""
 
-    Attributes
-    ----------
-    rows
-        Signals and asymptotically stable states; sources of their own are inputs, integrals and excesses.
-    integrals
-        What is added to each integral in a step, by its name; excesses, named by `excess_of`, among the sources.
-    leaks
-        How far the poles of integrals lie from 1 in the scheme; here they are 1.
-    limited
-        Outputs whose excess enters stable states.
-    excesses
-        Outputs whose excess enters any state.
-    outputs_read
-        Outputs that other rows take in.
-    section
-        Name of every row's section.
-    differences
-        States that are replaced by their difference to the next one, see `_as_differences`: their new names.
-    """
-
-    rows: Rows
+    rows: Rows  # Signals and asymptotically stable states; sources of their own are inputs, integrals and excesses
+    # What is added to each integral in a step, by its name; excesses, named by excess_of, among the sources
     integrals: dict[str, Sum]
-    leaks: dict[str, float]
-    limited: tuple[str, ...]
-    excesses: tuple[str, ...]
-    outputs_read: frozenset[str]
-    section: dict[str, str]
+    leaks: dict[str, float]  # How far the poles of integrals lie from 1 in the scheme; here they are 1
+    limited: tuple[str, ...]  # Outputs whose excess enters stable states
+    excesses: tuple[str, ...]  # Outputs whose excess enters any state
+    outputs_read: frozenset[str]  # Outputs that other rows take in
+    section: dict[str, str]  # Name of every row's section
+    # States that are replaced by their difference to the next one, see _as_differences: their new names
     differences: dict[str, str]
 
     @property

@@ -18,32 +18,17 @@ Role = Literal["input", "signal", "state", "integral", "output"]
 
 @value
 class Format:
-    """How a quantity is counted: value = count · 2^−fraction.
+    """How a quantity is counted: value = count · 2^−fraction."""
 
-    Attributes
-    ----------
-    name, role
-        Of the quantity. ``integral``: a state that is not asymptotically stable; it is kept as an accumulator of 64
-        bits and read as a count of this format.
-    unit
-        Of the value; empty for what stands between inputs and outputs.
-    bits
-        Of the integer that holds a count, with its sign: 16, 32 or 64.
-    fraction
-        Binary digits behind the point; it may be negative, or larger than `bits`.
-    largest
-        Largest magnitude of a count: proved, or enforced by saturation where `saturates`.
-    saturates
-        Whether a count beyond `largest` is cut off: inputs, outputs with a limit, integrals.
-    """
-
+    # name, role: Of the quantity. integral: a state that is not asymptotically stable; it is kept as an accumulator of
+    # 64 bits and read as a count of this format.
     name: str
     role: Role
-    unit: str
-    bits: int
-    fraction: int
-    largest: int
-    saturates: bool = False
+    unit: str  # Of the value; empty for what stands between inputs and outputs
+    bits: int  # Of the integer that holds a count, with its sign: 16, 32 or 64
+    fraction: int  # Binary digits behind the point; it may be negative, or larger than bits
+    largest: int  # Largest magnitude of a count: proved, or enforced by saturation where saturates
+    saturates: bool = False  # Whether a count beyond largest is cut off: inputs, outputs with a limit, integrals
 
     @property
     def bit(self) -> float:
@@ -63,17 +48,10 @@ class Format:
 
 @value
 class Product:
-    """An integer coefficient times a count.
-
-    Attributes
-    ----------
-    coefficient
-        An integer.
-    source
-        Name of an input, signal, state or integral; or ``excess of`` an output: its count after the limit less before.
-    """
+    """An integer coefficient times a count."""
 
     coefficient: int
+    # Name of an input, signal, state or integral; or excess of an output: its count after the limit less before
     source: str
 
 
@@ -82,99 +60,56 @@ class IntegerRow:
     """A sum of products in integers, ⌊(Σ coefficient · count + 2^(shift − 1)) / 2^shift⌋.
 
     An integral is not shifted when it is stored, but when it is read.
-
-    Attributes
-    ----------
-    target
-        What is computed.
-    products
-        The sum.
-    shift
-        Binary digits that are cut off, rounding half up.
-    keeps
-        Whether the state's present count is added behind the shift (delta form): slow poles keep all their digits.
-    accumulator
-        Bits of the sum: 32 or 64.
-    largest
-        What no partial sum exceeds in magnitude: Σ |coefficient| largest |count|, with the rounding; of an integral
-        with its register.
     """
 
     target: str
     products: tuple[Product, ...]
-    shift: int
+    shift: int  # Binary digits that are cut off, rounding half up
+    # Whether the state's present count is added behind the shift (delta form): slow poles keep all their digits
     keeps: bool
-    accumulator: int
+    accumulator: int  # Bits of the sum: 32 or 64
+    # What no partial sum exceeds in magnitude: Σ |coefficient| largest |count|, with the rounding; of an integral with
+    # its register
     largest: int
 
 
 @value
 class FixedSection:
-    """A section of the scheme in integers.
+    """A section of the scheme in integers."""
 
-    Attributes
-    ----------
-    name, kind, note
-        As in the scheme.
-    signals, states
-        Its rows, in the order in which they are evaluated.
-    """
-
+    # name, kind, note: As in the scheme
     name: str
     kind: SectionKind
     note: str
+    # signals, states: Its rows, in the order in which they are evaluated
     signals: tuple[IntegerRow, ...]
     states: tuple[IntegerRow, ...]
 
 
 @value
 class FixedPoint:
-    """A controller in integers with the proof that nothing overflows.
+    """A controller in integers with the proof that nothing overflows."""
 
-    Attributes
-    ----------
-    scheme
-        What was lowered.
-    number
-        ``"q31"``: 32-bit counts; ``"q15"``: 16-bit signals and 32-bit states.
-    formats
-        Of every input, signal, state and output, by name.
-    sections
-        The programme.
-    commanded
-        Largest magnitude of an output's count before its limit, by output.
-    excess_limits
-        Where excess is saturated before it enters a state, counts by output; none for an output whose excess enters
-        integrals alone.
-    error
-        By output, in its unit: how far it is at most from the controller in real arithmetic that is fed with the same
-        counts and whose integrals hold the same values, for all inputs in range.
-    conversion
-        By output, in its unit: what rounding the inputs to counts may add.
-    drift
-        By integral, per second in its own unit: how fast it may part from that of the controller in real arithmetic,
-        for all inputs in range.
-    poles
-        Largest magnitude of the poles in z of every asymptotically stable part, as rounded, by the name of its
-        section; dimensionless.
-    samples
-        Number of samples over which impulse responses were summed; their tails are bounded.
-    proof
-        Lines in words.
-    """
-
-    scheme: Scheme
-    number: Number
-    formats: dict[str, Format]
-    sections: tuple[FixedSection, ...]
-    commanded: dict[str, int]
+    scheme: Scheme  # What was lowered
+    number: Number  # "q31": 32-bit counts; "q15": 16-bit signals and 32-bit states
+    formats: dict[str, Format]  # Of every input, signal, state and output, by name
+    sections: tuple[FixedSection, ...]  # The programme
+    commanded: dict[str, int]  # Largest magnitude of an output's count before its limit, by output
+    # Where excess is saturated before it enters a state, counts by output; none for an output whose excess enters
+    # integrals alone
     excess_limits: dict[str, int]
+    # By output, in its unit: how far it is at most from the controller in real arithmetic that is fed with the same
+    # counts and whose integrals hold the same values, for all inputs in range
     error: dict[str, float]
-    conversion: dict[str, float]
+    conversion: dict[str, float]  # By output, in its unit: what rounding the inputs to counts may add
+    # By integral, per second in its own unit: how fast it may part from that of the controller in real arithmetic, for
+    # all inputs in range
     drift: dict[str, float]
+    # Largest magnitude of the poles in z of every asymptotically stable part, as rounded, by the name of its section;
+    # dimensionless
     poles: dict[str, float]
-    samples: int
-    proof: tuple[str, ...]
+    samples: int  # Number of samples over which impulse responses were summed; their tails are bounded
+    proof: tuple[str, ...]  # Lines in words
 
 
 # Beyond a stop, a limit or the operating range: noise, elasticity, offsets.
@@ -184,21 +119,9 @@ MARGIN = 0.1
 def input_ranges(
     inputs: tuple[str, ...], job: Job, ranges: Mapping[str, float] | None = None, margin: float = MARGIN
 ) -> dict[str, float]:
-    """Return the largest magnitude of every input.
+    """Return the largest magnitude of every input: `ranges` as they are, else that of plant and job with a margin.
 
-    An angle reaches its stops, a torque that another controller sets its torquer's limit, Omega the operating range of
-    the job; each with a margin.
-
-    Parameters
-    ----------
-    inputs
-        Names of pick-off angles, rates, or torques of other controllers.
-    job
-        The job, with its plant.
-    ranges
-        By name, in SI units: used as they are, without the margin.
-    margin
-        Share that is added to what plant and job state.
+    An angle reaches its stops, a torque of another controller its torquer's limit, Omega the job's operating range.
     """
     given, margin = dict(ranges or {}), positive("margin", margin, zero=True)
     known = _known(job.platform) | {

@@ -32,33 +32,16 @@ UNITS: dict[str, dict[str, int]] = {
 
 @value
 class Signal:
-    """A variable of the unit.
+    """A variable of the unit, as in the FMI Specification 3.0, 2022."""
 
-    Attributes
-    ----------
-    name
-        As the importing tool shows it.
-    kind, causality, variability
-        As FMI 3.0 has them.
-    unit
-        A key of `UNITS`; empty: a number.
-    description
-        One line.
-    start
-        Value before anybody sets it; None: the unit computes it.
-
-    References
-    ----------
-    Modelica Association, Functional Mock-up Interface Specification 3.0, 2022.
-    """
-
-    name: str
+    name: str  # As the importing tool shows it
+    # kind, causality, variability: As FMI 3.0 has them
     kind: Kind = "Float64"
     causality: Causality = "output"
     variability: Variability = "continuous"
-    unit: str = ""
-    description: str
-    start: float | int | bool | None = None
+    unit: str = ""  # A key of UNITS; empty: a number
+    description: str  # One line
+    start: float | int | bool | None = None  # Value before anybody sets it; None: the unit computes it
 
 
 def variable_name(*parts: str) -> str:

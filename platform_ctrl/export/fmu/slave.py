@@ -61,14 +61,7 @@ _KINDS = {"Float64": Float64, "Int64": Int64, "Boolean": Boolean, "Enumeration":
 
 
 class PlatformSlave(Fmi3Slave):  # type: ignore[misc]
-    """Non-linear plant and sampled controllers of a job, advanced from sample to sample.
-
-    Parameters
-    ----------
-    **kwargs
-        What PythonFMU3 passes: ``instance_name``, the folder of the unit's ``resources``, and where the unit runs its
-        ``logger``.
-    """
+    """Non-linear plant and sampled controllers of a job, advanced from sample to sample."""
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__(**kwargs)
@@ -189,13 +182,7 @@ class PlatformSlave(Fmi3Slave):  # type: ignore[misc]
         self._begun = True
 
     def do_step(self, current_time: float, step_size: float) -> Fmi3StepResult:
-        """Fly on to the next communication point, with the inputs as they have been set.
-
-        Parameters
-        ----------
-        current_time, step_size
-            Where the unit is, and how far it is to go: a whole number of sample periods; s.
-        """
+        """Simulate to the next communication point with the present inputs; times in s."""
         try:
             status = self._step(float(current_time), float(step_size))
         except (Exception, KeyboardInterrupt) as error:

@@ -22,27 +22,13 @@ _FLAT = 1e-6
 
 @value
 class Placed:
-    """A gimbal, or the root: where it is drawn, and its mass.
+    """A gimbal, or the root: where it is drawn, and its mass."""
 
-    Attributes
-    ----------
-    radius
-        That what it holds is drawn within, m.
-    position : (3,)
-        Of its centre in its parent's axes, m.
-    mass
-        Its own, kg, rotors not included: of no effect on the motion but through `centre`.
-    centre : (3,)
-        Of its own mass, m, body axes.
-    inertia : (3, 3)
-        About that centre, kg m².
-    """
-
-    radius: float
-    position: FloatArray
-    mass: float
-    centre: FloatArray
-    inertia: FloatArray
+    radius: float  # That what it holds is drawn within, m
+    position: FloatArray  # (3,): Of its centre in its parent's axes, m
+    mass: float  # Its own, kg, rotors not included: of no effect on the motion but through centre
+    centre: FloatArray  # (3,): Of its own mass, m, body axes
+    inertia: FloatArray  # (3, 3): About that centre, kg m²
 
 
 def placed(platform: Platform) -> list[Placed]:

@@ -22,25 +22,16 @@ FREE, BALL, HINGE = 0, 1, 3
 
 @dataclasses.dataclass
 class Body:
-    """A body with all that is fixed to it.
+    """A body with all that is fixed to it."""
 
-    Attributes
-    ----------
-    name, parent
-        Its own name, and the index of what carries it in the list of bodies; −1: nothing.
-    joint
-        Number of its hinge in the model; −1: it has none.
-    axis, anchor : (3,)
-        Of its hinge.
-    mass, moment, inertia
-        Mass, its first moment and inertia about the origin, kg, kg m, kg m² (3, 3).
-    """
-
+    # name, parent: Its own name, and the index of what carries it in the list of bodies; −1: nothing
     name: str
     parent: int
-    joint: int
+    joint: int  # Number of its hinge in the model; −1: it has none
+    # axis, anchor: (3,): Of its hinge
     axis: FloatArray
     anchor: FloatArray
+    # mass, moment, inertia: Mass, its first moment and inertia about the origin, kg, kg m, kg m² (3, 3)
     mass: float
     moment: FloatArray
     inertia: FloatArray
@@ -138,22 +129,13 @@ def _under(model: Any, k: int, body: int) -> bool:
 
 @dataclasses.dataclass
 class Chains:
-    """Root and gimbals; what is fixed to them, and their rotors, are with them already.
+    """Root and gimbals; what is fixed to them, and their rotors, are with them already."""
 
-    Attributes
-    ----------
-    bodies, gimbals
-        All bodies, the root first, and which of them are gimbals.
-    size
-        Of the device, m.
-    label
-        Of the file, for messages.
-    """
-
+    # bodies, gimbals: All bodies, the root first, and which of them are gimbals
     bodies: list[Body]
     gimbals: list[int]
-    size: float
-    label: str
+    size: float  # Of the device, m
+    label: str  # Of the file, for messages
 
     def about_centres(self, root: FloatArray) -> tuple[dict[int, FloatArray], dict[int, FloatArray]]:
         """Return inertia and first moment of root and gimbals about the point where the axes meet.
