@@ -150,12 +150,12 @@ def own_files(option: str, folder: Path) -> dict[str, str]:
     if not folder.is_dir():
         raise InputError(f"{option} {folder}: is a file, but must be a folder or not exist")
     try:
-        held = [path.name for path in folder.iterdir() if not path.name.startswith(_UNFINISHED)]
+        present = [path.name for path in folder.iterdir() if not path.name.startswith(_UNFINISHED)]
     except OSError as error:
         raise InputError(f"{option} {folder}: cannot be read: {error.strerror or error}") from None
-    if not held:
+    if not present:
         return {}
-    if RECORD not in held:
+    if RECORD not in present:
         raise InputError(f"{option} {folder}: holds files of no earlier export; name a new or empty folder")
     _, record = read_json(folder / RECORD, "the record of an export")
     files = record.get("files") if isinstance(record, dict) else None
@@ -165,7 +165,7 @@ def own_files(option: str, folder: Path) -> dict[str, str]:
         # A name that leads out of the folder is not one that an export wrote.
         if Path(name).name != name:
             raise InputError(f"{option} {folder}: {RECORD} there is not the record of an export; name a new folder")
-        if name in held and sha256(folder / name) != known:
+        if name in present and sha256(folder / name) != known:
             raise InputError(f"{option} {folder}: {name} was changed since it was exported; move it elsewhere")
     return {**files, RECORD: ""}
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a comparison came to: words for the terminal, plain data for JSON."""
+    """The result of a comparison: text for the terminal, plain data for JSON."""
 
     comparison: Comparison | None = None
     words: str = ""
@@ -55,7 +55,7 @@ class BaselineOptions:
         return cls(file, update, read_baseline(file) if file.exists() else None)
 
     def outcome(self, result: JobResult) -> Outcome:
-        """Compare, and draw what moved beside the file; or update the file."""
+        """Compare and plot changes beside the file, or update the file."""
         if self.file is None:
             return Outcome()
         from platform_ctrl.verification.baselines import compare, update_baseline

@@ -32,7 +32,11 @@ def campaign(
     runs: Annotated[
         int | None,
         typer.Option(
-            "--runs", rich_help_panel=WHAT, metavar="N", help="How many. Default: as in the job.", show_default=False
+            "--runs",
+            rich_help_panel=WHAT,
+            metavar="N",
+            help="Number of runs. Default: as in the job.",
+            show_default=False,
         ),
     ] = None,
     out: Annotated[
@@ -62,7 +66,7 @@ def campaign(
             "--seed",
             rich_help_panel=WHAT,
             metavar="N",
-            help="Of everything random. Default: as in the job.",
+            help="Random seed. Default: as in the job.",
             show_default=False,
         ),
     ] = None,
@@ -97,7 +101,7 @@ def campaign(
             show_default=False,
         ),
     ] = None,
-    restart: Annotated[bool, typer.Option("--restart", help="Forget what is in DIR, and begin anew.")] = False,
+    restart: Annotated[bool, typer.Option("--restart", help="Discard the campaign in DIR and start again.")] = False,
     rare: Annotated[
         str | None,
         typer.Option(
@@ -105,7 +109,7 @@ def campaign(
             rich_help_panel=RARE,
             metavar="any|angle|attitude|torque_share",
             help="After the campaign, estimate the probability that this requirement (or any) is violated by "
-            "importance splitting, for probabilities too small to be counted.",
+            "importance splitting, for probabilities too small to count.",
             show_default=False,
             autocompletion=completion.words("any", "angle", "attitude", "torque_share"),
         ),
@@ -132,17 +136,17 @@ def campaign(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> int:
-    """Simulate many runs of a job, with everything that its [campaign] says may vary.
+    """Simulate many runs of a job, with the variations in its [campaign].
 
-    The controllers exist already. Writes campaign.parquet, one row a run: inputs, figures, verdicts, how it ended;
-    campaign.json and the page campaign.html: how probable it is that a requirement is violated, what drives it, and
-    the worst runs. Stopped or killed at any moment, the same command goes on; with a larger --runs a campaign that is
-    done is made longer. A run that diverges or cannot be simulated has a row that says so.
+    Uses existing controllers. Writes campaign.parquet, one row a run: inputs, values, verdicts, how it ended;
+    campaign.json and the page campaign.html: the probability that a requirement is violated, its main causes, and the
+    worst runs. After an interruption the same command continues; a larger --runs extends a completed campaign. A run
+    that diverges or cannot be simulated has a row that says so.
 
     \b
     platform-ctrl campaign job.toml --runs 10000                with the controllers of out/result.json
-    platform-ctrl campaign job.toml -o night --controllers mine.json  with others, into a folder of its own
-    platform-ctrl campaign job.toml --rare angle                a probability too small to be counted
+    platform-ctrl campaign job.toml -o night --controllers mine.json  with others, into another folder
+    platform-ctrl campaign job.toml --rare angle                a probability too small to count
     platform-ctrl campaign job.toml --scheduler tcp://big:8786  on other machines
     platform-ctrl simulate job.toml --run 4711                  one of its runs again, with a figure
 
@@ -163,10 +167,10 @@ def campaign(
         prepare_folder(out, ("campaign.parquet", "campaign.json", PAGE))
     done: int | None = None
 
-    def noted(kept: int, amiss: int) -> None:
+    def count(kept: int, failed: int) -> None:
         nonlocal done
         done = kept
-        tick(kept, amiss)
+        tick(kept, failed)
 
     try:
         with campaign_progress(quiet or as_json, made.runs) as (tick, say):
@@ -177,12 +181,12 @@ def campaign(
                 scheduler=scheduler,
                 device=device,
                 restart=restart,
-                progress=noted,
+                progress=count,
                 say=say,
             )
     except KeyboardInterrupt:
         kept = "what was simulated is kept" if done is None else f"{done:,} of {made.runs:,} runs are kept"
-        typer.echo(f"stopped: {kept} in {out}; the same command goes on", err=True)
+        typer.echo(f"stopped: {kept} in {out}; the same command continues", err=True)
         raise
     given = {"--controllers": controllers, "-o": None if out == CAMPAIGN else out}
     files = [str(word) for option, path in given.items() if path is not None for word in (option, path)]
@@ -217,4 +221,4 @@ def _show_files(result: CampaignResult, page: Path) -> None:
     typer.echo(f"{count_words(result.record['runs'])}: {', '.join(f'{n:,} {name}' for name, n in counts.items() if n)}")
     for reason, number in result.reasons.items():
         typer.echo(f"  {number:,} x {reason}")
-    typer.echo(f"page: {page}, runs: {result.table}, figures: {result.table.with_suffix('.json')}")
+    typer.echo(f"page: {page}, runs: {result.table}, values: {result.table.with_suffix('.json')}")

@@ -35,10 +35,10 @@ def expect_rare(plan: Plan, requirement: str | None, runs_per_level: int, method
     """Judge the options of a rare event before anything is simulated."""
     from platform_ctrl.campaign.rare_events import FEWEST_SAMPLES
 
-    asked = [ANY, *dict.fromkeys(name for one, _ in plan.job.campaign_manoeuvres for name in one.limits)]
-    if requirement is not None and requirement not in asked:
+    known = [ANY, *dict.fromkeys(name for one, _ in plan.job.campaign_manoeuvres for name in one.limits)]
+    if requirement is not None and requirement not in known:
         raise InputError(
-            f"--rare {requirement}: no manoeuvre of the campaign has this limit; choose one of {', '.join(asked)}"
+            f"--rare {requirement}: no manoeuvre of the campaign has this limit; choose one of {', '.join(known)}"
         )
     if runs_per_level < FEWEST_SAMPLES:
         raise InputError(f"--runs-per-level {runs_per_level}: must be at least {FEWEST_SAMPLES}")
@@ -58,7 +58,7 @@ def rare_result(
     device: str,
     say: Callable[[str], None],
 ) -> tuple[RareResult, ...]:
-    """Simulate the rare event that was asked for, if one was."""
+    """Simulate the rare event that was requested, if any."""
     if requirement is None:
         return ()
     from platform_ctrl.campaign.rare_runs import rare_probability
@@ -105,15 +105,15 @@ _FIRST, _GROWTH, _LAST = 5.0, 1.5, 60.0
 
 @contextmanager
 def campaign_progress(quiet: bool, runs: int) -> Iterator[tuple[Tick, Say]]:
-    """Yield what takes the number of runs that are kept and of those amiss, and what takes a line that is not lost.
+    """Yield a function for the numbers of stored and of failed runs, and one for lines that stay on the screen.
 
     A Ctrl-C that a library swallowed takes effect at the next call.
     """
     with interruptible() as check, _shown(quiet, runs) as (show, say):
 
-        def tick(done: int, amiss: int) -> None:
+        def tick(done: int, failed: int) -> None:
             check()
-            show(done, amiss)
+            show(done, failed)
 
         yield tick, say
         check()
@@ -155,7 +155,7 @@ def time_words(seconds: float) -> str:
 @contextmanager
 def _shown(quiet: bool, runs: int) -> Iterator[tuple[Tick, Say]]:
     if quiet:
-        yield (lambda done, amiss: None), (lambda line: None)
+        yield (lambda done, failed: None), (lambda line: None)
         return
     pace = Pace(runs)
     if sys.stderr.isatty():
@@ -163,14 +163,14 @@ def _shown(quiet: bool, runs: int) -> Iterator[tuple[Tick, Say]]:
         return
     due, wait, before = time.monotonic() + _FIRST, _FIRST, ""
 
-    def tick(done: int, amiss: int) -> None:
+    def tick(done: int, failed: int) -> None:
         nonlocal due, wait
         now = time.monotonic()
         words = pace.words(done, now)
         if now >= due or done == runs:
             wait = min(_GROWTH * wait, _LAST)
             due = now + wait
-            say(f"{done:,} of {runs:,} runs{f', {words}' if words else ''}{_amiss(amiss)}")
+            say(f"{done:,} of {runs:,} runs{f', {words}' if words else ''}{_failed_words(failed)}")
 
     def say(line: str) -> None:
         nonlocal before
@@ -189,18 +189,18 @@ def _bar(pace: Pace, runs: int) -> Iterator[tuple[Tick, Say]]:
         TimeElapsedColumn(),
         BarColumn(),
         MofNCompleteColumn(),
-        TextColumn("runs {task.fields[pace]}{task.fields[amiss]}", markup=False),
+        TextColumn("runs {task.fields[pace]}{task.fields[failed]}", markup=False),
     )
     with Progress(*columns, console=Console(stderr=True), transient=True) as shown:
-        task = shown.add_task("", total=runs, pace="", amiss="")
+        task = shown.add_task("", total=runs, pace="", failed="")
 
-        def tick(done: int, amiss: int) -> None:
-            shown.update(task, completed=done, pace=pace.words(done, time.monotonic()), amiss=_amiss(amiss))
+        def tick(done: int, failed: int) -> None:
+            shown.update(task, completed=done, pace=pace.words(done, time.monotonic()), failed=_failed_words(failed))
 
         yield tick, lambda line: shown.console.print(line, style="dim", markup=False, highlight=False)
 
 
-def _amiss(number: int) -> str:
+def _failed_words(number: int) -> str:
     return f", {number:,} diverged or not simulated" if number else ""
 
 

@@ -1,4 +1,4 @@
-"""``platform-ctrl check``: controllers that exist already, held against the requirements of a job."""
+"""``platform-ctrl check``: existing controllers compared with the requirements of a job."""
 
 from __future__ import annotations
 
@@ -47,13 +47,13 @@ def check(
         typer.Option(
             "--baseline",
             metavar="FILE",
-            help="Figures that were accepted once: the exit code is 1 too where one is worse by more than its "
-            "tolerance. What moved is printed, and drawn beside FILE.",
+            help="Accepted values: the exit code is also 1 if a value is worse by more than its tolerance. Changes "
+            "are printed, and plotted beside FILE.",
             show_default=False,
         ),
     ] = None,
     update_baseline: Annotated[
-        bool, typer.Option("--update-baseline", help="Accept the figures as they are: write them to the baseline.")
+        bool, typer.Option("--update-baseline", help="Accept the present values: write them to the baseline.")
     ] = False,
     junit: Junit = None,
     pdf: Pdf = False,
@@ -61,16 +61,16 @@ def check(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> int:
-    """Check controllers that exist already.
+    """Check existing controllers.
 
-    The same verdicts as those of design, without designing. Every figure is measured anew from the matrices; nothing
-    that the file claims is believed, and what is not confirmed of it is told on stderr. Use it after the plant, the
+    Gives the verdicts of design without designing. Every value is computed again from the matrices; claims of the file
+    that are not confirmed are reported on standard error. Use it after the plant, the
     uncertainty or a limit has changed, or for controllers that were made elsewhere.
 
     \b
     platform-ctrl check job.toml                                          the controllers of out/result.json
     platform-ctrl check job.toml --controllers mine.json -o mine          others, reported elsewhere
-    platform-ctrl check job.toml --baseline gyros.json --update-baseline  accept the figures as they are
+    platform-ctrl check job.toml --baseline gyros.json --update-baseline  accept the present values
     platform-ctrl check job.toml --baseline gyros.json --junit check.xml  in CI: none is worse than accepted
     platform-ctrl check job.toml --quiet && deploy                        go on only if all is met
     """  # noqa: D301

@@ -36,7 +36,7 @@ from platform_ctrl.cli.new_command import new
 from platform_ctrl.cli.serve_command import serve
 from platform_ctrl.cli.simulate_command import simulate
 
-# Groups are those of typer's `rich_help_panel`; what has none stands in the last one.
+# Groups are those of typer's `rich_help_panel`; options without one come last.
 _OPTIONS, _ARGUMENTS, _EXAMPLES = "Options", "Arguments", "Examples"
 _EXAMPLE = re.compile(r"(\S.*?)(?:\s{2,}(\S.*))?")
 # Columns between an example and its meaning, and by which the meaning is indented where it does not fit beside it.
@@ -74,7 +74,7 @@ class TeachingGroup(TyperGroup):
         super().__init__(help=prose, **more)
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
-        """Write the commands, then what there is beside them."""
+        """Write the commands, then the options."""
         groups: dict[str, list[Example]] = {}
         for name in self.list_commands(ctx):
             command = self.get_command(ctx, name)
@@ -152,13 +152,13 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 120},
     epilog="Exit code: 0 done, every requirement met; 1 done, a requirement not met, or no controller found; 2 the "
-    "input is wrong; 130 interrupted. platform-ctrl COMMAND --help tells more, with examples.",
+    "input is wrong; 130 interrupted. See platform-ctrl COMMAND --help, with examples.",
 )
 START, DESIGN, SIMULATE, EXPORT = "Start", "Design and check", "Simulate on the non-linear plant", "Export"
 
 
-def _print_version(wanted: bool) -> None:
-    if wanted:
+def _print_version(requested: bool) -> None:
+    if requested:
         from platform_ctrl import __version__
 
         typer.echo(f"platform-ctrl {__version__}")
@@ -176,9 +176,9 @@ def platform_ctrl(
     \b
     platform-ctrl new gyro                             a plant and a job to start from
     platform-ctrl design gyro.toml                     design, check, report: out/report.html
-    platform-ctrl check gyro.toml                      the same verdicts after a change
+    platform-ctrl check gyro.toml                      the verdicts after a change
     platform-ctrl simulate gyro.toml --manoeuvre turn  one run with these controllers
-    platform-ctrl campaign gyro.toml --runs 1000       many runs with what may vary
+    platform-ctrl campaign gyro.toml --runs 1000       many runs with variations
     """  # noqa: D301
 
 
@@ -230,16 +230,16 @@ def design(
 ) -> int:
     """Design every loop of a job and check the whole.
 
-    Each loop is designed by every method that the job names; those that the job says are closed together on the coupled
-    model and simulated on the non-linear plant. Writes result.json and report.html, whole or not at all.
+    Each loop is designed by every method in the job; the designs that it uses are closed together on the coupled model
+    and simulated on the non-linear plant. Writes result.json and report.html, whole or not at all.
 
     \b
     platform-ctrl design job.toml                            report: out/report.html
     platform-ctrl design job.toml -o run7 --pdf              run7/report.html and run7/report.pdf
-    platform-ctrl design job.toml --campaign campaign --pdf  with a section about the campaign that was simulated
+    platform-ctrl design job.toml --campaign campaign --pdf  with a section about a campaign
     platform-ctrl design job.toml --json | jq .requirements  the verdicts, to compute with
 
-    Exit code 1 if a requirement is not met, or if a method finds no controller (one line on standard error says which).
+    Exit code 1 if a requirement is not met, or if a method finds no controller (named on standard error).
     """  # noqa: D301
     from platform_ctrl.cli.terminal import progress
 

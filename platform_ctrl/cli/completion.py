@@ -20,7 +20,7 @@ import typer
 Offer = str | tuple[str, str]
 Completer = Callable[[typer.Context, str], list[Offer]]
 
-# A plant has a root, a job has loops; either may stand as a table or as a key.
+# A plant has a root, a job has loops; either is a table or a key.
 _PLANT = re.compile(rb"^[ \t]*(\[[ \t]*root[ \t]*\]|root[ \t]*=)", re.MULTILINE)
 _JOB = re.compile(rb"^[ \t]*(\[\[[ \t]*loop[ \t]*\]\]|loop[ \t]*=)", re.MULTILINE)
 # Files that are looked into, and bytes of each: Tab answers at once in whatever folder.
@@ -29,7 +29,7 @@ _PLAIN = re.compile(r"[\w./+@%,-]*")
 
 
 class _Fitting(str):
-    """A word that is known to begin as asked: typer would compare what stands in quotes with what does not."""
+    """A word that matches: typer would compare quoted words with unquoted ones."""
 
     __slots__ = ()
 
@@ -67,7 +67,7 @@ def jobs(ctx: typer.Context, incomplete: str) -> Iterator[Offer]:
 
 @_silent
 def manoeuvres(ctx: typer.Context, incomplete: str) -> Iterator[Offer]:
-    """Offer the manoeuvres of the job that stands earlier on the line."""
+    """Offer the manoeuvres of the job earlier on the line."""
     # An option that still lacks its value leaves the arguments before it unread.
     path = ctx.params.get("job") or ctx.args[0]
     with open(os.path.expanduser(path), "rb") as file:
@@ -113,8 +113,8 @@ def _files(incomplete: str, suffix: str, kind: re.Pattern[bytes]) -> Iterator[st
 
     Folders themselves are not offered: shells put a space behind what is, and the rest could not be typed on.
     """
-    begun, prefix = os.path.split(incomplete)
-    start = os.path.join(begun, "") if begun else ""
+    folder_part, prefix = os.path.split(incomplete)
+    start = os.path.join(folder_part, "") if folder_part else ""
     below = [os.path.join(folder, "") for folder in _folders(incomplete)]
     looked = 0
     for folder, first in ((start, prefix), *((one, "") for one in below)):
@@ -130,8 +130,8 @@ def _files(incomplete: str, suffix: str, kind: re.Pattern[bytes]) -> Iterator[st
 
 
 def _folders(incomplete: str) -> list[str]:
-    begun, prefix = os.path.split(incomplete)
-    start = os.path.join(begun, "") if begun else ""
+    folder_part, prefix = os.path.split(incomplete)
+    start = os.path.join(folder_part, "") if folder_part else ""
     names = [name for name in _listed(start) if name.startswith(prefix) and not _hidden(name, prefix)]
     return [start + name for name in names if os.path.isdir(os.path.expanduser(start + name))]
 
@@ -148,7 +148,7 @@ def _hidden(name: str, first: str) -> bool:
 
 
 def _quoted(word: str) -> str:
-    """Return a word as it has to stand on the line: zsh and fish put marks around it themselves."""
+    """Return a word quoted for the line; zsh and fish quote it themselves."""
     if _PLAIN.fullmatch(word) or word.startswith("~"):
         return word
     shell = os.environ.get("_PLATFORM_CTRL_COMPLETE", "").rpartition("_")[2]

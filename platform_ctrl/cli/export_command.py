@@ -21,8 +21,8 @@ WHAT, HOW = "What is written", "How"
 class ExportCommand:
     """Export controllers and plant for compilers and other tools.
 
-    Any of the forms together; all of them are written, or none. The controllers are those that check takes. A folder
-    is written to only if it is new, empty, or of an earlier export that nobody has changed since.
+    Several forms can be combined; all of them are written, or none. Default controllers are those of check. A folder
+    must be new, empty, or of an earlier export without changes since.
 
     \b
     platform-ctrl export job.toml --c firmware/gyro              double precision C99
@@ -147,7 +147,7 @@ def _settings(chosen: Mapping[Exporter, Path], options: Mapping[str, Any]) -> di
                 raise InputError(f"{setting.flag}: is an option of {exporter.flag}, which must be given too")
             if setting.choices and given not in setting.choices:
                 raise InputError(f"{setting.flag} {given}: must be one of {', '.join(setting.choices)}")
-    return {e: e.judged({s.name: options[_keyword(e, s)] for s in e.settings}) for e in chosen}
+    return {e: e.checked({s.name: options[_keyword(e, s)] for s in e.settings}) for e in chosen}
 
 
 def _controllers(given: Path | None, job: Path, uses: set[str]) -> Path | None:

@@ -39,7 +39,7 @@ Controllers = Annotated[
         "--controllers",
         metavar="FILE",
         help=f"Controllers: a {RESULT}, or a JSON file with its keys schema and controllers alone. Default: JOB with "
-        f".controllers.json in place of .toml where that file stands, else {DESIGNED / RESULT}.",
+        f".controllers.json in place of .toml if that file exists, else {DESIGNED / RESULT}.",
         show_default=False,
         autocompletion=completion.controller_files,
     ),
@@ -72,7 +72,7 @@ def job_of(path: Path) -> Job:
 
 
 def _not_a_job(path: Path) -> str | None:
-    """Say what else a file is, or which was meant; None where its reader says it better."""
+    """Return a message for a file that is no job or does not exist; None where the message of its reader is better."""
     from platform_ctrl.common.arguments import nearest
     from platform_ctrl.plant.mistakes import one_line
     from platform_ctrl.plant.source import shipped_models
@@ -107,8 +107,7 @@ def _tables(path: Path) -> dict[str, Any]:
 def controller_file(given: Path | None, folder: Path | None, job: Path | None = None) -> Path:
     """Return the file that controllers come from.
 
-    The one that was given, or what was saved beside the job, or a result in the folder that was named, or what design
-    left.
+    The given file, or the one saved beside the job, or the result in `folder`, or that of design.
     """
     if given is not None:
         return given
@@ -128,7 +127,7 @@ def controller_file(given: Path | None, folder: Path | None, job: Path | None = 
 
 
 def plant_file(path: Path, job: Job) -> list[Path]:
-    """Return the plant file that a job file names; none where its plant is shipped, or stands in the job."""
+    """Return the plant file that a job file names; none where its plant is shipped or part of the job."""
     file = path.parent / job.plant
     return [file] if file.is_file() else []
 

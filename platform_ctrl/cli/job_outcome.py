@@ -1,4 +1,4 @@
-"""What a job came to, as the commands design and check leave it: the result's file, the report, and the exit code."""
+"""What the commands design and check write: the result's file and the report."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def expect_campaign(job: Job, folder: Path) -> Record:
 
 
 def campaign_summary(job: Job, controllers: Sequence[control.StateSpace], folder: Path) -> Summary:
-    """Return what the campaign in a folder came to."""
+    """Return the statistics of the campaign in a folder."""
     from platform_ctrl.campaign.planning import plan
     from platform_ctrl.campaign.rerunning import changed_settings, settings_of
     from platform_ctrl.campaign.store import TABLE
@@ -68,7 +68,7 @@ Shown = Callable[[], int]
 
 @dataclass(frozen=True)
 class ReportOptions:
-    """What a report has beside the page: a PDF, and a section about the campaign in a folder."""
+    """Options of a report: a PDF, and a section about the campaign in a folder."""
 
     pdf: bool = False
     campaign: Path | None = None
@@ -142,11 +142,11 @@ def write_report(
         else:
             show_result(result)
             files = ", ".join(str(folder / name) for name in (REPORT, PDF) if name in extras.files)
-            typer.echo(f"report: {files}, figures: {folder / RESULT}")
+            typer.echo(f"report: {files}, values: {folder / RESULT}")
         if refused is not None:
             raise refused
         if not extras.pdf and (folder / PDF).exists():
-            typer.echo(f"{folder / PDF}: is of an earlier run; --pdf writes it anew", err=True)
+            typer.echo(f"{folder / PDF}: is of an earlier run; --pdf writes a new one", err=True)
         return 0 if result.passed else 1
 
     return show
@@ -156,8 +156,6 @@ def _campaign(
     result: JobResult, record: Mapping[str, Any], campaign: Path, job: Path, controllers: Path
 ) -> dict[str, Any]:
     from platform_ctrl.verification.given import read_controllers
-
-    pass
 
     # As a campaign reads them, from the record: the same numbers in the same order.
     summary = campaign_summary(result.job, read_controllers(record, result.job), campaign)

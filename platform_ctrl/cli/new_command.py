@@ -14,7 +14,7 @@ from platform_ctrl.cli import completion
 from platform_ctrl.cli.job_arguments import Json, Quiet, prepare_folder
 from platform_ctrl.errors import InputError
 
-# What can be a file's name everywhere and stand in a text without quotes.
+# Valid as a file name on all systems and, unquoted, in a text.
 _NAME = re.compile(r"\w[\w.-]*")
 
 
@@ -47,8 +47,8 @@ def new(
 ) -> None:
     """Write a commented plant and a job for it, to start from.
 
-    NAME_plant.toml describes the bodies, rotors, torquers and pick-offs; NAME.toml says which loops are to be designed,
-    how, and what they have to reach. Both can be designed as they are; then put in your own numbers. With --like the
+    NAME_plant.toml describes the bodies, rotors, torquers and pick-offs; NAME.toml defines the loops to be designed,
+    their methods and their requirements. Both work as they are; then put in your own numbers. With --like the
     loops are the subsystems of that plant, with starting values from rules of thumb.
 
     \b

@@ -91,7 +91,7 @@ def serve(
         server = PageServer(Building(backend), host=host, allow=allow or (), port=port)
 
     def ready() -> None:
-        shown = _wanted(browser, as_json)
+        shown = _opens_browser(browser, as_json)
         if as_json:
             typer.echo(json.dumps({"schema": 1, "job": read.name, "address": server.address, "port": server.port}))
         else:
@@ -99,7 +99,7 @@ def serve(
                 typer.echo(f"port {PORT} is taken: another one is used", err=True)
             typer.echo(f"{read.name}: {server.address} (Ctrl-C ends it)")
         if not server.hosts.local_only:
-            typer.echo(_warned(server), err=True)
+            typer.echo(_network_warning(server), err=True)
         sys.stdout.flush()
         if shown:
             _open(server.address)
@@ -110,16 +110,16 @@ def serve(
         server.run(ready, check)
 
 
-def _warned(server: PageServer) -> str:
+def _network_warning(server: PageServer) -> str:
     names = ", ".join(sorted(server.hosts.names))
     return (
-        f"listening on {server.hosts.listening}: whoever reaches this machine on port {server.port} as {names} can see "
-        "this job, keep its processors busy and write files where the page saves; there is no password"
+        f"listening on {server.hosts.listening}: anybody who reaches this machine on port {server.port} as {names} can "
+        "see this job, keep its processors busy and write files where the page saves; there is no password"
     )
 
 
-def _wanted(browser: bool | None, as_json: bool) -> bool:
-    """Whether to open a browser: as asked, else where someone sits before a screen."""
+def _opens_browser(browser: bool | None, as_json: bool) -> bool:
+    """Return whether to open a browser: as requested, else where there is a screen."""
     if browser is not None:
         return browser
     screen = sys.platform in ("win32", "darwin") or any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))

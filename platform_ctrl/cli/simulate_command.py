@@ -74,13 +74,13 @@ def simulate(
 ) -> int:
     """Simulate one manoeuvre on the non-linear plant, or one run of a campaign again.
 
-    The controllers exist already. Gimbal stops, torque limits, sampling, delay and pick-off noise are those of plant
-    and job; the job's seed makes the run the same every time. A run of the campaign is simulated with all its draws: it
-    comes to the figures that stand in the campaign's table. Exit code 1 if a limit is not met.
+    Uses existing controllers. Gimbal stops, torque limits, sampling, delay and pick-off noise are those of plant
+    and job; the job's seed makes the run the same every time. A run of the campaign is simulated with all its draws:
+    its values are those in the campaign's table. Exit code 1 if a limit is not met.
 
     \b
     platform-ctrl simulate job.toml --manoeuvre turn -o runs  by name, with a figure
-    platform-ctrl simulate job.toml --manoeuvre 1 --json      by number, the figures as JSON
+    platform-ctrl simulate job.toml --manoeuvre 1 --json      by number, the values as JSON
     platform-ctrl simulate job.toml --run 4711                the campaign's run 4711: campaign/run-4711.svg
     platform-ctrl simulate job.toml --run 4711 -o night       of the campaign that was simulated with -o night
     """  # noqa: D301
@@ -91,14 +91,14 @@ def simulate(
         raise InputError(f"{wrong}; give --run NUMBER for a run of the campaign, or --manoeuvre NAME")
     with progress(quiet or as_json, f"reading {job}") as say:
         read = job_of(job)
-        wanted = str(run if manoeuvre is None else manoeuvre)
+        selected = str(run if manoeuvre is None else manoeuvre)
         of_campaign = (
-            manoeuvre is None and wanted.isdecimal() and (read.campaign is not None or _has_campaign(read, out))
+            manoeuvre is None and selected.isdecimal() and (read.campaign is not None or _has_campaign(read, out))
         )
-        if of_campaign and wanted not in [one.name for one in read.manoeuvres]:
-            chosen: int | Manoeuvre = int(wanted)
+        if of_campaign and selected not in [one.name for one in read.manoeuvres]:
+            chosen: int | Manoeuvre = int(selected)
         else:
-            chosen = _manoeuvre(read, wanted, job, "--run" if manoeuvre is None else "--manoeuvre")
+            chosen = _manoeuvre(read, selected, job, "--run" if manoeuvre is None else "--manoeuvre")
         file = controller_file(controllers, None, job)
         from platform_ctrl.verification.given import read_controllers
 
@@ -166,7 +166,7 @@ def _campaign_run(number: int, plan: Plan, folder: Path, recorded: bool, note: s
             show_inputs(f"run {number} of the campaign", found.inputs)
             show_run(found.run, largest(found.job, found.run.trajectory))
             if row is not None and not unlikely:
-                typer.echo(f"the figures are those of {folder / TABLE}")
+                typer.echo(f"the values are those of {folder / TABLE}")
             typer.echo(f"figure: {drawn}")
         for one in unlikely:
             typer.echo(f"{folder / TABLE}: run {number} is not the same: {one}", err=True)
@@ -217,19 +217,19 @@ def _place(job: Job, manoeuvre: Manoeuvre) -> int:
     return 1 + [one.name for one in job.manoeuvres].index(manoeuvre.name)
 
 
-def _manoeuvre(job: Job, wanted: str, path: Path, option: str) -> Manoeuvre:
+def _manoeuvre(job: Job, selected: str, path: Path, option: str) -> Manoeuvre:
     from platform_ctrl.plant.mistakes import given
 
     names = [manoeuvre.name for manoeuvre in job.manoeuvres]
-    if wanted in names:
-        return job.manoeuvres[names.index(wanted)]
-    if wanted.isdecimal() and 1 <= int(wanted) <= len(names):
-        return job.manoeuvres[int(wanted) - 1]
+    if selected in names:
+        return job.manoeuvres[names.index(selected)]
+    if selected.isdecimal() and 1 <= int(selected) <= len(names):
+        return job.manoeuvres[int(selected) - 1]
     if option == "--run" and job.campaign is not None:
         known = ", ".join(map(given, names))
         raise InputError(
-            f"{option} {given(wanted)}: must be the number of a run of the campaign, from 0, or a manoeuvre in "
+            f"{option} {given(selected)}: must be the number of a run of the campaign, from 0, or a manoeuvre in "
             f"{path}: {known}"
         )
     known = ", ".join(f"{number} {given(name)}" for number, name in enumerate(names, 1))
-    raise InputError(f"{option} {given(wanted)}: {path} has no such manoeuvre; its manoeuvres are: {known or 'none'}")
+    raise InputError(f"{option} {given(selected)}: {path} has no such manoeuvre; its manoeuvres are: {known or 'none'}")

@@ -101,7 +101,7 @@ def starting_loops(plant: dict[str, Any]) -> Start:
 
 
 def _turn(model: LinearModel, limits: dict[str, float]) -> tuple[int, float]:
-    """Return the axis about which a turn asks the most torque, and a rate for which the torquers have enough.
+    """Return the axis about which a turn needs the most torque, and a rate for which the torquers have enough.
 
     The torques for each rad/s: of the rotors at the rate itself, of the inertias while it rises along half a cosine.
     """
@@ -197,7 +197,6 @@ def start_like(
 
     A caging loop needs a torquer and a pick-off on each of its gimbals: missing ones are added.
     """
-    pass
     from platform_ctrl.job.reading import read_job
     from platform_ctrl.plant.reading import read_platform
 
@@ -250,8 +249,6 @@ def _with_instruments(text: str, plant: dict[str, Any]) -> tuple[str, tuple[str,
 
 
 def _job_like(start: Start, names: list[str], plant: dict[str, Any], **words: str) -> str:
-    pass
-
     fast = f"{start.fastest_hz:.3g} Hz"
     spinning = [rotor for rotor in plant.get("rotor", []) if rotor.get("spin") or rotor.get("angular_momentum")]
     varied = [(r["name"], "spin" if "spin" in r else "angular_momentum") for r in spinning]
@@ -276,7 +273,7 @@ def _job_like(start: Start, names: list[str], plant: dict[str, Any], **words: st
         rate_reason=f"the fastest mode of the plant has {fast}" if start.fastest_hz > 0.0 else "assumed",
         delay=f"{1.0 / start.rate_hz:g}",
         axis=str(start.axis),
-        axis_reason="where a turn asks the most torque of the gimbals",
+        axis_reason="where a turn needs the most torque of the gimbals",
         rise=f"{RISE:g}",
         loops=loops,
         rotors=[_text(f"rotor.{rotor}.{key}") for rotor, key in varied],
@@ -311,6 +308,3 @@ def _noted(code: str, comment: str, mark: str = "# ", column: int = _COMMENT) ->
     room = max(_WIDTH - max(len(code) + 1, column), _WIDTH // 2)
     first, *more = textwrap.wrap(comment, room) if mark == "# " else [comment]
     return "\n".join([f"{code:<{column - 1}} {mark}{first}", *(f"{'':<{column}}{mark}{line}" for line in more)])
-
-
-# What can be a file's name everywhere and stand in a text without quotes.

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 # Columns that a pipe is given, which has no width of its own; narrower terminals get lines instead of a table.
 _PIPE_WIDTH = 120
 _NARROW = 96
-# Seconds after which a first line is printed where there is no terminal, and a line that stands is printed again.
+# Seconds after which a first line is printed where there is no terminal, and the last line is printed again.
 _LATE = 2.0
 _AGAIN = (10.0, 30.0, 60.0)
 
@@ -31,9 +31,9 @@ _AGAIN = (10.0, 30.0, 60.0)
 def progress(quiet: bool, first: str) -> Iterator[Callable[[str], None]]:
     """Yield what a long piece of work calls with a line before each step.
 
-    On a terminal the line, at the start `first`, stands beside a spinner and the time since the start, and vanishes at
+    On a terminal the line, at the start `first`, is shown with a spinner and the time since the start, and vanishes at
     the end. Elsewhere every line is printed on standard error, `first` only if it lasts: where the input turns out to
-    be wrong, the error stands there alone. A line that stands for long is printed again, with its time. `quiet` shows
+    be wrong, only the error is shown. The last line is printed again from time to time, with its time. `quiet` shows
     none. A Ctrl-C that a library swallowed takes effect at the next step.
     """
     with interruptible() as check, _shown(quiet, first) as show:
@@ -77,26 +77,26 @@ def _shown(quiet: bool, first: str) -> Iterator[Callable[[str], None]]:
 
 @contextmanager
 def _lines(first: str) -> Iterator[Callable[[str], None]]:
-    """Yield what prints a line; in a thread of its own, the first one after a while, and those that stand for long."""
+    """Yield a function that prints a line; a thread prints the first one after a while and the last one repeatedly."""
     current, over = first, threading.Event()
-    begun = time.monotonic()
+    start = time.monotonic()
     due = [_LATE, *_AGAIN]
     lock = threading.Lock()
 
     def show(line: str) -> None:
-        nonlocal current, begun, due
+        nonlocal current, start, due
         with lock:
-            current, begun, due = line, time.monotonic(), list(_AGAIN)
+            current, start, due = line, time.monotonic(), list(_AGAIN)
             print(line, file=sys.stderr, flush=True)
 
     def watch() -> None:
         while not over.wait(0.1):
             with lock:
-                lasted = time.monotonic() - begun
+                lasted = time.monotonic() - start
                 if lasted >= due[0]:
                     words = current if due[0] == _LATE else f"{current} ({due[0]:g} s)"
                     due[:] = due[1:] or [due[0] + _AGAIN[-1]]
-                    with suppress(OSError, ValueError):  # the reader has gone: what prints next says so
+                    with suppress(OSError, ValueError):  # the reader has ended: the next print raises
                         print(words, file=sys.stderr, flush=True)
 
     watcher = threading.Thread(target=watch, daemon=True)
@@ -131,8 +131,8 @@ def show_result(result: JobResult) -> None:
     _show_verdict(console, result.requirements, added_words(result.job.platform))
 
 
-def show_run(run: Run, figures: dict[str, tuple[float, str]]) -> None:
-    """Print how a simulated run went: its largest figures, saturated torquers, stops that were touched, its limits."""
+def show_run(run: Run, largest: dict[str, tuple[float, str]]) -> None:
+    """Print the largest angles and torque of a run, saturated torquers, stops that were touched, and its limits."""
     from rich.table import Table
 
     trajectory, console = run.trajectory, screen()
@@ -140,9 +140,9 @@ def show_run(run: Run, figures: dict[str, tuple[float, str]]) -> None:
     touched = {name: int(n) for name, n in zip(trajectory.angle_names, trajectory.stop_contacts, strict=True) if n}
     rows = {
         "ended": trajectory.ended,
-        "largest gimbal angle": "{:.4g} rad ({})".format(*figures["angle"]),
-        "largest platform angle": "{:.4g} rad ({})".format(*figures["attitude"]),
-        "largest torque over its limit": "{:.4g} ({})".format(*figures["torque_share"]),
+        "largest gimbal angle": "{:.4g} rad ({})".format(*largest["angle"]),
+        "largest platform angle": "{:.4g} rad ({})".format(*largest["attitude"]),
+        "largest torque over its limit": "{:.4g} ({})".format(*largest["torque_share"]),
         "saturated samples": ", ".join(f"{name} {n}" for name, n in saturated.items()) or "none",
         "stops touched": ", ".join(f"{name} {n}" for name, n in touched.items()) or "none",
     }

@@ -79,7 +79,7 @@ class Exporter:
     settings: tuple[Setting, ...] = ()  # How it can be told to write
     # Returns the settings that write gets from those of the command line; raises InputError where they do not fit
     # together
-    judged: Callable[[dict[str, Any]], dict[str, Any]] = dict
+    checked: Callable[[dict[str, Any]], dict[str, Any]] = dict
 
     @property
     def flag(self) -> str:
@@ -158,7 +158,7 @@ def _write_c(export: Export, path: Path, target: Path, **settings: Any) -> None:
     from platform_ctrl.verification.given import opened, read_controllers
 
     file = cast(Path, export.controller_file)
-    read_controllers(file, export.job)  # judged as a file, before its entries are taken
+    read_controllers(file, export.job)  # checked as a file, before its entries are taken
     _, data = opened(file)
     versions = data.get("versions")
     words = ["platform-ctrl", "export", str(export.job_file), "--controllers", str(file), "--c", str(target)]
@@ -225,7 +225,7 @@ register(
         title="C source",
         help="The controllers as C99 source, into this folder: a new or empty one, or one of an earlier export.",
         write=_write_c,
-        judged=_c_settings,
+        checked=_c_settings,
         settings=(
             Setting(
                 "number",

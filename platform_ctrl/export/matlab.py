@@ -56,7 +56,7 @@ def structs(content: bytes) -> bytes:
         if room <= 0:
             raise ValueError(f"it inflates to more than {MOST_INFLATED // 2**20} MiB")
         if _class_of(part, little) == _STRUCT:
-            _judge(part, 0, len(part), little, 0)
+            _check(part, 0, len(part), little, 0)
             parts.append(part)
     return b"".join(parts)
 
@@ -70,7 +70,7 @@ def _tag(data: bytes, at: int, end: int, little: bool) -> tuple[int, int, int, i
     if at + 8 > end:
         raise ValueError("it ends in the middle of an element")
     word = _word(data, at, little)
-    if word >> 16:  # a small one stands within its tag
+    if word >> 16:  # a small one is part of its tag
         kind, size, start, after = word & 0xFFFF, word >> 16, at + 4, at + 8
         if size > 4:
             raise ValueError("an element has a wrong length")
@@ -94,7 +94,7 @@ def _class_of(part: bytes, little: bool) -> int:
     return _word(part, 16, little) & 0xFF
 
 
-def _judge(data: bytes, at: int, end: int, little: bool, depth: int) -> int:
+def _check(data: bytes, at: int, end: int, little: bool, depth: int) -> int:
     """Judge the array at `at` with all that it holds, and return where the next one begins."""
     start, size, after = _element(data, at, end, little, _MATRIX)
     if size == 0:
@@ -111,11 +111,11 @@ def _judge(data: bytes, at: int, end: int, little: bool, depth: int) -> int:
     if count > _MOST_ELEMENTS:
         raise ValueError(f"an array has {count} elements")
     at = _element(data, at, end, little, _INT8)[2]
-    _judge_content(data, at, end, little, depth, word, count)
+    _check_content(data, at, end, little, depth, word, count)
     return after
 
 
-def _judge_content(data: bytes, at: int, end: int, little: bool, depth: int, word: int, count: int) -> None:
+def _check_content(data: bytes, at: int, end: int, little: bool, depth: int, word: int, count: int) -> None:
     kind = word & 0xFF
     if kind in _NUMERIC or kind == _CHAR:
         widths = _WIDTHS | _UTF_WIDTHS if kind == _CHAR else _WIDTHS
@@ -140,7 +140,7 @@ def _judge_content(data: bytes, at: int, end: int, little: bool, depth: int, wor
             raise ValueError("the names of a struct's fields have a wrong length")
         count *= size // length
     for _ in range(count):
-        at = _judge(data, at, end, little, depth + 1)
+        at = _check(data, at, end, little, depth + 1)
 
 
 # The text at the head of the file, in place of the date that would make every file another one.
@@ -189,8 +189,8 @@ def write_mat(systems: Sequence[SystemRecord], path: str | os.PathLike[str]) -> 
     for one in systems:
         names.append(_identifier(one.name, names))
     content = io.BytesIO()
-    held = {name: _struct(one) for name, one in zip(names, systems, strict=True)}
-    import_module("scipy.io").savemat(content, held, long_field_names=True, oned_as="column")
+    variables = {name: _struct(one) for name, one in zip(names, systems, strict=True)}
+    import_module("scipy.io").savemat(content, variables, long_field_names=True, oned_as="column")
     data = content.getvalue()
     write_whole(path, _HEAD.ljust(_HEAD_LENGTH) + data[_HEAD_LENGTH:])
     return tuple(names)
@@ -216,7 +216,7 @@ def read_mat(path: str | os.PathLike[str]) -> tuple[SystemRecord, ...]:
     Raises
     ------
     InputError
-        The file cannot be read, holds no such struct, or one makes no sense: one line says which.
+        The file cannot be read, holds no such struct, or one is not consistent.
     """
     file = path_of(path, "the path of a MAT file")
     label = one_line(str(file))
@@ -226,11 +226,11 @@ def read_mat(path: str | os.PathLike[str]) -> tuple[SystemRecord, ...]:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # two structs of one name: the later one is meant
-            held = import_module("scipy.io").loadmat(io.BytesIO(structs(content)), struct_as_record=True)
+            variables = import_module("scipy.io").loadmat(io.BytesIO(structs(content)), struct_as_record=True)
     except Exception as error:  # of broken bytes scipy raises whatever came up
         raise InputError(f"{label}: cannot be read: {one_line(str(error))[:200]}; save {_READABLE}") from None
     found = []
-    for name, item in held.items():
+    for name, item in variables.items():
         for number, entry in enumerate(item.ravel() if _is_struct(item) else ()):
             where = f"{label}: {one_line(name)}" + (f"({number + 1})" if item.size > 1 else "")
             found.append(_system(where, name if item.size == 1 else f"{name}_{number + 1}", entry))

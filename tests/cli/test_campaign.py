@@ -108,7 +108,7 @@ def test_a_run_again_shows_its_draws_and_the_figures_of_its_row(
     assert lines["manoeuvre"] == row["manoeuvre"]
     assert float(lines["rotor.11.spin"]) == pytest.approx(row["rotor.11.spin"], rel=1e-5)
     assert f"largest gimbal angle           {row['angle']:.4g} rad" in out
-    assert f"the figures are those of {Path('campaign') / 'campaign.parquet'}" in out
+    assert f"the values are those of {Path('campaign') / 'campaign.parquet'}" in out
     assert (there / "campaign" / "run-17.svg").read_text().lstrip().startswith("<?xml")
 
     assert main(["simulate", "job.toml", "--run", "17", "--json"]) == code
@@ -173,7 +173,7 @@ def test_a_campaign_of_another_job_is_not_taken_for_this_one(there: Path, capsys
     main(["simulate", "changed.toml", "--run", "5", "-q"])
     out, err = capsys.readouterr()
     assert f"{words}; simulated instead: a run of the campaign that the job describes now" in err
-    assert "the figures are those of" not in out
+    assert "the values are those of" not in out
 
 
 @pytest.mark.parametrize(
@@ -251,7 +251,7 @@ def test_ctrl_c_stops_soon_says_how_to_go_on_and_loses_nothing(there: Path, caps
     assert out == ""
     *_, last, end = err.splitlines()
     assert end == "platform-ctrl: interrupted"
-    stopped = re.fullmatch(r"stopped: ([\d,]+) of 100,000 runs are kept in long; the same command goes on", last)
+    stopped = re.fullmatch(r"stopped: ([\d,]+) of 100,000 runs are kept in long; the same command continues", last)
     assert stopped
     assert "Traceback" not in err
     kept = [path.name for path in (there / "long" / "campaign.parts").iterdir()]
@@ -271,7 +271,7 @@ def test_ctrl_c_before_the_runs_are_counted_does_not_say_that_there_are_none(
     monkeypatch.setattr("platform_ctrl.campaign.engine.run_campaign", interrupted)
     assert main(["campaign", "job.toml", "--runs", "50", "-q"]) == 130
     lines = capsys.readouterr().err.splitlines()
-    assert lines[0] == "stopped: what was simulated is kept in campaign; the same command goes on"
+    assert lines[0] == "stopped: what was simulated is kept in campaign; the same command continues"
 
 
 def test_a_pipe_gets_a_line_now_and_then_and_the_last_one(

@@ -55,7 +55,7 @@ def undrawn(patch: pytest.MonkeyPatch, about: list[dict[str, Any]]) -> None:
 def test_the_page_and_the_pdf_tell_of_the_campaign(there: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["check", "gyro.toml", "--campaign", "campaign", "--pdf"]) == 0
     out, err = capsys.readouterr()
-    assert f"report: {Path('check') / 'report.html'}, {Path('check') / 'report.pdf'}, figures: " in out
+    assert f"report: {Path('check') / 'report.html'}, {Path('check') / 'report.pdf'}, values: " in out
     assert "reading the campaign: campaign" in err.splitlines()
     assert sorted(path.name for path in (there / "check").iterdir()) == ["report.html", "report.pdf", "result.json"]
     page = (there / "check" / "report.html").read_text(encoding="utf-8")
@@ -113,7 +113,7 @@ def test_a_pdf_of_an_earlier_run_is_told_of(
     (there / "stale").mkdir()
     (there / "stale" / "report.pdf").write_bytes(b"%PDF-old")
     assert main(["check", "gyro.toml", "-o", "stale", "-q"]) == 0
-    assert capsys.readouterr().err == f"{Path('stale') / 'report.pdf'}: is of an earlier run; --pdf writes it anew\n"
+    assert capsys.readouterr().err == f"{Path('stale') / 'report.pdf'}: is of an earlier run; --pdf writes a new one\n"
     assert "campaign" not in pages[0]
 
 

@@ -335,7 +335,7 @@ def test_entries_are_judged_as_those_of_a_result_file(job: Job) -> None:
     good = classical_entry(job, ("9", "10"))
     with pytest.raises(ArgumentError, match="list of controllers"):
         entries_of(job, good)  # type: ignore[arg-type]
-    with pytest.raises(InputError, match="expected a list of controllers"):
+    with pytest.raises(InputError, match="list of controllers"):
         entries_of(job, [])
     with pytest.raises(InputError, match="dt"):
         entries_of(job, [good | {"dt": 0.001}])

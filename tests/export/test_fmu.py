@@ -275,7 +275,7 @@ def test_steps_between_samples_are_discarded_and_the_run_goes_on(gyro, folder):
 def test_a_variable_that_is_not_there_is_an_error_and_no_crash(folder):
     one = Instance(folder, manoeuvre=3)
     assert np.isnan(one.fmu.getFloat64([9999])[0])
-    assert "values that cannot be had: KeyError: 9999" in one.messages[-1]
+    assert "values that cannot be read: KeyError: 9999" in one.messages[-1]
     one.fmu.setInt64([one.references["angle.alpha4"]], [1])
     assert "values that cannot be set: TypeError" in one.messages[-1]
     with pytest.raises(FMICallException, match="status 3"):

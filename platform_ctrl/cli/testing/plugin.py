@@ -1,4 +1,4 @@
-"""The pytest plugin. Pytest loads it into every run: it imports the library when a test asks for a job, not before."""
+"""The pytest plugin. Pytest loads it into every run: it imports the library when a test uses a job, not before."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     group.addoption(
         "--update-baselines",
         action="store_true",
-        help="Accept the figures of every job that is held against a baseline: write the baselines.",
+        help="Accept the present values of every job with a baseline: write the baselines.",
     )
     group.addoption(
         "--platform-jobs",
@@ -40,7 +40,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     group.addoption(
         "--platform-plots",
         metavar="DIR",
-        help="Folder for plots of what moved since a baseline. Default: beside the baseline.",
+        help="Folder for plots of changes since a baseline. Default: beside the baseline.",
     )
     parser.addini("platform_jobs", "Job files (TOML) that are collected as tests, as glob patterns.", "args", [])
 
@@ -55,8 +55,8 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> JobFile | None:
-    """Collect job files that are asked for."""
-    if file_path.suffix != ".toml" or not _asked_for(file_path, parent):
+    """Collect the selected job files."""
+    if file_path.suffix != ".toml" or not _selected(file_path, parent):
         return None
     from platform_ctrl.cli.testing.session import JobFile
 
@@ -65,7 +65,7 @@ def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> JobFile | 
     return found
 
 
-def _asked_for(path: Path, parent: pytest.Collector) -> bool:
+def _selected(path: Path, parent: pytest.Collector) -> bool:
     if parent.session.isinitpath(path):
         return True
     patterns = [*parent.config.getini("platform_jobs"), *parent.config.getoption("--platform-jobs")]
@@ -146,7 +146,7 @@ def job_result(request: pytest.FixtureRequest) -> JobResult:
 
 @pytest.hookimpl(trylast=True)
 def pytest_sessionfinish(session: pytest.Session) -> None:
-    """Hand over what a worker process has to tell."""
+    """Hand over the notes of a worker process."""
     output = getattr(session.config, "workeroutput", None)
     if output is not None and _SESSION in session.config.stash:
         output[_NOTES] = session.config.stash[_SESSION].notes
@@ -154,13 +154,13 @@ def pytest_sessionfinish(session: pytest.Session) -> None:
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_testnodedown(node: Any) -> None:
-    """Take what a worker process had to tell."""
+    """Take the notes of a worker process."""
     notes = getattr(node, "workeroutput", {}).get(_NOTES, [])
     node.config.stash.setdefault(_FROM_WORKERS, []).extend(notes)
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
-    """Say which baselines were written, and which could be."""
+    """List the baselines that were written or could be."""
     notes = [*config.stash.setdefault(_FROM_WORKERS, [])]
     if _SESSION in config.stash:
         notes += config.stash[_SESSION].notes

@@ -1,4 +1,4 @@
-"""What a test session knows of its jobs: each is designed and checked once, however many tests ask for it."""
+"""The jobs of a test session: each is designed and checked once, whatever the number of its tests."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ from platform_ctrl.verification.verdict import PROVED
 if TYPE_CHECKING:
     import control
 
-Asked = tuple[str, str]
+Subject = tuple[str, str]
 
 
-def requirements_of(job: Job) -> tuple[Asked, ...]:
+def requirements_of(job: Job) -> tuple[Subject, ...]:
     """Return subject and name of every requirement that the verdict on `job` will rest on, in its order."""
-    out: list[Asked] = []
+    out: list[Subject] = []
     for spec in job.loops:
         if spec.kind == "caging":
             out += [(spec.name, one.name) for one in loop_requirements(spec.limits)]
@@ -45,7 +45,7 @@ def requirements_of(job: Job) -> tuple[Asked, ...]:
 
 
 JobSource = Job | str | os.PathLike[str] | Mapping[str, Any]
-Given = str | os.PathLike[str] | Mapping[str, Any] | Sequence["control.StateSpace"] | None
+ControllerSource = str | os.PathLike[str] | Mapping[str, Any] | Sequence["control.StateSpace"] | None
 Recorder = Callable[[str, object], None]
 
 
@@ -62,7 +62,7 @@ class JobSession:
         """A line for every baseline that was written, or that could be."""
         return list(self._notes.values())
 
-    def closed(self, source: JobSource, controllers: Given = None, folder: Path | None = None) -> JobResult:
+    def closed(self, source: JobSource, controllers: ControllerSource = None, folder: Path | None = None) -> JobResult:
         """Return the result of a job; the same job with the same controllers is computed once.
 
         Relative paths start at `folder`.
@@ -88,7 +88,7 @@ class JobSession:
         return found
 
     def compare(self, result: JobResult, file: Path) -> Comparison | Update:
-        """Hold a result against its baseline, or update that; note what has to be told at the end."""
+        """Compare a result with its baseline, or update that; note what is shown at the end."""
         __tracebackhide__ = True
         here = Path.cwd()
         file = file.relative_to(here) if file.is_relative_to(here) else file
@@ -108,7 +108,7 @@ class JobUnderTest:
     """A job and its tests; `baseline` is the file of accepted values, None without comparison."""
 
     def __init__(
-        self, session: JobSession, source: JobSource, controllers: Given, folder: Path, baseline: Path | None
+        self, session: JobSession, source: JobSource, controllers: ControllerSource, folder: Path, baseline: Path | None
     ) -> None:
         self.session, self.controllers, self.folder, self.baseline = session, controllers, folder, baseline
         # Read once: what the tests are called and what they measure belongs together.
@@ -120,22 +120,22 @@ class JobUnderTest:
 
     @property
     def result(self) -> JobResult:
-        """What the job comes to; designed and checked when it is first asked for."""
+        """The result of the job, designed and checked on first use."""
         __tracebackhide__ = True
         return self.session.closed(self.job, self.controllers, self.folder)
 
     def tests(self) -> tuple[RequirementTest | BaselineTest, ...]:
         """Return a test for every requirement, and one for the baseline."""
-        own = [RequirementTest(self, asked) for asked in requirements_of(self.job)]
+        own = [RequirementTest(self, test) for test in requirements_of(self.job)]
         return (*own, *([] if self.baseline is None else [BaselineTest(self, self.baseline)]))
 
 
 class RequirementTest:
     """One requirement of a job as a test."""
 
-    def __init__(self, job: JobUnderTest, asked: Asked) -> None:
+    def __init__(self, job: JobUnderTest, test: Subject) -> None:
         self._job = job
-        self.subject, self.name = asked
+        self.subject, self.name = test
         self.record: Recorder | None = None
 
     def __repr__(self) -> str:
@@ -148,12 +148,12 @@ class RequirementTest:
 
     @property
     def result(self) -> CheckResult:
-        """The requirement held against its value."""
+        """The requirement with its value."""
         __tracebackhide__ = True
         judged = self._job.result.requirements
         found = next((one for one in judged if (one.subject, one.name) == (self.subject, self.name)), None)
         if found is None:
-            raise AssertionError(f"{self._job.job.name}: {self.id}: could not be judged; the closed loop is not stable")
+            raise AssertionError(f"{self._job.job.name}: {self.id}: cannot be checked: the closed loop is not stable")
         return found
 
     def assert_met(self) -> None:
@@ -191,11 +191,11 @@ def placed(source: JobSource, folder: Path) -> Any:
 
 
 def _plant_folder(source: JobSource, folder: Path) -> Path | None:
-    """Return where the plant of a job given as a dict is looked for; that of a file stands beside it."""
+    """Return where the plant of a job given as a dict is looked for; that of a file is beside it."""
     return folder if isinstance(source, Mapping) else None
 
 
-def _controllers(given: Given, job: Job, folder: Path) -> list[control.StateSpace] | None:
+def _controllers(given: ControllerSource, job: Job, folder: Path) -> list[control.StateSpace] | None:
     if given is None:
         return None
     if isinstance(given, str | os.PathLike):
@@ -218,23 +218,23 @@ class JobFile(pytest.File):
         except PlatformCtrlError as error:
             raise self.CollectError(str(error)) from None
         for test in job.tests():
-            yield JobItem.from_parent(self, name=test.id, asked=test)
+            yield JobItem.from_parent(self, name=test.id, test=test)
 
 
 class JobItem(pytest.Item):
     """One requirement of a job file, or its baseline."""
 
-    def __init__(self, *, asked: RequirementTest | BaselineTest, **keywords: object) -> None:
+    def __init__(self, *, test: RequirementTest | BaselineTest, **keywords: object) -> None:
         super().__init__(**keywords)  # type: ignore[arg-type]  # pytest's own: name and parent
-        self.asked = asked
+        self.test = test
 
     def runtest(self) -> None:
-        """Design and check the job, unless another item did, and judge."""
-        self.asked.record = lambda name, item: self.user_properties.append((name, item))
-        self.asked.assert_met()
+        """Design and check the job, unless another item did."""
+        self.test.record = lambda name, item: self.user_properties.append((name, item))
+        self.test.assert_met()
 
     def repr_failure(self, excinfo: pytest.ExceptionInfo[BaseException], style: object = None) -> str:
-        """Return what failed, without the way there; an error that nobody raised on purpose with it."""
+        """Return the message of a failure; the traceback only of unexpected errors."""
         if excinfo.errisinstance((AssertionError, PlatformCtrlError)):
             return str(excinfo.value)
         return str(super().repr_failure(excinfo))

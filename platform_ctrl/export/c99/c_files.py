@@ -17,7 +17,7 @@ from platform_ctrl.common.values import value
 from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.export.c99.controller_files import ControllerFiles, job_files
 from platform_ctrl.export.c99.entries import Entry, entries_of
-from platform_ctrl.export.c99.float_error import TOLD, float_error
+from platform_ctrl.export.c99.float_error import NOTED, float_error
 from platform_ctrl.export.c99.floating_files import FloatingFiles
 from platform_ctrl.export.c99.floating_files import Number as Floating
 from platform_ctrl.export.c99.from_design import scheme_of, with_excess
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 AnyNumber = Literal["double", "float", "q31", "q15"]
 AntiWindup = Literal["back-calculation", "proved", "none"]
 
-# What is told of anti-windup is of the controller before it is put into integers.
+# The remark on anti-windup is about the controller before it is put into integers.
 _ROUNDED = " So in real arithmetic: rounding, and the ends of integrals and excess below, come on top."
 _NUMBERS = ("double", "float", "q31", "q15")
 _ANTI_WINDUP = ("back-calculation", "proved", "none")
@@ -85,7 +85,7 @@ def write_c(
     command
         The command that writes, for the headers.
     ranges
-        Fixed point alone: largest magnitudes of inputs, in SI units, that the plant does not say or says otherwise.
+        Fixed point alone: largest magnitudes of inputs, in SI units, that the plant does not have, or other ones.
     limits
         Fixed point alone: where integrals stop, by state, in units of the state; default from the torquers' limits.
     accuracy
@@ -103,15 +103,15 @@ def write_c(
     ArgumentError
         An option is none of those above.
     DesignError
-        A controller could not be shown to be written out as it is, or does not stand the number type.
+        A controller cannot be written with an unchanged response, or not in this number type.
     """
     for name, given, known in (("number", number, _NUMBERS), ("anti_windup", anti_windup, _ANTI_WINDUP)):
         if given not in known:
             raise ArgumentError(f"{name}: must be one of {', '.join(known)}, got {given!r}")
-    judged = entries_of(job, entries)
+    controllers = entries_of(job, entries)
     schemes, remarks = [], []
     notes: list[str] = []
-    for entry in judged:
+    for entry in controllers:
         scheme = _scheme(job, entry, sha256, dict(versions or {}), command)
         windup = _windup(job, scheme, entry, anti_windup)
         schemes.append(with_excess(scheme, windup.gain))
@@ -137,14 +137,14 @@ def write_c(
     return Written(files=files, notes=tuple(notes))
 
 
-def _windup(job: Job, scheme: Scheme, entry: Entry, asked: AntiWindup) -> Windup:
-    if entry.excess is not None and asked != "none":
+def _windup(job: Job, scheme: Scheme, entry: Entry, requested: AntiWindup) -> Windup:
+    if entry.excess is not None and requested != "none":
         remark = "Anti-windup: the gain E that came with the controller, x+ = A x + B y + E (limited - commanded)."
         return Windup(gain=excess_gain(scheme), remark=remark)
-    if asked == "none":
+    if requested == "none":
         gain = np.zeros((len(scheme.states), len(scheme.outputs)))
         return Windup(gain=gain, remark="Anti-windup: none, as asked for: at their limits integrals run on.")
-    return proved(job, scheme) if asked == "proved" else back_calculation(scheme)
+    return proved(job, scheme) if requested == "proved" else back_calculation(scheme)
 
 
 def _in_single_precision(job: Job, scheme: Scheme) -> tuple[str, list[str]]:
@@ -164,7 +164,7 @@ def _in_single_precision(job: Job, scheme: Scheme) -> tuple[str, list[str]]:
         if np.all(np.isfinite(error.bound))
         else "the controller is unstable by itself, so that outputs differ ever more; the loop keeps them together"
     )
-    said = (
+    words = (
         f"Float against double: {differ}. Rounded "
         f"coefficients change the response by at most {at_most(error.response, 2)} of its size, and a pole "
         f"by {at_most(error.pole, 2)} of its distance from z = 1."
@@ -175,7 +175,7 @@ def _in_single_precision(job: Job, scheme: Scheme) -> tuple[str, list[str]]:
             f"{name} {size:.2g} {what}"
             for name, size, what in zip(scheme.inputs, error.unseen, scheme.input_units, strict=True)
         )
-        said += f" Smaller than ({lost}) and constant, an input may be lost in the last digit of an integral."
+        words += f" Smaller than ({lost}) and constant, an input may be lost in the last digit of an integral."
         still = {pickoff.name: max(pickoff.noise_rms, 0.5 * pickoff.quantisation) for pickoff in job.platform.pickoffs}
         for name, size in zip(scheme.inputs, error.unseen, strict=True):
             # Noise that is larger carries what is lost over the last digit.
@@ -183,12 +183,12 @@ def _in_single_precision(job: Job, scheme: Scheme) -> tuple[str, list[str]]:
                 notes.append(
                     f"{scheme.name}: as float, an integral may lose a constant {name} of {size:.2g}; use double"
                 )
-    if max(error.response, error.pole) > TOLD:
+    if max(error.response, error.pole) > NOTED:
         notes.append(
             f"{scheme.name}: as float, the response changes by {error.response:.2g} of its size and a pole by "
             f"{error.pole:.2g} of its distance from z = 1"
         )
-    return said, notes
+    return words, notes
 
 
 def _range(job: Job, name: str) -> float:
@@ -224,13 +224,13 @@ def _floating(
     notes: list[str] = []
     units = []
     for scheme, remark in zip(schemes, remarks, strict=True):
-        said = [remark]
+        words = [remark]
         if number == "float":
             more, doubts = _in_single_precision(job, scheme)
-            said.append(more)
+            words.append(more)
             notes += doubts
         prefix = prefixes.new(scheme.name).lower()
-        units.append(FloatingFiles(scheme=scheme, number=number, prefix=prefix, signals=signals, remarks=tuple(said)))
+        units.append(FloatingFiles(scheme=scheme, number=number, prefix=prefix, signals=signals, remarks=tuple(words)))
     return _texts(job, units, prefixes), notes
 
 
@@ -241,8 +241,8 @@ def _integer(job: Job, made: Sequence[FixedPoint], remarks: Sequence[str], signa
     prefixes = Names(24, FILES)
     units = []
     for one, remark in zip(made, remarks, strict=True):
-        prefix, told = prefixes[one.scheme.name].lower(), (remark + _ROUNDED,)
-        units.append(IntegerFiles(scheme=one.scheme, fixed=one, prefix=prefix, signals=signals, remarks=told))
+        prefix, paragraphs = prefixes[one.scheme.name].lower(), (remark + _ROUNDED,)
+        units.append(IntegerFiles(scheme=one.scheme, fixed=one, prefix=prefix, signals=signals, remarks=paragraphs))
     return _texts(job, units, prefixes)
 
 

@@ -1,4 +1,4 @@
-"""Controllers that are to be written out: judged against the job, whatever form they come in."""
+"""The controllers to be written, in any form, checked against the job."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def entries_of(job: Job, given: Sequence[Mapping[str, Any] | control.StateSpace]
         raise ArgumentError(f"entries: must be a list of controllers, got {short(given)}")
     records = [one if isinstance(one, Mapping) else _record(one, job) for one in given]
     plain, excess = zip(*(_without_excess(one) for one in records), strict=True) if records else ((), ())
-    judged = read_controllers({"schema": SCHEMA, "controllers": list(plain)}, job)
+    checked = read_controllers({"schema": SCHEMA, "controllers": list(plain)}, job)
     return tuple(
         Entry(
             loop=str(record["name"]),
@@ -64,7 +64,7 @@ def entries_of(job: Job, given: Sequence[Mapping[str, Any] | control.StateSpace]
             options=_numbers(record.get("options")),
             excess=E,
         )
-        for record, K, E in zip(plain, judged, excess, strict=True)
+        for record, K, E in zip(plain, checked, excess, strict=True)
     )
 
 
@@ -72,7 +72,7 @@ def _record(K: control.StateSpace, job: Job) -> dict[str, Any]:
     arrays = state_arrays(K, "controller")
     loop, _, design = str(K.name).partition(", ")
     if loop not in {spec.name for spec in job.loops}:
-        # Named by python-control, or by somebody: the loop is told by what is set.
+        # A name from python-control or the user: the loop follows from the torques.
         loop, design = _closed_by(job, tuple(K.output_labels)) or str(K.name), ""
     return {
         "name": loop,

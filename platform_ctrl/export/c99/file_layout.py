@@ -1,4 +1,4 @@
-"""What generated files have around their contents: guards, and how the controllers of a job stand side by side."""
+"""The frame of generated files: comments, guards, structs, and the step that runs all controllers of a job."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ WIDTH = 100
 def provenance(origin: Provenance, whole: bool = False) -> list[str]:
     """Return lines that say where a controller comes from; with `whole` what all controllers of a job share."""
     design = f"{origin.design} (method {origin.method})" if origin.method else origin.design
-    said = [
+    rows = [
         ("Job", origin.job),
         ("Plant", origin.plant),
         ("Loop", "" if whole else origin.loop),
@@ -24,11 +24,11 @@ def provenance(origin: Provenance, whole: bool = False) -> list[str]:
         ("Versions", ", ".join(f"{name} {number}" for name, number in origin.versions.items())),
         ("Made by", origin.command),
     ]
-    return [f"{name + ':':<12} {text}" for name, text in said if text]
+    return [f"{name + ':':<12} {text}" for name, text in rows if text]
 
 
 def acts(period: float, delay: float) -> str:
-    """Return a sentence that says when outputs act, for times in s."""
+    """Return a sentence about when outputs act, for times in s."""
     if delay == 0.0:
         return "The outputs act at the instant of the sample and are held until the next ones act."
     share = delay / period
@@ -83,7 +83,7 @@ _END_OF_NAMES = ["#ifdef __cplusplus", "}", "#endif", ""]
 
 
 def header_file(prefix: str, head: Iterable[str], includes: Sequence[str], body: Iterable[str]) -> str:
-    """Return the text of a header that may be included twice, and by C++; `includes` as they stand behind #include."""
+    """Return the text of a header that may be included twice, and by C++; `includes` with their quotes or brackets."""
     guard = f"{prefix.upper()}_H"
     lines = [*head, f"#ifndef {guard}", f"#define {guard}", ""]
     if includes:

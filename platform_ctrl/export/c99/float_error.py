@@ -21,8 +21,8 @@ from platform_ctrl.export.c99.windup import integrating
 
 # Unit roundoff of float.
 _U = 2.0**-24
-# Change of the response or shift of a pole, relative to its distance from z = 1, that is told, and that is refused.
-TOLD, _REFUSED = 1e-3, 1e-2
+# Change of the response or shift of a pole, relative to its distance from z = 1, that is noted, and that is refused.
+NOTED, _REFUSED = 1e-3, 1e-2
 # A pole this little outside the unit circle lies on it.
 _ON_CIRCLE = 1e-6
 # Longest response that is summed, samples.
@@ -31,7 +31,7 @@ _LONGEST = 20000
 
 @value
 class FloatError:
-    """The errors of a controller in single precision (Higham, Accuracy and Stability of Numerical Algorithms, ch. 3)."""
+    """The errors of a controller in single precision (Higham, Accuracy and Stability of Numerical Algorithms)."""
 
     inputs: FloatArray  # (m,): Magnitudes of the inputs that the figures hold for, in their units
     response: float  # Largest relative change of the frequency response by rounded coefficients
@@ -52,7 +52,7 @@ def float_scheme(scheme: Scheme) -> Scheme:
             raise UnscalableError(
                 f"{scheme.name}: {what}: {x:.3g} does not fit a float, which ends at {most:.3g}; use double", scheme
             )
-        # What is smaller than any normal number is lost; whether that matters, the response tells.
+        # What is smaller than any normal number is lost; the response shows whether it matters.
         return float(np.float32(x)) if abs(x) >= least else 0.0
 
     def row(one: Row) -> Row:
@@ -106,7 +106,7 @@ def _moved(K: StateArrays, rounded: StateArrays) -> tuple[float, float]:
     from scipy.optimize import linear_sum_assignment
 
     # A resonance changes the most at its own frequency, which a grid misses where it is narrow. Of one without damping
-    # the response there says nothing.
+    # the response there is not compared.
     z = np.concatenate([np.linalg.eigvals(item.A) for item in (K, rounded)])
     own = np.abs(np.angle(z[1.0 - np.abs(z) > _ON_CIRCLE]))
     angles = np.concatenate([np.geomspace(1e-5, np.pi, 300), own])

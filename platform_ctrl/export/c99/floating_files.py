@@ -160,7 +160,7 @@ class _Source:
     def __init__(self, unit: FloatingFiles) -> None:
         self.unit, self.scheme, self.kind = unit, unit.scheme, unit.number
         self.states = unit.state_names
-        # Locals and constants: apart from the fields of inputs, outputs and states, which stand behind an arrow.
+        # Locals and constants: apart from the fields of inputs, outputs and states, which are read through a pointer.
         p = unit.prefix
         self.locals = Names(
             56, (p, f"{p}_step", f"{p}_reset", f"{p}_in", f"{p}_out", f"{p}_state", f"{p}_usable", f"{p}_limited")

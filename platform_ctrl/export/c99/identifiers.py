@@ -74,7 +74,7 @@ def identifier(name: str, longest: int = 48) -> str:
     """Return a C and C++ identifier that resembles `name`: ASCII, no keyword, not reserved."""
     out = re.sub(r"[^A-Za-z0-9]+", "_", "".join(_ascii(c) for c in name)).strip("_")
     if len(out) > longest:
-        # A word is not cut where enough stands before it.
+        # A word is not cut where the words before it are long enough.
         head, _, last = out[: longest + 1].rpartition("_")
         out = head if len(head) > longest // 2 and last else out[:longest].rstrip("_")
     if not out or out[0].isdigit():
@@ -86,7 +86,7 @@ def identifier(name: str, longest: int = 48) -> str:
 
 
 def comment(text: str) -> str:
-    """Return a text as it may stand in a comment: printable ASCII on one line that neither ends nor nests it."""
+    """Return a text that may be part of a comment: printable ASCII on one line that neither ends nor nests it."""
     out = " ".join("".join(_ascii(c) if ord(c) > 126 else c if c.isprintable() else " " for c in text).split())
     # A trigraph would end a line in a backslash; three marks in a row hold two trigraphs' heads.
     return out.replace("*/", "* /").replace("/*", "/ *").replace("??", "? ?").replace("??", "? ?").replace("\\", "/")

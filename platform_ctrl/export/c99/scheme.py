@@ -7,7 +7,7 @@ A step takes the inputs of one sample and gives the outputs of that sample:
     and where a limit cut an output off:   states⁺ += excess (limited − commanded)
 
 Code is written from this, in floating point or in integers; `arrays` multiplies it out again, so that what was written
-can be held against what was designed.
+can be compared with what was designed.
 """
 
 from __future__ import annotations

@@ -50,24 +50,24 @@ def back_calculation(scheme: Scheme) -> Windup:
     K = arrays(scheme)
     none = np.zeros((len(K.A), len(scheme.outputs)))
     limits = np.array(scheme.torque_limits)
-    held = np.isfinite(limits)
-    if not held.any():
+    limited = np.isfinite(limits)
+    if not limited.any():
         return Windup(gain=none, remark="Anti-windup: none, for no output is limited.")
     V, own = integrating(K)
     if not V.shape[1]:
         return Windup(gain=none, remark="Anti-windup: none, for no state integrates.")
     # Outputs in units of their limits; what is not limited has no excess.
-    seen = np.where(held[:, None], K.C @ V, 0.0) / np.where(held, limits, 1.0)[:, None]
+    seen = np.where(limited[:, None], K.C @ V, 0.0) / np.where(limited, limits, 1.0)[:, None]
     sizes = np.linalg.norm(seen, axis=0)
     sizes[sizes == 0.0] = 1.0
     share = _integral_share(K)
-    inverse = np.linalg.pinv(seen / sizes, rcond=_BLIND) / np.where(held, limits, 1.0)
+    inverse = np.linalg.pinv(seen / sizes, rcond=_BLIND) / np.where(limited, limits, 1.0)
     step = own - (1.0 - share) * np.eye(len(own))
     # In units in which every integral is worth its share of a limit.
     gain = V @ (step / sizes) @ inverse
     gain[np.abs(gain) < 1e-12 * np.abs(gain).max(axis=1, keepdims=True, initial=0.0)] = 0.0
     rank = int(np.linalg.matrix_rank(seen / sizes, tol=_BLIND * np.sqrt(len(own))))
-    radius = float(np.abs(np.linalg.eigvals(K.A - gain @ np.where(held[:, None], K.C, 0.0))).max())
+    radius = float(np.abs(np.linalg.eigvals(K.A - gain @ np.where(limited[:, None], K.C, 0.0))).max())
     seconds = K.dt / share
     remark = (
         f"Anti-windup: back-calculation. While a torque is at its limit, the integrals follow what acts with the time "

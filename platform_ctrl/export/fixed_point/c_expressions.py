@@ -1,4 +1,4 @@
-"""Formats and proof in words: what stands in the header of the generated code."""
+"""Formats and proof in words, and integers in C: for the generated code."""
 
 from __future__ import annotations
 

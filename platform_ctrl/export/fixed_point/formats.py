@@ -46,7 +46,7 @@ class Task(NamedTuple):
         return (*self.scheme.inputs, *self.parts.integrals, *excesses)
 
     def refused(self, row: str, what: str, more: str = "") -> InfeasibleError:
-        """Return the error that says what does not do, in which section, and what to do about it."""
+        """Return the error with the section, what is wrong there, and what to try."""
         cure = "give number = 'q31'" if self.number == "q15" else "export it as double or float"
         where = f"section {self.parts.section[row]!r}" if row in self.parts.section else "inputs"
         return InfeasibleError(f"fixed point, {self.number}: {where}: {what}; {more}{cure}", self.scheme)

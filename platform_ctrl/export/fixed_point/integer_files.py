@@ -166,7 +166,7 @@ class _Source:
         own = (p, *(f"{p}_{end}" for end in ("step", "reset", "in", "out", "state")))
         self.locals = Names(56, (*own, "within", "shifted32", "shifted64"))
         self.constants: list[str] = []
-        # Which product a name of its own belongs to: another one of that name is named by its ends.
+        # Which product has which name: another one of the same name is named by target and source.
         self.owners: dict[tuple[str, ...], tuple[str, ...]] = {}
         self.reads: dict[str, str] = {}
         self.limited = [name for name in self.scheme.outputs if self.formats[name].saturates]
@@ -179,7 +179,7 @@ class _Source:
             for row in (*section.signals, *section.states)
             for term in row.terms
         }
-        # What a sum takes in, and which excesses are there at all.
+        # Sources of sums, and which excesses exist.
         self.sources = {product.source for row in rows for product in row.products}
         self.widths = {row.accumulator for row in rows if row.shift and row.target not in self.shifts}
         if any(shift and name in self.sources for name, shift in self.shifts.items()):
@@ -188,7 +188,7 @@ class _Source:
     def text(self) -> str:
         p, s = self.prefix, self.scheme
         body = self._inputs() + self._integrals()
-        # Constants of a section stand together; its states follow when all limits are known.
+        # Constants of a section are written together; its states follow when all limits are known.
         constants: dict[int, list[str]] = {}
         for number, section in enumerate(self.fixed.sections, 1):
             self.constants = constants.setdefault(number, [])
@@ -202,10 +202,10 @@ class _Source:
             self.constants = constants[number]
             body += self._next(number, section)
         body += self._stored()
-        told = []
+        paragraphs = []
         for number, section in enumerate(self.fixed.sections, 1):
             if constants[number]:
-                told += [
+                paragraphs += [
                     *remark(f"{number}. {section.name}: {section.note or section.kind}", ""),
                     *constants[number],
                     "",
@@ -215,7 +215,7 @@ class _Source:
                 *block([f"{p}.c: the controller {s.name!r}. See {p}.h. Generated; do not edit."]),
                 f'#include "{p}.h"',
                 "",
-                *told,
+                *paragraphs,
                 *(line for bits in sorted(self.widths) for line in shifted(bits)),
                 *within(),
                 f"void {p}_reset({p}_state *state)",
@@ -354,8 +354,8 @@ class _Source:
         label = self.locals[key]
         number = literal(product.coefficient, row.accumulator)
         meant = product.coefficient * 2.0 ** (self._fraction(product.source) - self._fraction(row.target) - row.shift)
-        told = f"{1.0 + meant:.9g} - 1" if row.keeps and product.source == row.target else f"{meant:.9g}"
-        self.constants.append(f"static const {kind} {label} = {number}; /* {told} */")
+        paragraphs = f"{1.0 + meant:.9g} - 1" if row.keeps and product.source == row.target else f"{meant:.9g}"
+        self.constants.append(f"static const {kind} {label} = {number}; /* {paragraphs} */")
         return f"{label} * {taken}"
 
     def _fraction(self, name: str) -> int:
@@ -388,7 +388,7 @@ def _rescaled(taken: str, fraction: int, form: Format, helpers: set[str]) -> str
         return taken
     helpers.add("within")
     kind, more = integer(form.bits), form.fraction - fraction
-    # The step cuts off at the range, and says so.
+    # The step limits the count to its range and reports that.
     most = 2 ** (form.bits - 1) - 1
     largest = literal(most, 64)
     if more < 0:

@@ -1,4 +1,4 @@
-"""A scheme taken apart: exact rows, which states are integrals, and what drives the rest from outside."""
+"""A scheme split into exact rows of stable states, integrals, and what drives both from outside."""
 
 from __future__ import annotations
 
@@ -181,7 +181,7 @@ def integral_limits(scheme: Scheme, parts: Parts, given: Mapping[str, float] | N
     chosen = [system.signals.index(name) for name in scheme.outputs]
     try:
         gain = D[chosen] + C[chosen] @ np.linalg.solve(np.eye(n) - A, B) if n else D[chosen]
-        # What cannot be told from zero shows nothing.
+        # Singular values that are zero but for rounding do not count.
         inverse = np.linalg.pinv(gain, rcond=1e-9)
     except np.linalg.LinAlgError:
         gain = inverse = np.zeros((len(chosen), len(names)))

@@ -24,7 +24,7 @@ class Format:
     # 64 bits and read as a count of this format.
     name: str
     role: Role
-    unit: str  # Of the value; empty for what stands between inputs and outputs
+    unit: str  # Of the value; empty between inputs and outputs
     bits: int  # Of the integer that holds a count, with its sign: 16, 32 or 64
     fraction: int  # Binary digits behind the point; it may be negative, or larger than bits
     largest: int  # Largest magnitude of a count: proved, or enforced by saturation where saturates

@@ -89,7 +89,7 @@ def _table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     return f"<table>\n<tr>{head}</tr>\n{body}\n</table>"
 
 
-# The library ends the process if a module cannot be imported, but tells the importer what an instance raises.
+# The library ends the process if a module cannot be imported, but reports to the importer what an instance raises.
 _SCRIPT = '''"""{title}: plant and sampled controllers. Written by platform_ctrl {version}."""
 
 from pythonfmu3 import Fmi3Slave
@@ -124,7 +124,7 @@ def write_fmu(
 ) -> Path:
     """Write plant and sampled controllers as a functional mock-up unit (FMI 3.0, co-simulation).
 
-    The unit steps the kernel of `simulation.simulate`: the same manoeuvre comes to the same numbers. It runs in a
+    The unit steps the kernel of `simulation.simulate`: the same manoeuvre gives the same numbers. It runs in a
     Python with `platform_ctrl` on the machine of the importing tool.
 
     Parameters
@@ -176,8 +176,8 @@ def write_fmu(
         resources = sorted(file for file in folder.iterdir() if file != script)
         built, documentation = folder / "built", folder / "documentation"
         documentation.mkdir()
-        told = page(job, contents["manoeuvre"], __version__, contents["sha256"])
-        (documentation / "index.html").write_text(told, encoding="utf-8")
+        documentation_page = page(job, contents["manoeuvre"], __version__, contents["sha256"])
+        (documentation / "index.html").write_text(documentation_page, encoding="utf-8")
         builder.build_FMU(script, dest=built, project_files=resources, documentation_folder=documentation)
         return write_whole(path, _packed(next(built.glob("*.fmu"))))
 
@@ -211,7 +211,7 @@ def _hash_of(result: Path) -> str:
 def _contents(
     job: Job, controllers: Sequence[control.StateSpace], run: int, result: str | None, folder: Path
 ) -> dict[str, Any]:
-    """Write the resources into a folder and return what the unit knows of itself."""
+    """Write the resources into a folder and return the description of the unit."""
     from platform_ctrl.export.fmu.slave import ABOUT, CONTROLLERS, JOB, PLANT
 
     (folder / JOB).write_text(toml(job_data(job)), encoding="utf-8")

@@ -27,7 +27,7 @@ _NOTHING: dict[str, Any] = {
 }
 
 
-def told(error: BaseException) -> str:
+def error_line(error: BaseException) -> str:
     """Return a line about an error."""
     return str(error) if isinstance(error, PlatformCtrlError) else f"{type(error).__name__}: {error}"
 
@@ -39,7 +39,7 @@ def guarded_setter(kind: str) -> Callable[[Any, list[int], list[Any]], None]:
         try:
             getattr(Fmi3Slave, f"set_{kind}")(self, references, numbers)
         except (Exception, KeyboardInterrupt) as error:
-            self.fail(f"values that cannot be set: {told(error)}")
+            self.fail(f"values that cannot be set: {error_line(error)}")
 
     return put
 
@@ -51,19 +51,19 @@ def guarded_getter(kind: str) -> Callable[[Any, list[int]], list[Any]]:
         try:
             return list(getattr(Fmi3Slave, f"get_{kind}")(self, references))
         except (Exception, KeyboardInterrupt) as error:
-            self.fail(f"values that cannot be had: {told(error)}")
+            self.fail(f"values that cannot be read: {error_line(error)}")
             return [_NOTHING[kind]] * len(references)
 
     return get
 
 
 _FUNCTION = "finalizePythonInterpreter"
-# Program that the library says it is where it has started Python itself: there it ends Python too, in order.
+# Program name that the library sets where it has started Python itself; there it also ends Python.
 _OWN_PROGRAM = "PythonFMU"
 
 
-def let_go_once(resources: Path, identifier: str) -> None:
-    """See to it that the library of a unit lets go before the process ends."""
+def finalize_before_exit(resources: Path, identifier: str) -> None:
+    """Register the end of the unit's library before that of the process."""
     if os.name == "posix" and Path(sys.executable or _OWN_PROGRAM).name != _OWN_PROGRAM:
         for library in sorted(resources.parent.glob(f"binaries/*/{identifier}.so")):
             _at_exit(library)

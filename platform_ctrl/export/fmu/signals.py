@@ -75,7 +75,7 @@ def parameters_of(job: Job, run: int) -> tuple[Signal, ...]:
         )
 
     out = [
-        parameter("manoeuvre", run, "", "What is flown; inputs add to it", "Enumeration"),
+        parameter("manoeuvre", run, "", "What is simulated; inputs add to it", "Enumeration"),
         parameter("seed", job.seed, "", "What the noise is drawn from", "Int64"),
         parameter("run", 0, "", "Number of the run: other noise of the same seed", "Int64"),
         parameter("noise", True, "", "Whether the sensors' noise is there", "Boolean"),

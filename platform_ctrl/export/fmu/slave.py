@@ -30,7 +30,7 @@ from platform_ctrl import __version__
 from platform_ctrl.common.values import FloatArray, replaced
 from platform_ctrl.design.plants import with_spins
 from platform_ctrl.errors import InputError, SimulationError
-from platform_ctrl.export.fmu.guards import guarded_getter, guarded_setter, let_go_once, told
+from platform_ctrl.export.fmu.guards import error_line, finalize_before_exit, guarded_getter, guarded_setter
 from platform_ctrl.export.fmu.signals import UNITS, Signal, inputs_of, output_values, outputs_of, parameters_of, runs_of
 from platform_ctrl.job.job import Job, manoeuvre_scenario
 from platform_ctrl.job.reading import read_job
@@ -42,14 +42,14 @@ JOB, CONTROLLERS, PLANT, ABOUT = "job.toml", "controllers.json", "plant.toml", "
 # How far the length of a step may be from whole periods, and where it begins from a sample, in periods: more than what
 # differences and long sums of steps are rounded by.
 _NEAR, _DRIFT = 1e-6, 1e-2
-# Samples that are recorded at a time: a step of hours is flown in pieces.
+# Samples that are recorded at a time: a step of hours is simulated in pieces.
 _AT_ONCE = 10_000
 # Units that are shown in their place, and how many of them make one.
 _SHOWN = {"rad": ("deg", 180.0 / math.pi), "rad/s": ("deg/s", 180.0 / math.pi)}
 
 
 class _Choice(Enumeration):  # type: ignore[misc]
-    """One of several names; the library (0.3.4) asks a variable of this kind for what it has given the others alone."""
+    """One of several names; the library (0.3.4) needs these attributes, which only its other kinds have."""
 
     dimensions = ()
 
@@ -71,7 +71,7 @@ class PlatformSlave(Fmi3Slave):  # type: ignore[misc]
         # leaves it. What is in it is loaded now.
         if "logger" in kwargs and kwargs["resources"] in sys.path:
             sys.path.remove(kwargs["resources"])
-        let_go_once(folder, about["identifier"])
+        finalize_before_exit(folder, about["identifier"])
         for name in (JOB, CONTROLLERS):
             if sha256((folder / name).read_bytes()).hexdigest() != about["sha256"][name]:
                 raise InputError(f"resources/{name}: is not the file that the FMU was written with")
@@ -101,7 +101,7 @@ class PlatformSlave(Fmi3Slave):  # type: ignore[misc]
     set_string, get_string = guarded_setter("string"), guarded_getter("string")
 
     def _describe(self) -> None:
-        """Register variables, units and all else that modelDescription.xml tells."""
+        """Register variables, units and all else in modelDescription.xml."""
         self.modelName = self._about["identifier"]
         self.description = self._about["description"]
         self.version = self._about["platform_ctrl"]
@@ -186,7 +186,7 @@ class PlatformSlave(Fmi3Slave):  # type: ignore[misc]
         try:
             status = self._step(float(current_time), float(step_size))
         except (Exception, KeyboardInterrupt) as error:
-            self.fail(told(error))
+            self.fail(error_line(error))
             status = Fmi3Status.error
         return Fmi3StepResult(status=status)
 
@@ -207,14 +207,14 @@ class PlatformSlave(Fmi3Slave):  # type: ignore[misc]
             return Fmi3Status.discard
         given = self._acting(stepper.scenario.mode)
         while samples > 0 and stepper.going:
-            flown = stepper.advance(min(samples, _AT_ONCE), **given)
+            simulated = stepper.advance(min(samples, _AT_ONCE), **given)
             given.pop("Omega", None)  # it goes on from where it is
             samples -= _AT_ONCE
-            if len(flown.t):
-                self._values = output_values(flown)
+            if len(simulated.t):
+                self._values = output_values(simulated)
         self._time = self._start + stepper.sample * period
         if not stepper.going:
-            raise SimulationError(f"the run has {flown.ended}")
+            raise SimulationError(f"the run has {simulated.ended}")
         return Fmi3Status.ok
 
     def _acting(self, mode: Mode) -> dict[str, FloatArray]:
@@ -245,7 +245,7 @@ class PlatformSlave(Fmi3Slave):  # type: ignore[misc]
         self.log(text, Fmi3Status.error)
 
     def _current(self) -> Simulator | None:
-        """The run, put at t = 0 anew if a parameter has changed; None where it cannot be flown or has ended."""
+        """The run, put at t = 0 anew if a parameter has changed; None where it cannot be simulated or has ended."""
         if self._ended or (self._begun and self._failure):
             return None
         if self._stale and not self._begun:
@@ -253,7 +253,7 @@ class PlatformSlave(Fmi3Slave):  # type: ignore[misc]
             try:
                 self._stepper = self._at_start()
             except (Exception, KeyboardInterrupt) as error:
-                self.fail(told(error))
+                self.fail(error_line(error))
         return self._stepper
 
     def _output(self, k: int) -> float | int:
@@ -336,4 +336,4 @@ class PlatformSlave(Fmi3Slave):  # type: ignore[misc]
             self._begun, self._ended, self._stale = state["flags"]
             self._failure = state["failure"]
         except (Exception, KeyboardInterrupt) as error:
-            self.fail(f"the state cannot be set: {told(error)}")
+            self.fail(f"the state cannot be set: {error_line(error)}")

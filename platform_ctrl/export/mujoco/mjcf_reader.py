@@ -22,9 +22,9 @@ from platform_ctrl.plant.source import path_of, read_text
 
 Tables = dict[str, Any]
 
-# Armature over C from which on a rotor's speed counts as held.
+# Armature over C from which on a rotor's speed counts as regulated.
 _HELD = 1e3
-# How `write_mjcf` begins the names of rotors: also of those that stand still.
+# How `write_mjcf` begins the names of rotors: also of those that do not turn.
 _ROTOR = "rotor "
 # Rounding of inertias, relative.
 _ROUNDING = 1e-9
@@ -34,9 +34,9 @@ _ROUNDING = 1e-9
 def read_mjcf(path: str | os.PathLike[str], spins: Mapping[str, float] | None = None) -> Platform:
     """Read a plant from a MuJoCo model.
 
-    The root is the one body on top that stands still or hangs in a ball joint, else the world. Every other body hangs
+    The root is the one body on top that does not move or hangs in a ball joint, else the world. Every other body hangs
     on one hinge, or is fixed to what carries it. A hinged body is a rotor if it is round about its hinge, carries
-    nothing, and turns: `spins` or the model's first keyframe says so, or its name, which then begins with "rotor ", or
+    nothing, and turns: by `spins`, by the model's first keyframe, or by its name, which then begins with "rotor ", or
     its hinge has a speed actuator or an armature of more than 1000 C, which holds its speed. All others are gimbals.
 
     Parameters
@@ -54,7 +54,7 @@ def read_mjcf(path: str | os.PathLike[str], spins: Mapping[str, float] | None = 
     Raises
     ------
     InputError
-        It cannot be read, is no MJCF, or has something that no platform has: one line says what; also if the package
+        It cannot be read, is no MJCF, or has something that no platform has; also if the package
         mujoco is not installed.
     """
     file = path_of(path, "the path of an MJCF file")
@@ -147,16 +147,16 @@ class _Model:
         joint = self.bodies[k].joint
         return one_line(self.model.joint(joint).name) or f"joint{joint}"
 
-    def _spins(self, told: dict[str, float]) -> dict[int, float]:
+    def _spins(self, given_spins: dict[str, float]) -> dict[int, float]:
         """Spins of hinges by their number in the model."""
         names = {self._hinge(k): body.joint for k, body in enumerate(self.bodies) if body.joint >= 0}
-        for name, spin in told.items():
+        for name, spin in given_spins.items():
             if name not in names or not isinstance(spin, int | float) or not math.isfinite(spin):
                 raise InputError(
                     f"{self.label}: spins: {given(name)} = {given(spin)} must be a hinge and a finite rate, rad/s"
                 )
-        if told:
-            return {names[name]: float(spin) for name, spin in told.items()}
+        if given_spins:
+            return {names[name]: float(spin) for name, spin in given_spins.items()}
         if not self.model.nkey:
             return {}
         rates = self.model.key_qvel[0]
@@ -192,11 +192,11 @@ class _Model:
     def _is_rotor(self, k: int, body: Body) -> bool:
         if body.joint < 0 or any(other.parent == k for other in self.bodies):
             return False
-        turns = bool(self.spins.get(body.joint)) or body.joint in self.servos or self._held(body)
+        turns = bool(self.spins.get(body.joint)) or body.joint in self.servos or self._regulated(body)
         turns = turns or body.name.startswith(_ROTOR)
         return turns and self._round(body)
 
-    def _held(self, body: Body) -> bool:
+    def _regulated(self, body: Body) -> bool:
         armature = self.model.dof_armature[self.model.jnt_dofadr[body.joint]]
         return bool(armature > _HELD * (body.axis @ body.about(body.anchor)[1] @ body.axis))
 
@@ -231,7 +231,7 @@ class _Model:
             "axial_inertia": C,
             "transverse_inertia": 0.5 * (float(np.trace(inertia)) - C),
             "spin": self.spins.get(body.joint, 0.0),
-            "control": "regulated" if self._held(body) else "free",
+            "control": "regulated" if self._regulated(body) else "free",
         }
         if body.joint in self.servos:
             gain, integral = self.servos[body.joint]

@@ -53,9 +53,9 @@ def write_mjcf(
     root
         ``"free"``: it turns about the fixed point as torques make it; ``"prescribed"``: the controls ``Omega1_dot`` to
         ``Omega3_dot`` are its angular acceleration, rad/s², in its own axes, whatever reacts on it; ``"fixed"``: it
-        stands still.
+        does not move.
     step
-        Time step that stands in the file, s; the integrator is RK4.
+        Time step in the file, s; the integrator is RK4.
 
     Returns
     -------

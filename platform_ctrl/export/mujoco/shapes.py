@@ -14,7 +14,7 @@ from platform_ctrl.plant.platform import Platform
 # Radius that rotors are drawn with, m, and by how much a ring is larger than what it holds.
 ROTOR_RADIUS = 0.05
 _AROUND = 1.22
-# Share of a body's size that its mass stands for: what is placed apart weighs little beside its carrier.
+# Mass of a body, relative to its inertia over its size: what is placed apart is light beside its carrier.
 _LIGHT = 1e-3
 # Second moments below this share of a body's largest are those of a plate; no mass can be moved out of it.
 _FLAT = 1e-6
@@ -215,9 +215,9 @@ def add_root(element: Element, platform: Platform, bodies: list[Placed]) -> None
 def add_ring(element: Element, platform: Platform, body: int, bodies: list[Placed], depth: int) -> None:
     """Draw a gimbal: a ring through its own pivots and those of what it holds."""
     own, R = platform.gimbals[body - 1].axis, bodies[body].radius
-    held = [platform.gimbals[c - 1].axis for c in children(platform, body)]
-    held += [platform.rotors[k].axis for k in rotors_on(platform, body)]
-    across = [axis - (axis @ own) * own for axis in held]
+    carried = [platform.gimbals[c - 1].axis for c in children(platform, body)]
+    carried += [platform.rotors[k].axis for k in rotors_on(platform, body)]
+    across = [axis - (axis @ own) * own for axis in carried]
     across = [axis / np.linalg.norm(axis) for axis in across if np.linalg.norm(axis) > 0.1]
     side = across[0] if across else perpendicular(own)
     material = f"gimbal{1 + (depth - 1) % _GIMBAL_COLOURS}"

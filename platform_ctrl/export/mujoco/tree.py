@@ -66,14 +66,14 @@ def bodies_of(mujoco: Any, model: Any, label: str) -> tuple[list[Body], int, flo
     read = (data.xpos, data.xmat, data.xipos, data.ximat, data.xaxis, data.xanchor, model.body_mass, model.body_inertia)
     if any(not np.all(np.abs(numbers) < _LARGEST) for numbers in read):
         raise InputError(f"{label}: has a position, mass or inertia that is huge or not finite; correct it")
-    held = [k for k in range(1, model.nbody) if model.body_parentid[k] == 0 and _moves(model, k)]
-    if not held:
+    carriers = [k for k in range(1, model.nbody) if model.body_parentid[k] == 0 and _moves(model, k)]
+    if not carriers:
         raise InputError(f"{label}: has no gimbal; it needs a root body that carries bodies on hinges")
     root = 0
-    if len(held) == 1 and (
-        model.body_jntnum[held[0]] == 0 or model.jnt_type[model.body_jntadr[held[0]]] in (BALL, FREE)
+    if len(carriers) == 1 and (
+        model.body_jntnum[carriers[0]] == 0 or model.jnt_type[model.body_jntadr[carriers[0]]] in (BALL, FREE)
     ):
-        root = held[0]
+        root = carriers[0]
     turn, origin = data.xmat[root].reshape(3, 3), data.xpos[root]
     out: list[Body] = []
     place = {0: -1}
@@ -91,7 +91,7 @@ def bodies_of(mujoco: Any, model: Any, label: str) -> tuple[list[Body], int, flo
         body = Body(name, -1, -1, np.zeros(3), np.zeros(3), mass, mass * centre, inertia)
         if k == root:
             root_joint = joints[0] if joints else -1
-            if root == 0:  # the world: it stands still, whatever its inertia
+            if root == 0:  # the world: it does not move, whatever its inertia
                 body.mass, body.moment, body.inertia = 0.0, np.zeros(3), np.eye(3)
         elif not joints:
             carrier = out[place[parent]]
@@ -172,7 +172,7 @@ class Chains:
         return inertias, moments
 
     def root_centre(self) -> FloatArray:
-        """Where a root that stands still has its centre: where all axes meet, else the centre of mass."""
+        """Return the centre of a root that does not move: where all axes meet, else the centre of mass."""
         hinges = [self.bodies[k] for k in self.gimbals]
         if not hinges:
             return np.zeros(3)
