@@ -1,4 +1,4 @@
-"""What a job came to, for people: the page with its figures, the same as PDF, and the terminal's tables.
+"""Reports of results: the page of a job with its plots, the same as PDF, the terminal's tables, and plots for scripts.
 
 Matplotlib is loaded with the first figure, not with this package; ``__init__.pyi`` lists the names.
 """

@@ -30,7 +30,7 @@ from platform_ctrl.verification.baselines.record import LoopMatrices
 if TYPE_CHECKING:
     from platform_ctrl.verification import JobResult
 
-# Lines for what is better, new or missing; a baseline of another job has nothing else.
+# Most lines for better, new or missing values: a baseline of another job has nothing else.
 _LINES = 8
 
 
@@ -74,7 +74,7 @@ def missed_text(requirements: Sequence[CheckResult], title: str, of: str = "requ
 def moved_text(comparison: Comparison, name: str) -> str:
     """Return what has moved beyond its tolerance since the baseline `name` was accepted, and why it may have.
 
-    First what fails, the worst first, and which loops have changed; then, in a few lines, what is better and what new.
+    First the failures, the worst first, and which loops have changed; then, in a few lines, what is better or new.
     """
     worse = sorted(comparison.of("worse"), key=lambda change: -change.of_tolerance)
     lines = [_head(comparison, name)]
@@ -91,7 +91,7 @@ def moved_text(comparison: Comparison, name: str) -> str:
 def failure_text(comparison: Comparison, job: str, file: Path, plot: Path, accept: str) -> tuple[str, Path | None]:
     """Return what has moved, in words that end with how to accept it, and where it is drawn.
 
-    A place that cannot be written to does not hide what moved: the words say why there is no plot.
+    If the plot cannot be written, the text gives the reason and is complete all the same.
     """
     from platform_ctrl.report.figures.baseline_changes import write_moved_figure  # loads Matplotlib
 
@@ -138,7 +138,7 @@ def _named(change: Change) -> str:
 
 
 def _others(words: str, changes: Sequence[Change]) -> list[str]:
-    """Return lines for what is no failure: not more than a few."""
+    """Return a few lines for changes that are no failures."""
     shown = []
     for change in changes[:_LINES]:
         before, now = in_one_unit((change.before, change.now), change.unit)
@@ -149,7 +149,7 @@ def _others(words: str, changes: Sequence[Change]) -> list[str]:
 
 
 def _causes(pairs: Sequence[tuple[LoopMatrices, LoopMatrices]]) -> Iterator[str]:
-    """Walk lines that say of every loop which of its matrices are not those of the baseline."""
+    """Walk lines with the matrices of every loop that differ from the baseline."""
     for before, now in pairs:
         plant = before.plant is not None and now.plant is not None and not before.same_plant(now)
         parts = ["its plant"] * plant + ["its controller"] * (not before.same_controller(now))
@@ -266,10 +266,10 @@ def _change(result: JobResult, change: Change, baseline: str) -> Any:
 
 def _case(name: str, classname: str, properties: dict[str, str]) -> Any:
     case = _library().TestCase(_text(name), _text(classname), 0.0)
-    held = _library().Properties()
+    listed_properties = _library().Properties()
     for key, item in properties.items():
-        held.add_property(_library().Property(key, _text(item)))
-    case.append(held)
+        listed_properties.add_property(_library().Property(key, _text(item)))
+    case.append(listed_properties)
     return case
 
 

@@ -1,7 +1,7 @@
 """The modes of the uncontrolled gimbals, and what kind each of them is.
 
 Of an eigenvector x to a pole s of (s² M + s G + s D + K) x = 0, with G that of the rotors alone, the smallest of three
-torques says which two hold the balance, measured by x̄ᵀ M⁻¹ x:
+torques determines which two balance each other, measured by x̄ᵀ M⁻¹ x:
 
     smallest                              mode
     restraint, s D x + K x                nutation: the rotors' torques against inertia

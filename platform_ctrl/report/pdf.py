@@ -109,7 +109,7 @@ def typeset(typst: ModuleType, content: Document) -> bytes:
             words = " ".join(str(error).split())
         else:
             return bytes(made)
-    raise PlatformCtrlError(f"the report cannot be set as PDF: typst says: {words}")
+    raise PlatformCtrlError(f"the report cannot be typeset as PDF, typst reports: {words}")
 
 
 def plain_data(item: Any, colours: dict[str, str]) -> Any:

@@ -1,4 +1,4 @@
-"""Numbers as a reader wants them: a unit of handy size, as many digits as matter, words where there is no number."""
+"""Numbers as text: in a unit of suitable size, with the significant digits, in words where there is no number."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ if TYPE_CHECKING:
     from platform_ctrl.job.judging import CheckResult
     from platform_ctrl.plant.platform import Platform, RateSensor, Torquer
 
-# What is handy for small torques and angles: a thousandth of the unit.
+# Units of small torques and angles: a thousandth.
 _SMALL = {"N m": "mN m", "rad": "mrad"}
 
-# What a frequency in rad/s is multiplied with to be drawn and named in Hz, a speed in rpm.
+# Factors from rad/s to Hz and rpm.
 HZ = 1.0 / (2.0 * math.pi)
 RPM = 60.0 * HZ
 

@@ -173,7 +173,7 @@ def signal_style(k: int) -> dict[str, Any]:
 
 
 def emphasised(k: int, chosen: bool) -> dict[str, Any]:
-    """Return the style of the k-th of several designs: the chosen one is heavier, and above the others."""
+    """Return the style of the k-th of several designs: the chosen one is thicker, and above the others."""
     return line_style(k) | ({"linewidth": 2.1, "zorder": 3} if chosen else {"linewidth": 1.2})
 
 
@@ -215,7 +215,7 @@ def log_axis(axis: Any) -> None:
 
 
 def frequency_axes(axes: Axes, low: float, high: float, *, log_gain: bool = True, label: bool = True) -> None:
-    """Make x a logarithmic frequency axis from `low` to `high` Hz, and y logarithmic too unless told otherwise."""
+    """Make x a logarithmic frequency axis from `low` to `high` Hz, and y too with `log_gain`."""
     axes.set_xscale("log")
     axes.set_xlim(low, high)
     log_axis(axes.xaxis)

@@ -162,7 +162,7 @@ def test_the_page_needs_nothing_else_and_is_whole(page):
     assert "tolerances &amp; &lt;faults&gt;" in page
 
 
-def test_verdict_and_probabilities_stand_first(page, summary):
+def test_verdict_and_probabilities_come_first(page, summary):
     found = summary.statistics
     words = html.unescape(page)
     assert f"{found.violation.events:,} of {found.violation.runs:,} runs violate a requirement" in words
@@ -174,7 +174,7 @@ def test_verdict_and_probabilities_stand_first(page, summary):
     assert "1 run could not be simulated and are not counted" in words
 
 
-def test_worst_runs_can_be_flown_again_and_are_those_of_the_table(page, summary):
+def test_worst_runs_are_those_of_the_table_and_have_a_command_to_repeat_them(page, summary):
     assert summary.statistics.worst[0].run == 11
     assert "platform-ctrl simulate job.toml --run 11" in page
     for one, words in tables.worst_rows(summary, summary.statistics.worst, tables.all_drivers(summary)):
@@ -194,7 +194,7 @@ def test_drivers_have_bars_and_the_rest_is_named_as_no_influence(page, summary):
     assert f"No significant share in {angle.runs:,} runs: {', '.join(quiet)}." in drawn
 
 
-def test_a_rare_event_tells_its_interval_and_what_has_to_come_together(page, summary):
+def test_a_rare_event_has_its_interval_and_shifted_inputs(page, summary):
     rare = summary.rare[0]
     drawn = html.unescape(page[page.index('id="rare"') : page.index('id="figures"')])
     assert tables.chances(rare.low, rare.high) in drawn
@@ -266,7 +266,7 @@ def test_one_manoeuvre_has_no_group_of_all(capsys):
     assert "All manoeuvres" not in as_html(campaign_document(summary))
 
 
-def test_manoeuvres_are_named_as_they_are_typed_and_what_sends_runs_beyond_is_told(page, summary):
+def test_manoeuvres_keep_their_names_and_violations_have_their_inputs(page, summary):
     words = " ".join(html.unescape(re.sub(r"<[^>]+>", " ", page)).split())
     assert "turn about 1 gimbal angle" in words
     assert "Turn about 1" not in words
@@ -316,7 +316,7 @@ def test_histograms_count_every_run_once_and_colour_those_beyond(summary):
         (0.9996, "99.96 %"),
     ],
 )
-def test_probabilities_read_as_people_say_them(probability, words):
+def test_probabilities_are_in_per_cent_or_powers_of_ten(probability, words):
     assert tables.chance(probability) == words
 
 
@@ -329,7 +329,7 @@ def test_probabilities_read_as_people_say_them(probability, words):
         (1e-8, 3e-6, "1·10⁻⁸ to 3·10⁻⁶"),
     ],
 )
-def test_bounds_read_as_people_say_them(low, high, words):
+def test_bounds_are_in_per_cent_or_powers_of_ten(low, high, words):
     assert tables.chances(low, high) == words
 
 

@@ -112,7 +112,7 @@ def plates(block: Any) -> list[blocks.Plate]:
     return []
 
 
-def test_every_text_of_the_document_is_in_the_pdf_and_on_the_page_as_it_stands(
+def test_every_text_of_the_document_is_unchanged_in_the_pdf_and_on_the_page(
     prepared: blocks.Document, text: str
 ) -> None:
     page = squeezed(html.unescape(re.sub(r"<(?!h>)[^>]*>", " ", page_html(prepared))))
@@ -125,7 +125,7 @@ def test_every_text_of_the_document_is_in_the_pdf_and_on_the_page_as_it_stands(
     assert text.count(squeezed(NAME)) > 10
 
 
-def test_the_verdict_stands_first_and_on_every_page(result: JobResult, made: bytes) -> None:
+def test_the_verdict_comes_first_and_on_every_page(result: JobResult, made: bytes) -> None:
     pages = [squeezed(page.extract_text()) for page in pypdf.PdfReader(io.BytesIO(made)).pages]
     words = squeezed(tables.verdict(result))
     assert not result.passed
@@ -179,7 +179,7 @@ def test_the_job_goes_along_as_a_file_that_reads_back(result: JobResult, made: b
     assert job_data(again) == job_data(result.job)
 
 
-def test_the_command_and_the_versions_stand_at_the_end(text: str) -> None:
+def test_the_command_and_the_versions_are_at_the_end(text: str) -> None:
     end = text[text.rindex("Inputsandversions") :]
     assert "platform-ctrldesign'myjob.toml'" in end
     for name, number in versions():

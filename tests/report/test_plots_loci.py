@@ -316,7 +316,7 @@ def test_little_damping_is_stretched_until_it_can_be_seen(ratio):
     assert slopes[1] == pytest.approx(0.1 / math.sqrt(0.99))
 
 
-def test_unstable_poles_are_told_with_their_growth():
+def test_unstable_poles_are_labelled_with_their_growth():
     plot = figures.pole_map(control.ss(control.tf([1.0], [1.0, -0.2, 4.0])))
     assert any(text.startswith("grows by 0.1/s") for text in texts(plot.axes[0, 0]))
 
@@ -403,7 +403,7 @@ def test_a_loop_that_is_nothing_has_a_nyquist_plot_too():
         (lambda: figures.two_sided_nyquist(UNIT), "must be a TwoSidedNyquist"),
     ],
 )
-def test_wrong_input_is_told_in_one_line(draw, says):
+def test_wrong_input_is_one_line(draw, says):
     with pytest.raises(ArgumentError, match=says) as raised:
         draw()
     assert "\n" not in str(raised.value)
@@ -419,19 +419,3 @@ def test_the_two_sided_nyquist_plot_takes_the_loop_or_its_curve():
     for given in (loop, loop.nyquist):
         figure = figures.two_sided_nyquist(given)
         assert [text.get_text() for text in figure.legends[0].get_texts()][-1].startswith("disk margin 0.58")
-
-
-def test_a_plot_of_control_has_lists_of_lines_panel_by_panel(over_gain):
-    for plot in (over_gain, figures.pole_map(UNIT), figures.nyquist(UNIT), figures.step_response(UNIT)):
-        assert isinstance(plot, control.ControlPlot)
-        assert plot.lines.shape == plot.axes.shape == (1, 1)
-        assert all(line.axes is plot.axes[0, 0] for line in plot.lines[0, 0])
-        assert plot.axes[0, 0].figure is plot.figure
-
-
-def test_nothing_is_registered_with_pyplot(over_gain, over_spin):
-    from matplotlib import pyplot
-
-    figures.pole_map(UNIT)
-    figures.nyquist(UNIT)
-    assert pyplot.get_fignums() == []

@@ -325,18 +325,18 @@ def test_histograms_are_the_same_of_statistics_and_of_a_folder(tmp_path):
         (lambda p, t: figures.show(p), "show: a plot must be a Figure or a control.ControlPlot, got a Platform"),
     ],
 )
-def test_wrong_input_is_told_in_one_line(draw, says, gyro, flown):
+def test_wrong_input_is_one_line(draw, says, gyro, flown):
     with pytest.raises(ArgumentError, match=says) as raised:
         draw(gyro, flown)
     assert "\n" not in str(raised.value)
 
 
-def test_a_folder_that_does_not_exist_is_told(tmp_path):
+def test_a_folder_that_does_not_exist_is_an_error(tmp_path):
     with pytest.raises(InputError, match="does not exist"):
         figures.campaign_histograms(tmp_path / "nothing")
 
 
-def test_a_backend_without_windows_tells_to_save_the_figure(gyro):
+def test_a_backend_without_windows_suggests_saving_the_figure(gyro):
     figure = figures.gimbal_tree(gyro)
     with mpl.rc_context():
         mpl.use("agg")

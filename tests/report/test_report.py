@@ -46,7 +46,7 @@ from platform_ctrl.report.figures import coupled as coupled_figures
 from platform_ctrl.report.figures import limit_lines
 from platform_ctrl.report.figures.coupled import margin_bars_figure
 from platform_ctrl.report.figures.loop import disturbance_figure, further_gains_figure, sensitivity_figure
-from platform_ctrl.report.loop_responses import loop_responses, root_locus
+from platform_ctrl.report.loop_responses import LoopResponses, loop_responses, root_locus
 from platform_ctrl.report.page import captions, comparison, summary, tables
 from platform_ctrl.report.page import job_page as document
 from platform_ctrl.report.page.campaign_tables import chances
@@ -170,6 +170,13 @@ def compared_designs() -> JobResult:
 
 
 @pytest.fixture(scope="module")
+def responses(compared_designs: JobResult) -> LoopResponses:
+    found = loop_responses(compared_designs.model, compared_designs.loops[0])
+    assert found is not None
+    return found
+
+
+@pytest.fixture(scope="module")
 def compared_page(compared_designs: JobResult) -> str:
     return page_html(compared_designs)
 
@@ -217,7 +224,7 @@ def test_the_page_needs_nothing_from_outside(page: str) -> None:
     assert addresses('<img src="x"><a href="http://a.b">') != []
 
 
-def test_every_requirement_stands_on_the_page_with_value_and_limit(result: JobResult, page: str) -> None:
+def test_every_requirement_is_on_the_page_with_value_and_limit(result: JobResult, page: str) -> None:
     shown = {tuple(cell.strip() for cell in row[1:3]) for row in Cells(page).rows if len(row) == 7}
     rows = tables.requirement_rows(result)
     assert len(rows) == len(result.requirements) > 10
@@ -421,7 +428,7 @@ def test_the_terminal_shows_the_same_rows(result: JobResult) -> None:
 # Goals
 
 
-def test_goals_stand_apart_from_requirements(compared_designs: JobResult, compared_page: str) -> None:
+def test_goals_are_separate_from_requirements(compared_designs: JobResult, compared_page: str) -> None:
     goals = tables.goal_rows(compared_designs)
     assert {(row.requirement, row.passed) for row in goals} == {("goal: bandwidth", True), ("goal: disk margin", False)}
     assert not any(row.goal for row in tables.requirement_rows(compared_designs))
@@ -469,7 +476,7 @@ def test_a_design_beside_the_closed_one_shows_its_goals_too(compared_designs: Jo
 # Proofs, plants, claims, the price
 
 
-def test_what_is_proved_is_what_the_certificates_say(compared_designs: JobResult) -> None:
+def test_proved_bounds_are_those_of_the_certificates(compared_designs: JobResult) -> None:
     [outcome] = compared_designs.loops
     proofs = [compared_designs.proofs[d.loop, d.name] for d in outcome.designs]
     rows = {row.name: [cell.text for cell in row.cells] for row in comparison.proof_rows(outcome.designs, proofs)}
@@ -484,7 +491,7 @@ def test_what_is_proved_is_what_the_certificates_say(compared_designs: JobResult
         assert float(text.split()[1]) == pytest.approx(min(bounds), rel=1e-2)
 
 
-def test_a_claim_without_proof_is_said(compared_designs: JobResult) -> None:
+def test_a_claim_without_proof_is_mentioned(compared_designs: JobResult) -> None:
     [outcome] = compared_designs.loops
     key = outcome.closed.loop, outcome.closed.name
     whole = compared_designs.proofs[key]
@@ -510,7 +517,7 @@ def test_all_claims_proved_are_counted_in_the_table_of_requirements(compared_des
     assert shown == {"caging 9-10": (f"{proofs.of} of {proofs.of}", "all"), "all loops closed": ("1 of 1", "all")}
 
 
-def test_plants_are_counted_by_what_they_stand_for(compared_designs: JobResult, compared_page: str) -> None:
+def test_plants_are_counted_by_group(compared_designs: JobResult, compared_page: str) -> None:
     closed = compared_designs.loops[0].closed
     plants, measures = closed.plants, closed.measures
     assert plants is not None
@@ -573,7 +580,7 @@ def test_the_price_depends_on_who_is_faster_and_simpler(compared_designs: JobRes
     )
 
 
-def test_what_a_design_pays_in_is_the_limit_it_comes_nearer_to(compared_designs: JobResult) -> None:
+def test_the_largest_loss_of_a_design_is_in_the_limit_it_comes_nearer_to(compared_designs: JobResult) -> None:
     [outcome] = compared_designs.loops
     named = {d.name: d for d in outcome.designs}
     pair = (named["H-infinity"], named["simple"])
@@ -617,7 +624,7 @@ def test_the_comparison_shows_every_design_and_its_options(result: JobResult) ->
     assert options["crossover_hz"] == ("30", "40")
 
 
-def test_what_is_not_asked_is_compared_nevertheless(result: JobResult) -> None:
+def test_metrics_without_a_limit_are_compared_too(result: JobResult) -> None:
     rows = {row.name: row for row in comparison.limit_rows(result.loops[0])}
     asked = set(rows)
     [found] = [one for one in result.loops[0].closed.results if one.name == "bandwidth"]
@@ -629,7 +636,7 @@ def test_what_is_not_asked_is_compared_nevertheless(result: JobResult) -> None:
     assert "bandwidth" in asked
 
 
-def test_what_acts_besides_the_torquers_stands_on_the_page(lone_loop: JobResult, lone_page: str) -> None:
+def test_springs_friction_and_other_elements_are_on_the_page(lone_loop: JobResult, lone_page: str) -> None:
     assert "Springs, friction and other elements" not in lone_page
     platform = dataclasses.replace(
         lone_loop.job.platform,
@@ -686,7 +693,7 @@ def test_a_printed_number_is_the_number_to_its_digits(size: float, sign: float, 
     assert to == "nearest" or (shown <= exact if to == "down" else shown >= exact)
 
 
-def test_what_is_no_number_is_called_unstable() -> None:
+def test_a_value_that_is_not_finite_is_called_unstable() -> None:
     assert (
         plain(float("nan"))
         == quantity(float("inf"), "N m")
@@ -746,10 +753,8 @@ def texts(figure: Any) -> list[str]:
     return [one.get_text() for axes in figure.axes for one in axes.texts]
 
 
-def test_limits_and_goals_are_drawn_where_they_belong(compared_designs: JobResult) -> None:
+def test_limits_and_goals_are_drawn_where_they_belong(compared_designs: JobResult, responses: LoopResponses) -> None:
     [outcome] = compared_designs.loops
-    responses = loop_responses(compared_designs.model, outcome)
-    assert responses is not None
     with style.settings():
         left, middle, right = sensitivity_figure(responses, outcome.spec).axes
         shares = disturbance_figure(responses, outcome.spec).axes[-1]
@@ -811,10 +816,8 @@ def test_a_new_metric_has_its_rows_its_plot_and_its_caption_in_the_report(monkey
     assert [float(line.get_ydata()[0]) for line in axes.lines[1:]] == [2000.0, 500.0]
 
 
-def test_designs_differ_by_more_than_colour(compared_designs: JobResult) -> None:
+def test_designs_differ_by_more_than_colour(compared_designs: JobResult, responses: LoopResponses) -> None:
     [outcome] = compared_designs.loops
-    responses = loop_responses(compared_designs.model, outcome)
-    assert responses is not None
     with style.settings():
         figure = sensitivity_figure(responses, outcome.spec)
     [legend] = figure.legends
@@ -851,16 +854,13 @@ def test_the_arc_of_the_fastest_pole_is_its_circle_in_the_w_plane(radius: float)
     assert np.all(real <= 1e-9)
 
 
-def test_the_torque_that_a_rate_asks_for_peaks_where_the_requirement_measures_it(compared_designs: JobResult) -> None:
-    [outcome] = compared_designs.loops
-    responses = loop_responses(compared_designs.model, outcome)
-    assert responses is not None
+def test_the_share_of_torque_peaks_at_the_value_of_the_requirement(responses: LoopResponses) -> None:
     for one in responses.designs:
         [asked] = [r for r in one.design.results if r.name.startswith("torque at full Omega")]
         assert one.gains["torque limit"].max() == pytest.approx(asked.value, rel=1e-8)
 
 
-def test_captions_say_peaks_that_every_grid_misses() -> None:
+def test_captions_have_peaks_that_every_grid_misses() -> None:
     job = pc.read_job(
         {**JOB, "loop": [CAGING], "manoeuvre": [], "coupled": {}, "sampling": {"rate_hz": 2000, "delay": 0.0}}
     )
@@ -881,16 +881,13 @@ def test_captions_say_peaks_that_every_grid_misses() -> None:
     assert 1.0 / one.gains["disk margin"].max() == pytest.approx(narrow.measures.disk_margin[0], rel=1e-8)  # type: ignore[union-attr]
 
 
-def test_only_plants_whose_rotors_spin_are_told_of_nutation(compared_designs: JobResult) -> None:
+def test_nutation_is_mentioned_only_for_plants_whose_rotors_spin(compared_designs: JobResult) -> None:
     [outcome] = compared_designs.loops
     assert "nutation" in captions.loop_transfer(outcome, spinning=True)
     assert "nutation" not in captions.loop_transfer(outcome, spinning=False)
 
 
-def test_poles_with_a_fault_are_told_apart(compared_designs: JobResult) -> None:
-    [outcome] = compared_designs.loops
-    responses = loop_responses(compared_designs.model, outcome)
-    assert responses is not None
+def test_poles_with_a_fault_are_separate(responses: LoopResponses) -> None:
     for one in responses.designs:
         order = len(one.poles)
         assert (len(one.varied_poles), len(one.fault_poles)) == (6 * order, 2 * order)
@@ -1048,7 +1045,7 @@ def test_the_stable_range_of_gains_ends_where_the_loop_does(result: JobResult) -
         assert (np.abs(z).max() < 1.0) == stable
 
 
-def test_the_platform_yields_to_a_torque_as_far_as_the_simulation_says(result: JobResult) -> None:
+def test_the_platform_yields_to_a_torque_as_in_the_simulation(result: JobResult) -> None:
     _, closed = coupled_figures.platform_compliance(result, np.array([1e-2]))
     n = len(result.job.platform.gimbals)
     run = result.runs[1]

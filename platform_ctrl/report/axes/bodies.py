@@ -135,7 +135,7 @@ def _carried(platform: Platform, name: str, toward: FloatArray) -> list[Item]:
 
 
 def spin_direction(rotor: Rotor) -> FloatArray:
-    """Return the direction of a rotor's L, in its carrier's axes; its axis where it stands still."""
+    """Return the direction of a rotor's L, in its carrier's axes; its axis at rest."""
     return -rotor.axis if rotor.angular_momentum < 0.0 else rotor.axis
 
 
@@ -219,7 +219,7 @@ def _sides(corners: FloatArray, body: str) -> list[Shape]:
 
 
 def _shaft(item: Item, end: float, toward: FloatArray) -> list[Shape]:
-    """Return what joins a body to its bearings at ± `end` along its axis, and the arrows that say which way is plus."""
+    """Return what joins a body to its bearings at ± `end` along its axis, and the arrows of the positive direction."""
     c, start, name = item.axis, item.reach, item.body.name
     if isinstance(item.body, Rotor):
         away = -float(c @ toward)

@@ -31,7 +31,7 @@ def attribute(text: str) -> str:
 
 
 def number(x: float) -> str:
-    """Return a coordinate to a tenth of a pixel, without a zero that says nothing."""
+    """Return a coordinate to a tenth of a pixel, without a trailing zero."""
     text = f"{x:.1f}".removesuffix(".0")
     return "0" if text == "-0" else text
 
@@ -199,7 +199,7 @@ def _box(shapes: list[Shape], rows: FloatArray) -> tuple[FloatArray, FloatArray]
 
 
 def _packing(sizes: FloatArray, pad: FloatArray, width: float, height: float) -> tuple[float, list[int], float]:
-    """Return the scale, how many bodies stand in each row, and the height: as large as fits, in equal rows."""
+    """Return the scale, how many bodies are in each row, and the height: as large as fits, in equal rows."""
     while True:
         best: tuple[float, list[int], float] = (0.0, [], 0.0)
         for k in range(1, len(sizes) + 1):
@@ -307,7 +307,7 @@ class _Body:
         ]
 
     def _mount(self, flat: FloatArray) -> list[str]:
-        """Return a bearing block on either side of the axis, hatched: it stands on the root."""
+        """Return a bearing block on either side of the axis, hatched, on the root."""
         along = direction(flat[0], flat[1])
         across = np.array([-along[1], along[0]])
         unit = 9.0 * self.small + 1.0
@@ -353,12 +353,12 @@ class _Body:
 
 
 def _alone(gimbal: Gimbal) -> bool:
-    """Return whether the angle's name says which gimbal it is."""
+    """Return whether the angle's name contains the gimbal's."""
     return gimbal.angle.endswith(gimbal.name)
 
 
 def _shorter(flat: FloatArray) -> FloatArray:
-    """Return a line without its ends, so that what is kept clear around it does not bite into what it joins."""
+    """Return a line without its ends, so that its halo does not cut into the lines that it joins."""
     along = direction(flat[0], flat[-1])
     out = flat.copy()
     if np.hypot(*(flat[-1] - flat[0])) > 14.0:

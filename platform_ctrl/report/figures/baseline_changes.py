@@ -46,7 +46,7 @@ _PER_ROW = 3
 
 @standalone
 def moved_figure(comparison: Comparison, title: str) -> Figure:
-    """Return a figure of what has moved: for people who find a failed test.
+    """Return a figure of the changes since a baseline, for those who find a failed test.
 
     Above, a bar for every figure, the worst first: its change over its tolerance, worse to the right. Below, for every
     loop whose plant or controller is another one, the largest singular value of its sensitivity before and now.

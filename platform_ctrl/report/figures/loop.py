@@ -50,8 +50,8 @@ _ALL_LINES = 2
 _ONE_ROW = 4
 # Sensitivity plot, from left to right: the metric whose curve a panel shows, and its title.
 SENSITIVITIES = {
-    "sensitivity peak": "S: what is left of a disturbance",
-    "complementary sensitivity peak": "T: what passes through",
+    "sensitivity peak": "S: remaining share of a disturbance",
+    "complementary sensitivity peak": "T: transmitted share",
     "disk margin": "(S − T)/2: 1/disk margin at its peak",
 }
 # Metrics whose curves the other standard plots of a loop show.
@@ -209,7 +209,7 @@ def _design_curves(
     log_gain: bool = True,
     label: bool = True,
 ) -> list[Any]:
-    """Draw a curve of each design over frequency, the closed one heavier, and return the lines."""
+    """Draw a curve of each design over frequency, the closed one thicker, and return the lines."""
     lines: list[Any] = []
     for k, (curve, one) in enumerate(zip(curves, responses.designs, strict=True)):
         lines += axes.plot(f, curve, **emphasised(k, one.design.name == responses.closed))

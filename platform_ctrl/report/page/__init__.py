@@ -1,1 +1,1 @@
-"""What the report of a job or a campaign says: blocks of text, tables and figures, and the HTML page made of them."""
+"""The content of the reports of jobs and campaigns, as blocks of text, tables and figures, and the HTML page."""

@@ -26,7 +26,7 @@ class Mark:
 
 @value
 class Strip:
-    """A small picture beside a number: so many pixels long, with what it says in words if the number does not."""
+    """A small picture beside a number: length in pixels, marks, and words where the number does not express it."""
 
     length: float
     marks: tuple[Mark, ...]
@@ -97,7 +97,7 @@ class Paragraph:
 
 @value
 class Verdict:
-    """The banner: whether all is well, in a few words, what is not, and what goes with it."""
+    """The banner: the verdict in a few words, what is not met, and an aside."""
 
     kind: ClassVar[str] = "verdict"
     passed: bool
@@ -145,7 +145,7 @@ class Part:
 
 @value
 class Cards:
-    """Parts that may stand side by side."""
+    """Parts that may be side by side."""
 
     kind: ClassVar[str] = "cards"
     parts: tuple[Part, ...]
@@ -177,7 +177,7 @@ class Document:
 
 
 def sentence(text: str) -> str:
-    """Return text with a capital first letter, all else as it stands."""
+    """Return text with a capital first letter, the rest unchanged."""
     return text[:1].upper() + text[1:]
 
 

@@ -426,7 +426,7 @@ def _worst(summary: Summary, again: str) -> tuple[Block, ...]:
 
 
 def as_section(summary: Summary, result: JobResult, again: str | None) -> Section:
-    """Return a campaign as a section of a job's report; says where its plant, sampling or controllers differ."""
+    """Return a campaign as a section of a job's report, with a warning if its plant, sampling or controllers differ."""
     first, *others = campaign_sections(summary, again or RERUN_COMMAND)
     parts = (Part(title=section.title, blocks=section.blocks) for section in others)
     runs = f"{tables.count_words(summary.plan.runs)} of the job with everything that may vary."

@@ -235,8 +235,8 @@ def signals(design: LoopDesign) -> dict[str, str]:
     """Return a controller's inputs and outputs, its order and sample period, in words."""
     K = design.controller
     return {
-        "reads": ", ".join(K.input_labels),
-        "sets": ", ".join(K.output_labels),
+        "inputs": ", ".join(K.input_labels),
+        "outputs": ", ".join(K.output_labels),
         "order and sample period": f"{count(K.nstates, 'state')}, {plain(1e3 * float(K.dt or 0.0))} ms",
     }
 

@@ -29,7 +29,7 @@ from platform_ctrl.verification.verdict import PROVED, JobResult
 
 # Of two ratios to a limit; a smaller difference is not mentioned.
 _NOTABLE = 1.05
-# What a design is not said to lose: bandwidth has a sentence of its own, and decay says little about a stable loop.
+# Not mentioned as a loss: bandwidth has its own sentence, and the decay rate means little for a stable loop.
 _UNCOUNTED = (METRICS["bandwidth"].name, STABLE.name)
 
 

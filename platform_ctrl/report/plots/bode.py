@@ -297,7 +297,7 @@ def _with(label: str, words: str) -> str:
 
 
 def _corner(axes: Axes, words: Sequence[str]) -> None:
-    """Write what the margins come to into the lower left corner, where loops do not go."""
+    """Write the margins into the lower left corner, where loops do not go."""
     lines = [(word, k) for k, word in enumerate(words) if word]
     for rank, (word, k) in enumerate(reversed(lines)):
         axes.annotate(

@@ -88,7 +88,7 @@ def campaign_histograms(
         one_of("campaign_histograms: figure", figure, tuple(METRICS))
     found = _statistics(campaign, limits)
     names = [name for name in METRICS if figure in (None, name)]
-    cells = [(one, name) for name in names for one in asked(found, name) if one.violation.runs]
+    cells = [(one, name) for name in names for one in with_limit(found, name) if one.violation.runs]
     if not cells:
         what = "any figure" if figure is None else repr(figure)
         raise ArgumentError(
@@ -201,7 +201,7 @@ def _edges(low: float, high: float, limit: float | None) -> FloatArray:
     if limit is None:
         return np.linspace(low, high, _BINS + 1)
     below = max(round((limit - low) / width), 1)
-    # A limit that lies next to `low` does not make all bins as narrow as what is left of it.
+    # A limit close to `low` must not make all bins narrow.
     width = max((limit - low) / below, 0.5 * width)
     return np.asarray(limit + width * np.arange(-below, int(np.ceil((high - limit) / width)) + 1))
 
@@ -212,7 +212,7 @@ def shade_beyond(axes: Axes, limit: float, reach: float = 0.0) -> None:
     axes.axvline(limit, color=LIMIT, linewidth=0.9, linestyle=DASHED, zorder=1.5)
 
 
-def asked(found: CampaignStatistics, name: str) -> list[RequirementStatistics]:
+def with_limit(found: CampaignStatistics, name: str) -> list[RequirementStatistics]:
     """Return the requirements on one metric, manoeuvre by manoeuvre."""
     return [one for one in found.requirements if one.requirement == name and one.manoeuvre is not None and one.limit]
 
@@ -229,13 +229,13 @@ _REACH = 4.0
 
 def exceedance_figure(found: CampaignStatistics) -> Figure:
     """Share of the runs above a level, each manoeuvre a line; the level counts relative to the limit."""
-    figures = [name for name in METRICS if asked(found, name)]
-    manoeuvres = list(dict.fromkeys(one.manoeuvre for name in figures for one in asked(found, name)))
+    figures = [name for name in METRICS if with_limit(found, name)]
+    manoeuvres = list(dict.fromkeys(one.manoeuvre for name in figures for one in with_limit(found, name)))
     labels = [str(name) for name in manoeuvres]
     drawn, rows = panels(1, len(figures), 3.0 + 0.22 * legend_rows(labels), legend=legend_rows(labels))
     handles = {}
     for axes, name in zip(rows[0], figures, strict=True):
-        for one in asked(found, name):
+        for one in with_limit(found, name):
             levels, shares = _exceedance(one)
             if len(levels) == 1:  # one run, or all alike: a line needs a beginning
                 levels, shares = np.append(0.0, levels), np.append(1.0, shares)
@@ -258,11 +258,11 @@ def _exceedance(one: RequirementStatistics) -> tuple[FloatArray, FloatArray]:
 
 def _exceedance_axes(axes: Axes, name: str, found: CampaignStatistics) -> None:
     axes.set_yscale("log")
-    least = 0.5 / max(one.violation.runs for one in asked(found, name))
+    least = 0.5 / max(one.violation.runs for one in with_limit(found, name))
     axes.set_ylim(10.0 ** np.floor(np.log10(least)), 1.3)
     log_axis(axes.yaxis)
-    reach = [_exceedance(one)[0].max(initial=0.0) for one in asked(found, name)]
-    usual = [one.quantiles[0.5] / one.limit for one in asked(found, name) if one.limit]
+    reach = [_exceedance(one)[0].max(initial=0.0) for one in with_limit(found, name)]
+    usual = [one.quantiles[0.5] / one.limit for one in with_limit(found, name) if one.limit]
     most = max([_REACH, *(1.3 * ratio for ratio in usual if np.isfinite(ratio))])
     right = float(np.clip(1.08 * max(reach), 1.25, most))
     axes.set_xlim(0.0, right)
@@ -274,4 +274,4 @@ def _exceedance_axes(axes: Axes, name: str, found: CampaignStatistics) -> None:
 
 def histogram_figure(found: CampaignStatistics, name: str) -> Figure:
     """Return histograms of one metric in each manoeuvre with a limit on it."""
-    return histograms([(one, name) for one in asked(found, name)], _COLUMNS)
+    return histograms([(one, name) for one in with_limit(found, name)], _COLUMNS)

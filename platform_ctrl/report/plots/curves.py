@@ -154,7 +154,7 @@ def curve(system: DrawnSystem, grid: FloatArray, label: str) -> Curve:
 
 
 def entry_curves(system: DrawnSystem, grid: FloatArray, labels: Sequence[Sequence[str]]) -> list[list[Curve]]:
-    """Return the curves of all entries of a system; what is rounding beside the largest entry is no response."""
+    """Return the curves of all entries of a system; entries that are only rounding errors are no response."""
     frequency, response = system.along(grid)
     sizes = np.abs(response)
     largest = np.max(np.where(np.isfinite(sizes), sizes, 0.0), axis=(0, 1), initial=0.0)
@@ -193,7 +193,7 @@ def phase_in_degrees(frequency: FloatArray, response: ComplexArray, *, begun: bo
     angle = np.degrees(np.angle(h))
     step = (np.diff(angle) + 180.0) % 360.0 - 180.0
     for k in np.flatnonzero(np.abs(step) > _JUMP).tolist():
-        # Which way the gain goes tells pole from zero: it has its peak, or its dip, between the two points.
+        # The gain distinguishes pole and zero: it has a peak, or a dip, between the two points.
         before = log_gain[k] - log_gain[max(k - 1, 0)]
         after = log_gain[min(k + 2, len(h) - 1)] - log_gain[k + 1]
         bend = after - before

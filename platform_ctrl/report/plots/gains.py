@@ -63,7 +63,7 @@ def singular_values(
     lower: ArrayLike | tuple[ArrayLike, ArrayLike] | None = None,
     dB: bool = False,
 ) -> control.ControlPlot:
-    """Draw the singular values of systems: the largest of each drawn heavier, the others of its colour lighter.
+    """Draw the singular values of systems: the largest of each as a thick line, the others thin in its colour.
 
     Parameters
     ----------
@@ -137,7 +137,7 @@ _NAMED = ("", "", "P S: torque disturbance to angle", "K S: pick-off noise to to
 
 @value
 class _Closed:
-    """A controller closed: what is drawn of it."""
+    """The closed loop of a controller."""
 
     label: str
     loop: DrawnSystem
@@ -266,7 +266,7 @@ def _curves(one: _Closed, several: bool, sides: bool) -> list[list[FloatArray]]:
 
 
 def _units(loop: DrawnSystem, g: Gang) -> tuple[list[str], list[str]]:
-    """Return units and titles: those of angles and torques where the names say so."""
+    """Return units and titles: those of angles and torques if the signals have such names."""
     p, m = g.angle_per_torque.shape[:2]
     torques = {unit(name) for name in loop.outputs[:m]}
     angles = {unit(name.removeprefix("noise_")) for name in loop.inputs[-p:]}
@@ -320,7 +320,7 @@ def Omega_sensitivity(
     ----------
     plant
         From `state_space`: inputs torquers and Omega1 to Omega3, outputs angles. For sampled controllers the plant as
-        they see it, `analysis.sampled`; the rate is then held from sample to sample.
+        they see it, `analysis.sampled`; the rate is then constant from sample to sample.
     controllers
         u = K y without a hidden sign, joined to the plant by signal names, or by position where it has others and as
         many as there are torquers and angles. One, several in a sequence, a mapping from labels, or none.

@@ -49,7 +49,7 @@ WORDS = {kind: words for kind, (_, words) in SIGNS.items()} | {
 
 
 class Card(NamedTuple):
-    """A body: what is written, its signs with words, and the vectors of its cross of axes."""
+    """A body: its text, its signs with words, and the vectors of its cross of axes."""
 
     name: str
     kind: str  # root, gimbal, rotor
@@ -159,7 +159,7 @@ def _cross(axes: Axes, centre: FloatArray, rows: FloatArray, card: Card) -> None
     """Draw axes 1, 2, 3 thinly and the body's own axis over them; a rotor's disc lies across its axis."""
     flat = rows[:2] * np.array([[1.0], [-1.0]])
     length = 0.34 * CROSS
-    # The cross fills its square evenly, whichever way its axes point.
+    # The cross fills its square evenly, wherever its axes point.
     own = np.zeros((1, 2)) if card.arrow is None else 1.22 * (flat @ card.arrow)[None, :]
     ends = length * np.vstack([own, flat.T, np.zeros((1, 2))])
     centre = centre - 0.5 * (ends.min(axis=0) + ends.max(axis=0))
@@ -261,7 +261,7 @@ _BESIDE, _BELOW = 14.0, 24.0  # between cards
 _MARGIN, _HEAD, _ENTRY = 10.0, 30.0, 15.0
 _LEAST_WIDTH = 420.0
 _CONTROLS = {
-    "regulated": "rotor, relative spin held",
+    "regulated": "rotor, constant relative spin",
     "free": "rotor, free-running",
     "servo": "rotor, with a speed loop",
 }
@@ -289,7 +289,7 @@ def gimbal_tree(platform: Platform) -> Figure:
 
     A card for each body, the root at the top. The orange arrow is a gimbal's axis and the sense of its positive angle,
     the blue arrow a rotor's spin with the direction of L, both among the axes 1, 2, 3 of the root at zero angles, seen
-    from where the picture of the axes in space is seen from. Signs stand for torquers, pick-offs, rate sensors, stops
+    from the same direction as in the picture of the axes. Signs mark torquers, pick-offs, rate sensors, stops
     and whatever else the plant file puts there; those that occur are explained below.
 
     Parameters

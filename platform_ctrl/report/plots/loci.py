@@ -267,7 +267,7 @@ def spin_locus(
 
 
 def with_rotors_at_rest(platform: Platform, rotors: Sequence[str] | None) -> tuple[Platform, list[str]]:
-    """Return the platform with those rotors at rest, and their names; rotors that stand still anyway are left out.
+    """Return the platform with those rotors at rest, and their names; rotors already at rest are left out.
 
     The linear model is affine in the rotors' momenta: this one and the nominal one give it at every speed.
     """

@@ -87,7 +87,7 @@ def nyquist(
     """Nyquist plot of loop transfers, a panel for each channel with all others closed, and −1 with a disk about it.
 
     The curve is closed: poles on the stability boundary (integrators, undamped nutation) are passed on the right, on
-    half circles of a thousandth of their frequency, so that the arcs are finite and turn the way that counts. What is
+    half circles of a thousandth of their frequency, so that the arcs are finite and turn in the right sense. What is
     larger than `reach` is drawn on the rim, with its phase.
 
     Parameters

@@ -1,7 +1,7 @@
 """The scheme that the plots of systems share.
 
 A plot checks its arguments, gets its systems from `systems.drawn_systems` and their frequencies from
-`systems.grid`, asks `blocks` for a figure, draws each panel (`gain_curves` where it shows gains), and returns
+`systems.grid`, gets a figure from `blocks`, draws each panel (`gain_curves` where it shows gains), and returns
 `control_plot`, which adds the legend.
 """
 
@@ -48,7 +48,7 @@ if TYPE_CHECKING:
 _DIFFERENT = 6
 _LEFT, _RIGHT, _BOTTOM, _GAP_X = 0.66, 0.2, 0.46, 0.76
 _TITLE, _NO_TITLE, _BETWEEN, _LEGEND_ROW = 0.26, 0.08, 0.16, 0.22
-# Where the words beside an axis stand, inches left of it.
+# Distance of an axis label from its axis, inches.
 _WORDS = 0.5
 # A gain below this share of the largest one is rounding and not shown.
 _DEEPEST = 1e-14
@@ -87,7 +87,7 @@ def blocks(
 
 
 def curve_style(k: int) -> dict[str, Any]:
-    """Return the look of the k-th curve: no two of the first 24 alike, and told apart in grey."""
+    """Return the look of the k-th curve: no two of the first 24 alike, also in grey."""
     style: dict[str, Any] = {"color": SERIES[k % len(SERIES)], "linestyle": DASHES[k % _DIFFERENT]}
     if k >= _DIFFERENT:
         style |= {"marker": MARKERS[k % len(MARKERS)], "markersize": 3.8}
@@ -157,7 +157,7 @@ def _few_decades(axes: Sequence[Axes], low: float, high: float) -> None:
 
 
 def gains(response: ComplexArray | FloatArray, dB: bool) -> FloatArray:
-    """Return |response|, in decibels if asked; NaN where it is 0 or NaN."""
+    """Return |response|, in decibels if `dB`; NaN where it is 0 or NaN."""
     size = np.abs(response)
     size = np.where(size > 0.0, size, math.nan)
     return np.asarray(20.0 * np.log10(size) if dB else size, dtype=np.float64)
@@ -340,7 +340,7 @@ def shade(axes: Axes, level: Level, *, dB: bool = False, below: bool = False) ->
 
 
 def gain_label(words: str, unit: str, dB: bool) -> str:
-    """Return what a gain axis says."""
+    """Return the label of a gain axis."""
     if dB:
         return f"{words}, dB" + (f" of {unit}" if unit not in ("", "1") else "")
     return words if unit in ("", "1") else f"{words}, {unit}"
@@ -393,7 +393,7 @@ def _is_silent(backend: str) -> bool:
 
 
 def _attached(pyplot: Any, figure: Figure) -> None:
-    """Give `figure` the window of a figure that pyplot makes: the way that every version of Matplotlib has."""
+    """Give `figure` the window of a figure that pyplot makes: in a way that works with every version of Matplotlib."""
     manager = figure.canvas.manager
     if manager is not None and pyplot.fignum_exists(manager.num):
         return

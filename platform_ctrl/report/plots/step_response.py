@@ -38,7 +38,7 @@ _DECAYS, _GROWTHS, _PERIODS = 6.0, 3.0, 6.0
 # Slower motion than this share of the fastest is left out of the default duration.
 _SLOW = 1e-4
 _LEAST, _MOST = 600, 20000
-# Most samples of a sampled system, drawn or asked for.
+# Largest number of samples of a sampled system.
 _SAMPLES = 200_000
 # A growing response is drawn up to this: beyond it axes cannot be labelled.
 _GROWN = 1e100

@@ -36,7 +36,7 @@ from platform_ctrl.plant.platform import FORCE_NAMES, ROOT_TORQUE_NAMES, is_rate
 if TYPE_CHECKING:
     import control
 
-# States up to which poles next to the stability boundary are worked out in more digits, and effort, entries times cubed
+# States up to which poles next to the stability boundary are computed with more digits, and effort, entries times cubed
 # states, up to which the zeros of entries are sought: beyond that the grid does without.
 _PRECISE, _EFFORT = 60, 5e7
 # Relative distance from the stability boundary below which a pole or zero counts as on it.
@@ -109,7 +109,7 @@ def drawn_systems(
     """Return one or several systems in the form that plots use.
 
     `name` is the plot's and begins every message. With `square` each needs as many outputs as inputs (a loop transfer);
-    `data` says whether `control.FrequencyResponseData` are accepted.
+    `data`: whether `control.FrequencyResponseData` are accepted.
     """
     given, texts = listed(name, systems, labels)
     if labels is None and not isinstance(systems, Mapping):
