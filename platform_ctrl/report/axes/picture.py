@@ -134,16 +134,10 @@ def _foot(platform: Platform, rows: FloatArray, top: float, width: float) -> str
     if platform.rotors:
         entries.append((arrow("spin"), "spin axis, direction of L"))
     controls = [r.control for r in platform.rotors]
-    words_for = {
-        "regulated": "rotor, constant relative spin",
-        "free": "rotor, free-running",
-        "servo": "rotor, speed loop",
-    }
-    for control, text in words_for.items():
+    for control, text in (("regulated", "constant relative spin"), ("free", "free-running"), ("servo", "speed loop")):
         if control in controls:
-            entries.append(
-                (f'<rect class="node rotor {control}" x="2" y="-8" width="30" height="16" rx="8"/>', f"rotor, {text}")
-            )
+            node = f'<rect class="node rotor {control}" x="2" y="-8" width="30" height="16" rx="8"/>'
+            entries.append((node, f"rotor, {text}"))
     there = {kind for g in platform.gimbals for kind in signs(platform, g.name)}
     there |= {"torquer"} if platform.torquers else set()
     entries += [(sign(kind, (17.0, 0.0)), text) for kind, (_, text) in SIGNS.items() if kind in there]
