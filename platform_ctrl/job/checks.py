@@ -37,7 +37,7 @@ def campaign_mistakes(data: Data) -> Iterator[Mistake]:
     if not isinstance(campaign, dict):
         return
     if not data.get("manoeuvre"):
-        yield Mistake(("campaign",), "[campaign]: the job has no manoeuvre to simulate; expected [[manoeuvre]]")
+        yield Mistake(("campaign",), "[campaign] has no manoeuvre to simulate; add a [[manoeuvre]] to the job")
     for kind, key, of in (("manoeuvre", "name", "manoeuvre"), ("fault", "fault", "fault")):
         known = [name for _, table in tables(data, of) if (name := text_of(table, "name")) is not None]
         taken: dict[str, int] = {}
@@ -45,12 +45,15 @@ def campaign_mistakes(data: Data) -> Iterator[Mistake]:
             name = text_of(table, key)
             if name is None:
                 continue
-            wrong = f"{key} = {given(name)}"
             path: Path = ("campaign", kind, k, key)
             if name not in known:
-                yield Mistake(path, f"{wrong}: is no [[{of}]] of the job; {suggestion(name, known)}")
+                yield Mistake(
+                    path,
+                    f"{key} must be the name of a [[{of}]] of the job, got {given(name)}; {suggestion(name, known)}",
+                )
             elif name in taken:
-                yield Mistake(path, f"{wrong}: is in [[campaign.{kind}]] {taken[name] + 1} already; expected it once")
+                words = f"{given(name)} is in [[campaign.{kind}]] {taken[name] + 1} already; leave one of them out"
+                yield Mistake(path, f"{key}: {words}")
             taken.setdefault(name, k)
     for k, table in tables(campaign, "vary"):
         yield from _distribution(table, ("campaign", "vary", k))
@@ -67,12 +70,13 @@ def _distribution(table: Data, path: Path) -> Iterator[Mistake]:
     factor = table.get("relative") is True or not isinstance(table.get("relative", False), bool) or set(table) - _KEYS
     for key in needed:
         if key not in table and not (key in CENTRES and factor):
-            wrong = f"distribution = {given(name)} needs {', '.join(needed)}"
-            yield Mistake((*path, key), f'missing key "{key}": {wrong}')
+            words = f'the key "{key}" is missing; distribution = {given(name)} needs {", ".join(needed)}'
+            yield Mistake((*path, key), words)
     for key in (*_NUMBERS, "values", "weights"):
         if key in table and key not in (("values", "weights") if choice else keys):
-            wrong = f"{key} = {given(table[key])}: means nothing for distribution = {given(name)}"
-            yield Mistake((*path, key), f"{wrong}; expected {', '.join((*needed, *(('weights',) if choice else ())))}")
+            words = f"{key} = {given(table[key])} has no effect with distribution = {given(name)}"
+            takes = ", ".join((*needed, *(("weights",) if choice else ())))
+            yield Mistake((*path, key), f"{words}, which takes {takes}")
     if choice:
         yield from _weights(table, path)
         return
@@ -80,28 +84,27 @@ def _distribution(table: Data, path: Path) -> Iterator[Mistake]:
     if "mean" not in n and "mean" in keys:
         n["mean"] = 1.0
     if name == "log-normal" and n.get("deviation", 0.0) > WIDEST:
-        wrong = (
-            f"deviation = {given(table['deviation'])}: one in six is e^{n['deviation']:.6g} times the median or more"
-        )
-        yield Mistake((*path, "deviation"), f"{wrong}; expected at most {WIDEST:g}")
+        words = f"deviation must be at most {WIDEST:g}, got {given(table['deviation'])}"
+        far = f"one number in six would be e^{n['deviation']:.6g} times the median or more"
+        yield Mistake((*path, "deviation"), f"{words}: {far}")
     low, high = n.get("low"), n.get("high")
     if low is None or high is None:
         return
     if not low < high:
         yield Mistake(
             (*path, "high"),
-            f"high = {given(table['high'])}: not above low = {given(table['low'])}; expected a larger number",
+            f"high must be above low = {given(table['low'])}, got {given(table['high'])}",
         )
     elif name == "log-uniform" and low <= 0.0:
-        yield Mistake((*path, "low"), f"low = {given(table['low'])}: has no logarithm; expected a number > 0")
+        yield Mistake((*path, "low"), f"low must be a number > 0, which has a logarithm, got {given(table['low'])}")
     elif name == "triangular" and not low <= n.get("peak", 1.0) <= high:
-        wrong = f"peak = {given(n.get('peak', 1.0))}: not between low and high"
-        yield Mistake((*path, "peak"), f"{wrong}; expected {low:.6g} to {high:.6g}")
+        words = f"peak must be from low, {low:.6g}, to high, {high:.6g}, got {given(n.get('peak', 1.0))}"
+        yield Mistake((*path, "peak"), words)
     elif name == "truncated-normal" and n.get("deviation", 0.0) > 0.0:
         nearest = max(low - n["mean"], n["mean"] - high)
         if nearest > FARTHEST * n["deviation"]:
-            wrong = f"mean = {given(n['mean'])}: lies {nearest / n['deviation']:.4g} deviations outside low and high"
-            yield Mistake((*path, "mean"), f"{wrong}; expected at most {FARTHEST:g}")
+            words = f"mean must be at most {FARTHEST:g} deviations outside low and high, got {given(n['mean'])}"
+            yield Mistake((*path, "mean"), f"{words}, {nearest / n['deviation']:.4g} deviations outside")
 
 
 def _weights(table: Data, path: Path) -> Iterator[Mistake]:
@@ -110,12 +113,12 @@ def _weights(table: Data, path: Path) -> Iterator[Mistake]:
         return
     numbers = [number_of({"weight": weight}, "weight") for weight in weights]
     if len(values) != len(weights):
-        wrong = f"weights = {given(weights)}: has {len(weights)} element{'' if len(weights) == 1 else 's'}"
-        yield Mistake((*path, "weights"), f"{wrong}; expected {len(values)}, as values has")
+        words = f"weights must have as many elements as values, {len(values)}, got {len(weights)}"
+        yield Mistake((*path, "weights"), words)
     elif all(number is not None for number in numbers):
         found = [number for number in numbers if number is not None]
         if min(found, default=0.0) < 0.0 or not any(found):
-            yield Mistake((*path, "weights"), f"weights = {given(weights)}: expected numbers >= 0, not all of them 0")
+            yield Mistake((*path, "weights"), f"weights must be numbers >= 0, not all of them 0, got {given(weights)}")
 
 
 def variation_mistakes(job: Job) -> Iterator[Mistake]:
@@ -155,8 +158,8 @@ def _sets(data: Data) -> Iterator[Mistake]:
         and samples
         and not any(number_of(uncertainty, key) for key in ("inertia", "spin"))
     ):
-        wrong = f"samples = {given(uncertainty['samples'])}: neither inertia nor spin is uncertain"
-        yield Mistake(("uncertainty", "samples"), f"{wrong}; expected inertia or spin > 0 beside it")
+        words = f"samples = {given(uncertainty['samples'])} has no effect without inertia or spin > 0"
+        yield Mistake(("uncertainty", "samples"), words)
     faults = data.get("faults")
     for i, loop in tables(data, "loop"):
         for table in ("limits", "soft"):
@@ -172,13 +175,13 @@ def _limits(limits: Data, path: Path, faults: bool) -> Iterator[Mistake]:
         if key not in known:
             yield unknown_key((*path, key), limits[key], list(known))
         elif known[key][1] == "faults" and not faults:
-            wrong = f"{key}: the job has no plants with faults"
-            yield Mistake((*path, key), f"{wrong}; expected [faults] with slow_rotor or weak_torquer")
+            words = f"{key} needs plants with faults; add [faults] with slow_rotor or weak_torquer"
+            yield Mistake((*path, key), words)
     for metric in METRICS.values():
         edge = metric.frequency_key
         for key, other in ((edge, metric.key), (metric.key, edge if metric.needs_frequency else "")):
             if other and key in limits and other not in limits:
-                yield Mistake((*path, other), f'missing key "{other}": {key} means nothing without it')
+                yield Mistake((*path, other), f'the key "{other}" is missing; {key} has no effect without it')
 
 
 def _sampling(data: Data) -> Iterator[Mistake]:
@@ -190,8 +193,8 @@ def _sampling(data: Data) -> Iterator[Mistake]:
         return
     periods = rate * delay
     if not periods <= LONGEST_DELAY:
-        wrong = f"delay = {given(delay)}: is {periods:.4g} sample periods"
-        yield Mistake(("sampling", "delay"), f"{wrong}; expected at most {LONGEST_DELAY}, or a lower rate_hz")
+        words = f"delay must be at most {LONGEST_DELAY} sample periods, got {given(delay)} s, {periods:.4g} of them"
+        yield Mistake(("sampling", "delay"), f"{words}; try a lower rate_hz")
 
 
 def _designs(data: Data) -> Iterator[Mistake]:
@@ -205,8 +208,8 @@ def _designs(data: Data) -> Iterator[Mistake]:
         use = text_of(loop, "use")
         known = [name for name in names if name is not None]
         if use is not None and known and len(known) == len(names) and use not in known:
-            wrong = f"use = {given(use)}: no design of this loop has that name"
-            yield Mistake((*path, "use"), f"{wrong}; {suggestion(use, known)}")
+            words = f"use must be the name of a design of this loop, got {given(use)}; {suggestion(use, known)}"
+            yield Mistake((*path, "use"), words)
 
 
 def _design(design: Data, path: Path, kind: str | None) -> Iterator[Mistake]:
@@ -221,13 +224,15 @@ def _design(design: Data, path: Path, kind: str | None) -> Iterator[Mistake]:
     for option in sorted(method.options):
         number = number_of(design, option)
         if number is not None and not number > 0:
-            yield Mistake((*path, option), f"{option} = {given(number)}: expected a number > 0")
+            yield Mistake((*path, option), f"{option} must be a number > 0, got {given(number)}")
     if design.get("tune") is True and not method.tunes:
         tuned = ", ".join(given(name) for name in sorted(METHODS) if METHODS[name].tunes)
-        yield Mistake((*path, "tune"), f"tune = true: method {given(key)} has no tuner; expected one of {tuned}")
+        yield Mistake(
+            (*path, "tune"), f"tune must be false: method {given(key)} has no tuner; methods that have one: {tuned}"
+        )
     if kind in ("caging", "stabilisation") and method.kind != kind:
         expected = " or ".join(given(name) for name in METHODS if METHODS[name].kind == kind)
-        yield Mistake((*path, "method"), f"method = {given(key)}: does not make a {kind} loop; expected {expected}")
+        yield Mistake((*path, "method"), f"method must be one for a {kind} loop, {expected}, got {given(key)}")
 
 
 def _loops(data: Data, platform: Platform | None) -> Iterator[Mistake]:
@@ -237,28 +242,33 @@ def _loops(data: Data, platform: Platform | None) -> Iterator[Mistake]:
         path: Path = ("loop", i)
         match text_of(loop, "kind"):
             case "caging" if "gimbals" not in loop or loop["gimbals"] == []:
-                yield Mistake((*path, "gimbals"), "gimbals: expected the names of the gimbals that the loop cages")
+                yield Mistake((*path, "gimbals"), "gimbals must be the names of the gimbals that the loop cages")
             case "caging":
                 if stabilisation is not None:
-                    wrong = f"[[loop]] {stabilisation + 1} stabilises the root with the torques of the caged gyros"
-                    yield Mistake((*path, "kind"), f"kind: {wrong}; expected the caging loops before it")
+                    words = f"a caging loop must be before the stabilisation loop, [[loop]] {stabilisation + 1}"
+                    yield Mistake((*path, "kind"), f"kind: {words}, which uses the torques of the caged gyros")
                 yield from _caged_gimbals(loop["gimbals"], (*path, "gimbals"), i, caged_by, platform)
             case "stabilisation":
                 if "gimbals" in loop:
-                    wrong = f"gimbals = {given(loop['gimbals'])}: a stabilisation loop turns the root"
-                    yield Mistake((*path, "gimbals"), f"{wrong}; leave the key out")
+                    words = (
+                        f"gimbals = {given(loop['gimbals'])} has no effect in a stabilisation loop; leave the key out"
+                    )
+                    yield Mistake((*path, "gimbals"), words)
                 limits = loop.get("limits")
                 known = limit_keys()
                 fitting = ", ".join(sorted(key for key, (metric, _) in known.items() if METRICS[metric].of_root))
                 for key in limits if isinstance(limits, dict) else ():
                     if key in known and not METRICS[known[key][0]].of_root:
-                        wrong = f"{key}: a stabilisation loop is judged in the coupled system"
-                        yield Mistake((*path, "limits", key), f"{wrong}; expected {fitting}, or a limit of [coupled]")
+                        words = f"{key} is no limit of a stabilisation loop, which is judged in the coupled system"
+                        yield Mistake((*path, "limits", key), f"{words}; use {fitting}, or a limit of [coupled]")
                 if "soft" in loop:
-                    wrong = "soft: no method of a stabilisation loop minimises anything"
-                    yield Mistake((*path, "soft"), f"{wrong}; leave the table out")
+                    words = "soft has no effect in a stabilisation loop: nothing is minimised; leave the table out"
+                    yield Mistake((*path, "soft"), words)
                 if stabilisation is not None:
-                    yield Mistake((*path, "kind"), f"kind: [[loop]] {stabilisation + 1} stabilises the root already")
+                    yield Mistake(
+                        (*path, "kind"),
+                        f"kind: [[loop]] {stabilisation + 1} stabilises the root already; leave one of them out",
+                    )
                 else:
                     stabilisation = i
                     yield from _root_torquers((*path, "kind"), platform)
@@ -270,9 +280,11 @@ def _caged_gimbals(
     if not isinstance(gimbals, list) or not all(isinstance(name, str) for name in gimbals):
         return
     for name in gimbals:
-        wrong = f"gimbals = {given(gimbals)}: {given(name)}"
+        wrong = f"gimbals: {given(name)}"
         if name in caged_by:
-            yield Mistake(path, f"{wrong} is caged by [[loop]] {caged_by[name] + 1} already; expected it once")
+            yield Mistake(
+                path, f"{wrong} is caged by [[loop]] {caged_by[name] + 1} already; leave it out of one of them"
+            )
         caged_by.setdefault(name, loop)
         if platform is None:
             continue
@@ -285,7 +297,7 @@ def _caged_gimbals(
         }
         for part, there in have.items():
             if not there:
-                yield Mistake(path, f"{wrong} has no {part} in the plant; expected one on every caged gimbal")
+                yield Mistake(path, f"{wrong} has no {part} in the plant; every caged gimbal needs one")
 
 
 def _root_torquers(path: Path, platform: Platform | None) -> Iterator[Mistake]:
@@ -294,5 +306,5 @@ def _root_torquers(path: Path, platform: Platform | None) -> Iterator[Mistake]:
     there = {torquer.root_axis for torquer in platform.torquers}
     lacking = [name for axis, name in enumerate(ROOT_TORQUE_NAMES, 1) if axis not in there]
     if lacking:
-        wrong = f'kind = "stabilisation": the plant has no root torquer {", ".join(lacking)}'
-        yield Mistake(path, f"{wrong}; expected [[torquer]] with root_axis 1, 2 and 3")
+        words = f'kind = "stabilisation" needs root torquers; the plant has no {", ".join(lacking)}'
+        yield Mistake(path, f"{words}; add [[torquer]] with root_axis 1, 2 and 3")

@@ -75,9 +75,7 @@ class Fault:
         """Check the times, and the numbers of its kind."""
         one_of("Fault: kind", self.kind, tuple(FAULT_KINDS))
         if not self.until > self.at:
-            raise ArgumentError(
-                f"fault {self.name!r}: until is {self.until!r}; expected a time after at = {self.at:.6g} s"
-            )
+            raise ArgumentError(f"fault {self.name!r}: until must be after at = {self.at:.6g} s, got {self.until!r}")
         for key in ("at", *FAULT_KINDS[self.kind].keys):
             if key != "until":
                 _check_number(f"fault {self.name!r}: {key}", getattr(self, key), FAULT_NUMBERS[key])

@@ -44,9 +44,9 @@ def misfits(
         elif path in place:
             yield k, "parameter", f'parameter = "{path}": is varied already, in [[campaign.vary]] {place[path] + 1}'
         elif lacking := [key for key in vary.needed if key not in vary.numbers]:
-            yield k, lacking[0], f'distribution = "{vary.distribution}": has no number "{lacking[0]}"; expected one'
+            yield k, lacking[0], f'distribution = "{vary.distribution}" needs the number "{lacking[0]}"'
         elif vary.distribution == "choice" and not vary.values:
-            yield k, "values", 'distribution = "choice": has no values; expected at least one'
+            yield k, "values", 'distribution = "choice" needs at least one value'
         else:
             place[path] = k
             line = _misfit(vary, known[path], scenarios, faults, drawn)
@@ -67,19 +67,19 @@ def _misfit(
     low, high = vary.support
     if parameter.factor:
         if not vary.relative and parameter.key == "inertia":
-            return f'relative = false: "{vary.parameter}" is a matrix that is scaled as a whole; expected true'
+            return f'relative must be true: "{vary.parameter}" is a matrix that is scaled as a whole'
     elif vary.relative:
         present = [x for one in scenarios if (x := nominal(parameter, one, faults)) is not None]
         if not any(present):
             having = "is 0 as it stands" if present else "has no value as it stands"
-            return f'relative = true: "{vary.parameter}" {having}; expected false, and the number itself'
+            return f'relative must be false, with the number itself: "{vary.parameter}" {having}'
         ends = [x * end for x in present if x for end in (low, high)]
         low, high = min(ends), max(ends)
     drawn[vary.parameter] = (low, high)
     if parameter.allowed.holds(low, high, vary.distribution != "choice"):
         return None
     bounded = " or ".join(f'"{name}"' for name in ("truncated-normal", "log-normal") if low == -math.inf)
-    cure = f"; expected {bounded}" if bounded else ""
+    cure = f"; use {bounded}" if bounded else ""
     return (
         f'distribution = "{vary.distribution}": "{vary.parameter}" would be drawn between {low:.6g} and {high:.6g}; '
         f"allowed is {parameter.allowed.words}{cure}"
@@ -110,7 +110,11 @@ def _misfit_pairs(
                 line = f"would be drawn down to {least[0]:.6g} beside an axial inertia up to {highest[1]:.6g}"
                 yield transverse, axial, f'"{transverse}" {line}; allowed is at least half of it'
         if f"{of}.spin" in drawn and f"{of}.angular_momentum" in drawn:
-            yield f"{of}.angular_momentum", "", f'"{of}.angular_momentum": "{of}.spin" is varied already; expected one'
+            yield (
+                f"{of}.angular_momentum",
+                "",
+                f'"{of}.angular_momentum": "{of}.spin" is varied already; leave one of them out',
+            )
     for friction in scenario.platform.frictions:
         dry, breakaway = (f"friction.{friction.gimbal}.{key}" for key in ("coulomb", "breakaway"))
         if breakaway in known and (dry in drawn or breakaway in drawn):
@@ -123,11 +127,11 @@ def _misfit_pairs(
                 )
             if any(low < high for low, high in zip(least_breakaway, highest_dry, strict=True)):
                 line = f"would be drawn up to {max(highest_dry):.6g} N m, above a breakaway torque"
-                yield dry, breakaway, f'"{dry}" {line} of {min(least_breakaway):.6g} N m; expected it below'
+                yield dry, breakaway, f'"{dry}" {line} of {min(least_breakaway):.6g} N m; keep it below'
     for fault in faults:
         begin, end = f"fault.{fault.name}.at", f"fault.{fault.name}.until"
         if begin in drawn or end in drawn:
             latest, earliest = reach(begin), reach(end)
             if latest and earliest and latest[1] >= earliest[0]:
                 line = f"would be drawn up to {latest[1]:.6g} s, and it ends from {earliest[0]:.6g} s on"
-                yield begin, end, f'"{begin}" {line}; expected that it begins before it ends'
+                yield begin, end, f'"{begin}" {line}; let it begin before it ends'

@@ -188,7 +188,7 @@ class LoopRequirement(Requirement):
         K = plants.joined(controller)
         if self.metric.of != "controller" and not plants.of(self.over).any():
             raise ArgumentError(
-                f"{self.name}: asked over {', '.join(self.over)}; expected a set with such plants, here "
+                f"{self.name} is about {', '.join(self.over)}; the set of plants must have such ones, here "
                 f"{', '.join(dict.fromkeys(plants.groups))}"
             )
         values = measured(LoopSet(plants, K), self, exact=True) / self.metric.scale
@@ -311,7 +311,7 @@ def requirement(
     for group in over or ("none",):
         one_of("requirement: over", group, get_args(Group))
     if metric.needs_frequency and frequency is None:
-        raise ArgumentError(f"requirement: {kind} without frequency; expected {metric.band} which frequency in rad/s")
+        raise ArgumentError(f"requirement: {kind} needs a frequency: {metric.band} which one, rad/s")
     if frequency is not None:
         one_of("requirement: kind with a frequency", kind, [key for key, one in METRICS.items() if one.band])
         frequency = positive("requirement: frequency", frequency)

@@ -49,20 +49,22 @@ def _motion(table: Data, path: Path, mode: str) -> Iterator[Mistake]:
     if any(key in table for key in keys):
         for key in (*keys, "axis"):
             if key not in table:
-                yield Mistake((*path, key), f'missing key "{key}": {needed}')
+                yield Mistake((*path, key), f'the key "{key}" is missing; {needed}')
     elif not any(table.get(key) for key in (instead, *EVENTS)):
-        yield Mistake((*path, keys[0]), f'missing key "{keys[0]}": {needed}')
+        yield Mistake((*path, keys[0]), f'the key "{keys[0]}" is missing; {needed}')
     for other in MOTION:
         for key in (*MOTION[other], MOTION_TABLE[other]):
             if other != mode and key in table:
-                wrong = f"{key} = {given(table[key])}: belongs to a {other} manoeuvre"
-                yield Mistake((*path, key), f"{wrong}; leave it out where mode = {given(mode)}")
+                words = (
+                    f"{key} = {given(table[key])} is for a {other} manoeuvre; leave it out with mode = {given(mode)}"
+                )
+                yield Mistake((*path, key), words)
     duration, rise, hold = (number_of(table, key) for key in ("duration", "rise", "hold"))
     if mode == "caged" and duration is not None and rise is not None and hold is not None:
         least = 2 * rise + hold
         if rise > 0 and hold >= 0 and 0 < duration < least * (1 - ROUNDING):
-            wrong = f"duration = {given(duration)}: shorter than 2 rise + hold"
-            yield Mistake((*path, "duration"), f"{wrong}; expected at least {least:.6g} s")
+            words = f"duration must be at least 2 rise + hold, {least:.6g} s, got {given(duration)}"
+            yield Mistake((*path, "duration"), words)
 
 
 def _length(table: Data, path: Path, data: Data) -> Iterator[Mistake]:
@@ -72,14 +74,14 @@ def _length(table: Data, path: Path, data: Data) -> Iterator[Mistake]:
     rate = number_of(sampling, "rate_hz") if isinstance(sampling, dict) else None
     step = number_of(campaign, "step") if isinstance(campaign, dict) and "step" in campaign else LONGEST_STEP
     if rate is not None and rate > 0.0 and duration * rate > MOST_SAMPLES:
-        wrong = f"duration = {given(duration)}: is {duration * rate:.4g} sample periods"
-        yield Mistake((*path, "duration"), f"{wrong}; expected at most {MOST_SAMPLES:.0e}, or a lower rate_hz")
+        words = f"duration must be at most {MOST_SAMPLES:.0e} sample periods, got {given(duration)} s"
+        yield Mistake((*path, "duration"), f"{words}, {duration * rate:.4g} of them; try a lower rate_hz")
     elif duration / LONGEST_STEP > MOST_STEPS:
-        wrong = f"duration = {given(duration)}: is {duration / LONGEST_STEP:.4g} integration steps"
-        yield Mistake((*path, "duration"), f"{wrong}; expected at most {MOST_STEPS:.0e}")
+        words = f"duration must be at most {MOST_STEPS:.0e} integration steps, got {given(duration)} s"
+        yield Mistake((*path, "duration"), f"{words}, {duration / LONGEST_STEP:.4g} of them")
     elif step is not None and step > 0.0 and duration / step > MOST_STEPS:
-        wrong = f"step = {given(step)}: is {duration / step:.4g} steps of [[manoeuvre]] {int(path[1]) + 1}"
-        yield Mistake(("campaign", "step"), f"{wrong}; expected at most {MOST_STEPS:.0e}")
+        words = f"step must leave [[manoeuvre]] {int(path[1]) + 1} at most {MOST_STEPS:.0e} steps, got {given(step)} s"
+        yield Mistake(("campaign", "step"), f"{words}, {duration / step:.4g} steps")
 
 
 def _tables(table: Data, path: Path) -> Iterator[Mistake]:
@@ -89,8 +91,8 @@ def _tables(table: Data, path: Path) -> Iterator[Mistake]:
             continue
         if not any(column in over_time for column in columns):
             first, second, third = columns
-            wrong = f'missing key "{first}": the table says nothing beside the times'
-            yield Mistake((*path, key, first), f"{wrong}; expected {first}, {second} or {third}")
+            words = f'the key "{first}" is missing; the table needs {first}, {second} or {third} beside the times'
+            yield Mistake((*path, key, first), words)
         for column in columns:
             yield from _of_length(over_time, column, "t", (*path, key))
 
@@ -98,16 +100,18 @@ def _tables(table: Data, path: Path) -> Iterator[Mistake]:
 def _of_length(table: Data, key: str, beside: str, path: Path) -> Iterator[Mistake]:
     one, other = table.get(key), table.get(beside)
     if isinstance(one, list) and isinstance(other, list) and len(one) != len(other):
-        wrong = f"{key} = {given(one)}: has {len(one)} element{'' if len(one) == 1 else 's'}"
-        yield Mistake((*path, key), f"{wrong}; expected {len(other)}, as {beside} has")
+        words = f"{key} must have as many elements as {beside}, {len(other)}, got {len(one)}"
+        yield Mistake((*path, key), words)
 
 
 def _vibrations(table: Data, path: Path, mode: str | None) -> Iterator[Mistake]:
     for k, vibration in tables(table, "vibration"):
         own: Path = (*path, "vibration", k)
         if vibration.get("kind") == "rate" and mode == "stabilised":
-            wrong = 'kind = "rate": the rate of a stabilised platform is not prescribed'
-            yield Mistake((*own, "kind"), f'{wrong}; expected "force", or mode = "caged"')
+            words = (
+                'kind must be "force" with mode = "stabilised", got "rate": only a caged platform has a prescribed rate'
+            )
+            yield Mistake((*own, "kind"), words)
         yield from _of_length(vibration, "densities", "frequencies_hz", own)
 
 
@@ -119,11 +123,11 @@ def _names_of_faults(table: Data, path: Path, known: Collection[str]) -> Iterato
     for name in taken:
         if name in known and taken[name] == 1:
             continue
-        wrong = f"faults = {given(names)}: {given(name)}"
+        wrong = f"faults: {given(name)}"
         if name not in known:
             yield Mistake((*path, "faults"), f"{wrong} is no [[fault]] of the job; {suggestion(name, known)}")
         else:
-            yield Mistake((*path, "faults"), f"{wrong} is listed twice; expected it once")
+            yield Mistake((*path, "faults"), f"{wrong} is listed twice; leave one of them out")
         return
 
 
@@ -136,19 +140,19 @@ def _initial(table: Data, path: Path, mode: str, platform: Platform | None) -> I
     for key in initial:
         number, own = number_of(initial, key), (*path, "initial", key)
         if key not in known and key in OMEGA_NAMES:
-            wrong = f"{key} = {given(initial[key])}: the rate of a caged platform is prescribed"
-            yield Mistake(own, f'{wrong}; expected Omega_table, or mode = "stabilised"')
+            words = f"{key} = {given(initial[key])} has no effect: the rate of a caged platform is prescribed"
+            yield Mistake(own, f'{words}; use Omega_table, or mode = "stabilised"')
         elif key not in known:
             yield Mistake(own, f"unknown key {given(key)}; {suggestion(key, known)}")
         elif (bounds := stops.get(key)) is not None and number is not None and not bounds[0] <= number <= bounds[1]:
-            wrong = f"{key} = {given(number)}: lies beyond a stop of the gimbal"
-            yield Mistake(own, f"{wrong}; expected {bounds[0]:.6g} to {bounds[1]:.6g} rad")
+            words = f"{key} must be between the stops of the gimbal, {bounds[0]:.6g} to {bounds[1]:.6g} rad"
+            yield Mistake(own, f"{words}, got {given(number)}")
 
 
 def _fault(table: Data, path: Path, platform: Platform | None) -> Iterator[Mistake]:
     at, until = number_of(table, "at"), number_of(table, "until")
     if at is not None and until is not None and at >= until > 0:
-        yield Mistake((*path, "until"), f"until = {given(until)}: not after at = {given(at)}; expected a later time")
+        yield Mistake((*path, "until"), f"until must be after at = {given(at)}, got {given(until)}")
     kind = text_of(table, "kind")
     if kind not in FAULT_KINDS:
         return
@@ -156,20 +160,20 @@ def _fault(table: Data, path: Path, platform: Platform | None) -> Iterator[Mista
     for key in keys.needed:
         if key not in table:
             needed = ", ".join(keys.needed)
-            yield Mistake((*path, key), f'missing key "{key}": kind = {given(kind)} needs {needed}')
+            yield Mistake((*path, key), f'the key "{key}" is missing; kind = {given(kind)} needs {needed}')
     for key in sorted(FAULT_NUMBERS.keys() - {"at", *keys.keys}):
         if key in table:
             allowed = ", ".join(keys.keys) or "at alone"
-            wrong = f"{key} = {given(table[key])}: means nothing for kind = {given(kind)}"
-            yield Mistake((*path, key), f"{wrong}; expected {allowed}")
+            words = f"{key} = {given(table[key])} has no effect with kind = {given(kind)}, which takes {allowed}"
+            yield Mistake((*path, key), words)
     part = text_of(table, "part")
     if keys.part is None:
         if "part" in table:
-            wrong = f"part = {given(table['part'])}: kind = {given(kind)} is of all controllers"
-            yield Mistake((*path, "part"), f"{wrong}; leave the key out")
+            words = f"part = {given(table['part'])} has no effect: kind = {given(kind)} is of all controllers"
+            yield Mistake((*path, "part"), f"{words}; leave the key out")
     elif "part" not in table:
-        wrong = f'missing key "part": kind = {given(kind)} needs the name of {PART_WORDS[keys.part]}'
-        yield Mistake((*path, "part"), wrong)
+        words = f'the key "part" is missing; kind = {given(kind)} needs the name of {PART_WORDS[keys.part]}'
+        yield Mistake((*path, "part"), words)
     elif part is not None and platform is not None:
         yield from _part(part, keys.part, path, platform)
 
@@ -177,9 +181,9 @@ def _fault(table: Data, path: Path, platform: Platform | None) -> Iterator[Mista
 def _part(part: str, kind: PartKind, path: Path, platform: Platform) -> Iterator[Mistake]:
     known = part_names(platform, kind)
     if part not in known:
-        wrong = f"part = {given(part)}: does not exist; expected the name of {PART_WORDS[kind]}"
-        yield Mistake((*path, "part"), f"{wrong}, {suggestion(part, known)}")
+        words = f"part must be the name of {PART_WORDS[kind]}, got {given(part)}; {suggestion(part, known)}"
+        yield Mistake((*path, "part"), words)
     elif kind == "gimbal" and platform.gimbals[platform.gimbal(part)].stops is None:
         having = [gimbal.name for gimbal in platform.gimbals if gimbal.stops is not None]
-        wrong = f"part = {given(part)}: has no stops to come up against"
-        yield Mistake((*path, "part"), f"{wrong}; expected a gimbal with stops, {suggestion(part, having)}")
+        words = f"part must be a gimbal with stops, got {given(part)}; {suggestion(part, having)}"
+        yield Mistake((*path, "part"), words)

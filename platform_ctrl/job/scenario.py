@@ -79,7 +79,7 @@ class TimeTable:
             object.__setattr__(self, name, read_only(given))
         if points < (2 if self.smooth else 1) or np.any(np.diff(self.t) <= 0.0):
             least = "two times or more" if self.smooth else "times"
-            raise ArgumentError(f"TimeTable: t is {short(self.t.tolist())}; expected {least} that increase, s")
+            raise ArgumentError(f"TimeTable: t must be {least} that increase, s, got {short(self.t.tolist())}")
         number("TimeTable: scale", self.scale)
 
     @property
@@ -168,11 +168,11 @@ class Vibration:
         f, densities = self.frequencies_hz, self.densities
         if points < 2 or f[0] <= 0.0 or np.any(np.diff(f) <= 0.0):
             raise ArgumentError(
-                f"Vibration: frequencies_hz is {short(f.tolist())}; expected two or more that increase, > 0"
+                f"Vibration: frequencies_hz must be two or more that increase, > 0, got {short(f.tolist())}"
             )
         if densities.any() and densities.min() <= 0.0:
             raise ArgumentError(
-                f"Vibration: densities is {short(densities.tolist())}; expected numbers > 0, or all of them 0"
+                f"Vibration: densities must be numbers > 0, or all of them 0, got {short(densities.tolist())}"
             )
 
     @property

@@ -17,7 +17,7 @@ from platform_ctrl.plant.platform import (
     Platform,
     gimbal_rate,
 )
-from platform_ctrl.plant.tables import Shape, references, shape
+from platform_ctrl.plant.tables import Shape, either, references, shape
 
 Data = dict[str, Any]
 
@@ -28,26 +28,27 @@ def _friction(data: Data) -> Iterator[Mistake]:
     for k, table in tables(data, "friction"):
         for key, other in (("breakaway", "stribeck_rate"), ("stribeck_rate", "breakaway")):
             if key in table and other not in table:
-                wrong = f"{key} = {given(table[key])}: means nothing alone"
-                yield Mistake(("friction", k, key), f'{wrong}; expected "{other}" with it, or none')
+                yield Mistake(
+                    ("friction", k, key), f'{key} = {given(table[key])} has no effect without "{other}"; give both'
+                )
         try:
             breakaway, dry = coulomb(table["breakaway"]), coulomb(table.get("coulomb", 0.0))
         except (KeyError, Unfit):
             continue
         if breakaway[0] < dry[0] or breakaway[1] < dry[1]:
-            wrong = f"breakaway = {given(table['breakaway'])}: is less than coulomb, {given(table.get('coulomb', 0.0))}"
-            yield Mistake(("friction", k, "breakaway"), f"{wrong}; expected at least that, on either side")
+            least = given(table.get("coulomb", 0.0))
+            words = f"breakaway must be at least coulomb, {least}, to either side, got {given(table['breakaway'])}"
+            yield Mistake(("friction", k, "breakaway"), words)
 
 
 def _servo(data: Data) -> Iterator[Mistake]:
     for k, table in tables(data, "rotor"):
         servo = table.get("control") == "servo"
         if servo and "speed_gain" not in table:
-            yield Mistake(("rotor", k, "control"), 'control = "servo": has no speed loop; expected "speed_gain", N m s')
+            yield Mistake(("rotor", k, "control"), 'control = "servo" needs "speed_gain", N m s')
         for key in _SERVO_KEYS:
             if key in table and not servo:
-                wrong = f"{key} = {given(table[key])}: belongs to a speed loop"
-                yield Mistake(("rotor", k, key), f'{wrong}; expected control = "servo" with it, or none')
+                yield Mistake(("rotor", k, key), f'{key} = {given(table[key])} has no effect without control = "servo"')
 
 
 # Which signal of its own each table names.
@@ -95,7 +96,7 @@ def _names(data: Data) -> Iterator[Mistake]:
                 continue
             if name in taken:
                 yield Mistake(
-                    (kind, k, "name"), f"name = {given(name)}: is the name of {taken[name]} already; expected another"
+                    (kind, k, "name"), f"name = {given(name)} is the name of {taken[name]} already; choose another"
                 )
             else:
                 taken[name] = f"[[{kind}]] {k + 1}"
@@ -117,14 +118,13 @@ def _references(data: Data) -> Iterator[Mistake]:
                 name = text_of(table, key)
                 if name is None:
                     continue
-                wrong = f"{key} = {given(name)}:"
                 if name not in known:
                     hint = f" ({refers.hint})" if refers.hint and name == root else ""
-                    expected = f"the name of {what}{hint}, {suggestion(name, known)}"
-                    yield Mistake((kind, k, key), f"{wrong} does not exist; expected {expected}")
+                    words = f"{key} must be the name of {what}{hint}, got {given(name)}; {suggestion(name, known)}"
+                    yield Mistake((kind, k, key), words)
                 elif refers.once and name in seen:
-                    wrong += f" has a {refers.once} already, [[{kind}]] {seen[name] + 1}"
-                    yield Mistake((kind, k, key), f"{wrong}; expected one on a gimbal")
+                    words = f"{given(name)} has a {refers.once} already, [[{kind}]] {seen[name] + 1}"
+                    yield Mistake((kind, k, key), f"{key}: {words}; leave one of them out")
                 seen.setdefault(name, k)
 
 
@@ -143,8 +143,10 @@ def _circles(data: Data) -> Iterator[Mistake]:
         if above is not None and above == chain[0] and above not in reported:
             reported.update(chain)
             cycle = " -> ".join(given(name) for name in [*chain, above])
-            wrong = f"parent = {given(table['parent'])}: the parents run in a circle, {cycle}"
-            yield Mistake(("gimbal", k, "parent"), f"{wrong}; expected a chain that ends at the root")
+            words = (
+                f"parent = {given(table['parent'])} closes a ring of parents, {cycle}; let the chain end at the root"
+            )
+            yield Mistake(("gimbal", k, "parent"), words)
 
 
 def _alternatives(data: Data) -> Iterator[Mistake]:
@@ -152,12 +154,11 @@ def _alternatives(data: Data) -> Iterator[Mistake]:
     for kind in ("torquer", "rate_sensor"):
         for k, table in tables(data, kind):
             if ("gimbal" in table) == ("root_axis" in table):
-                have = "both are given" if "gimbal" in table else "neither is given"
-                yield Mistake((kind, k), f'{have}; expected either "gimbal" or "root_axis"')
+                yield Mistake((kind, k), either("gimbal", "root_axis", "gimbal" in table))
     for k, table in tables(data, "gimbal"):
         if "restitution" in table and "stops" not in table and "stops_deg" not in table:
-            wrong = f"restitution = {given(table['restitution'])}: the gimbal has no stops to bounce off"
-            yield Mistake(("gimbal", k, "restitution"), f'{wrong}; expected "stops" or "stops_deg" with it, or none')
+            words = f'restitution = {given(table["restitution"])} has no effect without "stops" or "stops_deg"'
+            yield Mistake(("gimbal", k, "restitution"), words)
 
 
 def number_of(table: Data, key: str) -> float | None:
@@ -182,8 +183,7 @@ def _rotor_inertias(data: Data) -> Iterator[Mistake]:
         if transverse is not None and 0 < transverse < axial / 2 * (1 - ROUNDING):
             yield Mistake(
                 ("rotor", k, "transverse_inertia"),
-                f"transverse_inertia = {given(transverse)}: no body has it with axial_inertia = {given(axial)}; "
-                f"expected at least half the axial inertia",
+                f"transverse_inertia must be at least half of axial_inertia = {given(axial)}, got {given(transverse)}",
             )
 
 
@@ -192,8 +192,8 @@ def _one_sensor_about_an_axis(data: Data) -> Iterator[Mistake]:
     for k, table in tables(data, "rate_sensor"):
         axis = root_axis_of(table)
         if axis in axes:
-            wrong = f"root_axis = {axis}: has a rate sensor already, [[rate_sensor]] {axes[axis] + 1}"
-            yield Mistake(("rate_sensor", k, "root_axis"), f"{wrong}; expected one about an axis")
+            words = f"root_axis: axis {axis} has a rate sensor already, [[rate_sensor]] {axes[axis] + 1}"
+            yield Mistake(("rate_sensor", k, "root_axis"), f"{words}; leave one of them out")
         elif axis is not None:
             axes[axis] = k
 
@@ -204,12 +204,11 @@ def _signals(data: Data) -> Iterator[Mistake]:
     taken = dict.fromkeys(OMEGA_NAMES, "a platform rate") | dict.fromkeys(ROOT_TORQUE_NAMES, of_root)
     for path, name, own in _signal_names(data):
         if "." in name:
-            what = f"{path[2]} = {given(name)}:" if len(path) > 2 else f"the default name {given(name)}"
-            yield Mistake(path, f"{what} has a full stop, which no signal may have; expected a signal name without one")
+            what = f"{path[2]} = {given(name)}" if len(path) > 2 else f"the default name {given(name)}"
+            yield Mistake(path, f"{what} has a full stop, which no signal may have; choose a name without one")
         elif name in taken and not (name == own and taken[name] == of_root):
-            what = f"{path[2]} = {given(name)}:" if len(path) > 2 else f"the default name {given(name)}"
-            wrong = f"{what} names {taken[name]} already"
-            yield Mistake(path, f"{wrong}; expected a signal name of its own")
+            what = f"{path[2]} = {given(name)}" if len(path) > 2 else f"the default name {given(name)}"
+            yield Mistake(path, f"{what} is the name of {taken[name]} already; choose another")
         else:
             taken[name] = f"the {_SIGNALS[str(path[0])]} of [[{path[0]}]] {int(path[1]) + 1}"
 

@@ -102,8 +102,8 @@ def unique_names(data: dict[str, Any], path: Path, key: str) -> Iterator[Mistake
             continue
         if name in taken:
             header = ".".join([*(step for step in path if isinstance(step, str)), key])
-            wrong = f"name = {given(name)}: is the name of [[{header}]] {taken[name] + 1} already"
-            yield Mistake((*path, key, k, "name"), f"{wrong}; expected another")
+            words = f"name = {given(name)} is the name of [[{header}]] {taken[name] + 1} already; choose another"
+            yield Mistake((*path, key, k, "name"), words)
         taken.setdefault(name, k)
 
 
@@ -196,7 +196,7 @@ def _table(source: Mapping[Any, Any], path: Path, inside: tuple[int, ...], mista
         if not isinstance(key, str) or not key.isprintable():
             mistakes.append(Mistake((*path, ""), f"the key {given(key)} is not a line of printable text"))
         elif item is None:
-            mistakes.append(Mistake((*path, key), f"{key} = None: leave the key out where nothing is meant"))
+            mistakes.append(Mistake((*path, key), f"{key} must not be None; leave the key out instead"))
             table[str(key)] = None
         else:
             table[str(key)] = _plain(item, (*path, str(key)), inside, mistakes)
@@ -207,7 +207,7 @@ def _plain(item: object, path: Path, inside: tuple[int, ...], mistakes: list[Mis
     if id(item) in inside or len(inside) > DEEPEST:
         while isinstance(path[-1], int):
             path = path[:-1]
-        mistakes.append(Mistake(path, f"{path[-1]}: nested deeper than {DEEPEST} levels"))
+        mistakes.append(Mistake(path, f"{path[-1]} is nested deeper than {DEEPEST} levels"))
         return None
     inside = (*inside, id(item))
     if isinstance(item, Mapping):

@@ -485,4 +485,4 @@ def _on(gimbal: str, parts: tuple[Part, ...], kind: str) -> Part:
     for part in parts:
         if part.gimbal == gimbal:
             return part
-    raise ArgumentError(f"gimbal {gimbal!r} has no {kind}; expected one in the plant")
+    raise ArgumentError(f"gimbal {gimbal!r} has no {kind}; add one to the plant")

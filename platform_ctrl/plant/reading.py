@@ -68,7 +68,7 @@ def judge_plant(document: Document) -> tuple[Platform | None, list[Mistake]]:
     """Return the platform that a document describes, or None and its mistakes."""
     if "root" not in document.data and {"plant", "loop"} <= set(document.data):
         its_plant = given(document.data["plant"])
-        return None, [Mistake(("plant",), f"is a job file; expected a plant: its own is {its_plant}")]
+        return None, [Mistake(("plant",), f"this is a job file; give its plant instead, {its_plant}")]
     if crowd := list(overfull(PLANT_FILE, document.data)):
         return None, crowd
     read, wrong = read_table(PLANT_FILE, document.data)

@@ -68,7 +68,7 @@ def platform_source(name: str) -> str:
         There is no shipped model of that name.
     """
     if not isinstance(name, str):
-        raise InputError(f"given {given(name)}; expected the name of a shipped model")
+        raise InputError(f"the name of a shipped model must be a string, got {given(name)}")
     files = _shipped_files()
     if name not in files:
         hint = f'; a file of that name is read as "./{name}"' if os.path.isfile(name) else ""
@@ -98,15 +98,15 @@ def read_text(path: Path, expected: str, most: int = MOST_OF_ANY) -> str:
     try:
         data = _bytes(path, most + 1)
         if len(data) > most:
-            raise InputError(f"{label}: is larger than {most // 2**20} MiB; expected {expected} of at most that")
+            raise InputError(f"{label}: is larger than {most // 2**20} MiB; give {expected} of at most that")
         # utf-8-sig: some editors put a byte order mark at the head, which neither TOML nor JSON knows.
         return data.decode("utf-8-sig")
     except FileNotFoundError:
         raise InputError(f"{label}: there is no such file") from None
     except IsADirectoryError:
-        raise InputError(f"{label}: is a directory; expected {expected}") from None
+        raise InputError(f"{label}: is a directory; give {expected}") from None
     except UnicodeDecodeError as error:
-        raise InputError(f"{label}: is not UTF-8 text (byte {error.start}); expected {expected}") from None
+        raise InputError(f"{label}: is not UTF-8 text (byte {error.start}); give {expected}") from None
     except OSError as error:
         raise InputError(f"{label}: cannot be read: {one_line(error.strerror or str(error))}") from None
     except InputError:
@@ -131,7 +131,7 @@ def read_json(path: str | os.PathLike[str], expected: str) -> tuple[str, object]
         return label, json.loads(text)
     except json.JSONDecodeError as error:
         where = f"(line {error.lineno}, column {error.colno})"
-        raise InputError(f"{label}: is not JSON: {error.msg} {where}; expected {expected}") from None
+        raise InputError(f"{label}: is not JSON: {error.msg} {where}; give {expected}") from None
     except RecursionError:
         raise InputError(f"{label}: is not JSON that can be read: nested too deeply") from None
     except ValueError as error:  # more digits than Python reads
@@ -167,7 +167,7 @@ def open_mapping(source: Mapping[str, Any], label: str, folder: Path) -> Documen
 def path_of(source: object, expected: str) -> Path:
     """Return the path that a caller gave."""
     if not isinstance(source, str | os.PathLike) or not os.fspath(source):
-        raise InputError(f"given {given(source)}; expected {expected}")
+        raise InputError(f"the argument must be {expected}, got {given(source)}")
     return Path(os.fsdecode(source))
 
 

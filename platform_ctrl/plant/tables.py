@@ -190,8 +190,7 @@ def _read(table: Shape, data: dict[str, Any], path: Path, mistakes: list[Mistake
     mistakes += [Mistake((*path, name), _missing((*path, name), table.keys[name])) for name in known if name in missing]
     for one, other, needed in table.alternatives:
         if (one in data) == (other in data) and (needed or one in data):
-            have = "both are given" if one in data else "neither is given"
-            mistakes.append(Mistake(path, f'{have}; expected either "{one}" or "{other}"'))
+            mistakes.append(Mistake(path, either(one, other, one in data)))
     others = [name for name in data if name not in table.keys] if table.others else []
     for name in [*(name for name in known if name in data), *others]:
         key = table.keys.get(name) or _other(table.others, name)
@@ -214,10 +213,10 @@ def _item(key: Key, item: Any, path: Path, mistakes: list[Mistake]) -> Any:
     if key.array is None:
         return _value(key.holds, item, path, mistakes)
     if not isinstance(item, list):
-        mistakes.append(_wrong(path, item, f"expected an array of tables, each headed [[{_header(path)}]]"))
+        mistakes.append(_wrong(path, item, f"must be an array of tables, each headed [[{_header(path)}]]"))
         return ()
     if len(item) < key.array.least:
-        mistakes.append(_wrong(path, item, f"expected at least one [[{_header(path)}]]"))
+        mistakes.append(_wrong(path, item, f"must have at least one [[{_header(path)}]]"))
     return tuple([_value(key.holds, entry, (*path, k), mistakes) for k, entry in enumerate(item)])
 
 
@@ -226,28 +225,33 @@ def _value(holds: Expected | Shape, item: Any, path: Path, mistakes: list[Mistak
         try:
             return holds.judge(item)
         except Unfit as error:
-            mistakes.append(_wrong(path, item, f"{error}; " if str(error) else "", f"expected {holds.words}"))
+            mistakes.append(_wrong(path, item, f"must be {holds.words}", str(error)))
             return None
     if not isinstance(item, dict):
-        mistakes.append(_wrong(path, item, "expected a table"))
+        mistakes.append(_wrong(path, item, "must be a table"))
         return {}
     arguments = _read(holds, item, path, mistakes)
     return arguments if holds.make is None else _Table(holds.make, arguments)
 
 
-def _wrong(path: Path, item: object, *words: str) -> Mistake:
+def _wrong(path: Path, item: object, words: str, reason: str = "") -> Mistake:
     key = next(step for step in reversed(path) if isinstance(step, str))
-    return Mistake(path, lambda: f"{key} = {given(item)}: {''.join(words)}")
+    return Mistake(path, lambda: f"{key} {words}, got {given(item)}{f' ({reason})' if reason else ''}")
 
 
 def _missing(path: Path, key: Key) -> str:
     if isinstance(key.holds, Expected):
-        return f'missing key "{path[-1]}": expected {key.holds.words}'
-    return f"missing table {f'[{_header(path)}]' if key.array is None else f'[[{_header(path)}]]'}"
+        return f'the key "{path[-1]}" is missing; it must be {key.holds.words}'
+    return f"the table {f'[{_header(path)}]' if key.array is None else f'[[{_header(path)}]]'} is missing"
 
 
 def _header(path: Path) -> str:
     return ".".join(step for step in path if isinstance(step, str))
+
+
+def either(one: str, other: str, both: bool) -> str:
+    """Return the mistake of giving both of two keys, or neither."""
+    return f'give either "{one}" or "{other}", {"not both" if both else "one of them is needed"}'
 
 
 def unknown_key(path: Path, item: object, known: list[str]) -> Mistake:
@@ -266,7 +270,7 @@ def overfull(table: Shape, data: object, path: Path = ()) -> Iterator[Mistake]:
     if not isinstance(data, dict):
         return
     if len(data) > MOST_KEYS:
-        yield Mistake((*path, next(iter(data))), f"has {len(data)} keys; expected at most {MOST_KEYS}")
+        yield Mistake((*path, next(iter(data))), f"has {len(data)} keys; at most {MOST_KEYS} are allowed")
         return
     for name, key in table.keys.items():
         item = data.get(name)
@@ -275,7 +279,7 @@ def overfull(table: Shape, data: object, path: Path = ()) -> Iterator[Mistake]:
         if key.array is None or not isinstance(item, list):
             yield from overfull(key.holds, item, (*path, name))
         elif len(item) > key.array.most:
-            yield Mistake((*path, name), f"{name}: has {len(item)} elements; expected at most {key.array.most}")
+            yield Mistake((*path, name), f"{name} has {len(item)} elements; at most {key.array.most} are allowed")
         else:
             for k, entry in enumerate(item):
                 yield from overfull(key.holds, entry, (*path, name, k))

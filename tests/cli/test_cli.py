@@ -250,8 +250,8 @@ def test_the_shell_gets_completion(monkeypatch: pytest.MonkeyPatch) -> None:
             ["design", "plant.toml"],
             "plant.toml: is a plant, not a job; platform-ctrl new NAME --like",
         ),
-        (["equations", "job.toml"], "job.toml: is a job"),
-        (["design", "."], "is a directory; expected a TOML file"),
+        (["equations", "job.toml"], "job.toml: this is a job file"),
+        (["design", "."], "is a directory; give a TOML file"),
         (["design", "wrong.toml"], 'unknown key "bandwith_hz"; did you mean "bandwidth_hz"?'),
         (["design", "job.toml", "-o", "job.toml"], "-o job.toml: is no folder"),
         (

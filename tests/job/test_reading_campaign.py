@@ -82,27 +82,42 @@ def as_fault(**keys: object) -> Change:
 
 MISTAKES: dict[str, tuple[Change, list[str]]] = {
     # manoeuvres
-    "nothing happens": (drop("manoeuvre", 2, "initial"), [STILL, 'missing key "rate"', "or Omega_table"]),
-    "no axis": (drop("manoeuvre", 0, "axis"), [TURN, 'missing key "axis"', "rate, rise, hold and axis"]),
+    "nothing happens": (drop("manoeuvre", 2, "initial"), [STILL, 'the key "rate" is missing', "or Omega_table"]),
+    "no axis": (drop("manoeuvre", 0, "axis"), [TURN, 'the key "axis" is missing', "rate, rise, hold and axis"]),
     "table of the other mode": (
         put({"t": [0, 1], "Omega1": [0, 1]}, "manoeuvre", 1, "Omega_table"),
-        [PUSH, "Omega_table = a table", "belongs to a caged manoeuvre"],
+        [
+            PUSH,
+            "Omega_table = a table",
+            'Omega_table = a table is for a caged manoeuvre; leave it out with mode = "stabilised"',
+        ],
     ),
     "times that stand still": (
         put([0, 1, 1], "manoeuvre", 0, "Omega_table", "t"),
-        [f"{TURN}: [manoeuvre.Omega_table]", "t = [0, 1, 1]", "two or more times that increase"],
+        [
+            f"{TURN}: [manoeuvre.Omega_table]",
+            "t must be two or more times that increase, s, got [0, 1, 1]",
+            "two or more times that increase",
+        ],
     ),
     "one time": (
         put({"t": [0], "M1": [1]}, "manoeuvre", 1, "torque_table"),
-        [f"{PUSH}: [manoeuvre.torque_table]", "t = [0]", "has 1 element"],
+        [
+            f"{PUSH}: [manoeuvre.torque_table]",
+            "t must be two or more times that increase, s, got [0] (has 1 element)",
+            "has 1 element",
+        ],
     ),
     "a value too many": (
         put([0, 1, 2, 3], "manoeuvre", 0, "Omega_table", "Omega2"),
-        ["Omega2 = [0, 1, 2, 3]: has 4 elements", "expected 3, as t has"],
+        ["Omega2 must have as many elements as t, 3, got 4", "Omega2 must have as many elements as t, 3, got 4"],
     ),
     "a table of times alone": (
         drop("manoeuvre", 0, "Omega_table", "Omega2"),
-        ['missing key "Omega1"', "expected Omega1, Omega2 or Omega3"],
+        [
+            'the key "Omega1" is missing',
+            'the key "Omega1" is missing; the table needs Omega1, Omega2 or Omega3 beside the times',
+        ],
     ),
     "a torque in a table of rates": (
         put([0, 0, 0], "manoeuvre", 0, "Omega_table", "M1"),
@@ -114,13 +129,19 @@ MISTAKES: dict[str, tuple[Change, list[str]]] = {
     ),
     "initial angle beyond its stop": (
         put(0.02, "manoeuvre", 0, "initial", "alpha4"),
-        ["alpha4 = 0.02: lies beyond a stop", "-0.00872665 to 0.00872665 rad"],
+        [
+            "alpha4 must be between the stops of the gimbal, -0.00872665 to 0.00872665 rad, got 0.02",
+            "-0.00872665 to 0.00872665 rad",
+        ],
     ),
     "initial rate of a caged platform": (
         put(0.1, "manoeuvre", 0, "initial", "Omega1"),
-        ["Omega1 = 0.1: the rate of a caged platform is prescribed", "expected Omega_table"],
+        [
+            "Omega1 = 0.1 has no effect: the rate of a caged platform is prescribed; use Omega_table,",
+            "Omega1 = 0.1 has no effect: the rate of a caged platform is prescribed; use Omega_table,",
+        ],
     ),
-    "initial text": (put("1", "manoeuvre", 0, "initial", "alpha4"), ['alpha4 = "1"', "a number"]),
+    "initial text": (put("1", "manoeuvre", 0, "initial", "alpha4"), ['alpha4 must be a number, got "1"', "a number"]),
     "fault of no table": (
         put(["powr"], "manoeuvre", 0, "faults"),
         [TURN, '"powr" is no [[fault]] of the job', 'did you mean "power"?'],
@@ -128,108 +149,172 @@ MISTAKES: dict[str, tuple[Change, list[str]]] = {
     "fault twice": (put(["power", "power"], "manoeuvre", 0, "faults"), ['"power" is listed twice']),
     "vibration of a rate that is not prescribed": (
         put("rate", "manoeuvre", 1, "vibration", 0, "kind"),
-        [PUSH, 'kind = "rate": the rate of a stabilised platform', 'expected "force"'],
+        [
+            PUSH,
+            'kind must be "force" with mode = "stabilised", got "rate": only a caged platform has a p',
+            'kind must be "force" with mode = "stabilised", got "rate": only a caged platform has a p',
+        ],
     ),
     "vibration at no frequency": (
         put([0, 500], "manoeuvre", 0, "vibration", 0, "frequencies_hz"),
-        [SHAKE, "frequencies_hz = [0, 500]", "frequencies > 0 that increase"],
+        [
+            SHAKE,
+            "frequencies_hz must be two or more frequencies > 0 that increase, Hz, got [0, 500]",
+            "frequencies > 0 that increase",
+        ],
     ),
     "vibration without density": (
         put([1e-6, 0], "manoeuvre", 0, "vibration", 0, "densities"),
-        [SHAKE, "densities = [1e-06, 0]", "a density > 0"],
+        [SHAKE, "densities must be", "got [1e-06, 0]", "a density > 0"],
     ),
     "a density too few": (
         put([1e-6], "manoeuvre", 0, "vibration", 0, "densities"),
-        [SHAKE, "densities = [1e-06]: has 1 element", "expected 2, as frequencies_hz has"],
+        [
+            SHAKE,
+            "densities must have as many elements as frequencies_hz, 2, got 1",
+            "densities must have as many elements as frequencies_hz, 2, got 1",
+        ],
     ),
-    "no lines": (put(0, "manoeuvre", 0, "vibration", 0, "lines"), [SHAKE, "lines = 0", "from 1 to 4096"]),
+    "no lines": (put(0, "manoeuvre", 0, "vibration", 0, "lines"), [SHAKE, "lines must be", "got 0", "from 1 to 4096"]),
     # faults
     "fault named twice": (
         both(put("power", "fault", 1, "name"), drop("campaign", "fault")),
         ['[[fault]] 2 "power"', "[[fault]] 1 already"],
     ),
-    "kind unknown": (put("rotor stop", "fault", 0, "kind"), [FAULT, 'kind = "rotor stop"', '"rotor run-down"']),
+    "kind unknown": (
+        put("rotor stop", "fault", 0, "kind"),
+        [
+            FAULT,
+            'kind must be "rotor run-down" or "rotor run-up" or "speed ripple" or "torquer dead" or "',
+            '"rotor run-down"',
+        ],
+    ),
     "rotor unknown": (
         put("111", "fault", 0, "part"),
-        [FAULT, 'part = "111": does not exist', "the name of a rotor", 'did you mean "11"?'],
+        [
+            FAULT,
+            'part must be the name of a rotor, got "111"; did you mean "11"?',
+            "the name of a rotor",
+            'did you mean "11"?',
+        ],
     ),
-    "no part": (drop("fault", 0, "part"), [FAULT, 'missing key "part"', "the name of a rotor"]),
-    "no time constant": (drop("fault", 0, "time_constant"), [FAULT, 'missing key "time_constant"']),
+    "no part": (drop("fault", 0, "part"), [FAULT, 'the key "part" is missing', "the name of a rotor"]),
+    "no time constant": (drop("fault", 0, "time_constant"), [FAULT, 'the key "time_constant" is missing']),
     "a number of another kind": (
         put(0.5, "fault", 0, "amplitude"),
-        [FAULT, 'amplitude = 0.5: means nothing for kind = "rotor run-down"', "time_constant, share"],
+        [
+            FAULT,
+            'amplitude = 0.5 has no effect with kind = "rotor run-down", which takes time_constant, s',
+            "time_constant, share",
+        ],
     ),
-    "an end of what has none": (put(3, "fault", 0, "until"), [FAULT, "until = 3: means nothing"]),
+    "an end of what has none": (
+        put(3, "fault", 0, "until"),
+        [FAULT, 'until = 3 has no effect with kind = "rotor run-down", which takes time_constant, share'],
+    ),
     "an end before the beginning": (
         as_fault(kind="torquer dead", part="Q9", until=0.1),
-        [FAULT, "until = 0.1: not after at = 0.1"],
+        [FAULT, "until must be after at = 0.1, got 0.1"],
     ),
-    "torquer unknown": (as_fault(kind="torquer dead", part="9"), [FAULT, 'part = "9"', "the name of a torquer"]),
+    "torquer unknown": (
+        as_fault(kind="torquer dead", part="9"),
+        [FAULT, 'part must be the name of a torquer, got "9"; did you mean "Q9"?', "the name of a torquer"],
+    ),
     "sensor unknown": (
         as_fault(kind="pick-off dead", part="alpha99"),
         [FAULT, "a pick-off or rate sensor, by its signal", 'did you mean "alpha9"?'],
     ),
     "an overrun of a part": (
         as_fault(kind="controller overrun", part="Q9"),
-        [FAULT, 'part = "Q9": kind = "controller overrun" is of all controllers', "leave the key out"],
+        [
+            FAULT,
+            'part = "Q9" has no effect: kind = "controller overrun" is of all controllers; leave the ',
+            "leave the key out",
+        ],
     ),
-    "no impulse": (as_fault(kind="stop contact", part="9", impulse=0), [FAULT, "impulse = 0", "other than 0"]),
-    "fault before the start": (put(-1, "fault", 0, "at"), [FAULT, "at = -1", "a number >= 0"]),
+    "no impulse": (
+        as_fault(kind="stop contact", part="9", impulse=0),
+        [FAULT, "impulse must be a number other than 0, got 0", "other than 0"],
+    ),
+    "fault before the start": (put(-1, "fault", 0, "at"), [FAULT, "at must be", "got -1", "a number >= 0"]),
     # campaign
-    "no runs": (put(0, "campaign", "runs"), ["[campaign]", "runs = 0", "a whole number from 1"]),
-    "sampling unknown": (put("grid", "campaign", "sampling"), ["[campaign]", 'sampling = "grid"', '"sobol"']),
-    "step zero": (put(0, "campaign", "step"), ["[campaign]", "step = 0", "> 0"]),
+    "no runs": (put(0, "campaign", "runs"), ["[campaign]", "runs must be", "got 0", "a whole number from 1"]),
+    "sampling unknown": (
+        put("grid", "campaign", "sampling"),
+        ["[campaign]", 'sampling must be "sobol" or "latin-hypercube" or "random", got "grid"', '"sobol"'],
+    ),
+    "step zero": (put(0, "campaign", "step"), ["[campaign]", "step must be a number > 0, got 0", "> 0"]),
     "key unknown": (put(1, "campaign", "run"), ["[campaign]", 'unknown key "run"', 'did you mean "runs"?']),
     "manoeuvre unknown": (
         put("psuh", "campaign", "manoeuvre", 0, "name"),
-        ['[[campaign.manoeuvre]] 1 "psuh"', "is no [[manoeuvre]] of the job", 'did you mean "push"?'],
+        [
+            '[[campaign.manoeuvre]] 1 "psuh"',
+            'name must be the name of a [[manoeuvre]] of the job, got "psuh"; did you mean "push"?',
+            'did you mean "push"?',
+        ],
     ),
     "manoeuvre twice": (
         put("push", "campaign", "manoeuvre", 1, "name"),
-        ['name = "push": is in [[campaign.manoeuvre]] 1 already'],
+        ['name: "push" is in [[campaign.manoeuvre]] 1 already; leave one of them out'],
     ),
-    "no weight": (put(0, "campaign", "manoeuvre", 0, "weight"), ["weight = 0", "> 0"]),
+    "no weight": (put(0, "campaign", "manoeuvre", 0, "weight"), ["weight must be a number > 0, got 0", "> 0"]),
     "campaign fault unknown": (
         put("daef", "campaign", "fault", 0, "fault"),
-        ['[[campaign.fault]] 1 "daef"', "is no [[fault]] of the job", 'did you mean "deaf"?'],
+        [
+            '[[campaign.fault]] 1 "daef"',
+            'fault must be the name of a [[fault]] of the job, got "daef"; did you mean "deaf"?',
+            'did you mean "deaf"?',
+        ],
     ),
-    "probability 2": (put(2, "campaign", "fault", 0, "probability"), ["probability = 2", "from 0 to 1"]),
+    "probability 2": (put(2, "campaign", "fault", 0, "probability"), ["probability must be", "got 2", "from 0 to 1"]),
     "no manoeuvres at all": (
         both(drop("manoeuvre"), drop("campaign", "manoeuvre"), drop("campaign", "vary")),
-        ["[campaign]: the job has no manoeuvre to simulate"],
+        ["[campaign] has no manoeuvre to simulate; add a [[manoeuvre]] to the job"],
     ),
     "distribution unknown": (
         put("gaussian", "campaign", "vary", 0, "distribution"),
-        [VARY, 'distribution = "gaussian"', '"normal"'],
+        [VARY, 'distribution must be "uniform" or "normal" or "truncated-normal" or "log-uniform" or "lo', '"normal"'],
     ),
-    "number missing": (drop("campaign", "vary", 0, "low"), [VARY, 'missing key "low"', "mean, deviation, low, high"]),
+    "number missing": (
+        drop("campaign", "vary", 0, "low"),
+        [VARY, 'the key "low" is missing', "mean, deviation, low, high"],
+    ),
     "mean missing where it is no factor": (
         vary(parameter="root.specific_force1", distribution="normal", deviation=1.0),
-        ['missing key "mean"', 'distribution = "normal" needs mean, deviation'],
+        ['the key "mean" is missing', 'distribution = "normal" needs mean, deviation'],
     ),
     "number of another distribution": (
         put(3, "campaign", "vary", 0, "median"),
-        [VARY, 'median = 3: means nothing for distribution = "truncated-normal"'],
+        [VARY, 'median = 3 has no effect with distribution = "truncated-normal", which takes mean, devia'],
     ),
-    "low above high": (put(1.3, "campaign", "vary", 0, "low"), [VARY, "high = 1.2: not above low = 1.3"]),
+    "low above high": (put(1.3, "campaign", "vary", 0, "low"), [VARY, "high must be above low = 1.3, got 1.2"]),
     "nothing left of a normal distribution": (
         put(3.0, "campaign", "vary", 0, "mean"),
-        [VARY, "mean = 3.0: lies 18 deviations outside", "at most 8"],
+        [VARY, "mean must be at most 8 deviations outside low and high, got 3.0, 18 deviations outside", "at most 8"],
     ),
     "logarithm of nothing": (
         vary(parameter="sampling.delay", distribution="log-uniform", low=0, high=1e-3),
-        ["low = 0: has no logarithm"],
+        ["low must be a number > 0, which has a logarithm, got 0"],
     ),
     "peak outside": (
         vary(parameter="sampling.delay", distribution="triangular", low=0, high=1e-3, peak=2e-3),
-        ["peak = 0.002: not between low and high", "0 to 0.001"],
+        ["peak must be from low, 0, to high, 0.001, got 0.002", "peak must be from low, 0, to high, 0.001, got 0.002"],
     ),
     "a choice of nothing": (
         both(put([], "campaign", "vary", 2, "values"), drop("campaign", "vary", 2, "weights")),
-        ['[[campaign.vary]] 3 "manoeuvre.rate"', "values = []"],
+        ['[[campaign.vary]] 3 "manoeuvre.rate"', "values must be one or more numbers, got [] (has 0 elements)"],
     ),
-    "a weight too few": (put([1], "campaign", "vary", 2, "weights"), ["weights = [1]: has 1 element", "expected 2"]),
-    "weights of nothing": (put([0, 0], "campaign", "vary", 2, "weights"), ["weights = [0, 0]", "not all of them 0"]),
+    "a weight too few": (
+        put([1], "campaign", "vary", 2, "weights"),
+        [
+            "weights must have as many elements as values, 2, got 1",
+            "weights must have as many elements as values, 2, got 1",
+        ],
+    ),
+    "weights of nothing": (
+        put([0, 0], "campaign", "vary", 2, "weights"),
+        ["weights must be numbers >= 0, not all of them 0, got [0, 0]", "not all of them 0"],
+    ),
     "parameter unknown": (
         put("rotor.11.spinn", "campaign", "vary", 0, "parameter"),
         ['parameter = "rotor.11.spinn": does not exist', 'did you mean "rotor.11.spin"?'],
@@ -248,15 +333,15 @@ MISTAKES: dict[str, tuple[Change, list[str]]] = {
     ),
     "an inertia as a number": (
         vary(parameter="gimbal.4.inertia", distribution="uniform", low=0.9, high=1.1),
-        ['relative = false: "gimbal.4.inertia" is a matrix'],
+        ['relative must be true: "gimbal.4.inertia" is a matrix that is scaled as a whole'],
     ),
     "a factor of zero": (
         vary(parameter="root.specific_force1", distribution="uniform", low=0.9, high=1.1, relative=True),
-        ['relative = true: "root.specific_force1" is 0 as it stands'],
+        ['relative must be false, with the number itself: "root.specific_force1" is 0 as it stands'],
     ),
     "a factor of nothing": (
         vary(parameter="torquer.Q4.rate_limit", distribution="uniform", low=0.9, high=1.1, relative=True),
-        ['relative = true: "torquer.Q4.rate_limit" has no value as it stands'],
+        ['relative must be false, with the number itself: "torquer.Q4.rate_limit" has no value as '],
     ),
     "a limit that may be negative": (
         vary(parameter="torquer.Q4.limit", distribution="normal", deviation=0.01, relative=True),
@@ -300,7 +385,7 @@ def test_a_gimbal_without_stops_meets_none() -> None:
     for key in ("stops", "restitution"):
         del data["plant"]["gimbal"][3][key]
     data["fault"] = [{"name": "power", "kind": "stop contact", "part": "9", "at": 0.1, "impulse": 1e-4}]
-    assert 'part = "9": has no stops to come up against' in refusal(read_job, data)
+    assert 'part must be a gimbal with stops, got "9"; known: "4", "5", "7", "10"' in refusal(read_job, data)
     data["fault"][0]["part"] = "10"
     assert read_job(data).fault_events[0].impulse == 1e-4
 
@@ -382,7 +467,7 @@ def test_every_kind_of_fault_is_an_action_of_the_kernel_and_a_row_of_the_documen
 def test_a_kind_of_fault_is_registered_once_and_has_numbers_of_faults() -> None:
     with pytest.raises(ArgumentError, match="fault kind 'torquer dead' exists already"):
         register_fault(FAULT_KINDS["torquer dead"])
-    with pytest.raises(ArgumentError, match="fault kind 'tired': number must be 'at', got 'mood'"):
+    with pytest.raises(ArgumentError, match=r"fault kind 'tired': number must be .* got 'mood'"):
         register_fault(FaultKind(name="tired", effect="", part=None, needed=("mood",), action="no torque"))
 
 

@@ -85,68 +85,123 @@ TURN = '[[manoeuvre]] 1 "turn"'
 PUSH = '[[manoeuvre]] 2 "push"'
 
 MISTAKES: dict[str, tuple[Change, list[str]]] = {
-    "schema missing": (drop("schema"), ['missing key "schema"']),
-    "schema 3": (put(3, "schema"), ["schema = 3", "expected 2"]),
-    "name empty": (put("", "name"), ['name = ""', "empty"]),
+    "schema missing": (drop("schema"), ['the key "schema" is missing']),
+    "schema 3": (put(3, "schema"), ["schema must be 2", "got 3"]),
+    "name empty": (put("", "name"), ['name must be a line of text that is not empty, got "" (empty)', "empty"]),
     "unknown table": (put([{}], "manouvre"), ['unknown table "manouvre"', 'did you mean "manoeuvre"?']),
-    "plant missing": (drop("plant"), ['missing key "plant"', "a shipped model, a path relative to this file"]),
-    "plant a number": (put(3, "plant"), ["plant = 3", "a shipped model, a path relative to this file"]),
-    "plant empty": (put("", "plant"), ['plant = ""', "empty"]),
+    "plant missing": (drop("plant"), ['the key "plant" is missing', "a shipped model, a path relative to this file"]),
+    "plant a number": (put(3, "plant"), ["plant must be", "got 3", "a shipped model, a path relative to this file"]),
+    "plant empty": (
+        put("", "plant"),
+        ["plant must be the name of a shipped model, a path relative to this file, or a table, got", "empty"],
+    ),
     "plant unknown": (put("three_gyro", "plant"), ["plant: ", 'no shipped model "three_gyro"', "did you mean"]),
     "plant nowhere": (put("plants/nowhere.toml", "plant"), ["plant: ", "nowhere.toml: there is no such file"]),
-    "operation missing": (drop("operation"), ["missing table [operation]"]),
-    "Omega missing": (drop("operation", "Omega"), ["[operation]", 'missing key "Omega"', "three numbers >= 0"]),
-    "Omega a number": (put(1.0, "operation", "Omega"), ["[operation]", "Omega = 1.0", "three numbers >= 0"]),
-    "Omega negative": (put([1, -1, 1], "operation", "Omega"), ["Omega = [1, -1, 1]", "three numbers >= 0"]),
+    "operation missing": (drop("operation"), ["the table [operation] is missing"]),
+    "Omega missing": (drop("operation", "Omega"), ["[operation]", 'the key "Omega" is missing', "three numbers >= 0"]),
+    "Omega a number": (
+        put(1.0, "operation", "Omega"),
+        ["[operation]", "Omega must be", "got 1.0", "three numbers >= 0"],
+    ),
+    "Omega negative": (
+        put([1, -1, 1], "operation", "Omega"),
+        ["Omega must be", "got [1, -1, 1]", "three numbers >= 0"],
+    ),
     "Omega not finite": (put([1, math.nan, 1], "operation", "Omega"), ["element 2, nan, is not finite"]),
     "Omega in small letters": (
         both(drop("operation", "Omega"), put([1, 1, 1], "operation", "omega")),
         ['unknown key "omega"', 'did you mean "Omega"?'],
     ),
-    "seed negative": (put(-1, "operation", "seed"), ["seed = -1", "a whole number >= 0"]),
-    "seed a fraction": (put(0.5, "operation", "seed"), ["seed = 0.5", "a whole number >= 0"]),
-    "uncertainty too large": (put(0.95, "uncertainty", "spin"), ["[uncertainty]", "spin = 0.95", "from 0 to 0.9"]),
-    "uncertainty negative": (put(-0.1, "uncertainty", "inertia"), ["[uncertainty]", "inertia = -0.1", "from 0 to 0.9"]),
+    "seed negative": (put(-1, "operation", "seed"), ["seed must be", "got -1", "a whole number >= 0"]),
+    "seed a fraction": (put(0.5, "operation", "seed"), ["seed must be", "got 0.5", "a whole number >= 0"]),
+    "uncertainty too large": (
+        put(0.95, "uncertainty", "spin"),
+        ["[uncertainty]", "spin must be", "got 0.95", "from 0 to 0.9"],
+    ),
+    "uncertainty negative": (
+        put(-0.1, "uncertainty", "inertia"),
+        ["[uncertainty]", "inertia must be", "got -0.1", "from 0 to 0.9"],
+    ),
     "a fraction of a sample": (
         put(2.5, "uncertainty", "samples"),
-        ["[uncertainty]", "samples = 2.5", "from 0 to 1000"],
+        ["[uncertainty]", "samples must be", "got 2.5", "from 0 to 1000"],
     ),
     "samples of nothing": (
         put({"samples": 4}, "uncertainty"),
-        ["[uncertainty]", "samples = 4: neither inertia nor spin is uncertain", "inertia or spin > 0"],
+        ["[uncertainty]", "samples = 4 has no effect without inertia or spin > 0", "inertia or spin > 0"],
     ),
-    "a grid of one point": (put(1, "operation", "Omega_grid"), ["Omega_grid = 1", "a whole number from 2 to 9"]),
-    "a rotor that is too fast": (put({"slow_rotor": 1.5}, "faults"), ["[faults]", "slow_rotor = 1.5", "from 0 to 1"]),
-    "a torquer without torque": (put({"weak_torquer": 0}, "faults"), ["[faults]", "weak_torquer = 0", "a share > 0"]),
+    "a grid of one point": (
+        put(1, "operation", "Omega_grid"),
+        ["Omega_grid must be", "Omega_grid must be a whole number from 2 to 9, got 1", "a whole number from 2 to 9"],
+    ),
+    "a rotor that is too fast": (
+        put({"slow_rotor": 1.5}, "faults"),
+        ["[faults]", "slow_rotor must be", "got 1.5", "from 0 to 1"],
+    ),
+    "a torquer without torque": (
+        put({"weak_torquer": 0}, "faults"),
+        ["[faults]", "weak_torquer must be", "got 0", "a share > 0"],
+    ),
     "fault unknown": (put({"slow_rotors": 1}, "faults"), ['unknown key "slow_rotors"', 'did you mean "slow_rotor"?']),
-    "rate zero": (put(0, "sampling", "rate_hz"), ["[sampling]", "rate_hz = 0", "a number > 0"]),
-    "rate without a period": (put(1e-310, "sampling", "rate_hz"), ["rate_hz = 1e-310", "a number > 0"]),
-    "delay negative": (put(-1e-4, "sampling", "delay"), ["[sampling]", "delay = -0.0001", "a number >= 0"]),
+    "rate zero": (put(0, "sampling", "rate_hz"), ["[sampling]", "rate_hz must be", "got 0", "a number > 0"]),
+    "rate without a period": (put(1e-310, "sampling", "rate_hz"), ["rate_hz must be", "got 1e-310", "a number > 0"]),
+    "delay negative": (
+        put(-1e-4, "sampling", "delay"),
+        ["[sampling]", "delay must be", "got -0.0001", "a number >= 0"],
+    ),
     "delay of a thousand periods": (
         put({"rate_hz": 1e6, "delay": 1e-3}, "sampling"),
-        ["[sampling]", "delay = 0.001: is 1000 sample periods", "at most 100, or a lower rate_hz"],
+        [
+            "[sampling]",
+            "delay must be at most 100 sample periods, got 0.001 s, 1000 of them; try a lower rate_hz",
+            "delay must be at most 100 sample periods, got 0.001 s, 1000 of them; try a lower rate_hz",
+        ],
     ),
-    "delay missing": (drop("sampling", "delay"), ["[sampling]", 'missing key "delay"']),
-    "no loop": (put([], "loop"), ["loop = []", "at least one [[loop]]"]),
-    "loop missing": (drop("loop"), ["missing table [[loop]]"]),
-    "loop a table": (put({"name": "x"}, "loop"), ["loop = a table", "[[loop]]"]),
+    "delay missing": (drop("sampling", "delay"), ["[sampling]", 'the key "delay" is missing']),
+    "no loop": (put([], "loop"), ["loop must have at least one [[loop]], got []", "at least one [[loop]]"]),
+    "loop missing": (drop("loop"), ["the table [[loop]] is missing"]),
+    "loop a table": (
+        put({"name": "x"}, "loop"),
+        ["loop must be an array of tables, each headed [[loop]], got a table", "[[loop]]"],
+    ),
     "loop twice": (put("caging", "loop", 1, "name"), ['[[loop]] 2 "caging"', "is the name of [[loop]] 1 already"]),
-    "kind unknown": (put("cage", "loop", 0, "kind"), [CAGING, 'kind = "cage"', '"caging" or "stabilisation"']),
-    "use missing": (drop("loop", 0, "use"), [CAGING, 'missing key "use"']),
-    "use names no design": (put("hnad", "loop", 0, "use"), [CAGING, 'use = "hnad"', 'did you mean "hand"?']),
-    "no design": (put([], "loop", 0, "design"), [CAGING, "design = []", "at least one [[loop.design]]"]),
-    "design missing": (drop("loop", 0, "design"), [CAGING, "missing table [[loop.design]]"]),
+    "kind unknown": (
+        put("cage", "loop", 0, "kind"),
+        [CAGING, 'kind must be "caging" or "stabilisation", got "cage"', '"caging" or "stabilisation"'],
+    ),
+    "use missing": (drop("loop", 0, "use"), [CAGING, 'the key "use" is missing']),
+    "use names no design": (
+        put("hnad", "loop", 0, "use"),
+        [
+            CAGING,
+            'use must be the name of a design of this loop, got "hnad"; did you mean "hand"?',
+            'did you mean "hand"?',
+        ],
+    ),
+    "no design": (
+        put([], "loop", 0, "design"),
+        [CAGING, "design must have at least one [[loop.design]], got []", "at least one [[loop.design]]"],
+    ),
+    "design missing": (drop("loop", 0, "design"), [CAGING, "the table [[loop.design]] is missing"]),
     "design twice": (
         put("hand", "loop", 0, "design", 1, "name"),
         [f'{CAGING}: [[loop.design]] 2 "hand"', "is the name of [[loop.design]] 1 already"],
     ),
     "method unknown": (
         put("clasical", "loop", 0, "design", 0, "method"),
-        [HAND, 'method = "clasical"', 'expected "classical" or "hinf" or "lqg" or "structured" or "platform-servo"'],
+        [
+            HAND,
+            'method must be "classical" or "hinf" or "lqg" or "structured" or "platform-servo", got "',
+            'method must be "classical" or "hinf" or "lqg" or "structured" or "platform-servo", got "',
+        ],
     ),
     "method for another kind": (
         put({"name": "machine", "method": "platform-servo", "crossover_hz": 40}, "loop", 0, "design", 1),
-        ['method = "platform-servo"', "does not make a caging loop", '"classical" or "hinf"'],
+        [
+            'method must be one for a caging loop, "classical" or "hinf" or "lqg" or "structured", go',
+            'method must be one for a caging loop, "classical" or "hinf" or "lqg" or "structured", go',
+            '"classical" or "hinf"',
+        ],
     ),
     "option unknown": (
         put(4, "loop", 0, "design", 0, "crosover_hz"),
@@ -156,18 +211,50 @@ MISTAKES: dict[str, tuple[Change, list[str]]] = {
         put(0.02, "loop", 0, "design", 0, "backoff"),
         [HAND, 'unknown key "backoff"'],
     ),
-    "option as text": (put("40", "loop", 0, "design", 0, "crossover_hz"), [HAND, 'crossover_hz = "40"', "a number"]),
-    "option true": (put(True, "loop", 0, "design", 0, "crossover_hz"), [HAND, "crossover_hz = true", "a number"]),
-    "option not finite": (put(math.inf, "loop", 0, "design", 0, "integral_hz"), [HAND, "integral_hz = inf"]),
-    "option negative": (put(-4, "loop", 0, "design", 0, "integral_hz"), [HAND, "integral_hz = -4", "> 0"]),
-    "tune a number": (put(1, "loop", 0, "design", 0, "tune"), [HAND, "tune = 1", "true or false"]),
-    "no gimbals": (drop("loop", 0, "gimbals"), [CAGING, "gimbals: expected the names"]),
-    "empty gimbals": (put([], "loop", 0, "gimbals"), [CAGING, "gimbals: expected the names"]),
-    "gimbals a text": (put("9", "loop", 0, "gimbals"), [CAGING, 'gimbals = "9"', "a list of names"]),
-    "gimbals numbers": (put([9, 10], "loop", 0, "gimbals"), [CAGING, "gimbals = [9, 10]", "a list of names"]),
+    "option as text": (
+        put("40", "loop", 0, "design", 0, "crossover_hz"),
+        [HAND, 'crossover_hz must be a number, got "40"', "a number"],
+    ),
+    "option true": (
+        put(True, "loop", 0, "design", 0, "crossover_hz"),
+        [HAND, "crossover_hz must be", "got true", "a number"],
+    ),
+    "option not finite": (
+        put(math.inf, "loop", 0, "design", 0, "integral_hz"),
+        [HAND, "integral_hz must be a number, got inf (not finite)"],
+    ),
+    "option negative": (
+        put(-4, "loop", 0, "design", 0, "integral_hz"),
+        [HAND, "integral_hz must be a number > 0, got -4.0", "> 0"],
+    ),
+    "tune a number": (
+        put(1, "loop", 0, "design", 0, "tune"),
+        [HAND, "tune must be true or false, got 1", "true or false"],
+    ),
+    "no gimbals": (
+        drop("loop", 0, "gimbals"),
+        [CAGING, "gimbals must be the names of the gimbals that the loop cages"],
+    ),
+    "empty gimbals": (
+        put([], "loop", 0, "gimbals"),
+        [CAGING, "gimbals must be the names of the gimbals that the loop cages"],
+    ),
+    "gimbals a text": (
+        put("9", "loop", 0, "gimbals"),
+        [CAGING, 'gimbals must be a list of names, got "9"', "a list of names"],
+    ),
+    "gimbals numbers": (
+        put([9, 10], "loop", 0, "gimbals"),
+        [CAGING, "gimbals must be", "got [9, 10]", "a list of names"],
+    ),
     "gimbal unknown": (
         put(["9", "100"], "loop", 0, "gimbals"),
-        [CAGING, 'gimbals = ["9", "100"]', '"100" is no gimbal of the plant', 'did you mean "10"?'],
+        [
+            CAGING,
+            'gimbals: "100" is no gimbal of the plant; did you mean "10"?',
+            '"100" is no gimbal of the plant',
+            'did you mean "10"?',
+        ],
     ),
     "gimbal twice": (put(["9", "9"], "loop", 0, "gimbals"), [CAGING, '"9" is caged by [[loop]] 1 already']),
     "gimbal in two loops": (
@@ -176,11 +263,19 @@ MISTAKES: dict[str, tuple[Change, list[str]]] = {
     ),
     "caging after stabilisation": (
         lambda data: data["loop"].reverse(),
-        ['[[loop]] 2 "caging"', "[[loop]] 1 stabilises the root", "the caging loops before it"],
+        [
+            '[[loop]] 2 "caging"',
+            "kind: a caging loop must be before the stabilisation loop, [[loop]] 1, which uses the to",
+            "kind: a caging loop must be before the stabilisation loop, [[loop]] 1, which uses the to",
+        ],
     ),
     "limit of another kind of loop": (
         put({"damping": 0.1}, "loop", 1, "limits"),
-        [f"{SERVO}: [loop.limits]", "damping: a stabilisation loop is judged in the coupled system", "torque_noise"],
+        [
+            f"{SERVO}: [loop.limits]",
+            "damping is no limit of a stabilisation loop, which is judged in the coupled system; use ",
+            "torque_noise",
+        ],
     ),
     "tune where nothing tunes": (
         put(True, "loop", 0, "design", 1, "tune"),
@@ -194,60 +289,121 @@ MISTAKES: dict[str, tuple[Change, list[str]]] = {
         lambda data: data["loop"].append(dict(data["loop"][1], name="more")),
         ['[[loop]] 3 "more"', "[[loop]] 2 stabilises the root already"],
     ),
-    "loop limit zero": (put(0, "loop", 0, "limits", "damping"), [f"{CAGING}: [loop.limits]", "damping = 0", "> 0"]),
+    "loop limit zero": (
+        put(0, "loop", 0, "limits", "damping"),
+        [f"{CAGING}: [loop.limits]", "damping must be a number > 0, got 0", "> 0"],
+    ),
     "loop limit unknown": (
         put(1, "loop", 0, "limits", "dampign"),
         [f"{CAGING}: [loop.limits]", 'unknown key "dampign"', 'did you mean "damping"?'],
     ),
     "limit on faults of a job without": (
         put(0.1, "loop", 0, "limits", "damping_faults"),
-        [f"{CAGING}: [loop.limits]", "damping_faults: the job has no plants with faults", "slow_rotor or weak_torquer"],
+        [
+            f"{CAGING}: [loop.limits]",
+            "damping_faults needs plants with faults; add [faults] with slow_rotor or weak_torquer",
+            "slow_rotor or weak_torquer",
+        ],
     ),
     "goal on faults of a job without": (
         put({"disk_margin_faults": 0.1}, "loop", 0, "soft"),
-        [f"{CAGING}: [loop.soft]", "disk_margin_faults: the job has no plants with faults"],
+        [
+            f"{CAGING}: [loop.soft]",
+            "disk_margin_faults needs plants with faults; add [faults] with slow_rotor or weak_torque",
+        ],
     ),
     "tracking up to nowhere": (
         put(0.1, "loop", 0, "limits", "tracking"),
-        [f"{CAGING}: [loop.limits]", 'missing key "tracking_hz": tracking means nothing without it'],
+        [f"{CAGING}: [loop.limits]", 'the key "tracking_hz" is missing; tracking has no effect without it'],
     ),
-    "tracking nothing": (put({"tracking_hz": 5}, "loop", 0, "soft"), ["[loop.soft]", 'missing key "tracking"']),
+    "tracking nothing": (put({"tracking_hz": 5}, "loop", 0, "soft"), ["[loop.soft]", 'the key "tracking" is missing']),
     "a band without a torque limit": (
         put(5, "loop", 0, "limits", "torque_limit_hz"),
-        ['missing key "torque_limit": torque_limit_hz means nothing without it'],
+        ['the key "torque_limit" is missing; torque_limit_hz has no effect without it'],
     ),
-    "goal zero": (put({"bandwidth_hz": 0}, "loop", 0, "soft"), [f"{CAGING}: [loop.soft]", "bandwidth_hz = 0", "> 0"]),
+    "goal zero": (
+        put({"bandwidth_hz": 0}, "loop", 0, "soft"),
+        [f"{CAGING}: [loop.soft]", "bandwidth_hz must be a number > 0, got 0", "> 0"],
+    ),
     "goals of a stabilisation loop": (
         put({"torque_noise": 0.1}, "loop", 1, "soft"),
-        [SERVO, "soft: no method of a stabilisation loop minimises anything", "leave the table out"],
+        [
+            SERVO,
+            "soft has no effect in a stabilisation loop: nothing is minimised; leave the table out",
+            "leave the table out",
+        ],
     ),
     "structure unknown": (
         put({"name": "machine", "method": "structured", "structure": "PI"}, "loop", 0, "design", 1),
-        ['structure = "PI"', 'expected "cross-axis" or'],
+        [
+            'structure must be "cross-axis" or "pid" or "state-space", got "PI"',
+            'structure must be "cross-axis" or "pid" or "state-space", got "PI"',
+        ],
     ),
     "structure of another method": (
         put("pid", "loop", 0, "design", 0, "structure"),
         [HAND, 'unknown key "structure"'],
     ),
-    "coupled limit negative": (put(-1, "coupled", "disk_margin"), ["[coupled]", "disk_margin = -1", "> 0"]),
+    "coupled limit negative": (
+        put(-1, "coupled", "disk_margin"),
+        ["[coupled]", "disk_margin must be a number > 0, got -1", "> 0"],
+    ),
     "coupled limit unknown": (put(1, "coupled", "disc_margin"), ["[coupled]", 'did you mean "disk_margin"?']),
     "manoeuvre twice": (put("turn", "manoeuvre", 1, "name"), ['[[manoeuvre]] 2 "turn"', "[[manoeuvre]] 1 already"]),
-    "mode unknown": (put("cage", "manoeuvre", 0, "mode"), [TURN, 'mode = "cage"', '"caged" or "stabilised"']),
-    "axis 4": (put(4, "manoeuvre", 0, "axis"), [TURN, "axis = 4", "expected 1, 2 or 3"]),
-    "axis as text": (put("1", "manoeuvre", 0, "axis"), [TURN, 'axis = "1"', "expected 1, 2 or 3"]),
-    "caged without rate": (drop("manoeuvre", 0, "rate"), [TURN, 'missing key "rate"', "rate, rise, hold"]),
-    "caged without rise": (drop("manoeuvre", 0, "rise"), [TURN, 'missing key "rise"']),
-    "caged without hold": (drop("manoeuvre", 0, "hold"), [TURN, 'missing key "hold"']),
-    "caged with torque": (put(0.1, "manoeuvre", 0, "torque"), [TURN, "torque = 0.1", "a stabilised manoeuvre"]),
-    "caged at no rate": (put(0, "manoeuvre", 0, "rate"), [TURN, "rate = 0", "other than 0"]),
-    "caged with no rise": (put(0, "manoeuvre", 0, "rise"), [TURN, "rise = 0", "a number > 0"]),
-    "caged too short": (put(1.9, "manoeuvre", 0, "duration"), [TURN, "duration = 1.9", "at least 2 s"]),
-    "stabilised without torque": (drop("manoeuvre", 1, "torque"), [PUSH, 'missing key "torque"', "needs torque"]),
-    "stabilised with rate": (put(1, "manoeuvre", 1, "rate"), [PUSH, "rate = 1", "a caged manoeuvre"]),
-    "duration zero": (put(0, "manoeuvre", 1, "duration"), [PUSH, "duration = 0", "a number > 0"]),
+    "mode unknown": (
+        put("cage", "manoeuvre", 0, "mode"),
+        [TURN, 'mode must be "caged" or "stabilised", got "cage"', '"caged" or "stabilised"'],
+    ),
+    "axis 4": (
+        put(4, "manoeuvre", 0, "axis"),
+        [TURN, "axis must be 1, 2 or 3, got 4", "axis must be 1, 2 or 3, got 4"],
+    ),
+    "axis as text": (
+        put("1", "manoeuvre", 0, "axis"),
+        [TURN, 'axis must be 1, 2 or 3, got "1"', 'axis must be 1, 2 or 3, got "1"'],
+    ),
+    "caged without rate": (drop("manoeuvre", 0, "rate"), [TURN, 'the key "rate" is missing', "rate, rise, hold"]),
+    "caged without rise": (drop("manoeuvre", 0, "rise"), [TURN, 'the key "rise" is missing']),
+    "caged without hold": (drop("manoeuvre", 0, "hold"), [TURN, 'the key "hold" is missing']),
+    "caged with torque": (
+        put(0.1, "manoeuvre", 0, "torque"),
+        [
+            TURN,
+            'torque = 0.1 is for a stabilised manoeuvre; leave it out with mode = "caged"',
+            'torque = 0.1 is for a stabilised manoeuvre; leave it out with mode = "caged"',
+            "a stabilised manoeuvre",
+        ],
+    ),
+    "caged at no rate": (
+        put(0, "manoeuvre", 0, "rate"),
+        [TURN, "rate must be a number other than 0, got 0", "other than 0"],
+    ),
+    "caged with no rise": (put(0, "manoeuvre", 0, "rise"), [TURN, "rise must be", "got 0", "a number > 0"]),
+    "caged too short": (
+        put(1.9, "manoeuvre", 0, "duration"),
+        [
+            TURN,
+            "duration must be at least 2 rise + hold, 2 s, got 1.9",
+            "duration must be at least 2 rise + hold, 2 s, got 1.9",
+        ],
+    ),
+    "stabilised without torque": (
+        drop("manoeuvre", 1, "torque"),
+        [PUSH, 'the key "torque" is missing', "needs torque"],
+    ),
+    "stabilised with rate": (
+        put(1, "manoeuvre", 1, "rate"),
+        [
+            PUSH,
+            'rate = 1 is for a caged manoeuvre; leave it out with mode = "stabilised"',
+            'rate = 1 is for a caged manoeuvre; leave it out with mode = "stabilised"',
+            "a caged manoeuvre",
+        ],
+    ),
+    "duration zero": (put(0, "manoeuvre", 1, "duration"), [PUSH, "duration must be", "got 0", "a number > 0"]),
     "manoeuvre limit negative": (
         put(-1, "manoeuvre", 0, "limits", "angle"),
-        [f"{TURN}: [manoeuvre.limits]", "angle = -1", "a number > 0"],
+        [f"{TURN}: [manoeuvre.limits]", "angle must be", "got -1", "a number > 0"],
     ),
     "manoeuvre limit unknown": (
         put(1, "manoeuvre", 0, "limits", "angel"),
@@ -258,15 +414,32 @@ MISTAKES: dict[str, tuple[Change, list[str]]] = {
 SMALL_MISTAKES: dict[str, tuple[Change, list[str]]] = {
     "in the plant": (
         put([0, 0, 0], "plant", "gimbal", 1, "axis"),
-        ['[[plant.gimbal]] 2 "5"', "axis = [0, 0, 0]", "of length zero"],
+        [
+            '[[plant.gimbal]] 2 "5"',
+            "axis must be a vector of three numbers that is not zero, got [0, 0, 0] (of length zero)",
+            "of length zero",
+        ],
     ),
-    "in the plant's root": (put([1, 1, 3], "plant", "root", "inertia"), ["[plant.root]: inertia = [1, 1, 3]"]),
-    "in the plant's tree": (put("5", "plant", "gimbal", 0, "parent"), ['[[plant.gimbal]] 1 "4"', "in a circle"]),
+    "in the plant's root": (
+        put([1, 1, 3], "plant", "root", "inertia"),
+        ["inertia must be three principal moments > 0 or a symmetric 3 x 3 matrix, kg m2, got [1, "],
+    ),
+    "in the plant's tree": (
+        put("5", "plant", "gimbal", 0, "parent"),
+        [
+            '[[plant.gimbal]] 1 "4"',
+            'parent = "5" closes a ring of parents, "4" -> "5" -> "4"; let the chain end at the root',
+        ],
+    ),
     "no torquer": (drop("plant", "torquer", 1), [CAGING, '"5" has no torquer in the plant']),
     "no pick-off": (drop("plant", "pickoff", 1), [CAGING, '"4" has no pick-off in the plant']),
     "no root torquers": (
         add(job()["loop"][1], "loop"),
-        [SERVO, 'kind = "stabilisation"', "no root torquer M2, M3"],
+        [
+            SERVO,
+            'kind = "stabilisation"',
+            'kind = "stabilisation" needs root torquers; the plant has no M2, M3; add [[torquer]] wit',
+        ],
     ),
 }
 
@@ -305,9 +478,9 @@ def test_the_first_mistake_in_the_files_order_is_named_wherever_it_was_found() -
     data["sampling"]["delay"] = -1
     data["loop"][0]["gimbals"] = ["9", "11"]
     data["manoeuvre"][0]["axis"] = 0
-    assert "delay = -1" in refusal(read_job, data)
+    assert "delay must be a number >= 0, got -1" in refusal(read_job, data)
     assert refusal(read_job, data).endswith(" (and 2 more)")
-    assert "axis = 0" in refusal(read_job, dict(reversed(data.items())))
+    assert "axis must be 1, 2 or 3, got 0" in refusal(read_job, dict(reversed(data.items())))
 
 
 def test_a_mistake_in_a_plant_file_names_both_files(tmp_path: Path) -> None:
@@ -321,11 +494,11 @@ def test_a_mistake_in_a_plant_file_names_both_files(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("source", [None, 3, b"job.toml", [], "", object()])
 def test_a_source_that_is_no_source_is_one_line(source: object) -> None:
-    assert "expected the path of a job file or a dict" in refusal(read_job, source)
+    assert "the argument must be the path of a job file or a dict, got " in refusal(read_job, source)
 
 
 def test_a_folder_that_is_no_folder_is_one_line() -> None:
-    assert "expected a folder" in refusal(lambda source: read_job(source, folder=3), job())  # type: ignore[arg-type]
+    assert "the argument must be a folder, got 3" in refusal(lambda source: read_job(source, folder=3), job())  # type: ignore[arg-type]
 
 
 def test_a_job_that_cannot_be_opened_is_one_line(tmp_path: Path) -> None:

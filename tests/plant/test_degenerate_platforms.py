@@ -73,7 +73,7 @@ def test_a_massless_frame_is_refused_in_a_file_with_a_cure_and_needs_what_it_car
         "root": {"name": "base", "inertia": [1, 1, 1]},
         "gimbal": [{"name": "frame", "parent": "base", "axis": [1, 0, 0], "inertia": [0, 0, 0]}],
     }
-    with pytest.raises(InputError, match=r"inertia = \[0, 0, 0\]: not positive definite \(for a frame without mass"):
+    with pytest.raises(InputError, match=r"got \[0, 0, 0\] \(not positive definite \(for a frame without mass"):
         pc.read_platform(data)
     carrying = chain([X, Y], [np.zeros((3, 3)), np.eye(3)])
     assert pc.state_space(pc.linearise(carrying)).nstates == 4
@@ -168,7 +168,7 @@ def test_numbers_that_are_none_are_refused_everywhere(bad):
         lambda: pc.linearise(platform, q=[bad]),
         lambda: pc.linearise(platform, specific_force=[0, 0, bad]),
     ):
-        with pytest.raises(PlatformCtrlError, match="not finite"):
+        with pytest.raises(PlatformCtrlError, match="finite"):
             call()
 
 
@@ -187,14 +187,16 @@ def test_what_is_no_platform_is_refused_with_the_way_to_one(given):
         lambda p: pc.inverse_dynamics(p, [], [], []),
         lambda p: rollout(p, [[]], [[]]),
     ):
-        with pytest.raises(PlatformCtrlError, match=r"platform must be a Platform, for example, got .*"):
+        with pytest.raises(
+            PlatformCtrlError, match=r"platform must be a Platform, for example from read_platform, got .*"
+        ):
             call(given)
 
 
 @pytest.mark.parametrize("given", [None, 3, LOCKED], ids=["none", "number", "platform"])
 def test_what_is_no_model_is_refused_with_the_way_to_one(given):
     for call in (pc.state_space, pc.subsystems, pc.precession):
-        with pytest.raises(PlatformCtrlError, match=r"model must be a LinearModel, from linearise, got .*"):
+        with pytest.raises(PlatformCtrlError, match=r"model must be a LinearModel, from linearise\(platform\), got .*"):
             call(given)
 
 

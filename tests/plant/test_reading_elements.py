@@ -115,53 +115,108 @@ def dropped(*path):
 
 WRONG = {
     "no such gimbal": (changed("spring", 0, "gimbal", to="outr"), '[[spring]] 1 (gimbal "outr")', 'mean "outer"?'),
-    "spring on the root": (changed("spring", 0, "gimbal", to="base"), "does not exist", "a gimbal"),
-    "stiffness zero": (changed("spring", 0, "stiffness", to=0), "stiffness = 0", "a number other than 0"),
-    "two frictions": (changed("friction", 1, "gimbal", to="inner"), "has a friction already", "expected one"),
-    "negative viscous": (changed("friction", 0, "viscous", to=-1), "viscous = -1", "a number >= 0"),
+    "spring on the root": (
+        changed("spring", 0, "gimbal", to="base"),
+        'gimbal must be the name of a gimbal, got "base"; known: "outer", "inner"',
+        "a gimbal",
+    ),
+    "stiffness zero": (changed("spring", 0, "stiffness", to=0), "stiffness must be", "got 0", "a number other than 0"),
+    "two frictions": (
+        changed("friction", 1, "gimbal", to="inner"),
+        "has a friction already",
+        'gimbal: "inner" has a friction already, [[friction]] 1; leave one of them out',
+    ),
+    "negative viscous": (changed("friction", 0, "viscous", to=-1), "viscous must be", "got -1", "a number >= 0"),
     "negative coulomb": (changed("friction", 0, "coulomb", to=[0.1, -0.1]), "negative", "N m, or two"),
     "three coulombs": (changed("friction", 0, "coulomb", to=[1, 2, 3]), "has 3 elements", "or two"),
-    "no rate": (changed("friction", 0, "coulomb_rate", to=0), "coulomb_rate = 0", "a number > 0"),
-    "breakaway alone": (dropped("friction", 0, "stribeck_rate"), "breakaway = [0.01, 0.05]", '"stribeck_rate" with it'),
-    "stribeck rate alone": (dropped("friction", 0, "breakaway"), "stribeck_rate = 0.2", '"breakaway" with it'),
-    "breakaway below": (changed("friction", 0, "breakaway", to=0.015), "less than coulomb, [0.01, 0.02]", "at least"),
-    "breakaway no torque": (changed("friction", 0, "breakaway", to=-1), "breakaway = -1: negative", "N m, or two"),
-    "stribeck rate zero": (changed("friction", 0, "stribeck_rate", to=0), "stribeck_rate = 0", "a number > 0"),
-    "restitution too large": (changed("gimbal", 0, "restitution", to=1.1), "restitution = 1.1", "from 0 to 1"),
-    "restitution of no stop": (dropped("gimbal", 0, "stops"), "restitution = 0.4", '"stops" or "stops_deg" with it'),
-    "rate limit zero": (changed("torquer", 0, "rate_limit", to=0), "rate_limit = 0", "a number > 0"),
-    "sensor of nothing": (dropped("rate_sensor", 1, "gimbal"), "[[rate_sensor]] 2", "neither is given", '"root_axis"'),
-    "sensor of two": (changed("rate_sensor", 0, "gimbal", to="inner"), "both are given", '"gimbal" or "root_axis"'),
-    "sensor of no gimbal": (changed("rate_sensor", 1, "gimbal", to="innr"), 'gimbal = "innr"', 'mean "inner"?'),
+    "no rate": (changed("friction", 0, "coulomb_rate", to=0), "coulomb_rate must be", "got 0", "a number > 0"),
+    "breakaway alone": (
+        dropped("friction", 0, "stribeck_rate"),
+        "breakaway = [0.01, 0.05]",
+        'breakaway = [0.01, 0.05] has no effect without "stribeck_rate"; give both',
+    ),
+    "stribeck rate alone": (
+        dropped("friction", 0, "breakaway"),
+        "stribeck_rate = 0.2",
+        'stribeck_rate = 0.2 has no effect without "breakaway"; give both',
+    ),
+    "breakaway below": (
+        changed("friction", 0, "breakaway", to=0.015),
+        "breakaway must be at least coulomb, [0.01, 0.02], to either side, got 0.015",
+        "at least",
+    ),
+    "breakaway no torque": (
+        changed("friction", 0, "breakaway", to=-1),
+        "breakaway must be a torque >= 0, N m, or two: against negative and positive rates, got -",
+        "N m, or two",
+    ),
+    "stribeck rate zero": (
+        changed("friction", 0, "stribeck_rate", to=0),
+        "stribeck_rate must be",
+        "got 0",
+        "a number > 0",
+    ),
+    "restitution too large": (
+        changed("gimbal", 0, "restitution", to=1.1),
+        "restitution must be",
+        "got 1.1",
+        "from 0 to 1",
+    ),
+    "restitution of no stop": (
+        dropped("gimbal", 0, "stops"),
+        "restitution = 0.4",
+        'restitution = 0.4 has no effect without "stops" or "stops_deg"',
+    ),
+    "rate limit zero": (changed("torquer", 0, "rate_limit", to=0), "rate_limit must be", "got 0", "a number > 0"),
+    "sensor of nothing": (
+        dropped("rate_sensor", 1, "gimbal"),
+        "[[rate_sensor]] 2",
+        'give either "gimbal" or "root_axis", one of them is needed',
+        '"root_axis"',
+    ),
+    "sensor of two": (
+        changed("rate_sensor", 0, "gimbal", to="inner"),
+        'give either "gimbal" or "root_axis", not both',
+        '"gimbal" or "root_axis"',
+    ),
+    "sensor of no gimbal": (
+        changed("rate_sensor", 1, "gimbal", to="innr"),
+        'gimbal must be the name of a gimbal, got "innr"; did you mean "inner"?',
+        'mean "inner"?',
+    ),
     "sensor of the root": (changed("rate_sensor", 1, "gimbal", to="base"), "root_axis measures the root"),
-    "sensor of axis 4": (changed("rate_sensor", 0, "root_axis", to=4), "root_axis = 4", "1, 2 or 3"),
+    "sensor of axis 4": (changed("rate_sensor", 0, "root_axis", to=4), "root_axis must be", "got 4", "1, 2 or 3"),
     "sensor twice": (
         changed("rate_sensor", to=[{"root_axis": 1}, {"root_axis": 1}]),
-        "root_axis = 1: has a rate sensor already, [[rate_sensor]] 1",
-        "one about an axis",
+        "root_axis: axis 1 has a rate sensor already, [[rate_sensor]] 1; leave one of them out",
+        "root_axis: axis 1 has a rate sensor already, [[rate_sensor]] 1; leave one of them out",
     ),
     "gimbal sensor twice": (
         changed("rate_sensor", to=[{"gimbal": "inner"}, {"gimbal": "inner"}]),
-        'gimbal = "inner": has a rate sensor already, [[rate_sensor]] 1',
-        "one on a gimbal",
+        'gimbal: "inner" has a rate sensor already, [[rate_sensor]] 1; leave one of them out',
+        'gimbal: "inner" has a rate sensor already, [[rate_sensor]] 1; leave one of them out',
     ),
     "rate named as an angle": (
         changed("gimbal", 0, "angle", to="q_inner_rate"),
-        'the default name "q_inner_rate" names the angle of [[gimbal]] 1 already',
-        "a signal name of its own",
+        'the default name "q_inner_rate" is the name of the angle of [[gimbal]] 1 already; choose',
+        'the default name "q_inner_rate" is the name of the angle of [[gimbal]] 1 already; choose',
     ),
     "sensor with a name": (changed("rate_sensor", 0, "name", to="gyro"), 'unknown key "name"'),
-    "cage without stiffness": (dropped("cage", 0, "stiffness"), 'missing key "stiffness"', "a number > 0"),
+    "cage without stiffness": (dropped("cage", 0, "stiffness"), 'the key "stiffness" is missing', "a number > 0"),
     "unbalance of nobody": (changed("unbalance", 1, "body", to="x"), '(body "x")', "the root or a gimbal"),
     "moment too short": (changed("unbalance", 0, "moment", to=[1, 2]), "has 2 elements", "three numbers"),
-    "senses nothing": (changed("erection", 0, "senses", to="innr"), 'senses = "innr"', 'mean "inner"?'),
+    "senses nothing": (
+        changed("erection", 0, "senses", to="innr"),
+        'senses must be the name of the root or a gimbal, got "innr"; did you mean "inner"?',
+        'mean "inner"?',
+    ),
     "axis zero": (changed("erection", 0, "axis", to=[0, 0, 0]), "of length zero", "three numbers"),
-    "gain zero": (changed("erection", 0, "gain", to=0), "gain = 0", "other than 0"),
+    "gain zero": (changed("erection", 0, "gain", to=0), "gain must be a number other than 0, got 0", "other than 0"),
     "unknown key": (changed("cage", 0, "damp", to=1), 'unknown key "damp"', 'mean "damping"?'),
     "force too short": (changed("root", "specific_force", to=[9.81]), "[root]", "three numbers"),
     "servo without gain": (dropped("rotor", 0, "speed_gain"), 'control = "servo"', '"speed_gain"'),
     "loop without servo": (changed("rotor", 0, "control", to="free"), "speed_gain = 0.02", 'control = "servo"'),
-    "gain negative": (changed("rotor", 0, "speed_gain", to=-1), "speed_gain = -1", "a number > 0"),
+    "gain negative": (changed("rotor", 0, "speed_gain", to=-1), "speed_gain must be", "got -1", "a number > 0"),
 }
 
 
@@ -177,7 +232,7 @@ def test_a_mistake_is_one_line_that_names_place_and_cure(case):
 
 
 def test_a_job_file_in_place_of_a_plant_is_recognised():
-    with pytest.raises(InputError, match=r'is a job file; expected a plant: its own is "three_gyro_platform"'):
+    with pytest.raises(InputError, match=r'this is a job file; give its plant instead, "three_gyro_platform"'):
         read_platform("examples/three_gyro_platform.toml")
 
 
@@ -195,5 +250,7 @@ def test_every_kind_of_part_in_the_register_is_read_written_and_refused_by_its_n
     for key in PARTS[kind].holds.keys:
         wrong = copy.deepcopy(EVERY_PLANT_KEY.data)
         wrong[kind][0][key] = {}
-        with pytest.raises(InputError, match=rf"\[\[{kind}\]\] 1.*{key} = a table|are given"):
+        with pytest.raises(
+            InputError, match=rf"\[\[{kind}\]\] 1.*{key}( must be .*, got a table|.* one of them is needed)|give either"
+        ):
             read_platform(wrong)

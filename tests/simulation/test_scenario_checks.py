@@ -54,11 +54,11 @@ MALFORMED = {
     ),
     "a table's times": (
         lambda: table([1.0, 0.0], np.zeros((2, 3))),
-        r"TimeTable: t is \[1.0, 0.0\]; expected times that increase",
+        r"TimeTable: t must be times that increase, s, got \[1.0, 0.0\]",
     ),
     "one point of a spline": (
         lambda: table([0.0], np.zeros((1, 3)), smooth=True),
-        "TimeTable: t is .*; expected two times or more",
+        "TimeTable: t must be two times or more that increase",
     ),
     "a vibration's axis": (lambda: vibration(axis=5), "Vibration: axis must be a whole number from 1 to 3, got 5"),
     "a vibration's kind": (
@@ -67,11 +67,11 @@ MALFORMED = {
     ),
     "a vibration from 0 Hz": (
         lambda: vibration(frequencies_hz=np.array([0.0, 9.0])),
-        "expected two or more that increase, > 0",
+        "frequencies_hz must be two or more that increase, > 0",
     ),
     "a density of 0": (
         lambda: vibration(densities=np.array([0.0, 1.0])),
-        r"Vibration: densities is \[0.0, 1.0\]; expected numbers > 0, or all of them 0",
+        r"Vibration: densities must be numbers > 0, or all of them 0",
     ),
     "lines": (lambda: vibration(lines=0), "Vibration: lines must be a whole number from 1 to 10000, got 0"),
     "faults": (
@@ -84,7 +84,7 @@ MALFORMED = {
     ),
     "a fault's end": (
         lambda: fault("torquer dead", "Q9", at=1.0, until=0.5),
-        "fault 'it': until is 0.5; expected a time after at = 1 s",
+        "fault 'it': until must be after at = 1 s, got 0.5",
     ),
     "a time constant": (
         lambda: fault("rotor run-down", "11"),
