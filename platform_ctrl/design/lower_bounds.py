@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.design.partition import Partition, in_w_plane
+from platform_ctrl.design.partition import Partition, delayed, with_white_noise
 from platform_ctrl.design.riccati.assumptions import DIRECT
 from platform_ctrl.design.riccati.equations import Equation, by_pencil, hamiltonian, stabilising
 from platform_ctrl.design.scaling import ScaledPlant, autoscaled_with_gain, clustered
@@ -110,7 +110,7 @@ def h2_lower_bound(plant: Partition, direct: bool = True) -> float:
     ----------
     A. A. Stoorvogel, A. Saberi, B. M. Chen, Int. J. Robust and Nonlinear Control 3, 1993.
     """
-    return _evaluated(lambda: _h2(_with_white_noise(plant if direct else _delayed(plant)) if plant.dt else plant))
+    return _evaluated(lambda: _h2(with_white_noise(plant if direct else delayed(plant)) if plant.dt else plant))
 
 
 def _evaluated(bound: Callable[[], float]) -> float:
@@ -144,36 +144,6 @@ def _h2(plant: Partition) -> float:
     (V, seen), W = controls, measurements[0]
     square = np.linalg.norm(p.B1.T @ V) ** 2 + np.linalg.norm((p.C1 - seen @ V.T) @ W) ** 2
     return scaled.gain * math.sqrt(float(square) * scaled.rate)
-
-
-def _with_white_noise(plant: Partition) -> Partition:
-    """The w-plane plant behind √T / (1 + w T/2): its H2 norm is that of the sampled plant, in units of z per w."""
-    p = in_w_plane(plant)
-    (nz, nw), ny, nu = p.D11.shape, len(p.C2), p.B2.shape[1]
-    root, corner = math.sqrt(plant.dt), 2.0 / plant.dt
-    return Partition(
-        A=np.block([[p.A, root * p.B1], [np.zeros((nw, len(p.A))), -corner * np.eye(nw)]]),
-        B1=np.vstack([np.zeros((len(p.A), nw)), corner * np.eye(nw)]),
-        B2=np.vstack([p.B2, np.zeros((nw, nu))]),
-        C1=np.hstack([p.C1, root * p.D11]),
-        C2=np.hstack([p.C2, root * p.D21]),
-        D11=np.zeros((nz, nw)), D12=p.D12, D21=np.zeros((ny, nw)), D22=p.D22,
-    )  # fmt: skip
-
-
-def _delayed(plant: Partition) -> Partition:
-    """The sampled plant whose y comes a sample later: strictly proper controllers of `plant` are all those of this."""
-    p, ny = plant, len(plant.C2)
-    none = np.zeros((ny, ny))
-    return Partition(
-        A=np.block([[p.A, np.zeros((len(p.A), ny))], [p.C2, none]]),
-        B1=np.vstack([p.B1, p.D21]),
-        # What u adds to y directly the controller knows.
-        B2=np.vstack([p.B2, np.zeros((ny, p.B2.shape[1]))]),
-        C1=np.hstack([p.C1, np.zeros((len(p.C1), ny))]),
-        C2=np.hstack([np.zeros((ny, len(p.A))), np.eye(ny)]),
-        D11=p.D11, D12=p.D12, D21=np.zeros_like(p.D21), D22=np.zeros_like(p.D22), dt=p.dt,
-    )  # fmt: skip
 
 
 def _cost(side: Side) -> tuple[FloatArray, FloatArray] | None:

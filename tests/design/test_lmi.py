@@ -182,7 +182,7 @@ def test_mixed_designs_lie_between_the_two_pure_ones():
     P = random_plant()
     best = design.hinf(P, 2, 2, method="riccati").gamma_optimal
     least = design.h2(P, 2, 2, method="riccati").gamma_optimal
-    found = [design.multiobjective(P, 2, 2, [h2_bound(), hinf_bound(f * best, hard=True)]) for f in (1.1, 1.5, 3.0)]
+    found = [design.multiobjective(P, 2, 2, [h2_bound(), hinf_bound(f * best, hard=True)]) for f in (1.1, 3.0)]
     bounds = [result.ratio_optimal for result in found]
     values = [by_name(result)["H2 norm"].value for result in found]
     assert bounds == sorted(bounds, reverse=True)
@@ -190,7 +190,7 @@ def test_mixed_designs_lie_between_the_two_pure_ones():
     assert all(least <= value <= 1.06 * bound for value, bound in zip(values, bounds, strict=True))
     # The H2 optimum itself is admissible for three times the least gamma.
     assert values[-1] < 1.06 * least
-    for f, result in zip((1.1, 1.5, 3.0), found, strict=True):
+    for f, result in zip((1.1, 3.0), found, strict=True):
         assert by_name(result)["H-infinity norm"].value <= f * best
 
 

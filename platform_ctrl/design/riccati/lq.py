@@ -10,8 +10,6 @@ Solved in scaled units; each result is checked by the residual of its Riccati eq
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -30,7 +28,7 @@ from platform_ctrl.design.riccati.equations import well_conditioned
 from platform_ctrl.design.riccati.quadratic_cost import Weights, checked_weights, solved, square_root
 from platform_ctrl.design.scaling import require_stabilisable
 from platform_ctrl.design.synthesis import Synthesis, certify
-from platform_ctrl.errors import ArgumentError, DesignError, NotCertifiedError, NotStabilisableError
+from platform_ctrl.errors import ArgumentError, DesignError, NotCertifiedError
 
 if TYPE_CHECKING:
     from control import StateSpace
@@ -363,44 +361,39 @@ def _feedback(
     system: StateSpace, arrays: StateArrays, weights: Weights, integral: ArrayLike | None, where: str
 ) -> StateFeedback:
     A, B, weights, p = _with_integrals(arrays, weights, integral, where)
-    with _named_modes(A, B, np.eye(len(A)), arrays.dt, where, system) as require:
-        X, K, poles, residual = solved(A, B, weights, arrays.dt, where, system)
-        if not well_conditioned(A - B @ K, X, arrays.dt > 0):
-            require()
+    X, K, poles, residual = _solution(A, B, np.eye(len(A)), weights, where, system)
     return StateFeedback(system=system, state_gain=K, X=X, poles=poles, integrals=p, residual=residual)
 
 
 def _estimator(system: StateSpace, arrays: StateArrays, noise: Weights, where: str) -> Estimator:
     A, _, C, _, dt = arrays
-    with _named_modes(A, np.eye(len(A)), C, dt, where, system) as require:
-        Y, Lt, poles, residual = solved(A.T, C.T, noise, dt, where, system)
-        if not well_conditioned(A.T - C.T @ Lt, Y, dt > 0):
-            require()
+    Y, Lt, poles, residual = _solution(A, np.eye(len(A)), C, noise, where, system, dual=True)
     present = np.zeros((len(Y), 0))
-    if arrays.dt:
-        S = noise.second + arrays.C @ Y @ arrays.C.T
-        present = np.asarray(np.linalg.solve(S, arrays.C @ Y).T)
+    if dt:
+        present = np.asarray(np.linalg.solve(noise.second + C @ Y @ C.T, C @ Y).T)
     return Estimator(system=system, observer_gain=Lt.T, Y=Y, poles=poles, present_gain=present, residual=residual)
 
 
-@contextmanager
-def _named_modes(
-    A: FloatArray, B: FloatArray, C: FloatArray, dt: float, where: str, system: StateSpace
-) -> Iterator[Callable[[], None]]:
-    """Yield a check that names the mode out of reach in a NotStabilisableError; that comes before other errors."""
-    n, m, p = len(A), B.shape[1], len(C)
-    whole = StateArrays(A, np.hstack([np.eye(n), B]), np.vstack([np.eye(n), C]), np.zeros((n + p, n + m)), dt)
+def _solution(
+    A: FloatArray, B: FloatArray, C: FloatArray, weights: Weights, where: str, system: StateSpace, dual: bool = False
+) -> tuple[FloatArray, FloatArray, ComplexArray, float]:
+    """Return what `solved` does for A, B or the dual A', C'; a mode out of reach is named before any other error."""
+    n, dt = len(A), float(system.dt or 0.0)
 
     def require() -> None:
+        B_all, C_all = np.hstack([np.eye(n), B]), np.vstack([np.eye(n), C])
+        whole = StateArrays(A, B_all, C_all, np.zeros((len(C_all), B_all.shape[1])), dt)
         require_stabilisable(split(whole, n, n), system, where)
 
+    left, right = (A.T, C.T) if dual else (A, B)
     try:
-        yield require
-    except NotStabilisableError:
-        raise
+        found = solved(left, right, weights, dt, where, system)
     except DesignError:
         require()
         raise
+    if not well_conditioned(left - right @ found[1], found[0], dt > 0):
+        require()
+    return found
 
 
 def _cost_plant(arrays: StateArrays, weights: Weights, noise: Weights, integral: ArrayLike | None) -> Partition:
