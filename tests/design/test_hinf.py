@@ -11,11 +11,11 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.linalg import solve_continuous_are
 
-from platform_ctrl.analysis.arrays import StateArrays
+from platform_ctrl.analysis.arrays import state_arrays
 from platform_ctrl.analysis.norms import hinf_norm
 from platform_ctrl.design.lmi import conic
 from platform_ctrl.design.lmi.bounded_real import inequalities, minimised
-from platform_ctrl.design.partition import closed_loop, partition
+from platform_ctrl.design.partition import closed_loop, partition, whole
 from platform_ctrl.design.riccati.hinf import _central, _floor, _normal_form, _sides, _trial, hinf_riccati
 from platform_ctrl.design.scaling import autoscale, balance, require_stabilisable
 from platform_ctrl.design.synthesis import Claim, certify, hinf
@@ -128,16 +128,6 @@ def test_controllers_of_both_routes_are_not_faster_than_the_plant_asks_for():
     assert max(fastest) < 2 * 5000
 
 
-@pytest.mark.parametrize("seed", [1, 3])
-def test_slycot_agrees_on_scaled_plants_with_full_d11(seed):
-    pytest.importorskip("slycot")
-    p = autoscale(partition(random_plant(seed), 2, 2)).plant
-    P = control.ss(p.A, np.hstack([p.B1, p.B2]), np.vstack([p.C1, p.C2]), np.block([[p.D11, p.D12], [p.D21, p.D22]]))
-    least = control.hinfsyn(P, 2, 2)[2]
-    assert hinf(P, 2, 2, method="riccati").gamma_optimal == pytest.approx(least, rel=1e-5)
-    assert hinf(P, 2, 2, method="lmi").gamma_optimal == pytest.approx(least, rel=1e-4)
-
-
 def test_the_default_is_the_riccati_route_where_its_assumptions_hold_and_the_result_says_why():
     P = random_plant(7, n=4)
     default, asked = hinf(P, 2, 2), hinf(P, 2, 2, method="riccati")
@@ -211,6 +201,11 @@ def test_direct_feedthrough_from_u_to_y_costs_nothing(method):
     assert shifted.gamma_optimal == pytest.approx(plain.gamma_optimal, rel=1e-6)
 
 
+def lower_fraction(p, k):
+    """The response from w to z of a plant's with that of u = k y."""
+    return p[:4, :4] + p[:4, 4:] @ k @ np.linalg.solve(np.eye(2) - p[4:, 4:] @ k, p[4:, :4])
+
+
 def test_closed_loop_is_the_linear_fractional_transformation():
     rng = np.random.default_rng(6)
     P = random_plant(6)
@@ -218,10 +213,9 @@ def test_closed_loop_is_the_linear_fractional_transformation():
     D[4:, 4:] = 0.3
     P = control.ss(P.A, P.B, P.C, D)
     K = control.ss(*(0.5 * rng.normal(size=s) for s in ((3, 3), (3, 2), (2, 3), (2, 2))))
-    loop = closed_loop(partition(P, 2, 2), StateArrays(A=K.A, B=K.B, C=K.C, D=K.D))
+    loop = closed_loop(partition(P, 2, 2), state_arrays(K, "K"))
     for s in (0.3j, 2j, 1 + 1j):
-        p, k = P(s), K(s)
-        expected = p[:4, :4] + p[:4, 4:] @ k @ np.linalg.solve(np.eye(2) - p[4:, 4:] @ k, p[4:, :4])
+        expected = lower_fraction(P(s), K(s))
         found = loop.C @ np.linalg.solve(s * np.eye(len(loop.A)) - loop.A, loop.B) + loop.D
         np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-12)
 
@@ -262,31 +256,23 @@ def test_riccati_equations_are_solved():
     assert residual["spectral radius of X Y over gamma squared"] < 1
 
 
-def _certify(P, K, gamma_optimal):
-    return certify(
-        P,
-        partition(P, 2, 2),
-        K,
-        gamma_optimal=gamma_optimal,
-        backoff=0.02,
-        method="test",
-        residual={},
-    )
-
-
 def test_certificate_refuses_a_wrong_controller_and_a_claim_that_is_too_good():
     P, _, _ = coprime_problem(*gyro())
     good = hinf(P, 2, 2, method="riccati")
-    K = good.controller
-    kept = _certify(P, StateArrays(A=K.A, B=K.B, C=K.C, D=K.D), good.gamma_optimal)
-    assert kept.gamma == pytest.approx(good.gamma, rel=1e-6)
+    K = state_arrays(good.controller, "K")
+
+    def certified(controller, gamma_optimal=good.gamma_optimal):
+        options = {"gamma_optimal": gamma_optimal, "backoff": 0.02, "method": "test", "residual": {}}
+        return certify(P, partition(P, 2, 2), controller, **options)
+
+    assert certified(K).gamma == pytest.approx(good.gamma, rel=1e-6)
     with pytest.raises(DesignError, match="has a pole at") as refused:
-        _certify(P, StateArrays(A=K.A, B=K.B, C=-K.C, D=-K.D), good.gamma_optimal)
+        certified(K._replace(C=-K.C, D=-K.D))
     assert refused.value.problem is P
     with pytest.raises(DesignError, match="the closed loop has the norm"):
-        _certify(P, StateArrays(A=K.A, B=K.B, C=K.C, D=K.D), 0.9 * good.gamma_optimal)
+        certified(K, 0.9 * good.gamma_optimal)
     with pytest.raises(DesignError, match="the closed loop has the norm"):
-        _certify(P, StateArrays(A=K.A, B=K.B, C=1.2 * K.C, D=K.D), good.gamma_optimal)
+        certified(K._replace(C=1.2 * K.C))
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -314,12 +300,6 @@ def test_riccati_route_names_a_zero_on_the_axis_that_the_lmi_route_does_not_mind
     with pytest.raises(DesignError, match=r"\[A − jωI, B2; C1, D12\] loses column rank at 0 rad/s"):
         hinf(P, 1, 1, method="riccati")
     assert hinf(P, 1, 1, method="lmi").spectral_abscissa < 0
-
-
-def test_solver_that_does_not_finish_in_time_is_an_error():
-    P, nmeas, ncon = coprime_problem(*gyro())
-    with pytest.raises(DesignError, match="did not finish in 1e-06 s"):
-        hinf(P, nmeas, ncon, method="lmi", time_limit=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -384,14 +364,8 @@ def test_a_stable_mode_far_slower_than_another_is_no_obstacle():
 
 def test_result_keeps_names_and_evidence_through_copies():
     plain = random_plant(8)
-    P = control.ss(
-        plain.A,
-        plain.B,
-        plain.C,
-        plain.D,
-        inputs=["d1", "d2", "d3", "d4", "Q9", "Q10"],
-        outputs=["e1", "e2", "e3", "e4", "alpha9", "beta10"],
-    )
+    inputs, outputs = ["d1", "d2", "d3", "d4", "Q9", "Q10"], ["e1", "e2", "e3", "e4", "alpha9", "beta10"]
+    P = control.ss(plain.A, plain.B, plain.C, plain.D, inputs=inputs, outputs=outputs)
     before = copy.deepcopy((P.A, P.B, P.C, P.D))
     result = hinf(P, 2, 2, method="riccati")
     assert result.controller.input_labels == ["alpha9", "beta10"]
@@ -417,12 +391,7 @@ def test_sampled_plants_have_the_norm_of_their_w_plane(seed, method):
     assert result.gamma_optimal == pytest.approx(flat.gamma_optimal, rel=ACCURACY[method])
     # Recomputed along the unit circle from plant and controller alone.
     z = np.exp(1j * np.linspace(0, np.pi, 400))
-    peaks = []
-    for one in z:
-        p, k = P(one), result.controller(one)
-        peaks.append(
-            np.linalg.norm(p[:4, :4] + p[:4, 4:] @ k @ np.linalg.solve(np.eye(2) - p[4:, 4:] @ k, p[4:, :4]), 2)
-        )
+    peaks = [np.linalg.norm(lower_fraction(P(one), result.controller(one)), 2) for one in z]
     assert 0.98 * result.gamma < max(peaks) <= result.gamma * (1 + 1e-6)
     assert np.abs(result.poles).max() < 1
     assert result.spectral_abscissa < 0
@@ -432,8 +401,7 @@ def test_slycot_agrees_to_six_digits_where_its_own_loop_has_the_norm_that_it_cla
     slycot = pytest.importorskip("slycot")
     for n, seed in ((3, 0), (3, 2), (10, 5), (15, 2), (20, 4)):
         p = autoscale(partition(random_plant(seed, n), 2, 2)).plant
-        A, B, C = p.A, np.hstack([p.B1, p.B2]), np.vstack([p.C1, p.C2])
-        D = np.block([[p.D11, p.D12], [p.D21, p.D22]])
+        A, B, C, D, _ = whole(p)
         claimed, *_, Ac, Bc, Cc, Dc, _ = slycot.sb10ad(n, 6, 6, 2, 2, 1e3, A, B, C, D)
         true = hinf_norm(control.ss(Ac, Bc, Cc, Dc))[0]
         result = hinf(control.ss(A, B, C, D), 2, 2, method="riccati")
@@ -530,7 +498,7 @@ def test_a_zero_on_the_axis_is_shifted_when_asked():
 def test_promised_norms_are_judged_one_by_one():
     P, _, _ = coprime_problem(*gyro())
     good = hinf(P, 2, 2, method="riccati")
-    K = StateArrays(**{name: getattr(good.controller, name) for name in "ABCD"})
+    K = state_arrays(good.controller, "K")
     torque = Claim(name="of the torques", norm="hinf", limit=np.inf, outputs=(0, 1))
     arguments = {"gamma_optimal": good.gamma_optimal, "backoff": 0.02, "method": "test", "residual": {}}
     kept = certify(P, partition(P, 2, 2), K, **arguments, claims=[torque])
