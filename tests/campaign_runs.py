@@ -30,20 +30,7 @@ from platform_ctrl.campaign.workers import Chunks
 from platform_ctrl.errors import SimulationError
 from platform_ctrl.job.reading import read_job
 
-TEXT = """
-schema = 2
-name = "a turn, many times"
-plant = "three_gyro_platform"
-operation = { Omega = [0.0, 0.0, 0.0], seed = 7 }
-sampling = { rate_hz = 2000, delay = 0.0005 }
-
-[[loop]]
-name = "caging 9-10"
-kind = "caging"
-gimbals = ["9", "10"]
-use = "classical"
-design = [{ name = "classical", method = "classical", crossover_hz = 40, integral_hz = 2 }]
-
+MANOEUVRES = """
 [[manoeuvre]]
 name = "turn"
 mode = "caged"
@@ -61,7 +48,24 @@ axis = 2
 torque = 0.1
 duration = 0.02
 limits = { angle = 0.0005 }
+"""
+TEXT = (
+    """
+schema = 2
+name = "a turn, many times"
+plant = "three_gyro_platform"
+operation = { Omega = [0.0, 0.0, 0.0], seed = 7 }
+sampling = { rate_hz = 2000, delay = 0.0005 }
 
+[[loop]]
+name = "caging 9-10"
+kind = "caging"
+gimbals = ["9", "10"]
+use = "classical"
+design = [{ name = "classical", method = "classical", crossover_hz = 40, integral_hz = 2 }]
+"""
+    + MANOEUVRES
+    + """
 [campaign]
 runs = 100
 
@@ -78,6 +82,7 @@ distribution = "uniform"
 low = 3e-4
 high = 5e-4
 """
+)
 JOB: dict[str, Any] = tomllib.loads(TEXT)
 
 

@@ -12,7 +12,6 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from platform_ctrl.cli.baseline_options import writable
 from platform_ctrl.cli.campaign_command import campaign
 from platform_ctrl.cli.check_command import check
 from platform_ctrl.cli.equations_command import equations
@@ -30,6 +29,7 @@ from platform_ctrl.cli.job_arguments import (
     job_of,
     plant_file,
     prepare_folder,
+    writable,
 )
 from platform_ctrl.cli.job_outcome import ReportOptions, write_report
 from platform_ctrl.cli.new_command import new

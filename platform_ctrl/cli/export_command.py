@@ -10,8 +10,17 @@ from typing import Annotated, Any
 import typer
 
 from platform_ctrl.cli import completion
-from platform_ctrl.cli.baseline_options import expect_no_file_above, writable
-from platform_ctrl.cli.job_arguments import Controllers, JobFile, Json, Quiet, controller_file, job_of, plant_file
+from platform_ctrl.cli.job_arguments import (
+    Controllers,
+    JobFile,
+    Json,
+    Quiet,
+    controller_file,
+    expect_no_file_above,
+    job_of,
+    plant_file,
+    writable,
+)
 from platform_ctrl.errors import InputError
 from platform_ctrl.export.exporters import Export, Exporter, Setting, exporters
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -145,3 +145,30 @@ def prepare_folder(folder: Path, files: Sequence[str] = ()) -> None:
     for name in files:
         if os.path.isdir(folder / name):
             raise InputError(f"-o {folder}: {name} is a folder there, but must be a file or not exist")
+
+
+def writable(option: str, file: Path, others: Iterable[Path | None] = ()) -> None:
+    """Make the folder of a file and try to write there: before the work, not after it.
+
+    None of `others` may be that file: the command reads or writes them.
+    """
+    try:
+        if file.is_dir():
+            raise InputError(f"{option} {file}: is a folder, but must be a file")
+        if file.exists() and not file.is_file():
+            raise InputError(f"{option} {file}: is a device or a pipe, but must be a file or not exist")
+        expect_no_file_above(option, file)
+        if file.resolve() in [other.resolve() for other in others if other is not None]:
+            raise InputError(f"{option} {file}: the command reads or writes this file for something else; name another")
+        file.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=file.parent):
+            pass
+    except OSError as error:
+        raise InputError(f"{option} {file}: cannot be written: {error.strerror or error}") from None
+
+
+def expect_no_file_above(option: str, target: Path) -> None:
+    """Make sure that nothing on the way to a target is a file."""
+    blocked = next((part for part in target.parents if part.exists() and not part.is_dir()), None)
+    if blocked is not None:
+        raise InputError(f"{option} {target}: {blocked} is a file, but must be a folder or not exist")

@@ -16,13 +16,15 @@ import pytest
 from typer.testing import CliRunner
 
 import platform_ctrl as pc
+from campaign_runs import MANOEUVRES
 from platform_ctrl.cli import main
 from platform_ctrl.errors import DesignError
 from platform_ctrl.plant.source import platform_source
 from refused_command import refused
 from verification.test_records import alike
 
-JOB = """
+JOB = (
+    """
 schema = 2
 name = "three gyros, fixed numbers"
 plant = "three_gyro_platform"
@@ -51,25 +53,9 @@ name = "stabilisation"
 kind = "stabilisation"
 use = "servo"
 design = [{ name = "servo", method = "platform-servo", crossover_hz = 4, filter_hz = 50 }]
-
-[[manoeuvre]]
-name = "turn"
-mode = "caged"
-axis = 1
-rate = 0.2
-rise = 0.01
-hold = 0.0
-duration = 0.02
-limits = { angle = 0.003, torque_share = 1.0 }
-
-[[manoeuvre]]
-name = "step"
-mode = "stabilised"
-axis = 2
-torque = 0.1
-duration = 0.02
-limits = { angle = 0.0005 }
 """
+    + MANOEUVRES
+)
 
 
 @pytest.fixture(scope="module")

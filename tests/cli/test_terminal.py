@@ -142,6 +142,25 @@ def test_ctrl_c_leaves_what_was_there(moment: str, there: Path) -> None:
     assert {path.name: path.read_bytes() for path in out.iterdir()} == before
 
 
+ENDING = """
+import atexit, sys, time
+from platform_ctrl.cli import main
+sys.argv = ["platform-ctrl", "--version"]
+code = main()
+atexit.register(lambda: (print("ending", flush=True), time.sleep(60.0)))
+sys.exit(code)
+"""
+
+
+def test_ctrl_c_at_the_end_of_the_process_is_an_interrupt_too() -> None:
+    with subprocess.Popen([sys.executable, "-c", ENDING], stdout=subprocess.PIPE, env=environment()) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline().startswith(b"platform-ctrl ")
+        assert process.stdout.readline() == b"ending\n"
+        process.send_signal(signal.SIGINT)
+    assert process.returncode == 130
+
+
 def test_ctrl_c_before_a_plant_is_read_leaves_no_file(there: Path, tmp_path: Path) -> None:
     shown = Terminal("new", "mine", "--like", "suspended_platform", cwd=tmp_path).until("starting values")
     assert shown.type(b"\x03").end() == 130

@@ -6,11 +6,14 @@ and comes back as the status of the next step.
 
 from __future__ import annotations
 
+import atexit
+import ctypes
 import json
 import math
+import os
 import sys
 from collections.abc import Callable
-from functools import partial
+from functools import cache, partial
 from hashlib import sha256
 from pathlib import Path
 from types import SimpleNamespace
@@ -29,14 +32,76 @@ from pythonfmu3.variables import Boolean, Enumeration, Float64, Int64
 from platform_ctrl import __version__
 from platform_ctrl.common.values import FloatArray, replaced
 from platform_ctrl.design.plants import with_spins
-from platform_ctrl.errors import InputError, SimulationError
-from platform_ctrl.export.fmu.guards import error_line, finalize_before_exit, guarded_getter, guarded_setter
+from platform_ctrl.errors import InputError, PlatformCtrlError, SimulationError
 from platform_ctrl.export.fmu.signals import UNITS, Signal, inputs_of, output_values, outputs_of, parameters_of, runs_of
 from platform_ctrl.job.job import Job, manoeuvre_scenario
 from platform_ctrl.job.reading import read_job
 from platform_ctrl.job.scenario import Mode, Scenario
 from platform_ctrl.simulation import Simulator
 from platform_ctrl.verification.given import read_controllers
+
+# What a getter that fails returns in place of each number.
+_NOTHING: dict[str, Any] = {
+    "float64": math.nan,
+    "int32": 0,
+    "int64": 0,
+    "uint64": 0,
+    "boolean": False,
+    "string": "",
+}
+
+
+def error_line(error: BaseException) -> str:
+    """Return a line about an error."""
+    return str(error) if isinstance(error, PlatformCtrlError) else f"{type(error).__name__}: {error}"
+
+
+def guarded_setter(kind: str) -> Callable[[Any, list[int], list[Any]], None]:
+    """Return the library's setter of a kind; what it raises goes to the instance's `fail`."""
+
+    def put(self: Any, references: list[int], numbers: list[Any]) -> None:
+        try:
+            getattr(Fmi3Slave, f"set_{kind}")(self, references, numbers)
+        except (Exception, KeyboardInterrupt) as error:
+            self.fail(f"values that cannot be set: {error_line(error)}")
+
+    return put
+
+
+def guarded_getter(kind: str) -> Callable[[Any, list[int]], list[Any]]:
+    """Return the library's getter of a kind; where it raises, numbers that say nothing."""
+
+    def get(self: Any, references: list[int]) -> list[Any]:
+        try:
+            return list(getattr(Fmi3Slave, f"get_{kind}")(self, references))
+        except (Exception, KeyboardInterrupt) as error:
+            self.fail(f"values that cannot be read: {error_line(error)}")
+            return [_NOTHING[kind]] * len(references)
+
+    return get
+
+
+_FUNCTION = "finalizePythonInterpreter"
+# Program name that the library sets where it has started Python itself; there it also ends Python.
+_OWN_PROGRAM = "PythonFMU"
+
+
+def finalize_before_exit(resources: Path, identifier: str) -> None:
+    """Register the end of the unit's library before that of the process."""
+    if os.name == "posix" and Path(sys.executable or _OWN_PROGRAM).name != _OWN_PROGRAM:
+        for library in sorted(resources.parent.glob(f"binaries/*/{identifier}.so")):
+            _at_exit(library)
+
+
+@cache
+def _at_exit(library: Path) -> None:
+    try:
+        # Not loaded anew: the handle of the one that is there, or none.
+        loaded = ctypes.CDLL(str(library), mode=os.RTLD_NOLOAD | os.RTLD_LAZY)
+        atexit.register(getattr(loaded, _FUNCTION))
+    except (OSError, AttributeError):
+        return
+
 
 JOB, CONTROLLERS, PLANT, ABOUT = "job.toml", "controllers.json", "plant.toml", "about.json"
 # How far the length of a step may be from whole periods, and where it begins from a sample, in periods: more than what
