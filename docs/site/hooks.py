@@ -51,6 +51,7 @@ def on_page_markdown(markdown: str, page: Any, config: Any, files: Files) -> str
         markdown = markdown.replace(picture.comment, shown, 1)
     markdown = markdown.replace("<!-- gallery -->", gallery.page())
     markdown = names.MARK.sub(lambda found: names.entries(found[1], found[2]), markdown)
+    markdown = markdown.replace("<!-- all public names -->", names.every())
     for folder in SHOWN:
         markdown = markdown.replace(f"<!-- list of {folder} -->", _list(folder))
     return _LINK.sub(lambda found: f"]({_page_of(found[1], page.file.src_uri, up)})", markdown)

@@ -134,6 +134,12 @@ def entries(kind: str, module: str) -> str:
     return "| name | is |\n| --- | --- |\n" + "\n".join(rows) + "\n\n" + "\n\n".join(own) + "\n"
 
 
+def every() -> str:
+    """Return a table of all public names and what each is for, by modules."""
+    rows = [f"| `{path.removeprefix('platform_ctrl.')}` | {_told(item)} |" for path, item in public().items()]
+    return "| name | is |\n| --- | --- |\n" + "\n".join(rows) + "\n"
+
+
 @cache
 def _by_identifier() -> dict[str, Any]:
     return {identifier(item): item for item in public().values()} | results()

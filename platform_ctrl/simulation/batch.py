@@ -152,7 +152,7 @@ def simulate_batch(
 
     if len({_kind(one.scenario.platform) for one in {member.skeleton: member for member in members}.values()}) > 1:
         raise ArgumentError(
-            "scenarios: their plants differ in gimbals, torquers or sensors; expected one kind of plant"
+            "scenarios: their plants differ in gimbals, torquers or sensors; simulate them one kind at a time"
         )
     n, nu = (members[0].skeleton.at.n, len(members[0].skeleton.targets)) if members else (0, 0)
     rows = np.empty((len(members), metric_slots(n, nu)))
@@ -268,7 +268,7 @@ def recorded(member: Prepared, controller: Controller, period: float, noise: boo
         record = np.zeros((layout.samples, columns))
     except MemoryError:
         takes = f"the record of {layout.samples} samples takes {layout.samples * columns * 8 / 1e9:.3g} GB"
-        raise SimulationError(f"{takes}, more memory than there is; expected a shorter run") from None
+        raise SimulationError(f"{takes}, more memory than there is; simulate a shorter run") from None
     metrics = np.empty((1, layout.end - layout.metrics, LANES))
     run_interruptibly(
         lambda: simulate_groups(

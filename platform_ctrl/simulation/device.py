@@ -49,9 +49,7 @@ def _cuda() -> Any:
     with _translated_errors():
         cuda = import_module("numba.cuda")
         if not cuda.is_available():
-            raise SimulationError(
-                "device 'cuda': no CUDA GPU with its driver was found here; expected one, or device 'cpu'"
-            )
+            raise SimulationError("device 'cuda': no CUDA GPU with its driver was found here; use device 'cpu'")
     return cuda
 
 

@@ -133,7 +133,7 @@ def rollout(
     try:
         runs = len(np.atleast_2d(np.asarray(q)))
     except ValueError:
-        raise ArgumentError(f"q: given rows of different lengths; expected (N, {n}) real numbers") from None
+        raise ArgumentError(f"q must be (N, {n}) real numbers, got rows of different lengths") from None
     angles = real_array("q", q, (runs, n))
     rates = real_array("velocity", velocity, (runs, n + 3))
     turned = unit_quaternions(attitude, (runs, 4))

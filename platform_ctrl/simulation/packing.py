@@ -128,7 +128,7 @@ def _skeleton(parts: _Parts) -> Skeleton:
         twice = [name for name in names if names.count(name) > 1]
         if twice:
             raise ArgumentError(
-                f"platform {platform.name!r}: gimbal {twice[0]!r} has more than one {kind}; expected one"
+                f"platform {platform.name!r}: gimbal {twice[0]!r} has more than one {kind}; combine them"
             )
     sensors = tuple(
         (arrays.ANGLE, gimbal(s.gimbal))

@@ -27,14 +27,14 @@ _SAMPLES, _PERIODS, _SUBSTEPS = 1e8, 1e3, 1e8
 def expect_scenario(scenario: object, period: float) -> None:
     """Refuse what is no scenario, or one that cannot be simulated; steps are checked for a batch at a time."""
     if not isinstance(scenario, Scenario):
-        raise ArgumentError(f"scenario: given {short(scenario)}; expected a Scenario")
+        raise ArgumentError(f"scenario must be a Scenario, got {short(scenario)}")
     whole("seed", scenario.seed, 0, 2**64 - 1)
     whole("run", scenario.run, 0, 2**64 - 1)
     for name, most in (("duration", _SAMPLES), ("delay", _PERIODS)):
         time = positive(name, getattr(scenario, name), zero=True)
         if time > most * period:
             raise ArgumentError(
-                f"{name}: {time:.6g} s are {time / period:.3g} periods; expected at most {most:.0e} of them"
+                f"{name}: {time:.6g} s are {time / period:.3g} periods, more than the {most:.0e} that a run may have"
             )
     _start(scenario)
     _motion(scenario)
@@ -46,16 +46,16 @@ def steps(period: float, step: float) -> tuple[float, float]:
     """Return the sample period and the longest substep."""
     period, step = positive("period", period), positive("step", step)
     if period > _SUBSTEPS * step:
-        raise ArgumentError(f"step: {step:.3g} s is too short for a period of {period:.3g} s; expected a longer one")
+        raise ArgumentError(f"step: {step:.3g} s is too short for a period of {period:.3g} s; take a longer one")
     return period, step
 
 
 def expect_several(name: str, given: object, kind: type | None = None) -> None:
     """Judge an argument that has to be several things: not one of a `kind`."""
     if kind is not None and isinstance(given, kind):
-        raise ArgumentError(f"{name}: given one {kind.__name__}; expected a sequence of them")
+        raise ArgumentError(f"{name} must be a sequence, got one {kind.__name__}")
     if not isinstance(given, Iterable):
-        raise ArgumentError(f"{name}: given {short(given)}; expected a sequence")
+        raise ArgumentError(f"{name} must be a sequence, got {short(given)}")
 
 
 def _start(scenario: Scenario) -> None:
@@ -69,25 +69,25 @@ def _start(scenario: Scenario) -> None:
         unit_quaternions(scenario.attitude, (4,))
     for gimbal, angle in zip(gimbals, scenario.q, strict=True):
         if gimbal.stops is not None and not gimbal.stops[0] <= angle <= gimbal.stops[1]:
-            raise ArgumentError(
-                f"q: {gimbal.angle} starts at {angle:.6g} rad; expected it between its stops {gimbal.stops}"
-            )
+            raise ArgumentError(f"q: {gimbal.angle} starts at {angle:.6g} rad, outside its stops {gimbal.stops}")
 
 
 def _motion(scenario: Scenario) -> None:
     real_array("torque", scenario.torque, (3,))
     if scenario.mode == "stabilised":
         given = {"profile": scenario.profile is not None, "Omega_table": scenario.Omega_table is not None}
-        why = "where the root is free; expected torque or torque_table"
+        why = "where the root is free; give torque or torque_table"
     else:
         given = {name: bool(getattr(scenario, name).any()) for name in ("torque", "Omega")}
         given["torque_table"] = scenario.torque_table is not None
-        why = "where Omega is prescribed; expected profile or Omega_table"
+        why = "where Omega is prescribed; give profile or Omega_table"
     for name, there in given.items():
         if there:
-            raise ArgumentError(f"{name}: given in mode {scenario.mode!r}, {why}")
+            raise ArgumentError(f"{name}: has no effect in mode {scenario.mode!r}, {why}")
     if scenario.mode == "stabilised" and any(vibration.kind == "rate" for vibration in scenario.vibrations):
-        raise ArgumentError("vibration: of kind 'rate' in mode 'stabilised', where the root is free; expected 'force'")
+        raise ArgumentError(
+            "vibration: kind 'rate' has no effect in mode 'stabilised', where the root is free; use 'force'"
+        )
 
 
 def part_of(platform: Platform, fault: Fault) -> int:
@@ -98,7 +98,9 @@ def part_of(platform: Platform, fault: Fault) -> int:
     names = part_names(platform, kind)
     if fault.part not in names:
         what = "sensor" if kind == "pick-off" else kind
-        raise ArgumentError(f"fault {fault.name!r}: given {what} {fault.part!r}; expected one of {', '.join(names)}")
+        raise ArgumentError(
+            f"fault {fault.name!r}: there is no {what} {fault.part!r}, only {', '.join(names) or 'none'}"
+        )
     return names.index(fault.part)
 
 
@@ -110,7 +112,7 @@ def unit_quaternions(given: ArrayLike | None, shape: tuple[int, ...]) -> FloatAr
     norm = np.linalg.norm(attitude, axis=-1, keepdims=True)
     if np.abs(norm - 1.0).max(initial=0.0) > 1e-6:
         worst = norm.flat[np.abs(norm - 1.0).argmax()]
-        raise ArgumentError(f"attitude: given a norm of {worst:.6g}; expected unit quaternions w, x, y, z")
+        raise ArgumentError(f"attitude must be a unit quaternion w, x, y, z, got a norm of {worst:.6g}")
     return np.asarray(attitude / norm)
 
 

@@ -105,5 +105,5 @@ def check_step(platforms: Sequence[Platform], steps: ArrayLike, free: bool) -> N
         pole, rotor = fastest[place, k], platforms[place].rotors[servos[k]]
         raise ArgumentError(
             f"step: {given[place, k]:.3g} s is too long for the speed loop of rotor {rotor.name!r}, which decays at "
-            f"{pole:.4g} 1/s; expected at most {_PER_STEP / pole:.3g} s"
+            f"{pole:.4g} 1/s; take at most {_PER_STEP / pole:.3g} s"
         )

@@ -61,7 +61,7 @@ def check_elements(platforms: Sequence[Platform], steps: ArrayLike, free: bool) 
         kind, k, row = found[int(longest[:, place].argmin())]
         cure = ", or a larger coulomb_rate" if kind == "friction" else ""
         wrong = f"step: {given[place]:.3g} s is too long for the {kind} of gimbal {platforms[place].gimbals[k].name!r}"
-        raise ArgumentError(f"{wrong}; expected at most {row[place]:.3g} s{cure}")
+        raise ArgumentError(f"{wrong}; take at most {row[place]:.3g} s{cure}")
 
 
 def _eases(shape: Skeleton, platforms: Sequence[Platform], free: bool) -> FloatArray:

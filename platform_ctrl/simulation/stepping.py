@@ -113,7 +113,7 @@ class Simulator:
     def _expect(self, name: str, mode: str) -> None:
         """Judge an input that belongs to one mode."""
         if self.scenario.mode != mode:
-            raise ArgumentError(f"{name}: given in mode {self.scenario.mode!r}; it is an input in mode {mode!r} alone")
+            raise ArgumentError(f"{name}: has no effect in mode {self.scenario.mode!r}, only in mode {mode!r}")
 
     @property
     def now(self) -> Trajectory:
@@ -172,7 +172,7 @@ class Simulator:
         moment = self._torque if torque is None else real_array("torque", torque, (3,))
         joints = self._gimbal_torque if gimbal_torque is None else real_array("gimbal_torque", gimbal_torque, (n,))
         if not self.going:
-            raise SimulationError(f"the run has {self.now.ended}; expected a new one")
+            raise SimulationError(f"the run has {self.now.ended}; start a new one")
         begin, end = self.sample * self.period, (self.sample + samples) * self.period
         self._put(start - self._reached, moment - self._torque, joints)
         self._reached, self._slope, self._torque = start, slope, moment
@@ -283,7 +283,7 @@ class Simulator:
         head = _HEAD + n
         numbers = real_numbers("snapshot", snapshot)
         if numbers.shape != (head + slots + self._row.shape[1],):
-            raise ArgumentError(f"snapshot: given shape {numbers.shape}; expected that of this run")
+            raise ArgumentError(f"snapshot must have the shape of those of this run, got {numbers.shape}")
         self.sample, self.going = int(numbers[0]), bool(numbers[1])
         self._reached, self._slope, self._torque = (numbers[2 + 3 * k : 5 + 3 * k].copy() for k in range(3))
         self._gimbal_torque = numbers[_HEAD:head].copy()

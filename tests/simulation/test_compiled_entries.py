@@ -43,6 +43,7 @@ def arrays() -> list[np.ndarray]:
 def test_a_direct_term_of_another_size_does_not_end_the_process() -> None:
     code = (
         "import numpy as np; from platform_ctrl import analysis, errors\n"
+        "from platform_ctrl.analysis.arrays import StateArrays\n"
         "system = StateArrays([[.5]], [[1]], [[1]], np.zeros((5, 5)), 0.1)\n"
         "try: analysis.frequency_response(system, np.array([1.0, 2.0]))\n"
         "except errors.ArgumentError as error: print(error)"

@@ -102,5 +102,5 @@ def test_of_many_plants_the_one_whose_step_is_too_long_is_found():
     run = Scenario(platform=platform, mode="caged", duration=0.001, delay=0.0)
     runs = [replace(run, run=k) for k in range(9)]
     assert simulate_batch(runs, [], period=1e-3, step=1e-4).completed.all()
-    with pytest.raises(ArgumentError, match=r"step: 0.0001 s is too long for the cage of gimbal '4'; expected at most"):
+    with pytest.raises(ArgumentError, match=r"step: 0.0001 s is too long for the cage of gimbal '4'; take at most"):
         simulate_batch([*runs, replace(run, platform=stiff), *runs], [], period=1e-3, step=1e-4)

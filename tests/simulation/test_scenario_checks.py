@@ -109,30 +109,33 @@ def test_what_makes_no_sense_by_itself_is_refused_when_it_is_made(malformed, mes
 
 REFUSED = {
     "angles": ({"q": [0.0]}, r"q must have shape \(5,\), got \(1,\)"),
-    "an angle beyond a stop": ({"q": [1.0, 0, 0, 0, 0]}, "q: alpha4 starts at 1 rad; expected it between its stops"),
+    "an angle beyond a stop": ({"q": [1.0, 0, 0, 0, 0]}, "q: alpha4 starts at 1 rad, outside its stops"),
     "rates": ({"rate": [np.inf] * 5}, r"rate must be finite numbers of shape \(5,\), got one that is not"),
     "Omega": ({"mode": "stabilised", "Omega": [0.1]}, r"Omega must have shape \(3,\), got \(1,\)"),
     "a prescribed Omega": (
         {"Omega": [0.1, 0.0, 0.0]},
-        "Omega: given in mode 'caged', where Omega is prescribed; expected profile or Omega_table",
+        "Omega: has no effect in mode 'caged', where Omega is prescribed; give profile or Omega_table",
     ),
     "spins": ({"spin": [1.0]}, r"spin must have shape \(0,\), got \(1,\)"),
-    "attitude": ({"attitude": [1.0, 1.0, 0.0, 0.0]}, "attitude: given a norm of 1.41421; expected unit quaternions"),
+    "attitude": ({"attitude": [1.0, 1.0, 0.0, 0.0]}, "attitude must be a unit quaternion w, x, y, z, got a norm"),
     "duration": ({"duration": -1.0}, "duration must be a finite number >= 0, got -1.0"),
     "delay": ({"delay": np.inf}, "delay must be a finite number >= 0, got inf"),
     "run": ({"run": -1}, "run must be a whole number from 0 to 18446744073709551615, got -1"),
     "torque": (
         {"torque": [0.1, 0.0, 0.0]},
-        "torque: given in mode 'caged', where Omega is prescribed; expected profile or Omega_table",
+        "torque: has no effect in mode 'caged', where Omega is prescribed; give profile or Omega_table",
     ),
     "profile": (
         {"mode": "stabilised", "profile": profile()},
-        "profile: given in mode 'stabilised', where the root is free; expected torque or torque_table",
+        "profile: has no effect in mode 'stabilised', where the root is free; give torque or torque_table",
     ),
-    "a vibration's mode": ({"mode": "stabilised", "vibrations": (vibration(),)}, "of kind 'rate' in mode 'stabilised'"),
+    "a vibration's mode": (
+        {"mode": "stabilised", "vibrations": (vibration(),)},
+        "kind 'rate' has no effect in mode 'stabilised'",
+    ),
     "a fault's part": (
         {"faults": (fault("torquer dead", "Q3"),)},
-        "fault 'it': given torquer 'Q3'; expected one of Q4, Q5, Q7, Q9, Q10, M1, M2, M3",
+        "fault 'it': there is no torquer 'Q3', only Q4, Q5, Q7, Q9, Q10, M1, M2, M3",
     ),
 }
 

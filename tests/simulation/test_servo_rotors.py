@@ -310,7 +310,7 @@ def test_a_stop_that_catches_the_gimbal_leaves_the_rotors_momentum_alone(mode):
 
 def test_a_step_too_long_for_a_speed_loop_is_refused_with_the_one_that_would_do():
     platform = gyro_on_a_block(**proportional(1e5))
-    message = r"^step: 0.0001 s is too long for the speed loop of rotor 'gyro', .*; expected at most (.*) s$"
+    message = r"^step: 0.0001 s is too long for the speed loop of rotor 'gyro', .*; take at most (.*) s$"
     with pytest.raises(ArgumentError, match=message) as refused:
         rollout(platform, [START["q"]], [START["velocity"]], step=1e-4, steps=10)
     enough = float(str(refused.value).split("at most ")[1].split()[0])
@@ -333,9 +333,9 @@ def test_a_step_is_judged_by_what_the_motor_turns_the_wheel_against():
     step = 2.0 * C / gain
     out = simulated(platform, [], mode="caged", step=step, **common)
     assert out.rotor_spin[-1, 0] == pytest.approx(wheel.spin, abs=1e-6)
-    with pytest.raises(ArgumentError, match=rf"decays at {2.0 * gain / C:g} 1/s; expected at most 0.0135 s$"):
+    with pytest.raises(ArgumentError, match=rf"decays at {2.0 * gain / C:g} 1/s; take at most 0.0135 s$"):
         simulated(platform, [], mode="stabilised", step=step, **common)
-    with pytest.raises(ArgumentError, match=rf"decays at {gain / C:g} 1/s; expected at most 0.027 s$"):
+    with pytest.raises(ArgumentError, match=rf"decays at {gain / C:g} 1/s; take at most 0.027 s$"):
         simulated(platform, [], mode="caged", step=2.5 * step, **common)
 
 

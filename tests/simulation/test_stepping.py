@@ -100,16 +100,16 @@ def test_a_stepper_says_what_it_cannot_do(gyro):
     caged = Simulator(
         Scenario(platform=job.platform, mode="caged", duration=0.0, delay=0.0), controllers, period=period
     )
-    with pytest.raises(ArgumentError, match="torque: given in mode 'caged'; it is an input in mode 'stabilised' alone"):
+    with pytest.raises(ArgumentError, match="torque: has no effect in mode 'caged', only in mode 'stabilised'"):
         caged.advance(1, torque=[0.0, 0.0, 0.0])
     with pytest.raises(ArgumentError, match=r"samples must .*got 0"):
         caged.advance(0)
     with pytest.raises(ArgumentError, match=r"Omega must .*got \(2,\)"):
         caged.advance(1, Omega=[0.0, 0.0])
-    with pytest.raises(ArgumentError, match=r"snapshot: given shape \(1,\); expected that of this run"):
+    with pytest.raises(ArgumentError, match=r"snapshot must .*got \(1,\)"):
         caged.restore([1.0])
     free = Scenario(platform=job.platform, mode="stabilised", duration=0.0, delay=0.0)
-    with pytest.raises(ArgumentError, match="Omega: given in mode 'stabilised'; it is an input in mode 'caged' alone"):
+    with pytest.raises(ArgumentError, match="Omega: has no effect in mode 'stabilised', only in mode 'caged'"):
         Simulator(free, controllers, period=period, Omega=[0.0, 0.0, 0.0])
     assert caged.sample == 0
     ended = caged.advance(5, gimbal_torque=np.full(len(job.platform.gimbals), 1e300))
