@@ -8,10 +8,9 @@ before. Figures of a report are made from a job's result, and saved, within `sty
 from platform_ctrl.report.plots.bode import bode
 from platform_ctrl.report.plots.campaign import campaign_histograms
 from platform_ctrl.report.plots.campbell import campbell
-from platform_ctrl.report.plots.disk_region import disk_margin_region
 from platform_ctrl.report.plots.gains import Omega_sensitivity, gang_of_four, singular_values
 from platform_ctrl.report.plots.gimbal_tree import gimbal_tree
-from platform_ctrl.report.plots.nichols import nichols
+from platform_ctrl.report.plots.nichols import disk_margin_region, nichols
 from platform_ctrl.report.plots.nyquist import nyquist, two_sided_nyquist
 from platform_ctrl.report.plots.panels import show
 from platform_ctrl.report.plots.pole_map import pole_map
