@@ -1,7 +1,7 @@
-"""Who may ask: requests are judged by the host they name and by the page they come from.
+"""Which requests are allowed, by the host that they name and by the page that they come from.
 
-A page elsewhere can make its visitor's browser ask 127.0.0.1, and by a name of its own that it lets point there
-(DNS rebinding) it could even read the answers. The browser tells in the headers Host, Origin and Sec-Fetch-Site.
+A page elsewhere can make its visitor's browser request 127.0.0.1, and under a name that resolves to it (DNS rebinding)
+it could even read the responses. The browser reports this in the headers Host, Origin and Sec-Fetch-Site.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ _HOST = re.compile(r"(\[[0-9a-f:.]+\]|[a-z0-9_]([a-z0-9_.-]*[a-z0-9_])?\.?)(?::(
 
 @value
 class AllowedHosts:
-    """The names under which the pages may be asked for.
+    """The names under which the pages may be requested.
 
     Attributes
     ----------
@@ -53,14 +53,14 @@ class AllowedHosts:
         return is_loopback(self.listening)
 
     def refusal(self, headers: Mapping[str, str], page: bool = False) -> str | None:
-        """Say why a request is refused; None where it is not.
+        """Return why a request is refused, or None.
 
         Parameters
         ----------
         headers
             Those of the request; their names in the usual spelling, or of a mapping that does not mind.
         page
-            Whether the page itself is asked for: then a link elsewhere may lead here.
+            Whether the page itself is requested: then a link elsewhere may lead here.
 
         Returns
         -------
@@ -74,19 +74,19 @@ class AllowedHosts:
         host = headers.get("Host", "")
         found = _HOST.fullmatch(host.lower())
         if found is None or found[1].rstrip(".") not in self.names:
-            return f"refused: asked for as {_shown(host)}, which is none of {', '.join(sorted(self.names))}"
+            return f"refused: requested as {_shown(host)}, which is none of {', '.join(sorted(self.names))}"
         origin = headers.get("Origin")
         if origin is not None and origin.lower() not in (f"http://{host.lower()}", f"https://{host.lower()}"):
-            return f"refused: asked by a page of {_shown(origin)}, not of {host.lower()}"
+            return f"refused: requested by a page of {_shown(origin)}, not of {host.lower()}"
         site = headers.get("Sec-Fetch-Site", "none")
         led = page and headers.get("Sec-Fetch-Mode") == "navigate" and headers.get("Sec-Fetch-Dest") == "document"
         if site not in ("none", "same-origin") and not led:
-            return f"refused: asked by another page ({_shown(site)})"
+            return f"refused: requested by another page ({_shown(site)})"
         return None
 
 
 def is_loopback(host: str) -> bool:
-    """Return whether nobody but this machine reaches an address."""
+    """Return whether an address is reached from this machine alone."""
     if host.lower().rstrip(".") == "localhost":
         return True
     try:
@@ -111,6 +111,6 @@ def _name(given: str) -> str:
 
 
 def _shown(given: str) -> str:
-    """Return something of a request for people: short, and plain letters alone."""
+    """Return a part of a request as short printable ASCII."""
     plain = "".join(letter if " " <= letter <= "~" and letter not in "<>&\"'" else "?" for letter in given[:80])
     return plain or "nothing"

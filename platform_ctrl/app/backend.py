@@ -1,4 +1,4 @@
-"""What pages show and do, without a page: settings of a job in, pictures, tuned settings, saved jobs and runs out."""
+"""All that pages show and do, without a page: from settings to pictures, tuned settings, saved jobs and runs."""
 
 from __future__ import annotations
 
@@ -48,9 +48,9 @@ from platform_ctrl.job.reading import read_job
 if TYPE_CHECKING:
     from platform_ctrl.simulation.closed_loop import Trajectory
 
-# Digits of a slider's steps, and up to which a number is one that somebody typed, or that tuning found.
+# Digits of a saved slider, and most digits of a number that was typed or found by tuning.
 _DIGITS, _TYPED = 4, 6
-# A crossover that is dragged stays this far, as a factor, inside the diagram.
+# A dragged crossover stays inside the diagram by this factor.
 _INSIDE = 1.1
 
 
@@ -63,7 +63,7 @@ class Backend:
         The job, or the path of its file.
     controllers
         Path of a ``result.json`` whose designs are shown as they are; default: the file that `save` leaves beside a
-        job, where there is one.
+        job, if it exists.
     """
 
     def __init__(self, job: str | Path | Job, controllers: str | Path | None = None) -> None:
@@ -94,7 +94,7 @@ class Backend:
         )
 
     def start(self, loop: str | None = None) -> Settings:
-        """Return the settings of the job as it stands, at one of its loops."""
+        """Return the settings of the job file, at one of its loops."""
         return self._loops.start if loop is None else self.chosen(self._loops.start, loop=loop)
 
     def chosen(self, settings: Settings, *, loop: str | None = None, design: str | None = None) -> Settings:
@@ -140,7 +140,7 @@ class Backend:
         spec, design = self._loops.design(settings)
         options = self._loops.options.offered(settings, spec, design)
         parts = settings.parts_on(spec.name, design.name)
-        # What only rotors that were set going or stopped ask for starts by rules of thumb, wherever it stands now.
+        # Options that are needed only since rotors were started or stopped start from rules of thumb.
         start = self._loops.options.offered(settings.but(options=self._loops.start.options), spec, design)
         own = option_sliders(design.method, options, start, settings.rate_hz, settings.fixed)
         Omega = tuple(map(float, self.read.Omega))
@@ -152,7 +152,7 @@ class Backend:
         )
 
     def parts(self, settings: Settings) -> tuple[Part, ...]:
-        """Return the optional parts of the design that is worked on: lag and notches."""
+        """Return the optional parts of the selected design: lag and notches."""
         spec, design = self._loops.design(settings)
         on = settings.parts_on(spec.name, design.name)
         known = self._loops.options.offered(settings, spec, design)
@@ -182,11 +182,11 @@ class Backend:
     # Pictures and designs.
 
     def on_designed(self, listener: Callable[[], None]) -> Callable[[], None]:
-        """Have `listener` called, in a thread, whenever a design that pictures were waiting for is there or failed."""
+        """Call `listener` in a thread whenever a design that pictures wait for is available or failed."""
         return self._designs.listen(listener)
 
     def picture(self, settings: Settings, on_drawn: Callable[[Drawing], None] | None = None) -> Picture:
-        """Return what is drawn for the settings, and what is measured.
+        """Return the curves and the results for the settings.
 
         `on_drawn` is called with what is drawn before it is measured, which takes as long again. Requirements are as
         `check` measures them, but the simultaneous margin of all loops together is sampled: within about a thousandth.
@@ -213,10 +213,10 @@ class Backend:
         spec, _ = self._loops.design(settings)
         if spec.kind == "caging":
             loop, notes = self._designs.caged(settings)
-            parts, measure = caged_parts(loop, settings, self._loops.measured(settings, loop))
+            parts, measure = caged_parts(loop, settings, self._loops.cached_metrics(settings, loop))
         else:
             free, notes = self._loops.stabilised(settings)
-            parts, measure = stabilised_parts(free, settings, self._loops.kept(settings))
+            parts, measure = stabilised_parts(free, settings, self._loops.cached_margins(settings))
         if not settings.overlays:
             return (parts, measure), notes
         overlays, more = self._designs.overlays(settings, spec, parts.bode.frequency)
@@ -230,7 +230,7 @@ class Backend:
         progress: Progress = silent,
         cancelled: IsCancelled = never,
     ) -> Settings:
-        """Have a design made by its method, in a process of its own; later pictures show it."""
+        """Make a design by its method in another process; later pictures show it."""
         return self._designs.make(settings, design, progress, cancelled)
 
     def influence(self, settings: Settings) -> Influence:
@@ -336,7 +336,7 @@ class Backend:
                 caging=tuple(one.named(one.loop) for one in others),
             )
         found: dict[str, float] = run_alone(task, progress, cancelled)
-        # Six digits: more would not be read, and no requirement hangs on them.
+        # Six digits: more change no requirement.
         return with_options(settings, {name: float(f"{found[name]:.6g}") for name in free})
 
     # Saving and simulating.
@@ -378,7 +378,7 @@ class Backend:
         return dataclasses.replace(written, notes=notes)
 
     def _shortened(self, settings: Settings) -> Settings:
-        """Return the settings with changed numbers that nobody typed cut to the fewest digits of the same verdict."""
+        """Return the settings with dragged numbers rounded to the fewest digits that keep the verdict."""
         first = self._loops.start.options
         long = {
             (loop, design, name): x

@@ -1,4 +1,4 @@
-"""Loops closed as settings say: plants and controllers put together."""
+"""Closed loops of settings: plants and controllers put together."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from platform_ctrl.app.free_plants import StabilisedLoop
 from platform_ctrl.app.plants import Bounded, JobPlants
 from platform_ctrl.app.saving import SavedController
 from platform_ctrl.app.settings import Conditions, Settings
+from platform_ctrl.app.stabilised import CachedMargins
 from platform_ctrl.common.arguments import known_name
 from platform_ctrl.design.loop import LoopProblem, designed
 from platform_ctrl.errors import DesignError, PlatformCtrlError
@@ -29,27 +30,27 @@ from platform_ctrl.verification.given import opened, read_controllers
 if TYPE_CHECKING:
     import control
 
-# Designs that are remembered for settings that a page may come back to.
+# Designs that are kept for settings that a page may return to.
 _ROOM = 64
 
 
 class DesignStore:
-    """Designs by loop, name and all that they depend on. It never answers with one for other conditions."""
+    """Designs by loop, name and conditions."""
 
     def __init__(self) -> None:
         self._made: Bounded[Made] = Bounded(_ROOM)
         self._given: dict[tuple[str, str, Conditions], Made] = {}
 
     def put(self, loop: str, design: str, conditions: Conditions, made: Made) -> None:
-        """Keep a design until there is no room for it."""
+        """Keep a design until newer ones replace it."""
         self._made.put((loop, design, conditions), made)
 
     def keep(self, loop: str, design: str, conditions: Conditions, made: Made) -> None:
-        """Keep a design that was read from a file: no method makes just this one again."""
+        """Keep a design that was read from a file: no method could make it again."""
         self._given[loop, design, conditions] = made
 
     def found(self, loop: str, design: str, conditions: Conditions | None) -> Made | None:
-        """Return the design for just these conditions, or None."""
+        """Return the design for these conditions, or None."""
         if conditions is None:
             return None
         return self._given.get((loop, design, conditions)) or self._made.found((loop, design, conditions))
@@ -122,7 +123,7 @@ class ClosedLoops:
 
     @property
     def start(self) -> Settings:
-        """The settings of the job as it stands, with the controllers that exist already."""
+        """The settings of the job file, with the controllers that exist already."""
         return self.options.start
 
     def _take(self, given: Iterable[tuple[str, str, str, Made]]) -> None:
@@ -141,7 +142,7 @@ class ClosedLoops:
                 conditions = self.conditions(start, spec, known)
                 self.store.keep(loop, design, conditions, made)
                 start = _designed_for(start, loop, design, conditions)
-        # What the job closes is closed here too wherever there is a controller for it.
+        # Loops are closed as in the job wherever the controller is available.
         closed = {
             spec.name: spec.use if self.is_available(start, spec, spec.use) else start.closed[spec.name]
             for spec in self.read.loops
@@ -149,7 +150,7 @@ class ClosedLoops:
         self.options.start = start.but(closed=closed, design=closed[start.loop])
 
     def is_available(self, settings: Settings, spec: LoopSpec, name: str) -> bool:
-        """Return whether a design of a loop is there for just these settings."""
+        """Return whether a design of a loop is available for these settings."""
         design = spec.designs[known_name("design", name, tuple(d.name for d in spec.designs))]
         return (
             built_directly(design)
@@ -162,12 +163,12 @@ class ClosedLoops:
         return self._specs[name]
 
     def design(self, settings: Settings) -> tuple[LoopSpec, DesignSpec]:
-        """Return the loop and the design that are worked on."""
+        """Return the loop and the design that are selected."""
         spec = self.spec(settings.loop)
         return spec, spec.designs[known_name("design", settings.design, tuple(d.name for d in spec.designs))]
 
     def job(self, settings: Settings) -> Job:
-        """Return the job that the settings stand for."""
+        """Return the job with these settings."""
         closed = {**settings.closed, settings.loop: settings.design}
         loops = tuple(
             dataclasses.replace(
@@ -199,13 +200,13 @@ class ClosedLoops:
         return before if before is not None and before.options == now.options else now
 
     def available_conditions(self, settings: Settings, spec: LoopSpec, design: DesignSpec) -> Conditions | None:
-        """Return the conditions of the controller that is there: the wanted one, until then the one before it."""
+        """Return the conditions of the available controller: the target one, until then the one before it."""
         before = settings.designed_for.get(spec.name, {}).get(design.name)
         found = (self.target_conditions(settings, spec, design), before)
         return next((one for one in found if self.store.found(spec.name, design.name, one) is not None), None)
 
     def with_shown_designs_noted(self, old: Settings, new: Settings) -> Settings:
-        """Return settings that a slider was moved to, with the designs that the page shows noted as what they are."""
+        """Return the new settings with the conditions of the designs that the page shows."""
         shown = [(old.loop, old.design), *((old.loop, name) for name in old.overlays)]
         if old.mode == "stabilised":
             shown += [(loop, name) for loop, name in old.closed.items() if loop != old.loop]
@@ -216,7 +217,7 @@ class ClosedLoops:
                 continue
             first = self.start.designed_for.get(loop, {}).get(name)
             if self.conditions(new, spec, design) == self.conditions(self.start, spec, design):
-                # Back where it started: nothing of the way is left.
+                # Back at the start: the conditions of the start.
                 new = _designed_for(new, loop, name, first)
                 continue
             conditions = self.target_conditions(old, spec, design)
@@ -246,7 +247,7 @@ class ClosedLoops:
         )
 
     def caged(self, settings: Settings) -> tuple[CagedLoop, tuple[str, ...]]:
-        """Return the caging loop that is worked on, and lines about its controller."""
+        """Return the selected caging loop, and lines about its controller."""
         spec, design = self.design(settings)
         job = self.job(settings)
         plants, shown = self.plants.caged(settings, spec)
@@ -270,8 +271,8 @@ class ClosedLoops:
         )
         return loop, notes
 
-    def kept(self, settings: Settings) -> Callable[[str, Callable[[], dict[str, float]]], dict[str, float]]:
-        """Return what keeps figures of the caging loops while only the servo's sliders move."""
+    def cached_margins(self, settings: Settings) -> CachedMargins:
+        """Return the cache of the disk margins of the caging loops, for while only the servo's sliders move."""
         others = []
         for spec in self.read.loops:
             if spec.kind == "caging":
@@ -286,15 +287,15 @@ class ClosedLoops:
 
         return of
 
-    def measured(self, settings: Settings, loop: CagedLoop) -> CachedMetrics:
-        """Return what keeps the measures of a caging loop: a drag that is judged is drawn next."""
+    def cached_metrics(self, settings: Settings, loop: CagedLoop) -> CachedMetrics:
+        """Return the cache of a caging loop's metrics: the result of a drag is drawn next."""
         key = (loop.spec.name, self.plants.key(settings), _content(loop.controller))
         return lambda make: self._measures.get(key, make)
 
-    def judged(
+    def cached_results(
         self, settings: Settings, K: StateArrays, make: Callable[[], tuple[CheckResult, ...]]
     ) -> tuple[CheckResult, ...]:
-        """Return what is found of all loops together with one controller, made where it is not kept."""
+        """Return the coupled results with one controller for all loops, from the cache or by `make`."""
         return self._judged.get((self.plants.key(settings), _content(K)), make)
 
     def all_controllers(
@@ -324,7 +325,7 @@ class ClosedLoops:
                 other = next((d for d in spec.designs if built_directly(d)), None)
                 if strict or other is None or built_directly(design):
                     raise
-                note = f"{spec.name}: {design.name} is not designed yet; {other.name} is closed in its place"
+                note = f"{spec.name}: {design.name} is not designed yet; {other.name} is closed instead"
                 design, (K, _) = other, self.caging(settings, spec, other)
             if strict and note:
                 raise DesignError(f"{spec.name}, {note}")

@@ -1,4 +1,4 @@
-"""The controller that settings stand for: built from its sliders at once, or made by a method beforehand."""
+"""The controller of settings: built from its sliders at once, or made by a method beforehand."""
 
 from __future__ import annotations
 
@@ -69,13 +69,13 @@ def acting_options(
     Rotors that were set going or stopped since the `options` were put together need others: by rules of thumb.
     """
     known = {name: x for name, x in options.items() if acts(name, channel)}
-    wanted = [
+    missing = [
         name
         for name in _CLASSICAL.options
         if acts(name, channel) and (part_of(name) != "spin_notch" or len(channel.spins)) and name not in known
     ]
-    rules = full_options({}, channel, nutation(), period) if wanted else {}
-    return known | {name: rules[name] for name in wanted}
+    rules = full_options({}, channel, nutation(), period) if missing else {}
+    return known | {name: rules[name] for name in missing}
 
 
 def parts_used(options: Mapping[str, float], parts: tuple[str, ...]) -> dict[str, float]:
@@ -97,7 +97,7 @@ class DesignOptions:
     Attributes
     ----------
     start
-        The settings of the job as it stands.
+        The settings of the job file.
     """
 
     def __init__(self, plants: JobPlants) -> None:
@@ -197,7 +197,7 @@ class DesignOptions:
         try:
             return dict(resolved(method.defaults)(design, channel, nutation, period))
         except PlatformCtrlError:
-            # What is wrong with them is told when they are to be designed.
+            # Their error is reported when they are designed.
             return dict(design.options)
 
 

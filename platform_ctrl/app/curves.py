@@ -77,7 +77,7 @@ def gain_range(response: ComplexArray) -> tuple[float, float]:
 
 
 def round_up(x: float) -> float:
-    """Return the next of 1, 2, 5, 10, ... times a power of ten: axes stand still while a slider moves."""
+    """Return the next of 1, 2, 5, 10, ... times a power of ten, so that axes do not move with every slider."""
     decade = 10.0 ** math.floor(math.log10(x))
     return float(next(step * decade for step in (1.0, 2.0, 5.0, 10.0) if step * decade >= x * (1.0 - 1e-9)))
 

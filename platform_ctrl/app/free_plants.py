@@ -180,7 +180,7 @@ class SpinningModels:
 
 
 def free_plants(models: FreeModels, sampling: Sampling, band: bool) -> FreePlants:
-    """Sample the free platform; with `band` its responses are worked out on a grid."""
+    """Sample the free platform; with `band` also its responses on a grid."""
     N, _, m = models.B.shape
     period, delay, lags = sampling.period, sampling.delay, models.lags
     D = np.zeros((N, len(models.sensors), m))
@@ -221,7 +221,7 @@ def _turned(models: FreeModels, period: float, delay: float) -> StateArrays:
     A, B, C, D, _ = sampled(StateArrays(A, B, C, D, 0.0), period, delay, models.lags)
     both = np.zeros((N, A.shape[-1], m + 3))
     both[..., :m] = B
-    # The sampled states begin with the plant's own, which lags and held torques do not hear of.
+    # The sampled states begin with the plant's own, on which lags and held torques have no effect.
     both[:, : n + 3, m:] = held
     return StateArrays(A, both, C, np.concatenate([D, np.zeros((N, sensors + 3, 3))], axis=-1), period)
 
@@ -257,7 +257,7 @@ def used_arrays(arrays: StateArrays, k: int, at: list[int]) -> StateArrays:
 
 
 def loop_grid(P: StateArrays, s: ComplexArray) -> FloatArray:
-    """Return frequencies at which to look at a plant and a loop with the poles `s`, (F,), rad/s."""
+    """Return frequencies for the responses of a plant and a loop with the poles `s`, (F,), rad/s."""
     nyquist = math.pi / P.dt
     finite = s[np.isfinite(s)]
     slowest = float(np.abs(finite).min(initial=nyquist))
@@ -268,7 +268,7 @@ def loop_grid(P: StateArrays, s: ComplexArray) -> FloatArray:
 
 
 class Sensitivity:
-    """S at the plant's input over frequency; what does not depend on the frequency is worked out once."""
+    """S at the plant's input over frequency; what does not depend on the frequency is computed once."""
 
     def __init__(self, P: StateArrays, K: StateArrays) -> None:
         self._P, self._K = AxisResponse(P, ON_A_GRID), AxisResponse(K, ON_A_GRID)

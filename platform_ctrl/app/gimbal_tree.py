@@ -60,7 +60,7 @@ class Scene:
     reach: float
 
     def data(self) -> dict[str, Any]:
-        """Return it as JSON knows it."""
+        """Return it as JSON values."""
         nodes = [{name: _plain(getattr(node, name)) for name in Node.__dataclass_fields__} for node in self.nodes]
         return {"nodes": nodes} | {name: _plain(getattr(self, name)) for name in ("camera", "centre", "reach")}
 
@@ -217,7 +217,7 @@ def _mount_axis(group: list[Shape]) -> FloatArray:
 
 
 def _places(groups: list[list[Shape]], rows: FloatArray) -> list[FloatArray]:
-    """Return where the bodies that the root carries stand: in rows, beside and behind one another."""
+    """Return the places of the bodies that the root carries: in rows, beside and behind one another."""
     if not groups:
         return []
     step = 2.0 * max(max(_sizes(group)) for group in groups) + _CLEAR
@@ -256,7 +256,7 @@ class _Root:
             across, _ = _sizes([one.moved(-middle) for one in group])
             end = float(np.linalg.norm(mounts[0][1] - middle))
             down = -up - (-up @ c) * c
-            # The axis stands upright: the frame goes round in the plane that the viewer looks at.
+            # The axis is upright: the frame lies in the plane that faces the viewer.
             d = _unit(down) if np.linalg.norm(down) > 0.3 else _unit(rows[0] - (rows[0] @ c) * c)
             width = across + _CLEAR
             widest = max(widest, 0.6 * width)

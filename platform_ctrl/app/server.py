@@ -1,4 +1,4 @@
-"""The server behind `platform-ctrl serve`: listens, hands out pages, ends cleanly. Bokeh is loaded when it starts."""
+"""The server behind `platform-ctrl serve`. Bokeh is loaded when it starts."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 # The port that is tried first, and how many after it before any free one is taken.
 PORT = 5006
 _TRIED = 16
-# Seconds between looks whether it is to end.
+# Seconds between checks whether the server is to end.
 _LOOK = 0.2
 _LIBRARIES = ("asyncio", "bokeh", "tornado")
 
@@ -31,7 +31,7 @@ Make = Callable[[Any, Any], None]
 
 
 class Building:
-    """A backend that is being made in a thread of its own: meanwhile the browser opens."""
+    """A backend that is made in a thread while the browser opens."""
 
     def __init__(self, make: Callable[[], object]) -> None:
         self._make = make
@@ -41,13 +41,13 @@ class Building:
         self._thread.start()
 
     def result(self) -> object:
-        """Return the backend; waits for it."""
+        """Wait for the backend and return it."""
         self._thread.join()
         self.raise_error()
         return self._made
 
     def close(self) -> None:
-        """Close the backend, if it is there: what it works out in other processes ends."""
+        """Close the backend, if it is made, with its other processes."""
         if self._made is not None:
             getattr(self._made, "close", lambda: None)()
 
@@ -63,7 +63,7 @@ class Building:
         except BaseException as error:
             self._error = error
             return
-        # What is there now stays: looking through it whenever a page is closed would hold up the others.
+        # These objects stay: searching them whenever a page is closed would delay the others.
         gc.collect()
         gc.freeze()
 
@@ -116,8 +116,8 @@ class PageServer:
         return 0 if self.application is None else len(self.application.sessions)
 
     def run(self, ready: Callable[[], None] | None = None, check: Callable[[], None] | None = None) -> None:
-        """Answer until `end` is called, or `check` raises."""
-        # Not asyncio.run: at the end it would wait for whatever the pages still work out in threads.
+        """Respond to requests until `end` is called or `check` raises."""
+        # Not asyncio.run, which would wait for the pages' threads at the end.
         loop = asyncio.new_event_loop()
         asyncio.set_event_loop(loop)
         with _one_line_each(), self._socket:
@@ -125,7 +125,7 @@ class PageServer:
                 loop.run_until_complete(self._answer(ready, check))
             finally:
                 if isinstance(self._backend, Building):
-                    self._backend.close()  # nobody else has it; one that is given may be used further
+                    self._backend.close()  # it is ours; one that was passed may be used further
                 for task in asyncio.all_tasks(loop):
                     task.cancel()
                 loop.run_until_complete(asyncio.sleep(0))
@@ -169,13 +169,13 @@ class PageServer:
             await listening.close_all_connections()
 
     def _filled(self, document: Any) -> None:
-        """Fill a new document; where that fails the page says so in a line, and so does the terminal."""
+        """Fill a new document; an error is shown on the page and in the terminal."""
         from platform_ctrl.app.web import FAILED
 
         shared, reported = self._backend, False
         try:
             if isinstance(shared, Building):
-                reported = True  # what went wrong there ends the server, which says so
+                reported = True  # its error ends the server, which reports it
                 shared = shared.result()
                 reported = False
             (self._make or _page())(shared, document)
@@ -188,7 +188,7 @@ class PageServer:
 
 
 def require_bokeh() -> None:
-    """Make sure that the pages' library is there."""
+    """Raise `InputError` if the libraries of the page are not installed."""
     try:
         import bokeh.server.tornado  # noqa: F401
         import tomlkit  # noqa: F401
@@ -206,7 +206,7 @@ def _page() -> Make:
 
 
 def _bound(host: str, port: int | None) -> socket.socket:
-    """Return the socket, bound: the port that was asked for, or a free one."""
+    """Return the socket, bound to the given port or to a free one."""
     ports = [*range(PORT, PORT + _TRIED), 0] if port is None else [port]
     for tried in ports:
         try:
@@ -244,7 +244,7 @@ def _line(words: str) -> str:
 
 
 class _OneLine(logging.Handler):
-    """A line where the page's own code failed; nothing about what others send."""
+    """Prints a line where the page's own code fails, and nothing about invalid requests."""
 
     def emit(self, record: logging.LogRecord) -> None:
         error = record.exc_info[1] if record.exc_info else None
@@ -259,7 +259,7 @@ class _OneLine(logging.Handler):
 
 @contextmanager
 def _one_line_each() -> Iterator[None]:
-    """Have the libraries' loggers tell what matters here, and nothing besides."""
+    """Replace the handlers of the libraries' loggers by `_OneLine`."""
     loggers = [logging.getLogger(name) for name in _LIBRARIES]
     before = [(logger.handlers[:], logger.propagate, logger.level) for logger in loggers]
     for logger in loggers:

@@ -37,7 +37,7 @@ class Conditions(NamedTuple):
     Omega: tuple[float, ...]
 
     def data(self) -> dict[str, Any]:
-        """Return everything as JSON knows it."""
+        """Return everything as JSON values."""
         out: dict[str, Any] = self._asdict()
         return out | {"options": dict(self.options), "spins": dict(self.spins), "Omega": list(self.Omega)}
 
@@ -165,7 +165,7 @@ class Choices:
 
 
 class History:
-    """Where a page was, and where it came back from."""
+    """The settings of a page that can be undone and redone."""
 
     def __init__(self, first: Settings, room: int = 200) -> None:
         self.now = first
@@ -174,16 +174,16 @@ class History:
 
     @property
     def can_undo(self) -> bool:
-        """Whether there is something to go back to."""
+        """Whether there is a step to undo."""
         return bool(self._past)
 
     @property
     def can_redo(self) -> bool:
-        """Whether something was taken back that can be done again."""
+        """Whether there is a step to redo."""
         return bool(self._future)
 
     def put(self, settings: Settings) -> None:
-        """Go on to other settings; what was taken back before is forgotten. The same settings are no step."""
+        """Add a step; the steps to redo are dropped. Equal settings are no step."""
         if settings is self.now or settings.data() == self.now.data():
             return
         self._past.append(self.now)
@@ -191,25 +191,25 @@ class History:
         self.now = settings
 
     def replace(self, settings: Settings) -> None:
-        """Change where the page is without a step: while a slider is held, only its last place counts."""
+        """Change the settings without a step: of a gesture only the last value counts."""
         self.now = settings
 
     def undo(self) -> Settings:
-        """Go one step back, or stay where there is none."""
+        """Go one step back, if there is one."""
         if self._past:
             self._future.append(self.now)
             self.now = self._past.pop()
         return self.now
 
     def redo(self) -> Settings:
-        """Go forward again what was taken back, or stay."""
+        """Redo one step, if there is one."""
         if self._future:
             self._past.append(self.now)
             self.now = self._future.pop()
         return self.now
 
 
-# A slider goes this factor to both sides of where it started.
+# Range of a slider to both sides of its start, as a factor.
 _REACH = 20.0
 # Typed numbers may lie beyond the slider, but not beyond these: options, sample rate, spins and rates in their units.
 _OPTION, _RATE, _SPIN, _OMEGA = (1e-9, 1e7), (1e-2, 1e7), 1e6, 1e4
@@ -253,7 +253,7 @@ def option_sliders(
 
 
 def lowest_rate(method: str, options: Mapping[str, float]) -> float:
-    """Return the sample rate, Hz, from which on a method's `options` stand within their sliders; 0 without such."""
+    """Return the lowest sample rate, Hz, at which a method's `options` are within their sliders; 0 without a limit."""
     kinds = METHODS[method].options
     return max(
         (x / kinds[name].high for name, x in options.items() if name in kinds and kinds[name].below_nyquist),

@@ -23,25 +23,25 @@ from platform_ctrl.errors import PlatformCtrlError
 from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.job.requirements import LoopRequirement
 
-# A slider is moved by this share of where it stands; one at zero by this share of its range.
+# A slider is moved by this share of its value; one at zero by this share of its range.
 SHARE = 0.05
 
 
 def moved_slider(slider: Slider) -> float:
-    """Return where a slider stands when it is 5 % larger."""
+    """Return the value of a slider that is 5 % larger."""
     return slider.value * (1.0 + SHARE) if slider.value else SHARE * (slider.high - slider.low) / 2.0
 
 
 def caged_influence(loop: CagedLoop, sliders: Sequence[Slider], loop_with: Callable[[Slider], CagedLoop]) -> Influence:
     """Return what `sliders` do to the limits of a caging loop; `loop_with` is the loop with one of them moved."""
-    asked = [one for one in requirements_of(loop.spec) if one.hard]
-    whole = measure(loop.plants, loop.controller, asked, exact=False)
-    view = deciding(whole, asked)
-    names = tuple(one.name for one in asked)
+    requests = [one for one in requirements_of(loop.spec) if one.hard]
+    whole = measure(loop.plants, loop.controller, requests, exact=False)
+    view = deciding(whole, requests)
+    names = tuple(one.name for one in requests)
 
     def ratios(now: CagedLoop) -> FloatArray:
         plants = now.plants.only([k for k in view if k < len(now.plants.labels)])
-        return largest_ratios(measure(plants, now.controller, asked, exact=False), asked)
+        return largest_ratios(measure(plants, now.controller, requests, exact=False), requests)
 
     return _influence(sliders, names, ratios(loop), lambda slider: ratios(loop_with(slider)))
 
@@ -52,7 +52,7 @@ def stabilised_influence(
     """Return what `sliders` do to the coupled limits, on the nominal plant."""
 
     def results(now: Settings) -> tuple[CheckResult, ...]:
-        return requirements(loops.stabilised(now.but(band=False))[0], loops.kept(now))
+        return requirements(loops.stabilised(now.but(band=False))[0], loops.cached_margins(now))
 
     first = results(settings)
     return _influence(
@@ -80,10 +80,10 @@ def _influence(
     )
 
 
-def deciding(measures: LoopMetrics, asked: Sequence[LoopRequirement]) -> list[int]:
+def deciding(measures: LoopMetrics, requests: Sequence[LoopRequirement]) -> list[int]:
     """Return the nominal plant and the two that are worst for each requirement."""
     out = {0}
-    for one in asked:
+    for one in requests:
         ratios = one.ratios(measures)
         if one.metric.of != "controller" and one.beyond_nominal and len(ratios):
             plants = np.flatnonzero(measures.of(one.over))
@@ -91,9 +91,9 @@ def deciding(measures: LoopMetrics, asked: Sequence[LoopRequirement]) -> list[in
     return sorted(out)
 
 
-def largest_ratios(measures: LoopMetrics, asked: Sequence[LoopRequirement]) -> FloatArray:
+def largest_ratios(measures: LoopMetrics, requests: Sequence[LoopRequirement]) -> FloatArray:
     """Return the largest ratio of each requirement (k,)."""
-    return np.array([float(one.ratios(measures).max(initial=0.0)) for one in asked])
+    return np.array([float(one.ratios(measures).max(initial=0.0)) for one in requests])
 
 
 # By how much less than its limit a ratio has to be that is climbed on a grid.
@@ -111,7 +111,7 @@ def limits_of(loops: ClosedLoops, settings: Settings, parameters: FreeParameters
 
     def exact(K: StateArrays) -> LoopMetrics:
         now = dataclasses.replace(loop, controller=K)
-        return loops.measured(settings, now)(lambda: loop_metrics(now))
+        return loops.cached_metrics(settings, now)(lambda: loop_metrics(now))
 
     whole = exact(loop.controller)
     hard = [one for one in requirements_of(spec) if one.hard]
@@ -145,13 +145,13 @@ def _coupled_limits(loops: ClosedLoops, settings: Settings) -> Limits:
     spec, design = loops.design(settings)
     # All limits are those of the nominal plant.
     whole, _ = loops.stabilised(settings.but(band=False))
-    kept = loops.kept(settings)
+    kept = loops.cached_margins(settings)
 
     def results(numbers: Mapping[str, float]) -> tuple[CheckResult, ...]:
         servo = loops.servo(with_options(settings, numbers), spec, design)
         others = [servo if one.name == servo.name else one for one in whole.controllers]
         now = dataclasses.replace(whole, controllers=tuple(others))
-        return loops.judged(settings, now.joined(whole.plants)[0], lambda: requirements(now, kept))
+        return loops.cached_results(settings, now.joined(whole.plants)[0], lambda: requirements(now, kept))
 
     first = results({})
     met = [k for k, one in enumerate(first) if one.passed]

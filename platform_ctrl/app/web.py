@@ -1,7 +1,7 @@
-"""What answers over HTTP and the websocket: Bokeh's own server behind a gate. Nothing comes from elsewhere.
+"""HTTP and websocket: Bokeh's server behind a check of every request.
 
-The gate judges every request before anything else sees it; every answer carries the headers that keep a page to what
-this server sends. Bokeh's ways to embed its pages in others' are closed.
+Every response has the headers that keep a page to what this server sends. Bokeh's handlers that embed its pages in
+others are closed. This is the one module that uses private names of Bokeh and Tornado.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from tornado.web import OutputTransform, RequestHandler
 
 from platform_ctrl.app.allowed_hosts import AllowedHosts
 
-# A page sends numbers of sliders and settings: what is larger is none of its messages.
+# Largest sizes; a page sends numbers of sliders and settings only.
 MESSAGE_BYTES = 1 << 20
 BODY_BYTES = 1 << 12
 HEADER_BYTES = 1 << 14
@@ -68,7 +68,7 @@ _ICON = (
 
 
 class PageApplication(BokehTornado):
-    """Bokeh's server with one page, behind the gate."""
+    """Bokeh's server with one page, behind the check of requests."""
 
     def __init__(self, make: Callable[[Document], None], hosts: AllowedHosts) -> None:
         super().__init__(
@@ -95,7 +95,7 @@ class PageApplication(BokehTornado):
         return list(self.get_sessions("/"))
 
     def find_handler(self, request: httputil.HTTPServerRequest, **kwargs: Any) -> Any:
-        """Return what answers a request; what is refused is answered by one line."""
+        """Return the handler of a request; a refused one gets one line."""
 
         def by(handler: type[RequestHandler], **more: Any) -> Any:
             return self.get_handler_delegate(request, handler, more)
@@ -126,13 +126,13 @@ class PageApplication(BokehTornado):
         return by(Line)
 
     def new_connection(self, protocol: Any, socket: Any, application_context: Any, session: Any) -> ServerConnection:
-        """Take a page's websocket; what changes together goes to it together."""
+        """Open a page's websocket, which sends simultaneous changes together."""
         connection = Together(protocol, socket, application_context, session)
         self._clients.add(connection)
         return connection
 
     def client_lost(self, connection: ServerConnection) -> None:
-        """Forget a page that was closed: at once if it said so, else its session ends some seconds later."""
+        """Drop a closed page: at once if the browser closed it, else after some seconds."""
         session, left = connection.session, connection._socket.close_code in _LEFT
         super().client_lost(connection)
         if left and session.connection_count == 0:
@@ -140,14 +140,14 @@ class PageApplication(BokehTornado):
             self.io_loop.add_callback(self._cleanup_sessions)
 
     def close_pages(self) -> None:
-        """Tell every page that the server goes away."""
+        """Close all websockets as going away."""
         for connection in list(self._clients):
             connection._socket.close(1001)
 
     def _room(self) -> bool:
-        """Whether there is room for one more page; the oldest that nobody looks at makes way.
+        """Return whether one more page fits; the oldest without a connection is dropped.
 
-        Should its browser only be slow, then its websocket makes the session again.
+        If its browser is only slow, its websocket creates the session again.
         """
         if len(self.sessions) < PAGES:
             return True
@@ -168,15 +168,12 @@ class PageApplication(BokehTornado):
 
 
 class Together(ServerConnection):
-    """Sends all changes that a document went through while it was locked as one message.
-
-    One for each would be some fifty for every move of a slider, in three pieces and two more for every column.
-    """
+    """Sends all changes of a document during one lock as one message instead of some fifty."""
 
     _changes: tuple[Any, ...] = ()
 
     def send_patch_document(self, event: Any) -> Awaitable[None]:
-        """Take a change; what is returned sends it with all that came with it."""
+        """Queue a change; the returned awaitable sends all queued ones."""
         self._changes = (*self._changes, event)
         return self._sent()
 
@@ -197,12 +194,12 @@ def _patch(changes: tuple[Any, ...]) -> patch_doc:
 
 
 class Guarding(OutputTransform):
-    """Puts the headers on every answer that keep a page to what comes from here, and others out of it."""
+    """Adds the headers that isolate a page to every response."""
 
     def transform_first_chunk(
         self, status_code: int, headers: httputil.HTTPHeaders, chunk: bytes, finishing: bool
     ) -> tuple[int, httputil.HTTPHeaders, bytes]:
-        """Add the headers; the page itself has said already which of its scripts run."""
+        """Add the headers; the page itself has set its own policy already."""
         if "Content-Security-Policy" not in headers:
             headers["Content-Security-Policy"] = _policy("'none'", "'none'")
         headers["X-Content-Type-Options"] = "nosniff"
@@ -221,15 +218,15 @@ def _policy(scripts: str, sockets: str) -> str:
 
 
 class PageHandler(DocHandler):
-    """The page: a session of its own for everyone who asks."""
+    """The page, with a new session for every request."""
 
     async def get(self, *args: Any, **kwargs: Any) -> None:
-        """Answer with the page. Of BokehJS it loads what it uses."""
+        """Send the page with the components of BokehJS that it uses."""
         session: Any = await super().get_session()  # type: ignore[misc]  # hidden by Tornado's decorator
         document = session.document
         failed = document.template_variables.get(FAILED)
         if failed is not None:
-            # Plain words: a server that ends over it sends no scripts any more.
+            # Plain text: the server may end before it could send scripts.
             session.request_expiration()
             self.set_status(500)
             self.set_header("Content-Type", "text/plain; charset=utf-8")
@@ -260,12 +257,12 @@ class PageHandler(DocHandler):
 
 
 class SocketHandler(WSHandler):
-    """The page's websocket: messages of a page alone, and no larger than a page's."""
+    """The page's websocket: only messages of a page, of limited size."""
 
     _held = 0
 
     def check_origin(self, origin: str) -> bool:
-        """Leave it to the gate, which has judged already."""
+        """Accept it: `find_handler` has checked it already."""
         return True
 
     async def _receive(self, fragment: str | bytes) -> Any:
@@ -295,14 +292,14 @@ class SocketHandler(WSHandler):
 
 
 class Line(RequestHandler):
-    """One plain line, for whatever is asked: refused, or not there."""
+    """One plain line: refused, or not found."""
 
     def initialize(self, status: int = 404, words: str = "there is nothing here") -> None:
-        """Take the status and the words."""
+        """Store the status and the words."""
         self._status, self._words = status, words
 
     def prepare(self) -> None:
-        """Answer whatever the method."""
+        """Respond to any method."""
         self.set_status(self._status)
         self.set_header("Content-Type", "text/plain; charset=utf-8")
         self.set_header("Connection", "close")
@@ -313,21 +310,21 @@ class Piece(RequestHandler):
     """A file of the page."""
 
     def initialize(self, kind: str, data: bytes) -> None:
-        """Take the file's kind and bytes."""
+        """Store the file's kind and bytes."""
         self._kind, self._data = kind, data
 
     def get(self) -> None:
-        """Answer with the file; Tornado adds its hash, by which a browser asks again."""
+        """Send the file; Tornado adds its hash for the browser's cache."""
         self.set_header("Content-Type", KINDS[self._kind])
         self.set_header("Cache-Control", "no-cache")
         self.write(self._data)
 
 
 class Listening(HTTPServer):
-    """Tornado's server with a bound on connections: one too many is closed."""
+    """Tornado's server with a limited number of connections."""
 
     def handle_stream(self, stream: iostream.IOStream, address: tuple[Any, ...]) -> None:
-        """Take a connection, if there is room."""
+        """Accept a connection, or close it beyond the limit."""
         if len(self._connections) >= CONNECTIONS:
             stream.close()
             return

@@ -22,7 +22,6 @@ from platform_ctrl.app.closed_loops import ClosedLoops
 from platform_ctrl.app.pictures import Picture
 from platform_ctrl.app.plants import QuickPlants
 from platform_ctrl.app.settings import History, Settings
-from platform_ctrl.cli import main
 from platform_ctrl.design.loop import Designed, certified, closed_loop_poles, sampled_plant
 from platform_ctrl.design.plants import LinearPlants, loop_plants, with_spins
 from platform_ctrl.errors import ArgumentError, DesignError, PlatformCtrlError
@@ -255,12 +254,6 @@ def test_a_pulled_pole_ends_where_it_was_pulled_to(bench: Backend, settings: Set
     assert {name for name in mine if mine[name] != now[name]} <= {"damping2_hz", "lead_hz", "rolloff_hz"}
 
 
-def test_a_pulled_crossover_ends_where_it_was_pulled_to(bench: Backend, settings: Settings, picture: Picture) -> None:
-    target = 1.1 * picture.bode.crossovers[-1]
-    dragged = bench.drag_crossover(settings, target, free=True)
-    assert np.abs(bench.picture(dragged).bode.crossovers - target).min() < 1e-3 * target
-
-
 @pytest.mark.parametrize(("share", "nearer"), [(1e-2, 0.4), (0.3, 0.8), (30.0, 0.0)])
 def test_a_crossover_that_cannot_go_all_the_way_goes_as_far_as_it_can_and_stays_one(
     bench: Backend, settings: Settings, picture: Picture, share: float, nearer: float
@@ -460,16 +453,6 @@ def test_pages_side_by_side_get_the_pictures_that_each_would_get_alone(bench: Ba
     with ThreadPoolExecutor(4) as pool:
         together = list(pool.map(lambda one: [r.value for r in fresh.picture(one).requirements], own))
     assert together == alone
-
-
-def test_a_pulled_crossover_stays_in_the_diagram(tmp_path: Path) -> None:
-    assert main(["new", "mine", "--like", "gimballed_gyro", "-o", str(tmp_path), "-q"]) == 0
-    slow = Backend(tmp_path / "mine.toml")
-    settings = slow.start()
-    for share in (0.8, 1e-3):
-        now = float(slow.picture(settings).bode.crossovers[-1])
-        bode = slow.picture(slow.drag_crossover(settings, share * now, free=True)).bode
-        assert bode.frequency[0] < bode.crossovers[-1] < now
 
 
 def test_a_turn_that_is_shown_loads_the_gimbals_also_without_rotors() -> None:

@@ -66,9 +66,7 @@ def _expect_that_sliders_are_what_acts(bench: Backend, settings: Settings) -> No
         assert not _differ(_controller(bench, with_options(loaded, {name: 3.0})), _controller(bench, loaded)), name
 
 
-@pytest.mark.parametrize(
-    "model", ["rate_gyro", "momentum_wheel_satellite", "gimballed_gyro", "quanser_3dof_gyroscope", "ecp_750"]
-)
+@pytest.mark.parametrize("model", ["rate_gyro", "momentum_wheel_satellite", "quanser_3dof_gyroscope"])
 def test_the_sliders_of_a_classical_loop_are_those_that_make_its_controller(model: str, tmp_path: Path) -> None:
     assert main(["new", "mine", "--like", model, "-o", str(tmp_path)]) == 0
     bench = Backend(tmp_path / "mine.toml")

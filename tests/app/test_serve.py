@@ -78,15 +78,15 @@ def test_a_page_comes_with_headers_that_keep_it_to_itself(server: PageServer) ->
 @pytest.mark.parametrize(
     ("headers", "words"),
     [
-        ({"Host": "evil.example:5006"}, "asked for as evil.example:5006"),
-        ({"Host": "127.0.0.1.evil.example"}, "asked for as 127.0.0.1.evil.example"),
-        ({"Host": "127.0.0.1:5006:80"}, "asked for as 127.0.0.1:5006:80"),
-        ({"Host": "0.0.0.0"}, "asked for as 0.0.0.0"),
-        ({"Origin": "http://evil.example"}, "asked by a page of http://evil.example"),
-        ({"Origin": "null"}, "asked by a page of null"),
-        ({"Origin": "http://localhost:1"}, "asked by a page of http://localhost:1"),
-        ({"Sec-Fetch-Site": "cross-site"}, "asked by another page (cross-site)"),
-        ({"Sec-Fetch-Site": "same-site", "Sec-Fetch-Mode": "no-cors"}, "asked by another page (same-site)"),
+        ({"Host": "evil.example:5006"}, "requested as evil.example:5006"),
+        ({"Host": "127.0.0.1.evil.example"}, "requested as 127.0.0.1.evil.example"),
+        ({"Host": "127.0.0.1:5006:80"}, "requested as 127.0.0.1:5006:80"),
+        ({"Host": "0.0.0.0"}, "requested as 0.0.0.0"),
+        ({"Origin": "http://evil.example"}, "requested by a page of http://evil.example"),
+        ({"Origin": "null"}, "requested by a page of null"),
+        ({"Origin": "http://localhost:1"}, "requested by a page of http://localhost:1"),
+        ({"Sec-Fetch-Site": "cross-site"}, "requested by another page (cross-site)"),
+        ({"Sec-Fetch-Site": "same-site", "Sec-Fetch-Mode": "no-cors"}, "requested by another page (same-site)"),
     ],
 )
 def test_others_are_refused_in_one_line(headers: dict[str, str], words: str, server: PageServer) -> None:

@@ -1,1 +1,1 @@
-"""The page: what a browser shows, and what it may request. Bokeh is loaded with `page.document`."""
+"""The page: its messages, its session and its tasks, with the files that a browser loads."""
