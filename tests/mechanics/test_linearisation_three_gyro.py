@@ -1,8 +1,13 @@
 """Every coefficient of the three-gyro platform's linear equations against the exact and the paper's formulas."""
 
+import functools
+from itertools import chain
+
 import numpy as np
 import pytest
+import sympy
 
+import three_gyro_paper
 from platform_ctrl.mechanics.equations import inverse_dynamics
 from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.plant.platform import Gimbal, Platform, Rotor
@@ -52,47 +57,37 @@ PLATFORM = Platform(
 )
 
 
+# The moments of inertia of the tables in three_gyro_paper: of all that turns with a gimbal, without C.
+NUMBERS = {
+    "J4": S[1], "J4_1": S[0] - C6 - C8, "J4_3": S[2],
+    "J5": K5[2], "J5_1": K5[0] - C6, "J5_2": K5[1],
+    "J7": K7[2], "J7_1": K7[0] - C8, "J7_2": K7[1],
+    "J9": N[2], "J9_1": N[0], "J9_2": N[1] - C11,
+    "J10": K10[0], "J10_2": K10[1] - C11, "J10_3": K10[2],
+    "L6": L6, "L8": L8, "L11": L11, "C6": C6, "C8": C8, "C11": C11,
+}  # fmt: skip
+ANGLES = ("alpha4", "beta5", "beta7", "alpha9", "beta10")
+
+
+@functools.cache
+def tables(terms):
+    """Constant part of −Q, and the coefficients of q̈, q̇ and q, as functions of Omega and Omega'."""
+    if terms == "exact":
+        rows = [sum(variable * c for variable, c in row.items()) for row in three_gyro_paper.EXACT_ROWS.values()]
+    else:
+        both = zip(three_gyro_paper.ROWS.values(), three_gyro_paper.TORQUES, strict=True)
+        rows = [left - right + torque for (left, right), torque in both]
+    rows = sympy.Matrix(rows).subs({sympy.Symbol(name): number for name, number in NUMBERS.items()})
+    motion = [[sympy.Symbol(angle + dots) for angle in ANGLES] for dots in ("_ddot", "_dot", "")]
+    constant = rows.subs(dict.fromkeys(chain(*motion), 0))
+    moving = [sympy.Symbol(f"Omega{axis}{dot}") for dot in ("", "_dot") for axis in (1, 2, 3)]
+    return [sympy.lambdify(moving, part) for part in (constant, *(rows.jacobian(variables) for variables in motion))]
+
+
 def coefficients(terms, Omega, Omega_dot):
     """Rows 4, 5, 7, 9, 10: (constant part of −Q, coefficients of q̈, q̇, q)."""
-    o1, o2, o3 = Omega
-    d1, d2, d3 = Omega_dot
-    e = 1.0 if terms == "exact" else 0.0
-
-    def j(value):  # a term that the paper drops
-        return e * value
-
-    # Coefficients of Omega' q: exact, or the rotors' C alone.
-    k5, k7 = (K5[0] - K5[1], -K7[0] + K7[1]) if e else (C6, -C8)
-    k10 = K10[1] - K10[2] if e else C11
-    constant = np.array(
-        [
-            S[1] * d2 + (L6 - L8) * o3 + j((S[0] - S[2]) * o1 * o3),
-            K5[2] * d3 - L6 * o2 + j((-K5[0] + K5[1]) * o1 * o2),
-            -K7[2] * d3 - L8 * o2 + j((K7[0] - K7[1]) * o1 * o2),
-            N[2] * d3 + L11 * o1 + j((-N[0] + N[1]) * o1 * o2),
-            K10[0] * d1 - L11 * o3 + j((-K10[1] + K10[2]) * o2 * o3),
-        ]
-    )
-    acceleration = np.diag([S[1], K5[2], K7[2], N[2], K10[0]])
-    rate, angle = np.zeros((5, 5)), np.zeros((5, 5))
-    rate[0, 1] = L6 + j((K5[0] - K5[1] - K5[2]) * o1)
-    rate[0, 2] = L8 + j((-K7[0] + K7[1] + K7[2]) * o1)
-    rate[1, 0] = -L6 + j((-K5[0] + K5[1] + K5[2]) * o1)
-    rate[2, 0] = -L8 + j((K7[0] - K7[1] - K7[2]) * o1)
-    rate[3, 4] = L11 + j((-K10[0] + K10[1] - K10[2]) * o2)
-    rate[4, 3] = -L11 + j((K10[0] - K10[1] + K10[2]) * o2)
-    angle[0, 0] = (L6 - L8) * o1 + j((S[0] - S[2]) * (o1**2 - o3**2))
-    angle[0, 1] = k5 * d1 + j((K5[0] - K5[1]) * o2 * o3)
-    angle[0, 2] = k7 * d1 + j((-K7[0] + K7[1]) * o2 * o3)
-    angle[1, 0] = j(K5[2] * d1 + (K5[0] - K5[1]) * o2 * o3)
-    angle[1, 1] = L6 * o1 + j((K5[0] - K5[1]) * (o1**2 - o2**2))
-    angle[2, 0] = j(-K7[2] * d1 + (-K7[0] + K7[1]) * o2 * o3)
-    angle[2, 2] = -L8 * o1 + j((K7[0] - K7[1]) * (o1**2 - o2**2))
-    angle[3, 3] = L11 * o2 + j((N[0] - N[1]) * (o1**2 - o2**2))
-    angle[3, 4] = k10 * d2 + j((K10[1] - K10[2]) * o1 * o3)
-    angle[4, 3] = j(K10[0] * d2 + (K10[1] - K10[2]) * o1 * o3)
-    angle[4, 4] = L11 * o2 + j((K10[1] - K10[2]) * (o2**2 - o3**2))
-    return constant, acceleration, rate, angle
+    constant, *others = (np.array(part(*Omega, *Omega_dot), dtype=float) for part in tables(terms))
+    return constant[:, 0], *others
 
 
 @pytest.mark.parametrize("terms", ["exact", "paper"])
