@@ -5,7 +5,13 @@ tests/mechanics/test_symbolic.py holds the package against it. Symbols have the 
 `platform_ctrl.equations` gives them.
 """
 
+import dataclasses
+
+import numpy as np
 import sympy
+
+from platform_ctrl.plant.platform import Platform
+from platform_ctrl.plant.reading import read_platform
 
 J1, J2, J3, J12, J13, J23, J4, J5, J7, J9, J10 = sympy.symbols("J1 J2 J3 J12 J13 J23 J4 J5 J7 J9 J10")
 C6, C8, C11, L6, L8, L11 = sympy.symbols("C6 C8 C11 L6 L8 L11")
@@ -164,3 +170,43 @@ EXACT_ROWS = {
         b10: L11 * W2 + (_K10[1] - _K10[2]) * (W2**2 - W3**2),
     },
 }
+
+
+def gimbal_rows(terms: str) -> sympy.Matrix:
+    """Rows 4, 5, 7, 9, 10 with everything on the left but Q: the paper's (27), or every term linear in the angles."""
+    if terms == "exact":
+        return sympy.Matrix([sum(variable * c for variable, c in row.items()) for row in EXACT_ROWS.values()])
+    return sympy.Matrix([left - right + Q for (left, right), Q in zip(ROWS.values(), TORQUES, strict=True)])
+
+
+def unequal_platform() -> Platform:
+    """The three-gyro platform with inertias and angular momenta that are all different."""
+    platform = read_platform("three_gyro_platform")
+    inertias = [(0.9, 0.7, 0.8), (0.31, 0.25, 0.28), (0.29, 0.27, 0.24), (0.55, 0.6, 0.52), (0.33, 0.36, 0.21)]
+    rotors = [(0.11, 0.08, 21.0), (0.12, 0.07, 17.0), (0.13, 0.09, 13.0)]
+    return dataclasses.replace(
+        platform,
+        root_inertia=np.array([[12.0, 0.3, -0.2], [0.3, 10.0, 0.4], [-0.2, 0.4, 14.0]]),
+        gimbals=tuple(
+            dataclasses.replace(g, inertia=np.diag(own)) for g, own in zip(platform.gimbals, inertias, strict=True)
+        ),
+        rotors=tuple(
+            dataclasses.replace(r, axial_inertia=C, transverse_inertia=A, angular_momentum=L)
+            for r, (C, A, L) in zip(platform.rotors, rotors, strict=True)
+        ),
+    )
+
+
+def numbers(platform: Platform) -> dict[str, float]:
+    """The numbers of the symbols of `gimbal_rows` for a platform of this form."""
+    carried = [np.diag(g.inertia) for g in platform.gimbals]
+    out = {}
+    for rotor, body in zip(platform.rotors, (1, 2, 4), strict=True):
+        carried[body] = carried[body] + rotor.transverse_inertia * (1.0 - np.abs(rotor.axis))
+        out |= {f"C{rotor.name}": rotor.axial_inertia, f"L{rotor.name}": rotor.angular_momentum}
+    carried[0], carried[3] = carried[0] + carried[1] + carried[2], carried[3] + carried[4]
+    # J without an axis is the one about the gimbal's own.
+    for gimbal, inertia in zip(platform.gimbals, carried, strict=True):
+        own = int(np.argmax(np.abs(gimbal.axis)))
+        out |= {f"J{gimbal.name}" + (f"_{k + 1}" if k != own else ""): float(x) for k, x in enumerate(inertia)}
+    return out

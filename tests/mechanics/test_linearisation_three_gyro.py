@@ -10,75 +10,15 @@ import sympy
 import three_gyro_paper
 from platform_ctrl.mechanics.equations import inverse_dynamics
 from platform_ctrl.mechanics.linearisation import linearise
-from platform_ctrl.plant.platform import Gimbal, Platform, Rotor
 
-I4, I5, I7 = (0.9, 0.7, 0.8), (0.31, 0.25, 0.28), (0.29, 0.27, 0.24)
-I9, I10 = (0.55, 0.6, 0.52), (0.33, 0.36, 0.21)
-C6, C8, C11, A6, A8, A11 = 0.11, 0.12, 0.13, 0.08, 0.07, 0.09
-L6, L8, L11 = 21.0, 17.0, 13.0
-K5 = (I5[0] + C6, I5[1] + A6, I5[2] + A6)
-K7 = (I7[0] + C8, I7[1] + A8, I7[2] + A8)
-K10 = (I10[0] + A11, I10[1] + C11, I10[2] + A11)
-S = tuple(a + b + c for a, b, c in zip(I4, K5, K7, strict=True))
-N = tuple(a + b for a, b in zip(I9, K10, strict=True))
-
-
-def _gimbal(name, parent, axis, inertia, angle):
-    return Gimbal(name=name, parent=parent, axis=np.array(axis, float), inertia=np.diag(inertia), angle=angle)
-
-
-def _rotor(name, carrier, axis, C, A, L):
-    return Rotor(
-        name=name,
-        carrier=carrier,
-        axis=np.array(axis, float),
-        axial_inertia=C,
-        transverse_inertia=A,
-        angular_momentum=L,
-    )
-
-
-PLATFORM = Platform(
-    name="three-gyro platform",
-    root_name="platform",
-    root_inertia=np.array([[12.0, 0.3, -0.2], [0.3, 10.0, 0.4], [-0.2, 0.4, 14.0]]),
-    gimbals=(
-        _gimbal("4", "platform", (0, 1, 0), I4, "alpha4"),
-        _gimbal("5", "4", (0, 0, 1), I5, "beta5"),
-        _gimbal("7", "4", (0, 0, -1), I7, "beta7"),
-        _gimbal("9", "platform", (0, 0, 1), I9, "alpha9"),
-        _gimbal("10", "9", (1, 0, 0), I10, "beta10"),
-    ),
-    rotors=(
-        _rotor("6", "5", (1, 0, 0), C6, A6, L6),
-        _rotor("8", "7", (-1, 0, 0), C8, A8, L8),
-        _rotor("11", "10", (0, 1, 0), C11, A11, L11),
-    ),
-)
-
-
-# The moments of inertia of the tables in three_gyro_paper: of all that turns with a gimbal, without C.
-NUMBERS = {
-    "J4": S[1], "J4_1": S[0] - C6 - C8, "J4_3": S[2],
-    "J5": K5[2], "J5_1": K5[0] - C6, "J5_2": K5[1],
-    "J7": K7[2], "J7_1": K7[0] - C8, "J7_2": K7[1],
-    "J9": N[2], "J9_1": N[0], "J9_2": N[1] - C11,
-    "J10": K10[0], "J10_2": K10[1] - C11, "J10_3": K10[2],
-    "L6": L6, "L8": L8, "L11": L11, "C6": C6, "C8": C8, "C11": C11,
-}  # fmt: skip
-ANGLES = ("alpha4", "beta5", "beta7", "alpha9", "beta10")
+PLATFORM = three_gyro_paper.unequal_platform()
 
 
 @functools.cache
 def tables(terms):
     """Constant part of −Q, and the coefficients of q̈, q̇ and q, as functions of Omega and Omega'."""
-    if terms == "exact":
-        rows = [sum(variable * c for variable, c in row.items()) for row in three_gyro_paper.EXACT_ROWS.values()]
-    else:
-        both = zip(three_gyro_paper.ROWS.values(), three_gyro_paper.TORQUES, strict=True)
-        rows = [left - right + torque for (left, right), torque in both]
-    rows = sympy.Matrix(rows).subs({sympy.Symbol(name): number for name, number in NUMBERS.items()})
-    motion = [[sympy.Symbol(angle + dots) for angle in ANGLES] for dots in ("_ddot", "_dot", "")]
+    rows = three_gyro_paper.gimbal_rows(terms).subs(three_gyro_paper.numbers(PLATFORM))
+    motion = [[sympy.Symbol(angle + dots) for angle in PLATFORM.angle_names] for dots in ("_ddot", "_dot", "")]
     constant = rows.subs(dict.fromkeys(chain(*motion), 0))
     moving = [sympy.Symbol(f"Omega{axis}{dot}") for dot in ("", "_dot") for axis in (1, 2, 3)]
     return [sympy.lambdify(moving, part) for part in (constant, *(rows.jacobian(variables) for variables in motion))]
@@ -118,6 +58,7 @@ def test_coefficient_of_a_change_of_rate(terms):
 
 def test_the_difference_of_the_pair_is_a_double_integrator_for_equal_momenta():
     equal = linearise(PLATFORM)
+    L6, L8, _ = (rotor.angular_momentum for rotor in PLATFORM.rotors)
     direction = np.array([0.0, L8, -L6, 0.0, 0.0])
     np.testing.assert_allclose(equal.G @ direction, 0.0, atol=1e-12)
     np.testing.assert_allclose(equal.K @ direction, 0.0, atol=1e-12)

@@ -5,11 +5,13 @@ import itertools
 
 import numpy as np
 import pytest
+import sympy
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from scipy.optimize import linprog
 
+import three_gyro_paper
 from platform_ctrl.errors import ArgumentError, MechanicsError
 from platform_ctrl.mechanics.equations import inverse_dynamics
 from platform_ctrl.mechanics.forces import element_forces
@@ -32,19 +34,6 @@ def platform():
     return read_platform("three_gyro_platform")
 
 
-def unequal(platform):
-    """The three-gyro platform with inertias and angular momenta that are all different."""
-    gimbals = tuple(
-        dataclasses.replace(g, inertia=np.diag([3.1 + 0.3 * k, 3.7 - 0.2 * k, 2.9 + 0.1 * k**2]) * 1e-4)
-        for k, g in enumerate(platform.gimbals)
-    )
-    rotors = tuple(
-        dataclasses.replace(r, angular_momentum=0.11 + 0.03 * k, axial_inertia=1.2e-4 + 1e-5 * k)
-        for k, r in enumerate(platform.rotors)
-    )
-    return dataclasses.replace(platform, gimbals=gimbals, rotors=rotors)
-
-
 def with_elements(platform, rng):
     """The platform with a spring and friction on every gimbal and an unbalanced body."""
     names = platform.gimbal_names
@@ -57,83 +46,37 @@ def with_elements(platform, rng):
     )
 
 
-def table(platform):
-    """Coefficients of the exact equations, derived symbolically from the kinetic energy, by row, term and monomial."""
-    I4, I5, I7, I9, I10 = (np.diag(g.inertia) for g in platform.gimbals)
-    r6, r8, r11 = platform.rotors
-    K5 = I5 + np.array([r6.axial_inertia, r6.transverse_inertia, r6.transverse_inertia])
-    K7 = I7 + np.array([r8.axial_inertia, r8.transverse_inertia, r8.transverse_inertia])
-    K10 = I10 + np.array([r11.transverse_inertia, r11.axial_inertia, r11.transverse_inertia])
-    S, N = I4 + K5 + K7, I9 + K10
-    L6, L8, L11 = (r.angular_momentum for r in platform.rotors)
-    a4, b5, b7, a9, b10 = range(5)
-    G = {
-        (a4, b5): {"1": L6, "Omega1": K5[0] - K5[1] - K5[2]},
-        (a4, b7): {"1": L8, "Omega1": -K7[0] + K7[1] + K7[2]},
-        (a9, b10): {"1": L11, "Omega2": -K10[0] + K10[1] - K10[2]},
-    }
-    G |= {(j, i): {name: -c for name, c in entry.items()} for (i, j), entry in G.items()}
-    s, n, k5, k7, k10 = S[0] - S[2], N[0] - N[1], K5[0] - K5[1], K7[0] - K7[1], K10[1] - K10[2]
-    K = {
-        (a4, a4): {"Omega1": L6 - L8, "Omega1^2": s, "Omega3^2": -s},
-        (a4, b5): {"Omega1'": k5, "Omega2*Omega3": k5},
-        (a4, b7): {"Omega1'": -k7, "Omega2*Omega3": -k7},
-        (b5, a4): {"Omega1'": K5[2], "Omega2*Omega3": k5},
-        (b5, b5): {"Omega1": L6, "Omega1^2": k5, "Omega2^2": -k5},
-        (b7, a4): {"Omega1'": -K7[2], "Omega2*Omega3": -k7},
-        (b7, b7): {"Omega1": -L8, "Omega1^2": k7, "Omega2^2": -k7},
-        (a9, a9): {"Omega2": L11, "Omega1^2": n, "Omega2^2": -n},
-        (a9, b10): {"Omega2'": k10, "Omega1*Omega3": k10},
-        (b10, a9): {"Omega2'": K10[0], "Omega1*Omega3": k10},
-        (b10, b10): {"Omega2": L11, "Omega2^2": k10, "Omega3^2": -k10},
-    }
-    Q0 = {
-        a4: {"Omega3": L6 - L8, "Omega1*Omega3": s},
-        b5: {"Omega2": -L6, "Omega1*Omega2": -k5},
-        b7: {"Omega2": -L8, "Omega1*Omega2": k7},
-        a9: {"Omega1": L11, "Omega1*Omega2": -n},
-        b10: {"Omega3": -L11, "Omega2*Omega3": -k10},
-    }
-    M = np.diag([S[1], K5[2], K7[2], N[2], K10[0]])
-    M_Omega = np.zeros((5, 3))
-    M_Omega[range(5), [1, 2, 2, 2, 0]] = [S[1], K5[2], -K7[2], N[2], K10[0]]
-    return M, M_Omega, {"G": G, "K": K, "Q0": Q0}
+def by_monomial(matrix):
+    """The coefficients of a SymPy matrix that is polynomial in Omega and Omega', by monomial."""
+    variables = [sympy.Symbol(f"Omega{axis}{dot}") for dot in ("", "_dot") for axis in (1, 2, 3)]
+    out = {}
+    for i, j in np.ndindex(matrix.shape):
+        for powers, c in sympy.Poly(matrix[i, j], *variables).terms() if matrix[i, j] != 0 else ():
+            names = [str(variable).replace("_dot", "'") for variable in variables]
+            factors = [name + "^2" * (power == 2) for name, power in zip(names, powers, strict=True) if power]
+            out.setdefault("*".join(factors) or "1", np.zeros(matrix.shape))[i, j] = c
+    return out
 
 
-def test_coefficients_of_the_three_gyro_platform_are_those_of_the_table(platform):
-    platform = unequal(platform)
-    model = parameter_varying(platform)
-    M, M_Omega, rows = table(platform)
-    np.testing.assert_allclose(model.M, M, atol=1e-18)
-    np.testing.assert_allclose(model.M_Omega, M_Omega, atol=1e-18)
-    for kind, expected in rows.items():
-        polynomial = getattr(model, kind)
-        assert set(polynomial.monomials) == {name for entry in expected.values() for name in entry}
-        for name in polynomial.monomials:
-            dense = np.zeros(polynomial.coefficients.shape[1:])
-            for place, entry in expected.items():
-                dense[place] = entry.get(name, 0.0)
-            np.testing.assert_allclose(polynomial[name], dense, rtol=1e-12, atol=1e-18, err_msg=f"{kind} {name}")
-
-
-def test_with_the_papers_rule_27_is_left(platform):
-    platform = unequal(platform)
-    model = parameter_varying(platform, terms="paper")
-    C6, C8, C11 = (r.axial_inertia for r in platform.rotors)
-    assert set(model.G.monomials) == {"1"}
-    assert set(model.K.monomials) == {"Omega1", "Omega2", "Omega1'", "Omega2'"}
-    assert set(model.Q0.monomials) == {"Omega1", "Omega2", "Omega3"}
-    changes = np.zeros((5, 5))
-    changes[0, 1], changes[0, 2] = C6, -C8
-    np.testing.assert_allclose(model.K["Omega1'"], changes, atol=1e-18)
-    changes = np.zeros((5, 5))
-    changes[3, 4] = C11
-    np.testing.assert_allclose(model.K["Omega2'"], changes, atol=1e-18)
-    _, _, rows = table(platform)
-    for kind in ("G", "K", "Q0"):
-        for name in ("1", "Omega1", "Omega2", "Omega3") if kind != "G" else ("1",):
-            for place, entry in rows[kind].items():
-                assert getattr(model, kind)[name][place] == pytest.approx(entry.get(name, 0.0), rel=1e-12)
+@pytest.mark.parametrize("terms", ["exact", "paper"])
+def test_coefficients_of_the_three_gyro_platform_are_those_of_the_table(terms):
+    platform = three_gyro_paper.unequal_platform()
+    model = parameter_varying(platform, terms=terms)
+    rows = three_gyro_paper.gimbal_rows(terms).subs(three_gyro_paper.numbers(platform))
+    motion = [[sympy.Symbol(angle + dots) for angle in platform.angle_names] for dots in ("_ddot", "_dot", "")]
+    M, G, K = (rows.jacobian(variables).expand() for variables in motion)
+    constant = rows.subs(dict.fromkeys(itertools.chain(*motion), 0))
+    changes = sympy.symbols("Omega1_dot Omega2_dot Omega3_dot")
+    np.testing.assert_allclose(model.M, np.array(M, dtype=float), rtol=1e-12, atol=1e-14)
+    M_Omega = np.array(constant.jacobian(changes), dtype=float)
+    np.testing.assert_allclose(model.M_Omega, M_Omega, rtol=1e-12, atol=1e-14)
+    Q0 = constant.subs(dict.fromkeys(changes, 0)).expand()
+    for polynomial, expected in ((model.G, G), (model.K, K), (model.Q0, Q0)):
+        dense = by_monomial(expected)
+        assert set(polynomial.monomials) == set(dense)
+        for name, coefficients in dense.items():
+            ours = polynomial[name].reshape(coefficients.shape)
+            np.testing.assert_allclose(ours, coefficients, rtol=1e-12, atol=1e-13, err_msg=name)
 
 
 @settings(max_examples=25, deadline=None)
@@ -298,8 +241,8 @@ def test_held_gimbals_leave_the_rows_of_the_others(platform):
 
 
 @FORMS
-def test_every_manoeuvre_stays_within_the_vertices(platform, form):
-    model = parameter_varying(unequal(platform), gimbals=("9", "10"), form=form)
+def test_every_manoeuvre_stays_within_the_vertices(form):
+    model = parameter_varying(three_gyro_paper.unequal_platform(), gimbals=("9", "10"), form=form)
     affine = model.affine()
     most, fastest = np.array([1.0, 2.0, 0.5]), np.array([3.0, 10.0, 0.0])
     vertices = model.vertices(most, fastest)
