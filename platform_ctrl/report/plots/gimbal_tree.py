@@ -74,7 +74,8 @@ def root_card(platform: Platform) -> Card:
     marks = [("torquer", ", ".join(map(drawable, torquers)))] if torquers else []
     marks += [("rate", ", ".join(greek(drawable(name)) for name in sensors))] if sensors else []
     marks += _unbalance(platform, platform.root_name)
-    return _card(platform.root_name, "root", [("root: axes 1, 2, 3", MUTED)], marks, None, INK, "-")
+    lines = (("root: axes 1, 2, 3", MUTED),)
+    return Card(drawable(platform.root_name), "root", lines, tuple(marks), None, INK, "-")
 
 
 def gimbal_card(platform: Platform, gimbal: Gimbal, level: int) -> Card:
@@ -89,26 +90,15 @@ def gimbal_card(platform: Platform, gimbal: Gimbal, level: int) -> Card:
     marks += [("friction", "")] * any(f.gimbal == gimbal.name for f in platform.frictions)
     marks += _unbalance(platform, gimbal.name)
     text = f"{greek(drawable(gimbal.angle))} about {direction_text(gimbal.axis)}"
-    return _card(gimbal.name, "gimbal", [(text, AXIS)], marks, gimbal.axis, LEVELS[(level - 1) % len(LEVELS)], "-")
+    edge = LEVELS[(level - 1) % len(LEVELS)]
+    return Card(drawable(gimbal.name), "gimbal", ((text, AXIS),), tuple(marks), gimbal.axis, edge, "-")
 
 
 def rotor_card(rotor: Rotor) -> Card:
     """Return the card of a rotor."""
     spin = f"{number(abs(rotor.spin) * RPM, 4)} rpm, {rotor.control}"
-    lines = [(f"L = {number(abs(rotor.angular_momentum), 3)} N m s", SPIN), (spin, MUTED)]
-    return _card(rotor.name, "rotor", lines, [], spin_direction(rotor), SPIN, CONTROL[rotor.control])
-
-
-def _card(
-    name: str,
-    kind: str,
-    lines: list[tuple[str, str]],
-    marks: list[tuple[str, str]],
-    arrow: FloatArray | None,
-    edge: str,
-    dashes: Any,
-) -> Card:
-    return Card(drawable(name), kind, tuple(lines), tuple(marks), arrow, edge, dashes)
+    lines = ((f"L = {number(abs(rotor.angular_momentum), 3)} N m s", SPIN), (spin, MUTED))
+    return Card(drawable(rotor.name), "rotor", lines, (), spin_direction(rotor), SPIN, CONTROL[rotor.control])
 
 
 def _unbalance(platform: Platform, body: str) -> list[tuple[str, str]]:
@@ -206,7 +196,7 @@ def _arrow(axes: Axes, tail: FloatArray, tip: FloatArray, colour: str, width: fl
 
 def draw_sign(axes: Axes, kind: str, x: float, y: float) -> None:
     """Draw the sign of what acts or measures."""
-    style: dict[str, Any] = {"edgecolor": ACTS, "facecolor": ACTS if kind in _FILLED else "none", "linewidth": 1.3}
+    style: dict[str, Any] = {"edgecolor": ACTS, "facecolor": ACTS if kind == "torquer" else "none", "linewidth": 1.3}
     if kind in ("pickoff", "unbalance"):
         axes.add_patch(Circle((x, y), 4.0, **style | {"edgecolor": MUTED if kind == "unbalance" else ACTS}))
         if kind == "unbalance":
@@ -217,35 +207,22 @@ def draw_sign(axes: Axes, kind: str, x: float, y: float) -> None:
     axes.add_patch(PathPatch(_path(_SIGNS[kind], x, y), **style))
 
 
-_FILLED = frozenset({"torquer"})
-_TOKEN = re.compile(r"[MLHVZ]|-?\d*\.?\d+")
-
-
 def _path(text: str, x: float, y: float) -> Path:
     """Return a path of straight lines, in SVG's letters M, L, H, V and Z, about a point."""
     points: list[tuple[float, float]] = []
     codes: list[Any] = []
-    command, px, py = "M", 0.0, 0.0
-    tokens = _TOKEN.findall(text)
-    k = 0
-    while k < len(tokens):
-        if tokens[k] in "MLHVZ":
-            command = tokens[k]
-            k += 1
-            if command == "Z":
-                points.append(points[0])
-                codes.append(Path.CLOSEPOLY)
-            continue
-        if command in "ML":
-            px, py = float(tokens[k]), float(tokens[k + 1])
-            k += 2
-        else:
-            px, py = (float(tokens[k]), py) if command == "H" else (px, float(tokens[k]))
-            k += 1
-        points.append((x + 0.9 * px, y + 0.9 * py))
-        codes.append(Path.MOVETO if command == "M" else Path.LINETO)
-        command = "L" if command == "M" else command
-    return Path(points, codes)
+    for letter, values in re.findall(r"([MLHVZ])([^MLHVZ]*)", text):
+        v = [float(number) for number in re.findall(r"-?\d*\.?\d+", values)]
+        if letter == "H":
+            v = [v[0], points[-1][1]]
+        elif letter == "V":
+            v = [points[-1][0], v[0]]
+        elif letter == "Z":
+            v = [*points[0]]
+        points += zip(v[::2], v[1::2], strict=True)
+        first = {"M": Path.MOVETO, "Z": Path.CLOSEPOLY}.get(letter, Path.LINETO)
+        codes += [first, *[Path.LINETO] * (len(v) // 2 - 1)]
+    return Path(np.array([x, y]) + 0.9 * np.array(points), codes)
 
 
 def fitted(text: str, size: float, room: float) -> str:
