@@ -9,7 +9,8 @@ from platform_ctrl.design.classical.complex_coordinates import complex_plant
 from platform_ctrl.design.classical.complex_shaping import complex_loop
 from platform_ctrl.design.classical.crossover import from_crossover_and_margin
 from platform_ctrl.design.fixed_structure.pid import PID
-from platform_ctrl.design.fixed_structure.structures import Lead, Notch, Series, StateSpaceOrder, Static
+from platform_ctrl.design.fixed_structure.sections import Lead, Notch, Series
+from platform_ctrl.design.fixed_structure.structures import StateSpaceOrder, Static
 from platform_ctrl.design.fixed_structure.synthesis import structured
 from platform_ctrl.design.jobs import loops
 from platform_ctrl.design.lmi.caging import scheduled_caging

@@ -23,8 +23,10 @@ from platform_ctrl.design.classical.caging import TUNABLE, classical_controller,
 from platform_ctrl.design.fixed_structure.descent import Found, Search
 from platform_ctrl.design.fixed_structure.parametrised import Parametrised
 from platform_ctrl.design.fixed_structure.pid import PID
+from platform_ctrl.design.fixed_structure.sampled import Named, Sampled
+from platform_ctrl.design.fixed_structure.sections import Series
 from platform_ctrl.design.fixed_structure.starts import balanced_truncation
-from platform_ctrl.design.fixed_structure.structures import Named, Sampled, Series, StateSpaceOrder, Units
+from platform_ctrl.design.fixed_structure.structures import StateSpaceOrder, Units
 from platform_ctrl.design.loop import Designed, LoopProblem, completed
 from platform_ctrl.design.partition import Channels, between, first_order, side_by_side
 from platform_ctrl.design.riccati.weighted_loop import hinf_design

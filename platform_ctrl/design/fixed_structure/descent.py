@@ -26,8 +26,10 @@ from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.fixed_structure.goals import pieces
 from platform_ctrl.design.fixed_structure.loops import ClosedLoops, Numbers
 from platform_ctrl.design.fixed_structure.maps import largest
+from platform_ctrl.design.fixed_structure.minimax import minimise
 from platform_ctrl.design.fixed_structure.parametrised import Parametrised
-from platform_ctrl.design.fixed_structure.quadratic import damped_update, least_maximum
+from platform_ctrl.design.fixed_structure.quasi_newton import Stopped
+from platform_ctrl.design.fixed_structure.trust_region import Effort, Objective
 from platform_ctrl.job.requirements import LoopRequirement
 
 # What is not stable is worse than anything else.
@@ -93,12 +95,6 @@ class _Pieces:
     hard: np.ndarray[tuple[int, ...], np.dtype[np.bool_]]
     owner: np.ndarray[tuple[int, ...], np.dtype[np.intp]]
     stable: bool
-
-    def merit(self) -> float:
-        if not self.stable:
-            return _UNSTABLE + float(self.values.max())
-        soft, excess = self.values[~self.hard].max(initial=0.0), self.values[self.hard].max(initial=0.0) - 1.0
-        return float(soft + _PENALTY * max(0.0, excess))
 
 
 @dataclasses.dataclass
@@ -324,62 +320,64 @@ class Search:
         )
 
     def _descended(self, family: Parametrised, x: FloatArray, plants: PlantSet, state: _State) -> FloatArray:
-        """Return where some quadratic programs lead on the plants in view; `state` says whether they came to an end."""
+        """Return where the search on the plants in view leads; `state` says whether it came to its end."""
         lower, upper = family.lower, family.upper
         if self._moving:
             lower, upper = np.append(lower, -np.inf), np.append(upper, np.inf)
-        here = self._pieces(family, x, plants, _FLOOR)
-        merit, small = here.merit(), 0
-        for _ in range(_STEPS):
-            if self._left <= 0 or self._met(here):
-                return x
-            soft, hard = ~here.hard, here.hard
-            step = least_maximum(
-                here.values[soft],
-                here.gradients[soft],
-                state.H,
-                np.maximum(-state.radius, lower - x),
-                np.minimum(state.radius, upper - x),
-                here.values[hard] if np.any(hard) else None,
-                here.gradients[hard] if np.any(hard) else None,
-                _PENALTY,
-            )
-            move = np.zeros(len(x)) if step is None else step.move
-            predicted = 0.0
-            if step is not None:
-                modelled = merit if here.stable else merit - _UNSTABLE
-                predicted = modelled - (step.level + _PENALTY * step.violation + 0.5 * float(move @ state.H @ move))
-            if step is None or predicted <= 1e-6:
-                break
-            there = self._pieces(family, x + move, plants, _FLOOR)
-            ratio = (merit - there.merit()) / predicted
-            if there.stable == here.stable:
-                weights = np.zeros(len(here.values))
-                weights[soft], weights[hard] = step.weights, step.hard_weights
-                state.H = _updated(state.H, move, here, there, weights)
-            length = float(np.abs(move).max())
-            if ratio > 1e-3:
-                small = small + 1 if merit - there.merit() < 1e-5 else 0
-                x, here, merit = x + move, there, there.merit()
-                if ratio > 0.7 and length > 0.7 * state.radius:
-                    state.radius *= 2.0
-                elif ratio < 0.25:
-                    state.radius = 0.5 * length
-            else:
-                state.radius = 0.4 * length
-            if state.radius < 1e-7 or small >= 5:
-                break
-        else:
-            return x
-        state.ended = True
-        return x
+        seen: dict[bytes, _Pieces] = {}
 
-    def _met(self, here: _Pieces) -> bool:
-        if not here.stable:
-            return False
-        soft = float(here.values[~here.hard].max(initial=0.0))
-        hard = float(here.values[here.hard].max(initial=0.0))
-        return soft <= (1.0 if self._soft else 1.0 - self._reserve) and hard <= 1.0 + 0.1 * self._reserve
+        def at(y: FloatArray) -> _Pieces:
+            key = y.tobytes()
+            if key not in seen:
+                if self._left <= 0 and seen:
+                    raise Stopped
+                seen[key] = self._pieces(family, y, plants, _FLOOR)
+            return seen[key]
+
+        def growth(y: FloatArray) -> tuple[FloatArray, FloatArray]:
+            here = at(y)
+            return (np.zeros(1), np.zeros((1, len(y)))) if here.stable else (here.values, here.gradients)
+
+        def chosen(y: FloatArray, hard: bool) -> tuple[FloatArray, FloatArray]:
+            here = at(y)
+            return here.values[here.hard == hard], here.gradients[here.hard == hard]
+
+        def owners(y: FloatArray) -> Numbers:
+            here = at(y)
+            return np.concatenate([here.owner[~here.hard], here.owner[here.hard]])
+
+        def growing(y: FloatArray) -> Numbers:
+            here = at(y)
+            return np.full((1, 2), -1, dtype=np.intp) if here.stable else here.owner
+
+        target = 1.0 if self._soft else 1.0 - self._reserve
+        objective = Objective(
+            soft=lambda y: chosen(y, False),
+            hard=lambda y: chosen(y, True),
+            stability=lambda y: (np.where(at(y).stable, -1.0, 1.0)[None], np.zeros((1, len(y)))),
+            owners=owners,
+        )
+        effort = Effort(
+            settling=0,
+            descent=0,
+            steps=_STEPS,
+            target=target,
+            excess=0.1 * self._reserve,
+            tolerance=1e-5,
+            unit=1.0,
+            radius=state.radius,
+            least_radius=1e-7,
+            hessian=state.H,
+            penalty=_PENALTY,
+        )
+        if not at(x).stable:
+            found = minimise(Objective(soft=growth, owners=growing), x, (lower, upper), effort)
+            x, effort = found.x, dataclasses.replace(effort, radius=found.radius, hessian=found.hessian)
+        found = minimise(objective, x, (lower, upper), effort)
+        assert found.hessian is not None
+        met = found.value <= target and found.hard <= 1.0 + effort.excess
+        state.H, state.radius, state.ended = found.hessian, found.radius, found.finished and not met
+        return found.x
 
 
 def _ratio(value: float) -> float:
@@ -389,21 +387,6 @@ def _ratio(value: float) -> float:
 
 def _ranked(by_plant: FloatArray) -> list[int]:
     return [int(k) for k in np.argsort(-by_plant, kind="stable")]
-
-
-def _updated(H: FloatArray, move: FloatArray, here: _Pieces, there: _Pieces, weights: FloatArray) -> FloatArray:
-    """Return the curvature updated by the change of the weighted pieces' gradient."""
-    change = np.zeros(len(move))
-    expected = here.values + here.gradients @ move
-    for i in np.flatnonzero(weights > 1e-6):
-        same = np.flatnonzero(np.all(there.owner == here.owner[i], axis=1) & np.isfinite(there.values))
-        if not len(same):
-            continue
-        size = float(np.linalg.norm(here.gradients[i])) or 1.0
-        turned = np.linalg.norm(there.gradients[same] - here.gradients[i], axis=1) / size
-        far = turned + 10.0 * np.abs(there.values[same] - expected[i])
-        change += weights[i] * (there.gradients[same[int(np.argmin(far))]] - here.gradients[i])
-    return damped_update(H, move, change)
 
 
 def finer(plants: PlantSet) -> PlantSet:

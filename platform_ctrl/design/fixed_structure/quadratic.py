@@ -35,27 +35,24 @@ class Step:
 
 
 def least_maximum(
-    values: FloatArray,
-    gradients: FloatArray,
+    soft: tuple[FloatArray, FloatArray],
     H: FloatArray,
-    lower: FloatArray,
-    upper: FloatArray,
-    hard_values: FloatArray | None = None,
-    hard_gradients: FloatArray | None = None,
+    box: tuple[FloatArray, FloatArray],
+    hard: tuple[FloatArray, FloatArray] | None = None,
     penalty: float = 0.0,
     walls: tuple[FloatArray, FloatArray] | None = None,
 ) -> Step | None:
-    """Minimise max(values + gradients d) + penalty max(0, hard_values + hard_gradients d − 1) + d'Hd/2 over the box.
+    """Minimise max(values + gradients d) + penalty max(0, hard values + hard gradients d − 1) + d'Hd/2 over the box.
 
     Parameters
     ----------
-    values, gradients : (k,), (k, n)
-        The pieces at d = 0.
+    soft : (k,), (k, n)
+        Values and gradients of the pieces at d = 0.
     H : (n, n)
         Positive semidefinite.
-    lower, upper : (n,)
-        Bounds of d, around zero.
-    hard_values, hard_gradients : (m,), (m, n), optional
+    box : (n,), (n,)
+        Lower and upper bounds of d, around zero.
+    hard : (m,), (m, n), optional
         Pieces that must not exceed one.
     penalty
         Price of the largest excess.
@@ -69,17 +66,19 @@ def least_maximum(
     """
     import clarabel
 
+    (values, gradients), (lower, upper) = soft, box
     n, k = len(lower), len(values)
+    hard_values, hard_gradients = hard or (np.zeros(0), np.zeros((0, n)))
     # Values are measured from the largest, in units of the spread that the box allows: the solver sees numbers near 1.
     top = float(np.max(values))
     unit = float(np.max(np.abs(gradients) @ np.maximum(upper, -lower), initial=0.0)) or 1.0
     width = np.maximum(np.maximum(upper, -lower), 1e-300)
     G = gradients * width / unit
-    m = 0 if hard_values is None else len(hard_values)
+    m = len(hard_values)
     columns = n + 1 + (1 if m else 0)
     rows = [np.hstack([G, -np.ones((k, 1)), np.zeros((k, columns - n - 1))])]
     limits = [(top - values) / unit]
-    if m and hard_values is not None and hard_gradients is not None:
+    if m:
         scale = np.maximum(np.max(np.abs(hard_gradients) * width, axis=1), 1.0)
         rows.append(np.hstack([hard_gradients * width / scale[:, None], np.zeros((m, 1)), -1.0 / scale[:, None]]))
         limits.append((1.0 - hard_values) / scale)
@@ -95,9 +94,9 @@ def least_maximum(
         rows.append(np.hstack([walls[0] * width / reach[:, None], np.zeros((len(reach), columns - n))])[near])
         # What is beyond a wall has to come back, but not further than half the box.
         limits.append(np.maximum(walls[1] / reach, -0.5)[near])
-    box = np.zeros((2 * n, columns))
-    box[:n, :n], box[n:, :n] = np.eye(n), -np.eye(n)
-    rows.append(box)
+    sides = np.zeros((2 * n, columns))
+    sides[:n, :n], sides[n:, :n] = np.eye(n), -np.eye(n)
+    rows.append(sides)
     limits.append(np.concatenate([upper / width, -lower / width]))
     A, b = np.vstack(rows), np.concatenate(limits)
     P = np.zeros((columns, columns))
@@ -128,7 +127,7 @@ def least_maximum(
         wall_weights = np.zeros(len(walls[1]))
         wall_weights[near] = dual[behind : behind + int(near.sum())] / reach[near] * unit
     excess, hard_weights = 0.0, np.zeros(m)
-    if m and hard_values is not None and hard_gradients is not None:
+    if m:
         excess = max(0.0, float(np.max(hard_values + hard_gradients @ move)) - 1.0)
         hard_weights = dual[k : k + m] / scale * unit
     return Step(

@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 
 from platform_ctrl.common.values import FloatArray, value
-from platform_ctrl.design.fixed_structure.minimax import Minimum, Pieces, minimise
+from platform_ctrl.design.fixed_structure.minimax import Minimum, minimise
 from platform_ctrl.design.fixed_structure.norm import second_order
 from platform_ctrl.design.fixed_structure.objective import Parametrisation, Rescaled, WorstNorm, WorstPower, step_sizes
 from platform_ctrl.design.fixed_structure.parametrised import Parametrised
 from platform_ctrl.design.fixed_structure.quasi_newton import Descent, Stopped, descended
+from platform_ctrl.design.fixed_structure.trust_region import Effort, Objective, Pieces
 from platform_ctrl.design.partition import Partition
 
 
@@ -439,12 +440,8 @@ def _minimised(
     loops = WorstNorm(problem.plants, controller, margin=problem.decay)
     soft, curved = _pieces(problem.soft, controller, loops)
     hard = _pieces(problem.hard, controller, loops)[0] if problem.hard else None
-    lower, upper = bounds or (None, None)
-    least = minimise(
-        soft,
-        start,
-        lower,
-        upper,
+    objective = Objective(
+        soft=soft,
         hard=hard,
         stability=loops.stability,
         curvature=None if curved is None else curved.curvature,
@@ -452,12 +449,15 @@ def _minimised(
         wall_curvature=loops.wall_curvature,
         sharpened=None if curved is None else curved.sharpened,
         watch=None if curved is None else curved.watch,
-        target=target,
-        deadline=limits.deadline,
-        descent=200 if curved is None else 0,
+    )
+    effort = Effort(
         evaluations=min(_EVALUATIONS, limits.evaluations // POLISH_COST - spent),
+        descent=200 if curved is None else 0,
+        deadline=limits.deadline,
+        target=target,
         radius=radius,
     )
+    least = minimise(objective, start, bounds, effort)
     return least, bool(np.any(least.x != start))
 
 
