@@ -16,6 +16,7 @@ from platform_ctrl.cli.job_arguments import (
     Quiet,
     controller_file,
     job_of,
+    option,
     prepare_folder,
 )
 
@@ -30,107 +31,84 @@ WHAT, WHERE, RARE = "Runs", "Where they are simulated", "Rare events"
 def campaign(
     job: JobFile,
     runs: Annotated[
-        int | None,
-        typer.Option(
-            "--runs",
-            rich_help_panel=WHAT,
-            metavar="N",
-            help="Number of runs. Default: as in the job.",
-            show_default=False,
-        ),
+        int | None, option("--runs", metavar="N", help="Number of runs. Default: as in the job.", panel=WHAT)
     ] = None,
     out: Annotated[
         Path,
-        typer.Option(
+        option(
             "--out",
             "-o",
             metavar="DIR",
             help="Folder for campaign.html, campaign.parquet and campaign.json; made if needed.",
-            autocompletion=completion.campaign_folders,
+            default=True,
+            words=completion.campaign_folders,
         ),
     ] = CAMPAIGN,
     controllers: Controllers = None,
     workers: Annotated[
         int | None,
-        typer.Option(
+        option(
             "--workers",
-            rich_help_panel=WHERE,
             metavar="N",
             help="Processes. Default: as many as there are processors. The results do not depend on it.",
-            show_default=False,
+            panel=WHERE,
         ),
     ] = None,
     seed: Annotated[
-        int | None,
-        typer.Option(
-            "--seed",
-            rich_help_panel=WHAT,
-            metavar="N",
-            help="Random seed. Default: as in the job.",
-            show_default=False,
-        ),
+        int | None, option("--seed", metavar="N", help="Random seed. Default: as in the job.", panel=WHAT)
     ] = None,
     sampling: Annotated[
         str | None,
-        typer.Option(
+        option(
             "--sampling",
-            rich_help_panel=WHAT,
             metavar="sobol|latin-hypercube|random",
             help="How the runs fill the space of what varies. Default: as in the job.",
-            show_default=False,
-            autocompletion=completion.words("sobol", "latin-hypercube", "random"),
+            panel=WHAT,
         ),
     ] = None,
     device: Annotated[
-        str,
-        typer.Option(
-            "--device",
-            rich_help_panel=WHERE,
-            metavar="cpu|cuda",
-            help="What simulates the runs.",
-            autocompletion=completion.words("cpu", "cuda"),
-        ),
+        str, option("--device", metavar="cpu|cuda", help="What simulates the runs.", panel=WHERE, default=True)
     ] = "cpu",
     scheduler: Annotated[
         str | None,
-        typer.Option(
+        option(
             "--scheduler",
-            rich_help_panel=WHERE,
             metavar="ADDRESS",
             help="A Dask scheduler (tcp://host:8786), whose workers simulate the runs.",
-            show_default=False,
+            panel=WHERE,
         ),
     ] = None,
-    restart: Annotated[bool, typer.Option("--restart", help="Discard the campaign in DIR and start again.")] = False,
+    restart: Annotated[
+        bool, option("--restart", help="Discard the campaign in DIR and start again.", default=True)
+    ] = False,
     rare: Annotated[
         str | None,
-        typer.Option(
+        option(
             "--rare",
-            rich_help_panel=RARE,
             metavar="any|angle|attitude|torque_share",
             help="After the campaign, estimate the probability that this requirement (or any) is violated by "
             "importance splitting, for probabilities too small to count.",
-            show_default=False,
-            autocompletion=completion.words("any", "angle", "attitude", "torque_share"),
+            panel=RARE,
         ),
     ] = None,
     runs_per_level: Annotated[
         int,
-        typer.Option(
+        option(
             "--runs-per-level",
-            rich_help_panel=RARE,
             metavar="N",
             help="Of --rare: a level takes a tenth of the probability.",
+            panel=RARE,
+            default=True,
         ),
     ] = 1000,
     rare_method: Annotated[
         str,
-        typer.Option(
+        option(
             "--rare-method",
-            rich_help_panel=RARE,
             metavar="splitting|cross-entropy",
             help="cross-entropy: splitting, then weighted runs; surer where ten inputs or fewer vary.",
-            autocompletion=completion.words("splitting", "cross-entropy"),
+            panel=RARE,
+            default=True,
         ),
     ] = "splitting",
     as_json: Json = False,
@@ -175,14 +153,7 @@ def campaign(
     try:
         with campaign_progress(quiet or as_json, made.runs) as (tick, say):
             result = run_campaign(
-                made,
-                out,
-                workers=workers,
-                scheduler=scheduler,
-                device=device,
-                restart=restart,
-                progress=count,
-                say=say,
+                made, out, workers=workers, scheduler=scheduler, device=device, restart=restart, progress=count, say=say
             )
     except KeyboardInterrupt:
         kept = "what was simulated is kept" if done is None else f"{done:,} of {made.runs:,} runs are kept"

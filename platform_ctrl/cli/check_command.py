@@ -21,6 +21,7 @@ from platform_ctrl.cli.job_arguments import (
     Quiet,
     controller_file,
     job_of,
+    option,
     plant_file,
     prepare_folder,
     writable,
@@ -116,27 +117,25 @@ def check(
     controllers: Controllers = None,
     out: Annotated[
         Path | None,
-        typer.Option(
+        option(
             "--out",
             "-o",
             metavar="DIR",
             help=f"Folder for {RESULT} and {REPORT}, default: {CHECKED}. If it is named here and holds a {RESULT}, the "
             "controllers come from there by default.",
-            show_default=False,
         ),
     ] = None,
     baseline: Annotated[
         Path | None,
-        typer.Option(
+        option(
             "--baseline",
             metavar="FILE",
             help="Accepted values: the exit code is also 1 if a value is worse by more than its tolerance. Changes "
             "are printed, and plotted beside FILE.",
-            show_default=False,
         ),
     ] = None,
     update_baseline: Annotated[
-        bool, typer.Option("--update-baseline", help="Accept the present values: write them to the baseline.")
+        bool, option("--update-baseline", help="Accept the present values: write them to the baseline.", default=True)
     ] = False,
     junit: Junit = None,
     pdf: Pdf = False,

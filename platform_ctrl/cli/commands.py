@@ -27,6 +27,7 @@ from platform_ctrl.cli.job_arguments import (
     Pdf,
     Quiet,
     job_of,
+    option,
     plant_file,
     prepare_folder,
     writable,
@@ -220,7 +221,8 @@ app.command(cls=Teaching, rich_help_panel=START)(equations)
 def design(
     job: JobFile,
     out: Annotated[
-        Path, typer.Option("--out", "-o", metavar="DIR", help=f"Folder for {RESULT} and {REPORT}; made if needed.")
+        Path,
+        option("--out", "-o", metavar="DIR", help=f"Folder for {RESULT} and {REPORT}; made if needed.", default=True),
     ] = DESIGNED,
     pdf: Pdf = False,
     campaign: CampaignFolder = None,

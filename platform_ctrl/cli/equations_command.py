@@ -7,7 +7,7 @@ from typing import Annotated, TypeVar
 import typer
 
 from platform_ctrl.cli import completion
-from platform_ctrl.cli.job_arguments import Quiet
+from platform_ctrl.cli.job_arguments import Quiet, option
 from platform_ctrl.errors import InputError
 from platform_ctrl.mechanics.symbolic.options import HIGHEST_ORDER, TERMS, WRITTEN
 
@@ -29,11 +29,11 @@ def equations(
     ],
     form: Annotated[
         str,
-        typer.Option(
+        option(
             "--format",
             metavar="|".join(WRITTEN),
             help="How they are written; latex is to be put into a document that loads amsmath.",
-            autocompletion=completion.words(*WRITTEN),
+            default=True,
         ),
     ] = "text",
     order: Annotated[
@@ -53,7 +53,7 @@ def equations(
             autocompletion=completion.words(*TERMS),
         ),
     ] = "paper",
-    as_json: Annotated[bool, typer.Option("--json", help="The same as --format json; no progress.")] = False,
+    as_json: Annotated[bool, option("--json", help="The same as --format json; no progress.", default=True)] = False,
     quiet: Quiet = False,
 ) -> None:
     """Print the equations of a plant in symbols.

@@ -22,6 +22,27 @@ RESULT = "result.json"
 REPORT = "report.html"
 PDF = "report.pdf"
 
+
+def option(
+    *names: str,
+    metavar: str | None = None,
+    help: str,
+    panel: str | None = None,
+    default: bool = False,
+    words: completion.Completer | None = None,
+) -> Any:
+    """Return an option, completed by the words of a metavar such as cpu|cuda; `default`: shown in the help."""
+    choices = metavar.split("|") if metavar is not None and "|" in metavar else ()
+    return typer.Option(
+        *names,
+        metavar=metavar,
+        help=help,
+        rich_help_panel=panel,
+        show_default=default,
+        autocompletion=words or (completion.words(*choices) if choices else None),
+    )
+
+
 JobFile = Annotated[
     Path,
     typer.Argument(
@@ -31,34 +52,29 @@ JobFile = Annotated[
         autocompletion=completion.jobs,
     ),
 ]
-Json = Annotated[bool, typer.Option("--json", help="Print JSON alone on standard output; no progress.")]
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress.")]
+Json = Annotated[bool, option("--json", help="Print JSON alone on standard output; no progress.", default=True)]
+Quiet = Annotated[bool, option("--quiet", "-q", help="Show no progress.", default=True)]
 Controllers = Annotated[
     Path | None,
-    typer.Option(
+    option(
         "--controllers",
         metavar="FILE",
         help=f"Controllers: a {RESULT}, or a JSON file with its keys schema and controllers alone. Default: JOB with "
         f".controllers.json in place of .toml if that file exists, else {DESIGNED / RESULT}.",
-        show_default=False,
-        autocompletion=completion.controller_files,
+        words=completion.controller_files,
     ),
 ]
-Pdf = Annotated[bool, typer.Option("--pdf", help=f"Write the report as {PDF} too.")]
+Pdf = Annotated[bool, option("--pdf", help=f"Write the report as {PDF} too.", default=True)]
 CampaignFolder = Annotated[
     Path | None,
-    typer.Option(
+    option(
         "--campaign",
         metavar="DIR",
         help="Folder of a campaign of this job with these controllers: the report gets a section about it.",
-        show_default=False,
-        autocompletion=completion.campaign_folders,
+        words=completion.campaign_folders,
     ),
 ]
-Junit = Annotated[
-    Path | None,
-    typer.Option("--junit", metavar="FILE", help="Write every verdict as JUnit XML too.", show_default=False),
-]
+Junit = Annotated[Path | None, option("--junit", metavar="FILE", help="Write every verdict as JUnit XML too.")]
 
 
 def job_of(path: Path) -> Job:

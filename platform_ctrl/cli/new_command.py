@@ -11,7 +11,7 @@ from typing import Annotated
 import typer
 
 from platform_ctrl.cli import completion
-from platform_ctrl.cli.job_arguments import Json, Quiet, prepare_folder
+from platform_ctrl.cli.job_arguments import Json, Quiet, option, prepare_folder
 from platform_ctrl.errors import InputError
 
 # Valid as a file name on all systems and, unquoted, in a text.
@@ -26,22 +26,18 @@ def new(
         ),
     ],
     out: Annotated[
-        Path,
-        typer.Option(
-            "--out", "-o", metavar="DIR", help="Folder for both; made if needed. Default: here.", show_default=False
-        ),
+        Path, option("--out", "-o", metavar="DIR", help="Folder for both; made if needed. Default: here.")
     ] = Path("."),
     like: Annotated[
         str | None,
-        typer.Option(
+        option(
             "--like",
             metavar="PLANT",
             help="Start from this plant: a shipped name or a plant file. Default: one gyro in two gimbals.",
-            show_default=False,
-            autocompletion=completion.plants,
+            words=completion.plants,
         ),
     ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Overwrite files that are there.")] = False,
+    force: Annotated[bool, option("--force", help="Overwrite files that are there.", default=True)] = False,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:

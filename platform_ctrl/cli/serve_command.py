@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from platform_ctrl.cli.job_arguments import Controllers, JobFile, Json, Quiet, job_of
+from platform_ctrl.cli.job_arguments import Controllers, JobFile, Json, Quiet, job_of, option
 
 if TYPE_CHECKING:
     from platform_ctrl.app.server import PageServer
@@ -22,8 +22,11 @@ def serve(
     controllers: Controllers = None,
     host: Annotated[
         str,
-        typer.Option(
-            "--host", metavar="ADDRESS", help="Address to listen on; another than this machine's own needs --allow."
+        option(
+            "--host",
+            metavar="ADDRESS",
+            help="Address to listen on; another than this machine's own needs --allow.",
+            default=True,
         ),
     ] = "127.0.0.1",
     port: Annotated[
@@ -39,19 +42,17 @@ def serve(
     ] = None,
     allow: Annotated[
         list[str] | None,
-        typer.Option(
+        option(
             "--allow",
             metavar="NAME",
             help="Name or address by which browsers may ask for this machine; may be given several times.",
-            show_default=False,
         ),
     ] = None,
     browser: Annotated[
         bool | None,
-        typer.Option(
+        option(
             "--open/--no-browser",
             help="Open the page in a browser, or do not. Default: open it where there is a terminal and a screen.",
-            show_default=False,
         ),
     ] = None,
     as_json: Json = False,

@@ -17,6 +17,7 @@ from platform_ctrl.cli.job_arguments import (
     Quiet,
     controller_file,
     job_of,
+    option,
     prepare_folder,
 )
 from platform_ctrl.errors import InputError
@@ -37,36 +38,33 @@ def simulate(
     job: JobFile,
     run: Annotated[
         str | None,
-        typer.Option(
+        option(
             "--run",
             metavar="NUMBER",
             help="Run of the job's campaign, as its table numbers them from 0. A name, or a number where there is no "
             "campaign, is that of a manoeuvre.",
-            show_default=False,
-            autocompletion=completion.manoeuvres,
+            words=completion.manoeuvres,
         ),
     ] = None,
     manoeuvre: Annotated[
         str | None,
-        typer.Option(
+        option(
             "--manoeuvre",
             metavar="NAME",
             help="Manoeuvre: its name, or its number from 1.",
-            show_default=False,
-            autocompletion=completion.manoeuvres,
+            words=completion.manoeuvres,
         ),
     ] = None,
     controllers: Controllers = None,
     out: Annotated[
         Path | None,
-        typer.Option(
+        option(
             "--out",
             "-o",
             metavar="DIR",
             help=f"Of a run of the campaign: the campaign's folder, default: {CAMPAIGN}; seed and sampling are those "
             "of the campaign there. A figure of the run goes there; of a manoeuvre only if a folder is named.",
-            show_default=False,
-            autocompletion=completion.campaign_folders,
+            words=completion.campaign_folders,
         ),
     ] = None,
     as_json: Json = False,
