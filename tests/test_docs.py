@@ -7,6 +7,7 @@ import re
 import shlex
 import sys
 import tomllib
+import types
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -84,7 +85,10 @@ def test_code_on_a_page_runs_and_prints_what_the_page_says(
         pytest.importorskip(NEEDS[page.name], reason="campaigns keep their runs as Parquet, Dask hands them out")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "argv", ["page"])
-    namespace: dict[str, Any] = {"__name__": "__page__"}
+    # A module as of a script: annotations of classes on the page are found in it.
+    module = types.ModuleType("__page__")
+    monkeypatch.setitem(sys.modules, "__page__", module)
+    namespace = vars(module)
     printed = ""
     for number, piece in enumerate(site_blocks.pieces(page.read_text(encoding="utf-8")), 1):
         if isinstance(piece, site_blocks.Picture):

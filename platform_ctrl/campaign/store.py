@@ -20,7 +20,16 @@ import numpy as np
 
 from platform_ctrl.campaign.identity import Identity
 from platform_ctrl.campaign.single_run import Columns, Kind, schema_of, table_of
-from platform_ctrl.campaign.table import COMPLETED, DIVERGED, ENDED, NOT_SIMULATED, PASSED, RUN, arrow
+from platform_ctrl.campaign.table import (
+    COMPLETED,
+    DIVERGED,
+    ENDED,
+    NOT_SIMULATED,
+    PASSED,
+    RUN,
+    arrow,
+    with_current_endings,
+)
 from platform_ctrl.common.files import replaced_file
 from platform_ctrl.common.json_text import write_json
 from platform_ctrl.errors import InputError
@@ -158,13 +167,13 @@ class Store:
             yield from self._base_tables()
         for runs in sorted(self._parts, key=lambda part: part.start):
             with pa.parquet.ParquetFile(pa.BufferReader(self._parts[runs].read_bytes())) as file:
-                yield file.read().cast(self._schema)
+                yield with_current_endings(file.read().cast(self._schema))
 
     def _base_tables(self) -> Iterator[Any]:
         pa = arrow()
         with pa.parquet.ParquetFile(self.table, page_checksum_verification=True) as file:
             for batch in file.iter_batches(batch_size=ROWS):
-                yield pa.Table.from_batches([batch]).cast(self._schema)
+                yield with_current_endings(pa.Table.from_batches([batch]).cast(self._schema))
 
     def _whole_rows(self) -> int:
         """Return the rows of the table that is there, 0 if it is damaged or another campaign's."""

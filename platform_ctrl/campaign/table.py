@@ -22,6 +22,8 @@ METRICS = {
 RUN, MANOEUVRE, PASSED, ENDED = "run", "manoeuvre", "passed", "ended"
 # How a run ended begins with one of these words.
 COMPLETED, DIVERGED, NOT_SIMULATED = "completed", "diverged", "not simulated"
+# What tables of earlier versions have in place of the last.
+_OLD_NOT_SIMULATED = "not flown"
 OUTCOMES = frozenset(
     {RUN, *METRICS, *(f"{name}_passed" for name in METRICS), "stop_contacts", "saturated", PASSED, ENDED}
 )
@@ -70,7 +72,18 @@ def batches(table: Table, names: Sequence[str]) -> Iterator[dict[str, Array]]:
     dataset = _dataset(table)
     for batch in dataset.to_batches(columns=list(names), batch_size=ROWS_AT_ONCE):
         if batch.num_rows:
+            batch = with_current_endings(batch)
             yield {name: _column(name, batch.column(name).to_numpy(zero_copy_only=False)) for name in names}
+
+
+def with_current_endings(table: Any) -> Any:
+    """Return an Arrow table or batch with the words of this version for runs that were not simulated."""
+    import pyarrow.compute
+
+    if ENDED not in table.schema.names:
+        return table
+    ended = pyarrow.compute.replace_substring_regex(table.column(ENDED), f"^{_OLD_NOT_SIMULATED}", NOT_SIMULATED)
+    return table.set_column(table.schema.get_field_index(ENDED), ENDED, ended)
 
 
 def _in_memory(table: Mapping[str, Any], names: Sequence[str]) -> Iterator[dict[str, Array]]:
