@@ -230,7 +230,8 @@ def _lowered(task: Task, accuracy: float, given: Mapping[str, int]) -> FixedPoin
             formats[name] = dataclasses.replace(formats[name], fraction=formats[name].fraction - 1)
     else:
         raise task.refused(tight[0], f"what the roundings add to {tight[0]!r} fits no format")
-    return _proved(task, accuracy, real, formats, excesses, rounded, counts, poles, found.norms.samples)
+    lowered = _Lowered(formats, excesses, rounded, counts, poles, found.norms.samples)
+    return _proved(task, accuracy, real, lowered)
 
 
 def _stored(task: Task, form: Format) -> bool:
@@ -238,22 +239,24 @@ def _stored(task: Task, form: Format) -> bool:
     return not form.saturates or form.name in task.parts.outputs_read
 
 
-def _proved(
-    task: Task,
-    accuracy: float,
-    real: Responses,
-    formats: dict[str, Format],
-    excesses: dict[str, int],
-    rounded: _Rounded,
-    counts: dict[str, int],
-    poles: dict[str, float],
-    samples: int,
-) -> FixedPoint:
+class _Lowered(NamedTuple):
+    """Formats, limits of excesses and rows that fit each other; largest counts, poles, and samples of the norms."""
+
+    formats: dict[str, Format]
+    excesses: dict[str, int]
+    rounded: _Rounded
+    counts: dict[str, int]
+    poles: dict[str, float]
+    samples: int
+
+
+def _proved(task: Task, accuracy: float, real: Responses, lowered: _Lowered) -> FixedPoint:
     """Return the result: integrals rounded as well, bounds of every sum, the error."""
     scheme, parts = task.scheme, task.parts
+    excesses, rounded, counts = lowered.excesses, lowered.rounded, lowered.counts
     formats = {
         name: form if form.saturates else dataclasses.replace(form, largest=counts[name])
-        for name, form in formats.items()
+        for name, form in lowered.formats.items()
     }
     largest = {name: form.largest for name, form in formats.items()} | counts
     for name in parts.excesses:
@@ -262,42 +265,22 @@ def _proved(
         largest[excess_of(name)] = min(excesses[name], beyond)
     integer_rows = {name: _with_largest(row, largest) for name, row in rounded.rows.items()}
     exact = {**parts.rows.signals, **parts.rows.states}
+    made = {**rounded.exact.signals, **rounded.exact.states}
     given_up = {
-        name: (0.5 if row.shift else 0.0) + _changed(scaled(formats, name, exact[name]), rounded, name, largest)
+        name: (0.5 if row.shift else 0.0) + _lost(scaled(formats, name, exact[name]), made[name], largest)
         for name, row in integer_rows.items()
     }
-    for name, increment in parts.integrals.items():
-        row = integral_row(
-            name, scaled(formats, name, increment), formats[name].largest, largest, WIDTHS[task.number][2]
-        )
-        integer_rows[name] = row
-        if not row.products and increment:
-            raise task.refused(name, f"the integral {name!r} gains less in a step than can be counted")
-        if row.largest >= 2**63:
-            raise task.refused(name, f"what the integral {name!r} may gain in a step does not fit 64 bits")
+    integer_rows |= _integral_rows(task, formats, largest)
     noise = {name: count * formats[name].bit for name, count in given_up.items()}
     read = {name: 0.5 * formats[name].bit for name in parts.integrals}
     errors = real.bounds(read, noise)
     conversion = real.bounds({name: 0.5 * formats[name].bit for name in scheme.inputs}, {})
     limits = task.torque_limits
-    error = {name: _up(errors[name] + _cut_off(formats[name], limits[name])) for name in scheme.outputs}
-    for name in scheme.outputs:
-        full = limits[name] if math.isfinite(limits[name]) else formats[name].range
-        if error[name] > accuracy * full:
-            shares = {row: real.bounds({}, {row: size})[name] for row, size in noise.items()}
-            worst = max(shares, key=lambda row: shares[row])
-            raise task.refused(
-                worst,
-                f"the error of {name} may reach {error[name]:.3g}, {error[name] / full:.2g} of its largest value, most "
-                f"of it from {worst!r}; the limit is {accuracy:g}",
-                "give smaller ranges of the inputs, or a larger accuracy; or ",
-            )
-    drift = {
-        name: _drift(
-            task, name, scaled(formats, name, parts.integrals[name]), integer_rows[name], formats, largest, errors
-        )
-        for name in parts.integrals
-    }
+    # A limit in counts is a little below the limit.
+    cut = {name: limits[name] - formats[name].range if formats[name].saturates else 0.0 for name in scheme.outputs}
+    error = {name: _up(errors[name] + cut[name]) for name in scheme.outputs}
+    full = {name: limits[name] if math.isfinite(limits[name]) else formats[name].range for name in error}
+    _check_accuracy(task, accuracy, {name: (error[name], full[name]) for name in error}, real, noise)
     out = FixedPoint(
         scheme=scheme,
         number=task.number,
@@ -316,12 +299,43 @@ def _proved(
         excess_limits={name: excesses[name] for name in parts.limited},
         error=error,
         conversion={name: _up(conversion[name]) for name in scheme.outputs},
-        drift=drift,
-        poles=poles,
-        samples=samples,
+        drift={
+            name: _drift(task, integer_rows[name], scaled(formats, name, increment), formats, largest, errors)
+            for name, increment in parts.integrals.items()
+        },
+        poles=lowered.poles,
+        samples=lowered.samples,
         proof=(),
     )
     return dataclasses.replace(out, proof=proof_lines(out, parts.leaks))
+
+
+def _integral_rows(task: Task, formats: Mapping[str, Format], largest: Mapping[str, int]) -> dict[str, IntegerRow]:
+    """Return the rows of the integrals, which gain something and never overflow."""
+    out = {}
+    for name, increment in task.parts.integrals.items():
+        counted = scaled(formats, name, increment)
+        row = out[name] = integral_row(name, counted, formats[name].largest, largest, WIDTHS[task.number][2])
+        if not row.products and increment:
+            raise task.refused(name, f"the integral {name!r} gains less in a step than can be counted")
+        if row.largest >= 2**63:
+            raise task.refused(name, f"what the integral {name!r} may gain in a step does not fit 64 bits")
+    return out
+
+
+def _check_accuracy(
+    task: Task, accuracy: float, error: Mapping[str, tuple[float, float]], real: Responses, noise: Mapping[str, float]
+) -> None:
+    """Refuse an error, given with the largest value by output, that is too large; name the row that adds most to it."""
+    for name, (size, full) in error.items():
+        if size > accuracy * full:
+            worst = max(noise, key=lambda row: real.bounds({}, {row: noise[row]})[name])
+            raise task.refused(
+                worst,
+                f"the error of {name} may reach {size:.3g}, {size / full:.2g} of its largest value, most of it from "
+                f"{worst!r}; the limit is {accuracy:g}",
+                "give smaller ranges of the inputs, or a larger accuracy; or ",
+            )
 
 
 def _responses(task: Task, rows: Rows) -> Responses:
@@ -407,12 +421,6 @@ def _with_largest(row: IntegerRow, largest: Mapping[str, int]) -> IntegerRow:
     return dataclasses.replace(row, largest=sums + (1 << row.shift) // 2)
 
 
-def _changed(wanted: Sum, rounded: _Rounded, name: str, largest: Mapping[str, int]) -> float:
-    """Return by how much rounded coefficients change a row's target at most, counts."""
-    made = rounded.exact.signals.get(name, rounded.exact.states.get(name, {}))
-    return _lost(wanted, made, largest)
-
-
 def _lost(wanted: Sum, made: Sum, largest: Mapping[str, int]) -> float:
     zero = flint.fmpq(0)
     names: Iterable[str] = {*wanted, *made}
@@ -427,16 +435,10 @@ def _up(number: float) -> float:
     return number * _UP
 
 
-def _cut_off(form: Format, limit: float) -> float:
-    """Return by how much a limit in counts differs from the limit."""
-    return limit - form.range if form.saturates else 0.0
-
-
 def _drift(
     task: Task,
-    name: str,
-    wanted: Sum,
     row: IntegerRow,
+    wanted: Sum,
     formats: Mapping[str, Format],
     largest: Mapping[str, int],
     errors: Mapping[str, float],
@@ -448,4 +450,4 @@ def _drift(
     for source, coefficient in inner.items():
         if source in errors:
             wrong += abs(_above(abs(coefficient))) * errors[source] / formats[source].bit
-    return _up(wrong) * formats[name].bit / task.scheme.period
+    return _up(wrong) * formats[row.target].bit / task.scheme.period
