@@ -94,7 +94,7 @@ def test_a_method_is_known_to_the_reader_as_long_as_it_is_registered() -> None:
             register_method(mine)
     finally:
         unregister_method("mine")
-    with pytest.raises(InputError, match=r'method = "mine".*expected "classical" or .* or "platform-servo"'):
+    with pytest.raises(InputError, match=r'method must be "classical" or .* or "platform-servo", got "mine"'):
         read_job(data)
     with pytest.raises(ArgumentError, match="mine"):
         unregister_method("mine")

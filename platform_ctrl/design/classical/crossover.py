@@ -104,7 +104,7 @@ def from_crossover_and_margin(
     disk_margin
         Required disk margin, dimensionless, 0 to 2; or
     phase_margin_deg
-        required phase margin in all channels at once, degrees, the disk margin 2 tan(phase/2).
+        required phase margin in all channels at once, in degrees instead of rad: the disk margin 2 tan(phase/2).
     period, delay
         Of the controller, s; the torquers' lags come from the plant.
     **options
