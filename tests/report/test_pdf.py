@@ -249,7 +249,7 @@ def test_without_typst_one_line_says_what_to_install(
 def test_what_typst_refuses_is_one_line(prepared: blocks.Document) -> None:
     wrong = blocks.Plate(svg="<svg>never closed", title="wrong", caption="")
     broken = dataclasses.replace(prepared, sections=(blocks.Section(name="one", title="one", blocks=(wrong,)),))
-    with pytest.raises(PlatformCtrlError, match="cannot be set as PDF") as error:
+    with pytest.raises(PlatformCtrlError, match="cannot be typeset as PDF") as error:
         pdf_bytes(broken)
     assert "\n" not in str(error.value)
 
