@@ -407,12 +407,12 @@ def gyro_job(limits, soft=None, faults=None, rate_hz=5000, **design_options):
     [
         ({"structure": "pid", "order": 3}, "option 'order' has no meaning"),
         ({"structure": "cross-axis", "starts": 2}, "option 'starts' has no meaning"),
-        ({"structure": "state-space", "order": 1.5}, "order = 1.5; expected a whole number"),
-        ({"starts": 2.5}, "starts = 2.5; expected a whole number"),
-        ({"evaluations": 1e30}, r"evaluations = 1e\+30; expected a whole number from 1 to"),
-        ({"reserve": 1.0}, "reserve = 1; expected less than 1"),
-        ({"integral_hz": 2500}, "integral_hz = 2500; expected less than 2500 Hz, half the sample rate"),
-        ({"rolloff_hz": 1e6}, "rolloff_hz = 1e.06; expected less than 2500 Hz"),
+        ({"structure": "state-space", "order": 1.5}, "order must be a whole number from 1 to 1e.06, got 1.5"),
+        ({"starts": 2.5}, "starts must be a whole number from 1 to 1e.06, got 2.5"),
+        ({"evaluations": 1e30}, r"evaluations must be a whole number from 1 to 1e\+06, got 1e\+30"),
+        ({"reserve": 1.0}, "reserve must be less than 1, got 1"),
+        ({"integral_hz": 2500}, "integral_hz must be less than 2500 Hz, half the sample rate, got 2500"),
+        ({"rolloff_hz": 1e6}, "rolloff_hz must be less than 2500 Hz, half the sample rate, got 1e.06"),
     ],
 )
 def test_options_without_sense_are_refused(options, said):

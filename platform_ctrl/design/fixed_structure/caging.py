@@ -36,7 +36,6 @@ from platform_ctrl.job.requirements import LoopRequirement, hard_and_soft, requi
 
 # Share of the integral rate that the slowest closed-loop pole keeps: integral action that does not act is none.
 _INTEGRAL_KEPT = 0.5
-# Shares of the evaluations on the way from one structure to the next.
 # Options of some structures alone, options that count something, and the largest count.
 _STRUCTURES: dict[str, tuple[Structure, ...]] = {
     "order": ("state-space",),
@@ -50,6 +49,7 @@ _DEFAULT: Structure = "pid"
 _FILTER_DAMPING = 0.4
 # Poles this near to z = 1 are integrators.
 _INTEGRATOR = 1e-5
+# Shares of the evaluations that each structure gets on the way to the next.
 _SHARES = {"cross-axis": 0.2, "pid": 0.3, "state-space": 0.5}
 
 
@@ -88,11 +88,11 @@ def default_options(design: DesignSpec, channel: Channels, nutation: float, peri
     out = completed(f'structured, structure = "{structure}"', given, own)
     for name in sorted(_COUNTS & set(out)):
         if not (float(out[name]).is_integer() and out[name] <= _MOST):
-            raise DesignError(f"structured: {name} = {out[name]:g}; expected a whole number from 1 to {_MOST:g}")
+            raise DesignError(f"structured: {name} must be a whole number from 1 to {_MOST:g}, got {out[name]:g}")
     bounds = {"reserve": (1.0, ""), "integral_hz": (0.5 / period, " Hz, half the sample rate")}
     for name, (bound, text) in (bounds | {"rolloff_hz": bounds["integral_hz"]}).items():
         if not out.get(name, 0.0) < bound:
-            raise DesignError(f"structured: {name} = {out[name]:g}; expected less than {bound:g}{text}")
+            raise DesignError(f"structured: {name} must be less than {bound:g}{text}, got {out[name]:g}")
     return out
 
 

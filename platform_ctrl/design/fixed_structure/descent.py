@@ -1,9 +1,8 @@
 """Moving a controller's parameters until the hard requirements hold and the soft ones are as small as they can be.
 
-A sequence of quadratic programs in a trust region: all pieces near the worst (see `goals`) are linearised, the
-curvature of their weighted sum is learned by damped BFGS, every old piece compared with the new piece of the same
-requirement and plant that continues it. A bandwidth is one more variable, log ω_b, with S at most 1/√2 up to
-ω_b.
+The requirements as pieces (see `goals`) are what `minimax.minimise` minimises by its trust-region steps: hard ones are
+its limits, and only pieces of one requirement and plant continue each other. A bandwidth is one more variable,
+log ω_b, with S at most 1/√2 up to ω_b.
 
 The nominal plant and the worst few of the set are in view; all are looked at again after each search.
 """
@@ -147,10 +146,10 @@ class Search:
         self._guarded = self._wanted is not None and not any(r.kind in slow for r in requirements)
         self._reserve, self._left, self._progress = reserve, evaluations, progress
 
-    def run(self, family: Parametrised, start: FloatArray | None = None) -> Found:
-        """Return the best parameters of `family`, from its own start or from `start`."""
+    def run(self, family: Parametrised) -> Found:
+        """Return the best parameters of `family`."""
         spent = self._left
-        best = self._run(family, family.start if start is None else start)
+        best = self._run(family, family.start)
         rng = np.random.default_rng(0)
         for _ in range(_AGAIN):
             if self._left <= 0 or self._enough(best):

@@ -12,8 +12,6 @@ Three phases, all deterministic:
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from platform_ctrl.common.values import FloatArray, value
@@ -41,8 +39,6 @@ class Minimum:
         Whether it ended by itself and not by its evaluations, its steps or its deadline.
     late
         Whether the deadline ended it.
-    history
-        Largest piece after every accepted step.
     radius, hessian
         Trust region and curvature of the polish, to go on with; the first ones where there was none.
     """
@@ -54,7 +50,6 @@ class Minimum:
     evaluations: int
     finished: bool
     late: bool
-    history: tuple[float, ...]
     radius: float
     hessian: FloatArray | None
 
@@ -75,8 +70,7 @@ class _Search(Run):
             i = int(np.argmax(values))
             return float(values[i]), gradients[i]
 
-        note = self.note if function == self.allowed else None
-        found = descended(largest, x, self.lower, self.upper, target=target, iterations=iterations, note=note)
+        found = descended(largest, x, self.lower, self.upper, target=target, iterations=iterations)
         if not found.finished:
             raise Stopped(found.x)
         return found.x
@@ -111,7 +105,6 @@ class _Search(Run):
             evaluations=self.spent,
             finished=finished,
             late=self.late,
-            history=tuple(self.history),
             radius=self.radius,
             hessian=self.hessian,
         )
@@ -122,7 +115,6 @@ def minimise(
     x0: FloatArray,
     bounds: tuple[FloatArray, FloatArray] | None = None,
     effort: Effort | None = None,
-    progress: Callable[[float], None] | None = None,
 ) -> Minimum:
     """Minimise the largest soft piece where every `stability` piece is negative and every `hard` piece at most one.
 
@@ -136,8 +128,6 @@ def minimise(
         Of x.
     effort
         How far the search goes.
-    progress
-        Called with the largest piece after every accepted step.
 
     Returns
     -------
@@ -147,7 +137,7 @@ def minimise(
     effort = effort or Effort()
     n = len(x0)
     lower, upper = bounds or (np.full(n, -np.inf), np.full(n, np.inf))
-    search = _Search(objective, (lower, upper), effort, progress)
+    search = _Search(objective, (lower, upper), effort)
     x = np.clip(np.asarray(x0, dtype=np.float64), lower, upper)
     best = x
     finished = True

@@ -115,10 +115,10 @@ def _given(one: Parameter, by_name: Given, kind: str) -> Parameter:
     where = f"{kind}: {one.name}"
     low, high = _pair(by_name.bounds.get(one.name, (one.lower, one.upper)), where)
     if one.positive and low < 0.0:
-        raise ArgumentError(f"{where}: given bounds {low:g} to {high:g}; expected positive ones")
+        raise ArgumentError(f"{where}: bounds must not be negative, got {low:g} to {high:g}")
     given = by_name.fixed.get(one.name, by_name.start.get(one.name, one.start))
     if not np.isfinite(given) or (one.positive and not given > 0.0):
-        raise ArgumentError(f"{where}: given {given!r}; expected a {'positive' if one.positive else 'finite'} number")
+        raise ArgumentError(f"{where}: must be a {'positive' if one.positive else 'finite'} number, got {given!r}")
     return Parameter(
         name=one.name,
         start=float(min(max(given, low), high)),
@@ -133,9 +133,9 @@ def _pair(bounds: Any, where: str) -> tuple[float, float]:
     try:
         low, high = (float(x) for x in bounds)
     except (TypeError, ValueError):
-        raise ArgumentError(f"{where}: bounds = {bounds!r}; expected (lower, upper)") from None
+        raise ArgumentError(f"{where}: bounds must be a pair (lower, upper), got {bounds!r}") from None
     if not low < high:
-        raise ArgumentError(f"{where}: bounds = ({low:g}, {high:g}); expected lower < upper")
+        raise ArgumentError(f"{where}: the lower bound must be below the upper one, got ({low:g}, {high:g})")
     return low, high
 
 
@@ -147,13 +147,13 @@ def _ties(
     leader: dict[int, tuple[int, float]] = {}
     for group in tied:
         if isinstance(group, str) or len(group) < 2:
-            raise ArgumentError(f"{where}: tied = {group!r}; expected groups of two names or more")
+            raise ArgumentError(f"{where}: tied must consist of groups of at least two names, got {group!r}")
         first: tuple[int, float] | None = None
         for word in group:
             sign = -1.0 if word.startswith("-") else 1.0
             k = known_name(f"{where}: tied", word.removeprefix("-"), names)
             if k in leader or k in fixed:
-                raise ArgumentError(f"{where}: tied: {names[k]!r} is tied or fixed already; expected each name once")
+                raise ArgumentError(f"{where}: tied: {names[k]!r} is tied or fixed already; give each name once")
             if sign < 0.0 and everything[k].positive:
                 raise ArgumentError(f"{where}: tied: {word!r}: a positive number has no opposite")
             first = first or (k, sign)
@@ -162,7 +162,7 @@ def _ties(
             leader[k] = (first[0], sign * first[1])
     leaders = [k for k in range(len(names)) if k not in fixed and leader.get(k, (k, 1.0))[0] == k]
     if not leaders:
-        raise ArgumentError(f"{where}: every parameter is fixed; expected at least one free")
+        raise ArgumentError(f"{where}: every parameter is fixed; leave at least one free")
     spread = np.zeros((len(names), len(leaders)))
     for k in range(len(names)):
         if k not in fixed:

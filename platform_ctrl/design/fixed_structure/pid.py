@@ -62,11 +62,11 @@ class PID(Structure):
         shape = (ncon, nmeas)
         masks = mask_of("PID: P", self.P, shape), mask_of("PID: I", self.I, shape), mask_of("PID: D", self.D, shape)
         if self.filter_order not in (0, 1, 2):
-            raise ArgumentError(f"PID: filter_order = {self.filter_order!r}; expected 0, 1 or 2")
+            raise ArgumentError(f"PID: filter_order must be 0, 1 or 2, got {self.filter_order!r}")
         if self.filter_order == 0 and (np.any(masks[2]) or self.seen_through is not None):
-            raise ArgumentError('PID: filter_order = 0 with a derivative; expected 1 or 2, or D="none"')
+            raise ArgumentError('PID: a derivative needs a filter; give filter_order = 1 or 2, or D="none"')
         if self.filter_zero and (self.filter_order != 2 or self.filtered != "everything"):
-            raise ArgumentError("PID: filter_zero without a filter of second order before everything; expected one")
+            raise ArgumentError("PID: filter_zero needs filter_order = 2 and filtered = 'everything'")
         return masks
 
     def parameters(self, nmeas: int, ncon: int, units: Units) -> tuple[Parameter, ...]:

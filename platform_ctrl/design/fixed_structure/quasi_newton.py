@@ -74,7 +74,6 @@ def descended(
     iterations: int = 100000,
     progress: float = _PROGRESS,
     inverse: FloatArray | None = None,
-    note: Callable[[float], None] | None = None,
 ) -> Descent:
     """Return what a descent from x finds.
 
@@ -92,8 +91,6 @@ def descended(
         Relative decrease over some tens of iterations below which the search ends.
     inverse
         Of an earlier descent that ended at x.
-    note
-        Called with the value after every iteration.
     """
     bounded = _Bounded(function, low, high)
     best, lowest = np.clip(x, low, high), np.inf
@@ -117,8 +114,6 @@ def descended(
             x, level, gradient = y, new_level, new_gradient
             if level < lowest:
                 best, lowest = inside, level
-            if note is not None:
-                note(level)
             if level <= target or not wolfe:
                 break
             recent.append(level)

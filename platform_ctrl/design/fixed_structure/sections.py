@@ -116,14 +116,14 @@ class Series(Structure):
     def parameters(self, nmeas: int, ncon: int, units: Units) -> tuple[Parameter, ...]:
         """Return those of all blocks."""
         if not self.blocks:
-            raise ArgumentError("Series: given no blocks; expected at least one")
+            raise ArgumentError("Series: there must be at least one block, got none")
         out: list[Parameter] = []
         for k, one in enumerate(self.blocks):
             out += one.parameters(nmeas, ncon if k == len(self.blocks) - 1 else nmeas, units)
         names = [one.name for one in out]
         twice = [name for name in names if names.count(name) > 1]
         if twice:
-            raise ArgumentError(f"Series: two parameters are called {twice[0]!r}; expected blocks of different names")
+            raise ArgumentError(f"Series: two parameters are called {twice[0]!r}; give the blocks different names")
         return tuple(out)
 
     def block(self, p: FloatArray, nmeas: int, ncon: int) -> StateArrays:

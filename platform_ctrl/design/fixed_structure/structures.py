@@ -201,13 +201,11 @@ def mask_of(name: str, given: ArrayLike | str, shape: tuple[int, int]) -> Mask:
             "none": np.zeros(shape, bool),
         }
         if given not in words:
-            raise ArgumentError(f"{name}: given {given!r}; expected {', '.join(map(repr, words))} or booleans")
+            raise ArgumentError(f"{name}: must be {', '.join(map(repr, words))} or booleans, got {given!r}")
         return words[given]
     out = np.asarray(given)
     if out.dtype != bool or out.shape != shape:
-        raise ArgumentError(
-            f"{name}: given {out.dtype} of shape {out.shape}; expected booleans of shape {shape}, (u, y)"
-        )
+        raise ArgumentError(f"{name}: must be booleans of shape {shape}, (u, y), got {out.dtype} of shape {out.shape}")
     return out
 
 

@@ -223,7 +223,7 @@ def structured(
 def _plants(plants: StateSpace | Sequence[StateSpace]) -> tuple[StateSpace, ...]:
     given = tuple(plants) if isinstance(plants, list | tuple) else (plants,)
     if not given:
-        raise ArgumentError("structured: no plants; expected at least one")
+        raise ArgumentError("structured: there must be at least one plant, got no plants")
     return given
 
 
@@ -232,11 +232,13 @@ def _partitions(given: tuple[StateSpace, ...], nmeas: int, ncon: int) -> tuple[P
     for k, one in enumerate(parts[1:], 2):
         if one.dt != parts[0].dt:
             raise ArgumentError(
-                f"structured: plant {k} has dt = {one.dt:g} s, the first {parts[0].dt:g} s; expected one"
+                f"structured: plant {k} has dt = {one.dt:g} s, but the first {parts[0].dt:g} s; all must have the same"
             )
         if one.D11.shape != parts[0].D11.shape:
             shapes = f"{one.D11.shape[0]} z and {one.D11.shape[1]} w"
-            raise ArgumentError(f"structured: plant {k} has {shapes}; expected {parts[0].D11.shape} as the first has")
+            raise ArgumentError(
+                f"structured: plant {k} has {shapes}; all must have {parts[0].D11.shape}, as the first has"
+            )
     return parts
 
 
@@ -255,19 +257,21 @@ def _task(
     for region in requested[0].regions:
         if region.kind != "stability":
             raise ArgumentError(
-                f"structured: given a requirement of kind {region.kind!r}; expected 'H-infinity norm', 'H2 norm' or "
-                "'stability'; for pole regions take design.multiobjective, or method = \"structured\" in a job"
+                "structured: requirements must be of kind 'H-infinity norm', 'H2 norm' or 'stability', got "
+                f'{region.kind!r}; for pole regions use design.multiobjective, or method = "structured" in a job'
             )
         period = parts[0].dt
         limit = region.limit if period == 0.0 else 2.0 / period * np.tanh(0.5 * region.limit * period)
         decay = max(decay, float(limit))
     if requested[0].controller:
         raise ArgumentError(
-            "structured: given a requirement of kind 'fastest controller pole'; expected 'H-infinity norm', 'H2 norm' "
-            "or 'stability'; bound the structure's numbers instead"
+            "structured: requirements must be of kind 'H-infinity norm', 'H2 norm' or 'stability', got "
+            "'fastest controller pole'; bound the structure's numbers instead"
         )
     if not requested[0].norms:
-        raise ArgumentError("structured: no norm among the requirements; expected at least one to be made small")
+        raise ArgumentError(
+            "structured: there is no norm among the requirements; give at least one that is to be made small"
+        )
     every = [
         (norm.requested.hard,
          Goal(plants=tuple(_channel(one.plant, norm.w, norm.z, _aim(norm.requested)) for one in requested), h2=norm.h2))
@@ -390,7 +394,7 @@ def _none_found(
         )
     return NotFoundError(
         f"structured: none found: no {kind} controller that meets every hard requirement in {tried}; the nearest has "
-        f"the largest ratio {best.hard:.4g}, expected at most 1; {further}, or relax a limit or make it soft",
+        f"the largest ratio {best.hard:.4g}, and must not exceed 1; {further}, or relax a limit or make it soft",
         given,
         K,
     )

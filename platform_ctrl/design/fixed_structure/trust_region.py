@@ -114,13 +114,10 @@ class Effort:
 class Run:
     """One run: the functions, the bounds and what was spent."""
 
-    def __init__(
-        self, objective: Objective, bounds: PieceValues, effort: Effort, progress: Callable[[float], None] | None
-    ) -> None:
-        self.objective, self.effort, self.progress = objective, effort, progress
+    def __init__(self, objective: Objective, bounds: tuple[FloatArray, FloatArray], effort: Effort) -> None:
+        self.objective, self.effort = objective, effort
         self.lower, self.upper = bounds
         self.spent, self.late = 0, False
-        self.history: list[float] = []
         self.radius, self.hessian = effort.radius, effort.hessian
 
     def evaluate(self, function: Pieces, x: FloatArray) -> PieceValues:
@@ -130,12 +127,6 @@ class Run:
             raise Stopped
         self.spent += 1
         return function(x)
-
-    def note(self, level: float) -> None:
-        """Note the value that was reached."""
-        self.history.append(level)
-        if self.progress is not None:
-            self.progress(level)
 
 
 class _Point(NamedTuple):
@@ -220,7 +211,6 @@ class Polish:
         ratio = (merit - trial) / predicted if np.isfinite(trial) else -1.0
         if there is not None and ratio > _ACCEPTED:
             self._move_to(there)
-            search.note(float(np.max(there.soft[0])))
             self.small = self.small + 1 if merit - trial < small else 0
             if ratio > _GOOD and length > _GOOD * search.radius:
                 search.radius *= _LARGER
