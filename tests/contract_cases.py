@@ -132,7 +132,7 @@ def plants() -> PlantSet:
 
 @functools.cache
 def result() -> verification.JobResult:
-    return verification.checked(asked(), outcomes())
+    return verification.check_job(asked(), outcomes())
 
 
 @functools.cache
@@ -316,7 +316,7 @@ FUNCTIONS: dict[str, dict[str, Callable[[], Any]]] = {
     "campaign.rerun": {"plan": planned, **of(number=0)},
     "campaign.run_campaign": {"plan": planned, **of(folder="runs")},
     "campaign.summarise": {"plan": planned, "table": table},
-    "verification.checked": {"job": asked, "loops": outcomes},
+    "verification.check_job": {"job": asked, "loops": outcomes},
     "verification.read_controllers": {"source": lambda: file("controllers"), "job": asked},
     "design.anti_windup": {"loop": limited},
     "design.caging_largest_Omega": {"job": asked, "controller": closed},

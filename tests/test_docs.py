@@ -215,7 +215,7 @@ def test_the_result_page_names_every_key_that_is_written() -> None:
     data["loop"][0]["use"] = "one"
     data["manoeuvre"][0] |= {"rise": 0.001, "hold": 0.0, "duration": 0.01}
     job = read_job(data)
-    written = keys(result_record(verification.checked(job, design.loops(job))))
+    written = keys(result_record(verification.check_job(job, design.loops(job))))
     text = (ROOT / "docs" / "result-file.md").read_text(encoding="utf-8")
     assert {"alternatives", "loop_by_loop", "stop_contacts"} <= written
     assert not written - set(re.findall(r"`([^`\n]+)`", text))

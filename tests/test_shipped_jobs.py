@@ -21,7 +21,7 @@ def shipped(path):
     """A job designed and checked as it stands, once for all tests; and what was said while it worked."""
     said = []
     job = read_job(path)
-    return verification.checked(job, design.loops(job, said.append), said.append), said
+    return verification.check_job(job, design.loops(job, said.append), said.append), said
 
 
 @pytest.fixture(scope="module")

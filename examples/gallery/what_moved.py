@@ -23,7 +23,7 @@ for crossover_hz in (40, 35):
             "loop": [loop],
         }
     )
-    results.append(pc.verification.checked(job, pc.design.loops(job)))
+    results.append(pc.verification.check_job(job, pc.design.loops(job)))
 before, now = results
 
 figure = moved_figure(compare(now, accepted(before)), "gyro 9-10 against its baseline")

@@ -24,8 +24,8 @@ from platform_ctrl.errors import DesignError, PlatformCtrlError
 from platform_ctrl.job.job import DesignSpec, Job, LoopSpec
 from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.job.methods import METHODS
+from platform_ctrl.verification.controllers import opened, read_controllers
 from platform_ctrl.verification.coupled import sensed_rates
-from platform_ctrl.verification.given import opened, read_controllers
 
 if TYPE_CHECKING:
     import control

@@ -138,7 +138,7 @@ def campaign(
         file = controller_file(controllers, None, job)
         from platform_ctrl.campaign.engine import run_campaign
         from platform_ctrl.campaign.planning import plan
-        from platform_ctrl.verification.given import read_controllers
+        from platform_ctrl.verification.controllers import read_controllers
 
         made = plan(read, read_controllers(file, read), runs=runs, seed=seed, sampling=cast("Points | None", sampling))
         expect_rare(made, rare, runs_per_level, rare_method)

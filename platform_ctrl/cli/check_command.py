@@ -164,9 +164,9 @@ def check(
         file = controller_file(controllers, out, job)
         comparison = BaselineOptions.given(baseline, update_baseline)
         extras = ReportOptions.given(read, pdf, campaign)
-        from platform_ctrl.verification import checked
-        from platform_ctrl.verification.given import outcomes_from, read_controllers
-        from platform_ctrl.verification.recorded import unconfirmed
+        from platform_ctrl.verification import check_job
+        from platform_ctrl.verification.controllers import outcomes_from, read_controllers
+        from platform_ctrl.verification.unconfirmed import unconfirmed
 
         closed = read_controllers(file, read)
         others = read_controllers(file, read, "alternatives")
@@ -179,7 +179,7 @@ def check(
             inputs = [job, *plant_file(job, read), file, baseline]
             writable("--junit", junit, [*inputs, *(folder / name for name in extras.files)])
         say(f"controllers: {file}")
-        result = checked(read, outcomes_from(read, closed, others), say)
+        result = check_job(read, outcomes_from(read, closed, others), say)
         notes = unconfirmed(file, result)
         command = ["check", str(job), "--controllers", str(file), "-o", str(folder)]
         compared: dict[str, Any] = {}

@@ -253,11 +253,11 @@ def design(
             writable("--junit", junit, [job, *plant_file(job, read), *(out / name for name in extras.files)])
         from platform_ctrl.design import loops
         from platform_ctrl.simulation.compilation import start_compilation
-        from platform_ctrl.verification import checked
+        from platform_ctrl.verification import check_job
 
         if read.manoeuvres:
             start_compilation()
-        result = checked(read, loops(read, say), say)
+        result = check_job(read, loops(read, say), say)
         show = write_report(result, out, as_json, say, ["design", str(job), "-o", str(out)], extras=extras)
         if junit is not None:
             from platform_ctrl.report.failures import write_junit

@@ -155,7 +155,7 @@ def write_report(
 def _campaign(
     result: JobResult, record: Mapping[str, Any], campaign: Path, job: Path, controllers: Path
 ) -> dict[str, Any]:
-    from platform_ctrl.verification.given import read_controllers
+    from platform_ctrl.verification.controllers import read_controllers
 
     # As a campaign reads them, from the record: the same numbers in the same order.
     summary = campaign_summary(result.job, read_controllers(record, result.job), campaign)

@@ -83,7 +83,7 @@ def serve(
     with progress(quiet or as_json, f"reading {job}"):
         read = job_of(job)
         if controllers is not None:
-            from platform_ctrl.verification.given import read_controllers
+            from platform_ctrl.verification.controllers import read_controllers
 
             read_controllers(controllers, read)
         from platform_ctrl.app.server import PORT, Building, PageServer, require_bokeh

@@ -98,7 +98,7 @@ def simulate(
         else:
             chosen = _manoeuvre(read, selected, job, "--run" if manoeuvre is None else "--manoeuvre")
         file = controller_file(controllers, None, job)
-        from platform_ctrl.verification.given import read_controllers
+        from platform_ctrl.verification.controllers import read_controllers
 
         closed = read_controllers(file, read)
         if isinstance(chosen, int):

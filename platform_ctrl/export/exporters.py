@@ -40,7 +40,7 @@ class Export:
     @cached_property
     def controllers(self) -> list[control.StateSpace]:
         """The job's controllers; none where there is no file of them."""
-        from platform_ctrl.verification.given import read_controllers
+        from platform_ctrl.verification.controllers import read_controllers
 
         return [] if self.controller_file is None else read_controllers(self.controller_file, self.job)
 
@@ -155,7 +155,7 @@ def _c_settings(given: dict[str, Any]) -> dict[str, Any]:
 
 def _write_c(export: Export, path: Path, target: Path, **settings: Any) -> None:
     from platform_ctrl.export.c99.c_files import write_c
-    from platform_ctrl.verification.given import opened, read_controllers
+    from platform_ctrl.verification.controllers import opened, read_controllers
 
     file = cast(Path, export.controller_file)
     read_controllers(file, export.job)  # checked as a file, before its entries are taken

@@ -189,7 +189,7 @@ def write_junit(
     Parameters
     ----------
     result
-        From `check.checked`.
+        From `verification.check_job`.
     path
         The file.
     comparison

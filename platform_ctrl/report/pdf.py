@@ -37,7 +37,7 @@ def write_pdf(result: JobResult | Document, path: str | os.PathLike[str]) -> Pat
     Parameters
     ----------
     result
-        From `platform_ctrl.report.prepared`, or from `platform_ctrl.verification.checked` if none of its options is
+        From `platform_ctrl.report.prepared`, or from `platform_ctrl.verification.check_job` if none of its options is
         needed.
     path
         The file; an existing one is replaced.

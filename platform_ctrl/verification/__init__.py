@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from platform_ctrl.verification.given import read_controllers
-from platform_ctrl.verification.verdict import JobResult, checked
+from platform_ctrl.verification.controllers import read_controllers
+from platform_ctrl.verification.verdict import JobResult, check_job
 
 __all__ = [
     "JobResult",
-    "checked",
+    "check_job",
     "read_controllers",
 ]

@@ -188,7 +188,7 @@ class JobResult:
 
 
 @check_arguments
-def checked(job: Job, loops: Sequence[LoopOutcome], progress: Progress | None = None) -> JobResult:
+def check_job(job: Job, loops: Sequence[LoopOutcome], progress: Progress | None = None) -> JobResult:
     """Close the chosen designs of `loops`, check the whole, and return the verdict.
 
     Parameters

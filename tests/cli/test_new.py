@@ -68,7 +68,7 @@ def test_every_shipped_plant_has_a_job_that_passes(model: str, there: Path) -> N
     assert main(["new", "start", "--like", model, "-q"]) == 0
     job = pc.read_job(there / "start.toml")
     assert {loop.gimbals for loop in job.loops} == set(subsystems_over(job.platform, job.Omega, job.Omega_grid))
-    result = verification.checked(job, design.loops(job))
+    result = verification.check_job(job, design.loops(job))
     assert result.passed, [one for one in result.requirements if not one.passed]
     own, shipped = job.platform, pc.read_platform(model)
     assert own.gimbal_names == shipped.gimbal_names

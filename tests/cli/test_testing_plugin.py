@@ -35,7 +35,7 @@ def test_gyro(requirement):
 def _loaded() -> None:
     """Load what the runs need once: a run inside this process forgets the modules that it was the first to load."""
     job = pc.read_job(_parsed(JOB))
-    result = pc.verification.checked(job, pc.design.loops(job))
+    result = pc.verification.check_job(job, pc.design.loops(job))
     from platform_ctrl.campaign import identity  # noqa: F401
     from platform_ctrl.cli.testing import session  # noqa: F401
     from platform_ctrl.report.figures import baseline_changes  # noqa: F401
@@ -234,7 +234,7 @@ def shipped_requirements() -> tuple[pc.Job, list[str]]:
     )
     text = text.replace("limits = { angle = 0.0005 }", "limits = { attitude = 0.01, angle = 0.0005 }")
     job = pc.read_job(_parsed(text + "\n[faults]\nweak_torquer = 0.9\n[uncertainty]\nspin = 0.01\n"))
-    result = pc.verification.checked(job, pc.design.loops(job))
+    result = pc.verification.check_job(job, pc.design.loops(job))
     return job, [f"{one.subject}: {one.name}" for one in result.requirements]
 
 

@@ -15,7 +15,7 @@ from platform_ctrl.design.riccati.intersample_loop import intersample_gains
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.reading import read_job
 from platform_ctrl.report.page.captions import _largest_rate
-from platform_ctrl.verification.given import outcomes_from
+from platform_ctrl.verification.controllers import outcomes_from
 from platform_ctrl.verification.simulated import simulate_manoeuvre
 
 DATA: dict[str, Any] = {

@@ -123,7 +123,7 @@ def test_the_report_and_the_record_of_a_job_show_it(job: Job, plants: PlantSet) 
     alone = dataclasses.replace(job, loops=(spec,), coupled=dataclasses.replace(job.coupled, disk_margin=None))
     (asked,) = [one for one in loop_requirements(spec.limits) if one.kind == "damping"]
     assert dataclasses.asdict(asked) == dataclasses.asdict(DAMPED)
-    result = verification.checked(alone, design.loops(alone))
+    result = verification.check_job(alone, design.loops(alone))
     (found,) = [one for one in result.requirements if one.name == DAMPED.name]
     made = result.loops[0].closed
     again = DAMPED.check(plants, made.controller, subject=made.loop, design=made.name)

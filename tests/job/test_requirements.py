@@ -510,7 +510,7 @@ def test_checks_of_the_whole_hold_goals_beside_the_verdict(job):
     alone = dataclasses.replace(
         job, loops=(spec,), manoeuvres=(), coupled=dataclasses.replace(job.coupled, disk_margin=None)
     )
-    result = verification.checked(alone, design.loops(alone))
+    result = verification.check_job(alone, design.loops(alone))
     assert result.passed
     (goal,) = result.loops[0].closed.goals
     assert not goal.passed

@@ -111,7 +111,7 @@ def test_a_loop_around_a_rotor_that_stands_still_is_one_around_two_inertias():
             "loop": [loop],
         }
     )
-    result = pc.verification.checked(job, pc.design.loops(job))
+    result = pc.verification.check_job(job, pc.design.loops(job))
     assert result.passed
     assert not result.loops[0].closed.controller.C[0] @ result.loops[0].closed.controller.B[:, 1]
     assert "free rotation, no gyro and no restraint acts" in page_html(result)

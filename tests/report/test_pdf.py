@@ -26,7 +26,7 @@ from platform_ctrl.report.page import blocks, job_page, tables
 from platform_ctrl.report.page.job_page import page_html
 from platform_ctrl.report.page.tables import versions
 from platform_ctrl.report.pdf import pdf_bytes
-from platform_ctrl.verification import JobResult, checked
+from platform_ctrl.verification import JobResult, check_job
 
 NAME = "a #b $c$ *d* _e_ @f \\g <h> \"i\" 'j' `k` // l /*m*/ ~ -- [n] {o} %p & r é Ω \u201cs\u201d"
 JOB: dict[str, Any] = {
@@ -68,7 +68,7 @@ JOB: dict[str, Any] = {
 @pytest.fixture(scope="module")
 def result() -> JobResult:
     job = pc.read_job(JOB)
-    return checked(job, loops(job))
+    return check_job(job, loops(job))
 
 
 @pytest.fixture(scope="module")

@@ -52,7 +52,7 @@ from platform_ctrl.report.page import job_page as document
 from platform_ctrl.report.page.campaign_tables import chances
 from platform_ctrl.report.page.job_page import page_html
 from platform_ctrl.report.quantities import claimed, compared, percent, plain, quantity
-from platform_ctrl.verification import JobResult, checked
+from platform_ctrl.verification import JobResult, check_job
 
 pytestmark = pytest.mark.usefixtures("untraced")
 
@@ -119,7 +119,7 @@ JOB: dict[str, Any] = {
 @pytest.fixture(scope="module")
 def result() -> JobResult:
     job = pc.read_job(JOB)
-    return checked(job, loops(job))
+    return check_job(job, loops(job))
 
 
 @pytest.fixture(scope="module")
@@ -131,7 +131,7 @@ def page(result: JobResult) -> str:
 def lone_loop() -> JobResult:
     """One loop, no servo, no manoeuvre, no uncertainty: the platform is carried, and the other gyros are left out."""
     job = pc.read_job({**JOB, "name": "one loop", "loop": [CAGING], "manoeuvre": [], "uncertainty": {}, "coupled": {}})
-    return checked(job, loops(job))
+    return check_job(job, loops(job))
 
 
 @pytest.fixture(scope="module")
@@ -166,7 +166,7 @@ def compared_designs() -> JobResult:
         "largest Omega1 without saturation, rad/s": 1.31,
     }
     closed = dataclasses.replace(outcome.designs[0], claims=claims)
-    return checked(job, [dataclasses.replace(outcome, designs=(closed, *outcome.designs[1:]))])
+    return check_job(job, [dataclasses.replace(outcome, designs=(closed, *outcome.designs[1:]))])
 
 
 @pytest.fixture(scope="module")
@@ -375,7 +375,7 @@ def test_an_unstable_given_controller_is_called_unstable(lone_loop: JobResult) -
     )
     assert outcome.closed.plants is not None
     design = remeasured(outcome.spec, "given", wrong, outcome.closed.plants)
-    unstable = checked(lone_loop.job, [dataclasses.replace(outcome, designs=(design,), use="given")])
+    unstable = check_job(lone_loop.job, [dataclasses.replace(outcome, designs=(design,), use="given")])
     page = page_html(unstable)
     text = visible_text(page)
     assert not unstable.coupled.stable
@@ -799,7 +799,7 @@ def test_a_new_metric_has_its_rows_its_plot_and_its_caption_in_the_report(monkey
     monkeypatch.setitem(METRICS, "noise gain", noise)
     loop = {**CAGING, "limits": {"noise_gain": 2000.0}, "soft": {"noise_gain": 500.0}, "design": CAGING["design"][1:]}
     job = pc.read_job({**JOB, "loop": [loop], "manoeuvre": [], "coupled": {}})
-    result = checked(job, loops(job))
+    result = check_job(job, loops(job))
     page = page_html(result)
     [row] = [row for row in tables.requirement_rows(result) if row.requirement == noise.name]
     assert row.limit == "≤ 2000 N m/rad"

@@ -20,7 +20,7 @@ from platform_ctrl.report.page.campaign_page import as_section, campaign_documen
 from platform_ctrl.report.page.job_page import page_html
 from platform_ctrl.report.page.summary import opening, tightest
 from platform_ctrl.report.quantities import disk_words
-from platform_ctrl.verification import JobResult, checked
+from platform_ctrl.verification import JobResult, check_job
 
 pytestmark = pytest.mark.usefixtures("untraced")
 
@@ -64,7 +64,7 @@ JOB: dict[str, Any] = {
 
 def checked_job(**changes: Any) -> JobResult:
     job = pc.read_job({key: item for key, item in (JOB | changes).items() if item is not None})
-    return checked(job, loops(job))
+    return check_job(job, loops(job))
 
 
 @pytest.fixture(scope="module")

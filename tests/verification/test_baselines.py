@@ -71,7 +71,7 @@ JOB: dict[str, Any] = {
 
 def worked_out(job: dict[str, Any]) -> JobResult:
     read = pc.read_job(job)
-    return pc.verification.checked(read, pc.design.loops(read))
+    return pc.verification.check_job(read, pc.design.loops(read))
 
 
 @pytest.fixture(scope="module")

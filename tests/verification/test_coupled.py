@@ -48,7 +48,7 @@ def result(job, loops):
     short = [
         dataclasses.replace(m, duration=m.duration if m.mode == "caged" else 0.8) for m in job.manoeuvres if m.axis == 1
     ]
-    return verification.checked(dataclasses.replace(job, manoeuvres=tuple(short)), loops)
+    return verification.check_job(dataclasses.replace(job, manoeuvres=tuple(short)), loops)
 
 
 @pytest.mark.parametrize("unequal", [False, True])

@@ -22,9 +22,9 @@ from platform_ctrl.analysis.certificates.plant_set import sensitivity_plants
 from platform_ctrl.design import loops
 from platform_ctrl.design.jobs import LoopOutcome
 from platform_ctrl.errors import NotCertifiedError
-from platform_ctrl.verification import checked
-from platform_ctrl.verification.recorded import unconfirmed
+from platform_ctrl.verification import check_job
 from platform_ctrl.verification.records import result_record
+from platform_ctrl.verification.unconfirmed import unconfirmed
 from platform_ctrl.verification.verdict import coupled_proofs
 
 pytestmark = pytest.mark.usefixtures("untraced")
@@ -52,19 +52,19 @@ def with_certificates(outcome: LoopOutcome, **change: Any) -> LoopOutcome:
 
 def test_a_forged_certificate_of_a_closed_design_fails_the_job(small: tuple[Any, tuple[LoopOutcome, ...]]) -> None:
     job, (outcome,) = small
-    honest = checked(job, [outcome])
+    honest = check_job(job, [outcome])
     assert honest.passed
     first, *others = outcome.closed.certificates
     forged = dataclasses.replace(first, X=first.X - 2 * first.X.min() * np.eye(len(first.X)) - first.X.max())
     boast = dataclasses.replace(others[-1], bound=0.9 * others[-1].bound)
     for bad in ([forged, *others], [first, *others[:-1], boast]):
-        result = checked(job, [with_certificates(outcome, certificates=tuple(bad))])
+        result = check_job(job, [with_certificates(outcome, certificates=tuple(bad))])
         assert not result.passed
         [missed] = [one for one in result.requirements if not one.passed]
         assert (missed.name, missed.subject) == ("certified properties", "caging 9-10")
         assert missed.value == pytest.approx(1 - 1 / len(bad))
         assert "is not positive definite" in missed.evidence
-    silent = checked(job, [with_certificates(outcome, unproved=("no proof that it is fast",))])
+    silent = check_job(job, [with_certificates(outcome, unproved=("no proof that it is fast",))])
     assert not silent.passed
     assert "no proof that it is fast" in [one.evidence for one in silent.requirements if not one.passed]
 
@@ -77,7 +77,7 @@ def test_certificates_of_another_controller_prove_nothing_of_a_design(
     other = control.StateSpace(
         K.A, K.B, 1.001 * K.C, K.D, K.dt, inputs=K.input_labels, outputs=K.output_labels, remove_useless_states=False
     )
-    result = checked(job, [with_certificates(outcome, controller=other)])
+    result = check_job(job, [with_certificates(outcome, controller=other)])
     [missed] = [one for one in result.requirements if not one.passed]
     assert (missed.name, missed.value) == ("certified properties", 0.0)
     assert "of another loop" in missed.evidence
@@ -85,7 +85,7 @@ def test_certificates_of_another_controller_prove_nothing_of_a_design(
 
 def test_what_a_file_claims_beyond_the_truth_is_told(small: tuple[Any, tuple[LoopOutcome, ...]]) -> None:
     job, outcomes = small
-    result = checked(job, outcomes)
+    result = check_job(job, outcomes)
     record = json.loads(json.dumps(result_record(result)))
     assert unconfirmed(record, result) == ()
 
@@ -124,7 +124,7 @@ def test_what_a_file_claims_beyond_the_truth_is_told(small: tuple[Any, tuple[Loo
 def test_the_record_is_enough_to_prove_the_nominal_claims(small: tuple[Any, tuple[LoopOutcome, ...]]) -> None:
     """Through JSON and back, with nothing but the record."""
     job, outcomes = small
-    record = json.loads(json.dumps(result_record(checked(job, outcomes))))
+    record = json.loads(json.dumps(result_record(check_job(job, outcomes))))
     [entry] = record["controllers"]
     shown = entry["certificates"]
     assert shown["proved"] == shown["of"] == len(shown["list"]) == 3
@@ -184,7 +184,7 @@ def test_sensitivity_plants_close_to_s_minus_half(small: tuple[Any, tuple[LoopOu
 
 def test_an_unstable_coupled_system_claims_nothing(small: tuple[Any, tuple[LoopOutcome, ...]]) -> None:
     job, outcomes = small
-    result = checked(job, outcomes)
+    result = check_job(job, outcomes)
     K = outcomes[0].closed.controller
     unstable = dataclasses.replace(
         result.coupled, poles=2.0 * result.coupled.poles / np.abs(result.coupled.poles).max()

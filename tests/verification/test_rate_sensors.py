@@ -14,8 +14,8 @@ from platform_ctrl.job.job import CoupledLimits, Job, Sampling, Uncertainty
 from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.mechanics.state_space import state_space
 from platform_ctrl.report.figures.coupled import platform_compliance, platform_disturbance_figure
+from platform_ctrl.verification.controllers import read_controllers
 from platform_ctrl.verification.coupled import coupled_check, coupled_plant, measuring
-from platform_ctrl.verification.given import read_controllers
 
 PERIOD = 0.001
 ROOT = np.array([0.2, 0.3, 0.4])

@@ -20,8 +20,8 @@ from platform_ctrl.common.json_text import json_text
 from platform_ctrl.design import loops
 from platform_ctrl.errors import InputError
 from platform_ctrl.job.job import Job
-from platform_ctrl.verification import JobResult, checked
-from platform_ctrl.verification.given import outcomes_from, read_controllers
+from platform_ctrl.verification import JobResult, check_job
+from platform_ctrl.verification.controllers import outcomes_from, read_controllers
 from platform_ctrl.verification.records import result_record, write_record
 
 JOB: dict[str, Any] = {
@@ -78,7 +78,7 @@ def job() -> Job:
 
 @pytest.fixture(scope="module")
 def result(job: Job) -> JobResult:
-    return checked(job, loops(job))
+    return check_job(job, loops(job))
 
 
 @pytest.fixture(scope="module")
@@ -132,7 +132,7 @@ def test_reading_what_was_written_gives_the_same_verdicts_and_figures(
     write_record(record, file)
     assert json.loads(file.read_text(encoding="utf-8")) == record
     again = outcomes_from(job, read_controllers(file, job), read_controllers(file, job, "alternatives"))
-    anew = result_record(checked(job, again))
+    anew = result_record(check_job(job, again))
     for key in ("passed", "requirements", "coupled", "runs", "subsystems"):
         assert alike(anew[key], record[key])
     for key in ("controllers", "alternatives"):
@@ -156,7 +156,7 @@ def test_a_worse_controller_fails_the_check(record: dict[str, Any], job: Job) ->
     worse = copy.deepcopy(record)
     for letter in "CD":
         worse["controllers"][1][letter] = (4.0 * np.array(worse["controllers"][1][letter])).tolist()
-    outcome = checked(job, outcomes_from(job, read_controllers(worse, job)))
+    outcome = check_job(job, outcomes_from(job, read_controllers(worse, job)))
     assert not outcome.passed
     failed = result_record(outcome)
     assert failed["coupled"]["stable"] is False

@@ -22,7 +22,7 @@ def assert_requirements(result: JobResult, *, goals: bool = False) -> None:
     Parameters
     ----------
     result
-        From the fixture ``closed_loop``, or from `check.checked`.
+        From the fixture ``closed_loop``, or from `verification.check_job`.
     goals
         Whether the goals of the closed designs have to be met too.
 
@@ -66,7 +66,7 @@ def assert_baseline(
     Parameters
     ----------
     result
-        From the fixture ``closed_loop``, or from `check.checked`.
+        From the fixture ``closed_loop``, or from `verification.check_job`.
     file
         The baseline, as `baselines.write_baseline` writes it; to be kept under version control.
     update

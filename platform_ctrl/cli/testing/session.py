@@ -17,11 +17,11 @@ from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.job.reading import read_job
 from platform_ctrl.job.requirements import loop_requirements
 from platform_ctrl.report.failures import margin_text
-from platform_ctrl.verification import JobResult, checked, read_controllers
+from platform_ctrl.verification import JobResult, check_job, read_controllers
 from platform_ctrl.verification.baselines.comparison import Comparison
 from platform_ctrl.verification.baselines.file import Update
+from platform_ctrl.verification.controllers import outcomes_from
 from platform_ctrl.verification.coupled import ALL_LOOPS, coupled_requirements
-from platform_ctrl.verification.given import outcomes_from
 from platform_ctrl.verification.simulated import RUN_FIGURES
 from platform_ctrl.verification.verdict import PROVED
 
@@ -78,7 +78,7 @@ class JobSession:
         key = digest([job, given])
         if key not in self._done:
             try:
-                self._done[key] = checked(job, loops(job) if given is None else outcomes_from(job, given))
+                self._done[key] = check_job(job, loops(job) if given is None else outcomes_from(job, given))
             except PlatformCtrlError as error:
                 self._done[key] = error
         found = self._done[key]

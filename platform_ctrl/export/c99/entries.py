@@ -15,7 +15,7 @@ from platform_ctrl.design.classical.caging import Stage
 from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.export.c99.scheme import Row, Section, Term
 from platform_ctrl.job.job import Job
-from platform_ctrl.verification.given import read_controllers
+from platform_ctrl.verification.controllers import read_controllers
 from platform_ctrl.verification.records import SCHEMA
 
 if TYPE_CHECKING:

@@ -27,7 +27,7 @@ from platform_ctrl.job.job import Job
 from platform_ctrl.job.scenario import Mode
 from platform_ctrl.job.writing import job_data, plant_data, toml
 from platform_ctrl.simulation.batch import merged_controller
-from platform_ctrl.verification.given import read_controllers
+from platform_ctrl.verification.controllers import read_controllers
 
 if TYPE_CHECKING:
     import control

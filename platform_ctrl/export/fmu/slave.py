@@ -38,7 +38,7 @@ from platform_ctrl.job.job import Job, manoeuvre_scenario
 from platform_ctrl.job.reading import read_job
 from platform_ctrl.job.scenario import Mode, Scenario
 from platform_ctrl.simulation import Simulator
-from platform_ctrl.verification.given import read_controllers
+from platform_ctrl.verification.controllers import read_controllers
 
 # What a getter that fails returns in place of each number.
 _NOTHING: dict[str, Any] = {

@@ -63,7 +63,7 @@ def write_page(result: JobResult | Document, path: str | os.PathLike[str]) -> Pa
     Parameters
     ----------
     result
-        From `prepared`, or from `platform_ctrl.verification.checked` if no option of `prepared` is needed.
+        From `prepared`, or from `platform_ctrl.verification.check_job` if no option of `prepared` is needed.
     path
         The file; an existing one is replaced.
 
@@ -115,7 +115,7 @@ def prepared(
     Parameters
     ----------
     result
-        From `platform_ctrl.verification.checked`. A document is returned as it is.
+        From `platform_ctrl.verification.check_job`. A document is returned as it is.
     command
         The command line that repeats the job; default: one that reads the job printed at the end of the report.
     campaign

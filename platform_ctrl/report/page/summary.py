@@ -139,7 +139,7 @@ def opening(result: JobResult, campaign: Summary | None = None) -> list[str]:
     Parameters
     ----------
     result
-        From `platform_ctrl.verification.checked`.
+        From `platform_ctrl.verification.check_job`.
     campaign
         From `platform_ctrl.campaign.summary.summarise`, where there is one.
     """

@@ -130,7 +130,7 @@ def compare(result: JobResult, baseline: Baseline) -> Comparison:
     Parameters
     ----------
     result
-        From `check.checked`.
+        From `verification.check_job`.
     baseline
         From `read_baseline`, or `accepted`.
 

@@ -64,7 +64,7 @@ def figures_of(result: JobResult) -> tuple[Figure, ...]:
     Parameters
     ----------
     result
-        From `check.checked`.
+        From `verification.check_job`.
 
     Returns
     -------

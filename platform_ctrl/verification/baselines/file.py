@@ -153,7 +153,7 @@ def update_baseline(result: JobResult, path: str | os.PathLike[str]) -> Update:
     Parameters
     ----------
     result
-        From `check.checked`.
+        From `verification.check_job`.
     path
         The file, which need not be there.
 

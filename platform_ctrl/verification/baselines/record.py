@@ -225,7 +225,7 @@ def accepted(result: JobResult, before: Baseline | None = None) -> Baseline:
     Parameters
     ----------
     result
-        From `check.checked`.
+        From `verification.check_job`.
     before
         What was accepted until now: its tolerances stay, and so does every number that has changed by rounding alone.
 

@@ -15,7 +15,7 @@ import numpy as np
 from platform_ctrl.analysis.certificates import Certificate
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.loop import LoopDesign
-from platform_ctrl.verification.given import opened
+from platform_ctrl.verification.controllers import opened
 from platform_ctrl.verification.verdict import JobResult, Proofs
 
 # Figures and plants of the same job, on another machine, agree to this.
