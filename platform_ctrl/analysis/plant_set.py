@@ -218,7 +218,7 @@ def members(groups: Sequence[str], of: Sequence[str]) -> BoolArray:
     return np.array([group in of for group in groups], dtype=np.bool_)
 
 
-def plant_set(
+def plant_set(  # noqa: PLR0913 - options by keyword
     plants: StateArrays,
     labels: tuple[str, ...],
     torques: tuple[str, ...],

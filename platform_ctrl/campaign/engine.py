@@ -58,7 +58,7 @@ class CampaignResult:
 
 
 @check_arguments
-def run_campaign(
+def run_campaign(  # noqa: PLR0913 - options by keyword
     plan: Plan,
     folder: str | os.PathLike[str],
     *,

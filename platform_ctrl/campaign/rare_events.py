@@ -121,7 +121,7 @@ FEWEST_SAMPLES = 50
 
 
 @check_arguments
-def rare_event(
+def rare_event(  # noqa: PLR0913 - options by keyword
     ratios: Ratios,
     dimension: int,
     *,

@@ -20,7 +20,7 @@ from platform_ctrl.job.scenario import Scenario
 
 
 @check_arguments
-def rare_probability(
+def rare_probability(  # noqa: PLR0913 - options by keyword
     plan: Plan,
     requirement: str | None = None,
     *,

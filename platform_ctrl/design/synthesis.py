@@ -302,7 +302,7 @@ def require_regularisation(where: str, method: str, size: float | None) -> None:
         raise ArgumentError(f'{where}: regularise needs method="riccati", got {method!r}')
 
 
-def certify(
+def certify(  # noqa: PLR0913 - what certifies one result
     P: StateSpace,
     plant: Partition,
     controller: StateArrays,

@@ -41,7 +41,7 @@ def _worst(measures: LoopMetrics, plants: PlantSet, requirements: Sequence[LoopR
     return float(min(max(ratios, default=0.0), 10.0))
 
 
-def tune(
+def tune(  # noqa: PLR0913, PLR0915 - the parts of one search
     start: dict[str, float],
     movable: Sequence[str],
     build: Builder,

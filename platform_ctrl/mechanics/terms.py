@@ -252,7 +252,7 @@ _SLOWEST = 0.01
 
 
 @check_arguments
-def terms(
+def terms(  # noqa: PLR0913 - options by keyword
     platform: Platform,
     Omega: ArrayLike,
     rates: ArrayLike,

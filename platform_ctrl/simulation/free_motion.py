@@ -58,7 +58,7 @@ class Rollout:
 
 
 @check_arguments
-def rollout(
+def rollout(  # noqa: PLR0913 - options by keyword
     platform: Platform,
     q: ArrayLike,
     velocity: ArrayLike,

@@ -139,7 +139,7 @@ def stability_certificate(
 
 @check_arguments
 @found_in_doubles
-def norm_certificate(
+def norm_certificate(  # noqa: PLR0913 - the matrices of a loop and the claim
     A: ArrayLike,
     B: ArrayLike,
     C: ArrayLike,

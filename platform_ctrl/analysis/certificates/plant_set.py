@@ -151,7 +151,7 @@ def _sensitivity_plants(plant: StateArrays) -> tuple[StateArrays, StateArrays]:
 
 @check_arguments
 @found_in_doubles
-def region_certificate(
+def region_certificate(  # noqa: PLR0913 - the matrices of a loop and of a region
     A: ArrayLike,
     L: ArrayLike,
     M: ArrayLike,

@@ -309,7 +309,7 @@ class _Problem:
         if directions is not None:
             self.directions = back @ directions * self.unit
 
-    def solve(self, gain: FloatArray | None, objective: float | None, time_limit: float) -> _Solution:
+    def solve(self, gain: FloatArray | None, objective: float | None, time_limit: float) -> _Solution:  # noqa: PLR0915 - one linear matrix inequality
         """Minimise the objective; where one is given maximise the slack at it."""
         from platform_ctrl.design.lmi.conic import cvxpy, solve
 

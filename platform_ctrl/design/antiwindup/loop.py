@@ -112,7 +112,7 @@ class LimitedLoop:
 
 
 @check_arguments
-def limited_loop(
+def limited_loop(  # noqa: PLR0913, PLR0915 - options by keyword; one method, step by step
     plant: StateSpace,
     controller: StateSpace,
     disturbance: str | dict[str, float],

@@ -139,7 +139,7 @@ class ComplexLoop:
 
 
 @check_arguments
-def complex_loop(
+def complex_loop(  # noqa: PLR0913 - options by keyword
     plant: ComplexSystem,
     *,
     crossover_hz: float,

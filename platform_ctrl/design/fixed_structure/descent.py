@@ -256,7 +256,7 @@ class Search:
             hard, soft = max(_ratio(float(found.values[~found.hard].max())), level), 0.0
         return hard, soft, _ranked(by_plant)
 
-    def _pieces(self, family: Parametrised, x: FloatArray, plants: PlantSet, floor: float) -> _Pieces:
+    def _pieces(self, family: Parametrised, x: FloatArray, plants: PlantSet, floor: float) -> _Pieces:  # noqa: PLR0915 - one pass over all goals
         """Return all pieces; hard ones with the reserve added, so that 1 is their limit."""
         self._left -= 1
         own = x[: len(family.start)]

@@ -34,7 +34,7 @@ class Step:
     wall_weights: FloatArray
 
 
-def least_maximum(
+def least_maximum(  # noqa: PLR0915 - one active-set method
     soft: tuple[FloatArray, FloatArray],
     H: FloatArray,
     box: tuple[FloatArray, FloatArray],

@@ -64,7 +64,7 @@ class _Bounded:
         return level, gradient, inside
 
 
-def descended(
+def descended(  # noqa: PLR0913 - the state of one descent
     function: Slope,
     x: FloatArray,
     low: FloatArray,

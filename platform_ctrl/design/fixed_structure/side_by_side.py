@@ -41,7 +41,7 @@ _ENOUGH = 5
 Report = Callable[[int, Outcome | None], None]
 
 
-def best_found(
+def best_found(  # noqa: PLR0915 - one loop over all starts
     problem: Problem,
     points: Sequence[FloatArray],
     limits: Limits,

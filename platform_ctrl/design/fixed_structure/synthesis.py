@@ -60,7 +60,7 @@ class _Task:
 
 
 @check_arguments
-def structured(
+def structured(  # noqa: PLR0913, PLR0915 - options by keyword; one method, step by step
     plants: StateSpace | Sequence[StateSpace],
     nmeas: int,
     ncon: int,
@@ -419,7 +419,7 @@ def _abscissa(part: Partition, K: StateSpace) -> float:
     return float(spectral_abscissa(continuous_poles(poles(loop.A), part.dt)))
 
 
-def _judged(
+def _judged(  # noqa: PLR0913 - what certifies one result
     given: tuple[StateSpace, ...],
     parts: tuple[Partition, ...],
     structure: Structure,

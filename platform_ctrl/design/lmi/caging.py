@@ -109,7 +109,7 @@ class ScheduledCaging:
         return named_system(whole, self.angles, self.torques)
 
 
-def scheduled_caging(
+def scheduled_caging(  # noqa: PLR0913 - options by keyword
     platform: Platform,
     gimbals: Sequence[str] | None = None,
     *,

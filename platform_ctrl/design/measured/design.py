@@ -108,7 +108,7 @@ class MeasuredDesign:
 
 
 @check_arguments
-def measured_pid(
+def measured_pid(  # noqa: PLR0913 - options by keyword
     measurement: control.FRD | Sequence[control.FRD],
     *,
     dead_time: float = 0.0,

@@ -200,7 +200,7 @@ def _floor(p: Partition) -> float:
     return float(max(np.linalg.norm(p.D11[:z], 2) if z else 0.0, np.linalg.norm(p.D11[:, :w], 2) if w else 0.0))
 
 
-def _least_gamma(p: Partition, sides: tuple[Side, Side], scaled: ScaledPlant, P: StateSpace) -> float:
+def _least_gamma(p: Partition, sides: tuple[Side, Side], scaled: ScaledPlant, P: StateSpace) -> float:  # noqa: PLR0915 - one bisection
     """Search the least gamma in t = gamma⁻² from t = 0 upwards, where X and Y are those of the H2 problem.
 
     The slack falls with t and is concave, so interpolation finds its zero in a few steps. Where X or Y ceases to exist

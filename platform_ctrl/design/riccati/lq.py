@@ -255,7 +255,7 @@ def lqe(system: StateSpace, R1: ArrayLike, R2: ArrayLike, R12: ArrayLike | None 
 
 
 @check_arguments
-def lqg(
+def lqg(  # noqa: PLR0913 - options by keyword
     system: StateSpace,
     Q1: ArrayLike,
     Q2: ArrayLike,

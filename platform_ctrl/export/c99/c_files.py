@@ -49,7 +49,7 @@ class Written:
 
 
 @check_arguments
-def write_c(
+def write_c(  # noqa: PLR0913 - options by keyword
     job: Job,
     entries: Sequence[Mapping[str, Any] | control.StateSpace],
     folder: str | os.PathLike[str],

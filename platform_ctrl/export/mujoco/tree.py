@@ -55,7 +55,7 @@ def point_inertia(offset: FloatArray) -> FloatArray:
     return out
 
 
-def bodies_of(mujoco: Any, model: Any, label: str) -> tuple[list[Body], int, float]:
+def bodies_of(mujoco: Any, model: Any, label: str) -> tuple[list[Body], int, float]:  # noqa: PLR0915 - one tree walk
     """Return the bodies, the root first and parents before children; the root's joint or −1; and their size, m."""
     for count, what in ((model.neq, "equality constraints"), (model.ntendon, "tendons"), (model.nplugin, "plugins")):
         if count:

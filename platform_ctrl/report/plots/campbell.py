@@ -59,7 +59,7 @@ class SpinMode:
 
 @check_arguments
 @standalone
-def campbell(
+def campbell(  # noqa: PLR0915 - one picture
     platform: Platform,
     *,
     gimbals: Sequence[str] | None = None,

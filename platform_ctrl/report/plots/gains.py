@@ -147,7 +147,7 @@ class _Closed:
 
 @check_arguments
 @standalone
-def gang_of_four(
+def gang_of_four(  # noqa: PLR0913 - options by keyword
     plant: LinearSystem,
     controllers: LinearSystem | Sequence[LinearSystem] | Mapping[str, LinearSystem],
     *,

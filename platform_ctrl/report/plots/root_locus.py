@@ -85,7 +85,7 @@ def root_locus(
 
 @standalone
 @check_arguments
-def root_locus_over_spin(
+def root_locus_over_spin(  # noqa: PLR0913 - options by keyword
     platform: Platform,
     gimbals: Sequence[str] | None,
     controller: LinearSystem,
