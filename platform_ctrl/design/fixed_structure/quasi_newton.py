@@ -64,7 +64,7 @@ class _Bounded:
         return level, gradient, inside
 
 
-def descended(  # noqa: PLR0913 - the state of one descent
+def descended(
     function: Slope,
     x: FloatArray,
     low: FloatArray,
