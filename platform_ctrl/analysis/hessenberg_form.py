@@ -21,24 +21,16 @@ NOTHING = 2.0**-54
 
 
 class Chains(NamedTuple):
-    """A chain for each column of B, and one of the transposed system for a mixture of the rows of C.
+    """A chain for each column of B, and one of the transposed system for a mixture of the rows of C."""
 
-    Attributes
-    ----------
-    rows : ((m + 1) (p + 1 + n)²,)
-        Matrices row by row: C in the first p rows and H in the last n, with the states in the last n columns. Rows of H
-        are divided by the entry left of the diagonal, beta in the first one, and have its inverse there.
-    lasts : (m + 1,)
-        Column of the last state that the chain reaches; p if none.
-    norms : (p + 1,)
-        Of each row of C, and |A|.
-    reflected : (p + 1 + n, p + 1 + n) and (p + n,), optional
-        What LAPACK's dgehrd returns for the first chain, with many states.
-    """
-
+    # ((m + 1) (p + 1 + n)²,): matrices row by row: C in the first p rows and H in the last n, with the states in the
+    # last n columns. Rows of H are divided by the entry left of the diagonal, beta in the first one, and have its
+    # inverse there.
     rows: FloatArray
-    lasts: NDArray[np.int64]
-    norms: FloatArray
+    lasts: NDArray[np.int64]  # (m + 1,): column of the last state that the chain reaches; p if none
+    norms: FloatArray  # (p + 1,): of each row of C, and |A|
+    # (p + 1 + n, p + 1 + n) and (p + n,), optional: what LAPACK's dgehrd returns for the first chain, with many
+    # states
     reflected: tuple[FloatArray, FloatArray] | None = None
 
     def hessenberg(self) -> tuple[FloatArray, FloatArray]:

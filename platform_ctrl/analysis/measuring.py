@@ -63,17 +63,11 @@ Gradient = Callable[[Any, float, float, Any], Any]
 
 @value
 class Direct:
-    """Measured in one step, of poles or covariances.
+    """Measured in one step, of poles or covariances."""
 
-    Attributes
-    ----------
-    function
-        Return the value of every plant, (N,), or of the controller, (1,), in SI units.
-    gradient
-        For the structured tuner; without it the tuner looks at this metric only when it has ended.
-    """
-
+    # return the value of every plant, (N,), or of the controller, (1,), in SI units
     function: Callable[[Any, Request], FloatArray]
+    # for the structured tuner; without it the tuner looks at this metric only when it has ended
     gradient: Gradient | None = None
 
     def values(self, loops: Loops, request: Request, members: Indices) -> FloatArray:
@@ -84,21 +78,11 @@ class Direct:
 
 @value
 class Peak:
-    """The largest gain over frequency of some parts of the closed loop.
+    """The largest gain over frequency of some parts of the closed loop."""
 
-    Attributes
-    ----------
-    transfers
-        The parts; none: the channel of the request.
-    reciprocal
-        Whether the metric is 1/peak.
-    banded
-        Whether the peak is taken up to the frequency of the request only, if it has one.
-    """
-
-    transfers: tuple[Transfer, ...] = ()
-    reciprocal: bool = False
-    banded: bool = False
+    transfers: tuple[Transfer, ...] = ()  # the parts; none: the channel of the request
+    reciprocal: bool = False  # whether the metric is 1/peak
+    banded: bool = False  # whether the peak is taken up to the frequency of the request only, if it has one
 
     def values(self, loops: LoopSet, request: Request, members: Indices) -> FloatArray:
         """Return the values of some plants on the grid, (k,): never worse than they are."""

@@ -24,48 +24,27 @@ Sense = Literal["at least", "at most"]
 
 @value
 class Metric:
-    """A metric of a loop.
+    """A metric of a loop."""
 
-    Attributes
-    ----------
-    name
-        In verdicts, tables and plots.
-    key
-        In ``[loop.limits]`` of a job file; empty: from Python alone. With a band, key + ``_hz`` is its edge.
-    unit, scale
-        Of limits and verdicts, and this unit in SI units.
-    sense
-        ``"at least"``: larger is better; ``"at most"``: smaller is better.
-    meaning
-        One sentence for the documentation.
-    measure
-        How it is measured.
-    scopes
-        Which limits a job file may set: ``""``: of the nominal plant; ``"worst_case"`` and ``"faults"``: with the key's
-        ending ``_worst_case`` or ``_faults``.
-    best
-        The best value that any loop can have, in `unit`.
-    of
-        What has to be known: ``"plants"`` and the controller, the ``"closed loop"`` alone, or the ``"controller"``.
-    needs_frequency, has_channel
-        Whether the frequency must be given, and whether it is taken between named signals.
-    of_root
-        Whether a stabilisation loop may have a limit for it, judged in the coupled system.
-    """
-
-    name: str
+    name: str  # in verdicts, tables and plots
+    # in ``[loop.limits]`` of a job file; empty: from Python alone. With a band, key + ``_hz`` is its edge.
     key: str = ""
+    # unit, scale: of limits and verdicts, and this unit in SI units
     unit: str = ""
     scale: float = 1.0
-    sense: Sense
-    meaning: str
-    measure: Direct | Peak | Bandwidth | ControllerGain
+    sense: Sense  # ``"at least"``: larger is better; ``"at most"``: smaller is better
+    meaning: str  # one sentence for the documentation
+    measure: Direct | Peak | Bandwidth | ControllerGain  # how it is measured
+    # which limits a job file may set: ``""``: of the nominal plant; ``"worst_case"`` and ``"faults"``: with the key's
+    # ending ``_worst_case`` or ``_faults``
     scopes: tuple[str, ...] = ("",)
-    best: float | None = None
+    best: float | None = None  # the best value that any loop can have, in `unit`
+    # what has to be known: ``"plants"`` and the controller, the ``"closed loop"`` alone, or the ``"controller"``
     of: Literal["plants", "closed loop", "controller"] = "plants"
+    # needs_frequency, has_channel: whether the frequency must be given, and whether it is taken between named signals
     needs_frequency: bool = False
     has_channel: bool = False
-    of_root: bool = False
+    of_root: bool = False  # whether a stabilisation loop may have a limit for it, judged in the coupled system
 
     @property
     def band(self) -> str:

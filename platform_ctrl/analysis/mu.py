@@ -18,22 +18,14 @@ if TYPE_CHECKING:
 
 
 class MuBounds(NamedTuple):
-    """Bounds of mu for each of N matrices of m channels.
+    """Bounds of mu for each of N matrices of m channels."""
 
-    Attributes
-    ----------
-    upper, lower : (N,)
-        Equal to the tolerance up to three channels.
-    D : (N, m)
-        Scalings: `upper` bounds the largest singular value of D M D^-1. Geometric mean 1.
-    Q : complex (N, m)
-        Phases: `lower` is the spectral radius of Q M, to rounding of the power iteration that found it. All but one of
-        them are 0 where one channel alone reaches more than the phases that were found.
-    """
-
+    # upper, lower: (N,): equal to the tolerance up to three channels
     upper: FloatArray
     lower: FloatArray
-    D: FloatArray
+    D: FloatArray  # (N, m): scalings: `upper` bounds the largest singular value of D M D^-1. Geometric mean 1.
+    # complex (N, m): phases: `lower` is the spectral radius of Q M, to rounding of the power iteration that found it.
+    # All but one of them are 0 where one channel alone reaches more than the phases that were found.
     Q: ComplexArray
 
 

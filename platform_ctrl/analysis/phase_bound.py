@@ -39,20 +39,13 @@ MOST, MOST_PER_POLE = 500, 40
 
 
 class AllPass(NamedTuple):
-    """The all-pass function with a system's poles, along the frequency axis.
+    """The all-pass function with a system's poles, along the frequency axis."""
 
-    Attributes
-    ----------
-    centre, width : (n,)
-        Imaginary part and distance from the axis of each pole, in rad/s; of a sampled system in the plane of
-        (z - 1)/(z + 1).
-    dt
-        Sample period, s; 0: continuous.
-    """
-
+    # centre, width: (n,): imaginary part and distance from the axis of each pole, in rad/s; of a sampled system in
+    # the plane of (z - 1)/(z + 1)
     centre: FloatArray
     width: FloatArray
-    dt: float
+    dt: float  # sample period, s; 0: continuous
 
 
 def all_pass(s: ComplexArray, dt: float) -> AllPass:
@@ -140,25 +133,15 @@ def middles(w: FloatArray, chosen: NDArray[np.int64], edge: float) -> FloatArray
 
 
 class Few(NamedTuple):
-    """A system of few states, in the form of the compiled search.
+    """A system of few states, in the form of the compiled search."""
 
-    Attributes
-    ----------
-    rows, lasts, norms
-        As of `chains.Chains`.
-    D : (p, m)
-        The direct term.
-    work
-        Work array of `resolvent.quick`.
-    size, dt, edge
-        1 + p + n; sample period, s; end of the axis, rad/s.
-    """
-
+    # rows, lasts, norms: as of `chains.Chains`
     rows: FloatArray
     lasts: NDArray[np.int64]
     norms: FloatArray
-    D: FloatArray
-    work: FloatArray
+    D: FloatArray  # (p, m): the direct term
+    work: FloatArray  # work array of `resolvent.quick`
+    # size, dt, edge: 1 + p + n; sample period, s; end of the axis, rad/s
     size: int
     dt: float
     edge: float

@@ -45,17 +45,10 @@ Shape = tuple[int, int, int, int]
 
 
 class Band(NamedTuple):
-    """States in an order in which the entries of A stand next to its diagonal.
+    """States in an order in which the entries of A stand next to its diagonal."""
 
-    Attributes
-    ----------
-    order : (n,)
-        Row and column `order[k]` of A becomes row and column k.
-    below, above
-        How far entries stand from the diagonal.
-    """
-
-    order: NDArray[np.int64]
+    order: NDArray[np.int64]  # (n,): row and column `order[k]` of A becomes row and column k
+    # below, above: how far entries stand from the diagonal
     below: int
     above: int
 

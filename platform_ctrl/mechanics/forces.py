@@ -17,21 +17,11 @@ from platform_ctrl.plant.platform import Platform
 
 @value
 class ForceSlopes:
-    """Derivatives of [M, Q] at angles q, gimbals at rest.
+    """Derivatives of [M, Q] at angles q, gimbals at rest."""
 
-    Attributes
-    ----------
-    angle : (3 + n, n)
-        ∂[M, Q]/∂q, N m/rad.
-    rate : (n, n)
-        ∂Q/∂q̇, N m s; of dry friction only what `rate_amplitude` makes of it.
-    force : (3 + n, 3)
-        ∂[M, Q]/∂f, N m per m/s².
-    """
-
-    angle: FloatArray
-    rate: FloatArray
-    force: FloatArray
+    angle: FloatArray  # (3 + n, n): ∂[M, Q]/∂q, N m/rad
+    rate: FloatArray  # (n, n): ∂Q/∂q̇, N m s; of dry friction only what `rate_amplitude` makes of it
+    force: FloatArray  # (3 + n, 3): ∂[M, Q]/∂f, N m per m/s²
 
 
 def element_forces(

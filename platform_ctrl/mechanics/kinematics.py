@@ -16,39 +16,23 @@ class Topology:
     """The tree of bodies as arrays (R. Featherstone, Rigid Body Dynamics Algorithms, 2008, ch. 4).
 
     Body 0 is the root, body k + 1 is the body of gimbal k.
-
-    Attributes
-    ----------
-    order
-        Indices of the n gimbals, every parent before its children.
-    parents : (n,)
-        Index of the parent gimbal, −1 for the root.
-    on_path : (1 + n, n) bool
-        ``on_path[b, j]``: gimbal j lies between the root and body b (b's own gimbal included).
-    above : (n, n) bool
-        ``above[j, i]``: turning gimbal j turns the axis of gimbal i.
-    carriers : (m,)
-        Body that each of the m rotors spins in.
-    axes, spin_axes : (n, 3), (m, 3)
-        Of gimbals in the parents' axes, of rotors in body axes; unit vectors.
-    inertias : (1 + n, 3, 3)
-        Bodies with the rotors' transverse inertia A (1 − s sᵀ), without C; in body axes, kg m².
-    C, L : (m,)
-        Axial inertias, kg m²; relative (regulated) or total axial (free) angular momenta, N m s.
-    regulated : (m,) bool
-        Whether the rotor's relative spin is regulated (a servo rotor counts as regulated).
     """
 
-    order: tuple[int, ...]
-    parents: NDArray[np.intp]
+    order: tuple[int, ...]  # indices of the n gimbals, every parent before its children
+    parents: NDArray[np.intp]  # (n,): index of the parent gimbal, −1 for the root
+    # (1 + n, n) bool: ``on_path[b, j]``: gimbal j lies between the root and body b (b's own gimbal included)
     on_path: NDArray[np.bool_]
-    above: NDArray[np.bool_]
-    carriers: NDArray[np.intp]
+    above: NDArray[np.bool_]  # (n, n) bool: ``above[j, i]``: turning gimbal j turns the axis of gimbal i
+    carriers: NDArray[np.intp]  # (m,): body that each of the m rotors spins in
+    # axes, spin_axes: (n, 3), (m, 3): of gimbals in the parents' axes, of rotors in body axes; unit vectors
     axes: FloatArray
+    # (1 + n, 3, 3): bodies with the rotors' transverse inertia A (1 − s sᵀ), without C; in body axes, kg m²
     inertias: FloatArray
     spin_axes: FloatArray
+    # C, L: (m,): axial inertias, kg m²; relative (regulated) or total axial (free) angular momenta, N m s
     C: FloatArray
     L: FloatArray
+    # (m,) bool: whether the rotor's relative spin is regulated (a servo rotor counts as regulated)
     regulated: NDArray[np.bool_]
 
 
@@ -98,27 +82,13 @@ def _parents_first(name: str, parents: list[int]) -> tuple[int, ...]:
 
 @value
 class Kinematics:
-    """Directions in root axes at given angles.
+    """Directions in root axes at given angles."""
 
-    Attributes
-    ----------
-    tree
-        The tree that is turned.
-    rotations : (1 + n, 3, 3)
-        From body axes to root axes, dimensionless.
-    axes : (n, 3)
-        Gimbal axes, unit vectors.
-    spin_axes : (m, 3)
-        Rotor axes, unit vectors.
-    jacobians : (1 + n, 3, 3 + n)
-        Body rates: ω_b = jacobians[b] @ [Omega, q̇]; dimensionless.
-    """
-
-    tree: Topology
-    rotations: FloatArray
-    axes: FloatArray
-    spin_axes: FloatArray
-    jacobians: FloatArray
+    tree: Topology  # the tree that is turned
+    rotations: FloatArray  # (1 + n, 3, 3): from body axes to root axes, dimensionless
+    axes: FloatArray  # (n, 3): gimbal axes, unit vectors
+    spin_axes: FloatArray  # (m, 3): rotor axes, unit vectors
+    jacobians: FloatArray  # (1 + n, 3, 3 + n): body rates: ω_b = jacobians[b] @ [Omega, q̇]; dimensionless
 
 
 def cross_matrix(vector: FloatArray) -> FloatArray:

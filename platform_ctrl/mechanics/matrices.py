@@ -54,18 +54,10 @@ class MagnusMatrices:
 
 @value
 class Derivatives:
-    """First derivatives in q at given angles.
+    """First derivatives in q at given angles."""
 
-    Attributes
-    ----------
-    A_star : (n, 3 + n, 3 + n)
-        ∂A*/∂q_j.
-    B : (n, m, 3 + n)
-        ∂B/∂q_j.
-    """
-
-    A_star: FloatArray
-    B: FloatArray
+    A_star: FloatArray  # (n, 3 + n, 3 + n): ∂A*/∂q_j
+    B: FloatArray  # (n, m, 3 + n): ∂B/∂q_j
 
 
 def body_inertias(at: Kinematics) -> FloatArray:

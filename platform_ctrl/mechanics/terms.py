@@ -46,32 +46,16 @@ Quantity = Callable[[tuple[int, ...]], str]
 
 
 class Part(NamedTuple):
-    """Terms of one kind that share a monomial of Omega and a derivative of the angles.
+    """Terms of one kind that share a monomial of Omega and a derivative of the angles."""
 
-    Attributes
-    ----------
-    kind
-        What terms on the gimbal's own angle are, and if `off_diagonal` is None the others too.
-    off_diagonal
-        What terms on other gimbals' angles are.
-    derivative
-        Of the angles, 0, 1 or 2; None for forcing terms.
-    monomial
-        Of Omega and Omega'.
-    coefficients : (n, n) or (n,)
-        Entries of the equations.
-    quantity
-        Name of an entry.
-    places : (n, n) or (n,) bool, optional
-        Where there is a term, also one that is zero because rotors cancel; default the entries that are not zero.
-    """
-
-    kind: Kind
-    derivative: int | None
-    monomial: str
-    coefficients: FloatArray
-    quantity: Quantity
-    off_diagonal: Kind | None = None
+    kind: Kind  # what terms on the gimbal's own angle are, and if `off_diagonal` is None the others too
+    derivative: int | None  # of the angles, 0, 1 or 2; None for forcing terms
+    monomial: str  # of Omega and Omega'
+    coefficients: FloatArray  # (n, n) or (n,): entries of the equations
+    quantity: Quantity  # name of an entry
+    off_diagonal: Kind | None = None  # what terms on other gimbals' angles are
+    # (n, n) or (n,) bool, optional: where there is a term, also one that is zero because rotors cancel; default the
+    # entries that are not zero
     places: FloatArray | None = None
 
 

@@ -30,34 +30,18 @@ _ROUNDING = 1e-9
 
 @value
 class Trial:
-    """Roots of a reduction and the poles of the full equations that it drops.
+    """Roots of a reduction and the poles of the full equations that it drops."""
 
-    Attributes
-    ----------
-    roots : complex
-        Slowest first, rad/s.
-    chain
-        Length of the longest chain of vectors at the root 0.
-    slow, dropped : complex
-        The poles of the full equations that correspond to the roots, and the rest, slowest first, rad/s.
-    pure
-        Whether no momentum is kept.
-    rate
-        How fast stiffness drives the motion without inertia, in any direction, rad/s.
-    loop_frequency
-        Up to which the reduction has to hold, rad/s.
-    error
-        Relative error of the response there; 0 beside a root, where it peaks.
-    """
-
-    roots: ComplexArray
-    chain: int
-    rate: float
+    roots: ComplexArray  # complex: slowest first, rad/s
+    chain: int  # length of the longest chain of vectors at the root 0
+    rate: float  # how fast stiffness drives the motion without inertia, in any direction, rad/s
+    # slow, dropped: complex: the poles of the full equations that correspond to the roots, and the rest, slowest
+    # first, rad/s
     slow: ComplexArray
     dropped: ComplexArray
-    pure: bool
-    loop_frequency: float
-    error: float
+    pure: bool  # whether no momentum is kept
+    loop_frequency: float  # up to which the reduction has to hold, rad/s
+    error: float  # relative error of the response there; 0 beside a root, where it peaks
 
     @property
     def nutation(self) -> FloatArray:
@@ -213,26 +197,13 @@ def holds(at: Scaled, H: FloatArray, U: FloatArray, fast: float) -> bool:
 
 @value
 class Choice:
-    """The pure model of a subsystem, and the one that cures it.
+    """The pure model of a subsystem, and the one that cures it."""
 
-    Attributes
-    ----------
-    scaled
-        The equations that both are made of.
-    held
-        Whether momentum, dampers or springs oppose motion in every direction, so that none needs its inertia.
-    pure
-        The model without momenta, or None where it has no unique solution.
-    cured
-        The one with as few momenta as it takes; the pure one where that is none.
-    trial
-        Of the pure model; where not all directions are held, of the one that keeps the momenta of the others.
-    """
-
-    scaled: Scaled
-    held: bool
-    pure: Reduction | None
-    cured: Reduction
+    scaled: Scaled  # the equations that both are made of
+    held: bool  # whether momentum, dampers or springs oppose motion in every direction, so that none needs its inertia
+    pure: Reduction | None  # the model without momenta, or None where it has no unique solution
+    cured: Reduction  # the one with as few momenta as it takes; the pure one where that is none
+    # of the pure model; where not all directions are held, of the one that keeps the momenta of the others
     trial: Trial
 
 

@@ -44,22 +44,15 @@ _ABSENT = 1e-9
 
 @value
 class Scaled:
-    """Equations (19) of some gimbals in the coordinates x of this module.
+    """Equations (19) of some gimbals in the coordinates x of this module."""
 
-    Attributes
-    ----------
-    T, back : (n, n)
-        q = T x, x = back q.
-    D, S : (n, n)
-        In rad/s and rad²/s².
-    W, g : (n, 3)
-        Coefficients of ω' and ω.
-    """
-
+    # T, back: (n, n): q = T x, x = back q
     T: FloatArray
     back: FloatArray
+    # D, S: (n, n): in rad/s and rad²/s²
     D: FloatArray
     S: FloatArray
+    # W, g: (n, 3): coefficients of ω' and ω
     W: FloatArray
     g: FloatArray
 

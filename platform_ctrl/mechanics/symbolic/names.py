@@ -38,29 +38,17 @@ _PROSE = (
 
 @value
 class NamedSymbol:
-    """A symbol of the equations.
+    """A symbol of the equations."""
 
-    Attributes
-    ----------
-    name
-        Of the SymPy symbol: an identifier that neither Python nor SymPy has taken.
-    text, latex
-        How it is shown.
-    kind
-        What sort of quantity it is.
-    meaning, unit
-        One line; SI.
-    value
-        The platform's number, SI; None for what changes with time.
-    """
-
-    name: str
+    name: str  # of the SymPy symbol: an identifier that neither Python nor SymPy has taken
+    # text, latex: how it is shown
     text: str
     latex: str
-    kind: Kind
+    kind: Kind  # what sort of quantity it is
+    # meaning, unit: one line; SI
     meaning: str
     unit: str
-    value: float | None = None
+    value: float | None = None  # the platform's number, SI; None for what changes with time
 
 
 class Names:

@@ -116,32 +116,19 @@ class Motion(NamedTuple):
 
 @value
 class Parameters:
-    """Symbols with values, and what they make of the platform.
+    """Symbols with values, and what they make of the platform."""
 
-    Attributes
-    ----------
-    symbols
-        In the order of their positions.
-    S : (1 + n, symbols, 3, 3)
-        What turns with each body at zero angles, as linear forms; body 0 is the whole.
-    C, L : (m, symbols)
-        Axial inertias (regulated rotors alone) and angular momenta.
-    is_momentum, is_element : (symbols,) bool
-        Of rotors; of force elements.
-    element_terms
-        What the force elements add to the gimbal rows.
-    notes
-        What had to be left out of the equations.
-    """
-
-    symbols: tuple[NamedSymbol, ...]
+    symbols: tuple[NamedSymbol, ...]  # in the order of their positions
+    # (1 + n, symbols, 3, 3): what turns with each body at zero angles, as linear forms; body 0 is the whole
     S: FloatArray
+    # C, L: (m, symbols): axial inertias (regulated rotors alone) and angular momenta
     C: FloatArray
     L: FloatArray
+    # is_momentum, is_element: (symbols,) bool: of rotors; of force elements
     is_momentum: np.ndarray[tuple[int, ...], np.dtype[np.bool_]]
     is_element: np.ndarray[tuple[int, ...], np.dtype[np.bool_]]
-    element_terms: tuple[Term, ...]
-    notes: tuple[str, ...]
+    element_terms: tuple[Term, ...]  # what the force elements add to the gimbal rows
+    notes: tuple[str, ...]  # what had to be left out of the equations
 
 
 def motion_symbols(platform: Platform, names: Names) -> Motion:
