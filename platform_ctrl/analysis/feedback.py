@@ -356,23 +356,9 @@ def sensitivity_functions(loop: ComplexArray) -> tuple[ComplexArray, ComplexArra
 
 
 def sensitivities_of_plants(P: ComplexArray, K: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
-    """Return the sensitivities at the output and at the input of many plants with one controller, y = P u, u = K y.
+    """Return (I - P K)^-1 and (I - K P)^-1 of plants P (..., F, p, m) with one controller K (F, m, p), u = K y.
 
-    One inverse serves both: (I - K P)^-1 = I + K (I - P K)^-1 P.
-
-    Parameters
-    ----------
-    P : complex (..., F, p, m)
-        Responses of the plants, in their units.
-    K : complex (F, m, p)
-        Of the controller.
-
-    Returns
-    -------
-    S_output : complex (..., F, p, p)
-        (I - P K)^-1, in units of the outputs; inf where that is singular.
-    S_input : complex (..., F, m, m)
-        (I - K P)^-1, in units of the inputs.
+    One inverse serves both: (I - K P)^-1 = I + K (I - P K)^-1 P. Inf where that is singular.
     """
     from platform_ctrl.analysis.kernels import close
 

@@ -68,38 +68,14 @@ class LoopMetrics:
 
     @check_arguments
     def of(self, groups: Sequence[str]) -> BoolArray:
-        """Return which plants belong to `groups`, truth values (N,).
-
-        Parameters
-        ----------
-        groups
-            Among ``"nominal"``, ``"uncertainty"``, ``"Omega"`` and ``"faults"``; other names have no members.
-
-        Returns
-        -------
-        (N,)
-            Truth values.
-        """
+        """Return which plants belong to `groups`, truth values (N,); other names have no members."""
         return members(self.groups, groups)
 
     @check_arguments
     def values(self, request: Request) -> FloatArray:
-        """Return a metric of every plant that `request` is about; nominal torque noise of every torquer.
+        """Return a metric, in SI units, of every plant that `request` is about, (k,).
 
-        Parameters
-        ----------
-        request
-            A requirement: which metric, of which signals, of which plants.
-
-        Returns
-        -------
-        (k,)
-            In SI units.
-
-        Raises
-        ------
-        ArgumentError
-            It was not measured.
+        Nominal torque noise is that of every torquer. A metric that was not measured is an `ArgumentError`.
         """
         if _is_of_nominal(request):
             return self.torque_noise if request.kind == "torque noise" else np.array([self.bandwidth])

@@ -83,19 +83,11 @@ class PlantSet:
     states: tuple[str, ...]
 
     def system(self, k: int = 0) -> control.StateSpace:
-        """Return plant `k` with its signals by name, the platform's rate among its inputs.
+        """Return plant `k` with its signals by name; 0 is the nominal one.
 
-        Parameters
-        ----------
-        k
-            Index of the plant; 0 is the nominal one.
-
-        Returns
-        -------
-        control.StateSpace
-            Inputs: the torques, then Omega1 to Omega3, rad/s, held between the samples; outputs: the angles.
-            ``control.interconnect([plant, controller], inputs=["Omega1", "Omega2", "Omega3"], outputs=...)`` closes the
-            loop of a controller u = K y.
+        Inputs: the torques, then Omega1 to Omega3, rad/s, held between the samples; outputs: the angles.
+        ``control.interconnect([plant, controller], inputs=["Omega1", "Omega2", "Omega3"], outputs=...)`` closes the
+        loop of a controller u = K y.
         """
         k = whole("PlantSet.system: k", k, 0, len(self.labels) - 1)
         B, D = np.hstack([self.B[k], self.B_Omega[k]]), np.hstack([self.D[k], np.zeros((len(self.angles), 3))])
@@ -103,22 +95,10 @@ class PlantSet:
         return named_system(arrays, [*self.torques, *OMEGA_NAMES], self.angles, self.states)
 
     def joined(self, controller: control.StateSpace | StateArrays) -> StateArrays:
-        """Return the arrays of a controller in the order of this set's angles and torques.
+        """Return the arrays of a controller u = K y from all angles of this set to all of its torques, in its order.
 
-        Parameters
-        ----------
-        controller
-            u = K y with the set's sample period; a `control.StateSpace` is joined by the names of its signals.
-
-        Returns
-        -------
-        StateArrays
-            From all angles of the set to all of its torques.
-
-        Raises
-        ------
-        ArgumentError
-            Other signals (a `control.StateSpace` is joined by their names), sizes or sample period.
+        A `control.StateSpace` is joined by the names of its signals. Other signals, sizes or sample periods are
+        refused.
         """
         K = controller if isinstance(controller, StateArrays) else state_arrays(controller, "controller")
         if abs(K.dt - self.period) > 1e-9 * self.period:
@@ -141,34 +121,12 @@ class PlantSet:
 
     @check_arguments
     def of(self, groups: Sequence[str]) -> BoolArray:
-        """Return which plants belong to `groups`, truth values (N,).
-
-        Parameters
-        ----------
-        groups
-            Among ``"nominal"``, ``"uncertainty"``, ``"Omega"`` and ``"faults"``.
-
-        Returns
-        -------
-        (N,)
-            Truth values.
-        """
+        """Return which plants belong to `groups`, truth values (N,); other names have no members."""
         return members(self.groups, groups)
 
     @check_arguments
     def finer(self, frequency: FloatArray) -> PlantSet:
-        """Return the set with further frequencies in its grid.
-
-        Parameters
-        ----------
-        frequency : (k,)
-            rad/s; those that the grid has already, or beyond the Nyquist frequency, change nothing.
-
-        Returns
-        -------
-        PlantSet
-            With the responses at the new frequencies as well.
-        """
+        """Return the set with further frequencies (k,), rad/s, in its grid, where they are new and below Nyquist's."""
         new = np.setdiff1d(frequency[frequency <= np.pi / self.period], self.frequency)
         if not len(new):
             return self
@@ -186,18 +144,7 @@ class PlantSet:
 
     @check_arguments
     def only(self, chosen: Sequence[int]) -> PlantSet:
-        """Return the set of the `chosen` plants (indices).
-
-        Parameters
-        ----------
-        chosen
-            Indices of plants; the first one is the new nominal plant.
-
-        Returns
-        -------
-        PlantSet
-            With the same signals and grid.
-        """
+        """Return the set of the `chosen` plants (indices); the first one is the new nominal plant."""
         index = np.asarray(chosen, dtype=np.intp)
         return dataclasses.replace(
             self,

@@ -69,19 +69,9 @@ def poles(system: StateSystem | ArrayLike) -> ComplexArray:
 
 
 def continuous_poles(poles: ComplexArray, dt: float) -> ComplexArray:
-    """Return s = ln(z)/dt for the poles of a discrete system; those of a continuous one (dt = 0) as they are.
+    """Return s = ln(z)/dt, rad/s, for the poles (..., n) of a discrete system; as they are for dt = 0.
 
-    Parameters
-    ----------
-    poles : complex (..., n)
-        Of the discrete system, dimensionless (z), or of the continuous one, rad/s.
-    dt
-        Sample period, s; 0: continuous.
-
-    Returns
-    -------
-    complex (..., n)
-        rad/s, |Im s| <= π/dt; ``-inf`` for z = 0.
+    |Im s| <= π/dt, and s is ``-inf`` for z = 0.
     """
     z, dt = complex_numbers("continuous_poles: poles", poles), positive("continuous_poles: dt", dt, zero=True)
     if dt == 0.0:
@@ -100,18 +90,7 @@ def continuous_poles(poles: ComplexArray, dt: float) -> ComplexArray:
 
 
 def damping_ratio(poles: ComplexArray) -> FloatArray:
-    """Return -Re(s)/|s| of continuous(-equivalent) poles; 1 for infinitely fast ones, 0 for s = 0.
-
-    Parameters
-    ----------
-    poles : complex (..., n)
-        Of a continuous system, or continuous equivalents (see `continuous_poles`), rad/s.
-
-    Returns
-    -------
-    (..., n)
-        Dimensionless, from -1 to 1.
-    """
+    """Return -Re(s)/|s| of continuous(-equivalent) poles (..., n); 1 for infinitely fast ones, 0 for s = 0."""
     s = complex_numbers("damping_ratio: poles", poles)
     size = np.abs(s)
     plain = np.isfinite(size) & (size > 0.0)
@@ -147,21 +126,11 @@ def damping(system: StateSystem) -> Damping:
 
 
 def minimum_damping(poles: ComplexArray, above: float = 0.0, dt: float = 0.0) -> FloatArray:
-    """Return the smallest damping ratio of the poles faster than `above`.
+    """Return the smallest damping ratio of the poles (..., n) faster than `above`, rad/s; 1 where no pole is that fast.
 
-    Parameters
-    ----------
-    poles : complex (..., n)
-        In the s-plane (dt = 0), rad/s, or in the z-plane of a system with sample period `dt`.
-    above
-        rad/s. Poles with a smaller magnitude do not count, unless they are unstable: those always count.
-    dt
-        Sample period, s.
-
-    Returns
-    -------
-    (...)
-        Dimensionless, from -1 to 1; 1 where no pole is that fast.
+    The poles are in the s-plane (dt = 0), rad/s, or in the z-plane of a system with sample period `dt`, s. Unstable
+    poles
+    always count.
     """
     s, above = continuous_poles(poles, dt), positive("minimum_damping: above", above, zero=True)
     counts = (np.abs(s) > above) | (s.real > 0.0)
@@ -177,35 +146,13 @@ def _judged(poles: ComplexArray, where: str) -> ComplexArray:
 
 
 def spectral_radius(poles: ComplexArray) -> FloatArray:
-    """Return the largest magnitude along the last axis; 0 without poles.
-
-    Parameters
-    ----------
-    poles : complex (..., n)
-        Of discrete systems, dimensionless.
-
-    Returns
-    -------
-    (...)
-        Dimensionless.
-    """
+    """Return the largest magnitude of poles (..., n) along the last axis; 0 without poles."""
     out: FloatArray = np.abs(_judged(poles, "spectral_radius")).max(axis=-1, initial=0.0)
     return out
 
 
 def spectral_abscissa(poles: ComplexArray) -> FloatArray:
-    """Return the largest real part along the last axis; -inf without poles.
-
-    Parameters
-    ----------
-    poles : complex (..., n)
-        In rad/s or other units.
-
-    Returns
-    -------
-    (...)
-        In the units of the poles.
-    """
+    """Return the largest real part of poles (..., n) along the last axis; -inf without poles."""
     out: FloatArray = _judged(poles, "spectral_abscissa").real.max(axis=-1, initial=-np.inf)
     return out
 

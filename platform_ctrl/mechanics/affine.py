@@ -46,34 +46,12 @@ class AffineModel:
     outputs: tuple[str, ...]
 
     def state_matrix(self, parameters: ArrayLike) -> FloatArray:
-        """Return A at values of the monomials.
-
-        Parameters
-        ----------
-        parameters : (parameters,)
-            In the order of `parameters`, SI units.
-
-        Returns
-        -------
-        (2k, 2k)
-            In the units of the states over s.
-        """
+        """Return A (2k, 2k) at values of the monomials (parameters,), SI units."""
         rho = real_array("parameters", parameters, (len(self.parameters),))
         return np.asarray(self.A_0 + np.tensordot(rho, self.A, axes=1))
 
     def system(self, parameters: ArrayLike) -> control.StateSpace:
-        """Return the system at values of the monomials, which need not belong to any Omega.
-
-        Parameters
-        ----------
-        parameters : (parameters,)
-            As in `state_matrix`.
-
-        Returns
-        -------
-        control.StateSpace
-            With the names of `states`, `inputs` and `outputs`.
-        """
+        """Return the system at values of the monomials (parameters,), which need not belong to any Omega."""
         import control
 
         names = {kind: distinct(kind, getattr(self, kind)) for kind in ("states", "inputs", "outputs")}

@@ -169,16 +169,9 @@ _SINGULAR = 1e-13
 
 
 def solved_inertia(mass: FloatArray, momenta: FloatArray, names: Sequence[str]) -> FloatArray:
-    """Return M⁻¹ times a vector or the columns of a matrix.
+    """Return M⁻¹ times a vector or the columns of a matrix (k, ...).
 
-    Parameters
-    ----------
-    mass : (k, k)
-        A*, or the part of it that belongs to `names`.
-    momenta : (k,) or (k, ...)
-        What it is solved for.
-    names
-        Its coordinates, for the message.
+    `mass` is A*, or the part of it that belongs to the coordinates `names`, which the message mentions.
     """
     diagonal = np.diag(mass)
     if np.any(diagonal <= 0.0):

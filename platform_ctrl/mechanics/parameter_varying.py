@@ -105,18 +105,7 @@ class ParameterVaryingModel(_WithDictionary):
     Q0: MatrixPolynomial
 
     def at(self, Omega: ArrayLike, Omega_dot: ArrayLike | None = None) -> FrozenRows:
-        """Return the matrices of the chosen gimbals at a rate and its derivative.
-
-        Parameters
-        ----------
-        Omega, Omega_dot : (3,)
-            rad/s, rad/s²; the derivative is zero by default.
-
-        Returns
-        -------
-        FrozenRows
-            In SI units.
-        """
+        """Return the matrices of the chosen gimbals at a rate, rad/s, and its derivative, rad/s² (default zero)."""
         rate, change = real_array("Omega", Omega, (3,)), real_array("Omega_dot", Omega_dot, (3,), 0.0)
         forcing = self.M_Omega @ change + self.Q0.at(rate)
         return FrozenRows(M=self.M, G=self.G.at(rate), K=self.K.at(rate, change), forcing=forcing)
@@ -145,18 +134,7 @@ class ParameterVaryingModel(_WithDictionary):
         return affine_model((self.M, self.G, self.K), self.angles, torquers, momenta=self.form == "momenta")
 
     def state_space(self, Omega: ArrayLike, Omega_dot: ArrayLike | None = None) -> control.StateSpace:
-        """Return the system frozen at a rate and its derivative.
-
-        Parameters
-        ----------
-        Omega, Omega_dot : (3,)
-            rad/s, rad/s²; the derivative is zero by default.
-
-        Returns
-        -------
-        control.StateSpace
-            Signals as in `affine`.
-        """
+        """Return the system frozen at a rate, rad/s, and its derivative, rad/s²; signals as in `affine`."""
         affine = self._affine
         return affine.system(monomial_values(affine.parameters, Omega, Omega_dot))
 

@@ -48,34 +48,12 @@ class MatrixPolynomial:
     coefficients: FloatArray
 
     def at(self, Omega: ArrayLike, Omega_dot: ArrayLike | None = None) -> FloatArray:
-        """Return the matrix at a rate and its derivative.
-
-        Parameters
-        ----------
-        Omega, Omega_dot : (3,)
-            rad/s, rad/s²; the derivative is zero by default.
-
-        Returns
-        -------
-        (...)
-            In SI units.
-        """
+        """Return the matrix at a rate (3,), rad/s, and its derivative (3,), rad/s², zero by default; in SI units."""
         values = monomial_values(self.monomials, Omega, Omega_dot)
         return np.asarray(np.tensordot(values, self.coefficients, axes=1))
 
     def part(self, *rows: Sequence[int]) -> MatrixPolynomial:
-        """Return the polynomial of some rows (and columns, and so on).
-
-        Parameters
-        ----------
-        *rows
-            Indices along each axis.
-
-        Returns
-        -------
-        MatrixPolynomial
-            With the same monomials.
-        """
+        """Return the polynomial of some rows (and columns, and so on): indices along each axis."""
         chosen = self.coefficients[np.ix_(range(len(self.monomials)), *rows)]
         return polynomial(dict(zip(self.monomials, chosen, strict=True)), chosen.shape[1:])
 

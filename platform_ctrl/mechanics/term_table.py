@@ -153,18 +153,7 @@ class TermTable:
 
     @check_arguments
     def of(self, gimbal: str) -> tuple[Term, ...]:
-        """Return the terms of the named gimbal's equation.
-
-        Parameters
-        ----------
-        gimbal
-            Name of the gimbal.
-
-        Returns
-        -------
-        tuple of Term
-            By falling size.
-        """
+        """Return the terms of the named gimbal's equation, by falling size."""
         known_name("gimbal", gimbal, self.platform.gimbal_names)
         return tuple(term for term in self.terms if term.gimbal == gimbal)
 

@@ -19,37 +19,17 @@ from platform_ctrl.errors import ArgumentError, NotCertifiedError
 def plant_set_certificates(
     plants: PlantSet, controller: StateArrays, decay: FloatArray, margin: FloatArray, required: FloatArray
 ) -> tuple[tuple[Certificate, ...], tuple[str, ...]]:
-    """Return what is proved of a loop, and what was measured but could not be proved.
+    """Return what is proved of a loop u = K y, and a line for each claim without a proof.
 
-    Parameters
-    ----------
-    plants, controller
-        The loop, u = K y.
-    decay, margin : (N,)
-        Decay rate, 1/s, and disk margin, dimensionless, with each plant as measured: exact of the worst, of the others
-        at least the true one. What is unstable is not claimed to be stable.
-    required : (N,)
-        Disk margin required with each plant, dimensionless, 0: none. Where the measured one is larger, the
-        required one is proved; with the nominal plant the measured one.
+    `decay` (N,), 1/s, and `margin` (N,) are measured with each plant: exact of the worst, of the others at least the
+    true
+    one. What is unstable is not claimed to be stable. `required` (N,) is the disk margin required with each plant, 0:
+    none.
+    Where the measured one is larger, the required one is proved; with the nominal plant the measured one.
 
-    Returns
-    -------
-    certificates
-        That the loop with every plant decays, each at its own rate, in the order of the plants; then bounds of the
-        norm of (S − T)/2 at the torques and at the pick-offs, whose larger one is 1/disk margin.
-    unproved
-        A line for each claim without a proof.
-
-    Raises
-    ------
-    ArgumentError
-        Plant and controller do not fit together.
-
-    References
-    ----------
-    P. Seiler, A. Packard, P. Gahinet, IEEE Control Systems Magazine 40(5), 2020.
-
-    See docs/certificates.md.
+    The certificates say that the loop with every plant decays, each at its own rate, in the order of the plants; then
+    they
+    bound the norm of (S − T)/2 at the torques and at the pick-offs, whose larger one is 1/disk margin.
     """
     for name, numbers in (("decay", decay), ("margin", margin), ("required", required)):
         if numbers.shape != (len(plants.labels),):
@@ -86,30 +66,8 @@ def plant_set_certificates(
 def margin_certificates(plant: StateArrays, controller: StateArrays) -> tuple[Certificate, Certificate, Certificate]:
     """Return the proofs that one loop is stable, and of the norms of (S − T)/2 at its torques and at its pick-offs.
 
-    Parameters
-    ----------
-    plant
-        From torques to angles.
-    controller
-        u = K y, with the plant's sample period.
-
-    Returns
-    -------
-    stability, torques, pickoffs
-        The three certificates.
-
-    Raises
-    ------
-    NotCertifiedError
-        One of them was not found.
-    ArgumentError
-        Plant and controller do not fit together.
-
-    References
-    ----------
-    P. Seiler, A. Packard, P. Gahinet, IEEE Control Systems Magazine 40(5), 2020.
-
-    See docs/certificates.md.
+    The plant is that from torques to angles, u = K y with its sample period; `NotCertifiedError` where a proof is
+    missing.
     """
     A, B, C, D, dt = plant
     torque, pickoff = _sensitivity_plants(plant)

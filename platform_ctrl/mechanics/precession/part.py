@@ -154,23 +154,7 @@ class PrecessionPart:
 
     @check_arguments
     def error(self, frequency: ArrayLike, momentum_states: bool = False, each_direction: bool = False) -> FloatArray:
-        """Return the relative error of this subsystem's model: see `Precession.error`.
-
-        Parameters
-        ----------
-        frequency, momentum_states, each_direction
-            As in `Precession.error`.
-
-        Returns
-        -------
-        (N,)
-            Dimensionless.
-
-        Raises
-        ------
-        ArgumentError
-            Not a row of numbers > 0.
-        """
+        """Return the relative error of this subsystem's model over frequency (N,), rad/s: see `Precession.error`."""
         omega = np.atleast_1d(np.asarray(frequency))
         omega = real_array("frequency", omega, (omega.size,))
         if np.any(omega <= 0.0) or np.any(omega > _HIGHEST):

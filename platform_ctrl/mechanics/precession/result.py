@@ -133,18 +133,7 @@ class Precession:
 
     @check_arguments
     def part(self, gimbal: str) -> PrecessionPart:
-        """Return the test of the subsystem that the named gimbal belongs to.
-
-        Parameters
-        ----------
-        gimbal
-            Name of the gimbal.
-
-        Returns
-        -------
-        PrecessionPart
-            The test with its figures.
-        """
+        """Return the test of the subsystem that the named gimbal belongs to."""
         known_name("gimbal", gimbal, self.gimbals)
         return next(part for part in self.parts if gimbal in part.gimbals)
 
