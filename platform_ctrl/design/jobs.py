@@ -18,10 +18,10 @@ from platform_ctrl.plant.platform import OMEGA_NAMES
 
 
 def with_caging_claims(job: Job, design: LoopDesign, *, closed: bool) -> LoopDesign:
-    """Return a caging design with its gains in continuous time and, where it is closed, the Omega that it survives.
+    """Return a caging design with its gains in continuous time and, where it is closed, its largest Omega.
 
-    The names end in their units. What does not exist for a loop is left out: an unstable loop has no gains, a torquer
-    without limit loses no Omega, an axis that loads no torquer has nothing to survive.
+    The names end in their units. What does not exist for a loop is left out: the gains of an unstable loop, the largest
+    Omega of torquers without limits or of an axis that loads none.
     """
     if design.measures is None or not design.measures.decay[0] > 0.0:
         return design
@@ -32,7 +32,7 @@ def with_caging_claims(job: Job, design: LoopDesign, *, closed: bool) -> LoopDes
 
 
 def largest_Omega_name(axis: int, *, worst_case: bool = False) -> str:
-    """Return the name of the claim of the Omega that a loop survives about a root axis, 1 to 3."""
+    """Return the name of the claim of the largest Omega without saturation about a root axis, 1 to 3."""
     return f"largest {OMEGA_NAMES[axis - 1]} without saturation{', worst case' if worst_case else ''}, rad/s"
 
 
@@ -52,7 +52,7 @@ def _between_samples(job: Job, design: LoopDesign) -> dict[str, float]:
 def _at_the_limits(job: Job, design: LoopDesign) -> dict[str, float]:
     from platform_ctrl.design.antiwindup.job import caging_largest_Omega
 
-    # One plant of the uncertainty may leave the loop unstable: what holds for the plant as it is stays.
+    # Where one plant of the uncertainty is unstable, the claims are those of the nominal plant.
     for requested in (job, dataclasses.replace(job, uncertainty=Uncertainty())):
         try:
             found = caging_largest_Omega(requested, design.controller)
@@ -72,7 +72,7 @@ class LoopOutcome:
     Attributes
     ----------
     spec
-        The loop as the job asks for it.
+        The loop of the job.
     designs
         In the job's order.
     use
@@ -98,7 +98,7 @@ class LoopOutcome:
 def loops(
     job: Job | str | os.PathLike[str] | Mapping[str, object], progress: Progress | None = None
 ) -> tuple[LoopOutcome, ...]:
-    """Design every loop of `job` by every method that it asks for.
+    """Design every loop of `job` by each of its methods.
 
     Parameters
     ----------
@@ -124,7 +124,7 @@ def loops(
     job = job if isinstance(job, Job) else read_job(job)
     say = progress or (lambda line: None)
     model = linearise(job.platform)
-    # All plants before the first design: what is wrong with the third loop is said before the work on the first.
+    # All plants before the first design: an error in the third loop is raised before the work on the first.
     plant_sets = [plants_of(job, spec) for spec in job.loops]
     out = []
     for spec, plants in zip(job.loops, plant_sets, strict=True):

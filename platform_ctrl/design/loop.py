@@ -42,15 +42,15 @@ class LoopDesign:
     options
         The method's numbers as finally used, in the units of the job file.
     plants
-        What it was designed for, nominal plant first; None for a loop that is judged in the coupled system alone.
+        What it was designed for, nominal plant first; None for a loop that is only checked in the coupled system.
     measures
         Recomputed from the closed loop; None as above.
     results
-        The loop's limits held against the measures.
+        The loop's limits compared with the measures.
     goals
-        The loop's goals held against the measures: no verdict rests on them.
+        The loop's goals compared with the measures; they do not count for the verdict.
     claims
-        What the method claims, by name, in SI units: for example ``gamma``.
+        Claims of the method by name, in SI units: for example ``gamma``.
     certificates
         Proofs that the loop is stable with each of its plants, of the disk margin that is requested with each, and of
         the nominal one.
@@ -154,7 +154,7 @@ class Designed:
 
 
 def designed(problem: LoopProblem) -> LoopDesign:
-    """Return the design that the problem's method makes, with all that it is judged by recomputed.
+    """Return the design that the problem's method makes, with all its values recomputed.
 
     Raises
     ------
@@ -205,7 +205,7 @@ def requirements_of(spec: LoopSpec) -> tuple[LoopRequirement, ...]:
 def judged(
     spec: LoopSpec, design: str, plants: PlantSet, measures: LoopMetrics
 ) -> tuple[tuple[CheckResult, ...], tuple[CheckResult, ...]]:
-    """Return the loop's limits and its goals held against `measures`."""
+    """Return the loop's limits and its goals compared with `measures`."""
     hard, soft = (
         tuple(requirement.result(plants, measures, subject=spec.name, design=design) for requirement in requirements)
         for requirements in hard_and_soft(spec.limits, spec.soft)
@@ -216,7 +216,7 @@ def judged(
 def proofs(
     spec: LoopSpec, plants: PlantSet, controller: StateArrays, measures: LoopMetrics
 ) -> tuple[tuple[Certificate, ...], tuple[str, ...]]:
-    """Return the certificates of stability and of the disk margins that `spec` asks for, and what is left unproved."""
+    """Return the certificates of stability and of the disk margins of `spec`, and what is left unproved."""
     requested = np.zeros(len(plants.labels))
     for requirement in requirements_of(spec):
         if requirement.kind == "disk margin" and requirement.hard:
@@ -226,7 +226,7 @@ def proofs(
 
 
 def remeasured(spec: LoopSpec, name: str, controller: control.StateSpace, plants: PlantSet) -> LoopDesign:
-    """Return an existing controller as a design of `spec`, measured anew: none of its claims is taken over."""
+    """Return an existing controller as a design of `spec`, measured again, without its claims."""
     K = plants.joined(controller)
     return _with_evidence(spec, name, "given", K, plants, measure(plants, K, requirements_of(spec)))
 

@@ -109,7 +109,7 @@ def delayed(plant: Partition) -> Partition:
     return Partition(
         A=np.block([[p.A, np.zeros((len(p.A), ny))], [p.C2, none]]),
         B1=np.vstack([p.B1, p.D21]),
-        # What u adds to y directly the controller knows.
+        # The direct term from u to y is known to the controller.
         B2=np.vstack([p.B2, np.zeros((ny, p.B2.shape[1]))]),
         C1=np.hstack([p.C1, np.zeros((len(p.C1), ny))]),
         C2=np.hstack([np.zeros((ny, len(p.A))), np.eye(ny)]),

@@ -39,7 +39,7 @@ class Pair:
 def _sides(plant: Partition) -> tuple[tuple[FloatArray, ...], tuple[FloatArray, ...]]:
     """Return (N1, F, N2, G) of the inequalities of X and of Y.
 
-    The columns of [N1; N2] span the kernel of [B2' D12'], where the controller has no say. The inequality of X is
+    The columns of [N1; N2] span the kernel of [B2' D12'], which no controller changes. The inequality of X is
     [[He(N1' X F) − gamma N2' N2, G], [G', −gamma I]] < 0 with F = A' N1 + C1' N2, G = N1' B1 + N2' D11;
     that of Y is its dual.
     """

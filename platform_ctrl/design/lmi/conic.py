@@ -59,7 +59,7 @@ class Solver:
     def solve(
         self, goal: Any, constraints: list[Any], variables: tuple[Any, ...], step: str, tolerance: float
     ) -> Solved:
-        """Minimise or maximise a goal under constraints; `step` says for what, in messages."""
+        """Minimise or maximise a goal under constraints; `step` names it in messages."""
         return solve(
             import_module("cvxpy").Problem(goal, constraints), variables, what=f"{self.where}: {step}",
             time_limit=self.time_limit, P=self.P, tolerance=tolerance, cure=self.cure,

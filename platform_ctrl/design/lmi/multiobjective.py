@@ -23,7 +23,7 @@ from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import value
 from platform_ctrl.design.lmi.search import CURE, posed
 from platform_ctrl.design.lmi.solutions import Solution, solutions
-from platform_ctrl.design.lmi.tasks import judged, proofs, tasks
+from platform_ctrl.design.lmi.tasks import checked, proofs, tasks
 from platform_ctrl.design.partition import (
     Partition,
     closed_loop,
@@ -149,7 +149,7 @@ def multiobjective(
     InfeasibleError
         No controller was found for the hard requirements with a common Lyapunov matrix.
     TimeLimitError, UnscalableError, NotCertifiedError
-        The solver was ended or gave up; or the closed loop does not do what was promised.
+        The solver was ended or gave up, or the closed loop does not meet the limits.
 
     References
     ----------
@@ -193,9 +193,9 @@ def _finished(
     poles = np.linalg.eigvals(loop.A).astype(np.complex128)
     if not spectral_abscissa(continuous_poles(poles, plant.dt)) < 0:
         raise NotCertifiedError(f"{WHERE}: the closed loop is not stable; {CURE}", P)
-    outcomes = judged(requirements, system, controller, WHERE)
+    outcomes = checked(requirements, system, controller, WHERE)
     for outcome, requested in zip(outcomes, requirements, strict=True):
-        # A hard norm that was minimised has its limit; a soft one what was promised.
+        # A hard norm that was minimised has its limit; a soft one its bound.
         allowed = 1.0 if requested.hard else (1 + backoff + 0.01) * least
         if not outcome.ratio <= allowed:
             raise NotCertifiedError(

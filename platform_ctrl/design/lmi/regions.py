@@ -27,7 +27,7 @@ FIXED = 1e-9
 
 @value
 class Region:
-    """L and M of a region, (k, k), and the requirement that it stands for."""
+    """L and M of a region, (k, k), and its requirement."""
 
     requested: LoopRequirement
     L: FloatArray

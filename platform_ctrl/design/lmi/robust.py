@@ -26,7 +26,7 @@ from platform_ctrl.design.lmi.quadratic import mean_plant, rescaled, weighted_me
 from platform_ctrl.design.lmi.regions import state_feedback
 from platform_ctrl.design.lmi.search import CURE, FINE, Problem, constrained, direct, posed
 from platform_ctrl.design.lmi.solutions import KnownMatrix, least_ratio, slackest, solutions
-from platform_ctrl.design.lmi.tasks import claimed_loop, judged, tasks
+from platform_ctrl.design.lmi.tasks import checked, claimed_loop, tasks
 from platform_ctrl.design.partition import (
     Partition,
     closed_loop,
@@ -122,7 +122,7 @@ def robust(
     Returns
     -------
     Robust
-        The controller, each plant's figures and the common certificate.
+        The controller, each plant's results and the common certificate.
 
     Raises
     ------
@@ -133,7 +133,7 @@ def robust(
     InfeasibleError
         No controller with a common Lyapunov matrix was found.
     UnscalableError, TimeLimitError, NotCertifiedError
-        The solver gave up or was ended; or the closed loops do not do what was promised.
+        The solver gave up or was ended, or a closed loop does not meet the limits.
 
     References
     ----------
@@ -292,9 +292,9 @@ def _finished(
     controller = controller_system(systems[0], K)
     outcomes = []
     for system, part in zip(systems, parts, strict=True):
-        judgement = judged(requirements, closed_loop_system(system, closed_loop(part, K)), controller, WHERE)
-        outcomes.append(judgement)
-        for outcome in judgement:
+        results = checked(requirements, closed_loop_system(system, closed_loop(part, K)), controller, WHERE)
+        outcomes.append(results)
+        for outcome in results:
             allowed = 1.0 if outcome.hard else found.ratio * 1.01
             if not outcome.ratio <= allowed:
                 raise NotCertifiedError(

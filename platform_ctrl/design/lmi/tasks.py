@@ -183,10 +183,10 @@ def _white(weight: StateArrays, period: float) -> StateArrays:
     return series(first, weight)
 
 
-def judged(
+def checked(
     requirements: Sequence[LoopRequirement], closed_loop: StateSpace, controller: StateSpace, method: str
 ) -> tuple[CheckResult, ...]:
-    """Hold the actual closed loop and controller against the requirements."""
+    """Return the requirements checked for the actual closed loop and controller."""
     return tuple(
         requested.check_controller(controller, subject=method)
         if requested.kind == CONTROLLER
