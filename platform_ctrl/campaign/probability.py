@@ -163,11 +163,6 @@ class Distribution:
         -------
         float
             In the metrics' unit, right to half a thousandth of itself; NaN without runs.
-
-        Raises
-        ------
-        ArgumentError
-            An argument of another kind than annotated.
         """
         runs = self.runs
         if not runs:

@@ -121,11 +121,6 @@ def summary_record(summary: Summary) -> Record:
     -------
     dict
         `statistics`, `sensitivity`, `contrasts` and `rare`, in plain types.
-
-    Raises
-    ------
-    ArgumentError
-        An argument of another kind than annotated.
     """
     found = summary.statistics
     record = {

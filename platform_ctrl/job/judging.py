@@ -102,11 +102,6 @@ class Requirement:
         -------
         float
             Dimensionless; infinite when `measured` is no number.
-
-        Raises
-        ------
-        ArgumentError
-            An argument of another kind than annotated.
         """
         measured = float(measured)
         if not np.isfinite(measured):
@@ -149,11 +144,6 @@ class Requirement:
         -------
         CheckResult
             With ratio and verdict.
-
-        Raises
-        ------
-        ArgumentError
-            An argument of another kind than annotated.
         """
         ratio = self.ratio(measured)
         return CheckResult(

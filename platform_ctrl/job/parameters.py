@@ -89,11 +89,6 @@ def parameters(scenarios: Sequence[Scenario], faults: Sequence[Fault]) -> dict[s
     -------
     dict
         What the number is and what it may be, by its path.
-
-    Raises
-    ------
-    ArgumentError
-        An argument of another kind than annotated.
     """
     if not scenarios:
         return {}
@@ -277,11 +272,6 @@ def varied_scenario(
     -------
     Scenario
         A new one.
-
-    Raises
-    ------
-    ArgumentError
-        An argument of another kind than annotated.
     """
     parts: dict[tuple[str, int, str], dict[str, Any]] = {}
     own: dict[str, Any] = {"faults": scenario.faults if faults is None else faults}

@@ -112,11 +112,6 @@ class TimeTable:
         -------
         (..., 3)
             In the units of `values`, scaled.
-
-        Raises
-        ------
-        ArgumentError
-            An argument of another kind than annotated.
         """
         times = np.clip(real_numbers("TimeTable.at: t", t), self.t[0], self.t[-1])
         if len(self.t) == 1:

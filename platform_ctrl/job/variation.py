@@ -121,11 +121,6 @@ class Range:
         -------
         bool
             True if it is.
-
-        Raises
-        ------
-        ArgumentError
-            An argument of another kind than annotated.
         """
         return self.low <= low and high <= self.high and (low > self.low or self.low_itself or continuous)
 

@@ -443,11 +443,6 @@ def gimbal_rate(angle: str) -> str:
     -------
     str
         The same with ``_rate`` behind it.
-
-    Raises
-    ------
-    ArgumentError
-        An argument of another kind than annotated.
     """
     return f"{angle}_rate"
 
@@ -465,11 +460,6 @@ def is_rate(signal: str) -> bool:
     -------
     bool
         True for Omega1 to Omega3 and for names that end in ``_rate``.
-
-    Raises
-    ------
-    ArgumentError
-        An argument of another kind than annotated.
     """
     return signal in OMEGA_NAMES or signal.endswith(gimbal_rate(""))
 

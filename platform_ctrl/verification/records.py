@@ -42,11 +42,6 @@ def result_record(result: JobResult) -> Record:
     -------
     dict
         Keys as in ``result.json``, numbers in SI units.
-
-    Raises
-    ------
-    ArgumentError
-        An argument of another kind than annotated.
     """
     job = result.job
     record = {

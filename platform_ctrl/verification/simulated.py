@@ -83,11 +83,6 @@ def largest(job: Job, trajectory: Trajectory) -> dict[str, tuple[float, str]]:
     -------
     dict
         Figure and signal by name; rad, rad and a share.
-
-    Raises
-    ------
-    ArgumentError
-        An argument of another kind than annotated.
     """
     if not trajectory.completed:
         return {name: (float("inf"), trajectory.ended) for name in ("angle", "attitude", "torque_share")}

@@ -139,11 +139,6 @@ def compare(result: JobResult, baseline: Baseline) -> Comparison:
     Comparison
         `Comparison.passed` unless a figure is worse beyond its tolerance, or no longer there. A figure that was a
         finite number and is none now (an unstable loop, a run that diverged) is worse whatever its tolerance.
-
-    Raises
-    ------
-    ArgumentError
-        An argument of another kind than annotated.
     """
     known = {figure.key: figure for figure in baseline.figures}
     measured = figures_of(result)

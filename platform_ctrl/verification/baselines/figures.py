@@ -70,11 +70,6 @@ def figures_of(result: JobResult) -> tuple[Figure, ...]:
     -------
     tuple of Figure
         Each subject and name once.
-
-    Raises
-    ------
-    ArgumentError
-        An argument of another kind than annotated.
     """
     found: dict[tuple[str, str], Figure] = {}
     for figure in _all(result):

@@ -199,11 +199,6 @@ def plot_beside(path: str | os.PathLike[str], folder: str | os.PathLike[str] | N
     -------
     pathlib.Path
         Of the PNG, whether or not there is one.
-
-    Raises
-    ------
-    ArgumentError
-        An argument of another kind than annotated.
     """
     file = Path(path)
     return (file.parent if folder is None else Path(folder)) / f"{file.stem}.moved.png"

@@ -58,11 +58,6 @@ class Tolerance:
         -------
         float
             How much worse the figure may be, in the same unit.
-
-        Raises
-        ------
-        ArgumentError
-            An argument of another kind than annotated.
         """
         return max(self.relative * abs(accepted), self.absolute)
 
@@ -141,11 +136,6 @@ class LoopMatrices:
         -------
         bool
             Whether every number agrees to a millionth of its matrix's largest.
-
-        Raises
-        ------
-        ArgumentError
-            An argument of another kind than annotated.
         """
         return self.same_controller(other) and self.same_plant(other)
 
@@ -162,11 +152,6 @@ class LoopMatrices:
         -------
         bool
             Whether every number agrees to a millionth of its matrix's largest.
-
-        Raises
-        ------
-        ArgumentError
-            An argument of another kind than annotated.
         """
         signals = (self.inputs, self.outputs) == (other.inputs, other.outputs)
         timing = math.isclose(self.delay, other.delay, rel_tol=_ROUNDING, abs_tol=1e-15)
@@ -185,11 +170,6 @@ class LoopMatrices:
         -------
         bool
             Whether every number agrees to a millionth of its matrix's largest.
-
-        Raises
-        ------
-        ArgumentError
-            An argument of another kind than annotated.
         """
         if self.plant is None or other.plant is None:
             return self.plant is other.plant
@@ -233,11 +213,6 @@ def accepted(result: JobResult, before: Baseline | None = None) -> Baseline:
     -------
     Baseline
         With the figures of `result`, in their order; those that `before` alone has are left out.
-
-    Raises
-    ------
-    ArgumentError
-        An argument of another kind than annotated.
     """
     known = {} if before is None else {figure.key: figure for figure in before.figures}
     loops = {} if before is None else {loop.loop: loop for loop in before.loops}
