@@ -19,26 +19,7 @@ if TYPE_CHECKING:
 
 
 def simulate_runs(plan: Plan, runs: Sequence[int], *, threads: int = 1, device: str = "cpu") -> dict[str, Array]:
-    """Simulate runs of a plan and return their columns, each with one entry a run.
-
-    Parameters
-    ----------
-    plan
-        The campaign.
-    runs
-        Numbers of the runs.
-    threads
-        On how many threads.
-    device
-        ``"cpu"`` or ``"cuda"``.
-
-    Returns
-    -------
-    dict
-        ``run``; the inputs by their names; ``angle``, ``attitude``, ``torque_share``: largest metrics, infinite where
-        the run diverged; ``stop_contacts``; ``saturated``: largest share of samples at a torquer's limit;
-        ``angle_passed`` and so on: bool, None where nothing is asked; ``passed``; ``ended``.
-    """
+    """Simulate runs of a plan and return their columns, each with one entry a run."""
     from platform_ctrl import simulation
 
     columns = inputs_of(plan, runs)

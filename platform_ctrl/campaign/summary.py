@@ -110,18 +110,7 @@ def summarise(
 
 @check_arguments
 def summary_record(summary: Summary) -> Record:
-    """Return what campaign.json holds of a summary; None where a number is not finite.
-
-    Parameters
-    ----------
-    summary
-        From `summarise`.
-
-    Returns
-    -------
-    dict
-        `statistics`, `sensitivity`, `contrasts` and `rare`, in plain types.
-    """
+    """Return what campaign.json holds of a summary; None where a number is not finite."""
     found = summary.statistics
     record = {
         "statistics": {

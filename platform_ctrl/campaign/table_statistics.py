@@ -69,17 +69,7 @@ class WorstRuns:
         place: NDArray[np.intp],
         names: Sequence[str],
     ) -> None:
-        """Look at some runs.
-
-        Parameters
-        ----------
-        batch
-            Columns of the table.
-        asked
-            Every run's limit of each metric; NaN where its manoeuvre asks nothing.
-        place, names
-            Every run's manoeuvre.
-        """
+        """Look at some runs."""
         if not asked or not place.size:
             return
         metrics = tuple(asked)

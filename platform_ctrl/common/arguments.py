@@ -17,19 +17,7 @@ from platform_ctrl.errors import ArgumentError
 
 
 def real_array(name: str, given: ArrayLike | None, shape: tuple[int, ...], default: float | None = None) -> FloatArray:
-    """Return `given` as a finite float64 array of `shape`.
-
-    Parameters
-    ----------
-    name
-        What the caller calls the argument.
-    given
-        The argument; None stands for an array filled with `default` where there is one.
-    shape
-        The expected shape.
-    default
-        Fill value for None.
-    """
+    """Return `given` as a finite float64 array of `shape`."""
     if given is None and default is not None:
         return np.full(shape, default)
     array = np.array(real_numbers(name, given, f" of shape {shape}"))

@@ -79,17 +79,7 @@ _MODES = {"nearest": ROUND_HALF_EVEN, "down": ROUND_FLOOR, "up": ROUND_CEILING}
 
 
 def rounded(number: float | Decimal, digits: int, rounding: Rounding = "nearest") -> float:
-    """Return `number` with `digits` significant digits.
-
-    Parameters
-    ----------
-    number
-        A float counts as the shortest decimal that reads back as it: 0.29 is already rounded.
-    digits
-        At least 1, at most 15.
-    rounding
-        ``"down"`` (towards minus infinity) for a proved lower bound, ``"up"`` for an upper one.
-    """
+    """Return `number` with `digits` significant digits."""
     if not math.isfinite(number):
         return float(number)
     exact = number if isinstance(number, Decimal) else Decimal(repr(float(number)))

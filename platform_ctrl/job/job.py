@@ -321,25 +321,7 @@ class Job:
 
 @check_arguments
 def manoeuvre_scenario(job: Job, manoeuvre: Manoeuvre) -> Scenario:
-    """Return the run of a manoeuvre on the nominal plant: the job's seed, run 0.
-
-    Parameters
-    ----------
-    job
-        The job that it belongs to.
-    manoeuvre
-        One of the job's.
-
-    Returns
-    -------
-    Scenario
-        With the job's seed as run 0.
-
-    Raises
-    ------
-    ArgumentError
-        The manoeuvre does not fit the plant.
-    """
+    """Return the run of a manoeuvre on the nominal plant: the job's seed, run 0."""
     caged = manoeuvre.mode == "caged"
     torque = np.zeros(3)
     torque[manoeuvre.axis - 1] = manoeuvre.torque

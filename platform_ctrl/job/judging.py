@@ -91,18 +91,7 @@ class Requirement:
 
     @check_kinds
     def ratio(self, measured: float) -> float:
-        """Return a number that is at most 1 when the bound is met.
-
-        Parameters
-        ----------
-        measured
-            The figure, in the requirement's unit.
-
-        Returns
-        -------
-        float
-            Dimensionless; infinite when `measured` is no number.
-        """
+        """Return a number that is at most 1 when the bound is met."""
         measured = float(measured)
         if not np.isfinite(measured):
             return float("inf")
@@ -123,28 +112,7 @@ class Requirement:
         design: str = "",
         method: Method = "sampled",
     ) -> CheckResult:
-        """Hold a measured figure against the bound: met where the ratio is at most 1.
-
-        Parameters
-        ----------
-        measured
-            The figure, in the requirement's unit.
-        subject
-            Loop or manoeuvre.
-        stage
-            Where in the chain it was measured.
-        evidence
-            What recomputes it.
-        design
-            Name of the design.
-        method
-            How it is found, see `CheckResult`; the least that can be said of a figure by default.
-
-        Returns
-        -------
-        CheckResult
-            With ratio and verdict.
-        """
+        """Hold a measured figure against the bound: met where the ratio is at most 1."""
         ratio = self.ratio(measured)
         return CheckResult(
             name=self.name,

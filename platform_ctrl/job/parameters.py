@@ -76,20 +76,7 @@ class Parameter:
 
 @check_arguments
 def parameters(scenarios: Sequence[Scenario], faults: Sequence[Fault]) -> dict[str, Parameter]:
-    """Return what may be varied, by its path.
-
-    Parameters
-    ----------
-    scenarios
-        The nominal runs, all of one plant: one for each manoeuvre that is simulated.
-    faults
-        What may fail in them.
-
-    Returns
-    -------
-    dict
-        What the number is and what it may be, by its path.
-    """
+    """Return what may be varied, by its path."""
     if not scenarios:
         return {}
     found = [
@@ -256,23 +243,7 @@ def varied_scenario(
     seed: int | None = None,
     run: int = 0,
 ) -> Scenario:
-    """Return the run with drawn numbers in their places; `scenario` stays as it is.
-
-    Parameters
-    ----------
-    scenario
-        The nominal run.
-    drawn
-        Parameter, number, and whether the number is a factor of the nominal value. What the run does not have is passed
-        over: the rate of a half-cosine where there is none, a fault that does not happen.
-    faults, seed, run
-        What happens in it, and what its noise is drawn from, where these differ from `scenario`.
-
-    Returns
-    -------
-    Scenario
-        A new one.
-    """
+    """Return the run with drawn numbers in their places; `scenario` stays as it is."""
     parts: dict[tuple[str, int, str], dict[str, Any]] = {}
     own: dict[str, Any] = {"faults": scenario.faults if faults is None else faults}
     own |= {"seed": scenario.seed if seed is None else seed, "run": run}

@@ -345,23 +345,7 @@ def limit_keys() -> dict[str, tuple[str, str]]:
 
 @check_arguments
 def loop_requirements(limits: Mapping[str, float]) -> tuple[LoopRequirement, ...]:
-    """Return the requirements of a loop; every plant that a limit is about has to be stable.
-
-    Parameters
-    ----------
-    limits
-        As ``[loop.limits]`` of a job file has them.
-
-    Returns
-    -------
-    tuple of LoopRequirement
-        One for each limit, and stability.
-
-    Raises
-    ------
-    ArgumentError
-        An unknown limit, one that is not > 0, or a frequency that is missing.
-    """
+    """Return the requirements of a loop; every plant that a limit is about has to be stable."""
     scopes = [scope for scope in SCOPES if scope != "faults" or any(key.endswith("_faults") for key in limits)]
     stable = METRICS["stability"].name
     always = [
@@ -374,23 +358,7 @@ def loop_requirements(limits: Mapping[str, float]) -> tuple[LoopRequirement, ...
 def hard_and_soft(
     limits: Mapping[str, float], soft: Mapping[str, float]
 ) -> tuple[tuple[LoopRequirement, ...], tuple[LoopRequirement, ...]]:
-    """Return the limits of a loop, stability among them, and its goals, which no verdict rests on.
-
-    Parameters
-    ----------
-    limits, soft
-        As ``[loop.limits]`` and ``[loop.soft]`` of a job file have them.
-
-    Returns
-    -------
-    hard, soft
-        Requirements of either kind.
-
-    Raises
-    ------
-    ArgumentError
-        An unknown limit, one that is not > 0, or a frequency that is missing.
-    """
+    """Return the limits of a loop, stability among them, and its goals, which no verdict rests on."""
     return loop_requirements(limits), _required(soft, hard=False)
 
 

@@ -432,35 +432,13 @@ class Platform:
 
 @check_arguments
 def gimbal_rate(angle: str) -> str:
-    """Return the signal name of a gimbal's rate, from that of its angle.
-
-    Parameters
-    ----------
-    angle
-        Name of the gimbal's angle.
-
-    Returns
-    -------
-    str
-        The same with ``_rate`` behind it.
-    """
+    """Return the signal name of a gimbal's rate, from that of its angle."""
     return f"{angle}_rate"
 
 
 @check_arguments
 def is_rate(signal: str) -> bool:
-    """Return whether a signal's name is that of a rate, of the root or of a gimbal.
-
-    Parameters
-    ----------
-    signal
-        Name of a signal.
-
-    Returns
-    -------
-    bool
-        True for Omega1 to Omega3 and for names that end in ``_rate``.
-    """
+    """Return whether a signal's name is that of a rate, of the root or of a gimbal."""
     return signal in OMEGA_NAMES or signal.endswith(gimbal_rate(""))
 
 

@@ -116,15 +116,7 @@ def read_text(path: Path, expected: str, most: int = MOST_OF_ANY) -> str:
 
 
 def read_json(path: str | os.PathLike[str], expected: str) -> tuple[str, object]:
-    """Return a file's name for messages, and what it holds.
-
-    Parameters
-    ----------
-    path
-        The file.
-    expected
-        What it should be, for messages.
-    """
+    """Return a file's name for messages, and what it holds."""
     file = Path(path)
     label, text = one_line(str(file)), read_text(file, expected)
     try:

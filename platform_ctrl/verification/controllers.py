@@ -203,30 +203,7 @@ class _Entry:
 def outcomes_from(
     job: Job, controllers: Sequence[control.StateSpace], alternatives: Sequence[control.StateSpace] = ()
 ) -> tuple[LoopOutcome, ...]:
-    """Return existing controllers as the outcome of the job's loops, measured anew.
-
-    Parameters
-    ----------
-    job
-        The job.
-    controllers
-        Those that are closed together, one for each loop, as from `read_controllers`. A controller belongs to the
-        caging loop whose gimbals its torques act on, or to the stabilisation loop if they act on the root.
-    alternatives
-        Other controllers of the same loops.
-
-    Returns
-    -------
-    tuple
-        In the order of `controllers`: a later one may use an earlier one's output. What `design.loops` returns.
-
-    Raises
-    ------
-    InputError
-        A controller fits no loop, two fit the same, or a loop has none.
-    MechanicsError
-        The mass matrix is singular at rest (gimbal lock).
-    """
+    """Return existing controllers as the outcome of the job's loops, measured anew."""
     placed: dict[str, control.StateSpace] = {}
     for K in controllers:
         spec = _loop_of(job, K)

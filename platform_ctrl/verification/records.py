@@ -32,16 +32,6 @@ def result_record(result: JobResult) -> Record:
     """Return what a job came to in plain types: the content of ``result.json``.
 
     Numbers that are not finite (the margin of an unstable loop, say) are None, ``null`` in the file.
-
-    Parameters
-    ----------
-    result
-        From `checked`.
-
-    Returns
-    -------
-    dict
-        Keys as in ``result.json``, numbers in SI units.
     """
     job = result.job
     record = {
@@ -95,20 +85,7 @@ def versions() -> dict[str, str]:
 
 @check_arguments
 def write_record(record: Mapping[str, Any], path: str | os.PathLike[str]) -> None:
-    """Write `record` as JSON, whole or not at all: what stood at `path` stays until the new file is complete.
-
-    Parameters
-    ----------
-    record
-        From `result_record`.
-    path
-        Of the file; its folder is there.
-
-    Raises
-    ------
-    InputError
-        The file cannot be written there.
-    """
+    """Write `record` as JSON, whole or not at all: what stood at `path` stays until the new file is complete."""
     write_json(record, path)
 
 

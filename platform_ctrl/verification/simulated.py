@@ -39,27 +39,7 @@ class Run:
 
 @check_arguments
 def simulate_manoeuvre(job: Job, manoeuvre: Manoeuvre, controllers: Sequence[control.StateSpace]) -> Run:
-    """Run one manoeuvre: caged with the caging loops alone and Omega prescribed, stabilised with all loops.
-
-    Parameters
-    ----------
-    job
-        Plant, sampling and seed.
-    manoeuvre
-        One of the job's.
-    controllers
-        u = K y in the order in which they are computed.
-
-    Returns
-    -------
-    Run
-        With its verdicts.
-
-    Raises
-    ------
-    ArgumentError
-        The controllers do not fit the plant.
-    """
+    """Run one manoeuvre: caged with the caging loops alone and Omega prescribed, stabilised with all loops."""
     scenario = manoeuvre_scenario(job, manoeuvre)
     trajectory = simulate(scenario, controllers, period=job.sampling.period)
     return Run(manoeuvre=manoeuvre, trajectory=trajectory, results=judged(job, manoeuvre, trajectory))

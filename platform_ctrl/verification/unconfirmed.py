@@ -30,13 +30,6 @@ def unconfirmed(source: str | os.PathLike[str] | Mapping[str, Any], result: JobR
     Held against each other are the figures under ``claims`` that belong to the closed loop (``disk_margin``,
     ``damping``), the nominal plant, every bound of a certificate, and every X: with the plant and the controller at
     hand it has to prove its claim. What only the method knows, as ``gamma``, is not.
-
-    Parameters
-    ----------
-    source
-        The path of the file, or its content.
-    result
-        From `checked`, with the controllers of that file.
     """
     data = source if isinstance(source, Mapping) else opened(source)[1]
     designs = [design for outcome in result.loops for design in outcome.designs]

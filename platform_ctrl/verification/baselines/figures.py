@@ -60,16 +60,6 @@ def figures_of(result: JobResult) -> tuple[Figure, ...]:
     together the simultaneous disk margin, and disk margin and torque noise of every torquer; of every run the largest
     angles and the largest share of a torquer's limit. They belong to the closed designs: the name of a design is no
     part of them.
-
-    Parameters
-    ----------
-    result
-        From `verification.check_job`.
-
-    Returns
-    -------
-    tuple of Figure
-        Each subject and name once.
     """
     found: dict[tuple[str, str], Figure] = {}
     for figure in _all(result):

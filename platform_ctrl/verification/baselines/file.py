@@ -125,23 +125,6 @@ def write_baseline(baseline: Baseline, path: str | os.PathLike[str]) -> Path:
 
     A figure a line and a row of a matrix a line, in the order of the job: a diff shows what was accepted anew. Since it
     holds the controllers as ``result.json`` does, `check.read_controllers` reads them from it.
-
-    Parameters
-    ----------
-    baseline
-        From `accepted`, or `read_baseline`.
-    path
-        The file, in a folder that exists.
-
-    Returns
-    -------
-    pathlib.Path
-        The file.
-
-    Raises
-    ------
-    InputError
-        The file cannot be written there.
     """
     return write_whole(path, _text(baseline))
 
@@ -186,20 +169,7 @@ def update_baseline(result: JobResult, path: str | os.PathLike[str]) -> Update:
 
 @check_arguments
 def plot_beside(path: str | os.PathLike[str], folder: str | os.PathLike[str] | None = None) -> Path:
-    """Return where the figure of what has moved is saved: ``gyros.moved.png`` beside ``gyros.json``.
-
-    Parameters
-    ----------
-    path
-        The baseline.
-    folder
-        Where it is saved instead; None: beside the baseline.
-
-    Returns
-    -------
-    pathlib.Path
-        Of the PNG, whether or not there is one.
-    """
+    """Return where the figure of what has moved is saved: ``gyros.moved.png`` beside ``gyros.json``."""
     file = Path(path)
     return (file.parent if folder is None else Path(folder)) / f"{file.stem}.moved.png"
 
