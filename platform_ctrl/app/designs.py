@@ -182,8 +182,10 @@ class Designs:
             return self._queue.request(spec.name, design.name, conditions, make)
 
         if seen is None:
-            line = f"{spec.name}, {requested()}"
-            raise DesignPending(line) if self._queue.is_requested(spec.name, design.name) else DesignError(line)
+            line = requested()
+            if self._queue.is_requested(spec.name, design.name):
+                raise DesignPending(f"{spec.name}, {line}")
+            raise DesignError(line)  # the error of the method has the loop's name
         loop, notes = loops.caged(settings)
         return (loop, (requested(),)) if again else (loop, notes)
 

@@ -1,4 +1,4 @@
-"""One browser for all tests of the app."""
+"""A browser for the tests of a file; no longer, since its driver keeps an event loop running."""
 
 from __future__ import annotations
 
@@ -6,4 +6,4 @@ import pytest
 
 from browser import chromium
 
-browser = pytest.fixture(scope="session")(chromium)
+browser = pytest.fixture(scope="module")(chromium)

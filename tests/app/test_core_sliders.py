@@ -153,7 +153,7 @@ def test_at_the_lowest_sample_rate_of_the_slider_all_loops_can_be_built(shipped:
     off = shipped.chosen(shipped.with_part(shipped.chosen(servo, loop="caging 9-10"), "notch", False), loop=servo.loop)
     assert _slider(shipped, off, "rate_hz").low == pytest.approx(300.0 / 0.45)
     # A typed number may lie lower: the line says which loop and which option.
-    with pytest.raises(DesignError, match="caging 9-10, classical: notch_hz = 390; expected less than half"):
+    with pytest.raises(DesignError, match="caging 9-10, classical: notch_hz must be below half the sample rate"):
         shipped.picture(shipped.moved(servo, "rate_hz", 700.0))
 
 
