@@ -17,7 +17,6 @@ from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.feedback import series
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.response import frequency_response
-from platform_ctrl.analysis.sampling import to_w_plane
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.classical.caging import TUNABLE, classical_controller, starting_values, upper_bounds
 from platform_ctrl.design.fixed_structure.descent import Found, Search
@@ -251,16 +250,20 @@ def free_structure(
         rad/s.
     """
     n, rate = len(channel.basis), nutation
-    A, B, C, D, _ = to_w_plane(inner)
+    A, B, C, D, _ = inner
+    # In (z − 1)/period the search is among the entries of the sampled matrices themselves.
+    A, B = (A - np.eye(len(A))) / period, B / period
     unit = float(np.abs(D).max()) or float(np.linalg.norm(C) * np.linalg.norm(B)) or 1.0
     # States in units in which they are as large in B, in units of the rate, as in C, in units of the gain.
     scale = float(np.sqrt(np.linalg.norm(C) * rate / (np.linalg.norm(B) * unit))) if len(A) else 1.0
     entries = (("a", A), ("b", B * scale), ("c", C / scale), ("d", D))
     start = {f"{name}{i + 1}{j + 1}": float(K[i, j]) for name, K in entries for i, j in np.ndindex(*K.shape)}
-    gains = {f"kp{k + 1}{k + 1}": 1.0 for k in range(n)} | {f"ki{k + 1}{k + 1}": integral for k in range(n)}
+    # 1 + integral/s by Tustin's rule.
+    gains = {f"kp{k + 1}{k + 1}": 1.0 + 0.5 * integral * period for k in range(n)}
+    gains |= {f"ki{k + 1}{k + 1}": integral for k in range(n)}
     pi = PID(P="diagonal", I="diagonal", D="none", filter_order=0, fixed=gains)
     blocks = (pi, StateSpaceOrder(states=len(A), start=start))
-    structure = Sampled(inner=Series(blocks=blocks), period=period, basis=channel.basis)
+    structure = Sampled(inner=Series(blocks=blocks), period=period, basis=channel.basis, forward=True)
     return Parametrised(structure, n, n, Units(gain=np.full((n, n), unit), rate=rate))
 
 

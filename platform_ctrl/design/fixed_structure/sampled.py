@@ -1,4 +1,4 @@
-"""Structures of sampled controllers, for the loops of a job: by Tustin's rule, and built by a function of numbers."""
+"""Structures of sampled controllers, for the loops of a job: another structure sampled, or built from named numbers."""
 
 from __future__ import annotations
 
@@ -16,21 +16,25 @@ _STEP = 1e-5
 
 @value
 class Sampled(Structure):
-    """A structure by Tustin's rule, in other directions: u = basisᵀ K basis y, states as the trapezium rule has them.
+    """A sampled structure in other directions: u = basisᵀ K basis y.
 
     Attributes
     ----------
     inner
-        In the w-plane, in the directions that the rows of `basis` are.
+        In the w-plane or in (z − 1)/period, in the directions that the rows of `basis` are.
     period
         s.
     basis : (n, n)
         Orthogonal.
+    forward
+        Whether s stands for (z − 1)/period, and not for Tustin's rule: then the sampled matrices are affine in those of
+        `inner`. Tustin's states are those of the trapezium rule.
     """
 
     inner: Structure
     period: float
     basis: FloatArray
+    forward: bool = False
 
     @property
     def given(self) -> Given:
@@ -44,11 +48,13 @@ class Sampled(Structure):
     def block(self, p: FloatArray, nmeas: int, ncon: int) -> StateArrays:
         """Return the sampled block."""
         A, B, C, D, _ = self.inner.block(p, nmeas, ncon)
-        half, eye = 0.5 * self.period, np.eye(A.shape[-1])
+        half, eye = 0.5 * self.period * (not self.forward), np.eye(A.shape[-1])
         inverse = np.linalg.inv(eye - half * A)
         into, out = inverse @ B @ self.basis, self.basis.T @ C
         direct = self.basis.T @ D @ self.basis + half * out @ into
-        return StateArrays(inverse @ (eye + half * A), self.period * into, out @ inverse, direct, self.period)
+        return StateArrays(
+            inverse @ (eye + (self.period - half) * A), self.period * into, out @ inverse, direct, self.period
+        )
 
 
 @value
