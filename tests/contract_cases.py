@@ -25,7 +25,6 @@ from platform_ctrl.analysis.certificates.makers import stability_certificate
 from platform_ctrl.analysis.loop_metrics import measure
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.campaign.planning import Plan
-from platform_ctrl.campaign.rare_result import RareResult
 from platform_ctrl.campaign.summary import Summary
 from platform_ctrl.design.antiwindup.loop import LimitedLoop
 from platform_ctrl.design.classical.complex_coordinates import ComplexSystem
@@ -33,7 +32,6 @@ from platform_ctrl.design.classical.complex_shaping import ComplexLoop
 from platform_ctrl.design.classical.crossover import CrossoverDesign
 from platform_ctrl.design.jobs import LoopOutcome
 from platform_ctrl.design.lmi.scheduled import Scheduled
-from platform_ctrl.design.measured.design import MeasuredDesign
 from platform_ctrl.export.job_systems import model_systems
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.requirements import requirement
@@ -151,9 +149,6 @@ def table() -> dict[str, Any]:
     return invented_columns(planned(), range(64))
 
 
-LIMITS = {"turn": {"angle": 0.003}, "step": {"angle": 0.0005}}
-
-
 @functools.cache
 def summary() -> Summary:
     from campaign_runs import planned
@@ -235,16 +230,11 @@ def file(kind: str) -> Path:
     return export.write_systems(model_systems(asked()), folder / "systems.json")
 
 
-def gains(q: tuple[str, ...] = ("9", "10")) -> dict[str, Any]:
-    return {"gimbals": q}
-
-
 Q, V = [0.0] * 5, [0.1] * 8
 CALL = {"P": general, "nmeas": lambda: 1, "ncon": lambda: 1}
 POINT = {"platform": platform, "q": lambda: Q, "velocity": lambda: V}
 JOINED = {"plant": plant, "controller": controller}
 NEW = {"path": lambda: Path("new")}  # in the folder that the caller chose
-UNITS = {"nmeas": lambda: 1, "ncon": lambda: 1}
 
 
 def of(**given: Any) -> dict[str, Callable[[], Any]]:
@@ -252,7 +242,6 @@ def of(**given: Any) -> dict[str, Callable[[], Any]]:
     return {name: (lambda item=item: item) for name, item in given.items()}
 
 
-SYSTEM = of(**matrices())
 FUNCTIONS: dict[str, dict[str, Callable[[], Any]]] = {
     "figures.Omega_sensitivity": {"plant": pair},
     "figures.bode": {"systems": one},
@@ -430,16 +419,6 @@ INSTANCES: dict[str, Callable[[], Any]] = {
     ),
     "variation.Range": lambda: ANY,
 }
-
-
-@functools.cache
-def rare() -> RareResult:
-    return campaign.rare_event(lambda u, _: u.sum(axis=1) / 1.9, 2, samples=400, repetitions=2)
-
-
-@functools.cache
-def measured_design() -> MeasuredDesign:
-    return design.measured_pid(measured(), filter_time=0.01)
 
 
 @functools.cache
