@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from fuzz_files import Place
+from fuzz_files import Place, Seed, key_of, put, with_key, written
 
 DOCS = Path(__file__).parents[1] / "docs"
 
@@ -42,6 +42,34 @@ def rule_at(known: dict[tuple[str, ...], Rule], place: Place) -> Rule | None:
     if not isinstance(place[-1], str):
         return None
     return known.get(tuple(step for step in place if isinstance(step, str)))
+
+
+# Whether a file's text is accepted, and what the command says if it is not.
+Read = Callable[[str], tuple[bool, str]]
+
+
+def judged_as_the_page_says(
+    read: Read, known: dict[tuple[str, ...], Rule], seed: Seed, place: Place, item: Any
+) -> None:
+    """Put a value in a place: what the page's type does not take is refused by the key's name."""
+    rule = rule_at(known, place)
+    accepted, error = read(written(put(seed.data, place, item)))
+    if rule is not None and not rule.takes(item):
+        assert not accepted, item
+        assert key_of(place) in error, error
+
+
+def known_and_needed(read: Read, known: dict[tuple[str, ...], Rule], seed: Seed, place: Place, mishap: str) -> None:
+    """Drop, misspell or repeat a key: it is refused by its name unless it may be left out."""
+    rule = rule_at(known, place)
+    assert rule is not None
+    key, text = str(place[-1]), with_key(seed.data, place, mishap)
+    accepted, error = read(text)
+    if mishap == "again":
+        assert "is not TOML" in error or text == written(seed.data), error
+    elif mishap != "drop" or rule.needed:
+        assert not accepted, text
+        assert key in error or key.swapcase() in error, error
 
 
 def _tables_of(title: str) -> list[tuple[str, ...]]:

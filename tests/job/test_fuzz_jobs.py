@@ -26,10 +26,9 @@ from fuzz_files import (
     meaning,
     places,
     put,
-    with_key,
     written,
 )
-from fuzz_rules import rule_at, rules
+from fuzz_rules import judged_as_the_page_says, known_and_needed, rule_at, rules
 from fuzz_run import cases, chances, ended
 from platform_ctrl import read_job
 
@@ -95,30 +94,16 @@ def test_what_no_key_takes_is_refused_by_its_name(where: tuple[Seed, Place], ite
     assert "is not TOML" in error if item == [None] else key_of(place) in error
 
 
-@cases(1200)
+@cases(860)
 @given(st.sampled_from(PLACES), st.sampled_from(SOMETIMES_RIGHT))
 def test_a_value_is_judged_as_the_page_says(where: tuple[Seed, Place], item: object) -> None:
-    job, place = where
-    rule = rule_at(RULES, place)
-    accepted, error = read(written(put(job.data, place, item)))
-    if rule is not None and not rule.takes(item):
-        assert not accepted
-        assert key_of(place) in error
+    judged_as_the_page_says(read, RULES, *where, item)
 
 
 @cases(520)
 @given(st.sampled_from(KEYS), st.sampled_from(MISHAPS))
 def test_keys_are_known_and_needed(where: tuple[Seed, Place], mishap: str) -> None:
-    job, place = where
-    rule = rule_at(RULES, place)
-    assert rule is not None
-    key, text = str(place[-1]), with_key(job.data, place, mishap)
-    accepted, error = read(text)
-    if mishap == "again":
-        assert "is not TOML" in error or text == written(job.data)
-    elif mishap != "drop" or rule.needed:
-        assert not accepted
-        assert key in error or key.swapcase() in error
+    known_and_needed(read, RULES, *where, mishap)
 
 
 @cases(340)

@@ -23,10 +23,9 @@ from fuzz_files import (
     meaning,
     places,
     put,
-    with_key,
     written,
 )
-from fuzz_rules import rule_at, rules
+from fuzz_rules import judged_as_the_page_says, known_and_needed, rules
 from fuzz_run import cases, chances, ended
 from platform_ctrl import read_platform
 
@@ -72,7 +71,7 @@ def test_a_plant_that_is_right_is_read(plant: Seed) -> None:
     assert read(written(plant.data))[0]
 
 
-@cases(1720)
+@cases(860)
 @given(st.sampled_from(PLANTS), chances)
 def test_mangled_bytes_are_refused_or_read(plant: Seed, how: random.Random) -> None:
     mutant = mangled(plant.text.encode(), how)
@@ -87,7 +86,7 @@ def test_mangled_bytes_are_refused_or_read(plant: Seed, how: random.Random) -> N
         assert accepted or means != plant.data or "hundreds of parts" in error
 
 
-@cases(1720)
+@cases(860)
 @given(st.sampled_from(PLACES), st.sampled_from(NEVER_RIGHT))
 def test_what_no_key_takes_is_refused_by_its_name(where: tuple[Seed, Place], item: object) -> None:
     plant, place = where
@@ -101,33 +100,19 @@ def test_what_no_key_takes_is_refused_by_its_name(where: tuple[Seed, Place], ite
         assert key_of(place) in error
 
 
-@cases(1720)
+@cases(860)
 @given(st.sampled_from(PLACES), st.sampled_from(SOMETIMES_RIGHT))
 def test_a_value_is_judged_as_the_page_says(where: tuple[Seed, Place], item: object) -> None:
-    plant, place = where
-    rule = rule_at(RULES, place)
-    accepted, error = read(written(put(plant.data, place, item)))
-    if rule is not None and not rule.takes(item):
-        assert not accepted
-        assert key_of(place) in error
+    judged_as_the_page_says(read, RULES, *where, item)
 
 
 @cases(520)
 @given(st.sampled_from(KEYS), st.sampled_from(MISHAPS))
 def test_keys_are_known_and_needed(where: tuple[Seed, Place], mishap: str) -> None:
-    plant, place = where
-    rule = rule_at(RULES, place)
-    assert rule is not None
-    key, text = str(place[-1]), with_key(plant.data, place, mishap)
-    accepted, error = read(text)
-    if mishap == "again":
-        assert "is not TOML" in error or text == written(plant.data)
-    elif mishap != "drop" or rule.needed:
-        assert not accepted
-        assert key in error or key.swapcase() in error
+    known_and_needed(read, RULES, *where, mishap)
 
 
-@cases(690)
+@cases(340)
 @given(st.sampled_from(PLANTS), chances)
 def test_the_same_in_other_words_is_the_same_plant(plant: Seed, how: random.Random) -> None:
     text = written(plant.data, how)
