@@ -116,7 +116,7 @@ def test_other_machines_need_names_and_are_told_of(job: Path, capsys: pytest.Cap
         assert first_line(process).startswith("gyro: http://lab-pc.local:")
         assert process.stderr is not None
         warned = process.stderr.readline()
-        assert "listening on 0.0.0.0: whoever reaches this machine on port" in warned
+        assert "listening on 0.0.0.0: anybody who reaches this machine on port" in warned
         assert "as lab-pc.local can see this job" in warned
         assert "there is no password" in warned
 
