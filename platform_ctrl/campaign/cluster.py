@@ -175,7 +175,7 @@ def _chunk_columns(
     for name, version in expected.items():
         if there[name] != version:
             raise InputError(
-                f"a worker of the cluster has {name} {there[name]}, here it is {version}; expected the same everywhere"
+                f"a worker of the cluster has {name} {there[name]}, here it is {version}: install the same everywhere"
             )
     began = time.perf_counter()
     columns = columns_of(plan, chunk, simulate, 1, device)
@@ -202,5 +202,5 @@ def _client(distributed: Any, address: str) -> Any:
     except (OSError, OverflowError, ValueError, TimeoutError) as error:
         reason = " ".join(str(error).split()) or "no answer"
         raise InputError(
-            f"--scheduler {address}: {reason}; expected the address of a Dask scheduler, such as tcp://host:8786"
+            f"--scheduler {address}: {reason}; give the address of a Dask scheduler, such as tcp://host:8786"
         ) from None

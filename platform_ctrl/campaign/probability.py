@@ -84,9 +84,9 @@ def clopper_pearson(events: int, runs: int, confidence: float = CONFIDENCE) -> P
     0.000369
     """
     if whole("events", events, 0) > whole("runs", runs, 0):
-        raise ArgumentError(f"events: given {events} of {runs} runs; expected 0 <= events <= runs")
+        raise ArgumentError(f"events must be at most runs, got {events} of {runs}")
     if not 0.0 < positive("confidence", confidence) < 1.0:
-        raise ArgumentError(f"confidence: given {confidence}; expected a number between 0 and 1")
+        raise ArgumentError(f"confidence must be between 0 and 1, got {confidence}")
     low, high = 0.0, 1.0
     if runs:
         from scipy import stats
@@ -207,7 +207,7 @@ class Distribution:
             The edges are not an increasing vector of numbers.
         """
         if edges.ndim != 1 or np.any(np.diff(edges) < 0.0):
-            raise ArgumentError(f"edges: given {short(edges)}; expected an increasing vector of numbers")
+            raise ArgumentError(f"edges must be an increasing vector of numbers, got {short(edges)}")
         filled = np.flatnonzero(self.counts)
         middles = np.clip(_middles(filled), max(self.smallest, 0.0), self.largest)
         counted, _ = np.histogram(middles, bins=edges, weights=self.counts[filled].astype(np.float64))

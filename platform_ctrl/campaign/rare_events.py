@@ -184,8 +184,8 @@ def rare_event(  # noqa: PLR0913 - options by keyword
     one_of("method", method, ("splitting", "cross-entropy"))
     if samples < FEWEST_SAMPLES or repetitions < 2 or dimension < 0:
         raise ArgumentError(
-            f"rare event: given {samples} samples and {repetitions} repetitions of {dimension} inputs; expected at "
-            f"least {FEWEST_SAMPLES} and 2 of 0 or more"
+            f"rare event: there must be at least {FEWEST_SAMPLES} samples and 2 repetitions of 0 or more inputs, got "
+            f"{samples}, {repetitions} and {dimension}"
         )
     evaluator = Evaluator(ratios, first_run)
     estimates, points = [], []
@@ -241,7 +241,7 @@ class Evaluator:
         u = np.clip(ndtr(z), np.finfo(float).tiny, 1.0 - np.finfo(float).epsneg)
         y = np.asarray(self.ratios(u, run), dtype=np.float64)
         if y.shape != run.shape:
-            raise ArgumentError(f"ratios: given shape {y.shape}; expected {run.shape}, one for each point")
+            raise ArgumentError(f"ratios must have the shape {run.shape}, one for each point, got {y.shape}")
         missing = np.isnan(y)
         if missing.any():
             raise SimulationError(

@@ -106,15 +106,15 @@ def influences(inputs: Mapping[str, ArrayLike], output: ArrayLike) -> tuple[Infl
     S. Holm, Scandinavian Journal of Statistics 6, 1979.
     """
     if not isinstance(inputs, Mapping):
-        raise ArgumentError(f"inputs: given {short(inputs)}; expected a dictionary of columns")
+        raise ArgumentError(f"inputs must be a dictionary of columns, got {short(inputs)}")
     yes_or_no = isinstance(output, np.ndarray) and output.dtype.kind == "b"
     y = real_numbers("output", np.asarray(output, dtype=np.float64) if yes_or_no else output)
     columns = {name: np.asarray(column) for name, column in inputs.items()}
     for name, column in columns.items():
         if column.shape != y.shape or y.ndim != 1:
-            raise ArgumentError(f"input {name!r}: given shape {column.shape}; expected that of the output, {y.shape}")
+            raise ArgumentError(f"input {name!r} must have the shape of the output, {y.shape}, got {column.shape}")
     if not np.isfinite(y).all():
-        raise ArgumentError("output: given a number that is not finite; expected finite ones, or their ranks")
+        raise ArgumentError("output must be finite numbers, or their ranks, got one that is not finite")
     from scipy import stats
 
     ranks = stats.rankdata(y)

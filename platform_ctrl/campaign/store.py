@@ -284,7 +284,7 @@ def read_record(folder: Path) -> Record | None:
     except (FileNotFoundError, NotADirectoryError):
         return None
     except (OSError, ValueError) as error:
-        raise InputError(f"{path}: cannot be read: {error}; expected the record of a campaign") from None
+        raise InputError(f"{path}: the record of the campaign cannot be read: {error}") from None
     if not isinstance(record, dict) or record.get("schema") != SCHEMA or not isinstance(record.get("identity"), dict):
         raise InputError(f"{path}: is no record of a campaign that this version reads; name another folder with -o")
     return record
@@ -309,7 +309,7 @@ def _judge(folder: Path, new: Record) -> None:
         raise InputError(f"{folder / RECORD}: the campaign there was begun with {'; '.join(found)}; {cure}")
     if there["runs"] > new["runs"]:
         raise InputError(
-            f"{folder / RECORD}: the campaign there has {there['runs']} runs, given {new['runs']}; expected at least "
+            f"{folder / RECORD}: the campaign there has {there['runs']} runs, got {new['runs']}: ask for at least "
             f"as many, or {cure}"
         )
 

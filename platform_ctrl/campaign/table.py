@@ -65,7 +65,7 @@ def batches(table: Table, names: Sequence[str]) -> Iterator[dict[str, Array]]:
     known = column_names(table)
     for name in names:
         if name not in known:
-            raise ArgumentError(f"table: has no column {name!r}; expected one with {short(tuple(names))}")
+            raise ArgumentError(f"table has no column {name!r}: it must have {short(tuple(names))}")
     if isinstance(table, Mapping):
         yield from _in_memory(table, names)
         return
@@ -90,7 +90,7 @@ def _in_memory(table: Mapping[str, Any], names: Sequence[str]) -> Iterator[dict[
     columns = {name: np.asarray(table[name]) for name in names}
     lengths = {name: column.shape for name, column in columns.items()}
     if len(set(lengths.values())) != 1 or any(len(shape) != 1 for shape in lengths.values()):
-        raise ArgumentError(f"table: columns of shapes {short(lengths)}; expected one length for all")
+        raise ArgumentError(f"table: columns must be vectors of one length, got {short(lengths)}")
     rows = len(next(iter(columns.values())))
     for first in range(0, rows, ROWS_AT_ONCE):
         yield {name: _column(name, column[first : first + ROWS_AT_ONCE]) for name, column in columns.items()}

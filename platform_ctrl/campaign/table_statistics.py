@@ -221,9 +221,9 @@ class CampaignStatistics:
         for one in self.requirements:
             if (one.requirement, one.manoeuvre) == (requirement, manoeuvre):
                 return one
-        asked = ", ".join(sorted({repr(one.requirement) for one in self.requirements}))
+        known = ", ".join(sorted({repr(one.requirement) for one in self.requirements}))
         raise ArgumentError(
-            f"requirement: given {requirement!r} of {manoeuvre or 'all manoeuvres'!r}; expected {asked}"
+            f"requirement of {manoeuvre or 'all manoeuvres'!r} must be one of {known}, got {requirement!r}"
         )
 
 

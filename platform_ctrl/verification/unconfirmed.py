@@ -77,7 +77,7 @@ def _of_certificates(where: str, written: object, proofs: Proofs) -> Iterator[st
         return
     for entry in written["list"]:
         if not isinstance(entry, Mapping):
-            yield f"{where}: a certificate is written as {_shown(entry)}; expected a table"
+            yield f"{where}: a certificate must be a table, got {_shown(entry)}"
             continue
         label, claim, bound = entry.get("label"), entry.get("claim"), entry.get("bound")
         made = next((c for c in proofs.certificates if (c.loops[0].label, c.claim) == (label, claim)), None)

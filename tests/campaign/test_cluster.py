@@ -106,7 +106,7 @@ def test_a_run_that_kills_workers_is_found_and_those_beside_it_are_flown(tmp_pat
 def test_no_scheduler_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("platform_ctrl.campaign.cluster._TIMEOUT", 0.3)
     for wrong in ("tcp://127.0.0.1:9", "no address at all"):
-        with pytest.raises(InputError, match=f"--scheduler {wrong}: .*; expected the address of a Dask") as raised:
+        with pytest.raises(InputError, match=f"--scheduler {wrong}: .*; give the address of a Dask") as raised:
             carried_out(tmp_path, wrong)
         assert "\n" not in str(raised.value)
 
@@ -115,7 +115,7 @@ def test_an_address_without_sense_reaches_no_client(tmp_path: Path, monkeypatch:
     # It would leave a traceback behind at the end of the process.
     monkeypatch.setattr("distributed.Client", lambda *given, **options: pytest.fail("a client was made"))
     for wrong in ("127.0.0.1", "http://127.0.0.1:8786", ""):
-        with pytest.raises(InputError, match="expected the address of a Dask scheduler"):
+        with pytest.raises(InputError, match="the address of a Dask scheduler"):
             carried_out(tmp_path, wrong)
 
 

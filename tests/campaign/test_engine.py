@@ -255,7 +255,7 @@ def test_a_finished_campaign_is_made_longer(tmp_path: Path, mishaps: Callable[..
         found = carried_out(longer, tmp_path / sampling, progress=lambda done, amiss, to=seen: to.append(done))
         assert seen[0] == 21
         assert rows(found) == undisturbed(longer)
-        with pytest.raises(InputError, match="has 50 runs, given 40; expected at least as many"):
+        with pytest.raises(InputError, match="has 50 runs, got 40: ask for at least as many"):
             carried_out(planned(runs=40, sampling=sampling), tmp_path / sampling)
 
 
@@ -308,7 +308,7 @@ def test_files_of_nobody_are_not_overwritten(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"has campaign.parquet but no campaign.json"):
         carried_out(planned(runs=8), tmp_path)
     (tmp_path / "campaign.json").write_text("{")
-    with pytest.raises(InputError, match=r"campaign.json: cannot be read"):
+    with pytest.raises(InputError, match=r"campaign.json: .*cannot be read"):
         carried_out(planned(runs=8), tmp_path)
     assert (tmp_path / "campaign.parquet").read_bytes() == b"somebody's"
 

@@ -193,9 +193,9 @@ def test_many_runs_are_asked_for_at_once_and_fresh_noise_has_its_own_number():
 def test_runs_that_could_not_be_flown_are_an_error_not_a_zero():
     with pytest.raises(SimulationError, match="could not be simulated"):
         rare_event(lambda u, run: np.where(u[:, 0] > 0.9, np.nan, 0.1), 1, samples=200)
-    with pytest.raises(ArgumentError, match="expected at least"):
+    with pytest.raises(ArgumentError, match="at least"):
         rare_event(plane(3.0, 1), 1, samples=10)
-    with pytest.raises(ArgumentError, match="expected 'splitting' or 'cross-entropy'"):
+    with pytest.raises(ArgumentError, match="must be 'splitting' or 'cross-entropy'"):
         rare_event(plane(3.0, 1), 1, method="guess")
     with pytest.raises(ArgumentError, match="one for each point"):
         rare_event(lambda u, run: np.zeros(3), 1)
@@ -239,7 +239,7 @@ def test_a_rare_event_of_a_campaign_tells_which_inputs_to_fly_again(planned):
         assert inputs["manoeuvre"][0] == "about 3"
         again = limit_ratios(planned, planned.scenarios_with(inputs, [point.run]), "angle")[0]
         assert again == pytest.approx(point.ratio, rel=1e-9)
-    with pytest.raises(ArgumentError, match="expected one of 'angle', 'torque_share'"):
+    with pytest.raises(ArgumentError, match="must be one of 'angle', 'torque_share'"):
         rare_probability(planned, "attitude")
 
 
@@ -255,7 +255,7 @@ def test_the_command_writes_statistics_page_and_rare_event(planned, tmp_path, mo
     (tmp_path / "mine.json").write_text(json.dumps({"schema": 1, "controllers": [controller]}), encoding="utf-8")
     command = ["campaign", "job.toml", "--controllers", "mine.json", "--workers", "1", "-q"]
     assert main([*command, "--rare", "attitude"]) == 2
-    assert "expected any, angle, torque_share" in capsys.readouterr().err
+    assert "choose one of any, angle, torque_share" in capsys.readouterr().err
     code = main([*command, "--rare", "any", "--runs-per-level", "50"])
     record = json.loads((tmp_path / "campaign" / "campaign.json").read_text(encoding="utf-8"))
     found = record["statistics"]

@@ -75,7 +75,7 @@ def test_no_runs_say_nothing():
 
 @pytest.mark.parametrize(("events", "runs", "confidence"), [(3, 2, 0.95), (-1, 2, 0.95), (1, 2, 1.0), (1, 2, 0.0)])
 def test_impossible_counts_are_refused(events, runs, confidence):
-    with pytest.raises(ArgumentError, match="expected"):
+    with pytest.raises(ArgumentError, match="must be"):
         clopper_pearson(events, runs, confidence)
 
 

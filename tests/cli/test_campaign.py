@@ -183,7 +183,7 @@ def test_a_campaign_of_another_job_is_not_taken_for_this_one(there: Path, capsys
             ["campaign", "job.toml", "--runs", "50", "--seed", "8"],
             "begun with seed 7 instead of 8; name another folder",
         ),
-        (["campaign", "job.toml", "--runs", "8"], f"has {RUNS} runs, given 8; expected at least as many"),
+        (["campaign", "job.toml", "--runs", "8"], f"has {RUNS} runs, got 8: ask for at least as many"),
         (["campaign", "job.toml", "--runs", "0"], "runs must be a whole number from 1 to 1073741824, got 0"),
         (["campaign", "job.toml", "--sampling", "grid"], "or 'random' or None, got 'grid'"),
         (["campaign", "job.toml", "--workers", "0", "-o", "new"], "workers must be at least one, got 0"),
@@ -192,7 +192,7 @@ def test_a_campaign_of_another_job_is_not_taken_for_this_one(there: Path, capsys
         (["campaign", "job.toml", "--controllers", "none.json"], "none.json: there is no such file"),
         (
             ["campaign", "job.toml", "--runs", "1073741824", "--sampling", "latin-hypercube", "-o", "new"],
-            "which is made in one piece; expected at most 89478485 with 3 numbers a run",
+            "runs must be at most 89478485 with 3 numbers a run",
         ),
         (["simulate", "job.toml", "--run", "3", "-o", "job.toml"], "-o job.toml: is no folder"),
         (["simulate", "job.toml", "--run", "-3"], '--run "-3": must be the number of a run of the campaign, from 0'),
