@@ -36,8 +36,8 @@ def expect_points(sampling: Points, runs: int, dimensions: int) -> None:
     """Refuse points that cannot be made."""
     if sampling == "latin-hypercube" and runs * dimensions > _MOST_NUMBERS:
         raise ArgumentError(
-            f"runs must be at most {_MOST_NUMBERS // dimensions} with {dimensions} numbers a run, since a 'latin-hypercube' "
-            f"is made in one piece, got {runs}; 'sobol' and 'random' need no memory"
+            f"runs must be at most {_MOST_NUMBERS // dimensions} with {dimensions} numbers a run, since a "
+            f"'latin-hypercube' is made in one piece, got {runs}; 'sobol' and 'random' need no memory"
         )
     if sampling == "sobol" and dimensions > qmc.Sobol.MAXDIM:
         raise ArgumentError(f"sampling must be 'random' beyond 21201 numbers a run, got 'sobol' for {dimensions}")
@@ -374,9 +374,7 @@ def plan(
     """
     campaign = job.campaign or Campaign(seed=job.seed)
     if not job.manoeuvres:
-        raise ArgumentError(
-            f"job {job.name!r} has no [[manoeuvre]], which runs are made of"
-        )
+        raise ArgumentError(f"job {job.name!r} has no [[manoeuvre]], which runs are made of")
     for one in campaign.manoeuvres:
         known_name("manoeuvre of the campaign", one.name, [manoeuvre.name for manoeuvre in job.manoeuvres])
     for failing in campaign.faults:

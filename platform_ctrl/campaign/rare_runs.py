@@ -75,7 +75,7 @@ def rare_probability(  # noqa: PLR0913 - options by keyword
         name for name in METRICS if any(name in manoeuvre.limits for manoeuvre, _ in plan.job.campaign_manoeuvres)
     )
     if not asked:
-        raise ArgumentError(f"job {plan.job.name!r}: no manoeuvre of the campaign has limits: give one that runs can violate")
+        raise ArgumentError(f"job {plan.job.name!r}: no manoeuvre of the campaign has limits: give one some")
     if requirement is not None:
         known_name("requirement of the campaign", requirement, asked)
 

@@ -22,7 +22,7 @@ from platform_ctrl.errors import InputError, PlatformCtrlError
 if TYPE_CHECKING:
     from platform_ctrl.app.backend import Backend
     from platform_ctrl.app.gimbal_tree import TreeView
-    from platform_ctrl.app.page.session import Connection
+    from platform_ctrl.app.page.connection import Connection
     from platform_ctrl.app.pictures import Picture
     from platform_ctrl.app.settings import Choices, Settings
 
