@@ -539,7 +539,7 @@ def test_inputs_at_points_of_ones_own_are_those_of_their_quantiles() -> None:
         (lambda: plan(job(), [], runs=2.5), "runs must be a whole number or None, got 2.5"),  # type: ignore[arg-type]
         (lambda: plan(job(), [], seed=-1), "seed must be a whole number from 0 to 9223372036854775807, got -1"),
         (lambda: plan(job(), [], sampling="grid"), "or 'random' or None, got 'grid'"),  # type: ignore[arg-type]
-        (lambda: plan(dataclasses.replace(job(), manoeuvres=()), []), "without a manoeuvre"),
+        (lambda: plan(dataclasses.replace(job(), manoeuvres=()), []), "has no [[manoeuvre]]"),
         (lambda: mixed().scenario(256), "run must be a whole number from 0 to 255, got 256"),
         (lambda: mixed().scenario(-1), "run must be a whole number from 0 to 255, got -1"),
         (lambda: mixed().inputs(5, 300), "end of the runs must be a whole number from 5 to 256, got 300"),
@@ -554,9 +554,9 @@ def test_inputs_at_points_of_ones_own_are_those_of_their_quantiles() -> None:
         ),
         (
             lambda: planned(Vary(parameter="sampling.delay", distribution="uniform", numbers={"low": 0.0})),
-            'has no number "high"',
+            'needs the number "high"',
         ),
-        (lambda: planned(Vary(parameter="sampling.delay", distribution="choice")), "has no values"),
+        (lambda: planned(Vary(parameter="sampling.delay", distribution="choice")), "needs at least one value"),
         (
             lambda: planned(uniform("torquer.Q4.limit", -0.1, 0.1, relative=False)),
             '"torquer.Q4.limit" would be drawn between -0.1 and 0.1; allowed is a number > 0',

@@ -130,15 +130,39 @@ def _without_colours(text: str) -> str:
     return re.sub(r"\x1b\[[\d;]*m", "", text)
 
 
-@pytest.mark.parametrize("moment", ["reading", "setting the report"])
-def test_ctrl_c_leaves_what_was_there(moment: str, there: Path) -> None:
+def test_ctrl_c_leaves_what_was_there(there: Path) -> None:
     out = there / "out"
     before = {path.name: path.read_bytes() for path in out.iterdir()}
-    shown = Terminal("design", "gyro.toml", "--pdf", cwd=there).until(moment)
-    time.sleep(0.05)
+    shown = Terminal("design", "gyro.toml", "--pdf", cwd=there).until("reading")
     assert shown.type(b"\x03").end() == 130
     assert _without_colours(shown.shown).splitlines()[-1].endswith("platform-ctrl: interrupted")
     assert "Traceback" not in shown.shown
+    assert {path.name: path.read_bytes() for path in out.iterdir()} == before
+
+
+SETTING = """
+import os, signal, sys, typst
+from platform_ctrl.cli import main
+
+def interrupted(*arguments, **more):
+    os.kill(os.getpid(), signal.SIGINT)
+    return compiled(*arguments, **more)
+
+compiled, typst.compile = typst.compile, interrupted
+sys.argv = ["platform-ctrl", "design", "gyro.toml", "--pdf"]
+sys.exit(main())
+"""
+
+
+def test_ctrl_c_while_the_report_is_set_leaves_what_was_there(there: Path) -> None:
+    out = there / "out"
+    before = {path.name: path.read_bytes() for path in out.iterdir()}
+    ended = subprocess.run(
+        [sys.executable, "-c", SETTING], cwd=there, env=environment(), capture_output=True, text=True, check=False
+    )
+    assert ended.returncode == 130
+    assert ended.stderr.splitlines()[-1].endswith("platform-ctrl: interrupted")
+    assert "Traceback" not in ended.stderr
     assert {path.name: path.read_bytes() for path in out.iterdir()} == before
 
 

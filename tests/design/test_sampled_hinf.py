@@ -48,7 +48,7 @@ def test_continuous_design_and_tustin_is_worse_at_a_slow_rate_and_then_unstable(
     made = sampled_hinf(P, 1, 1, period=0.1, delay=0.05)
     hoped, _ = analysis.intersample_norm(P, bilinear_to_discrete(K, 0.1), 1, 1, 0.05)
     assert hoped > 2.0 * made.gamma
-    with pytest.raises(ArgumentError, match="not stable"):
+    with pytest.raises(ArgumentError, match="must be stable"):
         analysis.intersample_norm(P, bilinear_to_discrete(K, 0.3), 1, 1, 0.3)
 
 

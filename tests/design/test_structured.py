@@ -371,7 +371,7 @@ def test_what_cannot_be_is_said_in_one_line() -> None:
         ({"structure": design.Static(), "starts": 0}, "must be a whole number"),
         (
             {"structure": design.Static(), "time_limit": -1.0},
-            "structured: time_limit = -1.0; expected a positive number of seconds",
+            "structured: time_limit must be a positive number of seconds, got -1.0",
         ),
         ({"structure": design.Static(), "evaluations": 0.5}, "must be a whole number"),
         ({"structure": design.Static(fixed={"k13": 1.0})}, "k13"),

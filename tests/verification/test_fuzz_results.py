@@ -86,4 +86,4 @@ def test_every_key_but_the_designs_name_is_needed(place: Place) -> None:
     del at(data, place[:-1])[place[-1]]
     accepted, error = read(json.dumps(data))
     assert accepted is (place[-1] == "design")
-    assert accepted or f'the key "{place[-1]}" is missing' in error
+    assert accepted or ("is missing" in error and str(place[-1]) in error)
