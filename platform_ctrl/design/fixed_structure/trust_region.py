@@ -22,8 +22,8 @@ Pieces = Callable[[FloatArray], PieceValues]
 _SHARPER, _CUTS = 8, 6
 # Decrease over the predicted one that a step needs to be accepted, to enlarge the region, and not to shrink it.
 _ACCEPTED, _GOOD, _POOR = 1e-3, 0.7, 0.25
-# Factors of the region where a step of its length was good, of a poor step, and of one that was refused.
-_LARGER, _POORER, _SMALLER = 2.0, 0.5, 0.4
+# Factor of the region after a poor step.
+_POORER = 0.5
 # Steps in a row that decrease the value by less than the tolerance, before the search ends; share of the tolerance at
 # which a predicted decrease ends it at once.
 _SMALL_STEPS, _PREDICTED = 5, 0.1
@@ -90,6 +90,8 @@ class Effort:
         Decrease of a small step, in this unit; without one in units of the value itself.
     radius, least_radius
         First trust region of the polish, and the one at which it ends.
+    larger, smaller
+        Factors of the trust region where a step of its length was good, and where a step was refused.
     hessian
         Curvature of an earlier search, where none is known in closed form.
     penalty
@@ -107,6 +109,8 @@ class Effort:
     unit: float | None = None
     radius: float = 1.0
     least_radius: float = 1e-13
+    larger: float = 2.5
+    smaller: float = 0.5
     hessian: FloatArray | None = None
     penalty: float | None = None
 
@@ -213,11 +217,11 @@ class Polish:
             self._move_to(there)
             self.small = self.small + 1 if merit - trial < small else 0
             if ratio > _GOOD and length > _GOOD * search.radius:
-                search.radius *= _LARGER
+                search.radius *= effort.larger
             elif ratio < _POOR:
                 search.radius = _POORER * length
             return self.small >= _SMALL_STEPS
-        search.radius = _SMALLER * length
+        search.radius = effort.smaller * length
         if there is not None and np.isfinite(trial):
             self._refused(there, merit - 0.5 * predicted)
         return False
