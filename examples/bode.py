@@ -80,7 +80,7 @@ figure, axes = plt.subplots(2, 2, figsize=(11, 7), sharex=True, layout="constrai
 
 
 def draw(above: plt.Axes, below: plt.Axes, response: np.ndarray, label: str) -> None:
-    """Gain over phase, followed from the lowest frequency on."""
+    """Gain and phase; the phase is followed from the lowest frequency on."""
     # At a pole without damping the phase jumps by 180 degrees, up as well as down; with the least damping it falls.
     tilt = 1e-6 * np.arange(len(hz))
     above.loglog(hz, np.abs(response), label=label)

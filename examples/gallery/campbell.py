@@ -1,4 +1,4 @@
-"""Campbell chart of a gyro on springs.
+"""Campbell diagram of a gyro on springs.
 
 The two oscillations of the gimbals part as the rotor speeds up: nutation rises, precession falls. Dashed are once and
 twice the rotor's speed; at the diamonds its unbalance, or its bearings, would excite a mode during run-up.

@@ -1,6 +1,6 @@
 """Nichols chart with disk-margin regions.
 
-Gain over phase of the caged gyro's loop, at each torquer with the other closed, and with the gain turned up by half. A
+Nichols plot of the caged gyro's loop, at each torquer with the other closed, and with the gain turned up by half. A
 loop with a disk margin of 0.4 stays out of the inner region; the diamonds are where each curve comes closest.
 """
 

@@ -80,7 +80,7 @@ class Bode:
 
 @value
 class Nichols:
-    """Gain over phase of the same loop for all plants of the set, the plant shown first.
+    """The Nichols plot of the same loop for all plants of the set, the plant shown first.
 
     `phase` (N, B), unwrapped, degrees, and `magnitude` (N, B) at `frequency` (B,), rad/s; without a band (1, F) of the
     plant shown. `disk_margin` is the job's limit, or None.

@@ -1,4 +1,4 @@
-"""Plots of plants and runs for scripts: Campbell chart, gimbal tree, simulated runs, campaigns, windows."""
+"""Plots of plants and runs for scripts: Campbell diagram, gimbal tree, simulated runs, campaigns, windows."""
 
 from __future__ import annotations
 
@@ -388,5 +388,5 @@ def test_nothing_is_registered_with_pyplot_and_everything_is_on_white(gyro, flow
 
 def test_a_plot_that_becomes_svg_for_a_page_stays_on_its_white_paper(three):
     plot = figures.campbell(three)
-    assert "#ffffff" not in style.svg(plot, "Campbell chart")
+    assert "#ffffff" not in style.svg(plot, "Campbell diagram")
     assert to_hex(plot.get_facecolor()) == "#ffffff"

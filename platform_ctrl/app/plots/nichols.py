@@ -1,4 +1,4 @@
-"""Gain over phase of the loop with all plants of the set, and the region that the required disk margin excludes."""
+"""Nichols plot of the loop with all plants of the set, and the region that the required disk margin excludes."""
 
 from __future__ import annotations
 

@@ -52,7 +52,7 @@ def nichols(
     skew: float = 0.0,
     T_peaks: Sequence[float] | float = (),
 ) -> control.ControlPlot:
-    """Draw loop transfers as gain over phase, with the regions that a disk margin keeps them out of.
+    """Draw Nichols plots of loop transfers, with the regions that a disk margin keeps them out of.
 
     A loop with several channels is drawn channel by channel, each broken with all others closed (1/S_ii − 1). A diamond
     marks where a curve comes closest to the critical point in the sense of the disk margin.
