@@ -87,7 +87,7 @@ def write_responses(
         # The first slash parts output and input, and the reader takes the blanks around names away.
         if not name.isprintable() or name != name.strip() or not name or (name in outputs and "/" in name):
             raise ArgumentError(
-                f"{where}: {short(name)}: cannot stand in the header; use one printable line, in outputs without /"
+                f"{where}: {short(name)}: cannot be in the header; use one printable line, in outputs without /"
             )
     for note in notes:
         if not isinstance(note, str) or not note.isprintable():

@@ -47,13 +47,13 @@ class Export:
 
 @dataclass(frozen=True)
 class Setting:
-    """An option that says how an exporter writes: a keyword of its function, ``--a-name`` on the command line."""
+    """An option of an exporter: a keyword of its function, ``--a-name`` on the command line."""
 
     name: str  # Keyword of the function; option, if given, is its name on the command line
     # metavar, help: For --help
     metavar: str
     help: str
-    default: Any = None  # What holds if it is not given
+    default: Any = None  # If it is not given
     choices: tuple[str, ...] = ()  # The words that are allowed; empty: anything
     kind: Any = str  # Type of the value; list[str] may be given more than once
     option: str = ""
@@ -76,7 +76,7 @@ class Exporter:
     write: Callable[..., None]
     suffix: str = ""  # Of the file that is written; empty: a folder
     controllers: Literal["needed", "optional", "unused"] = "needed"  # Whether it needs the job's controllers
-    settings: tuple[Setting, ...] = ()  # How it can be told to write
+    settings: tuple[Setting, ...] = ()  # Its options
     # Returns the settings that write gets from those of the command line; raises InputError where they do not fit
     # together
     checked: Callable[[dict[str, Any]], dict[str, Any]] = dict
@@ -116,7 +116,7 @@ def exporters() -> tuple[Exporter, ...]:
 
 
 def _numbers(flag: str, given: list[str] | None) -> dict[str, float]:
-    """Return what stands as NAME=NUMBER behind an option, by name."""
+    """Return the NAME=NUMBER arguments of an option, by name."""
     out = {}
     for one in given or []:
         name, _, number = one.rpartition("=")
@@ -175,7 +175,7 @@ def _write_c(export: Export, path: Path, target: Path, **settings: Any) -> None:
 
 
 def _as_typed(settings: Mapping[str, Any]) -> list[str]:
-    """Return the words of the command line that say the settings of the C source."""
+    """Return the words of the command line for the settings of the C source."""
     words = ["--number", settings["number"], "--anti-windup", settings["anti_windup"]]
     for flag, name in (("--range", "ranges"), ("--integral-limit", "limits")):
         words += [word for key, number in settings.get(name, {}).items() for word in (flag, f"{key}={number!r}")]

@@ -1,4 +1,4 @@
-"""What a job has to give away: its controllers, its plants as linear systems, and the responses of its loops."""
+"""What a job can export: its controllers, its plants as linear systems, and the responses of its loops."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class ResponseTable:
 @check_arguments
 def controller_systems(job: Job, controllers: Sequence[control.StateSpace]) -> tuple[SystemRecord, ...]:
     """Return a job's controllers u = K y with units and delay, signals as in ``result.json``."""
-    note = "controller u = K y without hidden sign; u acts the delay after the sample and is held"
+    note = "controller, positive feedback u = +K y; u acts the delay after the sample and is held"
     return tuple(system_record(K, platform=job.platform, delay=job.sampling.delay, note=note) for K in controllers)
 
 
@@ -97,7 +97,7 @@ def job_responses(job: Job, controllers: Sequence[control.StateSpace]) -> tuple[
 
 
 def _nominal(job: Job) -> Job:
-    """Return the job with the plant as it stands alone."""
+    """Return the job with the nominal plant alone."""
     return dataclasses.replace(job, uncertainty=Uncertainty(), faults=Faults(), Omega=np.zeros(3))
 
 

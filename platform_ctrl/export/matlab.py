@@ -95,7 +95,7 @@ def _class_of(part: bytes, little: bool) -> int:
 
 
 def _check(data: bytes, at: int, end: int, little: bool, depth: int) -> int:
-    """Judge the array at `at` with all that it holds, and return where the next one begins."""
+    """Check the array at `at` with its contents, and return where the next one begins."""
     start, size, after = _element(data, at, end, little, _MATRIX)
     if size == 0:
         return after
@@ -126,7 +126,7 @@ def _check_content(data: bytes, at: int, end: int, little: bool, depth: int, wor
             # Text in UTF-8 may have more bytes than characters.
             fits = count <= size <= 4 * count if stored == _UTF8 and kind == _CHAR else False
             if not fits and size != count * widths.get(stored, -1):
-                raise ValueError("the elements of an array are not as many as its dimensions say")
+                raise ValueError("the elements of an array are not as many as its dimensions require")
         return
     if kind not in (_CELL, _STRUCT):
         raise ValueError("a struct holds what is neither numbers, text, cell nor struct")
@@ -175,7 +175,7 @@ def write_mat(systems: Sequence[SystemRecord], path: str | os.PathLike[str]) -> 
     Returns
     -------
     tuple of str
-        Names of the structs: the systems' own as far as MATLAB can say them.
+        Names of the structs: the systems' own as far as MATLAB allows.
 
     Raises
     ------
@@ -250,7 +250,7 @@ def _identifier(name: str, taken: Sequence[str]) -> str:
 
 
 def _struct(one: SystemRecord) -> dict[str, Any]:
-    # A fraction of a sample period is in Delay alone: MATLAB's sampled systems know none.
+    # A fraction of a sample period is in Delay alone: MATLAB's sampled systems have none.
     whole = one.delay if one.dt == 0.0 else np.floor(one.delay / one.dt * (1.0 + 1e-9))
     out: dict[str, Any] = {key: np.array(getattr(one, key)) for key in "ABCD"}
     out["Ts"] = one.dt

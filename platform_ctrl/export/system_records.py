@@ -27,7 +27,7 @@ MOST_SYSTEMS = 1000
 
 @value
 class SystemRecord:
-    """A state space as other tools know it."""
+    """A state space for other tools."""
 
     name: str  # What it is called
     # A, B, C, D: x' = A x + B u, y = C x + D u; sampled: x[k+1] = ... In the units of the signals. Shapes (n, n), (n,
@@ -44,7 +44,7 @@ class SystemRecord:
     # input_units, output_units: Units of the signals, "" where none is known
     input_units: tuple[str, ...]
     output_units: tuple[str, ...]
-    # Time by which the outputs act later than the matrices say, s: of a controller from sample to torque
+    # Time by which the outputs act later than by the matrices, s: of a controller from sample to torque
     delay: float = 0.0
     note: str = ""  # What it is, in a line
 
@@ -64,7 +64,7 @@ def system_record(
     delay: float = 0.0,
     note: str = "",
 ) -> SystemRecord:
-    """Return a state space with what other tools want to know of it.
+    """Return a state space with names, units, delay and note for other tools.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ def system_record(
     platform
         Whose signals these are: they get their units.
     delay
-        Time by which the outputs act later than the matrices say, s.
+        Time by which the outputs act later than by the matrices, s.
     note
         What it is, in a line.
 
@@ -127,7 +127,7 @@ def signal_units(platform: Platform) -> dict[str, str]:
 
 
 def expect_systems(systems: Sequence[SystemRecord], where: str) -> None:
-    """Judge what has to be a list of systems."""
+    """Check a list of systems."""
     if isinstance(systems, SystemRecord) or not all(isinstance(one, SystemRecord) for one in systems):
         raise ArgumentError(f"{where}: systems must be a list of SystemRecord, for example from system_record")
     if not 0 < len(systems) <= MOST_SYSTEMS:

@@ -237,7 +237,8 @@ def test_the_header_says_what_a_reviewer_asks(written: dict[str, list[Path]]) ->
     for said in (
         "three-gyro platform: caging and stabilisation", "Design: classical (method classical)", SHA,
         "platform-ctrl export",
-        "2000 Hz", "act 0.0005 s after the sample", "alpha4 [rad]", "Q5 [N m], limited to +-0.25 N m", "no hidden sign",
+        "2000 Hz", "act 0.0005 s after the sample", "alpha4 [rad]", "Q5 [N m], limited to +-0.25 N m",
+        "positive feedback, u = +K y",
         "back-calculation", "Float against double", "not finite", "of type float",
     ):  # fmt: skip
         assert said in text
@@ -303,7 +304,7 @@ def test_where_anti_windup_cannot_be_proved_it_is_back_calculation_and_said(
     assert "no state integrates" in " ".join((tmp_path / "caging_4_5_7.h").read_text().replace("*", "").split())
     assert "back-calculation" in (tmp_path / "stabilisation.h").read_text()
     write_c(job, [entries[0]], tmp_path, anti_windup="none")
-    assert "none, as asked for" in (tmp_path / "caging_4_5_7.h").read_text()
+    assert "none, as requested" in (tmp_path / "caging_4_5_7.h").read_text()
     assert "excess" not in (tmp_path / "caging_4_5_7.c").read_text()
 
 

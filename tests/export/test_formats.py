@@ -244,7 +244,7 @@ def test_responses_that_cannot_be_written_are_refused(tmp_path: Path) -> None:
         export.write_responses(response, path, form="bode")  # type: ignore[arg-type]
     with pytest.raises(ArgumentError, match="not finite"):
         export.write_responses(control.FRD([1.0, np.inf, 1.0], [1.0, 2.0, 3.0]), path)
-    with pytest.raises(ArgumentError, match="cannot stand in the header"):
+    with pytest.raises(ArgumentError, match="cannot be in the header"):
         export.write_responses(control.FRD([1.0, 1.0, 1.0], [1.0, 2.0, 3.0], outputs=["a/b"]), path)
     assert not path.exists()
 

@@ -45,7 +45,7 @@ class Written:
     """What was written."""
 
     files: tuple[Path, ...]  # Their paths
-    notes: tuple[str, ...] = ()  # A line each for what a reader should know: rounding, limits without anti-windup
+    notes: tuple[str, ...] = ()  # A line each for what a user should know: rounding, limits without anti-windup
 
 
 @check_arguments
@@ -143,7 +143,8 @@ def _windup(job: Job, scheme: Scheme, entry: Entry, requested: AntiWindup) -> Wi
         return Windup(gain=excess_gain(scheme), remark=remark)
     if requested == "none":
         gain = np.zeros((len(scheme.states), len(scheme.outputs)))
-        return Windup(gain=gain, remark="Anti-windup: none, as asked for: at their limits integrals run on.")
+        remark = "Anti-windup: none, as requested: integrals wind up while an output is at its limit."
+        return Windup(gain=gain, remark=remark)
     return proved(job, scheme) if requested == "proved" else back_calculation(scheme)
 
 

@@ -21,11 +21,11 @@ from platform_ctrl.export.c99.identifiers import Names
 from platform_ctrl.export.c99.scheme import Scheme
 
 _SIGNS = (
-    "Signs: u = K y, with no hidden sign: an output is the torque on its gimbal (or root axis), positive about "
-    "the axis in the plant file, as the angles are."
+    "Signs: positive feedback, u = +K y: an output is the torque on its gimbal (or root axis), positive about the axis "
+    "in the plant file, as the angles are."
 )
 # Bits of the status that a step returns.
-_OK = ("OK", 0, "as it should be")
+_OK = ("OK", 0, "no limit acted")
 _LIMITED = ("LIMITED", 1, "an output is at its limit")
 
 
@@ -42,7 +42,9 @@ class ControllerFiles(ABC):
     includes: ClassVar[tuple[str, ...]] = ()
     comments: ClassVar[tuple[str, str]]  # on the functions reset and step
     statuses: ClassVar[tuple[tuple[str, int, str], ...]]  # beside OK and LIMITED: name, bit, meaning
-    job_order: ClassVar = "In this order; what one gives out before its limit, another takes in within the same sample:"
+    job_order: ClassVar = (
+        "In this order; an output of one, before its limit, may be an input of another within the same sample:"
+    )
 
     @property
     def suffix(self) -> str:
@@ -94,6 +96,7 @@ class ControllerFiles(ABC):
         """Return the text of the header file."""
         p, s = self.prefix, self.scheme
         statuses = (_OK, _LIMITED, *self.statuses)
+        width = max(len(name) for name, _, _ in statuses)
         inputs, outputs, states = self.fields()
         head = [
             f"{p}.h: the controller {s.name!r}{self.suffix}.",
@@ -109,7 +112,10 @@ class ControllerFiles(ABC):
         ]
         body = [
             "/* What a step returns: the sum of what applies. */",
-            *(f"#define {p.upper()}_{name} {bit}U{'':>{7 - len(name)}} /* {what} */" for name, bit, what in statuses),
+            *(
+                f"#define {p.upper()}_{name} {bit}U{'':>{width - len(name)}} /* {what} */"
+                for name, bit, what in statuses
+            ),
             "",
             *struct(f"{p}_in", inputs),
             *struct(f"{p}_out", outputs),

@@ -129,9 +129,9 @@ def _numbers(item: object) -> dict[str, float]:
     return {str(name): float(x) for name, x in item.items() if isinstance(x, int | float) and not isinstance(x, bool)}
 
 
-# What the coefficients of a block with one or two states are called.
+# Names of the coefficients of a block with one or two states.
 _POLES = {1: (("pole",),), 2: (("a1", "a2"), ("shift", "none"))}
-_SHOWN = {1: ("held",), 2: ("c1", "c2")}
+_SHOWN = {1: ("c",), 2: ("c1", "c2")}
 
 
 def row(target: str, weights: FloatArray, sources: Sequence[str], names: Sequence[str] = ()) -> Row:

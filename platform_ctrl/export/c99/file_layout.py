@@ -13,7 +13,7 @@ WIDTH = 100
 
 
 def provenance(origin: Provenance, whole: bool = False) -> list[str]:
-    """Return lines that say where a controller comes from; with `whole` what all controllers of a job share."""
+    """Return lines that state where a controller comes from; with `whole` what all controllers of a job share."""
     design = f"{origin.design} (method {origin.method})" if origin.method else origin.design
     rows = [
         ("Job", origin.job),

@@ -34,7 +34,7 @@ def cost_of(scheme: Scheme) -> Cost:
     return Cost(
         multiplications=sum(abs(term.coefficient) != 1.0 for row in (*rows, *back) for term in row.terms),
         additions=sum(max(len(row.terms) - 1, 0) for row in rows) + sum(len(row.terms) for row in back) + len(cut),
-        # Two for each number that has to be finite; two to limit and two to tell.
+        # Two for each number that has to be finite; two to limit and two for the status.
         comparisons=2 * (len(scheme.inputs) + len(scheme.states) + len(scheme.outputs)) + 4 * limited,
     )
 
@@ -63,7 +63,7 @@ class FloatingFiles(ControllerFiles):
         "All states and last outputs to zero.",
         "One sample: from the inputs of this instant to the outputs; returns the status.",
     )
-    statuses: ClassVar = (("HELD", 2, "an input or a result was not finite: all is as it was"),)
+    statuses: ClassVar = (("NOT_FINITE", 2, "an input or a result was not finite: nothing is changed"),)
 
     @property
     def numbers(self) -> str:
@@ -85,7 +85,7 @@ class FloatingFiles(ControllerFiles):
             for number, section in enumerate(s.sections, 1)
             for row in section.states
         ]
-        return inputs, outputs, [*states, f"    {self.prefix}_out last; /* what the last step gave */"]
+        return inputs, outputs, [*states, f"    {self.prefix}_out last; /* outputs of the last step */"]
 
     def _output(self, name: str, purpose: str = "") -> str:
         k = self.scheme.outputs.index(name)
@@ -112,8 +112,8 @@ class FloatingFiles(ControllerFiles):
             f"most {cost.comparisons} comparisons, always in the same order; {len(s.states)} states. No allocation, "
             "recursion, loop, global variable or library function.",
             "",
-            "Inputs that are not finite, and states or commands that would not be: the step changes nothing, gives the "
-            f"last outputs again and returns {self.prefix.upper()}_HELD. Pointers are not checked.",
+            "Inputs that are not finite, and states or commands that would not be: the step changes nothing, repeats "
+            f"the last outputs and returns {self.prefix.upper()}_NOT_FINITE. Pointers are not checked.",
         ]
 
     def _named(self, name: str, what: str) -> str:
@@ -134,7 +134,7 @@ class FloatingFiles(ControllerFiles):
         """Return a sentence about the numbers of all controllers together, and the last paragraphs of the head."""
         costs = [cost_of(unit.scheme) for unit in units]
         return units[0].numbers, (
-            "Signs, limits, anti-windup, and what becomes of inputs that are not finite: there.\n\n"
+            "Signs, limits, anti-windup, and inputs that are not finite: see these headers.\n\n"
             f"A step takes {sum(c.multiplications for c in costs)} multiplications, "
             f"{sum(c.additions for c in costs)} additions and subtractions, and at most "
             f"{sum(c.comparisons for c in costs)} comparisons. No allocation, recursion, loop or global variable."
@@ -178,7 +178,7 @@ class _Source:
             self._paragraph("Limits of the torquers", *self._limited())
             excess = self._excess()
             if excess[1]:
-                self._paragraph("Anti-windup: what the limits cut off goes back into the states", *excess)
+                self._paragraph("Anti-windup: the excess beyond the limits acts on the states", *excess)
         return "\n".join([*self._beginning(), *self._reset(), *self._step()])
 
     def _paragraph(self, title: str, constants: list[str], statements: list[str]) -> None:
@@ -264,7 +264,7 @@ class _Source:
             "#include <float.h>",
             "",
             "#if defined(__FAST_MATH__) || (defined(__FINITE_MATH_ONLY__) && (__FINITE_MATH_ONLY__ > 0))",
-            '#error "numbers that are not finite could not be told from others: compile without -ffast-math"',
+            '#error "numbers that are not finite cannot be detected: compile without -ffast-math"',
             "#endif",
             "",
             "/* Whether a number is finite: no comparison holds for one that is not a number. */",
@@ -312,13 +312,13 @@ class _Source:
         lines = [
             *signature(p),
             "{",
-            f"    unsigned int status = {p.upper()}_HELD;",
+            f"    unsigned int status = {p.upper()}_NOT_FINITE;",
             "",
             *_condition([f"{p}_usable(in->{self.unit.signals[name]})" for name in s.inputs], "    "),
             # No empty line behind the brace.
             *self.body[1:],
             "",
-            f"{_INNER}/* Taken over only where every result is finite. */",
+            f"{_INNER}/* Stored only if every result is finite. */",
             *_condition([f"{p}_usable({name})" for name in results], _INNER),
             f"{_INNER}    status = {p.upper()}_OK;",
         ]

@@ -1,6 +1,6 @@
 """Any controller as its own modes: states that do not see one another, alone or in pairs.
 
-Poles that lie so close together that they cannot be told apart without losing digits stay in one block (Bavely and
+Poles that lie so close together that they cannot be separated without losing digits stay in one block (Bavely and
 Stewart): a decoupling that is worse conditioned than a bound is not done.
 """
 
@@ -119,7 +119,7 @@ def plain_sections(entry: Entry) -> tuple[tuple[Section, ...], FloatArray]:
     sections: list[Section] = []
     if len(A):
         states = tuple(row(name, weights, sources) for name, weights in zip(names, np.hstack([B, A]), strict=True))
-        note = "all states of the controller: its poles cannot be told apart"
+        note = "all states of the controller: its poles are too close together to be separated"
         sections.append(Section(name="states", kind="states", note=note, states=states))
     sections.append(_outputs(entry, np.hstack([D, C]), sources))
     return tuple(sections), np.diag(balance)
@@ -199,14 +199,14 @@ def pid_sections(entry: Entry, channel: Channels, angles: tuple[str, ...]) -> tu
             ]
         )
         shown = np.column_stack([C[:, own], C[:, 2 * n + k], D[:, k]])
-        # Angle, integral and rate each in its own size, and so is what the states hold of them.
+        # Angle, integral and rate each in its own size, and so is their share in the states.
         rows = np.linalg.norm(seen, axis=1)
         states = np.maximum(np.abs(seen / rows[:, None]).max(axis=0), 1e-300)
         scaled = seen / rows[:, None] / states
         gains[:, :, k] = np.linalg.lstsq(scaled.T, (shown / states).T, rcond=None)[0] / rows[:, None]
         angle, slope, state = f"angle_{k + 1}", f"slope_{k + 1}", f"integral_{k + 1}_x"
-        held = [f"filter_{k + 1}_x1", f"filter_{k + 1}_x2"]
-        sources = [f"direction_{k + 1}", *held]
+        x = [f"filter_{k + 1}_x1", f"filter_{k + 1}_x2"]
+        sources = [f"direction_{k + 1}", *x]
         hertz = frequency / (2.0 * np.pi)
         filters.append(
             Section(
@@ -218,7 +218,7 @@ def pid_sections(entry: Entry, channel: Channels, angles: tuple[str, ...]) -> tu
                     row(slope, np.array([d[1], *c[1]]), sources, ["slope_direct", "slope_c1", "slope_c2"]),
                 ),
                 states=tuple(
-                    row(held[i], np.array([b[i], *a[i]]), sources, [f"b{i + 1}", f"a{i + 1}1", f"a{i + 1}2"])
+                    row(x[i], np.array([b[i], *a[i]]), sources, [f"b{i + 1}", f"a{i + 1}1", f"a{i + 1}2"])
                     for i in range(2)
                 ),
             )

@@ -19,11 +19,11 @@ from platform_ctrl.errors import PlatformCtrlError
 from platform_ctrl.export.c99.scheme import Scheme, arrays
 from platform_ctrl.job.job import Job
 
-# A state integrates if it forgets less than this share in a sample.
-_KEPT = 1e-3
+# A state integrates if it decays by less than this share in a sample.
+_DECAY = 1e-3
 # Least and largest T/Tt.
 _SLOWEST, _FASTEST = 1e-4, 0.1
-# Integrals that share outputs to a part smaller than this of the largest cannot be told apart by them.
+# Integrals that share outputs to a part smaller than this of the largest cannot be distinguished by them.
 _BLIND = 1e-9
 
 
@@ -33,7 +33,7 @@ class Windup:
 
     gain: FloatArray  # (states, outputs): E in the scheme's states per unit of its outputs; zero: none
     remark: str  # What it is and what it gives, for the header
-    notes: tuple[str, ...] = ()  # What a reader should know, a line each
+    notes: tuple[str, ...] = ()  # What a user should know, a line each
 
 
 def integrating(K: StateArrays) -> tuple[FloatArray, FloatArray]:
@@ -77,7 +77,7 @@ def back_calculation(scheme: Scheme) -> Windup:
     if rank == len(own) and radius < 1.0:
         return Windup(gain=gain, remark=remark)
     left = f"{len(own) - rank} of {len(own)} integrating states lie beyond it: no limited output shows them alone"
-    remark = f"Anti-windup: back-calculation, time constant {seconds:.4g} s; {left}. They are not kept from running on."
+    remark = f"Anti-windup: back-calculation, time constant {seconds:.4g} s; {left}. Their windup is not prevented."
     return Windup(gain=gain, remark=remark, notes=(f"{scheme.name}: anti-windup: {left}",))
 
 
@@ -118,7 +118,7 @@ def _sorted(K: StateArrays) -> tuple[FloatArray, FloatArray, int]:
     from scipy.linalg import schur
 
     A = scaled(K.A, K.B, K.C)[0]
-    t, Z, k = schur(A, output="real", sort=lambda re, im=0.0: bool(abs(complex(re, im)) > 1.0 - _KEPT))
+    t, Z, k = schur(A, output="real", sort=lambda re, im=0.0: bool(abs(complex(re, im)) > 1.0 - _DECAY))
     return t, Z, int(k)
 
 

@@ -12,7 +12,7 @@ def format_lines(fixed: FixedPoint) -> tuple[str, ...]:
     """Return a line for every input, output, signal, state and integral: format, unit, value of one bit, range."""
     lines = [
         "Scaling: value = count * bit. Qm.n: m digits before the point and n behind it, beside the sign; a negative m "
-        "leaves out digits that are always zero. Signals and states without a unit are in the controller's own, SI.",
+        "omits digits that are always zero. Signals and states without a unit are in the controller's, SI.",
     ]
     for role, what in (
         ("input", "in"),
@@ -42,8 +42,8 @@ def proof_lines(fixed: FixedPoint, leaks: Mapping[str, float]) -> tuple[str, ...
         form for form in fixed.formats.values() if not form.saturates and form.role in ("signal", "state", "output")
     ]
     lines = [
-        "No overflow: every input is cut off at its range, so that what follows holds for all inputs. A signal or "
-        "state is at most the sum, over what drives it (inputs, integrals at their ends, half a bit for the rounding "
+        "No overflow: every input is saturated at its range, so that the following holds for all inputs. A signal or "
+        "state is at most the sum, over its sources (inputs, integrals at their limits, half a bit for the rounding "
         "of every other signal and state), of its size times the l1 norm of the impulse response of the rounded "
         f"coefficients. Norms: summed over {fixed.samples} samples, tail and floating-point rounding bounded above.",
     ]
@@ -62,9 +62,9 @@ def proof_lines(fixed: FixedPoint, leaks: Mapping[str, float]) -> tuple[str, ...
         # Bounds of what is zero are no smaller than the smallest numbers.
         drift = max(fixed.drift[name], 1e-30)
         lines.append(
-            f"Integral: {name}  not asymptotically stable; kept in 64 bits, so that nothing it gains is lost, and ends "
-            f"at +-{form.range:.6g}; while no limit acts it parts from that of the controller in real arithmetic by at "
-            f"most {at_most(drift, 2)} in a second, {at_most(drift / form.range, 1)} of its end."
+            f"Integral: {name}  not asymptotically stable; kept in 64 bits, so that no increment is lost, and "
+            f"limited to +-{form.range:.6g}; while no limit acts it drifts from that of the controller in real "
+            f"arithmetic by at most {at_most(drift, 2)} in a second, {at_most(drift / form.range, 1)} of its limit."
             + (f" Its pole, given {leaks[name]:.1e} from 1, is 1." if leaks[name] else "")
         )
     for name, unit in zip(fixed.scheme.outputs, fixed.scheme.output_units, strict=True):
@@ -76,7 +76,7 @@ def proof_lines(fixed: FixedPoint, leaks: Mapping[str, float]) -> tuple[str, ...
         )
     if fixed.excess_limits:
         lines.append(
-            "The error holds while no output is at its limit: excess enters stable states, cut off at its own."
+            "The error holds while no output is at its limit: excess enters stable states, limited by its own bound."
         )
     return tuple(lines)
 
@@ -124,7 +124,7 @@ def shifted(bits: int) -> list[str]:
 def within() -> list[str]:
     """Return a C function that cuts off a count."""
     return [
-        "/* The count within +- the largest. */",
+        "/* The count, limited to +- the largest. */",
         "static int64_t within(int64_t count, int64_t largest)",
         "{",
         "    int64_t result = count;",

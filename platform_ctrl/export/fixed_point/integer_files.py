@@ -37,12 +37,12 @@ class IntegerFiles(ControllerFiles):
         "One sample: from the counts of this instant to the counts of the outputs; returns the status.",
     )
     statuses: ClassVar = (
-        ("CLIPPED", 4, "an input was out of its range and has been cut off"),
-        ("STOPPED", 8, "an integral is at its end"),
+        ("CLIPPED", 4, "an input was out of its range and was saturated"),
+        ("STOPPED", 8, "an integral is at its limit"),
     )
     job_order: ClassVar = (
-        "In this order; what one gives out before its limit, another takes in within the same sample, rounded to the "
-        "format of that input and cut off at its range:"
+        "In this order; an output of one, before its limit, may be an input of another within the same sample, rounded "
+        "to the format of that input and saturated at its range:"
     )
 
     @property
@@ -86,7 +86,7 @@ class IntegerFiles(ControllerFiles):
             "",
             "/*",
             " * Between counts and values, for tests and slow paths: the step does not use them.",
-            " * Out of range is cut off; what is not a number counts as zero.",
+            " * Values out of range are saturated; NaN becomes zero.",
             " */",
         ]
         for name in self.scheme.inputs:
@@ -133,7 +133,7 @@ class IntegerFiles(ControllerFiles):
     @classmethod
     def job_numbers(cls, units: Sequence[ControllerFiles]) -> tuple[str, str]:
         """Return a sentence about the numbers of all controllers together, and the last paragraphs of the head."""
-        return "", "Formats and proofs stand in these headers. No allocation, recursion, loop or global variable."
+        return "", "Formats and proofs are in these headers. No allocation, recursion, loop or global variable."
 
     @classmethod
     def wiring(cls, units: Sequence[ControllerFiles]) -> tuple[list[str], list[tuple[list[str], list[str]]]]:
@@ -275,7 +275,7 @@ class _Source:
             lines.append(f"    const {kind} {local} = ({kind})within({self.reads[name]}, {literal(form.largest, 64)});")
         cut = [name for name in self.limited if excess_of(name) in self.sources]
         if cut:
-            lines += ["", *remark("Anti-windup: what the limits cut off goes back into the states", "    ")]
+            lines += ["", *remark("Anti-windup: the excess beyond the limits acts on the states", "    ")]
         for name in cut:
             local = self.locals[excess_of(name)]
             over = f"(int64_t){self.locals['limited', name]} - {self.reads[name]}"

@@ -1,7 +1,7 @@
 """What the unit does, in the Python of the tool that imports it: PythonFMU3 passes FMI's calls on to here.
 
-No exception may leave: the library then lets go of the instance under the importer's hands. What goes wrong is logged
-and comes back as the status of the next step.
+No exception may leave: the library would then free the instance while the importer still uses it. Errors are logged and
+returned as the status of the next step.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ def guarded_setter(kind: str) -> Callable[[Any, list[int], list[Any]], None]:
 
 
 def guarded_getter(kind: str) -> Callable[[Any, list[int]], list[Any]]:
-    """Return the library's getter of a kind; where it raises, numbers that say nothing."""
+    """Return the library's getter of a kind; where it raises, placeholders."""
 
     def get(self: Any, references: list[int]) -> list[Any]:
         try:
@@ -301,11 +301,11 @@ class PlatformSlave(Fmi3Slave):  # type: ignore[misc]
         return numbers[:3], numbers[3:6], numbers[6:9], numbers[9:]
 
     def terminate(self) -> None:
-        """Let go of the run; the outputs stay as they were."""
+        """Free the run; the outputs keep their values."""
         self._stepper, self._ended = None, True
 
     def fail(self, text: str) -> None:
-        """Log what goes wrong: the next step, if not this one, returns with an error."""
+        """Log an error; this step or the next one returns it as its status."""
         self._failure = text
         self.log(text, Fmi3Status.error)
 
@@ -344,7 +344,7 @@ class PlatformSlave(Fmi3Slave):  # type: ignore[misc]
         return stepper
 
     def _scenario(self) -> Scenario:
-        """The run that the parameters ask for."""
+        """The scenario that the parameters describe."""
         job, given = self._job, self._given
         names = runs_of(job)
         chosen = int(given["manoeuvre"])

@@ -23,7 +23,7 @@ from platform_ctrl.plant.source import path_of, read_text
 Tables = dict[str, Any]
 
 # Armature over C from which on a rotor's speed counts as regulated.
-_HELD = 1e3
+_REGULATED = 1e3
 # How `write_mjcf` begins the names of rotors: also of those that do not turn.
 _ROTOR = "rotor "
 # Rounding of inertias, relative.
@@ -198,7 +198,7 @@ class _Model:
 
     def _regulated(self, body: Body) -> bool:
         armature = self.model.dof_armature[self.model.jnt_dofadr[body.joint]]
-        return bool(armature > _HELD * (body.axis @ body.about(body.anchor)[1] @ body.axis))
+        return bool(armature > _REGULATED * (body.axis @ body.about(body.anchor)[1] @ body.axis))
 
     def _round(self, body: Body) -> bool:
         """Whether a body is symmetric about its hinge, with its centre of mass on it."""
@@ -289,9 +289,9 @@ class _Model:
         torquers: list[Tables] = []
         of = {self.bodies[k].joint: k for k in self.gimbals}
         wheels = {self.bodies[k].joint for k in self.rotors}
-        held = 0.0
+        armature = 0.0
         if self.root_joint >= 0:
-            held = float(self.model.dof_armature[self.model.jnt_dofadr[self.root_joint]])
+            armature = float(self.model.dof_armature[self.model.jnt_dofadr[self.root_joint]])
         for k in range(self.model.nu):
             joint = int(self.model.actuator_trnid[k, 0])
             where = f"{self.label}: actuator {given(self.model.actuator(k).name or str(k))}"
@@ -299,7 +299,7 @@ class _Model:
             if on_joint and joint in of:
                 torquers += self._torquer(k, where, {"gimbal": self.bodies[of[joint]].name}, 0, out)
             elif on_joint and joint == self.root_joint:
-                if not held:  # else they prescribe its rate
+                if not armature:  # else they prescribe its rate
                     torquers += self._root_torquer(k, where, out)
             elif not (on_joint and joint in wheels and joint in self.servos):
                 raise InputError(

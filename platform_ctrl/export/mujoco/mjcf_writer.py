@@ -71,7 +71,7 @@ def write_mjcf(
     """
     one_of("write_mjcf: root", root, ("free", "prescribed", "fixed"))
     step = positive("write_mjcf: step", step)
-    _judge_names(platform)
+    _check_names(platform)
     notes = _notes(platform, root)
     top = Element("mujoco", model=_line(platform.name))
     for line in (platform.source, *notes):
@@ -101,7 +101,7 @@ def write_mjcf(
     return notes
 
 
-def _judge_names(platform: Platform) -> None:
+def _check_names(platform: Platform) -> None:
     bodies = [platform.root_name, *platform.gimbal_names, *(f"rotor {rotor.name}" for rotor in platform.rotors)]
     joints = ["root", *platform.angle_names, *(f"spin {rotor.name}" for rotor in platform.rotors)]
     for names, reserved in ((bodies, "world"), (joints, "")):
@@ -293,18 +293,18 @@ def _add_sensors(top: Element, platform: Platform, root: Root) -> None:
 
 
 def _notes(platform: Platform, root: Root) -> tuple[str, ...]:
-    """Say what of the plant has no place in MJCF, or another form there."""
+    """Return what of the plant is left out of the MJCF file, or has another form there."""
     moved = root != "fixed" and platform.unbalances and platform.specific_force.any()
-    held = [t.name for t in platform.torquers if t.root_axis is not None and root != "free"]
+    left_out = [t.name for t in platform.torquers if t.root_axis is not None and root != "free"]
     found: dict[str, list[str]] = {
         "dry friction of {}: MuJoCo's frictionloss, the mean of both directions, in place of a smooth curve": [
             friction.gimbal for friction in platform.frictions if max(friction.breakaway) > 0.0
         ],
         "cage of {}: left out, for its clearance": [cage.gimbal for cage in platform.cages if cage.clearance],
         "erection of {}: left out; add it to the control of a torquer": [one.gimbal for one in platform.erections],
-        f"torquer {{}}: left out, the root is {root}": held,
+        f"torquer {{}}: left out, the root is {root}": left_out,
         "rate limit of {}: left out": [
-            t.name for t in platform.torquers if t.rate_limit is not None and t.name not in held
+            t.name for t in platform.torquers if t.rate_limit is not None and t.name not in left_out
         ],
         "quantisation of {}: left out": [one.name for one in platform.sensors if one.quantisation],
         f"rate sensor {{}}: {'left out' if root == 'fixed' else 'an element of the sensor Omega'}": [
