@@ -36,7 +36,8 @@ class _Note:
 def interruptible(deferred: int = 0) -> Iterator[Callable[[], None]]:
     """Yield a function that raises `KeyboardInterrupt` if Ctrl-C was pressed: libraries may swallow the exception.
 
-    The first `deferred` ones are raised by that function only, not inside a library.
+    The first `deferred` ones are raised by that function only, not inside a library. An error of the block after a
+    Ctrl-C is an interrupt. An `interruptible` around this one counts what is pressed here.
     """
     note, before = _Note(deferred), signal.getsignal(signal.SIGINT)
     ours = before is signal.default_int_handler or isinstance(before, _Note)
@@ -46,8 +47,13 @@ def interruptible(deferred: int = 0) -> Iterator[Callable[[], None]]:
     signal.signal(signal.SIGINT, note)
     try:
         yield note.check
+    except Exception:
+        note.check()
+        raise
     finally:
         signal.signal(signal.SIGINT, before)
+        if isinstance(before, _Note):
+            before.count += note.count
 
 
 @contextmanager

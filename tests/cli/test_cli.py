@@ -18,7 +18,8 @@ from typer.testing import CliRunner
 import platform_ctrl as pc
 from campaign_runs import MANOEUVRES
 from platform_ctrl.cli import main
-from platform_ctrl.errors import DesignError
+from platform_ctrl.cli.interrupts import interruptible
+from platform_ctrl.errors import DesignError, InputError
 from platform_ctrl.plant.source import platform_source
 from refused_command import refused
 from verification.test_records import alike
@@ -331,6 +332,34 @@ def test_an_error_that_a_library_makes_of_an_interrupt_is_an_interrupt(
     monkeypatch.setattr("platform_ctrl.design.loops", broken)
     assert main(["design", "job.toml", "-o", "broken", "-q"]) == 130
     assert capsys.readouterr().err == "platform-ctrl: interrupted\n"
+
+
+def _forgotten(error: type[Exception]) -> None:
+    """Raise an error after a Ctrl-C that leaves no trace in it, as compiled libraries do."""
+    with contextlib.suppress(KeyboardInterrupt):
+        signal.raise_signal(signal.SIGINT)
+    raise error("no luck")
+
+
+@pytest.mark.parametrize("error", [DesignError, InputError, ValueError])
+def test_an_error_after_an_interrupt_is_an_interrupt(
+    error: type[Exception], there: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("platform_ctrl.design.loops", lambda *given: _forgotten(error))
+    assert main(["design", "job.toml", "-o", "broken", "-q"]) == 130
+    assert capsys.readouterr().err == "platform-ctrl: interrupted\n"
+
+
+def test_a_block_counts_the_interrupts_of_those_inside_it() -> None:
+    with interruptible() as outer:
+        outer()
+        with interruptible() as inner:
+            with contextlib.suppress(KeyboardInterrupt):
+                signal.raise_signal(signal.SIGINT)
+            with pytest.raises(KeyboardInterrupt):
+                inner()
+        with pytest.raises(KeyboardInterrupt):
+            outer()
 
 
 @pytest.mark.skipif(os.name != "posix", reason="SIGINT as a terminal sends it")
