@@ -170,6 +170,13 @@ class Backend:
         mine = {**settings.optional.get(spec.name, {}), design.name: tuple(sorted(now | {part} if on else now))}
         return settings.but(optional={**settings.optional, spec.name: mine})
 
+    def with_overlay(self, settings: Settings, design: str, on: bool) -> Settings:
+        """Return the settings with another design of the loop drawn over the selected one, or not."""
+        others = [one for one in self.choices().designs[settings.loop] if one != settings.design]
+        known_name("overlay", design, others)
+        now = {*settings.overlays, design} if on else {*settings.overlays} - {design}
+        return settings.but(overlays=tuple(one for one in others if one in now))
+
     def moved(self, settings: Settings, slider: str, number: float) -> Settings:
         """Return the settings with a slider at another number."""
         new = moved(settings, {one.name: one for one in self.sliders(settings)}, slider, number)

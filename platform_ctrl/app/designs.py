@@ -13,6 +13,7 @@ from platform_ctrl.app.caged import CagedLoop, caged_overlay
 from platform_ctrl.app.closed_loops import ClosedLoops
 from platform_ctrl.app.controllers import built_directly
 from platform_ctrl.app.pictures import Overlay
+from platform_ctrl.app.plants import Bounded
 from platform_ctrl.app.settings import Settings
 from platform_ctrl.app.stabilised import stabilised_overlay
 from platform_ctrl.common.arguments import known_name
@@ -24,6 +25,8 @@ Make = Callable[[Callable[[], bool]], None]
 
 # A request followed by another within this time is not started, s: a slider is still moving.
 _PAUSE = 0.6
+# Failures that are kept, so that pages with different settings do not have them tried again in turns.
+_FAILURES = 64
 
 
 class DesignQueue:
@@ -33,7 +36,7 @@ class DesignQueue:
         self._pause = pause
         self._lock = threading.Condition()
         self._requested: dict[tuple[str, str], tuple[Hashable, Make]] = {}
-        self._failed: dict[tuple[str, str], tuple[Hashable, str]] = {}
+        self._failed: Bounded[str] = Bounded(_FAILURES)
         self._listeners: list[Callable[[], None]] = []
         self._worker: threading.Thread | None = None
         self._ended = False
@@ -41,13 +44,14 @@ class DesignQueue:
     def request(self, loop: str, design: str, key: Hashable, make: Make) -> str:
         """Request a design and return a line about it; the same request again changes nothing.
 
-        `make` is called in a thread with a function that says whether it was cancelled.
+        `make` is called in a thread with a function that says whether it was cancelled. A design that failed with
+        this key is not made again: its error is raised.
         """
         name = (loop, design)
         with self._lock:
-            failed = self._failed.get(name)
-            if failed is not None and failed[0] == key:
-                return failed[1]
+            failed = self._failed.found((name, key))
+            if failed is not None:
+                raise DesignError(failed)
             if not self._ended and self._requested.get(name, (None,))[0] != key:
                 self._requested[name] = (key, make)
                 self._lock.notify_all()
@@ -55,11 +59,6 @@ class DesignQueue:
                     self._worker = threading.Thread(target=self._work, daemon=True)
                     self._worker.start()
         return f"{design}: is being designed; it is shown as soon as it is available"
-
-    def is_requested(self, loop: str, design: str) -> bool:
-        """Whether a design is being made, or will be."""
-        with self._lock:
-            return (loop, design) in self._requested
 
     def listen(self, listener: Callable[[], None]) -> Callable[[], None]:
         """Call `listener` in a thread after each design; return the function that stops it."""
@@ -102,11 +101,17 @@ class DesignQueue:
             make(cancelled)
         except PlatformCtrlError as error:
             line = str(error)
+        except Exception as error:
+            line = f"{name[1]}: could not be designed: {error}"
         with self._lock:
-            if self._requested.get(name, (None,))[0] == key:
+            if not cancelled():
                 del self._requested[name]
                 if line:
-                    self._failed[name] = (key, line)
+                    self._failed.put((name, key), line)
+            elif line:
+                # Listeners are called after the request that took its place: two pages would replace each other's
+                # requests in turns otherwise.
+                return
             listeners = list(self._listeners)
         for listener in listeners:
             listener()
@@ -182,12 +187,15 @@ class Designs:
             return self._queue.request(spec.name, design.name, conditions, make)
 
         if seen is None:
-            line = requested()
-            if self._queue.is_requested(spec.name, design.name):
-                raise DesignPending(f"{spec.name}, {line}")
-            raise DesignError(line)  # the error of the method has the loop's name
+            # The error of a method has the loop's name.
+            raise DesignPending(f"{spec.name}, {requested()}")
         loop, notes = loops.caged(settings)
-        return (loop, (requested(),)) if again else (loop, notes)
+        if not again:
+            return loop, notes
+        try:
+            return loop, (requested(),)
+        except DesignError as error:
+            return loop, (str(error),)
 
     def overlays(
         self, settings: Settings, spec: LoopSpec, frequency: FloatArray

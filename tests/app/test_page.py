@@ -479,6 +479,34 @@ def test_a_design_that_takes_seconds_is_announced_and_drawn_everywhere_once_it_i
     assert page.evaluate(BANDS) > 0
 
 
+def test_overlays_that_are_checked_while_an_earlier_one_is_computed_are_all_kept(
+    page: Page, backend: Backend, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    picture, turns = backend.picture, threading.Semaphore(0)
+
+    def in_turn(*given: Any) -> Any:
+        assert turns.acquire(timeout=60.0)
+        return picture(*given)
+
+    monkeypatch.setattr(backend, "picture", in_turn)
+    page.keyboard.press("c")
+    boxes = page.locator("#overlays input")
+    boxes.nth(0).check()
+    boxes.nth(1).check()
+    turns.release()
+    until(
+        page, lambda: page.evaluate("window.page.traffic().answered") >= page.evaluate("window.page.traffic().sent - 1")
+    )
+    # The answer to the first one alone.
+    assert [boxes.nth(k).is_checked() for k in range(3)] == [True, True, False]
+    boxes.nth(2).check()
+    turns.release(100)
+    settled(page)
+    assert [boxes.nth(k).is_checked() for k in range(3)] == [True] * 3
+    page.keyboard.press("Escape")
+    assert page.evaluate(OVERLAYS)["overlays"]
+
+
 def test_a_run_leaves_the_page_alive_can_be_cancelled_and_turns_the_gimbal_tree(
     page: Page, backend: Backend, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -652,21 +680,23 @@ def test_messages_are_judged() -> None:
 def test_choices_are_judged(backend: Backend) -> None:
     start = backend.start()
     assert chosen(backend, start, "axis", 3, ()).axis == 3
-    assert chosen(backend, start, "overlays", ["slower"], ()).overlays == ("slower",)
+    assert backend.with_overlay(start, "slower", True).overlays == ("slower",)
     assert chosen(backend, start, "mode", "caged", ()) is start
     wrong = [
         ("axis", 4),
         ("axis", "1"),
         ("axis", True),
         ("band", 1),
-        ("overlays", "slower"),
-        ("overlays", ["classical"]),
+        ("overlays", ["slower"]),
     ]
-    wrong += [("overlays", [[]]), ("loop", "x"), ("loop", 3), ("design", ""), ("channel", "Q4"), ("plant", "nominal ")]
+    wrong += [("loop", "x"), ("loop", 3), ("design", ""), ("channel", "Q4"), ("plant", "nominal ")]
     wrong += [("mode", "stabilised"), ("mode", None), ("rate_hz", 3)]
     for name, given in wrong:
         with pytest.raises(PlatformCtrlError):
             chosen(backend, start, name, given, ("nominal",))
+    for design in ("classical", "no such"):
+        with pytest.raises(PlatformCtrlError):
+            backend.with_overlay(start, design, True)
 
 
 def test_only_the_newest_of_a_kind_is_worked_out() -> None:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from platform_ctrl.app.pictures import Influence, Margins, Picture
 from platform_ctrl.app.settings import Choices, Mode, Settings, Slider
-from platform_ctrl.common.arguments import known_name, known_names, whole
+from platform_ctrl.common.arguments import known_name, whole
 from platform_ctrl.common.signatures import short
 from platform_ctrl.common.values import value
 from platform_ctrl.errors import InputError
@@ -34,6 +34,7 @@ REQUESTS: Mapping[str, Mapping[str, type]] = {
     "free": {"free": bool},
     "part": {"part": str, "on": bool},
     "reset": {"slider": str},
+    "overlay": {"design": str, "on": bool},
     "set": {"name": str, "value": object},
     "undo": {},
     "redo": {},
@@ -282,7 +283,7 @@ def _decibels(margins: Margins, stable: bool) -> str | None:
 
 
 # What a page may choose from its lists.
-NAMES = ("mode", "loop", "design", "channel", "plant", "axis", "band", "overlays")
+NAMES = ("mode", "loop", "design", "channel", "plant", "axis", "band")
 
 
 def chosen(backend: Backend, settings: Settings, name: str, given: object, plants: tuple[str, ...]) -> Settings:
@@ -295,11 +296,6 @@ def chosen(backend: Backend, settings: Settings, name: str, given: object, plant
         if not isinstance(given, bool):
             raise InputError(f"band must be true or false, got {short(given)}")
         return settings.but(band=given)
-    if name == "overlays":
-        others = [one for one in choices.designs[settings.loop] if one != settings.design]
-        if not isinstance(given, list):
-            raise InputError(f"overlays must be a list of designs, got {short(given)}")
-        return settings.but(overlays=tuple(others[k] for k in known_names("overlays", given, others)))
     text = _text(name, given)
     if name == "loop":
         return backend.chosen(settings, loop=text)

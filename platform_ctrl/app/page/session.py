@@ -48,16 +48,19 @@ class Task:
 
 @value
 class Outcome:
-    """The `turn`-th result of tasks: a picture, or the line of an error; `limited_by` are the limits of a drag."""
+    """The result of tasks: a picture, or the line of an error, which may come after the curves were `drawn` already.
+
+    `limited_by` are the limits of a drag; a result that `awaits` is computed again once a design is available.
+    """
 
     settings: Settings
     picture: Picture | None
     line: str | None
     limited_by: tuple[str, ...]
     awaits: bool
+    drawn: bool
     count: int
     gesture: object
-    turn: int
 
 
 class Session:
@@ -88,14 +91,11 @@ class Session:
         self.plots.on_crossover_dragged(self._crossover_dragged)
         self._gesture: object = None
         self._changes: LatestTasks[Task] = LatestTasks(self._work)
-        self._lock = threading.Lock()
-        self._outcome: Outcome | None = None
-        # What is drawn next; its turn, and the turn of what the plots show.
+        # What is drawn next.
         self._drawing: Drawing | None = None
-        self._turn = self._plotted = 0
         self._sent = threading.Event()
-        # The result that waits for a design.
-        self._awaited: Outcome | None = None
+        # Settings that wait for a design, and the gesture that led to them; only `_work` uses it.
+        self._awaited: tuple[Settings, object] | None = None
         self._idle: Any = None
         # Whether a drag may violate limits, and which of them hold the present one back.
         self._free = False
@@ -113,7 +113,7 @@ class Session:
         self._changes.close()
         self._tasks.close()
         self.connection.close()
-        self._idle = self._outcome = self.picture = self._drawing = self._awaited = None
+        self._idle = self.picture = self._drawing = self._awaited = None
 
     def change(self, key: str, change: Change, *, count: int = 0, gesture: object = None) -> None:
         """Change the settings and show them; it replaces a waiting change of the same key."""
@@ -178,6 +178,10 @@ class Session:
         switched, part, on = self.backend.with_part, request.more["part"], request.more["on"]
         self.change(f"part {part}", lambda settings: switched(settings, part, on), count=request.count)
 
+    def _on_overlay(self, request: Request) -> None:
+        with_overlay, design, on = self.backend.with_overlay, request.more["design"], request.more["on"]
+        self.change(f"overlay {design}", lambda settings: with_overlay(settings, design, on), count=request.count)
+
     def _on_set(self, request: Request) -> None:
         backend, name, given = self.backend, request.more["name"], request.more["value"]
         plants = () if self.picture is None else self.picture.plants
@@ -224,80 +228,64 @@ class Session:
 
     def _designed(self) -> None:
         """Compute the picture again with a design that has become available; called in a thread."""
-
-        def again() -> None:
-            awaited = self._awaited
-            if awaited is None:
-                task = Task(count=0, change=lambda settings: settings, gesture="ready")
-            else:
-                task = Task(count=0, change=lambda settings: awaited.settings, gesture=awaited.gesture)
-            self._changes.add("again", task)
-
-        self.connection.later(again)
+        self._changes.add("again", Task(count=0, change=lambda settings: settings, gesture="ready"))
 
     def _work(self, tasks: list[Task]) -> None:
         """Compute a picture for all tasks together; runs in a thread."""
-        settings, line, picture, awaits = self.settings, None, None, False
-        self._turn += 1
+        settings, line, picture, awaits, drawn = self.settings, None, None, False, False
+        # A design that has become available is not a separate step of a gesture.
+        gesture = next((task.gesture for task in reversed(tasks) if task.gesture != "ready"), "ready")
+        if gesture == "ready" and self._awaited is not None:
+            settings, gesture = self._awaited
         self._limited_by = ()
         for task in tasks:
             try:
                 settings = task.change(settings)
             except Exception as error:
                 line = error_text(error)
+
+        def on_drawn(drawing: Drawing) -> None:
+            nonlocal drawn
+            drawn = True
+            self._drawn(drawing)
+
         try:
-            picture = self.backend.picture(settings, self._drawn)
+            picture = self.backend.picture(settings, on_drawn)
         except DesignPending as error:
             line, awaits = str(error), True
         except Exception as error:
             line = error_text(error)
-        # A design that has become available is not a separate step of a gesture.
-        gesture = next((task.gesture for task in reversed(tasks) if task.gesture != "ready"), "ready")
-        count = max(task.count for task in tasks)
-        with self._lock:
-            if picture is not None:
-                # What the next tasks start from, before it is shown.
-                self.settings = settings
-            scheduled = self._outcome is not None
-            if self._outcome is not None and gesture == "ready":
-                gesture = self._outcome.gesture
-            self._outcome = Outcome(
-                settings=settings,
-                picture=picture,
-                line=line,
-                limited_by=self._limited_by,
-                awaits=awaits,
-                count=count,
-                gesture=gesture,
-                turn=self._turn,
-            )
-        if not scheduled:
-            self.connection.later(self._show)
+        self._awaited = (settings, gesture) if awaits else None
+        if picture is not None:
+            # What the next tasks start from, before it is shown.
+            self.settings = settings
+        outcome = Outcome(
+            settings=settings,
+            picture=picture,
+            line=line,
+            limited_by=self._limited_by,
+            awaits=awaits,
+            drawn=drawn,
+            count=max(task.count for task in tasks),
+            gesture=gesture,
+        )
+        self.connection.later(lambda: self._show(outcome))
 
     def _drawn(self, drawing: Drawing) -> None:
         """Show the curves before they are measured; called in a thread."""
         self._sent.clear()
-        with self._lock:
-            scheduled, self._drawing = self._drawing is not None, drawing
-        if not scheduled:
-            self.connection.later(self._draw)
+        self._drawing = drawing
+        self.connection.later(lambda: self._draw(drawing))
         # Measuring would only keep it from being sent: the browser paints meanwhile.
         self._sent.wait(_SENDING)
 
-    def _draw(self) -> None:
-        with self._lock:
-            drawing, self._drawing = self._drawing, None
-            turn = self._turn
-        if drawing is not None:
-            self._plotted = turn
+    def _draw(self, drawing: Drawing) -> None:
+        # A newer one may be waiting already.
+        if drawing is self._drawing:
             self.plots.show(drawing)
             self.connection.later(self._sent.set)
 
-    def _show(self) -> None:
-        with self._lock:
-            out, self._outcome = self._outcome, None
-        if out is None:
-            return
+    def _show(self, out: Outcome) -> None:
         line = self._line or out.line
         self._line = None
         notes = () if out.picture is None else out.picture.notes
@@ -305,8 +293,6 @@ class Session:
             notes = (f"Limited by {' and '.join(out.limited_by)}; hold Shift to go on", *notes)
         kind = "error" if line and not out.awaits else "quiet"
         data: dict[str, Any] = {"line": {"text": line or ". ".join(notes), "kind": kind}}
-        if out.gesture != "ready" or out.awaits:
-            self._awaited = out if out.awaits else None
         if out.picture is not None:
             self._remember(out.settings, out.gesture)
             self.picture = out.picture
@@ -319,8 +305,7 @@ class Session:
             # Everything returns to the last picture.
             data |= self._picture_data(self.picture)
             self._rest()
-            if self._plotted == out.turn:
-                # Its curves are drawn already, but measuring failed.
+            if out.drawn:
                 self.plots.show(self.picture)
         self.connection.answer(out.count, **data)
 

@@ -1,5 +1,5 @@
 // What is shown: mode, loop, design, plant and the rest; verdict and margins.
-import { request, byId, dress, made, on, shown, write } from "./messages.js";
+import { request, byId, dress, lastRequest, made, on, shown, write } from "./messages.js";
 
 const SELECTS = { loop: "loop", design: "design", channel: "channel", axis: "axis", plant: "plant" };
 
@@ -60,7 +60,7 @@ const showLink = () => {
   }, REST);
 };
 export const shownState = () => state;
-on("state", (given) => {
+on("state", (given, { n }) => {
   state = given;
   paintMode((button) => button.dataset.mode === given.mode);
   for (const button of byId("mode").children) button.disabled = !given.choices.mode.includes(button.dataset.mode);
@@ -74,18 +74,25 @@ on("state", (given) => {
   byId("tune").disabled = !given.tunable;
   byId("compare").disabled = given.choices.overlays.length === 0;
   showLink();
-  const now = JSON.stringify([given.choices.overlays, given.overlays]);
-  if (now === overlays) return;
-  overlays = now;
-  byId("overlays").replaceChildren(...given.choices.overlays.map((one) => {
-    const box = made("input", { type: "checkbox", checked: given.overlays.includes(one.design) });
-    box.addEventListener("change", () => {
-      const boxes = [...byId("overlays").querySelectorAll("input")];
-      request("set", { name: "overlays", value: given.choices.overlays.filter((_, k) => boxes[k].checked).map((each) => each.design) });
-    });
-    return made("li", {}, made("label", {}, box, made("span", {}, one.design), made("span", { className: "quiet" }, one.method)));
-  }));
+  const now = JSON.stringify(given.choices.overlays);
+  if (now !== overlays) {
+    overlays = now;
+    byId("overlays").replaceChildren(...given.choices.overlays.map(overlayRow));
+  }
+  for (const box of byId("overlays").querySelectorAll("input")) {
+    if (n >= Number(box.dataset.request)) box.checked = given.overlays.includes(box.value);
+  }
 });
+
+// Each box is one request: an answer to an earlier one neither unchecks it nor decides what the next one sends.
+const overlayRow = ({ design, method }) => {
+  const box = made("input", { type: "checkbox", value: design, "data-request": 0 });
+  box.addEventListener("change", () => {
+    request("overlay", { design, on: box.checked });
+    box.dataset.request = lastRequest();
+  });
+  return made("li", {}, made("label", {}, box, made("span", {}, design), made("span", { className: "quiet" }, method)));
+};
 
 let figures = "", cells = [];
 on("bar", (given) => {

@@ -48,6 +48,8 @@ export const request = (what, more = {}) => {
   if (!ticking) tick();
   send({ n: sent, what, ...more });
 };
+// The number of the last request; an answer with a smaller one does not include it.
+export const lastRequest = () => sent;
 
 const sendWaiting = () => {
   if (answered < sent || waiting.size === 0) return;

@@ -1,0 +1,219 @@
+"""A page without a browser: what it shows whenever a design becomes available, and in whatever order things happen."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import threading
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+
+pytest.importorskip("bokeh", reason="the extra `designer` is not installed")
+
+from bokeh.document import Document
+
+from app.test_page import JOB
+from platform_ctrl.app.backend import Backend
+from platform_ctrl.app.designs import DesignPending, DesignQueue
+from platform_ctrl.app.page.connection import Connection
+from platform_ctrl.app.page.session import Session
+from platform_ctrl.errors import DesignError
+
+
+@pytest.fixture(scope="module")
+def backend(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Backend]:
+    path = tmp_path_factory.mktemp("session") / "gyros.toml"
+    path.write_text(JOB, encoding="utf-8")
+    made = Backend(path)
+    yield made
+    made.close()
+
+
+def _until(met: Callable[[], bool]) -> None:
+    end = time.monotonic() + 60.0
+    while not met():
+        assert time.monotonic() < end, "it did not happen"
+        time.sleep(0.002)
+
+
+class Driven:
+    """A session whose loop the test drives, with a design that is available when the test says so."""
+
+    def __init__(self, backend: Backend, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.backend, self.count = backend, 0
+        self.available = False
+        # Called as soon as the design was found missing, still within the computation of the picture.
+        self.on_missing: Callable[[], None] = lambda: None
+        self._listeners: list[Callable[[], None]] = []
+        self._waiting: list[Callable[[], None]] = []
+        self._picture = backend.picture
+        monkeypatch.setattr(Connection, "later", lambda connection, act: self._waiting.append(act))
+        monkeypatch.setattr(backend, "picture", self.picture)
+        monkeypatch.setattr(backend, "on_designed", lambda listener: self._listeners.append(listener) or (lambda: None))
+        self.session = Session(backend, Document(), "")
+        self.state: dict[str, Any] = {}
+        self.answered = 0
+        self.session.connection.model.on_change("response", self._responded)
+        self.request("ready")
+        self.settle()
+
+    def picture(self, settings: Any, on_drawn: Any = None) -> Any:
+        if settings.design == "H-infinity" and not self.available:
+            self.on_missing()
+            raise DesignPending("H-infinity: is being designed")
+        # Its curves do not matter here.
+        return dataclasses.replace(self._picture(settings.but(design="classical")), settings=settings)
+
+    def designed(self) -> None:
+        self.available = True
+        for listener in self._listeners:
+            listener()
+
+    def request(self, what: str, **more: Any) -> None:
+        self.count += 1
+        self.session.connection.model.request = json.dumps({"n": self.count, "what": what, **more})
+
+    def _responded(self, name: str, old: object, new: str) -> None:
+        response = json.loads(new)
+        self.answered = response["n"]
+        self.state |= response.get("state", {})
+
+    def run_loop(self) -> None:
+        while self._waiting:
+            self._waiting.pop(0)()
+
+    def work(self) -> None:
+        """Wait until the thread of the page has nothing to do; the loop does not run meanwhile."""
+        _until(lambda: all(thread.name != "page" for thread in threading.enumerate()))
+
+    def settle(self) -> None:
+        """Run the loop until nothing happens any more."""
+        self.work()
+        while self._waiting:
+            self.run_loop()
+            self.work()
+
+
+@pytest.fixture
+def driven(backend: Backend, monkeypatch: pytest.MonkeyPatch) -> Iterator[Driven]:
+    made = Driven(backend, monkeypatch)
+    yield made
+    made.session.close(None)
+
+
+@pytest.mark.parametrize("when", ["while its picture is computed", "before the result is shown", "after it is shown"])
+def test_a_selected_design_is_shown_whenever_it_becomes_available(driven: Driven, when: str) -> None:
+    if when == "while its picture is computed":
+        driven.on_missing = driven.designed
+    driven.request("set", name="design", value="H-infinity")
+    if when == "before the result is shown":
+        driven.work()
+        driven.designed()
+    elif when == "after it is shown":
+        driven.settle()
+        assert driven.state["design"] == "classical"
+        driven.designed()
+    driven.settle()
+    assert driven.state["design"] == "H-infinity"
+    assert driven.state["undo"]
+    assert driven.answered == driven.count
+
+
+def test_a_change_at_the_moment_at_which_a_design_becomes_available_is_kept(driven: Driven) -> None:
+    driven.request("set", name="design", value="H-infinity")
+    driven.settle()
+    # The thread is busy while both come.
+    begun, go = threading.Event(), threading.Event()
+
+    def slow(settings: Any) -> Any:
+        begun.set()
+        assert go.wait(10.0)
+        return settings
+
+    driven.session.change("slow", slow)
+    assert begun.wait(10.0)
+    driven.request("set", name="axis", value=3)
+    driven.designed()
+    driven.run_loop()
+    go.set()
+    driven.settle()
+    assert driven.state["axis"] == 3
+    assert driven.answered == driven.count
+
+
+def test_every_request_is_answered_when_results_come_faster_than_they_are_shown(driven: Driven) -> None:
+    driven.request("set", name="axis", value=2)
+    driven.work()
+    driven.session.change("drag", lambda settings: settings)  # a drag has no request to be answered
+    driven.settle()
+    assert driven.state["axis"] == 2
+    assert driven.answered == driven.count
+
+
+def _idle(queue: DesignQueue) -> Callable[[], int]:
+    """Return a function that counts the notifications of a queue."""
+    notified: list[int] = []
+    queue.listen(lambda: notified.append(1))
+    return lambda: len(notified)
+
+
+def test_designs_that_fail_on_two_pages_are_not_tried_again_and_again() -> None:
+    queue, tried = DesignQueue(pause=0.0), []
+    notified = _idle(queue)
+
+    def failing(key: str) -> Callable[[Callable[[], bool]], None]:
+        def make(cancelled: Callable[[], bool]) -> None:
+            tried.append(key)
+            raise DesignError(f"{key} is infeasible")
+
+        return make
+
+    for k, key in enumerate(("mine", "theirs")):
+        queue.request("loop", "design", key, failing(key))
+        _until(lambda k=k: notified() == k + 1)  # type: ignore[misc]
+    for key in ("mine", "theirs"):
+        with pytest.raises(DesignError, match=f"{key} is infeasible"):
+            queue.request("loop", "design", key, failing(key))
+    assert tried == ["mine", "theirs"]
+
+
+def test_pages_are_notified_of_a_design_that_is_finished_not_of_one_that_gave_way_to_another_pages() -> None:
+    queue, begun = DesignQueue(pause=0.0), threading.Event()
+    notified = _idle(queue)
+
+    def first(cancelled: Callable[[], bool]) -> None:
+        begun.set()
+        _until(cancelled)
+        raise DesignError("cancelled")
+
+    ended, go = threading.Event(), threading.Event()
+
+    def second(cancelled: Callable[[], bool]) -> None:
+        ended.set()
+        assert go.wait(10.0)
+
+    queue.request("loop", "design", "mine", first)
+    assert begun.wait(10.0)
+    queue.request("loop", "design", "theirs", second)
+    assert ended.wait(10.0)
+    assert notified() == 0
+    go.set()
+    _until(lambda: notified() == 1)
+
+
+def test_an_unexpected_error_in_one_design_does_not_end_the_others() -> None:
+    queue = DesignQueue(pause=0.0)
+    notified = _idle(queue)
+
+    def broken(cancelled: Callable[[], bool]) -> None:
+        raise OSError("no more processes")
+
+    queue.request("loop", "one", "key", broken)
+    _until(lambda: notified() == 1)
+    with pytest.raises(DesignError, match="no more processes"):
+        queue.request("loop", "one", "key", broken)
+    queue.request("loop", "other", "key", lambda cancelled: None)
+    _until(lambda: notified() == 2)
