@@ -14,7 +14,7 @@ from scipy.linalg import solve_continuous_are
 from platform_ctrl.analysis.arrays import state_arrays
 from platform_ctrl.analysis.norms import hinf_norm
 from platform_ctrl.design.lmi import conic
-from platform_ctrl.design.lmi.bounded_real import inequalities, minimised
+from platform_ctrl.design.lmi.quadratic import inequalities, minimised
 from platform_ctrl.design.partition import closed_loop, partition, whole
 from platform_ctrl.design.riccati.hinf import _central, _floor, _normal_form, _sides, _trial, hinf_riccati
 from platform_ctrl.design.scaling import autoscale, balance, require_stabilisable

@@ -311,9 +311,8 @@ class _Problem:
 
     def solve(self, gain: FloatArray | None, objective: float | None, time_limit: float) -> _Solution:  # noqa: PLR0915 - one linear matrix inequality
         """Minimise the objective; where one is given maximise the slack at it."""
-        from platform_ctrl.design.lmi.conic import cvxpy, solve
+        from platform_ctrl.design.lmi.conic import Solver, cp
 
-        cp = cvxpy()
         n, m = self.B.shape
         order = self.R.shape[1]
         Q, S, Y = cp.Variable((n, n), symmetric=True), cp.Variable(m), cp.Variable((m, n))
@@ -360,15 +359,8 @@ class _Problem:
         else:
             constraints.append(goal <= (1.0 - 1e-9 if self.directions is None else objective))
             aim = cp.Maximize(slack)
-        solve(
-            cp.Problem(aim, constraints),
-            tuple(variables),
-            what="anti-windup",
-            time_limit=time_limit,
-            P=self.loop,
-            cure=_CURE,
-            decompose=False,
-        )
+        solver = Solver(where="anti-windup", cure=_CURE, time_limit=time_limit, P=self.loop)
+        solver.solve(cp.Problem(aim, constraints), tuple(variables), "the invariant ellipsoid", decompose=False)
         E = np.zeros((order, m)) if gain is None else gain
         if X is not None:
             E = X.value / S.value / self.R_unit[:, None] / self.room

@@ -28,11 +28,11 @@ from platform_ctrl.common.arguments import positive, real_array
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.lmi.scheduled import Scheduled, scheduled
 from platform_ctrl.design.partition import between, channels
-from platform_ctrl.design.riccati.weighted_loop import signal_names
+from platform_ctrl.design.riccati.weighted_loop import error_weight, mixed_sensitivity, signal_names, torque_units
 from platform_ctrl.design.synthesis import hinf
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.mechanics.linearisation import Terms, linearise
-from platform_ctrl.mechanics.parameter_varying import AffineModel, parameter_varying
+from platform_ctrl.mechanics.parameter_varying import parameter_varying
 from platform_ctrl.mechanics.polynomials import monomial_values
 from platform_ctrl.plant.platform import Platform
 
@@ -100,10 +100,8 @@ class ScheduledCaging:
         rate = real_array("Omega", Omega, (3,))
         if np.any(np.abs(rate) > self.Omega_max * (1 + 1e-9)):
             raise ArgumentError(f"Omega: must be at most {self.Omega_max.tolist()} rad/s, got {rate.tolist()}")
-        k = len(self.weight_rate)
-        eye = np.eye(k)
         # The weight's integrator belongs to the controller: it is in series before K.
-        weight = StateArrays(np.zeros((k, k)), eye, np.diag(self.weight_rate), eye / self.peak)
+        weight = error_weight(np.full(len(self.weight_rate), 1.0 / self.peak), self.weight_rate)
         K = self.scheduled.at(monomial_values(self.scheduled.box.names, rate))
         whole = between(self.basis, series(weight, state_arrays(K, "controller")), self.torque)
         return named_system(whole, self.angles, self.torques)
@@ -171,10 +169,8 @@ def scheduled_caging(  # noqa: PLR0913 - options by keyword
         width if inertial_bandwidth_hz is None else positive(f"{WHERE}: inertial_bandwidth_hz", inertial_bandwidth_hz)
     )
     peak = positive(f"{WHERE}: sensitivity_peak", sensitivity_peak)
-    sizes = [
-        positive(f"{WHERE}: {name}", size)
-        for name, size in (("complementary", complementary), ("disturbance", disturbance), ("torque", torque))
-    ]
+    constants = {"complementary": complementary, "disturbance": disturbance, "torque": torque}
+    constants = {name: positive(f"{WHERE}: {name}", size) for name, size in constants.items()}
     model = parameter_varying(platform, gimbals=gimbals, terms=terms, form="momenta")
     affine = model.affine()
     k = len(model.gimbals)
@@ -184,18 +180,24 @@ def scheduled_caging(  # noqa: PLR0913 - options by keyword
         raise ArgumentError(f"{WHERE}: each of the gimbals {model.gimbals} must have a torquer, got {torques}")
     rows = [platform.gimbal_names.index(name) for name in model.gimbals]
     channel = channels(linearise(platform, terms=terms), rows)
-    pairs = 2 * len(channel.momenta)
-    momenta = np.repeat(channel.momenta, 2)
-    moduli = np.abs(np.linalg.eigvals(affine.A_0))
-    nutation = float(moduli.max())
+    nutation = float(np.abs(np.linalg.eigvals(affine.A_0)).max())
     if not nutation > 0:
         raise ArgumentError(f"{WHERE}: one of the gimbals {model.gimbals} must carry a rotor with momentum")
-    unit = np.concatenate([momenta * nutation, channel.inertias[pairs:] * nutation**2])
-    weight_rate = 2 * np.pi * np.array([width] * pairs + [single] * channel.inertial)
-    into = np.linalg.inv(T) @ channel.basis.T * unit
+    weight_rate = 2 * np.pi * np.array([width] * 2 * len(channel.momenta) + [single] * channel.inertial)
+    into = np.linalg.inv(T) @ channel.basis.T * torque_units(channel, nutation)
+    eye, gain = np.eye(k), np.full(k, 1.0 / peak)
 
     def plant(rho: FloatArray) -> StateSpace:
-        return _weighted(affine, rho, into, channel.basis, weight_rate, peak, sizes, lag)
+        A, C = affine.state_matrix(rho), channel.basis @ affine.C
+        B = affine.B[:, :k] @ into
+        none = np.zeros((k, k))
+        # Behind the gimbals' states: torques behind the lag, through which d does not go.
+        lagged = np.block([[A, B], [np.zeros_like(B).T, -eye / lag]])
+        angles = np.hstack([C, none])
+        acting = StateArrays(lagged, np.vstack([np.zeros_like(B), eye / lag]), angles, none)
+        disturbed = StateArrays(lagged, np.vstack([constants["disturbance"] * B, none]), angles, none)
+        weights = constants["complementary"] * eye, constants["torque"] * eye
+        return named_system(mixed_sensitivity(acting, disturbed, gain, weight_rate, weights), *signal_names(k))
 
     corners = np.array([vertex.parameters for vertex in model.vertices(limits)])
     low, high = corners.min(axis=0), corners.max(axis=0)
@@ -212,29 +214,3 @@ def scheduled_caging(  # noqa: PLR0913 - options by keyword
         basis=channel.basis,
         torque=into,
     )
-
-
-def _weighted(
-    affine: AffineModel,
-    rho: FloatArray,
-    into: FloatArray,
-    basis: FloatArray,
-    weight_rate: FloatArray,
-    peak: float,
-    sizes: Sequence[float],
-    lag: float,
-) -> StateSpace:
-    """Return the plant of the synthesis; states: gimbals, torques behind the lag, integrals of the error."""
-    complementary, disturbance, torque = sizes
-    A, C = affine.state_matrix(rho), basis @ affine.C
-    B = affine.B[:, : len(into)] @ into
-    n, k = len(A), len(into)
-    eye, none, wide = np.eye(k), np.zeros((k, k)), np.zeros((n, k))
-    states = np.block([[A, B, wide], [wide.T, -eye / lag, none], [C, none, none]])
-    inputs = np.block([[wide, disturbance * B, wide], [none, none, eye / lag], [eye, none, none]])
-    error = np.hstack([C / peak, none, np.diag(weight_rate)])
-    outputs = np.vstack([error, np.hstack([complementary * C, none, none]), np.zeros((k, n + 2 * k)), error])
-    direct = np.block(
-        [[eye / peak, none, none], [none, none, none], [none, none, torque * eye], [eye / peak, none, none]]
-    )
-    return named_system(StateArrays(states, inputs, outputs, direct, 0.0), *signal_names(k))

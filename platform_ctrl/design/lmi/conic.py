@@ -22,19 +22,12 @@ from platform_ctrl.common.processes import ProcessDied, ProcessTimeout, TaskProc
 from platform_ctrl.common.values import value
 from platform_ctrl.errors import InfeasibleError, TimeLimitError, UnscalableError
 
+cp: Any = import_module("cvxpy")  # its annotations are incomplete
+
 # Time after the limit in which the solver may stop before it is killed, s.
 GRACE = 0.25
 # Starts of a worker for one problem.
 ATTEMPTS = 2
-
-
-@value
-class Solved:
-    """How the solver ended: its status, its own time in s and its iterations."""
-
-    status: str
-    seconds: float
-    iterations: int
 
 
 @value
@@ -46,7 +39,7 @@ class Solver:
     where, cure
         Method, and what to try next, for messages.
     time_limit
-        Longest time of one solution, s.
+        Longest time of one solution, s, without the start of the solver.
     P
         Attached to errors as the problem.
     """
@@ -57,13 +50,42 @@ class Solver:
     P: Any
 
     def solve(
-        self, goal: Any, constraints: list[Any], variables: tuple[Any, ...], step: str, tolerance: float
-    ) -> Solved:
-        """Minimise or maximise a goal under constraints; `step` names it in messages."""
-        return solve(
-            import_module("cvxpy").Problem(goal, constraints), variables, what=f"{self.where}: {step}",
-            time_limit=self.time_limit, P=self.P, tolerance=tolerance, cure=self.cure,
-        )  # fmt: skip
+        self, problem: Any, variables: tuple[Any, ...], step: str, tolerance: float = 1e-8, decompose: bool = True
+    ) -> None:
+        """Solve a `cvxpy.Problem`; afterwards its `variables` have finite values.
+
+        A result that the solver calls inaccurate is accepted: callers evaluate every result again. `step` names the
+        problem in messages, `tolerance` is that of gap and feasibility, and `decompose` says whether matrices with
+        zeros may be decomposed, which makes small problems larger.
+        """
+        what = f"{self.where}: {step}"
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            try:
+                data, chain, inverse = problem.get_problem_data(cp.CLARABEL, solver_opts={})
+                request = _request(data, self.time_limit, tolerance, decompose)
+                answer = _shared.solve(request, self.time_limit + GRACE)
+                status = answer["status"]
+                if status == "MaxTime":
+                    raise ProcessTimeout
+                if "x" in answer:
+                    problem.unpack_results(SimpleNamespace(**answer), chain, inverse)
+            except ProcessTimeout:
+                raise TimeLimitError(
+                    f"{what}: the solver did not finish in {self.time_limit:.3g} s; give a larger time_limit", self.P
+                ) from None
+            except ProcessDied:
+                raise UnscalableError(
+                    f"{what}: the solver's process died {ATTEMPTS} times; {self.cure}", self.P
+                ) from None
+            except (cp.SolverError, ArithmeticError, ValueError, np.linalg.LinAlgError):
+                raise UnscalableError(f"{what}: the solver gave up; {self.cure}", self.P) from None
+        if status in ("PrimalInfeasible", "AlmostPrimalInfeasible"):
+            raise InfeasibleError(f"{what}: the inequalities are infeasible; {self.cure}", self.P)
+        values = [variable.value for variable in variables]
+        finite = all(one is not None and np.all(np.isfinite(one)) for one in values)
+        if status not in ("Solved", "AlmostSolved") or not finite:
+            raise UnscalableError(f"{what}: the solver ended with {status!r}; {self.cure}", self.P)
 
 
 class _Shared:
@@ -103,77 +125,8 @@ if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_shared.forget)
 
 
-def cvxpy() -> Any:
-    """Return the module, imported at the first use: it is slow."""
-    return import_module("cvxpy")  # Any: its annotations are incomplete
-
-
-def solve(
-    problem: Any,
-    variables: tuple[Any, ...],
-    *,
-    what: str,
-    time_limit: float,
-    P: object,
-    tolerance: float = 1e-8,
-    cure: str = "",
-    decompose: bool = True,
-) -> Solved:
-    """Solve a cvxpy problem without output; afterwards its variables have values.
-
-    A result that the solver calls inaccurate is accepted: callers evaluate every result again.
-
-    Parameters
-    ----------
-    problem
-        A `cvxpy.Problem`.
-    variables
-        What must have finite values in the end.
-    what, cure
-        Method and step, and what to try next, for messages: ``"hinf, lmi: minimising gamma"``.
-    time_limit
-        Longest time of the solver, s, without its start.
-    P
-        Attached to errors as the problem.
-    tolerance
-        Of gap and feasibility.
-    decompose
-        Whether matrices with zeros may be decomposed, which makes small problems larger.
-    """
-    cp = import_module("cvxpy")
-    next_step = f"; {cure}" if cure else ""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        try:
-            data, chain, inverse = problem.get_problem_data(cp.CLARABEL, solver_opts={})
-            request = _request(data, time_limit, tolerance)
-            request["settings"]["chordal_decomposition_enable"] = decompose
-            answer = _shared.solve(request, time_limit + GRACE)
-            status = answer["status"]
-            if status == "MaxTime":
-                raise ProcessTimeout
-            if "x" in answer:
-                problem.unpack_results(SimpleNamespace(**answer), chain, inverse)
-        except ProcessTimeout:
-            raise TimeLimitError(
-                f"{what}: the solver did not finish in {time_limit:.3g} s; give a larger time_limit",
-                P,
-            ) from None
-        except ProcessDied:
-            raise UnscalableError(f"{what}: the solver's process died {ATTEMPTS} times{next_step}", P) from None
-        except (cp.SolverError, ArithmeticError, ValueError, np.linalg.LinAlgError):
-            raise UnscalableError(f"{what}: the solver gave up{next_step}", P) from None
-    if status in ("PrimalInfeasible", "AlmostPrimalInfeasible"):
-        raise InfeasibleError(f"{what}: the inequalities are infeasible{next_step}", P)
-    if status not in ("Solved", "AlmostSolved") or not all(
-        v.value is not None and np.all(np.isfinite(v.value)) for v in variables
-    ):
-        raise UnscalableError(f"{what}: the solver ended with {status!r}{next_step}", P)
-    return Solved(status=status, seconds=float(answer["solve_time"]), iterations=int(answer["iterations"]))
-
-
-def _request(data: dict[str, Any], time_limit: float, tolerance: float) -> dict[str, Any]:
-    """The problem as plain arrays."""
+def _request(data: dict[str, Any], time_limit: float, tolerance: float, decompose: bool) -> dict[str, Any]:
+    """Return the problem as plain arrays."""
     from scipy.sparse import csc_matrix, triu
 
     dims, A = data["dims"], csc_matrix(data["A"])
@@ -186,16 +139,14 @@ def _request(data: dict[str, Any], time_limit: float, tolerance: float) -> dict[
         cones.append(("NonnegativeConeT", (int(dims.nonneg),)))
     cones += [("SecondOrderConeT", (int(n),)) for n in dims.soc]
     cones += [("PSDTriangleConeT", (int(n),)) for n in dims.psd]
-    cones += [("ExponentialConeT", ())] * int(dims.exp)
-    cones += [("PowerConeT", (float(power),)) for power in dims.p3d]
-    settings = dict.fromkeys(("tol_gap_abs", "tol_gap_rel", "tol_feas"), tolerance) | {"time_limit": time_limit}
+    settings: dict[str, Any] = dict.fromkeys(("tol_gap_abs", "tol_gap_rel", "tol_feas"), tolerance)
     return {
         "P": ((P.data, P.indices, P.indptr), P.shape),
         "q": np.asarray(data["c"], dtype=np.float64),
         "A": ((A.data, A.indices, A.indptr), A.shape),
         "b": np.asarray(data["b"], dtype=np.float64),
         "cones": cones,
-        "settings": settings,
+        "settings": settings | {"time_limit": time_limit, "chordal_decomposition_enable": decompose},
     }
 
 

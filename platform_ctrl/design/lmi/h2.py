@@ -14,9 +14,8 @@ import numpy as np
 
 from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.design.lmi.bounded_real import LARGEST_SEPARATION, Pair, balancing, coupled, from_linearised, turned
-from platform_ctrl.design.lmi.conic import Solver, cvxpy, solved
-from platform_ctrl.design.lmi.regions import output_feedback
+from platform_ctrl.design.lmi.conic import Solver, cp, solved
+from platform_ctrl.design.lmi.linearised import Pair, balancing, from_linearised, in_states, output_feedback, separated
 from platform_ctrl.design.partition import Partition
 from platform_ctrl.design.riccati.assumptions import without_direct_path
 from platform_ctrl.design.scaling import ScaledPlant, autoscale, unscale
@@ -51,7 +50,7 @@ def h2_lmi(
     """Return the controller in the units of `plant`, the least norm, and figures of merit (scaled)."""
     solver = Solver(where=WHERE, cure=CURE, time_limit=time_limit, P=P)
     scaled, T, gain, least = _least(plant, direct, solver)
-    flat = turned(_posed(scaled, P)[0], T)
+    flat = in_states(_posed(scaled, P)[0], T)
     failure: UnscalableError | None = None
     for share in STRICTNESS:
         try:
@@ -93,33 +92,30 @@ def _least(plant: Partition, direct: bool, solver: Solver) -> tuple[ScaledPlant,
             scaled = autoscale(plant, scaled.gain * found.level)
             flat, gain = _posed(scaled, solver.P)
             T = T / scaled.state[:, None]
-        found = _minimised(turned(flat, T), direct, solver, FINE if settled else ROUGH)
+        found = _minimised(in_states(flat, T), direct, solver, FINE if settled else ROUGH)
         if settled:
             break
     return scaled, T, gain, found
 
 
 def _minimised(p: Partition, direct: bool, solver: Solver, tolerance: float) -> Found:
-    cp = cvxpy()
     X, Y, hat, level = *_unknowns(p, direct), cp.Variable()
-    solver.solve(cp.Minimize(level), _inequalities(p, X, Y, hat, level, 0.0), (X, Y), "minimising the norm", tolerance)
+    problem = cp.Problem(cp.Minimize(level), _inequalities(p, X, Y, hat, level, 0.0))
+    solver.solve(problem, (X, Y), "minimising the norm", tolerance)
     return Found(float(level.value), Pair(gamma=float(level.value), X=X.value, Y=Y.value, separation=1.0), solved(hat))
 
 
 def _separated(p: Partition, least: Found, direct: bool, backoff: float, margin: float, solver: Solver) -> Found:
-    cp = cvxpy()
-    X, Y, hat, t = *_unknowns(p, direct), cp.Variable()
+    X, Y, hat = _unknowns(p, direct)
     n = len(p.A)
     own = max(10.0, float(np.trace(least.pair.X) / n), float(np.trace(least.pair.Y) / n))
     level = (1.0 + backoff) * least.level
-    constraints = _inequalities(p, X, Y, hat, level, margin)
-    constraints += [coupled(X, Y, t), t <= LARGEST_SEPARATION, *(cp.trace(V) <= ROOM * own * n for V in (X, Y))]
-    solver.solve(cp.Maximize(t), constraints, (X, Y), "separating X and Y", 1e-7)
-    return Found(level, Pair(gamma=level, X=X.value, Y=Y.value, separation=float(t.value)), solved(hat))
+    required = _inequalities(p, X, Y, hat, level, margin)
+    t = separated(X, Y, required, ROOM * own, solver, "separating X and Y", 1e-7)
+    return Found(level, Pair(gamma=level, X=X.value, Y=Y.value, separation=t), solved(hat))
 
 
 def _unknowns(p: Partition, direct: bool) -> tuple[Any, Any, StateArrays]:
-    cp = cvxpy()
     n, nu, ny = len(p.A), p.B2.shape[1], len(p.C2)
     D: Any = cp.Variable((nu, ny)) if p.dt and direct else np.zeros((nu, ny))
     hat = StateArrays(A=cp.Variable((n, n)), B=cp.Variable((n, ny)), C=cp.Variable((nu, n)), D=D)
@@ -128,7 +124,6 @@ def _unknowns(p: Partition, direct: bool) -> tuple[Any, Any, StateArrays]:
 
 def _inequalities(p: Partition, X: Any, Y: Any, hat: StateArrays, level: Any, margin: float) -> list[Any]:
     """Return constraints: the norm is below `level`, by the Lyapunov matrix of congruent form [[X, I], [I, Y]]."""
-    cp = cvxpy()
     nz, nw = p.D11.shape
     V, VA, VB, C, D = output_feedback(p, X, Y, hat)
     cover = cp.Variable((nz, nz), symmetric=True)

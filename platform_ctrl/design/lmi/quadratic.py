@@ -1,8 +1,12 @@
 """H-infinity controllers for a plant, or for the vertices of a polytope with one Lyapunov matrix, on scaled plants.
 
-Three steps: the least gamma over X, Y with the controller eliminated; at (1 + backoff) times that gamma the pair X, Y
-that is farthest from X Y = I; and from X, Y a controller in closed form for every vertex.
+Three steps: the least gamma over X, Y with the controller eliminated (Gahinet and Apkarian 1994); at (1 + backoff)
+times that gamma the pair X, Y that is farthest from X Y = I; from X, Y a controller in closed form for every vertex.
 Nothing is assumed about D11, D12 and D21. The inequalities are evaluated again for the solver's result.
+
+The vertices share X and Y, B2, C2, D12 and D21. With X and Y in common the closed loops have one Lyapunov matrix in
+common, and with the rest in common every convex combination of them satisfies the same inequality with the same
+combination of the controllers (Apkarian, Gahinet and Becker 1995).
 """
 
 from __future__ import annotations
@@ -15,26 +19,26 @@ from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.common.values import FloatArray, value
-from platform_ctrl.design.lmi.bounded_real import (
-    CURE,
+from platform_ctrl.design.lmi.conic import Solver, cp
+from platform_ctrl.design.lmi.linearised import (
     Pair,
     balancing,
+    coupled,
     factors,
-    inequalities,
+    from_linearised,
+    in_states,
     lyapunov_matrix,
-    minimised,
-    reconstructed,
     separated,
-    turned,
 )
-from platform_ctrl.design.lmi.conic import Solver
 from platform_ctrl.design.partition import Partition
 from platform_ctrl.design.scaling import ScaledPlant, autoscale, unscale, weakest_mode
-from platform_ctrl.errors import DesignError, TimeLimitError, UnscalableError
+from platform_ctrl.errors import DesignError, IllPosedError, TimeLimitError, UnscalableError
 
 if TYPE_CHECKING:
     from control import StateSpace
 
+# What to try after a failure.
+CURE = 'give a larger backoff, other weights, or method="riccati"'
 # Solved again in other units when the least gamma of the scaled plant is not within 1/8 .. 8.
 GAMMA_RANGE = 8.0
 # Units of gamma that are tried until the first solution succeeds.
@@ -115,7 +119,7 @@ def quadratic_hinf(
     T, failure = np.diag(scaled.state), None
     for attempt in ROUNDS:
         change = balancing(least)
-        vertices, T = [turned(vertex, change) for vertex in vertices], T @ change
+        vertices, T = [in_states(vertex, change) for vertex in vertices], T @ change
         # In these states X = Y; their mean square does not depend on the states.
         own = float(np.sqrt(np.trace(least.X @ least.Y) / len(least.X)))
         bound = max(LARGEST_MEAN, LEAST_ROOM * own)
@@ -124,7 +128,7 @@ def quadratic_hinf(
             least = minimised(hull, solver, FINE)
             level = (1 + backoff) * least.gamma
             margin = max(LEAST_STRICTNESS, attempt.strictness * min(backoff, 0.02)) * level
-            best = separated(hull, level, margin, bound, attempt.reward, solver, attempt.tolerance)
+            best = _farthest(hull, level, margin, bound, attempt, solver)
             residual = _strict(vertices, best, scaled.gain, solver)
             made = [reconstructed(v, scaled.control_rank, scaled.measurement_rank, best, P) for v in vertices]
         except TimeLimitError:
@@ -235,3 +239,121 @@ def hinf_lmi(
     """Return the controller in the units of `plant`, the least gamma, and how well the inequalities hold (scaled)."""
     found = quadratic_hinf([plant], backoff, time_limit, P)
     return found.controllers[0], found.least, found.residual
+
+
+def _sides(plant: Partition) -> tuple[tuple[FloatArray, ...], tuple[FloatArray, ...]]:
+    """Return (N1, F, N2, G) of the inequalities of X and of Y.
+
+    The columns of [N1; N2] span the kernel of [B2' D12'], which no controller changes. The inequality of X is
+    [[He(N1' X F) − gamma N2' N2, G], [G', −gamma I]] < 0 with F = A' N1 + C1' N2, G = N1' B1 + N2' D11;
+    that of Y is its dual.
+    """
+    out = []
+    for p in (plant, plant.dual):
+        _, sigma, Vt = np.linalg.svd(np.hstack([p.B2.T, p.D12.T]), full_matrices=True)
+        N = Vt[int(np.sum(sigma > 1e-12 * sigma[0])) :].T
+        N1, N2 = N[: len(p.A)], N[len(p.A) :]
+        out.append((N1, p.A.T @ N1 + p.C1.T @ N2, N2, N1.T @ p.B1 + N2.T @ p.D11))
+    return out[0], out[1]
+
+
+def inequalities(plant: Partition, gamma: float, X: FloatArray, Y: FloatArray) -> dict[str, FloatArray]:
+    """Return matrices that are all negative definite only if some closed-loop norm is below `gamma`."""
+    out = {}
+    for name, V, (N1, F, N2, G) in zip(("X", "Y"), (X, Y), _sides(plant), strict=True):
+        half = N1.T @ V @ F - 0.5 * gamma * N2.T @ N2
+        out[f"inequality of {name}"] = np.block([[half + half.T, G], [G.T, -gamma * np.eye(G.shape[1])]])
+    one = np.eye(len(X))
+    out["coupling of X and Y"] = -np.block([[X, one], [one, Y]])
+    return out
+
+
+def minimised(plants: Sequence[Partition], solver: Solver, tolerance: float) -> Pair:
+    """Return the least gamma for which the inequalities hold for every plant, with X and Y."""
+    n = len(plants[0].A)
+    X, Y, gamma = cp.Variable((n, n), symmetric=True), cp.Variable((n, n), symmetric=True), cp.Variable()
+    constraints = [coupled(X, Y, 1.0), *_constraints(plants, X, Y, gamma, 0.0)]
+    solver.solve(cp.Problem(cp.Minimize(gamma), constraints), (X, Y, gamma), "minimising gamma", tolerance)
+    return Pair(gamma=float(gamma.value), X=X.value, Y=Y.value, separation=1.0)
+
+
+def _farthest(
+    plants: Sequence[Partition], gamma: float, margin: float, bound: float, attempt: Round, solver: Solver
+) -> Pair:
+    """Return X and Y farthest from X Y = I for which the inequalities hold at `gamma`, by `margin`."""
+    n = len(plants[0].A)
+    X, Y = cp.Variable((n, n), symmetric=True), cp.Variable((n, n), symmetric=True)
+    required, step = _constraints(plants, X, Y, gamma, margin), f"separating X and Y at gamma = {gamma:.6g} (scaled)"
+    t = separated(X, Y, required, bound, solver, step, attempt.tolerance, attempt.reward)
+    return Pair(gamma=gamma, X=X.value, Y=Y.value, separation=t)
+
+
+def _constraints(plants: Sequence[Partition], X: Any, Y: Any, gamma: Any, margin: float) -> list[Any]:
+    constraints = []
+    for plant in plants:
+        for V, (N1, F, N2, G) in zip((X, Y), _sides(plant), strict=True):
+            half = N1.T @ V @ F
+            block = cp.bmat([[half + half.T - gamma * (N2.T @ N2), G], [G.T, -gamma * np.eye(G.shape[1])]])
+            constraints.append(block << -margin * np.eye(block.shape[0]))
+    return constraints
+
+
+def reconstructed(plant: Partition, r: int, s: int, best: Pair, P: object) -> StateArrays:
+    """Return a controller from strictly feasible X and Y; r and s are the ranks of D12 and D21 (Gahinet 1996).
+
+    In the variables Â, B̂, Ĉ of the linearised inequality, Ĉ satisfies the part of X, B̂ that of Y, and Â cancels the
+    cross term.
+    """
+    p, gamma, X, Y = plant, best.gamma, best.X, best.Y
+    D = _feedthrough(p, r, s, gamma)
+    Dc = p.D11 + p.D12 @ D @ p.D21
+    nz, nw = Dc.shape
+    weight = np.linalg.inv(np.block([[gamma * np.eye(nw), -Dc.T], [-Dc, gamma * np.eye(nz)]]))
+
+    through = p.A + p.B2 @ D @ p.C2
+    Bc, Cc = p.B1 + p.B2 @ D @ p.D21, p.C1 + p.D12 @ D @ p.C2
+    seen = np.vstack([np.zeros((nw, p.D12.shape[1])), p.D12])
+    C, Mx = _gain(p.A @ X, p.B2, np.vstack([Bc.T, p.C1 @ X]), seen, weight, r, P)
+    seen = np.vstack([p.D21.T, np.zeros((nz, p.D21.shape[0]))])
+    Bt, My = _gain(p.A.T @ Y, p.C2.T, np.vstack([p.B1.T @ Y, Cc]), seen, weight, s, P)
+    A = -through.T - My.T @ weight @ Mx
+    return from_linearised(plant, X, Y, StateArrays(A=A, B=Bt.T, C=C, D=D))
+
+
+def _feedthrough(p: Partition, r: int, s: int, gamma: float) -> FloatArray:
+    """Return D_K with |D11 + D12 D_K D21| < gamma: the central solution of Parrott's problem."""
+    U1, V1 = p.D12[:, :r], p.D21[:s].T
+    U0, V0 = np.linalg.svd(U1)[0][:, r:], np.linalg.svd(V1)[0][:, s:]
+    a, b, c, d = U0.T @ p.D11 @ V0, U0.T @ p.D11 @ V1, U1.T @ p.D11 @ V0, U1.T @ p.D11 @ V1
+    D = np.zeros((p.D12.shape[1], p.D21.shape[0]))
+    D[:r, :s] = -d - c @ np.linalg.solve(gamma**2 * np.eye(a.shape[1]) - a.T @ a, a.T @ b)
+    return D
+
+
+def _gain(
+    AX: FloatArray, B: FloatArray, M0: FloatArray, E: FloatArray, weight: FloatArray, rank: int, P: object
+) -> tuple[FloatArray, FloatArray]:
+    """Return F with He(AX + B F) + M' weight M < 0, and M = M0 + E F; E is zero beyond `rank` columns."""
+    F = np.zeros((B.shape[1], AX.shape[0]))
+    regular = E[:, :rank]
+    F[:rank] = -np.linalg.solve(
+        regular.T @ weight @ regular, B[:, :rank].T + regular.T @ weight @ M0
+    )  # the minimum of the quadratic form
+    M = M0 + E @ F
+    left = AX + B @ F
+    left = left + left.T + M.T @ weight @ M
+    singular = B[:, rank:]
+    if not singular.size:
+        return F, M
+    # Signals that are not in z directly may be used without limit (Finsler): as little as is enough, doubled.
+    gain = 1e-3
+    while np.linalg.eigvalsh(left - 2 * gain * singular @ singular.T)[-1] >= 0:
+        gain *= 2
+        if gain > 1e12:
+            raise IllPosedError(
+                "lmi: no finite gain of the channels that D12 or D21 leave out satisfies the inequalities; "
+                "give a larger backoff, or add a small weight on every control and a small noise on every measurement",
+                P,
+            )
+    F[rank:] = -2 * gain * singular.T
+    return F, M

@@ -19,11 +19,10 @@ from platform_ctrl.analysis.certificates.certificate import Certificate, proved
 from platform_ctrl.common.arguments import positive
 from platform_ctrl.common.signatures import check_arguments, short
 from platform_ctrl.common.values import FloatArray, value
-from platform_ctrl.design.lmi.bounded_real import factors, lyapunov_matrix, turned
-from platform_ctrl.design.lmi.conic import cvxpy
-from platform_ctrl.design.lmi.polytope import require_alike, require_common
+from platform_ctrl.design.lmi.conic import cp
+from platform_ctrl.design.lmi.linearised import factors, in_states, lyapunov_matrix, state_feedback
 from platform_ctrl.design.lmi.quadratic import mean_plant, rescaled, weighted_mean
-from platform_ctrl.design.lmi.regions import state_feedback
+from platform_ctrl.design.lmi.scheduled import require_alike, require_common
 from platform_ctrl.design.lmi.search import CURE, FINE, Problem, constrained, direct, posed
 from platform_ctrl.design.lmi.solutions import KnownMatrix, least_ratio, slackest, solutions
 from platform_ctrl.design.lmi.tasks import checked, claimed_loop, tasks
@@ -175,12 +174,11 @@ def _measures_state(parts: Sequence[Partition]) -> bool:
 
 def _in_states(problem: Problem, parts: Sequence[Partition]) -> list[Partition]:
     scaled = problem.scaled
-    return [turned(rescaled(part, scaled), problem.T / scaled.state[:, None]) for part in parts]
+    return [in_states(rescaled(part, scaled), problem.T / scaled.state[:, None]) for part in parts]
 
 
 def _state_feedback(problem: Problem, parts: Sequence[Partition], backoff: float) -> _Found:
     """Find the least ratio, then the least effort at the relaxed one: Z >= L X⁻¹ L'."""
-    cp = cvxpy()
     plants = _in_states(problem, parts)
     n, nu = len(plants[0].A), plants[0].B2.shape[1]
 
@@ -193,7 +191,8 @@ def _state_feedback(problem: Problem, parts: Sequence[Partition], backoff: float
         if not problem.requested.norms:
             constraints.append(cp.trace(X) == n)
         objective = ratio if goal == "ratio" else cp.trace(Z)
-        problem.solver.solve(cp.Minimize(objective), constraints, (X, L), f"minimising the {goal}", FINE)
+        convex = cp.Problem(cp.Minimize(objective), constraints)
+        problem.solver.solve(convex, (X, L), f"minimising the {goal}", FINE)
         return X.value, L.value, float(getattr(ratio, "value", ratio))
 
     least = float("nan")
@@ -266,7 +265,6 @@ def _output_feedback(problem: Problem, parts: Sequence[Partition], backoff: floa
 
 def _for_matrix(problem: Problem, plants: Sequence[Partition], V: FloatArray) -> StateArrays:
     """Return the controller of the least ratio for a known matrix; without norms, of the most slack."""
-    cp = cvxpy()
     known = KnownMatrix(plants, V, direct(problem))
     goal = cp.Variable()
     norms = bool(problem.requested.norms)
@@ -274,8 +272,8 @@ def _for_matrix(problem: Problem, plants: Sequence[Partition], V: FloatArray) ->
     constraints = [goal >= 0] if norms else [goal <= 1]
     for loop in known.loops:
         constraints += constrained(problem, loop, ratios, 1.0, MARGIN if norms else goal)[0]
-    direction = cp.Minimize(goal) if norms else cp.Maximize(goal)
-    problem.solver.solve(direction, constraints, known.unknowns, "the controller for a matrix", FINE)
+    convex = cp.Problem(cp.Minimize(goal) if norms else cp.Maximize(goal), constraints)
+    problem.solver.solve(convex, known.unknowns, "the controller for a matrix", FINE)
     return known.controller()
 
 

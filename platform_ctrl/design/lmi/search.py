@@ -14,18 +14,19 @@ import numpy as np
 
 from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.design.lmi.bounded_real import LARGEST_SEPARATION, Pair, balancing, coupled, turned
-from platform_ctrl.design.lmi.conic import Solver, cvxpy, solved
-from platform_ctrl.design.lmi.regions import (
+from platform_ctrl.design.lmi.conic import Solver, cp, solved
+from platform_ctrl.design.lmi.linearised import (
     LinearLoop,
+    Pair,
+    balancing,
     h2_below,
     hinf_below,
+    in_states,
     output_feedback,
     poles_in,
-    region,
-    require_movable,
+    separated,
 )
-from platform_ctrl.design.lmi.tasks import NormTask, Tasks
+from platform_ctrl.design.lmi.tasks import NormTask, Tasks, region, require_movable
 from platform_ctrl.design.partition import Partition
 from platform_ctrl.design.scaling import ScaledPlant, autoscale
 from platform_ctrl.errors import IllPosedError, InfeasibleError, UnscalableError
@@ -96,7 +97,7 @@ def improved_problem(problem: Problem, found: Found, stride: float = 1.0) -> Pro
     gain = problem.scaled.gain * float(np.clip(np.exp(np.mean(np.log(sizes))), 1e-3, 1e6)) if sizes else 1.0
     gain = float(np.clip(gain, LEAST_GAIN, 1 / LEAST_GAIN))
     scaled, T = autoscale(problem.requested.plant, gain), problem.T @ balancing(found.pair)
-    plant = turned(scaled.plant, T / scaled.state[:, None])
+    plant = in_states(scaled.plant, T / scaled.state[:, None])
     return problem._replace(plant=plant, scaled=scaled, T=T, splits=tuple(splits))
 
 
@@ -153,7 +154,7 @@ def _descended(
 
 
 def _unknowns(problem: Problem) -> tuple[Any, Any, StateArrays]:
-    cp, p = cvxpy(), problem.plant
+    p = problem.plant
     n, nu, ny = len(p.A), p.B2.shape[1], len(p.C2)
     X, Y = cp.Variable((n, n), symmetric=True), cp.Variable((n, n), symmetric=True)
     hats = StateArrays(A=cp.Variable((n, n)), B=cp.Variable((n, ny)), C=cp.Variable((nu, n)), D=direct(problem))
@@ -162,7 +163,7 @@ def _unknowns(problem: Problem) -> tuple[Any, Any, StateArrays]:
 
 def direct(problem: Problem) -> Any:
     """D̂, such that the channels of H2 norms have no direct term."""
-    cp, p = cvxpy(), problem.plant
+    p = problem.plant
     shape = p.D12.shape[1], p.D21.shape[0]
     rows, right = [np.zeros((0, shape[0] * shape[1]))], [np.zeros(0)]
     for task in problem.requested.norms:
@@ -193,7 +194,6 @@ def constrained(
     problem: Problem, loop: LinearLoop, ratios: Sequence[Any], tighter: float, margin: float
 ) -> tuple[list[Any], list[Any]]:
     """Return the constraints, norms at `ratios` (None: left out) times their limits, regions tighter; and levels."""
-    cp = cvxpy()
     out: list[Any] = []
     pairs: list[Any] = []
     for number, (task, ratio, split) in enumerate(zip(problem.requested.norms, ratios, problem.splits, strict=True)):
@@ -227,7 +227,6 @@ def minimised(
     problem: Problem, goals: tuple[bool, ...], backoff: float, tolerance: float, others: bool = True
 ) -> Found:
     """Return the least ratio of the goals, other requirements tighter by the back-off, or without other norms."""
-    cp = cvxpy()
     X, Y, hats = _unknowns(problem)
     n = len(problem.plant.A)
     loop = output_feedback(problem.plant, X, Y, hats)
@@ -235,20 +234,19 @@ def minimised(
     size = (cp.trace(X) + cp.trace(Y)) / n
     ratios = [ratio if goal else (1 / (1 + backoff) if others else None) for goal in goals]
     constraints, pairs = constrained(problem, loop, ratios, 1 + backoff, 0.0)
-    goal, constraints = cp.Minimize(ratio if any(goals) else size), [loop.V >> 0, ratio >= 0, *constraints]
-    problem.solver.solve(goal, constraints, (X, Y, *_variables(hats)), "minimising the largest ratio", tolerance)
+    goal = cp.Minimize(ratio if any(goals) else size)
+    convex = cp.Problem(goal, [loop.V >> 0, ratio >= 0, *constraints])
+    problem.solver.solve(convex, (X, Y, *_variables(hats)), "minimising the largest ratio", tolerance)
     least = float(ratio.value) if any(goals) else float("nan")
     pair = Pair(gamma=least, X=X.value, Y=Y.value, separation=1.0)
     shown = tuple(least if goal else 1.0 for goal in goals)
     return Found(pair=pair, hats=solved(hats), ratio=least, ratios=shown, splits=tangents(problem, pairs))
 
 
-def separated(problem: Problem, found: Found, backoff: float, margin: float) -> Found:
+def farthest(problem: Problem, found: Found, backoff: float, margin: float) -> Found:
     """Return X, Y and the transformed controller farthest from X Y = I at the relaxed bounds."""
-    cp = cvxpy()
     X, Y, hats = _unknowns(problem)
     n = len(problem.plant.A)
-    t = cp.Variable()
     loop = output_feedback(problem.plant, X, Y, hats)
     ratio = (1 + backoff) * found.ratio if problem.requested.norms else float("nan")
     if not problem.soft and ratio > 1:
@@ -257,16 +255,8 @@ def separated(problem: Problem, found: Found, backoff: float, margin: float) -> 
     required, pairs = constrained(problem, loop, ratios, 1.0, margin)
     own = float(np.sqrt(np.trace(found.pair.X @ found.pair.Y) / n))
     bound = max(LARGEST_MEAN, LEAST_ROOM * own)
-    constraints = [
-        coupled(X, Y, t),
-        t <= LARGEST_SEPARATION,
-        cp.trace(X) <= n * bound,
-        cp.trace(Y) <= n * bound,
-        *required,
-    ]
-    step = f"separating X and Y at the ratio {ratio:.6g}"
-    problem.solver.solve(cp.Maximize(t), constraints, (X, Y, *_variables(hats)), step, FINE)
-    pair = Pair(gamma=ratio, X=X.value, Y=Y.value, separation=float(t.value))
+    t = separated(X, Y, required, bound, problem.solver, f"separating X and Y at the ratio {ratio:.6g}", FINE)
+    pair = Pair(gamma=ratio, X=X.value, Y=Y.value, separation=t)
     return Found(pair=pair, hats=solved(hats), ratio=ratio, ratios=tuple(ratios), splits=tangents(problem, pairs))
 
 

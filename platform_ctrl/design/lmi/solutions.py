@@ -9,9 +9,17 @@ import numpy as np
 
 from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.design.lmi.bounded_real import Pair, balancing, factors, from_linearised, lyapunov_matrix, turned
-from platform_ctrl.design.lmi.conic import cvxpy
-from platform_ctrl.design.lmi.regions import LinearLoop, output_feedback
+from platform_ctrl.design.lmi.conic import cp
+from platform_ctrl.design.lmi.linearised import (
+    LinearLoop,
+    Pair,
+    balancing,
+    factors,
+    from_linearised,
+    in_states,
+    lyapunov_matrix,
+    output_feedback,
+)
 from platform_ctrl.design.lmi.search import (
     CURE,
     FINE,
@@ -20,9 +28,9 @@ from platform_ctrl.design.lmi.search import (
     best_ratio,
     constrained,
     direct,
+    farthest,
     improved_problem,
     minimised,
-    separated,
 )
 from platform_ctrl.design.partition import Partition, closed_loop
 from platform_ctrl.errors import DesignError, IllPosedError, InfeasibleError, TimeLimitError, UnscalableError
@@ -41,67 +49,57 @@ def slackest(
     K: StateArrays,
     near: FloatArray | None = None,
 ) -> FloatArray:
-    """Return the matrix for which the requirements hold with the most slack, the norms at `ratios` times their limits.
+    """Return the Lyapunov matrix for which the requirements hold with the most slack, for a known controller K.
 
-    Parameters
-    ----------
-    problem, plants, ratios
-        The requirements, the scaled plants for which they have to hold, and a ratio for each norm.
-    V, K
-        A matrix to start from, and the controller.
-    near
-        A matrix from which the result differs by a factor at most, as a quadratic form.
+    `ratios` are those of the norms to their limits, `V` is a matrix to start from; as a quadratic form the result
+    differs from `near` by a factor at most.
     """
-    cp = cvxpy()
     slack = cp.Variable()
-    known = _Known(problem, plants, ratios, V, K, near)
-    return known.solved(slack, cp.Maximize(slack), [slack >= 0], "maximising slack")
+    return _matrix(problem, plants, ratios, V, K, slack, (cp.Maximize(slack), slack >= 0, "maximising slack"), near)
 
 
 def least_ratio(
     problem: Problem, plants: Sequence[Partition], V: FloatArray, K: StateArrays, backoff: float
 ) -> tuple[float, FloatArray]:
     """Return the least ratio of the goals that a common matrix proves, and the matrix; see `slackest`."""
-    cp = cvxpy()
     ratio = cp.Variable()
     ratios = [ratio if goal else 1 / (1 + backoff) for goal in problem.goals]
-    known = _Known(problem, plants, ratios, V, K)
-    V = known.solved(0.0, cp.Minimize(ratio), [ratio >= 0], "minimising the ratio of a common matrix")
+    aim = cp.Minimize(ratio), ratio >= 0, "minimising the ratio of a common matrix"
+    V = _matrix(problem, plants, ratios, V, K, 0.0, aim)
     return float(ratio.value), V
 
 
-class _Known(NamedTuple):
-    """A known controller whose Lyapunov matrix is sought, as in `slackest`."""
-
-    problem: Problem
-    plants: Sequence[Partition]
-    ratios: Sequence[Any]
-    V: FloatArray
-    K: StateArrays
-    near: FloatArray | None = None
-
-    def solved(self, slack: Any, goal: Any, more: list[Any], step: str) -> FloatArray:
-        """Return the matrix of the best goal."""
-        cp = cvxpy()
-        # In the states in which the last V is the identity.
-        root = np.linalg.cholesky(self.V).T
-        inverse = np.linalg.inv(root)
-        size = len(self.V)
-        new = cp.Variable((size, size), symmetric=True)
-        constraints = [new >> 1 / ROOM**2 * np.eye(size), cp.trace(new) <= size * ROOM, *more]
-        if self.near is not None:
-            there = inverse.T @ self.near @ inverse
-            constraints += [new >> there / NEAR, new << NEAR * there]
-        for plant in self.plants:
-            loop = closed_loop(plant, self.K)
-            linear = LinearLoop(
-                V=new, VA=new @ (root @ loop.A @ inverse), VB=new @ (root @ loop.B),
-                C=cp.Constant(loop.C @ inverse), D=cp.Constant(loop.D),
-            )  # fmt: skip
-            constraints += constrained(self.problem, linear, self.ratios, 1.0, slack)[0]
-        self.problem.solver.solve(goal, constraints, (new,), step, FINE)
-        out = root.T @ new.value @ root
-        return np.asarray(0.5 * (out + out.T))
+def _matrix(
+    problem: Problem,
+    plants: Sequence[Partition],
+    ratios: Sequence[Any],
+    V: FloatArray,
+    K: StateArrays,
+    slack: Any,
+    aim: tuple[Any, Any, str],
+    near: FloatArray | None = None,
+) -> FloatArray:
+    """Return the matrix of the best goal; `aim` is the goal, its constraint and the step's name."""
+    # In the states in which the last V is the identity.
+    root = np.linalg.cholesky(V).T
+    inverse = np.linalg.inv(root)
+    size = len(V)
+    new = cp.Variable((size, size), symmetric=True)
+    goal, more, step = aim
+    constraints = [new >> 1 / ROOM**2 * np.eye(size), cp.trace(new) <= size * ROOM, more]
+    if near is not None:
+        there = inverse.T @ near @ inverse
+        constraints += [new >> there / NEAR, new << NEAR * there]
+    for plant in plants:
+        loop = closed_loop(plant, K)
+        linear = LinearLoop(
+            V=new, VA=new @ (root @ loop.A @ inverse), VB=new @ (root @ loop.B),
+            C=cp.Constant(loop.C @ inverse), D=cp.Constant(loop.D),
+        )  # fmt: skip
+        constraints += constrained(problem, linear, ratios, 1.0, slack)[0]
+    problem.solver.solve(cp.Problem(goal, constraints), (new,), step, FINE)
+    out = root.T @ new.value @ root
+    return np.asarray(0.5 * (out + out.T))
 
 
 class KnownMatrix:
@@ -129,7 +127,6 @@ class KnownMatrix:
     """
 
     def __init__(self, plants: Sequence[Partition], V: FloatArray, D: Any) -> None:
-        cp = cvxpy()
         n = len(plants[0].A)
         inverse = np.asarray(np.linalg.inv(V), dtype=np.float64)
         T = balancing(Pair(gamma=0.0, X=inverse[:n, :n], Y=V[:n, :n], separation=0.0))
@@ -143,7 +140,7 @@ class KnownMatrix:
         self.unknowns = cp.Variable((n, n)), cp.Variable((n, ny)), cp.Variable((nu, n))
         sizes = np.diag(half)
         A, B, C = sizes @ self.unknowns[0] @ sizes, sizes @ self.unknowns[1], self.unknowns[2] @ sizes
-        p = turned(plants[0], T)
+        p = in_states(plants[0], T)
         NB, CM = B - Y @ p.B2 @ D, C - D @ (p.C2 @ X)
         NAM = A - NB @ (p.C2 @ X) - (Y @ p.B2) @ CM - Y @ (p.A + p.B2 @ D @ p.C2) @ X
         self.A_K = np.linalg.inv(self._N) @ NAM @ np.linalg.inv(self._M.T)
@@ -151,19 +148,11 @@ class KnownMatrix:
         small = np.diag(np.tile(1 / half, 2))
         self.loops: list[LinearLoop] = []
         for plant in plants:
-            q = turned(plant, T)
-            hat = StateArrays(
-                A=NAM + NB @ (q.C2 @ X) + (Y @ q.B2) @ CM + Y @ (q.A + q.B2 @ D @ q.C2) @ X,
-                B=NB + Y @ q.B2 @ D,
-                C=CM + D @ (q.C2 @ X),
-                D=D,
-            )
-            loop = output_feedback(q, X, Y, hat)
-            self.loops.append(
-                LinearLoop(
-                    V=small @ loop.V @ small, VA=small @ loop.VA @ small, VB=small @ loop.VB, C=loop.C @ small, D=loop.D
-                )
-            )
+            q = in_states(plant, T)
+            A = NAM + NB @ (q.C2 @ X) + (Y @ q.B2) @ CM + Y @ (q.A + q.B2 @ D @ q.C2) @ X
+            hat = StateArrays(A=A, B=NB + Y @ q.B2 @ D, C=CM + D @ (q.C2 @ X), D=D)
+            V_q, VA, VB, C_q, D_q = output_feedback(q, X, Y, hat)
+            self.loops.append(LinearLoop(small @ V_q @ small, small @ VA @ small, small @ VB, C_q @ small, D_q))
 
     def controller(self) -> StateArrays:
         """Return what the solver found, in the states xK."""
@@ -221,17 +210,17 @@ def _fastest(K: StateArrays) -> float:
 
 def _slowest(problem: Problem, best: Found, V: FloatArray, W: FloatArray) -> StateArrays:
     """Return the controller with the least r in [[−r W, W A_K], [(W A_K)', −r W]] < 0, for a known V."""
-    cp = cvxpy()
     known = KnownMatrix([problem.plant], V, direct(problem))
     r = cp.Variable()
     constraints, _ = constrained(problem, known.loops[0], best.ratios, 1.0, MARGIN)
     # In the states in which W is the identity.
     inverse = np.linalg.inv(known.own)
     root = np.linalg.cholesky(inverse.T @ W @ inverse).T
-    turned = root @ known.A_K @ np.linalg.inv(root)
+    A_K = root @ known.A_K @ np.linalg.inv(root)
     eye = np.eye(len(W))
-    constraints.append(cp.bmat([[r * eye, turned], [turned.T, r * eye]]) >> 0)
-    problem.solver.solve(cp.Minimize(r), constraints, (r, *known.unknowns), "bounding the controller's poles", FINE)
+    constraints.append(cp.bmat([[r * eye, A_K], [A_K.T, r * eye]]) >> 0)
+    convex = cp.Problem(cp.Minimize(r), constraints)
+    problem.solver.solve(convex, (r, *known.unknowns), "bounding the controller's poles", FINE)
     return known.controller()
 
 
@@ -270,7 +259,7 @@ def solutions(problem: Problem, backoff: float) -> Iterator[Solution | DesignErr
                     f"all requirements is {found.ratio:.4g}, not below 1; {CURE}",
                     problem.solver.P,
                 )
-            best = separated(problem, found, backoff, margin)
+            best = farthest(problem, found, backoff, margin)
             made = from_linearised(problem.plant, best.pair.X, best.pair.Y, best.hats)
             if requested.controller:
                 bound = min(one.limit for one in requested.controller) / problem.scaled.rate

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
@@ -18,17 +19,20 @@ from platform_ctrl.analysis.feedback import series
 from platform_ctrl.analysis.sampling import to_w_plane
 from platform_ctrl.common.arguments import known_name
 from platform_ctrl.common.values import FloatArray, value
-from platform_ctrl.design.lmi.regions import REGIONS, region
-from platform_ctrl.design.partition import Partition, in_w_plane, whole
-from platform_ctrl.errors import ArgumentError
+from platform_ctrl.design.partition import Partition, in_w_plane, side_by_side, whole
+from platform_ctrl.design.scaling import ScaledPlant
+from platform_ctrl.errors import ArgumentError, IllPosedError
 from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.job.requirements import LoopRequirement
 
 if TYPE_CHECKING:
     from control import StateSpace
 
+REGIONS = ("stability", "damping", "fastest pole")
 NORMS = ("H-infinity norm", "H2 norm")
 CONTROLLER = "fastest controller pole"
+# Singular value of [A − sI, B2] (or its dual), relative to A, below which a mode cannot be moved.
+FIXED = 1e-9
 
 
 @value
@@ -112,42 +116,28 @@ def _extended(
     P: StateSpace, plant: Partition, norms: Sequence[LoopRequirement]
 ) -> tuple[Partition, tuple[NormTask, ...]]:
     """Return the plant whose w and z are the weighted signals of the channels, one after the other."""
-    nw, nz = plant.B1.shape[1], plant.C1.shape[0]
-    names_w, names_z = P.input_labels[:nw], P.output_labels[:nz]
-    n = len(plant.A)
-    into: list[tuple[StateArrays, FloatArray]] = []
-    out: list[tuple[StateArrays, FloatArray]] = []
+    p = in_w_plane(plant)
+    (nz, nw), n = p.D11.shape, len(p.A)
+    before: list[StateArrays] = []
+    after: list[StateArrays] = []
+    columns: list[int] = []
+    rows: list[int] = []
     for requested in norms:
         channel = requested.channel or Channel()
-        columns = [known_name(f"{requested.name}: w", name, names_w) for name in channel.inputs] or list(range(nw))
-        rows = [known_name(f"{requested.name}: z", name, names_z) for name in channel.outputs] or list(range(nz))
-        before = _weight(channel.input_weight, len(columns), "input_weight", plant.dt)
-        if requested.kind == "H2 norm" and plant.dt > 0:
-            before = _white(before, plant.dt)
-        into.append((before, np.eye(nw)[:, columns]))
-        out.append((_weight(channel.output_weight, len(rows), "output_weight", plant.dt), np.eye(nz)[rows]))
+        w = [known_name(f"{requested.name}: w", name, P.input_labels[:nw]) for name in channel.inputs]
+        z = [known_name(f"{requested.name}: z", name, P.output_labels[:nz]) for name in channel.outputs]
+        w, z = w or list(range(nw)), z or list(range(nz))
+        weight = _weight(channel.input_weight, len(w), "input_weight", plant.dt)
+        white = requested.kind == "H2 norm" and plant.dt > 0
+        before.append(_white(weight, plant.dt) if white else weight)
+        after.append(_weight(channel.output_weight, len(z), "output_weight", plant.dt))
+        columns, rows = columns + w, rows + z
     # States: the plant's, those of the weights before it, those of the weights behind it.
-    first = [len(weight.A) for weight, _ in into]
-    last = [len(weight.A) for weight, _ in out]
-    a, b, w, z = sum(first), sum(last), sum(i.B.shape[1] for i, _ in into), sum(o.C.shape[0] for o, _ in out)
-    A_i, B_i, C_i, D_i = np.zeros((a, a)), np.zeros((a, w)), np.zeros((nw, a)), np.zeros((nw, w))
-    A_o, B_o, C_o, D_o = np.zeros((b, b)), np.zeros((b, nz)), np.zeros((z, b)), np.zeros((z, nz))
-    placed, x, j = [], 0, 0
-    ranges: list[tuple[tuple[int, ...], tuple[int, ...]]] = []
-    for (weight, select), k in zip(into, first, strict=True):
-        m = weight.B.shape[1]
-        A_i[x : x + k, x : x + k], B_i[x : x + k, j : j + m] = weight.A, weight.B
-        C_i[:, x : x + k], D_i[:, j : j + m] = select @ weight.C, select @ weight.D
-        ranges.append((tuple(range(j, j + m)), ()))
-        x, j = x + k, j + m
-    x, j = 0, 0
-    for number, ((weight, select), k) in enumerate(zip(out, last, strict=True)):
-        m = weight.C.shape[0]
-        A_o[x : x + k, x : x + k], B_o[x : x + k] = weight.A, weight.B @ select
-        C_o[j : j + m, x : x + k], D_o[j : j + m] = weight.C, weight.D @ select
-        placed.append(NormTask(requested=norms[number], w=ranges[number][0], z=tuple(range(j, j + m))))
-        x, j = x + k, j + m
-    p = in_w_plane(plant)
+    A_i, B_i, C_i, D_i, _ = side_by_side(*before)
+    A_o, B_o, C_o, D_o, _ = side_by_side(*after)
+    C_i, D_i = np.eye(nw)[:, columns] @ C_i, np.eye(nw)[:, columns] @ D_i
+    B_o, D_o = B_o @ np.eye(nz)[rows], D_o @ np.eye(nz)[rows]
+    a, b = len(A_i), len(A_o)
     A = np.block(
         [
             [p.A, p.B1 @ C_i, np.zeros((n, b))],
@@ -164,7 +154,13 @@ def _extended(
         C2=np.hstack([p.C2, p.D21 @ C_i, np.zeros((len(p.C2), b))]),
         D11=D_o @ p.D11 @ D_i, D12=D_o @ p.D12, D21=p.D21 @ D_i, D22=p.D22,
     )  # fmt: skip
-    return extended, tuple(placed)
+    inputs, outputs = _ranges([one.B.shape[1] for one in before]), _ranges([one.C.shape[0] for one in after])
+    return extended, tuple(NormTask(requested=r, w=i, z=o) for r, i, o in zip(norms, inputs, outputs, strict=True))
+
+
+def _ranges(sizes: list[int]) -> list[tuple[int, ...]]:
+    """Return the indices of parts that follow one another."""
+    return [tuple(range(end - size, end)) for size, end in zip(sizes, itertools.accumulate(sizes), strict=True)]
 
 
 def _weight(weight: Any, size: int, where: str, period: float) -> StateArrays:
@@ -219,3 +215,93 @@ def proofs(
             wanted = region(requested, loop.dt)
             out.append(region_certificate(loop.A, wanted.L, wanted.M, loop.dt, label=requested.name))
     return tuple(out)
+
+
+@value
+class Region:
+    """L and M of a region, (k, k), and its requirement."""
+
+    requested: LoopRequirement
+    L: FloatArray
+    M: FloatArray
+
+    def contains(self, s: complex) -> bool:
+        """Whether a pole lies in it."""
+        return float(np.linalg.eigvalsh(self.L + s * self.M + np.conj(s) * self.M.T)[-1]) < 0
+
+
+def region(requested: LoopRequirement, period: float = 0.0, rate: float = 1.0, tighter: float = 1.0) -> Region:
+    """Return the region of "stability" (minimum decay rate), "damping" or "fastest pole".
+
+    Parameters
+    ----------
+    requested
+        The requirement.
+    period
+        Sample period, s: the region is one of the w-plane, w = (2/T) (z − 1)/(z + 1). A decay is a disc there, exactly;
+        a damping is a sector that is narrow enough for poles up to 1/T rad/s.
+    rate
+        Unit of s, rad/s.
+    tighter
+        Factor of the limit, >= 1; of a damping, divisor of its distance from 1.
+    """
+    limit, kind = requested.limit, requested.kind
+    sense = "at most" if kind == "fastest pole" else "at least"
+    if requested.sense != sense or not (math.isfinite(limit) and limit > 0) or (kind == "damping" and limit >= 1):
+        below = " below 1" if kind == "damping" else ""
+        raise ArgumentError(
+            f"{requested.name}: must be {sense} a positive number{below}, got {requested.sense} {limit!r}"
+        )
+    disc = np.array([[0.0, 1.0], [0.0, 0.0]])
+    if kind == "damping":
+        cosine = 1 - (1 - _sector(limit, period)) / tighter
+        sine = math.sqrt(1 - cosine**2)
+        # The sector |arg(−s)| < θ, cos θ the damping.
+        return Region(requested=requested, L=np.zeros((2, 2)), M=np.array([[sine, cosine], [-cosine, sine]]))
+    if kind == "fastest pole":
+        return Region(requested=requested, L=-limit / tighter / rate * np.eye(2), M=disc)
+    decay = limit * tighter
+    if period == 0.0:
+        return Region(requested=requested, L=np.array([[2 * decay / rate]]), M=np.eye(1))
+    # |z| < exp(−decay T) is the disc |w + c|² < c² − 4/T². Its c is large: 2 Re w + 4/T²/c + |w|²/c < 0.
+    near = 2 / period * math.tanh(decay * period / 2)
+    centre = (near + 4 / period**2 / near) / 2 / rate
+    return Region(
+        requested=requested,
+        L=np.diag([4 / (period * rate) ** 2 / centre, -1.0]),
+        M=np.array([[1.0, 0.0], [1 / math.sqrt(centre), 0.0]]),
+    )
+
+
+def _sector(damping: float, period: float) -> float:
+    """Return the damping in the w-plane that is sufficient for `damping` of poles up to 1 / `period`, rad/s."""
+    if period == 0.0:
+        return damping
+    s = np.linspace(0.0, 1.0, 101)[1:] * complex(-damping, math.sqrt(1 - damping**2))
+    w = np.tanh(s / 2)
+    return float(np.max(-w.real / np.abs(w)))
+
+
+def require_movable(scaled: ScaledPlant, wanted: Sequence[Region], where: str, P: object) -> None:
+    """Raise an IllPosedError that names a mode outside a region, in units of `scaled`, that no controller moves.
+
+    Such modes, as a rule poles of weights, are poles of every closed loop.
+    """
+    plant = scaled.plant
+    size = max(1.0, float(np.linalg.norm(plant.A, 2)))
+    for pole in np.linalg.eigvals(plant.A):
+        outside = [one.requested for one in wanted if not one.contains(complex(pole))]
+        shifted = plant.A - pole * np.eye(len(plant.A))
+        for text, pencil in (
+            ("no control u moves it", np.hstack([shifted, plant.B2])),
+            ("no measurement y sees it", np.vstack([shifted, plant.C2])),
+        ):
+            if outside and float(np.linalg.svd(pencil, compute_uv=False)[-1]) < FIXED * size:
+                real = complex(pole) * scaled.rate
+                requested = outside[0]
+                raise IllPosedError(
+                    f"{where}: the mode at {real.real:.4g}{real.imag:+.4g}j rad/s violates {requested.name} "
+                    f"{requested.sense} {requested.limit:.4g}, and {text}; relax the limit, or give the weight another "
+                    "pole",
+                    P,
+                )

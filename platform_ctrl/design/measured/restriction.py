@@ -13,7 +13,6 @@ Limits of the form Z* Z ≥ N* N become Z* V + V* Z − V* V ≥ N* N, true for 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -21,7 +20,7 @@ from numpy.typing import NDArray
 
 from platform_ctrl.analysis.arrays import ComplexArray
 from platform_ctrl.common.values import FloatArray, value
-from platform_ctrl.design.lmi.conic import solve
+from platform_ctrl.design.lmi.conic import Solver, cp
 from platform_ctrl.design.measured.limits import CENTRES, OF_ANGLE, Limit, ratios
 from platform_ctrl.design.measured.pid import controller_response
 from platform_ctrl.errors import UnscalableError
@@ -77,7 +76,6 @@ class Restriction:
     """
 
     def __init__(self, samples: Sequence[Sample], free: FloatArray, problem: object) -> None:
-        cp = import_module("cvxpy")
         self.samples, self.problem, self.n = samples, problem, free.shape[-1]
         self.entries, self.shape = np.argwhere(free > 0.0), free.shape
         v, d = len(self.entries), self.n**2
@@ -100,8 +98,8 @@ class Restriction:
             self.near >= -_ROOM,
             self.t >= self.least,
             self.t <= self.growth,
-            _square(cp, self.integral @ self.x, self.n) - self.t * np.eye(self.n) >> 0,
-            *self._limits(cp, every),
+            _square(self.integral @ self.x, self.n) - self.t * np.eye(self.n) >> 0,
+            *self._limits(every),
         ]
         self.convex = cp.Problem(cp.Maximize(self.reward * self.t - self.price * self.miss), constraints)
 
@@ -145,26 +143,19 @@ class Restriction:
         self.reward.value, self.price.value = (_CARE, 1.0) if miss else (1.0, 0.0)
         # While the violation is minimised the integral action may become weaker, but not vanish.
         self.least.value = 0.5 / float(np.linalg.cond(gains[1])) if miss else 0.0
+        cure = "give another start or pattern, or looser limits"
+        solver = Solver(where="measured_pid", cure=cure, time_limit=time_limit, P=self.problem)
         for growth, tolerance in _TRIALS:
             self.growth.value = growth
             try:
-                solve(
-                    self.convex,
-                    (self.x,),
-                    what="measured_pid: a convex step",
-                    time_limit=time_limit,
-                    P=self.problem,
-                    tolerance=tolerance,
-                    decompose=False,
-                    cure="another start or pattern, or looser limits",
-                )
+                solver.solve(self.convex, (self.x,), "a convex step", tolerance, decompose=False)
                 break
             except UnscalableError:
                 if (growth, tolerance) == _TRIALS[-1]:
                     raise
         return Step(gains=np.einsum("v,vbij->bij", self.x.value, directions), miss=float(self.miss.value))
 
-    def _limits(self, cp: Any, every: list[Limit]) -> list[Any]:
+    def _limits(self, every: list[Limit]) -> list[Any]:
         """The inequalities, from the independent real parts of all matrices."""
         n, d = self.n, self.n**2
         eye, embedding, noise_embedding = np.eye(2 * n), _embedding(n), _noise_embedding(n)
@@ -175,10 +166,10 @@ class Restriction:
         for limit in every:
             slack = self.near if limit.name == "sensitivity_peak" else self.miss
             for _ in range(len(_sides(limit, n)) * int(_required(limit).sum())):
-                matrix = _square(cp, embedding @ hermitian[row : row + d], 2 * n)
+                matrix = _square(embedding @ hermitian[row : row + d], 2 * n)
                 row += d
                 if limit.name == "torque_per_noise":
-                    K = _square(cp, noise_embedding @ noise[noise_row : noise_row + 2 * d], 2 * n)
+                    K = _square(noise_embedding @ noise[noise_row : noise_row + 2 * d], 2 * n)
                     noise_row += 2 * d
                     out.append(cp.bmat([[matrix, K.T], [K, (1.0 + slack) * eye]]) >> 0)
                 else:
@@ -283,5 +274,5 @@ def _real(matrices: Any) -> FloatArray:
     return np.block([[matrices.real, -matrices.imag], [matrices.imag, matrices.real]])
 
 
-def _square(cp: Any, vector: Any, size: int) -> Any:
+def _square(vector: Any, size: int) -> Any:
     return cp.reshape(vector, (size, size), order="F")

@@ -63,9 +63,7 @@ class WeightedPlant:
 
     def weight(self) -> StateArrays:
         """Return W_e in the w-plane. Its integrator belongs to the controller: W_e stands before K."""
-        eye = np.eye(self.size)
-        none = np.zeros((self.size, self.size))
-        return StateArrays(none, eye, np.diag(self.weight_rate), np.diag(self.weight_gain))
+        return error_weight(self.weight_gain, self.weight_rate)
 
     def at_gimbals(self, controller: StateArrays, channel: Channels) -> StateArrays:
         """Return a controller of the channels, in units of torque, as one from angles to torques in N m."""
@@ -79,6 +77,38 @@ def signal_names(size: int) -> tuple[list[str], list[str]]:
     return inputs, outputs
 
 
+def error_weight(gain: FloatArray, rate: FloatArray) -> StateArrays:
+    """Return W_e = gain + rate/s, channel by channel, (size,) each."""
+    size = len(rate)
+    return StateArrays(np.zeros((size, size)), np.eye(size), np.diag(rate), np.diag(gain))
+
+
+def torque_units(channel: Channels, nutation: float) -> FloatArray:
+    """Return the units of the channels' torques, N m: h ω_nutation of pairs, J ω_nutation² of inertial directions."""
+    pairs = 2 * len(channel.momenta)
+    return np.concatenate([np.repeat(channel.momenta, 2) * nutation, channel.inertias[pairs:] * nutation**2])
+
+
+def mixed_sensitivity(
+    plant: StateArrays, disturbed: StateArrays, gain: FloatArray, rate: FloatArray, constant: tuple[FloatArray, ...]
+) -> StateArrays:
+    """Return the weighted plant from [n, d, u] to [z1, z2, z3, measurement], states those of the plant and of W_e.
+
+    `plant` leads from u to the angles, `disturbed`, with the same states, from d; `constant` are W_t and W_u.
+    """
+    A, B, C, D, _ = plant
+    B_d, D_d = disturbed.B, disturbed.D
+    n, size = len(A), len(C)
+    eye, none, wide = np.eye(size), np.zeros((size, size)), np.zeros((n, size))
+    angle, torque = constant
+    A_w = np.block([[A, wide], [C, none]])
+    B_w = np.block([[wide, B_d, B], [eye, D_d, D]])
+    error, error_direct = np.hstack([gain[:, None] * C, np.diag(rate)]), gain[:, None] * np.hstack([eye, D_d, D])
+    C_w = np.vstack([error, angle @ np.hstack([C, none]), np.zeros((size, n + size)), error])
+    D_w = np.vstack([error_direct, angle @ np.hstack([none, D_d, D]), np.hstack([none, none, torque]), error_direct])
+    return StateArrays(A_w, B_w, C_w, D_w, 0.0)
+
+
 def weighted_plant(options: dict[str, float], channel: Channels, plants: PlantSet) -> WeightedPlant:
     """Return the weighted w-plane plant of the nominal loop for complete `options`."""
     pairs, single = 2 * len(channel.momenta), channel.inertial
@@ -87,25 +117,14 @@ def weighted_plant(options: dict[str, float], channel: Channels, plants: PlantSe
     def by_channel(name: str) -> FloatArray:
         return np.array([options.get(name, 0.0)] * pairs + [options.get(f"inertial_{name}", 0.0)] * single)
 
-    unit = np.concatenate(
-        [np.repeat(channel.momenta, 2) * plants.nutation, channel.inertias[pairs:] * plants.nutation**2]
-    )
-    into = channel.basis.T * unit
+    unit = torque_units(channel, plants.nutation)
     nominal = StateArrays(plants.A[0], plants.B[0], plants.C[0], plants.D[0], plants.period)
-    A, B, C, D, _ = to_w_plane(between(into, nominal, channel.basis))
-    n, eye, none = len(A), np.eye(size), np.zeros((size, size))
-    disturbance = np.diag(by_channel("disturbance"))
+    flat = to_w_plane(between(channel.basis.T * unit, nominal, channel.basis))
     gain, rate = np.full(size, 1.0 / options["sensitivity_peak"]), 2.0 * np.pi * by_channel("bandwidth_hz")
-    kt, ku = options["complementary"], np.diag(by_channel("torque"))
-    A_w = np.block([[A, np.zeros((n, size))], [C, none]])
-    B_w = np.block([[np.zeros((n, size)), B @ disturbance, B], [eye, D @ disturbance, D]])
-    seen = np.hstack([gain[:, None] * C, np.diag(rate)])
-    seen_direct = gain[:, None] * np.hstack([eye, D @ disturbance, D])
-    C_w = np.vstack([seen, kt * np.hstack([C, none]), np.zeros((size, n + size)), seen])
-    D_w = np.vstack([seen_direct, kt * np.hstack([none, D @ disturbance, D]), np.hstack([none, none, ku]), seen_direct])
-    return WeightedPlant(
-        arrays=StateArrays(A_w, B_w, C_w, D_w, 0.0), size=size, weight_gain=gain, weight_rate=rate, torque_unit=unit
-    )
+    disturbed = between(np.diag(by_channel("disturbance")), flat, np.eye(size))
+    constant = options["complementary"] * np.eye(size), np.diag(by_channel("torque"))
+    arrays = mixed_sensitivity(flat, disturbed, gain, rate, constant)
+    return WeightedPlant(arrays=arrays, size=size, weight_gain=gain, weight_rate=rate, torque_unit=unit)
 
 
 def default_weights(channel: Channels, nutation: float) -> dict[str, float]:
