@@ -19,7 +19,6 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import platform_ctrl as pc
-from platform_ctrl.mechanics.rotors import with_free_rotors
 
 BETA0, KICK = radians(30.0), 25.0  # rad; rad/s of the inner gimbal: a nutation of 1.5 degrees
 STEP, EVERY = 2e-5, 10
@@ -99,7 +98,7 @@ def main() -> None:
         3600 * degrees((alpha[-1] - alpha[0]) / t[-1]),
     )
 
-    runs = {"regulated rotor": kardan_drift(ideal), "free rotor": kardan_drift(with_free_rotors(ideal))}
+    runs = {"regulated rotor": kardan_drift(ideal), "free rotor": kardan_drift(pc.with_free_rotors(ideal))}
     for name, (theory, computed, *_) in runs.items():
         row(f"drift by nutation, beta0 = 30 deg, deg/s: {name}", degrees(theory), degrees(computed), "0.3 %")
     if not file:

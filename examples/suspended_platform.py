@@ -20,9 +20,9 @@ from math import cos, pi, radians, tan
 
 import matplotlib.pyplot as plt
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 import platform_ctrl as pc
-from platform_ctrl.mechanics.kinematics import kinematics
 
 ROLL_RATE, TIME = 0.3, 0.2  # rad/s of the vehicle, s
 FRAMES = ("roll", "pitch")
@@ -51,7 +51,10 @@ def following(suspended: pc.Platform, degrees: float) -> tuple[np.ndarray, float
     q = at_pitch(suspended, degrees)
     model = pc.linearise(suspended, q=q)
     rates = -np.linalg.solve(model.M, model.M_Omega[:, 2])  # the joint momenta stay zero
-    taken = np.array([0.0, 0.0, 1.0]) + kinematics(suspended, q).axes[:3].T @ rates[:3]
+    taken, turned = np.array([0.0, 0.0, 1.0]), Rotation.identity()
+    for gimbal, angle, rate in zip(suspended.gimbals[:3], q[:3], rates[:3], strict=True):
+        taken += rate * turned.as_matrix() @ gimbal.axis
+        turned *= Rotation.from_rotvec(angle * gimbal.axis)
     return rates, float(np.linalg.norm(taken))
 
 

@@ -11,8 +11,6 @@ from __future__ import annotations
 import argparse
 
 import platform_ctrl as pc
-from platform_ctrl.design.classical.complex_coordinates import complex_plant
-from platform_ctrl.design.classical.complex_shaping import complex_loop
 from platform_ctrl.report import figures
 
 parser = argparse.ArgumentParser(description="Two-sided Nyquist plot of gyro 9-10.")
@@ -23,8 +21,8 @@ given = parser.parse_args()
 
 model = pc.linearise(pc.read_platform("three_gyro_platform"))
 # The inertias of the two axes differ: units of their own make them alike.
-plant = complex_plant(model, ("9", "10"), period=0.0005, delay=0.0005, balance=True)
-loop = complex_loop(
+plant = pc.design.complex_plant(model, ("9", "10"), period=0.0005, delay=0.0005, balance=True)
+loop = pc.design.complex_loop(
     plant,
     crossover_hz=given.crossover,
     integral_hz=2.0,

@@ -392,6 +392,7 @@ INSTANCES: dict[str, Callable[[], Any]] = {
     "planning.Plan": planned,
     "summary.Summary": summary,
     "certificates.Certificate": certificate,
+    "certificates.ClosedLoop": lambda: certificate().loops[0],
     "verification.JobResult": result,
     "design.Lead": design.Lead,
     "scheduled.Scheduled": lambda: scheduled(),

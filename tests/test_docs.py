@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import importlib.util
 import re
 import shlex
@@ -23,6 +24,7 @@ from platform_ctrl.job.requirements import limit_keys
 from platform_ctrl.plant.reading import PLANT_FILE
 from platform_ctrl.plant.tables import Shape
 from platform_ctrl.plant.tables import tables as tables_within
+from public_modules import names
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -103,6 +105,40 @@ def test_code_on_a_page_runs_and_prints_what_the_page_says(
             assert printed == piece.text
         elif piece.language == "console":
             run_console(piece)
+
+
+# What developers read and run: recipes register what is not public; pictures and measurements look inside.
+FOR_DEVELOPERS = ("docs/architecture.md", "docs/draw_pictures.py", "docs/site/")
+
+
+def code_for_users() -> Iterator[tuple[str, str]]:
+    """Yield the Python code of pages and examples with where it is from."""
+    for page in PAGES:
+        for number, block in enumerate(blocks(page, "python"), 1):
+            yield f"{page.relative_to(ROOT).as_posix()}, block {number}", block
+    for folder in ("docs", "examples"):
+        for path in sorted((ROOT / folder).rglob("*.py")):
+            yield path.relative_to(ROOT).as_posix(), path.read_text(encoding="utf-8")
+
+
+def imported(code: str) -> Iterator[tuple[str, str]]:
+    """Yield what code imports from the package, as module and name."""
+    for node in ast.walk(ast.parse(code)):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "platform_ctrl":
+            yield from ((str(node.module), alias.name) for alias in node.names)
+        elif isinstance(node, ast.Import):
+            yield from ((one.name, "") for one in node.names if one.name.startswith("platform_ctrl."))
+
+
+@pytest.mark.parametrize(("where", "code"), [pair for pair in code_for_users() if "platform_ctrl" in pair[1]])
+def test_code_for_users_imports_public_names_alone(where: str, code: str) -> None:
+    if where.startswith(FOR_DEVELOPERS):
+        return
+    for module, name in imported(code):
+        public = module in names.MODULES and (
+            not name or name in names.names(module) or f"{module}.{name}" in names.MODULES
+        )
+        assert public or f"{module}.{name}" in names.results(), f"{module}.{name}"
 
 
 @PAGE

@@ -15,7 +15,6 @@ from numpydoc.docscrape import NumpyDocString, Parameter
 import platform_ctrl as pc
 from platform_ctrl import analysis, campaign, design, simulation
 from platform_ctrl.analysis.certificates.makers import stability_certificate
-from platform_ctrl.analysis.response import response_at
 from platform_ctrl.campaign.rare_result import RareResult
 from platform_ctrl.design.antiwindup.loop import LimitedLoop
 from platform_ctrl.design.classical.complex_coordinates import ComplexSystem, complex_response
@@ -130,11 +129,6 @@ CALLS: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
             {"system": PAIR, "timepts": np.arange(7) * 0.1, "inputs": np.ones((5, 7)), "initial_state": np.ones(4)},
         ),
         ("noise_rms", analysis.noise_rms, {"system": control.ss(0.5, [[1, 1]], [[1], [2], [3]], 0, 1), "rms": [1, 2]}),
-        (
-            "response_at",
-            response_at,
-            {"system": PAIR, "z": 1j * np.arange(4)},
-        ),
         ("error", pc.precession(MODEL, gimbals=("9", "10")).error, {"frequency": [1.0, 2.0, 3.0]}),
         ("state", varying().state, {"q": [0.0, 0.1], "rates": [0.0, 0.0], "Omega": [0.0, 0.0, 1.0]}),
         ("rhs", varying().rhs, {"t": 0.0, "x": np.zeros(4), "Omega": np.zeros(3), "Q": np.zeros(2)}),

@@ -20,7 +20,6 @@ from contract_calls import cases, instance
 from platform_ctrl import analysis, design
 from platform_ctrl.analysis.arrays import state_arrays
 from platform_ctrl.analysis.poles import is_stable
-from platform_ctrl.analysis.sampling import bilinear_to_continuous, bilinear_to_discrete
 from platform_ctrl.design.classical.crossover import CrossoverDesign
 from platform_ctrl.design.loop import LoopDesign
 from public_modules import described
@@ -125,24 +124,15 @@ def test_names_of_states_last(crossover: CrossoverDesign) -> None:
     assert gyro.state_labels == STATES
     part = analysis.arrays.selected(gyro, ["beta10"], ["Q9"])
     assert part.state_labels == STATES
-    for made in (part, gyro, bilinear_to_discrete(gyro, PERIOD), crossover.plant):
+    for made in (part, gyro, crossover.plant):
         assert made.state_labels[:4] == STATES
     sampled = analysis.sampled(part, PERIOD, delay=PERIOD, lag=0.001)
     assert sampled.state_labels == [*STATES, "lag_Q9", "Q9_held1"]
-    assert bilinear_to_continuous(analysis.sampled(gyro, PERIOD)).state_labels == STATES
     plant, controller = crossover.plant, crossover.controller
     own, its = list(plant.state_labels), [f"controller_{name}" for name in controller.state_labels]
     assert analysis.closed_loop(plant, controller).state_labels == own + its
     assert analysis.loop_transfer(plant, controller, at="input").state_labels == own + its
     assert analysis.loop_transfer(plant, controller, at="output").state_labels == its + own
-
-
-def test_the_bilinear_map_there_and_back_is_the_system_state_by_state() -> None:
-    gyro = analysis.sampled(pc.state_space(MODEL, gimbals=("9", "10")), PERIOD)
-    again = bilinear_to_discrete(bilinear_to_continuous(gyro), PERIOD)
-    for name in "ABCD":
-        given, back = getattr(gyro, name), getattr(again, name)
-        np.testing.assert_allclose(back, given, rtol=1e-9, atol=1e-12 * max(1e-6, np.abs(given).max()))
 
 
 def test_the_estimate_of_a_controller_is_named_after_the_state() -> None:

@@ -4,9 +4,10 @@ Four hundred turns of the platform with gyro 9-10 caged, the rotor's momentum an
 how the largest angle and the largest share of a torquer's limit are distributed, in red what lies beyond the limit.
 """
 
+import tempfile
+
 import platform_ctrl as pc
 from platform_ctrl import campaign
-from platform_ctrl.campaign import single_run
 from platform_ctrl.report import figures
 
 TURN = {"mode": "caged", "axis": 1, "rate": 1.0, "hold": 0.05, "duration": 0.3}
@@ -38,6 +39,6 @@ job = pc.read_job(
     }
 )
 plan = campaign.plan(job, [pc.design.loops(job)[0].closed.controller])
-table = single_run.simulate_runs(plan, range(plan.runs))
+table = campaign.run_campaign(plan, tempfile.mkdtemp(), workers=1).table
 
 figure = figures.campaign_histograms(table, {one.name: one.limits for one in job.manoeuvres})

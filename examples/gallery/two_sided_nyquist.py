@@ -5,12 +5,10 @@ only the branch of positive frequencies passes through infinity at 75 Hz.
 """
 
 import platform_ctrl as pc
-from platform_ctrl.design.classical.complex_coordinates import complex_plant
-from platform_ctrl.design.classical.complex_shaping import complex_loop
 from platform_ctrl.report import figures
 
 model = pc.linearise(pc.read_platform("three_gyro_platform"))
-plant = complex_plant(model, ("9", "10"), period=0.0005, delay=0.0005, balance=True)
-loop = complex_loop(plant, crossover_hz=40.0, integral_hz=2.0, damping_hz=50.0, lead_hz=7.0, rolloff_hz=900.0)
+plant = pc.design.complex_plant(model, ("9", "10"), period=0.0005, delay=0.0005, balance=True)
+loop = pc.design.complex_loop(plant, crossover_hz=40.0, integral_hz=2.0, damping_hz=50.0, lead_hz=7.0, rolloff_hz=900.0)
 
 figure = figures.two_sided_nyquist(loop.nyquist)

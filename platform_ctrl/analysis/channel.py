@@ -89,7 +89,7 @@ def weight_arrays(weight: Any, size: int, dt: float, where: str) -> StateArrays:
         if weight.dt is not None and abs(own.dt - dt) > 1e-9 * max(own.dt, dt):
             raise ArgumentError(
                 f"{where}: must have the loop's dt = {dt} s, got {own.dt} s; "
-                "analysis.bilinear_to_discrete makes a sampled weight of a continuous one"
+                'weight.sample(dt, method="bilinear") makes a sampled weight of a continuous one'
             )
         return own._replace(dt=dt)
     try:

@@ -9,15 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, frequencies, state_arrays, system_arrays
-from platform_ctrl.analysis.resolvent import TOLERATED, responses_at, state_response
-from platform_ctrl.analysis.transfer_function import (
-    LinearSystem,
-    StateSystem,
-    is_rational,
-    linear_arrays,
-    rational_response,
-)
-from platform_ctrl.common.arguments import complex_numbers, positive
+from platform_ctrl.analysis.resolvent import TOLERATED, state_response
+from platform_ctrl.analysis.transfer_function import LinearSystem, is_rational, rational_response
+from platform_ctrl.common.arguments import positive
 from platform_ctrl.common.signatures import short
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
@@ -110,30 +104,3 @@ def _measured(data: control.FrequencyResponseData, w: FloatArray) -> ComplexArra
             "take frequencies of the data, which are not interpolated"
         )
     return np.asarray(data.frdata, dtype=np.complex128)[..., nearest]
-
-
-def response_at(system: StateSystem, z: ComplexArray) -> ComplexArray:
-    """Return C (z I - A)^-1 B + D at the points `z` of the complex plane, as accurate as `frequency_response` is.
-
-    Parameters
-    ----------
-    system
-        What has states; `StateArrays` may have leading batch axes.
-    z : complex (N,)
-        The same points for the whole stack, in the units of A.
-
-    Returns
-    -------
-    complex (..., N, p, m)
-        In the system's units; inf where z is an eigenvalue of A.
-
-    Raises
-    ------
-    ArgumentError
-        Shapes that do not fit, or numbers that are not finite.
-    """
-    A, B, C, D, _ = linear_arrays(system, "response_at", stack=True)
-    points = complex_numbers("response_at: z", z)
-    if points.ndim != 1 or not np.isfinite(points).all():
-        raise ArgumentError(f"response_at: z must be a vector of finite numbers, got shape {points.shape}")
-    return np.moveaxis(responses_at(A, None, B, C, D, points), -1, -3)

@@ -8,7 +8,7 @@ into two intervals of constant input, and each is integrated with the matrix exp
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, overload
 
 import numpy as np
@@ -193,81 +193,15 @@ def held_input(A: FloatArray, B: FloatArray, duration: float) -> tuple[FloatArra
     return phi, held
 
 
-def bilinear_to_continuous(system: control.StateSpace) -> control.StateSpace:
-    """Return a discrete system in the w-plane, w = (2/T) (z - 1)/(z + 1).
-
-    The map is exact: stability, the H-infinity norm and the values along the frequency axis are kept, the
-    latter at w = j (2/T) tan(frequency T/2).
-
-    Parameters
-    ----------
-    system
-        Discrete; its ``dt`` is T, in s.
-
-    Returns
-    -------
-    control.StateSpace
-        Continuous, in w, with the same signals; w in rad/s.
-
-    Raises
-    ------
-    ArgumentError
-        If the system is continuous, or has a pole at z = -1 (which would go to infinity).
-    """
-    arrays = state_arrays(system, "bilinear_to_continuous")
-    if arrays.dt == 0.0:
-        raise ArgumentError("bilinear_to_continuous: the system must be discrete (dt > 0), got a continuous one")
-    return _mapped(system, arrays, _to_w_plane)
-
-
-def bilinear_to_discrete(system: control.StateSpace, period: float) -> control.StateSpace:
-    """Return a w-plane (continuous) system in z, the inverse of `bilinear_to_continuous` (Tustin's map).
-
-    Parameters
-    ----------
-    system
-        Continuous: a system in w, in rad/s.
-    period
-        Sample period T, s.
-
-    Returns
-    -------
-    control.StateSpace
-        Discrete, with the same signals.
-
-    Raises
-    ------
-    ArgumentError
-        If the system is discrete, `period` is not > 0, or a pole lies at 2/period (which would go to infinity).
-    """
-    arrays = state_arrays(system, "bilinear_to_discrete")
-    if arrays.dt != 0.0:
-        raise ArgumentError(f"bilinear_to_discrete: the system must be continuous, got dt = {arrays.dt} s")
-    period = positive("bilinear_to_discrete: period", period)
-    return _mapped(system, arrays, lambda balanced: _from_w_plane(balanced, period))
-
-
-def _mapped(
-    system: control.StateSpace, arrays: StateArrays, bilinear: Callable[[StateArrays], StateArrays]
-) -> control.StateSpace:
-    """Return a system mapped by `_to_w_plane` or `_from_w_plane`; its states keep their names and units."""
-    s = state_scaling(*arrays[:3])
-    A, B, C, D, dt = bilinear(
-        StateArrays(arrays.A * s / s[:, None], arrays.B / s[:, None], arrays.C * s, arrays.D, arrays.dt)
-    )
-    out = StateArrays(A * s[:, None] / s, B * s[:, None], C / s, D, dt)
-    return named_system(out, list(system.input_labels), list(system.output_labels), list(system.state_labels))
-
-
 def to_w_plane(system: StateArrays) -> StateArrays:
-    """Return the arrays of `bilinear_to_continuous`, in balanced states."""
-    return _to_w_plane(StateArrays(*scaled(*system[:3]), system.D, system.dt))
+    """Return a discrete system in w = (2/T) (z - 1)/(z + 1), in balanced states.
 
-
-def _to_w_plane(system: StateArrays) -> StateArrays:
-    A, B, C, D, period = system
-    eye = np.eye(A.shape[-1])
-    inverse = _inverse(A + eye, "bilinear_to_continuous: the system has a pole at z = -1")
+    The map is exact: stability, the H-infinity norm and the values along the frequency axis are kept, the latter at
+    w = j (2/T) tan(frequency T/2). A pole at z = -1, which would go to infinity, is an `ArgumentError`.
+    """
+    A, B, C = scaled(*system[:3])
+    D, period, eye = system.D, system.dt, np.eye(A.shape[-1])
+    inverse = _inverse(A + eye, "the system has a pole at z = -1")
     root = 2.0 / math.sqrt(period)
     return StateArrays(
         2.0 / period * (inverse @ (A - eye)), root * (inverse @ B), root * (C @ inverse), D - C @ inverse @ B
@@ -275,21 +209,19 @@ def _to_w_plane(system: StateArrays) -> StateArrays:
 
 
 def from_w_plane(system: StateArrays, period: float) -> StateArrays:
-    """Return the arrays of `bilinear_to_discrete`, in balanced states."""
-    return _from_w_plane(StateArrays(*scaled(*system[:3]), system.D), period)
-
-
-def _from_w_plane(system: StateArrays, period: float) -> StateArrays:
-    A, B, C, D, _ = system
-    half, root, eye = 0.5 * period, math.sqrt(period), np.eye(A.shape[-1])
-    inverse = _inverse(eye - half * A, f"bilinear_to_discrete: the system has a pole at 2/period = {2.0 / period:g}")
+    """Return a system in w in z, in balanced states: the inverse of `to_w_plane` (Tustin's map)."""
+    A, B, C = scaled(*system[:3])
+    D, half, root, eye = system.D, 0.5 * period, math.sqrt(period), np.eye(A.shape[-1])
+    inverse = _inverse(eye - half * A, f"the system has a pole at 2/period = {2.0 / period:g}")
     return StateArrays(
         inverse @ (eye + half * A), root * (inverse @ B), root * (C @ inverse), D + half * (C @ inverse @ B), period
     )
 
 
-def _inverse(matrix: FloatArray, where: str) -> FloatArray:
+def _inverse(matrix: FloatArray, pole: str) -> FloatArray:
     smallest = np.linalg.svd(matrix, compute_uv=False).min(initial=np.inf)
     if smallest < 1e-14 * max(1.0, float(np.abs(matrix).max(initial=0.0))):
-        raise ArgumentError(f"{where}, which the map sends to infinity; use another period, or remove that pole")
+        raise ArgumentError(
+            f"bilinear map: {pole}, which the map sends to infinity; use another period, or remove that pole"
+        )
     return np.asarray(np.linalg.inv(matrix), dtype=np.float64)

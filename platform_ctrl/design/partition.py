@@ -57,9 +57,7 @@ def partition(P: StateSpace, nmeas: int, ncon: int, sampled: bool = False) -> Pa
     """Split a plant at its last `nmeas` outputs and last `ncon` inputs; `sampled`: it may have dt > 0."""
     arrays = state_arrays(P, "plant")
     if arrays.dt and not sampled:
-        raise ArgumentError(
-            f"plant: must be continuous, got dt = {arrays.dt} s; use analysis.bilinear_to_continuous first"
-        )
+        raise ArgumentError(f"plant: must be continuous, got dt = {arrays.dt} s; give the plant before it was sampled")
     for name, number, total, signals in (("nmeas", nmeas, P.noutputs, "outputs"), ("ncon", ncon, P.ninputs, "inputs")):
         if isinstance(number, bool) or not (isinstance(number, int | np.integer) and 1 <= number < total):
             raise ArgumentError(

@@ -10,7 +10,7 @@ from platform_ctrl import analysis
 from platform_ctrl.analysis.arrays import StateArrays, state_arrays
 from platform_ctrl.analysis.feedback import closed_loop
 from platform_ctrl.analysis.norms import hinf_norm, stationary_covariance
-from platform_ctrl.analysis.sampling import bilinear_to_discrete, held_input, sampled
+from platform_ctrl.analysis.sampling import held_input, sampled
 from platform_ctrl.errors import ArgumentError
 
 
@@ -93,7 +93,7 @@ def test_short_periods_give_the_norms_of_the_continuous_loop() -> None:
     limit = control.StateSpace(A, B[:, :2], C[1:3], D[1:3, :2])
     error, error2 = [], []
     for period in (0.02, 0.005):
-        slow = bilinear_to_discrete(K, period)
+        slow = K.sample(period, method="bilinear")
         error.append(abs(analysis.intersample_norm(P, slow, 1, 1)[0] / analysis.hinf_norm(limit)[0] - 1.0))
         error2.append(abs(analysis.intersample_h2(P, slow, 1, 1) / analysis.h2_norm(limit) - 1.0))
     assert error[1] < 5e-3

@@ -11,9 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from platform_ctrl import PlatformCtrlError, analysis
-from platform_ctrl.analysis.arrays import StateArrays
+from platform_ctrl.analysis.arrays import StateArrays, state_arrays
 from platform_ctrl.analysis.bandwidths import bandwidth_of_response
-from platform_ctrl.analysis.sampling import bilinear_to_continuous, bilinear_to_discrete
+from platform_ctrl.analysis.sampling import from_w_plane, to_w_plane
 from platform_ctrl.analysis.singular_values import largest_singular_values
 from platform_ctrl.common.values import FloatArray
 
@@ -105,9 +105,9 @@ def test_hinf_norm_is_reached_and_never_below_a_grid(seed: int) -> None:
 @settings(max_examples=20, deadline=None)
 def test_the_bilinear_map_keeps_norm_and_comes_back(seed: int) -> None:
     system = random_system(seed, dt=0.05)
-    w_plane = bilinear_to_continuous(system)
+    w_plane = to_w_plane(state_arrays(system, "system"))
     assert analysis.hinf_norm(w_plane)[0] == pytest.approx(analysis.hinf_norm(system)[0], rel=1e-7)
-    back = bilinear_to_discrete(w_plane, 0.05)
+    back = from_w_plane(w_plane, 0.05)
     w = np.linspace(0.0, 60.0, 20)
     reference = analysis.frequency_response(system, w)
     np.testing.assert_allclose(
@@ -118,10 +118,11 @@ def test_the_bilinear_map_keeps_norm_and_comes_back(seed: int) -> None:
 
 
 def test_the_bilinear_map_refuses_a_pole_that_goes_to_infinity() -> None:
+    one = np.eye(1)
     with pytest.raises(PlatformCtrlError, match="z = -1"):
-        bilinear_to_continuous(control.ss([[-1.0]], [[1.0]], [[1.0]], 0, 0.1))
+        to_w_plane(StateArrays(-one, one, one, 0.0 * one, 0.1))
     with pytest.raises(PlatformCtrlError, match="2/period"):
-        bilinear_to_discrete(control.ss([[20.0]], [[1.0]], [[1.0]], 0), 0.1)
+        from_w_plane(StateArrays(20.0 * one, one, one, 0.0 * one), 0.1)
 
 
 def test_an_unstable_system_has_no_hinf_norm_but_a_peak() -> None:

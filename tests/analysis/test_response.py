@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 
 from platform_ctrl import PlatformCtrlError, analysis
 from platform_ctrl.analysis.arrays import StateArrays
-from platform_ctrl.analysis.response import response_at
 from platform_ctrl.common.values import FloatArray
 
 seeds = st.integers(0, 2**31 - 1)
@@ -78,9 +77,10 @@ def test_a_stack_gives_what_its_systems_give_one_by_one() -> None:
     rng = np.random.default_rng(7)
     A, B = rng.normal(size=(2, 3, 5, 5)), rng.normal(size=(5, 2))
     C, D = rng.normal(size=(3, 2, 5)), rng.normal(size=(2, 2))
-    z = 1j * np.geomspace(0.1, 10.0, 700)
-    out = response_at(StateArrays(A, B, C, D, 0.0), z)
+    w = np.geomspace(0.1, 10.0, 700)
+    out = analysis.frequency_response(StateArrays(A, B, C, D, 0.0), w, axis=-3)
     assert out.shape == (2, 3, 700, 2, 2)
+    z = 1j * w
     truth = C[:, None] @ np.linalg.solve(z[:, None, None] * np.eye(5) - A[:, :, None], B + 0j) + D
     np.testing.assert_allclose(out, truth, rtol=1e-9, atol=1e-11)
 

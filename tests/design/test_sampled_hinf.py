@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from platform_ctrl import analysis
-from platform_ctrl.analysis.sampling import bilinear_to_discrete, held_input
+from platform_ctrl.analysis.sampling import held_input
 from platform_ctrl.design.riccati.sampled_hinf import sampled_hinf
 from platform_ctrl.design.synthesis import hinf
 from platform_ctrl.errors import ArgumentError, IllPosedError, NotStabilisableError
@@ -46,10 +46,10 @@ def test_the_loop_keeps_what_the_synthesis_promises(period: float, delay: float)
 def test_continuous_design_and_tustin_is_worse_at_a_slow_rate_and_then_unstable() -> None:
     P, (K, _) = servo(), continuous_design()
     made = sampled_hinf(P, 1, 1, period=0.1, delay=0.05)
-    hoped, _ = analysis.intersample_norm(P, bilinear_to_discrete(K, 0.1), 1, 1, 0.05)
+    hoped, _ = analysis.intersample_norm(P, K.sample(0.1, method="bilinear"), 1, 1, 0.05)
     assert hoped > 2.0 * made.gamma
     with pytest.raises(ArgumentError, match="must be stable"):
-        analysis.intersample_norm(P, bilinear_to_discrete(K, 0.3), 1, 1, 0.3)
+        analysis.intersample_norm(P, K.sample(0.3, method="bilinear"), 1, 1, 0.3)
 
 
 def test_the_least_norm_of_short_periods_is_the_continuous_one() -> None:

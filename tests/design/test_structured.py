@@ -14,7 +14,6 @@ import pytest
 from platform_ctrl import analysis, design
 from platform_ctrl.analysis.channel import Channel
 from platform_ctrl.analysis.poles import is_stable
-from platform_ctrl.analysis.sampling import bilinear_to_discrete
 from platform_ctrl.design.fixed_structure.norm import ClosedLoop, augmented
 from platform_ctrl.design.fixed_structure.objective import WorstNorm, WorstPower
 from platform_ctrl.design.fixed_structure.parametrised import Parametrised
@@ -226,7 +225,7 @@ def test_one_controller_serves_several_plants_and_is_worst_at_one_of_them() -> N
 
 
 def test_a_sampled_plant_gets_a_sampled_controller_of_the_same_norm() -> None:
-    P = bilinear_to_discrete(gyro(), 0.2)
+    P = gyro().sample(0.2, method="bilinear")
     sampled = design.structured(P, 2, 2, structure=design.StateSpaceOrder(states=2), starts=2, processes=1)
     flat = design.structured(gyro(), 2, 2, structure=design.StateSpaceOrder(states=2), starts=2, processes=1)
     assert sampled.controller.dt == 0.2
@@ -387,7 +386,7 @@ def test_what_cannot_be_is_said_in_one_line() -> None:
         with pytest.raises(ArgumentError, match=said):
             design.structured(P, 2, 2, **wrong)
     with pytest.raises(ArgumentError, match="plant 2 has dt"):
-        design.structured([P, bilinear_to_discrete(P, 0.1)], 2, 2, structure=design.Static())
+        design.structured([P, P.sample(0.1, method="bilinear")], 2, 2, structure=design.Static())
     with pytest.raises(ArgumentError, match="no plants"):
         design.structured([], 2, 2, structure=design.Static())
 

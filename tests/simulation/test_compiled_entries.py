@@ -16,7 +16,6 @@ import pytest
 from platform_ctrl import analysis
 from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.feedback import sensitivity_functions, series
-from platform_ctrl.analysis.response import response_at
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.simulation.batch import compile_kernel
 from platform_ctrl.simulation.compilation import is_compiled
@@ -25,7 +24,6 @@ W = np.array([1.0, 2.0])
 SHAPES: tuple[tuple[int, ...], ...] = ((2, 2), (2, 1), (1, 2), (1, 1))
 ENTRIES: dict[str, Callable[[StateArrays], Any]] = {
     "frequency_response": lambda system: analysis.frequency_response(system, W),
-    "response_at": lambda system: response_at(system, 1j * W),
     "hinf_norm": analysis.hinf_norm,
     "noise_rms": lambda system: analysis.noise_rms(system, np.ones(1)),
     "sampled": lambda system: analysis.sampled(system._replace(dt=0.0), 0.1, 0.25),

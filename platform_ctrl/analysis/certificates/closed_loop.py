@@ -27,22 +27,32 @@ class BallSystem(NamedTuple):
 
 @value
 class ClosedLoop:
-    """A system, or a plant with the controller that closes it."""
+    """A system, or a plant with the controller that closes it: what a certificate makes its claim about.
 
-    # A, B, C, D: the system in its units; with a controller the plant with inputs [w, u] and outputs [z, y]. Shapes
-    # (n, n), (n, m), (p, n), (p, m).
+    Attributes
+    ----------
+    A, B, C, D
+        The system in its units; with a controller the plant with inputs [w, u] and outputs [z, y]. Shapes (n, n),
+        (n, m), (p, n), (p, m).
+    dt
+        Sample period, s; 0: continuous.
+    A_K, B_K, C_K, D_K
+        The controller u = K y of the last inputs and outputs, in its units, or None. Shapes (k, k), (k, y), (u, k),
+        (u, y).
+    label
+        What it is, for example the corner of a plant set.
+    """
+
     A: FloatArray
     B: FloatArray
     C: FloatArray
     D: FloatArray
-    dt: float = 0.0  # sample period, s; 0: continuous
-    # A_K, B_K, C_K, D_K: the controller u = K y of the last inputs and outputs, in its units, or None. Shapes (k, k),
-    # (k, y), (u, k), (u, y).
+    dt: float = 0.0
     A_K: FloatArray | None = None
     B_K: FloatArray | None = None
     C_K: FloatArray | None = None
     D_K: FloatArray | None = None
-    label: str = ""  # what it is, for example the corner of a plant set
+    label: str = ""
 
     @property
     def controller(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray] | None:
