@@ -2,8 +2,8 @@
 
     python benchmarks/riccati.py [--large]
 
-39 examples with their default parameters (tests/riccati_examples.py); `--large` adds the one of 421 states, half a
-minute. The residual is relative to the largest term of the equation in the units of the example, worked out in 40
+39 examples with their default parameters (tests/support/riccati_examples.py); `--large` adds the one of 421 states,
+half a minute. The residual is relative to the largest term of the equation in the units of the example, computed in 40
 digits up to 30 states, else in the platform's long doubles; "error" is relative to the published solution, where there
 is one; times are of one call, ms. What is refused has its reason below the table. Slycot: sb02od, which needs no
 inverse of R, and sb02mt with sb02md.
@@ -35,13 +35,13 @@ from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design import lqr
 from platform_ctrl.errors import PlatformCtrlError
 
-TESTS = Path(__file__).parent.parent / "tests"
+SUPPORT = Path(__file__).parent.parent / "tests" / "support"
 LARGE = 20  # of the continuous examples
 
 
 def examples(large: bool) -> list[Any]:
     """Return all examples, but the largest on request alone."""
-    sys.path.insert(0, str(TESTS))
+    sys.path.insert(0, str(SUPPORT))
     collections = importlib.import_module("riccati_examples")
     continuous = [collections.carex(k) for k in range(1, 21) if large or k != LARGE]
     return [*continuous, *(collections.darex(k) for k in range(1, 20))]

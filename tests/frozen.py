@@ -308,6 +308,7 @@ def linear_systems() -> dict[str, Any]:
 
 def riccati() -> dict[str, Any]:
     """CAREX and DAREX: who is solved and the norm of the solution, or how it is refused."""
+    sys.path.insert(0, str(ROOT / "tests" / "support"))
     from riccati_examples import carex, darex
 
     out: dict[str, Any] = {}

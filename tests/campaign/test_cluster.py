@@ -32,7 +32,7 @@ def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
         found.bind(("127.0.0.1", 0))
         where = f"tcp://127.0.0.1:{found.getsockname()[1]}"
     folder = tmp_path_factory.mktemp("cluster")
-    path = os.pathsep.join([str(Path(__file__).parents[1]), str(Path(pc.__file__).parents[1])])
+    path = os.pathsep.join([str(Path(__file__).parents[1] / "support"), str(Path(pc.__file__).parents[1])])
     environment = os.environ | {
         "PYTHONPATH": path,
         "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "0",

@@ -123,7 +123,7 @@ def test_killed_at_any_moment_it_goes_on_and_no_run_is_lost_or_flown_twice(
 ) -> None:
     made, folder, log = planned(runs=RUNS), tmp_path / "out", tmp_path / "log"
     mishaps(seconds=0.01, log=str(log))
-    path = os.pathsep.join([str(Path(__file__).parents[1]), str(Path(pc.__file__).parents[1])])
+    path = os.pathsep.join([str(Path(__file__).parents[1] / "support"), str(Path(pc.__file__).parents[1])])
     process = subprocess.Popen(
         [sys.executable, "-c", DRIVER, str(RUNS), str(folder)], env=os.environ | {"PYTHONPATH": path}
     )

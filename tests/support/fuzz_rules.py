@@ -11,7 +11,7 @@ from typing import Any
 
 from fuzz_files import Place, Seed, key_of, put, with_key, written
 
-DOCS = Path(__file__).parents[1] / "docs"
+DOCS = Path(__file__).parents[2] / "docs"
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 _SPEC = importlib.util.spec_from_file_location(
-    "names", Path(__file__).resolve().parents[1] / "docs" / "site" / "names.py"
+    "names", Path(__file__).resolve().parents[2] / "docs" / "site" / "names.py"
 )
 assert _SPEC is not None
 assert _SPEC.loader is not None

@@ -32,7 +32,7 @@ class Example(NamedTuple):
 
 @lru_cache(maxsize=1)
 def _data() -> dict[str, Any]:
-    return json.loads((Path(__file__).parent / "data" / "riccati.json").read_text(encoding="utf-8"))
+    return json.loads((Path(__file__).parents[1] / "data" / "riccati.json").read_text(encoding="utf-8"))
 
 
 def _given(name: str) -> dict[str, FloatArray]:

@@ -1,21 +1,24 @@
-"""Draw the pictures of the app in its documentation: `python tests/draw_designer.py` from the root of the checkout."""
+"""Draw the pictures of the app in its documentation: `python docs/draw_designer.py` from the root of the checkout."""
 
 from __future__ import annotations
 
 import io
+import sys
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from PIL import Image
 
-from browser import chromium, screen, served
 from platform_ctrl.app.backend import Backend
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT / "tests" / "support"))
+from browser import chromium, screen, served  # noqa: E402  beside the tests that use it too
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page
 
-ROOT = Path(__file__).resolve().parents[1]
 # Colours of a picture: text on plain ground needs no more, and the file is a third of what it would be.
 COLOURS = 256
 # Seconds that the page has to work out everything that it shows.

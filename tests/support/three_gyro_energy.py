@@ -1,7 +1,7 @@
 """The kinetic energy of Magnus's platform, body by body from rotation matrices, to second order in the angles.
 
 Nothing of the package is used: this is the ground on which the paper's equations and ours are judged. What moves has
-the names of tests/three_gyro_paper.py; every body has inertias of its own, of which the paper's J are sums.
+the names of tests/support/three_gyro_paper.py; every body has inertias of its own, of which the paper's J are sums.
 """
 
 from sympy import QQ, ring, sympify

@@ -22,8 +22,8 @@ from platform_ctrl.plant.source import platform_source, shipped_models
 
 Place = tuple[str | int, ...]
 
-HERE = Path(__file__).parent / "data" / "fuzz"
-EXAMPLE = Path(__file__).parents[1] / "examples" / "three_gyro_platform.toml"
+HERE = Path(__file__).parents[1] / "data" / "fuzz"
+EXAMPLE = Path(__file__).parents[2] / "examples" / "three_gyro_platform.toml"
 
 
 @dataclass(frozen=True)
