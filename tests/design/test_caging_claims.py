@@ -14,7 +14,7 @@ from platform_ctrl.design.jobs import LoopOutcome, largest_Omega_name, with_cagi
 from platform_ctrl.design.riccati.intersample_loop import intersample_gains
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.reading import read_job
-from platform_ctrl.report.page.captions import _largest_rate
+from platform_ctrl.report.page import captions
 from platform_ctrl.verification.controllers import outcomes_from
 from platform_ctrl.verification.simulated import simulate_manoeuvre
 
@@ -109,15 +109,15 @@ def test_where_one_uncertain_plant_is_not_stable_the_nominal_claim_stays(outcome
     assert largest_Omega_name(1, worst_case=True) not in claims
 
 
-def test_the_run_is_told_beside_what_is_proved(job: Job, outcome: LoopOutcome) -> None:
+def test_the_caption_of_a_run_says_which_rates_are_proved(job: Job, outcome: LoopOutcome) -> None:
     run = simulate_manoeuvre(job, job.manoeuvres[0], [outcome.closed.controller])
-    told = _largest_rate(run, [outcome])
-    shown = [float(number) for number in re.findall(r"(\d\.\d+) (?:rad/s|in the worst)", told)]
+    caption = captions.run(run, spinning=True, loops=[outcome])
+    shown = [float(number) for number in re.findall(r"(\d\.\d+) (?:rad/s|in the worst)", caption)]
     proved = [outcome.closed.claims[largest_Omega_name(1, worst_case=worst)] for worst in (False, True)]
     assert shown == pytest.approx(proved, rel=0.01)
     # Never more than was proved.
     assert all(number <= claim for number, claim in zip(shown, proved, strict=True))
-    assert told.endswith("this run goes to 1.")
+    assert caption.endswith("this run goes to 1.")
     # About axis 2 the loop carries no load.
     turned = dataclasses.replace(run, manoeuvre=dataclasses.replace(run.manoeuvre, axis=2))
-    assert _largest_rate(turned, [outcome]) == ""
+    assert "proved" not in captions.run(turned, spinning=True, loops=[outcome])

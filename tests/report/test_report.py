@@ -546,11 +546,11 @@ def test_the_price_of_the_simple_controller_is_a_number(compared_designs: JobRes
     [outcome] = compared_designs.loops
     sentences = summary.compared_with_alternatives(outcome)
     others = [d for d in outcome.alternatives if d.passed]
-    best = max(others, key=summary.bandwidth_hz)
+    best = max(others, key=captions.bandwidth_hz)
     assert f"“{best.name}”" in sentences[0]
     assert f"{outcome.closed.controller.nstates} states" in sentences[0]
     assert "4\u00a0% above 1.25, a lower bound" in sentences[-1]
-    gained = 100.0 * (80.0 / summary.bandwidth_hz(outcome.closed) - 1.0)
+    gained = 100.0 * (80.0 / captions.bandwidth_hz(outcome.closed) - 1.0)
     assert f"{plain(gained, 2, 'up')}\u00a0% could be gained" in sentences[-2]
     for sentence in sentences:
         assert sentence in visible_text(compared_page)
@@ -566,7 +566,7 @@ def test_the_price_depends_on_who_is_faster_and_simpler(compared_designs: JobRes
     named = {d.name: d for d in outcome.designs}
     fewer = named["H-infinity"].controller.nstates - named["slow"].controller.nstates
     assert fewer > 0
-    assert summary.bandwidth_hz(named["slow"]) < summary.bandwidth_hz(named["H-infinity"])
+    assert captions.bandwidth_hz(named["slow"]) < captions.bandwidth_hz(named["H-infinity"])
     assert f"is the price of {fewer} states fewer" in told("slow", "H-infinity")
     assert f"more bandwidth with {fewer} states more" in told("H-infinity", "slow")
     assert "is lost without a saving of states" in told("slow", "simple")
@@ -881,10 +881,12 @@ def test_captions_have_peaks_that_every_grid_misses() -> None:
     assert 1.0 / one.gains["disk margin"].max() == pytest.approx(narrow.measures.disk_margin[0], rel=1e-8)  # type: ignore[union-attr]
 
 
-def test_nutation_is_mentioned_only_for_plants_whose_rotors_spin(compared_designs: JobResult) -> None:
+def test_nutation_is_mentioned_only_for_plants_that_nutate(compared_designs: JobResult) -> None:
+    # One gimbal with a rotor: no two axes that the rotor could couple.
+    assert not any(one.kind == "nutation" for one in modes.modes(linearise(pc.read_platform("rate_gyro")), ("gimbal",)))
     [outcome] = compared_designs.loops
-    assert "nutation" in captions.loop_transfer(outcome, spinning=True)
-    assert "nutation" not in captions.loop_transfer(outcome, spinning=False)
+    assert "nutation" in captions.sentences("loop_transfer", outcome=outcome, nutates=True)
+    assert "nutation" not in captions.sentences("loop_transfer", outcome=outcome, nutates=False)
 
 
 def test_poles_with_a_fault_are_separate(responses: LoopResponses) -> None:

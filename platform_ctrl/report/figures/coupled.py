@@ -20,7 +20,7 @@ from platform_ctrl.mechanics.state_space import state_space as linear_state_spac
 from platform_ctrl.plant.platform import OMEGA_NAMES, ROOT_TORQUE_NAMES
 from platform_ctrl.report.figures.loop import half_plane_axes, phase_axes, phase_in_degrees
 from platform_ctrl.report.modes import nutation_over_speed
-from platform_ctrl.report.page.summary import bandwidth_hz
+from platform_ctrl.report.page.captions import bandwidth_hz
 from platform_ctrl.report.plots.campbell import campbell
 from platform_ctrl.report.plots.loci import upper_half_plane
 from platform_ctrl.report.quantities import HZ, quantity, root_series, signal_series

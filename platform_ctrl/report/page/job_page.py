@@ -32,6 +32,7 @@ from platform_ctrl.report.figures.loop import (
     sensitivity_figure,
 )
 from platform_ctrl.report.loop_responses import LoopResponses, loop_responses, root_locus
+from platform_ctrl.report.modes import modes
 from platform_ctrl.report.page import captions, comparison, tables
 from platform_ctrl.report.page.blocks import (
     Block,
@@ -47,7 +48,8 @@ from platform_ctrl.report.page.blocks import (
     sentence,
 )
 from platform_ctrl.report.page.campaign_page import as_section, digests
-from platform_ctrl.report.page.summary import opening
+from platform_ctrl.report.page.captions import sentences
+from platform_ctrl.report.page.summary import compared_with_alternatives, opening
 from platform_ctrl.report.plots.time_run import run_figure
 from platform_ctrl.report.quantities import count
 from platform_ctrl.verification.verdict import JobResult
@@ -171,21 +173,10 @@ def _summary(result: JobResult, campaign: Summary | None) -> tuple[Block, ...]:
     return (banner, lead, Paragraph(text=" ".join(details))) if details else (banner, lead)
 
 
-def _groups_in_words(result: JobResult) -> str:
-    groups = ["-".join(group) for group in result.subsystems]
-    if len(groups) > 1:
-        return (
-            f"The gimbals turn independently of one another in {count(len(groups), 'group')} at every constant rate of "
-            f"the platform within the job: {', '.join(groups)}."
-        )
-    if len(result.job.platform.gimbals) > 1:
-        return f"At the platform rates of the job all gimbals act on one another: {groups[0]}."
-    return "It has one gimbal." if groups else "It has no gimbals."
-
-
 def _plant(result: JobResult) -> Section:
+    gimbals = len(result.job.platform.gimbals)
     blocks: list[Block] = [
-        Paragraph(text=_groups_in_words(result)),
+        Paragraph(text=sentences("groups", subsystems=result.subsystems, gimbals=gimbals)),
         _axes_plate(result),
         Part(title="Gimbals", blocks=(tables.gimbal_table(result),)),
     ]
@@ -211,11 +202,15 @@ def _plant_plates(result: JobResult) -> list[Plate]:
     nutation = nutation_figure(result)
     if nutation is None:
         return []
-    return [_plate(nutation, "Campbell diagram", captions.nutation(result))]
+    caption = sentences("nutation", uncertainty=result.job.uncertainty.spin)
+    return [_plate(nutation, "Campbell diagram", caption)]
 
 
 def _loop(result: JobResult, outcome: LoopOutcome, number: int) -> Section:
-    blocks: list[Block] = [Paragraph(text=captions.loop_summary(outcome)), tables.design_table(result, outcome)]
+    unstable = captions.unstable(outcome.closed)
+    compared = [] if unstable else compared_with_alternatives(outcome)
+    words = sentences("loop_summary", outcome=outcome, unstable=unstable, comparisons=compared)
+    blocks: list[Block] = [Paragraph(text=words), tables.design_table(result, outcome)]
     blocks += [Paragraph(text=f"Not proved: {line}", tone="bad") for line in _unproved(result, outcome)]
     groups = comparison.group_rows(outcome.closed)
     if groups:
@@ -243,17 +238,18 @@ def _caging_plates(result: JobResult, outcome: LoopOutcome) -> list[Plate]:
     if responses is None or plants is None:
         return []
     spec = outcome.spec
+    nutates = any(mode.kind == "nutation" for mode in modes(result.model, outcome.spec.gimbals))
     plates = [
         _plate(sensitivity_figure(responses, spec), "Sensitivities", captions.sensitivity(outcome, responses)),
         _plate(
             loop_transfer_figure(responses, spec, plants.torques, plants.nutation),
             "Loop transfer",
-            captions.loop_transfer(outcome, captions.spins(result.job.platform)),
+            sentences("loop_transfer", outcome=outcome, nutates=nutates),
         ),
     ]
     if not captions.unstable(outcome.closed):
         figure = nichols_figure(responses, spec, plants.torques)
-        plates.append(_plate(figure, "Nichols plot", captions.nichols(outcome), small=True))
+        plates.append(_plate(figure, "Nichols plot", sentences("nichols", outcome=outcome), small=True))
     plates += [
         _plate(disturbance_figure(responses, spec), "Disturbances", captions.disturbance(outcome, responses)),
         *_further_plates(responses, outcome),
@@ -280,37 +276,32 @@ def _further_plates(responses: LoopResponses, outcome: LoopOutcome) -> list[Plat
 
 def _servo_plates(result: JobResult) -> list[Plate]:
     figure = servo_figure(result)
-    return [] if figure is None else [_plate(figure, "The servo's loops in the coupled system", captions.servo())]
+    return [] if figure is None else [_plate(figure, "The servo's loops in the coupled system", sentences("servo"))]
 
 
 def _coupled(result: JobResult) -> tuple[Block, ...]:
     check = result.coupled
     blocks: list[Block] = [
-        Paragraph(text=captions.coupled_summary(result)),
-        _plate(coupled_pole_figure(result), "Poles of the coupled system", captions.coupled_poles(result)),
+        Paragraph(text=captions.coupled(result)),
+        _plate(coupled_pole_figure(result), "Poles of the coupled system", sentences("coupled_poles", check=check)),
     ]
     if check.channels:
-        blocks.append(
-            _plate(margin_bars_figure(check), "Disk margins channel by channel", captions.margin_bars(result))
-        )
+        caption = sentences("margin_bars", allowed=result.job.coupled.coupling_cost)
+        blocks.append(_plate(margin_bars_figure(check), "Disk margins channel by channel", caption))
     if check.stable and check.simultaneous.frequencies.size:
         figure = simultaneous_margin_figure(check, result.job.coupled.disk_margin)
-        blocks.append(_plate(figure, "Disk margin in all channels at once", captions.simultaneous(result)))
+        blocks.append(_plate(figure, "Disk margin in all channels at once", sentences("simultaneous", check=check)))
     # A carried platform does not yield to torques.
     if check.stable and check.free:
         figure = platform_disturbance_figure(result)
-        blocks.append(_plate(figure, "Torque on the platform", captions.platform_disturbance()))
+        blocks.append(_plate(figure, "Torque on the platform", sentences("platform_disturbance")))
     return tuple(blocks)
 
 
 def _runs(result: JobResult) -> list[Section]:
     if not result.runs:
         return []
-    words = (
-        "The exact non-linear plant with sampled controllers, delays, torquer lag and limits, stops, and pick-off "
-        f"noise of seed {result.job.seed}. Dashed red lines and shaded areas are limits."
-    )
-    blocks: list[Block] = [Paragraph(text=words)]
+    blocks: list[Block] = [Paragraph(text=sentences("runs", seed=result.job.seed))]
     spinning = captions.spins(result.job.platform)
     for run in result.runs:
         name = run.manoeuvre.name
@@ -327,11 +318,7 @@ def _campaign(result: JobResult, campaign: Summary | None, again: str | None) ->
     if campaign is None:
         if result.job.campaign is None:
             return []
-        words = (
-            "The job describes a campaign, but this report has none: run platform-ctrl campaign job.toml, and name its "
-            "folder with --campaign when the report is made."
-        )
-        return [Section(name="campaign", title="Campaign", blocks=(Paragraph(text=words),))]
+        return [Section(name="campaign", title="Campaign", blocks=(Paragraph(text=sentences("no_campaign")),))]
     return [as_section(campaign, result, again)]
 
 
