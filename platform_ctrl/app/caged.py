@@ -24,23 +24,23 @@ from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.app.curves import (
     EDGE,
     GRID_POINTS,
-    POINTS,
     Band,
     ChannelMargins,
+    Drive,
     LoopCurves,
     Parts,
     channel_margins,
     channel_response,
+    drive,
     frequency_parts,
     gain_locus,
     locus,
+    one_of,
     overlay,
     round_up,
-    sample_times,
-    sampled_responses,
+    selected,
     settling,
     step_size,
-    time_response,
 )
 from platform_ctrl.app.pictures import Drawn, FrequencyGain, Locus, Margins, Measured, Overlay, TimeResponse
 from platform_ctrl.app.settings import Settings
@@ -70,6 +70,12 @@ class CagedLoop:
     controller: StateArrays
 
     @property
+    def plant(self) -> StateArrays:
+        """The plant shown."""
+        one = self.shown
+        return StateArrays(one.A[0], one.B[0], one.C[0], one.D[0], one.period)
+
+    @property
     def exact(self) -> bool:
         """Whether the loop has few enough states for exact norms while a slider moves."""
         return int(self.plants.A.shape[-1]) + len(self.controller.A) <= _QUICK
@@ -96,7 +102,7 @@ class CagedCurves(LoopCurves):
 
     def __init__(self, loop: CagedLoop, settings: Settings, band: LoopSet | None = None) -> None:
         plants = loop.plants
-        self._loop, self._axis, self.band = loop, settings.axis, band
+        self._loop, self.job, self.axis, self.band = loop, loop.job, settings.axis, band
         self.index = plants.torques.index(settings.channel) if settings.channel in plants.torques else 0
         self.channel = plants.torques[self.index]
         self.shown = LoopSet(loop.shown, loop.controller)
@@ -117,100 +123,53 @@ class CagedCurves(LoopCurves):
 
     def response(self, frequency: FloatArray) -> ComplexArray:
         """Return the loop transfer of the plant shown at `frequency` (F,), rad/s."""
-        P = frequency_response(self.plant, frequency, -3, ON_A_GRID)
+        P = frequency_response(self._loop.plant, frequency, -3, ON_A_GRID)
         K = frequency_response(self._loop.controller, frequency, -3)
         return channel_response(sensitivity_functions(-K @ P)[0], self.index)
 
-    @property
-    def plant(self) -> StateArrays:
-        """The plant shown."""
-        one = self._loop.shown
-        return StateArrays(one.A[0], one.B[0], one.C[0], one.D[0], one.period)
-
     def step(self) -> TimeResponse:
         """Return the response to a torque step at the channel."""
-        plants, channel = self._loop.plants, slice(self.index, self.index + 1)
+        plants = self._loop.plants
         size = step_size(float(plants.torque_limit[self.index]))
         duration = settling(self.poles, self.shown.plants.nutation, plants.period, self.stable)
-        t, every = sample_times(duration, plants.period, POINTS)
-        u = np.full(every * (len(t) - 1) + 1, size)
-        m = self.shown.m
-
-        def responses(loops: LoopSet) -> FloatArray:
-            A, B, C, D, _ = loops.own_arrays
-            return sampled_responses(A, B[..., channel], C, D[..., channel], u, every)
-
-        order = [*range(m, m + self.shown.p), *range(m)]
         title = f"{1e3 * size:g} mN m step at {self.channel}"
-        return self._time_response(title, t, responses, order, np.ones(len(t)))
+        step = drive(title, duration, plants.period, lambda t: np.full(len(t), size))
+        return self._responses(step, lambda loops: loops.own_arrays, self.index)
 
     def disturbance(self) -> TimeResponse:
         """Return the response to the job's manoeuvre about the axis, linear model."""
-        plants, m, p = self._loop.plants, self.shown.m, self.shown.p
-        title, duration, limit, rate = caged_rate(self._loop.job, self._axis, plants.nutation)
-        t, every = sample_times(duration, plants.period, POINTS)
-        u = rate(np.arange(every * (len(t) - 1) + 1, dtype=np.float64) * plants.period)
-        largest = float(np.abs(u).max()) or 1.0
-
-        def responses(loops: LoopSet) -> FloatArray:
-            A, B, C, D, _ = loops.arrays
-            column, rows = self._Omega_column, slice(0, m + p)
-            return sampled_responses(A, B[..., column], C[..., rows, :], D[..., rows, column], u, every)
-
-        return self._time_response(title, t, responses, [*range(m, m + p), *range(m)], u[::every] / largest, limit)
-
-    @property
-    def _Omega_column(self) -> slice:
-        return slice(self.shown.m + self._axis - 1, self.shown.m + self._axis)
-
-    def _time_response(
-        self,
-        title: str,
-        t: FloatArray,
-        responses: Callable[[LoopSet], FloatArray],
-        order: list[int],
-        drive: FloatArray,
-        limit: float | None = None,
-    ) -> TimeResponse:
         plants = self._loop.plants
-        return time_response(
-            self._loop.job.platform,
-            title,
-            t,
-            (*plants.angles, *plants.torques),
-            ("rad",) * self.shown.p + ("N m",) * self.shown.m,
-            (responses(self.shown)[0][order], None if self.band is None else responses(self.band)[:, order]),
-            drive,
-            limit,
-        )
+        title, duration, limit, rate = caged_rate(self.job, self.axis, plants.nutation)
+        turn = drive(title, duration, plants.period, rate, limit)
+        return self._responses(turn, lambda loops: loops.arrays, self.shown.m + self.axis - 1)
+
+    def _responses(self, given: Drive, arrays: Callable[[LoopSet], StateArrays], column: int) -> TimeResponse:
+        m, p, plants = self.shown.m, self.shown.p, self._loop.plants
+        order = [*range(m, m + p), *range(m)]
+        shown = selected(arrays(self.shown), order, [column])
+        band = None if self.band is None else selected(arrays(self.band), order, [column])
+        signals = dict.fromkeys(plants.angles, "rad") | dict.fromkeys(plants.torques, "N m")
+        return self._time_response(given, signals, shown, band)
 
     def disturbance_gain(self, frequency: FloatArray) -> FrequencyGain:
         """Return the gain from Omega to the angles at `frequency` (F,), rad/s."""
-        A, B, C, D, dt = self.shown.arrays
-        column, rows = self._Omega_column, slice(self.shown.m, self.shown.m + self.shown.p)
-        system = StateArrays(A[0], B[0][:, column], C[0][rows], D[0][rows, column], dt)
-        own = frequency_response(system, frequency, -3, ON_A_GRID)
-        w = low = high = np.zeros(0)
+        m, p, axis, band, metric = self.shown.m, self.shown.p, self.axis - 1, None, METRICS["Omega rejection"]
         if self.band is not None:
-            w = self.band.plants.frequency
-            responses = self.band.S_output @ self.band.plants.Omega_response[..., self._axis - 1 : self._axis]
-            gains = np.linalg.norm(responses[..., 0], axis=-1)
-            low, high = gains.min(axis=0), gains.max(axis=0)
-        return FrequencyGain(
-            title=f"rate Omega{self._axis} → angles",
-            unit="rad/(rad/s)",
-            frequency=frequency,
-            gain=np.asarray(np.linalg.norm(own[..., 0], axis=-1)),
-            band_frequency=w,
-            low=low,
-            high=high,
-            limit=self._loop.limit("Omega rejection"),
+            plants = self.band.plants
+            band = plants.frequency, (self.band.S_output @ plants.Omega_response[..., axis : axis + 1])[..., 0]
+        return self._disturbance_gain(
+            f"rate Omega{self.axis} → angles",
+            metric.unit,
+            frequency,
+            selected(one_of(self.shown.arrays, 0), range(m, m + p), [m + axis]),
+            band,
+            self._loop.limit("Omega rejection"),
         )
 
     def locus(self) -> Locus:
         """Return the root locus."""
         loop, s = self._loop, self.poles
-        branches = gain_locus(self.plant, loop.controller, points=110 if loop.exact else 40)
+        branches = gain_locus(self._loop.plant, loop.controller, points=110 if loop.exact else 40)
         nyquist = math.pi / loop.shown.period
         size = np.where(np.isfinite(s), np.abs(s), np.inf)
         # Oscillations, and what is about as fast as nutation: faster poles would squeeze everything else together.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -14,13 +14,17 @@ from platform_ctrl.analysis.feedback import closed_loop
 from platform_ctrl.analysis.plant_set import BoolArray
 from platform_ctrl.analysis.pole_branches import pole_branches
 from platform_ctrl.analysis.poles import continuous_poles
+from platform_ctrl.analysis.resolvent import ON_A_GRID
+from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.app.pictures import Bode, Drawn, FrequencyGain, Locus, Measured, Nichols, Overlay, TimeResponse
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.plant.platform import Platform
+from platform_ctrl.job.job import Job
 from platform_ctrl.report.quantities import signal_series
 
 # Values beyond this are of a loop that diverges: no page has to draw them.
 _FARTHEST = 1e12
+# Points of a response over time.
+POINTS = 240
 
 
 def channel_response(S: ComplexArray, channel: int) -> ComplexArray:
@@ -82,33 +86,36 @@ def round_up(x: float) -> float:
     return float(next(step * decade for step in (1.0, 2.0, 5.0, 10.0) if step * decade >= x * (1.0 - 1e-9)))
 
 
-def sample_times(duration: float, period: float, points: int) -> tuple[FloatArray, int]:
-    """Return about `points` times of samples over `duration`, s, and how many periods lie between them."""
-    every = max(1, math.ceil(duration / period / points))
+class Drive(NamedTuple):
+    """An input over time: at all samples, and the times `t` (T,), s, of every `every`-th one, which are drawn."""
+
+    title: str
+    t: FloatArray
+    u: FloatArray
+    every: int
+    limit: float | None
+
+
+def drive(
+    title: str, duration: float, period: float, rate: Callable[[FloatArray], FloatArray], limit: float | None = None
+) -> Drive:
+    """Return an input over about `duration`, s, by its value at the times of the samples (N,)."""
+    every = max(1, math.ceil(duration / period / POINTS))
     count = max(2, math.ceil(duration / period / every - 1e-9) + 1)
-    return np.asarray(np.arange(count) * (every * period), dtype=np.float64), every
+    t = np.asarray(np.arange(count) * (every * period), dtype=np.float64)
+    u = rate(np.arange(every * (count - 1) + 1, dtype=np.float64) * period)
+    return Drive(title=title, t=t, u=u, every=every, limit=limit)
 
 
-def sampled_responses(
-    A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, inputs: FloatArray, every: int
-) -> FloatArray:
-    """Return the outputs (..., p, T) of sampled systems at rest for one input, at every `every`-th sample.
+def sampled_responses(systems: StateArrays, inputs: FloatArray, every: int) -> FloatArray:
+    """Return the outputs (..., p, T) of sampled systems at rest with one input, at every `every`-th sample.
 
-    Parameters
-    ----------
-    A, B, C, D
-        Stacks (..., n, n), (..., n, 1), (..., p, n), (..., p, 1).
-    inputs : (every * (T - 1) + 1,)
-        At all samples.
-    every
-        Samples between those that are returned.
-
-    Notes
-    -----
-    Exact: a power of A carries the state over whole intervals, within which the inputs count one by one.
+    `inputs` (every * (T - 1) + 1,) has all samples. Exact: a power of A carries the state over whole intervals, within
+    which the inputs count one by one.
     """
     from platform_ctrl.app.recurrence import recur  # loads numba: the page is to be there before
 
+    A, B, C, D, _ = systems
     count = (len(inputs) - 1) // every + 1
     with np.errstate(all="ignore"):
         # [A^(every-1) B, ..., A B, B]
@@ -164,28 +171,37 @@ def moved_by_gain(gains: FloatArray, branches: ComplexArray, present: ComplexArr
         return np.asarray(speed[nearest] > 0.01 * np.abs(present))
 
 
-def arrays_of(stack: StateArrays, k: int) -> StateArrays:
+def one_of(stack: StateArrays, k: int) -> StateArrays:
     """Return one system of a stack."""
     return StateArrays(stack.A[k], stack.B[k], stack.C[k], stack.D[k], stack.dt)
 
 
-# Points of a response over time.
-POINTS = 240
+def selected(stack: StateArrays, outputs: Index, inputs: Index) -> StateArrays:
+    """Return systems with some of their outputs and inputs."""
+    A, B, C, D, dt = stack
+    return StateArrays(A, B[..., inputs], C[..., outputs, :], D[..., outputs, :][..., inputs], dt)
+
+
 # Sampled loops are shown up to this share of the Nyquist frequency: at its edge sensitivities have no meaning.
 EDGE = 0.999
 # Points of a frequency grid besides those at resonances.
 GRID_POINTS = 160
 
+Index = slice | Sequence[int]
+ALL = slice(None)
 # Curves to draw, and the function that measures the same loop.
 Parts = tuple[Drawn, Callable[[], Measured]]
 
 
 class LoopCurves(ABC):
-    """The curves of a closed loop in one mode, shown broken at one torquer.
+    """The curves of a closed loop in one mode, shown broken at one torquer; with a band those of the whole set too.
 
-    A subclass sets `channel`, the torquer's name, and `poles` (n,), rad/s, and `stable` of the plant shown.
+    A subclass sets `job`, `axis`, `channel`, the torquer's name, and `poles` (n,), rad/s, and `stable` of the plant
+    shown.
     """
 
+    job: Job
+    axis: int
     channel: str
     poles: ComplexArray
     stable: bool
@@ -205,6 +221,58 @@ class LoopCurves(ABC):
     @abstractmethod
     def disturbance_gain(self, frequency: FloatArray) -> FrequencyGain:
         """Return the gain from what disturbs the loop at `frequency` (F,), rad/s."""
+
+    def _time_response(
+        self, drive: Drive, signals: Mapping[str, str], shown: StateArrays, band: StateArrays | None
+    ) -> TimeResponse:
+        """Return the outputs of the plant shown and of the set, stacks with one input; `signals` have their units."""
+        values = sampled_responses(shown, drive.u, drive.every)[0]
+        low = high = np.zeros((len(values), 0))
+        if band is not None:
+            low, high = around(sampled_responses(band, drive.u, drive.every), values)
+        colour = signal_series(self.job.platform)
+        u = drive.u[:: drive.every]
+        return TimeResponse(
+            title=drive.title,
+            t=drive.t,
+            signals=tuple(signals),
+            series=tuple(colour[name] for name in signals),
+            units=tuple(signals.values()),
+            values=values,
+            low=low,
+            high=high,
+            drive=u / (float(np.abs(drive.u).max()) or 1.0),
+            limit=drive.limit,
+        )
+
+    def _disturbance_gain(
+        self,
+        title: str,
+        unit: str,
+        frequency: FloatArray,
+        shown: StateArrays,
+        band: tuple[FloatArray, ComplexArray] | None,
+        limit: float | None = None,
+    ) -> FrequencyGain:
+        """Return the gain of the plant shown, with one input, and its extremes over the set.
+
+        The set has responses (N, B, k) at frequencies (B,).
+        """
+        own = frequency_response(shown, frequency, -3, ON_A_GRID)
+        w = low = high = np.zeros(0)
+        if band is not None:
+            w, gains = band[0], np.linalg.norm(band[1], axis=-1)
+            low, high = gains.min(axis=0), gains.max(axis=0)
+        return FrequencyGain(
+            title=title,
+            unit=unit,
+            frequency=frequency,
+            gain=np.asarray(np.linalg.norm(own[..., 0], axis=-1)),
+            band_frequency=w,
+            low=low,
+            high=high,
+            limit=limit,
+        )
 
 
 def overlay(curves: LoopCurves, design: str, method: str, frequency: FloatArray) -> Overlay:
@@ -274,35 +342,6 @@ def frequency_parts(
 def around(every: FloatArray, own: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the extremes over the first axis of `every` and `own`, of the shape of `own`."""
     return np.minimum(every.min(axis=0), own), np.maximum(every.max(axis=0), own)
-
-
-def time_response(
-    platform: Platform,
-    title: str,
-    t: FloatArray,
-    signals: tuple[str, ...],
-    units: tuple[str, ...],
-    responses: tuple[FloatArray, FloatArray | None],
-    drive: FloatArray,
-    limit: float | None = None,
-) -> TimeResponse:
-    """Return signals over time; `responses` are those of the plant shown (k, T) and of the set (N, k, T), or None."""
-    own, every = responses
-    none = np.zeros((len(own), 0))
-    low, high = (none, none) if every is None else around(every, own)
-    colour = signal_series(platform)
-    return TimeResponse(
-        title=title,
-        t=t,
-        signals=signals,
-        series=tuple(colour[name] for name in signals),
-        units=units,
-        values=own,
-        low=low,
-        high=high,
-        drive=drive,
-        limit=limit,
-    )
 
 
 def locus(

@@ -19,7 +19,7 @@ from platform_ctrl.analysis.poles import continuous_poles, poles
 from platform_ctrl.analysis.resolvent import ON_A_GRID, AxisResponse
 from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.analysis.sampling import held_input, sampled
-from platform_ctrl.app.curves import EDGE, GRID_POINTS, arrays_of
+from platform_ctrl.app.curves import EDGE, GRID_POINTS, selected
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.plants import changed
 from platform_ctrl.job.job import Job, LoopSpec, Sampling
@@ -250,12 +250,6 @@ class StabilisedLoop:
         return K, [plants.torquers.index(name) for name in torquers], tuple(torquers)
 
 
-def used_arrays(arrays: StateArrays, k: int, at: list[int]) -> StateArrays:
-    """Return one plant of a stack with the inputs `at` that controllers set."""
-    A, B, C, D, dt = arrays_of(arrays, k)
-    return StateArrays(A, B[:, at], C, D[:, at], dt)
-
-
 def loop_grid(P: StateArrays, s: ComplexArray) -> FloatArray:
     """Return frequencies for the responses of a plant and a loop with the poles `s`, (F,), rad/s."""
     nyquist = math.pi / P.dt
@@ -280,7 +274,7 @@ class Sensitivity:
 
 def disk_margins(P: StateArrays, K: StateArrays, channels: Sequence[int]) -> FloatArray:
     """Return 1/max |S_ii - 1/2| over all frequencies of channels of a stable loop, broken one at a time."""
-    A, B, C, D, _ = closed_loop(P, K)
     # From a torque disturbance to the torque the closed loop is S - 1.
-    parts = [StateArrays(A, B[:, [i]], C[[i]], D[[i]][:, [i]] + 0.5, P.dt) for i in channels]
-    return np.array([1.0 / peak(part)[0] for part in parts])
+    closed = closed_loop(P, K)
+    parts = [selected(closed, [i], [i]) for i in channels]
+    return np.array([1.0 / peak(part._replace(D=part.D + 0.5))[0] for part in parts])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,6 +19,7 @@ from platform_ctrl.common.values import value
 from platform_ctrl.errors import InputError
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.methods import METHODS
+from platform_ctrl.job.old_names import renamed
 from platform_ctrl.job.reading import read_job
 from platform_ctrl.plant.reading import open_plant
 from platform_ctrl.plant.source import is_shipped_name, read_text
@@ -93,8 +95,11 @@ def write_job(
         if not overwrite and os.path.lexists(one):
             raise InputError(f"{one}: exists already; choose another name or overwrite it")
     text = job_text(source, path.parent, settings, start, used)
+    data = tomllib.loads(text)
+    # That its keys are old was written when the job was read.
+    renamed(data)
     try:
-        read_job(_plain(text), folder=path.parent)
+        read_job(data, folder=path.parent)
     except InputError as error:
         raise InputError(str(error).replace("job given as a dict", str(path))) from None
     record = {"schema": SCHEMA, "controllers": [_entry(one, job) for one in controllers]}
@@ -190,12 +195,6 @@ def _entry(one: SavedController, job: Job) -> dict[str, Any]:
         "delay": job.sampling.delay,
         "options": one.options,
     }
-
-
-def _plain(text: str) -> dict[str, Any]:
-    import tomllib
-
-    return tomllib.loads(text)
 
 
 def _tomlkit() -> Any:

@@ -17,23 +17,24 @@ from platform_ctrl.analysis.poles import continuous_poles, minimum_damping, pole
 from platform_ctrl.analysis.resolvent import ON_A_GRID
 from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.app.curves import (
-    POINTS,
+    ALL,
     Band,
+    Drive,
+    Index,
     LoopCurves,
     Parts,
-    arrays_of,
     channel_margins,
     channel_response,
+    drive,
     frequency_parts,
     gain_locus,
     locus,
     moved_by_gain,
+    one_of,
     overlay,
-    sample_times,
-    sampled_responses,
+    selected,
     settling,
     step_size,
-    time_response,
 )
 from platform_ctrl.app.free_plants import (
     ATTITUDE,
@@ -42,7 +43,6 @@ from platform_ctrl.app.free_plants import (
     StabilisedLoop,
     disk_margins,
     loop_grid,
-    used_arrays,
 )
 from platform_ctrl.app.pictures import Drawn, FrequencyGain, Locus, Margins, Measured, Overlay, TimeResponse
 from platform_ctrl.app.settings import Settings
@@ -84,20 +84,21 @@ def requirements(
     """
     job, model, controllers = loop.job, loop.model, loop.controllers
     K, at, torquers = loop.joined(loop.plants)
-    P = used_arrays(loop.plants.arrays, 0, at)
-    A, B, C, D, _ = closed_loop(P, K)
-    s = continuous_poles(poles(A), P.dt) if known is None else known[0]
+    P = selected(one_of(loop.plants.arrays, 0), ALL, at)
+    loops = closed_loop(P, K)
+    s = continuous_poles(poles(loops.A), P.dt) if known is None else known[0]
     decay = -float(spectral_abscissa(s))
     m = len(torquers)
     sensors = {one.name: one for one in job.platform.sensors}
     rms = np.array([sensors[name].sampled_noise(P.dt) for name in loop.plants.sensors])
-    noise = noise_rms(StateArrays(A, B[:, m:], C[:m], D[:m, m:], P.dt), rms, allow_unstable=True)
+    noise = noise_rms(selected(loops, range(m), slice(m, None)), rms, allow_unstable=True)
     coupled, simultaneous = np.zeros(m), (0.0, 0.0)
     if decay > 0.0:
         grid, sensitivity = (loop_grid(P, s), Sensitivity(P, K)) if known is None else known[1:3]
         S = sensitivity.at(grid) if known is None else known[3]
         coupled = disk_margins(P, K, range(m))
-        closed = StateArrays(A, B[:, :m], C[:m], D[:m, :m] + 0.5 * np.eye(m), P.dt)
+        closed = selected(loops, range(m), range(m))
+        closed = closed._replace(D=closed.D + 0.5 * np.eye(m))
         simultaneous = _simultaneous(sensitivity, grid, S, closed, s)
     decoupled = _decoupled(job, model, controllers, cached)
     alone = np.array([decoupled[name] for name in torquers])
@@ -129,8 +130,7 @@ def _margins_of(
     names = list(K.output_labels)
     at = [plant.input_labels.index(name) for name in names]
     seen = [plant.output_labels.index(name) for name in K.input_labels]
-    arrays, k = state_arrays(plant, "plant"), state_arrays(K, "controller")
-    P = StateArrays(arrays.A, arrays.B[:, at], arrays.C[seen], arrays.D[np.ix_(seen, at)], arrays.dt)
+    P, k = selected(state_arrays(plant, "plant"), seen, at), state_arrays(K, "controller")
     s = continuous_poles(poles(closed_loop(P, k).A), P.dt)
     if not spectral_abscissa(s) < 0.0:
         return dict.fromkeys(names, 0.0)
@@ -177,7 +177,7 @@ class StabilisedCurves(LoopCurves):
     """The curves of the free platform with all loops closed; with `banded` those of the whole set too."""
 
     def __init__(self, loop: StabilisedLoop, settings: Settings, banded: bool = False) -> None:
-        self.loop, self.axis = loop, settings.axis
+        self.loop, self.job, self.axis = loop, loop.job, settings.axis
         self.controller, self.used, self.torquers = loop.joined(loop.shown)
         platform = loop.job.platform.torquers
         # The torquers on the platform that controllers set.
@@ -186,7 +186,7 @@ class StabilisedCurves(LoopCurves):
             raise DesignError(f"{loop.spec.name}: no controller sets a torque on the platform; add a servo to the job")
         self.channel = settings.channel if settings.channel in self.roots else self.roots[0]
         self.index = self.torquers.index(self.channel)
-        self.plant = used_arrays(loop.shown.arrays, 0, self.used)
+        self.plant = selected(one_of(loop.shown.arrays, 0), ALL, self.used)
         self.z_poles = poles(closed_loop(self.plant, self.controller).A)
         self.poles = continuous_poles(self.z_poles, self.plant.dt)
         self.stable = bool(spectral_abscissa(self.poles) < 0.0)
@@ -200,65 +200,45 @@ class StabilisedCurves(LoopCurves):
     def step(self) -> TimeResponse:
         """Return the response to a step of torque on the platform about the axis."""
         size, title, limit = self._torque()
-        period = self.loop.shown.period
+        period = self.plant.dt
         slow = self.poles[np.isfinite(self.poles) & (np.abs(self.poles) < math.pi / period)]
-        t, every = sample_times(settling(slow, 50.0 / period, period, self.stable), period, POINTS)
-        u = np.full(every * (len(t) - 1) + 1, size)
-        names = (*ATTITUDE, *self.loop.shown.sensors, *self.torquers)
-        units = (*self._angle_units(), *("N m" for _ in self.torquers))
-        return self._time_response(title, t, u, every, names, units, np.ones(len(t)), limit)
+        duration = settling(slow, 50.0 / period, period, self.stable)
+        step = drive(title, duration, period, lambda t: np.full(len(t), size), limit)
+        return self._responses(step, self._angles | dict.fromkeys(self.torquers, "N m"))
 
     def disturbance(self) -> TimeResponse:
         """Return the attitude after an impulse of torque that would turn the free platform by 1 mrad/s."""
-        axis, period = self.axis, self.loop.shown.period
-        t, every = sample_times(settling(self.poles, 50.0 / period, period, self.stable), period, POINTS)
-        u = np.zeros(every * (len(t) - 1) + 1)
-        u[0] = 1e-3 * float(self.loop.model.root_inertia[axis - 1, axis - 1]) / period
-        drive = np.zeros(len(t))
-        drive[0] = 1.0
-        names = (*ATTITUDE, *self.loop.shown.sensors)
-        title = f"impulse of torque: 1 mrad/s about axis {axis}"
-        return self._time_response(title, t, u, every, names, self._angle_units(), drive)
-
-    def _time_response(
-        self,
-        title: str,
-        t: FloatArray,
-        u: FloatArray,
-        every: int,
-        names: tuple[str, ...],
-        units: tuple[str, ...],
-        drive: FloatArray,
-        limit: float | None = None,
-    ) -> TimeResponse:
-        """Return attitude, angles and torques, as many as there are names, after torques `u` on the platform."""
-
-        def responses(plants: FreePlants) -> FloatArray:
-            k, p = len(self.used), len(plants.sensors)
-            a, b, c, d, _ = self._turned(plants)
-            order = [*range(k + p, k + p + 3), *range(k, k + p), *range(k)][: len(names)]
-            return sampled_responses(
-                a, b[..., self._torque_column], c[..., order, :], d[..., order, self._torque_column], u, every
-            )
-
-        band = responses(self.loop.plants) if self.banded else None
-        return time_response(
-            self.loop.job.platform, title, t, names, units, (responses(self.loop.shown)[0], band), drive, limit
-        )
-
-    def _turned(self, plants: FreePlants) -> StateArrays:
-        """Return the closed loops with torques on the platform as inputs and its attitude as outputs."""
-        return closed_loop(plants.turned, self.controller, torques=self.used, angles=list(range(len(plants.sensors))))
+        period = self.plant.dt
+        size = 1e-3 * float(self.loop.model.root_inertia[self.axis - 1, self.axis - 1]) / period
+        duration = settling(self.poles, 50.0 / period, period, self.stable)
+        title = f"impulse of torque: 1 mrad/s about axis {self.axis}"
+        return self._responses(drive(title, duration, period, lambda t: np.where(t == 0.0, size, 0.0)), self._angles)
 
     @property
-    def _torque_column(self) -> slice:
-        m = len(self.loop.shown.torquers)
-        return slice(m + self.axis - 1, m + self.axis)
+    def _angles(self) -> dict[str, str]:
+        """Attitude and sensors with their units."""
+        angles = self.job.platform.angle_names
+        sensors = {name: "rad" if name in angles else "rad/s" for name in self.loop.shown.sensors}
+        return dict.fromkeys(ATTITUDE, "rad") | sensors
 
-    def _angle_units(self) -> tuple[str, ...]:
-        """Return the units of the attitude and of the sensors."""
-        angles = self.loop.job.platform.angle_names
-        return ("rad",) * 3 + tuple("rad" if name in angles else "rad/s" for name in self.loop.shown.sensors)
+    def _responses(self, given: Drive, signals: dict[str, str]) -> TimeResponse:
+        """Return attitude, angles and torques, as many as there are signals, after a torque on the platform."""
+        k, p = len(self.used), len(self.loop.shown.sensors)
+        order = [*range(k + p, k + p + 3), *range(k, k + p), *range(k)][: len(signals)]
+        shown, band = self._turned(self.loop.shown, order), None
+        if self.banded:
+            band = self._turned(self.loop.plants, order)
+        return self._time_response(given, signals, shown, band)
+
+    def _turned(self, plants: FreePlants, outputs: Index) -> StateArrays:
+        """Return the closed loops from the torque on the platform to torques, sensors and attitude."""
+        sensors = list(range(len(plants.sensors)))
+        whole = closed_loop(plants.turned, self.controller, torques=self.used, angles=sensors)
+        return selected(whole, outputs, [self._torque_column])
+
+    @property
+    def _torque_column(self) -> int:
+        return len(self.loop.shown.torquers) + self.axis - 1
 
     def _torque(self) -> tuple[float, str, float | None]:
         """Return the torque step of the job's stabilised manoeuvre about the axis, or one that the torquer can hold."""
@@ -272,36 +252,25 @@ class StabilisedCurves(LoopCurves):
 
     def disturbance_gain(self, frequency: FloatArray) -> FrequencyGain:
         """Return the gain from a torque on the platform to its attitude at `frequency` (F,), rad/s."""
-        column, p, k = self._torque_column, len(self.loop.shown.sensors), len(self.used)
-        a, b, c, d, dt = arrays_of(self._turned(self.loop.shown), 0)
-        system = StateArrays(a, b[:, column], c[k + p :], d[k + p :, column], dt)
-        own = frequency_response(system, frequency, -3, ON_A_GRID)
-        w = low = high = np.zeros(0)
+        column, p, k, band = self._torque_column, len(self.loop.shown.sensors), len(self.used), None
         if self.banded:
             w, whole = self.loop.plants.frequency, self.loop.plants.response
             # The disturbance moves the sensors, these the torques, and both the attitude.
             K = frequency_response(self.controller, w, -3, ON_A_GRID)
-            torque = np.linalg.solve(np.eye(k) - K @ whole[..., :p, self.used], K @ whole[..., :p, column])
-            moved = whole[..., p:, column] + whole[..., p:, self.used] @ torque
-            gains = np.linalg.norm(moved[..., 0], axis=-1)
-            low, high = gains.min(axis=0), gains.max(axis=0)
-        return FrequencyGain(
-            title=f"torque M{self.axis} on the platform → attitude",
-            unit="rad/(N m)",
-            frequency=frequency,
-            gain=np.asarray(np.linalg.norm(own[..., 0], axis=-1)),
-            band_frequency=w,
-            low=low,
-            high=high,
+            sensed, driven = whole[..., :p, [column]], whole[..., self.used]
+            torque = np.linalg.solve(np.eye(k) - K @ driven[..., :p, :], K @ sensed)
+            band = w, (whole[..., p:, [column]] + driven[..., p:, :] @ torque)[..., 0]
+        shown = one_of(self._turned(self.loop.shown, slice(k + p, None)), 0)
+        return self._disturbance_gain(
+            f"torque M{self.axis} on the platform → attitude", "rad/(N m)", frequency, shown, band
         )
 
     def set_poles(self) -> ComplexArray:
         """Return the closed-loop poles of the plants of the band, or those of the plant shown, (N, n), rad/s."""
         if not self.banded:
             return self.poles[None]
-        A, B, C, D, dt = self.loop.plants.arrays
-        plants = StateArrays(A, B[..., self.used], C, D[..., self.used], dt)
-        return continuous_poles(poles(closed_loop(plants, self.controller).A), dt)
+        plants = selected(self.loop.plants.arrays, ALL, self.used)
+        return continuous_poles(poles(closed_loop(plants, self.controller).A), plants.dt)
 
     def band(self) -> tuple[Band, float, str]:
         """Return the loop transfers of all plants, and the least of their disk margins with its plant."""
