@@ -25,16 +25,16 @@ from platform_ctrl.common.text import at_most
 from platform_ctrl.design.plants import loop_plants
 from platform_ctrl.errors import ArgumentError, InfeasibleError, InputError, SimulationError, UnscalableError
 from platform_ctrl.export import write_c
+from platform_ctrl.export.c99.c_text import field_names
 from platform_ctrl.export.c99.entries import entries_of
 from platform_ctrl.export.c99.from_design import scheme_of, with_excess
-from platform_ctrl.export.c99.identifiers import field_names
 from platform_ctrl.export.c99.scheme import Row, Scheme, Section, Term, arrays
 from platform_ctrl.export.c99.windup import back_calculation
 from platform_ctrl.export.fixed_point.bounds import gains
 from platform_ctrl.export.fixed_point.integer_files import IntegerFiles
 from platform_ctrl.export.fixed_point.lowering import fixed_point
-from platform_ctrl.export.fixed_point.model import Machine
-from platform_ctrl.export.fixed_point.values import FixedPoint, input_ranges
+from platform_ctrl.export.fixed_point.model import FixedPoint, Machine
+from platform_ctrl.export.fixed_point.splitting import input_ranges
 from platform_ctrl.job.job import manoeuvre_scenario
 
 NUMBERS = ("q31", "q15")

@@ -15,13 +15,12 @@ from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.text import at_most
 from platform_ctrl.common.values import value
 from platform_ctrl.errors import ArgumentError, InputError
+from platform_ctrl.export.c99.c_text import FILES, Names, field_names
 from platform_ctrl.export.c99.controller_files import ControllerFiles, job_files
 from platform_ctrl.export.c99.entries import Entry, entries_of
 from platform_ctrl.export.c99.float_error import NOTED, float_error
-from platform_ctrl.export.c99.floating_files import FloatingFiles
-from platform_ctrl.export.c99.floating_files import Number as Floating
+from platform_ctrl.export.c99.floating_files import FloatingFiles, cost_of
 from platform_ctrl.export.c99.from_design import scheme_of, with_excess
-from platform_ctrl.export.c99.identifiers import FILES, Names, field_names
 from platform_ctrl.export.c99.scheme import Provenance, Scheme, excess_gain
 from platform_ctrl.export.c99.windup import Windup, back_calculation, proved
 from platform_ctrl.job.job import Job
@@ -29,7 +28,7 @@ from platform_ctrl.job.job import Job
 if TYPE_CHECKING:
     import control
 
-    from platform_ctrl.export.fixed_point.values import FixedPoint
+    from platform_ctrl.export.fixed_point.model import FixedPoint
 
 AnyNumber = Literal["double", "float", "q31", "q15"]
 AntiWindup = Literal["back-calculation", "proved", "none"]
@@ -120,13 +119,22 @@ def write_c(  # noqa: PLR0913 - options by keyword
     signals = field_names([name for scheme in schemes for name in (*scheme.inputs, *scheme.outputs)])
     known_names("ranges", list(ranges or {}), [name for scheme in schemes for name in scheme.inputs])
     known_names("limits", list(limits or {}), [name for scheme in schemes for name in scheme.states])
-    if number == "q31" or number == "q15":
-        made = [_fixed(job, scheme, number, ranges, limits, accuracy) for scheme in schemes]
-        texts = _integer(job, made, remarks, signals)
-        notes += [_integer_note(one) for one in made]
-    else:
-        texts, doubts = _floating(job, schemes, remarks, signals, number)
-        notes += doubts
+    prefixes = Names(24, FILES)
+    units: list[ControllerFiles] = []
+    for scheme, remark in zip(schemes, remarks, strict=True):
+        own: dict[str, Any] = {"prefix": prefixes.new(scheme.name).lower(), "signals": signals}
+        if number == "q31" or number == "q15":
+            fixed = _fixed(job, scheme, number, ranges, limits, accuracy)
+            units.append(_integer_files(fixed, remark, own))
+            notes.append(_integer_note(fixed))
+        else:
+            words, doubts = _in_single_precision(job, scheme) if number == "float" else ([], [])
+            units.append(FloatingFiles(scheme=scheme, number=number, remarks=(remark, *words), **own))
+            notes += doubts
+    texts: dict[str, str] = {}
+    for unit in units:
+        texts |= {f"{unit.prefix}.h": unit.header(), f"{unit.prefix}.c": unit.source()}
+    texts |= job_files(prefixes.new(job.name).lower(), units, cost=cost_of(schemes))
     target = Path(folder)
     try:
         target.mkdir(parents=True, exist_ok=True)
@@ -148,7 +156,7 @@ def _windup(job: Job, scheme: Scheme, entry: Entry, requested: AntiWindup) -> Wi
     return proved(job, scheme) if requested == "proved" else back_calculation(scheme)
 
 
-def _in_single_precision(job: Job, scheme: Scheme) -> tuple[str, list[str]]:
+def _in_single_precision(job: Job, scheme: Scheme) -> tuple[list[str], list[str]]:
     """Return a paragraph for the header about what float does to a controller, and what is doubtful in it."""
     ranges = {name: _range(job, name) for name in scheme.inputs}
     error = float_error(scheme, ranges)
@@ -189,11 +197,11 @@ def _in_single_precision(job: Job, scheme: Scheme) -> tuple[str, list[str]]:
             f"{scheme.name}: as float, the response changes by {error.response:.2g} of its size and a pole by "
             f"{error.pole:.2g} of its distance from z = 1"
         )
-    return words, notes
+    return [words], notes
 
 
 def _range(job: Job, name: str) -> float:
-    from platform_ctrl.export.fixed_point.values import input_ranges
+    from platform_ctrl.export.fixed_point.splitting import input_ranges
 
     try:
         return input_ranges((name,), job)[name]
@@ -211,48 +219,18 @@ def _fixed(
     accuracy: float,
 ) -> FixedPoint:
     from platform_ctrl.export.fixed_point.lowering import fixed_point
-    from platform_ctrl.export.fixed_point.values import input_ranges
+    from platform_ctrl.export.fixed_point.splitting import input_ranges
 
     own = {name: limit for name, limit in (limits or {}).items() if name in scheme.states}
     found = input_ranges(scheme.inputs, job, ranges)
     return fixed_point(scheme, found, number=number, limits=own, accuracy=accuracy)
 
 
-def _floating(
-    job: Job, schemes: Sequence[Scheme], remarks: Sequence[str], signals: dict[str, str], number: Floating
-) -> tuple[dict[str, str], list[str]]:
-    prefixes = Names(24, FILES)
-    notes: list[str] = []
-    units = []
-    for scheme, remark in zip(schemes, remarks, strict=True):
-        words = [remark]
-        if number == "float":
-            more, doubts = _in_single_precision(job, scheme)
-            words.append(more)
-            notes += doubts
-        prefix = prefixes.new(scheme.name).lower()
-        units.append(FloatingFiles(scheme=scheme, number=number, prefix=prefix, signals=signals, remarks=tuple(words)))
-    return _texts(job, units, prefixes), notes
-
-
-def _integer(job: Job, made: Sequence[FixedPoint], remarks: Sequence[str], signals: dict[str, str]) -> dict[str, str]:
+def _integer_files(fixed: FixedPoint, remark: str, own: dict[str, Any]) -> ControllerFiles:
     # Ball arithmetic is loaded when it is needed.
     from platform_ctrl.export.fixed_point.integer_files import IntegerFiles
 
-    prefixes = Names(24, FILES)
-    units = []
-    for one, remark in zip(made, remarks, strict=True):
-        prefix, paragraphs = prefixes[one.scheme.name].lower(), (remark + _ROUNDED,)
-        units.append(IntegerFiles(scheme=one.scheme, fixed=one, prefix=prefix, signals=signals, remarks=paragraphs))
-    return _texts(job, units, prefixes)
-
-
-def _texts(job: Job, units: Sequence[ControllerFiles], prefixes: Names) -> dict[str, str]:
-    """Return the texts of all files by their names: a pair for each controller, and one that runs them in order."""
-    texts: dict[str, str] = {}
-    for unit in units:
-        texts |= {f"{unit.prefix}.h": unit.header(), f"{unit.prefix}.c": unit.source()}
-    return texts | job_files(prefixes.new(job.name).lower(), units)
+    return IntegerFiles(scheme=fixed.scheme, fixed=fixed, remarks=(remark + _ROUNDED,), **own)
 
 
 def _integer_note(made: FixedPoint) -> str:

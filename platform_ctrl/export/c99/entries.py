@@ -13,7 +13,7 @@ from platform_ctrl.common.signatures import short
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.classical.caging import Stage
 from platform_ctrl.errors import ArgumentError, InputError
-from platform_ctrl.export.c99.scheme import Row, Section, Term
+from platform_ctrl.export.c99.scheme import Section, row
 from platform_ctrl.job.job import Job
 from platform_ctrl.verification.controllers import read_controllers
 from platform_ctrl.verification.records import SCHEMA
@@ -132,19 +132,6 @@ def _numbers(item: object) -> dict[str, float]:
 # Names of the coefficients of a block with one or two states.
 _POLES = {1: (("pole",),), 2: (("a1", "a2"), ("shift", "none"))}
 _SHOWN = {1: ("c",), 2: ("c1", "c2")}
-
-
-def row(target: str, weights: FloatArray, sources: Sequence[str], names: Sequence[str] = ()) -> Row:
-    """Return target = Σ weights sources, without zero terms; `names` are those of the coefficients."""
-    labels = names or [""] * len(sources)
-    return Row(
-        target=target,
-        terms=tuple(
-            Term(coefficient=float(x), source=source, name=label)
-            for x, source, label in zip(weights, sources, labels, strict=True)
-            if x != 0.0
-        ),
-    )
 
 
 def sections_of(stages: Iterable[Stage]) -> tuple[Section, ...]:

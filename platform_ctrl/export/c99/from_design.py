@@ -15,9 +15,9 @@ from platform_ctrl.design.classical.stabilisation import rate_estimate, servo_di
 from platform_ctrl.design.partition import channels
 from platform_ctrl.design.plants import rows_of
 from platform_ctrl.errors import NotCertifiedError, PlatformCtrlError
-from platform_ctrl.export.c99.entries import Entry, row, sections_of
+from platform_ctrl.export.c99.entries import Entry, sections_of
 from platform_ctrl.export.c99.modes import modal_sections, pid_sections, plain_sections
-from platform_ctrl.export.c99.scheme import Provenance, Row, Scheme, Section, arrays
+from platform_ctrl.export.c99.scheme import Provenance, Row, Scheme, Section, arrays, row
 from platform_ctrl.export.system_records import signal_units
 from platform_ctrl.job.job import Job
 from platform_ctrl.mechanics.linearisation import LinearModel, linearise

@@ -13,7 +13,8 @@ can be compared with what was designed.
 from __future__ import annotations
 
 import math
-from dataclasses import field
+from collections.abc import Sequence
+from dataclasses import field, replace
 from typing import Literal
 
 import numpy as np
@@ -40,6 +41,11 @@ class Row:
 
     target: str  # Name of a signal, or of a state
     terms: tuple[Term, ...]  # None of them: the target is zero
+
+    @property
+    def sources(self) -> tuple[str, ...]:
+        """Names of the sources."""
+        return tuple(term.source for term in self.terms)
 
 
 @value
@@ -156,11 +162,33 @@ def excess_gain(scheme: Scheme) -> FloatArray:
     return out
 
 
-def acting_excess(scheme: Scheme) -> tuple[Row, ...]:
-    """Return the rows of `Scheme.excess` without the outputs that have no limit, and without rows of these alone."""
-    limited = {name for name, limit in zip(scheme.outputs, scheme.torque_limits, strict=True) if math.isfinite(limit)}
-    rows = (
-        Row(target=row.target, terms=tuple(term for term in row.terms if term.source in limited))
-        for row in scheme.excess
+def row(target: str, weights: FloatArray, sources: Sequence[str], names: Sequence[str] = ()) -> Row:
+    """Return target = Σ weights sources, without zero terms; `names` are those of the coefficients."""
+    terms = (
+        Term(coefficient=float(x), source=source, name=label)
+        for x, source, label in zip(weights, sources, names or [""] * len(sources), strict=True)
+        if x != 0.0
     )
-    return tuple(row for row in rows if row.terms)
+    return Row(target=target, terms=tuple(terms))
+
+
+def excess_of(output: str) -> str:
+    """Return the name under which an output's excess, limited − commanded, is a source."""
+    # No name has two lines, so that this is none of a signal.
+    return f"excess of\n{output}"
+
+
+def sections_with_excess(scheme: Scheme) -> tuple[Section, ...]:
+    """Return the sections with the excess of the limited outputs among the sources of their states."""
+    limited = {name for name, limit in zip(scheme.outputs, scheme.torque_limits, strict=True) if math.isfinite(limit)}
+    added = {
+        row.target: tuple(replace(term, source=excess_of(term.source)) for term in row.terms if term.source in limited)
+        for row in scheme.excess
+    }
+    return tuple(
+        replace(
+            section,
+            states=tuple(replace(row, terms=(*row.terms, *added.get(row.target, ()))) for row in section.states),
+        )
+        for section in scheme.sections
+    )

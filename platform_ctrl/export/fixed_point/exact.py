@@ -9,7 +9,7 @@ import flint
 
 from platform_ctrl.analysis.certificates.intervals import Balls
 from platform_ctrl.common.values import value
-from platform_ctrl.export.fixed_point.values import IntegerRow, Product
+from platform_ctrl.export.fixed_point.model import IntegerRow, Product
 
 # A rational number of flint, which ships no types; and a sum of them by name of the source.
 Rational = Any

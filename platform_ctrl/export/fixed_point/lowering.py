@@ -17,9 +17,8 @@ import numpy as np
 
 from platform_ctrl.common.arguments import known_name, positive
 from platform_ctrl.errors import InfeasibleError, UnscalableError
-from platform_ctrl.export.c99.scheme import Scheme
+from platform_ctrl.export.c99.scheme import Scheme, excess_of
 from platform_ctrl.export.fixed_point.bounds import BITS, Responses, SlowError, responses
-from platform_ctrl.export.fixed_point.c_expressions import proof_lines
 from platform_ctrl.export.fixed_point.exact import (
     Rational,
     Rows,
@@ -35,16 +34,16 @@ from platform_ctrl.export.fixed_point.exact import (
     multiplied_out,
     power_of_two,
 )
-from platform_ctrl.export.fixed_point.splitting import Parts, excess_of, integral_limits, taken_apart
-from platform_ctrl.export.fixed_point.values import (
+from platform_ctrl.export.fixed_point.model import (
     FixedPoint,
     FixedSection,
     Format,
     IntegerRow,
     Number,
     Role,
-    check_names,
+    proof_lines,
 )
+from platform_ctrl.export.fixed_point.splitting import Parts, check_names, integral_limits, split_scheme
 
 # Bits of inputs, signals and outputs, of states, and significant bits of coefficients.
 WIDTHS = {"q31": (32, 32, 31), "q15": (16, 32, 15)}
@@ -195,7 +194,7 @@ def fixed_point(
         known[name] = positive(f"ranges[{name!r}]", ranges[name])
     # What grows beyond doubles is refused as a bound.
     with flint.ctx.workprec(BITS), np.errstate(all="ignore"):
-        parts = taken_apart(scheme)
+        parts = split_scheme(scheme)
         every = (*scheme.inputs, *parts.rows.signals, *parts.rows.states, *parts.integrals)
         check_names("fractions", fractions or {}, every)
         task = Task(scheme, parts, number, known, integral_limits(scheme, parts, limits))

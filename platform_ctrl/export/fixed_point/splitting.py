@@ -1,4 +1,4 @@
-"""A scheme split into exact rows of stable states, integrals, and what drives both from outside."""
+"""A scheme split into exact rows of stable states, integrals, and their sources with ranges and limits."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import numpy as np
 
 from platform_ctrl.common.arguments import positive
 from platform_ctrl.common.values import value
-from platform_ctrl.errors import InfeasibleError
-from platform_ctrl.export.c99.scheme import Row, Scheme, acting_excess, arrays, excess_gain
+from platform_ctrl.errors import ArgumentError, InfeasibleError, InputError
+from platform_ctrl.export.c99.scheme import Row, Scheme, arrays, excess_gain, excess_of, sections_with_excess
 from platform_ctrl.export.fixed_point.exact import (
     Rows,
     Sum,
@@ -22,21 +22,24 @@ from platform_ctrl.export.fixed_point.exact import (
     multiplied_out,
     rational,
 )
-from platform_ctrl.export.fixed_point.values import check_names
+from platform_ctrl.job.job import Job
+from platform_ctrl.plant.platform import OMEGA_NAMES, Platform
 
 # A pole as close to 1 as this is an integral: in a day at 100 Hz it loses less than a percent.
 _INTEGRAL = 1e-9
 # Pairs of poles in direct form are slow if a1 is as close to 2 as this.
 _SLOW = flint.fmpq(1, 2)
-# What integrals can hold, over what they need for all torques within the limits.
+# Limits of integrals, over what they need for all torques within the limits.
 HEADROOM = 2.0
+# Added to a stop, a limit or the operating range: noise, elasticity, offsets.
+_MARGIN = 0.1
 
 
 @value
 class Parts:
     """A scheme in exact rows."""
 
-    rows: Rows  # Signals and asymptotically stable states; sources of their own are inputs, integrals and excesses
+    rows: Rows  # Signals and asymptotically stable states; their sources are inputs, integrals and excesses too
     # What is added to each integral in a step, by its name; excesses, named by excess_of, among the sources
     integrals: dict[str, Sum]
     leaks: dict[str, float]  # How far the poles of integrals lie from 1 in the scheme; here they are 1
@@ -53,20 +56,16 @@ class Parts:
         return tuple(self.rows.states)
 
 
-def excess_of(output: str) -> str:
-    """Return the name under which an output's excess is a source."""
-    # No name has two lines, so that this is none of a signal.
-    return f"excess of\n{output}"
-
-
-def taken_apart(scheme: Scheme) -> Parts:
+def split_scheme(scheme: Scheme) -> Parts:
     """Return the parts of a scheme."""
     arrays(scheme)
     excess_gain(scheme)
-    signals = {row.target: _sum(row) for section in scheme.sections for row in section.signals}
-    following = {row.target: _sum(row) for section in scheme.sections for row in section.states}
-    section = {row.target: one.name for one in scheme.sections for row in (*one.signals, *one.states)}
-    whole = multiplied_out(Rows(signals, following), scheme.inputs, tuple(following))
+    sections = sections_with_excess(scheme)
+    signals = {row.target: _sum(row) for section in sections for row in section.signals}
+    following = {row.target: _sum(row) for section in sections for row in section.states}
+    section = {row.target: one.name for one in sections for row in (*one.signals, *one.states)}
+    free = (*scheme.inputs, *map(excess_of, scheme.outputs))
+    whole = multiplied_out(Rows(signals, following), free, tuple(following))
     leaks: dict[str, float] = {}
     for group in joined_states(whole.following, whole.states):
         polynomial = characteristic_polynomial(whole.following, group)
@@ -79,13 +78,9 @@ def taken_apart(scheme: Scheme) -> Parts:
                 "design a stable controller, or export it as double or float",
                 scheme,
             )
-    excess = {row.target: _sum(row) for row in acting_excess(scheme)}
-    differences = _as_differences(signals, following, excess, section)
+    differences = _as_differences(signals, following, section)
     integrals = {name: _increment(name, following[name], signals, whole.shown) for name in leaks}
     stable = {name: row for name, row in following.items() if name not in leaks}
-    for rows in (stable, integrals):
-        for name, row in rows.items():
-            row |= {excess_of(output): coefficient for output, coefficient in excess.get(name, {}).items()}
 
     def entering(rows: Iterable[Sum]) -> tuple[str, ...]:
         return tuple(output for output in scheme.outputs if any(excess_of(output) in row for row in rows))
@@ -103,9 +98,7 @@ def taken_apart(scheme: Scheme) -> Parts:
     )
 
 
-def _as_differences(
-    signals: dict[str, Sum], following: dict[str, Sum], excess: dict[str, Sum], section: dict[str, str]
-) -> dict[str, str]:
+def _as_differences(signals: dict[str, Sum], following: dict[str, Sum], section: dict[str, str]) -> dict[str, str]:
     """Replace x1 of pairs x1⁺ = a1 x1 + a2 x2 + ..., x2⁺ = x1 with slow poles by d = x1 − x2, in place.
 
     Then d⁺ = (a1 − 1) d + (a1 + a2 − 1) x2 + ... and x2⁺ = x2 + d. Of poles near 1 the place lies in the last digits of
@@ -115,10 +108,11 @@ def _as_differences(
     one = flint.fmpq(1)
     out: dict[str, str] = {}
     for second, row in list(following.items()):
-        if len(row) != 1 or next(iter(row)) not in following or next(iter(row.values())) != one:
+        plain = [source for source in row if not source.startswith(excess_of(""))]
+        if len(plain) != 1 or plain[0] not in following or row[plain[0]] != one:
             continue
-        first = next(iter(row))
-        if first == second or first in out or second in out or set(following[first]) & {second} != {second}:
+        [first] = plain
+        if first == second or first in out or second in out or second not in following[first]:
             continue
         if not abs(following[first].get(first, flint.fmpq(0)) - 2) < _SLOW:
             continue
@@ -134,15 +128,10 @@ def _as_differences(
                 for source, coefficient in row.items()
             )
 
-        step = added([(one, following[first]), (-one, {first: one})])
-        following.pop(first)
-        following[name] = step
+        following[name] = added([(one, following.pop(first)), (-one, row)])
         for rows in (signals, following):
             for target in rows:
                 rows[target] = replaced(rows[target])
-        pushed = {target: excess.pop(target, {}) for target in (first, second)}
-        excess[name] = added([(one, pushed[first]), (-one, pushed[second])])
-        excess[second] = pushed[second]
     return out
 
 
@@ -161,6 +150,48 @@ def _increment(name: str, row: Sum, signals: Mapping[str, Sum], shown: Mapping[s
         row = added(
             (coefficient, signals[source] if source in inside else {source: one}) for source, coefficient in row.items()
         )
+
+
+def input_ranges(
+    inputs: tuple[str, ...], job: Job, ranges: Mapping[str, float] | None = None, margin: float = _MARGIN
+) -> dict[str, float]:
+    """Return the largest magnitude of every input: `ranges` as they are, else that of plant and job with a margin.
+
+    An angle reaches its stops, a torque of another controller its torquer's limit, Omega the job's operating range.
+    """
+    given, margin = dict(ranges or {}), positive("margin", margin, zero=True)
+    known = _known(job.platform) | {
+        name: float(rate) for name, rate in zip(OMEGA_NAMES, job.Omega, strict=True) if rate > 0.0
+    }
+    out = {}
+    for name in inputs:
+        if name in given:
+            out[name] = positive(f"ranges[{name!r}]", given[name])
+        elif name in known:
+            out[name] = (1.0 + margin) * known[name]
+        else:
+            raise InputError(
+                f"fixed point: no range is known for {name!r}; add stops of its gimbal or a limit of its torquer to "
+                f"the plant file, or give its largest magnitude (ranges; on the command line --range {name}=NUMBER)"
+            )
+    return out
+
+
+def check_names(what: str, given: Mapping[str, float], known: tuple[str, ...]) -> None:
+    """Refuse a name that nothing has."""
+    for name in given:
+        if name not in known:
+            raise ArgumentError(f"{what}: {name!r} is unknown here; it must be one of {', '.join(known) or 'none'}")
+
+
+def _known(platform: Platform) -> dict[str, float]:
+    out = {
+        gimbal.angle: max(abs(stop) for stop in gimbal.stops)
+        for gimbal in platform.gimbals
+        if gimbal.stops is not None and any(gimbal.stops)
+    }
+    limits = {torquer.name: torquer.limit for torquer in platform.torquers if torquer.limit}
+    return out | limits
 
 
 def integral_limits(scheme: Scheme, parts: Parts, given: Mapping[str, float] | None) -> dict[str, float]:

@@ -1,12 +1,21 @@
-"""Names as C identifiers, and texts as C comments, whatever the names in a job are."""
+"""Text of generated C: identifiers and comments, whatever the names in a job are, and the templates of the files."""
 
 from __future__ import annotations
 
 import re
+import textwrap
 import unicodedata
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from functools import cache
+from typing import TYPE_CHECKING
 
 from platform_ctrl.common.text import LETTERS
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
+
+# Columns of generated code.
+WIDTH = 100
 
 _LATIN = {letter: name for name, letter in LETTERS.items()} | {"−": "-", "·": ".", "°": "deg", "ß": "ss", "ø": "o"}
 # Keywords of C (to C23) and C++ (to C++23), what common headers and compilers define, and what generated code uses.
@@ -59,13 +68,9 @@ class Names:
         self._used.add(out.lower())
         return out
 
-    def rename(self, name: str | tuple[str, ...], as_name: str | tuple[str, ...]) -> None:
-        """Let `name` give the identifier of another name from now on."""
-        self._known[name] = self[as_name]
-
 
 def field_names(signals: Iterable[str]) -> dict[str, str]:
-    """Return identifiers for the signals of a job, each of its own."""
+    """Return identifiers for the signals of a job, each a different one."""
     names = Names(40)
     return {name: names[f"{name} n" if identifier(name).endswith(_ENDINGS) else name] for name in signals}
 
@@ -99,3 +104,65 @@ def _ascii(c: str) -> str:
         return _LATIN[c]
     plain = unicodedata.normalize("NFKD", c).encode("ascii", "ignore").decode()
     return plain if plain.strip() else f" U{ord(c):04X} "
+
+
+def block(text: str) -> str:
+    """Return a comment of several paragraphs, a line of `text` each."""
+    lines = ["/*"]
+    for paragraph in text.splitlines():
+        # A label's column is kept.
+        label, _, rest = paragraph.partition(":")
+        plain = comment(paragraph)
+        if rest[:2] == "  ":
+            plain = f"{comment(label)}:{' ' * (len(rest) - len(rest.lstrip()))}{comment(rest)}"
+        lines += [f" * {line}".rstrip() for line in textwrap.wrap(plain, WIDTH - 3, subsequent_indent="  ") or [""]]
+    return "\n".join([*lines, " */\n"])
+
+
+def remark(text: str, indent: str) -> str:
+    """Return a short comment."""
+    lines = textwrap.wrap(comment(text), WIDTH - len(indent) - 6)
+    return indent + "/* " + f"\n{indent} * ".join(lines) + " */"
+
+
+def joined(head: str, parts: Sequence[str], between: str, tail: str) -> str:
+    """Return a statement with operands and the operator between them, an operand a line if one line is too long."""
+    line = f"{head}{f' {between} '.join(parts)}{tail}"
+    if len(line) > WIDTH:
+        indent = " " * (len(head) - len(head.lstrip()) + 4)
+        line = f"{head}{f'{chr(10)}{indent}{between} '.join(parts)}{tail}"
+    return line.replace("+ -", "- ")
+
+
+def field(kind: str, name: str, what: str) -> str:
+    """Return a field of a struct with a comment."""
+    return f"    {kind} {name}; /* {comment(what)} */"
+
+
+def signature(prefix: str, end: str = "") -> str:
+    """Return the head of a step function, an argument a line where they do not fit on one."""
+    head = f"unsigned int {prefix}_step("
+    arguments = [f"{prefix}_state *state", f"const {prefix}_in *in", f"{prefix}_out *out"]
+    line = f"{head}{', '.join(arguments)}){end}"
+    return line if len(line) <= WIDTH else f"{head}\n    {f',{chr(10)}    '.join(arguments)}){end}"
+
+
+@cache
+def _environment() -> Environment:
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    environment = Environment(
+        loader=PackageLoader("platform_ctrl.export.c99"),
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+    environment.filters |= {"block": block, "comment": comment, "repr": repr}
+    environment.globals |= {"signature": signature, "remark": remark, "joined": joined}
+    return environment
+
+
+def rendered(template: str, **words: object) -> str:
+    """Return the text of a file."""
+    return _environment().get_template(template).render(words)
