@@ -6,6 +6,7 @@ report, the app and the tables of the documentation. See docs/architecture.md, "
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Literal
 
 import numpy as np
@@ -23,17 +24,21 @@ Sense = Literal["at least", "at most"]
 
 
 @value
-class Metric:
-    """A metric of a loop."""
+class Quantity:
+    """What can be measured, and so be required."""
 
     name: str  # in verdicts, tables and plots
-    # in ``[loop.limits]`` of a job file; empty: from Python alone. With a band, key + ``_hz`` is its edge.
-    key: str = ""
-    # unit, scale: of limits and verdicts, and this unit in SI units
-    unit: str = ""
-    scale: float = 1.0
+    key: str = ""  # of its limit in a job file; empty: from Python alone
+    unit: str = ""  # of limits and verdicts
     sense: Sense  # ``"at least"``: larger is better; ``"at most"``: smaller is better
     meaning: str  # one sentence for the documentation
+
+
+@value
+class Metric(Quantity):
+    """A metric of a loop; its limit is in ``[loop.limits]``, with the edge of a band as key + ``_hz``."""
+
+    scale: float = 1.0  # the unit in SI units
     measure: Direct | Peak | Bandwidth | ControllerGain  # how it is measured
     # which limits a job file may set: ``""``: of the nominal plant; ``"worst_case"`` and ``"faults"``: with the key's
     # ending ``_worst_case`` or ``_faults``
@@ -44,7 +49,9 @@ class Metric:
     # needs_frequency, has_channel: whether the frequency must be given, and whether it is taken between named signals
     needs_frequency: bool = False
     has_channel: bool = False
-    of_root: bool = False  # whether a stabilisation loop may have a limit for it, judged in the coupled system
+    # of_torquers: from the coupled closed loop between the sensors' noise and the torque commands, and the rms of that
+    # noise, to the values of all torquers; with it a stabilisation loop may have a limit
+    of_torquers: Callable[[StateArrays, FloatArray], FloatArray] | None = None
 
     @property
     def band(self) -> str:
@@ -247,7 +254,7 @@ METRICS: dict[str, Metric] = {
             function=lambda loops, request: torque_noise(loops).max(axis=-1, initial=0.0),
             gradient=lambda loops, limit, floor, members: loops.noise(limit, members),
         ),
-        of_root=True,
+        of_torquers=lambda loop, rms: noise_rms(loop, rms, allow_unstable=True),
     ),
     "torque limit": Metric(
         name="torque at full Omega over its limit",
@@ -295,4 +302,46 @@ METRICS: dict[str, Metric] = {
         of="closed loop",
         has_channel=True,
     ),
+}
+
+# Of all loops closed together; the limits are in ``[coupled]``.
+COUPLED_METRICS: dict[str, Quantity] = {
+    "simultaneous disk margin": Quantity(
+        name="simultaneous disk margin",
+        key="disk_margin",
+        sense="at least",
+        meaning="disk margin of all torquer channels at once, each with its own perturbation",
+    ),
+    "coupling cost": Quantity(
+        name="disk margin lost by coupling",
+        key="coupling_cost",
+        sense="at most",
+        meaning="largest relative loss of a loop-by-loop disk margin against the decoupled design",
+    ),
+}
+# Of a simulated run; the limits are in ``[manoeuvre.limits]``.
+RUN_METRICS: dict[str, Quantity] = {
+    one.key: one
+    for one in (
+        Quantity(
+            name="largest gimbal angle",
+            key="angle",
+            unit="rad",
+            sense="at most",
+            meaning="largest magnitude of a gimbal's angle",
+        ),
+        Quantity(
+            name="largest platform angle",
+            key="attitude",
+            unit="rad",
+            sense="at most",
+            meaning="largest component of the platform's rotation vector",
+        ),
+        Quantity(
+            name="largest torque over its limit",
+            key="torque_share",
+            sense="at most",
+            meaning="largest commanded torque over its torquer's limit",
+        ),
+    )
 }

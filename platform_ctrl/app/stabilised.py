@@ -12,7 +12,6 @@ import numpy as np
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, state_arrays
 from platform_ctrl.analysis.feedback import closed_loop, sensitivity_functions
 from platform_ctrl.analysis.mu import mu_bounds
-from platform_ctrl.analysis.norms import noise_rms
 from platform_ctrl.analysis.poles import continuous_poles, minimum_damping, poles, spectral_abscissa
 from platform_ctrl.analysis.resolvent import ON_A_GRID
 from platform_ctrl.analysis.response import frequency_response
@@ -57,6 +56,7 @@ from platform_ctrl.verification.coupled import (
     one_controller,
     one_way_plant,
     sensed_rates,
+    torquer_metrics,
 )
 
 if TYPE_CHECKING:
@@ -91,7 +91,7 @@ def requirements(
     m = len(torquers)
     sensors = {one.name: one for one in job.platform.sensors}
     rms = np.array([sensors[name].sampled_noise(P.dt) for name in loop.plants.sensors])
-    noise = noise_rms(selected(loops, range(m), slice(m, None)), rms, allow_unstable=True)
+    of_torquers = torquer_metrics(selected(loops, range(m), slice(m, None)), rms)
     coupled, simultaneous = np.zeros(m), (0.0, 0.0)
     if decay > 0.0:
         grid, sensitivity = (loop_grid(P, s), Sensitivity(P, K)) if known is None else known[1:3]
@@ -103,7 +103,7 @@ def requirements(
     decoupled = _decoupled(job, model, controllers, cached)
     alone = np.array([decoupled[name] for name in torquers])
     cost = np.where(alone > 0.0, 1.0 - coupled / np.maximum(alone, np.finfo(float).tiny), np.inf)
-    return coupled_results(job, decay, torquers, cost, simultaneous, noise, proved=False)
+    return coupled_results(job, decay, torquers, cost, simultaneous, of_torquers, proved=False)
 
 
 def _decoupled(

@@ -10,12 +10,12 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
+from platform_ctrl.analysis.metrics import RUN_METRICS
 from platform_ctrl.campaign.probability import CONFIDENCE, Probability, clopper_pearson
 from platform_ctrl.campaign.sensitivity import SIGNIFICANCE, holm
 from platform_ctrl.campaign.table import (
     ENDED,
     MANOEUVRE,
-    METRICS,
     NOT_SIMULATED,
     PASSED,
     Array,
@@ -122,7 +122,7 @@ def contrasts(
     ordered = sorted(named, key=lambda name: (list(limits).index(name) if name in limits else len(limits), name))
     out: list[Contrast] = []
     for manoeuvre in (None, *(ordered if len(ordered) > 1 else ())):
-        for requirement in (*METRICS, PASSED):
+        for requirement in (*RUN_METRICS, PASSED):
             out += _of_one(requirement, manoeuvre, discrete, confidence)
     return tuple(out)
 
@@ -131,7 +131,7 @@ def _counted(table: Table, names: Sequence[str]) -> tuple[dict[str, dict[Level, 
     """Return asked and violated by input, value, metric and manoeuvre, and how many runs were simulated."""
     present = column_names(table)
     answers = {
-        requirement: f"{requirement}_passed" for requirement in METRICS if f"{requirement}_passed" in present
+        requirement: f"{requirement}_passed" for requirement in RUN_METRICS if f"{requirement}_passed" in present
     } | {PASSED: PASSED}
     counts: dict[str, dict[Level, _Counts]] = {name: {} for name in names}
     simulated = 0

@@ -7,11 +7,11 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from platform_ctrl.analysis.metrics import RUN_METRICS
 from platform_ctrl.campaign.planning import Plan
 from platform_ctrl.campaign.probability import CONFIDENCE
 from platform_ctrl.campaign.rare_events import RunNumbers, rare_event
 from platform_ctrl.campaign.rare_result import RareMethod, RareResult
-from platform_ctrl.campaign.table import METRICS
 from platform_ctrl.common.arguments import known_name
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray
@@ -72,7 +72,7 @@ def rare_probability(  # noqa: PLR0913 - options by keyword
     See docs/campaign.md.
     """
     asked = tuple(
-        name for name in METRICS if any(name in manoeuvre.limits for manoeuvre, _ in plan.job.campaign_manoeuvres)
+        name for name in RUN_METRICS if any(name in manoeuvre.limits for manoeuvre, _ in plan.job.campaign_manoeuvres)
     )
     if not asked:
         raise ArgumentError(f"job {plan.job.name!r}: no manoeuvre of the campaign has limits: give one some")
@@ -106,7 +106,7 @@ def limit_ratios(
     result = simulate_batch(
         scenarios, plan.controllers, period=plan.job.sampling.period, step=plan.step, threads=threads, device=device
     )
-    names = tuple(METRICS) if requirement is None else (requirement,)
+    names = tuple(RUN_METRICS) if requirement is None else (requirement,)
     out = np.zeros(len(scenarios))
     for name in names:
         limit = np.array([scenario.limits.get(name, np.inf) for scenario in scenarios])

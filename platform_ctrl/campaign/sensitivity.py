@@ -7,10 +7,10 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from platform_ctrl.analysis.metrics import RUN_METRICS
 from platform_ctrl.campaign.table import (
     ENDED,
     MANOEUVRE,
-    METRICS,
     NOT_SIMULATED,
     PASSED,
     RUN,
@@ -328,7 +328,7 @@ def sensitivities(table: Table, limits: Limits, *, inputs: Sequence[str] | None 
         chosen = np.ones(len(place), dtype=bool) if manoeuvre is None else place == known[manoeuvre]
         if manoeuvre is not None and len(known) == 1:
             continue  # the same as over all
-        for requirement in (*METRICS, PASSED):
+        for requirement in (*RUN_METRICS, PASSED):
             if requirement not in data:
                 continue
             output, asked = _output(data, requirement, manoeuvre, known, place, limits)
@@ -346,7 +346,7 @@ def sensitivities(table: Table, limits: Limits, *, inputs: Sequence[str] | None 
 
 def _first_runs(table: Table, names: Sequence[str]) -> dict[str, Array]:
     present = column_names(table)
-    metrics = [name for name in METRICS if name in present]
+    metrics = [name for name in RUN_METRICS if name in present]
     wanted = tuple(dict.fromkeys((RUN, MANOEUVRE, *names, *metrics, PASSED, ENDED)))
     chunks: list[dict[str, Array]] = []
     for batch in batches(table, wanted):

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from platform_ctrl.campaign.table import ENDED, METRICS, NOT_SIMULATED, PASSED, RUN, Array, arrow
+from platform_ctrl.analysis.metrics import RUN_METRICS
+from platform_ctrl.campaign.table import ENDED, NOT_SIMULATED, PASSED, RUN, Array, arrow
 from platform_ctrl.errors import PlatformCtrlError
 from platform_ctrl.plant.mistakes import one_line
 
@@ -41,15 +42,11 @@ def inputs_of(plan: Plan, runs: Sequence[int]) -> dict[str, Array]:
 def _outcomes(scenarios: Sequence[Scenario], result: BatchResult) -> dict[str, Array]:
     """What the runs came to, by the names of the columns."""
     done = result.completed
-    found = {
-        "angle": result.angle.max(axis=1, initial=0.0),
-        "attitude": result.attitude.max(axis=1, initial=0.0),
-        "torque_share": result.torque_share.max(axis=1, initial=0.0),
-    }
-    metrics = {name: np.where(done, found[name], np.inf) for name in METRICS}
+    largest = {name: getattr(result, name).max(axis=1, initial=0.0) for name in RUN_METRICS}
+    metrics = {name: np.where(done, values, np.inf) for name, values in largest.items()}
     passed = done.copy()
     answers: dict[str, Array] = {}
-    for name in METRICS:
+    for name in RUN_METRICS:
         limits = np.array([one.limits.get(name, np.nan) for one in scenarios])
         asked = ~np.isnan(limits)
         met = metrics[name] <= np.where(asked, limits, np.inf)
@@ -78,8 +75,8 @@ _KINDS: dict[str, Kind] = {"i": "whole", "u": "whole", "f": "number", "b": "answ
 def kinds_of(plan: Plan) -> dict[str, Kind]:
     """Return the kinds of all columns by their names, in the table's order."""
     inputs = {name: _KINDS[np.asarray(column).dtype.kind] for name, column in plan.inputs(0, 1).items()}
-    metrics: dict[str, Kind] = dict.fromkeys(METRICS, "number")
-    answers: dict[str, Kind] = {f"{name}_passed": "answer" for name in METRICS}
+    metrics: dict[str, Kind] = dict.fromkeys(RUN_METRICS, "number")
+    answers: dict[str, Kind] = {f"{name}_passed": "answer" for name in RUN_METRICS}
     rest: dict[str, Kind] = {"stop_contacts": "whole", "saturated": "number", **answers, PASSED: "answer"}
     return {RUN: "whole", **inputs, **metrics, **rest, ENDED: "word"}
 

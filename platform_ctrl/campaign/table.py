@@ -9,15 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from platform_ctrl.analysis.metrics import RUN_METRICS
 from platform_ctrl.common.signatures import short
 from platform_ctrl.errors import ArgumentError, InputError
 
-# The metrics of a run, by the names of a manoeuvre's limits, with what they are called and their unit.
-METRICS = {
-    "angle": ("largest gimbal angle", "rad"),
-    "attitude": ("largest platform angle", "rad"),
-    "torque_share": ("largest torque over its limit", ""),
-}
 # What a run's row holds besides its inputs.
 RUN, MANOEUVRE, PASSED, ENDED = "run", "manoeuvre", "passed", "ended"
 # How a run ended begins with one of these words.
@@ -25,7 +20,7 @@ COMPLETED, DIVERGED, NOT_SIMULATED = "completed", "diverged", "not simulated"
 # What tables of earlier versions have in place of the last.
 _OLD_NOT_SIMULATED = "not flown"
 OUTCOMES = frozenset(
-    {RUN, *METRICS, *(f"{name}_passed" for name in METRICS), "stop_contacts", "saturated", PASSED, ENDED}
+    {RUN, *RUN_METRICS, *(f"{name}_passed" for name in RUN_METRICS), "stop_contacts", "saturated", PASSED, ENDED}
 )
 
 ROWS_AT_ONCE = 1 << 15

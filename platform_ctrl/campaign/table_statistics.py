@@ -7,12 +7,12 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from platform_ctrl.analysis.metrics import RUN_METRICS
 from platform_ctrl.campaign.probability import CONFIDENCE, Distribution, Probability, clopper_pearson
 from platform_ctrl.campaign.table import (
     DIVERGED,
     ENDED,
     MANOEUVRE,
-    METRICS,
     NOT_SIMULATED,
     PASSED,
     RUN,
@@ -265,7 +265,7 @@ def statistics(table: Table, limits: Limits, *, confidence: float = CONFIDENCE, 
     See docs/campaign.md.
     """
     present = column_names(table)
-    metrics = [name for name in METRICS if name in present]
+    metrics = [name for name in RUN_METRICS if name in present]
     answers = [name for name in (f"{requirement}_passed" for requirement in metrics) if name in present]
     counted = _Counted(worst)
     for batch in batches(table, (RUN, MANOEUVRE, *metrics, *answers, PASSED, ENDED)):
@@ -282,8 +282,8 @@ class _Tally:
     """Counts of some runs."""
 
     def __init__(self) -> None:
-        self.asked = dict.fromkeys((*METRICS, PASSED), 0)
-        self.violated = dict.fromkeys((*METRICS, PASSED), 0)
+        self.asked = dict.fromkeys((*RUN_METRICS, PASSED), 0)
+        self.violated = dict.fromkeys((*RUN_METRICS, PASSED), 0)
         self.distributions: dict[str, Distribution] = {}
 
     def answer(self, requirement: str, answers: Array) -> None:
@@ -372,7 +372,7 @@ class _Counted:
             self.whole.requirement(
                 requirement, None, None if requirement == PASSED else 1.0, confidence, self.worst.of(requirement, None)
             )
-            for requirement in (*METRICS, PASSED)
+            for requirement in (*RUN_METRICS, PASSED)
             if self.whole.asked[requirement]
         ]
         # In the order of the job file, whatever was drawn first.
@@ -386,7 +386,7 @@ class _Counted:
                     confidence,
                     self.worst.of(requirement, name),
                 )
-                for requirement in (*METRICS, PASSED)
+                for requirement in (*RUN_METRICS, PASSED)
                 if tally.asked[requirement]
             ]
         return CampaignStatistics(

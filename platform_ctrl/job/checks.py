@@ -256,9 +256,9 @@ def _loops(data: Data, platform: Platform | None) -> Iterator[Mistake]:
                     yield Mistake((*path, "gimbals"), words)
                 limits = loop.get("limits")
                 known = limit_keys()
-                fitting = ", ".join(sorted(key for key, (metric, _) in known.items() if METRICS[metric].of_root))
+                fitting = ", ".join(sorted(key for key, (metric, _) in known.items() if METRICS[metric].of_torquers))
                 for key in limits if isinstance(limits, dict) else ():
-                    if key in known and not METRICS[known[key][0]].of_root:
+                    if key in known and not METRICS[known[key][0]].of_torquers:
                         words = f"{key} is no limit of a stabilisation loop, which is judged in the coupled system"
                         yield Mistake((*path, "limits", key), f"{words}; use {fitting}, or a limit of [coupled]")
                 if "soft" in loop:

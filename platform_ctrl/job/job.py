@@ -7,6 +7,7 @@ from typing import Annotated, Literal, get_args
 
 import numpy as np
 
+from platform_ctrl.analysis.metrics import RUN_METRICS
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import input_value
 from platform_ctrl.job.faults import Fault
@@ -24,7 +25,7 @@ Points = Literal["sobol", "latin-hypercube", "random"]
 
 MOST_LOOPS, MOST_VIBRATIONS = 100, 20
 _RATE_HZ = Instead("rate_hz", fields.FREQUENCY, lambda rate, _: 1.0 / rate)
-_LIMITS = Shape(dict, {name: Key(fields.POSITIVE, name) for name in ("angle", "attitude", "torque_share")})
+_LIMITS = Shape(dict, {name: Key(fields.POSITIVE, name) for name in RUN_METRICS})
 _LOOP_LIMITS = Shape(dict, {}, others=("", fields.POSITIVE))  # which keys there are, METRICS says: see job.checks
 _INITIAL = Shape(dict, {}, others=("", fields.NUMBER))
 

@@ -8,7 +8,7 @@ reads what is given, to which no loop is closed.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,8 +17,7 @@ from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, named_syste
 from platform_ctrl.analysis.feedback import closed_loop, loop_transfer
 from platform_ctrl.analysis.interconnection import interconnect_controllers
 from platform_ctrl.analysis.margins import DiskMargin, disk_margin, loop_margins
-from platform_ctrl.analysis.metrics import METRICS
-from platform_ctrl.analysis.norms import noise_rms
+from platform_ctrl.analysis.metrics import COUPLED_METRICS, METRICS
 from platform_ctrl.analysis.poles import continuous_poles, poles, spectral_abscissa
 from platform_ctrl.analysis.sampling import sampled
 from platform_ctrl.common.signatures import check_arguments
@@ -35,7 +34,6 @@ if TYPE_CHECKING:
     import control
 
 ALL_LOOPS = "all loops closed"  # subject of what is required of the coupled system
-MARGIN, COST = "simultaneous disk margin", "disk margin lost by coupling"
 
 
 @value
@@ -60,8 +58,8 @@ class CoupledCheck:
         Relative loss of margin against the decoupled design.
     simultaneous
         Disk margin in all channels at once.
-    torque_noise : (channels,)
-        Rms torque from pick-off noise, N m.
+    of_torquers
+        The metrics of single torquers in the coupled system, (channels,) each, by their keys in `METRICS`.
     results
         The job's limits held against these.
 
@@ -81,13 +79,18 @@ class CoupledCheck:
     coupled: FloatArray
     cost: FloatArray
     simultaneous: DiskMargin
-    torque_noise: FloatArray
+    of_torquers: Mapping[str, FloatArray]
     results: tuple[CheckResult, ...]
 
     @property
     def stable(self) -> bool:
         """Whether every pole lies inside the unit circle."""
         return bool(np.abs(self.poles).max(initial=0.0) < 1.0)
+
+    @property
+    def torque_noise(self) -> FloatArray:
+        """Rms torque from the noise of the sensors, N m, (channels,)."""
+        return self.of_torquers["torque noise"]
 
 
 @check_arguments
@@ -131,7 +134,7 @@ def coupled_check(job: Job, model: LinearModel, controllers: Sequence[control.St
     # A loop without a margin of its own has nothing to lose: that is no pass.
     cost = np.where(decoupled > 0.0, 1.0 - coupled / np.maximum(decoupled, np.finfo(float).tiny), np.inf)
     simultaneous = disk_margin(loop_transfer(plant, K, at="input"))
-    noise = _torque_noise(job, loop, len(channels))
+    of_torquers = _torquer_metrics(job, loop, len(channels))
     decay = -float(spectral_abscissa(continuous_poles(z, job.sampling.period)))
     return CoupledCheck(
         plant=plant,
@@ -143,8 +146,8 @@ def coupled_check(job: Job, model: LinearModel, controllers: Sequence[control.St
         coupled=coupled,
         cost=cost,
         simultaneous=simultaneous,
-        torque_noise=noise,
-        results=coupled_results(job, decay, channels, cost, (simultaneous.guaranteed, simultaneous.upper), noise),
+        of_torquers=of_torquers,
+        results=coupled_results(job, decay, channels, cost, (simultaneous.guaranteed, simultaneous.upper), of_torquers),
     )
 
 
@@ -251,31 +254,37 @@ def one_way_plant(job: Job, model: LinearModel, rates: Sequence[str]) -> control
     return sampled(named, job.sampling.period, job.sampling.delay, [t.lag for t in torquers])
 
 
-def _torque_noise(job: Job, loop: control.StateSpace, channels: int) -> FloatArray:
-    """Rms torque command in every channel from all pick-offs and rate sensors."""
+def torquer_metrics(noise_to_torque: StateArrays, rms: FloatArray) -> dict[str, FloatArray]:
+    """Return the metrics of every torquer from the closed loop between the sensors' noise and the torque commands."""
+    return {
+        kind: metric.of_torquers(noise_to_torque, rms)
+        for kind, metric in METRICS.items()
+        if metric.of_torquers is not None
+    }
+
+
+def _torquer_metrics(job: Job, loop: control.StateSpace, channels: int) -> dict[str, FloatArray]:
     arrays = state_arrays(loop, "coupled loop")
     noisy = [k for k, name in enumerate(loop.input_labels) if name.startswith("noise_")]
     names = [loop.input_labels[k].removeprefix("noise_") for k in noisy]
     sensors = {s.name: s for s in job.platform.sensors}
     rms = [sensors[name].sampled_noise(job.sampling.period) for name in names]
-    return noise_rms(
-        StateArrays(arrays.A, arrays.B[:, noisy], arrays.C[:channels], arrays.D[:channels, noisy], arrays.dt),
-        np.array(rms, dtype=np.float64),
-        allow_unstable=True,
-    )
+    A, B, C, D, dt = arrays
+    noise_to_torque = StateArrays(A, B[:, noisy], C[:channels], D[:channels, noisy], dt)
+    return torquer_metrics(noise_to_torque, np.array(rms, dtype=np.float64))
 
 
 def coupled_requirements(job: Job) -> tuple[tuple[str, Requirement], ...]:
     """Return the requirements on the coupled system in the order of the verdict, each with its subject."""
-    limits = job.coupled
     out = [(ALL_LOOPS, STABLE)]
-    if limits.disk_margin is not None:
-        out.append((ALL_LOOPS, Requirement(name=MARGIN, limit=limits.disk_margin, unit="", sense="at least")))
-    if limits.coupling_cost is not None:
-        out.append((ALL_LOOPS, Requirement(name=COST, limit=limits.coupling_cost, unit="", sense="at most")))
+    for metric in COUPLED_METRICS.values():
+        limit = getattr(job.coupled, metric.key)
+        if limit is not None:
+            required = Requirement(name=metric.name, limit=limit, unit=metric.unit, sense=metric.sense)
+            out.append((ALL_LOOPS, required))
     for spec in job.loops:
         if spec.kind == "stabilisation":
-            out += [(spec.name, one) for one in loop_requirements(spec.limits) if one.metric.of_root]
+            out += [(spec.name, one) for one in loop_requirements(spec.limits) if one.metric.of_torquers]
     return tuple(out)
 
 
@@ -285,25 +294,30 @@ def coupled_results(
     channels: Sequence[str],
     cost: FloatArray,
     simultaneous: tuple[float, float],
-    noise: FloatArray,
+    of_torquers: Mapping[str, FloatArray],
     proved: bool = True,
 ) -> tuple[CheckResult, ...]:
     """Return the verdicts on the requirements on the coupled system; see `CoupledCheck`.
 
     `simultaneous` are a guaranteed lower and an upper bound of the simultaneous disk margin; `proved` is whether the
-    lower one holds between all frequencies.
+    lower one holds between all frequencies. `of_torquers` is as `torquer_metrics` returns it.
     """
     scaling = f"{len(channels)} torquers, guaranteed by diagonal scaling; at most {at_most(simultaneous[1], 4)}"
     costliest = int(np.argmax(cost))
     measured: dict[str, tuple[float, str, Method]] = {
         STABLE.name: (decay, "poles of the coupled sampled closed loop", "exact"),
-        MARGIN: (simultaneous[0], scaling, "bound" if proved else "sampled"),
-        COST: (float(cost[costliest]), f"channel {channels[costliest]}, loop by loop", "exact"),
+        COUPLED_METRICS["simultaneous disk margin"].name: (simultaneous[0], scaling, "bound" if proved else "sampled"),
+        COUPLED_METRICS["coupling cost"].name: (
+            float(cost[costliest]),
+            f"channel {channels[costliest]}, loop by loop",
+            "exact",
+        ),
     }
     roots = [k for k, name in enumerate(channels) if name in _root_torquers(job)]
-    if roots:
-        noisiest = max(roots, key=lambda k: noise[k])
-        measured[METRICS["torque noise"].name] = (float(noise[noisiest]), f"torquer {channels[noisiest]}", "exact")
+    for kind, values in of_torquers.items() if roots else ():
+        sign = 1.0 if METRICS[kind].sense == "at most" else -1.0
+        worst = max(roots, key=lambda k, values=values, sign=sign: sign * values[k])  # type: ignore[misc]
+        measured[METRICS[kind].name] = (float(values[worst]), f"torquer {channels[worst]}", "exact")
     results = []
     for subject, one in coupled_requirements(job):
         if one.name in measured:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from platform_ctrl.analysis.metrics import RUN_METRICS
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import value
 from platform_ctrl.job.job import Job, Manoeuvre, manoeuvre_scenario
@@ -65,7 +66,7 @@ def largest(job: Job, trajectory: Trajectory) -> dict[str, tuple[float, str]]:
         Figure and signal by name; rad, rad and a share.
     """
     if not trajectory.completed:
-        return {name: (float("inf"), trajectory.ended) for name in ("angle", "attitude", "torque_share")}
+        return {name: (float("inf"), trajectory.ended) for name in RUN_METRICS}
     angles = np.abs(trajectory.q).max(axis=0)
     attitude = np.abs(trajectory.attitude_angles).max(axis=0)
     limits = np.array([np.inf if t.limit is None else t.limit for t in job.platform.torquers])
@@ -79,13 +80,6 @@ def largest(job: Job, trajectory: Trajectory) -> dict[str, tuple[float, str]]:
     }
 
 
-RUN_FIGURES = {
-    "angle": ("largest gimbal angle", "rad"),
-    "attitude": ("largest platform angle", "rad"),
-    "torque_share": ("largest torque over its limit", ""),
-}
-
-
 def judged(job: Job, manoeuvre: Manoeuvre, trajectory: Trajectory) -> tuple[CheckResult, ...]:
     """Hold the limits of a manoeuvre against what a run came to; one that diverges fails though nothing is asked."""
     found = largest(job, trajectory)
@@ -97,13 +91,12 @@ def judged(job: Job, manoeuvre: Manoeuvre, trajectory: Trajectory) -> tuple[Chec
             flown.judge(share, subject=manoeuvre.name, stage="simulated", evidence=trajectory.ended, method="simulated")
         )
     for key, limit in manoeuvre.limits.items():
-        name, unit = RUN_FIGURES[key]
-        figure, signal = found[key]
-        asked = Requirement(name=name, limit=limit, unit=unit, sense="at most")
+        metric, (number, signal) = RUN_METRICS[key], found[key]
+        limited = Requirement(name=metric.name, limit=limit, unit=metric.unit, sense=metric.sense)
         evidence = (
             f"{signal}; non-linear plant, {trajectory.ended}, seed {trajectory.seed}, substep {trajectory.step:g} s"
         )
         out.append(
-            asked.judge(figure, subject=manoeuvre.name, stage="simulated", evidence=evidence, method="simulated")
+            limited.judge(number, subject=manoeuvre.name, stage="simulated", evidence=evidence, method="simulated")
         )
     return tuple(out)

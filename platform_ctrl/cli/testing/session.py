@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from platform_ctrl.analysis.metrics import RUN_METRICS
 from platform_ctrl.cli.testing.assertions import assert_baseline, assert_met
 from platform_ctrl.design import loops
 from platform_ctrl.errors import PlatformCtrlError
@@ -22,7 +23,6 @@ from platform_ctrl.verification.baselines.comparison import Comparison
 from platform_ctrl.verification.baselines.file import Update
 from platform_ctrl.verification.controllers import outcomes_from
 from platform_ctrl.verification.coupled import ALL_LOOPS, coupled_requirements
-from platform_ctrl.verification.simulated import RUN_FIGURES
 from platform_ctrl.verification.verdict import PROVED
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ def requirements_of(job: Job) -> tuple[Subject, ...]:
             out.append((spec.name, PROVED.name))
     out += [(subject, one.name) for subject, one in coupled_requirements(job)]
     out.append((ALL_LOOPS, PROVED.name))
-    out += [(manoeuvre.name, RUN_FIGURES[key][0]) for manoeuvre in job.manoeuvres for key in manoeuvre.limits]
+    out += [(manoeuvre.name, RUN_METRICS[key].name) for manoeuvre in job.manoeuvres for key in manoeuvre.limits]
     return tuple(out)
 
 

@@ -6,6 +6,7 @@ import math
 import os
 from pathlib import Path
 
+from platform_ctrl.analysis.metrics import RUN_METRICS
 from platform_ctrl.campaign.contrasts import Contrast
 from platform_ctrl.campaign.identity import digest, identity
 from platform_ctrl.campaign.planning import Plan
@@ -13,7 +14,7 @@ from platform_ctrl.campaign.probability import Probability
 from platform_ctrl.campaign.rare_result import RareResult
 from platform_ctrl.campaign.sensitivity import Sensitivity
 from platform_ctrl.campaign.summary import Summary
-from platform_ctrl.campaign.table import MANOEUVRE, METRICS, PASSED
+from platform_ctrl.campaign.table import MANOEUVRE, PASSED
 from platform_ctrl.common.files import write_whole
 from platform_ctrl.common.values import value
 from platform_ctrl.report import style
@@ -273,7 +274,9 @@ def _bounds_words(summary: Summary) -> str:
 def campaign_plates(summary: Summary) -> list[Plate]:
     """Return the plots: how far the runs reach, and a histogram of every metric that has a limit."""
     found = summary.statistics
-    names = [name for name in METRICS if any(one.requirement == name and one.manoeuvre for one in found.requirements)]
+    names = [
+        name for name in RUN_METRICS if any(one.requirement == name and one.manoeuvre for one in found.requirements)
+    ]
     if not names:
         return []
     drawn = [
@@ -287,7 +290,7 @@ def campaign_plates(summary: Summary) -> list[Plate]:
     drawn += [
         (
             histogram_figure(found, name),
-            METRICS[name][0].capitalize(),
+            RUN_METRICS[name].name.capitalize(),
             "Number of runs over the value, red beyond the limit. Runs that diverged have no value and are not drawn.",
         )
         for name in names
@@ -387,7 +390,7 @@ def _influences(summary: Summary, one: Sensitivity) -> Part:
 def _within(summary: Summary) -> Table | None:
     """Return the most influential inputs within each manoeuvre."""
     inside = [one for one in summary.sensitivities if one.manoeuvre is not None]
-    figures = [name for name in (*METRICS, PASSED) if any(one.requirement == name for one in inside)]
+    figures = [name for name in (*RUN_METRICS, PASSED) if any(one.requirement == name for one in inside)]
     rows = []
     for manoeuvre in dict.fromkeys(one.manoeuvre for one in inside):
         own = {one.requirement: _all_drivers(one) for one in inside if one.manoeuvre == manoeuvre}

@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from platform_ctrl.analysis.metrics import RUN_METRICS
 from platform_ctrl.campaign.contrasts import Contrast
 from platform_ctrl.campaign.planning import Plan
 from platform_ctrl.campaign.probability import Probability
 from platform_ctrl.campaign.rare_result import RareResult
 from platform_ctrl.campaign.sensitivity import Influence, Sensitivity
 from platform_ctrl.campaign.summary import Summary
-from platform_ctrl.campaign.table import DIVERGED, MANOEUVRE, METRICS, PASSED
+from platform_ctrl.campaign.table import DIVERGED, MANOEUVRE, PASSED
 from platform_ctrl.campaign.table_statistics import RequirementStatistics, WorstRun
 from platform_ctrl.common.text import Rounding, rounded
 from platform_ctrl.common.values import value
@@ -51,7 +52,7 @@ def probability_rows(summary: Summary) -> tuple[ProbabilityRow, ...]:
 
 
 def _row(one: RequirementStatistics) -> ProbabilityRow:
-    unit = "" if one.manoeuvre is None else METRICS.get(one.requirement, ("", ""))[1]
+    unit = "" if one.manoeuvre is None or one.requirement == PASSED else RUN_METRICS[one.requirement].unit
     shown = {share: figure_words(figure, unit, one.limit) for share, figure in one.quantiles.items()}
     return ProbabilityRow(
         group=one.manoeuvre or ALL_MANOEUVRES,
@@ -70,7 +71,7 @@ def _row(one: RequirementStatistics) -> ProbabilityRow:
 
 def requirement_name(figure: str | None) -> str:
     """Return the name of a requirement."""
-    return "any requirement" if figure in (None, PASSED) else METRICS[figure][0]
+    return "any requirement" if figure in (None, PASSED) else RUN_METRICS[figure].name
 
 
 def figure_words(figure: float, unit: str, like: float | None) -> str:
@@ -254,7 +255,7 @@ def worst_rows(summary: Summary, runs: Sequence[WorstRun], drivers: Sequence[str
         shown = [
             f"{name} {input_words(inputs[name])}" for name in drivers if name in inputs and inputs[name] is not False
         ]
-        unit = METRICS[one.requirement][1]
+        unit = RUN_METRICS[one.requirement].unit
         words = [
             requirement_name(one.requirement).removeprefix("largest "),
             figure_words(one.value, unit, one.limit),

@@ -11,11 +11,12 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from platform_ctrl.analysis.metrics import RUN_METRICS
 from platform_ctrl.campaign.engine import CampaignResult
 from platform_ctrl.campaign.probability import Distribution
 from platform_ctrl.campaign.store import TABLE, read_record
 from platform_ctrl.campaign.summary import Summary
-from platform_ctrl.campaign.table import METRICS, Table
+from platform_ctrl.campaign.table import Table
 from platform_ctrl.campaign.table_statistics import CampaignStatistics, Limits, RequirementStatistics, statistics
 from platform_ctrl.common.arguments import one_of
 from platform_ctrl.common.signatures import short
@@ -85,9 +86,9 @@ def campaign_histograms(
         The files cannot be read.
     """
     if figure is not None:
-        one_of("campaign_histograms: figure", figure, tuple(METRICS))
+        one_of("campaign_histograms: figure", figure, tuple(RUN_METRICS))
     found = _statistics(campaign, limits)
-    names = [name for name in METRICS if figure in (None, name)]
+    names = [name for name in RUN_METRICS if figure in (None, name)]
     cells = [(one, name) for name in names for one in with_limit(found, name) if one.violation.runs]
     if not cells:
         what = "any figure" if figure is None else repr(figure)
@@ -152,7 +153,7 @@ def _histogram_panel(axes: Axes, one: RequirementStatistics, name: str) -> None:
     """Draw the histogram of one metric in one manoeuvre, red beyond its limit."""
     values, limit = distribution_of(one), one.limit
     assert limit is not None
-    factor, unit = handy_unit(METRICS[name][1], limit)
+    factor, unit = handy_unit(RUN_METRICS[name].unit, limit)
     usual = one.quantiles[0.9]
     top = min(values.largest, _WILD * max(limit, usual if np.isfinite(usual) else limit))
     low = values.smallest if np.isfinite(values.smallest) and values.smallest > 0.5 * top else 0.0
@@ -172,7 +173,7 @@ def _histogram_panel(axes: Axes, one: RequirementStatistics, name: str) -> None:
     linear_axis(axes.xaxis)
     linear_axis(axes.yaxis, 4)
     axes.set_title(str(one.manoeuvre))
-    axes.set_xlabel(", ".join(filter(None, [METRICS[name][0], unit])))
+    axes.set_xlabel(", ".join(filter(None, [RUN_METRICS[name].name, unit])))
     _note(axes, one, near, bool(counts[beyond].any()), factor, unit)
 
 
@@ -229,7 +230,7 @@ _REACH = 4.0
 
 def exceedance_figure(found: CampaignStatistics) -> Figure:
     """Share of the runs above a level, each manoeuvre a line; the level counts relative to the limit."""
-    figures = [name for name in METRICS if with_limit(found, name)]
+    figures = [name for name in RUN_METRICS if with_limit(found, name)]
     manoeuvres = list(dict.fromkeys(one.manoeuvre for name in figures for one in with_limit(found, name)))
     labels = [str(name) for name in manoeuvres]
     drawn, rows = panels(1, len(figures), 3.0 + 0.22 * legend_rows(labels), legend=legend_rows(labels))
@@ -268,7 +269,7 @@ def _exceedance_axes(axes: Axes, name: str, found: CampaignStatistics) -> None:
     axes.set_xlim(0.0, right)
     linear_axis(axes.xaxis)
     shade_beyond(axes, 1.0, right)
-    axes.set_title(METRICS[name][0])
+    axes.set_title(RUN_METRICS[name].name)
     axes.set_xlabel("over its limit")
 
 

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-import numpy as np
-
+from platform_ctrl.analysis.loop_metrics import ALWAYS_MEASURED
+from platform_ctrl.analysis.measuring import MetricRequest
+from platform_ctrl.analysis.metrics import COUPLED_METRICS, METRICS, RUN_METRICS, Quantity
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import value
 from platform_ctrl.design.loop import LoopDesign
 from platform_ctrl.job.judging import CheckResult, Sense
-from platform_ctrl.job.requirements import FAULTS, SCOPE_WORDS, WORST_CASE
+from platform_ctrl.job.requirements import SCOPE_WORDS, SCOPES
 from platform_ctrl.verification import JobResult
-from platform_ctrl.verification.coupled import ALL_LOOPS, MARGIN, CoupledCheck
-from platform_ctrl.verification.simulated import RUN_FIGURES, Run, largest
+from platform_ctrl.verification.coupled import ALL_LOOPS, CoupledCheck
+from platform_ctrl.verification.simulated import Run, largest
 
 _GOAL = "goal: "
 
@@ -55,11 +56,9 @@ class Figure:
 def figures_of(result: JobResult) -> tuple[Figure, ...]:
     """Return the figures of a job, each once, in the order loops, all loops closed, manoeuvres.
 
-    All requirements and goals; and, whether or not anything is asked of them, of every caging loop bandwidth, disk
-    margin, damping and torque noise, the worst disk margin and damping, worst case and with a fault; of all loops
-    together the simultaneous disk margin, and disk margin and torque noise of every torquer; of every run the largest
-    angles and the largest share of a torquer's limit. They belong to the closed designs: the name of a design is no
-    part of them.
+    All requirements and goals; and, with or without a limit, of every caging loop the metrics that are always measured,
+    nominal, worst case and with a fault; of all loops together the simultaneous disk margin, and the disk margin and
+    the metrics of every torquer; of every run its `RUN_METRICS`. They are those of the closed designs.
     """
     found: dict[tuple[str, str], Figure] = {}
     for figure in _all(result):
@@ -110,31 +109,27 @@ def _measured(design: LoopDesign) -> Iterator[Figure]:
     measures, subject = design.measures, design.loop
     if measures is None:
         return
-    bandwidth = measures.bandwidth / (2.0 * np.pi)
-    yield Figure(subject=subject, name="bandwidth", value=bandwidth, unit="Hz", sense="at least")
-    yield _least(subject, "disk margin", measures.disk_margin[0])
-    yield _least(subject, "damping", measures.damping[0])
-    noise = float(measures.torque_noise.max())
-    yield Figure(subject=subject, name="torque noise, rms", value=noise, unit="N m", sense="at most")
-    for groups, words in ((WORST_CASE, SCOPE_WORDS["worst_case"]), (FAULTS, SCOPE_WORDS["faults"])):
-        plants = measures.of(groups)
-        if plants.sum() > 1:
-            yield _least(subject, f"disk margin{words}", measures.disk_margin[plants].min())
-            yield _least(subject, f"damping{words}", measures.damping[plants].min())
+    for scope, groups in SCOPES.items():
+        if scope and measures.of(groups).sum() < 2:
+            continue
+        for kind in ALWAYS_MEASURED:
+            metric = METRICS[kind]
+            if scope in metric.scopes:
+                values = measures.values(MetricRequest(kind=kind, over=groups)) / metric.scale
+                worst = values.min() if metric.sense == "at least" else values.max()
+                yield _figure(subject, metric, worst, metric.name + SCOPE_WORDS[scope])
 
 
-def _least(subject: str, name: str, number: float) -> Figure:
-    return Figure(subject=subject, name=name, value=float(number), unit="", sense="at least")
+def _figure(subject: str, metric: Quantity, number: float, name: str) -> Figure:
+    return Figure(subject=subject, name=name, value=float(number), unit=metric.unit, sense=metric.sense)
 
 
 def _coupled(check: CoupledCheck) -> Iterator[Figure]:
-    yield _least(ALL_LOOPS, MARGIN, check.simultaneous.guaranteed)
-    for torquer, margin in zip(check.channels, check.coupled, strict=True):
-        yield _least(ALL_LOOPS, f"disk margin, {torquer}", margin)
-    for torquer, noise in zip(check.channels, check.torque_noise, strict=True):
-        yield Figure(
-            subject=ALL_LOOPS, name=f"torque noise, {torquer}", value=float(noise), unit="N m", sense="at most"
-        )
+    simultaneous = COUPLED_METRICS["simultaneous disk margin"]
+    yield _figure(ALL_LOOPS, simultaneous, check.simultaneous.guaranteed, simultaneous.name)
+    for kind, values in {"disk margin": check.coupled, **check.of_torquers}.items():
+        for torquer, number in zip(check.channels, values, strict=True):
+            yield _figure(ALL_LOOPS, METRICS[kind], number, f"{kind}, {torquer}")
 
 
 def _flown(result: JobResult, run: Run) -> Iterator[Figure]:
@@ -144,5 +139,4 @@ def _flown(result: JobResult, run: Run) -> Iterator[Figure]:
             continue  # prescribed
         if key == "torque_share" and all(torquer.limit is None for torquer in job.platform.torquers):
             continue
-        name, unit = RUN_FIGURES[key]
-        yield Figure(subject=manoeuvre.name, name=name, value=number, unit=unit, sense="at most")
+        yield _figure(manoeuvre.name, RUN_METRICS[key], number, RUN_METRICS[key].name)

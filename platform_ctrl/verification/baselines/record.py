@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 
 from platform_ctrl.analysis.arrays import StateArrays, state_arrays
+from platform_ctrl.analysis.metrics import COUPLED_METRICS
 from platform_ctrl.common.arguments import positive
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import input_value, value
 from platform_ctrl.job.judging import Sense
 from platform_ctrl.verification import JobResult
 from platform_ctrl.verification.baselines.figures import Figure, figures_of
-from platform_ctrl.verification.coupled import COST
 from platform_ctrl.verification.verdict import PROVED
 
 # The same loop on another machine: what differs by less has not changed, and its text stays as it is.
@@ -65,7 +65,7 @@ class Tolerance:
 # What a new figure is given where the default would be wrong: a difference of two margins, each with a tolerance of its
 # own, lies near zero; and of what was proved nothing may be lost.
 _OWN_TOLERANCE = {
-    COST: Tolerance(relative=0.0, absolute=0.01),
+    COUPLED_METRICS["coupling cost"].name: Tolerance(relative=0.0, absolute=0.01),
     PROVED.name: Tolerance(relative=0.0, absolute=0.0),
 }
 
@@ -123,54 +123,18 @@ class LoopMatrices:
     outputs: tuple[str, ...]
     plant: StateArrays | None
 
-    @check_arguments
     def agrees(self, other: LoopMatrices) -> bool:
-        """Return whether plant and controller are the same but for rounding.
-
-        Parameters
-        ----------
-        other
-            The same loop at another time.
-
-        Returns
-        -------
-        bool
-            Whether every number agrees to a millionth of its matrix's largest.
-        """
+        """Return whether plant and controller agree to a millionth of each matrix's largest number."""
         return self.same_controller(other) and self.same_plant(other)
 
-    @check_arguments
     def same_controller(self, other: LoopMatrices) -> bool:
-        """Return whether the controllers are the same but for rounding.
-
-        Parameters
-        ----------
-        other
-            The same loop at another time.
-
-        Returns
-        -------
-        bool
-            Whether every number agrees to a millionth of its matrix's largest.
-        """
+        """Return whether the controllers agree likewise."""
         signals = (self.inputs, self.outputs) == (other.inputs, other.outputs)
         timing = math.isclose(self.delay, other.delay, rel_tol=_ROUNDING, abs_tol=1e-15)
         return signals and timing and _near(self.controller, other.controller)
 
-    @check_arguments
     def same_plant(self, other: LoopMatrices) -> bool:
-        """Return whether the plants are the same but for rounding.
-
-        Parameters
-        ----------
-        other
-            The same loop at another time.
-
-        Returns
-        -------
-        bool
-            Whether every number agrees to a millionth of its matrix's largest.
-        """
+        """Return whether the plants agree likewise."""
         if self.plant is None or other.plant is None:
             return self.plant is other.plant
         return _near(self.plant, other.plant)
