@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import dataclasses
 import json
 import math
 import re
@@ -17,6 +18,8 @@ from hypothesis import HealthCheck, given, settings, strategies
 from matplotlib.figure import Figure as Drawn
 
 import platform_ctrl as pc
+from platform_ctrl.analysis.metrics import METRICS, Metric
+from platform_ctrl.analysis.norms import noise_rms
 from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.report.failures import change_text, moved_text, write_junit
 from platform_ctrl.report.figures.baseline_changes import moved_figure, write_moved_figure
@@ -25,6 +28,7 @@ from platform_ctrl.verification.baselines import accepted, compare, read_baselin
 from platform_ctrl.verification.baselines.figures import figures_of
 from platform_ctrl.verification.baselines.file import plot_beside, remove_plot, write_baseline
 from platform_ctrl.verification.baselines.record import Baseline, Tolerance
+from platform_ctrl.verification.coupled import coupled_check
 
 JOB: dict[str, Any] = {
     "schema": 2,
@@ -133,6 +137,28 @@ def test_what_is_measured_is_a_figure_though_nothing_is_asked_of_it(result: JobR
     # The attitude of a caged run is prescribed: it says nothing of the loops.
     assert ("turn", "largest platform angle") not in figures
     assert figures["step", "largest platform angle"].limit is None
+
+
+def test_a_new_metric_of_torquers_is_in_the_coupled_check_and_in_baselines(
+    result: JobResult, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    variance = Metric(
+        name="largest variance of a torque",
+        key="torque_variance",
+        unit="N² m²",
+        sense="at most",
+        meaning="variance of the torque command from the noise of all sensors",
+        measure=METRICS["torque noise"].measure,
+        of_torquers=lambda loop, rms: noise_rms(loop, rms) ** 2,
+    )
+    monkeypatch.setitem(METRICS, "torque variance", variance)
+    limited = copy.deepcopy(JOB)
+    limited["loop"][2]["limits"] = {"torque_variance": 1.0}
+    check = coupled_check(pc.read_job(limited), result.model, [outcome.closed.controller for outcome in result.loops])
+    [verdict] = [one for one in check.results if one.name == variance.name]
+    assert verdict.value == pytest.approx(max(check.torque_noise[-3:]) ** 2, rel=1e-9)
+    figures = {one.name: one.value for one in figures_of(dataclasses.replace(result, coupled=check))}
+    assert figures["torque variance, Q9"] == pytest.approx(figures["torque noise, Q9"] ** 2, rel=1e-9)
 
 
 def test_a_goal_in_another_band_than_the_limit_is_a_figure_of_its_own() -> None:
