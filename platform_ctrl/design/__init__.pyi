@@ -1,7 +1,7 @@
 from .antiwindup.compensator import anti_windup as anti_windup
 from .antiwindup.compensator import largest_Omega as largest_Omega
-from .antiwindup.job import caging_largest_Omega as caging_largest_Omega
 from .antiwindup.loop import limited_loop as limited_loop
+from .caging_claims import caging_largest_Omega as caging_largest_Omega
 from .classical.complex_coordinates import complex_plant as complex_plant
 from .classical.complex_shaping import complex_loop as complex_loop
 from .classical.crossover import from_crossover_and_margin as from_crossover_and_margin

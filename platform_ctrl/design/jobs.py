@@ -2,67 +2,18 @@
 
 from __future__ import annotations
 
-import dataclasses
 import os
 from collections.abc import Mapping
 
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import value
+from platform_ctrl.design.caging_claims import with_caging_claims
 from platform_ctrl.design.loop import LoopDesign, LoopProblem, Progress, designed
 from platform_ctrl.design.plants import plants_of
-from platform_ctrl.errors import ArgumentError, DesignError
-from platform_ctrl.job.job import Job, LoopSpec, Uncertainty
+from platform_ctrl.errors import DesignError
+from platform_ctrl.job.job import Job, LoopSpec
 from platform_ctrl.job.reading import read_job
 from platform_ctrl.mechanics.linearisation import linearise
-from platform_ctrl.plant.platform import OMEGA_NAMES
-
-
-def with_caging_claims(job: Job, design: LoopDesign, *, closed: bool) -> LoopDesign:
-    """Return a caging design with its gains in continuous time and, where it is closed, its largest Omega.
-
-    The names end in their units. What does not exist for a loop is left out: the gains of an unstable loop, the largest
-    Omega of torquers without limits or of an axis that loads none.
-    """
-    if design.measures is None or not design.measures.decay[0] > 0.0:
-        return design
-    claims = dict(design.claims) | _between_samples(job, design)
-    if closed:
-        claims |= _at_the_limits(job, design)
-    return dataclasses.replace(design, claims=claims)
-
-
-def largest_Omega_name(axis: int, *, worst_case: bool = False) -> str:
-    """Return the name of the claim of the largest Omega without saturation about a root axis, 1 to 3."""
-    return f"largest {OMEGA_NAMES[axis - 1]} without saturation{', worst case' if worst_case else ''}, rad/s"
-
-
-def _between_samples(job: Job, design: LoopDesign) -> dict[str, float]:
-    from platform_ctrl.design.riccati.intersample_loop import intersample_gains
-
-    try:
-        gains = intersample_gains(job, design.controller)
-    except ArgumentError:
-        return {}
-    return {
-        "intersample torque rejection, rad/(N m)": gains.torque_rejection,
-        "intersample Omega rejection, rad/(rad/s)": gains.Omega_rejection,
-    }
-
-
-def _at_the_limits(job: Job, design: LoopDesign) -> dict[str, float]:
-    from platform_ctrl.design.antiwindup.job import caging_largest_Omega
-
-    # Where one plant of the uncertainty is unstable, the claims are those of the nominal plant.
-    for requested in (job, dataclasses.replace(job, uncertainty=Uncertainty())):
-        try:
-            found = caging_largest_Omega(requested, design.controller)
-        except (ArgumentError, DesignError):
-            continue
-        out = {largest_Omega_name(one.axis): one.nominal.Omega for one in found}
-        if requested.uncertainty.inertia > 0.0 or requested.uncertainty.spin > 0.0:
-            out |= {largest_Omega_name(one.axis, worst_case=True): one.worst_case for one in found}
-        return out
-    return {}
 
 
 @value

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import StateArrays, state_arrays
+from platform_ctrl.analysis.arrays import StateArrays, named_system, state_arrays
 from platform_ctrl.analysis.sampling import from_w_plane, to_w_plane
 from platform_ctrl.common.signatures import short
 from platform_ctrl.common.values import FloatArray, value
@@ -162,25 +162,15 @@ def whole(plant: Partition) -> StateArrays:
 
 def controller_system(P: StateSpace, K: StateArrays) -> StateSpace:
     """Return u = K y, sampled as P is, with the names that u and y have in P."""
-    import control
-
     ncon, nmeas = K.D.shape
-    return control.StateSpace(
-        K.A, K.B, K.C, K.D, P.dt or 0.0,
-        inputs=P.output_labels[-nmeas:], outputs=P.input_labels[-ncon:], remove_useless_states=False,
-    )  # fmt: skip
+    return named_system(K._replace(dt=P.dt or 0.0), P.output_labels[-nmeas:], P.input_labels[-ncon:])
 
 
 def closed_loop_system(P: StateSpace, loop: StateArrays) -> StateSpace:
     """Return a `closed_loop` around P, sampled as P is, with the names that w and z have in P."""
-    import control
-
     nz, nw = loop.D.shape
-    return control.StateSpace(
-        loop.A, loop.B, loop.C, loop.D, P.dt or 0.0,
-        states=[*P.state_labels, *(f"controller_{k}" for k in range(len(loop.A) - P.nstates))],
-        inputs=P.input_labels[:nw], outputs=P.output_labels[:nz], remove_useless_states=False,
-    )  # fmt: skip
+    states = [*P.state_labels, *(f"controller_{k}" for k in range(len(loop.A) - P.nstates))]
+    return named_system(loop._replace(dt=P.dt or 0.0), P.input_labels[:nw], P.output_labels[:nz], states)
 
 
 def first_order(b1: float, b0: float, a1: float, a0: float, period: float) -> StateArrays:

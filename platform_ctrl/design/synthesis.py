@@ -13,7 +13,6 @@ of the plant as given.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import field
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -26,7 +25,7 @@ from platform_ctrl.analysis.norms import h2_norm, hinf_norm
 from platform_ctrl.analysis.poles import continuous_poles
 from platform_ctrl.common.arguments import one_of, positive
 from platform_ctrl.common.signatures import short
-from platform_ctrl.common.values import input_value, value
+from platform_ctrl.common.values import value
 from platform_ctrl.design.lower_bounds import hinf_lower_bound
 from platform_ctrl.design.partition import (
     Partition,
@@ -52,29 +51,6 @@ NORM_TOLERANCE = 0.01
 CURE = "give a larger backoff, the other method, or weights with less spread between slow and fast poles"
 # A direct term of a closed loop below this share of what it is the sum of is rounding.
 DIRECT_ROUNDING = 1e-9
-
-
-@input_value
-class Claim:
-    """One norm of the closed loop that a route promises.
-
-    Attributes
-    ----------
-    name
-        Under which `Synthesis.norms` shows it.
-    norm
-        ``"hinf"`` or ``"h2"``.
-    limit
-        What the recomputed norm must not exceed, in the units of z per w; ``inf`` where it is only reported.
-    inputs, outputs
-        Indices of the w and z that the norm is taken between; None for all.
-    """
-
-    name: str
-    norm: Norm
-    limit: float
-    inputs: tuple[int, ...] | None = None
-    outputs: tuple[int, ...] | None = None
 
 
 @value
@@ -110,8 +86,6 @@ class Synthesis:
         Figures of merit of the route by name, in scaled units.
     norm
         Which norm `gamma` is: ``"hinf"`` or ``"h2"``.
-    norms
-        Other norms of the closed loop that the route promised, recomputed, by name, in units of z per w.
     reason
         Why the route was taken; empty where it was requested.
     """
@@ -130,7 +104,6 @@ class Synthesis:
     poles: np.ndarray[Any, Any]
     residual: dict[str, float]
     norm: Norm = "hinf"
-    norms: dict[str, float] = field(default_factory=dict)
     reason: str = ""
     _made: list[Certificate] = field(init=False, repr=False, default_factory=list)
 
@@ -308,16 +281,15 @@ def certify(  # noqa: PLR0913 - what certifies one result
     controller: StateArrays,
     *,
     gamma_optimal: float,
+    least: float,
     backoff: float,
     method: str,
     residual: dict[str, float],
     norm: Norm = "hinf",
     tolerance: float = NORM_TOLERANCE,
-    claims: Sequence[Claim] = (),
     reason: str = "",
-    least: float | None = None,
 ) -> Synthesis:
-    """Close the loop with the plant as given; return the result only if it is stable and keeps every claim.
+    """Close the loop with the plant as given; return the result if it is stable and has the promised norm.
 
     Parameters
     ----------
@@ -326,13 +298,11 @@ def certify(  # noqa: PLR0913 - what certifies one result
     gamma_optimal, norm
         A lower bound on the norm, and which norm.
     least, backoff
-        The least norm that the route found, by default `gamma_optimal`, and the relative distance from it.
+        The least norm that the route found, and the relative distance from it.
     method, residual, reason
         Kept in the result.
     tolerance
         What the norm may exceed ``(1 + backoff) least`` by, relative to `least`.
-    claims
-        Further claims of the route.
     """
     try:
         loop = closed_loop(plant, controller)
@@ -343,9 +313,16 @@ def certify(  # noqa: PLR0913 - what certifies one result
     poles = _stable_poles(loop.A, plant.dt, method, P)
     if norm == "h2" and plant.dt == 0.0:
         loop = loop._replace(D=_without_rounding(loop.D, plant, controller))
-    least = gamma_optimal if least is None else least
     limit = (1 + backoff + tolerance) * least
-    gamma, frequency = _kept(Claim(name="", norm=norm, limit=limit), loop, plant.dt, method, least, P)
+    try:
+        gamma, frequency = _norm(loop._replace(dt=plant.dt), norm)
+    except ArgumentError as error:
+        raise NotCertifiedError(f"{method}: no finite H2 norm: {error}; {CURE}", P) from None
+    if not gamma <= limit:
+        shown = f"the H2 norm {gamma:.6g}" if norm == "h2" else f"the norm {gamma:.6g} at {frequency:.4g} rad/s"
+        raise NotCertifiedError(
+            f"{method}: the closed loop has {shown}, more than {limit:.6g} for the least gamma {least:.6g}; {CURE}", P
+        )
     return Synthesis(
         plant=P,
         nmeas=plant.C2.shape[0],
@@ -361,7 +338,6 @@ def certify(  # noqa: PLR0913 - what certifies one result
         poles=poles,
         residual=dict(residual),
         norm=norm,
-        norms={claim.name: _kept(claim, loop, plant.dt, method, None, P)[0] for claim in claims},
         reason=reason,
     )
 
@@ -406,28 +382,9 @@ def direct_size(plant: Partition, controller: StateArrays) -> float:
     return float(np.linalg.norm(plant.D11) + through)
 
 
-def _kept(
-    claim: Claim, loop: StateArrays, dt: float, method: str, least: float | None, P: StateSpace
-) -> tuple[float, float]:
-    """Return the norm that is claimed, recomputed, and its frequency, rad/s (nan for the H2 norm)."""
-    nz, nw = loop.D.shape
-    into = list(range(nw) if claim.inputs is None else claim.inputs)
-    out = list(range(nz) if claim.outputs is None else claim.outputs)
-    B, C, D = loop.B[:, into], loop.C[out], loop.D[np.ix_(out, into)]
-    of = f" {claim.name}" if claim.name else ""
-    frequency = float("nan")
-    if claim.norm == "hinf":
-        found, frequency = hinf_norm(StateArrays(loop.A, B, C, D, dt), allow_unstable=True)
-        shown = f"the norm{of} {found:.6g} at {frequency:.4g} rad/s"
-    else:
-        try:
-            found = h2_norm(StateArrays(loop.A, B, C, D, dt))
-        except ArgumentError as error:
-            raise NotCertifiedError(f"{method}: no finite H2 norm{of}: {error}; {CURE}", P) from None
-        shown = f"the H2 norm{of} {found:.6g}"
-    if not found <= claim.limit:
-        for_least = "" if least is None else f" for the least gamma {least:.6g}"
-        raise NotCertifiedError(
-            f"{method}: the closed loop has {shown}, more than {claim.limit:.6g}{for_least}; {CURE}", P
-        )
-    return float(found), float(frequency)
+def _norm(loop: StateArrays, norm: Norm) -> tuple[float, float]:
+    """Return the norm and its frequency, rad/s (nan for the H2 norm)."""
+    if norm == "h2":
+        return h2_norm(loop), float("nan")
+    gamma, frequency = hinf_norm(loop, allow_unstable=True)
+    return float(gamma), float(frequency)

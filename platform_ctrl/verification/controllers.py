@@ -14,7 +14,8 @@ import numpy as np
 
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.design.jobs import LoopOutcome, with_caging_claims
+from platform_ctrl.design.caging_claims import with_caging_claims
+from platform_ctrl.design.jobs import LoopOutcome
 from platform_ctrl.design.loop import LoopDesign, remeasured
 from platform_ctrl.design.plants import plants_of
 from platform_ctrl.errors import InputError

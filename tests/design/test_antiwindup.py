@@ -11,11 +11,10 @@ import pytest
 from limited_response import half_cosine, limited_response
 from platform_ctrl.analysis import time_response
 from platform_ctrl.design.antiwindup.compensator import AntiWindup, anti_windup, largest_Omega, with_excess
-from platform_ctrl.design.antiwindup.job import caging_largest_Omega, caging_loop_limits
 from platform_ctrl.design.antiwindup.loop import LimitedLoop, limited_loop
+from platform_ctrl.design.caging_claims import caging_largest_Omega, caging_loop_limits, caging_plant, intersample_gains
 from platform_ctrl.design.classical.caging import classical_controller
 from platform_ctrl.design.partition import channels
-from platform_ctrl.design.riccati.intersample_loop import caging_plant, intersample_gains
 from platform_ctrl.errors import ArgumentError, InfeasibleError
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.reading import read_job

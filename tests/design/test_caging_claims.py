@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 
 from platform_ctrl.design import caging_largest_Omega, loops
-from platform_ctrl.design.jobs import LoopOutcome, largest_Omega_name, with_caging_claims
-from platform_ctrl.design.riccati.intersample_loop import intersample_gains
+from platform_ctrl.design.caging_claims import intersample_gains, largest_Omega_name, with_caging_claims
+from platform_ctrl.design.jobs import LoopOutcome
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.reading import read_job
 from platform_ctrl.report.page import captions

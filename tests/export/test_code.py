@@ -312,7 +312,7 @@ def test_where_anti_windup_cannot_be_proved_it_is_back_calculation_and_said(
 @pytest.mark.slow
 def test_proved_anti_windup_is_the_gain_of_the_design_with_its_region(job: Job, tmp_path: Path) -> None:
     from platform_ctrl.design.antiwindup.compensator import anti_windup
-    from platform_ctrl.design.antiwindup.job import caging_loop_limits
+    from platform_ctrl.design.caging_claims import caging_loop_limits
 
     e = classical_entry(job, ("9", "10"))
     K = control.StateSpace(*(np.array(e[k]) for k in "ABCD"), e["dt"], inputs=e["inputs"], outputs=e["outputs"])

@@ -84,7 +84,7 @@ def back_calculation(scheme: Scheme) -> Windup:
 def proved(job: Job, scheme: Scheme) -> Windup:
     """Return the anti-windup gain of `design.anti_windup`, or back-calculation where that has none."""
     from platform_ctrl.design.antiwindup.compensator import anti_windup
-    from platform_ctrl.design.antiwindup.job import caging_loop_limits
+    from platform_ctrl.design.caging_claims import caging_loop_limits
 
     K = arrays(scheme)
     if not integrating(K)[0].shape[1]:

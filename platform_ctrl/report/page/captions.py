@@ -13,7 +13,8 @@ from platform_ctrl.analysis.metrics import METRICS
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.poles import continuous_poles, spectral_abscissa
 from platform_ctrl.common.text import Rounding
-from platform_ctrl.design.jobs import LoopOutcome, largest_Omega_name
+from platform_ctrl.design.caging_claims import largest_Omega_name
+from platform_ctrl.design.jobs import LoopOutcome
 from platform_ctrl.design.loop import LoopDesign
 from platform_ctrl.job.requirements import FAULTS, WORST_CASE
 from platform_ctrl.plant.platform import Platform
