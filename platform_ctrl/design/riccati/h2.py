@@ -156,13 +156,20 @@ def _optimal(scaled: ScaledPlant, P: StateSpace) -> tuple[StateArrays, float, di
     if of_X is None or of_Y is None:
         raise UnscalableError(f"{WHERE}: the equation of {'Y' if of_X else 'X'} {NO_SOLUTION}", P)
     (X, F, W), (Y, Lt, _) = of_X, of_Y
-    L = Lt.T
     square = np.trace(p.B1.T @ X @ p.B1) + np.trace(W @ F @ Y @ F.T)
     # The norm of a slower system: time is counted in units of 1/rate.
     least = scaled.gain * float(np.sqrt(max(square, 0.0) * scaled.rate))
     # D_K is outside the estimator, which counts it as part of the plant.
-    made = StateArrays(A=p.A + p.B2 @ F + L @ p.C2, B=-L, C=F, D=gain)
+    made = on_estimate(p.A, p.B2, p.C2, F, -Lt.T, np.zeros_like(gain))._replace(D=gain)
     return made, least, _residuals(p, X, Y)
+
+
+def on_estimate(
+    A: FloatArray, B: FloatArray, C: FloatArray, F: FloatArray, L: FloatArray, present: FloatArray
+) -> StateArrays:
+    """Return the controller u = F x̂ + `present` (y − C x̂), with x̂ by the predictor's gain L."""
+    into = B @ present + L
+    return StateArrays(A=A + B @ F - into @ C, B=into, C=F - present @ C, D=present)
 
 
 def _equations(p: Partition) -> list[Equation]:
@@ -232,8 +239,7 @@ def _optimal_sampled(p: Partition, direct: bool) -> tuple[StateArrays, float, di
         F0 = -np.linalg.solve(W, p.B2.T @ X @ p.B1 + p.D12.T @ p.D11)
         present = np.asarray(np.linalg.solve(S, (F @ Y @ p.C2.T + F0 @ p.D21.T).T).T)
         square -= float(np.trace(W @ present @ S @ present.T))
-    B = p.B2 @ present + L
-    made = StateArrays(A=p.A + p.B2 @ F - B @ p.C2, B=B, C=F - present @ p.C2, D=present)
+    made = on_estimate(p.A, p.B2, p.C2, F, L, present)
     return made, float(np.sqrt(max(square, 0.0))), _residuals(p, X, Y)
 
 

@@ -25,6 +25,7 @@ from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.lower_bounds import h2_lower_bound
 from platform_ctrl.design.partition import Partition, partition, split, whole, with_direct_path
 from platform_ctrl.design.riccati.equations import well_conditioned
+from platform_ctrl.design.riccati.h2 import on_estimate
 from platform_ctrl.design.riccati.quadratic_cost import Weights, checked_weights, solved, square_root
 from platform_ctrl.design.scaling import require_stabilisable
 from platform_ctrl.design.synthesis import Synthesis, certify
@@ -210,10 +211,7 @@ def lqr(
     array([[1.    , 1.7321]])
     """
     arrays = state_arrays(system, "lqr")
-    n, m = arrays.B.shape
-    weights = checked_weights(
-        "lqr", "Q1, Q2, Q12", (Q1, Q2, Q12), n, m, system.input_labels, system, semidefinite=False
-    )
+    weights = checked_weights("lqr", "Q1, Q2, Q12", (Q1, Q2, Q12), system.input_labels, system, semidefinite=False)
     return _feedback(system, arrays, weights, integral, "lqr")
 
 
@@ -248,9 +246,7 @@ def lqe(system: StateSpace, R1: ArrayLike, R2: ArrayLike, R12: ArrayLike | None 
     K. Zhou, J. C. Doyle, K. Glover, Robust and Optimal Control, 1996, ch. 13.
     """
     arrays = state_arrays(system, "lqe")
-    noise = checked_weights(
-        "lqe", "R1, R2, R12", (R1, R2, R12), len(arrays.A), len(arrays.C), system.output_labels, system
-    )
+    noise = checked_weights("lqe", "R1, R2, R12", (R1, R2, R12), system.output_labels, system)
     return _estimator(system, arrays, noise, "lqe")
 
 
@@ -300,9 +296,8 @@ def lqg(  # noqa: PLR0913 - options by keyword
     See docs/full-order.md.
     """
     arrays = state_arrays(system, "lqg")
-    n, m = arrays.B.shape
-    weights = checked_weights("lqg", "Q1, Q2, Q12", (Q1, Q2, Q12), n, m, system.input_labels, system)
-    noise = checked_weights("lqg", "R1, R2, R12", (R1, R2, R12), n, len(arrays.C), system.output_labels, system)
+    weights = checked_weights("lqg", "Q1, Q2, Q12", (Q1, Q2, Q12), system.input_labels, system)
+    noise = checked_weights("lqg", "R1, R2, R12", (R1, R2, R12), system.output_labels, system)
     feedback = _feedback(system, arrays, weights, integral, "lqg")
     estimator = _estimator(system, arrays, noise, "lqg")
     plant = _cost_plant(arrays, weights, noise, integral)
@@ -316,7 +311,7 @@ def lqg(  # noqa: PLR0913 - options by keyword
         [*(f"noise {k + 1}" for k in range(plant.B1.shape[1])), *system.input_labels],
         [*(f"cost {k + 1}" for k in range(len(plant.C1))), *measured],
     )
-    parts = partition(P, len(measured), m, sampled=True)
+    parts = partition(P, len(measured), system.ninputs, sampled=True)
     synthesis = certify(
         P, parts, K,
         gamma_optimal=h2_lower_bound(parts, direct), least=least, backoff=0.0,
@@ -428,13 +423,8 @@ def _joined(
         ahead = -np.linalg.solve(W, plant.B2.T @ X @ plant.B1 @ V2.T)
         present = np.asarray(np.linalg.solve(S, (Fx @ Y @ arrays.C.T + ahead).T).T)
         cost -= float(np.trace(W @ present @ S @ present.T))
-    into = arrays.B @ present + L
-    K = StateArrays(
-        A=arrays.A + arrays.B @ Fx - into @ arrays.C,
-        B=np.hstack([into, arrays.B @ Fi]),
-        C=Fx - present @ arrays.C,
-        D=np.hstack([present, Fi]),
-    )
+    K = on_estimate(arrays.A, arrays.B, arrays.C, Fx, L, present)
+    K = K._replace(B=np.hstack([K.B, arrays.B @ Fi]), D=np.hstack([present, Fi]))
     return with_direct_path(K, plant.D22), float(np.sqrt(max(cost, 0.0)))
 
 
@@ -443,18 +433,8 @@ def _with_integrators(K: StateArrays, ny: int, integrals: int, system: StateSpac
     n, p = len(K.A), integrals
     dt = float(system.dt or 0.0)
     keep = np.eye(p) if dt else np.zeros((p, p))
-    return named_system(
-        StateArrays(
-            np.block([[K.A, K.B[:, ny:]], [np.zeros((p, n)), keep]]),
-            np.vstack([K.B[:, :ny], np.eye(ny)[:p]]),
-            np.hstack([K.C, K.D[:, ny:]]),
-            K.D[:, :ny],
-            dt,
-        ),
-        system.output_labels,
-        system.input_labels,
-        [
-            *(f"estimate_{name}" for name in system.state_labels),
-            *(f"integral_{name}" for name in system.output_labels[:p]),
-        ],
-    )
+    A = np.block([[K.A, K.B[:, ny:]], [np.zeros((p, n)), keep]])
+    B, C = np.vstack([K.B[:, :ny], np.eye(ny)[:p]]), np.hstack([K.C, K.D[:, ny:]])
+    states = [f"estimate_{name}" for name in system.state_labels]
+    states += [f"integral_{name}" for name in system.output_labels[:p]]
+    return named_system(StateArrays(A, B, C, K.D[:, :ny], dt), system.output_labels, system.input_labels, states)

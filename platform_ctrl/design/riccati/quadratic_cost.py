@@ -47,8 +47,6 @@ def checked_weights(
     where: str,
     names: str,
     given: tuple[ArrayLike | None, ...],
-    n: int,
-    m: int,
     labels: list[str],
     system: StateSpace,
     *,
@@ -60,6 +58,7 @@ def checked_weights(
     and norms squared are. Otherwise the second has to be so for continuous systems only, and the equation decides.
     """
     first, second, between = names.split(", ")
+    n, m = system.nstates, len(labels)
     if not (n and m):
         raise ArgumentError(
             f"{where}: the plant must have states and at least one signal for {second}, got {n} states and {m} signals"
