@@ -19,6 +19,7 @@ from platform_ctrl.errors import ArgumentError, InputError
 if TYPE_CHECKING:
     import control
 
+    from platform_ctrl.export.systems import SystemRecord
     from platform_ctrl.job.job import Job
 
 FIXED_POINT = ("q31", "q15")
@@ -43,6 +44,13 @@ class Export:
         from platform_ctrl.verification.controllers import read_controllers
 
         return [] if self.controller_file is None else read_controllers(self.controller_file, self.job)
+
+    @property
+    def systems(self) -> tuple[SystemRecord, ...]:
+        """The controllers, then the linear models of the plant."""
+        from platform_ctrl.export.job_systems import controller_systems, model_systems
+
+        return controller_systems(self.job, self.controllers) + model_systems(self.job)
 
 
 @dataclass(frozen=True)
@@ -183,22 +191,19 @@ def _as_typed(settings: Mapping[str, Any]) -> list[str]:
 
 
 def _write_mat(export: Export, path: Path, target: Path) -> None:
-    from platform_ctrl.export.job_systems import controller_systems, model_systems
     from platform_ctrl.export.matlab import write_mat
 
-    write_mat(controller_systems(export.job, export.controllers) + model_systems(export.job), path)
+    write_mat(export.systems, path)
 
 
 def _write_models(export: Export, path: Path, target: Path) -> None:
-    from platform_ctrl.export.job_systems import controller_systems, model_systems
-    from platform_ctrl.export.json_systems import write_systems
+    from platform_ctrl.export.systems import write_systems
 
-    write_systems(controller_systems(export.job, export.controllers) + model_systems(export.job), path)
+    write_systems(export.systems, path)
 
 
 def _write_csv(export: Export, path: Path, target: Path, *, form: Literal["complex", "polar"]) -> None:
-    from platform_ctrl.export.csv_responses import write_responses
-    from platform_ctrl.export.job_systems import job_responses
+    from platform_ctrl.export.job_systems import job_responses, write_responses
 
     for table in job_responses(export.job, export.controllers):
         name, count = re.sub(r"[^\w.+-]+", "_", table.name), 1

@@ -18,7 +18,7 @@ import numpy as np
 from platform_ctrl.common.files import write_whole
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.errors import InputError
-from platform_ctrl.export.system_records import MOST_SYSTEMS, SystemRecord, expect_systems, system_of
+from platform_ctrl.export.systems import MOST_SYSTEMS, SystemRecord, expect_systems, system_of
 from platform_ctrl.plant.mistakes import one_line
 from platform_ctrl.plant.source import MOST_OF_ANY, path_of
 

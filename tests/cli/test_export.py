@@ -236,7 +236,7 @@ def test_nothing_is_left_half_written(
     def fail(*_: object, **__: object) -> None:
         raise failure("no room")
 
-    monkeypatch.setattr("platform_ctrl.export.csv_responses.write_responses", fail)
+    monkeypatch.setattr("platform_ctrl.export.job_systems.write_responses", fail)
     arguments = ["export", "job.toml", "-q", "--mat", "k.mat", "--c", "c", "--csv", "r"]
     assert main(arguments) == (130 if failure is KeyboardInterrupt else 2)
     assert files(there) == before

@@ -151,8 +151,8 @@ def test_the_file_holds_what_it_is_made_of_and_is_the_same_every_time(gyro, unit
         assert read_job(tomllib.loads(packed.read("resources/job.toml").decode())).name == job.name
         assert b"three-gyro platform" in packed.read("resources/plant.toml")
         shown = packed.read("documentation/index.html").decode()
-        assert "<code>spin.&#x27;11&#x27;</code>" in shown
-        assert "<li>it&#x27;s a step</li>" in shown
+        assert "<code>spin.&#39;11&#39;</code>" in shown
+        assert "<li>it&#39;s a step</li>" in shown
         assert {entry.date_time for entry in packed.infolist()} == {(1980, 1, 1, 0, 0, 0)}
     assert fmpy.read_model_description(with_result).modelVariables[1].start == "4"
 

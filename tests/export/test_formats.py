@@ -21,9 +21,8 @@ from fuzz_bytes import mangled
 from one_gyro_job import JOB
 from platform_ctrl import analysis, design, export
 from platform_ctrl.errors import ArgumentError, InputError
-from platform_ctrl.export.csv_responses import response_data
-from platform_ctrl.export.job_systems import controller_systems, job_responses, model_systems
-from platform_ctrl.export.system_records import SystemRecord
+from platform_ctrl.export.job_systems import controller_systems, job_responses, model_systems, response_data
+from platform_ctrl.export.systems import SystemRecord
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.reading import read_job
 from platform_ctrl.verification import read_controllers

@@ -18,7 +18,7 @@ from platform_ctrl.errors import NotCertifiedError, PlatformCtrlError
 from platform_ctrl.export.c99.entries import Entry, sections_of
 from platform_ctrl.export.c99.modes import modal_sections, pid_sections, plain_sections
 from platform_ctrl.export.c99.scheme import Provenance, Row, Scheme, Section, arrays, row
-from platform_ctrl.export.system_records import signal_units
+from platform_ctrl.export.systems import signal_units
 from platform_ctrl.job.job import Job
 from platform_ctrl.mechanics.linearisation import LinearModel, linearise
 from platform_ctrl.plant.platform import Platform
