@@ -6,7 +6,7 @@ from platform_ctrl.campaign.engine import run_campaign
 from platform_ctrl.campaign.planning import plan
 from platform_ctrl.campaign.rare_events import rare_event
 from platform_ctrl.campaign.rare_runs import rare_probability
-from platform_ctrl.campaign.rerunning import rerun
+from platform_ctrl.campaign.single_run import rerun
 from platform_ctrl.campaign.summary import summarise
 
 __all__ = [

@@ -11,7 +11,8 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 from platform_ctrl.campaign.identity import versions
-from platform_ctrl.campaign.single_run import Columns, SimulateRuns, columns_of, row_not_simulated
+from platform_ctrl.campaign.single_run import SimulateRuns, columns_of, row_not_simulated
+from platform_ctrl.campaign.table import Columns
 from platform_ctrl.campaign.workers import DIED, Chunks
 from platform_ctrl.errors import InputError, SimulationError
 

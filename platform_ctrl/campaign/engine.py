@@ -28,18 +28,10 @@ Progress = Callable[[int, int], None]
 
 @value
 class CampaignResult:
-    """What a campaign came to.
+    """What a campaign came to."""
 
-    Attributes
-    ----------
-    table
-        Path of the Parquet file: one row a run, in their order.
-    record
-        What ``campaign.json`` holds.
-    """
-
-    table: Path
-    record: Record
+    table: Path  # of the Parquet file: one row a run, in their order
+    record: Record  # content of campaign.json
 
     @property
     def counts(self) -> dict[str, int]:

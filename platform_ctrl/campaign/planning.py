@@ -177,47 +177,16 @@ class Plan:
         return len(self.input_names)
 
     def points(self, first: int, last: int) -> FloatArray:
-        """Return the numbers in (0, 1) that some runs are made of.
-
-        Parameters
-        ----------
-        first, last
-            Runs `first` to `last` − 1.
-
-        Returns
-        -------
-        (last − first, dimensions)
-            Probabilities: the inputs before their distributions, dimensionless.
-
-        Raises
-        ------
-        ArgumentError
-            The campaign has no such runs.
-        """
+        """Return the numbers in (0, 1) that runs `first` to `last` − 1 are made of, (last − first, dimensions)."""
         first = whole("first run", first, 0, self.runs)
         last = whole("end of the runs", last, first, self.runs)
         return unit_points(self.sampling, _seed_of(self.seed, "inputs"), self.runs, self.dimensions, first, last)
 
     @check_arguments
     def inputs_at(self, points: FloatArray) -> Columns:
-        """Return the inputs at points of the unit cube.
+        """Return the inputs at points (N, dimensions) of the unit cube: columns (N,) by `input_names`, in SI units.
 
         The number of a relative parameter is the factor; the column of a fault says whether it happens.
-
-        Parameters
-        ----------
-        points : (N, dimensions)
-            Probabilities, as of `points`.
-
-        Returns
-        -------
-        dict
-            Columns (N,) by the names of `input_names`, in the parameters' units.
-
-        Raises
-        ------
-        ArgumentError
-            Another shape.
         """
         if points.ndim != 2 or points.shape[1] != self.dimensions:
             raise ArgumentError(f"Plan.inputs_at: points must be (N, {self.dimensions}), got {points.shape}")
@@ -230,46 +199,12 @@ class Plan:
         return columns
 
     def inputs(self, first: int, last: int) -> Columns:
-        """Return the inputs of some runs as columns by their names.
-
-        Parameters
-        ----------
-        first, last
-            Runs `first` to `last` − 1.
-
-        Returns
-        -------
-        dict
-            Columns (last − first,) by the names of `input_names`.
-
-        Raises
-        ------
-        ArgumentError
-            The campaign has no such runs.
-        """
+        """Return the inputs of runs `first` to `last` − 1 as columns by their names."""
         return self.inputs_at(self.points(first, last))
 
     @check_arguments
     def scenarios_with(self, inputs: Mapping[str, NDArray[Any]], runs: Sequence[int]) -> list[Scenario]:
-        """Return runs of given inputs.
-
-        Parameters
-        ----------
-        inputs
-            Columns as of `inputs`.
-        runs
-            Their numbers in the campaign: what their noise depends on.
-
-        Returns
-        -------
-        list of Scenario
-            One for each row.
-
-        Raises
-        ------
-        ArgumentError
-            A column is missing, or not as long as `runs`.
-        """
+        """Return the scenarios of given inputs, columns as of `inputs`; noise depends on the numbers of the `runs`."""
         for name in self.input_names:
             if name not in inputs or len(inputs[name]) != len(runs):
                 raise ArgumentError(f"Plan.scenarios_with: inputs must have {len(runs)} numbers of {name!r}, one a run")
@@ -288,43 +223,11 @@ class Plan:
         return out
 
     def scenarios(self, first: int, last: int) -> list[Scenario]:
-        """Return some runs of the campaign as they are simulated.
-
-        Parameters
-        ----------
-        first, last
-            Runs `first` to `last` − 1.
-
-        Returns
-        -------
-        list of Scenario
-            In their order.
-
-        Raises
-        ------
-        ArgumentError
-            The campaign has no such runs.
-        """
+        """Return runs `first` to `last` − 1 of the campaign as they are simulated."""
         return self.scenarios_with(self.inputs(first, last), range(first, last))
 
     def scenario(self, run: int) -> Scenario:
-        """Return one run of the campaign as it is simulated.
-
-        Parameters
-        ----------
-        run
-            Its number, from 0.
-
-        Returns
-        -------
-        Scenario
-            The same whichever others are asked for.
-
-        Raises
-        ------
-        ArgumentError
-            The campaign has no such run.
-        """
+        """Return one run of the campaign as it is simulated: the same whichever others are."""
         run = whole("run", run, 0, self.runs - 1)
         return self.scenarios(run, run + 1)[0]
 

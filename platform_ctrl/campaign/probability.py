@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -11,25 +13,15 @@ from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
 
 CONFIDENCE = 0.95
+# An input is called a driver if noise would look like it in fewer than this share of campaigns, over all inputs.
+SIGNIFICANCE = 0.01
 
 
 @value
 class Probability:
-    """How often something happened, with exact bounds.
+    """How often something happened: `events` of `runs`, with Clopper and Pearson's bounds (Biometrika 26, 1934).
 
-    Attributes
-    ----------
-    events, runs
-        How many runs of how many.
-    low, high
-        Clopper and Pearson's bounds of the share of all runs that could be drawn: it lies between them, both together,
-        at least with probability `confidence`.
-    confidence
-        Two-sided probability.
-
-    References
-    ----------
-    C. J. Clopper, E. S. Pearson, Biometrika 26, 1934.
+    The share of all runs that could be drawn lies between `low` and `high` at least with probability `confidence`.
     """
 
     events: int
@@ -48,40 +40,9 @@ def clopper_pearson(events: int, runs: int, confidence: float = CONFIDENCE) -> P
     """Return the probability of an event seen `events` times in `runs` independent runs.
 
     With no event the upper bound is 1 − (α/2)^(1/runs), about 3.7/runs at 95 %: two-sided throughout, also where the
-    lower bound can only be zero.
-
-    Parameters
-    ----------
-    events, runs
-        Whole numbers, 0 ≤ events ≤ runs.
-    confidence
-        Two-sided probability, between 0 and 1.
-
-    Returns
-    -------
-    Probability
-        With both bounds.
-
-    Raises
-    ------
-    ArgumentError
-        More events than runs, or a confidence that is none.
-
-    Notes
-    -----
-    Exact for independent runs (Clopper and Pearson, Biometrika 26, 1934). Points of a Sobol sequence or a Latin
-    hypercube fill the space more evenly than that: the estimate scatters less, the bounds err on the safe side as a
-    rule, but nobody guarantees it.
-
-    References
-    ----------
-    C. J. Clopper, E. S. Pearson, Biometrika 26, 1934.
-
-    Examples
-    --------
-    >>> from platform_ctrl import campaign
-    >>> round(campaign.clopper_pearson(0, 10_000).high, 6)
-    0.000369
+    lower bound can only be zero. Exact for independent runs. Points of a Sobol sequence or a Latin hypercube fill the
+    space more evenly: the estimate scatters less, the bounds are too wide as a rule, but nobody guarantees it.
+    ArgumentError: more events than runs, or a confidence that is not between 0 and 1.
     """
     if whole("events", events, 0) > whole("runs", runs, 0):
         raise ArgumentError(f"events must be at most runs, got {events} of {runs}")
@@ -95,6 +56,16 @@ def clopper_pearson(events: int, runs: int, confidence: float = CONFIDENCE) -> P
         low = float(stats.beta.ppf(tail, events, runs - events + 1)) if events else 0.0
         high = float(stats.beta.isf(tail, events + 1, runs - events)) if events < runs else 1.0
     return Probability(events=events, runs=runs, low=low, high=high, confidence=confidence)
+
+
+def holm(p_values: Sequence[float]) -> FloatArray:
+    """Return p-values of several tests, each as large as it has to be for all of them together."""
+    p = np.asarray(p_values, dtype=np.float64)
+    order = np.argsort(p)
+    adjusted = np.maximum.accumulate(np.minimum((len(p) - np.arange(len(p))) * p[order], 1.0))
+    out = np.empty_like(p)
+    out[order] = adjusted
+    return out
 
 
 # Bins of equal width in the logarithm: a quantile is right to half of `RESOLUTION` of itself.
@@ -130,18 +101,7 @@ class Distribution:
 
     @check_arguments
     def add(self, metrics: ArrayLike) -> None:
-        """Count more metrics.
-
-        Parameters
-        ----------
-        metrics : any shape
-            Not negative, in one unit; what is not finite lies beyond all.
-
-        Raises
-        ------
-        ArgumentError
-            Not numbers.
-        """
+        """Count more metrics, not negative, in one unit; what is not finite lies beyond all."""
         values = real_numbers("Distribution.add: metrics", metrics).reshape(-1)
         if not values.size:
             return
@@ -152,18 +112,7 @@ class Distribution:
 
     @check_arguments
     def quantile(self, share: float) -> float:
-        """Return the least metric that a share of the runs does not exceed.
-
-        Parameters
-        ----------
-        share
-            Share of the runs, 0 to 1.
-
-        Returns
-        -------
-        float
-            In the metrics' unit, right to half a thousandth of itself; NaN without runs.
-        """
+        """Return the least metric that a share (0 to 1) of the runs does not exceed; NaN without runs."""
         runs = self.runs
         if not runs:
             return float("nan")
@@ -174,37 +123,16 @@ class Distribution:
         return float(np.clip(_middles(np.array([place]))[0], self.smallest, self.largest))
 
     def exceedance(self) -> tuple[FloatArray, FloatArray]:
-        """Return how often the metrics lie above levels.
-
-        Returns
-        -------
-        levels, shares : (k,), (k,)
-            Levels, increasing, in the metrics' unit, and the share of the runs above each.
-        """
+        """Return levels (k,), increasing, in the metrics' unit, and the share of the runs above each (k,)."""
         filled = np.flatnonzero(self.counts)
         above = self.runs - np.cumsum(self.counts[filled])
         return np.clip(_middles(filled), self.smallest, self.largest), above / max(self.runs, 1)
 
     @check_arguments
     def histogram(self, edges: FloatArray) -> NDArray[np.int64]:
-        """Return how many metrics lie between each two edges; what lies beyond the last is left out.
+        """Return how many metrics lie between each two of the edges (k + 1,), increasing, in the metrics' unit.
 
-        The bins here are as fine as `RESOLUTION`: a value next to an edge may be counted on its other side.
-
-        Parameters
-        ----------
-        edges : (k + 1,)
-            Increasing, in the metrics' unit.
-
-        Returns
-        -------
-        (k,)
-            Counts.
-
-        Raises
-        ------
-        ArgumentError
-            The edges are not an increasing vector of numbers.
+        What lies beyond the last is left out; a value next to an edge may be counted on its other side.
         """
         if edges.ndim != 1 or np.any(np.diff(edges) < 0.0):
             raise ArgumentError(f"edges must be an increasing vector of numbers, got {short(edges)}")

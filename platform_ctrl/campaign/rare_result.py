@@ -16,53 +16,25 @@ _FEWEST_NOISES = 10
 
 @value
 class RarePoint:
-    """Inputs that violate a requirement.
+    """Inputs that violate a requirement."""
 
-    Attributes
-    ----------
-    u : (d,)
-        The point of the unit cube, probabilities: the inputs through their distributions.
-    run
-        Number of the noise.
-    ratio
-        Ratio of the metric to its limit, above 1; infinite if it diverged.
-    distance
-        From the most probable inputs, in units of standard deviations.
-    """
-
-    u: FloatArray
-    run: int
-    ratio: float
-    distance: float
+    u: FloatArray  # (d,): The point of the unit cube, probabilities: the inputs through their distributions
+    run: int  # Number of the noise
+    ratio: float  # Of the metric to its limit, above 1; infinite if it diverged
+    distance: float  # From the most probable inputs, in standard deviations
 
 
 @value
 class Repetition:
-    """One estimate of the probability, independent of the others.
+    """One estimate of the probability, independent of the others."""
 
-    Attributes
-    ----------
-    probability
-        The estimate of the probability; 0 where the limit was not reached.
-    below
-        The estimate; where the limit was not reached, an upper bound of the probability of what lies beyond the last
-        level.
-    levels : (k,)
-        Ratios of metric to limit that the levels stood at.
-    variation
-        Coefficient of variation (relative standard deviation) as this repetition itself sees it.
-    evaluations
-        Runs that it took.
-    noises
-        How many realisations of the noise there are among its violating runs.
-    """
-
-    probability: float
+    probability: float  # 0 where the limit was not reached
+    # The same; where the limit was not reached, an upper bound of the probability of what lies beyond the last level
     below: float
-    levels: FloatArray
-    variation: float
-    evaluations: int
-    noises: int
+    levels: FloatArray  # (k,): Ratios of metric to limit of the levels
+    variation: float  # Coefficient of variation (relative standard deviation), estimated from this repetition alone
+    evaluations: int  # Runs simulated
+    noises: int  # How many realisations of the noise there are among its violating runs
 
 
 @value
@@ -76,8 +48,8 @@ class RareResult:
     method
         ``"splitting"`` or ``"cross-entropy"``.
     probability, low, high, confidence
-        The mean of all repetitions, and where the true value lies by their scatter. With probability 0, `high` is what
-        the last level reached allows.
+        The mean of all repetitions, and its interval by their scatter. With probability 0, `high` is what the last
+        level reached allows.
     variation
         Coefficient of variation (relative standard deviation) of the mean.
     repetitions
@@ -87,8 +59,7 @@ class RareResult:
     violations
         The most probable inputs that violate it, the nearest first: where to look.
     shift : (d,)
-        Mean of the violating inputs in units of the standard deviation of each: which inputs, moved where, make it
-        happen.
+        Mean of the violating inputs, each in units of its standard deviation.
     """
 
     requirement: str | None = None

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from platform_ctrl.analysis.metrics import RUN_METRICS
+from platform_ctrl.campaign.probability import SIGNIFICANCE, holm
 from platform_ctrl.campaign.table import (
     ENDED,
     MANOEUVRE,
-    NOT_SIMULATED,
     PASSED,
     RUN,
     Array,
@@ -20,15 +20,14 @@ from platform_ctrl.campaign.table import (
     codes,
     column_names,
     input_names,
+    was_simulated,
 )
-from platform_ctrl.campaign.table_statistics import Limits, limits_of
+from platform_ctrl.campaign.table_statistics import Limits, in_order, limits_of
 from platform_ctrl.common.arguments import real_numbers
 from platform_ctrl.common.signatures import check_arguments, short
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
 
-# An input is called a driver if noise would look like it in fewer than this share of campaigns, over all inputs.
-SIGNIFICANCE = 0.01
 # Groups of runs that are left out in turn.
 _GROUPS = 20
 # So few events are too few for what holds for many.
@@ -234,16 +233,6 @@ def _permuted_p_value(kind: NDArray[np.intp], ranks: FloatArray | None, events: 
     return min(1.0, len(found) * p)
 
 
-def holm(p_values: Sequence[float]) -> FloatArray:
-    """Return p-values of several tests, each as large as it has to be for all of them together."""
-    p = np.asarray(p_values, dtype=np.float64)
-    order = np.argsort(p)
-    adjusted = np.maximum.accumulate(np.minimum((len(p) - np.arange(len(p))) * p[order], 1.0))
-    out = np.empty_like(p)
-    out[order] = adjusted
-    return out
-
-
 # Runs that are looked at: the first ones of the campaign, in whatever order the table has them.
 MOST_RUNS = 1 << 16
 # Fewer violations than this say nothing about what causes them.
@@ -287,61 +276,25 @@ class Sensitivity:
 def sensitivities(table: Table, limits: Limits, *, inputs: Sequence[str] | None = None) -> tuple[Sensitivity, ...]:
     """Return what drives each requirement, over all manoeuvres and within each.
 
-    Over manoeuvres that ask different things a metric counts relative to its limit. The first 65,536 runs are looked
-    at, so that the memory needed does not grow with a campaign.
-
-    Parameters
-    ----------
-    table, limits
-        As for `statistics`.
-    inputs
-        Columns that are inputs; default: all that are no outcome.
-
-    Returns
-    -------
-    tuple of Sensitivity
-        Every requirement over all manoeuvres, then within each.
-
-    Raises
-    ------
-    ArgumentError
-        A column is missing.
-    InputError
-        The files cannot be read.
-
-    References
-    ----------
-    I. M. Sobol, Mathematics and Computers in Simulation 55, 2001.
-
-    See docs/campaign.md.
+    Over manoeuvres with different limits a metric counts relative to its limit. The first 65,536 runs are looked at, so
+    that the memory needed does not grow with a campaign. Arguments and errors are those of `contrasts`.
     """
     names = tuple(input_names(table) if inputs is None else inputs)
     data = _first_runs(table, names)
     known: dict[str, int] = {}
     place = codes(data[MANOEUVRE], known)
-    columns = {name: data[name] for name in names}
     found = []
-    for manoeuvre in (
-        None,
-        *sorted(known, key=lambda name: list(limits).index(name) if name in limits else len(limits)),
-    ):
+    for manoeuvre in (None, *(in_order(known, limits) if len(known) > 1 else ())):
         chosen = np.ones(len(place), dtype=bool) if manoeuvre is None else place == known[manoeuvre]
-        if manoeuvre is not None and len(known) == 1:
-            continue  # the same as over all
+        given = [name for name in names if manoeuvre is None or name != MANOEUVRE]
         for requirement in (*RUN_METRICS, PASSED):
-            if requirement not in data:
-                continue
-            output, asked = _output(data, requirement, manoeuvre, known, place, limits)
-            rows = chosen & asked
-            given = {
-                name: column[rows]
-                for name, column in columns.items()
-                if not (manoeuvre is not None and name == MANOEUVRE)
-            }
-            one = _sensitivity(requirement, manoeuvre, given, output[rows])
-            if one is not None:
-                found.append(one)
-    return tuple(found)
+            if requirement in data:
+                output, limited = _output(data, requirement, manoeuvre, known, place, limits)
+                rows = chosen & limited
+                found.append(
+                    _sensitivity(requirement, manoeuvre, {name: data[name][rows] for name in given}, output[rows])
+                )
+    return tuple(one for one in found if one is not None)
 
 
 def _first_runs(table: Table, names: Sequence[str]) -> dict[str, Array]:
@@ -351,7 +304,7 @@ def _first_runs(table: Table, names: Sequence[str]) -> dict[str, Array]:
     chunks: list[dict[str, Array]] = []
     for batch in batches(table, wanted):
         rows = batch[RUN] < MOST_RUNS
-        rows &= np.fromiter((not str(one).startswith(NOT_SIMULATED) for one in batch[ENDED]), bool, len(rows))
+        rows &= was_simulated(batch)
         if rows.any():
             chunks.append({name: column[rows] for name, column in batch.items()})
     if not chunks:

@@ -19,7 +19,6 @@ from typing import Any
 import numpy as np
 
 from platform_ctrl.campaign.identity import Identity
-from platform_ctrl.campaign.single_run import Columns, Kind, schema_of, table_of
 from platform_ctrl.campaign.table import (
     COMPLETED,
     DIVERGED,
@@ -27,7 +26,11 @@ from platform_ctrl.campaign.table import (
     NOT_SIMULATED,
     PASSED,
     RUN,
+    Columns,
+    Kind,
     arrow,
+    schema_of,
+    table_of,
     with_current_endings,
 )
 from platform_ctrl.common.files import replaced_file

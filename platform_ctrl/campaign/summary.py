@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
-from platform_ctrl.campaign.contrasts import Contrast, contrasts
 from platform_ctrl.campaign.planning import Plan
 from platform_ctrl.campaign.probability import CONFIDENCE, Probability
 from platform_ctrl.campaign.rare_result import RareResult
-from platform_ctrl.campaign.sensitivity import Influence, Sensitivity, sensitivities
+from platform_ctrl.campaign.sensitivity import Sensitivity, sensitivities
 from platform_ctrl.campaign.table import Table
-from platform_ctrl.campaign.table_statistics import CampaignStatistics, RequirementStatistics, WorstRun, statistics
+from platform_ctrl.campaign.table_statistics import (
+    CampaignStatistics,
+    Contrast,
+    RequirementStatistics,
+    contrasts,
+    statistics,
+)
 from platform_ctrl.common.json_text import plain_types
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import value
@@ -49,23 +55,7 @@ class Summary:
 
     @check_arguments
     def inputs_of(self, run: int) -> dict[str, float | bool | str]:
-        """Return the inputs of one run by their names, in plain types.
-
-        Parameters
-        ----------
-        run
-            Its number, from 0.
-
-        Returns
-        -------
-        dict
-            Numbers in SI units, names and truth values.
-
-        Raises
-        ------
-        ArgumentError
-            The campaign has no such run.
-        """
+        """Return the inputs of one run by their names, in plain types: SI units, names and truth values."""
         return {name: column[0].item() for name, column in self.plan.inputs(run, run + 1).items()}
 
 
@@ -122,16 +112,13 @@ def summary_record(summary: Summary) -> Record:
             "confidence": found.confidence,
             "violation": _probability(found.violation),
             "requirements": [_requirement(one) for one in found.requirements],
-            "worst": [_run(one) for one in found.worst],
+            "worst": [_fields(one) for one in found.worst],
         },
         "sensitivity": [
-            {
-                "requirement": one.requirement,
-                "manoeuvre": one.manoeuvre,
-                "runs": one.runs,
-                "ranked": one.ranked,
-                "influences": [_influence(single) for single in one.influences],
-                "violations": [_influence(single) for single in one.violations],
+            _fields(one)
+            | {
+                name: [_fields(single, "driver") for single in getattr(one, name)]
+                for name in ("influences", "violations")
             }
             for one in summary.sensitivities
         ],
@@ -180,6 +167,12 @@ def rare_record(plan: Plan, rare: RareResult) -> Record:
     return out
 
 
+def _fields(one: object, *properties: str) -> Record:
+    """Return the fields of a value, and some of its properties, by their names."""
+    names = [field.name for field in dataclasses.fields(one)]  # type: ignore[arg-type]
+    return {name: getattr(one, name) for name in (*names, *properties)}
+
+
 def _requirement(one: RequirementStatistics) -> Record:
     return {
         "requirement": one.requirement,
@@ -188,19 +181,7 @@ def _requirement(one: RequirementStatistics) -> Record:
         **_probability(one.violation),
         "quantiles": {f"{share:g}": requirement for share, requirement in one.quantiles.items()},
         "largest": one.largest,
-        "worst": [_run(single) for single in one.worst],
-    }
-
-
-def _influence(one: Influence) -> Record:
-    return {
-        "parameter": one.parameter,
-        "index": one.index,
-        "low": one.low,
-        "high": one.high,
-        "rank_correlation": one.rank_correlation,
-        "p_value": one.p_value,
-        "driver": one.driver,
+        "worst": [_fields(single) for single in one.worst],
     }
 
 
@@ -220,15 +201,3 @@ def _contrast(one: Contrast) -> Record:
 
 def _probability(one: Probability) -> Record:
     return {"violations": one.events, "runs": one.runs, "probability": one.estimate, "low": one.low, "high": one.high}
-
-
-def _run(one: WorstRun) -> Record:
-    return {
-        "run": one.run,
-        "manoeuvre": one.manoeuvre,
-        "requirement": one.requirement,
-        "value": one.value,
-        "limit": one.limit,
-        "ratio": one.ratio,
-        "ended": one.ended,
-    }

@@ -1,10 +1,10 @@
-"""A campaign's table read a chunk at a time: Parquet files, or columns that are in memory already."""
+"""A campaign's table: its columns, and reading it a chunk at a time from Parquet files or from memory."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +26,8 @@ OUTCOMES = frozenset(
 ROWS_AT_ONCE = 1 << 15
 
 Array = NDArray[Any]
+Columns = dict[str, Array]
+Kind = Literal["whole", "number", "answer", "word"]  # of a column
 # A folder or file of Parquet, several files, or the columns themselves.
 Table = str | os.PathLike[str] | Sequence[str | os.PathLike[str]] | Mapping[str, Any]
 
@@ -125,6 +127,25 @@ def _dataset(table: str | os.PathLike[str] | Sequence[str | os.PathLike[str]]) -
         raise InputError(f"{short(given)}: cannot be read as Parquet: {str(error).splitlines()[0]}") from None
 
 
+def was_simulated(batch: Mapping[str, Array]) -> NDArray[np.bool_]:
+    """Return which runs of a batch were simulated."""
+    return np.fromiter((not str(one).startswith(NOT_SIMULATED) for one in batch[ENDED]), bool, len(batch[ENDED]))
+
+
 def codes(words: Array, known: dict[str, int]) -> NDArray[np.intp]:
     """Return a number for each word; words that are new get the next one in `known`."""
     return np.fromiter((known.setdefault(str(word), len(known)) for word in words), np.intp, len(words))
+
+
+def schema_of(kinds: Mapping[str, Kind], metadata: Mapping[str, str]) -> Any:
+    """Return the Arrow schema; every column may hold nulls."""
+    pa = arrow()
+    types = {"whole": pa.int64(), "number": pa.float64(), "answer": pa.bool_(), "word": pa.string()}
+    return pa.schema([(name, types[kind]) for name, kind in kinds.items()], metadata=dict(metadata))
+
+
+def table_of(columns: Columns, schema: Any) -> Any:
+    """Return columns as an Arrow table; a number that is no number is null."""
+    pa = arrow()
+    arrays = [pa.array(columns[field.name], type=field.type, from_pandas=True) for field in schema]
+    return pa.Table.from_arrays(arrays, schema=schema)

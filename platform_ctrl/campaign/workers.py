@@ -8,7 +8,8 @@ from collections.abc import Iterable, Iterator
 from queue import SimpleQueue
 from typing import TYPE_CHECKING, Any
 
-from platform_ctrl.campaign.single_run import Columns, SimulateRuns, columns_of, row_not_simulated
+from platform_ctrl.campaign.single_run import SimulateRuns, columns_of, row_not_simulated
+from platform_ctrl.campaign.table import Columns
 from platform_ctrl.common.processes import Started, TaskProcess, next_result
 from platform_ctrl.errors import SimulationError
 from platform_ctrl.simulation.device import processors

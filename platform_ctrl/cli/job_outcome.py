@@ -41,7 +41,7 @@ def expect_campaign(job: Job, folder: Path) -> Record:
 def campaign_summary(job: Job, controllers: Sequence[control.StateSpace], folder: Path) -> Summary:
     """Return the statistics of the campaign in a folder."""
     from platform_ctrl.campaign.planning import plan
-    from platform_ctrl.campaign.rerunning import changed_settings, settings_of
+    from platform_ctrl.campaign.single_run import changed_settings, settings_of
     from platform_ctrl.campaign.store import TABLE
 
     record = expect_campaign(job, folder)

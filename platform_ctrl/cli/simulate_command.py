@@ -138,7 +138,7 @@ def _manoeuvre_run(job: Job, manoeuvre: Manoeuvre, controllers: list[control.Sta
 
 
 def _campaign_run(number: int, plan: Plan, folder: Path, recorded: bool, note: str) -> Shown:
-    from platform_ctrl.campaign.rerunning import recorded_row, rerun, unlike
+    from platform_ctrl.campaign.single_run import recorded_row, rerun, unlike
     from platform_ctrl.common.json_text import json_text
     from platform_ctrl.verification.records import run_record
     from platform_ctrl.verification.simulated import largest
@@ -186,7 +186,7 @@ def _planned(
 ) -> tuple[Plan, Path, bool, str]:
     """Return the plan of the campaign in a folder if there is one, else the job's; the folder; whether; a note."""
     from platform_ctrl.campaign.planning import plan
-    from platform_ctrl.campaign.rerunning import changed_settings, settings_of
+    from platform_ctrl.campaign.single_run import changed_settings, settings_of
     from platform_ctrl.campaign.store import RECORD, read_record
 
     folder = out or CAMPAIGN

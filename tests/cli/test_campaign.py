@@ -124,7 +124,7 @@ def test_a_row_that_is_not_what_the_run_comes_to_is_told(
 ) -> None:
     row = rows(there / "campaign")[3]
     another = row | {"angle": 1.001 * row["angle"]}
-    monkeypatch.setattr("platform_ctrl.campaign.rerunning.recorded_row", lambda folder, run: another)
+    monkeypatch.setattr("platform_ctrl.campaign.single_run.recorded_row", lambda folder, run: another)
     main(["simulate", "job.toml", "--run", "3", "--json"])
     out, err = capsys.readouterr()
     assert json.loads(out)["as_in_table"] is False

@@ -17,15 +17,8 @@ import numpy as np
 
 from platform_ctrl.campaign.engine import CampaignResult
 from platform_ctrl.campaign.planning import Plan, plan
-from platform_ctrl.campaign.single_run import (
-    Columns,
-    SimulateRuns,
-    columns_of,
-    inputs_of,
-    kinds_of,
-    schema_of,
-    table_of,
-)
+from platform_ctrl.campaign.single_run import SimulateRuns, columns_of, inputs_of, kinds_of
+from platform_ctrl.campaign.table import Columns, schema_of, table_of
 from platform_ctrl.campaign.workers import Chunks
 from platform_ctrl.errors import SimulationError
 from platform_ctrl.job.reading import read_job
