@@ -333,14 +333,14 @@ class Backend:
         if spec.kind == "caging":
             task = Tuning(job=self.job(settings), loop=spec.name, options=options, movable=free)
         else:
-            others = tuple(one for one in self._loops.saved_controllers(settings) if one.loop != spec.name)
+            others = [one for one in self._loops.controllers(settings) if one.loop != spec.name]
             task = ServoTuning(
                 job=self.job(settings),
                 loop=spec.name,
                 design=design.name,
                 movable=free,
                 options=options,
-                caging=tuple(one.named(one.loop) for one in others),
+                caging=tuple(one.system for one in others),
             )
         found: dict[str, float] = run_alone(task, progress, cancelled)
         # Six digits: more change no requirement.
@@ -351,7 +351,7 @@ class Backend:
     def save(self, settings: Settings, path: str | Path, overwrite: bool = False) -> Saved:
         """Write the settings as a job file, and its controllers beside it; comments of the job's own file stay."""
         settings = self._shortened(settings)
-        controllers = self._loops.saved_controllers(settings, strict=True)
+        controllers = self._loops.controllers(settings, strict=True)
         options = self._loops.options
         used = {
             spec.name: {d.name: options.used(settings, spec, d) for d in spec.designs if built_directly(d)}
@@ -438,12 +438,8 @@ class Backend:
         The process that does it stays for the next one until `close`.
         """
         known_name("manoeuvre", manoeuvre, tuple(one.name for one in self.read.manoeuvres))
-        saved = self._loops.saved_controllers(settings)
-        task = Simulating(
-            job=self.job(settings),
-            manoeuvre=manoeuvre,
-            controllers=tuple(one.named(f"{one.loop}, {one.design}") for one in saved),
-        )
+        closed = tuple(one.system for one in self._loops.controllers(settings))
+        task = Simulating(job=self.job(settings), manoeuvre=manoeuvre, controllers=closed)
         trajectory: Trajectory = self._simulator.run(task, silent, cancelled)
         return trajectory
 

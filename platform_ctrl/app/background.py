@@ -16,6 +16,8 @@ from platform_ctrl.errors import DesignError, PlatformCtrlError
 from platform_ctrl.job.job import DesignSpec, Job, LoopSpec
 
 if TYPE_CHECKING:
+    import control
+
     from platform_ctrl.simulation.closed_loop import Trajectory
 
 Progress = Callable[[str], None]
@@ -129,22 +131,6 @@ def _run_task(task: Any) -> tuple[str, Any]:
         return "failed", DesignError(str(error)) if isinstance(error, DesignError) else error
 
 
-@value
-class NamedController:
-    """A controller that is sent to another process."""
-
-    controller: StateArrays
-    inputs: tuple[str, ...]
-    outputs: tuple[str, ...]
-    name: str
-
-    def system(self) -> Any:
-        """Return it as `control.StateSpace`."""
-        from platform_ctrl.analysis.arrays import named_system
-
-        return named_system(self.controller, self.inputs, self.outputs, name=self.name)
-
-
 def _specs(job: Job, loop: str, design: str) -> tuple[LoopSpec, DesignSpec]:
     spec = next(one for one in job.loops if one.name == loop)
     return spec, next(one for one in spec.designs if one.name == design)
@@ -198,7 +184,7 @@ class ServoTuning:
     design: str
     movable: tuple[str, ...]
     options: dict[str, float]
-    caging: tuple[NamedController, ...]
+    caging: tuple[control.StateSpace, ...]
 
     def run(self, progress: Progress) -> dict[str, float]:
         """Return the tuned options: a simplex search over their logarithms, as `design.tuning.tune` does it."""
@@ -241,8 +227,7 @@ class ServoTuning:
 
         spec, design = _specs(self.job, self.loop, self.design)
         model = linearise(self.job.platform)
-        others = [one.system() for one in self.caging]
-        models = free_models(self.job, corners(self.job)[:1], sensed_rates(self.job, others))
+        models = free_models(self.job, corners(self.job)[:1], sensed_rates(self.job, self.caging))
         plants = free_plants(models, self.job.sampling, False)
         margins: dict[str, dict[str, float]] = {}
 
@@ -261,7 +246,7 @@ class ServoTuning:
                 job=self.job,
                 model=model,
                 spec=spec,
-                controllers=(*others, servo.controller),
+                controllers=(*self.caging, servo.controller),
                 plants=plants,
                 shown=plants,
             )
@@ -312,11 +297,11 @@ class Simulating:
 
     job: Job
     manoeuvre: str
-    controllers: tuple[NamedController, ...]
+    controllers: tuple[control.StateSpace, ...]
 
     def run(self, progress: Progress) -> Trajectory:
         """Return the run."""
         from platform_ctrl.verification.simulated import simulate_manoeuvre
 
         manoeuvre = next(one for one in self.job.manoeuvres if one.name == self.manoeuvre)
-        return simulate_manoeuvre(self.job, manoeuvre, [one.system() for one in self.controllers]).trajectory
+        return simulate_manoeuvre(self.job, manoeuvre, self.controllers).trajectory

@@ -15,7 +15,7 @@ from platform_ctrl.app.caged import CachedMetrics, CagedLoop
 from platform_ctrl.app.controllers import DesignOptions, built_directly, classical_arrays
 from platform_ctrl.app.free_plants import StabilisedLoop
 from platform_ctrl.app.plants import Bounded, JobPlants
-from platform_ctrl.app.saving import SavedController
+from platform_ctrl.app.saving import ClosedController
 from platform_ctrl.app.settings import Conditions, Settings
 from platform_ctrl.app.stabilised import CachedMargins
 from platform_ctrl.common.arguments import known_name
@@ -151,7 +151,7 @@ class ClosedLoops:
 
     def is_available(self, settings: Settings, spec: LoopSpec, name: str) -> bool:
         """Return whether a design of a loop is available for these settings."""
-        design = spec.designs[known_name("design", name, tuple(d.name for d in spec.designs))]
+        design = self._named_design(spec, name)
         return (
             built_directly(design)
             or self.store.found(spec.name, name, self.conditions(settings, spec, design)) is not None
@@ -165,7 +165,11 @@ class ClosedLoops:
     def design(self, settings: Settings) -> tuple[LoopSpec, DesignSpec]:
         """Return the loop and the design that are selected."""
         spec = self.spec(settings.loop)
-        return spec, spec.designs[known_name("design", settings.design, tuple(d.name for d in spec.designs))]
+        return spec, self._named_design(spec, settings.design)
+
+    @staticmethod
+    def _named_design(spec: LoopSpec, name: str) -> DesignSpec:
+        return spec.designs[known_name("design", name, [d.name for d in spec.designs])]
 
     def job(self, settings: Settings) -> Job:
         """Return the job with these settings."""
@@ -212,7 +216,7 @@ class ClosedLoops:
             shown += [(loop, name) for loop, name in old.closed.items() if loop != old.loop]
         for loop, name in shown:
             spec = self.spec(loop)
-            design = spec.designs[known_name("design", name, tuple(d.name for d in spec.designs))]
+            design = self._named_design(spec, name)
             if built_directly(design):
                 continue
             first = self.start.designed_for.get(loop, {}).get(name)
@@ -259,17 +263,18 @@ class ClosedLoops:
         """Return all loops closed around the free platform, and lines about their controllers."""
         spec, _ = self.design(settings)
         job = self.job(settings)
-        controllers, notes = self.all_controllers(settings)
+        closed = self.controllers(settings)
+        controllers = tuple(one.system for one in closed)
         plants, shown = self.plants.free(settings, sensed_rates(job, controllers))
         loop = StabilisedLoop(
             job=job,
-            model=self.plants.model(settings),
+            model=self.plants.model(settings.spins),
             spec=spec,
-            controllers=tuple(controllers),
+            controllers=controllers,
             plants=plants,
             shown=shown,
         )
-        return loop, notes
+        return loop, tuple(one.note for one in closed if one.note)
 
     def cached_margins(self, settings: Settings) -> CachedMargins:
         """Return the cache of the disk margins of the caging loops, for while only the servo's sliders move."""
@@ -298,25 +303,15 @@ class ClosedLoops:
         """Return the coupled results with one controller for all loops, from the cache or by `make`."""
         return self._judged.get((self.plants.key(settings), _content(K)), make)
 
-    def all_controllers(
-        self, settings: Settings, strict: bool = False
-    ) -> tuple[list[control.StateSpace], tuple[str, ...]]:
-        """Return the controller of every loop in the job's order, and lines about them."""
-        saved = self.saved_controllers(settings, strict=strict)
-        out = [named_system(one.controller, one.inputs, one.outputs, name=f"{one.loop}, {one.design}") for one in saved]
-        return out, tuple(one.note for one in saved if one.note)
-
-    def saved_controllers(self, settings: Settings, strict: bool = False) -> list[SavedController]:
+    def controllers(self, settings: Settings, strict: bool = False) -> list[ClosedController]:
         """Return the controller of every loop; with `strict` only those that are named in `closed` will do."""
         closed = {**settings.closed, settings.loop: settings.design}
-        return [self._saved(settings, spec, closed[spec.name], strict) for spec in self.read.loops]
+        return [self._closed(settings, spec, closed[spec.name], strict) for spec in self.read.loops]
 
-    def _saved(self, settings: Settings, spec: LoopSpec, name: str, strict: bool) -> SavedController:
-        design = spec.designs[known_name("design", name, tuple(d.name for d in spec.designs))]
-        note = ""
+    def _closed(self, settings: Settings, spec: LoopSpec, name: str, strict: bool) -> ClosedController:
+        design, note = self._named_design(spec, name), ""
         if spec.kind != "caging":
-            made = self.servo(settings, spec, design)
-            K, inputs, outputs = state_arrays(made, name), tuple(made.input_labels), tuple(made.output_labels)
+            system = self.servo(settings, spec, design)
             options = dict(settings.options[spec.name][name])
         else:
             try:
@@ -330,25 +325,21 @@ class ClosedLoops:
             if strict and note:
                 raise DesignError(f"{spec.name}, {note}")
             platform = self.read.platform
-            inputs = tuple(platform.pickoff_on(gimbal).name for gimbal in spec.gimbals)
-            outputs = tuple(platform.torquer_on(gimbal).name for gimbal in spec.gimbals)
+            inputs = [platform.pickoff_on(gimbal).name for gimbal in spec.gimbals]
+            outputs = [platform.torquer_on(gimbal).name for gimbal in spec.gimbals]
+            system = named_system(K, inputs, outputs, name=f"{spec.name}, {design.name}")
             options = self.options.used(settings, spec, design)
-        return SavedController(
-            loop=spec.name,
-            design=design.name,
-            method=design.method,
-            controller=K,
-            inputs=inputs,
-            outputs=outputs,
-            options=options,
-            note=note,
+        return ClosedController(
+            loop=spec.name, design=design.name, method=design.method, system=system, options=options, note=note
         )
 
     def servo(self, settings: Settings, spec: LoopSpec, design: DesignSpec) -> control.StateSpace:
         """Return the controller of a servo on the platform."""
         mine = dataclasses.replace(design, options=dict(settings.options[spec.name][design.name]))
         job = dataclasses.replace(self.read, sampling=self.plants.sampling(settings))
-        made = designed(LoopProblem(job=job, spec=spec, design=mine, model=self.plants.model(settings))).controller
+        made = designed(
+            LoopProblem(job=job, spec=spec, design=mine, model=self.plants.model(settings.spins))
+        ).controller
         K = state_arrays(made, design.name)
         return named_system(K, made.input_labels, made.output_labels, name=f"{spec.name}, {design.name}")
 
@@ -357,7 +348,7 @@ class ClosedLoops:
         period = 1.0 / settings.rate_hz
         if design.method == "classical":
             return classical_arrays(
-                self.options.used(settings, spec, design), self.plants.gyros(settings, spec), period
+                self.options.used(settings, spec, design), self.plants.gyros(settings.spins, spec), period
             ), ""
         seen = self.available_conditions(settings, spec, design)
         made = self.store.found(spec.name, design.name, seen)

@@ -16,7 +16,6 @@ from platform_ctrl.design.partition import Channels
 from platform_ctrl.errors import DesignError, PlatformCtrlError
 from platform_ctrl.job.job import DesignSpec, LoopSpec
 from platform_ctrl.job.methods import METHODS, resolved
-from platform_ctrl.mechanics.linearisation import linearise
 
 # Options that act in gyroscopic pairs alone, beside those of the notch.
 _OF_PAIRS = frozenset({"crossover_hz", "damping_hz", "damping2_hz", "lead_hz", "rolloff_hz"})
@@ -111,7 +110,7 @@ class DesignOptions:
             return dict(options)
         return acting_options(
             options,
-            self._plants.gyros(settings, spec),
+            self._plants.gyros(settings.spins, spec),
             lambda: self._plants.nutation(settings, spec),
             1.0 / settings.rate_hz,
         )
@@ -132,7 +131,7 @@ class DesignOptions:
         offered = self.offered(settings, spec, design)
         if not METHODS[design.method].parts:
             return offered
-        channel, period = self._plants.gyros(settings, spec), 1.0 / settings.rate_hz
+        channel, period = self._plants.gyros(settings.spins, spec), 1.0 / settings.rate_hz
         given = parts_used(offered, settings.parts_on(spec.name, design.name))
         try:
             complete = starting_values(given, channel, self._plants.nutation(settings, spec), period)
@@ -184,11 +183,10 @@ class DesignOptions:
         """Return all options of a design, complete, so that they stay while the plant is moved."""
         period = self.read.sampling.period
         if spec.kind != "caging":
-            problem = LoopProblem(job=self.read, spec=spec, design=design, model=linearise(self.read.platform))
+            problem = LoopProblem(job=self.read, spec=spec, design=design, model=self._plants.model(spins))
             return dict(designed(problem).options)
-        quick = self._plants.quick(spec)
-        channel = quick.channels(spins)
-        nutation = quick.nutation(spins, self.read.sampling, np.asarray(self.read.Omega))
+        channel = self._plants.gyros(spins, spec)
+        nutation = self._plants.quick(spec).nutation(spins, self.read.sampling, np.asarray(self.read.Omega))
         method = METHODS[design.method]
         if method.parts:
             return full_options(design.options, channel, nutation, period)

@@ -103,7 +103,6 @@ class QuickPlants:
         self._moved: Bounded[LinearPlants] = Bounded(4)
         self._sets: Bounded[PlantSet] = Bounded(6)
         self._shown: Bounded[PlantSet] = Bounded(6)
-        self._spun: Bounded[LinearModel] = Bounded(6)
 
     def plants(self, spins: Mapping[str, float], sampling: Sampling, Omega: FloatArray) -> PlantSet:
         """Return the set of plants: `loop_plants` of the job with these spins, sampling and largest platform rate."""
@@ -124,14 +123,6 @@ class QuickPlants:
     def nutation(self, spins: Mapping[str, float], sampling: Sampling, Omega: FloatArray) -> float:
         """Return the nutation frequency of the nominal plant, rad/s, as the set has it."""
         return reference_frequency(self.linear(spins, Omega).A[0], sampling.period)
-
-    def channels(self, spins: Mapping[str, float]) -> Channels:
-        """Return how the gyros couple the gimbals at these spins."""
-        return channels(self.spun(spins), rows_of(self.model, self.gimbals))
-
-    def spun(self, spins: Mapping[str, float]) -> LinearModel:
-        """Return the linear model of the whole platform at rest at these spins."""
-        return self._spun.get(self._key(spins), lambda: linearise(with_spins(self.job.platform, spins)))
 
     def loading_axis(self, axis: int) -> int:
         """Return the axis about which a turn loads these gimbals: `axis` where it does, else that of most.
@@ -338,15 +329,19 @@ class JobPlants:
         """Return the nutation frequency of a caging loop's nominal plant, rad/s."""
         return self.quick(spec).nutation(settings.spins, self.sampling(settings), self.range(settings))
 
-    def gyros(self, settings: Settings, spec: LoopSpec) -> Channels:
-        """Return how the gyros couple the gimbals of a caging loop."""
-        key = (spec.name, tuple(sorted(settings.spins.items())))
-        return self._channels.get(key, lambda: self.quick(spec).channels(settings.spins))
+    def gyros(self, spins: Mapping[str, float], spec: LoopSpec) -> Channels:
+        """Return how the gyros couple the gimbals of a caging loop at these spins."""
 
-    def model(self, settings: Settings) -> LinearModel:
-        """Return the linear model of the whole platform at rest."""
-        key = tuple(sorted(settings.spins.items()))
-        return self._models.get(key, lambda: linearise(with_spins(self.read.platform, settings.spins)))
+        def made() -> Channels:
+            model = self.model(spins)
+            return channels(model, rows_of(model, spec.gimbals))
+
+        return self._channels.get((spec.name, tuple(sorted(spins.items()))), made)
+
+    def model(self, spins: Mapping[str, float]) -> LinearModel:
+        """Return the linear model of the whole platform at rest at these spins."""
+        key = tuple(sorted(spins.items()))
+        return self._models.get(key, lambda: linearise(with_spins(self.read.platform, spins)))
 
     def range(self, settings: Settings) -> FloatArray:
         """Return the largest platform rate about each axis: the job's, or what is shown where that is more."""

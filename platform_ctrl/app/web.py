@@ -10,7 +10,7 @@ import re
 import secrets
 from collections.abc import Awaitable, Callable
 from importlib import resources
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from bokeh.application import Application
 from bokeh.application.handlers.function import FunctionHandler
@@ -31,7 +31,8 @@ from tornado import httputil, iostream
 from tornado.httpserver import HTTPServer
 from tornado.web import OutputTransform, RequestHandler
 
-from platform_ctrl.app.allowed_hosts import AllowedHosts
+if TYPE_CHECKING:
+    from platform_ctrl.app.server import AllowedHosts
 
 # Largest sizes; a page sends numbers of sliders and settings only.
 MESSAGE_BYTES = 1 << 20

@@ -70,7 +70,7 @@ def serve(
     platform-ctrl serve job.toml --port 8000 --no-browser   at an address of its own: http://127.0.0.1:8000/
     platform-ctrl serve job.toml --json                     the address as JSON, for another program
     """  # noqa: D301
-    from platform_ctrl.app.allowed_hosts import AllowedHosts
+    from platform_ctrl.app.server import AllowedHosts
     from platform_ctrl.cli.interrupts import interruptible
     from platform_ctrl.cli.terminal import progress
 

@@ -223,7 +223,7 @@ def test_all_loops_together_are_judged_as_check_does(bench: Backend) -> None:
     assert settings.mode == "stabilised"
     picture = bench.picture(settings)
     job = bench.job(settings)
-    controllers = ClosedLoops(bench.read, None).all_controllers(settings)[0]
+    controllers = [one.system for one in ClosedLoops(bench.read, None).controllers(settings)]
     expected = coupled_check(job, linearise(job.platform), controllers)
     assert [(r.name, r.passed) for r in picture.requirements] == [(r.name, r.passed) for r in expected.results]
     np.testing.assert_allclose(

@@ -10,8 +10,8 @@ import pytest
 from one_gyro_job import JOB as ONE
 from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.app.backend import Backend
+from platform_ctrl.app.saving import decode_state, encode_state
 from platform_ctrl.app.settings import Settings, Slider, with_options
-from platform_ctrl.app.url_state import decode_state, encode_state
 from platform_ctrl.cli import main
 from platform_ctrl.design.jobs import loops
 from platform_ctrl.errors import DesignError

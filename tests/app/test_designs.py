@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -11,18 +12,21 @@ import pytest
 from app.test_saving import LOOP, TWO
 from platform_ctrl.app.backend import Backend
 from platform_ctrl.app.pictures import Influence
+from platform_ctrl.app.saving import decode_state, encode_state, judged
 from platform_ctrl.app.settings import Settings
-from platform_ctrl.app.url_state import decode_state, encode_state, judged
 from platform_ctrl.errors import DesignError, InputError
 
 pytestmark = pytest.mark.usefixtures("untraced")
 
 
 @pytest.fixture(scope="module")
-def bench(tmp_path_factory: pytest.TempPathFactory) -> Backend:
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Backend]:
+    """The job, whose designs are made in this process: starting others takes longer than the designs."""
     path = tmp_path_factory.mktemp("designs") / "gyro.toml"
     path.write_text(TWO)
-    return Backend(path)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("platform_ctrl.app.designs.run_alone", lambda task, progress, cancelled: task.run(progress))
+        yield Backend(path)
 
 
 @pytest.fixture(scope="module")

@@ -20,8 +20,8 @@ from hypothesis import strategies as st
 from one_gyro_job import JOB as ONE
 from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.app.backend import Backend
+from platform_ctrl.app.saving import decode_state, encode_state, judged
 from platform_ctrl.app.settings import Settings
-from platform_ctrl.app.url_state import decode_state, encode_state, judged
 from platform_ctrl.cli import main
 from platform_ctrl.design.jobs import loops
 from platform_ctrl.errors import DesignError, InputError, OldKeyWarning, PlatformCtrlError

@@ -21,7 +21,7 @@ import pytest
 
 from browser import served
 from plain_web import Socket, answer, asked, message, token
-from platform_ctrl.app.allowed_hosts import AllowedHosts
+from platform_ctrl.app.server import AllowedHosts
 from platform_ctrl.errors import InputError
 
 pytest.importorskip("bokeh")

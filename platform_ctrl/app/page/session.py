@@ -14,8 +14,8 @@ from platform_ctrl.app.page.connection import Connection
 from platform_ctrl.app.page.messages import Request, chosen, parse_request, request_count
 from platform_ctrl.app.page.tasks import LatestTasks, PageTasks, error_text
 from platform_ctrl.app.plots import Plots
+from platform_ctrl.app.saving import decode_state, encode_state
 from platform_ctrl.app.settings import History
-from platform_ctrl.app.url_state import decode_state, encode_state
 from platform_ctrl.common.arguments import known_name
 from platform_ctrl.common.values import value
 from platform_ctrl.errors import PlatformCtrlError

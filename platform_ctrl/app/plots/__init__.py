@@ -8,10 +8,9 @@ from contextlib import contextmanager
 from bokeh.models import LayoutDOM
 
 from platform_ctrl.app.pictures import Drawing
-from platform_ctrl.app.plots.bode import BodePanel
 from platform_ctrl.app.plots.data import Sources, View
+from platform_ctrl.app.plots.frequency import BodePanel, NicholsPanel
 from platform_ctrl.app.plots.locus import LocusPanel
-from platform_ctrl.app.plots.nichols import NicholsPanel
 from platform_ctrl.app.plots.panel import Theme
 from platform_ctrl.app.plots.responses import RatePanel, StepPanel
 
