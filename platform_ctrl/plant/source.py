@@ -25,7 +25,6 @@ _LONG_KEY = re.compile(r"(?:^|[\[{,])(?:[^.,=#\[\]{}\n]++\.){200}", re.MULTILINE
 # Seconds to wait for who writes to a pipe: less than until progress is shown.
 PATIENCE = 1.0
 
-Source = str | os.PathLike[str] | Mapping[str, Any]
 
 
 @dataclass(frozen=True)

@@ -307,16 +307,6 @@ def margin_disk(axes: Axes, alpha: float) -> Polygon | None:
     return drawn
 
 
-def arrow(axes: Axes, L: ComplexArray, k: int, length: float, colour: str) -> None:
-    """Draw an arrow head at the k-th point of a curve, towards the next one."""
-    step = L[k + 1] - L[k]
-    if step == 0.0:
-        return
-    tail = L[k] - length * step / abs(step)
-    style = {"arrowstyle": "-|>", "color": colour, "mutation_scale": 12, "linewidth": 0.0}
-    axes.annotate("", (L[k].real, L[k].imag), (tail.real, tail.imag), arrowprops=style, zorder=4)
-
-
 def arrows(axes: Axes, L: ComplexArray, visible: NDArray[np.bool_], half: float, colour: str, most: int = 1) -> None:
     """Point towards rising frequency in the middle of the longest visible stretches, `most` of them at most."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], visible.astype(np.int8), [0]]))).reshape(-1, 2)
