@@ -42,7 +42,6 @@ class StateArrays(NamedTuple):
     dt: float = 0.0
 
 
-@check_arguments
 def state_arrays(system: control.StateSpace, where: str) -> StateArrays:
     """Return the arrays of `system`; one without a time base (``dt=None``) counts as continuous.
 

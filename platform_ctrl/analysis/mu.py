@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from itertools import pairwise
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -12,9 +12,6 @@ from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
 from platform_ctrl.analysis.norms import resonances
 from platform_ctrl.analysis.singular_values import FrequencyAxis, largest_singular_values
 from platform_ctrl.common.values import FloatArray
-
-if TYPE_CHECKING:
-    pass
 
 
 class MuBounds(NamedTuple):
@@ -81,7 +78,10 @@ def search_grid(system: StateArrays, s: ComplexArray, known: int = 0) -> FloatAr
         high = math.pi / system.dt
         low = min(low, 1e-3 * high)
     low = max(low, 1e-9 * high)
-    fill = np.geomspace(low, high, 2 + int((5.0 if few else 15.0) * math.log10(high / low)))
+    decades = math.log10(high / low)
+    # Like `np.geomspace`, which takes a twentieth of the time of a margin.
+    fill = low * 10.0 ** np.linspace(0.0, decades, 2 + int((5.0 if few else 15.0) * decades))
+    fill[-1] = high
     return np.unique(np.concatenate([[0.0], own[(own >= low) & (own <= high)], fill]))
 
 

@@ -173,16 +173,25 @@ def _resolvent(W: ComplexArray, level: float, factor: ComplexArray, R: ComplexAr
         return False
     for column in range(m):
         for i in range(m):
-            total = 1.0 + 0j if i == column else 0j
-            for k in range(i):
-                total -= factor[i, k] * R[k, column]
-            R[i, column] = total / factor[i, i]
-        for i in range(m - 1, -1, -1):
-            total = R[i, column]
-            for k in range(i + 1, m):
-                total -= factor[k, i].conjugate() * R[k, column]
-            R[i, column] = total / factor[i, i]
+            R[i, column] = 1.0 if i == column else 0.0
+        _solve(factor, R[:, column])
     return True
+
+
+@internal
+def _solve(factor: ComplexArray | FloatArray, x: ComplexArray | FloatArray) -> None:
+    """Put the solution for the right-hand side x in its place, by a Cholesky factor."""
+    m = len(x)
+    for i in range(m):
+        total = x[i]
+        for k in range(i):
+            total -= factor[i, k] * x[k]
+        x[i] = total * (1.0 / factor[i, i].real)
+    for i in range(m - 1, -1, -1):
+        total = x[i]
+        for k in range(i + 1, m):
+            total -= np.conj(factor[k, i]) * x[k]
+        x[i] = total * (1.0 / factor[i, i].real)
 
 
 @internal
@@ -232,7 +241,11 @@ def _newton(
             hessian[i, j] += pin / m
             hessian[j, i] = hessian[i, j]
         hessian[i, i] += 1e-12 * pin
-    step[:] = -np.linalg.solve(hessian, gradient)
+    # A call of LAPACK takes as long as all of the step in four channels.
+    factored(hessian)
+    for i in range(m):
+        step[i] = -gradient[i]
+    _solve(hessian, step)
     decrement = longest = 0.0
     for i in range(m):
         decrement -= step[i] * gradient[i]

@@ -10,8 +10,10 @@ system, whose Hamiltonian eigenvalues are inexact, cannot make the result wrong 
 
 from __future__ import annotations
 
+import functools
 import math
 import warnings
+from types import ModuleType
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,7 +24,7 @@ from platform_ctrl.analysis.resolvent import ON_A_GRID, plain
 from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.analysis.singular_values import PORTS, FrequencyAxis, boundary_poles, largest_singular_values
 from platform_ctrl.analysis.transfer_function import StateSystem, linear_arrays
-from platform_ctrl.common.arguments import not_negative, positive, within
+from platform_ctrl.common.arguments import not_negative
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
@@ -80,16 +82,15 @@ def hinf_norm(system: StateSystem, allow_unstable: bool = False, tolerance: floa
     (5.0252, 0.9899)
     """
     arrays = linear_arrays(system, "hinf_norm")
-    tolerance = within("hinf_norm: tolerance", positive("hinf_norm: tolerance", tolerance), 0.0, 1.0)
+    if not 0.0 < tolerance <= 1.0:
+        raise ArgumentError(f"hinf_norm: tolerance must be above 0 and at most 1, got {tolerance!r}")
     return _norm(arrays, tolerance, allow_unstable)
 
 
 def _norm(system: StateArrays, tolerance: float, allow_unstable: bool) -> tuple[float, float]:
     A, B, C, D, dt = system
     if _is_small(system):
-        from platform_ctrl.analysis.phase_bound import norm_of_few
-
-        found, norm, frequency = norm_of_few(system, tolerance, allow_unstable)
+        found, norm, frequency = _phase_bound().norm_of_few(system, tolerance, allow_unstable)
         if found:
             return norm, frequency
     axis = FrequencyAxis(system)
@@ -110,6 +111,15 @@ def _norm(system: StateArrays, tolerance: float, allow_unstable: bool) -> tuple[
     return peak_gain(axis, s, tolerance)
 
 
+@functools.cache
+def _phase_bound() -> ModuleType:
+    """Return the module, which is compiled or taken from numba's cache with the first call."""
+    # An import statement would take as long in every call as a tenth of the norm of two states.
+    from platform_ctrl.analysis import phase_bound
+
+    return phase_bound
+
+
 def _is_small(system: StateArrays) -> bool:
     """Return whether the compiled search takes a system: some states, inputs and outputs, but few."""
     return 0 < len(system.A) < MANY_STATES and 0 < min(system.D.shape) <= PORTS
@@ -122,9 +132,7 @@ def peak_gain(
 
     `known` is a gain near the largest and its frequency, where these have been looked for; default next to the poles.
     """
-    # Compiled, or taken from numba's cache, with the first call.
-    from platform_ctrl.analysis import phase_bound
-
+    phase_bound = _phase_bound()
     A, B, C, D, dt = axis.system
     if _is_small(axis.system):
         found, best, frequency = phase_bound.peak(plain(A), plain(B), plain(C), plain(D), dt, s, tolerance)

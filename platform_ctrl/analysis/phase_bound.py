@@ -307,7 +307,7 @@ def _first_look(s: ComplexArray, edge: float) -> FloatArray:
     for pole in s:
         if pole.imag >= 0.0:
             rate, damping = abs(pole), abs(pole.real)
-            for k in range(3 if pole.imag == 0.0 else 0, 5):
+            for k in range(0 if pole.imag > 0.0 else 5, 5):
                 out[count] = abs(pole.imag + 0.75 * (k - 2) * damping)
                 count += 1
             out[count], out[count + 1], out[count + 2] = rate, 2.0 * rate, 0.5 * rate

@@ -26,7 +26,6 @@ _LONG_KEY = re.compile(r"(?:^|[\[{,])(?:[^.,=#\[\]{}\n]++\.){200}", re.MULTILINE
 PATIENCE = 1.0
 
 
-
 @dataclass(frozen=True)
 class Document:
     """An input in plain types, what it is called in messages, and the folder that its paths start from."""
