@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from platform_ctrl.analysis.arrays import StateArrays, named_system, state_arrays
+from platform_ctrl.analysis.feedback import performance_loop
 from platform_ctrl.analysis.sampling import from_w_plane, to_w_plane
 from platform_ctrl.common.signatures import short
 from platform_ctrl.common.values import FloatArray, value
@@ -133,20 +134,10 @@ def with_direct_path(K: StateArrays, D22: FloatArray) -> StateArrays:
 
 def closed_loop(plant: Partition, K: StateArrays) -> StateArrays:
     """Return the lower linear fractional transformation of a plant and u = K y, with states [x, xK]."""
-    E = np.linalg.inv(np.eye(len(K.D)) - K.D @ plant.D22)
-    # u = E (D_K y0 + C_K xK), y0 = C2 x + D21 w;  y = y0 + D22 u
-    Ux, Uk, Uw = E @ K.D @ plant.C2, E @ K.C, E @ K.D @ plant.D21
-    return StateArrays(
-        A=np.block(
-            [
-                [plant.A + plant.B2 @ Ux, plant.B2 @ Uk],
-                [K.B @ (plant.C2 + plant.D22 @ Ux), K.A + K.B @ plant.D22 @ Uk],
-            ]
-        ),
-        B=np.vstack([plant.B1 + plant.B2 @ Uw, K.B @ (plant.D21 + plant.D22 @ Uw)]),
-        C=np.hstack([plant.C1 + plant.D12 @ Ux, plant.D12 @ Uk]),
-        D=plant.D11 + plant.D12 @ Uw,
-    )
+    try:
+        return performance_loop(whole(plant), K)
+    except ArgumentError as error:
+        raise np.linalg.LinAlgError(str(error)) from None
 
 
 def whole(plant: Partition) -> StateArrays:

@@ -304,12 +304,12 @@ def certify(  # noqa: PLR0913 - what certifies one result
     tolerance
         What the norm may exceed ``(1 + backoff) least`` by, relative to `least`.
     """
+    if not all(np.all(np.isfinite(matrix)) for matrix in controller[:4]):
+        raise NotCertifiedError(f"{method}: the controller is not finite; {CURE}", P)
     try:
         loop = closed_loop(plant, controller)
     except np.linalg.LinAlgError:
         raise NotCertifiedError(f"{method}: I − D_K D22 is singular: the loop is not well posed; {CURE}", P) from None
-    if not all(np.all(np.isfinite(m)) for m in (loop.A, loop.B, loop.C, loop.D)):
-        raise NotCertifiedError(f"{method}: the controller is not finite; {CURE}", P)
     poles = _stable_poles(loop.A, plant.dt, method, P)
     if norm == "h2" and plant.dt == 0.0:
         loop = loop._replace(D=_without_rounding(loop.D, plant, controller))
