@@ -269,7 +269,7 @@ def test_norms_of_a_sampled_plant_are_those_of_the_sampled_loop():
 
 
 def test_controller_poles_are_bounded_at_the_same_norm():
-    P = random_plant()
+    P = random_plant(n=2)
     free = design.multiobjective(P, 2, 2, [hinf_bound()])
     fastest = np.abs(free.controller.poles()).max()
     bound = requirement("fastest controller pole", 0.7 * fastest)

@@ -281,7 +281,7 @@ def test_five_numbers_do_as_well_as_any_search_and_sixteen_far_better(alone):
 
 
 def test_the_same_job_gives_the_same_controller(alone):
-    first, second = (alone("pid")[0].controller for _ in range(2))
+    first, second = (alone("pid", evaluations=60)[0].controller for _ in range(2))
     for ours, theirs in zip(
         (first.A, first.B, first.C, first.D), (second.A, second.B, second.C, second.D), strict=True
     ):
@@ -310,7 +310,7 @@ def test_without_goals_the_limits_are_met_with_the_reserve(alone):
 
 def test_a_bandwidth_is_not_bought_with_a_flat_sensitivity(alone):
     limits = {"disk_margin": 0.5, "damping": 0.1, "torque_noise": 0.005}
-    found, _ = alone("pid", limits, {"bandwidth_hz": 60.0})
+    found, _ = alone("pid", limits, {"bandwidth_hz": 60.0}, evaluations=150)
     tenth = requirement("tracking", 0.16, frequency=0.1 * found.measures.bandwidth)
     assert tenth.check(found.plants, found.controller).passed
 
@@ -452,7 +452,8 @@ def test_the_claimed_ratios_are_those_of_the_report():
 
 def test_a_bandwidth_out_of_reach_is_traded_by_its_ratio():
     """Not by how far S exceeds its level up to the wanted frequency, which hardly changes with the bandwidth."""
-    found = design.loops(gyro_job({"bandwidth_hz": 250, "disk_margin": 0.5, "damping": 0.1}))[0].closed
+    limits = {"bandwidth_hz": 250, "disk_margin": 0.5, "damping": 0.1}
+    found = design.loops(gyro_job(limits, evaluations=150))[0].closed
     assert not found.passed
     assert found.claims["limit_ratio"] < 1.7
 
@@ -467,7 +468,7 @@ def test_goals_of_which_nothing_is_to_be_seen_are_no_obstacle(job):
 
 
 def test_the_filter_of_a_pid_does_not_ring(alone):
-    found, _ = alone("pid", soft={"bandwidth_hz": 200.0})
+    found, _ = alone("pid", soft={"bandwidth_hz": 200.0}, evaluations=150)
     z = np.linalg.eigvals(found.controller.A)
     w = 2 / found.plants.period * (z - 1) / (z + 1)
     fast = w[np.abs(w) > 1000.0]
