@@ -45,7 +45,7 @@ from platform_ctrl.app.curves import (
 from platform_ctrl.app.pictures import Drawn, FrequencyGain, Locus, Margins, Measured, Overlay, TimeResponse
 from platform_ctrl.app.settings import Settings
 from platform_ctrl.common.values import FloatArray, value
-from platform_ctrl.design.loop import judged, requirements_of
+from platform_ctrl.design.loop import limits_and_goals, requirements_of
 from platform_ctrl.job.job import Job, LoopSpec, Manoeuvre, manoeuvre_scenario
 from platform_ctrl.job.scenario import HalfCosine
 
@@ -208,7 +208,7 @@ def caged_parts(loop: CagedLoop, settings: Settings, cached: CachedMetrics) -> P
 
     def measured_parts() -> Measured:
         metrics = cached(lambda: loop_metrics(loop, whole))
-        requirements, goals = judged(loop.spec, loop.design, plants, metrics)
+        requirements, goals = limits_and_goals(loop.spec, loop.design, plants, metrics)
         sampled = "peaks are the highest on a frequency grid: the loop is too large for exact ones while a slider moves"
         return Measured(
             margins=_margins(loop, metrics, curves, margins, inside),

@@ -73,7 +73,7 @@ def loops(
         The mass matrix is singular at rest (gimbal lock).
     """
     job = job if isinstance(job, Job) else read_job(job)
-    say = progress or (lambda line: None)
+    progress = progress or (lambda line: None)
     model = linearise(job.platform)
     # All plants before the first design: an error in the third loop is raised before the work on the first.
     plant_sets = [plants_of(job, spec) for spec in job.loops]
@@ -81,8 +81,8 @@ def loops(
     for spec, plants in zip(job.loops, plant_sets, strict=True):
         designs = []
         for design in spec.designs:
-            say(f"{spec.name}: {design.name}")
-            problem = LoopProblem(job=job, spec=spec, design=design, model=model, plant_set=plants, say=say)
+            progress(f"{spec.name}: {design.name}")
+            problem = LoopProblem(job=job, spec=spec, design=design, model=model, plant_set=plants, progress=progress)
             try:
                 made = designed(problem)
             except DesignError as error:

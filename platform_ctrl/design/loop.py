@@ -107,7 +107,7 @@ class LoopProblem:
         The platform linearised at rest.
     plant_set
         The plants of a caging loop, the nominal one first; None for a stabilisation loop.
-    say
+    progress
         Called with a line during long work.
     """
 
@@ -116,7 +116,7 @@ class LoopProblem:
     design: DesignSpec
     model: LinearModel
     plant_set: PlantSet | None = None
-    say: Progress = lambda line: None
+    progress: Progress = lambda line: None
 
     @property
     def plants(self) -> PlantSet:
@@ -202,7 +202,7 @@ def requirements_of(spec: LoopSpec) -> tuple[LoopRequirement, ...]:
     return (*hard, *soft)
 
 
-def judged(
+def limits_and_goals(
     spec: LoopSpec, design: str, plants: PlantSet, measures: LoopMetrics
 ) -> tuple[tuple[CheckResult, ...], tuple[CheckResult, ...]]:
     """Return the loop's limits and its goals compared with `measures`."""
@@ -213,7 +213,7 @@ def judged(
     return hard, soft
 
 
-def proofs(
+def _proofs(
     spec: LoopSpec, plants: PlantSet, controller: StateArrays, measures: LoopMetrics
 ) -> tuple[tuple[Certificate, ...], tuple[str, ...]]:
     """Return the certificates of stability and of the disk margins of `spec`, and what is left unproved."""
@@ -235,8 +235,8 @@ def _with_evidence(
     spec: LoopSpec, name: str, method: str, K: StateArrays, plants: PlantSet, measures: LoopMetrics
 ) -> LoopDesign:
     """Return a measured controller with its results and certificates."""
-    results, goals = judged(spec, name, plants, measures)
-    certificates, unproved = proofs(spec, plants, K, measures)
+    results, goals = limits_and_goals(spec, name, plants, measures)
+    certificates, unproved = _proofs(spec, plants, K, measures)
     return LoopDesign(
         loop=spec.name,
         name=name,

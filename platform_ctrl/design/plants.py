@@ -86,7 +86,7 @@ class Case:
 
 
 def cases(job: Job, gimbals: tuple[str, ...]) -> list[Case]:
-    """Return the plants that the loop on `gimbals` has to stand, the nominal one first.
+    """Return the plants that the loop on `gimbals` must control, the nominal one first.
 
     Then every corner of the parameter uncertainty and the samples inside it, the grid of Omega, and the faults.
     """
@@ -175,7 +175,7 @@ def rows_of(model: LinearModel, gimbals: tuple[str, ...]) -> list[int]:
 
 
 def plants_of(job: Job, spec: LoopSpec) -> PlantSet | None:
-    """Return the plants of a loop of the job; None for a loop that is judged in the coupled system alone."""
+    """Return the plants of a loop of the job; None for a loop that is checked in the coupled system alone."""
     if spec.kind != "caging":
         return None
     try:

@@ -69,7 +69,7 @@ def tune(  # noqa: PLR0913, PLR0915 - the parts of one search
     build
         Options → sampled controller.
     plants, requirements
-        What the loop has to stand and to reach.
+        The plants of the loop, and what is required with them.
     upper
         Largest values of some options.
     reserve

@@ -98,7 +98,7 @@ def classical_design(problem: LoopProblem) -> Designed:
             plants,
             loop_requirements(spec.limits),
             upper=upper_bounds(plants.period),
-            progress=lambda ratio: problem.say(
+            progress=lambda ratio: problem.progress(
                 f"{spec.name}: {design.name}, worst requirement at {ratio:.0%} of its limit"
             ),
         )

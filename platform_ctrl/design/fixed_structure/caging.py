@@ -64,7 +64,7 @@ def structured_design(problem: LoopProblem) -> Designed:
 
     def progress(limits: float, goals: float) -> None:
         ratios = f"limits at {limits:.0%}" + (f", goals at {goals:.0%}" if soft else "")
-        problem.say(
+        problem.progress(
             f"{spec.name}: {design.name}, {ratios if math.isfinite(limits) else 'not stable with all plants yet'}"
         )
 

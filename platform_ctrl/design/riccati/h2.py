@@ -2,7 +2,7 @@
 
 Continuous plants as in Zhou, Doyle and Glover, Robust and Optimal Control (1996), section 14.5, with a direct path
 D11 that a static gain can cancel; sampled plants with the estimate of the present state and disturbance, so that u[k]
-uses y[k]. The problem is solved in scaled units and judged by the closed loop of the plant as given.
+uses y[k]. The problem is solved in scaled units and checked by the closed loop of the plant as given.
 """
 
 from __future__ import annotations

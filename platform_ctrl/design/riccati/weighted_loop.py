@@ -12,7 +12,7 @@ In the channels of the gyros (see `channels`), in the w-plane of the exactly sam
 
     W_e = 1/M + ω_e/s,   W_t constant,   W_u constant,   d scaled by `disturbance`.
 
-W_e's integrator stands in the path to the controller, so that the loop has integral action and norms stay finite. The
+W_e's integrator is in the path to the controller, so that the loop has integral action and norms stay finite. The
 torque disturbance d is what sets the damping of nutation: from the noise n alone nutation would be cancelled, not
 damped. Torques count in units of h ω_nutation (pairs) and J ω_nutation² (inertial directions).
 
@@ -62,7 +62,7 @@ class WeightedPlant:
     torque_unit: FloatArray
 
     def weight(self) -> StateArrays:
-        """Return W_e in the w-plane. Its integrator belongs to the controller: W_e stands before K."""
+        """Return W_e in the w-plane. Its integrator belongs to the controller: W_e is in series before K."""
         return error_weight(self.weight_gain, self.weight_rate)
 
     def at_gimbals(self, controller: StateArrays, channel: Channels) -> StateArrays:
