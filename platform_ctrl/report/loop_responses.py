@@ -7,13 +7,12 @@ from collections.abc import Mapping
 import numpy as np
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, state_arrays
-from platform_ctrl.analysis.feedback import closed_loop, gang
+from platform_ctrl.analysis.feedback import gang
 from platform_ctrl.analysis.frequency_grids import following_grid
 from platform_ctrl.analysis.loop_set import LoopSet
 from platform_ctrl.analysis.measuring import MetricRequest, Peak
 from platform_ctrl.analysis.metrics import METRICS, exact_value
 from platform_ctrl.analysis.norms import gains
-from platform_ctrl.analysis.pole_branches import pole_branches, values_at_breakaways
 from platform_ctrl.analysis.poles import continuous_poles
 from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.analysis.singular_values import largest_singular_values
@@ -60,26 +59,6 @@ class LoopResponses:
     def closed_design(self) -> DesignResponses:
         """The responses of the design that closes the loop."""
         return next(one for one in self.designs if one.design.name == self.closed)
-
-
-@value
-class RootLocus:
-    """Closed-loop poles while every gain of the controller is multiplied by one factor."""
-
-    gains: FloatArray  # (G,), The factors
-    branches: ComplexArray  # (G, poles), s-plane equivalents, rad/s, each column one continuous branch
-    stable: np.ndarray[tuple[int], np.dtype[np.bool_]]  # (G,), Whether the closed loop is
-
-    @property
-    def stable_range(self) -> tuple[float, float] | None:
-        """Lowest and highest factor of the stable range around 1, or None where the loop itself is unstable."""
-        at = int(np.argmin(np.abs(self.gains - 1.0)))
-        if not self.stable[at]:
-            return None
-        unstable = np.flatnonzero(~self.stable)
-        low = unstable[unstable < at].max(initial=-1) + 1
-        high = unstable[unstable > at].min(initial=len(self.gains)) - 1
-        return float(self.gains[low]), float(self.gains[high])
 
 
 def peak_metrics() -> dict[str, Peak]:
@@ -163,27 +142,3 @@ def _angle_per_rate(model: LinearModel, gimbals: tuple[str, ...], frequency: Flo
     angles = [model.angle_names[k] for k in rows_of(model, gimbals)]
     system = state_space(model, gimbals=gimbals)[angles, list(OMEGA_NAMES)]
     return frequency_response(state_arrays(system, "gimbals"), frequency, -3)
-
-
-def root_locus(design: LoopDesign, highest: float = 2.0, points: int = 161) -> RootLocus:
-    """Return the poles of the nominal closed loop for controller gains 0 to `highest` times the designed ones."""
-    if design.plants is None:
-        raise ValueError(
-            f"root_locus: {design.loop}, {design.name} is designed for the coupled system: it has no plants"
-        )
-    plants, K = design.plants, state_arrays(design.controller, design.name)
-
-    def poles(gains: FloatArray) -> ComplexArray:
-        factor = gains[:, None, None]
-        P = (plants.A[0], plants.B[0], plants.C[0], plants.D[0])
-        A = closed_loop(StateArrays(*P, K.dt), StateArrays(K.A, K.B, factor * K.C, factor * K.D, K.dt)).A
-        return np.asarray(np.linalg.eigvals(A), dtype=np.complex128)
-
-    gains = np.linspace(0.0, highest, points)
-    gains = np.union1d(gains, values_at_breakaways(gains, poles))
-    z = pole_branches(poles(gains))
-    return RootLocus(
-        gains=gains,
-        branches=continuous_poles(z, plants.period),
-        stable=np.abs(z).max(axis=1) < 1.0,
-    )

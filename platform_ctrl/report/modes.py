@@ -15,6 +15,7 @@ platform rate.
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -22,7 +23,6 @@ from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.arrays import ComplexArray
 from platform_ctrl.common.values import FloatArray, value
-from platform_ctrl.design.partition import channels
 from platform_ctrl.design.plants import changed, rows_of
 from platform_ctrl.mechanics.linearisation import LinearModel, linearise
 from platform_ctrl.mechanics.state_space import state_space
@@ -150,22 +150,6 @@ def modes_at(result: JobResult, Omega: ArrayLike) -> tuple[Mode, ...]:
     return tuple(mode for group in result.subsystems for mode in modes(model, group))
 
 
-def nutation_over_speed(result: JobResult, speed: FloatArray) -> list[tuple[tuple[str, ...], FloatArray]]:
-    """Return (gimbals, frequencies in rad/s over `speed`), one for every nutation at rest; `speed` 1 is nominal.
-
-    At rest the inertias do not depend on the rotors' momenta and the gyroscopic matrix is proportional to them, so
-    two linearisations give every speed.
-    """
-    turning = result.model
-    still = linearise(without_spin(turning))
-    out = []
-    for group in result.subsystems:
-        pairs = len(channels(turning, rows_of(turning, group)).momenta)
-        if not pairs:
-            continue
-        at = []
-        for share in speed:
-            model = dataclasses.replace(turning, G=still.G + share * (turning.G - still.G))
-            at.append(np.abs(gimbal_poles(model, group))[: 2 * pairs : 2])
-        out += [(group, line) for line in np.array(at).T]
-    return out
+def nutates(model: LinearModel, groups: Iterable[tuple[str, ...]]) -> bool:
+    """Return whether a mode of one of these subsystems is a nutation."""
+    return any("nutation" in poles_and_kinds(model, group)[1] for group in groups)

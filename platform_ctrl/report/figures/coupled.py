@@ -18,11 +18,13 @@ from platform_ctrl.common.text import at_least
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.mechanics.state_space import state_space as linear_state_space
 from platform_ctrl.plant.platform import OMEGA_NAMES, ROOT_TORQUE_NAMES
-from platform_ctrl.report.figures.loop import half_plane_axes, phase_axes, phase_in_degrees
-from platform_ctrl.report.modes import nutation_over_speed
+from platform_ctrl.report.figures.loop import half_plane_axes
+from platform_ctrl.report.modes import nutates
 from platform_ctrl.report.page.captions import bandwidth_hz
 from platform_ctrl.report.plots.campbell import campbell
+from platform_ctrl.report.plots.curves import phase_in_degrees
 from platform_ctrl.report.plots.loci import upper_half_plane
+from platform_ctrl.report.plots.panels import phase_panel
 from platform_ctrl.report.quantities import HZ, quantity, root_series, signal_series
 from platform_ctrl.report.style import (
     BAND,
@@ -56,7 +58,7 @@ def nutation_figure(result: JobResult) -> Figure | None:
 
     A Campbell diagram with the parameter uncertainty of the rotors' speed and the bandwidths of the loops.
     """
-    if not nutation_over_speed(result, np.array(_SPINS)):
+    if not nutates(result.model, result.subsystems):
         return None
     figure = campbell(result.job.platform, spins=_SPINS)
     axes = figure.axes[0]
@@ -177,19 +179,21 @@ def servo_figure(result: JobResult) -> Figure | None:
     w = coupled_grid(result)
     S = gang(check.plant, check.controller, w).S_input
     figure, [[gain, phase]] = panels(1, 2, 3.0, legend=1)
-    curves, handles = [], []
+    curves, phases, handles = [], [], []
     series = signal_series(result.job.platform)
     for k in channels:
         loop, style = 1.0 / S[k, k] - 1.0, line_style(series[check.channels[k]])
         curves.append(np.abs(loop))
         handles += gain.plot(w * HZ, np.abs(loop), **style)
-        phase.plot(w * HZ, phase_in_degrees(loop), **style)
+        phases.append(phase_in_degrees(w, loop))
+        phase.plot(w * HZ, phases[-1], **style)
     frequency_axes(gain, w[0] * HZ, w[-1] * HZ)
     gain_limits(gain, curves, low=1e-3, high=1e4)
     gain.axhline(1.0, color=REFERENCE, linewidth=0.8)
     gain.set_ylabel("gain, 1")
     gain.set_title("loop transfer at the torquer")
-    phase_axes(phase, w * HZ)
+    frequency_axes(phase, w[0] * HZ, w[-1] * HZ, log_gain=False)
+    phase_panel(phase, phases, critical=True)
     phase.set_ylabel("phase, degrees")
     phase.set_title("its phase")
     legend_above(figure, handles, [check.channels[k] for k in channels])

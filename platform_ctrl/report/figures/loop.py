@@ -9,10 +9,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from platform_ctrl.analysis.arrays import ComplexArray
 from platform_ctrl.analysis.metrics import METRICS
 from platform_ctrl.common.signatures import short
 from platform_ctrl.common.values import FloatArray
+from platform_ctrl.design.loop import LoopDesign, sampled_plant
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.job import LoopSpec
 from platform_ctrl.report.figures.limit_lines import (
@@ -23,13 +23,15 @@ from platform_ctrl.report.figures.limit_lines import (
     limited,
     same_curve,
 )
-from platform_ctrl.report.loop_responses import LoopResponses, RootLocus
+from platform_ctrl.report.loop_responses import LoopResponses
+from platform_ctrl.report.plots.curves import phase_in_degrees
 from platform_ctrl.report.plots.loci import upper_half_plane
 from platform_ctrl.report.plots.nichols import nichols
+from platform_ctrl.report.plots.panels import phase_panel
+from platform_ctrl.report.plots.root_locus import root_locus
 from platform_ctrl.report.quantities import HZ
 from platform_ctrl.report.style import (
     BAND,
-    INK,
     MARKERS,
     MUTED,
     REFERENCE,
@@ -54,6 +56,8 @@ SENSITIVITIES = {
     "complementary sensitivity peak": "T: transmitted share",
     "disk margin": "(S − T)/2: 1/disk margin at its peak",
 }
+# Range of the root locus, factors on the loop gain.
+_GAINS = (0.0, 2.0)
 # Metrics whose curves the other standard plots of a loop show.
 _STANDARD = (*SENSITIVITIES, "Omega rejection", "torque rejection", "torque limit")
 
@@ -110,8 +114,9 @@ def loop_transfer_figure(responses: LoopResponses, spec: LoopSpec, torques: tupl
     for i, name in enumerate(torques):
         above, below = rows[0][1 + i], rows[1][1 + i]
         _design_curves(above, f, [np.abs(one.channels[i]) for one in designs], responses, label=False)
-        _design_curves(below, f, [phase_in_degrees(one.channels[i]) for one in designs], responses, log_gain=False)
-        phase_axes(below, f)
+        phases = [phase_in_degrees(responses.frequency, one.channels[i]) for one in designs]
+        _design_curves(below, f, phases, responses, log_gain=False)
+        phase_panel(below, phases, critical=True)
         gain_limits(above, [np.abs(one.channels[i]) for one in designs], low=1e-3, high=1e4)
         above.set_title(f"{name}, others closed")
     for axes in rows[0]:
@@ -228,25 +233,6 @@ def design_names(responses: LoopResponses) -> list[str]:
     return names if len(names) == 1 else [f"{name}, closed" if name == responses.closed else name for name in names]
 
 
-def phase_in_degrees(channel: ComplexArray) -> FloatArray:
-    """Return the phase in degrees, unwrapped, by whole turns between −360° and 0 where the gain is nearest to 1."""
-    phase = np.degrees(np.unwrap(np.angle(channel)))
-    gain = np.abs(channel)
-    middle = phase[int(np.argmin(np.abs(np.log(np.maximum(gain, 1e-300)))))]
-    return np.asarray(phase - 360.0 * np.ceil(middle / 360.0))
-
-
-def phase_axes(axes: Axes, f: FloatArray) -> None:
-    """Make `axes` those of a phase over frequency, ticks at right angles, a line at −180°."""
-    frequency_axes(axes, f[0], f[-1], log_gain=False)
-    low, high = axes.get_ylim()
-    low, high = 90.0 * np.floor(max(low, -1080.0) / 90.0), 90.0 * np.ceil(min(high, 720.0) / 90.0)
-    axes.set_ylim(low, high)
-    step = 90.0 if high - low <= 540.0 else 180.0
-    axes.set_yticks(np.arange(step * np.ceil(low / step), high + 1.0, step))
-    axes.axhline(-180.0, color=REFERENCE, linewidth=0.8)
-
-
 def nichols_figure(responses: LoopResponses, spec: LoopSpec, torques: tuple[str, ...]) -> Figure:
     """Nichols plot of the closed design: the loop that each torquer closes while all the others stay closed."""
     import control
@@ -261,10 +247,6 @@ def nichols_figure(responses: LoopResponses, spec: LoopSpec, torques: tuple[str,
     figure = nichols(loops, disk_margins=(limit,) if possible else ()).figure  # type: ignore[arg-type]
     assert isinstance(figure, Figure)
     return figure
-
-
-# Factors on the loop gain that are marked on a root locus.
-_MARKED_GAINS = (0.0, 0.5, 1.0, 1.5, 2.0)
 
 
 def pole_figure(responses: LoopResponses, spec: LoopSpec, nutation: float, period: float) -> Figure:
@@ -283,58 +265,26 @@ def pole_figure(responses: LoopResponses, spec: LoopSpec, nutation: float, perio
             strong = {"markersize": 6, "markerfacecolor": "none", "markeredgewidth": 1.3}
             drawn += axes.plot(own.real, own.imag, **style | strong)
         handles = handles or drawn
-    _two_views(row, spec, nutation, period, "poles")
+    _two_views(row, spec, nutation, period)
     legend_above(figure, handles, names)
     return figure
 
 
-def root_locus_figure(locus: RootLocus, spec: LoopSpec, nutation: float, period: float) -> Figure:
-    """Poles of the closed design while its gain goes from 0 to twice its value."""
-    figure, [row] = panels(1, 2, 3.9, legend=1)
-    handles: list[Any] = []
-    marks = [int(np.argmin(np.abs(locus.gains - g))) for g in _MARKED_GAINS if g <= locus.gains[-1]]
-    for axes in row:
-        for branch in locus.branches.T:
-            shown = np.where(branch.imag > -1e-6 * np.pi / period, branch, np.nan)
-            if np.isfinite(shown.real).any():
-                axes.plot(shown.real, shown.imag, "-", color=SERIES[0], linewidth=1.1)
-        drawn: list[Any] = []
-        for n, k in enumerate(marks):
-            points = upper_half_plane(locus.branches[k])
-            nominal = bool(abs(locus.gains[k] - 1.0) < 1e-9)
-            look: dict[str, Any] = {"color": SERIES[1 if nominal else 0], "markersize": 6.5 if nominal else 4.0}
-            look |= {"linestyle": "none", "marker": MARKERS[n % 8], "markerfacecolor": "none"}
-            drawn += axes.plot(points.real, points.imag, **look)
-        handles = handles or drawn
-    _two_views(row, spec, nutation, period, "branches")
-    _label_gains(row[1], locus, marks, 1.7 * nutation)
-    legend_above(figure, handles, [f"{locus.gains[k]:g} × gain" for k in marks])
-    return figure
+def root_locus_plot(design: LoopDesign, spec: LoopSpec) -> Any:
+    """Return a root locus over gains up to twice the design's, with the limits on poles; `locus` has the numbers."""
+    assert design.plants is not None
+    plot = root_locus(sampled_plant(design.plants), design.controller, gains=_GAINS)
+    axes: Axes = plot.axes[0, 0]
+    damping_lines(axes, spec, axes.get_ylim()[1], named=False)
+    fastest_pole_line(axes, spec, design.plants.period)
+    return plot
 
 
-def _label_gains(axes: Axes, locus: RootLocus, marks: list[int], extent: float) -> None:
-    """Write the gains along the least damped branch."""
-    at_one = locus.branches[int(np.argmin(np.abs(locus.gains - 1.0)))]
-    inside = (at_one.imag > 0.02 * extent) & (at_one.imag < extent) & (at_one.real > -1.2 * extent)
-    if not inside.any():
-        return
-    ratio = np.where(inside, -at_one.real / np.abs(at_one), np.inf)
-    branch = locus.branches[:, int(np.argmin(ratio))]
-    last: complex | None = None
-    for k in marks:
-        s = branch[k]
-        visible = 0.0 <= s.imag < extent and -1.2 * extent < s.real < 0.18 * extent
-        if visible and (last is None or abs(s - last) > 0.045 * extent):
-            at = (s.real, s.imag)
-            axes.annotate(f"{locus.gains[k]:g}", at, (6, 3), textcoords="offset points", fontsize=7.5, color=INK)
-            last = s
-
-
-def _two_views(row: Sequence[Axes], spec: LoopSpec, nutation: float, period: float, what: str) -> None:
+def _two_views(row: Sequence[Axes], spec: LoopSpec, nutation: float, period: float) -> None:
     """Show the upper half plane as a whole, and close to the origin; limits on poles are drawn in both."""
     nyquist, extent = np.pi / period, 1.7 * nutation
     views = ((-1.1 * nyquist, 0.12 * nyquist, 1.02 * nyquist), (-1.2 * extent, 0.18 * extent, extent))
-    titles = (f"all {what} up to the Nyquist frequency", "closer to the origin")
+    titles = ("all poles up to the Nyquist frequency", "closer to the origin")
     for k, (axes, (left, right, top), title) in enumerate(zip(row, views, titles, strict=True)):
         damping_lines(axes, spec, top, named=k == 1)
         fastest_pole_line(axes, spec, period)

@@ -20,7 +20,7 @@ from platform_ctrl.job.requirements import FAULTS, WORST_CASE
 from platform_ctrl.plant.platform import Platform
 from platform_ctrl.report.figures.limit_lines import damping_rays, limited
 from platform_ctrl.report.figures.loop import SENSITIVITIES
-from platform_ctrl.report.loop_responses import LoopResponses, RootLocus
+from platform_ctrl.report.loop_responses import LoopResponses
 from platform_ctrl.report.page import campaign_tables
 from platform_ctrl.report.page.comparison import plants_in_words
 from platform_ctrl.report.quantities import BOUND, HZ, compared, count, disk_words, listed, percent, plain, quantity
@@ -30,7 +30,7 @@ from platform_ctrl.verification.verdict import JobResult
 _NUMBERS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten", "eleven", "twelve")
 
 
-def sentences(name: str, **values: Any) -> str:
+def sentences(name: str, /, **values: Any) -> str:
     """Return the sentences `name` of templates/sentences.txt with `values` in them, on one line."""
     return re.sub(r"\s*\n\s*", " ", str(getattr(_templates(), name)(**values)).strip("\n "))
 
@@ -133,11 +133,6 @@ def poles(outcome: LoopOutcome, plants: PlantSet) -> str:
     goals = bool(damping_rays(soft)) or METRICS["fastest pole"].key in soft
     counted = plants_in_words(plants)
     return sentences("poles", outcome=outcome, plants=plants, plants_in_words=counted, rays=rays, goals=goals)
-
-
-def root_locus(outcome: LoopOutcome, locus: RootLocus) -> str:
-    """Root locus."""
-    return sentences("root_locus", outcome=outcome, gains=locus.gains.tolist(), stable=locus.stable_range)
 
 
 def coupled(result: JobResult) -> str:

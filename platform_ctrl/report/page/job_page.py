@@ -28,11 +28,11 @@ from platform_ctrl.report.figures.loop import (
     loop_transfer_figure,
     nichols_figure,
     pole_figure,
-    root_locus_figure,
+    root_locus_plot,
     sensitivity_figure,
 )
-from platform_ctrl.report.loop_responses import LoopResponses, loop_responses, root_locus
-from platform_ctrl.report.modes import modes
+from platform_ctrl.report.loop_responses import LoopResponses, loop_responses
+from platform_ctrl.report.modes import nutates
 from platform_ctrl.report.page import captions, comparison, tables
 from platform_ctrl.report.page.blocks import (
     Block,
@@ -238,13 +238,12 @@ def _caging_plates(result: JobResult, outcome: LoopOutcome) -> list[Plate]:
     if responses is None or plants is None:
         return []
     spec = outcome.spec
-    nutates = any(mode.kind == "nutation" for mode in modes(result.model, outcome.spec.gimbals))
     plates = [
         _plate(sensitivity_figure(responses, spec), "Sensitivities", captions.sensitivity(outcome, responses)),
         _plate(
             loop_transfer_figure(responses, spec, plants.torques, plants.nutation),
             "Loop transfer",
-            sentences("loop_transfer", outcome=outcome, nutates=nutates),
+            sentences("loop_transfer", outcome=outcome, nutates=nutates(result.model, [spec.gimbals])),
         ),
     ]
     if not captions.unstable(outcome.closed):
@@ -260,9 +259,9 @@ def _caging_plates(result: JobResult, outcome: LoopOutcome) -> list[Plate]:
         ),
     ]
     if outcome.closed.plants is not None:
-        locus = root_locus(outcome.closed)
-        figure = root_locus_figure(locus, spec, plants.nutation, plants.period)
-        plates.append(_plate(figure, "Root locus over the loop gain", captions.root_locus(outcome, locus)))
+        plot = root_locus_plot(outcome.closed, spec)
+        caption = sentences("root_locus", name=outcome.closed.name, locus=plot.locus)
+        plates.append(_plate(plot.figure, "Root locus over the loop gain", caption))
     return plates
 
 
