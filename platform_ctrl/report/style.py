@@ -19,6 +19,7 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.legend_handler import HandlerTuple
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter, NullLocator
+from numpy.typing import NDArray
 
 from platform_ctrl.common.text import text_width
 from platform_ctrl.common.values import FloatArray
@@ -56,7 +57,11 @@ _VARIABLES = {
     REFERENCE: "reference",
 } | {colour: f"series-{k + 1}" for k, colour in enumerate(SERIES)}
 
+# Inches: margins of a figure, gaps between panels, rows of the legend, distance of an axis label from its axis.
 FULL_WIDTH = 9.6
+_LEFT, _RIGHT, _BOTTOM, _GAP_X = 0.66, 0.2, 0.46, 0.76
+_TITLE, _NO_TITLE, _BETWEEN, _LEGEND_ROW = 0.26, 0.08, 0.16, 0.22
+_LABEL_AWAY = 0.5
 
 _SETTINGS: Any = {
     "svg.fonttype": "none",
@@ -128,38 +133,40 @@ def standalone(draw: Callable[P, Drawn]) -> Callable[P, Drawn]:
 def panels(
     rows: int,
     columns: int,
-    height: float,
+    heights: float | Sequence[float],
+    names: Sequence[str] = (),
     *,
-    width: float = FULL_WIDTH,
-    legend: int = 0,
     titles: bool = True,
-) -> tuple[Figure, list[list[Axes]]]:
-    """Return a figure with a grid of axes, margins in inches so that every figure of the page lines up.
+    width: float = FULL_WIDTH,
+) -> tuple[Figure, NDArray[Any]]:
+    """Return a figure with a grid of panels, and its axes (rows × parts, columns).
 
-    `legend`: rows of the legend above (see `legend_rows`).
+    `heights`, inches: of a panel, or of the parts of a panel that share their x axis. `names`: of the legend above.
     """
+    parts = np.atleast_1d(heights).tolist()
+    over = _TITLE if titles else _NO_TITLE
+    row_height = over + sum(parts) + (len(parts) - 1) * _BETWEEN + _BOTTOM
+    top = 0.1 + _LEGEND_ROW * legend_rows(names, width)
+    height = top + rows * row_height
     figure = Figure(figsize=(width, height))
     FigureCanvasSVG(figure)
-    left, right, bottom, gap_x, gap_y = 0.62, 0.14, 0.46, 0.68, 0.72
-    top = 0.08 + 0.22 * legend + (0.24 if titles else 0.0)
-    cell = (
-        (width - left - right - (columns - 1) * gap_x) / columns,
-        (height - top - bottom - (rows - 1) * gap_y) / rows,
-    )
-    grid = figure.subplots(
-        rows,
-        columns,
-        squeeze=False,
-        gridspec_kw={
-            "left": left / width,
-            "right": 1.0 - right / width,
-            "bottom": bottom / height,
-            "top": 1.0 - top / height,
-            "wspace": gap_x / cell[0],
-            "hspace": gap_y / cell[1],
-        },
-    )
-    return figure, [list(row) for row in grid]
+    across = panel_width(columns, width)
+    axes = np.empty((rows * len(parts), columns), dtype=object)
+    for row, column in np.ndindex(rows, columns):
+        y = height - top - row * row_height - over
+        for part, tall in enumerate(parts):
+            y -= tall
+            box = ((_LEFT + column * (across + _GAP_X)) / width, y / height, across / width, tall / height)
+            above = axes[row * len(parts), column] if part else None
+            one = axes[row * len(parts) + part, column] = figure.add_axes(box, sharex=above)
+            one.yaxis.set_label_coords(-_LABEL_AWAY / across, 0.5)
+            y -= _BETWEEN
+    return figure, axes
+
+
+def panel_width(columns: int, width: float = FULL_WIDTH) -> float:
+    """Return the width of one of `columns` panels in a figure of `width`, inches."""
+    return (width - _LEFT - _RIGHT - (columns - 1) * _GAP_X) / columns
 
 
 def line_style(k: int) -> dict[str, Any]:
@@ -177,23 +184,25 @@ def emphasised(k: int, chosen: bool) -> dict[str, Any]:
     return line_style(k) | ({"linewidth": 2.1, "zorder": 3} if chosen else {"linewidth": 1.2})
 
 
-def legend_rows(labels: Sequence[str], width: float = FULL_WIDTH) -> int:
-    """Return how many rows a legend of `labels` needs in a figure of `width` inches."""
+def legend_rows(names: Sequence[str], width: float = FULL_WIDTH) -> int:
+    """Return how many rows a legend of `names` needs in a figure of `width` inches."""
     size = float(_SETTINGS["legend.fontsize"])
-    longest = max((text_width(label, size) for label in labels), default=0.0)
-    columns = max(1, int(72.0 * width // (longest + 5.2 * size)))
-    return -(-len(labels) // columns)
+    longest = max((text_width(name, size) for name in names), default=0.0)
+    columns = max(1, int(72.0 * (width - _LEFT) // (longest + 5.2 * size)))
+    return -(-len(names) // columns)
 
 
-def legend_above(figure: Figure, handles: Sequence[Any], labels: Sequence[str]) -> None:
-    """Put one legend for all panels into the strip above them; a tuple of handles is drawn side by side."""
-    rows = legend_rows(labels, float(figure.get_size_inches()[0]))
-    figure.legend(
+def legend(figure: Figure, handles: Sequence[Any], names: Sequence[str]) -> Any:
+    """Put a legend into the strip that `panels` has left above; a tuple of handles is drawn side by side."""
+    if not names:
+        return None
+    width, height = map(float, figure.get_size_inches())
+    return figure.legend(
         handles,
-        labels,
+        names,
         loc="upper left",
-        ncols=max(1, -(-len(labels) // max(rows, 1))),
-        bbox_to_anchor=(0.0, 1.0),
+        ncols=-(-len(names) // legend_rows(names, width)),
+        bbox_to_anchor=(_LEFT / width, 1.0 - 0.07 / height),
         borderaxespad=0.0,
         borderpad=0.1,
         handlelength=2.6,

@@ -836,12 +836,11 @@ def test_designs_differ_by_more_than_colour(compared_designs: JobResult, respons
 def test_a_legend_too_long_for_a_row_gets_more() -> None:
     assert style.legend_rows(["classical", "H-infinity", "structured", "lqg", "measured"]) == 1
     many = [f"a design with a long name, number {k}" for k in range(5)]
-    rows = style.legend_rows(many)
-    assert rows > 1
+    assert style.legend_rows(many) > 1
     with style.settings():
-        figure, _ = style.panels(1, 1, 3.0, legend=rows)
+        figure, _ = style.panels(1, 1, 2.0, many)
         line = figure.axes[0].plot([0, 1])[0]
-        style.legend_above(figure, [line] * 5, many)
+        style.legend(figure, [line] * 5, many)
         figure.canvas.draw()
     box = figure.legends[0].get_window_extent()
     assert box.width <= figure.bbox.width

@@ -35,7 +35,7 @@ from platform_ctrl.report.style import (
     SERIES,
     frequency_axes,
     gain_limits,
-    legend_above,
+    legend,
     line_style,
     linear_axis,
     panels,
@@ -85,7 +85,7 @@ def nutation_figure(result: JobResult) -> Figure | None:
 def coupled_pole_figure(result: JobResult) -> Figure:
     """Poles of the coupled closed loop: all of them, and those around the nutation frequencies and below."""
     check, period = result.coupled, result.job.sampling.period
-    figure, [[wide, close]] = panels(1, 2, 3.5)
+    figure, [[wide, close]] = panels(1, 2, 2.7)
     s = upper_half_plane(continuous_poles(check.poles, period))
     nyquist = np.pi / period
     nutations = [o.closed.plants.nutation for o in result.loops if o.closed.plants is not None]
@@ -106,7 +106,8 @@ def coupled_pole_figure(result: JobResult) -> Figure:
 
 def margin_bars_figure(check: CoupledCheck) -> Figure:
     """Loop-by-loop disk margins, a pair of bars for each torquer: in its design model and in the coupled system."""
-    figure, [[axes]] = panels(1, 1, 2.7, legend=1, titles=False)
+    names = ["in its design model", "in the coupled system, with the change"]
+    figure, [[axes]] = panels(1, 1, 1.95, names, titles=False)
     x = np.arange(len(check.channels), dtype=np.float64)
     decoupled = np.nan_to_num(check.decoupled, nan=0.0, posinf=0.0)
     coupled = np.nan_to_num(check.coupled, nan=0.0, posinf=0.0)
@@ -125,13 +126,15 @@ def margin_bars_figure(check: CoupledCheck) -> Figure:
     linear_axis(axes.yaxis)
     axes.set_ylabel("disk margin")
     axes.set_xlabel("torquer: its loop broken, all others closed")
-    legend_above(figure, [first, second], ["in its design model", "in the coupled system, with the change"])
+    legend(figure, [first, second], names)
     return figure
 
 
 def simultaneous_margin_figure(check: CoupledCheck, limit: float | None) -> Figure:
     """Disk margin in all channels at once over frequency: guaranteed, and known to be exceeded."""
-    figure, [[axes]] = panels(1, 1, 2.7, legend=1, titles=False)
+    labels = ["guaranteed", "some perturbation of this size destabilises"]
+    labels += [] if limit is None else [f"limit {limit:g}"]
+    figure, [[axes]] = panels(1, 1, 1.95, labels, titles=False)
     margin = check.simultaneous
     kept = margin.frequencies > 0.0
     f = margin.frequencies[kept] * HZ
@@ -141,10 +144,8 @@ def simultaneous_margin_figure(check: CoupledCheck, limit: float | None) -> Figu
     frequency_axes(axes, f[0], f[-1])
     floor = min(margin.lower, np.inf if limit is None else positive("limit", limit))
     axes.set_ylim(10.0 ** np.floor(np.log10(0.7 * floor)) if floor < 0.15 else 0.1, 10.0)
-    labels = ["guaranteed", "some perturbation of this size destabilises"]
     if limit is not None:
         handles.append(axes.axhline(limit, color=LIMIT, linestyle=(0, (5, 2)), linewidth=0.9))
-        labels.append(f"limit {limit:g}")
     axes.plot([margin.frequency * HZ], [margin.lower], "o", color=SERIES[0], markersize=5)
     axes.annotate(
         f"{at_least(margin.lower, 3)} at {margin.frequency * HZ:.3g} Hz",
@@ -155,7 +156,7 @@ def simultaneous_margin_figure(check: CoupledCheck, limit: float | None) -> Figu
         fontsize=7.5,
     )
     axes.set_ylabel("disk margin")
-    legend_above(figure, handles, labels)
+    legend(figure, handles, labels)
     return figure
 
 
@@ -178,7 +179,7 @@ def servo_figure(result: JobResult) -> Figure | None:
         return None
     w = coupled_grid(result)
     S = gang(check.plant, check.controller, w).S_input
-    figure, [[gain, phase]] = panels(1, 2, 3.0, legend=1)
+    figure, [[gain, phase]] = panels(1, 2, 2.0, [check.channels[k] for k in channels])
     curves, phases, handles = [], [], []
     series = signal_series(result.job.platform)
     for k in channels:
@@ -196,7 +197,7 @@ def servo_figure(result: JobResult) -> Figure | None:
     phase_panel(phase, phases, critical=True)
     phase.set_ylabel("phase, degrees")
     phase.set_title("its phase")
-    legend_above(figure, handles, [check.channels[k] for k in channels])
+    legend(figure, handles, [check.channels[k] for k in channels])
     return figure
 
 
@@ -205,16 +206,15 @@ def platform_disturbance_figure(result: JobResult) -> Figure:
     w = coupled_grid(result)
     opened, closed = platform_compliance(result, w)
     carried = len(result.model.angle_names) > 0
-    figure, [[platform, *others]] = panels(1, 1 + carried, 3.0, legend=1)
-    handles, labels = [], []
+    labels = [*(f"torque about axis {axis}" for axis in (1, 2, 3)), "no controller"]
+    figure, [[platform, *others]] = panels(1, 1 + carried, 2.0, labels)
+    handles = []
     f = w * HZ
     for axis in range(3):
         style = line_style(root_series(axis + 1))
         platform.plot(f, opened[:, -3 + axis, axis], **style | {"color": REFERENCE, "linewidth": 0.9})
         handles += platform.plot(f, closed[:, -3 + axis, axis], **style)
-        labels.append(f"torque about axis {axis + 1}")
     handles += platform.plot([], [], color=REFERENCE, linewidth=0.9)
-    labels.append("no controller")
     frequency_axes(platform, f[0], f[-1])
     axes_closed = closed[:, [-3, -2, -1], [0, 1, 2]]
     gain_limits(platform, [axes_closed], low=1e-7 * float(axes_closed.max()), high=30.0 * float(axes_closed.max()))
@@ -228,7 +228,7 @@ def platform_disturbance_figure(result: JobResult) -> Figure:
         gain_limits(gimbals, [moved], low=1e-6 * float(moved.max(initial=1e-12)))
         gimbals.set_ylabel("mrad per mN m")
         gimbals.set_title("torque on the platform → gimbal angles")
-    legend_above(figure, handles, labels)
+    legend(figure, handles, labels)
     return figure
 
 

@@ -39,8 +39,7 @@ from platform_ctrl.report.style import (
     emphasised,
     frequency_axes,
     gain_limits,
-    legend_above,
-    legend_rows,
+    legend,
     line_style,
     linear_axis,
     panels,
@@ -65,7 +64,7 @@ _STANDARD = (*SENSITIVITIES, "Omega rejection", "torque rejection", "torque limi
 def sensitivity_figure(responses: LoopResponses, spec: LoopSpec) -> Figure:
     """Singular values of S, T and (S − T)/2 over frequency, with the limits on bandwidth, peaks and disk margin."""
     names = design_names(responses)
-    figure, [row] = panels(1, 3, 3.1, legend=legend_rows(names))
+    figure, [row] = panels(1, 3, 2.1, names)
     f, left = responses.frequency * HZ, row[0]
     handles: list[Any] = []
     for axes, (kind, title) in zip(row, SENSITIVITIES.items(), strict=True):
@@ -90,7 +89,7 @@ def sensitivity_figure(responses: LoopResponses, spec: LoopSpec) -> Figure:
     for axes, kind in zip(row, SENSITIVITIES, strict=True):
         limit_lines(axes, spec, kind)
     left.set_ylabel("singular values, 1")
-    legend_above(figure, handles, names)
+    legend(figure, handles, names)
     return figure
 
 
@@ -103,7 +102,7 @@ def loop_transfer_figure(responses: LoopResponses, spec: LoopSpec, torques: tupl
                 f"got {short(torques)}"
             )
     names = design_names(responses)
-    figure, rows = panels(2, 1 + len(torques), 4.4, legend=legend_rows(names))
+    figure, rows = panels(2, 1 + len(torques), 1.35, names)
     f, designs = responses.frequency * HZ, responses.designs
     handles = _design_curves(rows[0][0], f, [one.loop_gains[0] for one in designs], responses, label=False)
     for k, one in enumerate(designs):
@@ -130,7 +129,7 @@ def loop_transfer_figure(responses: LoopResponses, spec: LoopSpec, torques: tupl
     rows[1][0].set_title("controller, largest gain")
     rows[1][0].set_ylabel(METRICS["controller gain"].unit)
     rows[1][1].set_ylabel("phase, degrees")
-    legend_above(figure, handles, names)
+    legend(figure, handles, names)
     return figure
 
 
@@ -166,7 +165,7 @@ def disturbance_figure(responses: LoopResponses, spec: LoopSpec) -> Figure:
         limit_lines(axes, spec, "torque limit")
         axes.set_title("full Omega → torque")
         axes.set_ylabel("torque over its limit, 1")
-    legend_above(figure, handles, names)
+    legend(figure, handles, names)
     return figure
 
 
@@ -190,7 +189,7 @@ def further_gains_figure(responses: LoopResponses, spec: LoopSpec, kinds: Sequen
         limit_lines(axes, spec, kind, scale=1.0 / metric.scale)
         axes.set_title(metric.name)
         axes.set_ylabel(metric.unit or "1")
-    legend_above(figure, handles, names)
+    legend(figure, handles, names)
     return figure
 
 
@@ -198,8 +197,8 @@ def _cells(number: int, names: Sequence[str]) -> tuple[Figure, list[Axes]]:
     """Return a figure with `number` panels in one or two rows."""
     columns = number if number <= _ONE_ROW else -(-number // 2)
     rows = -(-number // columns)
-    figure, grid = panels(rows, columns, 3.0 * rows, legend=legend_rows(names))
-    cells = [axes for row in grid for axes in row]
+    figure, grid = panels(rows, columns, 2.0, names)
+    cells = list(grid.flat)
     for unused in cells[number:]:
         unused.remove()
     return figure, cells[:number]
@@ -252,7 +251,7 @@ def nichols_figure(responses: LoopResponses, spec: LoopSpec, torques: tuple[str,
 def pole_figure(responses: LoopResponses, spec: LoopSpec, nutation: float, period: float) -> Figure:
     """Closed-loop poles of the nominal plant (strong), of uncertain plants (faint) and with faults (crosses)."""
     names = design_names(responses)
-    figure, [row] = panels(1, 2, 3.7, legend=legend_rows(names))
+    figure, [row] = panels(1, 2, 2.7, names)
     handles: list[Any] = []
     for axes in row:
         drawn: list[Any] = []
@@ -266,7 +265,7 @@ def pole_figure(responses: LoopResponses, spec: LoopSpec, nutation: float, perio
             drawn += axes.plot(own.real, own.imag, **style | strong)
         handles = handles or drawn
     _two_views(row, spec, nutation, period)
-    legend_above(figure, handles, names)
+    legend(figure, handles, names)
     return figure
 
 

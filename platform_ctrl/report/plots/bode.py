@@ -20,7 +20,6 @@ from platform_ctrl.report.plots.curves import margins as margins_of
 from platform_ctrl.report.plots.label_placement import LabelPlacer
 from platform_ctrl.report.plots.panels import (
     GainCurve,
-    blocks,
     control_plot,
     draw,
     gain_curves,
@@ -29,7 +28,7 @@ from platform_ctrl.report.plots.panels import (
 )
 from platform_ctrl.report.plots.systems import DrawnSystem, drawable, drawn_systems, grid, shared_unit, unit_of_gain
 from platform_ctrl.report.quantities import HZ, plain
-from platform_ctrl.report.style import SERIES, standalone
+from platform_ctrl.report.style import SERIES, panels, standalone
 
 if TYPE_CHECKING:
     import control
@@ -122,7 +121,7 @@ def bode(
     }
     together = list(dict.fromkeys(name for name in names.values() if name))
     tall = (2.3, 1.8) if len(rows) == 1 else (1.5, 1.15)
-    _, axes = blocks(len(rows), len(rows[0]), tall, together, titles=any(block.title for block in every))
+    _, axes = panels(len(rows), len(rows[0]), tall, together, titles=any(block.title for block in every))
     lines: dict[tuple[int, int], list[Any]] = {at: [] for at in np.ndindex(axes.shape)}
     handles: dict[str, Any] = {}
     for i, row in enumerate(rows):

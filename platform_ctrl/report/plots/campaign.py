@@ -29,8 +29,7 @@ from platform_ctrl.report.style import (
     LIMIT,
     MUTED,
     SERIES,
-    legend_above,
-    legend_rows,
+    legend,
     line_style,
     linear_axis,
     log_axis,
@@ -138,8 +137,8 @@ def _limits(record: Mapping[str, Any], limits: Limits | None) -> Limits:
 def histograms(wanted: Sequence[tuple[RequirementStatistics, str]], columns: int) -> Figure:
     """Return a figure with a histogram for each pair of a requirement and its metric, row by row."""
     rows = -(-len(wanted) // columns)
-    drawn, grid = panels(rows, columns, 0.85 + rows * _CELL + (rows - 1) * 0.55)
-    cells = [axes for row in grid for axes in row]
+    drawn, grid = panels(rows, columns, _CELL)
+    cells = list(grid.flat)
     for axes, (one, name) in zip(cells, wanted, strict=False):
         _histogram_panel(axes, one, name)
     for axes in cells[len(wanted) :]:
@@ -233,7 +232,7 @@ def exceedance_figure(found: CampaignStatistics) -> Figure:
     figures = [name for name in RUN_METRICS if with_limit(found, name)]
     manoeuvres = list(dict.fromkeys(one.manoeuvre for name in figures for one in with_limit(found, name)))
     labels = [str(name) for name in manoeuvres]
-    drawn, rows = panels(1, len(figures), 3.0 + 0.22 * legend_rows(labels), legend=legend_rows(labels))
+    drawn, rows = panels(1, len(figures), 2.2, labels)
     handles = {}
     for axes, name in zip(rows[0], figures, strict=True):
         for one in with_limit(found, name):
@@ -244,7 +243,7 @@ def exceedance_figure(found: CampaignStatistics) -> Figure:
             handles[str(one.manoeuvre)] = axes.plot(levels, shares, drawstyle="steps-post", **style)[0]
         _exceedance_axes(axes, name, found)
     rows[0][0].set_ylabel("share of the runs above")
-    legend_above(drawn, [handles[label] for label in labels], labels)
+    legend(drawn, [handles[label] for label in labels], labels)
     return drawn
 
 

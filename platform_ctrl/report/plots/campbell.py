@@ -30,8 +30,7 @@ from platform_ctrl.report.style import (
     MUTED,
     REFERENCE,
     SERIES,
-    legend_above,
-    legend_rows,
+    legend,
     line_style,
     linear_axis,
     panels,
@@ -44,7 +43,7 @@ _SPEEDS = 401
 _ZERO = 1e-5
 # Intersections near the origin, where all lines begin, do not count: share of the largest speed.
 _CORNER = 0.005
-_WIDTH, _HEIGHT = 9.6, 4.8
+_HEIGHT = 4.25
 
 
 @value
@@ -126,8 +125,7 @@ def campbell(  # noqa: PLR0915 - one picture
     labels = [
         f"{m.kind} of {drawable('-'.join(m.gimbals))}: {number(m.nominal * HZ, 3)} Hz at nominal speed" for m in modes
     ]
-    rows = legend_rows(labels) if modes else 0
-    figure, [[axes]] = panels(1, 1, _HEIGHT + 0.22 * rows, width=_WIDTH, legend=rows, titles=False)
+    figure, [[axes]] = panels(1, 1, _HEIGHT, labels, titles=False)
     handles: list[Any] = []
     x = unit * speed
     for k, mode in enumerate(modes):
@@ -152,7 +150,7 @@ def campbell(  # noqa: PLR0915 - one picture
         axes.axvline(unit, color=REFERENCE, linewidth=0.8, linestyle=(0, (1.2, 1.4)))
     _spin_lines(axes, modes, speed, unit, reference, multiples)
     if modes:
-        legend_above(figure, handles, labels)
+        legend(figure, handles, labels)
     else:
         axes.annotate(
             "these gimbals have no oscillating mode", (0.5, 0.5), xycoords="axes fraction", color=MUTED, ha="center"

@@ -27,7 +27,6 @@ from platform_ctrl.report.plots.label_placement import LabelPlacer, points_of
 from platform_ctrl.report.plots.panels import (
     GainCurve,
     Level,
-    blocks,
     bound,
     control_plot,
     curve_style,
@@ -46,7 +45,7 @@ from platform_ctrl.report.plots.systems import (
     unit,
 )
 from platform_ctrl.report.quantities import HZ, plain
-from platform_ctrl.report.style import REFERENCE, standalone
+from platform_ctrl.report.style import REFERENCE, panels, standalone
 
 if TYPE_CHECKING:
     import control
@@ -108,7 +107,7 @@ def singular_values(
             *[{"linewidth": 0.9, "marker": "", "alpha": 0.85}] * (min(one.shape) - 1),
         ]
         curves += [GainCurve(one, w, row, k, look) for row, look in zip(singular(response), looks, strict=True)]
-    _, axes = blocks(1, 1, (3.4,), names, titles=False)
+    _, axes = panels(1, 1, 3.4, names, titles=False)
     lines = gain_curves(axes[0, 0], curves, dB=dB, upper=above, lower=below)
     axes[0, 0].set_ylabel(gain_label("singular values", shared_unit(drawn), dB))
     first = np.cumsum([0, *(min(one.shape) for one in drawn)])[:-1]
@@ -209,7 +208,7 @@ def gang_of_four(  # noqa: PLR0913 - options by keyword
         names = [f"at the plant's input{unstable}", f"at the plant's output{unstable}"]
     if not several and not sides and closed[0].stable and not closed[0].label:
         names = []
-    _, axes = blocks(2, 2, (2.0,), names)
+    _, axes = panels(2, 2, 2.0, names)
     units, titles = _units(closed[0].loop, closed[0].gang)
     lines = []
     for n, panel in enumerate(axes.flat):
@@ -380,7 +379,7 @@ def Omega_sensitivity(
     names = ["without control"]
     for K, loop in zip(given, loops, strict=True):
         names.append((K.label or "controlled") + ("" if is_stable(loop) else ", not stable"))
-    _, axes = blocks(len(rows), len(columns), (1.75 if len(rows) > 1 else 2.6,), names)
+    _, axes = panels(len(rows), len(columns), 1.75 if len(rows) > 1 else 2.6, names)
     lines = []
     uncontrolled = {"color": REFERENCE, "linestyle": "-", "linewidth": 1.3}
     for panel, (i, j) in zip(axes.flat, itertools.product(rows, columns), strict=True):

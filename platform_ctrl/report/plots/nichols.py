@@ -28,10 +28,10 @@ from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.report.plots.curves import Curve, Margins, channels, curve, margins
 from platform_ctrl.report.plots.label_placement import LabelPlacer
-from platform_ctrl.report.plots.panels import blocks, control_plot, curve_style, gains
+from platform_ctrl.report.plots.panels import control_plot, curve_style, gains
 from platform_ctrl.report.plots.systems import DrawnSystem, as_state_space, drawable, drawn_systems, gaps, grid, listed
 from platform_ctrl.report.quantities import HZ, disk_gain_or_phase, plain
-from platform_ctrl.report.style import BAND, DOTTED, FRAME, LIMIT, MUTED, REFERENCE, standalone
+from platform_ctrl.report.style import BAND, DOTTED, FRAME, LIMIT, MUTED, REFERENCE, panels, standalone
 
 if TYPE_CHECKING:
     import control
@@ -105,7 +105,7 @@ def nichols(
     found = [margins(one, skew=skew) for one in curves]
     names = [_legend_words(one, measured) for one, measured in zip(curves, found, strict=True)]
     regions = [f"disk margin {alpha:g}" + (f", skew {skew:g}" if skew else "") for alpha in alphas]
-    _, axes = blocks(1, 1, (5.0,), [*names, *regions], titles=False, width=7.6)
+    _, axes = panels(1, 1, 5.0, [*names, *regions], titles=False, width=7.6)
     panel = axes[0, 0]
     _show_loops(panel, curves)
     shaded = _shaded_regions(panel, alphas, skew)
@@ -292,7 +292,7 @@ def disk_margin_region(
     checked_skew("disk_margin_region", skew)
     regions = _regions(margins, labels, skew)
     words = [_words(region, skew) for region in regions]
-    _, axes = blocks(1, 1, (4.0,), words, titles=False, width=7.2)
+    _, axes = panels(1, 1, 4.0, words, titles=False, width=7.2)
     panel = axes[0, 0]
     left, right, top = _window(regions, skew)
     gain = np.geomspace(left, right, 401)

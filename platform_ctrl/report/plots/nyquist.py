@@ -39,10 +39,10 @@ from platform_ctrl.report.style import (
     MUTED,
     REFERENCE,
     SERIES,
-    legend_above,
-    legend_rows,
+    legend,
     line_style,
     linear_axis,
+    panel_width,
     panels,
     standalone,
 )
@@ -140,11 +140,8 @@ def nyquist(
     names += ["ω < 0", "−1", *(["disk of the margin"] if with_disk else []), f"|L| > {radius:g}: on the rim"]
     columns = min(size, _COLUMNS)
     rows, width = -(-size // columns), 6.4 if columns == 1 else 9.6
-    rowed = legend_rows(names, width)
-    cell = (width - 0.76 - (columns - 1) * 0.68) / columns
-    height = rows * cell + (rows - 1) * 0.72 + 0.46 + 0.08 + 0.22 * rowed + 0.24
-    figure, panel_grid = panels(rows, columns, height, width=width, legend=rowed)
-    every = [axes for row in panel_grid for axes in row]
+    _, panel_grid = panels(rows, columns, panel_width(columns, width), names, width=width)
+    every = list(panel_grid.flat)
     lines = []
     for k, axes in enumerate(every[:size]):
         lines.append(_panel(axes, [one[k] for one in curves], radius, disks[k]))
@@ -160,8 +157,7 @@ def nyquist(
         *([Patch(facecolor=BAND, edgecolor=MUTED)] if with_disk else []),
         Line2D([], [], color=REFERENCE, linewidth=0.8, linestyle=_RIM),
     ]
-    legend_above(figure, handles, names)
-    return control_plot(np.array([every[:size]]), lines)
+    return control_plot(np.array([every[:size]]), lines, handles, names)
 
 
 def _channels(system: DrawnSystem, frequency: ArrayLike | None, reach: float) -> list[ChannelCurve]:
@@ -381,7 +377,7 @@ def two_sided_nyquist(curve: TwoSidedNyquist | ComplexLoop) -> Figure:
     if 0.0 < curve.disk_margin < 2.0:
         touching = _signed(curve.margin_frequency, curve.margin_frequency * HZ)
         names.append(f"disk margin {at_least(curve.disk_margin, 2)}; L touches it at {touching} Hz")
-    figure, [[wide, close]] = panels(1, 2, 4.9, legend=legend_rows(names))
+    figure, [[wide, close]] = panels(1, 2, 3.95, names)
     handles: list[Any] = []
     for axes, centre, half in ((wide, 0.0, _WIDE), (close, -1.0, _CLOSE)):
         drawn = [_branch(axes, curve, sign) for sign in (1, -1)]
@@ -401,7 +397,7 @@ def two_sided_nyquist(curve: TwoSidedNyquist | ComplexLoop) -> Figure:
             places.write_frequencies(hz, points, colour, apart=_APART, words=partial(_signed, sign))
         handles = [*drawn, critical, *([disk] if disk is not None else [])]
     wide.set_ylabel("imaginary part of L")
-    legend_above(figure, handles, names)
+    legend(figure, handles, names)
     wide.set_title(f"L = −K P, frequencies in Hz; turns round −1: {curve.encirclements}")
     close.set_title("close to −1" if curve.disk_margin else f"close to −1; {curve.closed_unstable} unstable poles")
     return figure

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.ticker import MultipleLocator
 from numpy.typing import ArrayLike, NDArray
@@ -29,7 +28,6 @@ from platform_ctrl.report.style import (
     BEYOND,
     DASHED,
     DASHES,
-    FULL_WIDTH,
     LIMIT,
     MARKERS,
     MUTED,
@@ -37,7 +35,7 @@ from platform_ctrl.report.style import (
     SERIES,
     frequency_axes,
     gain_limits,
-    legend_rows,
+    legend,
     log_axis,
 )
 
@@ -46,44 +44,8 @@ if TYPE_CHECKING:
 
 # Series that differ by their dashes alone; more have markers.
 _DIFFERENT = 6
-_LEFT, _RIGHT, _BOTTOM, _GAP_X = 0.66, 0.2, 0.46, 0.76
-_TITLE, _NO_TITLE, _BETWEEN, _LEGEND_ROW = 0.26, 0.08, 0.16, 0.22
-# Distance of an axis label from its axis, inches.
-_WORDS = 0.5
 # A gain below this share of the largest one is rounding and not shown.
 _DEEPEST = 1e-14
-
-
-def blocks(
-    rows: int,
-    columns: int,
-    heights: Sequence[float],
-    labels: Sequence[str],
-    *,
-    titles: bool = True,
-    width: float = FULL_WIDTH,
-) -> tuple[Figure, NDArray[Any]]:
-    """Return a figure with blocks of panels that share their frequency axis, and its axes (rows × parts, columns)."""
-    parts = len(heights)
-    over = _TITLE if titles else _NO_TITLE
-    block = over + sum(heights) + (parts - 1) * _BETWEEN + _BOTTOM
-    top = 0.1 + (_LEGEND_ROW * legend_rows(labels, width - _LEFT) if labels else 0.0)
-    height = top + rows * block
-    figure = Figure(figsize=(width, height))
-    FigureCanvasSVG(figure)
-    across = (width - _LEFT - _RIGHT - (columns - 1) * _GAP_X) / columns
-    axes = np.empty((rows * parts, columns), dtype=object)
-    for row in range(rows):
-        for column in range(columns):
-            y = height - top - row * block - over
-            for part, tall in enumerate(heights):
-                y -= tall
-                box = ((_LEFT + column * (across + _GAP_X)) / width, y / height, across / width, tall / height)
-                above = axes[row * parts, column] if part else None
-                one = axes[row * parts + part, column] = figure.add_axes(box, sharex=above)
-                one.yaxis.set_label_coords(-_WORDS / across, 0.5)
-                y -= _BETWEEN
-    return figure, axes
 
 
 def curve_style(k: int) -> dict[str, Any]:
@@ -260,25 +222,6 @@ def phase_panel(axes: Axes, phases: Sequence[FloatArray], *, critical: bool) -> 
         odd = 360.0 * np.arange(math.ceil((low + 180.0) / 360.0), math.floor((high + 180.0) / 360.0) + 1) - 180.0
         for level in odd[:: max(1, len(odd) // 4)]:
             axes.axhline(level, color=REFERENCE, linewidth=0.9, zorder=1)
-
-
-def legend(figure: Figure, handles: Sequence[Any], labels: Sequence[str]) -> Any:
-    """Put the legend into the strip that `blocks` has left above; names that begin with _ are shown like others."""
-    if not labels:
-        return None
-    width, height = figure.get_size_inches()
-    rows = legend_rows(labels, float(width) - _LEFT)
-    return figure.legend(
-        handles,
-        labels,
-        loc="upper left",
-        ncols=-(-len(labels) // rows),
-        bbox_to_anchor=(_LEFT / width, 1.0 - 0.07 / height),
-        borderaxespad=0.0,
-        borderpad=0.1,
-        handlelength=2.6,
-        columnspacing=1.8,
-    )
 
 
 def control_plot(

@@ -22,13 +22,13 @@ from platform_ctrl.report.plots.panels import control_plot
 from platform_ctrl.report.plots.systems import DrawnSystem, drawn_systems
 from platform_ctrl.report.quantities import HZ, count
 from platform_ctrl.report.quantities import plain as number
-from platform_ctrl.report.style import INK, LIMIT, MARKERS, MUTED, SERIES, legend_above, legend_rows, panels, standalone
+from platform_ctrl.report.style import INK, LIMIT, MARKERS, MUTED, SERIES, panels, standalone
 
 if TYPE_CHECKING:
     import control
 
 
-_HEIGHT = 5.4
+_HEIGHT = 4.85
 # Poles of a system whose damping is written, at most, and up to which damping ratio.
 _WRITTEN, _DAMPED = 3, 0.5
 # A zero this much faster than all poles is at infinity, but for rounding.
@@ -94,8 +94,8 @@ def pole_map(
     view = view_of(every, nothing, nyquist, None if reach is None else positive("pole_map: reach", reach))
     roots = [_in_plane(_zeros(system, s), system.dt, plane) for system, s in zip(drawn, poles, strict=True) if zeros]
     names = [system.label or "poles" for system in drawn] + (["zeros"] if any(map(len, roots)) else [])
-    rows = legend_rows(names)
-    figure, [[axes]] = panels(1, 1, _HEIGHT + 0.22 * rows, legend=rows, titles=False)
+    _, axes_grid = panels(1, 1, _HEIGHT, names, titles=False)
+    axes: Axes = axes_grid[0, 0]
     places = z_plane(axes, periods.pop()) if plane == "z" else s_plane(axes, view)
     lines: list[Line2D] = []
     drawn_zeros: list[Line2D] = []
@@ -122,8 +122,7 @@ def pole_map(
     _outside(axes, every, plane)
     handles: list[Any] = list(lines)
     handles += [tuple(drawn_zeros)] if drawn_zeros else []
-    legend_above(figure, handles, names)
-    return control_plot(np.array([[axes]]), [lines])
+    return control_plot(axes_grid, [lines], handles, names)
 
 
 def _poles(system: DrawnSystem) -> ComplexArray:

@@ -23,7 +23,7 @@ from platform_ctrl.report.plots.loci import Locus, gain_locus, s_plane, spin_loc
 from platform_ctrl.report.plots.panels import control_plot
 from platform_ctrl.report.quantities import listed
 from platform_ctrl.report.quantities import plain as number
-from platform_ctrl.report.style import INK, LIMIT, SERIES, legend_above, panels, standalone
+from platform_ctrl.report.style import INK, LIMIT, SERIES, panels, standalone
 
 if TYPE_CHECKING:
     import control
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 Plane = Literal["s", "z"]
 
-_HEIGHT = 5.6
+_HEIGHT = 4.6
 # Numbers written along the branches: about so many.
 _LABELS = 6
 # Branches shorter than this in the panel, points, carry none.
@@ -148,49 +148,33 @@ def _drawn(locus: Locus, word: str, quantity: str, plane: Plane, reach: float | 
     if plane == "z" and not locus.dt:
         raise ArgumentError("root_locus: plane 'z' needs a sampled loop, got a continuous one; use plane 's'")
     view = locus.view if reach is None else dataclasses.replace(locus.view, reach=positive("reach", reach))
-    figure, [[axes]] = panels(1, 1, _HEIGHT, legend=1)
-    places = z_plane(axes, locus.dt) if plane == "z" else s_plane(axes, view)
+    low, high = float(locus.values[0]), float(locus.values[-1])
     points = locus.branches if plane == "z" else locus.s
     nominal = locus.nominal if plane == "z" else continuous_poles(locus.nominal, locus.dt)
+    at_start = f"{word} {number(low, 3)}" + (": plant and controller" if low == 0.0 and word == "gain" else "")
+    marked = [(points[0], "x", INK, 5.5, at_start)]
+    if low <= 1.0 <= high:
+        marked.append((nominal, "o", SERIES[1], 7.0, f"{word} 1: nominal"))
+    names = [quantity, *(name for *_, name in marked), *["stability begins or ends"] * bool(locus.edges.size)]
+    _, grid = panels(1, 1, _HEIGHT, names)
+    axes: Axes = grid[0, 0]
+    places = z_plane(axes, locus.dt) if plane == "z" else s_plane(axes, view)
     lines = _branches(axes, points)
     places.avoid(lines)
     handles: list[Any] = [Line2D([], [], marker="o", linestyle="-", markersize=3.2, color=SERIES[0], linewidth=1.3)]
-    names = [quantity]
-    at_start = f"{word} {number(locus.values[0], 3)}"
-    if locus.values[0] == 0.0 and word == "gain":
-        at_start += ": plant and controller"
-    for where, marker, colour, size, name in (
-        (points[0], "x", INK, 5.5, at_start),
-        (nominal, "o", SERIES[1], 7.0, f"{word} 1: nominal"),
-    ):
-        if marker == "o" and not locus.values[0] <= 1.0 <= locus.values[-1]:
-            continue
+    for where, marker, colour, size, _ in marked:
         upper = upper_half_plane(where)
-        handles += axes.plot(
-            upper.real,
-            upper.imag,
-            linestyle="none",
-            marker=marker,
-            color=colour,
-            markersize=size,
-            markerfacecolor="none",
-            markeredgewidth=1.3,
-            zorder=4,
-        )
-        names.append(name)
+        look: dict[str, Any] = {"marker": marker, "color": colour, "markersize": size, "markerfacecolor": "none"}
+        handles += axes.plot(upper.real, upper.imag, linestyle="none", markeredgewidth=1.3, zorder=4, **look)
         for s in upper:
             places.reserve(s.real, s.imag, 4.0)
     marks = _dots(axes, places, locus, points)
-    ends = _edges(axes, places, locus, plane, word)
-    if ends is not None:
-        handles.append(ends)
-        names.append("stability begins or ends")
+    handles += _edges(axes, places, locus, plane, word)
     for text, at in marks:
         places.write(text, at.real, at.imag)
     places.write_remaining()
-    legend_above(figure, handles, names)
     axes.set_title(_stable_words(locus, word))
-    plot = control_plot(np.array([[axes]]), [lines])
+    plot = control_plot(grid, [lines], handles, names)
     plot.locus = locus
     return plot
 
@@ -205,18 +189,15 @@ def _branches(axes: Axes, points: ComplexArray) -> list[Line2D]:
     return lines
 
 
-def _edges(axes: Axes, places: LabelPlacer, locus: Locus, plane: Plane, word: str) -> Line2D | None:
-    """Mark the poles that lie on the boundary where stability begins or ends, each with its number."""
-    drawn: Line2D | None = None
+def _edges(axes: Axes, places: LabelPlacer, locus: Locus, plane: Plane, word: str) -> list[Line2D]:
+    """Mark the poles on the boundary where stability begins or ends, each with its number; return one of the marks."""
+    drawn: list[Line2D] = []
     for edge in locus.edges:
-        k = int(np.argmin(np.abs(locus.values - edge)))
-        s = locus.s[k]
+        s = locus.s[int(np.argmin(np.abs(locus.values - edge)))]
         outermost = upper_half_plane(s[np.isfinite(s)])
-        if not outermost.size:
-            continue
         pole = outermost[int(np.argmax(outermost.real))]
         at = np.exp(pole * locus.dt) if plane == "z" else 1j * pole.imag
-        [drawn] = axes.plot([at.real], [at.imag], "D", color=LIMIT, markersize=5.0, linestyle="none", zorder=5)
+        drawn = axes.plot([at.real], [at.imag], "D", color=LIMIT, markersize=5.0, linestyle="none", zorder=5)
         places.reserve(at.real, at.imag, 4.0)
         places.write(f"{word} {number(edge, 3)}", at.real, at.imag, colour=LIMIT, size=7.5, bold=True, required=True)
     return drawn

@@ -22,8 +22,6 @@ from platform_ctrl.report.quantities import power_of_ten
 from platform_ctrl.report.style import (
     REFERENCE,
     envelope,
-    legend_above,
-    legend_rows,
     line_style,
     linear_axis,
     panels,
@@ -93,9 +91,8 @@ def step_response(
     if end > longest:
         raise ArgumentError(f"step_response: duration must be at most {longest:g} s, {_SAMPLES} samples, got {end:g} s")
     names = [system.label or "step response" for system in drawn]
-    legend = legend_rows(names) if len(drawn) > 1 or drawn[0].label else 0
-    height = 0.8 + 0.22 * legend + p * {1: 2.6, 2: 2.2}.get(p, 1.7) + 0.6 * (p - 1)
-    figure, grid = panels(p, m, height, legend=legend)
+    names = names if len(drawn) > 1 or drawn[0].label else []
+    _, grid = panels(p, m, {1: 2.6, 2: 2.15}.get(p, 1.65), names)
     lines: dict[tuple[int, int], list[Any]] = {at: [] for at in np.ndindex(p, m)}
     for k, system in enumerate(drawn):
         t = _times(system, end)
@@ -111,14 +108,12 @@ def step_response(
             for i in range(p):
                 shown, at = (t, y[i]) if system.dt else envelope(t, y[i], 2000)
                 kind: dict[str, Any] = {"drawstyle": "steps-post"} if system.dt else {}
-                lines[i, j] += grid[i][j].plot(shown, at, **line_style(k), **kind)
+                lines[i, j] += grid[i, j].plot(shown, at, **line_style(k), **kind)
                 if final is not None:
-                    grid[i][j].axhline(final[i, j], color=REFERENCE, linewidth=0.7, zorder=1)
+                    grid[i, j].axhline(final[i, j], color=REFERENCE, linewidth=0.7, zorder=1)
     for i, j in np.ndindex(p, m):
-        _labelled(grid[i][j], drawn[0], i, j, end, bottom=i == p - 1)
-    if legend:
-        legend_above(figure, [lines[0, 0][k] for k in range(len(drawn))], names)
-    return control_plot(np.array(grid), list(lines.values()))
+        _labelled(grid[i, j], drawn[0], i, j, end, bottom=i == p - 1)
+    return control_plot(grid, list(lines.values()), lines[0, 0][: len(names)], names)
 
 
 def _duration(systems: Sequence[DrawnSystem]) -> float:

@@ -133,7 +133,7 @@ def trajectory_figure(
     `signal_series`; `limits` are those of a manoeuvre; `unlimited` is shown if no torquer has a limit.
     """
     free = t.mode == "stabilised"
-    figure, rows = panels(2, 3 if free else 2, 4.9)
+    figure, rows = panels(2, 3 if free else 2, 1.7)
     roots = [k for k, torquer in enumerate(torquers) if torquer.root_axis is not None]
     gimbals = [k for k in range(len(torquers)) if k not in roots]
 
@@ -150,9 +150,9 @@ def trajectory_figure(
     _traces(rate, t.t, factor * t.Omega, _of_axes("Ω"), None, title, unit)
     _shares(rows[1][-1], t, torquers, gimbals + roots if free else gimbals, limits.get("torque_share"), unlimited)
     if not t.completed:
-        for axes in [axes for row in rows for axes in row][:-1]:
+        for axes in rows.flat[:-1]:
             axes.axvline(t.t[-1] if t.t.size else 0.0, color=LIMIT, linewidth=1.0)
-    for axes in [axes for row in rows for axes in row][:-1]:
+    for axes in rows.flat[:-1]:
         axes.set_xlim(0.0, duration)
         axes.set_xlabel("time, s")
         linear_axis(axes.xaxis, 6)
