@@ -111,8 +111,9 @@ def step_response(
                 lines[i, j] += grid[i, j].plot(shown, at, **line_style(k), **kind)
                 if final is not None:
                     grid[i, j].axhline(final[i, j], color=REFERENCE, linewidth=0.7, zorder=1)
-    for i, j in np.ndindex(p, m):
-        _labelled(grid[i, j], drawn[0], i, j, end, bottom=i == p - 1)
+    for k, panel in enumerate(grid.flat):
+        i, j = divmod(k, m)
+        _labelled(panel, drawn[0], i, j, end, bottom=i == p - 1)
     return control_plot(grid, list(lines.values()), lines[0, 0][: len(names)], names)
 
 
