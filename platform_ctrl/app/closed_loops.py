@@ -24,7 +24,8 @@ from platform_ctrl.errors import DesignError, PlatformCtrlError
 from platform_ctrl.job.job import DesignSpec, Job, LoopSpec
 from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.job.methods import METHODS
-from platform_ctrl.verification.controllers import opened, read_controllers
+from platform_ctrl.plant.source import read_json
+from platform_ctrl.verification.controllers import read_controllers
 from platform_ctrl.verification.coupled import sensed_rates
 
 if TYPE_CHECKING:
@@ -72,7 +73,7 @@ def at_rate(K: StateArrays, period: float, design: str) -> StateArrays:
 def given_designs(path: Path, job: Job) -> list[tuple[str, str, str, Made]]:
     """Return loop, design, method and controller of each entry of a file that fits the job's caging loops."""
     out = []
-    _, data = opened(path)
+    _, data = read_json(path, "a JSON file with controllers")
     for part in ("controllers", "alternatives"):
         read = read_controllers(path, job, part)
         entries: list[Any] = list(data.get(part, [])) if isinstance(data, dict) else []

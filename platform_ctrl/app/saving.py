@@ -27,7 +27,8 @@ from platform_ctrl.job.old_names import renamed
 from platform_ctrl.job.reading import read_job
 from platform_ctrl.plant.reading import open_plant
 from platform_ctrl.plant.source import is_shipped_name, read_text
-from platform_ctrl.verification.records import SCHEMA, write_record
+from platform_ctrl.verification.json_tables import SCHEMA
+from platform_ctrl.verification.records import write_record
 
 if TYPE_CHECKING:
     import control

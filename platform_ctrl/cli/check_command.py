@@ -166,7 +166,7 @@ def check(
         extras = ReportOptions.given(read, pdf, campaign)
         from platform_ctrl.verification import check_job
         from platform_ctrl.verification.controllers import outcomes_from, read_controllers
-        from platform_ctrl.verification.unconfirmed import unconfirmed
+        from platform_ctrl.verification.records import unconfirmed
 
         closed = read_controllers(file, read)
         others = read_controllers(file, read, "alternatives")

@@ -163,11 +163,12 @@ def _c_settings(given: dict[str, Any]) -> dict[str, Any]:
 
 def _write_c(export: Export, path: Path, target: Path, **settings: Any) -> None:
     from platform_ctrl.export.c99.c_files import write_c
-    from platform_ctrl.verification.controllers import opened, read_controllers
+    from platform_ctrl.plant.source import read_json
+    from platform_ctrl.verification.controllers import read_controllers
 
     file = cast(Path, export.controller_file)
     read_controllers(file, export.job)  # checked as a file, before its entries are taken
-    _, data = opened(file)
+    data: Any = read_json(file, "a JSON file with controllers")[1]
     versions = data.get("versions")
     words = ["platform-ctrl", "export", str(export.job_file), "--controllers", str(file), "--c", str(target)]
     written = write_c(

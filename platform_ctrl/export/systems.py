@@ -19,7 +19,7 @@ from platform_ctrl.plant.fields import finite_number
 from platform_ctrl.plant.mistakes import given, one_line
 from platform_ctrl.plant.platform import FORCE_NAMES, OMEGA_NAMES, ROOT_TORQUE_NAMES, Platform, gimbal_rate
 from platform_ctrl.plant.source import path_of, read_json
-from platform_ctrl.verification.records import SCHEMA
+from platform_ctrl.verification.json_tables import SCHEMA
 
 if TYPE_CHECKING:
     import control

@@ -59,7 +59,7 @@ class CoupledCheck:
     simultaneous
         Disk margin in all channels at once.
     of_torquers
-        The metrics of single torquers in the coupled system, (channels,) each, by their keys in `METRICS`.
+        Metrics of the torquers in the coupled system, SI units, (channels,) each, by their keys in `METRICS`.
     results
         The job's limits held against these.
 

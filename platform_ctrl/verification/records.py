@@ -1,10 +1,14 @@
-"""result.json: what a job came to as plain data, written whole or not at all."""
+"""result.json: what a job came to as plain data, written whole or not at all; and its claims compared with a new check.
+
+No verdict rests on a file's claims: it may be older than the plant. But what is no longer true, or never was, is said.
+"""
 
 from __future__ import annotations
 
+import math
 import os
 import platform as interpreter
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from importlib import metadata
 from typing import Any
 
@@ -15,14 +19,16 @@ from platform_ctrl.analysis.certificates import Certificate
 from platform_ctrl.analysis.certificates.certificate import Verification
 from platform_ctrl.common.json_text import plain_types, write_json
 from platform_ctrl.common.signatures import check_arguments
+from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.loop import LoopDesign
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.judging import CheckResult
+from platform_ctrl.plant.mistakes import given
+from platform_ctrl.plant.source import read_json
 from platform_ctrl.verification.coupled import CoupledCheck
+from platform_ctrl.verification.json_tables import SCHEMA
 from platform_ctrl.verification.simulated import Run, largest
 from platform_ctrl.verification.verdict import JobResult, Proofs
-
-SCHEMA = 1
 
 Record = dict[str, Any]
 
@@ -158,3 +164,110 @@ def _coupled(check: CoupledCheck) -> Record:
             for name, alone, together, cost, noise in figures
         ],
     }
+
+
+# Values and plants of the same job, on another machine, agree to this.
+_AGREE = 1e-6
+# Lines for one design: with a changed matrix hardly any claim holds.
+_LINES = 4
+
+
+def unconfirmed(source: str | os.PathLike[str] | Mapping[str, Any], result: JobResult) -> tuple[str, ...]:
+    """Return a line for every claim of a ``result.json`` that `result`, made from its controllers, does not confirm.
+
+    Compared are the values under ``claims`` that belong to the closed loop (``disk_margin``, ``damping``), the nominal
+    plant, every bound of a certificate, and every X, which has to prove its claim with plant and controller.
+    """
+    data: Any = source if isinstance(source, Mapping) else read_json(source, "a JSON file with controllers")[1]
+    designs = [design for outcome in result.loops for design in outcome.designs]
+    out: list[str] = []
+    for key in ("controllers", "alternatives"):
+        for entry in data.get(key) or []:
+            design = next((one for one in designs if _is_of(entry, one)), None)
+            if design is not None:
+                found = list(_of_design(entry, design, result.proofs[design.loop, design.name]))
+                more = len(found) - _LINES
+                out += found[:_LINES]
+                out += [f"{design.loop}, {design.name}: and {more} more of its claims"] if more > 0 else []
+    coupled = data.get("coupled")
+    if isinstance(coupled, Mapping):
+        out += _of_certificates("all loops closed", coupled.get("certificates"), result.proofs["", ""])
+    return tuple(out)
+
+
+def _is_of(entry: Mapping[str, Any], design: LoopDesign) -> bool:
+    K = design.controller
+    pairs = [(_matrix(entry.get(name)), np.asarray(getattr(K, name))) for name in "ABCD"]
+    same = all(item is not None and (np.array_equal(item, M) or item.size == M.size == 0) for item, M in pairs)
+    return same and entry.get("outputs") == list(K.output_labels)
+
+
+def _of_design(entry: Mapping[str, Any], design: LoopDesign, proofs: Proofs) -> Iterator[str]:
+    where = f"{design.loop}, {design.name}"
+    claims = entry.get("claims")
+    if design.measures is not None and isinstance(claims, Mapping):
+        found = {"disk_margin": design.measures.disk_margin[0], "damping": design.measures.damping[0]}
+        for name, figure in found.items():
+            written = claims.get(name, figure)
+            if not _agree(written, float(figure)):
+                yield f"{where}: {name} is written as {given(written)}; it is {figure:.6g}"
+    yield from _of_certificates(where, entry.get("certificates"), proofs)
+
+
+def _of_certificates(where: str, written: object, proofs: Proofs) -> Iterator[str]:
+    if not isinstance(written, Mapping) or not isinstance(written.get("list"), list) or not proofs.certificates:
+        return
+    plant = written.get("plant")
+    loop = proofs.certificates[0].loops[0]
+    if isinstance(plant, Mapping) and not all(_near(plant.get(name), getattr(loop, name)) for name in "ABCD"):
+        yield f"{where}: the certificates are written for another plant than the job's"
+        return
+    for entry in written["list"]:
+        if not isinstance(entry, Mapping):
+            yield f"{where}: a certificate must be a table, got {given(entry)}"
+            continue
+        label, claim, bound = entry.get("label"), entry.get("claim"), entry.get("bound")
+        made = next((c for c in proofs.certificates if (c.loops[0].label, c.claim) == (label, claim)), None)
+        what = f"{where}: certificate of {given(claim)}, {given(label)}"
+        if made is None:
+            yield f"{what}: no such claim is proved"
+        elif isinstance(bound, bool) or not isinstance(bound, int | float) or not math.isfinite(bound):
+            yield f"{what}: its bound is written as {given(bound)}"
+        elif "X" in entry:
+            reason = _refuted(entry, made, float(bound))
+            if reason:
+                yield f"{what}: not proved by the X that is written: {reason}"
+        elif bound > made.bound * (1 + _AGREE) if claim == "stability" else bound < made.bound * (1 - _AGREE):
+            yield f"{what}: its bound is written as {bound:.9g}; proved is {made.bound:.9g}"
+
+
+def _refuted(entry: Mapping[str, Any], made: Certificate, bound: float) -> str:
+    X, T = _matrix(entry["X"]), _matrix(entry["coordinates"]) if "coordinates" in entry else None
+    if X is None or (T is None and "coordinates" in entry):
+        return "it is no matrix of numbers"
+    found = Certificate(claim=made.claim, bound=bound, loops=made.loops, X=X, coordinates=T).verify()
+    return "" if found.proved else found.reason
+
+
+def _matrix(rows: object) -> FloatArray | None:
+    try:
+        out = np.array(rows, dtype=np.float64)
+    except (TypeError, ValueError):
+        return None
+    return np.atleast_2d(out) if isinstance(rows, Sequence) else None
+
+
+def _near(rows: object, M: FloatArray) -> bool:
+    given = _matrix(rows)
+    if given is None or given.size != M.size:
+        return False
+    size = float(np.abs(M).max(initial=0.0))
+    return bool(np.all(np.abs(given.ravel() - M.ravel()) <= 1e-3 * _AGREE * size))
+
+
+def _agree(written: object, figure: float) -> bool:
+    if written is None:
+        return not math.isfinite(figure)
+    if isinstance(written, bool) or not isinstance(written, int | float):
+        return False
+    return math.isclose(written, figure, rel_tol=_AGREE, abs_tol=1e-12)

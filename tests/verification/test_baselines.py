@@ -25,9 +25,8 @@ from platform_ctrl.report.failures import change_text, moved_text, write_junit
 from platform_ctrl.report.figures.baseline_changes import moved_figure, write_moved_figure
 from platform_ctrl.verification import JobResult
 from platform_ctrl.verification.baselines import accepted, compare, read_baseline, update_baseline
-from platform_ctrl.verification.baselines.figures import figures_of
 from platform_ctrl.verification.baselines.file import plot_beside, remove_plot, write_baseline
-from platform_ctrl.verification.baselines.record import Baseline, Tolerance
+from platform_ctrl.verification.baselines.record import Baseline, Tolerance, figures_of
 from platform_ctrl.verification.coupled import coupled_check
 
 JOB: dict[str, Any] = {
@@ -375,15 +374,15 @@ def test_an_update_makes_folders(result: JobResult, tmp_path: Path) -> None:
         (lambda data: data["figures"].append(data["figures"][0]), 'the figure is listed twice for "caging 4-5-7"'),
         (lambda data: data["controllers"][0].pop("A"), 'controllers 1 "caging 4-5-7": the key "A" is missing'),
         (lambda data: data["controllers"][0].update(dt=0), "dt must be the sample period, from 1e-9 to 1e6 s, got 0.0"),
-        (lambda data: data["controllers"][0]["A"].pop(), "A: row 1 must be "),
-        (lambda data: data["controllers"][0]["B"].pop(), "B must be a 6 x 3 matrix"),
+        (lambda data: data["controllers"][0]["A"].pop(), "A must be 5 x 5 (square), row 1 has 6 elements"),
+        (lambda data: data["controllers"][0]["B"].pop(), "B must be 6 x 3 (by inputs, outputs and A), has 5 rows"),
         (
             lambda data: data["controllers"][0].update(inputs=["a", "a"]),
-            "inputs must be a list of signal names, each once",
+            'inputs: "a" is listed twice',
         ),
         (
             lambda data: data["plants"][0]["D"][0].__setitem__(0, None),
-            'plants 1 "caging 4-5-7": D: row 1 must be 3 finite numbers, got [None',
+            'plants 1 "caging 4-5-7": D: element (1, 1) must be a finite number, got None',
         ),
     ],
 )

@@ -23,8 +23,7 @@ from platform_ctrl.design import loops
 from platform_ctrl.design.jobs import LoopOutcome
 from platform_ctrl.errors import NotCertifiedError
 from platform_ctrl.verification import check_job
-from platform_ctrl.verification.records import result_record
-from platform_ctrl.verification.unconfirmed import unconfirmed
+from platform_ctrl.verification.records import result_record, unconfirmed
 from platform_ctrl.verification.verdict import coupled_proofs
 
 pytestmark = pytest.mark.usefixtures("untraced")

@@ -206,7 +206,7 @@ Change = Callable[[dict[str, Any]], object]
 MISTAKES: dict[str, tuple[Change, str]] = {
     "no schema": (
         lambda r: r.pop("schema"),
-        "schema must be 1, the format that this version reads, but the key is missing",
+        'the key "schema" is missing; it must be 1',
     ),
     "another schema": (lambda r: r.update(schema=2), "schema must be 1, the format that this version reads, got 2"),
     "schema is true": (
@@ -215,10 +215,10 @@ MISTAKES: dict[str, tuple[Change, str]] = {
     ),
     "no controllers": (
         lambda r: r.pop("controllers"),
-        "controllers must be a list of controllers, but the key is missing",
+        'the key "controllers" is missing',
     ),
     "an empty list": (lambda r: r.update(controllers=[]), "controllers must be a list of controllers, got []"),
-    "no table": (lambda r: r["controllers"].insert(0, 3), "controllers 1 must be a table with name"),
+    "no table": (lambda r: r["controllers"].insert(0, 3), "controllers 1 must be a table, got 3"),
     "no name": (lambda r: second(r).pop("name"), 'controllers 2: the key "name" is missing'),
     "no matrix": (lambda r: second(r).pop("D"), 'controllers 2 "caging 9-10": the key "D" is missing'),
     "no delay": (lambda r: second(r).pop("delay"), 'the key "delay" is missing'),
@@ -282,7 +282,7 @@ def test_every_mistake_is_one_line_that_names_its_place(record: dict[str, Any], 
     ("content", "words"),
     [
         (b"{", "is not JSON: "),
-        (b"[1]", 'must be a table with "schema"'),
+        (b"[1]", "must be a table, got [1]"),
         (b"\xff\xfe", "is not UTF-8 text"),
         (b"[" * 100_000, "nested too deeply"),
         (b'{"schema": ' + b"1" * 5000 + b"}", "cannot be read"),

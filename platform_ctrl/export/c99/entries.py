@@ -16,7 +16,7 @@ from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.export.c99.scheme import Section, row
 from platform_ctrl.job.job import Job
 from platform_ctrl.verification.controllers import read_controllers
-from platform_ctrl.verification.records import SCHEMA
+from platform_ctrl.verification.json_tables import SCHEMA
 
 if TYPE_CHECKING:
     import control

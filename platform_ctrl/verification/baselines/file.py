@@ -20,9 +20,9 @@ from platform_ctrl.job.old_names import current_name
 from platform_ctrl.plant.mistakes import given
 from platform_ctrl.plant.source import read_json
 from platform_ctrl.verification import JobResult
-from platform_ctrl.verification.baselines.comparison import Comparison, Table, compare
+from platform_ctrl.verification.baselines.comparison import Comparison, compare
 from platform_ctrl.verification.baselines.record import AcceptedFigure, Baseline, LoopMatrices, Tolerance, accepted
-from platform_ctrl.verification.records import SCHEMA
+from platform_ctrl.verification.json_tables import SCHEMA, JSONTable
 
 _KEYS = ("schema", "job", "tolerance", "figures", "controllers", "plants")
 _TOLERANCE = ("relative", "absolute")
@@ -90,13 +90,11 @@ def read_baseline(path: str | os.PathLike[str]) -> Baseline:
         One line: the file, the entry and the key, what was given, what is expected.
     """
     label, data = read_json(path, "the JSON of a baseline")
-    table = Table(label, data, _KEYS)
-    schema = table.item("schema", f"{SCHEMA}, the format that this version reads")
-    if isinstance(schema, bool) or schema != SCHEMA:
-        raise table.mistake(f"schema must be {SCHEMA}, the format that this version reads, got {given(schema)}")
+    table = JSONTable(label, data, _KEYS)
+    table.expect_schema()
     tolerance = Tolerance()
     if "tolerance" in table.data:
-        own = Table(f"{label}: tolerance", table.data["tolerance"], _TOLERANCE)
+        own = JSONTable(f"{label}: tolerance", table.data["tolerance"], _TOLERANCE)
         tolerance = _tolerance(own, tolerance) or tolerance
     figures: dict[tuple[str, str], AcceptedFigure] = {}
     for entry in table.tables("figures", "a list of figures", _FIGURE):
@@ -104,7 +102,7 @@ def read_baseline(path: str | os.PathLike[str]) -> Baseline:
         if (figure.subject, figure.name) in figures:
             raise entry.mistake(f"the figure is listed twice for {given(figure.subject)}; leave one of them out")
         figures[figure.subject, figure.name] = figure
-    plants: dict[str, Table] = {}
+    plants: dict[str, JSONTable] = {}
     if "plants" in table.data:
         for entry in table.tables("plants", "a list of plants", _PLANT):
             plants[entry.text("loop", "the name of a loop")] = entry
@@ -180,15 +178,15 @@ def remove_plot(plot: Path) -> None:
         plot.unlink(missing_ok=True)
 
 
-def _tolerance(table: Table, default: Tolerance) -> Tolerance | None:
+def _tolerance(table: JSONTable, default: Tolerance) -> Tolerance | None:
     """Return the tolerance that a table names; one bound alone is the whole of it."""
-    found = {key: table.positive(key, "a number >= 0") for key in _TOLERANCE if key in table.data}
+    found = {key: table.number(key, "a number >= 0", least=0.0) for key in _TOLERANCE if key in table.data}
     if not found:
         return None
     return Tolerance(relative=found.get("relative", 0.0), absolute=found.get("absolute", default.absolute))
 
 
-def _figure(table: Table, default: Tolerance) -> AcceptedFigure:
+def _figure(table: JSONTable, default: Tolerance) -> AcceptedFigure:
     number = table.item("value", "a number, or null for none")
     return AcceptedFigure(
         subject=table.text("subject", "a loop, a manoeuvre or all loops closed"),
@@ -200,10 +198,10 @@ def _figure(table: Table, default: Tolerance) -> AcceptedFigure:
     )
 
 
-def _loop(table: Table, plants: Mapping[str, Table]) -> LoopMatrices:
+def _loop(table: JSONTable, plants: Mapping[str, JSONTable]) -> LoopMatrices:
     name = table.text("name", "the name of a loop")
     inputs, outputs = table.names("inputs"), table.names("outputs")
-    dt, delay = (table.positive(key, "a number >= 0, s") for key in ("dt", "delay"))
+    dt, delay = (table.number(key, "a number >= 0, s", least=0.0) for key in ("dt", "delay"))
     if not 1e-9 <= dt <= 1e6:
         raise table.mistake(f"dt must be the sample period, from 1e-9 to 1e6 s, got {given(dt)}")
     plant = plants.get(name)
@@ -212,22 +210,10 @@ def _loop(table: Table, plants: Mapping[str, Table]) -> LoopMatrices:
         design=table.text("design", "the name of a design"),
         method=table.text("method", "the name of a method"),
         delay=delay,
-        controller=_arrays(table, len(inputs), len(outputs), dt),
+        controller=table.arrays(len(inputs), len(outputs), dt),
         inputs=inputs,
         outputs=outputs,
-        plant=None if plant is None else _arrays(plant, len(outputs), len(inputs), dt),
-    )
-
-
-def _arrays(table: Table, inputs: int, outputs: int, dt: float) -> StateArrays:
-    rows = table.item("A", "a matrix as a list of rows")
-    order = 0 if rows == [[]] or not isinstance(rows, list) else len(rows)
-    return StateArrays(
-        A=table.matrix("A", order, order),
-        B=table.matrix("B", order, inputs),
-        C=table.matrix("C", outputs, order),
-        D=table.matrix("D", outputs, inputs),
-        dt=dt,
+        plant=None if plant is None else plant.arrays(len(outputs), len(inputs), dt),
     )
 
 
