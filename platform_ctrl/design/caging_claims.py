@@ -115,30 +115,8 @@ class IntersampleGains:
 def intersample_gains(job: Job, controller: control.StateSpace) -> IntersampleGains:
     """Return the gains of a caging loop around the job's plant at rest, between samples as at them.
 
-    Parameters
-    ----------
-    job
-        The job: plant, sampling.
-    controller
-        A caging controller, u = K y with the names of pick-offs and torquers.
-
-    Returns
-    -------
-    IntersampleGains
-        From disturbing torques and from Omega to the angles.
-
-    Raises
-    ------
-    ArgumentError
-        Unknown signals, or the loop is not stable.
-    MechanicsError
-        The mass matrix is singular at rest (gimbal lock).
-
-    References
-    ----------
-    B. Bamieh, J. B. Pearson, Systems & Control Letters 18, 1992.
-
-    See docs/sampled-data.md.
+    The controller is u = K y with the names of pick-offs and torquers. Raises an ArgumentError for unknown signals and
+    for an unstable loop.
     """
     plant, m, p = caging_plant(job, controller)
     names, delay = list(plant.input_labels), job.sampling.delay
@@ -199,30 +177,9 @@ def caging_loop_limits(
 ) -> LimitedLoop:
     """Return the loop of a caging controller with the limits, lags and stops of the plant file, while Omega turns.
 
-    Parameters
-    ----------
-    job
-        The job: plant, sampling, manoeuvres.
-    controller
-        u = K y with the names of the pick-offs and torquers.
-    axis
-        Root axis of Omega, 1 to 3.
-    rise
-        Length of the half-cosine, s; default the shortest of the job's caged manoeuvres, 0.5 s without any.
-    platform
-        In place of the job's own.
-
-    Returns
-    -------
-    LimitedLoop
-        For `largest_Omega` and `anti_windup`.
-
-    Raises
-    ------
-    ArgumentError
-        Unknown signals or axis; a torquer without limit; or the loop is not stable.
-    MechanicsError
-        The mass matrix is singular at rest (gimbal lock).
+    `axis` is the root axis of Omega, 1 to 3, `rise` the length of the half-cosine, s (default: the shortest of the
+    job's caged manoeuvres, 0.5 s without any), `platform` takes the place of the job's. Raises an ArgumentError for
+    unknown signals, a torquer without limit and an unstable loop.
     """
     if axis not in (1, 2, 3):
         raise ArgumentError(f"axis: must be 1, 2 or 3, got {axis!r}")

@@ -18,17 +18,7 @@ from platform_ctrl.mechanics.linearisation import linearise
 
 @value
 class LoopOutcome:
-    """A loop with all its designs.
-
-    Attributes
-    ----------
-    spec
-        The loop of the job.
-    designs
-        In the job's order.
-    use
-        Name of the design that is closed.
-    """
+    """A loop of a job with all its designs, in the job's order; `use` is the name of the one that is closed."""
 
     spec: LoopSpec
     designs: tuple[LoopDesign, ...]

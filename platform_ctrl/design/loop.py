@@ -154,13 +154,7 @@ class Designed:
 
 
 def designed(problem: LoopProblem) -> LoopDesign:
-    """Return the design that the problem's method makes, with all its values recomputed.
-
-    Raises
-    ------
-    DesignError
-        The method found no controller, or the closed loop is not stable.
-    """
+    """Return the design that the problem's method makes, with all its values recomputed; a DesignError says why not."""
     spec, design, plants = problem.spec, problem.design, problem.plant_set
     method = known_method(design.method)
     found: Designed = resolved(method.design)(problem)

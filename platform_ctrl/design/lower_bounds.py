@@ -74,20 +74,9 @@ class Level(NamedTuple):
 def hinf_lower_bound(plant: Partition, near: float = math.nan, scaled: ScaledPlant | None = None) -> float:
     """Return what no stabilising controller of any order can undercut in the H-infinity norm; 0 where nothing is shown.
 
-    Parameters
-    ----------
-    plant
-        Continuous, or in the w-plane.
-    near
-        A level that a synthesis has reached: spares a search.
-    scaled
-        The plant in scaled units, where it is at hand.
-
-    References
-    ----------
-    P. Gahinet, P. Apkarian, Int. J. Robust and Nonlinear Control 4, 1994.
-
-    A. A. Stoorvogel, The H-infinity Control Problem: a State Space Approach, 1992.
+    The plant is continuous, or in the w-plane; `near` is a level that a synthesis has reached, which spares a search;
+    `scaled` is the plant in scaled units, where it is available. P. Gahinet, P. Apkarian, Int. J. Robust and Nonlinear
+    Control 4, 1994; A. A. Stoorvogel, The H-infinity Control Problem: a State Space Approach, 1992.
     """
     return _evaluated(lambda: _hinf(plant, near, scaled or autoscaled_with_gain(plant)))
 
@@ -97,18 +86,8 @@ def h2_lower_bound(plant: Partition, direct: bool = True) -> float:
 
     With P = S X⁻¹ S' and X the cost ∫ |ζ|² of *any* feedback K, every closed loop has
     ‖z‖² = tr(B1'P B1) + ‖z − Z X⁻¹S'x‖², Z = C + D K; the transposed plant bounds the second term by tr(L Q L') with
-    L = C1 − Z X⁻¹S'.
-
-    Parameters
-    ----------
-    plant
-        Continuous or sampled.
-    direct
-        Sampled plants: whether u[k] may use y[k].
-
-    References
-    ----------
-    A. A. Stoorvogel, A. Saberi, B. M. Chen, Int. J. Robust and Nonlinear Control 3, 1993.
+    L = C1 − Z X⁻¹S'. `direct`: whether u[k] of sampled plants may use y[k]. A. A. Stoorvogel, A. Saberi, B. M. Chen,
+    Int. J. Robust and Nonlinear Control 3, 1993.
     """
     return _evaluated(lambda: _h2(with_white_noise(plant if direct else delayed(plant)) if plant.dt else plant))
 

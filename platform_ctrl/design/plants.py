@@ -28,18 +28,11 @@ _FARTHEST = 1e6
 
 
 def changed(platform: Platform, inertia: dict[str, float], spin: dict[str, float]) -> Platform:
-    """Return `platform` with other inertias and spins.
+    """Return `platform` with other inertias and spins, relative changes by name.
 
-    Parameters
-    ----------
-    platform
-        The platform.
-    inertia
-        Relative change of J about the axis of each named gimbal, alone: the inertia that the gimbal's own body gains
-        or loses is a thin disk about its axis, so that no other J about a gimbal axis through the same body changes
-        unless the axes are parallel.
-    spin
-        Relative change of each named rotor's L.
+    `inertia` changes J about the axis of a gimbal alone: what the gimbal's own body gains or loses is a thin disk about
+    its axis, so that no other J about a gimbal axis through the same body changes unless the axes are parallel. `spin`
+    changes the L of a rotor.
     """
     J = np.diag(matrices(platform).A_star)[3:]
     gimbals = tuple(
@@ -66,16 +59,9 @@ def with_spins(platform: Platform, spins: Mapping[str, float]) -> Platform:
 
 @value
 class Case:
-    """A plant of the set.
+    """A plant of the set: what it is and stands for, the rate (3,) at which it is linearised.
 
-    Attributes
-    ----------
-    label, group
-        What it is, and what it stands for.
-    platform, Omega
-        The platform, and the rate (3,) at which it is linearised.
-    torque : (m,)
-        Share of its torque that each torquer of the loop keeps.
+    `torque`, (m,), is the share of its torque that each torquer of the loop keeps.
     """
 
     label: str

@@ -291,18 +291,8 @@ def certify(  # noqa: PLR0913 - what certifies one result
 ) -> Synthesis:
     """Close the loop with the plant as given; return the result if it is stable and has the promised norm.
 
-    Parameters
-    ----------
-    P, plant, controller
-        The plant, its `partition`, and u = K y, continuous or sampled as the plant.
-    gamma_optimal, norm
-        A lower bound on the norm, and which norm.
-    least, backoff
-        The least norm that the route found, and the relative distance from it.
-    method, residual, reason
-        Kept in the result.
-    tolerance
-        What the norm may exceed ``(1 + backoff) least`` by, relative to `least`.
+    `gamma_optimal` is a lower bound on the norm, `least` what the route found; the norm may exceed ``(1 + backoff)
+    least`` by `tolerance` times `least`.
     """
     if not all(np.all(np.isfinite(matrix)) for matrix in controller[:4]):
         raise NotCertifiedError(f"{method}: the controller is not finite; {CURE}", P)

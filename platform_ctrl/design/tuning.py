@@ -55,29 +55,11 @@ def tune(  # noqa: PLR0913, PLR0915 - the parts of one search
 ) -> dict[str, float]:
     """Return `start` with the `movable` options changed so that the worst ratio is at most 1 − reserve, or least.
 
-    A simplex search over the logarithms (Nelder and Mead, adaptive), on the nominal plant and the worst few of the
-    set, repeated until the plants in view are the worst of all. What meets the limits on the grid of frequencies is
-    measured exactly; where that exceeds a limit, the frequencies at which the figures are reached join the grid.
-    Deterministic.
-
-    Parameters
-    ----------
-    start
-        Positive starting values.
-    movable
-        Names of the options that may change.
-    build
-        Options → sampled controller.
-    plants, requirements
-        The plants of the loop, and what is required with them.
-    upper
-        Largest values of some options.
-    reserve
-        The search ends as soon as every ratio is at most 1 − reserve.
-    evaluations
-        Most evaluations in all.
-    progress
-        Called with the worst ratio so far.
+    A simplex search over the logarithms (Nelder and Mead, adaptive), on the nominal plant and the worst few of the set,
+    repeated until the plants in view are the worst of all. What meets the limits on the grid of frequencies is measured
+    exactly; where that exceeds a limit, the frequencies at which the figures are reached join the grid. Deterministic.
+    `start` and `upper` bounds are positive; `build` makes the sampled controller; `progress` is called with the worst
+    ratio so far.
     """
     from scipy.optimize import minimize
 

@@ -222,18 +222,8 @@ def widest(
 ) -> InvariantEllipsoid:
     """Return the ellipsoid of the largest Omega, or of the largest multiple of `directions`, with anti-windup gain.
 
-    Parameters
-    ----------
-    loop, alpha
-        The loop, and a decay below `minimum_decay_rate`.
-    Omega
-        Largest rate, below `LimitedLoop.static_Omega`; without `directions` where the search of a larger one starts.
-    directions : (n, k), optional
-        States whose largest common multiple inside is maximised; default: Omega is.
-    gain : (n_K, m), optional
-        A given anti-windup gain (zeros: none); default: found with the ellipsoid.
-    time_limit
-        Longest time that one call of the solver may take, s.
+    `Omega` is the largest rate, below `LimitedLoop.static_Omega`; without `directions`, (n, k), it is where the search
+    of a larger one starts. `alpha` is below `minimum_decay_rate`. A given `gain`, (n_K, m), is kept (zeros: none).
     """
     problem = _Problem(loop, Omega, alpha, directions)
     best = problem.solve(gain, None, time_limit)

@@ -36,21 +36,7 @@ Kind = Literal["mix", "integral", "lag", "lead", "notch", "low-pass"]
 
 
 class Stage(NamedTuple):
-    """A block of a diagram.
-
-    Attributes
-    ----------
-    name
-        What it is called.
-    kind
-        What it is.
-    note
-        What it is in continuous time, frequencies in Hz.
-    block
-        Sampled.
-    inputs, outputs
-        Names of its signals.
-    """
+    """A block of a diagram: name and kind, what it is in continuous time (frequencies in Hz), sampled, signal names."""
 
     name: str
     kind: Kind
@@ -173,17 +159,9 @@ def _spin_hz(given: dict[str, float], channel: Channels) -> float:
 def classical_controller(options: dict[str, float], channel: Channels, period: float) -> StateArrays:
     """Return the sampled controller (u = K y, positive feedback) for complete `options` (see `starting_values`).
 
-    Parameters
-    ----------
-    options
-        Frequencies in Hz. ``crossover_hz`` ωc; ``integral_hz`` ωi; ``damping_hz``, ``damping2_hz`` d_1 and d_2 of the
-        pair's axes; ``lead_hz`` ωz; ``rolloff_hz`` ωr; ``lag_hz`` ωl and ``lag_ratio``, ``notch_hz``,
-        ``notch_depth``, ``notch_width``, and the same with ``spin_``, where there is one; ``inertial_...`` of the
-        inertial directions.
-    channel
-        Pairs and inertial directions.
-    period
-        s.
+    Frequencies in Hz: ``crossover_hz`` ωc; ``integral_hz`` ωi; ``damping_hz``, ``damping2_hz`` d_1 and d_2 of the
+    pair's axes; ``lead_hz`` ωz; ``rolloff_hz`` ωr; ``lag_hz`` ωl and ``lag_ratio``, ``notch_hz``, ``notch_depth``,
+    ``notch_width``, and the same with ``spin_``, where there is one; ``inertial_...`` of the inertial directions.
     """
     count = range(len(channel.basis))
     directions, torques = [_measured(k) for k in count], [_set(k) for k in count]

@@ -79,13 +79,7 @@ class ComplexSystem:
     rate_input: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
 
     def real_arrays(self) -> StateArrays:
-        """Return real and imaginary parts as a real system of twice the size, nothing rounded; without dead time.
-
-        Returns
-        -------
-        StateArrays
-            Two inputs, two outputs, 2n states, in the complex coordinates' units.
-        """
+        """Return real and imaginary parts as a real system of twice the size, nothing rounded; without dead time."""
         return StateArrays(_real(self.A), _real(self.B), _real(self.C), _real(self.D), self.dt)
 
     def real_system(self) -> control.StateSpace:

@@ -103,27 +103,14 @@ def _matrix(
 
 
 class KnownMatrix:
-    """Plants and the unknown controller for a known V (2n, 2n).
-
-    Parameters
-    ----------
-    plants
-        Scaled plants.
-    V
-        Of the states [x, xK].
-    D
-        The unknown D_K, an expression or an array.
+    """Plants (scaled) and the unknown controller for a known V (2n, 2n) of the states [x, xK]; D is the unknown D_K.
 
     Attributes
     ----------
     loops
-        A closed loop for each plant, linear in the unknowns.
-    unknowns
-        Variables of the problem.
+        A closed loop for each plant, linear in the `unknowns`, which are variables of the problem.
     A_K
-        The controller's state matrix in states `own` xK, an expression.
-    own : (n, n)
-        See `A_K`.
+        The controller's state matrix in states `own` xK, an expression; `own` is (n, n).
     """
 
     def __init__(self, plants: Sequence[Partition], V: FloatArray, D: Any) -> None:

@@ -37,15 +37,7 @@ FIXED = 1e-9
 
 @value
 class NormTask:
-    """A norm of one channel of the extended plant.
-
-    Attributes
-    ----------
-    requested
-        The requirement; a soft one is minimised, relative to its limit.
-    w, z
-        Indices of the channel's inputs and outputs in the extended plant.
-    """
+    """A norm of one channel of the extended plant, between its w and z (indices); a soft one is minimised."""
 
     requested: LoopRequirement
     w: tuple[int, ...]
@@ -231,19 +223,11 @@ class Region:
 
 
 def region(requested: LoopRequirement, period: float = 0.0, rate: float = 1.0, tighter: float = 1.0) -> Region:
-    """Return the region of "stability" (minimum decay rate), "damping" or "fastest pole".
+    """Return the region of "stability" (minimum decay rate), "damping" or "fastest pole", s in units of `rate`, rad/s.
 
-    Parameters
-    ----------
-    requested
-        The requirement.
-    period
-        Sample period, s: the region is one of the w-plane, w = (2/T) (z − 1)/(z + 1). A decay is a disc there, exactly;
-        a damping is a sector that is narrow enough for poles up to 1/T rad/s.
-    rate
-        Unit of s, rad/s.
-    tighter
-        Factor of the limit, >= 1; of a damping, divisor of its distance from 1.
+    With a sample `period`, s, it is one of the w-plane, w = (2/T) (z − 1)/(z + 1): a decay is a disc there, exactly; a
+    damping is a sector that is narrow enough for poles up to 1/T rad/s. Limits are `tighter` by a factor >= 1; the
+    distance of a damping from 1 is divided by it.
     """
     limit, kind = requested.limit, requested.kind
     sense = "at most" if kind == "fastest pole" else "at least"

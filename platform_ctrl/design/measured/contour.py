@@ -137,18 +137,11 @@ Controller = Callable[[ComplexArray], ComplexArray]
 
 
 def unstable_poles(plant: Contour, controller: Controller, unstable: int = 0, integrators: int | None = None) -> int:
-    """Return the number of unstable poles of the closed loop u = K y, y = P u.
+    """Return the number of unstable poles of the closed loop u = K y, y = P u, with P along the contour.
 
-    Parameters
-    ----------
-    plant
-        Its response along the contour.
-    controller
-        K at points s, N of them: complex (N, n, n). It integrates in every channel; its own poles are not unstable.
-    unstable
-        Number of unstable poles of the plant.
-    integrators
-        Number of its poles at s = 0 (z = 1); default read from the slope of det P at the lowest frequencies.
+    K integrates in every channel; its own poles are not unstable. `unstable` is the number of unstable poles of the
+    plant, `integrators` that of its poles at s = 0 (z = 1), by default read from the slope of det P at the lowest
+    frequencies.
     """
     frequency, P = plant.frequency, plant.P
     L = P @ controller(plant.s)

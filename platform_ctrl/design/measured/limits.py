@@ -40,15 +40,7 @@ OF_ANGLE = ("angle_per_torque", "resonance_damping")
 
 @value
 class Limit:
-    """One limit over the frequencies of one plant.
-
-    Attributes
-    ----------
-    name
-        As it is requested.
-    bound : (N,)
-        m; of a disk margin its inverse; infinite where nothing is requested.
-    """
+    """One limit over the frequencies of one plant: m, (N,); 1/margin of disks; infinite where none applies."""
 
     name: str
     bound: FloatArray

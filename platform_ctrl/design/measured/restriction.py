@@ -65,14 +65,7 @@ class Step:
 class Restriction:
     """The convex problem, made once and solved again about each controller.
 
-    Parameters
-    ----------
-    samples
-        Plants and limits.
-    free
-        Which gains are unknowns, (3, n, n) of zeros and ones.
-    problem
-        Attached to errors.
+    `free` says which gains are unknowns, (3, n, n) of zeros and ones; `problem` is attached to errors.
     """
 
     def __init__(self, samples: Sequence[Sample], free: FloatArray, problem: object) -> None:
