@@ -23,9 +23,8 @@ import numpy as np
 
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.partition import Partition, delayed, with_white_noise
-from platform_ctrl.design.riccati.assumptions import DIRECT
 from platform_ctrl.design.riccati.equations import Equation, by_pencil, hamiltonian, stabilising
-from platform_ctrl.design.scaling import ScaledPlant, autoscaled_with_gain, clustered
+from platform_ctrl.design.scaling import DIRECT, ScaledPlant, autoscaled_with_gain, clustered
 from platform_ctrl.errors import ArgumentError
 
 # Share of the bound that is subtracted for rounding of its evaluation.

@@ -17,7 +17,7 @@ rate; among them the half-cosine of length `rise`. Between the samples b is held
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -112,7 +112,7 @@ class LimitedLoop:
 
 
 @check_arguments
-def limited_loop(  # noqa: PLR0913, PLR0915 - options by keyword; one method, step by step
+def limited_loop(  # noqa: PLR0913 - options by keyword
     plant: StateSpace,
     controller: StateSpace,
     disturbance: str | dict[str, float],
@@ -174,59 +174,35 @@ def limited_loop(  # noqa: PLR0913, PLR0915 - options by keyword; one method, st
     rise = positive("limited_loop: rise", rise)
     rho = 4.0 * math.pi / rise if corner is None else positive("limited_loop: corner", corner)
     lags = not_negative("limited_loop: lag", 0.0 if lag is None else lag, m)
-    A, B, C, _, _ = with_lag(StateArrays(P.A, P.B[:, u], P.C[y], np.zeros((p, m))), lags)
-    n = len(A)
-    moved = np.zeros((n, 1))
-    moved[: len(P.A)] = P.B @ w
-    kicked = np.zeros((n, m))
-    kicked[: len(P.A)] = P.B[:, u]
-    # Behind the plant's states: Omega, and its derivative behind the filter.
-    whole = np.zeros((n + 2, n + 2))
-    whole[:n, :n], whole[:n, n : n + 1] = A, moved
-    whole[n, n + 1], whole[n + 1, n + 1] = 1.0, -rho
-    into_filter = np.zeros((n + 2, 1))
-    into_filter[-1] = rho
-    Ad, Bd, Cd, _, _ = sampled(
-        StateArrays(whole, np.vstack([B, np.zeros((2, m))]), np.hstack([C, np.zeros((p, 2))]), np.zeros((p, m)), 0.0),
-        K.dt,
-        delay,
-    )
-    late = np.zeros((len(Ad), 1))
-    late[: n + 2] = held_input(whole, into_filter, K.dt)[1]
-    own = [*range(n), *range(n + 2, len(Ad))]
-    rate, slope = n, n + 1
-    Ap, Bp, Cp = Ad[np.ix_(own, own)], Bd[own], Cd[:, own]
-    order, held = len(K.A), len(own)
-    none = np.zeros((order, 1))
-    closed = np.block([[Ap + Bp @ K.D @ Cp, Bp @ K.C], [K.B @ Cp, K.A]])
+    lagged = with_lag(StateArrays(P.A, P.B[:, u], P.C[y], np.zeros((p, m))), lags)
+    behind = ((0, len(lagged.A) - len(P.A)), (0, 0))
+    driven = _driven(lagged, np.pad(P.B @ w, behind), rho, K.dt, delay)
+    A, B, C, _, _ = driven.plant
+    held, order = len(A), len(K.A)
+    closed = np.block([[A + B @ K.D @ C, B @ K.C], [K.B @ C, K.A]])
     radius = float(spectral_radius(poles(closed)))
     if not radius < 1.0:
         raise ArgumentError(
             f"limited_loop: without limits the loop must be stable, but has a pole at |z| = {radius:.6g}"
         )
-    command = np.hstack([K.D @ Cp, K.C])
-    by_Omega, by_slope, by_b = (
-        np.vstack([column[own], none]) for column in (Ad[:, rate : rate + 1], Ad[:, slope : slope + 1], late)
-    )
+    command = np.hstack([K.D @ C, K.C])
+    by_Omega, by_slope, by_b = (np.pad(column, ((0, order), (0, 0))) for column in driven.columns)
     steady = np.linalg.solve(np.eye(len(closed)) - closed, by_Omega)
-    u_steady, angle_steady = (command @ steady)[:, 0], (Cp @ steady[:held])[:, 0]
+    u_steady, angle_steady = (command @ steady)[:, 0], (C @ steady[:held])[:, 0]
     # An integrator leaves rounding in place of zero.
-    angle_steady = np.where(
-        np.abs(angle_steady) > 1e-9 * np.abs(Cp).sum(axis=1) * np.abs(steady).max(), angle_steady, 0.0
-    )
+    rounding = 1e-9 * np.abs(C).sum(axis=1) * np.abs(steady).max()
+    angle_steady = np.where(np.abs(angle_steady) > rounding, angle_steady, 0.0)
     jerk = 0.5 * math.pi / rise * math.hypot(1.0, math.pi / (rise * rho))
     size = len(closed) + 1
-    A_loop = np.zeros((size, size))
-    A_loop[:-1, :-1], A_loop[-1, -1] = closed, Ad[slope, slope]
-    A_loop[:-1, -1:] = by_slope - steady * Ad[rate, slope]
+    (rate_by_slope, rate_by_b), (slope_by_slope, slope_by_b) = driven.filter
     edge = np.zeros((1, m))
     return LimitedLoop(
-        A=A_loop,
-        B=np.vstack([Bp, np.zeros((order, m)), edge]),
-        B_w=jerk * np.vstack([by_b - steady * late[rate], late[slope : slope + 1]]),
+        A=np.block([[closed, by_slope - steady * rate_by_slope], [np.zeros((1, size - 1)), slope_by_slope]]),
+        B=np.vstack([B, np.zeros((order, m)), edge]),
+        B_w=jerk * np.vstack([by_b - steady * rate_by_b, [[slope_by_b]]]),
         R=np.vstack([np.zeros((held, order)), np.eye(order), np.zeros((1, order))]),
         K=np.hstack([command, np.zeros((m, 1))]),
-        C=np.hstack([Cp, np.zeros((p, order + 1))]),
+        C=np.hstack([C, np.zeros((p, order + 1))]),
         u_steady=u_steady,
         angle_steady=angle_steady,
         limits=_each("limits", limits, m),
@@ -238,8 +214,39 @@ def limited_loop(  # noqa: PLR0913, PLR0915 - options by keyword; one method, st
         controls=tuple(controller.output_labels),
         measurements=tuple(controller.input_labels),
         controller=controller,
-        impulses=np.vstack([kicked, np.zeros((size - n, m))]),
+        impulses=np.pad(P.B[:, u], ((0, size - len(P.A)), (0, 0))),
     )
+
+
+class _Driven(NamedTuple):
+    """A sampled plant that Omega drives: columns from Omega, Ω' and b to its states, and the filter of Ω'.
+
+    `filter` are the next Omega and the next Ω' by Ω' and by b, (2, 2).
+    """
+
+    plant: StateArrays
+    columns: tuple[FloatArray, FloatArray, FloatArray]
+    filter: FloatArray
+
+
+def _driven(plant: StateArrays, moved: FloatArray, corner: float, period: float, delay: float) -> _Driven:
+    """Return a continuous plant, which Omega moves by the column `moved`, sampled with hold and delay."""
+    A, B, C, _, _ = plant
+    (n, m), p = B.shape, len(C)
+    # Behind the plant's states: Omega, and its derivative behind the filter.
+    rate, slope = n, n + 1
+    whole = np.zeros((n + 2, n + 2))
+    whole[:n, :n], whole[:n, rate : rate + 1] = A, moved
+    whole[rate, slope], whole[slope, slope] = 1.0, -corner
+    into_filter = np.zeros((n + 2, 1))
+    into_filter[slope] = corner
+    continuous = StateArrays(whole, np.pad(B, ((0, 2), (0, 0))), np.pad(C, ((0, 0), (0, 2))), np.zeros((p, m)))
+    Ad, Bd, Cd, Dd, dt = sampled(continuous, period, delay)
+    late = np.pad(held_input(whole, into_filter, period)[1], ((0, len(Ad) - n - 2), (0, 0)))
+    own = [*range(n), *range(n + 2, len(Ad))]
+    columns = Ad[own, rate : rate + 1], Ad[own, slope : slope + 1], late[own]
+    of_filter = np.column_stack([Ad[[rate, slope], slope], late[[rate, slope], 0]])
+    return _Driven(StateArrays(Ad[np.ix_(own, own)], Bd[own], Cd[:, own], Dd, dt), columns, of_filter)
 
 
 def _each(name: str, given: ArrayLike, count: int) -> FloatArray:

@@ -17,8 +17,7 @@ from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.lmi.conic import Solver, cp, solved
 from platform_ctrl.design.lmi.linearised import Pair, balancing, from_linearised, in_states, output_feedback, separated
 from platform_ctrl.design.partition import Partition
-from platform_ctrl.design.riccati.assumptions import without_direct_path
-from platform_ctrl.design.scaling import ScaledPlant, autoscale, unscale
+from platform_ctrl.design.scaling import ScaledPlant, autoscale, unscale, without_direct_path
 from platform_ctrl.errors import UnscalableError
 
 if TYPE_CHECKING:

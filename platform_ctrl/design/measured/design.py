@@ -22,8 +22,7 @@ from platform_ctrl.common.signatures import check_arguments, short
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.measured.contour import Contour
 from platform_ctrl.design.measured.data import measured_plants
-from platform_ctrl.design.measured.limits import Bound, ratios
-from platform_ctrl.design.measured.pid import Pattern, controller_response, masks, realisation
+from platform_ctrl.design.measured.pid import Bound, Pattern, controller_response, masks, ratios, realisation
 from platform_ctrl.design.measured.restriction import Sample
 from platform_ctrl.design.measured.search import Search
 from platform_ctrl.errors import ArgumentError, NotCertifiedError

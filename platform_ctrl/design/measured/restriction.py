@@ -21,8 +21,7 @@ from numpy.typing import NDArray
 from platform_ctrl.analysis.arrays import ComplexArray
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.lmi.conic import Solver, cp
-from platform_ctrl.design.measured.limits import CENTRES, OF_ANGLE, Limit, ratios
-from platform_ctrl.design.measured.pid import controller_response
+from platform_ctrl.design.measured.pid import CENTRES, OF_ANGLE, Limit, controller_response, ratios
 from platform_ctrl.errors import UnscalableError
 
 # Limits are tightened by this share, so that they hold after the solver's rounding.

@@ -14,8 +14,7 @@ from platform_ctrl.common.arguments import real_array
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.measured.contour import contour, unstable_poles
 from platform_ctrl.design.measured.data import Measured
-from platform_ctrl.design.measured.limits import Bound, limits_along, ratios
-from platform_ctrl.design.measured.pid import basis, controller_response
+from platform_ctrl.design.measured.pid import Bound, basis, controller_response, limits_along, ratios
 from platform_ctrl.design.measured.restriction import Restriction, Sample
 from platform_ctrl.errors import (
     ArgumentError,

@@ -18,16 +18,20 @@ from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.lower_bounds import h2_lower_bound
 from platform_ctrl.design.partition import Partition, in_w_plane, partition
-from platform_ctrl.design.riccati.assumptions import (
+from platform_ctrl.design.riccati.equations import Equation, relative_residual, riccati_solution
+from platform_ctrl.design.scaling import (
+    ScaledPlant,
+    autoscale,
+    autoscaled_with_gain,
     regularised_and_report,
     require_full_rank,
     require_no_zero_on_axis,
+    require_stabilisable,
+    unscale,
     widened,
     without_direct_path,
     zero_on_axis,
 )
-from platform_ctrl.design.riccati.equations import Equation, relative_residual, riccati_solution
-from platform_ctrl.design.scaling import ScaledPlant, autoscale, autoscaled_with_gain, require_stabilisable, unscale
 from platform_ctrl.design.synthesis import Method, Synthesis, certify, require_regularisation, require_time_limit
 from platform_ctrl.errors import UnscalableError
 

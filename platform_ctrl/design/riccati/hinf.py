@@ -16,9 +16,14 @@ import numpy as np
 from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.partition import Partition
-from platform_ctrl.design.riccati.assumptions import regularised_and_report, require_full_rank, require_no_zero_on_axis
 from platform_ctrl.design.riccati.equations import ZERO, stabilising
-from platform_ctrl.design.scaling import ScaledPlant, unscale
+from platform_ctrl.design.scaling import (
+    ScaledPlant,
+    regularised_and_report,
+    require_full_rank,
+    require_no_zero_on_axis,
+    unscale,
+)
 from platform_ctrl.errors import UnscalableError
 
 if TYPE_CHECKING:
