@@ -18,7 +18,7 @@ from platform_ctrl.app.controllers import built_directly
 from platform_ctrl.app.curves import Parts
 from platform_ctrl.app.designs import Designs, never, silent
 from platform_ctrl.app.dragging import NO_LIMITS, DragResult, FreeParameters, Limits, dragged_crossover, dragged_pole
-from platform_ctrl.app.pictures import Drawing, Drawn, Influence, Measured, Picture
+from platform_ctrl.app.pictures import Drawing, Influence, Measured, Picture
 from platform_ctrl.app.saving import Saved, controllers_beside, write_job
 from platform_ctrl.app.settings import (
     Choices,
@@ -77,7 +77,7 @@ class Backend:
 
     def close(self) -> None:
         """End the processes that design and simulate."""
-        self._designs.end()
+        self._designs.queue.end()
         self._simulator.end()
 
     # Settings and what they may be.
@@ -190,7 +190,7 @@ class Backend:
 
     def on_designed(self, listener: Callable[[], None]) -> Callable[[], None]:
         """Call `listener` in a thread whenever a design that pictures wait for is available or failed."""
-        return self._designs.listen(listener)
+        return self._designs.queue.listen(listener)
 
     def picture(self, settings: Settings, on_drawn: Callable[[Drawing], None] | None = None) -> Picture:
         """Return the curves and the results for the settings.
@@ -202,43 +202,33 @@ class Backend:
         whole("axis", settings.axis, 1, 3)
         try:
             with np.errstate(all="ignore"):
-                (parts, measure), notes = self._parts(settings)
-                drawing = _fields(parts) | {"settings": settings, "plants": self.plants(settings)}
+                (drawing, measure), notes = self._parts(settings)
                 if on_drawn is not None:
-                    on_drawn(Drawing(**drawing))
+                    on_drawn(drawing)
                 measured = measure()
         except (np.linalg.LinAlgError, FloatingPointError, OverflowError):
             raise DesignError(
                 f"{settings.loop}, {settings.design}: the loop cannot be computed in floating point; choose less "
                 "extreme values"
             ) from None
-        values = _fields(measured) | {"notes": (*notes, *measured.notes)}
-        return Picture(**drawing, **values, elapsed=time.perf_counter() - begun)
+        values = _fields(drawing) | _fields(measured) | {"notes": (*notes, *measured.notes)}
+        return Picture(**values, elapsed=time.perf_counter() - begun)
 
     def _parts(self, settings: Settings) -> tuple[Parts, tuple[str, ...]]:
         """Return the parts of a picture, and lines about its controllers."""
         spec, _ = self._loops.design(settings)
+        labels = self.plants(settings)
         if spec.kind == "caging":
             loop, notes = self._designs.caged(settings)
-            parts, measure = caged_parts(loop, settings, self._loops.cached_metrics(settings, loop))
+            drawing, measure = caged_parts(loop, settings, labels, self._loops.cached_metrics(settings, loop))
         else:
             free, notes = self._loops.stabilised(settings)
-            parts, measure = stabilised_parts(free, settings, self._loops.cached_margins(settings))
+            drawing, measure = stabilised_parts(free, settings, labels, self._loops.cached_margins(settings))
         if not settings.overlays:
-            return (parts, measure), notes
-        overlays, more = self._designs.overlays(settings, spec, parts.bode.frequency)
-        parts = dataclasses.replace(parts, bode=dataclasses.replace(parts.bode, overlays=overlays))
-        return (parts, measure), (*notes, *more)
-
-    def redesign(
-        self,
-        settings: Settings,
-        design: str | None = None,
-        progress: Progress = silent,
-        cancelled: IsCancelled = never,
-    ) -> Settings:
-        """Make a design by its method in another process; later pictures show it."""
-        return self._designs.make(settings, design, progress, cancelled)
+            return (drawing, measure), notes
+        overlays, more = self._designs.overlays(settings, spec, drawing.bode.frequency)
+        drawing = dataclasses.replace(drawing, bode=dataclasses.replace(drawing.bode, overlays=overlays))
+        return (drawing, measure), (*notes, *more)
 
     def influence(self, settings: Settings) -> Influence:
         """Return what each slider does to each requirement."""
@@ -282,28 +272,25 @@ class Backend:
         self,
         settings: Settings,
         frequency: float,
-        now: float | None = None,
         *,
         free: bool = False,
         on_limited: Callable[[tuple[str, ...]], None] | None = None,
     ) -> Settings:
         """Return the settings in which the shown channel crosses over at `frequency`, rad/s, or as near as can be.
 
-        `now` is the crossover that is dragged, rad/s; None: the highest. It stops at limits, unless it is `free`.
+        The highest crossover is dragged; it stops at limits, unless it is `free`.
         """
         if not np.isfinite(frequency):
             raise ArgumentError(f"frequency must be a finite number of rad/s, got {frequency}")
-        if now is None:
-            bode = self.picture(settings.but(band=False, overlays=())).bode
-            if not len(bode.crossovers):
-                raise DesignError(f"{settings.channel}: the loop has no crossover to drag, its gain never passes 1")
-            now = float(bode.crossovers[-1])
-            # Left of the diagram it could not be taken hold of again.
-            frequency = max(float(frequency), min(now, _INSIDE * float(bode.frequency[0])))
-        start = now
+        bode = self.picture(settings.but(band=False, overlays=())).bode
+        if not len(bode.crossovers):
+            raise DesignError(f"{settings.channel}: the loop has no crossover to drag, its gain never passes 1")
+        start = float(bode.crossovers[-1])
+        # Left of the diagram it could not be taken hold of again.
+        frequency = max(float(frequency), min(start, _INSIDE * float(bode.frequency[0])))
 
         def solve(parameters: FreeParameters, plant: StateArrays, channel: int, limits: Limits) -> DragResult:
-            return dragged_crossover(parameters, plant, channel, start, float(frequency), limits)
+            return dragged_crossover(parameters, plant, channel, start, frequency, limits)
 
         return self._dragged(settings, solve, free, on_limited)
 
@@ -444,5 +431,5 @@ class Backend:
         return trajectory
 
 
-def _fields(parts: Drawn | Measured) -> dict[str, Any]:
+def _fields(parts: Drawing | Measured) -> dict[str, Any]:
     return {one.name: getattr(parts, one.name) for one in dataclasses.fields(parts)}

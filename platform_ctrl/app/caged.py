@@ -42,7 +42,7 @@ from platform_ctrl.app.curves import (
     settling,
     step_size,
 )
-from platform_ctrl.app.pictures import Drawn, FrequencyGain, Locus, Margins, Measured, Overlay, TimeResponse
+from platform_ctrl.app.pictures import Drawing, FrequencyGain, Locus, Margins, Measured, Overlay, TimeResponse
 from platform_ctrl.app.settings import Settings
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.loop import limits_and_goals, requirements_of
@@ -182,8 +182,8 @@ class CagedCurves(LoopCurves):
         return locus(branches, s, others, reach, nyquist, loop.limit("damping"))
 
 
-def caged_parts(loop: CagedLoop, settings: Settings, cached: CachedMetrics) -> Parts:
-    """Return what is drawn for a caging loop, and the function that measures it."""
+def caged_parts(loop: CagedLoop, settings: Settings, labels: tuple[str, ...], cached: CachedMetrics) -> Parts:
+    """Return what is drawn for a caging loop, and the function that measures it; `labels` are those of all plants."""
     plants = loop.plants
     whole = LoopSet(plants, loop.controller)
     inside = np.flatnonzero(plants.of(_BAND))
@@ -217,7 +217,9 @@ def caged_parts(loop: CagedLoop, settings: Settings, cached: CachedMetrics) -> P
             notes=() if loop.exact else (sampled,),
         )
 
-    drawn = Drawn(
+    drawing = Drawing(
+        settings=settings,
+        plants=labels,
         bode=bode,
         nichols=nichols,
         locus=curves.locus(),
@@ -228,7 +230,7 @@ def caged_parts(loop: CagedLoop, settings: Settings, cached: CachedMetrics) -> P
         stable=curves.stable,
         all_stable=bool(np.all(whole.decay[inside] > 0.0)),
     )
-    return drawn, measured_parts
+    return drawing, measured_parts
 
 
 def caged_overlay(loop: CagedLoop, settings: Settings, method: str, frequency: FloatArray) -> Overlay:

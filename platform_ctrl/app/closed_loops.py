@@ -35,28 +35,6 @@ if TYPE_CHECKING:
 _ROOM = 64
 
 
-class DesignStore:
-    """Designs by loop, name and conditions."""
-
-    def __init__(self) -> None:
-        self._made: Bounded[Made] = Bounded(_ROOM)
-        self._given: dict[tuple[str, str, Conditions], Made] = {}
-
-    def put(self, loop: str, design: str, conditions: Conditions, made: Made) -> None:
-        """Keep a design until newer ones replace it."""
-        self._made.put((loop, design, conditions), made)
-
-    def keep(self, loop: str, design: str, conditions: Conditions, made: Made) -> None:
-        """Keep a design that was read from a file: no method could make it again."""
-        self._given[loop, design, conditions] = made
-
-    def found(self, loop: str, design: str, conditions: Conditions | None) -> Made | None:
-        """Return the design for these conditions, or None."""
-        if conditions is None:
-            return None
-        return self._given.get((loop, design, conditions)) or self._made.found((loop, design, conditions))
-
-
 def at_rate(K: StateArrays, period: float, design: str) -> StateArrays:
     """Return a controller at a sample period, s: by Tustin's rule where it was made for another one."""
     if abs(K.dt - period) <= 1e-12 * period:
@@ -115,7 +93,9 @@ class ClosedLoops:
         self.read = job
         self.plants = JobPlants(job)
         self.options = DesignOptions(self.plants)
-        self.store = DesignStore()
+        # Controllers by loop, design and conditions: made here, and read from a file, which no method could make again.
+        self._made: Bounded[Made] = Bounded(_ROOM)
+        self._given: dict[tuple[str, str, Conditions], Made] = {}
         self._specs = {spec.name: spec for spec in job.loops}
         self._margins: Bounded[dict[str, float]] = Bounded(16)
         self._measures: Bounded[LoopMetrics] = Bounded(8)
@@ -141,7 +121,7 @@ class ClosedLoops:
                 start = start.but(options={**start.options, loop: {**mine, design: options}})
             elif not built_directly(known):
                 conditions = self.conditions(start, spec, known)
-                self.store.keep(loop, design, conditions, made)
+                self._given[loop, design, conditions] = made
                 start = _designed_for(start, loop, design, conditions)
         # Loops are closed as in the job wherever the controller is available.
         closed = {
@@ -150,12 +130,21 @@ class ClosedLoops:
         }
         self.options.start = start.but(closed=closed, design=closed[start.loop])
 
+    def keep(self, loop: str, design: str, conditions: Conditions, made: Made) -> None:
+        """Keep a design for these conditions until newer ones replace it."""
+        self._made.put((loop, design, conditions), made)
+
+    def found(self, loop: str, design: str, conditions: Conditions | None) -> Made | None:
+        """Return the design for these conditions, or None."""
+        if conditions is None:
+            return None
+        return self._given.get((loop, design, conditions)) or self._made.found((loop, design, conditions))
+
     def is_available(self, settings: Settings, spec: LoopSpec, name: str) -> bool:
         """Return whether a design of a loop is available for these settings."""
         design = self._named_design(spec, name)
         return (
-            built_directly(design)
-            or self.store.found(spec.name, name, self.conditions(settings, spec, design)) is not None
+            built_directly(design) or self.found(spec.name, name, self.conditions(settings, spec, design)) is not None
         )
 
     def spec(self, name: str) -> LoopSpec:
@@ -208,7 +197,7 @@ class ClosedLoops:
         """Return the conditions of the available controller: the target one, until then the one before it."""
         before = settings.designed_for.get(spec.name, {}).get(design.name)
         found = (self.target_conditions(settings, spec, design), before)
-        return next((one for one in found if self.store.found(spec.name, design.name, one) is not None), None)
+        return next((one for one in found if self.found(spec.name, design.name, one) is not None), None)
 
     def with_shown_designs_noted(self, old: Settings, new: Settings) -> Settings:
         """Return the new settings with the conditions of the designs that the page shows."""
@@ -226,16 +215,10 @@ class ClosedLoops:
                 new = _designed_for(new, loop, name, first)
                 continue
             conditions = self.target_conditions(old, spec, design)
-            known = self.store.found(loop, name, conditions) is not None
+            known = self.found(loop, name, conditions) is not None
             if known and self.target_conditions(new, spec, design) != conditions:
                 new = _designed_for(new, loop, name, conditions)
         return new
-
-    def designed_for_these(self, settings: Settings, spec: LoopSpec, design: DesignSpec) -> Settings:
-        """Return the settings with the controller of a design that is made for them as they are."""
-        if built_directly(design):
-            return settings
-        return _designed_for(settings, spec.name, design.name, self.conditions(settings, spec, design))
 
     @staticmethod
     def at(settings: Settings, spec: LoopSpec, design: DesignSpec, conditions: Conditions) -> Settings:
@@ -352,7 +335,7 @@ class ClosedLoops:
                 self.options.used(settings, spec, design), self.plants.gyros(settings.spins, spec), period
             ), ""
         seen = self.available_conditions(settings, spec, design)
-        made = self.store.found(spec.name, design.name, seen)
+        made = self.found(spec.name, design.name, seen)
         if made is None:
             raise DesignError(f"{spec.name}, {design.name}: is not designed yet; wait until it is")
         K, note = at_rate(made.controller, period, design.name), ""

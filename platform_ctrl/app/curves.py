@@ -16,7 +16,7 @@ from platform_ctrl.analysis.pole_branches import pole_branches
 from platform_ctrl.analysis.poles import continuous_poles
 from platform_ctrl.analysis.resolvent import ON_A_GRID
 from platform_ctrl.analysis.response import frequency_response
-from platform_ctrl.app.pictures import Bode, Drawn, FrequencyGain, Locus, Measured, Nichols, Overlay, TimeResponse
+from platform_ctrl.app.pictures import Bode, Drawing, FrequencyGain, Locus, Measured, Nichols, Overlay, TimeResponse
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.job.job import Job
 from platform_ctrl.report.quantities import signal_series
@@ -136,10 +136,8 @@ def sampled_responses(systems: StateArrays, inputs: FloatArray, every: int) -> F
     )
 
 
-def gain_locus(
-    plant: StateArrays, controller: StateArrays, points: int, highest: float = 2.5
-) -> tuple[FloatArray, ComplexArray]:
-    """Return factors on all of a controller from 0 to `highest`, 1 among them, and the closed-loop poles (G, n) in s.
+def gain_locus(plant: StateArrays, controller: StateArrays, points: int) -> tuple[FloatArray, ComplexArray]:
+    """Return factors on all of a controller from 0 to 2.5, 1 among them, and the closed-loop poles (G, n) in s.
 
     Columns are continuous branches; s = ln(z)/T.
     """
@@ -155,7 +153,7 @@ def gain_locus(
 
     # From 0 on poles move as the root of the factor: closer steps there.
     half = points // 2
-    gains = np.concatenate([np.linspace(0.0, 1.0, half + 1) ** 1.5, np.linspace(1.0, highest, half)[1:]])
+    gains = np.concatenate([np.linspace(0.0, 1.0, half + 1) ** 1.5, np.linspace(1.0, 2.5, half)[1:]])
     return gains, continuous_poles(pole_branches(poles(gains)), period)
 
 
@@ -190,7 +188,7 @@ GRID_POINTS = 160
 Index = slice | Sequence[int]
 ALL = slice(None)
 # Curves to draw, and the function that measures the same loop.
-Parts = tuple[Drawn, Callable[[], Measured]]
+Parts = tuple[Drawing, Callable[[], Measured]]
 
 
 class LoopCurves(ABC):

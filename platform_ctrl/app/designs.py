@@ -5,10 +5,11 @@ from __future__ import annotations
 import contextlib
 import threading
 from collections.abc import Callable, Hashable
+from functools import partial
 
 import numpy as np
 
-from platform_ctrl.app.background import Designing, IsCancelled, Progress, run_alone
+from platform_ctrl.app.background import Designing, IsCancelled, run_alone
 from platform_ctrl.app.caged import CagedLoop, caged_overlay
 from platform_ctrl.app.closed_loops import ClosedLoops
 from platform_ctrl.app.controllers import built_directly
@@ -16,7 +17,6 @@ from platform_ctrl.app.pictures import Overlay
 from platform_ctrl.app.plants import Bounded
 from platform_ctrl.app.settings import Settings
 from platform_ctrl.app.stabilised import stabilised_overlay
-from platform_ctrl.common.arguments import known_name
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import DesignError, PlatformCtrlError
 from platform_ctrl.job.job import DesignSpec, LoopSpec
@@ -136,36 +136,15 @@ class Designs:
 
     def __init__(self, loops: ClosedLoops) -> None:
         self._loops = loops
-        self._queue = DesignQueue()
+        self.queue = DesignQueue()
 
-    def end(self) -> None:
-        """Cancel all requests."""
-        self._queue.end()
-
-    def listen(self, listener: Callable[[], None]) -> Callable[[], None]:
-        """Call `listener` in a thread after each design that pictures wait for; return the function that stops it."""
-        return self._queue.listen(listener)
-
-    def is_available(self, settings: Settings, design: str | None = None) -> bool:
-        """Return whether a design, or the selected one, is available for these settings."""
-        spec = self._loops.spec(settings.loop)
-        return self._loops.is_available(settings, spec, settings.design if design is None else design)
-
-    def make(
-        self,
-        settings: Settings,
-        design: str | None,
-        progress: Progress = silent,
-        cancelled: IsCancelled = never,
-    ) -> Settings:
-        """Make a design in its own process, unless it is available, and return the settings that show it."""
+    def _make(self, settings: Settings, spec: LoopSpec, design: DesignSpec, cancelled: IsCancelled) -> None:
+        """Make a design in its own process, unless it is available."""
         loops = self._loops
-        spec, own = loops.design(settings if design is None else settings.but(design=design))
-        if not self.is_available(settings, own.name):
-            task = Designing(job=loops.job(settings), loop=spec.name, design=own.name)
-            made = run_alone(task, progress, cancelled)
-            loops.store.put(spec.name, own.name, loops.conditions(settings, spec, own), made)
-        return loops.designed_for_these(settings, spec, own)
+        conditions = loops.conditions(settings, spec, design)
+        if loops.found(spec.name, design.name, conditions) is None:
+            task = Designing(job=loops.job(settings), loop=spec.name, design=design.name)
+            loops.keep(spec.name, design.name, conditions, run_alone(task, silent, cancelled))
 
     def caged(self, settings: Settings, again: bool = True) -> tuple[CagedLoop, tuple[str, ...]]:
         """Return the loop with its controller; one that a method has to make is requested, and anew with `again`."""
@@ -173,18 +152,15 @@ class Designs:
         spec, design = loops.design(settings)
         if built_directly(design):
             return loops.caged(settings)
-        conditions, seen = (
-            loops.target_conditions(settings, spec, design),
-            loops.available_conditions(settings, spec, design),
-        )
+        conditions = loops.target_conditions(settings, spec, design)
+        seen = loops.available_conditions(settings, spec, design)
         if seen == conditions:
             return loops.caged(settings)
 
         def requested() -> str:
-            def make(cancelled: IsCancelled) -> None:
-                self.make(loops.at(settings, spec, design, conditions), None, cancelled=cancelled)
-
-            return self._queue.request(spec.name, design.name, conditions, make)
+            there = loops.at(settings, spec, design, conditions)
+            make = partial(self._make, there, spec, design)
+            return self.queue.request(spec.name, design.name, conditions, make)
 
         if seen is None:
             # The error of a method has the loop's name.
@@ -216,12 +192,12 @@ class Designs:
 
     def _overlay(self, settings: Settings, spec: LoopSpec, name: str, frequency: FloatArray) -> tuple[Overlay, str]:
         """Return one design of the loop as an overlay, and a line about it; all other loops stay as they are."""
-        other: DesignSpec = spec.designs[known_name("design", name, tuple(d.name for d in spec.designs))]
         own = settings.but(design=name)
+        method = next(one.method for one in spec.designs if one.name == name)
         with np.errstate(all="ignore"):
             if spec.kind != "caging":
                 # The picture below it has the lines about the other loops.
                 free, _ = self._loops.stabilised(own)
-                return stabilised_overlay(free, own, other.method, frequency), ""
+                return stabilised_overlay(free, own, method, frequency), ""
             loop, notes = self.caged(own, again=False)
-            return caged_overlay(loop, own, other.method, frequency), " ".join(notes)
+            return caged_overlay(loop, own, method, frequency), " ".join(notes)

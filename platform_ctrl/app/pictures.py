@@ -175,14 +175,16 @@ class Margins:
 
 
 @value
-class Drawn:
-    """The curves of some settings.
+class Drawing:
+    """What the plots of a page draw for `settings`; `plants` are the labels of all plants that may be shown.
 
     `step` is the response to a torque step: caged at the channel's torquer, stabilised on the platform about the axis.
     `Omega_time` is caged the job's manoeuvre about the axis, linear model; stabilised the attitude after a rate step of
     the platform; `Omega_frequency` the same over frequency. `bandwidth` is the limit, Hz, or None.
     """
 
+    settings: Settings
+    plants: tuple[str, ...]
     bode: Bode
     nichols: Nichols
     locus: Locus
@@ -208,14 +210,6 @@ class Measured:
     requirements: tuple[CheckResult, ...]
     goals: tuple[CheckResult, ...] = ()
     notes: tuple[str, ...] = ()
-
-
-@value
-class Drawing(Drawn):
-    """What the plots of a page draw for `settings`; `plants` are the labels of all plants that may be shown."""
-
-    settings: Settings
-    plants: tuple[str, ...]
 
 
 @value

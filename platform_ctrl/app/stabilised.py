@@ -43,7 +43,7 @@ from platform_ctrl.app.free_plants import (
     disk_margins,
     loop_grid,
 )
-from platform_ctrl.app.pictures import Drawn, FrequencyGain, Locus, Margins, Measured, Overlay, TimeResponse
+from platform_ctrl.app.pictures import Drawing, FrequencyGain, Locus, Margins, Measured, Overlay, TimeResponse
 from platform_ctrl.app.settings import Settings
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import DesignError
@@ -304,8 +304,8 @@ class StabilisedCurves(LoopCurves):
         return dataclasses.replace(found, draggable=found.draggable & moved_by_gain(*branches, self.poles))
 
 
-def stabilised_parts(loop: StabilisedLoop, settings: Settings, cached: CachedMargins) -> Parts:
-    """Return what is drawn for the free platform, and the function that measures it."""
+def stabilised_parts(loop: StabilisedLoop, settings: Settings, labels: tuple[str, ...], cached: CachedMargins) -> Parts:
+    """Return what is drawn for the free platform, and the function that measures it; `labels` are of all plants."""
     curves = StabilisedCurves(loop, settings, bool(settings.band and len(loop.plants.labels) > 1))
     P, s, stable, channel = curves.plant, curves.poles, curves.stable, curves.index
     grid = np.union1d(loop_grid(P, s), loop.plants.frequency)
@@ -337,7 +337,9 @@ def stabilised_parts(loop: StabilisedLoop, settings: Settings, cached: CachedMar
             requirements=requirements(loop, cached, (s, grid, curves.sensitivity, S) if at_rest else None),
         )
 
-    drawn = Drawn(
+    drawing = Drawing(
+        settings=settings,
+        plants=labels,
         bode=bode,
         nichols=nichols,
         locus=curves.locus(every, reference),
@@ -348,7 +350,7 @@ def stabilised_parts(loop: StabilisedLoop, settings: Settings, cached: CachedMar
         stable=stable,
         all_stable=all_stable,
     )
-    return drawn, measured
+    return drawing, measured
 
 
 def stabilised_overlay(loop: StabilisedLoop, settings: Settings, method: str, frequency: FloatArray) -> Overlay:

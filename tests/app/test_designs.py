@@ -11,6 +11,7 @@ import pytest
 
 from app.test_saving import LOOP, TWO
 from platform_ctrl.app.backend import Backend
+from platform_ctrl.app.designs import DesignPending
 from platform_ctrl.app.pictures import Influence
 from platform_ctrl.app.saving import decode_state, encode_state, judged
 from platform_ctrl.app.settings import Settings
@@ -33,15 +34,27 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Backend]:
 def start(bench: Backend) -> Settings:
     """The page at the LQG design of the job as it stands."""
     settings = bench.chosen(bench.start(), design="lqg")
-    bench.redesign(settings)
-    return settings
+    return designed(bench, settings)
 
 
 @pytest.fixture(scope="module")
 def redesigned(bench: Backend, start: Settings) -> Settings:
     """The page after another bandwidth was asked for, and the design made."""
     settings = bench.moved(start, "bandwidth_hz", 1.3 * start.options[LOOP]["lqg"]["bandwidth_hz"])
-    return bench.redesign(settings)
+    return designed(bench, settings)
+
+
+def designed(bench: Backend, settings: Settings) -> Settings:
+    """Return the settings once the selected design has been made for them."""
+    there = threading.Event()
+    end = bench.on_designed(there.set)
+    try:
+        pending = "is being designed" in " ".join(bench.picture(settings).notes)
+    except DesignPending:
+        pending = True
+    assert not pending or there.wait(60.0)
+    end()
+    return settings
 
 
 def column(influence: Influence, slider: str) -> Any:
@@ -95,7 +108,7 @@ def test_what_one_page_designs_changes_nothing_on_another(bench: Backend, start:
     # Another page: other numbers at the same plant, and the same numbers at just this plant.
     other = bench.moved(mine, "disturbance", 2.0 * start.options[LOOP]["lqg"]["disturbance"])
     for settings in (other, mine.but(designed_for={})):
-        theirs = bench.redesign(settings)
+        theirs = designed(bench, settings)
         assert values(bench, theirs) != before
         assert values(bench, mine) == before
         np.testing.assert_array_equal(bench.influence(mine).change, arrows.change)
