@@ -17,7 +17,6 @@ from numpy.typing import ArrayLike
 from platform_ctrl.analysis import frequency_response, gang
 from platform_ctrl.analysis.frequency_grids import following_grid
 from platform_ctrl.analysis.poles import continuous_poles, poles
-from platform_ctrl.common.arguments import one_of
 from platform_ctrl.common.files import write_whole
 from platform_ctrl.common.signatures import check_arguments, short
 from platform_ctrl.common.values import FloatArray, input_value
@@ -190,7 +189,6 @@ def write_responses(
         The file cannot be written there.
     """
     where = "write_responses"
-    one_of(f"{where}: form", form, ("complex", "polar"))
     try:
         values, w = np.asarray(response.frdata), np.asarray(response.omega, dtype=np.float64)
         outputs, inputs = list(response.output_labels), list(response.input_labels)

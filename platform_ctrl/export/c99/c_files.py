@@ -14,14 +14,14 @@ from platform_ctrl.common.files import write_whole
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.text import at_most
 from platform_ctrl.common.values import value
-from platform_ctrl.errors import ArgumentError, InputError
+from platform_ctrl.errors import InputError
 from platform_ctrl.export.c99.c_text import FILES, Names, field_names
 from platform_ctrl.export.c99.controller_files import ControllerFiles, job_files
 from platform_ctrl.export.c99.entries import Entry, entries_of
 from platform_ctrl.export.c99.float_error import NOTED, float_error
 from platform_ctrl.export.c99.floating_files import FloatingFiles, cost_of
 from platform_ctrl.export.c99.from_design import scheme_of, with_excess
-from platform_ctrl.export.c99.scheme import Provenance, Scheme, excess_gain
+from platform_ctrl.export.c99.scheme import Scheme, excess_gain
 from platform_ctrl.export.c99.windup import Windup, back_calculation, proved
 from platform_ctrl.job.job import Job
 
@@ -35,8 +35,6 @@ AntiWindup = Literal["back-calculation", "proved", "none"]
 
 # The remark on anti-windup is about the controller before it is put into integers.
 _ROUNDED = " So in real arithmetic: rounding, and the ends of integrals and excess below, come on top."
-_NUMBERS = ("double", "float", "q31", "q15")
-_ANTI_WINDUP = ("back-calculation", "proved", "none")
 
 
 @value
@@ -104,14 +102,10 @@ def write_c(  # noqa: PLR0913 - options by keyword
     DesignError
         A controller cannot be written with an unchanged response, or not in this number type.
     """
-    for name, given, known in (("number", number, _NUMBERS), ("anti_windup", anti_windup, _ANTI_WINDUP)):
-        if given not in known:
-            raise ArgumentError(f"{name}: must be one of {', '.join(known)}, got {given!r}")
-    controllers = entries_of(job, entries)
     schemes, remarks = [], []
     notes: list[str] = []
-    for entry in controllers:
-        scheme = _scheme(job, entry, sha256, dict(versions or {}), command)
+    for entry in entries_of(job, entries):
+        scheme = scheme_of(job, entry, sha256=sha256, versions=dict(versions or {}), command=command)
         windup = _windup(job, scheme, entry, anti_windup)
         schemes.append(with_excess(scheme, windup.gain))
         remarks.append(windup.remark)
@@ -240,17 +234,3 @@ def _integer_note(made: FixedPoint) -> str:
         for name, what in zip(scheme.outputs, scheme.output_units, strict=True)
     )
     return f"{scheme.name}: {made.number}, no overflow; torques, integrals aside, are off by at most {worst}"
-
-
-def _scheme(job: Job, entry: Entry, sha256: str, versions: dict[str, str], command: str) -> Scheme:
-    origin = Provenance(
-        job=job.name,
-        plant=job.platform.name,
-        loop=entry.loop,
-        design=entry.design,
-        method=entry.method,
-        sha256=sha256,
-        versions=versions,
-        command=command,
-    )
-    return scheme_of(job, entry, origin)

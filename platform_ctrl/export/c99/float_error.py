@@ -33,7 +33,6 @@ _LONGEST = 20000
 class FloatError:
     """The errors of a controller in single precision (Higham, Accuracy and Stability of Numerical Algorithms)."""
 
-    inputs: FloatArray  # (m,): Magnitudes of the inputs that the figures hold for, in their units
     response: float  # Largest relative change of the frequency response by rounded coefficients
     pole: float  # Largest shift of a pole by them, relative to its distance from z = 1
     # (p,): Largest difference of the outputs after steps samples from equal states, in their units, while no limit acts
@@ -92,7 +91,6 @@ def float_error(scheme: Scheme, ranges: Mapping[str, float], steps: int | None =
     into, through, errors = _roundings(scheme, K, inputs, states)
     stable = not len(K.A) or np.abs(np.linalg.eigvals(K.A)).max() < 1.0 + _ON_CIRCLE
     return FloatError(
-        inputs=inputs,
         response=response,
         pole=pole,
         bound=_grown(K, into, through, count) @ errors if stable else np.full(len(K.C), np.inf),

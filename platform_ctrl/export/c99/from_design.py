@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from platform_ctrl.design.plants import rows_of
 from platform_ctrl.errors import NotCertifiedError, PlatformCtrlError
 from platform_ctrl.export.c99.entries import Entry, sections_of
 from platform_ctrl.export.c99.modes import modal_sections, pid_sections, plain_sections
-from platform_ctrl.export.c99.scheme import Provenance, Row, Scheme, Section, arrays, row
+from platform_ctrl.export.c99.scheme import Provenance, Scheme, Section, arrays, row
 from platform_ctrl.export.systems import signal_units
 from platform_ctrl.job.job import Job
 from platform_ctrl.mechanics.linearisation import LinearModel, linearise
@@ -31,12 +31,15 @@ _FREQUENCIES = 240
 _MOST = 400
 
 
-def scheme_of(job: Job, entry: Entry, provenance: Provenance | None = None) -> Scheme:
-    """Return a controller written out in sections."""
+def scheme_of(job: Job, entry: Entry, **origin: Any) -> Scheme:
+    """Return a controller written out in sections; `origin` are further fields of its provenance."""
     units = signal_units(job.platform)
     limits = {t.name: np.inf if t.limit is None else float(t.limit) for t in job.platform.torquers}
+    provenance = Provenance(
+        job=job.name, plant=job.platform.name, loop=entry.loop, design=entry.design, method=entry.method, **origin
+    )
 
-    def scheme(sections: tuple[Section, ...], excess: tuple[Row, ...] = ()) -> Scheme:
+    def scheme(sections: tuple[Section, ...]) -> Scheme:
         return Scheme(
             name=entry.loop,
             inputs=entry.inputs,
@@ -45,26 +48,30 @@ def scheme_of(job: Job, entry: Entry, provenance: Provenance | None = None) -> S
             output_units=tuple(units[name] for name in entry.outputs),
             sections=sections,
             torque_limits=tuple(limits[name] for name in entry.outputs),
-            excess=excess,
             period=job.sampling.period,
             delay=job.sampling.delay,
-            provenance=provenance
-            or Provenance(job=job.name, loop=entry.loop, design=entry.design, method=entry.method),
+            provenance=provenance,
         )
 
-    for build in (_classical, _servo, _pid):
-        sections = _tried(build, job, entry)
-        if sections is None:
+    for blocks in (_classical, _servo, _pid):
+        try:
+            with np.errstate(all="ignore"):
+                sections = blocks(job, entry, linearise(job.platform))
+                made = None if sections is None else scheme(sections)
+                if made is not None and _is_controller(arrays(made), entry.arrays):
+                    return made if entry.excess is None else with_excess(made, entry.excess)
+        except (PlatformCtrlError, KeyError, ArithmeticError, ValueError):
+            # Options of another plant, of another version, or nonsense: the modes describe the controller as well.
             continue
-        made = scheme(sections)
-        if _believed(made, entry):
-            return scheme(sections, _excess_rows(made, entry.excess))
     for form in (modal_sections, plain_sections) if len(entry.arrays.A) <= _MOST else (plain_sections,):
         written, T = form(entry)
         made = scheme(written)
         if same_response(arrays(made), entry.arrays):
-            gain = None if entry.excess is None else np.asarray(np.linalg.solve(T, entry.excess), dtype=np.float64)
-            return scheme(written, _excess_rows(made, gain))
+            return (
+                made
+                if entry.excess is None
+                else with_excess(made, np.asarray(np.linalg.solve(T, entry.excess), np.float64))
+            )
     raise NotCertifiedError(
         f"controller {entry.loop!r}: rounding changes its response when it is written in sections; give it in "
         "balanced states",
@@ -74,16 +81,16 @@ def scheme_of(job: Job, entry: Entry, provenance: Provenance | None = None) -> S
 
 def with_excess(scheme: Scheme, gain: FloatArray) -> Scheme:
     """Return the scheme with the anti-windup gain E (states, outputs) of x⁺ = A x + B y + E (limited u − u)."""
-    return dataclasses.replace(scheme, excess=_excess_rows(scheme, gain))
+    rows = (row(state, weights, scheme.outputs) for state, weights in zip(scheme.states, gain, strict=True))
+    return dataclasses.replace(scheme, excess=tuple(one for one in rows if one.terms))
 
 
-def same_matrices(one: StateArrays, other: StateArrays) -> bool:
-    """Return whether two controllers have the same matrices up to rounding."""
-    for a, b in zip(one[:4], other[:4], strict=True):
-        # What is not a number is not the same.
-        if a.shape != b.shape or not np.all(np.abs(a - b) <= _SAME_MATRICES * np.abs(b).max(initial=0.0)):
-            return False
-    return True
+def _is_controller(made: StateArrays, given: StateArrays) -> bool:
+    """Return whether matrices are those of the controller up to rounding, and so the response; NaN is not."""
+    return same_response(made, given) and all(
+        a.shape == b.shape and np.all(np.abs(a - b) <= _SAME_MATRICES * np.abs(b).max(initial=0.0))
+        for a, b in zip(made[:4], given[:4], strict=True)
+    )
 
 
 def same_response(one: StateArrays, other: StateArrays) -> bool:
@@ -105,27 +112,6 @@ def same_response(one: StateArrays, other: StateArrays) -> bool:
     return bool(
         np.all(np.linalg.norm(a - b, axis=(1, 2)) <= _SAME_RESPONSE * np.maximum(size, 1e-12 * size.max(initial=0.0)))
     )
-
-
-def _tried(
-    build: Callable[[Job, Entry, LinearModel], tuple[Section, ...] | None], job: Job, entry: Entry
-) -> tuple[Section, ...] | None:
-    try:
-        with np.errstate(all="ignore"):
-            return build(job, entry, linearise(job.platform))
-    except (PlatformCtrlError, KeyError, ArithmeticError, ValueError):
-        # Options of another plant, of another version, or nonsense: its modes say it as well.
-        return None
-
-
-def _believed(made: Scheme, entry: Entry) -> bool:
-    """Return whether what options say is the controller: same matrices, and so the same response."""
-    try:
-        with np.errstate(all="ignore"):
-            K = arrays(made)
-            return same_matrices(K, entry.arrays) and same_response(K, entry.arrays)
-    except PlatformCtrlError:
-        return False
 
 
 def _classical(job: Job, entry: Entry, model: LinearModel) -> tuple[Section, ...] | None:
@@ -165,10 +151,3 @@ def _gimbals(job: Job, entry: Entry) -> tuple[tuple[str, ...], tuple[str, ...]] 
     sensed = {p.gimbal: p.name for p in platform.pickoffs}
     angles = tuple(sensed.get(gimbal, "") for gimbal in gimbals)
     return (gimbals, angles) if set(angles) == set(entry.inputs) and len(angles) == len(entry.inputs) else None
-
-
-def _excess_rows(scheme: Scheme, gain: FloatArray | None) -> tuple[Row, ...]:
-    if gain is None:
-        return ()
-    rows = (row(state, weights, scheme.outputs) for state, weights in zip(scheme.states, gain, strict=True))
-    return tuple(one for one in rows if one.terms)

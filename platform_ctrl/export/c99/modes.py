@@ -11,7 +11,7 @@ from itertools import pairwise
 import numpy as np
 
 from platform_ctrl.analysis.arrays import scaled, state_scaling
-from platform_ctrl.common.values import FloatArray, value
+from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.partition import Channels
 from platform_ctrl.export.c99.entries import Entry
 from platform_ctrl.export.c99.scheme import Section, row
@@ -22,18 +22,11 @@ _MOST = 1e4
 INTEGRATOR = 1e-6
 
 
-@value
-class Modes:
-    """A matrix in block-diagonal form (Bavely, Stewart, SIAM J. Numerical Analysis 16, 1979)."""
+def _modes(A: FloatArray) -> tuple[FloatArray, FloatArray, list[int]]:
+    """Return T, its inverse and the sizes of the blocks of T⁻¹ A T: one real pole, a pair, or a cluster each.
 
-    # T, inverse: (n, n): x = T x_modes; inverse @ A @ T is block-diagonal
-    T: FloatArray
-    inverse: FloatArray
-    sizes: tuple[int, ...]  # Of the blocks, in their order
-
-
-def modes(A: FloatArray) -> Modes:
-    """Return the block-diagonal form of a real matrix: blocks of one real pole, a pair, or a cluster."""
+    Bavely, Stewart, SIAM J. Numerical Analysis 16, 1979.
+    """
     from scipy.linalg import schur
     from scipy.linalg.lapack import dtrexc, dtrsyl
 
@@ -66,7 +59,7 @@ def modes(A: FloatArray) -> Modes:
             W[low + 1] /= turn
         sizes.append(high - low)
         low = high
-    return Modes(T=V, inverse=W, sizes=tuple(sizes))
+    return V, W, sizes
 
 
 def modal_sections(entry: Entry) -> tuple[tuple[Section, ...], FloatArray]:
@@ -76,9 +69,9 @@ def modal_sections(entry: Entry) -> tuple[tuple[Section, ...], FloatArray]:
         return plain_sections(entry)
     balance = state_scaling(A, B, C)
     A, B, C = scaled(A, B, C)
-    found = modes(A)
-    a, b, c = found.inverse @ A @ found.T, found.inverse @ B, C @ found.T
-    firsts = np.concatenate([[0], np.cumsum(found.sizes)])
+    into, inverse, sizes = _modes(A)
+    a, b, c = inverse @ A @ into, inverse @ B, C @ into
+    firsts = np.concatenate([[0], np.cumsum(sizes)])
     blocks = [np.arange(first, last) for first, last in pairwise(firsts)]
     poles = [np.linalg.eigvals(a[np.ix_(block, block)]) for block in blocks]
     order = sorted(range(len(blocks)), key=lambda k: (_corner(poles[k], period), int(blocks[k][0])))
@@ -105,7 +98,7 @@ def modal_sections(entry: Entry) -> tuple[tuple[Section, ...], FloatArray]:
     shown = np.hstack([entry.arrays.D, (c * units)[:, columns]])
     sources = [*entry.inputs, *(names[i] for i in columns)]
     sections.append(_outputs(entry, shown, sources))
-    T = balance[:, None] * (found.T * units)[:, columns]
+    T = balance[:, None] * (into * units)[:, columns]
     return tuple(sections), T
 
 

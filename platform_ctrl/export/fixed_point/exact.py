@@ -178,9 +178,11 @@ def count_of(bound: float, fraction: int) -> int:
     return (numerator << fraction) // denominator if fraction >= 0 else numerator // (denominator << -fraction)
 
 
-def _digits(number: Rational) -> int:
-    """Return e with 2^e ≤ |number| < 2^(e + 1), or one less."""
-    return int(abs(number.p)).bit_length() - int(number.q).bit_length() - 1
+def _first_shift(row: Sum, mantissa: int) -> int:
+    """Return the shift with which the smallest coefficient has `mantissa` significant bits, or one more."""
+    # Number of binary digits before the point, or one less.
+    digits = [int(abs(x.p)).bit_length() - int(x.q).bit_length() - 1 for x in row.values() if x != 0]
+    return min(max(mantissa - 1 - min(digits, default=mantissa - 1), 0), 62)
 
 
 def _rounded(number: Rational, mantissa: int) -> int:
@@ -201,8 +203,7 @@ def integer_row(
     state itself; `largest` the largest count of every source. With `narrow` the accumulator may have 32 bits.
     """
     exact = {name: coefficient for name, coefficient in row.items() if coefficient != 0}
-    shift = max([mantissa - 1 - _digits(x) for x in exact.values()], default=0)
-    shift = min(max(shift, 0), 62)
+    shift = _first_shift(exact, mantissa)
     if narrow:
         small = _fitted(exact, largest, mantissa, shift, LARGEST_32)
         if small is not None and _lost(exact, small[0], small[1], largest) <= flint.fmpq(1, 4):
@@ -212,14 +213,13 @@ def integer_row(
 
 
 def _fitted(
-    exact: Sum, largest: Mapping[str, int], mantissa: int, shift: int, most: int
+    exact: Sum, largest: Mapping[str, int], mantissa: int, first_shift: int, most: int
 ) -> tuple[dict[str, int], int] | None:
     """Return coefficients and the largest shift with which their sum stays within `most`; None where none does."""
-    while shift >= 0:
+    for shift in range(first_shift, -1, -1):
         whole = {name: _rounded(x * power_of_two(shift), mantissa) for name, x in exact.items()}
         if sum(abs(k) * largest[name] for name, k in whole.items()) + (1 << shift) // 2 <= most:
             return whole, shift
-        shift -= 1
     return None
 
 
@@ -246,14 +246,11 @@ def _row(
 
 def integral_row(target: str, row: Sum, limit: int, largest: Mapping[str, int], mantissa: int) -> IntegerRow:
     """Return an integral's row, in counts per count: nothing of what it gains is cut off."""
-    shift = min(max([mantissa - 1 - _digits(x) for x in row.values() if x != 0], default=0), 62)
-    shift = max(shift, 0)
-    while True:
+    for shift in range(_first_shift(row, mantissa), -1, -1):
         products = {name: _rounded(x * power_of_two(shift), mantissa) for name, x in row.items()}
         gained = sum(abs(k) * largest[name] for name, k in products.items())
-        if (limit << shift) + gained <= LARGEST_64 or shift == 0:
+        if (limit << shift) + gained <= LARGEST_64:
             break
-        shift -= 1
     return IntegerRow(
         target=target,
         products=tuple(Product(coefficient=k, source=name) for name, k in products.items() if k),

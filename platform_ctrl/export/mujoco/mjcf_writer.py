@@ -8,11 +8,11 @@ from typing import Literal
 from xml.etree.ElementTree import Comment, Element, SubElement, indent, tostring
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from platform_ctrl.common.arguments import one_of, positive
+from platform_ctrl.common.arguments import positive
 from platform_ctrl.common.files import write_whole
 from platform_ctrl.common.signatures import check_arguments, short
-from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.export.mujoco.shapes import (
     Placed,
@@ -69,7 +69,6 @@ def write_mjcf(
     InputError
         The file cannot be written there.
     """
-    one_of("write_mjcf: root", root, ("free", "prescribed", "fixed"))
     step = positive("write_mjcf: step", step)
     _check_names(platform)
     notes = _notes(platform, root)
@@ -203,19 +202,7 @@ def _add_inertia(element: Element, one: Placed) -> None:
     moments, axes = np.linalg.eigh(one.inertia)
     axes[:, 0] *= np.sign(np.linalg.det(axes))
     inertial.set("diaginertia", text(moments))
-    inertial.set("quat", text(_quaternion(axes)))
-
-
-def _quaternion(turn: FloatArray) -> FloatArray:
-    """Return the unit quaternion w, x, y, z of a rotation (3, 3)."""
-    # The eigenvector of the largest eigenvalue, 3, of this matrix: exact for any angle.
-    R, trace = turn, np.trace(turn)
-    K = np.empty((4, 4))
-    K[0, 0] = trace
-    K[0, 1:] = K[1:, 0] = [R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]]
-    K[1:, 1:] = R + R.T - trace * np.eye(3)
-    out: FloatArray = np.linalg.eigh(K)[1][:, -1]
-    return out
+    inertial.set("quat", text(Rotation.from_matrix(axes).as_quat(scalar_first=True)))
 
 
 def _whole(platform: Platform) -> float:

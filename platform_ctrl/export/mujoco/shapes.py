@@ -9,6 +9,7 @@ from xml.etree.ElementTree import Element, SubElement
 import numpy as np
 
 from platform_ctrl.common.values import FloatArray, value
+from platform_ctrl.export.mujoco.tree import point_inertia
 from platform_ctrl.plant.platform import Platform
 
 # Radius that rotors are drawn with, m, and by how much a ring is larger than what it holds.
@@ -87,7 +88,7 @@ def _placed(platform: Platform, apart: list[int]) -> list[Placed] | None:
         radius[body] = _AROUND * max(inside, default=ROTOR_RADIUS)
         inertia, moment = np.array(inertias[body]), moments[body].copy()
         for c in several:
-            inertia -= weight[c] * _point(position[c])
+            inertia -= weight[c] * point_inertia(position[c])
             moment -= weight[c] * position[c]
         second = 0.5 * np.trace(inertia) * np.eye(3) - inertia
         spread = np.linalg.eigvalsh(second)
@@ -105,15 +106,9 @@ def _placed(platform: Platform, apart: list[int]) -> list[Placed] | None:
             position=np.zeros(3),
             mass=float(mass),
             centre=centre,
-            inertia=inertia - mass * _point(centre),
+            inertia=inertia - mass * point_inertia(centre),
         )
     return [dataclasses.replace(one, position=position[k]) for k, one in enumerate(out) if one is not None]
-
-
-def _point(offset: FloatArray) -> FloatArray:
-    """Inertia of a unit mass at `offset`."""
-    out: FloatArray = float(offset @ offset) * np.eye(3) - np.outer(offset, offset)
-    return out
 
 
 def _spots(platform: Platform, body: int, several: list[int], radius: float) -> list[FloatArray]:
