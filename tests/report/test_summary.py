@@ -17,8 +17,8 @@ from platform_ctrl.design import loops
 from platform_ctrl.report.page import blocks, campaign_tables, job_page
 from platform_ctrl.report.page.blocks import html as as_html
 from platform_ctrl.report.page.campaign_page import as_section, campaign_document, differences
+from platform_ctrl.report.page.captions import opening, tightest
 from platform_ctrl.report.page.job_page import page_html
-from platform_ctrl.report.page.summary import opening, tightest
 from platform_ctrl.report.quantities import disk_words
 from platform_ctrl.verification import JobResult, check_job
 

@@ -23,8 +23,8 @@ from platform_ctrl.report.modes import nutates
 from platform_ctrl.report.page.captions import bandwidth_hz
 from platform_ctrl.report.plots.campbell import campbell
 from platform_ctrl.report.plots.curves import phase_in_degrees
-from platform_ctrl.report.plots.loci import upper_half_plane
 from platform_ctrl.report.plots.panels import phase_panel
+from platform_ctrl.report.plots.pole_map import upper_half_plane
 from platform_ctrl.report.quantities import HZ, quantity, root_series, signal_series
 from platform_ctrl.report.style import (
     BAND,

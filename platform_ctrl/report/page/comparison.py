@@ -7,12 +7,13 @@ from collections.abc import Callable, Iterable, Sequence
 from platform_ctrl.analysis.loop_metrics import ALWAYS_MEASURED, LoopMetrics
 from platform_ctrl.analysis.measuring import MetricRequest
 from platform_ctrl.analysis.metrics import METRICS
-from platform_ctrl.analysis.plant_set import Group, PlantSet
-from platform_ctrl.common.values import value
+from platform_ctrl.analysis.plant_set import Group as PlantGroup
+from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.design.jobs import LoopOutcome
 from platform_ctrl.design.loop import LoopDesign
 from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.job.requirements import SCOPE_WORDS, SCOPES, requirement
+from platform_ctrl.report.page.blocks import Cell, Column, Group, Row, Table, cells
 from platform_ctrl.report.quantities import (
     BOUND,
     DASH,
@@ -30,7 +31,7 @@ from platform_ctrl.verification.verdict import JobResult, Proofs
 
 GOAL = "goal: "
 _MARGIN = METRICS["disk margin"].name
-_GROUPS: dict[Group, tuple[str, str]] = {
+_GROUPS: dict[PlantGroup, tuple[str, str]] = {
     "nominal": ("nominal", "the nominal one"),
     "uncertainty": ("parameter uncertainty", "{} of the parameter uncertainty"),
     "Omega": ("platform rates", "{} with a platform rate"),
@@ -38,66 +39,45 @@ _GROUPS: dict[Group, tuple[str, str]] = {
 }
 
 
-@value
-class Cell:
-    """A value of one design."""
-
-    text: str  # Words
-    met: bool | None = None  # Whether its limit is met; None where there is no limit, or only a goal
-
-
-@value
-class Row:
-    """One value of all designs: its name, its limit, a cell for each design."""
-
-    name: str
-    limit: str
-    cells: tuple[Cell, ...]
-
-
-@value
-class Section:
-    """Rows of one kind under a title."""
-
-    title: str
-    rows: tuple[Row, ...]
-
-
-def sections(result: JobResult, outcome: LoopOutcome) -> list[Section]:
-    """Return the comparison of a loop's designs, section by section, without those that are empty."""
+def design_table(result: JobResult, outcome: LoopOutcome) -> Table:
+    """Return the designs of a loop side by side; the column of the one that is closed counts."""
     designs = outcome.designs
-    proofs = [result.proofs[design.loop, design.name] for design in designs]
-    found = [
-        Section(title="limits, measured on the closed loop", rows=tuple(limit_rows(outcome))),
-        Section(title="goals, not part of the verdict", rows=tuple(goal_rows(outcome))),
-        Section(title="measured, without a limit", rows=tuple(measured_rows(outcome))),
-        Section(title="proved in interval arithmetic", rows=tuple(proof_rows(designs, proofs))),
-        Section(title="claimed by the method", rows=tuple(_by_name([_claims(design) for design in designs]))),
-        Section(title="options used", rows=tuple(_by_name([_options(design) for design in designs]))),
-        Section(title="controller", rows=tuple(_by_name([signals(design) for design in designs]))),
-    ]
-    return [one for one in found if one.rows]
+    columns = [Column(title="design"), Column(title="limit", number=True)]
+    for design in designs:
+        closed = design.name == outcome.use
+        tag = f"{design.method}, closed" if closed else design.method
+        columns.append(Column(title=design.name, tag=tag, number=True, strong=closed))
+    sections = {
+        "limits, measured on the closed loop": limit_rows(outcome),
+        "goals, not part of the verdict": goal_rows(outcome),
+        "measured, without a limit": measured_rows(outcome),
+        "proved in interval arithmetic": proof_rows(designs, [result.proofs[one.loop, one.name] for one in designs]),
+        "claimed by the method": _by_name([_claims(design) for design in designs]),
+        "options used": _by_name([_options(design) for design in designs]),
+        "controller": _by_name([signals(design) for design in designs]),
+    }
+    groups = tuple(Group(title=title, rows=tuple(rows), quiet=True) for title, rows in sections.items() if rows)
+    return Table(columns=tuple(columns), groups=groups, form="designs")
 
 
 def limit_rows(outcome: LoopOutcome) -> list[Row]:
     """Return the limits with the value of every design, met or not."""
-
-    def cell(one: CheckResult) -> Cell:
-        return Cell(text=f"{MET if one.passed else NOT_MET} {_number(one)}", met=one.passed)
-
-    return [_judged(name, found, cell) for name, found in _results([d.results for d in outcome.designs])]
+    found = _results([d.results for d in outcome.designs])
+    return [_judged(name, results, lambda one: _checked(one.passed, _number(one))) for name, results in found]
 
 
 def goal_rows(outcome: LoopOutcome) -> list[Row]:
     """Return the loop's goals: reached, or by how much they are missed, which is no failure."""
 
     def cell(one: CheckResult) -> Cell:
-        if one.passed:
-            return Cell(text=f"{MET} {_number(one)}", met=True)
-        return Cell(text=f"{_number(one)} ({percent(one.margin)})")
+        return _checked(True, _number(one)) if one.passed else Cell(text=f"{_number(one)} ({percent(one.margin)})")
 
     found = _results([d.goals for d in outcome.designs])
     return [_judged(name.removeprefix(GOAL), results, cell) for name, results in found]
+
+
+def _checked(met: bool, words: str) -> Cell:
+    return Cell(text=f"{MET if met else NOT_MET} {words}", tone="good" if met else "bad")
 
 
 def _number(one: CheckResult) -> str:
@@ -115,15 +95,14 @@ def _results(columns: Sequence[Sequence[CheckResult]]) -> list[tuple[str, list[C
 def _judged(name: str, found: Sequence[CheckResult | None], cell: Callable[[CheckResult], Cell]) -> Row:
     first = next(one for one in found if one is not None)
     limit = f"{BOUND[first.sense]} {compared(first)[1]}"
-    cells = tuple(Cell(text=DASH) if one is None else cell(one) for one in found)
-    return Row(name=name, limit=limit, cells=cells)
+    return Row(cells=(*cells(name, limit), *(Cell(text=DASH) if one is None else cell(one) for one in found)))
 
 
 def measured_rows(outcome: LoopOutcome) -> list[Row]:
     """Return the metrics of every design that have no limit."""
     judged = {one.name for design in outcome.designs for one in design.results}
     measured = [{} if design.measures is None else _measured(design.measures) for design in outcome.designs]
-    return [row for row in _by_name(measured) if row.name not in judged]
+    return [row for row in _by_name(measured) if row.cells[0].text not in judged]
 
 
 def _measured(metrics: LoopMetrics) -> dict[str, str]:
@@ -165,12 +144,7 @@ def _proved(design: LoopDesign, proofs: Proofs) -> dict[str, Cell]:
     margins = {plant: 1.0 / max(bounds) for plant, bounds in norms.items() if len(bounds) == 2}
     stable = sum(label in decay for label in plants.labels)
     whole = stable == len(plants.labels)
-    out = {
-        "stable": Cell(
-            text=f"{MET if whole else NOT_MET} with {_share(stable, len(plants.labels))} plants",
-            met=whole,
-        )
-    }
+    out = {"stable": _checked(whole, f"with {_share(stable, len(plants.labels))} plants")}
     if whole:
         least = quantity(min(decay.values()), "1/s", 3, rounding="down")
         out[f"{METRICS['stability'].name} over all plants"] = Cell(text=f"≥ {least}")
@@ -182,9 +156,8 @@ def _proved(design: LoopDesign, proofs: Proofs) -> dict[str, Cell]:
             text=f"≥ {plain(min(others), rounding='down')}, {count(len(others), 'plant')}"
         )
     bits = max((found.precision for found in proofs.verifications), default=0)
-    all_of = proofs.proved == proofs.of
-    out["certified properties"] = Cell(
-        text=f"{MET if all_of else NOT_MET} {_share(proofs.proved, proofs.of)}, {bits} bits", met=all_of
+    out["certified properties"] = _checked(
+        proofs.proved == proofs.of, f"{_share(proofs.proved, proofs.of)}, {bits} bits"
     )
     return out
 
@@ -256,4 +229,4 @@ def _by_name(columns: Iterable[dict[str, str]]) -> list[Row]:
 def _rows(columns: Sequence[dict[str, Cell]]) -> list[Row]:
     names = dict.fromkeys(name for column in columns for name in column)
     none = Cell(text=DASH)
-    return [Row(name=name, limit="", cells=tuple(column.get(name, none) for column in columns)) for name in names]
+    return [Row(cells=(*cells(name, ""), *(column.get(name, none) for column in columns))) for name in names]

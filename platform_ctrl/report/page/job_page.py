@@ -48,8 +48,7 @@ from platform_ctrl.report.page.blocks import (
     sentence,
 )
 from platform_ctrl.report.page.campaign_page import as_section, digests
-from platform_ctrl.report.page.captions import sentences
-from platform_ctrl.report.page.summary import compared_with_alternatives, opening
+from platform_ctrl.report.page.captions import compared_with_alternatives, opening, sentences
 from platform_ctrl.report.plots.time_run import run_figure
 from platform_ctrl.report.quantities import count
 from platform_ctrl.verification.verdict import JobResult
@@ -210,7 +209,7 @@ def _loop(result: JobResult, outcome: LoopOutcome, number: int) -> Section:
     unstable = captions.unstable(outcome.closed)
     compared = [] if unstable else compared_with_alternatives(outcome)
     words = sentences("loop_summary", outcome=outcome, unstable=unstable, comparisons=compared)
-    blocks: list[Block] = [Paragraph(text=words), tables.design_table(result, outcome)]
+    blocks: list[Block] = [Paragraph(text=words), comparison.design_table(result, outcome)]
     blocks += [Paragraph(text=f"Not proved: {line}", tone="bad") for line in _unproved(result, outcome)]
     groups = comparison.group_rows(outcome.closed)
     if groups:

@@ -10,7 +10,6 @@ import numpy as np
 
 from platform_ctrl.analysis.metrics import METRICS
 from platform_ctrl.common.values import value
-from platform_ctrl.design.jobs import LoopOutcome
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.job.writing import job_data, toml
@@ -325,31 +324,6 @@ def _requirement(row: RequirementRow) -> Row:
         ),
         missed=not row.passed and not row.goal,
     )
-
-
-def design_table(result: JobResult, outcome: LoopOutcome) -> Table:
-    """Return the designs of a loop side by side; the column of the one that is closed counts."""
-    columns = [Column(title="design"), Column(title="limit", number=True)]
-    for design in outcome.designs:
-        closed = design.name == outcome.use
-        tag = f"{design.method}, closed" if closed else design.method
-        columns.append(Column(title=design.name, tag=tag, number=True, strong=closed))
-    groups = [
-        Group(
-            title=part.title,
-            quiet=True,
-            rows=tuple(
-                Row(cells=(Cell(text=row.name), Cell(text=row.limit), *(_judged(cell) for cell in row.cells)))
-                for row in part.rows
-            ),
-        )
-        for part in comparison.sections(result, outcome)
-    ]
-    return Table(columns=tuple(columns), groups=tuple(groups), form="designs")
-
-
-def _judged(cell: comparison.Cell) -> Cell:
-    return Cell(text=cell.text, tone="" if cell.met is None else "good" if cell.met else "bad")
 
 
 def group_table(rows: Sequence[tuple[str, ...]]) -> Table:

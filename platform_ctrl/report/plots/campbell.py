@@ -20,7 +20,7 @@ from platform_ctrl.mechanics.state_space import state_space, subsystems, whole_s
 from platform_ctrl.plant.platform import Platform
 from platform_ctrl.report.modes import poles_and_kinds
 from platform_ctrl.report.plots.label_placement import LabelPlacer
-from platform_ctrl.report.plots.loci import increasing, with_rotors_at_rest
+from platform_ctrl.report.plots.root_locus import increasing, with_rotors_at_rest
 from platform_ctrl.report.plots.systems import drawable
 from platform_ctrl.report.quantities import HZ, RPM
 from platform_ctrl.report.quantities import plain as number

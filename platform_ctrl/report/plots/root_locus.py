@@ -3,24 +3,33 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
-from numpy.typing import ArrayLike
+from matplotlib.ticker import LogLocator, MaxNLocator
+from numpy.typing import ArrayLike, NDArray
 
-from platform_ctrl.analysis.arrays import ComplexArray
+from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, scaled, state_arrays
+from platform_ctrl.analysis.feedback import closed_loop, loop_transfer
+from platform_ctrl.analysis.pole_branches import Poles, pole_branches, refined_values
 from platform_ctrl.analysis.poles import continuous_poles, damping_ratio
+from platform_ctrl.analysis.sampling import sampled, with_lag
 from platform_ctrl.analysis.transfer_function import LinearSystem
-from platform_ctrl.common.arguments import one_of, positive
-from platform_ctrl.common.signatures import check_arguments
-from platform_ctrl.common.values import FloatArray
+from platform_ctrl.common.arguments import known_names, one_of, positive, real_numbers
+from platform_ctrl.common.signatures import check_arguments, short
+from platform_ctrl.common.values import FloatArray, value
+from platform_ctrl.design.plants import changed
 from platform_ctrl.errors import ArgumentError
+from platform_ctrl.mechanics.linearisation import linearise
+from platform_ctrl.mechanics.state_space import state_space
+from platform_ctrl.plant.platform import Platform
 from platform_ctrl.report.plots.label_placement import LabelPlacer
-from platform_ctrl.report.plots.loci import Locus, gain_locus, s_plane, spin_locus, upper_half_plane, z_plane
 from platform_ctrl.report.plots.panels import control_plot
+from platform_ctrl.report.plots.pole_map import View, s_plane, upper_half_plane, view_of, z_plane
+from platform_ctrl.report.plots.systems import as_state_space, drawn_systems
 from platform_ctrl.report.quantities import listed
 from platform_ctrl.report.quantities import plain as number
 from platform_ctrl.report.style import INK, LIMIT, SERIES, panels, standalone
@@ -28,13 +37,12 @@ from platform_ctrl.report.style import INK, LIMIT, SERIES, panels, standalone
 if TYPE_CHECKING:
     import control
 
-    from platform_ctrl.plant.platform import Platform
 
 Plane = Literal["s", "z"]
 
 _HEIGHT = 4.6
-# Numbers written along the branches: about so many.
-_LABELS = 6
+# Numbers written along the branches, at most.
+_LABELS = 9
 # Branches shorter than this in the panel, points, carry none.
 _SHORTEST = 24.0
 
@@ -137,10 +145,25 @@ def root_locus_over_spin(  # noqa: PLR0913 - options by keyword
 
     See docs/theory.md.
     """
-    locus = spin_locus(
-        platform, gimbals, controller, rotors=rotors, spins=spins, period=period, delay=delay, Omega=Omega
-    )
-    return _drawn(locus, "speed", "rotor speed / nominal", plane, reach)
+    factors = increasing("spins", spins, np.linspace(0.2, 1.8, 101))
+    controller = _linear("root_locus_over_spin: controller", controller)
+    K = state_arrays(controller, "root_locus_over_spin: controller")
+    dt = 0.0 if period is None else positive("period", period)
+    late = positive("delay", delay, zero=True)
+    if period is None and late:
+        raise ArgumentError(f"root_locus_over_spin: a delay of {delay!r} s needs a sample period; give period in s")
+    if controller.dt is not None and abs(K.dt - dt) > 1e-9 * max(K.dt, dt):
+        raise ArgumentError(f"root_locus_over_spin: period must be the controller's dt, {K.dt} s, got {period!r}")
+    still, change, lags = _affine_plant(platform, gimbals, rotors, Omega, controller)
+
+    def poles(k: FloatArray) -> ComplexArray:
+        share = k[:, None, None]
+        A, B, C, D = (now + share * more for now, more in zip(still[:4], change[:4], strict=True))
+        plant = StateArrays(A, B, C, D, 0.0)
+        P = with_lag(plant, lags) if period is None else sampled(plant, dt, late, lags)
+        return np.asarray(np.linalg.eigvals(closed_loop(P, K).A), dtype=np.complex128)
+
+    return _drawn(traced_locus(factors, poles, dt), "speed", "rotor speed / nominal", plane, reach)
 
 
 def _drawn(locus: Locus, word: str, quantity: str, plane: Plane, reach: float | None) -> control.ControlPlot:
@@ -226,14 +249,10 @@ def _dots(axes: Axes, places: LabelPlacer, locus: Locus, points: ComplexArray) -
 
 
 def _round_numbers(low: float, high: float) -> FloatArray:
-    if low > 0.0 and high > 20.0 * low:
-        units = np.outer(10.0 ** np.arange(np.floor(np.log10(low)), np.log10(high) + 1.0), [1.0, 2.0, 5.0]).ravel()
-        return np.asarray(units[(units >= low * (1.0 - 1e-12)) & (units <= high * (1.0 + 1e-12))])
-    rough = (high - low) / _LABELS
-    decade = 10.0 ** np.floor(np.log10(rough))
-    step = decade * min((1.0, 2.0, 5.0, 10.0), key=lambda unit: abs(np.log(unit * decade / rough)))
-    first = np.ceil(low / step - 1e-9)
-    return np.asarray(np.round(np.arange(first, np.floor(high / step + 1e-9) + 1.0) * step, 12) + 0.0)
+    several_decades = low > 0.0 and high > 20.0 * low
+    locator = LogLocator(subs=(1.0, 2.0, 5.0)) if several_decades else MaxNLocator(_LABELS, steps=[1, 2, 5, 10])
+    numbers = np.round(locator.tick_values(low, high), 12) + 0.0
+    return np.asarray(numbers[(numbers >= low * (1.0 - 1e-12)) & (numbers <= high * (1.0 + 1e-12))])
 
 
 def _stable_words(locus: Locus, word: str) -> str:
@@ -253,3 +272,173 @@ def _stable_words(locus: Locus, word: str) -> str:
         else:
             words.append(f"between {number(start, 4)} and {number(end, 4)}")
     return f"{word} {span}: stable {listed(words)}"
+
+
+# A pole this near to the boundary, against the largest, counts as on it: multiple ones come out that far away.
+_ON = 1e-9
+# An edge of stability this near to an end of the range, against its length, lies at the end.
+_BESIDE = 1e-6
+# Branches are drawn by steps of this share of the view at most.
+_STEP = 0.012
+
+
+@value
+class Locus:
+    """Poles of a closed loop over a number."""
+
+    values: FloatArray  # (N,), The number, increasing: closer together where poles move fast
+    branches: ComplexArray  # (N, n), Poles in their own plane, s in rad/s or z, each column one continuous branch
+    nominal: ComplexArray  # (n,), Those at 1
+    dt: float  # Sample period, s; 0: continuous
+    stable: NDArray[np.bool_]  # (N,), Whether all poles lie inside the stability boundary
+    edges: FloatArray  # (k,), Numbers between the ends at which that changes, to rounding
+    view: View  # What of the s-plane shows it
+
+    @property
+    def s(self) -> ComplexArray:
+        """Branches in the s-plane, rad/s: ln(z)/T of a sampled loop."""
+        return continuous_poles(self.branches, self.dt)
+
+    @property
+    def stable_ranges(self) -> list[tuple[float, float]]:
+        """Intervals in which the loop is stable."""
+        ends = [float(self.values[0]), *map(float, self.edges), float(self.values[-1])]
+        first = bool(self.stable[0])
+        return [(ends[k], ends[k + 1]) for k in range(0 if first else 1, len(ends) - 1, 2)]
+
+
+def gain_locus(plant: LinearSystem, controller: LinearSystem, gains: ArrayLike | None) -> Locus:
+    """Return the poles of the closed loop while all of the controller is multiplied by one factor."""
+    factors = increasing("gains", gains, np.linspace(0.0, 2.5, 101))
+    parts = _linear("root_locus: plant", plant), _linear("root_locus: controller", controller)
+    L = state_arrays(loop_transfer(*parts), "root_locus")
+    A, B, C = scaled(L.A, L.B, L.C)
+    if not len(A):
+        raise ArgumentError("root_locus: neither the plant nor the controller has a state; there are no poles to draw")
+    eye = np.eye(len(L.D))
+
+    def poles(k: FloatArray) -> ComplexArray:
+        K = k[:, None, None]
+        feedback = K * C
+        if L.D.any():
+            direct = eye + K * L.D
+            if np.linalg.cond(direct).max() > 1e12:
+                raise ArgumentError(
+                    "root_locus: I + gain D_L is singular for one of the gains: the direct gains of plant and "
+                    "controller form an algebraic loop; add a lag or a delay, or leave that gain out"
+                )
+            feedback = np.asarray(np.linalg.solve(direct, feedback), dtype=np.float64)
+        return np.asarray(np.linalg.eigvals(A - B @ feedback), dtype=np.complex128)
+
+    return traced_locus(factors, poles, L.dt)
+
+
+def _linear(name: str, given: LinearSystem) -> control.StateSpace:
+    """Return a system in states: transfer functions are brought to them."""
+    [one] = drawn_systems(name, given, data=False)
+    return as_state_space(name, one)
+
+
+def with_rotors_at_rest(platform: Platform, rotors: Sequence[str] | None) -> tuple[Platform, list[str]]:
+    """Return the platform with those rotors at rest, and their names; rotors already at rest are left out.
+
+    The linear model is affine in the rotors' momenta: this one and the nominal one give it at every speed.
+    """
+    names = [rotor.name for rotor in platform.rotors]
+    chosen = names if rotors is None else [names[k] for k in known_names("rotors", rotors, names)]
+    turning = [r.name for r in platform.rotors if r.name in chosen and r.angular_momentum != 0.0]
+    if not turning:
+        given = ", ".join(map(repr, chosen)) or "none at all"
+        raise ArgumentError(f"rotors must include one of platform {platform.name!r} that spins, got {given}")
+    return changed(platform, {}, dict.fromkeys(turning, -1.0)), turning
+
+
+def _affine_plant(
+    platform: Platform,
+    gimbals: Sequence[str] | None,
+    rotors: Sequence[str] | None,
+    Omega: ArrayLike,
+    controller: control.StateSpace,
+) -> tuple[StateArrays, StateArrays, FloatArray]:
+    """Return the plant with the rotors at rest, what full speed adds to it, and the lags of its torquers."""
+    stopped, _ = with_rotors_at_rest(platform, rotors)
+    turning, resting = linearise(platform, Omega=Omega), linearise(stopped, Omega=Omega)
+    full = state_space(turning, gimbals=gimbals)
+    # At rest there may be more subsystems, never fewer.
+    none = state_space(resting, gimbals=gimbals)
+    torques = [name for name in full.input_labels if not name.startswith("Omega")]
+    angles = list(full.output_labels)
+    if set(controller.output_labels) <= set(torques) and set(controller.input_labels) <= set(angles):
+        torques, angles = list(controller.output_labels), list(controller.input_labels)
+    elif (len(torques), len(angles)) != (controller.noutputs, controller.ninputs):
+        raise ArgumentError(
+            f"root_locus_over_spin: the controller must use angles {angles} and torquers {torques}, or as many, "
+            f"got inputs {list(controller.input_labels)} and outputs {list(controller.output_labels)}"
+        )
+    P, P0 = (state_arrays(system[angles, torques], "gimbals") for system in (full, none))
+    change = StateArrays(P.A - P0.A, P.B - P0.B, P.C - P0.C, P.D - P0.D, 0.0)
+    lag = {torquer.name: torquer.lag for torquer in platform.torquers}
+    return P0, change, np.array([lag[name] for name in torques])
+
+
+def increasing(name: str, given: ArrayLike | None, default: FloatArray) -> FloatArray:
+    """Return at least two finite increasing numbers."""
+    if given is None:
+        return default
+    out = real_numbers(name, given)
+    if out.ndim != 1 or out.size < 2 or not np.isfinite(out).all() or np.any(np.diff(out) <= 0.0):
+        raise ArgumentError(f"{name} must be at least two finite increasing numbers, got {short(given)}")
+    return out
+
+
+def traced_locus(values: FloatArray, poles: Poles, dt: float) -> Locus:
+    """Follow the poles through `values`, finer where they run, and find where stability begins and ends."""
+    nominal = poles(np.ones(1))[0]
+    nyquist = np.pi / dt if dt else np.inf
+    coarse = np.union1d(values, np.linspace(values[0], values[-1], 61))
+    coarse = np.union1d(coarse, [1.0]) if values[0] <= 1.0 <= values[-1] else coarse
+    ends = np.concatenate([poles(values[[0, -1]]).ravel(), nominal])
+    view = view_of(continuous_poles(ends, dt), continuous_poles(poles(coarse).ravel(), dt), nyquist)
+
+    def shown(z: ComplexArray) -> ComplexArray:
+        s = continuous_poles(z, dt)
+        outside = ~(np.abs(s) < 3.0 * view.reach)
+        return np.where(outside, np.nan, view.stretch * s.real + 1j * s.imag)
+
+    # At an end of the range the loop may be undamped: what counts there is stability a little inside.
+    inside = np.array([1.0, -1.0]) * 2.0 * _BESIDE * (values[-1] - values[0]) + values[[0, -1]]
+
+    def stability(at: FloatArray) -> NDArray[np.bool_]:
+        return _stable(poles(np.clip(at, *inside)), dt)
+
+    fine = refined_values(coarse, poles, shown, _STEP * view.reach)
+    stable = stability(fine)
+    at = np.flatnonzero(stable[1:] != stable[:-1])
+    edges = [_edge(stability, float(fine[k]), float(fine[k + 1]), bool(stable[k])) for k in at]
+    fine = np.union1d(fine, edges)
+    z, stable = poles(fine), stability(fine)
+    return Locus(
+        values=fine,
+        branches=pole_branches(z),
+        nominal=nominal,
+        dt=dt,
+        stable=stable,
+        edges=np.array(edges),
+        view=view,
+    )
+
+
+def _stable(z: ComplexArray, dt: float) -> NDArray[np.bool_]:
+    growth = np.abs(z).max(axis=-1) - 1.0 if dt else z.real.max(axis=-1)
+    size = 1.0 if dt else np.abs(z).max(axis=-1)
+    return np.asarray(growth < -_ON * size)
+
+
+def _edge(stability: Callable[[FloatArray], NDArray[np.bool_]], low: float, high: float, before: bool) -> float:
+    """Bisect to where stability changes."""
+    for _ in range(80):
+        middle = 0.5 * (low + high)
+        if not low < middle < high:
+            break
+        low, high = (middle, high) if bool(stability(np.array([middle]))[0]) == before else (low, middle)
+    return 0.5 * (low + high)
