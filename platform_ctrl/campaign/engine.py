@@ -13,7 +13,7 @@ from platform_ctrl.campaign.identity import identity, versions
 from platform_ctrl.campaign.single_run import SimulateRuns, kinds_of
 from platform_ctrl.campaign.store import Record, opened
 from platform_ctrl.campaign.table import DIVERGED, ENDED, NOT_SIMULATED, arrow
-from platform_ctrl.campaign.workers import Chunks, columns_by_processes
+from platform_ctrl.campaign.workers import Chunks, columns_by_cluster, columns_by_processes
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import value
 from platform_ctrl.errors import ArgumentError
@@ -116,8 +116,6 @@ def run_campaign(  # noqa: PLR0913 - options by keyword
             if scheduler is None:
                 batches = columns_by_processes(plan, chunks, simulate, workers=crew, device=device)
             else:
-                from platform_ctrl.campaign.cluster import columns_by_cluster
-
                 batches = columns_by_cluster(plan, chunks, simulate, address=scheduler, device=device, say=say)
             with closing(batches):  # type: ignore[type-var]
                 for runs, columns in batches:

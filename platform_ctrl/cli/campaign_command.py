@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shlex
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, cast
 
@@ -16,14 +18,27 @@ from platform_ctrl.cli.job_arguments import (
     Quiet,
     controller_file,
     job_of,
+    one_of,
     option,
     prepare_folder,
 )
+from platform_ctrl.errors import InputError
 
 if TYPE_CHECKING:
-    from platform_ctrl.campaign.engine import CampaignResult
-    from platform_ctrl.job.job import Points
+    from rich.console import Console
+    from rich.table import Table
 
+    from platform_ctrl.campaign.engine import CampaignResult
+    from platform_ctrl.campaign.planning import Plan
+    from platform_ctrl.campaign.rare_result import RareMethod, RareResult
+    from platform_ctrl.campaign.store import Record
+    from platform_ctrl.campaign.summary import Summary
+    from platform_ctrl.job.job import Points
+    from platform_ctrl.report.page.campaign_tables import ProbabilityRow
+
+PAGE = "campaign.html"
+ANY = "any"
+METHODS = ("splitting", "cross-entropy")
 # Groups of options in the help.
 WHAT, WHERE, RARE = "Runs", "Where they are simulated", "Rare events"
 
@@ -130,8 +145,7 @@ def campaign(
 
     Exit code 1 if a run did not meet its limits, diverged or was not simulated.
     """  # noqa: D301
-    from platform_ctrl.cli.campaign_output import PAGE, campaign_progress, expect_rare, rare_result, write_campaign
-    from platform_ctrl.cli.terminal import progress
+    from platform_ctrl.cli.terminal import campaign_progress, progress
 
     with progress(quiet or as_json, f"reading {job}"):
         read = job_of(job)
@@ -178,8 +192,6 @@ def campaign(
 
         typer.echo(json_text(record))
     else:
-        from platform_ctrl.cli.campaign_output import show_campaign
-
         show_campaign(summary)
         _show_files(result, out / PAGE)
     return 0 if result.passed else 1
@@ -193,3 +205,174 @@ def _show_files(result: CampaignResult, page: Path) -> None:
     for reason, number in result.reasons.items():
         typer.echo(f"  {number:,} x {reason}")
     typer.echo(f"page: {page}, runs: {result.table}, values: {result.table.with_suffix('.json')}")
+
+
+def expect_rare(plan: Plan, requirement: str | None, runs_per_level: int, method: str) -> None:
+    """Judge the options of a rare event before anything is simulated."""
+    from platform_ctrl.campaign.rare_events import FEWEST_SAMPLES
+
+    known = [ANY, *dict.fromkeys(name for one, _ in plan.job.campaign_manoeuvres for name in one.limits)]
+    if requirement is not None and requirement not in known:
+        raise InputError(
+            f"--rare {requirement}: no manoeuvre of the campaign has this limit; choose one of {', '.join(known)}"
+        )
+    if runs_per_level < FEWEST_SAMPLES:
+        raise InputError(f"--runs-per-level {runs_per_level}: must be at least {FEWEST_SAMPLES}")
+    one_of("--rare-method", method, METHODS)
+
+
+def rare_result(
+    plan: Plan,
+    requirement: str | None,
+    runs_per_level: int,
+    method: str,
+    *,
+    workers: int | None,
+    device: str,
+    say: Callable[[str], None],
+) -> tuple[RareResult, ...]:
+    """Simulate the rare event that was requested, if any."""
+    if requirement is None:
+        return ()
+    from platform_ctrl.campaign.rare_runs import rare_probability
+    from platform_ctrl.simulation.device import processors
+
+    return (
+        rare_probability(
+            plan,
+            None if requirement == ANY else requirement,
+            samples=runs_per_level,
+            method=cast("RareMethod", method),
+            threads=workers or processors(),
+            device=device,
+            say=say,
+        ),
+    )
+
+
+def write_campaign(
+    plan: Plan, result: CampaignResult, rare: tuple[RareResult, ...], *, command: list[str], again: list[str]
+) -> tuple[Summary, Record]:
+    """Write campaign.json with the statistics of the table, and the page; return both.
+
+    `again` is the command that simulates a run again, without the run's number.
+    """
+    from platform_ctrl.campaign.store import write_record
+    from platform_ctrl.campaign.summary import summarise, summary_record
+    from platform_ctrl.report.page.campaign_page import write_campaign_page
+
+    folder: Path = result.table.parent
+    summary = summarise(plan, result.table, rare=rare)
+    record = result.record | summary_record(summary)
+    write_record(folder, record)
+    write_campaign_page(summary, folder / PAGE, command=shlex.join(command), again=shlex.join(again))
+    return summary, record
+
+
+# Narrower terminals get lines instead of a table.
+_NARROW_TABLE = 100
+# Worst runs that are named; the page has more.
+_WORST = 3
+
+
+def show_campaign(summary: Summary) -> None:
+    """Print every requirement with its probability and bounds, what drives them, the worst runs, and the verdict."""
+    from platform_ctrl.cli.terminal import screen
+    from platform_ctrl.report.page import campaign_tables as tables
+
+    console = screen()
+    rows = tables.probability_rows(summary)
+    if console.width >= _NARROW_TABLE:
+        console.print(_table(summary, rows))
+    else:
+        console.print(summary.plan.job.name, style="bold", markup=False)
+        for row in rows:
+            console.print(_line(row), markup=False)
+    _show_drivers(console, summary)
+    _show_worst(console, summary)
+    for rare in summary.rare:
+        show_rare(summary, rare)
+    first, *more = tables.verdict(summary), *tables.verdict_lines(summary)
+    word, style = ("PASSED", "green") if summary.passed else ("FAILED", "bold red")
+    console.print(f"{word}: {first}", style=style, markup=False)
+    for line in more:
+        console.print(line, markup=False)
+
+
+def show_rare(summary: Summary, rare: RareResult) -> None:
+    """Print a rare event: its probability with its interval, what it took, and what has to come together."""
+    from rich.table import Table
+
+    from platform_ctrl.cli.terminal import screen
+    from platform_ctrl.report.page import campaign_tables as tables
+
+    console = screen()
+    console.print(f"rare event: {tables.rare_words(rare)}", style="bold", markup=False)
+    grid = Table.grid(padding=(0, 2))
+    for name, words in tables.rare_rows(rare):
+        grid.add_row(f"  {name}", words)
+    moved = tables.moved_words(summary.plan, rare)
+    if moved:
+        grid.add_row("  what moves together", moved)
+    console.print(grid)
+
+
+def _table(summary: Summary, rows: tuple[ProbabilityRow, ...]) -> Table:
+    from rich.table import Table
+    from rich.text import Text
+
+    confidence = f"{100.0 * summary.statistics.confidence:g} % bounds"
+    name = summary.plan.job.name
+    table = Table(title=Text(name), title_justify="left", title_style="bold", header_style="bold", expand=False)
+    table.add_column("manoeuvre", overflow="fold")
+    table.add_column("requirement", no_wrap=True)
+    for heading in ("limit", "violations", "probability", confidence, "99 %"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    before = ""
+    for row in rows:
+        if row.group != before:
+            table.add_section()
+        style = "red" if row.numbers.events else ""
+        table.add_row(
+            Text("" if row.group == before else _named(row)),
+            Text(row.requirement),
+            Text(row.limit),
+            Text(row.violations, style=style),
+            Text(row.probability, style=style),
+            Text(row.bounds),
+            Text(row.high_quantile),
+        )
+        before = row.group
+    return table
+
+
+def _named(row: ProbabilityRow) -> str:
+    from platform_ctrl.report.page.campaign_tables import ALL_MANOEUVRES
+
+    return "all, over their limits" if row.group == ALL_MANOEUVRES else row.group
+
+
+def _line(row: ProbabilityRow) -> str:
+    limit = f" (at most {row.limit})" if row.limit not in ("", "–") else ""
+    return f"{_named(row)}: {row.requirement}{limit}: {row.violations}, {row.probability} ({row.bounds})"
+
+
+def _show_drivers(console: Console, summary: Summary) -> None:
+    from platform_ctrl.report.page import campaign_tables as tables
+
+    for one in summary.sensitivities:
+        if one.manoeuvre is None:
+            name = tables.requirement_name(one.requirement)
+            violating = tables.violation_drivers(one)
+            more = f"; its violations by {violating}" if violating else ""
+            console.print(f"{name} is driven by {tables.short_drivers(one)}{more}", markup=False)
+    for found in tables.causes(summary):
+        console.print(tables.contrast_words(found), markup=False)
+
+
+def _show_worst(console: Console, summary: Summary) -> None:
+    from platform_ctrl.report.page import campaign_tables as tables
+
+    for one, words in tables.worst_rows(summary, summary.statistics.worst[:_WORST], tables.all_drivers(summary)):
+        shown = f"{words[0]} {words[1]} (at most {words[2]})"
+        console.print(f"worst: run {one.run}, {one.manoeuvre}: {shown}", markup=False)

@@ -6,36 +6,17 @@ In their help a line with a backspace, click's own mark, keeps the lines below i
 from __future__ import annotations
 
 import re
-from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 from typer.core import TyperCommand, TyperGroup
 
 from platform_ctrl.cli.campaign_command import campaign
-from platform_ctrl.cli.check_command import check
-from platform_ctrl.cli.equations_command import equations
+from platform_ctrl.cli.design_commands import check, design
 from platform_ctrl.cli.export_command import export
-from platform_ctrl.cli.job_arguments import (
-    DESIGNED,
-    REPORT,
-    RESULT,
-    CampaignFolder,
-    JobFile,
-    Json,
-    Junit,
-    Pdf,
-    Quiet,
-    job_of,
-    option,
-    plant_file,
-    prepare_folder,
-    writable,
-)
-from platform_ctrl.cli.job_outcome import ReportOptions, write_report
-from platform_ctrl.cli.new_command import new
 from platform_ctrl.cli.serve_command import serve
 from platform_ctrl.cli.simulate_command import simulate
+from platform_ctrl.cli.start_commands import equations, models, new
 
 # Groups are those of typer's `rich_help_panel`; options without one come last.
 _OPTIONS, _ARGUMENTS, _EXAMPLES = "Options", "Arguments", "Examples"
@@ -186,86 +167,11 @@ def platform_ctrl(
 app.command(cls=Teaching, rich_help_panel=START)(new)
 
 
-@app.command(cls=Teaching, rich_help_panel=START)
-def models(as_json: Json = False) -> None:
-    """List the plants that come with the package.
-
-    \b
-    platform-ctrl models                            to read
-    platform-ctrl models --json | jq -r '.[].name'  the names alone
-    """  # noqa: D301
-    import tomllib
-
-    from platform_ctrl.common.json_text import json_text
-    from platform_ctrl.plant.source import platform_source, shipped_models
-    from platform_ctrl.report.quantities import count
-
-    listed = []
-    for name in shipped_models():
-        plant = tomllib.loads(platform_source(name))
-        parts = {key: len(plant.get(key, [])) for key in ("gimbal", "rotor", "torquer", "pickoff")}
-        listed.append({"name": name, "title": plant["name"], "source": plant.get("source", ""), **parts})
-    if as_json:
-        typer.echo(json_text(listed))
-        return
-    width = max(len(model["name"]) for model in listed)
-    for model in listed:
-        bodies = f"{count(model['gimbal'], 'gimbal')}, {count(model['rotor'], 'rotor')}"
-        typer.echo(f"{model['name']:<{width}}  {model['title']}: {bodies}")
-
-
+app.command(cls=Teaching, rich_help_panel=START)(models)
 app.command(cls=Teaching, rich_help_panel=START)(equations)
 
 
-@app.command(cls=Teaching, rich_help_panel=DESIGN)
-def design(
-    job: JobFile,
-    out: Annotated[
-        Path,
-        option("--out", "-o", metavar="DIR", help=f"Folder for {RESULT} and {REPORT}; made if needed.", default=True),
-    ] = DESIGNED,
-    pdf: Pdf = False,
-    campaign: CampaignFolder = None,
-    junit: Junit = None,
-    as_json: Json = False,
-    quiet: Quiet = False,
-) -> int:
-    """Design every loop of a job and check the whole.
-
-    Each loop is designed by every method in the job; the designs that it uses are closed together on the coupled model
-    and simulated on the non-linear plant. Writes result.json and report.html, whole or not at all.
-
-    \b
-    platform-ctrl design job.toml                            report: out/report.html
-    platform-ctrl design job.toml -o run7 --pdf              run7/report.html and run7/report.pdf
-    platform-ctrl design job.toml --campaign campaign --pdf  with a section about a campaign
-    platform-ctrl design job.toml --json | jq .requirements  the verdicts, to compute with
-
-    Exit code 1 if a requirement is not met, or if a method finds no controller (named on standard error).
-    """  # noqa: D301
-    from platform_ctrl.cli.terminal import progress
-
-    with progress(quiet or as_json, f"reading {job}") as say:
-        read = job_of(job)
-        extras = ReportOptions.given(read, pdf, campaign)
-        prepare_folder(out, extras.files)
-        if junit is not None:
-            writable("--junit", junit, [job, *plant_file(job, read), *(out / name for name in extras.files)])
-        from platform_ctrl.design import loops
-        from platform_ctrl.simulation.compilation import start_compilation
-        from platform_ctrl.verification import check_job
-
-        if read.manoeuvres:
-            start_compilation()
-        result = check_job(read, loops(read, say), say)
-        show = write_report(result, out, as_json, say, ["design", str(job), "-o", str(out)], extras=extras)
-        if junit is not None:
-            from platform_ctrl.report.failures import write_junit
-
-            write_junit(result, junit)
-    return show()
-
-
+app.command(cls=Teaching, rich_help_panel=DESIGN)(design)
 app.command(cls=Teaching, rich_help_panel=DESIGN)(check)
 app.command(cls=Teaching, rich_help_panel=DESIGN)(serve)
 app.command(cls=Teaching, rich_help_panel=SIMULATE)(simulate)

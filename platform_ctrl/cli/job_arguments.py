@@ -6,7 +6,7 @@ import os
 import tempfile
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
@@ -15,6 +15,8 @@ from platform_ctrl.errors import InputError
 
 if TYPE_CHECKING:
     from platform_ctrl.job.job import Job
+
+Word = TypeVar("Word", bound=str)
 
 DESIGNED = Path("out")
 CAMPAIGN = Path("campaign")
@@ -140,6 +142,14 @@ def controller_file(given: Path | None, folder: Path | None, job: Path | None = 
             "with --controllers"
         )
     return file
+
+
+def one_of(option: str, given: str, known: tuple[Word, ...]) -> Word:
+    """Return the word among `known` that an option has."""
+    for word in known:
+        if word == given:
+            return word
+    raise InputError(f"{option}: must be {', '.join(known[:-1])} or {known[-1]}, got {given!r}")
 
 
 def plant_file(path: Path, job: Job) -> list[Path]:

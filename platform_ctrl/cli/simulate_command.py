@@ -115,23 +115,15 @@ def simulate(
 
 
 def _manoeuvre_run(job: Job, manoeuvre: Manoeuvre, controllers: list[control.StateSpace], out: Path | None) -> Shown:
-    from platform_ctrl.common.json_text import json_text
-    from platform_ctrl.verification.records import run_record
-    from platform_ctrl.verification.simulated import largest, simulate_manoeuvre
+    from platform_ctrl.verification.simulated import simulate_manoeuvre
 
     result = simulate_manoeuvre(job, manoeuvre, controllers)
     drawn = None if out is None else _drawn(result, job, manoeuvre.name, out, f"manoeuvre-{_place(job, manoeuvre)}.svg")
 
     def show(as_json: bool) -> int:
-        if as_json:
-            about = {"schema": 1, "job": job.name, "platform": job.platform.name}
-            typer.echo(json_text(about | run_record(job, result)))
-        else:
-            from platform_ctrl.cli.terminal import show_run
-
-            show_run(result, largest(job, result.trajectory))
-            if drawn is not None:
-                typer.echo(f"figure: {drawn}")
+        _show(job, result, {} if as_json else None)
+        if drawn is not None and not as_json:
+            typer.echo(f"figure: {drawn}")
         return 0 if all(one.passed for one in result.results) else 1
 
     return show
@@ -139,11 +131,7 @@ def _manoeuvre_run(job: Job, manoeuvre: Manoeuvre, controllers: list[control.Sta
 
 def _campaign_run(number: int, plan: Plan, folder: Path, recorded: bool, note: str) -> Shown:
     from platform_ctrl.campaign.single_run import recorded_row, rerun, unlike
-    from platform_ctrl.common.json_text import json_text
-    from platform_ctrl.verification.records import run_record
-    from platform_ctrl.verification.simulated import largest
 
-    job = plan.job
     found = rerun(plan, number)
     row = recorded_row(folder, number) if recorded else None
     unlikely = [] if row is None else unlike(found, row)
@@ -154,15 +142,13 @@ def _campaign_run(number: int, plan: Plan, folder: Path, recorded: bool, note: s
         if note:
             typer.echo(note, err=True)
         if as_json:
-            about = {"schema": 1, "job": job.name, "platform": job.platform.name, "run": number}
-            payload: dict[str, Any] = {"inputs": found.inputs, "row": found.metrics, "figure": str(drawn)}
-            payload["as_in_table"] = None if row is None else not unlikely
-            typer.echo(json_text(about | payload | run_record(found.job, found.run)))
+            more = {"run": number, "inputs": found.inputs, "row": found.metrics, "figure": str(drawn)}
+            _show(found.job, found.run, more | {"as_in_table": None if row is None else not unlikely})
         else:
-            from platform_ctrl.cli.terminal import show_inputs, show_run
+            from platform_ctrl.cli.terminal import show_inputs
 
             show_inputs(f"run {number} of the campaign", found.inputs)
-            show_run(found.run, largest(found.job, found.run.trajectory))
+            _show(found.job, found.run)
             if row is not None and not unlikely:
                 typer.echo(f"the values are those of {folder / TABLE}")
             typer.echo(f"figure: {drawn}")
@@ -171,6 +157,21 @@ def _campaign_run(number: int, plan: Plan, folder: Path, recorded: bool, note: s
         return 0 if found.metrics["passed"] else 1
 
     return show
+
+
+def _show(job: Job, run: Run, more: dict[str, Any] | None = None) -> None:
+    """Print a run; with `more` as JSON beside it."""
+    from platform_ctrl.common.json_text import json_text
+    from platform_ctrl.verification.records import run_record
+    from platform_ctrl.verification.simulated import largest
+
+    if more is not None:
+        about = {"schema": 1, "job": job.name, "platform": job.platform.name, **more}
+        typer.echo(json_text(about | run_record(job, run)))
+        return
+    from platform_ctrl.cli.terminal import show_run
+
+    show_run(run, largest(job, run.trajectory))
 
 
 def _has_campaign(job: Job, out: Path | None) -> bool:

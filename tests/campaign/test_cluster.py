@@ -104,7 +104,7 @@ def test_a_run_that_kills_workers_is_found_and_those_beside_it_are_flown(tmp_pat
 
 
 def test_no_scheduler_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("platform_ctrl.campaign.cluster._TIMEOUT", 0.3)
+    monkeypatch.setattr("platform_ctrl.campaign.workers._TIMEOUT", 0.3)
     for wrong in ("tcp://127.0.0.1:9", "no address at all"):
         with pytest.raises(InputError, match=f"--scheduler {wrong}: .*; give the address of a Dask") as raised:
             carried_out(tmp_path, wrong)
@@ -122,6 +122,6 @@ def test_an_address_without_sense_reaches_no_client(tmp_path: Path, monkeypatch:
 def test_a_worker_with_other_versions_is_refused(tmp_path: Path, address: str, monkeypatch: pytest.MonkeyPatch) -> None:
     from platform_ctrl.campaign.identity import versions
 
-    monkeypatch.setattr("platform_ctrl.campaign.cluster.versions", lambda: versions() | {"numba": "0.1"})
+    monkeypatch.setattr("platform_ctrl.campaign.workers.versions", lambda: versions() | {"numba": "0.1"})
     with pytest.raises(InputError, match=r"a worker of the cluster has numba [\d.]+, here it is 0.1"):
         carried_out(tmp_path, address)

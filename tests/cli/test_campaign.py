@@ -17,7 +17,7 @@ import pytest
 import platform_ctrl as pc
 from campaign_runs import TEXT, columns_here
 from platform_ctrl.cli import main
-from platform_ctrl.cli.campaign_output import Pace, campaign_progress, time_words
+from platform_ctrl.cli.terminal import Pace, campaign_progress, time_words
 from refused_command import refused
 
 pytest.importorskip("pyarrow", reason="a campaign's table is Parquet")
@@ -298,7 +298,7 @@ def test_a_terminal_gets_a_bar_with_rate_and_time_left(
     monkeypatch.setenv("COLUMNS", "120")
     monkeypatch.setenv("TERM", "xterm")
     now = 0.0
-    monkeypatch.setattr("platform_ctrl.cli.campaign_output.time.monotonic", lambda: now)
+    monkeypatch.setattr("platform_ctrl.cli.terminal.time.monotonic", lambda: now)
     with campaign_progress(False, 1000) as (tick, _):
         for done in (200, 300, 500):
             tick(done, 0)

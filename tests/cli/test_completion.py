@@ -130,7 +130,7 @@ def test_a_name_with_spaces_can_be_typed_on(there: Path, monkeypatch: pytest.Mon
 
 
 def test_words_that_are_offered_are_those_that_are_known() -> None:
-    from platform_ctrl.cli.campaign_output import ANY, METHODS
+    from platform_ctrl.cli.campaign_command import ANY, METHODS
     from platform_ctrl.job.reading import JOB_FILE
     from platform_ctrl.plant.tables import tables
 

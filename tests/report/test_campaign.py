@@ -17,7 +17,7 @@ from platform_ctrl.campaign.probability import clopper_pearson
 from platform_ctrl.campaign.rare_events import rare_event
 from platform_ctrl.campaign.summary import summarise, summary_record
 from platform_ctrl.campaign.table_statistics import statistics
-from platform_ctrl.cli.campaign_output import show_campaign
+from platform_ctrl.cli.campaign_command import show_campaign
 from platform_ctrl.common.json_text import json_text
 from platform_ctrl.report import style
 from platform_ctrl.report.page import campaign_tables as tables

@@ -1,0 +1,385 @@
+"""``platform-ctrl design`` and ``platform-ctrl check``: controllers compared with the requirements of a job."""
+
+from __future__ import annotations
+
+import os
+import shlex
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from platform_ctrl.cli.job_arguments import (
+    DESIGNED,
+    PDF,
+    REPORT,
+    RESULT,
+    CampaignFolder,
+    Controllers,
+    JobFile,
+    Json,
+    Junit,
+    Pdf,
+    Quiet,
+    controller_file,
+    job_of,
+    option,
+    plant_file,
+    prepare_folder,
+    writable,
+)
+from platform_ctrl.errors import InputError
+
+if TYPE_CHECKING:
+    import control
+
+    from platform_ctrl.campaign.store import Record
+    from platform_ctrl.campaign.summary import Summary
+    from platform_ctrl.job.job import Job
+    from platform_ctrl.verification import JobResult
+    from platform_ctrl.verification.baselines.comparison import Change, Comparison
+    from platform_ctrl.verification.baselines.record import Baseline
+
+
+CHECKED = Path("check")
+
+
+def design(
+    job: JobFile,
+    out: Annotated[
+        Path,
+        option("--out", "-o", metavar="DIR", help=f"Folder for {RESULT} and {REPORT}; made if needed.", default=True),
+    ] = DESIGNED,
+    pdf: Pdf = False,
+    campaign: CampaignFolder = None,
+    junit: Junit = None,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> int:
+    """Design every loop of a job and check the whole.
+
+    Each loop is designed by every method in the job; the designs that it uses are closed together on the coupled model
+    and simulated on the non-linear plant. Writes result.json and report.html, whole or not at all.
+
+    \b
+    platform-ctrl design job.toml                            report: out/report.html
+    platform-ctrl design job.toml -o run7 --pdf              run7/report.html and run7/report.pdf
+    platform-ctrl design job.toml --campaign campaign --pdf  with a section about a campaign
+    platform-ctrl design job.toml --json | jq .requirements  the verdicts, to compute with
+
+    Exit code 1 if a requirement is not met, or if a method finds no controller (named on standard error).
+    """  # noqa: D301
+    from platform_ctrl.cli.terminal import progress
+
+    with progress(quiet or as_json, f"reading {job}") as say:
+        read = job_of(job)
+        report = Report(out, pdf, campaign)
+        report.expect_possible(read)
+        report.prepare(junit, [job, *plant_file(job, read)])
+        from platform_ctrl.design import loops
+        from platform_ctrl.simulation.compilation import start_compilation
+        from platform_ctrl.verification import check_job
+
+        if read.manoeuvres:
+            start_compilation()
+        result = check_job(read, loops(read, say), say)
+        show = report.write(result, ["design", str(job), "-o", str(out)], say, as_json)
+        if junit is not None:
+            from platform_ctrl.report.failures import write_junit
+
+            write_junit(result, junit)
+    return show()
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """The result of a comparison: text for the terminal, plain data for JSON."""
+
+    comparison: Comparison | None = None
+    words: str = ""
+    record: dict[str, Any] | None = None
+
+    @property
+    def passed(self) -> bool:
+        """Whether nothing is worse than it was accepted."""
+        return self.comparison is None or self.comparison.passed
+
+
+@dataclass(frozen=True)
+class BaselineOptions:
+    """A baseline's file, and whether it is to be updated."""
+
+    file: Path | None
+    update: bool
+    baseline: Baseline | None = None
+
+    @classmethod
+    def given(cls, file: Path | None, update: bool) -> BaselineOptions:
+        """Check the options before the work."""
+        if file is None:
+            if update:
+                raise InputError("--update-baseline: needs --baseline FILE, the file to write")
+            return cls(None, False)
+        from platform_ctrl.verification.baselines import read_baseline
+
+        if update:
+            writable("--baseline", file)
+        elif not os.path.exists(file):
+            raise InputError(f"{file}: there is no such file; --update-baseline writes it")
+        return cls(file, update, read_baseline(file) if file.exists() else None)
+
+    def outcome(self, result: JobResult) -> Outcome:
+        """Compare and plot changes beside the file, or update the file."""
+        if self.file is None:
+            return Outcome()
+        from platform_ctrl.verification.baselines import compare, update_baseline
+        from platform_ctrl.verification.baselines.file import plot_beside, remove_plot
+
+        plot = plot_beside(self.file)
+        if self.update or self.baseline is None:
+            made = update_baseline(result, self.file)
+            remove_plot(plot)
+            before = made.comparison.changes if made.comparison is not None else ()
+            record = _record(self.file, before, passed=True, updated=made.written)
+            return Outcome(None, f"baseline: {made.summary}", record)
+        comparison = compare(result, self.baseline)
+        from platform_ctrl.report.failures import failure_text, moved_text
+
+        if comparison.passed:
+            remove_plot(plot)
+            record = _record(self.file, comparison.changes, passed=True, updated=False)
+            return Outcome(comparison, f"baseline {moved_text(comparison, str(self.file))}", record)
+        accept = "the same command with --update-baseline"
+        words, drawn = failure_text(comparison, result.job.name, self.file, plot, accept)
+        shown = None if drawn is None else str(drawn)
+        record = _record(self.file, comparison.changes, passed=False, updated=False, plot=shown)
+        return Outcome(comparison, f"baseline {words}", record)
+
+
+def _record(
+    file: Path, changes: tuple[Change, ...], *, passed: bool, updated: bool, plot: str | None = None
+) -> dict[str, Any]:
+    names = ("subject", "name", "unit", "sense", "before", "now", "allowed", "limit", "state")
+    entries = [{name: getattr(change, name) for name in names} for change in changes]
+    found = {"file": str(file), "passed": passed, "updated": updated, "plot": plot, "figures": entries}
+    return {"baseline": found}
+
+
+def check(
+    job: JobFile,
+    controllers: Controllers = None,
+    out: Annotated[
+        Path | None,
+        option(
+            "--out",
+            "-o",
+            metavar="DIR",
+            help=f"Folder for {RESULT} and {REPORT}, default: {CHECKED}. If it is named here and holds a {RESULT}, the "
+            "controllers come from there by default.",
+        ),
+    ] = None,
+    baseline: Annotated[
+        Path | None,
+        option(
+            "--baseline",
+            metavar="FILE",
+            help="Accepted values: the exit code is also 1 if a value is worse by more than its tolerance. Changes "
+            "are printed, and plotted beside FILE.",
+        ),
+    ] = None,
+    update_baseline: Annotated[
+        bool, option("--update-baseline", help="Accept the present values: write them to the baseline.", default=True)
+    ] = False,
+    junit: Junit = None,
+    pdf: Pdf = False,
+    campaign: CampaignFolder = None,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> int:
+    """Check existing controllers.
+
+    Gives the verdicts of design without designing. Every value is computed again from the matrices; claims of the file
+    that are not confirmed are reported on standard error. Use it after the plant, the
+    uncertainty or a limit has changed, or for controllers that were made elsewhere.
+
+    \b
+    platform-ctrl check job.toml                                          the controllers of out/result.json
+    platform-ctrl check job.toml --controllers mine.json -o mine          others, reported elsewhere
+    platform-ctrl check job.toml --baseline gyros.json --update-baseline  accept the present values
+    platform-ctrl check job.toml --baseline gyros.json --junit check.xml  in CI: none is worse than accepted
+    platform-ctrl check job.toml --quiet && deploy                        go on only if all is met
+    """  # noqa: D301
+    from platform_ctrl.cli.terminal import progress
+
+    folder = out or CHECKED
+    with progress(quiet or as_json, f"reading {job}") as say:
+        read = job_of(job)
+        file = controller_file(controllers, out, job)
+        comparison = BaselineOptions.given(baseline, update_baseline)
+        report = Report(folder, pdf, campaign)
+        report.expect_possible(read)
+        from platform_ctrl.verification import check_job
+        from platform_ctrl.verification.controllers import outcomes_from, read_controllers
+        from platform_ctrl.verification.records import unconfirmed
+
+        closed = read_controllers(file, read)
+        others = read_controllers(file, read, "alternatives")
+        if campaign is not None:
+            campaign_summary(read, closed, campaign)  # before the work on what would be refused
+        report.prepare(junit, [job, *plant_file(job, read), file, baseline])
+        say(f"controllers: {file}")
+        result = check_job(read, outcomes_from(read, closed, others), say)
+        notes = unconfirmed(file, result)
+        command = ["check", str(job), "--controllers", str(file), "-o", str(folder)]
+        compared: dict[str, Any] = {}
+        show = report.write(result, command, say, as_json, compared)
+        outcome = comparison.outcome(result)  # last: nothing is accepted of which there is no report
+        compared |= outcome.record or {}
+        if junit is not None:
+            from platform_ctrl.report.failures import write_junit
+
+            write_junit(result, junit, comparison=outcome.comparison, baseline=str(baseline))
+    for note in notes:
+        typer.echo(f"{file}: not confirmed: {note}", err=True)
+    code = show()
+    if outcome.words:
+        typer.echo(outcome.words, err=as_json)
+    return code or (0 if outcome.passed else 1)
+
+
+def expect_campaign(job: Job, folder: Path) -> Record:
+    """Return the record of a campaign of `job` that is done."""
+    from platform_ctrl.campaign.store import RECORD, TABLE, read_record
+
+    record = read_record(folder)
+    if record is None:
+        raise InputError(
+            f"--campaign {folder}: there is no {RECORD}; name the folder that platform-ctrl campaign writes"
+        )
+    if record.get("job") != job.name:
+        raise InputError(f"--campaign {folder}: belongs to the job {record.get('job')!r}, not to {job.name!r}")
+    if not record.get("complete") or not (folder / TABLE).is_file():
+        raise InputError(f"--campaign {folder}: is not complete; the same platform-ctrl campaign continues it")
+    return record
+
+
+def campaign_summary(job: Job, controllers: Sequence[control.StateSpace], folder: Path) -> Summary:
+    """Return the statistics of the campaign in a folder."""
+    from platform_ctrl.campaign.planning import plan
+    from platform_ctrl.campaign.single_run import changed_settings, settings_of
+    from platform_ctrl.campaign.store import TABLE
+
+    record = expect_campaign(job, folder)
+    made = plan(job, controllers, **settings_of(record))
+    odd = changed_settings(record, made)
+    if odd:
+        raise InputError(
+            f"--campaign {folder}: was simulated with {'; '.join(odd)}; repeat it with platform-ctrl campaign, or "
+            "leave the option out"
+        )
+    from platform_ctrl.campaign.summary import summarise
+
+    return summarise(made, folder / TABLE)
+
+
+Shown = Callable[[], int]
+
+
+@dataclass(frozen=True)
+class Report:
+    """The result's file and the report in a folder: with a PDF, and with a section about the campaign in a folder."""
+
+    folder: Path
+    pdf: bool
+    campaign: Path | None
+
+    @property
+    def files(self) -> tuple[str, ...]:
+        """Names of the files that are written."""
+        return (RESULT, REPORT, PDF) if self.pdf else (RESULT, REPORT)
+
+    def expect_possible(self, job: Job) -> None:
+        """Check the options before the work."""
+        if self.pdf:
+            from platform_ctrl.report.pdf import typesetter
+
+            typesetter()
+        if self.campaign is not None:
+            expect_campaign(job, self.campaign)
+
+    def prepare(self, junit: Path | None, inputs: Sequence[Path | None]) -> None:
+        """Make sure before the work that all files can be written; `inputs` are those that the command reads."""
+        prepare_folder(self.folder, self.files)
+        if junit is not None:
+            writable("--junit", junit, [*inputs, *(self.folder / name for name in self.files)])
+
+    def write(
+        self,
+        result: JobResult,
+        command: list[str],
+        say: Callable[[str], None],
+        as_json: bool,
+        more: Mapping[str, object] | None = None,
+    ) -> Shown:
+        """Write all files or none; return a function that prints the result and returns the exit code.
+
+        `command` are the words of the command line without the program's name, the job second; `more` is printed as
+        JSON beside the content of the result's file. A campaign of other controllers is left out, and is an error at
+        the end.
+        """
+        from platform_ctrl.cli.atomic_output import written_together
+        from platform_ctrl.report import prepared, write_page, write_pdf
+        from platform_ctrl.verification.records import result_record, write_record
+
+        record = result_record(result)
+        words = ["platform-ctrl", *command, *(["--pdf"] if self.pdf else [])]
+        about: dict[str, Any] = {}
+        refused: InputError | None = None
+        if self.campaign is not None:
+            words += ["--campaign", str(self.campaign)]
+            say(f"reading the campaign: {self.campaign}")
+            try:
+                about = self._campaign_section(result, record, self.campaign, command[1])
+            except InputError as error:
+                refused = InputError(f"{error}; the report in {self.folder} was written without it")
+        say(f"drawing the report: {self.folder / REPORT}")
+        with written_together(self.folder) as unfinished:
+            write_record(record, unfinished / RESULT)
+            content = prepared(result, command=shlex.join(words), **about)
+            write_page(content, unfinished / REPORT)
+            if self.pdf:
+                say(f"setting the report: {self.folder / PDF}")
+                write_pdf(content, unfinished / PDF)
+
+        def show() -> int:
+            self._show(result, {**record, **(more or {})} if as_json else None)
+            if refused is not None:
+                raise refused
+            if not self.pdf and (self.folder / PDF).exists():
+                typer.echo(f"{self.folder / PDF}: is of an earlier run; --pdf writes a new one", err=True)
+            return 0 if result.passed else 1
+
+        return show
+
+    def _campaign_section(
+        self, result: JobResult, record: Mapping[str, Any], campaign: Path, job: str
+    ) -> dict[str, Any]:
+        from platform_ctrl.verification.controllers import read_controllers
+
+        # As a campaign reads them, from the record: the same numbers in the same order.
+        summary = campaign_summary(result.job, read_controllers(record, result.job), campaign)
+        again = ["simulate", job, "--controllers", str(self.folder / RESULT), "-o", str(campaign), "--run"]
+        return {"campaign": summary, "again": shlex.join(["platform-ctrl", *again])}
+
+    def _show(self, result: JobResult, record: Mapping[str, object] | None) -> None:
+        from platform_ctrl.cli.terminal import show_result
+        from platform_ctrl.common.json_text import json_text
+
+        if record is not None:
+            typer.echo(json_text(record))
+            return
+        show_result(result)
+        files = ", ".join(str(self.folder / name) for name in (REPORT, PDF) if name in self.files)
+        typer.echo(f"report: {files}, values: {self.folder / RESULT}")

@@ -1,0 +1,189 @@
+"""The commands to start with: ``new``, ``models`` and ``equations``."""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from platform_ctrl.cli import completion
+from platform_ctrl.cli.job_arguments import Json, Quiet, one_of, option, prepare_folder
+from platform_ctrl.errors import InputError
+from platform_ctrl.mechanics.symbolic.options import HIGHEST_ORDER, TERMS, WRITTEN
+
+# Valid as a file name on all systems and, unquoted, in a text.
+_NAME = re.compile(r"\w[\w.-]*")
+EXACT = "exact"
+ORDERS = (*map(str, range(HIGHEST_ORDER + 1)), EXACT)
+
+
+def new(
+    name: Annotated[
+        str,
+        typer.Argument(
+            metavar="NAME", help="What the two files will be called: NAME_plant.toml and NAME.toml.", show_default=False
+        ),
+    ],
+    out: Annotated[
+        Path, option("--out", "-o", metavar="DIR", help="Folder for both; made if needed. Default: here.")
+    ] = Path("."),
+    like: Annotated[
+        str | None,
+        option(
+            "--like",
+            metavar="PLANT",
+            help="Start from this plant: a shipped name or a plant file. Default: one gyro in two gimbals.",
+            words=completion.plants,
+        ),
+    ] = None,
+    force: Annotated[bool, option("--force", help="Overwrite files that are there.", default=True)] = False,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Write a commented plant and a job for it, to start from.
+
+    NAME_plant.toml describes the bodies, rotors, torquers and pick-offs; NAME.toml defines the loops to be designed,
+    their methods and their requirements. Both work as they are; then put in your own numbers. With --like the
+    loops are the subsystems of that plant, with starting values from rules of thumb.
+
+    \b
+    platform-ctrl new gyro                              gyro_plant.toml and gyro.toml
+    platform-ctrl design gyro.toml                      designs and checks its loop: out/report.html
+    platform-ctrl new pyramid --like vscmg_pyramid      from a plant that platform-ctrl models lists
+    platform-ctrl new mine --like plants/mine.toml      a job for a plant of your own
+    """  # noqa: D301
+    from platform_ctrl.cli.atomic_output import written_together
+    from platform_ctrl.cli.starting_files import own_start, start_like
+    from platform_ctrl.cli.terminal import progress
+    from platform_ctrl.common.json_text import json_text
+
+    title = _title(name)
+    files = (f"{title}_plant.toml", f"{title}.toml")
+    for file in files:
+        if os.path.exists(out / file) and not force:
+            raise InputError(f"{out / file}: exists already; choose another NAME or -o DIR, or overwrite with --force")
+    with progress(quiet or as_json, "reading the plant") as say:
+        made = own_start(title, *files) if like is None else start_like(like, title, *files, say)
+        prepare_folder(out, files)
+        with written_together(out) as folder:
+            for file, text in zip(files, (made.plant, made.job), strict=True):
+                (folder / file).write_text(text, encoding="utf-8", newline="\n")
+    plant, job = (out / file for file in files)
+    then = [["design", job], ["equations", plant], ["simulate", job, "--manoeuvre", "turn"]]
+    commands = [shlex.join(["platform-ctrl", *map(str, words)]) for words in then]
+    if as_json:
+        record = {"schema": 1, "plant": str(plant), "job": str(job), "like": like, "loops": made.loops}
+        typer.echo(json_text(record | {"added": made.added, "next": commands}))
+        return
+    typer.echo(f"plant: {plant}{f' (like {like})' if like else ''}")
+    for line in made.added:
+        typer.echo(f"  added: {line}, which a caging loop needs and the plant does not have")
+    typer.echo(f"job:   {job} ({', '.join(made.loops)})")
+    for word, command in zip(("next:", "also:", "then:"), commands, strict=True):
+        typer.echo(f"{word:<6} {command}")
+
+
+def _title(name: str) -> str:
+    title = name.removesuffix(".toml")
+    if not _NAME.fullmatch(title):
+        raise InputError(f"NAME: {name!r} may contain only letters, digits, _, - and .; name a folder by -o DIR")
+    return title
+
+
+def models(as_json: Json = False) -> None:
+    """List the plants that come with the package.
+
+    \b
+    platform-ctrl models                            to read
+    platform-ctrl models --json | jq -r '.[].name'  the names alone
+    """  # noqa: D301
+    import tomllib
+
+    from platform_ctrl.common.json_text import json_text
+    from platform_ctrl.plant.source import platform_source, shipped_models
+    from platform_ctrl.report.quantities import count
+
+    listed = []
+    for name in shipped_models():
+        plant = tomllib.loads(platform_source(name))
+        parts = {key: len(plant.get(key, [])) for key in ("gimbal", "rotor", "torquer", "pickoff")}
+        listed.append({"name": name, "title": plant["name"], "source": plant.get("source", ""), **parts})
+    if as_json:
+        typer.echo(json_text(listed))
+        return
+    width = max(len(model["name"]) for model in listed)
+    for model in listed:
+        bodies = f"{count(model['gimbal'], 'gimbal')}, {count(model['rotor'], 'rotor')}"
+        typer.echo(f"{model['name']:<{width}}  {model['title']}: {bodies}")
+
+
+def equations(
+    plant: Annotated[
+        str,
+        typer.Argument(
+            metavar="PLANT",
+            help="A shipped plant's name (see platform-ctrl models), or a plant file (TOML).",
+            show_default=False,
+            autocompletion=completion.plants,
+        ),
+    ],
+    form: Annotated[
+        str,
+        option(
+            "--format",
+            metavar="|".join(WRITTEN),
+            help="How they are written; latex is to be put into a document that loads amsmath.",
+            default=True,
+        ),
+    ] = "text",
+    order: Annotated[
+        str,
+        typer.Option(
+            metavar="N",
+            help=f"Matrices to order 0 to {HIGHEST_ORDER} in the angles, or {EXACT}: in sines and cosines, for small "
+            "trees.",
+            autocompletion=completion.words(*ORDERS),
+        ),
+    ] = "1",
+    terms: Annotated[
+        str,
+        typer.Option(
+            metavar="|".join(TERMS),
+            help="paper: A constant, and in (27) the terms that the paper keeps. exact: all terms.",
+            autocompletion=completion.words(*TERMS),
+        ),
+    ] = "paper",
+    as_json: Annotated[bool, option("--json", help="The same as --format json; no progress.", default=True)] = False,
+    quiet: Quiet = False,
+) -> None:
+    """Print the equations of a plant in symbols.
+
+    By the numbers of the paper: B (21), A (23), the rotors' axial inertia (24), Coriolis (25) and gyroscopic matrix
+    (26), and the gimbal equations (27), (19) and (15), with every symbol's meaning, unit and number.
+
+    \b
+    platform-ctrl equations three_gyro_platform                        to read
+    platform-ctrl equations plant.toml --format latex > equations.tex  to print
+    platform-ctrl equations plant.toml --terms exact --order 2 --json  all terms to second order, to compute with
+    """  # noqa: D301
+    chosen_form, chosen_terms = one_of("--format", form, WRITTEN), one_of("--terms", terms, TERMS)
+    if as_json and chosen_form == "latex":
+        raise InputError("--format latex and --json exclude each other; leave one out")
+    chosen_order = None if one_of("--order", order, ORDERS) == EXACT else int(order)
+    from platform_ctrl.cli.terminal import progress
+
+    if as_json:
+        chosen_form = "json"
+    with progress(quiet or as_json, f"deriving the equations of {plant}"):
+        from platform_ctrl.common.json_text import json_text
+        from platform_ctrl.mechanics.symbolic.equations import equations as found
+        from platform_ctrl.plant.reading import read_platform
+
+        written = found(read_platform(plant), chosen_form, chosen_order, chosen_terms)
+        if chosen_form == "json":
+            written = f"{json_text(written)}\n"
+    typer.echo(written, nl=False)
