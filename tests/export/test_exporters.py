@@ -43,13 +43,13 @@ def test_the_recipes_exporter_is_an_option_of_the_command(
     assert main(["export", "--help"]) == 0
     assert "Poles of the plant as text." in " ".join(capsys.readouterr().out.split())
     assert main(["export", "job.toml", "--poles", "poles.txt", "--digits", "9", "--mjcf", "p.xml", "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert [one["format"] for one in told["written"]] == ["mjcf", "poles"]
-    assert told["written"][1]["sha256"] == hashlib.sha256(Path("poles.txt").read_bytes()).hexdigest()
+    answer = json.loads(capsys.readouterr().out)
+    assert [one["format"] for one in answer["written"]] == ["mjcf", "poles"]
+    assert answer["written"][1]["sha256"] == hashlib.sha256(Path("poles.txt").read_bytes()).hexdigest()
     written = np.loadtxt("poles.txt") @ [1.0, 1j]
     plant = pc.state_space(pc.linearise(pc.read_job(job).platform))
     np.testing.assert_allclose(written, np.sort_complex(plant.poles()), atol=1e-8 * np.abs(written).max())
-    assert f"{len(written)} poles" in told["notes"][-1]
+    assert f"{len(written)} poles" in answer["notes"][-1]
 
 
 def test_what_was_removed_is_no_option_any_more(job: Path, capsys: pytest.CaptureFixture[str]) -> None:

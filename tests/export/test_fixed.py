@@ -8,8 +8,8 @@ import random
 import subprocess
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
-import control
 import flint
 import numpy as np
 import pytest
@@ -17,9 +17,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import platform_ctrl as pc
-from generated_c import LANGUAGES, WARNINGS, classical_entry, compiled, compiler, pid_entry, servo_entry
+from generated_c import LANGUAGES, WARNINGS, classical_entry, compiled, compiler, flat, pair
 from generated_c import Machine as CompiledMachine
-from platform_ctrl import simulation
 from platform_ctrl.analysis.certificates.intervals import balls
 from platform_ctrl.common.text import at_most
 from platform_ctrl.design.plants import loop_plants
@@ -35,9 +34,12 @@ from platform_ctrl.export.fixed_point.integer_files import IntegerFiles
 from platform_ctrl.export.fixed_point.lowering import fixed_point
 from platform_ctrl.export.fixed_point.model import FixedPoint, Machine
 from platform_ctrl.export.fixed_point.splitting import input_ranges
-from platform_ctrl.job.job import manoeuvre_scenario
+from platform_ctrl.job.job import Job
+from platform_ctrl.simulation.closed_loop import Trajectory
 
 NUMBERS = ("q31", "q15")
+CLASSICAL = {"name": "classical", "method": "classical"}
+LOOP = {"name": "caging 9-10", "kind": "caging", "gimbals": ["9", "10"], "use": "classical", "design": [CLASSICAL]}
 JOB = pc.read_job(
     {
         "schema": 2,
@@ -45,15 +47,7 @@ JOB = pc.read_job(
         "plant": "three_gyro_platform",
         "operation": {"Omega": [1.0, 1.0, 1.0]},
         "sampling": {"rate_hz": 2000, "delay": 0.0005},
-        "loop": [
-            {
-                "name": "caging 9-10",
-                "kind": "caging",
-                "gimbals": ["9", "10"],
-                "use": "classical",
-                "design": [{"name": "classical", "method": "classical"}],
-            }
-        ],
+        "loop": [LOOP],
     }
 )
 
@@ -62,19 +56,11 @@ def terms(**weights: float) -> tuple[Term, ...]:
     return tuple(Term(coefficient=weight, source=name) for name, weight in weights.items())
 
 
-def scheme(*sections: Section, limit: float = np.inf, excess: tuple[Row, ...] = (), period: float = 1e-3) -> Scheme:
-    return Scheme(
-        name="test",
-        inputs=("y",),
-        input_units=("rad",),
-        outputs=("Q",),
-        output_units=("N m",),
-        sections=sections,
-        torque_limits=(limit,),
-        excess=excess,
-        period=period,
-        delay=0.0,
-    )
+def scheme(*sections: Section, **changes: Any) -> Scheme:
+    """A scheme from y to Q; `limit` is that of Q."""
+    limit = changes.pop("limit", np.inf)
+    plain = {"name": "test", "inputs": ("y",), "input_units": ("rad",), "outputs": ("Q",), "output_units": ("N m",)}
+    return Scheme(**(plain | {"period": 1e-3, "delay": 0.0} | changes), sections=sections, torque_limits=(limit,))
 
 
 def lag(pole: float, gain: float = 1.0, name: str = "lag", source_name: str = "y", target: str = "Q") -> Section:
@@ -153,9 +139,7 @@ def runner(programmes: dict[str, FixedPoint], tmp_path_factory: pytest.TempPathF
     folder = tmp_path_factory.mktemp("fixed")
     main, calls = ["#include <stdio.h>", "#include <string.h>"], []
     for name, fixed in programmes.items():
-        unit = files_of(fixed, name)
-        (folder / f"{name}.h").write_text(unit.header(), encoding="ascii")
-        (folder / f"{name}.c").write_text(unit.source(), encoding="ascii")
+        pair(files_of(fixed, name), folder)
         bits = fixed.formats[fixed.scheme.inputs[0]].bits
         first = fixed.scheme.inputs[0]
         reading = [f'if (scanf("%lld", &x) != 1) return 0; in.{one} = (int{bits}_t)x;' for one in fixed.scheme.inputs]
@@ -291,23 +275,23 @@ def test_the_worst_input_comes_near_the_bound_and_needs_every_bit_of_the_format(
         )
 
 
-def test_the_model_tells_an_overflow_where_a_word_is_too_short() -> None:
+def test_the_model_raises_at_an_overflow_where_a_word_is_too_short() -> None:
     fixed = fixed_point(resonance(0.98, 0.5), {"y": 1.0}, number="q31")
     narrow = dataclasses.replace(fixed.formats["Q"], bits=31)
     machine = Machine(dataclasses.replace(fixed, formats=fixed.formats | {"Q": narrow}))
 
-    def fly() -> None:
+    def run_worst_case() -> None:
         for count in worst_case(fixed, "Q", 1500):
             machine.step([count])
 
     with pytest.raises(SimulationError, match="'Q' reaches"):
-        fly()
+        run_worst_case()
 
 
 def in_real_arithmetic(
     fixed: FixedPoint, counts: Iterator[Sequence[int]]
 ) -> Iterator[tuple[dict[str, float], dict[str, int]]]:
-    """Fly in doubles and in integers with the same inputs and equal integrals; yield values and counts."""
+    """Run in doubles and in integers with the same inputs and equal integrals; yield values and counts."""
     machine, made = Machine(fixed), fixed.scheme
     x = dict.fromkeys(made.states, 0.0)
     for row in counts:
@@ -340,7 +324,7 @@ def test_the_error_stays_within_its_bound_and_the_bound_is_not_idle(
 
 
 @pytest.mark.parametrize("number", NUMBERS)
-def test_the_classical_loop_in_integers_flies_as_in_doubles(
+def test_the_classical_loop_in_integers_is_that_in_doubles(
     number: str, classical: Scheme, programmes: dict[str, FixedPoint]
 ) -> None:
     fixed = programmes[f"classical_{number}"]
@@ -362,36 +346,35 @@ def test_the_classical_loop_in_integers_flies_as_in_doubles(
         torque = np.array(machine.step([round(y / bit) for y, bit in zip(angle[1], bits[:2], strict=True)])) * bits[2:]
         difference = max(difference, np.abs(torque - wanted).max())
         plant = [A @ state + B @ (u + push) for state, u in zip(plant, (wanted, torque), strict=True)]
-    # The integral carries the push; on the way both fly alike.
+    # The integral cancels the push; the torques are alike before.
     assert np.abs(torque + push).max() < (1e-6 if number == "q31" else 1e-3)
     assert difference < 2.0 * max(fixed.error[name] + fixed.conversion[name] for name in classical.outputs)
 
 
-def test_the_generated_job_commands_what_the_simulated_controllers_do(tmp_path: Path) -> None:
-    """Two caging loops and the servo, which takes in their commands in its own format, from recorded readings."""
-    job = pc.read_job(Path(__file__).parents[2] / "examples" / "three_gyro_platform.toml")
-    entries = [classical_entry(job, ("4", "5", "7")), pid_entry(job, ("9", "10")), servo_entry(job)]
-    controllers = [
-        control.StateSpace(*(np.array(e[k]) for k in "ABCD"), e["dt"], inputs=e["inputs"], outputs=e["outputs"])
-        for e in entries
-    ]
-    scenario = dataclasses.replace(manoeuvre_scenario(job, job.manoeuvres[3]), duration=0.2)
-    flown = simulation.simulate(scenario, controllers, period=job.sampling.period)
+@pytest.mark.parametrize(("number", "kind", "allowed"), [("q31", ctypes.c_int32, 2e-6), ("q15", ctypes.c_int16, 0.02)])
+def test_the_generated_job_commands_what_the_simulated_controllers_do(
+    number: str,
+    kind: type,
+    allowed: float,
+    job: Job,
+    entries: list[dict[str, Any]],
+    recorded: Trajectory,
+    tmp_path: Path,
+) -> None:
+    """Two caging loops and the servo, whose inputs are their commands in its own format, from recorded readings."""
     torquers = ["Q4", "Q5", "Q7", "Q9", "Q10", "M1", "M2", "M3"]
-    command = flown.command[:, [flown.torquer_names.index(name) for name in torquers]]
+    command = recorded.command[:, [recorded.torquer_names.index(name) for name in torquers]]
     limits = np.array([0.25] * 5 + [2.0] * 3)
-    for number, kind, allowed in (("q31", ctypes.c_int32, 2e-6), ("q15", ctypes.c_int16, 0.02)):
-        done = write_c(job, entries, tmp_path / number, number=number, accuracy=0.05)  # type: ignore[arg-type]
-        library = compiled(done.files, tmp_path / f"{number}.so")
-        names = [file.stem for file in done.files[:-2:2]]
-        machine = CompiledMachine(library, "three_gyro_platform", flown.pickoff_names, torquers, kind, names)
-        bits = 2.0**-37 if number == "q31" else 2.0**-21
-        out, status = machine.run(np.rint(flown.reading / bits).astype(np.int64))
-        assert set(status) == {0}
-        torque = out * (limits / (2.0**30 if number == "q31" else 2.0**14))
-        assert np.all(np.abs(torque - command).max(axis=0) <= allowed * limits)
-        # What is told of anti-windup is told of real numbers.
-        assert "So in real arithmetic" in " ".join(done.files[0].read_text().replace("\n *", " ").split())
+    done = write_c(job, entries, tmp_path, number=number, accuracy=0.05)  # type: ignore[arg-type]
+    names = [file.stem for file in done.files[:-2:2]]
+    library = compiled(done.files, tmp_path / "job.so")
+    machine = CompiledMachine(library, "three_gyro_platform", recorded.pickoff_names, torquers, kind, names)
+    bits = 2.0**-37 if number == "q31" else 2.0**-21
+    out, status = machine.run(np.rint(recorded.reading / bits).astype(np.int64))
+    assert set(status) == {0}
+    torque = out * (limits / (2.0**30 if number == "q31" else 2.0**14))
+    assert np.all(np.abs(torque - command).max(axis=0) <= allowed * limits)
+    assert "So in real arithmetic" in flat(done.files[0])  # of anti-windup
 
 
 @st.composite
@@ -469,24 +452,12 @@ def test_names_that_the_code_itself_has_are_no_obstacle(tmp_path: Path) -> None:
         signals=(Row(target="Q", terms=terms(x=1.0, **taken)),),
         states=(Row(target="x", terms=terms(x=0.6, **taken)),),
     )
-    made = Scheme(
-        name="names",
-        inputs=names,
-        input_units=("rad",) * len(names),
-        outputs=("Q",),
-        output_units=("N m",),
-        sections=(section,),
-        torque_limits=(0.5,),
-        excess=(Row(target="x", terms=terms(Q=0.1)),),
-        period=0.001,
-        delay=0.001,
-    )
+    back = (Row(target="x", terms=terms(Q=0.1)),)
+    made = scheme(section, name="names", inputs=names, input_units=("rad",) * len(names), limit=0.5, excess=back)
     fixed = fixed_point(made, dict.fromkeys(names, 1.0))
     signals = field_names([*names, "Q"])
     unit = IntegerFiles(scheme=fixed.scheme, fixed=fixed, prefix="names", signals=signals)
-    files = [tmp_path / "names.h", tmp_path / "names.c"]
-    files[0].write_text(unit.header())
-    files[1].write_text(unit.source())
+    files = pair(unit, tmp_path)
     compiled(files, tmp_path / "cpp.so", "g++")
     library = compiled(files, tmp_path / "c.so")
     machine = Machine(fixed)
@@ -517,18 +488,18 @@ def test_an_integral_loses_nothing_however_little_it_gains(number: str) -> None:
 
 
 def test_an_integral_ends_at_its_limit_and_anti_windup_brings_it_back() -> None:
-    held = fixed_point(integrator(1e-2), {"y": 1.0})
-    freed = fixed_point(integrator(1e-2, excess=0.05), {"y": 1.0})
+    saturated = fixed_point(integrator(1e-2), {"y": 1.0})
+    unwound = fixed_point(integrator(1e-2, excess=0.05), {"y": 1.0})
     ends = {}
-    for name, fixed in (("held", held), ("freed", freed)):
+    for name, fixed in (("saturated", saturated), ("unwound", unwound)):
         machine, form = Machine(fixed), fixed.formats["x"]
         for _ in range(1000):
             machine.step([fixed.formats["y"].largest])
         ends[name] = machine.counts["x"] * form.bit
         assert abs(machine.counts["x"]) <= form.largest
     # Twice the torque's limit without anti-windup; with it where 0.01 y + 0.05 (0.5 − x − y) = 0.
-    assert ends["held"] == pytest.approx(1.0, rel=1e-6)
-    assert ends["freed"] == pytest.approx(-0.3, rel=1e-6)
+    assert ends["saturated"] == pytest.approx(1.0, rel=1e-6)
+    assert ends["unwound"] == pytest.approx(-0.3, rel=1e-6)
 
 
 def test_few_digits_that_move_a_pole_out_of_the_circle_are_refused_by_section() -> None:
@@ -596,7 +567,7 @@ def test_too_coarse_is_refused_with_the_section_that_makes_it_so() -> None:
     assert fixed_point(cascade, {"y": 1.0}, number="q31", accuracy=1e-5).error["Q"] < 1e-5
 
 
-def test_ranges_come_from_the_plant_or_are_asked_for_by_name() -> None:
+def test_ranges_come_from_the_plant_or_must_be_given_by_name() -> None:
     stop = np.deg2rad(0.5)
     found = input_ranges(("alpha9", "Q9", "Omega1"), JOB)
     assert found == {"alpha9": pytest.approx(1.1 * stop), "Q9": 0.275, "Omega1": pytest.approx(1.1)}
@@ -607,7 +578,7 @@ def test_ranges_come_from_the_plant_or_are_asked_for_by_name() -> None:
         input_ranges(("alpha9",), JOB, {"alpha9": -1.0})
 
 
-def test_an_integral_without_a_torque_limit_asks_for_its_own() -> None:
+def test_an_integral_without_a_torque_limit_needs_its_own() -> None:
     free = integrator(1e-3, limit=np.inf)
     with pytest.raises(InfeasibleError, match=r"'PI'.*limits.*--integral-limit x=NUMBER"):
         fixed_point(free, {"y": 1.0})
@@ -617,13 +588,13 @@ def test_an_integral_without_a_torque_limit_asks_for_its_own() -> None:
 def test_the_header_states_every_format_and_the_proof(programmes: dict[str, FixedPoint], classical: Scheme) -> None:
     for name, fixed in programmes.items():
         text = files_of(fixed, name).header()
-        flat = " ".join(text.replace("*", "").split())
+        line = " ".join(text.replace("*", "").split())
         for form in fixed.formats.values():
-            assert f"{form.name} int{form.bits} {form.q}, bit {form.bit:.6g}" in flat
-            assert f"({'+-'}{form.largest})" in flat
+            assert f"{form.name} int{form.bits} {form.q}, bit {form.bit:.6g}" in line
+            assert f"({'+-'}{form.largest})" in line
         for output in fixed.scheme.outputs:
-            assert f"Error: {output} at most {at_most(fixed.error[output], 3)} N m" in flat
-        assert "No overflow:" in flat
+            assert f"Error: {output} at most {at_most(fixed.error[output], 3)} N m" in line
+        assert "No overflow:" in line
         assert max(map(len, text.splitlines())) <= 120
         assert text == files_of(fixed, name).header()
 

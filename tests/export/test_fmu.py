@@ -1,4 +1,4 @@
-"""Plant and controllers as an FMU: its description, and its numbers beside our own simulation, to the last bit."""
+"""Plant and controllers as an FMU: its description, and its numbers beside our simulation, to the last bit."""
 
 from __future__ import annotations
 
@@ -247,9 +247,9 @@ def test_instances_keep_apart_and_reset_begins_anew(gyro, folder):
     turn.step(0.0, 20 * period)
     assert turn.get("angle.beta10") == step.get("angle.beta10") == expected["it's a step"].q[20, 4]
     kept = step.fmu.getFMUState()
-    told = step.fmu.serializeFMUState(kept)
+    kept_bytes = step.fmu.serializeFMUState(kept)
     step.step(20 * period, 5 * period)
-    step.fmu.setFMUState(step.fmu.deserializeFMUState(told))
+    step.fmu.setFMUState(step.fmu.deserializeFMUState(kept_bytes))
     step.put("disturbance.alpha9", 0.0)
     step.step(20 * period, 10 * period)
     assert step.get("angle.beta10") == expected["it's a step"].q[30, 4]

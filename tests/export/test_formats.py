@@ -126,16 +126,16 @@ def test_mat_keeps_every_bit_name_and_unit(systems: tuple[SystemRecord, ...], tm
 def test_mat_holds_what_ss_takes(systems: tuple[SystemRecord, ...], tmp_path: Path) -> None:
     """``ss(s.A, s.B, s.C, s.D, s.Ts, "InputName", s.InputName, ...)``: names as standing cells of text."""
     export.write_mat([*systems, static(delay=0.025)], tmp_path / "s.mat")
-    held = scipy.io.loadmat(tmp_path / "s.mat", simplify_cells=False)
-    struct = held[K][0, 0]
+    loaded = scipy.io.loadmat(tmp_path / "s.mat", simplify_cells=False)
+    struct = loaded[K][0, 0]
     assert struct["InputName"].shape == (2, 1)
     assert struct["InputName"].dtype == object
     assert [str(name[0]) for name in struct["OutputName"].ravel()] == ["Q9", "Q10"]
     assert struct["Ts"].item() == 0.0005
     assert struct["OutputDelay"].ravel().tolist() == [1.0, 1.0]  # whole sample periods
-    assert held["gain"][0, 0]["OutputDelay"].ravel().tolist() == [2.0]
-    assert held["gain"][0, 0]["Delay"].item() == 0.025
-    assert held["gain"][0, 0]["A"].shape == (0, 0)
+    assert loaded["gain"][0, 0]["OutputDelay"].ravel().tolist() == [2.0]
+    assert loaded["gain"][0, 0]["Delay"].item() == 0.025
+    assert loaded["gain"][0, 0]["A"].shape == (0, 0)
 
 
 def test_mat_made_by_hand_is_read(tmp_path: Path) -> None:
@@ -191,8 +191,8 @@ def test_a_small_mat_file_does_not_become_gigabytes(tmp_path: Path, monkeypatch:
     monkeypatch.setattr("platform_ctrl.export.matlab.MOST_INFLATED", 2**20)
     matrices = {"A": np.zeros((300, 300)), "B": 1.0, "C": 1.0, "D": 1.0}
     for copies, words in ((1, "s: B: must be 300 x 1"), (2, "inflates to more than 1 MiB")):
-        held = {f"s{k}": matrices for k in range(copies)}
-        scipy.io.savemat(tmp_path / "zeros.mat", held, do_compression=True)
+        structs = {f"s{k}": matrices for k in range(copies)}
+        scipy.io.savemat(tmp_path / "zeros.mat", structs, do_compression=True)
         assert (tmp_path / "zeros.mat").stat().st_size < 2**14
         with pytest.raises(InputError, match=words.replace("s:", "s0:")):
             export.read_mat(tmp_path / "zeros.mat")
@@ -267,12 +267,12 @@ def test_mangled_files_are_read_or_refused_in_one_line(systems: tuple[SystemReco
         refused = 0
         for _ in range(150):
             path.write_bytes(mangled(whole, dice))
-            said = ""
+            message = ""
             try:
                 read(path)
             except InputError as error:
-                said, refused = str(error), refused + 1
-            assert said == "" or ("\n" not in said and said.startswith(str(path)))
+                message, refused = str(error), refused + 1
+            assert message == "" or ("\n" not in message and message.startswith(str(path)))
         assert refused > 50
 
 

@@ -95,7 +95,7 @@ def test_every_shipped_plant_moves_as_in_the_simulation(name: str, tmp_path: Pat
 
 
 @pytest.mark.parametrize("name", ["momentum_wheel_satellite", "quanser_3dof_gyroscope", "suspended_platform"])
-def test_a_prescribed_root_turns_as_told_whatever_reacts(name: str, tmp_path: Path) -> None:
+def test_a_prescribed_root_turns_as_prescribed_whatever_reacts(name: str, tmp_path: Path) -> None:
     """Its angular acceleration is given at every stage of MuJoCo's integrator; gimbals begin anywhere."""
     platform = smooth(pc.read_platform(name))
     n = len(platform.gimbals)
@@ -240,7 +240,7 @@ def test_caging_controllers_run_on_mujocos_plant_as_on_ours(
     assert 3.5 < differ[0] / differ[1] < 4.5
 
 
-def test_all_loops_hold_mujocos_free_platform_as_ours(
+def test_all_loops_stabilise_mujocos_free_platform_as_ours(
     main_job: tuple[Job, list[control.StateSpace]], tmp_path: Path
 ) -> None:
     job, controllers = main_job
@@ -353,7 +353,7 @@ def test_every_shipped_plant_comes_back(root: Any, tmp_path: Path) -> None:
             assert np.allclose(found.moment, given.moment, rtol=1e-9, atol=0.0)
 
 
-def test_the_file_says_what_it_leaves_out(tmp_path: Path) -> None:
+def test_the_file_lists_what_it_leaves_out(tmp_path: Path) -> None:
     notes = write_mjcf(pc.read_platform("gyro_horizon"), tmp_path / "p.xml", root="fixed")
     assert notes == (
         "dry friction of outer, inner: MuJoCo's frictionloss, the mean of both directions, in place of a smooth curve",
@@ -492,12 +492,12 @@ def test_mangled_models_are_read_or_refused_in_one_line(tmp_path: Path) -> None:
     for text in (WHEEL.encode(), whole):
         for _ in range(60):
             path.write_bytes(mangled(text, dice))
-            said = ""
+            message = ""
             try:
                 read_mjcf(path)
             except InputError as error:
-                said, refused = str(error), refused + 1
-            assert said == "" or ("\n" not in said and said.startswith(str(path)))
+                message, refused = str(error), refused + 1
+            assert message == "" or ("\n" not in message and message.startswith(str(path)))
     assert refused > 30
 
 

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import control
 import numpy as np
 import pytest
 
@@ -18,6 +19,7 @@ from platform_ctrl.design.fixed_structure.caging import pid_structure
 from platform_ctrl.design.loop import LoopProblem, designed
 from platform_ctrl.design.partition import channels
 from platform_ctrl.design.plants import rows_of
+from platform_ctrl.export.c99.controller_files import ControllerFiles
 from platform_ctrl.job.job import Job
 from platform_ctrl.mechanics.linearisation import linearise
 
@@ -139,3 +141,32 @@ class Machine:
         """Outputs (N, outputs) and status of every sample."""
         steps = [self.step(row) for row in np.asarray(readings).tolist()]
         return np.array([values for values, _ in steps]), [status for _, status in steps]
+
+
+def gyro_entry(job: Job, A: object, B: object, C: object, D: object) -> dict[str, Any]:
+    """A controller of gimbals 9 and 10."""
+    n = len(np.asarray(A))
+    block = [
+        np.asarray(item, float).reshape(shape)
+        for item, shape in zip((A, B, C, D), ((n, n), (n, 2), (2, n), (2, 2)), strict=True)
+    ]
+    return entry(job, "caging 9-10", block, ("9", "10"))
+
+
+def state_space(entry: dict[str, Any]) -> control.StateSpace:
+    """The controller of an entry."""
+    matrices = (np.array(entry[key]) for key in "ABCD")
+    return control.StateSpace(*matrices, entry["dt"], inputs=entry["inputs"], outputs=entry["outputs"])
+
+
+def flat(path: Path) -> str:
+    """The text of a header on one line, without comment marks."""
+    return " ".join(path.read_text().replace("*", " ").split())
+
+
+def pair(unit: ControllerFiles, folder: Path) -> list[Path]:
+    """Header and source of a controller, written."""
+    files = [folder / f"{unit.prefix}.{end}" for end in "hc"]
+    for file, text in zip(files, (unit.header(), unit.source()), strict=True):
+        file.write_text(text, encoding="ascii")
+    return files

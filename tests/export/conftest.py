@@ -1,0 +1,38 @@
+"""The main job with three controllers, and a recorded run of it."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from generated_c import classical_entry, pid_entry, servo_entry, state_space
+from platform_ctrl import simulation
+from platform_ctrl.job.job import Job, manoeuvre_scenario
+from platform_ctrl.job.reading import read_job
+from platform_ctrl.simulation.closed_loop import Trajectory
+
+EXAMPLE = Path(__file__).parents[2] / "examples" / "three_gyro_platform.toml"
+
+
+@pytest.fixture(scope="session")
+def job() -> Job:
+    return read_job(EXAMPLE)
+
+
+@pytest.fixture(scope="session")
+def entries(job: Job) -> list[dict[str, Any]]:
+    """A classical loop, a matrix PID and the platform servo, whose inputs are commands of both."""
+    return [classical_entry(job, ("4", "5", "7")), pid_entry(job, ("9", "10")), servo_entry(job)]
+
+
+@pytest.fixture(scope="session")
+def recorded(job: Job, entries: list[dict[str, Any]]) -> Trajectory:
+    """A run with all three, below all limits."""
+    scenario = dataclasses.replace(manoeuvre_scenario(job, job.manoeuvres[3]), duration=0.3)
+    run = simulation.simulate(scenario, [state_space(one) for one in entries], period=job.sampling.period)
+    assert run.completed
+    assert run.saturated.sum() == 0
+    return run
