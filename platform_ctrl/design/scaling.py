@@ -230,27 +230,6 @@ def clustered(poles: NDArray[Any], size: float, chosen: NDArray[np.bool_] | None
     return out
 
 
-@value
-class Regularised:
-    """A scaled plant that fulfils the assumptions, and what was added.
-
-    Attributes
-    ----------
-    scaled
-        With rows ε u in z for the controls, and columns ε in w for the measurements, that D12 and D21 left out, and
-        A + shift in place of A where a zero was on the axis. Every closed-loop norm from the old w to the old z is at
-        most that of this plant (maximum modulus).
-    size
-        ε, relative to scaled controls and measurements; 0 where nothing was added.
-    shift
-        rad/s.
-    """
-
-    scaled: ScaledPlant
-    size: float
-    shift: float
-
-
 def named(direction: FloatArray, labels: Sequence[str]) -> str:
     """Return the signals that make up most of a direction."""
     share = np.abs(direction) / max(float(np.abs(direction).max(initial=0.0)), np.finfo(float).tiny)
@@ -345,8 +324,13 @@ def widened(p: Partition, rows: FloatArray, columns: FloatArray) -> Partition:
     )
 
 
-def regularised(scaled: ScaledPlant, size: float) -> Regularised:
-    """Return the nearest plant, in the sense of `size`, that fulfils the assumptions."""
+def regularised(scaled: ScaledPlant, size: float) -> tuple[ScaledPlant, float, float]:
+    """Return a scaled plant that fulfils the assumptions, and what was added or 0: ε, and a shift of A, rad/s.
+
+    It has rows ε u in z for the controls, and columns ε in w for the measurements, that D12 and D21 left out (relative
+    to scaled signals), and A + shift in place of A where a zero was on the axis. Every closed-loop norm from the old w
+    to the old z is at most that of this plant (maximum modulus).
+    """
     p, r, s = scaled.plant, scaled.control_rank, scaled.measurement_rank
     nu, ny = p.B2.shape[1], p.C2.shape[0]
     # The left-out controls are counted in units of 1/ε, so that D12 keeps orthonormal columns.
@@ -361,7 +345,7 @@ def regularised(scaled: ScaledPlant, size: float) -> Regularised:
         scaled, plant=plant, control=scaled.control * into, measurement=scaled.measurement * out[:, None],
         control_rank=nu, measurement_rank=ny,
     )  # fmt: skip
-    return Regularised(scaled=changed, size=size if r < nu or s < ny else 0.0, shift=shift * scaled.rate)
+    return changed, size if r < nu or s < ny else 0.0, shift * scaled.rate
 
 
 def regularised_and_report(
@@ -370,11 +354,11 @@ def regularised_and_report(
     """Return the regularised plant, and what was added with the `least` norm that a tenth of it would give."""
     if size is None:
         return scaled, {}
-    changed = regularised(scaled, size)
-    if not (changed.size or changed.shift):
-        return changed.scaled, {}
-    return changed.scaled, {
-        "regularisation of controls and measurements": changed.size,
-        "regularisation by a shift of A, rad/s": changed.shift,
-        f"least {what} at a tenth of it": least(regularised(scaled, 0.1 * size).scaled),
+    changed, added, shift = regularised(scaled, size)
+    if not (added or shift):
+        return changed, {}
+    return changed, {
+        "regularisation of controls and measurements": added,
+        "regularisation by a shift of A, rad/s": shift,
+        f"least {what} at a tenth of it": least(regularised(scaled, 0.1 * size)[0]),
     }

@@ -161,7 +161,7 @@ def hinf(
         Longest time that one call of the LMI solver may take, s.
     regularise
         Riccati route alone: what to add where an assumption does not hold, relative to scaled signals, for example
-        1e-3 (see `scaling.Regularised`). `gamma` and `gamma_optimal` are still those of the plant as given,
+        1e-3 (see `scaling.regularised`). `gamma` and `gamma_optimal` are still those of the plant as given,
         `level` is that of the changed one, and `residual` says what was added and what a tenth of it would do. None: it
         is an error.
 

@@ -194,7 +194,7 @@ def test_the_controller_takes_the_excess_as_an_input(designed: AntiWindup) -> No
     assert np.array_equal(designed.controller.B, K.B)
 
 
-def test_the_failures_speak() -> None:
+def test_failures_raise_errors_that_name_the_cause() -> None:
     with pytest.raises(InfeasibleError, match="takes all of a limit"):
         anti_windup(loop(), Omega=2.0)
     with pytest.raises(ArgumentError, match="without limits the loop"):

@@ -58,7 +58,7 @@ def test_the_margin_from_crossover_and_margin_is_proved() -> None:
     assert 1.0 / max(torques.bound, pickoffs.bound) == pytest.approx(made.disk_margin, rel=2e-6)
 
 
-def test_a_complex_loop_is_proved_stable_and_says_when_dead_time_forbids_it() -> None:
+def test_a_complex_loop_is_proved_stable_unless_it_has_dead_time() -> None:
     model = pc.linearise(changed(pc.read_platform("three_gyro_platform"), {"10": 1.5}, {}))
     loop = {"crossover_hz": 30.0, "integral_hz": 2.0, "damping_hz": 45.0, "lead_hz": 7.0, "rolloff_hz": 900.0}
     options: list[dict[str, Any]] = [{"period": PERIOD, "delay": 3e-4}, {}]

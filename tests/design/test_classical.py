@@ -152,7 +152,7 @@ def test_no_integrator_is_doubled(model):
         assert np.sum(np.abs(np.linalg.eigvals(A) - 1.0) < 1e-6) == len(rows)
 
 
-def test_blocks_are_put_together_as_said():
+def test_blocks_form_the_controller():
     one, two = first_order(1.0, 2.0, 1.0, 3.0, PERIOD), notch(400.0, 0.5, 0.3, PERIOD)
     z = np.exp(0.3j)
 
@@ -246,7 +246,7 @@ def test_rates_from_the_torques_of_the_caged_gyros(model):
     np.testing.assert_allclose(estimate, [[0, 0, 1 / L, 0], [-0.5 / L, -0.5 / L, 0, 0], [0, 0, 0, -1 / L]], atol=1e-9)
 
 
-def test_gyros_that_do_not_see_a_rate_are_refused(job):
+def test_gyros_that_do_not_measure_a_rate_are_an_error(job):
     blind = dataclasses.replace(job.platform, rotors=job.platform.rotors[:2])
     with pytest.raises(DesignError, match="do not depend on the rate about"):
         rate_estimate(linearise(blind))
@@ -280,7 +280,7 @@ def test_a_lag_raises_the_gain_at_low_frequencies_alone(model):
     assert cross(lagging, 500.0) / cross(plain, 500.0) == pytest.approx(1.0, rel=1e-3)
 
 
-def test_the_spin_notch_stands_at_the_rotors_spin_and_holds_every_path_back(model):
+def test_the_spin_notch_attenuates_every_path_at_the_spin_frequency(model):
     """Rotor 11: 0.15/1.2e-4 = 1250 rad/s."""
     channel = channels(model, [3, 4])
     np.testing.assert_allclose(channel.spins, [1250.0])
@@ -327,7 +327,7 @@ def test_a_phase_margin_is_the_disk_margin_that_holds_it(model):
     assert found.disk_margin == pytest.approx(2.0 * np.tan(np.radians(12.5)), rel=2e-3)
 
 
-def test_a_margin_out_of_reach_says_the_largest(model):
+def test_the_error_for_an_unreachable_margin_gives_the_largest(model):
     with pytest.raises(InfeasibleError, match=r"the largest disk margin is 0\.\d+, with a lead of"):
         from_crossover_and_margin(model, ("9", "10"), crossover_hz=90.0, disk_margin=0.6, **PAIR)
 
@@ -391,7 +391,7 @@ def test_placed_poles_do_not_depend_on_units(model):
     assert max(conditions[:2]) < 0.05 * conditions[2]
 
 
-def test_pole_placement_says_what_cannot_be(model):
+def test_pole_placement_names_what_is_wrong(model):
     plant = state_space(model, gimbals=("9", "10"))
     with pytest.raises(ArgumentError, match="without its conjugate"):
         pole_placement(plant, [-1 + 1j, -1 + 1j, -3, -4], ["Q9", "Q10"])

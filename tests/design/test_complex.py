@@ -178,7 +178,7 @@ def test_the_order_of_the_gimbals_turns_the_sense(model):
     assert complex_plant(model, PAIR[::-1]).momentum == pytest.approx(-L)
 
 
-def test_what_makes_no_sense_is_said(model, sampled_plant, loop):
+def test_wrong_arguments_raise_errors(model, sampled_plant, loop):
     with pytest.raises(ArgumentError, match="must be the two of one gyro, got 3"):
         complex_plant(model, ("4", "5", "7"))
     with pytest.raises(ArgumentError, match=r"damping_hz must .*got -1"):

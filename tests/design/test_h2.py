@@ -148,7 +148,7 @@ def test_singular_problems_are_named_and_solved_by_lmi_or_a_stated_regularisatio
     assert lmi.gamma_optimal == pytest.approx(fine.gamma, rel=0.05)
 
 
-def test_a_zero_on_the_axis_is_named_and_shifted_when_asked():
+def test_a_zero_on_the_axis_is_named_and_shifted_by_regularisation():
     # z does not see the integrator.
     D = [[0, 0, 0], [0, 0, 1.0], [0, 1.0, 0]]
     P = control.ss([[0.0, 1], [0, -1]], [[1.0, 0, 0], [0, 0, 1]], [[0, 1.0], [0, 0], [1, 0]], D)

@@ -120,7 +120,7 @@ def test_threads_share_the_worker():
     assert max(answers.values()) < 1e-6
 
 
-def test_contradicting_and_unbounded_problems_speak():
+def test_infeasible_and_unbounded_problems_raise_errors():
     problem, X, _ = lyapunov_problem(sign=-1.0)
     with pytest.raises(InfeasibleError, match="test: inequality: the inequalities are infeasible") as refused:
         solve(problem, X)
@@ -229,7 +229,7 @@ REGION = (requirement("stability", 0.5), requirement("damping", 0.4), requiremen
 
 
 @pytest.mark.parametrize("period", [0.0, 0.05])
-def test_poles_lie_in_the_region_that_is_asked(period):
+def test_poles_lie_in_the_required_region(period):
     P = random_plant()
     if period:
         P = control.sample_system(P, period, method="bilinear")

@@ -356,7 +356,7 @@ def test_a_hold_adds_its_half_period():
 # What cannot be
 
 
-def test_limits_that_cannot_be_met_name_the_obstacle_and_its_frequency(measured, design):
+def test_limits_that_cannot_be_met_are_named_with_their_frequency(measured, design):
     with pytest.raises(
         InfeasibleError,
         match=r"measured_pid: (sensitivity_peak|resonance_damping) is [\d.]+ times its limit at [\d.]+ Hz",
@@ -370,7 +370,7 @@ def test_a_start_that_does_not_stabilise_is_refused(measured, design):
         measured_pid(measured, start=-design.start)
 
 
-def test_no_time_is_said(measured):
+def test_a_time_limit_that_is_too_short_is_an_error(measured):
     with pytest.raises(TimeLimitError, match="time_limit is exceeded"):
         measured_pid(measured, pattern="cross-axis", time_limit=1e-3)
 

@@ -77,7 +77,7 @@ def test_the_least_norm_is_that_of_fast_sampling() -> None:
     assert sampled_hinf(P, 1, 1, period=period).gamma_optimal == pytest.approx(least, rel=0.01)
 
 
-def test_the_failures_speak() -> None:
+def test_failures_raise_errors_that_name_the_cause() -> None:
     P = servo()
     noisy = control.StateSpace(P.A, P.B, P.C, P.D + np.eye(3, 3, -1)[[0, 0, 2]])
     with pytest.raises(IllPosedError, match="anti-alias filter"):

@@ -21,12 +21,14 @@ from platform_ctrl.common.arguments import known_name
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.partition import Partition, in_w_plane, side_by_side, whole
 from platform_ctrl.design.scaling import ScaledPlant
-from platform_ctrl.errors import ArgumentError, IllPosedError
+from platform_ctrl.errors import ArgumentError, IllPosedError, NotCertifiedError
 from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.job.requirements import LoopRequirement
 
 if TYPE_CHECKING:
     from control import StateSpace
+
+    from platform_ctrl.design.lmi.conic import Solver
 
 REGIONS = ("stability", "damping", "fastest pole")
 NORMS = ("H-infinity norm", "H2 norm")
@@ -172,15 +174,29 @@ def _white(weight: StateArrays, period: float) -> StateArrays:
 
 
 def checked(
-    requirements: Sequence[LoopRequirement], closed_loop: StateSpace, controller: StateSpace, method: str
+    requirements: Sequence[LoopRequirement],
+    closed_loop: StateSpace,
+    controller: StateSpace,
+    solver: Solver,
+    soft: float,
+    plant: str = "the plant",
 ) -> tuple[CheckResult, ...]:
-    """Return the requirements checked for the actual closed loop and controller."""
-    return tuple(
-        requested.check_controller(controller, subject=method)
+    """Return the requirements checked for the actual loop; hard ones must be met, soft ones within `soft` times."""
+    outcomes = tuple(
+        requested.check_controller(controller, subject=solver.where)
         if requested.kind == CONTROLLER
-        else requested.check_closed_loop(closed_loop, subject=method)
+        else requested.check_closed_loop(closed_loop, subject=solver.where)
         for requested in requirements
     )
+    for outcome in outcomes:
+        allowed = 1.0 if outcome.hard else soft
+        if not outcome.ratio <= allowed:
+            raise NotCertifiedError(
+                f"{solver.where}: {outcome.name} is {outcome.value:.6g} {outcome.unit} with {plant}, a ratio of "
+                f"{outcome.ratio:.4g} to the limit, more than {allowed:.4g}; {solver.cure}",
+                solver.P,
+            )
+    return outcomes
 
 
 def claimed_loop(plant: Partition, K: StateArrays, label: str) -> ClosedLoop:

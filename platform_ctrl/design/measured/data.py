@@ -132,19 +132,19 @@ def _columns(
             raise InputError(
                 f"{where}: column {k + 1} is {given(name)}, which holds {given(part)}: {suggestion(part, _PARTS)}"
             )
-        held = columns.setdefault((output, an_input), {})
-        if part in held:
+        parts = columns.setdefault((output, an_input), {})
+        if part in parts:
             raise InputError(f"{where}: the column {given(name)} occurs twice")
-        held[part] = k
+        parts[part] = k
         outputs += [output] if output not in outputs else []
         inputs += [an_input] if an_input not in inputs else []
     if not columns:
         raise InputError(f'{where}: the only column is the frequency; add columns such as "alpha9/Q9 re"')
     for output in outputs:
         for an_input in inputs:
-            held = columns.get((output, an_input), {})
-            if set(held) not in _FORMS:
-                has = f"has {', '.join(held)}" if held else "is missing"
+            parts = columns.get((output, an_input), {})
+            if set(parts) not in _FORMS:
+                has = f"has {', '.join(parts)}" if parts else "is missing"
                 raise InputError(
                     f"{where}: every pair of output and input must have re and im, or magnitude (or magnitude_db) and "
                     f"phase_deg, but {output}/{an_input} {has}"
@@ -192,14 +192,14 @@ def _require_finite(
 
 
 def _value(numbers: FloatArray, parts: dict[str, int]) -> ComplexArray:
-    held = {part: numbers[:, k] for part, k in parts.items()}
-    if "re" in held:
-        return np.asarray(held["re"] + 1j * held["im"], dtype=np.complex128)
+    of = {part: numbers[:, k] for part, k in parts.items()}
+    if "re" in of:
+        return np.asarray(of["re"] + 1j * of["im"], dtype=np.complex128)
     with np.errstate(over="ignore"):
-        size = held["magnitude"] if "magnitude" in held else 10.0 ** (held["magnitude_db"] / 20.0)
+        size = of["magnitude"] if "magnitude" in of else 10.0 ** (of["magnitude_db"] / 20.0)
     # What is too large is named later, with its line.
     size = np.minimum(size, 10.0 * _LARGEST)
-    return np.asarray(size * np.exp(1j * np.radians(held["phase_deg"])), dtype=np.complex128)
+    return np.asarray(size * np.exp(1j * np.radians(of["phase_deg"])), dtype=np.complex128)
 
 
 _FEWEST_POINTS = 10

@@ -250,7 +250,7 @@ def _optimal_sampled(p: Partition, direct: bool) -> tuple[StateArrays, float, di
 def _regular(p: Partition, size: float) -> Partition:
     """Return the plant with rows `size` u in z, columns `size` in w for y, and z / (1 + `size`) in place of z.
 
-    Every closed-loop norm from the old w to the old z is at most that of this plant, as in `Regularised`.
+    Every closed-loop norm from the old w to the old z is at most that of this plant, as in `scaling.regularised`.
     """
     nu, ny, grow = p.B2.shape[1], p.C2.shape[0], 1.0 + size
     p = dataclasses.replace(p, A=grow * p.A, B1=grow * p.B1, B2=grow * p.B2)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from platform_ctrl.analysis.arrays import StateArrays
-from platform_ctrl.common.values import FloatArray, value
+from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.partition import Partition
 from platform_ctrl.design.riccati.equations import ZERO, stabilising
 from platform_ctrl.design.scaling import (
@@ -50,16 +50,6 @@ NEAR_AXIS = 1e-5
 SAFE_DISTANCE = 1e-5
 
 
-@value
-class Solution:
-    """Stabilising solutions X and Y of the two Riccati equations at `gamma`, and ``excess`` = rho(X Y) / gamma² − 1."""
-
-    gamma: float
-    X: FloatArray
-    Y: FloatArray
-    excess: float
-
-
 def hinf_riccati(
     scaled: ScaledPlant, backoff: float, P: StateSpace, regularise: float | None = None
 ) -> tuple[StateArrays, float, dict[str, float]]:
@@ -77,16 +67,16 @@ def hinf_riccati(
     normal = _normal_form(scaled.plant)
     sides = _sides(normal)
     least = _least_gamma(normal, sides, scaled, P)
-    best = _trial(sides, ((1 + backoff) * least) ** -2).solution
-    if best is None or best.excess >= 0:
+    best = _trial(sides, ((1 + backoff) * least) ** -2)
+    if best.solution is None or best.slack is None or best.slack <= 0.0:
         raise UnscalableError(
             f"{WHERE}: no solution at {1 + backoff:.6g} times the least gamma {least * scaled.gain:.6g}; "
             'give a larger backoff, or method="lmi"',
             P,
         )
-    residual = extra | {"spectral radius of X Y over gamma squared": 1 + float(best.excess)}
-    for name, side, V in zip("XY", sides, (best.X, best.Y), strict=True):
-        H = side.hamiltonian(best.gamma**-2)
+    residual = extra | {"spectral radius of X Y over gamma squared": best.t / (best.slack + best.t)}
+    for name, side, V in zip("XY", sides, best.solution, strict=True):
+        H = side.hamiltonian(best.t)
         one = np.eye(len(V))
         error = np.hstack([-V, one]) @ H @ np.vstack([one, V])
         residual[f"relative residual of the Riccati equation of {name}"] = float(
@@ -94,7 +84,7 @@ def hinf_riccati(
         )
     for share in SHARES:
         try:
-            made = _central(normal, best, share)
+            made = _central(normal, best.t**-0.5, best.solution, share)
             # The loop around D22, which was left out so far, has to stay well posed.
             around = np.linalg.cond(np.eye(len(made.D)) + scaled.control @ made.D @ scaled.measurement @ scaled.D22)
             if around < LARGEST_SHIFT:
@@ -102,7 +92,7 @@ def hinf_riccati(
         except np.linalg.LinAlgError:
             continue
     raise UnscalableError(
-        f"{WHERE}: the controllers at gamma = {best.gamma * scaled.gain:.6g} are not finite; "
+        f"{WHERE}: the controllers at gamma = {best.t**-0.5 * scaled.gain:.6g} are not finite; "
         'give a larger backoff, or method="lmi"',
         P,
     )
@@ -155,6 +145,8 @@ class Trial(NamedTuple):
 
     Attributes
     ----------
+    solution
+        The stabilising X and Y of the two Riccati equations at t = gamma⁻².
     slack
         1/rho(X Y) − gamma⁻²: positive where gamma can be reached, negative where the coupling forbids it; None where
         X or Y does not exist or is not positive semidefinite.
@@ -166,7 +158,7 @@ class Trial(NamedTuple):
     """
 
     t: float
-    solution: Solution | None = None
+    solution: tuple[FloatArray, FloatArray] | None = None
     slack: float | None = None
     room: tuple[float, ...] = ()
     axis: tuple[int, FloatArray] | None = None
@@ -195,8 +187,7 @@ def _trial(sides: tuple[Side, Side], t: float) -> Trial:
     (X, _), (Y, root) = found
     radius = max(float(np.linalg.eigvalsh(root.T @ X @ root)[-1]), 0.0)
     slack = 1.0 / max(radius, 1.0 / LARGEST_SLACK) - t
-    gamma = 1.0 / math.sqrt(t) if t > 0.0 else math.inf
-    return Trial(t, Solution(gamma=gamma, X=X, Y=Y, excess=radius * t - 1.0), slack, tuple(room), None, distance)
+    return Trial(t, (X, Y), slack, tuple(room), None, distance)
 
 
 def _floor(p: Partition) -> float:
@@ -303,7 +294,7 @@ def _zero(known: list[tuple[float, float]]) -> float:
     return curved if abs(curved - secant) < abs(secant - t1) else secant
 
 
-def _unreached(p: Partition, side: int, start: Solution, frequencies: FloatArray) -> float:
+def _unreached(p: Partition, side: int, start: tuple[FloatArray, FloatArray], frequencies: FloatArray) -> float:
     """Return the largest gain, at the frequencies and between them, from w to the part of z that no control reaches.
 
     For the other side, to z from the part of w that no measurement sees. State feedback does not change it; that of the
@@ -313,7 +304,7 @@ def _unreached(p: Partition, side: int, start: Solution, frequencies: FloatArray
         return 0.0
     p = p if side == 0 else p.dual
     B1, B2, D11, D12 = p.B1, p.B2, p.D11, p.D12
-    F = -(B2.T @ (start.X if side == 0 else start.Y) + D12.T @ p.C1)
+    F = -(B2.T @ start[side] + D12.T @ p.C1)
     A, C1 = p.A + B2 @ F, p.C1 + D12 @ F
     # Crossings come at both signs: 0 lies between the first two.
     w = np.concatenate([[0.0], frequencies, 0.5 * (frequencies[1:] + frequencies[:-1])])
@@ -326,9 +317,9 @@ def _unreached(p: Partition, side: int, start: Solution, frequencies: FloatArray
     return float(np.linalg.norm(rest, 2, axis=(-2, -1)).max())
 
 
-def _central(p: Partition, best: Solution, share: float) -> StateArrays:
+def _central(p: Partition, gamma: float, solution: tuple[FloatArray, FloatArray], share: float) -> StateArrays:
     """Return the controller with the free parameter Q = `share` gamma I of theorem 17.1; |Q| < gamma keeps gamma."""
-    gamma, X, Y = best.gamma, best.X, best.Y
+    X, Y = solution
     nw, nz, nu, ny = p.B1.shape[1], p.C1.shape[0], p.B2.shape[1], p.C2.shape[0]
     w, z = nw - ny, nz - nu
     B, C = np.hstack([p.B1, p.B2]), np.vstack([p.C1, p.C2])
