@@ -137,6 +137,6 @@ def test_wrong_options_are_named(loop):
 
 def test_a_design_that_fails_is_named_by_loop_and_design():
     slow = {"name": "LQG", "method": "lqg", "bandwidth_hz": 1e-9}
-    with pytest.raises(DesignError, match="^caging 9-10, LQG: h2: the plant is not detectable") as caught:
+    with pytest.raises(DesignError, match=r"^caging 9-10, LQG: h2: the plant is not detectable") as caught:
         loops(JOB | {"loop": [LOOP | {"design": [slow]}]})
     assert caught.value.problem is not None
