@@ -1,1 +1,1 @@
-"""Controllers as C99 source: one step of sections that are written out, without library, allocation or loop."""
+"""Controllers as C99 source: one step, section by section, without library, allocation or loop."""

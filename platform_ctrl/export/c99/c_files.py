@@ -33,13 +33,13 @@ if TYPE_CHECKING:
 AnyNumber = Literal["double", "float", "q31", "q15"]
 AntiWindup = Literal["back-calculation", "proved", "none"]
 
-# The remark on anti-windup is about the controller before it is put into integers.
+# The remark on anti-windup is about the controller in real numbers.
 _ROUNDED = " So in real arithmetic: rounding, and the ends of integrals and excess below, come on top."
 
 
 @value
 class Written:
-    """What was written."""
+    """The files written, and notes."""
 
     files: tuple[Path, ...]  # Their paths
     notes: tuple[str, ...] = ()  # A line each for what a user should know: rounding, limits without anti-windup
@@ -151,7 +151,7 @@ def _windup(job: Job, scheme: Scheme, entry: Entry, requested: AntiWindup) -> Wi
 
 
 def _in_single_precision(job: Job, scheme: Scheme) -> tuple[list[str], list[str]]:
-    """Return a paragraph for the header about what float does to a controller, and what is doubtful in it."""
+    """Return a paragraph for the header about the errors of float, and notes on large ones."""
     ranges = {name: _range(job, name) for name in scheme.inputs}
     error = float_error(scheme, ranges)
     inputs = ", ".join(
@@ -181,7 +181,7 @@ def _in_single_precision(job: Job, scheme: Scheme) -> tuple[list[str], list[str]
         words += f" Smaller than ({lost}) and constant, an input may be lost in the last digit of an integral."
         still = {pickoff.name: max(pickoff.noise_rms, 0.5 * pickoff.quantisation) for pickoff in job.platform.pickoffs}
         for name, size in zip(scheme.inputs, error.unseen, strict=True):
-            # Noise that is larger carries what is lost over the last digit.
+            # Larger noise acts as dither: the integral then follows on average.
             if size > max(still.get(name, 0.0), 1e-4 * ranges[name]):
                 notes.append(
                     f"{scheme.name}: as float, an integral may lose a constant {name} of {size:.2g}; use double"
@@ -200,7 +200,7 @@ def _range(job: Job, name: str) -> float:
     try:
         return input_ranges((name,), job)[name]
     except InputError:
-        # Neither stops nor a limit: figures per unit.
+        # Neither stops nor a limit: errors per unit.
         return 1.0
 
 

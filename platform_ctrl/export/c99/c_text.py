@@ -53,7 +53,7 @@ class Names:
         self._known: dict[str | tuple[str, ...], str] = {}
 
     def __getitem__(self, name: str | tuple[str, ...]) -> str:
-        """Return the identifier of `name`; what is made from one is given in words, and is no other's name."""
+        """Return the identifier of `name`; a tuple of words is a name that differs from all strings."""
         if name not in self._known:
             self._known[name] = self.new(name if isinstance(name, str) else " ".join(name))
         return self._known[name]
@@ -110,7 +110,7 @@ def block(text: str) -> str:
     """Return a comment of several paragraphs, a line of `text` each."""
     lines = ["/*"]
     for paragraph in text.splitlines():
-        # A label's column is kept.
+        # The padding behind a label is kept.
         label, _, rest = paragraph.partition(":")
         plain = comment(paragraph)
         if rest[:2] == "  ":

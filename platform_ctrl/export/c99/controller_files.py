@@ -97,7 +97,7 @@ class Step(ABC):
         ends = ("", "_step", "_reset", "_in", "_out", "_state")
         self.locals = Names(56, (*(f"{p}{end}" for end in ends), *functions.split()))
         self.reads: dict[str, str] = {}  # C expressions of what has been computed
-        self.constants: list[str] = []  # Of the present paragraph
+        self.constants: list[str] = []  # Of the current paragraph
         self.sources = {source for one in sections for row in (*one.signals, *one.states) for source in row.sources}
         self.needed = _needed(sections, self.scheme.outputs)
         self.labels = {
@@ -182,7 +182,7 @@ class Step(ABC):
 
 
 def _needed(sections: Sequence[Any], outputs: Sequence[str]) -> set[str]:
-    """Return the sources of outputs and states: a signal that nothing reads is not computed."""
+    """Return all signals that outputs and states depend on; no others are computed."""
     out = set(outputs) | {source for section in sections for row in section.states for source in row.sources}
     for section in reversed(sections):
         for row in reversed(section.signals):

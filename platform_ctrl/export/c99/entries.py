@@ -21,7 +21,7 @@ from platform_ctrl.verification.json_tables import SCHEMA
 if TYPE_CHECKING:
     import control
 
-# What `design.anti_windup` calls the inputs through which the excess of a torque goes back into the states.
+# Prefix of the inputs of `design.anti_windup` through which the excess of a torque acts on the states.
 _EXCESS = "excess_"
 
 
@@ -39,7 +39,7 @@ class Entry:
     outputs: tuple[str, ...]
     # The method's numbers as finally used, in the units of the job file
     options: dict[str, float] = field(default_factory=dict)
-    excess: FloatArray | None = None  # (n, m): E of the anti-windup that the controller brings along, or None
+    excess: FloatArray | None = None  # (n, m): E of the anti-windup of the controller, or None
 
 
 def entries_of(job: Job, given: Sequence[Mapping[str, Any] | control.StateSpace]) -> tuple[Entry, ...]:

@@ -1,4 +1,4 @@
-"""What single precision does to a controller: its poles, its response, its outputs, and what integrals no longer see.
+"""Errors of a controller in single precision: poles, response, outputs, and inputs that integrals lose.
 
 Every row of a scheme is a sum of a few products, so its rounding is at most (terms + 1) u Σ |coefficient source|, u =
 2^-24, to first order. These errors run through the controller like inputs: the sum of the magnitudes of their impulse
@@ -21,7 +21,7 @@ from platform_ctrl.export.c99.windup import integrating
 
 # Unit roundoff of float.
 _U = 2.0**-24
-# Change of the response or shift of a pole, relative to its distance from z = 1, that is noted, and that is refused.
+# Change of the response or shift of a pole, relative to its distance from z = 1, that causes a note, and an error.
 NOTED, _REFUSED = 1e-3, 1e-2
 # A pole this little outside the unit circle lies on it.
 _ON_CIRCLE = 1e-6
@@ -36,7 +36,7 @@ class FloatError:
     response: float  # Largest relative change of the frequency response by rounded coefficients
     pole: float  # Largest shift of a pole by them, relative to its distance from z = 1
     # (p,): Largest difference of the outputs after steps samples from equal states, in their units, while no limit acts
-    # and the integrals are worth no more than the limits; inf where the controller is unstable by itself
+    # and the integrals contribute no more than the limits; inf where the controller is unstable by itself
     bound: FloatArray
     steps: int  # Number of samples
     unseen: FloatArray  # (m,): Magnitude of a constant input that the integrals may lose, in its unit; zero: none
@@ -51,7 +51,7 @@ def float_scheme(scheme: Scheme) -> Scheme:
             raise UnscalableError(
                 f"{scheme.name}: {what}: {x:.3g} does not fit a float, which ends at {most:.3g}; use double", scheme
             )
-        # What is smaller than any normal number is lost; the response shows whether it matters.
+        # Numbers below the smallest normal one become zero; the response shows whether it matters.
         return float(np.float32(x)) if abs(x) >= least else 0.0
 
     def row(one: Row) -> Row:
@@ -75,7 +75,7 @@ def float_scheme(scheme: Scheme) -> Scheme:
 
 
 def float_error(scheme: Scheme, ranges: Mapping[str, float], steps: int | None = None) -> FloatError:
-    """Return what single precision does to a controller."""
+    """Return the errors of a controller in single precision."""
     K = arrays(scheme)
     rounded = arrays(float_scheme(scheme))
     count = max(1, round(1.0 / scheme.period)) if steps is None else steps
@@ -84,7 +84,7 @@ def float_error(scheme: Scheme, ranges: Mapping[str, float], steps: int | None =
     if not max(response, pole) <= _REFUSED:
         raise UnscalableError(
             f"{scheme.name}: in single precision a pole moves by {pole:.2g} of its distance from z = 1 and the "
-            f"response changes by {response:.2g}, where {_REFUSED:g} is allowed; use double",
+            f"response changes by {response:.2g}, but {_REFUSED:g} is allowed; use double",
             scheme,
         )
     states, lasting = _state_magnitudes(scheme, K, inputs)
@@ -103,15 +103,15 @@ def _moved(K: StateArrays, rounded: StateArrays) -> tuple[float, float]:
     """Return the largest relative changes of the response and of the poles."""
     from scipy.optimize import linear_sum_assignment
 
-    # A resonance changes the most at its own frequency, which a grid misses where it is narrow. Of one without damping
-    # the response there is not compared.
+    # A resonance changes most at its frequency, which a grid misses where it is narrow. The response of an undamped one
+    # is not compared there.
     z = np.concatenate([np.linalg.eigvals(item.A) for item in (K, rounded)])
     own = np.abs(np.angle(z[1.0 - np.abs(z) > _ON_CIRCLE]))
     angles = np.concatenate([np.geomspace(1e-5, np.pi, 300), own])
     frequency = np.unique(angles[angles >= 1e-5]) / K.dt
     one, other = (frequency_response(StateArrays(*item[:4], K.dt), frequency, -3) for item in (K, rounded))
     size = np.linalg.norm(one, axis=(1, 2))
-    # Where nothing passes any more, nothing is compared.
+    # Gains far below the median are not compared.
     size = np.maximum(size, 1e-3 * np.median(size))
     response = np.linalg.norm(other - one, axis=(1, 2)) / np.where(size > 0.0, size, 1.0)
     if not len(K.A):
@@ -119,20 +119,20 @@ def _moved(K: StateArrays, rounded: StateArrays) -> tuple[float, float]:
     before, after = np.linalg.eigvals(K.A), np.linalg.eigvals(rounded.A)
     away = np.abs(before[:, None] - after[None, :])
     rows, columns = linear_sum_assignment(away)
-    # What the eigenvalues of the exact matrix scatter by themselves is no shift.
+    # The rounding of the eigenvalues themselves is no shift.
     distance = np.maximum(np.abs(before - 1.0), 1e-7)
     shift = away[rows, columns] / distance[rows]
     return float(response.max(initial=0.0)), float(shift.max(initial=0.0))
 
 
 def _state_magnitudes(scheme: Scheme, K: StateArrays, inputs: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the largest magnitudes of the states, and the share in them of what integrates."""
+    """Return the largest magnitudes of the states, and the share of the integrals in them."""
     n = len(K.A)
     V, _ = integrating(K)
     limits = np.array(scheme.torque_limits)
     limits = np.where(np.isfinite(limits), limits, np.abs(K.D) @ inputs)
     lasting = np.abs(V) @ (np.abs(np.linalg.pinv(K.C @ V)) @ limits) if V.shape[1] else np.zeros(n)
-    # Left vectors of what integrates, so that the rest is stable.
+    # Projection away from the integrals: the rest is stable.
     P = np.eye(n)
     if V.shape[1]:
         W = _left(K)
@@ -189,14 +189,14 @@ def _grown(K: StateArrays, into: FloatArray, through: FloatArray, steps: int) ->
 
 
 def _unseen(scheme: Scheme, K: StateArrays, lasting: FloatArray) -> FloatArray:
-    """Return which constant inputs are lost in the last digit of states that integrate."""
+    """Return the constant inputs that are lost in the last digit of integrating states."""
     V, _ = integrating(K)
     out = np.zeros(len(scheme.inputs))
     if not V.shape[1]:
         return out
     size = np.abs(V).max(axis=1)
     for k in np.flatnonzero((size > 1e-9 * size.max()) & (np.abs(np.diag(K.A) - 1.0) < 1e-6)):
-        # A filter before the integral passes what is constant.
+        # A filter before the integral passes constants.
         drive = np.abs(_constant_gain(K, int(k)))
         lost = _U * lasting[k] / np.maximum(drive, 1e-300)
         out = np.maximum(out, np.where(drive > 1e-9 * drive.max(initial=0.0), lost, 0.0))
@@ -204,7 +204,7 @@ def _unseen(scheme: Scheme, K: StateArrays, lasting: FloatArray) -> FloatArray:
 
 
 def _constant_gain(K: StateArrays, k: int) -> FloatArray:
-    """Return what a constant input adds to state `k` in a sample when all that forgets has settled."""
+    """Return what a constant input adds to state `k` in a sample when all other states have settled."""
     V, _ = integrating(K)
     W = _left(K)
     along: FloatArray = (V @ np.linalg.solve(W @ V, W @ K.B))[k]
@@ -212,5 +212,5 @@ def _constant_gain(K: StateArrays, k: int) -> FloatArray:
 
 
 def _left(K: StateArrays) -> FloatArray:
-    """Return W with W A = Λ W of what integrates, (k, n)."""
+    """Return W with W A = Λ W of the integrating states, (k, n)."""
     return integrating(StateArrays(K.A.T, K.C.T, K.B.T, K.D.T, K.dt))[0].T

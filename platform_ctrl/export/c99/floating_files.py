@@ -117,7 +117,7 @@ class FloatingFiles(ControllerFiles):
 
     def step(self) -> Step:
         """Return the writer of the step."""
-        return FloatingStep(self)
+        return _FloatingStep(self)
 
     def job_field(self, name: str, output: bool) -> str:
         """Return the field of an input or output in the files of the whole job."""
@@ -126,7 +126,7 @@ class FloatingFiles(ControllerFiles):
         return field(self.number, self.signals[name], self.scheme.input_units[self.scheme.inputs.index(name)])
 
 
-class FloatingStep(Step):
+class _FloatingStep(Step):
     """The statements of a step in floating point."""
 
     indent = " " * 8
@@ -139,13 +139,11 @@ class FloatingStep(Step):
         self.readings = [f"in->{unit.signals[name]}" for name in s.inputs]
 
     def start(self) -> Iterator[Paragraph]:
-        """Read inputs and states from their fields."""
         self.reads |= dict(zip(self.scheme.inputs, self.readings, strict=True))
         self.reads |= {name: f"state->{field}" for name, field in self.states.items()}
         yield from ()
 
     def statement(self, local: str, row: Row, section: str) -> str:
-        """Return the statement that sets a local to the sum of a row."""
         parts = []
         for term in row.terms:
             part = self.reads[term.source]
@@ -159,26 +157,21 @@ class FloatingStep(Step):
         return joined(head, parts or [literal(0.0, self.kind)], "+", ";")
 
     def limit(self, local: str, name: str) -> str:
-        """Return the statement that sets a local to an output within its limit."""
         bound, what = self.locals["limit", name], self.scheme.output_units[self.scheme.outputs.index(name)]
         number = literal(self.limits[name], self.kind)
         self.constants.append(f"{self.indent}static const {self.kind} {bound} = {number}; /* {comment(what)} */")
         return f"{self.indent}const {self.kind} {local} = {self.unit.prefix}_limited({self.reads[name]}, {bound});"
 
     def excess(self, local: str, limited: str, name: str) -> str:
-        """Return the statement that sets a local to limited − commanded."""
         return f"{self.indent}const {self.kind} {local} = {limited} - {self.reads[name]};"
 
     def tests(self, numbers: Sequence[str]) -> list[str]:
-        """Return conditions that numbers are finite."""
         return [f"{self.unit.prefix}_usable({number})" for number in numbers]
 
     @property
     def results(self) -> list[str]:
-        """Locals that must be finite before anything is stored."""
         return [local for _, local in self.next_states] + [command for _, command, _ in self.outputs]
 
     @property
     def bounds(self) -> list[tuple[str, str]]:
-        """Expressions before the limit, and the limits, of the limited outputs."""
         return [(self.reads[name], self.locals["limit", name]) for name in self.limited]

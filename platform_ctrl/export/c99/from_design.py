@@ -27,7 +27,7 @@ from platform_ctrl.plant.platform import Platform
 _SAME_MATRICES = 1e-11
 _SAME_RESPONSE = 1e-8
 _FREQUENCIES = 240
-# States of a controller that is taken apart into modes: the time grows with the fourth power.
+# Largest number of states of a controller that is split into modes: the time grows with the fourth power.
 _MOST = 400
 
 
@@ -97,12 +97,12 @@ def same_response(one: StateArrays, other: StateArrays) -> bool:
     """Return whether two controllers have the same frequency response up to rounding."""
     T = other.dt
     angles = np.abs(np.angle(np.linalg.eigvals(other.A)))
-    # On the circle no grid misses a pole: near each it is finer.
+    # Finer near each pole, so that no resonance is missed.
     near = np.concatenate([angles * (1.0 + 10.0**-k) for k in range(2, 7)]) if len(angles) else angles
     grid = np.concatenate([np.geomspace(1e-6, np.pi, _FREQUENCIES), np.linspace(0.01, np.pi, _FREQUENCIES), near])
     frequency = np.unique(grid[(grid >= 1e-6) & (grid <= np.pi)]) / T
     a, b = (frequency_response(StateArrays(*item[:4], T), frequency, -3) for item in (one, other))
-    # Squares of large or small numbers are no numbers.
+    # Squares of large or small numbers would overflow or vanish.
     largest = np.abs(b).max(initial=0.0)
     if largest > 0.0:
         a, b = a / largest, b / largest

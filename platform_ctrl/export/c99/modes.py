@@ -1,4 +1,4 @@
-"""Any controller as its own modes: states that do not see one another, alone or in pairs.
+"""Any controller in modal form: decoupled states, alone or in pairs.
 
 Poles that lie so close together that they cannot be separated without losing digits stay in one block (Bavely and
 Stewart): a decoupling that is worse conditioned than a bound is not done.
@@ -134,7 +134,7 @@ def _pole(t: FloatArray, k: int) -> complex:
 
 
 def _corner(poles: object, period: float) -> float:
-    """Return how fast a block is, rad/s: its slowest pole."""
+    """Return the slowest pole of a block, rad/s."""
     z = np.atleast_1d(np.asarray(poles, dtype=np.complex128))
     return float(np.abs(np.log(np.where(np.abs(z) < 1e-300, 1e-300, z)) / period).min())
 
@@ -175,15 +175,15 @@ def pid_sections(entry: Entry, channel: Channels, angles: tuple[str, ...]) -> tu
         discrete = A[own, own]
         if abs(np.linalg.det(discrete + np.eye(2))) < 1e-9:
             return None
-        # Tustin's rule backwards.
+        # The inverse of Tustin's rule.
         continuous = 2.0 / T * (discrete - np.eye(2)) @ np.linalg.inv(discrete + np.eye(2))
         if not continuous[1, 0] < 0.0:
             return None
         frequency = float(np.sqrt(-continuous[1, 0]))
         damping = float(-continuous[1, 1] / (2.0 * frequency))
-        # By this rule the states are seen through (A + 1)/2, and the input by half of what drives them.
+        # By this rule the outputs are (A + 1)/2 times the states plus half of B times the input.
         a, b, c, d = discrete, B[own, k], 0.5 * (discrete + np.eye(2)), 0.5 * B[own, k]
-        # What the gains of this direction see of [filter, integral, y]: angle, integral, rate.
+        # Angle, integral and rate as functions of [filter, integral, y].
         seen = np.array(
             [
                 [*c[0], 0.0, d[0]],
@@ -192,7 +192,7 @@ def pid_sections(entry: Entry, channel: Channels, angles: tuple[str, ...]) -> tu
             ]
         )
         shown = np.column_stack([C[:, own], C[:, 2 * n + k], D[:, k]])
-        # Angle, integral and rate each in its own size, and so is their share in the states.
+        # Rows and columns are scaled to their sizes.
         rows = np.linalg.norm(seen, axis=1)
         states = np.maximum(np.abs(seen / rows[:, None]).max(axis=0), 1e-300)
         scaled = seen / rows[:, None] / states

@@ -32,7 +32,7 @@ class Term:
 
     coefficient: float  # In the unit of the target per unit of the source
     source: str  # Name of an input, of an earlier signal, or of a state
-    name: str = ""  # What the coefficient is called where it has a name of its own, for example lead_direct; else empty
+    name: str = ""  # Of the coefficient, for example direct; or empty
 
 
 @value
@@ -50,7 +50,7 @@ class Row:
 
 @value
 class Section:
-    """A part of a controller that means something."""
+    """A part of a controller with a meaning."""
 
     name: str  # For example integral of pair 1, axis 1
     kind: SectionKind  # What it is
@@ -135,7 +135,7 @@ def arrays(scheme: Scheme) -> StateArrays:
             if row.target in known:
                 raise ArgumentError(f"scheme {scheme.name!r}: {row.target!r} exists twice; rename one")
             known[row.target] = total(row)
-        # What a state becomes may depend on signals of its own section, and on those before it.
+        # States may depend on signals of this section and of those before it.
         following += [total(row) for row in section.states]
     missing = [name for name in scheme.outputs if name not in known]
     if missing:

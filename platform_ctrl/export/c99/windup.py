@@ -4,7 +4,7 @@ Back-calculation: with V the states that integrate (A V = V Λ) and C the output
 
     E = V (Λ − (1 − T/Tt) I) (C V)^+,
 
-so that while torques are at their limits these states follow what was left of their share, with the time constant Tt;
+so that while torques are at their limits these states follow the share that remains of them, with the time constant Tt;
 the other poles stay. Tt is the integral time: where the controller's integral action becomes its proportional one.
 """
 
@@ -32,7 +32,7 @@ class Windup:
     """The anti-windup of a scheme (Åström, Hägglund, Advanced PID Control, 2006, section 3.5)."""
 
     gain: FloatArray  # (states, outputs): E in the scheme's states per unit of its outputs; zero: none
-    remark: str  # What it is and what it gives, for the header
+    remark: str  # Description for the header
     notes: tuple[str, ...] = ()  # What a user should know, a line each
 
 
@@ -56,14 +56,14 @@ def back_calculation(scheme: Scheme) -> Windup:
     V, own = integrating(K)
     if not V.shape[1]:
         return Windup(gain=none, remark="Anti-windup: none, for no state integrates.")
-    # Outputs in units of their limits; what is not limited has no excess.
+    # Outputs in units of their limits; outputs without limit have no excess.
     seen = np.where(limited[:, None], K.C @ V, 0.0) / np.where(limited, limits, 1.0)[:, None]
     sizes = np.linalg.norm(seen, axis=0)
     sizes[sizes == 0.0] = 1.0
     share = _integral_share(K)
     inverse = np.linalg.pinv(seen / sizes, rcond=_BLIND) / np.where(limited, limits, 1.0)
     step = own - (1.0 - share) * np.eye(len(own))
-    # In units in which every integral is worth its share of a limit.
+    # Every integral in units of its share of a limit.
     gain = V @ (step / sizes) @ inverse
     gain[np.abs(gain) < 1e-12 * np.abs(gain).max(axis=1, keepdims=True, initial=0.0)] = 0.0
     rank = int(np.linalg.matrix_rank(seen / sizes, tol=_BLIND * np.sqrt(len(own))))
@@ -114,7 +114,7 @@ def proved(job: Job, scheme: Scheme) -> Windup:
 
 
 def _sorted(K: StateArrays) -> tuple[FloatArray, FloatArray, int]:
-    """Return the Schur form of A in balanced states, what integrates first, its vectors, and how many these are."""
+    """Return the Schur form of A in balanced states, integrating states first, its vectors, and their number."""
     from scipy.linalg import schur
 
     A = scaled(K.A, K.B, K.C)[0]
@@ -130,7 +130,7 @@ def _integral_share(K: StateArrays) -> float:
     _, B, C = scaled(K.A, K.B, K.C)
     into, shown, rest = Z.T @ B, C @ Z, K.D
     if k < len(t):
-        # The integrating states split from the others, which then have a gain at z = 1.
+        # The other states, decoupled from the integrating ones, have a gain at z = 1.
         X = solve_sylvester(t[:k, :k], -t[k:, k:], -t[:k, k:])
         into[:k] -= X @ into[k:]
         shown[:, k:] += shown[:, :k] @ X

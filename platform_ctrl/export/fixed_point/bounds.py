@@ -15,7 +15,7 @@ from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import UnscalableError
 from platform_ctrl.export.fixed_point.exact import ExactSystem, noise_of
 
-# Working precision of the balls, and what a power of A has to be smaller than before the rest of a response is bounded.
+# Working precision of the balls; size of a power of A below which the rest of a response is bounded.
 BITS = 256
 _SMALL = 2.0**-30
 # Longest response that is summed: 2 to the power of this many samples.
@@ -29,7 +29,7 @@ _TINY = 1e-290
 
 
 class SlowError(Exception):
-    """The response does not die out within the longest time that is summed."""
+    """The response does not decay within the longest time that is summed."""
 
 
 @value
@@ -87,7 +87,7 @@ def gains(A: Balls, B: Balls, C: Balls, D: Balls) -> Gains:
     start = Enclosed(middle=np.hstack([b.middle, np.eye(n)]), radius=np.hstack([b.radius, np.zeros((n, n))]))
     x, y = _summed(powers, sums, last, c, start)
     samples = 2 ** (len(powers) - 1)
-    # Σ_{k ≥ N} |A^k B| ≤ Σ_k |A^k| |A^N| |B|; of the first N powers the sum is known better by now.
+    # Σ_{k ≥ N} |A^k B| ≤ Σ_k |A^k| |A^N| |B|; the sum of the first N powers is the tighter one from here.
     tail = x[:, m:] @ _geometric(last) @ (last @ start.size) * _UP**2
     x = (x + tail) * _UP
     y = (y + c.size @ tail * _UP) * _UP
@@ -163,19 +163,16 @@ def _summed(
         block = step(powers[doublings], block)
         count(block)
     inflated = 1.0 + 1e-8  # of sums over at most 2^22 samples
-    # A bound of all powers from these sums is closer than `sums`, and so is what it makes of the residuals.
+    # A bound of all powers from these sums is tighter than `sums`, and so is that of the residuals.
     closer = (x * inflated + sums @ residual)[:, columns - n :] @ _geometric(last) * _UP**2
     rest = closer @ residual * _UP**2
     y = (y * inflated + (gamma * c.size + c.radius) @ x * inflated + c.size @ rest) * _UP
     return (x * inflated + rest) * _UP, y
 
 
-# Inflates what was computed from non-negative numbers.
-
-
 @value
 class Responses:
-    """How much of what drives a system from outside, or is added to a row, shows in every signal and state."""
+    """Bounds of signals and states by the free sources and by disturbances of every row."""
 
     system: ExactSystem
     norms: Gains  # From the free sources and the states' disturbances

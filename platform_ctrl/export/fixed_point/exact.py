@@ -78,7 +78,7 @@ class Rows(NamedTuple):
 
 
 def multiplied_out(rows: Rows, free: Sequence[str], states: Sequence[str]) -> ExactSystem:
-    """Return the rows with every signal replaced by what it is made of; states not in `states` are left out."""
+    """Return the rows with every signal replaced by its sum; states not in `states` are left out."""
     one = flint.fmpq(1)
     known: dict[str, Sum] = {name: {name: one} for name in (*free, *states)}
     for name, row in rows.signals.items():
@@ -88,7 +88,7 @@ def multiplied_out(rows: Rows, free: Sequence[str], states: Sequence[str]) -> Ex
         name: added((coefficient, known[source]) for source, coefficient in rows.states[name].items())
         for name in states
     }
-    # A signal's own disturbance is part of it; what others make of it is in their sums.
+    # A signal's own disturbance is part of it; its effects on others are in their sums.
     return ExactSystem(
         states=tuple(states),
         signals=tuple(rows.signals),
@@ -141,7 +141,7 @@ def largest_root(polynomial: Any) -> float:
     """Return the largest magnitude of the roots."""
     if polynomial.degree() == 1:
         return abs(float(flint.arb(-polynomial[0] / polynomial[1])))
-    # Roots that fall together are found one for all.
+    # Multiple roots are found once.
     numerator = polynomial.numer()
     squarefree = numerator / numerator.gcd(numerator.derivative())
     if isinstance(squarefree, flint.fmpq_poly):
@@ -245,7 +245,7 @@ def _row(
 
 
 def integral_row(target: str, row: Sum, limit: int, largest: Mapping[str, int], mantissa: int) -> IntegerRow:
-    """Return an integral's row, in counts per count: nothing of what it gains is cut off."""
+    """Return an integral's row, in counts per count: no increment is rounded away."""
     for shift in range(_first_shift(row, mantissa), -1, -1):
         products = {name: _rounded(x * power_of_two(shift), mantissa) for name, x in row.items()}
         gained = sum(abs(k) * largest[name] for name, k in products.items())

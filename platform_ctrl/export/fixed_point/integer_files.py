@@ -104,7 +104,7 @@ class IntegerFiles(ControllerFiles):
 
     def step(self) -> Step:
         """Return the writer of the step."""
-        return IntegerStep(self)
+        return _IntegerStep(self)
 
     def job_field(self, name: str, output: bool) -> str:
         """Return the field of an input or output in the files of the whole job."""
@@ -127,7 +127,7 @@ class IntegerFiles(ControllerFiles):
         return f"({kind})within({expression}, {literal(most, 64)})"
 
 
-class IntegerStep(Step):
+class _IntegerStep(Step):
     """The statements of a step in integers."""
 
     indent = " " * 4
@@ -139,7 +139,6 @@ class IntegerStep(Step):
 
     @property
     def shift_widths(self) -> list[int]:
-        """Bits of the sums that are shifted."""
         rows = [row for one in self.sections for row in one.signals if row.target in self.needed]
         rows += [row for one in self.sections for row in one.states]
         widths = {row.accumulator for row in rows if row.shift and row.target not in self.shifts}
@@ -147,7 +146,6 @@ class IntegerStep(Step):
         return sorted(widths | integrals)
 
     def start(self) -> Iterator[Paragraph]:
-        """Limit the inputs to their ranges, and read the integrals as counts."""
         lines = []
         for name in self.scheme.inputs:
             local = self.reads[name] = self.locals[name]
@@ -172,7 +170,6 @@ class IntegerStep(Step):
         return f"{self.indent}const {kind} {local} = ({kind})within({expression}, {largest});"
 
     def statement(self, local: str, row: IntegerRow, section: str) -> str:
-        """Return the statement that sets a local to the sum of a row, rounded."""
         bits, shift = row.accumulator, row.shift
         kind = self.fixed.wide(row.target) if row.target in self.limited else integer(self.formats[row.target].bits)
         parts = [self._product(product, row, section) for product in row.products] or [literal(0, bits)]
@@ -186,7 +183,6 @@ class IntegerStep(Step):
         return joined(f"{self.indent}const {kind} {local} = ({kind}){head}", parts, "+", f"{tail};")
 
     def next_state(self, local: str, row: IntegerRow, section: str) -> str:
-        """Return the statement that sets a local to the next value of a state; an integral keeps all digits."""
         if row.target not in self.shifts:
             return self.statement(local, row, section)
         parts = [f"state->{self.states[row.target]}", *(self._product(one, row, section) for one in row.products)]
@@ -194,11 +190,9 @@ class IntegerStep(Step):
         return joined(f"{self.indent}const int64_t {local} = within(", parts, "+", f", {end});")
 
     def limit(self, local: str, name: str) -> str:
-        """Return the statement that sets a local to an output within its limit."""
         return self._within(local, name, self.reads[name])
 
     def excess(self, local: str, limited: str, name: str) -> str:
-        """Return the statement that sets a local to limited − commanded."""
         over = f"(int64_t){limited} - {self.reads[name]}"
         if name in self.fixed.excess_limits:
             over = f"within({over}, {literal(self.fixed.excess_limits[name], 64)})"
@@ -216,7 +210,6 @@ class IntegerStep(Step):
 
     @property
     def flags(self) -> list[tuple[str, list[str]]]:
-        """Bits of the status, and the conditions that set them."""
         ends = []
         for name, shift in self.shifts.items():
             local, largest = self.locals["next", name], literal(self.formats[name].largest << shift, 64)

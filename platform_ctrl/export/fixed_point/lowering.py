@@ -1,4 +1,4 @@
-"""A scheme lowered to integers, and what is proved of the result.
+"""A scheme lowered to integers, with proofs of the result.
 
 Formats come from bounds, bounds from the l1 norms of impulse responses. The norms that prove are those of the rounded
 controller, with every rounding of a signal or state as an input of half a count; integrals, which have no finite norm,
@@ -74,7 +74,7 @@ class Task(NamedTuple):
 
     @property
     def free(self) -> tuple[str, ...]:
-        """What drives signals and stable states from outside."""
+        """Sources of signals and stable states."""
         excesses = (excess_of(name) for name in self.parts.limited)
         return (*self.scheme.inputs, *self.parts.integrals, *excesses)
 
@@ -134,7 +134,7 @@ def formats_for(task: Task, bounds: Mapping[str, float], given: Mapping[str, int
 
 
 def scaled(formats: Mapping[str, Format], target: str, row: Sum) -> Sum:
-    """Return a row in counts of its target per count of its sources; what is never limited has no excess."""
+    """Return a row in counts of its target per count of its sources; outputs without limit have no excess."""
     fraction = formats[target].fraction
     out = {}
     for name, coefficient in row.items():
@@ -144,7 +144,7 @@ def scaled(formats: Mapping[str, Format], target: str, row: Sum) -> Sum:
     return out
 
 
-# How often formats whose bound does not fit after rounding give up a digit.
+# How often formats whose bound does not fit after rounding lose a digit.
 _ROUNDS = 6
 # Share of a torque's limit that the bound of the error may take.
 ACCURACY = 0.02
@@ -152,7 +152,7 @@ _UP = 1.0 + 1e-10
 
 
 class _Rounded(NamedTuple):
-    """Rows in integers, and what they are in rational numbers, counts per count."""
+    """Rows in integers, and the same in rational numbers, counts per count."""
 
     rows: dict[str, IntegerRow]
     exact: Rows
@@ -192,7 +192,7 @@ def fixed_point(
     for name in scheme.inputs:
         known_name("ranges", name, tuple(ranges))
         known[name] = positive(f"ranges[{name!r}]", ranges[name])
-    # What grows beyond doubles is refused as a bound.
+    # Overflow of doubles is an error of the bounds.
     with flint.ctx.workprec(BITS), np.errstate(all="ignore"):
         parts = split_scheme(scheme)
         every = (*scheme.inputs, *parts.rows.signals, *parts.rows.states, *parts.integrals)
@@ -205,7 +205,7 @@ def _lowered(task: Task, accuracy: float, given: Mapping[str, int]) -> FixedPoin
     parts, rows = task.parts, task.parts.rows
     real = _responses(task, rows)
     bounds = real.bounds(task.sizes, {})
-    # The excess that enters stable states is saturated where it is largest while it does not act.
+    # The excess that enters stable states is limited to its largest value without anti-windup.
     cut = {name: max(bounds[name] - task.torque_limits[name], 0.0) for name in parts.limited}
     bounds = real.bounds(task.sizes | {excess_of(name): size for name, size in cut.items()}, {})
     formats = formats_for(task, bounds, given)
@@ -265,12 +265,12 @@ def _proved(task: Task, accuracy: float, real: Responses, lowered: _Lowered) -> 
     integer_rows = {name: _with_largest(row, largest) for name, row in rounded.rows.items()}
     exact = {**parts.rows.signals, **parts.rows.states}
     made = {**rounded.exact.signals, **rounded.exact.states}
-    given_up = {
+    lost = {
         name: (0.5 if row.shift else 0.0) + _lost(scaled(formats, name, exact[name]), made[name], largest)
         for name, row in integer_rows.items()
     }
     integer_rows |= _integral_rows(task, formats, largest)
-    noise = {name: count * formats[name].bit for name, count in given_up.items()}
+    noise = {name: count * formats[name].bit for name, count in lost.items()}
     read = {name: 0.5 * formats[name].bit for name in parts.integrals}
     errors = real.bounds(read, noise)
     conversion = real.bounds({name: 0.5 * formats[name].bit for name in scheme.inputs}, {})
@@ -310,7 +310,7 @@ def _proved(task: Task, accuracy: float, real: Responses, lowered: _Lowered) -> 
 
 
 def _integral_rows(task: Task, formats: Mapping[str, Format], largest: Mapping[str, int]) -> dict[str, IntegerRow]:
-    """Return the rows of the integrals, which gain something and never overflow."""
+    """Return the rows of the integrals, which never overflow."""
     out = {}
     for name, increment in task.parts.integrals.items():
         counted = scaled(formats, name, increment)
@@ -353,7 +353,7 @@ def _rounded(task: Task, formats: Mapping[str, Format], excesses: Mapping[str, i
     """Return all rows but those of integrals, for any counts that the formats can hold."""
     mantissa = WIDTHS[task.number][2]
     largest = {name: form.largest for name, form in formats.items()}
-    # Before its limit a count of an output that others take in may be as large as the word.
+    # Before its limit the count of an output that others read may be as large as the word.
     largest |= {name: 2 ** (formats[name].bits - 1) - 1 for name in task.parts.outputs_read}
     largest |= {excess_of(name): size for name, size in excesses.items()}
     rows: dict[str, IntegerRow] = {}
@@ -378,7 +378,7 @@ def _rounded(task: Task, formats: Mapping[str, Format], excesses: Mapping[str, i
 
 
 def _exactly(row: IntegerRow) -> Sum:
-    """Return what a row is without its rounding, counts per count."""
+    """Return a row without its rounding, counts per count."""
     out = {product.source: product.coefficient / power_of_two(row.shift) for product in row.products}
     if row.keeps:
         out[row.target] = out.get(row.target, flint.fmpq(0)) + 1
@@ -442,7 +442,7 @@ def _drift(
     largest: Mapping[str, int],
     errors: Mapping[str, float],
 ) -> float:
-    """Return how fast an integral may part from the real one, per second, while nothing is at a limit."""
+    """Return the largest drift of an integral from the real one, per second, while nothing is at a limit."""
     made = {product.source: product.coefficient / power_of_two(row.shift) for product in row.products}
     inner = {source: k for source, k in wanted.items() if source in formats}
     wrong = _lost(inner, {source: k for source, k in made.items() if source in formats}, largest)

@@ -1,4 +1,4 @@
-"""A controller in integers: formats, rows, what is proved of them, and its model in Python's integers."""
+"""A controller in integers: formats, rows, proofs, and its model in Python's integers."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Format:
     bits: int  # Of the integer that holds a count, with its sign: 16, 32 or 64
     fraction: int  # Binary digits behind the point; it may be negative, or larger than bits
     largest: int  # Largest magnitude of a count: proved, or enforced by saturation where saturates
-    saturates: bool = False  # Whether a count beyond largest is cut off: inputs, outputs with a limit, integrals
+    saturates: bool = False  # Whether a count beyond largest is saturated: inputs, outputs with a limit, integrals
 
     @property
     def bit(self) -> float:
@@ -62,11 +62,11 @@ class IntegerRow:
 
     target: str
     products: tuple[Product, ...]
-    shift: int  # Binary digits that are cut off, rounding half up
+    shift: int  # Binary digits that are rounded away, half up
     # Whether the state's present count is added behind the shift (delta form): slow poles keep all their digits
     keeps: bool
     accumulator: int  # Bits of the sum: 32 or 64
-    # What no partial sum exceeds in magnitude: Σ |coefficient| largest |count|, with the rounding; of an integral with
+    # Bound of all partial sums: Σ |coefficient| largest |count|, with the rounding; of an integral with
     # its register
     largest: int
 
@@ -101,12 +101,12 @@ class FixedPoint:
     # Where excess is saturated before it enters a state, counts by output; none for an output whose excess enters
     # integrals alone
     excess_limits: dict[str, int]
-    # By output, in its unit: how far it is at most from the controller in real arithmetic that is fed with the same
-    # counts and whose integrals hold the same values, for all inputs in range
+    # By output, in its unit: largest difference to the controller in real arithmetic with the same counts as inputs and
+    # the same integrals, for all inputs in range
     error: dict[str, float]
-    conversion: dict[str, float]  # By output, in its unit: what rounding the inputs to counts may add
-    # By integral, per second in its own unit: how fast it may part from that of the controller in real arithmetic, for
-    # all inputs in range
+    conversion: dict[str, float]  # By output, in its unit: largest effect of rounding the inputs to counts
+    # By integral, per second in its unit: largest drift from that of the controller in real arithmetic, for all inputs
+    # in range
     drift: dict[str, float]
     # Largest magnitude of the poles in z of every asymptotically stable part, as rounded, by the name of its section;
     # dimensionless
