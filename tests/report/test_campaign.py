@@ -24,57 +24,34 @@ from platform_ctrl.report.page import campaign_tables as tables
 from platform_ctrl.report.page.blocks import html as as_html
 from platform_ctrl.report.page.campaign_page import Scale, campaign_document, write_campaign_page
 from platform_ctrl.report.plots import campaign as campaign_figures
+from report_jobs import caging, job, turn
 
-TURN = {"mode": "caged", "rate": 1.0, "rise": 0.5, "hold": 1.0, "duration": 2.5}
-JOB = {
-    "schema": 2,
-    "name": "tolerances & <faults>",
-    "plant": "three_gyro_platform",
-    "operation": {"Omega": [1.0, 1.0, 1.0], "seed": 1976},
-    "sampling": {"rate_hz": 2000, "delay": 0.0005},
-    "loop": [
-        {
-            "name": "9-10",
-            "kind": "caging",
-            "gimbals": ["9", "10"],
-            "use": "classical",
-            "design": [{"name": "classical", "method": "classical", "crossover_hz": 30}],
-        }
+TURN = {"rise": 0.5, "hold": 1.0, "duration": 2.5}
+PUSH = {"name": "push", "mode": "stabilised", "axis": 1, "torque": 0.1, "duration": 1.5, "limits": {"attitude": 0.01}}
+MOMENTUM = {"parameter": "rotor.11.angular_momentum", "distribution": "normal", "mean": 1.0, "deviation": 0.05}
+DELAY = {"parameter": "sampling.delay", "distribution": "uniform", "low": 0.0004, "high": 0.0006}
+JOB = job(
+    name="tolerances & <faults>",
+    operation={"Omega": [1.0, 1.0, 1.0], "seed": 1976},
+    uncertainty={},
+    loop=[caging({"name": "classical", "method": "classical", "crossover_hz": 30}, name="9-10")],
+    manoeuvre=[
+        turn(name="turn about 1", **TURN, limits={"angle": 0.003, "torque_share": 1.0}),
+        turn(name="turn about 2", axis=2, **TURN, limits={"angle": 0.003}),
+        PUSH,
     ],
-    "manoeuvre": [
-        {"name": "turn about 1", "axis": 1, **TURN, "limits": {"angle": 0.003, "torque_share": 1.0}},
-        {"name": "turn about 2", "axis": 2, **TURN, "limits": {"angle": 0.003}},
-        {
-            "name": "push",
-            "mode": "stabilised",
-            "axis": 1,
-            "torque": 0.1,
-            "duration": 1.5,
-            "limits": {"attitude": 0.01},
-        },
-    ],
-    "fault": [{"name": "weak Q9", "kind": "torquer weak", "part": "Q9", "at": 0.2, "share": 0.5}],
-    "campaign": {
+    fault=[{"name": "weak Q9", "kind": "torquer weak", "part": "Q9", "at": 0.2, "share": 0.5}],
+    campaign={
         "runs": 1500,
         "seed": 3,
-        "vary": [
-            {
-                "parameter": "rotor.11.angular_momentum",
-                "distribution": "normal",
-                "mean": 1.0,
-                "deviation": 0.05,
-                "relative": True,
-            },
-            {"parameter": "sampling.delay", "distribution": "uniform", "low": 0.0004, "high": 0.0006},
-        ],
+        "vary": [{**MOMENTUM, "relative": True}, DELAY],
         "fault": [{"fault": "weak Q9", "probability": 0.1}],
     },
-}
+)
 
 
 def planned(**changes):
-    job = pc.read_job(JOB | changes)
-    return plan(job, ())
+    return plan(pc.read_job(JOB | changes), ())
 
 
 def by_formula(made, scale=1.0, odd=True):

@@ -17,7 +17,6 @@ import pytest
 
 import platform_ctrl as pc
 from platform_ctrl import report
-from platform_ctrl.design import loops
 from platform_ctrl.errors import InputError, PlatformCtrlError
 from platform_ctrl.job.writing import job_data
 from platform_ctrl.report import pdf, style
@@ -26,49 +25,20 @@ from platform_ctrl.report.page import blocks, job_page, tables
 from platform_ctrl.report.page.job_page import page_html
 from platform_ctrl.report.page.tables import versions
 from platform_ctrl.report.pdf import pdf_bytes
-from platform_ctrl.verification import JobResult, check_job
+from platform_ctrl.verification import JobResult
+from report_jobs import caging, checked, classical, job, turn
 
 NAME = "a #b $c$ *d* _e_ @f \\g <h> \"i\" 'j' `k` // l /*m*/ ~ -- [n] {o} %p & r é Ω \u201cs\u201d"
-JOB: dict[str, Any] = {
-    "schema": 2,
-    "name": NAME,
-    "plant": "three_gyro_platform",
-    "operation": {"Omega": [0.0, 0.0, 0.5], "seed": 7},
-    "uncertainty": {"inertia": 0.1},
-    "sampling": {"rate_hz": 2000, "delay": 0.0005},
-    "loop": [
-        {
-            "name": f"9-10 {NAME}",
-            "kind": "caging",
-            "gimbals": ["9", "10"],
-            "use": NAME,
-            "limits": {"bandwidth_hz": 20, "disk_margin": 0.9, "torque_noise": 0.008},
-            "soft": {"bandwidth_hz": 18},
-            "design": [
-                {"name": NAME, "method": "classical", "crossover_hz": 40, "integral_hz": 2},
-                {"name": "other", "method": "classical", "crossover_hz": 30, "integral_hz": 2},
-            ],
-        }
-    ],
-    "manoeuvre": [
-        {
-            "name": f"turn {NAME}",
-            "mode": "caged",
-            "axis": 1,
-            "rate": 1.0,
-            "rise": 0.05,
-            "hold": 0.05,
-            "duration": 0.2,
-            "limits": {"angle": 0.01, "torque_share": 1.0},
-        }
-    ],
-}
 
 
 @pytest.fixture(scope="module")
 def result() -> JobResult:
-    job = pc.read_job(JOB)
-    return check_job(job, loops(job))
+    limits = {"bandwidth_hz": 20, "disk_margin": 0.9, "torque_noise": 0.008}
+    loop = caging(
+        classical("other", 30), classical(NAME), name=f"9-10 {NAME}", limits=limits, soft={"bandwidth_hz": 18}
+    )
+    run = turn(name=f"turn {NAME}", limits={"angle": 0.01, "torque_share": 1.0})
+    return checked(job(name=NAME, loop=[loop], manoeuvre=[run]))
 
 
 @pytest.fixture(scope="module")

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import platform_ctrl as pc
+import report_jobs
 from platform_ctrl.analysis.pole_branches import pole_branches
 from platform_ctrl.analysis.poles import continuous_poles, is_stable, spectral_radius
 from platform_ctrl.errors import ArgumentError
@@ -34,18 +35,8 @@ OSCILLATOR = ss([[0.0, 1.0], [-4.0, 0.0]], [[0.0], [1.0]], [[1.0, 0.0]])
 
 @pytest.fixture(scope="module")
 def job():
-    loop = {"name": "9-10", "kind": "caging", "gimbals": ["9", "10"], "use": "classical"}
     design = {"name": "classical", "method": "classical", **NUMBERS}
-    return pc.read_job(
-        {
-            "schema": 2,
-            "name": "gyro 9-10",
-            "plant": "three_gyro_platform",
-            "operation": {"Omega": [0.0, 0.0, 0.0]},
-            "sampling": {"rate_hz": 1.0 / PERIOD, "delay": DELAY},
-            "loop": [loop | {"design": [design]}],
-        }
-    )
+    return pc.read_job(report_jobs.job(operation={"Omega": [0.0, 0.0, 0.0]}, loop=[report_jobs.caging(design)]))
 
 
 @pytest.fixture(scope="module")

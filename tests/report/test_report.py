@@ -58,73 +58,40 @@ from platform_ctrl.report.page.campaign_tables import chances
 from platform_ctrl.report.page.job_page import page_html
 from platform_ctrl.report.quantities import claimed, compared, percent, plain, quantity
 from platform_ctrl.verification import JobResult, check_job
+from report_jobs import caging, checked, classical, job, turn
 
 pytestmark = pytest.mark.usefixtures("untraced")
 
-CAGING: dict[str, Any] = {
-    "name": "caging 9-10",
-    "kind": "caging",
-    "gimbals": ["9", "10"],
-    "use": "classical",
-    "limits": {"bandwidth_hz": 20, "disk_margin": 0.9, "damping": 0.05, "torque_noise": 0.008},
-    "design": [
-        {"name": "slow & <plain>", "method": "classical", "crossover_hz": 30, "integral_hz": 2},
-        {"name": "classical", "method": "classical", "crossover_hz": 40, "integral_hz": 2},
-    ],
-}
-CAGED = {
-    "name": "caged turn",
-    "mode": "caged",
-    "axis": 1,
-    "rate": 1.0,
-    "rise": 0.05,
-    "hold": 0.05,
-    "duration": 0.2,
-    "limits": {"angle": 0.003, "torque_share": 1.0},
-}
-JOB: dict[str, Any] = {
-    "schema": 2,
-    "name": "three gyros, a <b>bold</b> $name$",
-    "plant": "three_gyro_platform",
-    "operation": {"Omega": [0.0, 0.0, 0.5], "seed": 7},
-    "uncertainty": {"inertia": 0.1},
-    "sampling": {"rate_hz": 2000, "delay": 0.0005},
-    "loop": [
-        {
-            "name": "caging 4-5-7",
-            "kind": "caging",
-            "gimbals": ["4", "5", "7"],
-            "use": "classical",
-            "limits": {"bandwidth_hz": 20, "disk_margin": 0.4},
-            "design": [{"name": "classical", "method": "classical", "crossover_hz": 30, "integral_hz": 2}],
-        },
+CAGING = caging(
+    classical("slow & <plain>", 30),
+    classical(),
+    limits={"bandwidth_hz": 20, "disk_margin": 0.9, "damping": 0.05, "torque_noise": 0.008},
+)
+SERVO = {"name": "servo", "method": "platform-servo", "crossover_hz": 5, "position_hz": 2}
+PUSH = {"name": "step", "mode": "stabilised", "axis": 1, "torque": 0.1, "duration": 0.8}
+JOB = job(
+    name="three gyros, a <b>bold</b> $name$",
+    loop=[
+        caging(
+            classical(crossover_hz=30),
+            name="caging 4-5-7",
+            gimbals=["4", "5", "7"],
+            limits={"bandwidth_hz": 20, "disk_margin": 0.4},
+        ),
         CAGING,
-        {
-            "name": "stabilisation",
-            "kind": "stabilisation",
-            "use": "servo",
-            "design": [{"name": "servo", "method": "platform-servo", "crossover_hz": 5, "position_hz": 2}],
-        },
+        {"name": "stabilisation", "kind": "stabilisation", "use": "servo", "design": [SERVO]},
     ],
-    "coupled": {"disk_margin": 0.2, "coupling_cost": 0.05},
-    "manoeuvre": [
-        CAGED,
-        {
-            "name": "step",
-            "mode": "stabilised",
-            "axis": 1,
-            "torque": 0.1,
-            "duration": 0.8,
-            "limits": {"attitude": 0.02, "angle": 0.0005},
-        },
+    coupled={"disk_margin": 0.2, "coupling_cost": 0.05},
+    manoeuvre=[
+        turn(name="caged turn", limits={"angle": 0.003, "torque_share": 1.0}),
+        {**PUSH, "limits": {"attitude": 0.02, "angle": 0.0005}},
     ],
-}
+)
 
 
 @pytest.fixture(scope="module")
 def result() -> JobResult:
-    job = pc.read_job(JOB)
-    return check_job(job, loops(job))
+    return checked(JOB)
 
 
 @pytest.fixture(scope="module")
@@ -135,8 +102,7 @@ def page(result: JobResult) -> str:
 @pytest.fixture(scope="module")
 def lone_loop() -> JobResult:
     """One loop, no servo, no manoeuvre, no uncertainty: the platform is carried, and the other gyros are left out."""
-    job = pc.read_job({**JOB, "name": "one loop", "loop": [CAGING], "manoeuvre": [], "uncertainty": {}, "coupled": {}})
-    return check_job(job, loops(job))
+    return checked(job(name="one loop", loop=[CAGING], uncertainty={}))
 
 
 @pytest.fixture(scope="module")
@@ -155,15 +121,14 @@ def compared_designs() -> JobResult:
         "limits": limits,
         "soft": {"bandwidth_hz": 25, "disk_margin": 3.0},
         "design": [
-            {"name": "simple", "method": "classical", "crossover_hz": 40, "integral_hz": 2},
+            classical("simple"),
             {"name": "H-infinity", "method": "hinf", "bandwidth_hz": 50},
-            {"name": "quiet", "method": "classical", "crossover_hz": 35, "integral_hz": 2, "lead_hz": 6},
-            {"name": "slow", "method": "classical", "crossover_hz": 30, "integral_hz": 2},
+            classical("quiet", 35, lead_hz=6),
+            classical("slow", 30),
         ],
     }
-    more = {"loop": [loop], "manoeuvre": [], "coupled": {}, "faults": {"weak_torquer": 0.8}}
-    job = pc.read_job({**JOB, **more})
-    [outcome] = loops(job)
+    data = pc.read_job(job(loop=[loop], faults={"weak_torquer": 0.8}))
+    [outcome] = loops(data)
     claims = {
         "gamma": 1.3,
         "gamma_optimal": 1.25,
@@ -171,7 +136,7 @@ def compared_designs() -> JobResult:
         "largest Omega1 without saturation, rad/s": 1.31,
     }
     closed = dataclasses.replace(outcome.designs[0], claims=claims)
-    return check_job(job, [dataclasses.replace(outcome, designs=(closed, *outcome.designs[1:]))])
+    return check_job(data, [dataclasses.replace(outcome, designs=(closed, *outcome.designs[1:]))])
 
 
 @pytest.fixture(scope="module")
@@ -804,8 +769,7 @@ def test_a_new_metric_has_its_rows_its_plot_and_its_caption_in_the_report(monkey
     )
     monkeypatch.setitem(METRICS, "noise gain", noise)
     loop = {**CAGING, "limits": {"noise_gain": 2000.0}, "soft": {"noise_gain": 500.0}, "design": CAGING["design"][1:]}
-    job = pc.read_job({**JOB, "loop": [loop], "manoeuvre": [], "coupled": {}})
-    result = check_job(job, loops(job))
+    result = checked(job(loop=[loop]))
     page = page_html(result)
     [row] = [row for row in tables.requirement_rows(result) if row.requirement == noise.name]
     assert row.limit == "≤ 2000 N m/rad"
@@ -866,17 +830,15 @@ def test_the_share_of_torque_peaks_at_the_value_of_the_requirement(responses: Lo
 
 
 def test_captions_have_peaks_that_every_grid_misses() -> None:
-    job = pc.read_job(
-        {**JOB, "loop": [CAGING], "manoeuvre": [], "coupled": {}, "sampling": {"rate_hz": 2000, "delay": 0.0}}
-    )
-    [outcome] = loops(job)
+    data = pc.read_job(job(loop=[CAGING], sampling={"rate_hz": 2000, "delay": 0.0}))
+    [outcome] = loops(data)
     plants = outcome.closed.plants
     assert plants is not None
     # A narrow notch in the way of the nutation; the worst of several axes is more than that of any one.
     K = narrow_loops.controller(np.array([28.549, 285.48, 26.282, 305.64, 235.28, 75.46, 0.20796, 0.0061867]))
     narrow = remeasured(outcome.spec, outcome.closed.name, named_system(K, plants.angles, plants.torques), plants)
     outcome = dataclasses.replace(outcome, designs=(narrow,))
-    responses = loop_responses(linearise(job.platform), outcome)
+    responses = loop_responses(linearise(data.platform), outcome)
     assert responses is not None
     [one] = responses.designs
     true = requirement("Omega rejection", 1.0).check(plants, K).value

@@ -10,61 +10,36 @@ from typing import Any
 import numpy as np
 import pytest
 
-import platform_ctrl as pc
 from platform_ctrl.campaign.planning import Plan, plan
 from platform_ctrl.campaign.summary import Summary, summarise
-from platform_ctrl.design import loops
 from platform_ctrl.report.page import blocks, campaign_tables, job_page
 from platform_ctrl.report.page.blocks import html as as_html
 from platform_ctrl.report.page.campaign_page import as_section, campaign_document, differences
 from platform_ctrl.report.page.captions import opening, tightest
 from platform_ctrl.report.page.job_page import page_html
 from platform_ctrl.report.quantities import disk_words
-from platform_ctrl.verification import JobResult, check_job
+from platform_ctrl.verification import JobResult
+from report_jobs import caging, checked, classical, job, turn
 
 pytestmark = pytest.mark.usefixtures("untraced")
 
-JOB: dict[str, Any] = {
-    "schema": 2,
-    "name": "one gyro & <two> gimbals",
-    "plant": "three_gyro_platform",
-    "operation": {"Omega": [0.0, 0.0, 0.5], "seed": 7},
-    "uncertainty": {"inertia": 0.1},
-    "sampling": {"rate_hz": 2000, "delay": 0.0005},
-    "loop": [
-        {
-            "name": "caging 9-10",
-            "kind": "caging",
-            "gimbals": ["9", "10"],
-            "use": "plain",
-            "limits": {"bandwidth_hz": 15, "disk_margin": 0.3, "torque_noise": 0.009},
-            "design": [{"name": "plain", "method": "classical", "crossover_hz": 40, "integral_hz": 2}],
-        }
+LIMITS = {"bandwidth_hz": 15, "disk_margin": 0.3, "torque_noise": 0.009}
+JOB = job(
+    name="one gyro & <two> gimbals",
+    loop=[caging(classical("plain"), limits=LIMITS)],
+    manoeuvre=[
+        turn(name=f"{rate} rad/s", rate=rate, limits={"angle": 0.01, "torque_share": 2.0}) for rate in (0.5, 1.0)
     ],
-    "manoeuvre": [
-        {
-            "name": f"{rate} rad/s",
-            "mode": "caged",
-            "axis": 1,
-            "rate": rate,
-            "rise": 0.05,
-            "hold": 0.05,
-            "duration": 0.2,
-            "limits": {"angle": 0.01, "torque_share": 2.0},
-        }
-        for rate in (0.5, 1.0)
-    ],
-    "campaign": {
+    campaign={
         "runs": 400,
         "seed": 3,
         "vary": [{"parameter": "sampling.delay", "distribution": "uniform", "low": 0.0004, "high": 0.0006}],
     },
-}
+)
 
 
 def checked_job(**changes: Any) -> JobResult:
-    job = pc.read_job({key: item for key, item in (JOB | changes).items() if item is not None})
-    return check_job(job, loops(job))
+    return checked({key: item for key, item in (JOB | changes).items() if item is not None})
 
 
 @pytest.fixture(scope="module")
