@@ -43,6 +43,7 @@ from platform_ctrl.report.page.blocks import (
     sentence,
     table,
 )
+from platform_ctrl.report.page.captions import sentences
 from platform_ctrl.report.page.tables import record_part, versions
 from platform_ctrl.report.plots.campaign import exceedance_figure, histogram_figure
 from platform_ctrl.report.quantities import MINUS, listed, plain, power_of_ten
@@ -53,7 +54,6 @@ RERUN_COMMAND = "platform-ctrl simulate job.toml --run"
 _SCALE, _INFLUENCE, _SHIFT = 150.0, 130.0, 180.0
 # Violations that are shown.
 _MOST_PROBABLE = 5
-_SAMPLING = {"sobol": "Sobol points", "latin-hypercube": "a Latin hypercube", "random": "independent numbers"}
 
 
 def write_campaign_page(
@@ -132,12 +132,8 @@ def _moved(shifts: list[tuple[str, float]]) -> Part:
         words = f"{shift:+.1f}".replace("-", MINUS)
         strip = Cell(text="", strip=Strip(length=_SHIFT, marks=marks))
         rows.append(Row(cells=(*cells(name, f"{words} σ"), strip)))
-    words = (
-        "Mean of the inputs of violating runs, in standard deviations from their centres; of a fault, positive "
-        "towards its occurrence."
-    )
     shown = Table(columns=columns("input|moved by|", "moved by"), groups=(Group(rows=tuple(rows)),), form="narrow")
-    return Part(title="How inputs combine", blocks=(Paragraph(text=words), shown))
+    return Part(title="How inputs combine", blocks=(Paragraph(text=sentences("campaign_moved")), shown))
 
 
 def _points(plan: Plan, rare: RareResult) -> Table | None:
@@ -199,7 +195,11 @@ def campaign_sections(summary: Summary, again: str) -> list[Section]:
         words=sentence(tables.verdict(summary)),
         lines=tuple(sentence(line) for line in tables.verdict_lines(summary)),
     )
-    first = (banner, probability_table(summary), Paragraph(text=_bounds_words(summary), tone="quiet"))
+    first = (
+        banner,
+        probability_table(summary),
+        Paragraph(text=sentences("campaign_bounds", plan=summary.plan), tone="quiet"),
+    )
     sections = [Section(name="probabilities", title="", blocks=first)]
     if summary.rare:
         parts = tuple(rare_part(summary.plan, one) for one in summary.rare)
@@ -219,10 +219,7 @@ def campaign_sections(summary: Summary, again: str) -> list[Section]:
 def drawn_part(summary: Summary) -> Part:
     """Return the inputs that vary from run to run."""
     plan = summary.plan
-    words = (
-        f"{tables.count_words(plan.runs)} from seed {plan.seed}, {_SAMPLING[plan.sampling]}; integration step at most "
-        f"{plan.step:g} s. A run depends only on the seed and its number."
-    )
+    words = sentences("campaign_drawn", plan=plan)
     inputs = table("input|drawn from", tables.input_rows(summary), form="narrow")
     return Part(title="What varies from run to run", blocks=(Paragraph(text=words), inputs))
 
@@ -263,14 +260,6 @@ def _bounds_columns(summary: Summary, scale: Scale) -> tuple[Column, Column]:
     return Column(title=bounds, number=True), Column(title="", strip=scale.head)
 
 
-def _bounds_words(summary: Summary) -> str:
-    words = "Bounds: Clopper and Pearson, two-sided, exact for independent runs"
-    even = {"sobol": "Sobol points fill", "latin-hypercube": "a Latin hypercube fills"}.get(summary.plan.sampling)
-    if even is None:
-        return f"{words}."
-    return f"{words}; {even} the space more evenly, so that the estimate usually scatters less than these bounds."
-
-
 def campaign_plates(summary: Summary) -> list[Plate]:
     """Return the plots: how far the runs reach, and a histogram of every metric that has a limit."""
     found = summary.statistics
@@ -279,20 +268,9 @@ def campaign_plates(summary: Summary) -> list[Plate]:
     ]
     if not names:
         return []
-    drawn = [
-        (
-            exceedance_figure(found),
-            "How far the runs reach",
-            "Share of the runs above a level, the level relative to the limit. Where a line crosses 1 is the "
-            "probability of violating it; the steeper it is there, the more a little more margin helps.",
-        )
-    ]
+    drawn = [(exceedance_figure(found), "How far the runs reach", sentences("campaign_reach"))]
     drawn += [
-        (
-            histogram_figure(found, name),
-            RUN_METRICS[name].name.capitalize(),
-            "Number of runs over the value, red beyond the limit. Runs that diverged have no value and are not drawn.",
-        )
+        (histogram_figure(found, name), RUN_METRICS[name].name.capitalize(), sentences("campaign_histogram"))
         for name in names
     ]
     return [
@@ -305,11 +283,7 @@ def _drivers(summary: Summary) -> tuple[Block, ...]:
     counted = _contrasts(summary)
     if not overall:
         return (*counted, Paragraph(text="Too few runs, or all alike: variance cannot be attributed to inputs."))
-    words = (
-        "Share of the variance that each input explains on its own (first-order Sobol index; the thin line is its 95 % "
-        "interval), and its rank correlation: + where the value rises with the input. Inputs whose share may be chance "
-        "are not listed. What no input explains on its own is interaction or noise."
-    )
+    words = sentences("campaign_shares")
     cards = Cards(parts=tuple(_influences(summary, one) for one in overall))
     blocks: list[Block] = [*counted, Part(title="Shares of variance", blocks=(Paragraph(text=words), cards))]
     within = _within(summary)
@@ -331,11 +305,7 @@ def _contrasts(summary: Summary) -> tuple[Block, ...]:
         Column(title="p-value", number=True),
     )
     rows = [Group(title=title, rows=tuple(_contrast_rows(found, scale))) for title, found in groups]
-    words = (
-        "How often a run violates a requirement with a fault, in a manoeuvre or at a chosen value, and how often "
-        "without. A rare cause explains hardly any variance, but shows here. The p-value is the probability of such a "
-        "difference if the value has no influence (Fisher's exact test with Holm's correction)."
-    )
+    words = sentences("campaign_contrasts")
     found = Table(columns=titles, groups=tuple(rows), form="contrasts")
     return (Part(title="Violations with and without", blocks=(Paragraph(text=words), found)),)
 

@@ -297,24 +297,24 @@ def input_rows(summary: Summary) -> list[tuple[str, str]]:
     return rows
 
 
+_DISTRIBUTIONS = {
+    "uniform": "uniform, {low} to {high}",
+    "log-uniform": "log-uniform, {low} to {high}",
+    "normal": "normal, {mean} with deviation {deviation}",
+    "truncated-normal": "normal, {mean} with deviation {deviation}, within {low} to {high}",
+    "log-normal": "log-normal, median {median}, deviation of the logarithm {deviation}",
+    "triangular": "triangular, {low} to {high}, peak at {peak}",
+}
+
+
 def distribution_words(one: Vary) -> str:
     """Return a distribution in words."""
-    n = {name: plain(number, 6) for name, number in one.numbers.items()}
-    match one.distribution:
-        case "uniform" | "log-uniform":
-            words = f"{one.distribution}, {n['low']} to {n['high']}"
-        case "normal":
-            words = f"normal, {n['mean']} with deviation {n['deviation']}"
-        case "truncated-normal":
-            words = f"normal, {n['mean']} with deviation {n['deviation']}, within {n['low']} to {n['high']}"
-        case "log-normal":
-            words = f"log-normal, median {n['median']}, deviation of the logarithm {n['deviation']}"
-        case "triangular":
-            words = f"triangular, {n['low']} to {n['high']}, peak at {n['peak']}"
-        case _:
-            words = "one of " + ", ".join(plain(number, 6) for number in one.values)
-            if one.weights:
-                words += ", weights " + ", ".join(plain(number, 6) for number in one.weights)
+    words = _DISTRIBUTIONS.get(one.distribution, "one of {values}").format(
+        **{name: plain(number, 6) for name, number in one.numbers.items()},
+        values=", ".join(plain(number, 6) for number in one.values),
+    )
+    if one.weights:
+        words += ", weights " + ", ".join(plain(number, 6) for number in one.weights)
     return f"{words}, times the nominal value" if one.relative else words
 
 

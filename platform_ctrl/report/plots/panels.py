@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import MultipleLocator
+from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, MaxNLocator
 from numpy.typing import ArrayLike, NDArray
 
 from platform_ctrl.analysis.arrays import ComplexArray
@@ -105,16 +105,11 @@ def frequency_panels(axes: Sequence[Axes], low: float, high: float, systems: Seq
 
 def _few_decades(axes: Sequence[Axes], low: float, high: float) -> None:
     """Put more than decades on a short axis."""
-    from matplotlib.ticker import FixedLocator, FuncFormatter
-
-    decades = 10.0 ** np.arange(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
-    steps = (1.0, 2.0, 5.0) if high / low > 4.0 else (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0)
-    ticks = np.array([step * decade for decade in decades for step in steps])
+    subs = (1.0, 2.0, 5.0) if high / low > 4.0 else (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0)
+    ticks = np.asarray(LogLocator(subs=subs).tick_values(low, high))
     ticks = ticks[(ticks >= low) & (ticks <= high)]
-    if ticks.size < 2:
-        ticks = np.array([low, high])
     for one in axes:
-        one.xaxis.set_major_locator(FixedLocator(ticks.tolist()))
+        one.xaxis.set_major_locator(FixedLocator(ticks.tolist() if ticks.size > 1 else [low, high]))
         one.xaxis.set_major_formatter(FuncFormatter(lambda f, _: plain(f, 3)))
 
 
@@ -190,13 +185,9 @@ def gain_panel(axes: Axes, curves: Sequence[GainCurve], *, dB: bool, more: Seque
     values = np.array([*high, *(max(g, _DEEPEST * top) for g in low)])
     if dB:
         levels = 20.0 * np.log10(values) if values.size else np.zeros(1)
-        bottom, upper = float(levels.min()), float(levels.max())
-        step = next(
-            step for step in (5.0, 10.0, 20.0, 40.0, 60.0, 100.0) if upper - bottom <= 7.0 * step or step == 100.0
-        )
-        bottom, upper = step * math.floor(bottom / step), step * math.ceil(upper / step)
-        axes.set_ylim(bottom, max(upper, bottom + step))
-        axes.yaxis.set_major_locator(MultipleLocator(step))
+        ticks = MaxNLocator(7, steps=[1, 2, 4, 5, 10], integer=True).tick_values(levels.min(), levels.max())
+        axes.set_ylim(ticks[0], ticks[-1])
+        axes.set_yticks(ticks)
     else:
         axes.set_yscale("log")
         log_axis(axes.yaxis)
