@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from one_gyro_job import JOB as ONE_LOOP
 from platform_ctrl.campaign.engine import CampaignResult
 from platform_ctrl.campaign.planning import Plan, plan
 from platform_ctrl.campaign.single_run import SimulateRuns, columns_of, inputs_of, kinds_of
@@ -43,20 +44,7 @@ duration = 0.02
 limits = { angle = 0.0005 }
 """
 TEXT = (
-    """
-schema = 2
-name = "a turn, many times"
-plant = "three_gyro_platform"
-operation = { Omega = [0.0, 0.0, 0.0], seed = 7 }
-sampling = { rate_hz = 2000, delay = 0.0005 }
-
-[[loop]]
-name = "caging 9-10"
-kind = "caging"
-gimbals = ["9", "10"]
-use = "classical"
-design = [{ name = "classical", method = "classical", crossover_hz = 40, integral_hz = 2 }]
-"""
+    ONE_LOOP.replace('name = "gyro 9-10"', 'name = "a turn, many times"').replace("0.0] }", "0.0], seed = 7 }")
     + MANOEUVRES
     + """
 [campaign]
