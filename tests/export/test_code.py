@@ -16,9 +16,8 @@ from platform_ctrl import simulation
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError, InputError, UnscalableError
 from platform_ctrl.export import write_c
-from platform_ctrl.export.c99.entries import entries_of
 from platform_ctrl.export.c99.float_error import float_error
-from platform_ctrl.export.c99.from_design import scheme_of, with_excess
+from platform_ctrl.export.c99.from_design import entries_of, scheme_of, with_excess
 from platform_ctrl.export.c99.scheme import Scheme, arrays, excess_gain
 from platform_ctrl.export.c99.windup import back_calculation
 from platform_ctrl.job.job import Job, manoeuvre_scenario

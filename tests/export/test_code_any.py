@@ -19,10 +19,9 @@ from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.export import write_c
 from platform_ctrl.export.c99.c_text import FILES, Names, comment, field_names, identifier
-from platform_ctrl.export.c99.entries import Entry, entries_of
 from platform_ctrl.export.c99.floating_files import FloatingFiles
-from platform_ctrl.export.c99.from_design import same_response, scheme_of, with_excess
-from platform_ctrl.export.c99.scheme import Provenance, Row, Scheme, Section, Term, arrays, excess_gain
+from platform_ctrl.export.c99.from_design import entries_of, same_response, scheme_of, with_excess
+from platform_ctrl.export.c99.scheme import Entry, Provenance, Row, Scheme, Section, Term, arrays, excess_gain
 from platform_ctrl.export.c99.windup import back_calculation, integrating
 from platform_ctrl.job.job import Job
 

@@ -25,8 +25,7 @@ from platform_ctrl.design.plants import loop_plants
 from platform_ctrl.errors import ArgumentError, InfeasibleError, InputError, SimulationError, UnscalableError
 from platform_ctrl.export import write_c
 from platform_ctrl.export.c99.c_text import field_names
-from platform_ctrl.export.c99.entries import entries_of
-from platform_ctrl.export.c99.from_design import scheme_of, with_excess
+from platform_ctrl.export.c99.from_design import entries_of, scheme_of, with_excess
 from platform_ctrl.export.c99.scheme import Row, Scheme, Section, Term, arrays
 from platform_ctrl.export.c99.windup import back_calculation
 from platform_ctrl.export.fixed_point.bounds import gains

@@ -17,11 +17,10 @@ from platform_ctrl.common.values import value
 from platform_ctrl.errors import InputError
 from platform_ctrl.export.c99.c_text import FILES, Names, field_names
 from platform_ctrl.export.c99.controller_files import ControllerFiles, job_files
-from platform_ctrl.export.c99.entries import Entry, entries_of
 from platform_ctrl.export.c99.float_error import NOTED, float_error
 from platform_ctrl.export.c99.floating_files import FloatingFiles, cost_of
-from platform_ctrl.export.c99.from_design import scheme_of, with_excess
-from platform_ctrl.export.c99.scheme import Scheme, excess_gain
+from platform_ctrl.export.c99.from_design import entries_of, scheme_of, with_excess
+from platform_ctrl.export.c99.scheme import Entry, Scheme, excess_gain
 from platform_ctrl.export.c99.windup import Windup, back_calculation, proved
 from platform_ctrl.job.job import Job
 

@@ -7,7 +7,6 @@ responses bounds what they do to the outputs.
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping
 
 import numpy as np
@@ -16,7 +15,7 @@ from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import UnscalableError
-from platform_ctrl.export.c99.scheme import Row, Scheme, arrays
+from platform_ctrl.export.c99.scheme import Scheme, arrays
 from platform_ctrl.export.c99.windup import integrating
 
 # Unit roundoff of float.
@@ -42,42 +41,25 @@ class FloatError:
     unseen: FloatArray  # (m,): Magnitude of a constant input that the integrals may lose, in its unit; zero: none
 
 
-def float_scheme(scheme: Scheme) -> Scheme:
-    """Return the scheme with its coefficients and limits as floats hold them."""
+def _in_float(scheme: Scheme) -> StateArrays:
+    """Return the controller with coefficients in single precision; raise where a number does not fit."""
     least, most = float(np.finfo(np.float32).tiny), float(np.finfo(np.float32).max)
-
-    def rounded(x: float, what: str) -> float:
+    rows = [row for section in scheme.sections for row in (*section.signals, *section.states)]
+    numbers = [(row.target, term.coefficient) for row in (*rows, *scheme.excess) for term in row.terms]
+    limits = zip(scheme.outputs, scheme.torque_limits, strict=True)
+    for what, x in [*numbers, *((f"limit of {name}", limit) for name, limit in limits if np.isfinite(limit))]:
         if not abs(x) <= most:
             raise UnscalableError(
                 f"{scheme.name}: {what}: {x:.3g} does not fit a float, which ends at {most:.3g}; use double", scheme
             )
-        # Numbers below the smallest normal one become zero; the response shows whether it matters.
-        return float(np.float32(x)) if abs(x) >= least else 0.0
-
-    def row(one: Row) -> Row:
-        terms = (dataclasses.replace(t, coefficient=rounded(t.coefficient, one.target)) for t in one.terms)
-        return dataclasses.replace(one, terms=tuple(terms))
-
-    return dataclasses.replace(
-        scheme,
-        sections=tuple(
-            dataclasses.replace(
-                section, signals=tuple(row(r) for r in section.signals), states=tuple(row(r) for r in section.states)
-            )
-            for section in scheme.sections
-        ),
-        excess=tuple(row(r) for r in scheme.excess),
-        torque_limits=tuple(
-            rounded(x, f"limit of {name}") if np.isfinite(x) else x
-            for name, x in zip(scheme.outputs, scheme.torque_limits, strict=True)
-        ),
-    )
+    # Numbers below the smallest normal one become zero; the response shows whether it matters.
+    return arrays(scheme, lambda x: float(np.float32(x)) if abs(x) >= least else 0.0)
 
 
 def float_error(scheme: Scheme, ranges: Mapping[str, float], steps: int | None = None) -> FloatError:
     """Return the errors of a controller in single precision."""
     K = arrays(scheme)
-    rounded = arrays(float_scheme(scheme))
+    rounded = _in_float(scheme)
     count = max(1, round(1.0 / scheme.period)) if steps is None else steps
     inputs = np.array([ranges[name] for name in scheme.inputs])
     response, pole = _moved(K, rounded)

@@ -13,8 +13,7 @@ import numpy as np
 from platform_ctrl.analysis.arrays import scaled, state_scaling
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.partition import Channels
-from platform_ctrl.export.c99.entries import Entry
-from platform_ctrl.export.c99.scheme import Section, row
+from platform_ctrl.export.c99.scheme import Entry, Section, row
 
 # Largest element of a decoupling transformation, in balanced states.
 _MOST = 1e4

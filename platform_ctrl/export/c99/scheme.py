@@ -13,7 +13,7 @@ can be compared with what was designed.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import field, replace
 from typing import Literal
 
@@ -106,8 +106,25 @@ class Scheme:
         return tuple(row.target for section in self.sections for row in section.states)
 
 
-def arrays(scheme: Scheme) -> StateArrays:
-    """Return the controller that a scheme multiplies out to, without limits."""
+@value
+class Entry:
+    """A controller of a job as it is given: its matrices."""
+
+    # loop, design, method: As in the job file; empty where nothing is known
+    loop: str
+    design: str = ""
+    method: str = ""
+    arrays: StateArrays  # x⁺ = A x + B y, u = C x + D y; dt is the sample period, s
+    # inputs, outputs: Names of the signals
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    # The method's numbers as finally used, in the units of the job file
+    options: dict[str, float] = field(default_factory=dict)
+    excess: FloatArray | None = None  # (n, m): E of the anti-windup of the controller, or None
+
+
+def arrays(scheme: Scheme, rounded: Callable[[float], float] = float) -> StateArrays:
+    """Return the controller that a scheme multiplies out to, without limits, with rounded coefficients."""
     states, inputs = scheme.states, scheme.inputs
     known = dict(zip((*states, *inputs), np.eye(len(states) + len(inputs)), strict=True))
     if len(known) != len(states) + len(inputs):
@@ -126,7 +143,7 @@ def arrays(scheme: Scheme) -> StateArrays:
                     f"scheme {scheme.name!r}: {row.target!r} uses {term.source!r}, which must be an input, a state or "
                     "a signal that is computed before it"
                 )
-            out += term.coefficient * known[term.source]
+            out += rounded(term.coefficient) * known[term.source]
         return out
 
     following = []
