@@ -95,7 +95,10 @@ class _Model:
 
     def __init__(self, mujoco: Any, model: Any, label: str, spins: dict[str, float]) -> None:
         self.mujoco, self.model, self.label = mujoco, model, label
-        self.bodies, self.root_joint, self.size = bodies_of(mujoco, model, label)
+        self.data = mujoco.MjData(model)
+        mujoco.mj_kinematics(model, self.data)
+        mujoco.mj_comPos(model, self.data)
+        self.bodies, self.root_joint, self.size = bodies_of(model, self.data, label)
         self.spins = self._spins(spins)
         self.servos = self._servos()
         self.rotors = [k for k, body in enumerate(self.bodies) if self._is_rotor(k, body)]
@@ -111,10 +114,7 @@ class _Model:
         gravity = (
             np.zeros(3) if model.opt.disableflags & int(self.mujoco.mjtDisableBit.mjDSBL_GRAVITY) else model.opt.gravity
         )
-        data = self.mujoco.MjData(model)
-        self.mujoco.mj_kinematics(model, data)
-        number = model.body(root.name).id if root.name in self._body_names() else 0
-        up = -data.xmat[number].reshape(3, 3).T @ gravity
+        up = -self.data.xmat[root.number].reshape(3, 3).T @ gravity
         out: Tables = {
             "schema": 1,
             "name": one_line(self._title()),
@@ -136,9 +136,6 @@ class _Model:
 
     def _title(self) -> str:
         return str(self.model.names[: self.model.names.index(b"\0")].decode("utf-8", "replace")) or "model"
-
-    def _body_names(self) -> list[str]:
-        return [self.model.body(k).name for k in range(self.model.nbody)]
 
     def _wrong(self, k: int, words: str) -> InputError:
         return InputError(f"{self.label}: body {given(self.bodies[k].name)} {words}")
@@ -244,9 +241,7 @@ class _Model:
         if joint >= 0 and self.model.jnt_type[joint] == FREE:
             anchor = chain.whole_centre()
         elif joint >= 0:
-            data = self.mujoco.MjData(self.model)
-            self.mujoco.mj_kinematics(self.model, data)
-            number = int(self.model.jnt_bodyid[joint])
+            number, data = int(self.model.jnt_bodyid[joint]), self.data
             anchor = data.xmat[number].reshape(3, 3).T @ (data.xanchor[joint] - data.xpos[number])
         return chain.about_centres(chain.root_centre() if anchor is None else anchor)
 

@@ -24,8 +24,9 @@ FREE, BALL, HINGE = 0, 1, 3
 class Body:
     """A body with all that is fixed to it."""
 
-    # name, parent: Its own name, and the index of what carries it in the list of bodies; −1: nothing
+    # name, number, parent: Name, number in the model, and the index of its carrier in the list of bodies; −1: none
     name: str
+    number: int
     parent: int
     joint: int  # Number of its hinge in the model; −1: it has none
     # axis, anchor: (3,): Of its hinge
@@ -55,25 +56,15 @@ def point_inertia(offset: FloatArray) -> FloatArray:
     return out
 
 
-def bodies_of(mujoco: Any, model: Any, label: str) -> tuple[list[Body], int, float]:  # noqa: PLR0915 - one tree walk
+def bodies_of(model: Any, data: Any, label: str) -> tuple[list[Body], int, float]:
     """Return the bodies, the root first and parents before children; the root's joint or −1; and their size, m."""
     for count, what in ((model.neq, "equality constraints"), (model.ntendon, "tendons"), (model.nplugin, "plugins")):
         if count:
             raise InputError(f"{label}: has {what}, but may have only bodies on hinges; remove them")
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
-    mujoco.mj_comPos(model, data)
     read = (data.xpos, data.xmat, data.xipos, data.ximat, data.xaxis, data.xanchor, model.body_mass, model.body_inertia)
     if any(not np.all(np.abs(numbers) < _LARGEST) for numbers in read):
         raise InputError(f"{label}: has a position, mass or inertia that is huge or not finite; correct it")
-    carriers = [k for k in range(1, model.nbody) if model.body_parentid[k] == 0 and _moves(model, k)]
-    if not carriers:
-        raise InputError(f"{label}: has no gimbal; it needs a root body that carries bodies on hinges")
-    root = 0
-    if len(carriers) == 1 and (
-        model.body_jntnum[carriers[0]] == 0 or model.jnt_type[model.body_jntadr[carriers[0]]] in (BALL, FREE)
-    ):
-        root = carriers[0]
+    root = _root_of(model, label)
     turn, origin = data.xmat[root].reshape(3, 3), data.xpos[root]
     out: list[Body] = []
     place = {0: -1}
@@ -88,7 +79,7 @@ def bodies_of(mujoco: Any, model: Any, label: str) -> tuple[list[Body], int, flo
         centre = turn.T @ (data.xipos[k] - origin)
         axes = turn.T @ data.ximat[k].reshape(3, 3)
         inertia = axes @ np.diag(model.body_inertia[k]) @ axes.T + mass * point_inertia(centre)
-        body = Body(name, -1, -1, np.zeros(3), np.zeros(3), mass, mass * centre, inertia)
+        body = Body(name, k, -1, -1, np.zeros(3), np.zeros(3), mass, mass * centre, inertia)
         if k == root:
             root_joint = joints[0] if joints else -1
             if root == 0:  # the world: it does not move, whatever its inertia
@@ -109,22 +100,25 @@ def bodies_of(mujoco: Any, model: Any, label: str) -> tuple[list[Body], int, flo
             body.axis, body.anchor = turn.T @ data.xaxis[joints[0]], turn.T @ (data.xanchor[joints[0]] - origin)
         place[k] = len(out)
         out.append(body)
-    lengths = [np.linalg.norm(one.anchor) for one in out]
-    lengths += [np.linalg.norm(one.moment) / one.mass for one in out if one.mass > 0.0]
-    lengths += [np.sqrt(np.trace(one.inertia) / one.mass) for one in out if one.mass > 0.0]
-    return out, root_joint, float(max(lengths, default=1.0)) or 1.0
+    return out, root_joint, _size(out)
 
 
-def _moves(model: Any, body: int) -> bool:
-    """Whether a body hangs on a joint, or carries one that does."""
-    below = [k for k in range(body, model.nbody) if _under(model, k, body)]
-    return any(model.body_jntnum[k] for k in below)
+def _size(bodies: list[Body]) -> float:
+    lengths = [np.linalg.norm(one.anchor) for one in bodies]
+    lengths += [np.linalg.norm(one.moment) / one.mass for one in bodies if one.mass > 0.0]
+    lengths += [np.sqrt(np.trace(one.inertia) / one.mass) for one in bodies if one.mass > 0.0]
+    return float(max(lengths, default=1.0)) or 1.0
 
 
-def _under(model: Any, k: int, body: int) -> bool:
-    while k > body:
-        k = int(model.body_parentid[k])
-    return k == body
+def _root_of(model: Any, label: str) -> int:
+    """Return the one body on the world that carries hinges and is fixed or in a ball or free joint, else the world."""
+    # body_rootid: the body on the world under which a body is.
+    carriers = sorted({int(model.body_rootid[k]) for k in range(1, model.nbody) if model.body_jntnum[k]})
+    if not carriers:
+        raise InputError(f"{label}: has no gimbal; it needs a root body that carries bodies on hinges")
+    first = carriers[0]
+    may_turn = model.body_jntnum[first] == 0 or model.jnt_type[model.body_jntadr[first]] in (BALL, FREE)
+    return first if len(carriers) == 1 and may_turn else 0
 
 
 @dataclasses.dataclass
