@@ -24,28 +24,28 @@ import numpy as np
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.partition import Partition, delayed, with_white_noise
 from platform_ctrl.design.riccati.equations import Equation, by_pencil, hamiltonian, stabilising
-from platform_ctrl.design.scaling import DIRECT, ScaledPlant, autoscaled_with_gain, clustered
+from platform_ctrl.design.scaling import NO_DIRECT_PATH, ScaledPlant, autoscaled_with_gain, clustered
 from platform_ctrl.errors import ArgumentError
 
 # Share of the bound that is subtracted for rounding of its evaluation.
 ROUNDING = 5e-11
 # Singular values below this share of the largest count as zero in the search of the subspace; and its least angle.
-RANK, ANGLE = 1e-13, 1e-8
+RANK_TOLERANCE, LEAST_ANGLE = 1e-13, 1e-8
 # Couplings below this share of the plant count as zero.
-REACH = 1e-12
+LEAST_COUPLING = 1e-12
 # Largest error of the subspace, and largest distance from the axis at which an eigenvalue that no input moves is not
 # antistable, relative to the scaled plant.
-LEAK, AXIS = 1e-11, 1e-8
+LARGEST_LEAK, AXIS_DISTANCE = 1e-11, 1e-8
 # Ratios of sizes below this are rounding, not units.
-UNITS = 1e-8
+LEAST_SIZE_RATIO = 1e-8
 # Eigenvalues farther from the axis than this share of the Hamiltonian matrix: the solution exists and is ill-scaled.
-DISTANCE = 1e-9
+SOLUTION_DISTANCE = 1e-9
 # Added to the right-hand side of a Lyapunov equation in states of unit cost, until the inequality holds with rounding.
 SLACKS = 10.0 ** np.arange(-14.0, -6.0)
 # The search for the least level ends at this relative width of gamma^-2, or after so many steps.
-WIDTH, STEPS = 1e-10, 80
+SEARCH_WIDTH, SEARCH_STEPS = 1e-10, 80
 # Relative distance to the level of a synthesis below which a bound needs no search.
-NEAR = 1e-8
+NEAR_LEVEL = 1e-8
 # Levels of a scaled plant below this count as zero.
 LEAST_LEVEL = 1e-9
 
@@ -112,7 +112,7 @@ def _h2(plant: Partition) -> float:
     scaled = autoscaled_with_gain(plant)
     p = _exact(scaled, plant)
     closed = p.with_gain(-scaled.plant.D12.T @ p.D11 @ scaled.plant.D21.T)
-    if np.linalg.norm(closed.D11) > DIRECT * np.linalg.norm(p.D11):
+    if np.linalg.norm(closed.D11) > NO_DIRECT_PATH * np.linalg.norm(p.D11):
         return 0.0  # There is no finite norm.
     p = dataclasses.replace(closed, D11=np.zeros_like(p.D11))
     sides = _both_sides(p)
@@ -167,7 +167,7 @@ def _both_sides(p: Partition) -> tuple[Side, Side] | None:
 def _in_common_units(side: Side) -> Side:
     """Return the side with B and C of one size."""
     B, C = float(np.linalg.norm(side.B)), float(np.linalg.norm(side.C))
-    unit = math.sqrt(B / C) if B > UNITS * C and C > UNITS * B else 1.0
+    unit = math.sqrt(B / C) if B > LEAST_SIZE_RATIO * C and C > LEAST_SIZE_RATIO * B else 1.0
     one = np.eye(len(side.A))
     return _in_states(side, unit * one, one / unit)
 
@@ -193,7 +193,7 @@ def _kernel(M: FloatArray) -> FloatArray:
     if not M.size:
         return np.eye(M.shape[1])
     _, sigma, Vt = np.linalg.svd(M)
-    return np.asarray(Vt[int(np.sum(sigma > RANK * max(1.0, sigma[0]))) :].T)
+    return np.asarray(Vt[int(np.sum(sigma > RANK_TOLERANCE * max(1.0, sigma[0]))) :].T)
 
 
 def _split(V: FloatArray, tolerance: float) -> tuple[FloatArray, FloatArray]:
@@ -215,7 +215,7 @@ def _side(p: Partition) -> Side | None:
     while True:
         k = V.shape[1]
         N = _kernel(np.block([[B2.T @ V, D12.T], [rest.T @ A.T @ V, rest.T @ C1.T]]))
-        inside, _ = _split(N[:k], ANGLE)
+        inside, _ = _split(N[:k], LEAST_ANGLE)
         if inside.shape[1] == k:
             break
         V, rest = _split(V @ inside, 0.5)
@@ -235,7 +235,7 @@ def _side(p: Partition) -> Side | None:
     seen = np.hstack([B2.T @ S + D12.T @ side.C, D12.T @ side.D])
     leak = np.linalg.norm(flow - S @ (S.T @ flow)) + np.linalg.norm(seen)
     size = 1.0 + np.linalg.norm(A) + np.linalg.norm(C1) * (1.0 + np.linalg.norm(side.C)) + np.linalg.norm(B2)
-    return side if leak <= LEAK * size else None
+    return side if leak <= LARGEST_LEAK * size else None
 
 
 def _kernel_of_rows(M: FloatArray) -> FloatArray:
@@ -252,18 +252,18 @@ def _reachable_or_antistable(A: FloatArray, B: FloatArray) -> tuple[FloatArray, 
     from scipy.linalg import schur
 
     size = max(1.0, float(np.linalg.norm(A)))
-    reached, rest = _split(B, REACH * max(1.0, float(np.linalg.norm(B))))
+    reached, rest = _split(B, LEAST_COUPLING * max(1.0, float(np.linalg.norm(B))))
     while rest.shape[1]:
-        more, _ = _split(rest.T @ A @ reached, REACH * size)
+        more, _ = _split(rest.T @ A @ reached, LEAST_COUPLING * size)
         if not more.shape[1]:
             break
         reached, rest = _split(np.hstack([reached, rest @ more]), 0.5)
     if not rest.shape[1]:
         return np.eye(len(A)), np.zeros(0)
-    _, Z, count = schur(rest.T @ A @ rest, output="real", sort=lambda x, y: x > AXIS * size)
+    _, Z, count = schur(rest.T @ A @ rest, output="real", sort=lambda x, y: x > AXIS_DISTANCE * size)
     poles = np.array(clustered(np.linalg.eigvals(rest.T @ A @ rest), size))
-    near = np.abs(poles.imag[np.abs(poles.real) <= AXIS * size])
-    near[near <= AXIS * size] = 0.0
+    near = np.abs(poles.imag[np.abs(poles.real) <= AXIS_DISTANCE * size])
+    near[near <= AXIS_DISTANCE * size] = 0.0
     return np.hstack([reached, rest @ Z[:, :count]]), np.unique(near)
 
 
@@ -282,7 +282,7 @@ def _at(side: Side, t: float) -> tuple[Level | None, FloatArray]:
     equation = Equation(-A, -B, Q, R, N, discrete=False)
     found = stabilising(hamiltonian(equation))
     X = found.X
-    if X is None and found.distance > DISTANCE and R.size:
+    if X is None and found.distance > SOLUTION_DISTANCE and R.size:
         # X is large in some directions and small in others.
         X = by_pencil(equation)
     if X is None:
@@ -295,8 +295,8 @@ def _least_level(sides: tuple[Side, Side], near: float) -> float:
     """Return the largest level proved to be a lower bound, by search in t = gamma⁻² for the last feasible one."""
     bound = max(max(_gain(side.D, side.E), side.fixed) for side in sides)
     feasible, beyond = 0.0, max(bound, LEAST_LEVEL) ** -2
-    t = min((1.0 - WIDTH) * max(near, LEAST_LEVEL) ** -2, beyond) if near > 0.0 else min(1.0, 0.5 * beyond)
-    for _ in range(STEPS):
+    t = min((1.0 - SEARCH_WIDTH) * max(near, LEAST_LEVEL) ** -2, beyond) if near > 0.0 else min(1.0, 0.5 * beyond)
+    for _ in range(SEARCH_STEPS):
         levels, frequencies = zip(*(_at(side, t) for side in sides), strict=True)
         shown = list(_of_frequencies(sides, frequencies))
         reached = _is_feasible(sides, levels, t)
@@ -307,10 +307,10 @@ def _least_level(sides: tuple[Side, Side], near: float) -> float:
             beyond = min(beyond, t)
         bound = max([bound, *shown])
         beyond = min(beyond, max(bound, LEAST_LEVEL) ** -2)
-        if beyond - feasible <= WIDTH * beyond or bound >= (1.0 - NEAR) * near:
+        if beyond - feasible <= SEARCH_WIDTH * beyond or bound >= (1.0 - NEAR_LEVEL) * near:
             break
         # What a feasible level shows is nearly the least level itself: look just above it.
-        t = (1.0 - 0.5 * WIDTH) * beyond
+        t = (1.0 - 0.5 * SEARCH_WIDTH) * beyond
         if not reached or t <= feasible + 0.1 * (beyond - feasible):
             far = feasible <= 0.1 * beyond
             t = math.sqrt(max(feasible, 1e-4 * beyond) * beyond) if far else 0.5 * (feasible + beyond)
@@ -341,7 +341,7 @@ def _gain(Z: FloatArray, W: FloatArray) -> float:
     if not Z.shape[1]:
         return 0.0
     R = np.linalg.qr(Z)[1]
-    if np.abs(np.diag(R)).min() <= RANK * np.abs(R).max():
+    if np.abs(np.diag(R)).min() <= RANK_TOLERANCE * np.abs(R).max():
         return 0.0
     x = np.linalg.solve(R, np.linalg.svd(np.linalg.solve(R.T, W.T).T)[2][0].conj())
     return float(np.linalg.norm(W @ x) / np.linalg.norm(Z @ x))
@@ -352,7 +352,7 @@ def _gain_at(frequency: float, A: FloatArray, B: FloatArray, Z: FloatArray, W: F
     n = len(A)
     pencil = np.hstack([A - 1j * frequency * np.eye(n), B])
     _, sigma, Vh = np.linalg.svd(pencil)
-    rank = int(np.sum(sigma > REACH * max(1.0, sigma.max(initial=0.0))))
+    rank = int(np.sum(sigma > LEAST_COUPLING * max(1.0, sigma.max(initial=0.0))))
     x = Vh[rank:].conj().T
     return _gain(Z @ x, W @ x)
 

@@ -22,9 +22,9 @@ from platform_ctrl.mechanics.state_space import state_space, subsystems_of_all
 from platform_ctrl.plant.platform import OMEGA_NAMES, PickOff, Platform, Torquer
 
 # Open-loop motion slower than this share of the Nyquist frequency is no reference for the loop.
-_STILL = 1e-3
+_SLOW_MOTION = 1e-3
 # Largest angle of a motion in a sample period, rad: beyond it a sampled plant has lost all digits.
-_FARTHEST = 1e6
+_LARGEST_ANGLE = 1e6
 
 
 def changed(platform: Platform, inertia: dict[str, float], spin: dict[str, float]) -> Platform:
@@ -248,11 +248,11 @@ def _expect_slow(A: FloatArray, plants: Sequence[Case], period: float) -> None:
     finite = np.array([np.isfinite(one).all() for one in A])
     fastest = np.where(finite, np.abs(np.linalg.eigvals(np.where(finite[:, None, None], A, 0.0))).max(axis=-1), np.inf)
     worst = int(fastest.argmax())
-    if fastest[worst] * period > _FARTHEST:
+    if fastest[worst] * period > _LARGEST_ANGLE:
         where = f"plant {plants[worst].label}" if plants[worst].label else "the plant"
         raise InputError(
             f"rate_hz = {1.0 / period:.6g}: in a sample period {where} turns by {fastest[worst] * period:.3g} rad or "
-            f"grows as fast, more than {_FARTHEST:.0e}; choose a higher rate"
+            f"grows as fast, more than {_LARGEST_ANGLE:.0e}; choose a higher rate"
         )
 
 
@@ -268,4 +268,4 @@ def reference_frequency(A: FloatArray, period: float) -> float:
     """Return the frequency that grids and starting values go by: nutation; without any, a tenth of Nyquist's."""
     nyquist = np.pi / period
     fastest = float(np.abs(np.linalg.eigvals(A)).max())
-    return fastest if fastest > _STILL * nyquist else 0.1 * nyquist
+    return fastest if fastest > _SLOW_MOTION * nyquist else 0.1 * nyquist

@@ -32,10 +32,10 @@ ROUNDING, LARGEST_ROUNDING = 1e-14, 1e-9
 # Zeros nearer to the axis than this share of the size of A are checked for a loss of rank.
 NEAR_AXIS = 1e-7
 # Singular values below this share of the size of A count as a loss of rank.
-LOST = 1e-10
+RANK_LOSS = 1e-10
 # A direct path below this share of D11 counts as zero.
-DIRECT = 1e-10
-ALTERNATIVES = 'give method="lmi", which needs none of this, or regularise=1e-3'
+NO_DIRECT_PATH = 1e-10
+REMEDIES = 'give method="lmi", which needs none of this, or regularise=1e-3'
 
 
 @value
@@ -244,7 +244,7 @@ def require_full_rank(scaled: ScaledPlant, P: StateSpace, where: str) -> None:
         raise IllPosedError(
             f"{where}: D12 must have full column rank {nu}, but has {scaled.control_rank}: z does not contain "
             f"{named(lost, P.input_labels[-nu:])} directly; add a small weight on every control to z, or "
-            f"{ALTERNATIVES}",
+            f"{REMEDIES}",
             P,
         )
     if scaled.measurement_rank < ny:
@@ -252,7 +252,7 @@ def require_full_rank(scaled: ScaledPlant, P: StateSpace, where: str) -> None:
         raise IllPosedError(
             f"{where}: D21 must have full row rank {ny}, but has {scaled.measurement_rank}: no w disturbs "
             f"{named(lost, P.output_labels[-ny:])} directly; add a small noise on every measurement to w, or "
-            f"{ALTERNATIVES}",
+            f"{REMEDIES}",
             P,
         )
 
@@ -274,7 +274,7 @@ def zero_on_axis(p: Partition) -> tuple[str, float, FloatArray] | None:
                 continue
             shifted = A - 1j * zero.imag * np.eye(len(A))
             _, sigma, Vh = np.linalg.svd(np.block([[shifted, B], [C, D]]))
-            if sigma[-1] < LOST * size:
+            if sigma[-1] < RANK_LOSS * size:
                 return what, abs(zero.imag), np.abs(Vh[-1, : len(A)])
     return None
 
@@ -291,7 +291,7 @@ def require_no_zero_on_axis(scaled: ScaledPlant, P: StateSpace, where: str) -> N
     raise IllPosedError(
         f"{where}: there must be no zero on the imaginary axis, but {what} at {place} in the states "
         f"{named(states * scaled.state, P.state_labels)}; shift the weight with that pole or zero to the left, or "
-        f"{ALTERNATIVES}",
+        f"{REMEDIES}",
         P,
     )
 
@@ -301,7 +301,7 @@ def without_direct_path(plant: Partition, P: StateSpace, where: str) -> tuple[Pa
     gain = -plant.D12.T @ plant.D11 @ plant.D21.T
     closed = plant.with_gain(gain)
     rest = closed.D11
-    if np.linalg.norm(rest) > DIRECT * np.linalg.norm(plant.D11):
+    if np.linalg.norm(rest) > NO_DIRECT_PATH * np.linalg.norm(plant.D11):
         z, w = np.unravel_index(int(np.argmax(np.abs(rest))), rest.shape)
         raise IllPosedError(
             f"{where}: the H2 norm is infinite: no gain from y to u cancels the direct path D11 from "

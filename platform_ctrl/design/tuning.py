@@ -19,9 +19,9 @@ BoolArray = NDArray[np.bool_]
 Builder = Callable[[dict[str, float]], StateArrays]
 
 # How far options may move, as a factor: where nothing gets better the search would go on to infinity.
-_FARTHEST = 1e6
+_LARGEST_FACTOR = 1e6
 # Plants that are kept in view while searching: the worst ones. All are looked at again after each search.
-_IN_VIEW = 8
+_MOST_PLANTS = 8
 
 
 def worst_ratio(controller: StateArrays, plants: PlantSet, requirements: Sequence[LoopRequirement]) -> float:
@@ -65,7 +65,7 @@ def tune(  # noqa: PLR0913, PLR0915 - the parts of one search
 
     bounds = np.array([np.log((upper or {}).get(name, np.inf)) for name in movable])
     best = np.minimum(np.log([start[name] for name in movable]), bounds)
-    lower, bounds = best - np.log(_FARTHEST), np.minimum(bounds, best + np.log(_FARTHEST))
+    lower, bounds = best - np.log(_LARGEST_FACTOR), np.minimum(bounds, best + np.log(_LARGEST_FACTOR))
 
     def options(x: FloatArray) -> dict[str, float]:
         # What has not moved keeps its number to the last digit.
@@ -102,7 +102,7 @@ def tune(  # noqa: PLR0913, PLR0915 - the parts of one search
         added = [k for k in _worst_plants(measures, requirements) if k not in view]
         if current is not best and not added and not refined:
             break
-        view = sorted({*view, *added[:_IN_VIEW]})
+        view = sorted({*view, *added[:_MOST_PLANTS]})
         near = plants.only(view)
 
         def stop(intermediate_result: object) -> None:

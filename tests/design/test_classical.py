@@ -43,35 +43,50 @@ def model(job):
 
 
 @pytest.fixture(scope="module")
+def classical(job, channel, two_axis):
+    """Options and controller of the job's classical design of 9-10."""
+    options = starting_values(job.loops[1].designs[0].options, channel, two_axis.nutation, PERIOD)
+    return options, classical_controller(options, channel, PERIOD)
+
+
+@pytest.fixture(scope="module")
 def two_axis(job):
     return loop_plants(job, ("9", "10"))
 
 
-def same_response(block, continuous, tolerance=1e-9):
+def response(block, w):
+    """The response of a sampled block at w, rad/s."""
     A, B, C, D, _ = block
-    expected = control.sample_system(continuous, PERIOD, method="tustin")
+    return C @ np.linalg.solve(np.exp(1j * w * PERIOD) * np.eye(len(A)) - A, B) + D
+
+
+@pytest.fixture(scope="module")
+def channel(model):
+    """The pair of gimbals 9 and 10."""
+    return channels(model, [3, 4])
+
+
+LEAD, LEAD_S = first_order(1.0, 30.0, 1 / 4000.0, 1.0, PERIOD), control.tf([1.0, 30.0], [1 / 4000.0, 1.0])
+
+
+@pytest.mark.parametrize(
+    ("block", "continuous"),
+    [
+        (first_order(1.0, 12.0, 1.0, 0.0, PERIOD), control.tf([1.0, 12.0], [1.0, 0.0])),
+        (LEAD, LEAD_S),
+        (series(LEAD, gain(3.0)), 3.0 * LEAD_S),
+    ],
+)
+def test_blocks_are_python_controls_tustin(block, continuous):
     w = np.geomspace(1.0, 6000.0, 50)
-    ours = np.array([(C @ np.linalg.solve(z * np.eye(len(A)) - A, B) + D)[0, 0] for z in np.exp(1j * w * PERIOD)])
-    np.testing.assert_allclose(ours, expected(np.exp(1j * w * PERIOD)), rtol=tolerance)
-
-
-def test_blocks_are_python_controls_tustin():
-    same_response(first_order(1.0, 12.0, 1.0, 0.0, PERIOD), control.tf([1.0, 12.0], [1.0, 0.0]))
-    same_response(first_order(1.0, 30.0, 1 / 4000.0, 1.0, PERIOD), control.tf([1.0, 30.0], [1 / 4000.0, 1.0]))
-    lead = series(first_order(1.0, 30.0, 1 / 4000.0, 1.0, PERIOD), gain(3.0))
-    same_response(lead, 3.0 * control.tf([1.0, 30.0], [1 / 4000.0, 1.0]))
+    expected = control.sample_system(continuous, PERIOD, method="tustin")(np.exp(1j * w * PERIOD))
+    np.testing.assert_allclose([response(block, one)[0, 0] for one in w], expected, rtol=1e-9)
 
 
 @pytest.mark.parametrize("f", [300.0, 1200.0, 2500.0])
-def test_prewarped_blocks_are_exact_where_they_are_meant_to_be(f):
-    at = np.exp(1j * f * PERIOD)
-
-    def value(block):
-        A, B, C, D, _ = block
-        return (C @ np.linalg.solve(at * np.eye(len(A)) - A, B) + D)[0, 0]
-
-    assert value(notch(f, 0.2, 0.3, PERIOD)) == pytest.approx(0.2, abs=1e-9)
-    assert value(low_pass(f, 0.7, PERIOD)) == pytest.approx(1 / (1.4j), abs=1e-9)
+def test_prewarped_blocks_are_exact_at_their_frequency(f):
+    assert response(notch(f, 0.2, 0.3, PERIOD), f)[0, 0] == pytest.approx(0.2, abs=1e-9)
+    assert response(low_pass(f, 0.7, PERIOD), f)[0, 0] == pytest.approx(1 / (1.4j), abs=1e-9)
 
 
 def test_channels_of_the_three_gyro_platform(model):
@@ -130,9 +145,8 @@ def test_corner_plants_have_their_own_nutation(job):
     assert nutation[1] / nutation[0] == pytest.approx(1.1 / 0.9, rel=1e-6)
 
 
-def test_cross_gain_alone_drives_nutation_unstable_and_the_direct_lead_damps_it(job, model, two_axis):
+def test_cross_gain_alone_drives_nutation_unstable_and_the_direct_lead_damps_it(channel, two_axis):
     """Growth rate about the crossover; the trap of the cross-axis loop."""
-    channel = channels(model, [3, 4])
     options = starting_values({"crossover_hz": 10.0}, channel, two_axis.nutation, PERIOD)
     weak = options | {"damping_hz": 1e-6, "damping2_hz": 1e-6}
     cross = classical_controller(weak, channel, PERIOD)
@@ -154,40 +168,35 @@ def test_no_integrator_is_doubled(model):
 
 def test_blocks_form_the_controller():
     one, two = first_order(1.0, 2.0, 1.0, 3.0, PERIOD), notch(400.0, 0.5, 0.3, PERIOD)
-    z = np.exp(0.3j)
-
-    def at(block):
-        A, B, C, D, _ = block
-        return C @ np.linalg.solve(z * np.eye(len(A)) - A, B) + D
-
-    np.testing.assert_allclose(at(series(one, two)), at(two) @ at(one))
-    np.testing.assert_allclose(at(side_by_side(one, two)), np.diag([at(one)[0, 0], at(two)[0, 0]]))
+    first, second, both, pair = (
+        response(block, 600.0) for block in (one, two, series(one, two), side_by_side(one, two))
+    )
+    np.testing.assert_allclose(both, second @ first)
+    np.testing.assert_allclose(pair, np.diag([first[0, 0], second[0, 0]]))
 
 
-def test_tuning_meets_the_requirements_from_rules_of_thumb(job, model, two_axis):
+def test_tuning_meets_the_requirements_from_rules_of_thumb(job, channel, two_axis):
     """9-10 with limits relaxed by a tenth, so that the test stays short; the start does not meet them."""
     limits = job.loops[1].limits | {"bandwidth_hz": 40.0, "disk_margin_worst_case": 0.28}
-    asked = loop_requirements(limits)
-    channel = channels(model, [3, 4])
+    required = loop_requirements(limits)
     start = starting_values({"integral_hz": 2.0}, channel, two_axis.nutation, PERIOD)
 
     def build(options):
         return classical_controller(options, channel, PERIOD)
 
-    assert worst_ratio(build(start), two_axis, asked) > 1.0
+    assert worst_ratio(build(start), two_axis, required) > 1.0
     movable = ["crossover_hz", "damping_hz", "damping2_hz", "lead_hz"]
-    found = tune(start, movable, build, two_axis, asked, reserve=0.0, upper={"lead_hz": 50.0})
-    assert worst_ratio(build(found), two_axis, asked) <= 1.0
+    found = tune(start, movable, build, two_axis, required, reserve=0.0, upper={"lead_hz": 50.0})
+    assert worst_ratio(build(found), two_axis, required) <= 1.0
     assert found["lead_hz"] <= 50.0
     assert found["integral_hz"] == 2.0
 
 
-def test_certified_figures_come_from_the_closed_loop(job, model, two_axis):
+def test_certified_figures_come_from_the_closed_loop(job, classical, two_axis):
     """Against python-control: poles, and the disk margin by a dense frequency sweep."""
     spec = job.loops[1]
-    channel = channels(model, [3, 4])
-    options = starting_values(spec.designs[0].options, channel, two_axis.nutation, PERIOD)
-    found = Designed(controller=classical_controller(options, channel, PERIOD), options=options)
+    options, controller = classical
+    found = Designed(controller=controller, options=options)
     design = certified(spec, spec.designs[0], found, two_axis)
     P, K = sampled_plant(two_axis), design.controller
     loop = control.feedback(P, K, sign=1)
@@ -205,19 +214,15 @@ def test_certified_figures_come_from_the_closed_loop(job, model, two_axis):
     assert {r.name for r in design.results} >= {"bandwidth", "disk margin, worst case", "torque noise, rms"}
 
 
-def test_the_exact_margins_are_never_above_those_of_the_grid(job, model, two_axis):
-    channel = channels(model, [3, 4])
-    options = starting_values(job.loops[1].designs[0].options, channel, two_axis.nutation, PERIOD)
-    K = classical_controller(options, channel, PERIOD)
+def test_the_exact_margins_are_never_above_those_of_the_grid(classical, two_axis):
+    _, K = classical
     rough, exact = measure(two_axis, K, exact=False), measure(two_axis, K)
     assert np.all(exact.disk_margin <= rough.disk_margin * (1 + 1e-9))
     np.testing.assert_allclose(exact.disk_margin, rough.disk_margin, rtol=0.02)
 
 
-def test_torque_noise_is_what_a_long_random_run_shows(job, model, two_axis):
-    channel = channels(model, [3, 4])
-    options = starting_values(job.loops[1].designs[0].options, channel, two_axis.nutation, PERIOD)
-    K = classical_controller(options, channel, PERIOD)
+def test_torque_noise_is_what_a_long_random_run_shows(classical, two_axis):
+    _, K = classical
     measures = measure(two_axis, K)
     named = named_system(K, two_axis.angles, two_axis.torques)
     loop = control.feedback(named, sampled_plant(two_axis), sign=1)
@@ -232,11 +237,6 @@ def test_an_unstable_controller_is_not_certified(job, two_axis):
     growing = Designed(controller=gain(np.array([[0.0, 40.0], [40.0, 0.0]])), options={})
     with pytest.raises(DesignError, match="grows at"):
         certified(spec, spec.designs[0], growing, two_axis)
-
-
-def test_an_option_without_meaning_is_named(model):
-    with pytest.raises(DesignError, match="inertial_crossover_hz"):
-        starting_values({"inertial_crossover_hz": 3.0}, channels(model, [3, 4]), 474.0, PERIOD)
 
 
 def test_rates_from_the_torques_of_the_caged_gyros(model):
@@ -255,44 +255,46 @@ def test_gyros_that_do_not_measure_a_rate_are_an_error(job):
         rate_estimate(linearise(read_platform("momentum_wheel_satellite")))
 
 
-def test_numbers_that_make_no_sense_are_named(job, model):
-    channel = channels(model, [3, 4])
-    with pytest.raises(DesignError, match="crossover_hz must be > 0, got 0"):
-        starting_values({"crossover_hz": 0.0}, channel, 474.0, PERIOD)
-    with pytest.raises(DesignError, match="notch_hz must be below half the sample rate, got 1500"):
-        starting_values({"notch_hz": 1500.0}, channel, 474.0, PERIOD)
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"inertial_crossover_hz": 3.0}, "inertial_crossover_hz"),
+        ({"crossover_hz": 0.0}, "crossover_hz must be > 0, got 0"),
+        ({"notch_hz": 1500.0}, "notch_hz must be below half the sample rate, got 1500"),
+        ({"spin_notch_hz": 1000.0}, "spin_notch_hz must be below half the sample rate, got 1000"),
+        ({"lag_ratio": 1.0}, "lag_ratio.* must exceed 1, got 1"),
+    ],
+)
+def test_wrong_options_are_named(channel, options, message):
+    with pytest.raises(DesignError, match=message):
+        starting_values(options, channel, 474.0, PERIOD)
+
+
+def test_a_filter_beyond_half_the_sample_rate_is_an_error(job, model):
     servo = dataclasses.replace(job.loops[2].designs[0], options={"filter_hz": 1000.0})
     with pytest.raises(DesignError, match="filter_hz must be below half the sample rate, got 1000"):
         platform_servo(LoopProblem(job=job, spec=job.loops[2], design=servo, model=model))
 
 
-def test_a_lag_raises_the_gain_at_low_frequencies_alone(model):
-    channel = channels(model, [3, 4])
+def test_a_lag_raises_the_gain_at_low_frequencies_alone(channel):
     plain = starting_values({"integral_hz": 0.1}, channel, 474.0, PERIOD)
     lagging = starting_values({"integral_hz": 0.1, "lag_hz": 2.0, "lag_ratio": 4.0}, channel, 474.0, PERIOD)
 
     def cross(options, hz):
-        A, B, C, D, _ = classical_controller(options, channel, PERIOD)
-        z = np.exp(2j * np.pi * hz * PERIOD)
-        return abs((C @ np.linalg.solve(z * np.eye(len(A)) - A, B) + D)[0, 1])
+        return abs(response(classical_controller(options, channel, PERIOD), 2 * np.pi * hz)[0, 1])
 
     assert cross(lagging, 1e-3) / cross(plain, 1e-3) == pytest.approx(4.0, rel=1e-3)
     assert cross(lagging, 500.0) / cross(plain, 500.0) == pytest.approx(1.0, rel=1e-3)
 
 
-def test_the_spin_notch_attenuates_every_path_at_the_spin_frequency(model):
+def test_the_spin_notch_attenuates_every_path_at_the_spin_frequency(channel):
     """Rotor 11: 0.15/1.2e-4 = 1250 rad/s."""
-    channel = channels(model, [3, 4])
     np.testing.assert_allclose(channel.spins, [1250.0])
     plain = starting_values({}, channel, 474.0, PERIOD)
     notched = starting_values({"spin_notch_depth": 0.05}, channel, 474.0, PERIOD)
     assert notched["spin_notch_hz"] == pytest.approx(1250.0 / (2.0 * np.pi))
-    z = np.exp(1250j * PERIOD)
-    responses = []
-    for options in (plain, notched):
-        A, B, C, D, _ = classical_controller(options, channel, PERIOD)
-        responses.append(C @ np.linalg.solve(z * np.eye(len(A)) - A, B) + D)
-    np.testing.assert_allclose(responses[1], 0.05 * responses[0], rtol=1e-8)
+    there, less = (response(classical_controller(one, channel, PERIOD), 1250.0) for one in (plain, notched))
+    np.testing.assert_allclose(less, 0.05 * there, rtol=1e-8)
 
 
 def test_rotors_of_two_spins_need_a_given_one(model):
@@ -300,10 +302,6 @@ def test_rotors_of_two_spins_need_a_given_one(model):
     with pytest.raises(DesignError, match=r"one spin frequency, but 159\.2, 198\.9 Hz"):
         starting_values({"spin_notch_width": 0.2}, channel, 474.0, PERIOD)
     assert starting_values({"spin_notch_hz": 180.0}, channel, 474.0, PERIOD)["spin_notch_depth"] == 0.1
-    with pytest.raises(DesignError, match="spin_notch_hz must be below half the sample rate, got 1000"):
-        starting_values({"spin_notch_hz": 1000.0}, channel, 474.0, PERIOD)
-    with pytest.raises(DesignError, match=r"lag_ratio.* must exceed 1, got 1"):
-        starting_values({"lag_ratio": 1.0}, channel, 474.0, PERIOD)
 
 
 PAIR = {"period": PERIOD, "delay": PERIOD, "integral_hz": 2.0, "lead_hz": 7.0, "rolloff_hz": 900.0}
@@ -391,18 +389,19 @@ def test_placed_poles_do_not_depend_on_units(model):
     assert max(conditions[:2]) < 0.05 * conditions[2]
 
 
-def test_pole_placement_names_what_is_wrong(model):
-    plant = state_space(model, gimbals=("9", "10"))
-    with pytest.raises(ArgumentError, match="without its conjugate"):
-        pole_placement(plant, [-1 + 1j, -1 + 1j, -3, -4], ["Q9", "Q10"])
-    with pytest.raises(ArgumentError, match="4 finite numbers, one for each state"):
-        pole_placement(plant, [-1, -2, -3], ["Q9", "Q10"])
-    with pytest.raises(ArgumentError, match=r"at most 2 times, the rank of B, got -1.* 3 times"):
-        pole_placement(plant, [-1, -1, -1, -3], ["Q9", "Q10"])
-    with pytest.raises(ArgumentError, match="did you mean 'Q9'"):
-        pole_placement(plant, [-1, -2, -3, -4], ["q9"])
-    with pytest.raises(NotStabilisableError, match="no input moves the mode at"):
-        pole_placement(plant, [-1, -2, -3, -4], ["Omega2"])
+@pytest.mark.parametrize(
+    ("poles", "inputs", "error", "message"),
+    [
+        ([-1 + 1j, -1 + 1j, -3, -4], ["Q9", "Q10"], ArgumentError, "without its conjugate"),
+        ([-1, -2, -3], ["Q9", "Q10"], ArgumentError, "4 finite numbers, one for each state"),
+        ([-1, -1, -1, -3], ["Q9", "Q10"], ArgumentError, "at most 2 times, the rank of B, got -1.* 3 times"),
+        ([-1, -2, -3, -4], ["q9"], ArgumentError, "did you mean 'Q9'"),
+        ([-1, -2, -3, -4], ["Omega2"], NotStabilisableError, "no input moves the mode at"),
+    ],
+)
+def test_pole_placement_names_what_is_wrong(model, poles, inputs, error, message):
+    with pytest.raises(error, match=message):
+        pole_placement(state_space(model, gimbals=("9", "10")), poles, inputs)
 
 
 def test_python_controls_root_locus_follows_the_momentum_states(model):

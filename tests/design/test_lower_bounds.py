@@ -15,6 +15,7 @@ from scipy.linalg import solve_continuous_are
 
 from design.test_hinf import SHAPED, coprime_least, coprime_problem, random_plant
 from platform_ctrl import design
+from platform_ctrl.analysis.arrays import state_arrays
 from platform_ctrl.analysis.norms import h2_norm, hinf_norm
 from platform_ctrl.design.lower_bounds import h2_lower_bound, hinf_lower_bound
 from platform_ctrl.design.partition import Partition, closed_loop, closed_loop_system, partition
@@ -225,7 +226,7 @@ def test_no_stabilising_controller_undercuts_the_bounds_of_a_singular_plant(seed
     for synthesis in (design.hinf, design.h2):
         try:
             K = synthesis(control.StateSpace(P.A, P.B, P.C, near, remove_useless_states=False), 1, 1, method="riccati")
-            loop = closed_loop_system(P, closed_loop(plant, K.controller))
+            loop = closed_loop_system(P, closed_loop(plant, state_arrays(K.controller, "K")))
             norms = hinf_norm(loop)[0], h2_norm(control.ss(loop.A, loop.B, loop.C, 0))
         except PlatformCtrlError:
             continue

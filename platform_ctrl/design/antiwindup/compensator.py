@@ -26,8 +26,8 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
 # Shares of the minimum decay rate at which ellipsoids are tried; and the one for shocks.
-_SHARES = (0.02, 0.04, 0.08, 0.13, 0.2, 0.28, 0.36, 0.44, 0.52, 0.6, 0.7, 0.8)
-_OF_SHOCKS = 0.1
+_DECAY_SHARES = (0.02, 0.04, 0.08, 0.13, 0.2, 0.28, 0.36, 0.44, 0.52, 0.6, 0.7, 0.8)
+_SHOCK_DECAY_SHARE = 0.1
 
 
 @value
@@ -125,7 +125,7 @@ def largest_Omega(loop: LimitedLoop, *, saturating: bool = False, time_limit: fl
     See docs/torque-limits.md.
     """
     slowest = minimum_decay_rate(loop)
-    best = max((below_the_limits(loop, share * slowest) for share in _SHARES), key=lambda one: one.Omega)
+    best = max((below_the_limits(loop, share * slowest) for share in _DECAY_SHARES), key=lambda one: one.Omega)
     if saturating:
         best = max(best, widest(loop, best.Omega, best.alpha, time_limit=time_limit), key=lambda one: one.Omega)
     shown = best.verify()
@@ -183,7 +183,7 @@ def anti_windup(
     order = loop.R.shape[1]
     if not order:
         raise InfeasibleError("anti_windup: the controller must have states: a static one does not wind up", loop)
-    alpha = _OF_SHOCKS * minimum_decay_rate(loop)
+    alpha = _SHOCK_DECAY_SHARE * minimum_decay_rate(loop)
     without = widest(
         loop, Omega, alpha, directions=directions, gain=np.zeros((order, len(loop.controls))), time_limit=time_limit
     )

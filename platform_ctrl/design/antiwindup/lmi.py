@@ -31,11 +31,11 @@ from platform_ctrl.errors import DesignError, InfeasibleError, NotCertifiedError
 # Slack of the matrix inequality in the solver's units, for the proof.
 _SLACK = 1e-7
 # Relative losses against the best objective, tried in turn, that make the inequalities of the final solution strict.
-_LOSSES = (1e-3, 3e-3, 1e-2)
+_OBJECTIVE_LOSSES = (1e-3, 3e-3, 1e-2)
 # Share of the torques' limits, and of the states' sizes, by which ellipsoids are widened in every direction.
-_FLOOR = 3e-5
+_WIDENING = 3e-5
 # Samples over which the first estimate of a direction's multiple is computed.
-_AHEAD = 200
+_SAMPLES_AHEAD = 200
 # Rounds that raise Omega to what the last ellipsoid allows.
 _ROUNDS = 3
 _CURE = "give a smaller Omega, a slower rise, larger limits, or a loop with more damping"
@@ -202,7 +202,7 @@ def _least(loop: LimitedLoop, alpha: float, Omega: float = 1.0, extra: FloatArra
     torque = loop.B * loop.limits
     size = np.sqrt(np.diag(stationary_covariance(loop.A / root, torque)))
     size = np.where(size > 0.0, size, max(Omega, 1.0) * loop.jerk)
-    driven += [_FLOOR * torque, _FLOOR * np.diag(size)]
+    driven += [_WIDENING * torque, _WIDENING * np.diag(size)]
     return _symmetric(stationary_covariance(loop.A / root, np.hstack(driven)))
 
 
@@ -243,7 +243,7 @@ def widest(
     E = best.gain if gain is None else gain
     # Once more with the gain fixed and a slightly worse objective: as far from the boundary as possible.
     failure: DesignError
-    for loss in _LOSSES:
+    for loss in _OBJECTIVE_LOSSES:
         try:
             if directions is None:
                 problem = _Problem(loop, Omega * (1.0 - loss), alpha, None)
@@ -282,7 +282,7 @@ class _Problem:
         if directions is not None:
             # A first estimate of the multiple: where the first torque reaches its limit.
             state, share = directions, np.zeros(1)
-            for _ in range(_AHEAD):
+            for _ in range(_SAMPLES_AHEAD):
                 share = np.maximum(share, np.max(np.abs(loop.K @ state) / self.room[:, None], initial=0.0))
                 share = np.maximum(share, np.max(np.abs(loop.C @ state) / stops[:, None], initial=0.0))
                 state = loop.A @ state

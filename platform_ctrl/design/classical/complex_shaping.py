@@ -38,11 +38,11 @@ if TYPE_CHECKING:
 # Poles with a real part below this share of the fastest one's size lie on the axis.
 _ON_AXIS = 1e-7
 # Radius of half circles round them, over the distance to the next pole.
-_RADIUS = 1e-3
+_ARC_RADIUS = 1e-3
 # A step of the curve turns by less than this about −1, rad; a contour is refined so often for it.
 _LARGEST_TURN = 0.5
 _REFINEMENTS = 40
-_POINTS = 1500
+_CURVE_POINTS = 1500
 
 
 @value
@@ -282,7 +282,7 @@ def _frequencies(s: ComplexArray, plant: ComplexSystem) -> FloatArray:
     """Signed frequencies, logarithmic on both sides of 0 and of every pole's, without the poles themselves."""
     sizes = np.abs(s)[np.abs(s) > _ON_AXIS * np.abs(s).max(initial=1.0)]
     top = np.pi / plant.dt if plant.dt else 1e3 * float(sizes.max(initial=1.0))
-    steps = np.geomspace(1e-3 * min(float(sizes.min(initial=1.0)), top), 2.0 * top, _POINTS // 2)
+    steps = np.geomspace(1e-3 * min(float(sizes.min(initial=1.0)), top), 2.0 * top, _CURVE_POINTS // 2)
     near = np.geomspace(1e-4, 1.0, 60) * float(sizes.max(initial=1.0))
     w = np.concatenate([steps, -steps, [-top, top], *(x + sign * near for x in s.imag for sign in (-1.0, 1.0))])
     w = np.unique(w[np.abs(w) <= top])
@@ -297,7 +297,7 @@ def _contour(frequency: FloatArray, s: ComplexArray) -> ComplexArray:
     path = np.asarray(1j * frequency, dtype=np.complex128)
     for pole in poles:
         others = np.abs(s - 1j * pole)
-        radius = _RADIUS * float(others[others > _ON_AXIS * size].min(initial=size))
+        radius = _ARC_RADIUS * float(others[others > _ON_AXIS * size].min(initial=size))
         arc = 1j * pole + radius * np.exp(1j * np.linspace(-0.5 * np.pi, 0.5 * np.pi, 41))
         path = np.concatenate([path[path.imag < pole - radius], arc, path[path.imag > pole + radius]])
     return path

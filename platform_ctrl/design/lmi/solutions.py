@@ -38,7 +38,7 @@ from platform_ctrl.errors import DesignError, IllPosedError, InfeasibleError, Ti
 # Largest eigenvalue of V relative to the one before, on the average, and the inverse of the least one.
 ROOM = 10.0
 # Factor of `near`.
-NEAR = 30.0
+LARGEST_RATIO = 30.0
 
 
 def slackest(
@@ -89,7 +89,7 @@ def _matrix(
     constraints = [new >> 1 / ROOM**2 * np.eye(size), cp.trace(new) <= size * ROOM, more]
     if near is not None:
         there = inverse.T @ near @ inverse
-        constraints += [new >> there / NEAR, new << NEAR * there]
+        constraints += [new >> there / LARGEST_RATIO, new << LARGEST_RATIO * there]
     for plant in plants:
         loop = closed_loop(plant, K)
         linear = LinearLoop(
@@ -156,7 +156,7 @@ class KnownMatrix:
 # Largest number of rounds, and the least progress of one.
 MOST_ROUNDS, LEAST_PROGRESS = 40, 1e-3
 # Strictness of the inequalities while the controller changes, and of the bound that is met.
-MARGIN, BELOW = 1e-6, 0.999
+MARGIN, POLE_MARGIN = 1e-6, 0.999
 
 
 def slowed(problem: Problem, best: Found, K: StateArrays, bound: float) -> StateArrays:
@@ -167,21 +167,21 @@ def slowed(problem: Problem, best: Found, K: StateArrays, bound: float) -> State
     # Near the first matrix: otherwise the condition would grow from one to the next.
     first, W = V, V[n:, n:]
     problem = problem._replace(splits=best.splits)
-    fastest = _fastest(K)
+    fastest = _fastest_pole(K)
     for _ in range(MOST_ROUNDS):
-        if fastest <= BELOW * bound:
+        if fastest <= POLE_MARGIN * bound:
             return K
         try:
-            slower = _slowest(problem, best, V, W)
-            reached = _fastest(slower)
+            slower = _slowest_controller(problem, best, V, W)
+            reached = _fastest_pole(slower)
             if not reached < (1 - LEAST_PROGRESS) * fastest:
                 break
             K, fastest = slower, reached
             V = slackest(problem, [problem.plant], best.ratios, V, K, first)
         except (InfeasibleError, UnscalableError):
             break
-        W = _own(K, fastest)
-    if fastest <= BELOW * bound:
+        W = _pole_matrix(K, fastest)
+    if fastest <= POLE_MARGIN * bound:
         return K
     rate = problem.scaled.rate
     raise InfeasibleError(
@@ -191,11 +191,11 @@ def slowed(problem: Problem, best: Found, K: StateArrays, bound: float) -> State
     )
 
 
-def _fastest(K: StateArrays) -> float:
+def _fastest_pole(K: StateArrays) -> float:
     return float(np.max(np.abs(np.linalg.eigvals(K.A)), initial=0.0))
 
 
-def _slowest(problem: Problem, best: Found, V: FloatArray, W: FloatArray) -> StateArrays:
+def _slowest_controller(problem: Problem, best: Found, V: FloatArray, W: FloatArray) -> StateArrays:
     """Return the controller with the least r in [[−r W, W A_K], [(W A_K)', −r W]] < 0, for a known V."""
     known = KnownMatrix([problem.plant], V, direct(problem))
     r = cp.Variable()
@@ -211,7 +211,7 @@ def _slowest(problem: Problem, best: Found, V: FloatArray, W: FloatArray) -> Sta
     return known.controller()
 
 
-def _own(K: StateArrays, fastest: float) -> FloatArray:
+def _pole_matrix(K: StateArrays, fastest: float) -> FloatArray:
     """Return W > 0 with A_K' W A_K < r² W for an r just above the fastest pole."""
     from scipy.linalg import solve_discrete_lyapunov
 

@@ -18,15 +18,15 @@ from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import NotCertifiedError
 
 # A pole between two frequencies: the response turns by more than this, rad, and exceeds its neighbours by this factor.
-_TURN = np.radians(110.0)
-_PEAK = 1.5
+_RESONANCE_TURN = np.radians(110.0)
+_RESONANCE_PEAK = 1.5
 # Towards the pole the contour first follows the axis, halving the distance so many times.
 _HALVINGS = 6
 # ... but not nearer than this share of the distance between the two frequencies.
-_NEAREST = 5e-3
+_NEAREST_APPROACH = 5e-3
 _ARC_POINTS = 5
 # Singular values of a residue that are smaller than this share of the largest one are noise.
-_NOISE = 0.2
+_RESIDUE_NOISE = 0.2
 
 
 @value
@@ -83,22 +83,22 @@ def _jumps(P: ComplexArray) -> NDArray[np.bool_]:
     higher = np.maximum(size[1:], size[:-1])
     beyond = np.concatenate([[0.0], size, [0.0]])
     # Dead time turns the response as well; a pole raises it above what is on both sides.
-    turned = np.abs(np.angle(there * here.conj())) > _TURN
-    return np.asarray(turned & (higher > _PEAK * np.maximum(beyond[:-3], beyond[3:])))
+    turned = np.abs(np.angle(there * here.conj())) > _RESONANCE_TURN
+    return np.asarray(turned & (higher > _RESONANCE_PEAK * np.maximum(beyond[:-3], beyond[3:])))
 
 
 def _around(w: FloatArray, P: ComplexArray, k: int) -> Contour:
     """Return the contour between frequencies k and k + 1, round the pole there."""
     p = _pole(w, P, k)
     approach = 0.5 * min(p.imag - w[k], w[k + 1] - p.imag) * 0.5 ** np.arange(_HALVINGS)
-    near = int(np.sum(approach > _NEAREST * (w[k + 1] - w[k])))
+    near = int(np.sum(approach > _NEAREST_APPROACH * (w[k + 1] - w[k])))
     approach = approach[: max(near, 1)]
     arc = approach[-1] / 2.0 * np.exp(1j * np.linspace(-0.5 * np.pi, 0.5 * np.pi, _ARC_POINTS))
     s = 1j * p.imag + np.concatenate([-1j * approach, arc, 1j * approach[::-1]])
     # P = B + R/(s − p) with B and R from the two neighbours, and R without what is noise.
     left, right = 1.0 / (1j * w[k] - p), 1.0 / (1j * w[k + 1] - p)
     U, sizes, V = np.linalg.svd((P[k + 1] - P[k]) / (right - left))
-    R = (U * np.where(sizes >= _NOISE * sizes[0], sizes, 0.0)) @ V
+    R = (U * np.where(sizes >= _RESIDUE_NOISE * sizes[0], sizes, 0.0)) @ V
     B = 0.5 * (P[k] - R * left + P[k + 1] - R * right)
     return Contour(s=s, P=B + R / (s - p)[:, None, None], residue=np.full(len(s), sizes[0]))
 
@@ -127,7 +127,7 @@ _LARGEST_TURN = np.radians(140.0)
 _SLOPE_TOLERANCE = 0.3
 _PHASE_TOLERANCE = np.radians(60.0)
 # Points between 0 and the lowest frequency at which the controller alone is followed, and how far down.
-_POINTS, _DEPTH = 400, 1e-8
+_LOW_POINTS, _LOWEST_SHARE = 400, 1e-8
 # Points with a larger real part over the imaginary one lie on half circles, not on the axis.
 _OFF_AXIS = 1e-12
 _HZ = 1.0 / (2.0 * np.pi)
@@ -204,7 +204,7 @@ def _below(
             f"stability from data: at {w0 * _HZ:.3g} Hz the phase of s^{k} det P must be near 0 or 180°, but is "
             f"{np.degrees(of_plant):.0f}° off; measure lower frequencies, or give integrators"
         )
-    down = w0 * np.geomspace(_DEPTH, 1.0, _POINTS)
+    down = w0 * np.geomspace(_LOWEST_SHARE, 1.0, _LOW_POINTS)
     K = np.asarray(controller(np.asarray(1j * down, dtype=np.complex128)) * down[:, None, None], dtype=np.complex128)
     start = np.linalg.det(1j * K[0])
     of_controller = float(np.angle(start**2)) / 2.0

@@ -27,16 +27,16 @@ from platform_ctrl.errors import UnscalableError
 # Limits are tightened by this share, so that they hold after the solver's rounding.
 RESERVE = 5e-4
 # A step may bring Z at most this near to singular, as a share of its present distance over that of the limit.
-_NEAREST = 0.3
+_LEAST_DISTANCE = 0.3
 # Largest growth of the integral gain in a step, and the solver's tolerance, tried in turn: a step need not be optimal,
 # and its result is evaluated again.
 _TRIALS = ((20.0, 1e-5), (20.0, 1e-3), (4.0, 1e-5), (4.0, 1e-3), (1.5, 1e-5), (1.5, 1e-3))
 # Largest reserve that a step may leave to the limits, as a share of them.
-_ROOM = 0.05
+_LARGEST_RESERVE = 0.05
 # An inequality is weighted less beyond so many times its limit.
-_FAR = 4.0
+_FAR_FROM_LIMIT = 4.0
 # Weight of the integral gain, in units of the present one, while the violation is minimised.
-_CARE = 1e-3
+_GAIN_WEIGHT = 1e-3
 
 
 @value
@@ -87,7 +87,7 @@ class Restriction:
             self.near <= self.nearest,
             self.near <= self.miss,
             self.miss <= self.most,
-            self.near >= -_ROOM,
+            self.near >= -_LARGEST_RESERVE,
             self.t >= self.least,
             self.t <= self.growth,
             _square(self.integral @ self.x, self.n) - self.t * np.eye(self.n) >> 0,
@@ -131,8 +131,8 @@ class Restriction:
         turned = _polar(gains[1]).T @ directions[:, 1]
         symmetric = 0.5 * (turned + turned.swapaxes(-1, -2))
         self.integral.value = symmetric.reshape(len(symmetric), -1).T / float(np.linalg.norm(gains[1], 2))
-        self.most.value, self.nearest.value = miss, 1.0 - _NEAREST * min(1.0, distance)
-        self.reward.value, self.price.value = (_CARE, 1.0) if miss else (1.0, 0.0)
+        self.most.value, self.nearest.value = miss, 1.0 - _LEAST_DISTANCE * min(1.0, distance)
+        self.reward.value, self.price.value = (_GAIN_WEIGHT, 1.0) if miss else (1.0, 0.0)
         # While the violation is minimised the integral action may become weaker, but not vanish.
         self.least.value = 0.5 / float(np.linalg.cond(gains[1])) if miss else 0.0
         cure = "give another start or pattern, or looser limits"
@@ -197,7 +197,7 @@ def _linearised(
         # The offset holds the present controller's part, which the unknowns bring again.
         offset = offset - _hermitian(_star(U) @ (Z - eye))
         # Far from the limit the inequality is weighted less: large numbers would hide the others.
-        weight = np.minimum(1.0, _FAR * r / np.linalg.norm(Y, 2, axis=(-2, -1)))
+        weight = np.minimum(1.0, _FAR_FROM_LIMIT * r / np.linalg.norm(Y, 2, axis=(-2, -1)))
         if limit.name == "sensitivity_peak":
             least = float((np.linalg.svd(Z, compute_uv=False)[:, -1] / r).min())
     else:
@@ -212,7 +212,7 @@ def _linearised(
         if limit.name in OF_ANGLE:
             offset = offset - _star(P) @ P / np.linalg.norm(P, 2, axis=(-2, -1))[:, None, None] ** 2
         present = unit * (2.0 * _hermitian(_star(V) @ Z) - _star(V) @ V)
-        weight = np.minimum(1.0, _FAR / np.linalg.norm(present, 2, axis=(-2, -1)))
+        weight = np.minimum(1.0, _FAR_FROM_LIMIT / np.linalg.norm(present, 2, axis=(-2, -1)))
     slopes, offsets = np.moveaxis(_parts(slope), 1, -1), _parts(offset)
     return slopes * weight[:, None, None], offsets * weight[:, None], weight, least
 

@@ -95,16 +95,16 @@ def candidates(frequency: FloatArray, P: ComplexArray) -> Iterator[FloatArray]:
 
 
 # Number of frequencies of each plant in the first problem, and of those with violated limits that are added at a time.
-_FIRST = 60
-_JOINING = 10
+_FIRST_FREQUENCIES = 60
+_ADDED_FREQUENCIES = 10
 # The search ends where the gain rises, or the violation falls, by less than these shares in so many steps.
-_PROGRESS = 1e-2
-_NEARER = 0.01
-_PATIENCE = 2
+_LEAST_GAIN_RISE = 1e-2
+_LEAST_MISS_FALL = 0.01
+_STALLED_STEPS = 2
 # A violation between the frequencies above which these are added before the search goes on.
-_BROKEN = 1.03
+_VIOLATED = 1.03
 # More than any violation.
-_ANY_MISS = 1e6
+_LARGEST_MISS = 1e6
 _HALVINGS = 6
 _HZ = 1.0 / (2.0 * np.pi)
 
@@ -197,7 +197,9 @@ class Search:
 
     def improved(self, gains: FloatArray, steps: int) -> tuple[FloatArray, FloatArray]:
         """Return the best gains that were reached within the limits, and the history."""
-        active = [np.union1d(_spread(len(path.s), _FIRST), np.flatnonzero(path.residue)) for path in self.contours]
+        active = [
+            np.union1d(_spread(len(path.s), _FIRST_FREQUENCIES), np.flatnonzero(path.residue)) for path in self.contours
+        ]
         history = [self._record(gains)]
         while True:
             chosen = [sample.only(index) for sample, index in zip(self.samples, active, strict=True)]
@@ -215,7 +217,7 @@ class Search:
         """Bring a controller within the limits."""
         stalled, last = 0, np.inf
         while max(float(_worst_ratios(sample, gains).max()) for sample in chosen) > 1.0:
-            if len(history) > steps or stalled > _PATIENCE:
+            if len(history) > steps or stalled > _STALLED_STEPS:
                 worst, name, at = self.worst(gains)
                 raise InfeasibleError(
                     f"measured_pid: {name} is {worst:.3g} times its limit at {at * _HZ:.4g} Hz after "
@@ -223,10 +225,10 @@ class Search:
                     "start",
                     self.plants,
                 )
-            step = restriction.step(gains, miss=_ANY_MISS, time_limit=self._left())
+            step = restriction.step(gains, miss=_LARGEST_MISS, time_limit=self._left())
             gains = self._stable_part(gains, step.gains)
             history.append(self._record(gains))
-            stalled = stalled + 1 if step.miss > (1.0 - _NEARER) * last else 0
+            stalled = stalled + 1 if step.miss > (1.0 - _LEAST_MISS_FALL) * last else 0
             last = min(last, step.miss)
         return gains
 
@@ -235,7 +237,7 @@ class Search:
         stalled = 0
         self.ended = "no more progress"
         # A limit that breaks between the frequencies that take part ends it: they join first.
-        while len(history) <= steps and stalled < _PATIENCE and history[-1][1] < _BROKEN:
+        while len(history) <= steps and stalled < _STALLED_STEPS and history[-1][1] < _VIOLATED:
             before = history[-1][0]
             try:
                 found = restriction.step(gains, miss=0.0, time_limit=self._left()).gains
@@ -247,7 +249,7 @@ class Search:
                 return gains
             gains = self._stable_part(gains, found)
             history.append(self._record(gains))
-            stalled = stalled + 1 if history[-1][0] < (1.0 + _PROGRESS) * before else 0
+            stalled = stalled + 1 if history[-1][0] < (1.0 + _LEAST_GAIN_RISE) * before else 0
         if len(history) > steps:
             self.ended = "the steps are used up"
         return gains
@@ -280,7 +282,7 @@ class Search:
         """Frequencies that take part, with the worst of those where a limit is violated."""
         worst = _worst_ratios(sample, gains)
         violated = np.flatnonzero(worst > 1.0)
-        violated = violated[np.argsort(-worst[violated])][:_JOINING]
+        violated = violated[np.argsort(-worst[violated])][:_ADDED_FREQUENCIES]
         return np.union1d(index, violated)
 
 

@@ -23,26 +23,26 @@ from platform_ctrl.analysis.certificates.intervals import Balls, balls, blocks, 
 from platform_ctrl.common.values import FloatArray
 
 # Eigenvalues of a Hamiltonian matrix nearer to the imaginary axis than this share of its norm lie on it.
-AXIS = 1e-10
+AXIS_DISTANCE = 1e-10
 # Largest asymmetry of a Riccati solution before it is made symmetric, relative to it, and what counts as zero when
 # the matrices of the equation are near one: the solution 0 comes out as rounding.
-SYMMETRY, ZERO = 1e-6, 1e-9
+LARGEST_ASYMMETRY, SOLUTION_ROUNDING = 1e-6, 1e-9
 # Largest number of Newton steps, and the ratio of residuals that a step must stay below.
 NEWTON_STEPS, NEWTON_PROGRESS = 30, 0.7
 # A Newton step below this, in units in which the diagonal of X is near one, is below the rounding of X.
-NO_STEP = 1e-18
+LEAST_STEP = 1e-18
 # Smallest entry on the diagonal of X that units of the states bring to one, relative to the largest.
 SMALLEST_COST = 1e-24
 # Residual over the largest term below which Newton's method converges at once, and most steps to get there.
-DISTANT, DISTANT_STEPS = 1e-2, 100
+NEWTON_RESIDUAL, APPROACH_STEPS = 1e-2, 100
 # Bits of a residual, and the number of states up to which it is computed with them.
-BITS, PRECISE_STATES = 128, 128
+RESIDUAL_BITS, RESIDUAL_STATES = 128, 128
 # A pole is off the stability boundary if it decays by this many times its rounding, or by this share of the norm of the
 # loop's matrix (sampled loops: of 1); and the share where the number of states excludes a better test.
-SURE, DEEP, FAR = 1e3, 0.2, 1e-3
+DECAY_OVER_ROUNDING, SAFE_DECAY, SAFE_DECAY_WITHOUT_TEST = 1e3, 0.2, 1e-3
 # Otherwise the eigenvalues are computed with so many bits, up to so many states. One is on the boundary if its decay
 # over its size, or its size over the largest, is less: multiple ones separate by a root of the rounding unit.
-EIGENVALUE_BITS, EIGENVALUE_STATES, NO_DECAY, NO_SIZE = 400, 40, 1e-14, 1e-20
+EIGENVALUE_BITS, EIGENVALUE_STATES, BOUNDARY_DECAY, ZERO_EIGENVALUE = 400, 40, 1e-14, 1e-20
 
 
 class Equation(NamedTuple):
@@ -68,7 +68,7 @@ class Subspace(NamedTuple):
     distance: float  # of the eigenvalues from the imaginary axis, relative to the norm of the matrix
 
 
-def stabilising(H: FloatArray, axis: float = AXIS) -> Subspace:
+def stabilising(H: FloatArray, axis: float = AXIS_DISTANCE) -> Subspace:
     """Return the stabilising solution of the equation with the Hamiltonian matrix H = [A, −S; −Q, −A'].
 
     X makes A − S X stable and solves A'X + XA − XSX + Q = 0. Eigenvalues nearer to the imaginary axis than `axis` times
@@ -93,7 +93,7 @@ def stabilising(H: FloatArray, axis: float = AXIS) -> Subspace:
     except np.linalg.LinAlgError:
         return Subspace(None, eigenvalues, distance)
     # Then their subspace is not Lagrangian.
-    if not np.linalg.norm(X - X.T) <= SYMMETRY * np.linalg.norm(X) + ZERO:
+    if not np.linalg.norm(X - X.T) <= LARGEST_ASYMMETRY * np.linalg.norm(X) + SOLUTION_ROUNDING:
         return Subspace(None, eigenvalues, distance)
     return Subspace(0.5 * (X + X.T), eigenvalues, distance)
 
@@ -110,7 +110,7 @@ def riccati_solution(equation: Equation) -> tuple[FloatArray, FloatArray, FloatA
         if found is not None:
             return found if _off_boundary(equation, *found) else None
     if len(equation.A) <= EIGENVALUE_STATES:
-        eigenvalues, X = _in_many_digits(equation)
+        eigenvalues, X = _eigenvalues_in_many_bits(equation)
         if _on_boundary(eigenvalues):
             return None
         found = None if X is None else _refined(equation, X)
@@ -154,7 +154,7 @@ def _refined(equation: Equation, X: FloatArray) -> tuple[FloatArray, FloatArray,
     found = _stable(equation, X)
     if found is None:
         return None
-    X, found = _near(equation, X, found)
+    X, found = _approached(equation, X, found)
     unit = _cost_units(X)
     left = _size(found[2], unit)
     for _ in range(NEWTON_STEPS):
@@ -162,7 +162,7 @@ def _refined(equation: Equation, X: FloatArray) -> tuple[FloatArray, FloatArray,
         # States that hardly cost anything suit the given units better.
         for s in (unit, np.ones(len(X))):
             step = _step(closed, found[2], s, equation.discrete)
-            if step is None or np.all(np.abs(step * unit * unit[:, None]) <= NO_STEP):
+            if step is None or np.all(np.abs(step * unit * unit[:, None]) <= LEAST_STEP):
                 continue
             better = _stable(equation, X + step)
             if better is not None and _size(better[2], unit) < NEWTON_PROGRESS * left:
@@ -174,11 +174,11 @@ def _refined(equation: Equation, X: FloatArray) -> tuple[FloatArray, FloatArray,
     return X, found[0], found[1]
 
 
-def _near(equation: Equation, X: FloatArray, found: Evaluation) -> tuple[FloatArray, Evaluation]:
+def _approached(equation: Equation, X: FloatArray, found: Evaluation) -> tuple[FloatArray, Evaluation]:
     """Return a solution from which the residual falls with every Newton step: at first it may rise."""
     first = X, found
-    for _ in range(DISTANT_STEPS):
-        if float(np.linalg.norm(found[2])) <= DISTANT * found[3]:
+    for _ in range(APPROACH_STEPS):
+        if float(np.linalg.norm(found[2])) <= NEWTON_RESIDUAL * found[3]:
             return X, found
         step = _step(equation.A + equation.B @ found[0], found[2], _cost_units(X), equation.discrete)
         better = None if step is None else _stable(equation, X + step)
@@ -230,7 +230,7 @@ def _stable(equation: Equation, X: FloatArray) -> Evaluation | None:
 
 
 def _evaluated(equation: Equation, X: FloatArray) -> Evaluation:
-    return _in_digits(equation, X) if len(X) <= PRECISE_STATES else _in_doubles(equation, X)
+    return _in_many_bits(equation, X) if len(X) <= RESIDUAL_STATES else _in_doubles(equation, X)
 
 
 def _in_doubles(equation: Equation, X: FloatArray) -> Evaluation:
@@ -243,11 +243,11 @@ def _in_doubles(equation: Equation, X: FloatArray) -> Evaluation:
     return F, W, 0.5 * (residual + residual.T), max(float(np.linalg.norm(term)) for term in terms)
 
 
-def _in_digits(equation: Equation, X: FloatArray) -> Evaluation:
+def _in_many_bits(equation: Equation, X: FloatArray) -> Evaluation:
     """Return what `_in_doubles` does, computed with more digits."""
     import flint
 
-    with flint.ctx.workprec(BITS):
+    with flint.ctx.workprec(RESIDUAL_BITS):
         A, B, Q, R, N, P = (balls(item) for item in (*equation[:5], X))
         At, PB = A.transpose(), P * B
         terms = [At * (P * A), -1 * P, Q] if equation.discrete else [At * P, P * A, Q]
@@ -283,21 +283,22 @@ def _off_boundary(equation: Equation, X: FloatArray, F: FloatArray, W: FloatArra
         ).real
         rounding = eps * np.linalg.norm(closed) * np.linalg.norm(left, axis=0)
         error = float(np.linalg.norm(residual)) + math.sqrt(n) * eps * size
-        apart = (decay > SURE * rounding) & (decay * decay > SURE * np.abs(input_gain) * error)
+        apart = decay > DECAY_OVER_ROUNDING * rounding
+        apart &= decay * decay > DECAY_OVER_ROUNDING * np.abs(input_gain) * error
     scale = 1.0 if equation.discrete else float(np.linalg.norm(closed, 2))
     # Multiple poles in one point (the states of a delay) have too few eigenvectors.
-    if np.all(apart | (decay > DEEP * scale)):
+    if np.all(apart | (decay > SAFE_DECAY * scale)):
         return True
     if n <= EIGENVALUE_STATES:
-        return not _on_boundary(_in_many_digits(equation)[0])
-    return bool(np.all(decay > FAR * scale))
+        return not _on_boundary(_eigenvalues_in_many_bits(equation)[0])
+    return bool(np.all(decay > SAFE_DECAY_WITHOUT_TEST * scale))
 
 
 def _on_boundary(eigenvalues: ComplexArray) -> bool:
     """Return whether one of the eigenvalues, computed with many digits, lies on the imaginary axis."""
     size = np.abs(eigenvalues)
-    near = np.abs(eigenvalues.real) <= NO_DECAY * size
-    return bool(np.any(near | (size <= NO_SIZE * size.max(initial=0.0))))
+    near = np.abs(eigenvalues.real) <= BOUNDARY_DECAY * size
+    return bool(np.any(near | (size <= ZERO_EIGENVALUE * size.max(initial=0.0))))
 
 
 def well_conditioned(closed: FloatArray, X: FloatArray, discrete: bool) -> bool:
@@ -310,10 +311,10 @@ def well_conditioned(closed: FloatArray, X: FloatArray, discrete: bool) -> bool:
     decay = 1.0 - np.abs(poles) if discrete else -poles.real
     with np.errstate(all="ignore"):
         condition = 1.0 / np.abs(np.einsum("ij,ij->j", left.conj(), right))
-        return bool(np.all(decay > SURE * np.finfo(np.float64).eps * np.linalg.norm(scaled) * condition))
+        return bool(np.all(decay > DECAY_OVER_ROUNDING * np.finfo(np.float64).eps * np.linalg.norm(scaled) * condition))
 
 
-def _in_many_digits(equation: Equation) -> tuple[ComplexArray, FloatArray | None]:
+def _eigenvalues_in_many_bits(equation: Equation) -> tuple[ComplexArray, FloatArray | None]:
     """Return the eigenvalues of the Hamiltonian (symplectic) pencil, mapped to the half plane, and X if n are stable.
 
     A singular pencil gives the eigenvalue 0.

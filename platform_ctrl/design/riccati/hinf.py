@@ -16,7 +16,7 @@ import numpy as np
 from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.partition import Partition
-from platform_ctrl.design.riccati.equations import ZERO, stabilising
+from platform_ctrl.design.riccati.equations import SOLUTION_ROUNDING, stabilising
 from platform_ctrl.design.scaling import (
     ScaledPlant,
     regularised_and_report,
@@ -37,13 +37,13 @@ LEAST_GAMMA, LARGEST_GAMMA = 1e-6, 1e8
 # What replaces an infinite slack, and the largest bound on t from which the first trial is derived.
 LARGEST_SLACK, LARGEST_FIRST = 1e14, 1e3
 # A slack this many times t belongs to solutions of which one is nearly zero.
-FAR_COUPLING = 1e6
+NEGLIGIBLE_COUPLING = 1e6
 # A solution larger than 1 / this hides a negative eigenvalue in its rounding; at this share of t it is smaller.
-NEARLY_INFINITE, A_LITTLE_BELOW = 1e-5, 1.0 - 1e-3
+NEARLY_INFINITE, SMALLER_T = 1e-5, 1.0 - 1e-3
 # Free parameters that are tried, and the largest condition of the loop around D22.
-SHARES, LARGEST_SHIFT = (0.0, 0.3, -0.3), 1e8
+SHARES, LARGEST_LOOP_CONDITION = (0.0, 0.3, -0.3), 1e8
 # Largest number of trials of gamma; about six are needed.
-LONGEST_SEARCH = 100
+MOST_TRIALS = 100
 # Eigenvalues this near to the imaginary axis, relative to the norm, give frequencies of a peak.
 NEAR_AXIS = 1e-5
 # Eigenvalues of the H2 Hamiltonian matrix farther from the axis than this exclude a zero on it.
@@ -87,7 +87,7 @@ def hinf_riccati(
             made = _central(normal, best.t**-0.5, best.solution, share)
             # The loop around D22, which was left out so far, has to stay well posed.
             around = np.linalg.cond(np.eye(len(made.D)) + scaled.control @ made.D @ scaled.measurement @ scaled.D22)
-            if around < LARGEST_SHIFT:
+            if around < LARGEST_LOOP_CONDITION:
                 return unscale(made, scaled), least * scaled.gain, residual
         except np.linalg.LinAlgError:
             continue
@@ -180,7 +180,7 @@ def _trial(sides: tuple[Side, Side], t: float) -> Trial:
             near = np.abs(subspace.eigenvalues.real) <= NEAR_AXIS * np.linalg.norm(H)
             return Trial(t, axis=(k, np.unique(np.abs(subspace.eigenvalues.imag[near]))))
         values, vectors = np.linalg.eigh(subspace.X)
-        if values[0] < -1e-7 * abs(values[-1]) - ZERO:
+        if values[0] < -1e-7 * abs(values[-1]) - SOLUTION_ROUNDING:
             return Trial(t, room=(*room, 1.0 / float(values[0])))
         room.append(1.0 / max(float(values[-1]), 1.0 / LARGEST_SLACK))
         found.append((subspace.X, vectors * np.sqrt(np.maximum(values, 0.0))))
@@ -219,11 +219,11 @@ def _least_gamma(p: Partition, sides: tuple[Side, Side], scaled: ScaledPlant, P:
     known: list[list[tuple[float, float]]] = [[], [], []]
     _note(known, start)
     t, width = 0.3 * beyond if beyond < LARGEST_FIRST else 1.0, beyond
-    for step in range(LONGEST_SEARCH):
+    for step in range(MOST_TRIALS):
         trial = _trial(sides, t)
-        if trial.slack is not None and min(trial.room) < NEARLY_INFINITE and A_LITTLE_BELOW * t > reached:
+        if trial.slack is not None and min(trial.room) < NEARLY_INFINITE and SMALLER_T * t > reached:
             # Past its first infinity a solution has a negative eigenvalue, which the next infinity outshines.
-            below = _trial(sides, A_LITTLE_BELOW * t)
+            below = _trial(sides, SMALLER_T * t)
             if below.slack is None:
                 trial, t = below, below.t
         informed = bool(trial.room)
@@ -239,7 +239,7 @@ def _least_gamma(p: Partition, sides: tuple[Side, Side], scaled: ScaledPlant, P:
         if beyond - reached <= 2.5 * ACCURACY * beyond:
             break
         # A coupling far below the level is rounding, and grows only where X or Y does: then their room says when.
-        far = trial.slack is not None and trial.slack > FAR_COUPLING * t
+        far = trial.slack is not None and trial.slack > NEGLIGIBLE_COUPLING * t
         guess = min(map(_zero, known[1:] if far else known))
         if reached == t and t < guess <= t * (1.0 + ACCURACY):
             break

@@ -30,11 +30,11 @@ if TYPE_CHECKING:
     import control
 
 # Least singular value of [A − λ, B] in balanced units, over its largest, at which a mode can be moved.
-_MOVABLE = 1e-10
+_LEAST_CONTROLLABILITY = 1e-10
 # Rate, over that of the fastest wanted pole (discrete: over the sample rate), at which the past is forgotten.
-_DECAY = 0.5
+_FORGETTING_RATE = 0.5
 # Largest relative distance of a pole from where it was to be.
-_REACHED = 1e-6
+_LARGEST_POLE_ERROR = 1e-6
 
 
 @value
@@ -138,11 +138,12 @@ def pole_placement(system: control.StateSpace, poles: ArrayLike, inputs: Sequenc
     K_n = _placed(A_n / unit, B_n / unit, wanted / unit, system)
     K = np.linalg.solve(root.T, K_n.T).T / scale
     reached, error = _matched(np.linalg.eigvals(A_n - B_n @ K_n).astype(np.complex128), wanted)
-    if not error <= _REACHED:
+    if not error <= _LARGEST_POLE_ERROR:
         k = int(np.abs(reached - wanted).argmax())
         raise NotCertifiedError(
             f"pole_placement: the pole requested at {wanted[k]:.5g} is at {reached[k]:.5g}, off by more than "
-            f"{_REACHED:g} of its size; choose poles that differ more from one another, or are nearer to the plant's",
+            f"{_LARGEST_POLE_ERROR:g} of its size; choose poles that differ more from one another, or are "
+            "nearer to the plant's",
             system,
         )
     vectors = np.linalg.eig(A_n - B_n @ K_n)[1]
@@ -158,9 +159,10 @@ def _gramian_root(A: FloatArray, B: FloatArray, dt: float, system: control.State
 
     s = np.linalg.eigvals(A)
     if dt == 0.0:
-        gramian = solve_continuous_lyapunov(A - (max(0.0, float(s.real.max())) + _DECAY) * np.eye(len(A)), -B @ B.T)
+        shift = max(0.0, float(s.real.max())) + _FORGETTING_RATE
+        gramian = solve_continuous_lyapunov(A - shift * np.eye(len(A)), -B @ B.T)
     else:
-        decaying = A / (max(1.0, float(np.abs(s).max())) * np.exp(_DECAY))
+        decaying = A / (max(1.0, float(np.abs(s).max())) * np.exp(_FORGETTING_RATE))
         gramian = solve_discrete_lyapunov(decaying, B @ B.T)
     try:
         return np.asarray(cholesky(0.5 * (gramian + gramian.T), lower=True), dtype=np.float64)
@@ -190,7 +192,7 @@ def _require_movable(A: FloatArray, B: FloatArray, system: control.StateSpace) -
     size = float(np.linalg.norm(A)) or 1.0
     for mode in np.linalg.eigvals(A):
         pencil = np.hstack([A - mode * np.eye(len(A)), B * size / max(float(np.linalg.norm(B)), 1e-300)])
-        if np.linalg.svd(pencil, compute_uv=False)[-1] < _MOVABLE * size:
+        if np.linalg.svd(pencil, compute_uv=False)[-1] < _LEAST_CONTROLLABILITY * size:
             raise NotStabilisableError(
                 f"pole_placement: no input moves the mode at {mode:.5g}; give more inputs",
                 system,
