@@ -99,7 +99,7 @@ class ClosedLoops:
         self._specs = {spec.name: spec for spec in job.loops}
         self._margins: Bounded[dict[str, float]] = Bounded(16)
         self._measures: Bounded[LoopMetrics] = Bounded(8)
-        self._judged: Bounded[tuple[CheckResult, ...]] = Bounded(8)
+        self._results: Bounded[tuple[CheckResult, ...]] = Bounded(8)
         self._take([] if controllers is None else given_designs(controllers, job))
 
     @property
@@ -285,7 +285,7 @@ class ClosedLoops:
         self, settings: Settings, K: StateArrays, make: Callable[[], tuple[CheckResult, ...]]
     ) -> tuple[CheckResult, ...]:
         """Return the coupled results with one controller for all loops, from the cache or by `make`."""
-        return self._judged.get((self.plants.key(settings), _content(K)), make)
+        return self._results.get((self.plants.key(settings), _content(K)), make)
 
     def controllers(self, settings: Settings, strict: bool = False) -> list[ClosedController]:
         """Return the controller of every loop; with `strict` only those that are named in `closed` will do."""

@@ -237,10 +237,10 @@ def decode_state(backend: Backend, text: str) -> Settings:
         changed = json.loads(raw.decode())
     except (ValueError, binascii.Error, zlib.error, RecursionError):
         raise InputError("link: it is damaged; copy it again from the page") from None
-    return judged(backend, changed)
+    return checked_settings(backend, changed)
 
 
-def judged(backend: Backend, changed: object) -> Settings:
+def checked_settings(backend: Backend, changed: object) -> Settings:
     """Return the job's settings with changes from outside, as plain data, checked against the job."""
     start = backend.start()
     known = start.data()

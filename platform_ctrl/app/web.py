@@ -260,21 +260,21 @@ class PageHandler(DocHandler):
 class SocketHandler(WSHandler):
     """The page's websocket: only messages of a page, of limited size."""
 
-    _held = 0
+    _received = 0
 
     def check_origin(self, origin: str) -> bool:
         """Accept it: `find_handler` has checked it already."""
         return True
 
     async def _receive(self, fragment: str | bytes) -> Any:
-        # A message comes in as many pieces as it says itself.
-        self._held += len(fragment)
-        if self._held > MESSAGE_BYTES:
+        # A message comes in as many pieces as it announces itself.
+        self._received += len(fragment)
+        if self._received > MESSAGE_BYTES:
             self._protocol_error("message too large")
             return None
         message = await super()._receive(fragment)
         if message is not None:
-            self._held = 0
+            self._received = 0
         return message
 
     async def _handle(self, message: Any) -> Any:

@@ -37,7 +37,7 @@ def resident() -> Iterator[TaskRunner]:
     made.end()
 
 
-def test_the_process_stays_for_the_next_question_also_after_a_refusal(resident: TaskRunner) -> None:
+def test_the_process_stays_for_the_next_task_also_after_an_error(resident: TaskRunner) -> None:
     first = resident.run(Who(), silent, never)
     assert first != os.getpid()
     with pytest.raises(ArgumentError, match="expected sense"):
@@ -45,13 +45,13 @@ def test_the_process_stays_for_the_next_question_also_after_a_refusal(resident: 
     assert resident.run(Who(), silent, never) == first
 
 
-def test_a_question_that_is_cancelled_ends_the_process_and_the_next_one_has_another(
+def test_a_cancelled_task_ends_the_process_and_the_next_task_starts_another(
     resident: TaskRunner,
 ) -> None:
     first = resident.run(Who(), silent, never)
-    told: list[str] = []
+    lines: list[str] = []
     with pytest.raises(TaskCancelled):
-        resident.run(Sleeping(), told.append, lambda: told == ["asleep"])
+        resident.run(Sleeping(), lines.append, lambda: lines == ["asleep"])
     assert gone(first)
     assert not resident.started
     with pytest.raises(DesignError, match="died"):
@@ -59,7 +59,7 @@ def test_a_question_that_is_cancelled_ends_the_process_and_the_next_one_has_anot
     assert resident.run(Who(), silent, never) not in (first, os.getpid())
 
 
-def test_nothing_is_left_once_nobody_asks_any_more(resident: TaskRunner) -> None:
+def test_ending_the_runner_ends_its_process_and_refuses_tasks(resident: TaskRunner) -> None:
     process = resident.run(Who(), silent, never)
     asleep, ended = threading.Event(), []
 
@@ -80,7 +80,7 @@ def test_nothing_is_left_once_nobody_asks_any_more(resident: TaskRunner) -> None
         resident.run(Who(), silent, never)
 
 
-def test_a_process_ends_with_whom_it_works_for() -> None:
+def test_a_process_ends_with_its_runner() -> None:
     resident = TaskRunner()
     process = resident.run(Who(), silent, never)
     del resident

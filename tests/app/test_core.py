@@ -207,7 +207,7 @@ def test_the_band_holds_every_plant_of_the_set(bench: Backend, settings: Setting
     assert [r.value for r in without.requirements] == [r.value for r in picture.requirements]
 
 
-def test_a_platform_rate_is_shown_and_widens_the_range_that_is_asked_for(
+def test_a_platform_rate_is_shown_and_widens_the_range_of_the_job(
     bench: Backend, settings: Settings, picture: Picture
 ) -> None:
     inside = bench.picture(bench.moved(settings, "Omega2", 0.8))
@@ -218,7 +218,7 @@ def test_a_platform_rate_is_shown_and_widens_the_range_that_is_asked_for(
     assert "Omega = (1, 1.7, 1) rad/s" in bench.picture(beyond).plants
 
 
-def test_all_loops_together_are_judged_as_check_does(bench: Backend) -> None:
+def test_requirements_of_all_loops_are_those_of_check(bench: Backend) -> None:
     settings = bench.moved(bench.start("stabilisation"), "crossover_hz", 5.0)
     assert settings.mode == "stabilised"
     picture = bench.picture(settings)
@@ -242,7 +242,7 @@ def test_all_loops_together_are_judged_as_check_does(bench: Backend) -> None:
     assert abs(picture.step.values[0, -1] - picture.step.values[0, -2]) < 0.02 * abs(picture.step.values[0, -1])
 
 
-def test_a_pulled_pole_ends_where_it_was_pulled_to(bench: Backend, settings: Settings, picture: Picture) -> None:
+def test_a_dragged_pole_ends_at_its_target(bench: Backend, settings: Settings, picture: Picture) -> None:
     for k in np.flatnonzero(picture.locus.draggable)[:3]:
         pole = complex(picture.locus.present[k])
         target = pole * (1.04 + 0.02j)
@@ -255,7 +255,7 @@ def test_a_pulled_pole_ends_where_it_was_pulled_to(bench: Backend, settings: Set
 
 
 @pytest.mark.parametrize(("share", "nearer"), [(1e-2, 0.4), (0.3, 0.8), (30.0, 0.0)])
-def test_a_crossover_that_cannot_go_all_the_way_goes_as_far_as_it_can_and_stays_one(
+def test_a_crossover_that_cannot_reach_its_target_comes_as_near_as_possible(
     bench: Backend, settings: Settings, picture: Picture, share: float, nearer: float
 ) -> None:
     now = float(picture.bode.crossovers[-1])
@@ -267,7 +267,7 @@ def test_a_crossover_that_cannot_go_all_the_way_goes_as_far_as_it_can_and_stays_
     assert np.abs(np.log(dragged / target)).min() <= abs(np.log(now / target)) - nearer + 1e-9
 
 
-def test_nothing_is_pulled_where_all_is_fixed(bench: Backend, settings: Settings, picture: Picture) -> None:
+def test_nothing_can_be_dragged_where_all_is_fixed(bench: Backend, settings: Settings, picture: Picture) -> None:
     fixed = settings.but(fixed=frozenset(slider.name for slider in bench.sliders(settings)))
     pole = complex(picture.locus.present[picture.locus.draggable][0])
     with pytest.raises(DesignError, match="no slider may move"):
@@ -315,24 +315,24 @@ def test_an_unstable_loop_has_a_picture_that_says_so(bench: Backend, settings: S
         ("lead_hz", "fast"),
     ],
 )
-def test_a_slider_that_cannot_stand_there_is_told_in_one_line(
+def test_an_impossible_slider_value_is_an_error_of_one_line(
     bench: Backend, settings: Settings, slider: str, number: float
 ) -> None:
-    with pytest.raises(ArgumentError) as told:
+    with pytest.raises(ArgumentError) as error:
         bench.moved(settings, slider, number)
-    assert "\n" not in str(told.value)
-    assert slider in str(told.value)
+    assert "\n" not in str(error.value)
+    assert slider in str(error.value)
 
 
-def test_settings_of_another_job_are_told_in_one_line(bench: Backend, settings: Settings) -> None:
+def test_settings_of_another_job_are_an_error_of_one_line(bench: Backend, settings: Settings) -> None:
     for wrong in (
         settings.but(loop="caging 1"),
         settings.but(design="lqg"),
         settings.but(axis=4),
     ):
-        with pytest.raises(PlatformCtrlError) as told:
+        with pytest.raises(PlatformCtrlError) as error:
             bench.picture(wrong)
-        assert "\n" not in str(told.value)
+        assert "\n" not in str(error.value)
     bench.close()
     with pytest.raises(DesignError, match="is being designed"):
         bench.picture(bench.chosen(settings, design="H-infinity"))

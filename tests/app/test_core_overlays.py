@@ -67,7 +67,7 @@ def test_another_servo_over_the_picture_is_what_its_own_picture_draws(
     assert np.abs(over.response - picture.bode.response).max() > 0.1 * np.abs(picture.bode.response).max()
 
 
-def test_what_is_no_design_of_the_servo_is_refused(bench: Backend, settings: Settings) -> None:
+def test_an_overlay_that_cannot_be_built_is_a_note_and_the_rest_is_drawn(bench: Backend, settings: Settings) -> None:
     # A design that cannot be built is told in a line, and the rest is drawn.
     slow = {**settings.options[SERVO]["slow"], "filter_hz": 1500.0}
     broken = settings.but(band=False, options={**settings.options, SERVO: {**settings.options[SERVO], "slow": slow}})

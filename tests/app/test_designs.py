@@ -13,7 +13,7 @@ from app.test_saving import LOOP, TWO
 from platform_ctrl.app.backend import Backend
 from platform_ctrl.app.designs import DesignPending
 from platform_ctrl.app.pictures import Influence
-from platform_ctrl.app.saving import decode_state, encode_state, judged
+from platform_ctrl.app.saving import checked_settings, decode_state, encode_state
 from platform_ctrl.app.settings import Settings
 from platform_ctrl.errors import DesignError, InputError
 
@@ -114,7 +114,7 @@ def test_what_one_page_designs_changes_nothing_on_another(bench: Backend, start:
         np.testing.assert_array_equal(bench.influence(mine).change, arrows.change)
 
 
-def test_a_link_holds_for_what_a_design_was_made(bench: Backend, start: Settings, redesigned: Settings) -> None:
+def test_a_link_contains_the_conditions_of_a_design(bench: Backend, start: Settings, redesigned: Settings) -> None:
     mine = bench.moved(redesigned, "spin 11", 1.07 * start.spins["11"])
     again = decode_state(bench, encode_state(bench, mine))
     assert again.data() == mine.data()
@@ -145,4 +145,4 @@ def test_a_link_holds_for_what_a_design_was_made(bench: Backend, start: Settings
 )
 def test_a_damaged_link_says_what_is_wrong_with_it(bench: Backend, given: object) -> None:
     with pytest.raises(InputError, match=r"must|is unknown"):
-        judged(bench, {"designed_for": given})
+        checked_settings(bench, {"designed_for": given})

@@ -42,20 +42,18 @@ def missed(picture: Picture) -> set[str]:
     return {one.name for one in picture.requirements if not one.passed}
 
 
-def test_the_pole_that_took_the_bandwidth_along_goes_as_far_as_the_bandwidth_lets_it(
-    bench: Backend, judge: Backend
-) -> None:
+def test_a_pole_goes_as_far_as_the_bandwidth_limit_allows(bench: Backend, judge: Backend) -> None:
     start, goal = bench.start(PAIR), -807.0 + 865.0j
     before = bench.picture(start)
     assert missed(before) == set()
     pole = nearest(before, -630.0 + 760.0j)
     free = judge.picture(judge.drag_pole(start, pole, goal, free=True))
     assert "bandwidth" in missed(free)
-    told: list[tuple[str, ...]] = []
-    dragged = bench.drag_pole(start, pole, goal, on_limited=told.append)
+    limiting: list[tuple[str, ...]] = []
+    dragged = bench.drag_pole(start, pole, goal, on_limited=limiting.append)
     after = judge.picture(dragged)
     assert missed(after) == set()
-    assert "bandwidth" in told[-1]
+    assert "bandwidth" in limiting[-1]
     # It goes on along the limit: further than the first place where the way to the goal itself meets it.
     assert abs(nearest(after, pole) - goal) < abs(pole - goal) - 0.03 * abs(pole)
 
@@ -85,38 +83,38 @@ def test_no_drag_makes_a_requirement_missed_that_is_met(
     poles = before.locus.present[before.locus.draggable]
     pole = complex(poles[which % len(poles)])
     target = size * pole * np.exp(1j * turn)
-    told: list[tuple[str, ...]] = []
-    after = judge.picture(bench.drag_pole(start, pole, target, on_limited=told.append))
+    limiting: list[tuple[str, ...]] = []
+    after = judge.picture(bench.drag_pole(start, pole, target, on_limited=limiting.append))
     assert missed(after) <= missed(before)
     free = bench.drag_pole(start, pole, target, free=True)
-    if missed(judge.picture(free)) <= missed(before) and not told:
+    if missed(judge.picture(free)) <= missed(before) and not limiting:
         # Where nothing holds it the drag is the free one.
         assert abs(nearest(after, target) - target) == pytest.approx(
             abs(nearest(judge.picture(free), target) - target), abs=1e-6 * abs(target)
         )
-    for name in {name for names in told for name in names}:
+    for name in {name for names in limiting for name in names}:
         assert name in {one.name for one in before.requirements if one.passed}
 
 
-def test_limits_that_are_missed_already_hold_nothing_back(bench: Backend) -> None:
+def test_missed_limits_do_not_limit_a_drag(bench: Backend) -> None:
     settings = bench.moved(bench.start(PAIR), "crossover_hz", 20.0)
     before = bench.picture(settings)
     assert "bandwidth" in missed(before)
     pole = complex(before.locus.present[before.locus.draggable][0])
-    told: list[tuple[str, ...]] = []
-    bench.drag_pole(settings, pole, 1.02 * pole, on_limited=told.append)
-    assert not any(name == "bandwidth" for names in told for name in names)
+    limiting: list[tuple[str, ...]] = []
+    bench.drag_pole(settings, pole, 1.02 * pole, on_limited=limiting.append)
+    assert not any(name == "bandwidth" for names in limiting for name in names)
 
 
 def test_the_crossover_stops_where_a_requirement_would_be_missed(bench: Backend, judge: Backend) -> None:
     start = bench.start(PAIR)
     crossover = float(bench.picture(start).bode.crossovers[-1])
-    told: list[tuple[str, ...]] = []
+    limiting: list[tuple[str, ...]] = []
     for factor in (0.5, 2.0):
-        told.clear()
-        after = judge.picture(bench.drag_crossover(start, factor * crossover, on_limited=told.append))
+        limiting.clear()
+        after = judge.picture(bench.drag_crossover(start, factor * crossover, on_limited=limiting.append))
         assert missed(after) == set()
-        assert told
+        assert limiting
         assert missed(judge.picture(bench.drag_crossover(start, factor * crossover, free=True)))
     near = bench.drag_crossover(start, 1.001 * crossover)
     assert judge.picture(near).bode.crossovers[-1] == pytest.approx(1.001 * crossover, rel=1e-4)
@@ -127,12 +125,12 @@ def test_no_drag_of_the_servo_makes_a_coupled_requirement_missed(bench: Backend,
     settings = bench.start(SERVO)
     before = bench.picture(settings)
     pole = nearest(before, -619.0 + 772.0j)
-    told: list[tuple[str, ...]] = []
+    limiting: list[tuple[str, ...]] = []
     for share in (0.03, 0.06, 0.09, 0.12):
         target = (1.0 + share) * nearest(before, -619.0 + 772.0j)
-        settings = bench.drag_pole(settings, pole, target, on_limited=told.append)
+        settings = bench.drag_pole(settings, pole, target, on_limited=limiting.append)
         pole = nearest(bench.picture(settings), pole)
-    assert told
+    assert limiting
     assert missed(judge.picture(settings)) <= missed(before)
 
 

@@ -27,9 +27,9 @@ def test_what_is_drawn_is_the_pictures_and_comes_before_it_is_measured(
 ) -> None:
     bench = Backend("examples/three_gyro_platform.toml")
     settings = bench.start(loop)
-    told: list[Drawing] = []
-    picture = bench.picture(settings, told.append)
-    (drawing,) = told
+    drawings: list[Drawing] = []
+    picture = bench.picture(settings, drawings.append)
+    (drawing,) = drawings
     assert type(drawing) is Drawing
     for one in dataclasses.fields(Drawing):
         assert getattr(drawing, one.name) is getattr(picture, one.name)
@@ -51,7 +51,7 @@ def test_what_is_drawn_is_the_pictures_and_comes_before_it_is_measured(
         bench.picture(settings, stop)
 
 
-def test_changes_of_one_moment_are_one_message_words_first_and_arrive_as_they_are() -> None:
+def test_simultaneous_changes_are_one_message_with_text_first() -> None:
     def page() -> tuple[Document, ColumnDataSource, Range1d, Div]:
         out = Document()
         source = ColumnDataSource(data={"x": np.zeros(0, np.float32)}, name="source")

@@ -256,7 +256,7 @@ HANDLE = """() => {
 }"""
 
 
-def test_a_drag_is_held_back_by_a_limit_that_is_met_and_shift_lets_it_go_on(page: Page) -> None:
+def test_a_drag_stops_at_a_met_limit_and_goes_on_with_shift(page: Page) -> None:
     def drag_down(steps: int) -> None:
         at = float(page.evaluate(HANDLE))
         first, last = (page.evaluate(PLACE, ["bode-figure-0", f, 10.0]) for f in (at, 0.2 * at))
@@ -278,7 +278,7 @@ def test_a_drag_is_held_back_by_a_limit_that_is_met_and_shift_lets_it_go_on(page
     assert "Limited by" not in (page.locator("#line").text_content() or "")
 
 
-def test_what_is_left_of_a_limit_is_said_as_more_where_it_has_no_room(page: Page) -> None:
+def test_a_margin_beyond_999_percent_is_shown_as_more(page: Page) -> None:
     # 0.05 1/s are asked of the minimum decay rate, and some hundred times as much is there.
     row = page.locator("#requirements tbody tr", has_text="minimum decay rate").first
     assert "> +999 %" in (row.text_content() or "")
@@ -334,7 +334,7 @@ def test_curves_that_become_fewer_are_painted_once_they_are_all_there(page: Page
     assert errors == [2]
 
 
-def test_undo_that_is_asked_while_moves_are_worked_out_takes_all_of_them_back(page: Page) -> None:
+def test_undo_during_moves_waits_and_takes_all_of_them_back(page: Page) -> None:
     page.evaluate(
         """selector => {
           const slider = document.querySelector(`${selector} input[type="range"]`);
@@ -449,7 +449,7 @@ def test_the_rest_is_tuned_saved_and_checked(page: Page, job: Path) -> None:
     )
 
 
-def test_a_design_that_takes_seconds_is_announced_and_drawn_everywhere_once_it_is_there(page: Page) -> None:
+def test_a_design_that_takes_seconds_is_announced_and_drawn_in_every_plot_once_available(page: Page) -> None:
     # Chosen itself, it stays chosen while the one before is shown.
     page.locator("#design").select_option("H-infinity")
     assert "is being designed" in line(page, "H-infinity: is being designed")
@@ -550,7 +550,7 @@ def test_a_run_leaves_the_page_alive_can_be_cancelled_and_turns_the_gimbal_tree(
     assert np.max(np.abs(np.subtract(*turned))) > 1e-2  # so much larger that it is seen
 
 
-def test_what_each_slider_does_is_told_once_it_rests_and_hovering_shows_its_column(page: Page) -> None:
+def test_the_influence_of_sliders_is_shown_at_rest_and_hovering_marks_its_column(page: Page) -> None:
     cells = page.locator('#requirements td.cell[data-slider="crossover_hz"]')
     until(page, lambda: any(cells.all_text_contents()))
     page.locator(CROSSOVER).hover()
@@ -576,7 +576,7 @@ def test_nothing_is_cut_off_or_scrolls_sideways(only: Screen, page: Page) -> Non
     assert only.complaints == []
 
 
-def test_what_is_done_for_a_page_that_is_just_going_is_dropped(backend: Backend) -> None:
+def test_callbacks_of_a_closing_page_are_dropped(backend: Backend) -> None:
     document, done = Document(), []
     session = Session(backend, document, "")
     document.callbacks.destroy()
@@ -657,7 +657,7 @@ def test_a_link_opens_the_same_state_and_a_page_that_is_closed_leaves_nothing_be
     assert [one() for one in kept] == [None] * 8
 
 
-def test_messages_are_judged() -> None:
+def test_messages_are_checked() -> None:
     ask = parse_request('{"n": 3, "what": "move", "moves": [{"slider": "a", "value": 2}], "gesture": 0}')
     assert (ask.count, ask.what, ask.more["moves"]) == (3, "move", (("a", 2.0),))
     assert parse_request('{"n": 3, "what": "undo", "more": 1}').more == {}
@@ -677,7 +677,7 @@ def test_messages_are_judged() -> None:
             parse_request(text)
 
 
-def test_choices_are_judged(backend: Backend) -> None:
+def test_choices_are_checked(backend: Backend) -> None:
     start = backend.start()
     assert chosen(backend, start, "axis", 3, ()).axis == 3
     assert backend.with_overlay(start, "slower", True).overlays == ("slower",)
@@ -699,7 +699,7 @@ def test_choices_are_judged(backend: Backend) -> None:
             backend.with_overlay(start, design, True)
 
 
-def test_only_the_newest_of_a_kind_is_worked_out() -> None:
+def test_of_waiting_tasks_only_the_newest_of_a_key_is_done() -> None:
     done: list[list[int]] = []
     begun, go = threading.Event(), threading.Event()
 
@@ -725,9 +725,7 @@ def test_only_the_newest_of_a_kind_is_worked_out() -> None:
     assert len(done) == 2
 
 
-def test_a_page_whose_server_ends_says_so_and_comes_back_as_it_stood_with_the_server(
-    browser: Browser, backend: Backend
-) -> None:
+def test_a_page_whose_server_ends_says_so_and_returns_with_its_state(browser: Browser, backend: Backend) -> None:
     with ExitStack() as stack:
         with served(backend) as server:
             port = server.port

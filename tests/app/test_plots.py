@@ -152,7 +152,7 @@ def test_all_plants_are_one_line_with_gaps_in_the_nichols_plot(plots: Plots) -> 
     assert rows[:, -2] == pytest.approx(shown.nichols.phase[1:, -1], abs=1e-3)
 
 
-def test_the_asked_disk_margin_keeps_its_region_free(plots: Plots) -> None:
+def test_the_required_disk_margin_is_a_region_of_the_nichols_plot(plots: Plots) -> None:
     plots.show(picture())
     data = plots.sources["regions"].data
     for x, y in zip(data["xs"], data["ys"], strict=True):
@@ -206,7 +206,7 @@ def test_rays_have_their_damping(plots: Plots) -> None:
     assert sorted(set(np.round(-x / np.hypot(x, y), 5))) == pytest.approx([0.05, 0.1, 0.2, 0.4, 0.7])
 
 
-def test_signals_of_two_units_stand_in_two_figures_in_handy_units(plots: Plots) -> None:
+def test_signals_of_two_units_are_in_two_figures_with_prefixed_units(plots: Plots) -> None:
     shown = picture()
     plots.show(shown)
     angles, torques = plots.sources["step"].data, plots.sources["step_1"].data
@@ -345,17 +345,17 @@ def test_a_move_sends_less_than_200_kb(plots: Plots, document: Document) -> None
 
 
 @pytest.mark.parametrize("number", [np.nan, np.inf, -np.inf, 1e300])
-def test_numbers_that_are_none_are_gaps_and_the_plots_say_so(plots: Plots, number: float) -> None:
+def test_numbers_that_are_not_finite_are_gaps_and_the_plots_say_so(plots: Plots, number: float) -> None:
     plots.show(picture())
     plots.show(broken(number))
     for source in plots.sources.values():
         for name, column in source.data.items():
             if isinstance(column, np.ndarray):
                 assert not np.isinf(column).any(), (source.name, name)
-    told = messages(plots)
-    assert told["step"] == "no finite response"
-    assert told["locus"] == "no finite pole"
-    assert "no finite" in told["nichols"]
+    shown = messages(plots)
+    assert shown["step"] == "no finite response"
+    assert shown["locus"] == "no finite pole"
+    assert "no finite" in shown["nichols"]
     ranges = named(plots, Range1d)
     assert all(np.isfinite([one.start, one.end]).all() for one in ranges)
     plots.show(picture())
@@ -367,7 +367,7 @@ def test_a_picture_without_points_is_no_error(plots: Plots) -> None:
     assert all(messages(plots).values())
 
 
-def test_an_unstable_loop_is_told_in_every_plot(plots: Plots) -> None:
+def test_every_plot_says_that_a_loop_is_unstable(plots: Plots) -> None:
     plots.show(picture(stable=False, all_stable=False))
     assert all("not stable" in said for said in messages(plots).values())
     assert len(plots.sources["margins"].data["frequency"]) == 0
@@ -490,7 +490,7 @@ def test_a_ring_keeps_its_pole_when_another_becomes_slower(fresh: Plots) -> None
     assert (len(first), len(second), len(third)) == (2, 3, 2)
 
 
-def test_a_dragged_crossover_tells_its_frequency(fresh: Plots) -> None:
+def test_a_dragged_crossover_calls_back_with_its_frequency(fresh: Plots) -> None:
     plots = fresh
     dragged: list[float] = []
     plots.on_crossover_dragged(dragged.append)

@@ -20,7 +20,7 @@ from hypothesis import strategies as st
 from one_gyro_job import JOB as ONE
 from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.app.backend import Backend
-from platform_ctrl.app.saving import decode_state, encode_state, judged
+from platform_ctrl.app.saving import checked_settings, decode_state, encode_state
 from platform_ctrl.app.settings import Settings
 from platform_ctrl.cli import main
 from platform_ctrl.design.jobs import loops
@@ -118,10 +118,10 @@ def test_a_link_reproduces_the_state_and_is_short(shipped: Backend) -> None:
 
 
 @pytest.mark.parametrize("text", ["x", "é", "A" * 30_000, "eJwDAAAAAAE", "eNoDAAAAAAE", "-_-_", "%00", "AAAA\n"])
-def test_a_damaged_link_is_told_in_one_line(shipped: Backend, text: str) -> None:
-    with pytest.raises(InputError, match=r"^link: ") as told:
+def test_a_damaged_link_is_an_error_of_one_line(shipped: Backend, text: str) -> None:
+    with pytest.raises(InputError, match=r"^link: ") as error:
         decode_state(shipped, text)
-    assert "\n" not in str(told.value)
+    assert "\n" not in str(error.value)
 
 
 @pytest.mark.parametrize(
@@ -154,11 +154,11 @@ def test_a_damaged_link_is_told_in_one_line(shipped: Backend, text: str) -> None
         {"design": 7},
     ],
 )
-def test_a_state_that_the_job_does_not_know_is_told_in_one_line(shipped: Backend, changed: object) -> None:
-    with pytest.raises(InputError) as told:
-        judged(shipped, changed)
-    assert "\n" not in str(told.value)
-    assert re.search("must|is unknown|is none of", str(told.value))
+def test_a_state_that_does_not_fit_the_job_is_an_error_of_one_line(shipped: Backend, changed: object) -> None:
+    with pytest.raises(InputError) as error:
+        checked_settings(shipped, changed)
+    assert "\n" not in str(error.value)
+    assert re.search("must|is unknown|is none of", str(error.value))
 
 
 def test_a_saved_job_is_the_picture_and_check_accepts_it(
@@ -248,7 +248,7 @@ def test_what_is_saved_after_a_drag_is_as_it_was_or_short_and_has_the_same_verdi
     assert once_more.job.read_text() == text
 
 
-def test_a_pole_that_is_let_go_where_it_was_moves_no_digit_of_a_slider(bench: Backend) -> None:
+def test_a_pole_dragged_to_its_own_place_changes_no_slider(bench: Backend) -> None:
     settings = _moved(bench, bench.start(), lead_hz=7.0, crossover_hz=70.0)
     locus = bench.picture(settings).locus
     pole = complex(locus.present[locus.draggable][0])
@@ -306,7 +306,7 @@ def test_saving_never_lands_on_the_plant_or_a_folder_and_leaves_nothing_half_wri
     assert sorted(path.name for path in tmp_path.iterdir()) == before
 
 
-def test_saving_keeps_what_stands_there_unless_it_may_go(bench: Backend, job_file: Path, tmp_path: Path) -> None:
+def test_saving_replaces_files_only_with_overwrite(bench: Backend, job_file: Path, tmp_path: Path) -> None:
     settings = bench.start()
     with pytest.raises(InputError, match="exists already"):
         bench.save(settings, job_file)
@@ -337,10 +337,10 @@ def test_tuning_leaves_what_is_fixed_and_meets_what_tune_meets(bench: Backend) -
     settings = bench.start().but(fixed=frozenset({"crossover_hz"}))
     settings = _moved(bench, settings, damping_hz=30.0, damping2_hz=30.0)
     assert not all(r.passed for r in bench.picture(settings).requirements)
-    told: list[str] = []
-    tuned = bench.tune(settings, told.append)
-    assert told
-    assert all("of its limit" in line for line in told)
+    lines: list[str] = []
+    tuned = bench.tune(settings, lines.append)
+    assert lines
+    assert all("of its limit" in line for line in lines)
     before, after = (one.options[LOOP]["by hand"] for one in (settings, tuned))
     assert after["crossover_hz"] == before["crossover_hz"]
     assert after["damping_hz"] != before["damping_hz"]
@@ -402,7 +402,7 @@ def test_controllers_of_a_result_are_shown_as_they_are(bench: Backend, tmp_path:
     assert np.allclose(K.A, closed.controller.A)
 
 
-def test_a_loop_whose_design_is_not_there_is_told_when_it_is_saved(shipped: Backend, tmp_path: Path) -> None:
+def test_saving_notes_a_loop_whose_design_is_not_available(shipped: Backend, tmp_path: Path) -> None:
     saved = shipped.save(shipped.start(), tmp_path / "new.toml")
     assert len(saved.notes) == 2
     assert "classical is closed in place of structured" in saved.notes[0]
@@ -420,14 +420,14 @@ def test_every_shipped_plant_has_a_page(model: str, tmp_path: Path) -> None:
         settings = bench.start(loop)
         picture = bench.picture(settings)
         assert picture.stable
-        told = []
+        lines = []
         for slider in bench.sliders(settings):
             for number in (slider.low, slider.high):
                 try:
                     bench.picture(bench.moved(settings, slider.name, number))
                 except PlatformCtrlError as error:
-                    told.append(str(error))
-        assert not any("\n" in line for line in told)
+                    lines.append(str(error))
+        assert not any("\n" in line for line in lines)
         pole = complex(picture.locus.present[picture.locus.draggable][0])
         there = bench.picture(bench.drag_pole(settings, pole, 1.03 * pole, free=True)).locus.present
         assert np.nanmin(np.abs(there - 1.03 * pole)) < 1e-6 * abs(pole)

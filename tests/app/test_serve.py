@@ -89,7 +89,7 @@ def test_a_page_comes_with_headers_that_keep_it_to_itself(server: PageServer) ->
         ({"Sec-Fetch-Site": "same-site", "Sec-Fetch-Mode": "no-cors"}, "requested by another page (same-site)"),
     ],
 )
-def test_others_are_refused_in_one_line(headers: dict[str, str], words: str, server: PageServer) -> None:
+def test_other_pages_and_hosts_are_refused_in_one_line(headers: dict[str, str], words: str, server: PageServer) -> None:
     before = server.sessions
     for path in ("/", "/ws", "/static/js/bokeh.min.js", "/nothing"):
         status, answered, body = asked(server, path, **headers)
@@ -112,7 +112,7 @@ def test_a_request_without_a_host_or_with_two_or_with_none_such_is_refused(serve
             assert b"<" not in got
 
 
-def test_own_names_links_and_tunnels_are_let_in(server: PageServer) -> None:
+def test_own_names_links_and_tunnels_are_accepted(server: PageServer) -> None:
     for host in ("localhost", f"localhost:{server.port}", "LOCALHOST:9000", f"[::1]:{server.port}", "127.0.0.1"):
         assert asked(server, Host=host, Origin=f"http://{host.lower()}")[0] == 200
     # A link on a page elsewhere that was clicked on; not a picture or a frame there.
@@ -146,7 +146,7 @@ def test_nothing_of_a_session_can_be_joined_or_embedded(server: PageServer) -> N
         "/" + "a" * 12_000,
     ],
 )
-def test_no_other_file_leaves(path: str, server: PageServer) -> None:
+def test_no_other_file_is_sent(path: str, server: PageServer) -> None:
     status, _, body = asked(server, path)
     assert status in (400, 403, 404)
     assert "root:" not in body
@@ -154,7 +154,7 @@ def test_no_other_file_leaves(path: str, server: PageServer) -> None:
 
 
 @pytest.mark.parametrize("method", ["POST", "PUT", "DELETE", "OPTIONS", "TRACE", "PATCH", "QUERY", "HEAD"])
-def test_pages_are_got_and_not_sent(method: str, server: PageServer) -> None:
+def test_pages_accept_get_requests_alone(method: str, server: PageServer) -> None:
     before = server.sessions
     assert asked(server, method=method)[0] == 405
     assert server.sessions == before
@@ -274,7 +274,7 @@ def test_messages_too_large_end_their_page(server: PageServer) -> None:
     assert answers(server)
 
 
-def test_frames_that_are_none_end_their_page(server: PageServer) -> None:
+def test_invalid_frames_end_their_page(server: PageServer) -> None:
     noise = random.Random(2)
     for sent in (b"\xff" * 100, noise.randbytes(2000), b"\x01\x05hello", b"\x89\xff" + bytes(12)):
         with Socket(server, f"bokeh, {token(server)}") as page:
@@ -325,7 +325,7 @@ def _ended(one: socket.socket) -> bool:
         return True
 
 
-def test_a_workbench_made_for_the_server_is_closed_with_it_and_one_that_was_given_is_not() -> None:
+def test_a_backend_made_for_the_server_is_closed_with_it_and_a_given_one_is_not() -> None:
     class Shared:
         closed = 0
 
@@ -353,7 +353,7 @@ def test_a_page_that_cannot_be_made_says_so_in_a_plain_line(capfd: pytest.Captur
     assert capfd.readouterr().err == "platform-ctrl: a page could not be made: job.toml: is no job any more, <b>\n"
 
 
-def test_a_workbench_that_cannot_be_made_ends_the_server_and_its_page_says_why(
+def test_a_backend_that_cannot_be_made_ends_the_server_and_its_page_says_why(
     capfd: pytest.CaptureFixture[str],
 ) -> None:
     asking = threading.Event()
@@ -362,10 +362,10 @@ def test_a_workbench_that_cannot_be_made_ends_the_server_and_its_page_says_why(
         asking.wait(30.0)
         raise InputError("job.toml: no loop can be closed")
 
-    server, told = PageServer(Building(never), port=0, make=a_slider), []
+    server, answers = PageServer(Building(never), port=0, make=a_slider), []
 
     def ask() -> None:
-        told.append(asked(server))
+        answers.append(asked(server))
 
     def ready() -> None:
         page.start()
@@ -375,14 +375,14 @@ def test_a_workbench_that_cannot_be_made_ends_the_server_and_its_page_says_why(
     with pytest.raises(InputError, match="no loop can be closed"):
         server.run(ready)
     page.join(30.0)
-    [(status, _, body)] = told
+    [(status, _, body)] = answers
     assert (status, body) == (500, "This page could not be made: job.toml: no loop can be closed\n")
     # Whoever called `run` says it: once is enough.
     assert capfd.readouterr().err == ""
 
 
 @pytest.mark.parametrize("host", ["0.0.0.0", "::", "192.0.2.7", "lab-pc"])
-def test_other_machines_are_let_in_only_by_name(host: str) -> None:
+def test_other_machines_are_accepted_only_by_name(host: str) -> None:
     with pytest.raises(InputError, match=f"--host {host}: other machines could reach the page; give --allow"):
         AllowedHosts.of(host)
     hosts = AllowedHosts.of(host, ["Lab-PC.local", "192.0.2.7", "2001:db8::1"])
@@ -394,12 +394,12 @@ def test_other_machines_are_let_in_only_by_name(host: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["http://lab-pc", "lab-pc:5006", "", "a b", "*", "<x>", "-x", "é"])
-def test_a_name_to_allow_that_is_none_is_one_line(name: str) -> None:
+def test_an_invalid_name_to_allow_is_an_error_of_one_line(name: str) -> None:
     with pytest.raises(InputError, match=r"--allow .*: must be a name or an address as browsers show it"):
         AllowedHosts.of("0.0.0.0", [name])
 
 
-def test_a_taken_port_and_a_strange_host_are_one_line(server: PageServer) -> None:
+def test_a_port_in_use_and_an_invalid_host_are_errors_of_one_line(server: PageServer) -> None:
     with pytest.raises(InputError, match=f"--port {server.port}: is used by another program; give a free port"):
         PageServer(None, port=server.port, make=a_slider)
     with pytest.raises(InputError, match=r"--host 192\.0\.2\.7: cannot be listened on"):
@@ -416,7 +416,7 @@ def test_without_a_port_the_next_free_one_is_taken(monkeypatch: pytest.MonkeyPat
         assert asked(other)[0] == 200
 
 
-def test_a_missing_library_is_named_with_its_cure(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_library_is_named_with_the_command_that_installs_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(__import__("sys").modules, "tomlkit", None)
     with pytest.raises(InputError, match=r"needs tomlkit, .*: pip install 'platform_ctrl\[designer\]'"):
         PageServer(None, port=0)

@@ -66,7 +66,7 @@ def about(axis: FloatArray, angle: float) -> FloatArray:
 
 
 @pytest.mark.parametrize("name", shipped_models())
-def test_bodies_hang_together_as_the_plant_says(name: str) -> None:
+def test_bodies_are_connected_as_in_the_plant(name: str) -> None:
     platform = read_platform(name)
     seen, tree = scene(platform), topology(platform)
     n = len(platform.gimbals)
@@ -121,13 +121,13 @@ def _reach(seen: Any, body: int) -> float:
 def test_a_long_run_is_thinned_out_and_servo_rotors_keep_their_turns() -> None:
     platform = plant("vscmg_pyramid")
     run = a_run(platform, N=3 * SAMPLES)
-    told = columns(run)
-    assert len(told["t"]) == SAMPLES
-    assert {len(one) for one in told.values()} == {SAMPLES}
-    np.testing.assert_array_equal(told["q 2"], run.q[::3, 2])
+    data = columns(run)
+    assert len(data["t"]) == SAMPLES
+    assert {len(one) for one in data.values()} == {SAMPLES}
+    np.testing.assert_array_equal(data["q 2"], run.q[::3, 2])
     for rotor in platform.rotors:
-        t = told["t"]
-        np.testing.assert_allclose(told[f"turned {rotor.name}"], rotor.spin * t + 5.0 * t**2, atol=1e-6)
+        t = data["t"]
+        np.testing.assert_allclose(data[f"turned {rotor.name}"], rotor.spin * t + 5.0 * t**2, atol=1e-6)
 
 
 # In the browser.
@@ -167,7 +167,7 @@ def state(shown: Screen, before: str = "") -> Any:
 
 
 @pytest.mark.parametrize("name", ["suspended_platform", "vscmg_pyramid"])
-def test_what_the_page_turns_stands_where_the_mechanics_says(
+def test_bodies_on_the_page_are_where_the_mechanics_places_them(
     name: str, browser: Browser, views: list[TreeView], pyramid: Screen
 ) -> None:
     platform = plant(name)
@@ -214,7 +214,7 @@ def _agrees(platform: Platform, shown: Screen) -> None:
 
 
 @pytest.mark.parametrize(("largest", "factor", "most"), [(0.3, 1, 100), (7e-5, 5000, 5000), (0.0, 1, 100)])
-def test_angles_are_shown_so_much_larger_that_they_are_seen(
+def test_angles_are_enlarged_until_they_can_be_seen(
     largest: float, factor: float, most: float, pyramid: Screen, views: list[TreeView]
 ) -> None:
     view, document = views[0], views[0].layout.document
@@ -231,7 +231,7 @@ def test_angles_are_shown_so_much_larger_that_they_are_seen(
     assert count["start"] == 0.0
 
 
-def test_what_is_shown_larger_or_slower_is_said(pyramid: Screen) -> None:
+def test_the_page_says_what_is_enlarged_or_slowed(pyramid: Screen) -> None:
     state(pyramid, "tree.controls.platform.checked = true; tree.magnify(20); tree.seek(1)")
     slower = state(pyramid)["slower"]
     spin = "spin as it is" if slower == 1 else f"spin {slower:g} times slower"
@@ -277,9 +277,7 @@ def test_mouse_and_keys_go_round_and_play(pyramid: Screen) -> None:
     pyramid.page.keyboard.press("Tab")
 
 
-def test_another_run_takes_the_place_of_the_one_before_and_nothing_is_left(
-    pyramid: Screen, views: list[TreeView]
-) -> None:
+def test_a_new_run_replaces_the_one_before_and_frees_its_memory(pyramid: Screen, views: list[TreeView]) -> None:
     held = state(pyramid)["held"]
     tree = pyramid.page.locator("gimbal-tree")
     again = tree.evaluate(

@@ -56,7 +56,7 @@ class Request:
 
 
 def parse_request(message: object) -> Request:
-    """Return a message of a page, judged."""
+    """Return a message of a page, checked."""
     if not isinstance(message, str) or len(message) > LONGEST:
         raise InputError(f"a message must be JSON of at most {LONGEST} characters, the page sent {short(message)}")
     try:

@@ -54,13 +54,13 @@ class Plots:
                 for view in one.views:
                     view.forget()
         self._picture = picture
-        with self._held():
+        with self._combined():
             for one in self._panels:
                 one.show(picture)
 
     def dark(self, dark: bool) -> None:
         """Switch the theme in place."""
-        with self._held():
+        with self._combined():
             self._theme.change(dark)
             if self._picture is not None:
                 self.show(self._picture)
@@ -80,7 +80,7 @@ class Plots:
         self._bode.handle.callbacks.append(callback)
 
     @contextmanager
-    def _held(self) -> Iterator[None]:
+    def _combined(self) -> Iterator[None]:
         document = self.layout["bode"].document
         if document is None or document.callbacks.hold_value is not None:
             yield

@@ -126,7 +126,7 @@ on("line", (given) => {
   write(line, given?.text ?? "");
   if (line.title !== line.textContent) line.title = line.textContent;
   dress(line, given?.kind ?? "");
-  // The dialog stands before the line.
+  // The dialog hides the line.
   write(byId("compare-line"), line.textContent);
 });
 on("busy", (given) => {

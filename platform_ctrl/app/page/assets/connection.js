@@ -2,7 +2,7 @@
 import { receive, traffic } from "./messages.js";
 
 const AGAIN = 1500, LOOK = 1000, PATIENCE = 5000;
-const LOST = "The connection to the server is lost. The page comes back as it stands here as soon as the server answers.";
+const LOST = "The connection to the server is lost. The page returns with its state as soon as the server answers.";
 const SLOW = "The server has not answered yet; the page goes on when it does.";
 
 const say = (text, kind) => receive({ line: { text, kind } });

@@ -98,7 +98,7 @@ class GimbalTree extends HTMLElement {
 
   disconnectedCallback() {
     this.ending?.abort();
-    cancelAnimationFrame(this.asked);
+    cancelAnimationFrame(this.frame);
     clearTimeout(this.looking);
     this.sizes?.disconnect();
     this.themes?.disconnect();
@@ -146,49 +146,49 @@ class GimbalTree extends HTMLElement {
     }
     [this.source] = this.model.tags;
     this.staged = () => this.restage();
-    this.flown = () => this.fly();
+    this.ran = () => this.showRun();
     this.model.properties.tags.change.connect(this.staged);
-    this.source.properties.data.change.connect(this.flown);
+    this.source.properties.data.change.connect(this.ran);
     this.restage();
   }
 
   forget() {
     this.model?.properties.tags.change.disconnect(this.staged);
-    this.source?.properties.data.change.disconnect(this.flown);
+    this.source?.properties.data.change.disconnect(this.ran);
     this.model = this.source = null;
   }
 
   restage() {
-    const told = JSON.parse(this.model.tags[1]);
+    const data = JSON.parse(this.model.tags[1]);
     this.bodies?.dispose();
-    this.bodies = new Bodies(told);
+    this.bodies = new Bodies(data);
     this.scene.add(this.bodies.root);
-    this.fastest = Math.max(0, ...told.nodes.map((node) => Math.abs(node.spin)));
+    this.fastest = Math.max(0, ...data.nodes.map((node) => Math.abs(node.spin)));
     const names = this.shadowRoot.querySelector(".names");
-    this.names = told.nodes.map((node) => {
+    this.names = data.nodes.map((node) => {
       const name = document.createElement("span");
       name.className = node.kind;
       name.textContent = node.label;
       return name;
     });
     this.thirds = [1, 2, 3].map((k) => Object.assign(document.createElement("span"), { className: "root", textContent: String(k) }));
-    names.classList.toggle("many", told.nodes.length > 6);
+    names.classList.toggle("many", data.nodes.length > 6);
     names.replaceChildren(...this.names, ...this.thirds);
     this.points = this.bodies.points();
-    this.orbit.stage(told.camera, told.centre, told.reach, this.points);
-    this.horizon(told);
+    this.orbit.stage(data.camera, data.centre, data.reach, this.points);
+    this.horizon(data);
     this.paint();
-    this.fly();
+    this.showRun();
   }
 
   // A ring that stays where the platform was at the start: against it its own turn is seen.
-  horizon(told) {
+  horizon(data) {
     this.ring?.removeFromParent();
     this.ring?.geometry.dispose();
-    const plate = told.nodes[0].pieces.find((piece) => piece.looks === "plate");
+    const plate = data.nodes[0].pieces.find((piece) => piece.looks === "plate");
     const [low, top] = plate.points.map((point) => new Vector3(...point));
     const up = top.clone().sub(low).normalize(), points = [];
-    const aside = new Vector3(...told.camera[0]).projectOnPlane(up).normalize(), ahead = new Vector3().crossVectors(up, aside);
+    const aside = new Vector3(...data.camera[0]).projectOnPlane(up).normalize(), ahead = new Vector3().crossVectors(up, aside);
     for (let k = 0; k < 96; k += 1) {
       const angle = (2 * Math.PI * k) / 96, r = plate.radius + 0.35;
       points.push(low.clone().addScaledVector(aside, r * Math.cos(angle)).addScaledVector(ahead, r * Math.sin(angle)));
@@ -197,7 +197,7 @@ class GimbalTree extends HTMLElement {
     this.scene.add(this.ring);
   }
 
-  fly() {
+  showRun() {
     const c = this.controls;
     this.run = new Run(this.source, this.bodies.nodes);
     this.play(false);
@@ -287,11 +287,11 @@ class GimbalTree extends HTMLElement {
 
   // Nothing is drawn unless something changed.
   refresh() {
-    if (this.bodies && !this.asked) this.asked = requestAnimationFrame((now) => this.step(now));
+    if (this.bodies && !this.frame) this.frame = requestAnimationFrame((now) => this.step(now));
   }
 
   step(now) {
-    this.asked = 0;
+    this.frame = 0;
     if (!this.renderer || !this.run) return;
     if (this.playing) {
       if (this.before !== null) this.time += (Math.min(now - this.before, 100) / 1000) * this.speed;
