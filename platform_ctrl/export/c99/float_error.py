@@ -15,7 +15,7 @@ from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import UnscalableError
-from platform_ctrl.export.c99.scheme import Scheme, arrays
+from platform_ctrl.export.c99.scheme import Scheme, arrays, matrix, multiplied_out, noise_of, rows_of
 from platform_ctrl.export.c99.windup import integrating
 
 # Unit roundoff of float.
@@ -70,7 +70,7 @@ def float_error(scheme: Scheme, ranges: Mapping[str, float], steps: int | None =
             scheme,
         )
     states, lasting = _state_magnitudes(scheme, K, inputs)
-    into, through, errors = _roundings(scheme, K, inputs, states)
+    into, through, errors = _roundings(scheme, inputs, states)
     stable = not len(K.A) or np.abs(np.linalg.eigvals(K.A)).max() < 1.0 + _ON_CIRCLE
     return FloatError(
         response=response,
@@ -128,36 +128,22 @@ def _state_magnitudes(scheme: Scheme, K: StateArrays, inputs: FloatArray) -> tup
     return total @ inputs + lasting, lasting
 
 
-def _roundings(
-    scheme: Scheme, K: StateArrays, inputs: FloatArray, states: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _roundings(scheme: Scheme, inputs: FloatArray, states: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return how the rounding of each input and row acts on states and outputs, and its largest magnitude."""
-    n, m = K.B.shape
-    rows = [row for section in scheme.sections for row in (*section.signals, *section.states)]
-    width = n + m + m + len(rows)
-    known = dict(zip((*scheme.states, *scheme.inputs), np.eye(n + m, width), strict=True))
+    shown, following = multiplied_out(rows_of(scheme.sections), scheme.inputs, scheme.states, 1.0)
+    for name in scheme.states:
+        following[name][noise_of(name)] = 1.0
     magnitudes = dict(zip((*scheme.states, *scheme.inputs), (*states, *inputs), strict=True))
-    errors = [*(_U * inputs)]
-    for k, name in enumerate(scheme.inputs):
-        known[name] = known[name] + np.eye(width)[n + m + k]
-    later = []
-    number = n + m + m
+    sources, errors = [*scheme.inputs], [*(_U * inputs)]
     for section in scheme.sections:
         for row in (*section.signals, *section.states):
-            out = np.eye(width)[number]
             terms = [abs(term.coefficient) * magnitudes[term.source] for term in row.terms]
+            sources.append(noise_of(row.target))
             errors.append((len(terms) + 1) * _U * sum(terms))
-            for term in row.terms:
-                out = out + term.coefficient * known[term.source]
-            number += 1
-            if row in section.states:
-                later.append(out)
-            else:
-                known[row.target] = out
+            if row in section.signals:
                 magnitudes[row.target] = sum(terms)
-    following = np.array(later).reshape(n, width)
-    given = np.array([known[name] for name in scheme.outputs])
-    return following[:, n + m :], given[:, n + m :], np.array(errors)
+    into, through = matrix(following, scheme.states, sources), matrix(shown, scheme.outputs, sources)
+    return into, through, np.array(errors)
 
 
 def _grown(K: StateArrays, into: FloatArray, through: FloatArray, steps: int) -> FloatArray:

@@ -13,9 +13,9 @@ can be compared with what was designed.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import field, replace
-from typing import Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -123,45 +123,97 @@ class Entry:
     excess: FloatArray | None = None  # (n, m): E of the anti-windup of the controller, or None
 
 
+Sum = dict[str, Any]  # Coefficients by their sources; numbers are floats or rational
+
+
+class Rows(NamedTuple):
+    """Rows in order of evaluation: of signals, and of states, as sums of inputs, earlier signals and states."""
+
+    signals: dict[str, Sum]
+    states: dict[str, Sum]
+
+
+def rows_of(sections: Iterable[Section], number: Callable[[float], Any] = float) -> Rows:
+    """Return the rows of sections with coefficients as some type of number."""
+
+    def total(row: Row) -> Sum:
+        return added((1, {term.source: number(term.coefficient)}) for term in row.terms)
+
+    sections = tuple(sections)
+    signals = {row.target: total(row) for section in sections for row in section.signals}
+    return Rows(signals, {row.target: total(row) for section in sections for row in section.states})
+
+
+def added(rows: Iterable[tuple[Any, Mapping[str, Any]]]) -> Sum:
+    """Return Σ factor · sum."""
+    out: Sum = {}
+    for factor, terms in rows:
+        for name, coefficient in terms.items():
+            out[name] = out.get(name, 0) + factor * coefficient
+    return {name: coefficient for name, coefficient in out.items() if coefficient != 0}
+
+
+def noise_of(row: str) -> str:
+    """Return the name of the disturbance of a row."""
+    # No name has two lines.
+    return f"noise of\n{row}"
+
+
+def multiplied_out(rows: Rows, free: Iterable[str], states: Iterable[str], one: Any) -> Rows:
+    """Return signals and next states as sums of states, free sources and the signals' disturbances.
+
+    States not in `states` are left out; `one` is the number 1.
+    """
+    states = tuple(states)
+    known: dict[str, Sum] = {name: {name: one} for name in (*free, *states)}
+    for name, row in rows.signals.items():
+        known[name] = added((coefficient, known[source]) for source, coefficient in row.items())
+        known[name][noise_of(name)] = one
+    following = {
+        name: added((coefficient, known[source]) for source, coefficient in rows.states[name].items())
+        for name in states
+    }
+    # A signal's own disturbance is part of it; its effects on others are in their sums.
+    return Rows({name: known[name] for name in rows.signals}, following)
+
+
+def matrix(sums: Mapping[str, Sum], rows: Sequence[str], columns: Sequence[str]) -> FloatArray:
+    """Return the coefficients of some sums of floats as a matrix."""
+    return np.array([[sums[row].get(name, 0.0) for name in columns] for row in rows]).reshape(len(rows), len(columns))
+
+
 def arrays(scheme: Scheme, rounded: Callable[[float], float] = float) -> StateArrays:
     """Return the controller that a scheme multiplies out to, without limits, with rounded coefficients."""
-    states, inputs = scheme.states, scheme.inputs
-    known = dict(zip((*states, *inputs), np.eye(len(states) + len(inputs)), strict=True))
-    if len(known) != len(states) + len(inputs):
-        raise ArgumentError(f"scheme {scheme.name!r}: two states or inputs have the same name; rename one")
+    _check(scheme)
+    states, inputs, outputs = scheme.states, scheme.inputs, scheme.outputs
+    shown, following = multiplied_out(rows_of(scheme.sections, rounded), inputs, states, 1.0)
+    A, B = matrix(following, states, states), matrix(following, states, inputs)
+    return StateArrays(A, B, matrix(shown, outputs, states), matrix(shown, outputs, inputs), scheme.period)
 
-    def total(row: Row) -> FloatArray:
-        out = np.zeros(len(states) + len(inputs))
-        for term in row.terms:
-            if not math.isfinite(term.coefficient):
-                raise ArgumentError(
-                    f"scheme {scheme.name!r}: {row.target!r} has the coefficient {term.coefficient}, which "
-                    "must be finite"
-                )
-            if term.source not in known:
-                raise ArgumentError(
-                    f"scheme {scheme.name!r}: {row.target!r} uses {term.source!r}, which must be an input, a state or "
-                    "a signal that is computed before it"
-                )
-            out += rounded(term.coefficient) * known[term.source]
-        return out
 
-    following = []
+def _check(scheme: Scheme) -> None:
+    where = f"scheme {scheme.name!r}"
+    known = {*scheme.states, *scheme.inputs}
+    if len(known) != len(scheme.states) + len(scheme.inputs):
+        raise ArgumentError(f"{where}: two states or inputs have the same name; rename one")
     for section in scheme.sections:
-        for row in section.signals:
-            if row.target in known:
-                raise ArgumentError(f"scheme {scheme.name!r}: {row.target!r} exists twice; rename one")
-            known[row.target] = total(row)
-        # States may depend on signals of this section and of those before it.
-        following += [total(row) for row in section.states]
+        for row in (*section.signals, *section.states):
+            for term in row.terms:
+                if not math.isfinite(term.coefficient):
+                    wrong = f"{row.target!r} has the coefficient {term.coefficient}"
+                    raise ArgumentError(f"{where}: {wrong}, which must be finite")
+                if term.source not in known:
+                    raise ArgumentError(
+                        f"{where}: {row.target!r} uses {term.source!r}, which must be an input, a state or a signal "
+                        "that is computed before it"
+                    )
+            if row in section.signals:
+                if row.target in known:
+                    raise ArgumentError(f"{where}: {row.target!r} exists twice; rename one")
+                known.add(row.target)
     missing = [name for name in scheme.outputs if name not in known]
     if missing:
-        raise ArgumentError(f"scheme {scheme.name!r}: the output {missing[0]!r} has no signal; add one")
-    width = len(states) + len(inputs)
-    later = np.array(following).reshape(len(states), width)
-    shown = np.array([known[name] for name in scheme.outputs]).reshape(len(scheme.outputs), width)
-    n = len(states)
-    return StateArrays(later[:, :n], later[:, n:], shown[:, :n], shown[:, n:], scheme.period)
+        raise ArgumentError(f"{where}: the output {missing[0]!r} has no signal; add one")
 
 
 def excess_gain(scheme: Scheme) -> FloatArray:

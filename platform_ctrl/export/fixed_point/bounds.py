@@ -13,7 +13,8 @@ import numpy as np
 from platform_ctrl.analysis.certificates.intervals import Balls
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import UnscalableError
-from platform_ctrl.export.fixed_point.exact import ExactSystem, noise_of
+from platform_ctrl.export.c99.scheme import noise_of
+from platform_ctrl.export.fixed_point.exact import ExactSystem
 
 # Working precision of the balls; size of a power of A below which the rest of a response is bounded.
 BITS = 256

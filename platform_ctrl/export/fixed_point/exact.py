@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import flint
 
 from platform_ctrl.analysis.certificates.intervals import Balls
 from platform_ctrl.common.values import value
+from platform_ctrl.export.c99.scheme import Rows, Sum, multiplied_out
 from platform_ctrl.export.fixed_point.model import IntegerRow, Product
 
-# A rational number of flint, which ships no types; and a sum of them by name of the source.
+# A rational number of flint, which ships no types.
 Rational = Any
-Sum = dict[str, Rational]
 
 
 def rational(number: float | int) -> Rational:
@@ -24,15 +24,6 @@ def rational(number: float | int) -> Rational:
 def power_of_two(exponent: int) -> Rational:
     """Return 2^exponent."""
     return flint.fmpq(2) ** exponent
-
-
-def added(rows: Iterable[tuple[Rational, Mapping[str, Rational]]]) -> Sum:
-    """Return Σ factor · sum."""
-    out: Sum = {}
-    for factor, terms in rows:
-        for name, coefficient in terms.items():
-            out[name] = out.get(name, flint.fmpq(0)) + factor * coefficient
-    return {name: coefficient for name, coefficient in out.items() if coefficient != 0}
 
 
 @value
@@ -64,37 +55,11 @@ def _matrix(sums: Sequence[Sum], names: Sequence[str]) -> Balls:
     return flint.arb_mat(rows) if rows and names else flint.arb_mat(len(rows), len(names))
 
 
-def noise_of(signal: str) -> str:
-    """Return the name of a signal's disturbance."""
-    # No name has two lines.
-    return f"noise of\n{signal}"
-
-
-class Rows(NamedTuple):
-    """Rows in order of evaluation: of signals, and of states, as sums of inputs, earlier signals and states."""
-
-    signals: dict[str, Sum]
-    states: dict[str, Sum]
-
-
-def multiplied_out(rows: Rows, free: Sequence[str], states: Sequence[str]) -> ExactSystem:
+def exact_system(rows: Rows, free: Sequence[str], states: Sequence[str]) -> ExactSystem:
     """Return the rows with every signal replaced by its sum; states not in `states` are left out."""
-    one = flint.fmpq(1)
-    known: dict[str, Sum] = {name: {name: one} for name in (*free, *states)}
-    for name, row in rows.signals.items():
-        known[name] = added((coefficient, known[source]) for source, coefficient in row.items())
-        known[name][noise_of(name)] = one
-    following = {
-        name: added((coefficient, known[source]) for source, coefficient in rows.states[name].items())
-        for name in states
-    }
-    # A signal's own disturbance is part of it; its effects on others are in their sums.
+    shown, following = multiplied_out(rows, free, states, flint.fmpq(1))
     return ExactSystem(
-        states=tuple(states),
-        signals=tuple(rows.signals),
-        free=tuple(free),
-        following=following,
-        shown={name: known[name] for name in rows.signals},
+        states=tuple(states), signals=tuple(rows.signals), free=tuple(free), following=following, shown=shown
     )
 
 

@@ -17,21 +17,19 @@ import numpy as np
 
 from platform_ctrl.common.arguments import known_name, positive
 from platform_ctrl.errors import InfeasibleError, UnscalableError
-from platform_ctrl.export.c99.scheme import Scheme, excess_of
+from platform_ctrl.export.c99.scheme import Rows, Scheme, Sum, excess_of
 from platform_ctrl.export.fixed_point.bounds import BITS, Responses, SlowError, responses
 from platform_ctrl.export.fixed_point.exact import (
     Rational,
-    Rows,
-    Sum,
     characteristic_polynomial,
     count_of,
+    exact_system,
     fraction_for,
     inside_circle,
     integer_row,
     integral_row,
     joined_states,
     largest_root,
-    multiplied_out,
     power_of_two,
 )
 from platform_ctrl.export.fixed_point.model import (
@@ -338,7 +336,7 @@ def _check_accuracy(
 
 
 def _responses(task: Task, rows: Rows) -> Responses:
-    system = multiplied_out(rows, task.free, task.parts.states)
+    system = exact_system(rows, task.free, task.parts.states)
     try:
         return responses(system)
     except SlowError:
@@ -387,7 +385,7 @@ def _exactly(row: IntegerRow) -> Sum:
 
 def _poles(task: Task, rows: Rows) -> dict[str, float]:
     """Return the largest magnitude of a pole by section, and refuse one that rounding moves out of the circle."""
-    system = multiplied_out(rows, task.free, task.parts.states)
+    system = exact_system(rows, task.free, task.parts.states)
     out: dict[str, float] = {}
     for group in joined_states(system.following, system.states):
         polynomial = characteristic_polynomial(system.following, group)

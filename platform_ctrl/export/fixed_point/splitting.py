@@ -10,16 +10,23 @@ import numpy as np
 from platform_ctrl.common.arguments import positive
 from platform_ctrl.common.values import value
 from platform_ctrl.errors import ArgumentError, InfeasibleError, InputError
-from platform_ctrl.export.c99.scheme import Row, Scheme, arrays, excess_gain, excess_of, sections_with_excess
-from platform_ctrl.export.fixed_point.exact import (
+from platform_ctrl.export.c99.scheme import (
     Rows,
+    Scheme,
     Sum,
     added,
+    arrays,
+    excess_gain,
+    excess_of,
+    rows_of,
+    sections_with_excess,
+)
+from platform_ctrl.export.fixed_point.exact import (
     characteristic_polynomial,
+    exact_system,
     inside_circle,
     joined_states,
     largest_root,
-    multiplied_out,
     rational,
 )
 from platform_ctrl.job.job import Job
@@ -61,11 +68,10 @@ def split_scheme(scheme: Scheme) -> Parts:
     arrays(scheme)
     excess_gain(scheme)
     sections = sections_with_excess(scheme)
-    signals = {row.target: _sum(row) for section in sections for row in section.signals}
-    following = {row.target: _sum(row) for section in sections for row in section.states}
+    signals, following = rows_of(sections, rational)
     section = {row.target: one.name for one in sections for row in (*one.signals, *one.states)}
     free = (*scheme.inputs, *map(excess_of, scheme.outputs))
-    whole = multiplied_out(Rows(signals, following), free, tuple(following))
+    whole = exact_system(Rows(signals, following), free, tuple(following))
     leaks: dict[str, float] = {}
     for group in joined_states(whole.following, whole.states):
         polynomial = characteristic_polynomial(whole.following, group)
@@ -135,11 +141,6 @@ def _as_differences(signals: dict[str, Sum], following: dict[str, Sum], section:
     return out
 
 
-def _sum(row: Row) -> Sum:
-    one = flint.fmpq(1)
-    return added((one, {term.source: rational(term.coefficient)}) for term in row.terms)
-
-
 def _increment(name: str, row: Sum, signals: Mapping[str, Sum], shown: Mapping[str, Sum]) -> Sum:
     """Return what an integral gains in a step: its row with signals that contain it written out, less itself."""
     one = flint.fmpq(1)
@@ -203,7 +204,7 @@ def integral_limits(scheme: Scheme, parts: Parts, given: Mapping[str, float] | N
     if all(name in out for name in names):
         return out
     free = (*scheme.inputs, *names, *(excess_of(output) for output in parts.limited))
-    system = multiplied_out(parts.rows, free, parts.states)
+    system = exact_system(parts.rows, free, parts.states)
     n = len(parts.states)
     A, B, C, D = (
         np.array([[float(x) for x in row] for row in matrix.tolist()]).reshape(matrix.nrows(), matrix.ncols())
