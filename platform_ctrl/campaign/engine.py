@@ -28,7 +28,7 @@ Progress = Callable[[int, int], None]
 
 @value
 class CampaignResult:
-    """What a campaign came to."""
+    """The result of a campaign."""
 
     table: Path  # of the Parquet file: one row a run, in their order
     record: Record  # content of campaign.json

@@ -1,4 +1,4 @@
-"""What every run of a campaign is: the same for the same run, whichever runs are asked for and in which order."""
+"""What every run of a campaign is: the same for the same run, whichever others are simulated and in which order."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def _latin_hypercube(seed: int, runs: int, dimensions: int) -> FloatArray:
 
 
 def _random(seed: int, dimensions: int, first: int, last: int) -> FloatArray:
-    # A step of the counter makes four numbers; every run begins at a step of its own.
+    # A step of the counter makes four numbers; every run begins at another step.
     steps = -(-dimensions // 4)
     generator = np.random.Philox(key=seed)
     generator.advance(first * steps)
@@ -136,7 +136,7 @@ class Plan:
     runs, seed, sampling, step
         As in `platform_ctrl.job.job.Campaign`; the step in s.
     nominal, weights
-        The manoeuvres that are simulated, on the plant as it stands, and how often each, relative to one another.
+        The manoeuvres that are simulated, on the nominal plant, and how often each, relative to one another.
     varied
         What differs, in the order of the campaign's entries.
     failing

@@ -78,7 +78,7 @@ _EDGES_FROM = np.log(_LOWEST)
 class Distribution:
     """Counts of a metric that is not negative, in logarithmic bins; where it is not finite it counts as beyond all.
 
-    What is added in chunks, in any order, comes to the same as what is added at once.
+    The result is the same whether metrics are added at once or in chunks of any order.
 
     Attributes
     ----------

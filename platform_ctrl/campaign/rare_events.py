@@ -5,11 +5,11 @@ where the next runs start from, by Markov chains that keep the distribution of t
 Candidates move by the rule that needs no tuning by dimension, here called Crank-Nicolson's, as Papaioannou, Betz,
 Zwirglmaier and Straub do (same journal, 41, 2015).
 
-Noise is one more random input, infinitely many numbers that no one wants to list: the run's number stands for all of
-them. A candidate keeps its predecessor's noise or draws a fresh one, each in half of the moves. Both leave the
-distribution as it is, hence their mixture too. Fresh noise alone would seldom be accepted where the noise matters;
-kept noise alone would never leave the few realisations that the first level happened to draw. Noise that decides more
-than the inputs do cannot be led to the limit step by step: `RareResult.noise_decides` tells.
+Noise is one more random input, infinitely many numbers: the run's number represents them all. A candidate keeps its
+predecessor's noise or draws a fresh one, each in half of the moves. Both leave the distribution as it is, hence their
+mixture too. Fresh noise alone would seldom be accepted where the noise matters; kept noise alone would never leave the
+few realisations that the first level happened to draw. Noise that decides more than the inputs do cannot be led to the
+limit step by step: `RareResult.noise_decides` tells.
 """
 
 from __future__ import annotations
@@ -157,7 +157,7 @@ def rare_event(  # noqa: PLR0913 - options by keyword
     first_run
         Numbers from here on stand for noise.
     say
-        Is told how it goes.
+        Called with a line before each repetition.
 
     Returns
     -------
@@ -259,7 +259,7 @@ def _split(
     cloud = evaluator.evaluate(generator.standard_normal((samples, dimension)), evaluator.fresh(samples))
     probability, variance = 1.0, 0.0
     levels: list[float] = []
-    # The first level's points are independent: each is a chain of its own.
+    # The points of the first level are independent: each is a chain.
     chains = samples
     while True:
         violated = cloud.y >= VIOLATED

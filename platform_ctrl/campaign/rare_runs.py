@@ -61,7 +61,7 @@ def rare_probability(  # noqa: PLR0913 - options by keyword
     Raises
     ------
     ArgumentError
-        No manoeuvre of the campaign asks for the requirement, or a run cannot be simulated.
+        No manoeuvre of the campaign has this limit, or a run cannot be simulated.
     SimulationError
         A run could not be carried out, or the device is not there.
 
@@ -71,13 +71,13 @@ def rare_probability(  # noqa: PLR0913 - options by keyword
 
     See docs/campaign.md.
     """
-    asked = tuple(
+    limited = tuple(
         name for name in RUN_METRICS if any(name in manoeuvre.limits for manoeuvre, _ in plan.job.campaign_manoeuvres)
     )
-    if not asked:
+    if not limited:
         raise ArgumentError(f"job {plan.job.name!r}: no manoeuvre of the campaign has limits: give one some")
     if requirement is not None:
-        known_name("requirement of the campaign", requirement, asked)
+        known_name("requirement of the campaign", requirement, limited)
 
     def ratios(u: FloatArray, runs: RunNumbers) -> FloatArray:
         scenarios = plan.scenarios_with(plan.inputs_at(u), runs.tolist())
@@ -111,7 +111,7 @@ def limit_ratios(
     for name in names:
         limit = np.array([scenario.limits.get(name, np.inf) for scenario in scenarios])
         largest = getattr(result, name).max(axis=1, initial=0.0)
-        # A run that diverged violates what is asked; where nothing is asked it is still no run that passed.
+        # A run that diverged violates all its limits; without any it still has not passed.
         lost = ~result.completed & (np.isfinite(limit) | (requirement is None))
         out = np.maximum(out, np.where(lost, np.inf, largest / limit))
     return out

@@ -320,12 +320,12 @@ def _output(
     place: NDArray[np.intp],
     limits: Limits,
 ) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Return what the inputs act on, and where it is asked for."""
+    """Return the metric relative to its limit, and where there is a limit."""
     if requirement == PASSED:
         return (data[PASSED] == 0).astype(np.float64), np.asarray(data[PASSED] >= 0)
     bounds = limits_of(known, requirement, limits)[place] if known else np.zeros(0)
-    asked = ~np.isnan(bounds)
-    return data[requirement] / np.where(asked, bounds, 1.0), asked
+    limited = ~np.isnan(bounds)
+    return data[requirement] / np.where(limited, bounds, 1.0), limited
 
 
 def _sensitivity(

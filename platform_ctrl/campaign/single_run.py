@@ -49,7 +49,7 @@ def inputs_of(plan: Plan, runs: Sequence[int]) -> dict[str, Array]:
 
 
 def _outcomes(scenarios: Sequence[Scenario], result: BatchResult) -> dict[str, Array]:
-    """What the runs came to, by the names of the columns."""
+    """Return the outcomes of runs, by the names of the columns."""
     done = result.completed
     largest = {name: getattr(result, name).max(axis=1, initial=0.0) for name in RUN_METRICS}
     metrics = {name: np.where(done, values, np.inf) for name, values in largest.items()}
@@ -57,11 +57,10 @@ def _outcomes(scenarios: Sequence[Scenario], result: BatchResult) -> dict[str, A
     answers: dict[str, Array] = {}
     for name in RUN_METRICS:
         limits = np.array([one.limits.get(name, np.nan) for one in scenarios])
-        asked = ~np.isnan(limits)
-        met = metrics[name] <= np.where(asked, limits, np.inf)
-        passed &= met | ~asked
-        told = [bool(one) if wanted else None for one, wanted in zip(met, asked, strict=True)]
-        answers[f"{name}_passed"] = np.array(told, dtype=object)
+        limited = ~np.isnan(limits)
+        met = metrics[name] <= np.where(limited, limits, np.inf)
+        passed &= met | ~limited
+        answers[f"{name}_passed"] = np.where(limited, met, np.array(None))
     return {
         **metrics,
         "stop_contacts": result.stop_contacts.sum(axis=1),
@@ -156,7 +155,7 @@ def rerun(plan: Plan, number: int) -> Rerun:
         The plan has no such run, or it cannot be simulated.
     """
     from platform_ctrl.simulation import simulate
-    from platform_ctrl.verification.simulated import Run, judged
+    from platform_ctrl.verification.simulated import Run, limit_results
 
     inputs = plan.inputs(number, number + 1)
     scenario = plan.scenario(number)
@@ -170,7 +169,7 @@ def rerun(plan: Plan, number: int) -> Rerun:
         job=job,
         inputs={name: row[name] for name in inputs},
         metrics={name: item for name, item in row.items() if name not in inputs and name != RUN},
-        run=Run(manoeuvre=manoeuvre, trajectory=trajectory, results=judged(job, manoeuvre, trajectory)),
+        run=Run(manoeuvre=manoeuvre, trajectory=trajectory, results=limit_results(job, manoeuvre, trajectory)),
     )
 
 

@@ -39,7 +39,7 @@ from platform_ctrl.errors import InputError
 
 RECORD, TABLE, PARTS, LOCK = "campaign.json", "campaign.parquet", "campaign.parts", ".campaign.lock"
 SCHEMA = 1
-# Rows that are written to the table at a time, and held in memory while it is made.
+# Rows that are written to the table at a time, and kept in memory while it is made.
 ROWS = 1 << 14
 # Reasons for which runs were not simulated that the record tells, and that are counted apart.
 _REASONS, _COUNTED = 20, 1000
@@ -300,7 +300,7 @@ def write_record(folder: Path, record: Mapping[str, Any]) -> None:
 
 def _judge(folder: Path, new: Record) -> None:
     """Refuse what is there already if it is another campaign's."""
-    cure = "name another folder with -o, or begin anew with --restart"
+    cure = "name another folder with -o, or start again with --restart"
     there = read_record(folder)
     if there is None:
         taken = [name for name in (TABLE, PARTS) if (folder / name).exists()]

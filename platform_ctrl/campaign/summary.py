@@ -1,4 +1,4 @@
-"""What a campaign came to, in one value: what its page, its terminal tables and campaign.json are made of."""
+"""The result of a campaign in one value, from which its page, its terminal tables and campaign.json are made."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ Record = dict[str, Any]
 
 @value
 class Summary:
-    """What a campaign came to.
+    """The result of a campaign.
 
     Attributes
     ----------
@@ -39,7 +39,7 @@ class Summary:
     contrasts
         How often they are violated with and without each fault, manoeuvre and chosen value.
     rare
-        Probabilities too small to be counted, where they were asked for.
+        Probabilities too small to be counted, where they were requested.
     """
 
     plan: Plan
@@ -50,7 +50,7 @@ class Summary:
 
     @property
     def passed(self) -> bool:
-        """Whether every run was simulated and met whatever was asked of it."""
+        """Whether every run was simulated and met all its limits."""
         return self.statistics.passed
 
     @check_arguments

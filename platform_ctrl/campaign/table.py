@@ -110,7 +110,7 @@ def _column(name: str, column: Array) -> Array:
 
 
 def _answers(column: Array) -> Array:
-    """Return 1 for yes, 0 for no, −1 where the question was not asked (None, a missing number)."""
+    """Return 1 for yes, 0 for no, −1 where there is no answer (None, a missing number)."""
     if column.dtype.kind in "biu":
         return column.astype(np.int8)
     return np.fromiter((-1 if item is None or item != item else int(bool(item)) for item in column), np.int8)

@@ -41,7 +41,7 @@ from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
 
 QUANTILES = (0.5, 0.9, 0.99, 0.999)
-# Different endings that are told apart; further ones are counted together.
+# Different endings that are counted separately; further ones are counted together.
 _MOST_ENDINGS = 20
 # A number with more values than this, or with about one for each run, is no choice among a few.
 _MOST_LEVELS = 12

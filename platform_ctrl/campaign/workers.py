@@ -220,17 +220,17 @@ def columns_by_cluster(
     """
     distributed = _distributed()
     client = _client(distributed, address)
-    # That a scheduler has gone is told once, by the error.
-    told = logging.getLogger("distributed.client")
-    before = told.level
-    told.setLevel(logging.CRITICAL)
+    # That a scheduler has gone is reported once, by the error.
+    log = logging.getLogger("distributed.client")
+    before = log.level
+    log.setLevel(logging.CRITICAL)
     try:
         yield from _Cluster(distributed, client, plan, chunks, simulate, device, address, say).columns()
     finally:
         with suppress(Exception), warnings.catch_warnings():
             warnings.simplefilter("ignore")
             client.close(timeout=_TIMEOUT)
-        told.setLevel(before)
+        log.setLevel(before)
 
 
 class _Cluster:
@@ -259,7 +259,7 @@ class _Cluster:
     def columns(self) -> Iterator[tuple[range, Columns]]:
         distributed = self._distributed
         self._look(first=True)
-        # As the result of a task, so that the scheduler makes it anew when the workers that hold it are lost.
+        # As the result of a task, so that the scheduler makes it again when its workers are lost.
         plan = pickle.dumps(self._plan, pickle.HIGHEST_PROTOCOL)
         shared = self._client.submit(pickle.loads, plan, pure=False, retries=_RETRIES)
         while self._chunks.waiting or self._under_way or self._suspects:

@@ -40,7 +40,7 @@ class Stage:
         Those of an earlier export, `own`, go away; whatever else is there stays. Without `own` the folder is there, and
         what it holds may be written over.
         """
-        # A folder that is there may be a file system of its own.
+        # A folder that is there may be another file system.
         unfinished = self._beside(target, target if own is None or target.is_dir() else target.parent)
         self._whole.append((unfinished, target, own))
         return unfinished
@@ -55,7 +55,7 @@ class Stage:
 
     def place(self) -> None:
         """Put everything in its place."""
-        undo: list[tuple[Path | None, Path]] = []  # what stood there, and where
+        undo: list[tuple[Path | None, Path]] = []  # what was there, and where
         try:
             for unfinished, target, own in self._whole:
                 names = sorted(path.name for path in unfinished.iterdir())

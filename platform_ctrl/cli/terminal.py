@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from platform_ctrl.verification import JobResult
     from platform_ctrl.verification.simulated import Run
 
-# Columns that a pipe is given, which has no width of its own; narrower terminals get lines instead of a table.
+# Columns that a pipe is given, which has no width; narrower terminals get lines instead of a table.
 _PIPE_WIDTH = 120
 _NARROW = 96
 # Seconds after which a first line is printed where there is no terminal, and the last line is printed again.

@@ -25,6 +25,7 @@ ROWS = (
     (r"\bcomplementary peak\b", "complementary sensitivity peak"),
     (r"\bsurvived (Omega[123])", r"largest \1 without saturation"),
     (r" over the spread\b", ", worst case"),
+    (r"\bthe run that was flown\b", "the run that was simulated"),
     (r"\brad s/rad\b", "rad/(rad/s)"),
 )
 

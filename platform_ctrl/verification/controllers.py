@@ -1,6 +1,6 @@
-"""Controllers that exist already: read from a file, judged, matched to the loops of a job, and measured anew.
+"""Controllers that exist already: read from a file, checked, matched to the loops of a job, and measured again.
 
-Nothing that a file claims is believed.
+No claim of a file is trusted.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _EXPECTED = "a JSON file with controllers"
 def read_controllers(
     source: str | os.PathLike[str] | Mapping[str, Any], job: Job, key: str = "controllers"
 ) -> list[control.StateSpace]:
-    """Read controllers that exist already and judge whether they can be closed around the job's plant.
+    """Read controllers that exist already and check whether they can be closed around the job's plant.
 
     Parameters
     ----------
@@ -107,7 +107,7 @@ def _controller(entry: JSONTable, job: Job, known: Sequence[str]) -> control.Sta
 def outcomes_from(
     job: Job, controllers: Sequence[control.StateSpace], alternatives: Sequence[control.StateSpace] = ()
 ) -> tuple[LoopOutcome, ...]:
-    """Return existing controllers as the outcome of the job's loops, measured anew."""
+    """Return existing controllers as the outcome of the job's loops, measured again."""
     placed: dict[str, control.StateSpace] = {}
     for K in controllers:
         spec = _loop_of(job, K)

@@ -2,8 +2,8 @@
 
 The design models are decoupled: for the caging loops Omega is given; for the platform servo the platform turns under
 the torques M alone and the gyros, caged, only measure. In the coupled model the platform feels the gyros' reactions.
-A job without a loop on the root has no coupled model of its own: its platform stays carried, and a sensor of its rate
-reads what is given, to which no loop is closed.
+In a job without a loop on the root the vehicle carries the platform: a sensor of its rate measures the given Omega, to
+which no loop is closed.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ class CoupledCheck:
     of_torquers
         Metrics of the torquers in the coupled system, SI units, (channels,) each, by their keys in `METRICS`.
     results
-        The job's limits held against these.
+        The job's limits compared with these.
 
     References
     ----------
@@ -95,7 +95,7 @@ class CoupledCheck:
 
 @check_arguments
 def coupled_check(job: Job, model: LinearModel, controllers: Sequence[control.StateSpace]) -> CoupledCheck:
-    """Close `controllers` around the coupled sampled model and hold the job's limits against it.
+    """Close `controllers` around the coupled sampled model and compare it with the job's limits.
 
     Parameters
     ----------
@@ -131,7 +131,7 @@ def coupled_check(job: Job, model: LinearModel, controllers: Sequence[control.St
     channels = tuple(K.output_labels)
     coupled = loop_margins(plant, K, at="input").alpha
     decoupled = _decoupled_margins(job, model, controllers, channels)
-    # A loop without a margin of its own has nothing to lose: that is no pass.
+    # A decoupled loop without a margin has nothing to lose: that is no pass.
     cost = np.where(decoupled > 0.0, 1.0 - coupled / np.maximum(decoupled, np.finfo(float).tiny), np.inf)
     simultaneous = disk_margin(loop_transfer(plant, K, at="input"))
     of_torquers = _torquer_metrics(job, loop, len(channels))
@@ -163,8 +163,8 @@ def coupled_plant(job: Job, model: LinearModel, controllers: Sequence[control.St
         torquers, angles = list(job.platform.torquers), list(model.angle_names)
     else:
         used = {name for K in controllers for name in K.output_labels}
-        held = {t.gimbal for t in job.platform.torquers if t.name in used}
-        gimbals = [name for group in subsystems(model) if held & set(group) for name in group]
+        driven = {t.gimbal for t in job.platform.torquers if t.name in used}
+        gimbals = [name for group in subsystems(model) if driven & set(group) for name in group]
         system = state_space(model, gimbals=gimbals)
         torquers = [t for t in job.platform.torquers if t.gimbal in gimbals]
         angles = [g.angle for g in job.platform.gimbals if g.name in gimbals]

@@ -1,6 +1,6 @@
-"""result.json: what a job came to as plain data, written whole or not at all; and its claims compared with a new check.
+"""result.json: the result of a job as plain data, written whole or not at all, and its claims compared with a check.
 
-No verdict rests on a file's claims: it may be older than the plant. But what is no longer true, or never was, is said.
+No verdict rests on a file's claims: it may be older than the plant. But claims that are not confirmed are reported.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ Record = dict[str, Any]
 
 @check_arguments
 def result_record(result: JobResult) -> Record:
-    """Return what a job came to in plain types: the content of ``result.json``.
+    """Return the result of a job in plain types: the content of ``result.json``.
 
     Numbers that are not finite (the margin of an unstable loop, say) are None, ``null`` in the file.
     """
@@ -91,7 +91,7 @@ def versions() -> dict[str, str]:
 
 @check_arguments
 def write_record(record: Mapping[str, Any], path: str | os.PathLike[str]) -> None:
-    """Write `record` as JSON, whole or not at all: what stood at `path` stays until the new file is complete."""
+    """Write `record` as JSON, whole or not at all: what was at `path` stays until the new file is complete."""
     write_json(record, path)
 
 

@@ -21,16 +21,16 @@ if TYPE_CHECKING:
 
 @value
 class Run:
-    """A manoeuvre, how it went, and its limits held against it.
+    """A simulated manoeuvre.
 
     Attributes
     ----------
     manoeuvre
-        As the job asks for it.
+        As in the job.
     trajectory
         The run, sample by sample.
     results
-        The limits of the manoeuvre held against its figures.
+        The metrics of the run compared with the limits of the manoeuvre.
     """
 
     manoeuvre: Manoeuvre
@@ -43,12 +43,12 @@ def simulate_manoeuvre(job: Job, manoeuvre: Manoeuvre, controllers: Sequence[con
     """Run one manoeuvre: caged with the caging loops alone and Omega prescribed, stabilised with all loops."""
     scenario = manoeuvre_scenario(job, manoeuvre)
     trajectory = simulate(scenario, controllers, period=job.sampling.period)
-    return Run(manoeuvre=manoeuvre, trajectory=trajectory, results=judged(job, manoeuvre, trajectory))
+    return Run(manoeuvre=manoeuvre, trajectory=trajectory, results=limit_results(job, manoeuvre, trajectory))
 
 
 @check_arguments
 def largest(job: Job, trajectory: Trajectory) -> dict[str, tuple[float, str]]:
-    """Return the run's figures by the names of the limits, each with the signal that it belongs to.
+    """Return the run's metrics by the names of the limits, each with the signal that it belongs to.
 
     ``angle``: largest gimbal angle, rad; ``attitude``: largest component of the platform's rotation vector, rad;
     ``torque_share``: largest commanded torque over the torquer's limit. Infinite when the run diverged.
@@ -63,7 +63,7 @@ def largest(job: Job, trajectory: Trajectory) -> dict[str, tuple[float, str]]:
     Returns
     -------
     dict
-        Figure and signal by name; rad, rad and a share.
+        Value and signal by name; rad, rad and a share.
     """
     if not trajectory.completed:
         return {name: (float("inf"), trajectory.ended) for name in RUN_METRICS}
@@ -80,15 +80,17 @@ def largest(job: Job, trajectory: Trajectory) -> dict[str, tuple[float, str]]:
     }
 
 
-def judged(job: Job, manoeuvre: Manoeuvre, trajectory: Trajectory) -> tuple[CheckResult, ...]:
-    """Hold the limits of a manoeuvre against what a run came to; one that diverges fails though nothing is asked."""
+def limit_results(job: Job, manoeuvre: Manoeuvre, trajectory: Trajectory) -> tuple[CheckResult, ...]:
+    """Compare a run with the limits of its manoeuvre; one that diverges fails without limits too."""
     found = largest(job, trajectory)
     out = []
     if not trajectory.completed and not manoeuvre.limits:
-        flown = Requirement(name="share of the run that was flown", limit=1.0, unit="", sense="at least")
+        completed = Requirement(name="share of the run that was simulated", limit=1.0, unit="", sense="at least")
         share = len(trajectory.t) * trajectory.period / manoeuvre.duration
         out.append(
-            flown.judge(share, subject=manoeuvre.name, stage="simulated", evidence=trajectory.ended, method="simulated")
+            completed.judge(
+                share, subject=manoeuvre.name, stage="simulated", evidence=trajectory.ended, method="simulated"
+            )
         )
     for key, limit in manoeuvre.limits.items():
         metric, (number, signal) = RUN_METRICS[key], found[key]

@@ -55,7 +55,7 @@ class Proofs:
         """Number of claims."""
         return len(self.verifications) + len(self.unproved)
 
-    def judged(self, subject: str, design: str, stage: Stage) -> tuple[CheckResult, ...]:
+    def results(self, subject: str, design: str, stage: Stage) -> tuple[CheckResult, ...]:
         """Return the share of the claims that is proved as a requirement; nothing where nothing is claimed."""
         if self.of == 0:
             return ()
@@ -152,7 +152,7 @@ Progress = Callable[[str], None]
 
 @value
 class JobResult:
-    """Everything that a job came to.
+    """The result of a job.
 
     Attributes
     ----------
@@ -203,7 +203,7 @@ def check_job(job: Job, loops: Sequence[LoopOutcome], progress: Progress | None 
     Returns
     -------
     JobResult
-        With every requirement held against its measured value.
+        With every requirement compared with its measured value.
 
     Raises
     ------
@@ -227,9 +227,9 @@ def check_job(job: Job, loops: Sequence[LoopOutcome], progress: Progress | None 
     requirements: list[CheckResult] = []
     for outcome in loops:
         design = outcome.closed
-        shown = proofs[design.loop, design.name].judged(design.loop, design.name, "decoupled")
+        shown = proofs[design.loop, design.name].results(design.loop, design.name, "decoupled")
         requirements += [*design.results, *shown]
-    requirements += [*coupled.results, *together.judged(ALL_LOOPS, "", "coupled")]
+    requirements += [*coupled.results, *together.results(ALL_LOOPS, "", "coupled")]
     requirements += [result for run in runs for result in run.results]
     return JobResult(
         job=job,

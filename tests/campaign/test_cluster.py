@@ -97,7 +97,7 @@ def test_a_worker_that_is_killed_in_mid_campaign_costs_no_run(tmp_path: Path, ad
     assert rows(found) == undisturbed(planned(runs=RUNS))
 
 
-def test_a_run_that_kills_workers_is_found_and_those_beside_it_are_flown(tmp_path: Path, address: str) -> None:
+def test_a_run_that_kills_workers_is_found_and_those_beside_it_are_simulated(tmp_path: Path, address: str) -> None:
     found = carried_out(tmp_path / "cluster", address, runs=8, dies=[3])
     assert found.reasons == {"not simulated: worker died": 1}
     assert found.counts["completed"] == 7

@@ -118,7 +118,7 @@ run_campaign(planned(runs=int(sys.argv[1])), Path(sys.argv[2]), workers=2, simul
 
 
 @pytest.mark.skipif(os.name != "posix", reason="SIGKILL")
-def test_killed_at_any_moment_it_goes_on_and_no_run_is_lost_or_flown_twice(
+def test_killed_at_any_moment_it_goes_on_and_no_run_is_lost_or_simulated_twice(
     tmp_path: Path, mishaps: Callable[..., None]
 ) -> None:
     made, folder, log = planned(runs=RUNS), tmp_path / "out", tmp_path / "log"
@@ -165,7 +165,7 @@ def _alive(pid: int) -> bool:
     return True
 
 
-def test_a_run_that_workers_die_of_is_isolated_and_the_others_are_flown(
+def test_a_run_that_workers_die_of_is_isolated_and_the_others_are_simulated(
     tmp_path: Path, mishaps: Callable[..., None]
 ) -> None:
     made = planned(runs=64)
@@ -210,7 +210,7 @@ def test_runs_that_diverge_or_raise_have_rows_that_say_so(tmp_path: Path, mishap
 
 
 @pytest.mark.usefixtures("here")
-def test_a_damaged_part_is_flown_again(tmp_path: Path) -> None:
+def test_a_damaged_part_is_simulated_again(tmp_path: Path) -> None:
     made = planned(runs=RUNS)
     kept = stopped_halfway(made, tmp_path)
     first, _, third, *_ = parts(tmp_path)

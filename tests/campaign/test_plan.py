@@ -394,7 +394,7 @@ def test_components_and_parts_that_vary_together_do_not_disturb_one_another() ->
         np.testing.assert_array_equal(after.platform.unbalances[-1].moment, [1e-5, 0.0, 2e-5])
 
 
-def test_a_manoeuvre_without_the_number_is_flown_as_it_is() -> None:
+def test_a_manoeuvre_without_the_number_is_simulated_as_it_is() -> None:
     before, after = varied("manoeuvre.rate", 2.0, True, 1)
     assert not changed(before, after)
     before, after = varied("initial.Omega3", 2.0, True, 0)
@@ -448,7 +448,7 @@ def test_the_inputs_are_columns_by_their_names() -> None:
     assert int(inputs["fault.power"].sum()) == 128
 
 
-def test_a_run_is_flown_with_its_inputs() -> None:
+def test_a_run_is_simulated_with_its_inputs() -> None:
     campaign = mixed()
     inputs = campaign.inputs(0, 64)
     for run, scenario in enumerate(campaign.scenarios(0, 64)):

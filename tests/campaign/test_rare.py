@@ -190,7 +190,7 @@ def test_many_runs_are_asked_for_at_once_and_fresh_noise_has_its_own_number():
     assert 0.4 * sum(sizes) < len(seen) < 0.8 * sum(sizes)
 
 
-def test_runs_that_could_not_be_flown_are_an_error_not_a_zero():
+def test_runs_that_could_not_be_simulated_are_an_error_not_a_zero():
     with pytest.raises(SimulationError, match="could not be simulated"):
         rare_event(lambda u, run: np.where(u[:, 0] > 0.9, np.nan, 0.1), 1, samples=200)
     with pytest.raises(ArgumentError, match="at least"):

@@ -61,7 +61,7 @@ def rows(folder: Path) -> list[dict[str, Any]]:
     return listed
 
 
-def test_the_table_has_a_row_a_run_and_the_record_says_what_was_flown(there: Path) -> None:
+def test_the_table_has_a_row_a_run_and_the_record_says_what_was_simulated(there: Path) -> None:
     table = rows(there / "campaign")
     assert [row["run"] for row in table] == list(range(RUNS))
     assert {row["manoeuvre"] for row in table} == {"turn", "step"}
@@ -140,7 +140,7 @@ def test_manoeuvres_go_by_name_or_by_an_option_of_their_own(there: Path, capsys:
     assert (there / "drawn" / "manoeuvre-2.svg").is_file()
 
 
-def test_runs_of_a_job_that_varies_nothing_are_flown_again_where_its_campaign_is(
+def test_runs_of_a_job_that_varies_nothing_are_simulated_again_where_its_campaign_is(
     there: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (there / "noise.toml").write_text(TEXT[: TEXT.index("[campaign]")])

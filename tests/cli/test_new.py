@@ -32,7 +32,9 @@ def names(folder: Path) -> list[str]:
     return sorted(path.name for path in folder.iterdir())
 
 
-def test_what_is_written_is_designed_flown_and_varied_as_it_is(there: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_is_written_is_designed_simulated_and_varied_as_it_is(
+    there: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["new", "gyro"]) == 0
     told = capsys.readouterr()
     assert names(there) == ["gyro.toml", "gyro_plant.toml"]

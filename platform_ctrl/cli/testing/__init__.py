@@ -2,7 +2,7 @@
 
 With the package installed pytest loads `platform_ctrl.cli.testing.plugin` by itself: the fixtures ``closed_loop`` and
 ``assert_baseline``, the marker ``platform_job``, the options ``--update-baselines``, ``--platform-jobs`` and
-``--platform-plots``. Nothing heavy is loaded before a test asks for a job. See docs/regression-tests.md.
+``--platform-plots``. Nothing heavy is loaded before a test uses a job. See docs/regression-tests.md.
 """
 
 import lazy_loader

@@ -34,8 +34,8 @@ def assert_requirements(result: JobResult, *, goals: bool = False) -> None:
         `result` is no result of a job.
     """
     __tracebackhide__ = True
-    asked = [one for one in result.requirements if one.hard]
-    texts = [missed_text(asked, result.job.name)]
+    hard = [one for one in result.requirements if one.hard]
+    texts = [missed_text(hard, result.job.name)]
     if goals:
         wanted = [goal for outcome in result.loops for goal in outcome.closed.goals]
         texts.append(missed_text(wanted, result.job.name, "goal"))

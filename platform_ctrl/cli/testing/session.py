@@ -150,8 +150,8 @@ class RequirementTest:
     def result(self) -> CheckResult:
         """The requirement with its value."""
         __tracebackhide__ = True
-        judged = self._job.result.requirements
-        found = next((one for one in judged if (one.subject, one.name) == (self.subject, self.name)), None)
+        results = self._job.result.requirements
+        found = next((one for one in results if (one.subject, one.name) == (self.subject, self.name)), None)
         if found is None:
             raise AssertionError(f"{self._job.job.name}: {self.id}: cannot be checked: the closed loop is not stable")
         return found

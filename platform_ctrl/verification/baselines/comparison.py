@@ -37,7 +37,7 @@ class Change:
         ``"within"`` the tolerance, ``"worse"`` or ``"better"`` by more than it, ``"missing"``: accepted once and
         measured no more, ``"new"``: measured and not in the baseline.
     limit
-        What the job asks, in `unit`; None where it asks nothing.
+        The limit in the job, in `unit`; None without one.
     """
 
     subject: str
@@ -77,7 +77,7 @@ class Change:
 
 @value
 class Comparison:
-    """A job held against its baseline.
+    """A job compared with its baseline.
 
     Attributes
     ----------
@@ -125,7 +125,7 @@ class Comparison:
 
 @check_arguments
 def compare(result: JobResult, baseline: Baseline) -> Comparison:
-    """Hold the figures of a job against accepted ones.
+    """Compare the figures of a job with accepted ones.
 
     Parameters
     ----------

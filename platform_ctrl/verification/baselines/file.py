@@ -54,7 +54,7 @@ class Update:
 
     @property
     def summary(self) -> str:
-        """One line: how many figures were accepted anew, added and removed."""
+        """One line: how many figures were accepted, added and removed."""
         if self.comparison is None:
             return f"{self.path}: written, {self.figures} figures"
         if not self.written:
@@ -72,7 +72,7 @@ class Update:
 
 @check_arguments
 def read_baseline(path: str | os.PathLike[str]) -> Baseline:
-    """Read a baseline and judge it.
+    """Read a baseline and check it.
 
     Parameters
     ----------
@@ -121,7 +121,7 @@ def read_baseline(path: str | os.PathLike[str]) -> Baseline:
 def write_baseline(baseline: Baseline, path: str | os.PathLike[str]) -> Path:
     """Write a baseline, whole or not at all, and return its path.
 
-    A figure a line and a row of a matrix a line, in the order of the job: a diff shows what was accepted anew. Since it
+    A figure a line and a row of a matrix a line, in the order of the job: a diff shows what was accepted. Since it
     holds the controllers as ``result.json`` does, `check.read_controllers` reads them from it.
     """
     return write_whole(path, _text(baseline))
@@ -241,7 +241,7 @@ def _figure_record(figure: AcceptedFigure, default: Tolerance) -> dict[str, Any]
 
 
 def _shown(tolerance: Tolerance, default: Tolerance) -> dict[str, float]:
-    """Return a tolerance as it stands in the file: what `_tolerance` makes of it again, in as few words."""
+    """Return a tolerance as in the file, in as few keys as `_tolerance` needs."""
     out = {}
     if tolerance.relative or tolerance.absolute == default.absolute:
         out["relative"] = tolerance.relative

@@ -37,7 +37,7 @@ class Figure:
     subject
         Loop, manoeuvre, or ``all loops closed``.
     name
-        The figure, in the words of the requirement that would be asked of it.
+        The name that a requirement on it has.
     value
         As measured, in `unit`; not finite where there is none (the loop is unstable, the run diverged).
     unit
@@ -45,7 +45,7 @@ class Figure:
     sense
         ``"at least"``: more is better; ``"at most"``: less is better.
     limit
-        What the job asks of it, in `unit`; None where nothing is asked.
+        The limit in the job, in `unit`; None without one.
     """
 
     subject: str
@@ -121,7 +121,7 @@ class LoopMatrices:
     inputs, outputs
         Names of the controller's signals.
     plant
-        The nominal sampled plant, from `outputs` to `inputs`; None for a loop that is judged in the coupled system
+        The nominal sampled plant, from `outputs` to `inputs`; None for a loop that is checked in the coupled system
         alone.
     """
 
@@ -160,7 +160,7 @@ class Baseline:
     job
         Title of the job.
     tolerance
-        Of every figure without one of its own.
+        Of every figure without a separate one.
     figures
         Each subject and name once.
     loops
@@ -193,10 +193,10 @@ def _all(result: JobResult) -> Iterator[Figure]:
     """Walk the figures of a job; what a requirement names comes first, what was measured besides may repeat it."""
     loops = {outcome.spec.name: outcome.closed for outcome in result.loops}
     runs = {run.manoeuvre.name: run for run in result.runs}
-    asked: dict[str, list[CheckResult]] = {name: [] for name in (*loops, ALL_LOOPS, *runs)}
+    required: dict[str, list[CheckResult]] = {name: [] for name in (*loops, ALL_LOOPS, *runs)}
     for one in result.requirements:
-        asked.setdefault(one.subject, []).append(one)
-    for subject, requirements in asked.items():
+        required.setdefault(one.subject, []).append(one)
+    for subject, requirements in required.items():
         yield from map(_judged, requirements)
         if subject in loops:
             yield from _goals(loops[subject])
@@ -204,7 +204,7 @@ def _all(result: JobResult) -> Iterator[Figure]:
         elif subject == ALL_LOOPS:
             yield from _coupled(result.coupled)
         elif subject in runs:
-            yield from _flown(result, runs[subject])
+            yield from _of_run(result, runs[subject])
 
 
 def _judged(one: CheckResult) -> Figure:
@@ -253,7 +253,7 @@ def _coupled(check: CoupledCheck) -> Iterator[Figure]:
             yield _figure(ALL_LOOPS, METRICS[kind], number, f"{kind}, {torquer}")
 
 
-def _flown(result: JobResult, run: Run) -> Iterator[Figure]:
+def _of_run(result: JobResult, run: Run) -> Iterator[Figure]:
     job, manoeuvre = result.job, run.manoeuvre
     for key, (number, _) in largest(job, run.trajectory).items():
         if key == "attitude" and manoeuvre.mode == "caged":
