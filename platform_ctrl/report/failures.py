@@ -186,17 +186,8 @@ def write_junit(
 ) -> Path:
     """Write the verdicts of a job as JUnit XML, whole or not at all, and return the file's path.
 
-    Parameters
-    ----------
-    result
-        From `verification.check_job`.
-    path
-        The file.
-    comparison
-        With a baseline: a suite of its own, a test case per figure. A figure that is worse or missing is a failure, a
-        new one is skipped.
-    baseline
-        What the baseline is called in it.
+    A comparison with a baseline (called `baseline` there) is a suite too, a test case per value: one that is worse or
+    missing is a failure, a new one is skipped.
     """
     written = BytesIO()
     _suites(result, comparison, baseline).write(written, pretty=True)

@@ -59,25 +59,7 @@ def write_pdf(result: JobResult | Document, path: str | os.PathLike[str]) -> Pat
 
 @check_arguments
 def pdf_bytes(result: JobResult | Document) -> bytes:
-    """Return the report as PDF: the content of the page in the same order; the same bytes for the same result.
-
-    Parameters
-    ----------
-    result
-        As in `write_pdf`.
-
-    Returns
-    -------
-    bytes
-        The whole file.
-
-    Raises
-    ------
-    InputError
-        Typst is not installed.
-    PlatformCtrlError
-        Typst could not set the document.
-    """
+    """Return the report as PDF: the content of the page in the same order; the same bytes for the same result."""
     typst = typesetter()
     return typeset(typst, prepared(result))
 

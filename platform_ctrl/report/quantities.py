@@ -181,13 +181,8 @@ def disk_gain_or_phase(alpha: float, skew: float = 0.0) -> tuple[str, str]:
 def claimed(name: str, number: float) -> tuple[str, str]:
     """Return a claim in words and with its unit.
 
-    Parameters
-    ----------
-    name
-        Ends in ``, `` and a unit (``"largest Omega1 without saturation, rad/s"``), or in ``_hz`` as options do;
-        otherwise a plain number.
-    number
-        In that unit.
+    A name ends in ``, `` and a unit (``"largest Omega1 without saturation, rad/s"``), or in ``_hz`` as options do;
+    otherwise the number is a plain one.
     """
     rounding: Rounding = "down" if name.startswith(_LEAST) else "up" if name.startswith(_MOST) else "nearest"
     words, _, unit = name.rpartition(", ")

@@ -69,18 +69,8 @@ def limited(limits: Mapping[str, float], kind: str) -> list[str]:
 def limit_lines(axes: Axes, spec: LoopSpec, kind: str, *, scale: float = 1.0, from_hz: float = 0.0) -> None:
     """Draw limits and goals as levels of a gain; above the limit of a band the forbidden region is shaded.
 
-    Parameters
-    ----------
-    axes
-        With its limits set.
-    spec
-        Limits and goals.
-    kind
-        Key of the metric whose curve the axes show: all metrics on that curve get their lines.
-    scale
-        The SI unit in units of the axes.
-    from_hz
-        Where a level begins that holds from a frequency on.
+    The axes have their limits set and show the curve of the metric `kind`: all metrics on that curve get their lines.
+    `scale` is the SI unit in units of the axes; `from_hz` is where a level begins that holds from a frequency on.
     """
     left, right = axes.get_xlim()
     for limits, hard in ((spec.limits, True), (spec.soft, False)):

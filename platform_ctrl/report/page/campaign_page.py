@@ -64,17 +64,7 @@ def write_campaign_page(
 
 
 def campaign_document(summary: Summary, *, command: str | None = None, again: str | None = None) -> Document:
-    """Return the content of the page.
-
-    Parameters
-    ----------
-    summary
-        From `platform_ctrl.campaign.summary.summarise`.
-    command
-        The command line that made the campaign.
-    again
-        The command line that repeats one run, without the run's number at its end.
-    """
+    """Return the content of the page; `command` made the campaign, `again` and a run's number repeat that run."""
     job = summary.plan.job
     with style.settings():
         sections = campaign_sections(summary, again or RERUN_COMMAND)

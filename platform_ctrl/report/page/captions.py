@@ -237,15 +237,7 @@ def _against_bounds(design: LoopDesign) -> list[str]:
 
 
 def opening(result: JobResult, campaign: Summary | None = None) -> list[str]:
-    """Return three to six sentences.
-
-    Parameters
-    ----------
-    result
-        From `platform_ctrl.verification.check_job`.
-    campaign
-        From `platform_ctrl.campaign.summary.summarise`, where there is one.
-    """
+    """Return three to six sentences."""
     found = [_designed(result), _verdict(result), _limits(result), _runs(result)]
     found.insert(3, sentences("together", check=result.coupled, loops=result.loops))
     found.append("" if campaign is None else _campaign(campaign))

@@ -49,7 +49,7 @@ from platform_ctrl.report.page.blocks import (
 )
 from platform_ctrl.report.page.campaign_page import as_section, digests
 from platform_ctrl.report.page.captions import compared_with_alternatives, opening, sentences
-from platform_ctrl.report.plots.time_run import run_figure
+from platform_ctrl.report.plots.time_run import time_run
 from platform_ctrl.report.quantities import count
 from platform_ctrl.verification.verdict import JobResult
 
@@ -83,23 +83,7 @@ def write_page(result: JobResult | Document, path: str | os.PathLike[str]) -> Pa
 
 @check_arguments
 def page_html(result: JobResult | Document) -> str:
-    """Return the page as HTML: self-contained, for light and dark screens and for paper.
-
-    Parameters
-    ----------
-    result
-        As in `write_page`.
-
-    Returns
-    -------
-    str
-        The whole file, without links to anything outside.
-
-    Raises
-    ------
-    ArgumentError
-        `result` is neither a result nor a document.
-    """
+    """Return the page as HTML: self-contained, for light and dark screens and for paper."""
     return html(prepared(result))
 
 
@@ -305,7 +289,7 @@ def _runs(result: JobResult) -> list[Section]:
         name = run.manoeuvre.name
         if run.trajectory.t.size:
             caption = captions.run(run, spinning, result.loops)
-            blocks.append(_plate(run_figure(run, result.job.platform), name, caption))
+            blocks.append(_plate(time_run(run, result.job.platform), name, caption))
         else:
             nothing = Paragraph(text=f"The run {run.trajectory.ended}: nothing was recorded.")
             blocks.append(Part(title=name, blocks=(nothing,)))

@@ -10,8 +10,8 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
-from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, named_system, scaled
-from platform_ctrl.analysis.poles import continuous_poles, damping_ratio
+from platform_ctrl.analysis.arrays import ComplexArray, scaled
+from platform_ctrl.analysis.poles import damping_ratio
 from platform_ctrl.analysis.singular_values import boundary_poles
 from platform_ctrl.analysis.transfer_function import LinearSystem
 from platform_ctrl.common.arguments import one_of, positive
@@ -20,7 +20,7 @@ from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.report.plots.label_placement import LabelPlacer
 from platform_ctrl.report.plots.panels import control_plot
-from platform_ctrl.report.plots.systems import DrawnSystem, drawn_systems
+from platform_ctrl.report.plots.systems import DrawnSystem, drawn_systems, transmission_zeros
 from platform_ctrl.report.quantities import HZ, count
 from platform_ctrl.report.quantities import plain as number
 from platform_ctrl.report.style import (
@@ -184,8 +184,6 @@ def upper_half_plane(z: ComplexArray) -> ComplexArray:
 _HEIGHT = 4.85
 # Poles of a system whose damping is written, at most, and up to which damping ratio.
 _WRITTEN, _DAMPED = 3, 0.5
-# A zero this much faster than all poles is at infinity, but for rounding.
-_FAR = 1e6
 
 
 @check_arguments
@@ -245,7 +243,7 @@ def pole_map(
     nyquist = max((system.nyquist for system in drawn if system.dt), default=np.inf)
     nothing = np.zeros(0, dtype=np.complex128)
     view = view_of(every, nothing, nyquist, None if reach is None else positive("pole_map: reach", reach))
-    roots = [_in_plane(_zeros(system, s), system.dt, plane) for system, s in zip(drawn, poles, strict=True) if zeros]
+    roots = [_in_plane(_zeros(system), system.dt, plane) for system in drawn if zeros]
     names = [system.label or "poles" for system in drawn] + (["zeros"] if any(map(len, roots)) else [])
     _, axes_grid = panels(1, 1, _HEIGHT, names, titles=False)
     axes: Axes = axes_grid[0, 0]
@@ -288,15 +286,10 @@ def _poles(system: DrawnSystem) -> ComplexArray:
     return np.asarray(np.where(on, 1j * s.imag, s), dtype=np.complex128)
 
 
-def _zeros(system: DrawnSystem, poles: ComplexArray) -> ComplexArray:
+def _zeros(system: DrawnSystem) -> ComplexArray:
     assert system.arrays is not None
-    dt = system.dt
-    balanced = StateArrays(*scaled(*system.arrays[:3]), system.arrays.D, dt)
-    with np.errstate(all="ignore"):
-        found = np.asarray(named_system(balanced, system.inputs, system.outputs).zeros(), dtype=np.complex128)
-    found = found[np.isfinite(found)]
-    largest = np.abs(poles[np.isfinite(poles)]).max(initial=0.0)
-    return continuous_poles(found[np.abs(found) < _FAR * (1.0 if dt else largest)], dt)
+    A, B, C, D, dt = system.arrays
+    return transmission_zeros(*scaled(A, B, C), D, dt)
 
 
 def _in_plane(s: ComplexArray, dt: float, plane: str) -> ComplexArray:

@@ -204,7 +204,7 @@ def features(arrays: StateArrays) -> tuple[ComplexArray, ComplexArray, FloatArra
     if 1 < p == m:
         entries.append((list(range(p)), list(range(m))))
     nothing = np.zeros(0, dtype=np.complex128)
-    found = [_zeros(A, B[:, j], C[i], D[np.ix_(i, j)], dt) for i, j in entries] if len(A) else []
+    found = [transmission_zeros(A, B[:, j], C[i], D[np.ix_(i, j)], dt) for i, j in entries] if len(A) else []
     zeros = np.concatenate([nothing, *found])
     both = np.concatenate([own, zeros])
     with np.errstate(invalid="ignore"):
@@ -213,7 +213,7 @@ def features(arrays: StateArrays) -> tuple[ComplexArray, ComplexArray, FloatArra
     return _finite(own), _finite(zeros), undamped
 
 
-def _zeros(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, dt: float) -> ComplexArray:
+def transmission_zeros(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, dt: float) -> ComplexArray:
     """Return the finite transmission zeros, s-plane."""
     from scipy.linalg import eigvals
 

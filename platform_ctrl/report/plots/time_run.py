@@ -100,8 +100,8 @@ def time_run(
     duration = run.manoeuvre.duration if isinstance(run, Run) else math.nan
     if not duration > 0.0:
         duration = float(recorded.t[-1]) if recorded.t.size > 1 else recorded.period
-    unknown = {} if platform is not None else {"unlimited": "give the platform to see the torquers' limits"}
-    return trajectory_figure(recorded, torquers, series, allowed, duration, **unknown)
+    unlimited = "no torquer has a limit" if platform is not None else "give the platform to see the torquers' limits"
+    return _drawn(recorded, torquers, series, allowed, duration, unlimited)
 
 
 def _series(run: Trajectory) -> Mapping[str, int]:
@@ -119,19 +119,15 @@ def _place(name: str) -> dict[str, Any]:
     return {"gimbal": name}
 
 
-def trajectory_figure(
+def _drawn(
     t: Trajectory,
     torquers: Sequence[Torquer],
     series: Mapping[str, int],
     limits: Mapping[str, float],
     duration: float,
-    unlimited: str = "no torquer has a limit",
+    unlimited: str,
 ) -> Figure:
-    """Everything that was recorded, up to `duration`, s.
-
-    `torquers` are in the order of the run's columns; `series` gives each angle and torque its colour, see
-    `signal_series`; `limits` are those of a manoeuvre; `unlimited` is shown if no torquer has a limit.
-    """
+    """Draw a run with the colour of each signal, `series`; `unlimited` is shown if no torquer has a limit."""
     free = t.mode == "stabilised"
     figure, rows = panels(2, 3 if free else 2, 1.7)
     roots = [k for k, torquer in enumerate(torquers) if torquer.root_axis is not None]
@@ -279,17 +275,11 @@ def _of_axes(symbol: str) -> dict[str, int]:
     return {f"{symbol}{index}": root_series(axis) for axis, index in ((1, "₁"), (2, "₂"), (3, "₃"))}
 
 
-def run_figure(run: Run, platform: Platform) -> Figure:
-    """Everything that a run recorded: gimbal angles, torques, platform rate, and with a free platform its attitude."""
-    limits, duration = run.manoeuvre.limits, run.manoeuvre.duration
-    return trajectory_figure(run.trajectory, platform.torquers, signal_series(platform), limits, duration)
-
-
 def write_run_figure(run: Run, platform: Platform, title: str, path: Path) -> None:
     """Draw everything that a run recorded and write it to `path` as SVG, whole or not at all."""
     out = StringIO()
     with settings():
-        figure = run_figure(run, platform)
+        figure = time_run(run, platform)
         above = 1.0 + 0.12 / figure.get_size_inches()[1]
         figure.text(0.0, above, title, color=INK, fontsize=9.0, fontweight="bold", ha="left", va="bottom")
         figure.savefig(
