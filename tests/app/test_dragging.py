@@ -22,20 +22,12 @@ from bokeh.models import Column, Row
 from bokeh.server.server import Server
 from tornado.ioloop import IOLoop
 
-from browser import Screen, screen
+from browser import PLACE, Screen, screen
 from designer_pictures import picture
 from platform_ctrl.app.plots import Plots
 from platform_ctrl.app.plots.handles import LATE, REST
 
 HZ = 1.0 / (2.0 * np.pi)
-
-# Where a point of a figure lies on the screen.
-PLACE = """([name, x, y]) => {
-  const every = (view) => [view, ...view.children().flatMap ? [...view.children()].flatMap(every) : []];
-  const view = [...Bokeh.index.roots ?? Bokeh.index].flatMap(every).find((one) => one.model.name == name);
-  const box = view.canvas_view.el.getBoundingClientRect();
-  return [box.left + view.frame.x_scale.compute(x), box.top + view.frame.y_scale.compute(y)];
-}"""
 
 
 class Page:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from browser import Screen, screen, served
+from browser import PLACE, Screen, screen, served
 
 pytest.importorskip("bokeh")
 pytest.importorskip("tomlkit")
@@ -243,12 +243,6 @@ def test_a_drag_that_moves_the_ends_of_other_sliders_goes_on(page: Page) -> None
     assert page.locator("#undo").is_disabled()
 
 
-PLACE = """([name, x, y]) => {
-  const every = (view) => [view, ...view.children().flatMap ? [...view.children()].flatMap(every) : []];
-  const view = [...Bokeh.index.roots ?? Bokeh.index].flatMap(every).find((one) => one.model.name == name);
-  const box = view.canvas_view.el.getBoundingClientRect();
-  return [box.left + view.frame.x_scale.compute(x), box.top + view.frame.y_scale.compute(y)];
-}"""
 HANDLE = """() => {
   for (const model of Bokeh.documents[0]._all_models.values()) {
     if (model.name === "crossover-handle") return Math.sqrt(model.left * model.right);
