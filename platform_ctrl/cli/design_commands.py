@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import shlex
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -95,7 +95,7 @@ def design(
 
 @dataclass(frozen=True)
 class Outcome:
-    """The result of a comparison: text for the terminal, plain data for JSON."""
+    """The result of a comparison with a baseline: text for the terminal, plain data for JSON."""
 
     comparison: Comparison | None = None
     words: str = ""
@@ -161,10 +161,8 @@ class BaselineOptions:
 def _record(
     file: Path, changes: tuple[Change, ...], *, passed: bool, updated: bool, plot: str | None = None
 ) -> dict[str, Any]:
-    names = ("subject", "name", "unit", "sense", "before", "now", "allowed", "limit", "state")
-    entries = [{name: getattr(change, name) for name in names} for change in changes]
-    found = {"file": str(file), "passed": passed, "updated": updated, "plot": plot, "figures": entries}
-    return {"baseline": found}
+    figures = [asdict(change) for change in changes]
+    return {"baseline": {"file": str(file), "passed": passed, "updated": updated, "plot": plot, "figures": figures}}
 
 
 def check(

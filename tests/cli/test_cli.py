@@ -106,6 +106,7 @@ def test_design_writes_the_result_and_the_report_and_nothing_else(designed: Path
     assert "three gyros, fixed numbers" in (designed / "out" / "report.html").read_text(encoding="utf-8")
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_check_comes_to_the_verdicts_of_design(there: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["check", "job.toml"]) == 0
     out, err = capsys.readouterr()

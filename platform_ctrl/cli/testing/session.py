@@ -69,9 +69,7 @@ class JobSession:
         """
         __tracebackhide__ = True
         start = folder or Path()
-        job = (
-            source if isinstance(source, Job) else read_job(placed(source, start), folder=_plant_folder(source, start))
-        )
+        job = _job(source, start)
         given = _controllers(controllers, job, start)
         from platform_ctrl.campaign.identity import digest  # loads what only campaigns need
 
@@ -112,11 +110,7 @@ class JobUnderTest:
     ) -> None:
         self.session, self.controllers, self.folder, self.baseline = session, controllers, folder, baseline
         # Read once: what the tests are called and what they measure belongs together.
-        self.job = (
-            source
-            if isinstance(source, Job)
-            else read_job(placed(source, folder), folder=_plant_folder(source, folder))
-        )
+        self.job = _job(source, folder)
 
     @property
     def result(self) -> JobResult:
@@ -185,14 +179,11 @@ class BaselineTest:
         self._job.session.compare(self._job.result, self.file)
 
 
-def placed(source: JobSource, folder: Path) -> Any:
-    """Return a path relative to `folder`; anything else as it is."""
-    return folder / source if isinstance(source, str | os.PathLike) else source
-
-
-def _plant_folder(source: JobSource, folder: Path) -> Path | None:
-    """Return where the plant of a job given as a dict is looked for; that of a file is beside it."""
-    return folder if isinstance(source, Mapping) else None
+def _job(source: JobSource, folder: Path) -> Job:
+    """Return a job; relative paths start at `folder`, and so does the plant of a job given as a dict."""
+    if isinstance(source, Job):
+        return source
+    return read_job(source, folder=folder) if isinstance(source, Mapping) else read_job(folder / source)
 
 
 def _controllers(given: ControllerSource, job: Job, folder: Path) -> list[control.StateSpace] | None:
