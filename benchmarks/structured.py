@@ -5,7 +5,8 @@
 
 Static output feedback on problems of COMPleib (tests/data/compleib*.json: numbers, their source and what `best` and
 `hifoo` are), and PID controllers on the weighted plants of the main job, where the full-order bound is that of the
-Riccati route. Ratios below one are better than the value they are compared with.
+Riccati route. Ratios below one are better than the value they are compared with. With `--bfgs 12 --evaluations 0` the
+norm is that of plain BFGS or lower on 24 of 25 problems (AC12: 1.02 times as high), in 0.04 to 1.25 times its time.
 """
 
 from __future__ import annotations
@@ -179,7 +180,7 @@ def static_rows(names: list[str], starts: int, evaluations: int) -> bool:
             met = False
             continue
         taken = time.perf_counter() - began
-        best, hifoo = problem["best"], problem.get("hifoo", float("nan"))
+        best, hifoo = problem["best"] or float("nan"), problem.get("hifoo", float("nan"))
         print(f"{name:<10}{best:>12.8g}{hifoo:>10.6g}{r.gamma:>13.8g}{r.gamma / best - 1:>11.1e}", end="")
         print(f"{r.gamma / hifoo - 1:>11.1e}{r.gamma_optimal:>12.6g}{r.price:>8.3f}{taken:>7.1f}", flush=True)
         met = met and not r.gamma > (1.0 + EXCESS) * min(best, hifoo if hifoo == hifoo else best)

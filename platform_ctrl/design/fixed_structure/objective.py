@@ -45,6 +45,8 @@ class _Point:
         # Plant, frequency and mixture of singular vectors of each piece.
         self._blocks: dict[tuple[int, float, int], tuple[FloatArray, ComplexArray, ComplexArray]] = {}
         self.seen: list[tuple[int, float, ComplexArray]] | None = None
+        # Gradient with respect to M and Hessian of each piece that is `seen`: a refused step asks for them again.
+        self.bent: dict[int, tuple[FloatArray, FloatArray]] = {}
 
     def block(self, plant: int, frequency: float, count: int) -> tuple[FloatArray, ComplexArray, ComplexArray]:
         """Return `ClosedLoop.block`, kept."""
@@ -202,7 +204,7 @@ class WorstNorm:
             return np.array([np.inf]), np.zeros((1, len(x)))
         value = np.concatenate(values)
         near = value >= (1.0 - self.window) * value.max()
-        point.seen = [one for one, close in zip(seen, near, strict=True) if close]
+        point.seen, point.bent = [one for one, close in zip(seen, near, strict=True) if close], {}
         slope = np.einsum("kij,ijx->kx", np.concatenate(slopes)[near], self.controller.jacobian(x))
         more, steep = self._at_watched(x, self._watched)
         return np.concatenate([value[near], more]), np.vstack([slope, steep])
@@ -264,11 +266,13 @@ class WorstNorm:
         if point.loops is None or point.seen is None:
             return H
         G = np.zeros(J.shape[:2])
-        for weight, (k, frequency, mix) in zip(weights, point.seen, strict=True):
-            if weight > 1e-6:
-                gradient, bent = point.loops[k].curvature(frequency, mix, J)
-                G += weight * gradient
-                H += weight * bent
+        for i in np.flatnonzero(weights > 1e-6):
+            if i not in point.bent:
+                k, frequency, mix = point.seen[i]
+                point.bent[i] = point.loops[k].curvature(frequency, mix, J)
+            gradient, bent = point.bent[i]
+            G += weights[i] * gradient
+            H += weights[i] * bent
         return H + self.controller.bend(x, G)
 
 

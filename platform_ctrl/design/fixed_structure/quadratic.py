@@ -146,7 +146,7 @@ def _sparse(matrix: FloatArray) -> Any:
 
     column, row = np.nonzero(matrix.T)
     starts = np.searchsorted(column, np.arange(matrix.shape[1] + 1))
-    return csc_matrix((matrix[row, column], row, starts), shape=matrix.shape)
+    return csc_matrix((matrix[row, column], row.astype(np.int32), starts.astype(np.int32)), shape=matrix.shape)
 
 
 def damped_update(H: FloatArray, move: FloatArray, change: FloatArray) -> FloatArray:

@@ -23,13 +23,15 @@ _WORTH_PROCESSES = 4.0
 _GRACE = 5.0
 
 # Shares of the evaluations for the first descent of all starts, for all that have not ended by then, and for the best
-# that have not ended then either; the rest is for the polish of the best. What a descent stands at says little about
-# where it ends: on AC12 the best of twelve was last but one for half of its way.
-_FIRST, _ON, _LAST = 0.4, 0.35, 0.1
-# How many of the best descend once more, one of how many starts at least, and how many are polished.
-_LEAST, _HALF, _POLISHED = 4, 3, 12
-# Evaluations below which neither a descent goes on nor a polish begins: fewer starts do then.
-_WORTH_ON, _WORTH_POLISH = 400, 1000
+# that have not ended then either; the rest is for the polish of the best. The value of a descent on its way says little
+# about where it ends: on AC12 the best of twelve was last but one for half of its way.
+_FIRST, _SECOND, _THIRD = 0.4, 0.35, 0.1
+# How many of the best go on, one of how many starts at least, and how many are polished.
+_LEAST, _ONE_OF, _POLISHED = 4, 3, 12
+# Starts that go on both ways, by a descent and by a polish: the others go on by the way that led lower.
+_TRIED = 2
+# Evaluations for which a start goes on, at least, those of a polish, and those left with which none begins.
+_WORTH_ON, _WORTH_POLISH, _NO_POLISH = 200, 1000, 200
 # Share of the evaluations where a search is not done in parts.
 _WHOLE = 0.7
 # Values that differ by no more are one minimum, relative, before the polish and after it.
@@ -41,7 +43,7 @@ _ENOUGH = 5
 Report = Callable[[int, Outcome | None], None]
 
 
-def best_found(  # noqa: PLR0915 - one loop over all starts
+def best_found(
     problem: Problem,
     points: Sequence[FloatArray],
     limits: Limits,
@@ -54,100 +56,150 @@ def best_found(  # noqa: PLR0915 - one loop over all starts
     end. None where the deadline was over before a start had its turn; those behind the first that came to
     `limits.least` are left out.
     """
-    left = limits.evaluations
-    found: list[Outcome | None] = [None] * len(points)
+    starts = _Starts(problem, points, limits, processes, report)
+    parted = divides(problem)
+    starts.search(range(len(points)), starts.until(_FIRST if parted else _WHOLE), False)
+    reached = next((k for k, one in enumerate(starts.found) if one is not None and one.reached(limits.least)), None)
+    if reached is not None:
+        return starts.found[: reached + 1]
+    if not parted:
+        chosen = [k for k in starts.distinct() if not starts[k].finished][:_POLISHED]
+        for n, k in enumerate(chosen):
+            starts.search([k], starts.left // (len(chosen) - n), True)
+    elif any(starts[k].stable for k in starts.ranked()):
+        starts.go_on()
+        starts.polish()
+    return starts.found
 
-    def part(chosen: Sequence[int], most: int, polish: bool) -> None:
-        nonlocal left
-        own = dataclasses.replace(limits, evaluations=max(1, most // max(1, len(chosen))))
-        before = {k: one.evaluations for k in chosen if (one := found[k]) is not None}
-        begun = [found[k] or points[k] for k in chosen]
-        for k, one in zip(chosen, _side_by_side(problem, begun, own, polish, processes), strict=False):
+
+class _Starts:
+    """The starts of one problem: what has become of each, and the evaluations left."""
+
+    def __init__(
+        self,
+        problem: Problem,
+        points: Sequence[FloatArray],
+        limits: Limits,
+        processes: int | None,
+        report: Report,
+    ) -> None:
+        self.problem, self.points, self.limits = problem, points, limits
+        self.processes, self.report = processes, report
+        self.left = limits.evaluations
+        self.found: list[Outcome | None] = [None] * len(points)
+        self.at_minimum: set[int] = set()
+
+    def __getitem__(self, k: int) -> Outcome:
+        one = self.found[k]
+        assert one is not None
+        return one
+
+    def until(self, share: float) -> int:
+        """Return the evaluations until a share of all is spent."""
+        return self.left - int((1.0 - share) * self.limits.evaluations)
+
+    def ranked(self) -> list[int]:
+        """Return the starts, the best first, without those that had no turn."""
+        return sorted((k for k, one in enumerate(self.found) if one is not None), key=lambda k: (*self[k].rank, k))
+
+    def search(self, chosen: Sequence[int], most: int, polish: bool) -> None:
+        """Search from some starts, or go on from where they are, with so many evaluations together."""
+        limits = dataclasses.replace(self.limits, evaluations=max(1, most // max(1, len(chosen))))
+        before = {k: one.evaluations for k in chosen if (one := self.found[k]) is not None}
+        begun = [self.found[k] or self.points[k] for k in chosen]
+        for k, one in zip(chosen, _side_by_side(self.problem, begun, limits, polish, self.processes), strict=False):
             if one is not None:
-                found[k] = one
-                left -= one.evaluations - before.get(k, 0)
-            report(k, found[k])
+                self.found[k] = one
+                self.left -= one.evaluations - before.get(k, 0)
+                if polish and one.finished:
+                    self.at_minimum.add(k)
+            self.report(k, self.found[k])
 
-    def share(until: float) -> int:
-        return left - int((1.0 - until) * limits.evaluations)
+    def go_on(self) -> None:
+        """Go on from the best and from all that have not ended, by descents or by polishes."""
+        ranked = self.ranked()
+        least = max(_LEAST, -(-len(ranked) // _ONE_OF))
+        going = [k for n, k in enumerate(ranked) if n < least or not self[k].finished]
+        most = self.until(_FIRST + _SECOND)
+        going = going[: max(1, most // _WORTH_ON - _TRIED)]
+        worth = most >= _WORTH_ON * (len(going) + _TRIED)
+        tried = [k for k in going if not self[k].finished][: _TRIED * worth]
+        own = most // (len(going) + len(tried))
+        polish = self._lower_by_polish(tried, own)
+        rest = [k for k in going if k not in tried]
+        self.search(rest, own * len(rest), polish)
+        going = [k for k in self.ranked()[:_LEAST] if not self[k].finished]
+        self.search(going, self.until(_FIRST + _SECOND + _THIRD), polish)
 
-    plain = divides(problem)
-    part(range(len(points)), share(_FIRST if plain else _WHOLE), False)
-    ended = next((k for k, one in enumerate(found) if one is not None and one.reached(limits.least)), None)
-    if ended is not None:
-        return found[: ended + 1]
-    ranked = _ranked(found)
-    if plain and not any(_of(found, k).stable for k in ranked):
-        return found
-    if plain:
-        count = max(_LEAST, -(-len(points) // _HALF))
-        going = [k for n, k in enumerate(ranked) if n < count or not _of(found, k).finished]
-        part(going[: max(1, share(_FIRST + _ON) // _WORTH_ON)], share(_FIRST + _ON), False)
-        going = [k for k in _ranked(found)[:_LEAST] if not _of(found, k).finished]
-        part(going, share(_FIRST + _ON + _LAST), False)
-        ranked = _ranked(found)
-    chosen = _distinct(found, ranked, plain)[:_POLISHED]
-    # Charts find ways to infinite gain that a descent has left: the best start is polished from where it began, too.
-    # Whatever did better is done with the others.
-    room = max(1, left // _WORTH_POLISH) if plain else len(chosen)
-    twice = plain and room > _LEAST
-    jobs = [*chosen[:twice], *chosen][:room]
-    level: list[tuple[float, float]] = []
-    for n, k in enumerate(jobs):
-        if plain and _settled(found, level, limits.least):
-            break
-        known = found[k]
-        afresh = twice and known is not None and (n == 1 or (n > 1 and level[1] < level[0]))
-        if afresh:
-            found[k] = None
-        part([k], left // (len(jobs) - n), True)
-        now = found[k]
-        level.append(now.rank if now is not None else (np.inf, np.inf))
-        if afresh:
-            found[k] = _better(known, now)
-    return found
+    def _lower_by_polish(self, tried: Sequence[int], own: int) -> bool:
+        """Go on from some starts both ways, keep the better of each; return whether the polish led lower.
+
+        At kinks and towards infinite gain a polish goes further, along curved valleys a descent.
+        """
+        before = list(self.found)
+        self.search(tried, own * len(tried), False)
+        descended = list(self.found)
+        self.found = list(before)
+        self.search(tried, own * len(tried), True)
+        polished = list(self.found)
+        lowest = [
+            min((one.rank for k in tried if (one := way[k])), default=(np.inf, 0.0)) for way in (descended, polished)
+        ]
+        for k in tried:
+            self.found[k] = _better(descended[k], polished[k], before[k])
+        return lowest[1] < lowest[0]
+
+    def distinct(self) -> list[int]:
+        """Return the starts, the best first; of those that came to one value the first."""
+        out: list[int] = []
+        for k in self.ranked():
+            rank = self[k].rank
+            others = [self[j].rank for j in out]
+            if not any(rank[0] == one[0] and abs(rank[1] - one[1]) <= _SAME * abs(rank[1]) for one in others):
+                out.append(k)
+        return out
+
+    def polish(self) -> None:
+        """Polish the best.
+
+        Charts find ways to infinite gain that a descent has left: the best start is polished from where it began, too.
+        If that did better, the others are as well.
+        """
+        chosen = [k for k in self.distinct() if k not in self.at_minimum][:_POLISHED]
+        room = max(1, self.left // _WORTH_POLISH)
+        twice = room > _LEAST
+        jobs = [*chosen[:twice], *chosen]
+        ranks: list[tuple[float, float]] = []
+        for n, k in enumerate(jobs):
+            if self._settled(ranks) or self.left < _NO_POLISH:
+                break
+            known = self.found[k]
+            afresh = twice and (n == 1 or (n > 1 and ranks[1] < ranks[0]))
+            if afresh:
+                self.found[k] = None
+            self.search([k], self.left // max(1, min(room, len(jobs)) - n), True)
+            now = self.found[k]
+            ranks.append(now.rank if now is not None else (np.inf, np.inf))
+            if afresh:
+                self.found[k] = _better(known, now)
+
+    def _settled(self, ranks: Sequence[tuple[float, float]]) -> bool:
+        """Whether nothing can be less, or several polished starts came to the least value of all."""
+        best = self[self.ranked()[0]]
+        near = sum(one[0] == 0.0 and one[1] <= best.value * (1.0 + _AGREE) for one in ranks)
+        return (best.rank[0] == 0.0 and near >= _ENOUGH) or best.reached(self.limits.least, _AGREE)
 
 
-def _settled(found: Sequence[Outcome | None], level: Sequence[tuple[float, float]], least: float) -> bool:
-    """Whether more work is idle: nothing can be less, or several polished starts came to the least value of all."""
-    best = _of(found, _ranked(found)[0])
-    near = sum(one[0] == 0.0 and one[1] <= best.value * (1.0 + _AGREE) for one in level)
-    return (best.rank[0] == 0.0 and near >= _ENOUGH) or best.reached(least, _AGREE)
-
-
-def _better(one: Outcome | None, other: Outcome | None) -> Outcome | None:
-    """Return the better of two searches from one start, with the evaluations of both."""
+def _better(one: Outcome | None, other: Outcome | None, before: Outcome | None = None) -> Outcome | None:
+    """Return the better of two searches from one start, with the work of both; `before` is what they have in common."""
     if one is None or other is None:
         return one or other
-    best, spent = min(one, other, key=lambda o: o.rank), one.evaluations + other.evaluations
-    return dataclasses.replace(best, evaluations=spent, seconds=one.seconds + other.seconds)
-
-
-def _of(found: Sequence[Outcome | None], k: int) -> Outcome:
-    one = found[k]
-    assert one is not None
-    return one
-
-
-def _ranked(found: Sequence[Outcome | None]) -> list[int]:
-    return sorted((k for k, one in enumerate(found) if one is not None), key=lambda k: (*_of(found, k).rank, k))
-
-
-def _distinct(found: Sequence[Outcome | None], ranked: Sequence[int], plain: bool) -> list[int]:
-    """Return the starts worth a polish: of those that came to one value the first, and the finished ones not again."""
-    out: list[int] = []
-    for k in ranked:
-        one = _of(found, k)
-        if not plain and one.finished:
-            continue
-        near = any(
-            one.rank[0] == _of(found, j).rank[0]
-            and abs(one.rank[1] - _of(found, j).rank[1]) <= _SAME * abs(one.rank[1])
-            for j in out
-        )
-        if not near:
-            out.append(k)
-    return out
+    both = [before] if before is not None else []
+    return dataclasses.replace(
+        min(one, other, key=lambda o: o.rank),
+        evaluations=one.evaluations + other.evaluations - sum(o.evaluations for o in both),
+        seconds=one.seconds + other.seconds - sum(o.seconds for o in both),
+    )
 
 
 def _side_by_side(
