@@ -30,7 +30,7 @@ _FIRST, _SECOND, _THIRD = 0.4, 0.35, 0.1
 _LEAST, _ONE_OF, _POLISHED = 4, 3, 12
 # Starts that go on both ways, by a descent and by a polish: the others go on by the way that led lower.
 _TRIED = 2
-# Evaluations for which a start goes on, at least, those of a polish, and those left with which none begins.
+# Evaluations for which a start goes on, at least, those of a polish, and those left with which no further one begins.
 _WORTH_ON, _WORTH_POLISH, _NO_POLISH = 200, 1000, 200
 # Share of the evaluations where a search is not done in parts.
 _WHOLE = 0.7
@@ -171,7 +171,7 @@ class _Starts:
         jobs = [*chosen[:twice], *chosen]
         ranks: list[tuple[float, float]] = []
         for n, k in enumerate(jobs):
-            if self._settled(ranks) or self.left < _NO_POLISH:
+            if self._settled(ranks) or (n >= room and self.left < _NO_POLISH):
                 break
             known = self.found[k]
             afresh = twice and (n == 1 or (n > 1 and ranks[1] < ranks[0]))
