@@ -301,7 +301,7 @@ class Report:
     def expect_possible(self, job: Job) -> None:
         """Check the options before the work."""
         if self.pdf:
-            from platform_ctrl.report.pdf import typesetter
+            from platform_ctrl.report.page.blocks import typesetter
 
             typesetter()
         if self.campaign is not None:

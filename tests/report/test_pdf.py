@@ -19,12 +19,11 @@ import platform_ctrl as pc
 from platform_ctrl import report
 from platform_ctrl.errors import InputError, PlatformCtrlError
 from platform_ctrl.job.writing import job_data
-from platform_ctrl.report import pdf, style
+from platform_ctrl.report import style
 from platform_ctrl.report.axes.picture import theme_colours
 from platform_ctrl.report.page import blocks, job_page, tables
-from platform_ctrl.report.page.job_page import page_html
+from platform_ctrl.report.page.job_page import page_html, pdf_bytes
 from platform_ctrl.report.page.tables import versions
-from platform_ctrl.report.pdf import pdf_bytes
 from platform_ctrl.verification import JobResult
 from report_jobs import caging, checked, classical, job, turn
 
@@ -173,10 +172,10 @@ def test_pictures_lose_no_colour_and_have_their_font(prepared: blocks.Document) 
     assert [colours[f"series-{k + 1}"] for k in range(len(style.SERIES))] == list(style.SERIES)
     for section in prepared.sections:
         for plate in plates(section):
-            picture = pdf.standalone_svg(plate.svg, colours)
+            picture = blocks.standalone_svg(plate.svg, colours)
             assert "var(" not in picture
             assert 'xmlns="http://www.w3.org/2000/svg"' in picture
-    assert pdf.standalone_svg("<svg><text>var(--none)</text></svg>", colours).count("var(--none)") == 1
+    assert blocks.standalone_svg("<svg><text>var(--none)</text></svg>", colours).count("var(--none)") == 1
 
 
 @pytest.mark.parametrize("title", ["\u6f22\u5b57", "\ue000 private", "a\x01b\x07", "x" * 3000, "two\nlines", ""])
@@ -234,7 +233,7 @@ def test_a_pdf_is_written_whole_and_not_into_a_folder_that_does_not_exist(
 
 
 def test_a_document_goes_in_as_data_and_never_as_code(prepared: blocks.Document) -> None:
-    data = pdf.plain_data(prepared, {})
+    data = blocks.plain_data(prepared, {})
     assert json.loads(json.dumps(data))["title"] == NAME
     assert {block["kind"] for section in data["sections"] for block in section["blocks"]} >= {
         "verdict",

@@ -45,6 +45,7 @@ from platform_ctrl.report.page.blocks import (
     Section,
     Verdict,
     html,
+    pdf,
     sentence,
 )
 from platform_ctrl.report.page.campaign_page import as_section, digests
@@ -85,6 +86,39 @@ def write_page(result: JobResult | Document, path: str | os.PathLike[str]) -> Pa
 def page_html(result: JobResult | Document) -> str:
     """Return the page as HTML: self-contained, for light and dark screens and for paper."""
     return html(prepared(result))
+
+
+@check_arguments
+def write_pdf(result: JobResult | Document, path: str | os.PathLike[str]) -> Path:
+    """Write the report as PDF to `path`: the whole file, or nothing if that fails.
+
+    Parameters
+    ----------
+    result
+        From `platform_ctrl.report.prepared`, or from `platform_ctrl.verification.check_job` if none of its options is
+        needed.
+    path
+        The file; an existing one is replaced.
+
+    Returns
+    -------
+    pathlib.Path
+        The file.
+
+    Raises
+    ------
+    InputError
+        The file cannot be written, or typst is not installed.
+    PlatformCtrlError
+        Typst could not set the document.
+    """
+    return write_whole(path, pdf_bytes(result))
+
+
+@check_arguments
+def pdf_bytes(result: JobResult | Document) -> bytes:
+    """Return the report as PDF: the content of the page in the same order; the same bytes for the same result."""
+    return pdf(prepared(result))
 
 
 @check_arguments
