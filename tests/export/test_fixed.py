@@ -376,6 +376,31 @@ def test_the_generated_job_commands_what_the_simulated_controllers_do(
     assert "So in real arithmetic" in flat(done.files[0])  # of anti-windup
 
 
+@pytest.mark.parametrize("size", [4.0, 0.02], ids=["coarser", "finer"])
+def test_commands_are_converted_to_the_format_of_the_next_controller(
+    size: float, job: Job, entries: list[dict[str, Any]], tmp_path: Path
+) -> None:
+    ranges = {"Q9": size, "Q10": size}
+    done = write_c(job, entries, tmp_path, number="q31", anti_windup="none", ranges=ranges, accuracy=1e3)
+    schemes = [scheme_of(job, entry) for entry in entries_of(job, entries)[1:]]
+    first, second = (
+        fixed_point(one, input_ranges(one.inputs, job, ranges), number="q31", accuracy=1e3) for one in schemes
+    )
+    inputs, outputs = job.platform.angle_names, ["Q4", "Q5", "Q7", *first.scheme.outputs, *second.scheme.outputs]
+    library = compiled(done.files, tmp_path / "job.so")
+    prefixes = ["caging_4_5_7", "caging_9_10", "stabilisation"]
+    run = CompiledMachine(library, "three_gyro_platform", inputs, outputs, ctypes.c_int32, prefixes)
+    one, other = Machine(first), Machine(second)
+    for angles in np.random.default_rng(1).integers(-(2**24), 2**24, (50, 2)).tolist():
+        counts = dict(zip(first.scheme.outputs, one.step(angles), strict=True)) | {"Q5": 0, "Q7": 0}
+        for name in first.scheme.outputs:
+            more = second.formats[name].fraction - first.formats[name].fraction
+            assert (more > 0) == (size < 0.1)
+            counts[name] = counts[name] << more if more > 0 else (counts[name] + (1 << (-more - 1))) >> -more
+        out, _ = run.step([0, 0, 0, *angles])
+        assert tuple(out[5:]) == other.step([counts[name] for name in second.scheme.inputs])
+
+
 @st.composite
 def stable_schemes(draw: st.DrawFn) -> tuple[Scheme, float]:
     """Return a cascade of sections with poles inside the circle or at 1, gains over six decades, and a range."""
