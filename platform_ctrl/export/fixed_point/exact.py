@@ -171,7 +171,7 @@ def integer_row(
     shift = _first_shift(exact, mantissa)
     if narrow:
         small = _fitted(exact, largest, mantissa, shift, LARGEST_32)
-        if small is not None and _lost(exact, small[0], small[1], largest) <= flint.fmpq(1, 4):
+        if small is not None and lost(exact, _real(*small), largest) <= flint.fmpq(1, 4):
             return _row(target, *small, largest, keeps, 32)
     fitted = _fitted(exact, largest, mantissa, shift, LARGEST_64)
     return _row(target, *(fitted or ({name: nearest(x) for name, x in exact.items()}, 0)), largest, keeps, 64)
@@ -188,9 +188,22 @@ def _fitted(
     return None
 
 
-def _lost(exact: Sum, whole: Mapping[str, int], shift: int, largest: Mapping[str, int]) -> Rational:
-    """Return the largest change of the target by rounded coefficients, counts."""
-    return sum((abs(whole[name] / power_of_two(shift) - x) * largest[name] for name, x in exact.items()), flint.fmpq(0))
+def _real(whole: Mapping[str, int], shift: int) -> Sum:
+    return {name: k / power_of_two(shift) for name, k in whole.items()}
+
+
+def lost(exact: Sum, made: Sum, largest: Mapping[str, int]) -> Rational:
+    """Return the largest change of a sum by rounded coefficients, counts."""
+    names = {*exact, *made}
+    return sum((abs(made.get(name, 0) - exact.get(name, 0)) * largest[name] for name in names), flint.fmpq(0))
+
+
+def without_rounding(row: IntegerRow) -> Sum:
+    """Return the coefficients of a row in rational numbers, counts per count."""
+    out = _real({product.source: product.coefficient for product in row.products}, row.shift)
+    if row.keeps:
+        out[row.target] = out.get(row.target, flint.fmpq(0)) + 1
+    return out
 
 
 def _row(

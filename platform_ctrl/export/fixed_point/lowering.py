@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import flint
@@ -20,6 +20,7 @@ from platform_ctrl.errors import InfeasibleError, UnscalableError
 from platform_ctrl.export.c99.scheme import Rows, Scheme, Sum, excess_of
 from platform_ctrl.export.fixed_point.bounds import BITS, Responses, SlowError, responses
 from platform_ctrl.export.fixed_point.exact import (
+    ExactSystem,
     Rational,
     characteristic_polynomial,
     count_of,
@@ -30,7 +31,9 @@ from platform_ctrl.export.fixed_point.exact import (
     integral_row,
     joined_states,
     largest_root,
+    lost,
     power_of_two,
+    without_rounding,
 )
 from platform_ctrl.export.fixed_point.model import (
     FixedPoint,
@@ -201,7 +204,7 @@ def fixed_point(
 
 def _lowered(task: Task, accuracy: float, given: Mapping[str, int]) -> FixedPoint:
     parts, rows = task.parts, task.parts.rows
-    real = _responses(task, rows)
+    real = _responses(task, exact_system(rows, task.free, parts.states))
     bounds = real.bounds(task.sizes, {})
     # The excess that enters stable states is limited to its largest value without anti-windup.
     cut = {name: max(bounds[name] - task.torque_limits[name], 0.0) for name in parts.limited}
@@ -211,8 +214,9 @@ def _lowered(task: Task, accuracy: float, given: Mapping[str, int]) -> FixedPoin
     for _ in range(_ROUNDS):
         excesses = {name: count_of(size, formats[name].fraction) for name, size in cut.items()}
         rounded = _rounded(task, formats, excesses)
-        poles = _poles(task, rounded.exact)
-        found = _responses(task, rounded.exact)
+        system = exact_system(rounded.exact, task.free, parts.states)
+        poles = _poles(task, system)
+        found = _responses(task, system)
         counts = _counts(task, formats, excesses, rounded, found)
         tight = [
             name
@@ -263,12 +267,12 @@ def _proved(task: Task, accuracy: float, real: Responses, lowered: _Lowered) -> 
     integer_rows = {name: _with_largest(row, largest) for name, row in rounded.rows.items()}
     exact = {**parts.rows.signals, **parts.rows.states}
     made = {**rounded.exact.signals, **rounded.exact.states}
-    lost = {
-        name: (0.5 if row.shift else 0.0) + _lost(scaled(formats, name, exact[name]), made[name], largest)
+    noise_counts = {
+        name: (0.5 if row.shift else 0.0) + _above(lost(scaled(formats, name, exact[name]), made[name], largest))
         for name, row in integer_rows.items()
     }
     integer_rows |= _integral_rows(task, formats, largest)
-    noise = {name: count * formats[name].bit for name, count in lost.items()}
+    noise = {name: count * formats[name].bit for name, count in noise_counts.items()}
     read = {name: 0.5 * formats[name].bit for name in parts.integrals}
     errors = real.bounds(read, noise)
     conversion = real.bounds({name: 0.5 * formats[name].bit for name in scheme.inputs}, {})
@@ -335,8 +339,7 @@ def _check_accuracy(
             )
 
 
-def _responses(task: Task, rows: Rows) -> Responses:
-    system = exact_system(rows, task.free, task.parts.states)
+def _responses(task: Task, system: ExactSystem) -> Responses:
     try:
         return responses(system)
     except SlowError:
@@ -371,21 +374,12 @@ def _rounded(task: Task, formats: Mapping[str, Format], excesses: Mapping[str, i
             if made.largest >= 2 ** (made.accumulator - 1):
                 raise task.refused(name, f"the sum of {name!r} does not fit {made.accumulator} bits")
             rows[name] = made
-            out[name] = _exactly(made)
+            out[name] = without_rounding(made)
     return _Rounded(rows, Rows(signals, states))
 
 
-def _exactly(row: IntegerRow) -> Sum:
-    """Return a row without its rounding, counts per count."""
-    out = {product.source: product.coefficient / power_of_two(row.shift) for product in row.products}
-    if row.keeps:
-        out[row.target] = out.get(row.target, flint.fmpq(0)) + 1
-    return out
-
-
-def _poles(task: Task, rows: Rows) -> dict[str, float]:
+def _poles(task: Task, system: ExactSystem) -> dict[str, float]:
     """Return the largest magnitude of a pole by section, and refuse one that rounding moves out of the circle."""
-    system = exact_system(rows, task.free, task.parts.states)
     out: dict[str, float] = {}
     for group in joined_states(system.following, system.states):
         polynomial = characteristic_polynomial(system.following, group)
@@ -418,12 +412,6 @@ def _with_largest(row: IntegerRow, largest: Mapping[str, int]) -> IntegerRow:
     return dataclasses.replace(row, largest=sums + (1 << row.shift) // 2)
 
 
-def _lost(wanted: Sum, made: Sum, largest: Mapping[str, int]) -> float:
-    zero = flint.fmpq(0)
-    names: Iterable[str] = {*wanted, *made}
-    return _above(sum((abs(made.get(k, zero) - wanted.get(k, zero)) * largest[k] for k in names), zero))
-
-
 def _above(number: Rational) -> float:
     return _up(float(flint.arb(number)))
 
@@ -435,15 +423,15 @@ def _up(number: float) -> float:
 def _drift(
     task: Task,
     row: IntegerRow,
-    wanted: Sum,
+    increment: Sum,
     formats: Mapping[str, Format],
     largest: Mapping[str, int],
     errors: Mapping[str, float],
 ) -> float:
     """Return the largest drift of an integral from the real one, per second, while nothing is at a limit."""
-    made = {product.source: product.coefficient / power_of_two(row.shift) for product in row.products}
-    inner = {source: k for source, k in wanted.items() if source in formats}
-    wrong = _lost(inner, {source: k for source, k in made.items() if source in formats}, largest)
+    inner = {source: k for source, k in increment.items() if source in formats}
+    made = {source: k for source, k in without_rounding(row).items() if source in formats and source != row.target}
+    wrong = _above(lost(inner, made, largest))
     for source, coefficient in inner.items():
         if source in errors:
             wrong += abs(_above(abs(coefficient))) * errors[source] / formats[source].bit
