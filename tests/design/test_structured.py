@@ -212,9 +212,9 @@ def test_a_richer_structure_costs_less(best: Synthesis) -> None:
 
 
 def test_one_controller_serves_several_plants_and_is_worst_at_one_of_them() -> None:
-    plants = [gyro(w) for w in (0.8, 1.0, 1.2)]
+    plants = [gyro(w) for w in (1.0, 1.2)]
     together = design.structured(plants, 2, 2, structure=design.StateSpaceOrder(states=2), starts=2, processes=1)
-    alone = design.structured(plants[1], 2, 2, structure=design.StateSpaceOrder(states=2), starts=2, processes=1)
+    alone = design.structured(plants[0], 2, 2, structure=design.StateSpaceOrder(states=2), starts=2, processes=1)
     K = alone.controller
     for P, gamma, loop in zip(plants, together.gammas, together.closed_loops, strict=True):
         assert analysis.hinf_norm(P.lft(together.controller))[0] == pytest.approx(gamma, rel=1e-6)
@@ -226,8 +226,8 @@ def test_one_controller_serves_several_plants_and_is_worst_at_one_of_them() -> N
 
 def test_a_sampled_plant_gets_a_sampled_controller_of_the_same_norm() -> None:
     P = gyro().sample(0.2, method="bilinear")
-    sampled = design.structured(P, 2, 2, structure=design.StateSpaceOrder(states=2), starts=2, processes=1)
-    flat = design.structured(gyro(), 2, 2, structure=design.StateSpaceOrder(states=2), starts=2, processes=1)
+    sampled = design.structured(P, 2, 2, structure=design.StateSpaceOrder(states=1), starts=2, processes=1)
+    flat = design.structured(gyro(), 2, 2, structure=design.StateSpaceOrder(states=1), starts=2, processes=1)
     assert sampled.controller.dt == 0.2
     assert sampled.gamma == pytest.approx(flat.gamma, rel=1e-4)
     assert sampled.certificate.verify().proved
