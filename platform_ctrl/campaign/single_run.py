@@ -22,6 +22,8 @@ from platform_ctrl.job.job import Job
 from platform_ctrl.plant.mistakes import one_line
 
 if TYPE_CHECKING:
+    import control
+
     from platform_ctrl.campaign.planning import Plan
     from platform_ctrl.job.scenario import Scenario
     from platform_ctrl.simulation.batch import BatchResult
@@ -200,16 +202,15 @@ def unlike(found: Rerun, row: Row) -> list[str]:
     return out
 
 
-def settings_of(record: Record | None) -> dict[str, Any]:
-    """Return seed, sampling and number of runs of the campaign that a record is of, as `plan` takes them."""
+def recorded_plan(job: Job, controllers: Sequence[control.StateSpace], record: Record | None) -> tuple[Plan, list[str]]:
+    """Return the plan of a recorded campaign for the present job, and in words what has changed since."""
+    from platform_ctrl.campaign.planning import plan
+
     if record is None:
-        return {}
-    return {name: record["identity"][name] for name in ("seed", "sampling")} | {"runs": record["runs"]}
-
-
-def changed_settings(record: Record, plan: Plan) -> list[str]:
-    """Return in words what a recorded campaign follows from and a plan does not."""
-    return differences(record, {"identity": identity(plan, record["identity"]["device"]), "versions": versions()})
+        return plan(job, controllers), []
+    before = record["identity"]
+    made = plan(job, controllers, runs=record["runs"], seed=before["seed"], sampling=before["sampling"])
+    return made, differences(record, {"identity": identity(made, before["device"]), "versions": versions()})
 
 
 def _plain(item: Any) -> Any:

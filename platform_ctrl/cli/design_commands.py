@@ -265,16 +265,13 @@ def expect_campaign(job: Job, folder: Path) -> Record:
 
 def campaign_summary(job: Job, controllers: Sequence[control.StateSpace], folder: Path) -> Summary:
     """Return the statistics of the campaign in a folder."""
-    from platform_ctrl.campaign.planning import plan
-    from platform_ctrl.campaign.single_run import changed_settings, settings_of
+    from platform_ctrl.campaign.single_run import recorded_plan
     from platform_ctrl.campaign.store import TABLE
 
-    record = expect_campaign(job, folder)
-    made = plan(job, controllers, **settings_of(record))
-    odd = changed_settings(record, made)
-    if odd:
+    made, changed = recorded_plan(job, controllers, expect_campaign(job, folder))
+    if changed:
         raise InputError(
-            f"--campaign {folder}: was simulated with {'; '.join(odd)}; repeat it with platform-ctrl campaign, or "
+            f"--campaign {folder}: was simulated with {'; '.join(changed)}; repeat it with platform-ctrl campaign, or "
             "leave the option out"
         )
     from platform_ctrl.campaign.summary import summarise

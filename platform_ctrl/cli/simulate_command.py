@@ -187,22 +187,21 @@ def _planned(
 ) -> tuple[Plan, Path, bool, str]:
     """Return the plan of the campaign in a folder if there is one, else the job's; the folder; whether; a note."""
     from platform_ctrl.campaign.planning import plan
-    from platform_ctrl.campaign.single_run import changed_settings, settings_of
+    from platform_ctrl.campaign.single_run import recorded_plan
     from platform_ctrl.campaign.store import RECORD, read_record
 
     folder = out or CAMPAIGN
     record = read_record(folder)
-    made, note = plan(job, controllers, **settings_of(record)), ""
-    odd = [] if record is None else changed_settings(record, made)
-    if odd:
-        note = f"{folder / RECORD}: the campaign there was simulated with {'; '.join(odd)}"
+    (made, changed), note = recorded_plan(job, controllers, record), ""
+    if changed:
+        note = f"{folder / RECORD}: the campaign there was simulated with {'; '.join(changed)}"
         if out is not None:
             raise InputError(f"{note}; its runs cannot be simulated again with what there is now")
         made = plan(job, controllers)
         note += "; simulated instead: a run of the campaign that the job describes now"
     if number >= made.runs:
         raise InputError(f"--run {number}: the campaign has the runs 0 to {made.runs - 1}")
-    return made, folder, record is not None and not odd, note
+    return made, folder, record is not None and not changed, note
 
 
 def _drawn(run: Run, job: Job, title: str, folder: Path, name: str) -> Path:
