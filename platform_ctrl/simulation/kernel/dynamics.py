@@ -30,202 +30,51 @@ Non-positive pivots give NaN, which the callers take as divergence.
 
 from __future__ import annotations
 
-from platform_ctrl.common.simd import Number, apart, choose, greater, inlined, internal, lesser, load, root, store
+from platform_ctrl.common.simd import Number, apart, choose, inlined, internal, load, root, store
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.simulation.kernel.arrays import (
     ACCELERATION,
     BODY,
-    BREAKAWAY,
-    CAGE,
     COS,
-    COULOMB,
     DRIVE,
-    ERECTION,
-    ERECTION_GAIN,
-    ERECTION_LIMIT,
     FORCE,
-    GAIN,
     GAIN_X,
     GAIN_Y,
     GIMBAL,
     INERTIA,
-    INTEGRAL,
     JOINT,
     LOCKED,
     MOMENT,
     PARENT,
-    PER_COULOMB_RATE,
-    PER_STRIBECK_RATE,
-    PRELOAD,
     PRODUCT,
     RATE,
-    SERVO,
     SIN,
     SKEW,
-    SPIN,
-    STIFFNESS,
-    TORQUE_LIMIT,
-    UNBALANCE,
-    VISCOUS,
     WORK,
     XX,
     XY,
-    XZ,
     YY,
-    YZ,
-    ZZ,
     At,
-    C,
     Links,
-    X,
-    Y,
-    Z,
 )
-from platform_ctrl.simulation.kernel.functions import cosine_and_sine, exponential, hyperbolic_tangent
-
-Vector = tuple[Number, Number, Number]
-
-
-@inlined
-def _vector(mem: FloatArray, lane: int, slot: int) -> Vector:
-    return load(mem, slot, lane), load(mem, slot + 1, lane), load(mem, slot + 2, lane)
-
-
-@inlined
-def _put(mem: FloatArray, lane: int, slot: int, x: Number, y: Number, z: Number) -> None:
-    store(mem, slot, lane, x)
-    store(mem, slot + 1, lane, y)
-    store(mem, slot + 2, lane, z)
-
-
-@inlined
-def _add(mem: FloatArray, lane: int, slot: int, number: Number) -> None:
-    store(mem, slot, lane, load(mem, slot, lane) + number)
-
-
-@inlined
-def _from_parent(links: Links, mem: FloatArray, lane: int, m: int, slot: int) -> Vector:
-    """A vector of the parent, in the axes that gimbal m of the order has at q = 0."""
-    tree, turn = links.tree, links.turn
-    x, y, z = load(mem, slot + tree[m, X], lane), load(mem, slot + tree[m, Y], lane), load(mem, slot + tree[m, Z], lane)
-    if tree[m, SKEW] != 0:
-        return (
-            turn[m, 0, 0] * x + turn[m, 0, 1] * y + turn[m, 0, 2] * z,
-            turn[m, 1, 0] * x + turn[m, 1, 1] * y + turn[m, 1, 2] * z,
-            turn[m, 2, 0] * x + turn[m, 2, 1] * y + turn[m, 2, 2] * z,
-        )
-    return x, y, z
-
-
-@inlined
-def _to_parent(
-    links: Links, mem: FloatArray, lane: int, m: int, slot: int, c: Number, s: Number, x: Number, y: Number, z: Number
-) -> None:
-    """Add a vector of gimbal m of the order to one of its parent."""
-    tree, turn = links.tree, links.turn
-    x, y = c * x - s * y, s * x + c * y
-    if tree[m, SKEW] != 0:
-        for i in range(3):
-            _add(mem, lane, slot + i, turn[m, 0, i] * x + turn[m, 1, i] * y + turn[m, 2, i] * z)
-    else:
-        _add(mem, lane, slot + tree[m, X], x)
-        _add(mem, lane, slot + tree[m, Y], y)
-        _add(mem, lane, slot + tree[m, Z], z)
-
-
-@inlined
-def _times(mem: FloatArray, lane: int, slot: int, x: Number, y: Number, z: Number) -> Vector:
-    """The inertia at `slot` times a vector."""
-    xx, yy, zz = _vector(mem, lane, slot)
-    xy, xz, yz = _vector(mem, lane, slot + 3)
-    return xx * x + xy * y + xz * z, xy * x + yy * y + yz * z, xz * x + yz * y + zz * z
-
-
-@inlined
-def _whole_inertia_to_parent(links: Links, mem: FloatArray, lane: int, at: At, m: int, slot: int) -> None:
-    """Add the articulated inertia at `slot`, all six of it, to the parent's: skew axes and locked joints."""
-    tree, turn = links.tree, links.turn
-    work = slot - INERTIA
-    c, s = load(mem, work + COS, lane), load(mem, work + SIN, lane)
-    xx, yy, zz = _vector(mem, lane, slot)
-    xy, xz, yz = _vector(mem, lane, slot + 3)
-    a, b = c * xx - s * xy, c * xy - s * yy
-    trace = xx + yy
-    xx, xy = c * a - s * b, s * a + c * b
-    yy = trace - xx
-    xz, yz = c * xz - s * yz, s * xz + c * yz
-    up = at.work + tree[m, PARENT] * WORK + INERTIA
-    if tree[m, SKEW] != 0:
-        for i in range(3):
-            ax, ay, az = turn[m, 0, i], turn[m, 1, i], turn[m, 2, i]
-            u, v, w = xx * ax + xy * ay + xz * az, xy * ax + yy * ay + yz * az, xz * ax + yz * ay + zz * az
-            _add(mem, lane, up + i, ax * u + ay * v + az * w)
-            for j in range(i):
-                turned = turn[m, 0, j] * u + turn[m, 1, j] * v + turn[m, 2, j] * w
-                _add(mem, lane, up + 2 + i + j, turned)  # xy 3, xz 4, yz 5
-    else:
-        _add(mem, lane, up + tree[m, XX], xx)
-        _add(mem, lane, up + tree[m, YY], yy)
-        _add(mem, lane, up + tree[m, ZZ], zz)
-        _add(mem, lane, up + tree[m, XY], xy)
-        _add(mem, lane, up + tree[m, XZ], xz)
-        _add(mem, lane, up + tree[m, YZ], yz)
-
-
-@internal
-def _joint_torque(mem: FloatArray, lane: int, at: At, joint: int, q: Number, rate: Number) -> Number:
-    """What springs, friction and a cage do at a joint."""
-    Q = load(mem, joint + PRELOAD, lane) - load(mem, joint + STIFFNESS, lane) * q
-    Q = Q - load(mem, joint + VISCOUS, lane) * rate
-    if at.dry != 0:
-        back = rate < 0.0
-        level = choose(back, load(mem, joint + COULOMB, lane), load(mem, joint + COULOMB + 1, lane))
-        more = choose(back, load(mem, joint + BREAKAWAY, lane), load(mem, joint + BREAKAWAY + 1, lane)) - level
-        sliding = rate * load(mem, joint + PER_STRIBECK_RATE, lane)
-        level = level + more * exponential(-sliding * sliding)
-        Q = Q - level * hyperbolic_tangent(rate * load(mem, joint + PER_COULOMB_RATE, lane))
-    if at.cages != 0:
-        # No cage is one with infinite clearance.
-        stiffness, damping = load(mem, joint + CAGE, lane), load(mem, joint + CAGE + 1, lane)
-        clearance, out = load(mem, joint + CAGE + 2, lane), q - load(mem, joint + CAGE + 3, lane)
-        held = stiffness * out + damping * rate
-        above = greater(held - stiffness * clearance, 0.0 * rate)
-        below = lesser(held + stiffness * clearance, 0.0 * rate)
-        push = choose(out > clearance, above, choose(out < -clearance, below, 0.0 * rate))
-        Q = Q - choose(clearance > 0.0, push, held)
-    return Q
-
-
-@inlined
-def _servo_momenta(links: Links, mem: FloatArray, lane: int, at: At, y: int, field: int) -> None:
-    """Add P s of the servo rotors to a vector of their carriers."""
-    for r in range(at.servos):
-        slot = at.work + links.servo_carrier[r] * WORK + field
-        p = load(mem, y + 2 * at.n + 7 + r, lane)
-        for i in range(3):
-            _add(mem, lane, slot + i, p * load(mem, at.servo + r * SERVO + i, lane))
-
-
-@inlined
-def _drives(links: Links, mem: FloatArray, lane: int, at: At, react: bool, y: int, dy: int) -> None:
-    """Derivatives of the servo rotors' states; with `react` their motors' torques on the carriers' moments."""
-    p, x = 2 * at.n + 7, 2 * at.n + 7 + at.servos
-    for r in range(at.servos):
-        row, work = at.servo + r * SERVO, at.work + links.servo_carrier[r] * WORK
-        s0, s1, s2 = _vector(mem, lane, row)
-        w0, w1, w2 = _vector(mem, lane, work + RATE)
-        spin = load(mem, y + p + r, lane) / load(mem, row + C, lane) - (s0 * w0 + s1 * w1 + s2 * w2)
-        error = spin - load(mem, row + SPIN, lane)
-        limit = load(mem, row + TORQUE_LIMIT, lane)
-        wanted = -load(mem, row + GAIN, lane) * error - load(mem, row + INTEGRAL, lane) * load(mem, y + x + r, lane)
-        torque = lesser(greater(wanted, -limit), limit)
-        further = ((wanted >= limit) & (error < 0.0)) | ((wanted <= -limit) & (error > 0.0))
-        store(mem, dy + p + r, lane, torque)
-        store(mem, dy + x + r, lane, choose(further, 0.0 * error, error))
-        if react:
-            _add(mem, lane, work + MOMENT, torque * s0)
-            _add(mem, lane, work + MOMENT + 1, torque * s1)
-            _add(mem, lane, work + MOMENT + 2, torque * s2)
+from platform_ctrl.simulation.kernel.elements import (
+    erection_torques,
+    joint_torque,
+    servo_drives,
+    servo_momenta,
+    unbalance_moments,
+)
+from platform_ctrl.simulation.kernel.functions import cosine_and_sine
+from platform_ctrl.simulation.kernel.vectors import (
+    Vector,
+    add,
+    from_parent,
+    put,
+    times,
+    to_parent,
+    vector,
+    whole_inertia_to_parent,
+)
 
 
 @inlined
@@ -237,11 +86,11 @@ def _outward(links: Links, mem: FloatArray, lane: int, at: At, free: bool, bare:
         slot = at.work + b * WORK
         for i in range(6):
             store(mem, slot + INERTIA + i, lane, load(mem, at.body + b * BODY + i, lane))
-    w0, w1, w2 = _vector(mem, lane, y + n)
-    _put(mem, lane, at.work + RATE, w0, w1, w2)
+    w0, w1, w2 = vector(mem, lane, y + n)
+    put(mem, lane, at.work + RATE, w0, w1, w2)
     if at.weight != 0:
-        f0, f1, f2 = _vector(mem, lane, around + n + 6)
-        _put(mem, lane, at.work + FORCE, f0, f1, f2)
+        f0, f1, f2 = vector(mem, lane, around + n + 6)
+        put(mem, lane, at.work + FORCE, f0, f1, f2)
     for m in range(n):
         k, up = links.tree[m, GIMBAL], at.work + links.tree[m, PARENT] * WORK
         slot = at.work + (k + 1) * WORK
@@ -249,62 +98,35 @@ def _outward(links: Links, mem: FloatArray, lane: int, at: At, free: bool, bare:
         store(mem, slot + COS, lane, c)
         store(mem, slot + SIN, lane, s)
         if free:
-            x, v, z = _from_parent(links, mem, lane, m, up + RATE)
+            x, v, z = from_parent(links, mem, lane, m, up + RATE)
             rate = load(mem, y + n + 3 + k, lane)
             x, v, z = c * x + s * v, c * v - s * x, z + rate
-            _put(mem, lane, slot + RATE, x, v, z)
+            put(mem, lane, slot + RATE, x, v, z)
             store(mem, slot + PRODUCT, lane, v * rate)
             store(mem, slot + PRODUCT + 1, lane, -x * rate)
         if at.weight != 0:
-            x, v, z = _from_parent(links, mem, lane, m, up + FORCE)
-            _put(mem, lane, slot + FORCE, c * x + s * v, c * v - s * x, z)
+            x, v, z = from_parent(links, mem, lane, m, up + FORCE)
+            put(mem, lane, slot + FORCE, c * x + s * v, c * v - s * x, z)
     for b in range(n + 1):
         slot = at.work + b * WORK
-        h0, h1, h2 = _vector(mem, lane, momenta + 3 * b)
+        h0, h1, h2 = vector(mem, lane, momenta + 3 * b)
         if bare:
             h0, h1, h2 = 0.0 * h0, 0.0 * h1, 0.0 * h2
-        _put(mem, lane, slot + MOMENT, h0, h1, h2)
+        put(mem, lane, slot + MOMENT, h0, h1, h2)
     if not bare:
-        _servo_momenta(links, mem, lane, at, y, MOMENT)
+        servo_momenta(links, mem, lane, at, y, MOMENT)
     if free:
         for b in range(n + 1):
             slot = at.work + b * WORK
-            w0, w1, w2 = _vector(mem, lane, slot + RATE)
-            H0, H1, H2 = _times(mem, lane, at.body + b * BODY, w0, w1, w2)
-            h0, h1, h2 = _vector(mem, lane, slot + MOMENT)
+            w0, w1, w2 = vector(mem, lane, slot + RATE)
+            H0, H1, H2 = times(mem, lane, at.body + b * BODY, w0, w1, w2)
+            h0, h1, h2 = vector(mem, lane, slot + MOMENT)
             H0, H1, H2 = H0 + h0, H1 + h1, H2 + h2
             N0, N1, N2 = w1 * H2 - w2 * H1, w2 * H0 - w0 * H2, w0 * H1 - w1 * H0
             if at.course != 0 and not bare:
-                h0, h1, h2 = _vector(mem, lane, momenta + 3 * (n + 1 + b))
+                h0, h1, h2 = vector(mem, lane, momenta + 3 * (n + 1 + b))
                 N0, N1, N2 = N0 + h0, N1 + h1, N2 + h2
-            _put(mem, lane, slot + MOMENT, N0, N1, N2)
-
-
-@inlined
-def _weight(mem: FloatArray, lane: int, at: At) -> None:
-    """Add the unbalances' moments on the carriers to MOMENT, with the sign of what has to be held."""
-    for b in range(at.n + 1):
-        slot = at.work + b * WORK
-        u0, u1, u2 = _vector(mem, lane, at.body + b * BODY + UNBALANCE)
-        f0, f1, f2 = _vector(mem, lane, slot + FORCE)
-        _add(mem, lane, slot + MOMENT, u1 * f2 - u2 * f1)
-        _add(mem, lane, slot + MOMENT + 1, u2 * f0 - u0 * f2)
-        _add(mem, lane, slot + MOMENT + 2, u0 * f1 - u1 * f0)
-
-
-@inlined
-def _erections(links: Links, mem: FloatArray, lane: int, at: At, dy: int) -> None:
-    """Add the erecting devices' torques to the joints' in `dy`."""
-    f0, f1, f2 = _vector(mem, lane, at.work + FORCE)
-    size = root(f0 * f0 + f1 * f1 + f2 * f2)
-    scale = choose(size > 0.0, 1.0 / size, 0.0 * size)
-    for e in range(links.erection.shape[0]):
-        row, slot = at.erection + e * ERECTION, at.work + links.erection[e, 1] * WORK + FORCE
-        s0, s1, s2 = _vector(mem, lane, row)
-        f0, f1, f2 = _vector(mem, lane, slot)
-        Q = load(mem, row + ERECTION_GAIN, lane) * (s0 * f0 + s1 * f1 + s2 * f2) * scale
-        limit = load(mem, row + ERECTION_LIMIT, lane)
-        _add(mem, lane, dy + links.erection[e, 0], lesser(greater(Q, -limit), limit))
+            put(mem, lane, slot + MOMENT, N0, N1, N2)
 
 
 @inlined
@@ -315,9 +137,9 @@ def _inward(links: Links, mem: FloatArray, lane: int, at: At, moving: bool, lock
         k, up = links.tree[m, GIMBAL], at.work + links.tree[m, PARENT] * WORK
         slot = at.work + (k + 1) * WORK
         c, s = load(mem, slot + COS, lane), load(mem, slot + SIN, lane)
-        xx, yy, D = _vector(mem, lane, slot + INERTIA)
-        xy, ux, uy = _vector(mem, lane, slot + INERTIA + 3)
-        p0, p1, p2 = _vector(mem, lane, slot + MOMENT)
+        xx, yy, D = vector(mem, lane, slot + INERTIA)
+        xy, ux, uy = vector(mem, lane, slot + INERTIA + 3)
+        p0, p1, p2 = vector(mem, lane, slot + MOMENT)
         tau = load(mem, torque + k, lane)
         ease = choose(D > 0.0, 1.0 / D, float("nan") * D)
         if locking:
@@ -335,25 +157,25 @@ def _inward(links: Links, mem: FloatArray, lane: int, at: At, moving: bool, lock
             kept = 1.0 - D * ease  # 0, or 1 where the joint is locked
             if moving:
                 p2 = p2 + kept * (ux * cx + uy * cy)
-            _put(mem, lane, slot + INERTIA, xx, yy, kept * D)
-            _put(mem, lane, slot + INERTIA + 3, xy, kept * ux, kept * uy)
-            _whole_inertia_to_parent(links, mem, lane, at, m, slot + INERTIA)
+            put(mem, lane, slot + INERTIA, xx, yy, kept * D)
+            put(mem, lane, slot + INERTIA + 3, xy, kept * ux, kept * uy)
+            whole_inertia_to_parent(links, mem, lane, at, m, slot + INERTIA)
         else:
             a, b = c * xx - s * xy, c * xy - s * yy
             turned = c * a - s * b
-            _add(mem, lane, up + INERTIA + links.tree[m, XX], turned)
-            _add(mem, lane, up + INERTIA + links.tree[m, YY], xx + yy - turned)
-            _add(mem, lane, up + INERTIA + links.tree[m, XY], s * a + c * b)
-        _to_parent(links, mem, lane, m, up + MOMENT, c, s, p0, p1, p2)
+            add(mem, lane, up + INERTIA + links.tree[m, XX], turned)
+            add(mem, lane, up + INERTIA + links.tree[m, YY], xx + yy - turned)
+            add(mem, lane, up + INERTIA + links.tree[m, XY], s * a + c * b)
+        to_parent(links, mem, lane, m, up + MOMENT, c, s, p0, p1, p2)
 
 
 @inlined
 def _root_acceleration(mem: FloatArray, lane: int, at: At, around: int) -> Vector:
     """Solve the root's three equations: articulated inertia times acceleration = M − moment."""
-    xx, yy, zz = _vector(mem, lane, at.work + INERTIA)
-    xy, xz, yz = _vector(mem, lane, at.work + INERTIA + 3)
-    b0, b1, b2 = _vector(mem, lane, around)
-    p0, p1, p2 = _vector(mem, lane, at.work + MOMENT)
+    xx, yy, zz = vector(mem, lane, at.work + INERTIA)
+    xy, xz, yz = vector(mem, lane, at.work + INERTIA + 3)
+    b0, b1, b2 = vector(mem, lane, around)
+    p0, p1, p2 = vector(mem, lane, at.work + MOMENT)
     b0, b1, b2 = b0 - p0, b1 - p1, b2 - p2
     d0 = choose(xx > 0.0, 1.0 / xx, float("nan") * xx)
     l10, l20 = xy * d0, xz * d0
@@ -380,7 +202,7 @@ def _accelerate(
         k, up = links.tree[m, GIMBAL], at.work + links.tree[m, PARENT] * WORK
         slot = at.work + (k + 1) * WORK
         c, s = load(mem, slot + COS, lane), load(mem, slot + SIN, lane)
-        x, y, z = _from_parent(links, mem, lane, m, up + field)
+        x, y, z = from_parent(links, mem, lane, m, up + field)
         x, y = c * x + s * y, c * y - s * x
         if moving:
             x, y = x + load(mem, slot + PRODUCT, lane), y + load(mem, slot + PRODUCT + 1, lane)
@@ -390,7 +212,7 @@ def _accelerate(
         own = load(mem, slot + DRIVE, lane) - load(mem, slot + GAIN_X, lane) * x - load(mem, slot + GAIN_Y, lane) * y
         own = own - along
         store(mem, result + k, lane, own)
-        _put(mem, lane, slot + field, x, y, z + own)
+        put(mem, lane, slot + field, x, y, z + own)
 
 
 @inlined
@@ -399,23 +221,23 @@ def _momenta(links: Links, mem: FloatArray, lane: int, at: At, y: int, around: i
     n = at.n
     for b in range(n + 1):
         slot = at.work + b * WORK
-        h0, h1, h2 = _vector(mem, lane, around + n + 9 + 3 * b)
-        w0, w1, w2 = _vector(mem, lane, slot + RATE)
-        H0, H1, H2 = _times(mem, lane, at.body + b * BODY, w0, w1, w2)
-        _put(mem, lane, slot + MOMENT, H0 + h0, H1 + h1, H2 + h2)
-    _servo_momenta(links, mem, lane, at, y, MOMENT)
+        h0, h1, h2 = vector(mem, lane, around + n + 9 + 3 * b)
+        w0, w1, w2 = vector(mem, lane, slot + RATE)
+        H0, H1, H2 = times(mem, lane, at.body + b * BODY, w0, w1, w2)
+        put(mem, lane, slot + MOMENT, H0 + h0, H1 + h1, H2 + h2)
+    servo_momenta(links, mem, lane, at, y, MOMENT)
     for m in range(n - 1, -1, -1):
         slot = at.work + (links.tree[m, GIMBAL] + 1) * WORK
-        H0, H1, H2 = _vector(mem, lane, slot + MOMENT)
+        H0, H1, H2 = vector(mem, lane, slot + MOMENT)
         c, s = load(mem, slot + COS, lane), load(mem, slot + SIN, lane)
         up = at.work + links.tree[m, PARENT] * WORK + MOMENT
-        _to_parent(links, mem, lane, m, up, c, s, H0, H1, H2)
+        to_parent(links, mem, lane, m, up, c, s, H0, H1, H2)
 
 
 @inlined
 def _turn(mem: FloatArray, lane: int, at: At, y: int, dy: int) -> None:
     """Derivative of the attitude."""
-    W0, W1, W2 = _vector(mem, lane, y + at.n)
+    W0, W1, W2 = vector(mem, lane, y + at.n)
     e, d = y + 2 * at.n + 3, dy + 2 * at.n + 3
     e0, e1 = 0.5 * load(mem, e, lane), 0.5 * load(mem, e + 1, lane)
     e2, e3 = 0.5 * load(mem, e + 2, lane), 0.5 * load(mem, e + 3, lane)
@@ -456,17 +278,17 @@ def derivative(
             store(mem, dy + k, lane, rate)
             Q = load(mem, around + 3 + k, lane)
             if at.joints != 0 and not bare:
-                Q = Q + _joint_torque(mem, lane, at, at.joint + k * JOINT, load(mem, y + k, lane), rate)
+                Q = Q + joint_torque(mem, lane, at, at.joint + k * JOINT, load(mem, y + k, lane), rate)
             store(mem, torque + k, lane, Q)
         if at.weight != 0 and not bare:
-            _weight(mem, lane, at)
-            _erections(links, mem, lane, at, torque)
+            unbalance_moments(mem, lane, at)
+            erection_torques(links, mem, lane, at, torque)
         if at.servos != 0 and not bare:
-            _drives(links, mem, lane, at, at.yes, y, dy)
+            servo_drives(links, mem, lane, at, at.yes, y, dy)
         _inward(links, mem, lane, at, at.yes, locking, torque)
         x, v, z = _root_acceleration(mem, lane, at, around)
-        _put(mem, lane, dy + n, x, v, z)
-        _put(mem, lane, at.work + ACCELERATION, x, v, z)
+        put(mem, lane, dy + n, x, v, z)
+        put(mem, lane, at.work + ACCELERATION, x, v, z)
         _accelerate(links, mem, lane, at, at.yes, locking, ACCELERATION, torque)
     else:
         _inward(links, mem, lane, at, at.no, locking, y + n + 3)
@@ -478,7 +300,7 @@ def derivative(
             Q = load(mem, around + 3 + k, lane)
             if at.joints != 0:
                 rate = load(mem, dy + k, lane)
-                Q = Q + _joint_torque(mem, lane, at, at.joint + k * JOINT, load(mem, y + k, lane), rate)
+                Q = Q + joint_torque(mem, lane, at, at.joint + k * JOINT, load(mem, y + k, lane), rate)
             H0, H1 = load(mem, slot + MOMENT, lane), load(mem, slot + MOMENT + 1, lane)
             w0, w1 = load(mem, slot + RATE, lane), load(mem, slot + RATE + 1, lane)
             store(mem, torque + k, lane, Q + H0 * w1 - H1 * w0)
@@ -486,37 +308,25 @@ def derivative(
             # The same recursion once more, for moments that act on the carriers.
             for b in range(n + 1):
                 slot = at.work + b * WORK
-                _put(
-                    mem,
-                    lane,
-                    slot + ACCELERATION,
-                    load(mem, slot + MOMENT, lane),
-                    load(mem, slot + MOMENT + 1, lane),
-                    load(mem, slot + MOMENT + 2, lane),
-                )
-                zero = 0.0 * load(mem, slot + MOMENT, lane)
-                _put(mem, lane, slot + MOMENT, zero, zero, zero)
-            _weight(mem, lane, at)
+                H0, H1, H2 = vector(mem, lane, slot + MOMENT)
+                put(mem, lane, slot + ACCELERATION, H0, H1, H2)
+                zero = 0.0 * H0
+                put(mem, lane, slot + MOMENT, zero, zero, zero)
+            unbalance_moments(mem, lane, at)
             for m in range(n - 1, -1, -1):
                 k = links.tree[m, GIMBAL]
                 slot = at.work + (k + 1) * WORK
-                N0, N1, N2 = _vector(mem, lane, slot + MOMENT)
-                _add(mem, lane, torque + k, -N2)
+                N0, N1, N2 = vector(mem, lane, slot + MOMENT)
+                add(mem, lane, torque + k, -N2)
                 c, s = load(mem, slot + COS, lane), load(mem, slot + SIN, lane)
-                _to_parent(links, mem, lane, m, at.work + links.tree[m, PARENT] * WORK + MOMENT, c, s, N0, N1, N2)
-            _erections(links, mem, lane, at, torque)
+                to_parent(links, mem, lane, m, at.work + links.tree[m, PARENT] * WORK + MOMENT, c, s, N0, N1, N2)
+            erection_torques(links, mem, lane, at, torque)
             for b in range(n + 1):
                 slot = at.work + b * WORK
-                _put(
-                    mem,
-                    lane,
-                    slot + MOMENT,
-                    load(mem, slot + ACCELERATION, lane),
-                    load(mem, slot + ACCELERATION + 1, lane),
-                    load(mem, slot + ACCELERATION + 2, lane),
-                )
+                H0, H1, H2 = vector(mem, lane, slot + ACCELERATION)
+                put(mem, lane, slot + MOMENT, H0, H1, H2)
         if at.servos != 0:
-            _drives(links, mem, lane, at, at.no, y, dy)
+            servo_drives(links, mem, lane, at, at.no, y, dy)
         for i in range(3):
             store(mem, dy + n + i, lane, 0.0 * load(mem, y + n + i, lane))
     _turn(mem, lane, at, y, dy)
