@@ -86,8 +86,8 @@ def centred(d: FloatArray) -> None:
 
 
 @internal
-def factored(W: ComplexArray) -> bool:
-    """Overwrite the lower triangle of Hermitian W with its Cholesky factor; whether it is positive definite."""
+def factored(W: ComplexArray | FloatArray) -> bool:
+    """Overwrite the lower triangle of Hermitian W with its Cholesky factor; return whether it is positive definite."""
     m = len(W)
     for j in range(m):
         pivot = W[j, j].real
