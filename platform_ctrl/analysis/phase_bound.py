@@ -320,7 +320,7 @@ def _first_look(s: ComplexArray, edge: float) -> FloatArray:
 
 @internal
 def _order(w: FloatArray) -> NDArray[np.int64]:
-    """Return in which order numbers increase, by insertion: most of them stand in that order already."""
+    """Return in which order numbers increase, by insertion: most of them are in that order already."""
     order = np.empty(len(w), dtype=np.int64)
     for k in range(len(w)):
         place = k

@@ -1,4 +1,4 @@
-"""Several sampled plants of one loop at once: what a controller has to stand."""
+"""Several sampled plants of one loop at once: the nominal one and those that its controller must also stabilise."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ Group = Literal["nominal", "uncertainty", "Omega", "faults"]
 
 @value
 class PlantSet:
-    """Sampled plants of one loop: the nominal one first, then those that it has to stand.
+    """Sampled plants of one loop: the nominal one first, then the others that the controller must stabilise.
 
     Attributes
     ----------
@@ -50,7 +50,7 @@ class PlantSet:
         Of each torquer, N m; infinite for one without a limit.
     nutation
         Nutation frequency of the nominal plant, rad/s: its fastest open-loop motion without torquers. Where it hardly
-        moves by itself, the frequency that stands in for it.
+        moves by itself, the frequency that is used instead.
     noise : (p,)
         Rms of one sample of each pick-off, rad.
     frequency : (F,)

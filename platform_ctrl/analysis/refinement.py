@@ -40,15 +40,15 @@ ENOUGH = 1e-12
 STATE, LOW, CHANGE = 6, 2, 4
 # Fewer states are taken in the order that they have.
 SPARSE = 12
-# How far entries stand below and above the diagonal; from a row of the factors to the next; the first one.
+# How far entries are below and above the diagonal; from a row of the factors to the next; the first one.
 Shape = tuple[int, int, int, int]
 
 
 class Band(NamedTuple):
-    """States in an order in which the entries of A stand next to its diagonal."""
+    """States in an order in which the entries of A are next to its diagonal."""
 
     order: NDArray[np.int64]  # (n,): row and column `order[k]` of A becomes row and column k
-    # below, above: how far entries stand from the diagonal
+    # below, above: how far entries are from the diagonal
     below: int
     above: int
 

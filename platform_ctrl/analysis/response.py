@@ -44,7 +44,7 @@ def frequency_response(
     frequency : (N,)
         rad/s, >= 0.
     axis
-        Where the frequencies stand in the result: last, or with -3 before the matrices, for products of responses.
+        Axis of the frequencies in the result: the last one, or with -3 before the matrices, for products of responses.
     tolerance
         Bound on the error of an entry, relative to itself, above which it is computed again with more digits.
 

@@ -42,7 +42,7 @@ def wait_for_compilation() -> None:
 
 
 def run_interruptibly(work: Callable[[], object]) -> None:
-    """Do `work` beside the main thread, which waits for it and heeds signals; what it raises is raised here.
+    """Do `work` beside the main thread, which waits for it and handles signals; what it raises is raised here.
 
     After an interrupt nobody waits any more. Compiled code cannot be ended from outside: its thread goes on until it is
     done or the process ends, which does not wait for it.

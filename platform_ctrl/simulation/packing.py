@@ -1,4 +1,4 @@
-"""A Platform as the kernel wants it: which slot of the memory holds what, and the numbers that go there.
+"""A Platform in the form of the kernel: which slot of the memory holds what, and the numbers that go there.
 
 What plants of the same parts share is worked out once (`skeleton`), their numbers for all at a time (`numbers`).
 """
@@ -74,7 +74,7 @@ class Packed(NamedTuple):
 
 
 def pack(platform: Platform) -> Packed:
-    """Return a platform as the kernel wants it."""
+    """Return a platform in the form of the kernel."""
     shape = skeleton(platform)
     constants, around = numbers(shape, [platform])
     return Packed(shape.links, shape.at, constants[0], around[0])

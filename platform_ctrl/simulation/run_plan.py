@@ -1,4 +1,4 @@
-"""A Scenario as the kernel wants it: what it shares with others of its batch, and the numbers of its own."""
+"""A Scenario in the form of the kernel: what it shares with others of its batch, and the numbers of its own."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class Timing(NamedTuple):
 
 
 class Prepared(NamedTuple):
-    """A scenario that was judged, and `key`: only scenarios of equal keys are computed side by side."""
+    """A scenario that was checked, and `key`: only scenarios of equal keys are computed side by side."""
 
     scenario: Scenario
     skeleton: Skeleton
@@ -85,7 +85,7 @@ def timing(duration: float, period: float, delay: float, longest: float) -> Timi
 
 
 def prepared(scenario: Scenario, period: float, longest: float) -> Prepared:
-    """Judge a scenario, but for the length of its steps, which are judged for a batch at a time."""
+    """Check a scenario, but for the length of its steps, which is checked for a batch at a time."""
     expect_scenario(scenario, period)
     platform, free = scenario.platform, scenario.mode == "stabilised"
     when = timing(scenario.duration, period, scenario.delay, longest)

@@ -79,7 +79,7 @@ def _carrier_rates(plant: Packed, states: FloatArray) -> FloatArray:
 def check_step(platforms: Sequence[Platform], steps: ArrayLike, free: bool) -> None:
     """Refuse steps at which a speed loop would diverge: one for each of several plants of one skeleton.
 
-    The loop's faster pole is judged, with the inertia that the motor turns: C against what carries the rotor, all
+    The loop's faster pole is checked, with the inertia that the motor turns: C against what carries the rotor, all
     gimbals at zero.
     """
     shape = skeleton(platforms[0])

@@ -259,7 +259,7 @@ class Simulator:
         Returns
         -------
         (size,)
-            The kernel's memory and what stands beside it, SI units.
+            The kernel's memory and what is kept beside it, SI units.
         """
         head = [float(self.sample), float(self.going)]
         inputs = (self._reached, self._slope, self._torque, self._gimbal_torque)

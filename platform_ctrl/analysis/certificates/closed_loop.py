@@ -221,12 +221,10 @@ def stabilising(
 ) -> FloatArray | None:
     """Return X in the coordinates T x of the stabilising solution, or None.
 
-    `weight` is the multiple of the identity, in these coordinates, that is added to C'C. None: no C, and in place of
-    the
+    `weight` is the multiple of the identity, in these coordinates, that is added to C'C. None: no C, and instead of the
     identity the rates of the coordinates, |diag A|, so that X is about the identity for modes. `gamma` is the norm for
     which the Riccati equation is solved; infinite: B does not matter (Lyapunov's equation). `decay`, 1/s, is the rate
-    by
-    which the solutions are slowed down first.
+    by which the solutions are slowed down first.
     """
     with flint.ctx.workprec(_BITS):
         try:

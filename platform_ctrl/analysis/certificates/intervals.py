@@ -47,9 +47,8 @@ def positive_definite(M: Balls) -> tuple[bool | None, float]:
 
     First W M W' is enclosed, W the inverse of a Cholesky factor in floating point: where that is diagonally dominant
     with positive diagonal (Gershgorin), W and M are nonsingular and M, congruent to it, is positive definite. Where
-    it is not, the pivots of M = L D L' are enclosed one by one and decide by their signs (Sylvester). Where it is
-    positive
-    definite the number is a lower bound of the smallest eigenvalue of M scaled to a unit diagonal.
+    it is not, the pivots of M = L D L' are enclosed one by one and decide by their signs (Sylvester). The number is a
+    lower bound of the smallest eigenvalue of a positive definite M scaled to a unit diagonal.
     """
     n = M.nrows()
     if n == 0:

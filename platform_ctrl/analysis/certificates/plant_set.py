@@ -21,15 +21,13 @@ def plant_set_certificates(
 ) -> tuple[tuple[Certificate, ...], tuple[str, ...]]:
     """Return what is proved of a loop u = K y, and a line for each claim without a proof.
 
-    `decay` (N,), 1/s, and `margin` (N,) are measured with each plant: exact of the worst, of the others at least the
-    true
-    one. What is unstable is not claimed to be stable. `required` (N,) is the disk margin required with each plant, 0:
-    none.
-    Where the measured one is larger, the required one is proved; with the nominal plant the measured one.
+    `decay` (N,), 1/s, and `margin` (N,) are measured with each plant: exactly for the worst one, and not below the true
+    value for the others. No claim is made of an unstable loop. `required` (N,) is the disk margin required with each
+    plant, 0 for none. Where the measured margin is larger, the required one is proved; with the nominal plant the
+    measured one.
 
-    The certificates say that the loop with every plant decays, each at its own rate, in the order of the plants; then
-    they
-    bound the norm of (S − T)/2 at the torques and at the pick-offs, whose larger one is 1/disk margin.
+    The certificates say, in the order of the plants, that the loop with each plant decays at its own rate; then they
+    bound the norm of (S − T)/2 at the torques and at the pick-offs: the larger of the two is 1/disk margin.
     """
     for name, numbers in (("decay", decay), ("margin", margin), ("required", required)):
         if numbers.shape != (len(plants.labels),):
@@ -66,8 +64,8 @@ def plant_set_certificates(
 def margin_certificates(plant: StateArrays, controller: StateArrays) -> tuple[Certificate, Certificate, Certificate]:
     """Return the proofs that one loop is stable, and of the norms of (S − T)/2 at its torques and at its pick-offs.
 
-    The plant is that from torques to angles, u = K y with its sample period; `NotCertifiedError` where a proof is
-    missing.
+    The plant leads from torques to angles, the controller is u = K y with the same sample period. A missing proof is a
+    `NotCertifiedError`.
     """
     A, B, C, D, dt = plant
     torque, pickoff = _sensitivity_plants(plant)

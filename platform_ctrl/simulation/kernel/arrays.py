@@ -1,4 +1,4 @@
-"""What the kernel knows of a scenario, and where in the memory it stands, behind the plant."""
+"""The data of a scenario, and their slots in the memory, behind those of the plant."""
 
 from __future__ import annotations
 

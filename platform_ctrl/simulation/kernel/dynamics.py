@@ -268,7 +268,7 @@ def derivative(
     """
     apart()
     n = at.n
-    torque = dy + n + 3  # the joints' torques, where their accelerations come to stand
+    torque = dy + n + 3  # the joints' torques, replaced by their accelerations
     _outward(links, mem, lane, at, free, bare, y, around)
     if free:
         for k in range(n):

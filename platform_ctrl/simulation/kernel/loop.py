@@ -397,7 +397,7 @@ def simulate_samples(
 ) -> None:
     """Simulate the scenarios of the memory over the samples from `first`, 0 at t = 0, to before `until`.
 
-    A memory that has been simulated up to a sample is simulated on from there. The metrics up to then stand in it.
+    A memory that has been simulated up to a sample is simulated on from there. It holds the metrics up to then.
 
     At sample k the sensors are read and the controllers evaluated. A period has two segments, before and after the
     command changes: the first holds the command of `whole` + 1 samples ago, the second that of `whole` samples ago.

@@ -146,7 +146,7 @@ def begin_surroundings(shared: Shared, mem: FloatArray, lane: int, at: At, layou
 
 @internal
 def hand_on(shared: Shared, mem: FloatArray, lane: int, at: At, layout: Layout, free: bool) -> None:
-    """What stood at the end of the last step stands at the beginning of the next."""
+    """Make the surroundings at the end of a step those at the start of the next."""
     n, block = at.n, at.surroundings
     end = block + 2 * at.block
     if not free:
@@ -211,5 +211,5 @@ def surround(
                 store(mem, slot + PHASE + 1, lane, s)
             component = shared.lines[j]
             if component >= 3 or not free:
-                target = Omega + component  # specific force stands behind Omega
+                target = Omega + component  # the slots of the specific force follow those of Omega
                 store(mem, target, lane, load(mem, target, lane) + load(mem, slot + AMPLITUDE, lane) * c)
