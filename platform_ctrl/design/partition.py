@@ -302,3 +302,29 @@ def _oriented(h: float, first: FloatArray, second: FloatArray) -> tuple[FloatArr
 
 def _upright(direction: FloatArray) -> FloatArray:
     return direction if direction[np.argmax(np.abs(direction))] > 0.0 else -direction
+
+
+def augmented(plant: Partition, order: int) -> Partition:
+    """Return the plant with the controller's `order` integrators beside it: u = [xK', u], y = [xK, y]."""
+    if order == 0:
+        return plant
+    n, (nz, nw), (ny, nu) = len(plant.A), plant.D11.shape, plant.D22.shape
+    A = np.zeros((n + order, n + order))
+    A[:n, :n] = plant.A
+    B2 = np.zeros((n + order, order + nu))
+    B2[:n, order:], B2[n:, :order] = plant.B2, np.eye(order)
+    C2 = np.zeros((order + ny, n + order))
+    C2[order:, :n], C2[:order, n:] = plant.C2, np.eye(order)
+    D22 = np.zeros((order + ny, order + nu))
+    D22[order:, order:] = plant.D22
+    return Partition(
+        A=A,
+        B1=np.vstack([plant.B1, np.zeros((order, nw))]),
+        B2=B2,
+        C1=np.hstack([plant.C1, np.zeros((nz, order))]),
+        C2=C2,
+        D11=plant.D11,
+        D12=np.hstack([np.zeros((nz, order)), plant.D12]),
+        D21=np.vstack([np.zeros((order, nw)), plant.D21]),
+        D22=D22,
+    )

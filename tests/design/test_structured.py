@@ -14,12 +14,12 @@ import pytest
 from platform_ctrl import analysis, design
 from platform_ctrl.analysis.channel import Channel
 from platform_ctrl.analysis.poles import is_stable
-from platform_ctrl.design.fixed_structure.norm import ClosedLoop, augmented
+from platform_ctrl.design.fixed_structure.norm import ClosedLoop
 from platform_ctrl.design.fixed_structure.objective import WorstNorm, WorstPower
 from platform_ctrl.design.fixed_structure.parametrised import Parametrised
 from platform_ctrl.design.fixed_structure.result import StructuredDesign
 from platform_ctrl.design.fixed_structure.structures import Structure, Units
-from platform_ctrl.design.partition import Partition, partition
+from platform_ctrl.design.partition import Partition, augmented, partition
 from platform_ctrl.design.synthesis import Synthesis
 from platform_ctrl.errors import ArgumentError, NotFoundError, NotStabilisableError, TimeLimitWarning
 from platform_ctrl.job.requirements import requirement
@@ -37,7 +37,7 @@ STRUCTURES: dict[str, Structure] = {
     "PID, cross-axis": design.PID(P="cross", I="cross", D="diagonal", filter_order=1),
     "PID, filtered derivative": design.PID(filtered="derivative"),
     "PID behind a weight, zeros in the filter": design.PID(seen_through=((0.5, 0.4), (3.0, 2.0)), filter_zero=True),
-    "PID, zeros in the filter, one held": design.PID(filter_zero=True, fixed={"zero2": 7.0}),
+    "PID, zeros in the filter, one fixed": design.PID(filter_zero=True, fixed={"zero2": 7.0}),
     "PI without filter": design.PID(D="none", filter_order=0),
     "PID behind a weight": design.PID(seen_through=((0.5, 0.4), (30.0, 20.0))),
     "PID behind a weight, filtered derivative": design.PID(
@@ -258,9 +258,9 @@ def test_starts_side_by_side_find_the_same_as_one_after_another(monkeypatch: pyt
     monkeypatch.setattr(side_by_side, "_WORTH_PROCESSES", 0.0)
     P, nmeas, ncon = problem("REA2")
     lines: list[str] = []
-    asked: dict[str, Any] = {"structure": design.Static(), "starts": 4, "evaluations": 3000}
-    both = design.structured(P, nmeas, ncon, **asked, processes=2, progress=lines.append)
-    one = design.structured(P, nmeas, ncon, **asked, processes=1)
+    options: dict[str, Any] = {"structure": design.Static(), "starts": 4, "evaluations": 3000}
+    both = design.structured(P, nmeas, ncon, **options, processes=2, progress=lines.append)
+    one = design.structured(P, nmeas, ncon, **options, processes=1)
     assert np.array_equal(both.controller.D, one.controller.D)
     assert [s.value for s in both.searches] == [s.value for s in one.searches]
     assert sum("start" in line for line in lines) >= 4
@@ -268,18 +268,18 @@ def test_starts_side_by_side_find_the_same_as_one_after_another(monkeypatch: pyt
 
 def test_the_result_does_not_depend_on_how_fast_the_clock_runs(monkeypatch: pytest.MonkeyPatch) -> None:
     P, nmeas, ncon = problem("REA2")
-    asked: dict[str, Any] = {"structure": design.Static(), "starts": 3, "evaluations": 300, "processes": 1}
-    found = design.structured(P, nmeas, ncon, **asked)
+    options: dict[str, Any] = {"structure": design.Static(), "starts": 3, "evaluations": 300, "processes": 1}
+    found = design.structured(P, nmeas, ncon, **options)
     hours = itertools.count(0.0, 3600.0)
     monkeypatch.setattr(time, "monotonic", lambda: next(hours))
-    slow = design.structured(P, nmeas, ncon, **asked)
+    slow = design.structured(P, nmeas, ncon, **options)
     assert np.array_equal(slow.controller.D, found.controller.D)
     assert [s.evaluations for s in slow.searches] == [s.evaluations for s in found.searches]
     assert sum(s.evaluations for s in slow.searches) <= 300
     assert not slow.cut
     # A limit of time is another matter: it is said that the result depends on it.
     with pytest.warns(TimeLimitWarning, match="depends on the load"):
-        cut = design.structured(P, nmeas, ncon, time_limit=9 * 3600.0, **asked)
+        cut = design.structured(P, nmeas, ncon, time_limit=9 * 3600.0, **options)
     assert cut.cut
     assert not cut.finished
 
@@ -291,11 +291,11 @@ def test_a_process_that_dies_loses_no_start(monkeypatch: pytest.MonkeyPatch) -> 
         raise OSError
 
     P, nmeas, ncon = problem("REA2")
-    asked: dict[str, Any] = {"structure": design.Static(), "starts": 3, "evaluations": 300}
-    alone = design.structured(P, nmeas, ncon, processes=1, **asked)
+    options: dict[str, Any] = {"structure": design.Static(), "starts": 3, "evaluations": 300}
+    alone = design.structured(P, nmeas, ncon, processes=1, **options)
     monkeypatch.setattr(side_by_side, "_WORTH_PROCESSES", 0.0)
     monkeypatch.setattr(side_by_side, "TaskProcess", dies)
-    found = design.structured(P, nmeas, ncon, processes=2, **asked)
+    found = design.structured(P, nmeas, ncon, processes=2, **options)
     assert [s.value for s in found.searches] == [s.value for s in alone.searches]
 
 
@@ -321,12 +321,12 @@ def test_hard_limits_are_met_and_the_soft_norm_pays_for_them() -> None:
     structure = design.StateSpaceOrder(states=2)
 
     def at(limit: float) -> StructuredDesign:
-        asked = [
+        required = [
             requirement("H-infinity norm", limit, channel=noise),
             requirement("H-infinity norm", 1.0, channel=disturbance, hard=False),
             requirement("stability", 0.05),
         ]
-        return design.structured(gyro(), 2, 2, structure=structure, requirements=asked, starts=2, processes=1)
+        return design.structured(gyro(), 2, 2, structure=structure, requirements=required, starts=2, processes=1)
 
     loose, tight = at(3.0), at(1.0)
     assert loose.passed
@@ -338,9 +338,9 @@ def test_hard_limits_are_met_and_the_soft_norm_pays_for_them() -> None:
 
 def test_an_h2_goal_is_beside_the_full_order_h2_design() -> None:
     P = gyro()
-    asked = [requirement("H2 norm", 1.0, hard=False)]
+    required = [requirement("H2 norm", 1.0, hard=False)]
     structure = design.StateSpaceOrder(states=4, strictly_proper=True)
-    found = design.structured(P, 2, 2, structure=structure, requirements=asked, starts=3, processes=1)
+    found = design.structured(P, 2, 2, structure=structure, requirements=required, starts=3, processes=1)
     full = design.h2(P, 2, 2).gamma_optimal
     assert full * (1 - 1e-6) <= found.gamma <= 1.05 * full
     assert found.gamma_optimal == pytest.approx(full, rel=1e-3)
@@ -358,12 +358,12 @@ def test_what_cannot_be_is_said_in_one_line() -> None:
     ) as caught:
         design.structured(double, 1, 1, structure=design.Static(), starts=3, processes=1)
     assert caught.value.problem is not None
-    asked = [requirement("H-infinity norm", 1e-6)]
+    required = [requirement("H-infinity norm", 1e-6)]
     soft = [requirement("H-infinity norm", 1.0, hard=False)]
     structure = design.StateSpaceOrder(states=2)
     with pytest.raises(NotFoundError, match="meets every hard requirement"):
         design.structured(
-            P, 2, 2, structure=structure, requirements=asked + soft, starts=2, evaluations=3000, processes=1
+            P, 2, 2, structure=structure, requirements=required + soft, starts=2, evaluations=3000, processes=1
         )
     for wrong, said in (
         ({"structure": "PID"}, "must be a Structure"),
@@ -420,9 +420,9 @@ STIFFNESS = (0.5, 0.75, 1.0, 1.5, 2.0)
 
 def test_two_masses_with_uncertain_spring_decay_by_a_strictly_proper_controller_of_order_four() -> None:
     plants = [two_masses(k) for k in STIFFNESS]
-    asked = [requirement("stability", 0.25), requirement("H-infinity norm", 1.0, hard=False)]
+    required = [requirement("stability", 0.25), requirement("H-infinity norm", 1.0, hard=False)]
     structure = design.StateSpaceOrder(states=4, strictly_proper=True)
-    found = design.structured(plants, 1, 1, structure=structure, requirements=asked, starts=1, processes=1)
+    found = design.structured(plants, 1, 1, structure=structure, requirements=required, starts=1, processes=1)
     assert found.passed
     assert not np.any(found.controller.D)
     for k in STIFFNESS:
@@ -432,14 +432,16 @@ def test_two_masses_with_uncertain_spring_decay_by_a_strictly_proper_controller_
 def test_none_found_is_not_infeasible_and_says_where_the_poles_of_the_loop_are(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    from platform_ctrl.design.fixed_structure import orders
+    from platform_ctrl.design.fixed_structure import starts
 
-    monkeypatch.setattr(orders, "_STARTS", 3)
+    monkeypatch.setattr(starts, "_STARTS", 3)
     plants = [two_masses(k) for k in STIFFNESS]
-    asked = [requirement("stability", 0.3), requirement("H-infinity norm", 1.0, hard=False)]
+    required = [requirement("stability", 0.3), requirement("H-infinity norm", 1.0, hard=False)]
     structure = design.StateSpaceOrder(states=2)
     with pytest.raises(NotFoundError, match=r"none found: .* decay of 0\.3 1/s .* does not show that") as caught:
-        design.structured(plants, 1, 1, structure=structure, requirements=asked, starts=2, evaluations=500, processes=1)
+        design.structured(
+            plants, 1, 1, structure=structure, requirements=required, starts=2, evaluations=500, processes=1
+        )
     K = caught.value.nearest
     worst = max(float(poles_of_two_masses(k, K).real.max()) for k in STIFFNESS)
     # The loop is stable, and is not called anything else.
@@ -451,8 +453,8 @@ def test_none_found_is_not_infeasible_and_says_where_the_poles_of_the_loop_are(
 
 @pytest.mark.parametrize(("evaluations", "deadline", "most"), [(70, np.inf, 70), (10**6, -np.inf, 0)])
 def test_controllers_of_every_order_are_sought_within_the_limits(evaluations: int, deadline: float, most: int) -> None:
-    from platform_ctrl.design.fixed_structure.orders import Orders
     from platform_ctrl.design.fixed_structure.run import Limits
+    from platform_ctrl.design.fixed_structure.starts import Orders
     from platform_ctrl.design.fixed_structure.structures import Units
     from platform_ctrl.design.partition import partition
 
@@ -466,7 +468,7 @@ def test_controllers_of_every_order_are_sought_within_the_limits(evaluations: in
 
 
 def test_a_lower_order_is_a_start_of_the_next() -> None:
-    from platform_ctrl.design.fixed_structure.orders import low_passed, with_state
+    from platform_ctrl.design.fixed_structure.starts import low_passed, with_state
 
     rng = np.random.default_rng(3)
     n, ny, nu = 2, 2, 3

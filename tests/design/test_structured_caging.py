@@ -170,19 +170,19 @@ def test_pieces_are_the_ratios_that_are_certified(cases, name):
     plants = plants.only(range(4))
     loops = ClosedLoops(finer(plants), K)
     measures = measure(plants, K, REQUIREMENTS)
-    for asked in REQUIREMENTS:
-        found = pieces(loops, asked, 0.5)
-        if asked.kind == "bandwidth":
+    for required in REQUIREMENTS:
+        found = pieces(loops, required, 0.5)
+        if required.kind == "bandwidth":
             # Not the ratio: S at most 1/sqrt(2) up to the wanted frequency. It is 1 at the bandwidth.
-            at_bandwidth = dataclasses.replace(asked, limit=measures.bandwidth / (2 * np.pi))
+            at_bandwidth = dataclasses.replace(required, limit=measures.bandwidth / (2 * np.pi))
             assert pieces(loops, at_bandwidth, 0.5).ratio.max() == pytest.approx(1.0, abs=1e-6)
-        elif asked.kind == "stability":
+        elif required.kind == "stability":
             assert np.all(found.ratio < 1.0)
-        elif asked.kind == "damping":
-            ratio = at_least(measures.damping, asked.limit)[0].max()
+        elif required.kind == "damping":
+            ratio = at_least(measures.damping, required.limit)[0].max()
             assert found.ratio.max() == pytest.approx(ratio, rel=1e-8)
         else:
-            assert found.ratio.max() == pytest.approx(asked.ratios(measures).max(), rel=2e-4), asked.kind
+            assert found.ratio.max() == pytest.approx(required.ratios(measures).max(), rel=2e-4), required.kind
 
 
 def test_where_two_singular_values_meet_their_mixtures_span_what_the_largest_can_do(cases):
@@ -248,12 +248,12 @@ def alone(job):
 
     def designed(structure, limits=None, soft=None, **options):
         spec = job.loops[1]
-        asked = next(d for d in spec.designs if d.method == "structured")
-        asked = dataclasses.replace(asked, structure=structure, options=asked.options | options)
+        required = next(d for d in spec.designs if d.method == "structured")
+        required = dataclasses.replace(required, structure=structure, options=required.options | options)
         spec = dataclasses.replace(
             spec,
-            designs=(asked,),
-            use=asked.name,
+            designs=(required,),
+            use=required.name,
             limits=spec.limits if limits is None else limits,
             soft=spec.soft if soft is None else soft,
         )

@@ -68,9 +68,9 @@ def test_what_need_not_move_keeps_its_number_to_the_last_digit() -> None:
     # exp(log(7)) is 6.999999999999999, and exp(log(900)) is 900.0000000000001.
     given = {"crossover_hz": 40.0, "lead_hz": 7.0, "rolloff_hz": 900.0}
     start = starting_values(given, channel, plants.nutation, plants.period)
-    asked = loop_requirements(spec.limits | {"disk_margin": 0.01})
+    required = loop_requirements(spec.limits | {"disk_margin": 0.01})
 
     def build(options: dict[str, float]) -> StateArrays:
         return classical_controller(options, channel, plants.period)
 
-    assert tuning.tune(start, list(start), build, plants, asked, evaluations=5) == start
+    assert tuning.tune(start, list(start), build, plants, required, evaluations=5) == start

@@ -24,7 +24,7 @@ from platform_ctrl.cli import main
 from platform_ctrl.design.fixed_structure.descent import Search
 from platform_ctrl.design.fixed_structure.loops import ClosedLoops
 from platform_ctrl.design.fixed_structure.parametrised import Parametrised
-from platform_ctrl.design.fixed_structure.sampled import Named
+from platform_ctrl.design.fixed_structure.sections import Named
 from platform_ctrl.design.fixed_structure.structures import Units
 from platform_ctrl.design.partition import notch, side_by_side
 from platform_ctrl.design.tuning import tune, worst_ratio

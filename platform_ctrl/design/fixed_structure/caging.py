@@ -22,8 +22,7 @@ from platform_ctrl.design.classical.caging import TUNABLE, classical_controller,
 from platform_ctrl.design.fixed_structure.descent import Found, Search
 from platform_ctrl.design.fixed_structure.parametrised import Parametrised
 from platform_ctrl.design.fixed_structure.pid import PID
-from platform_ctrl.design.fixed_structure.sampled import Named, Sampled
-from platform_ctrl.design.fixed_structure.sections import Series
+from platform_ctrl.design.fixed_structure.sections import Named, Sampled, Series
 from platform_ctrl.design.fixed_structure.starts import balanced_truncation
 from platform_ctrl.design.fixed_structure.structures import StateSpaceOrder, Units
 from platform_ctrl.design.loop import Designed, LoopProblem, completed
@@ -243,7 +242,7 @@ def free_structure(
     Parameters
     ----------
     inner
-        What stands behind the PI, sampled, in the channels of the gyros (see `without_integrators`).
+        What is behind the PI, sampled, in the channels of the gyros (see `without_integrators`).
     channel, period, nutation
         Directions; s; rad/s, the unit of rates.
     integral

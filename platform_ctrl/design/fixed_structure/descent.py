@@ -46,7 +46,7 @@ _TRIES, _FINER = 3, 10
 # How often a search whose goals are missed starts again from about its best point, and how far from it: a search may
 # end at a kink from which no quadratic program leads on, and which kink that is depends on rounding.
 _AGAIN, _SCATTER = 2, 0.1
-# S at the wanted frequency is held this much more tightly than the level, and the frequency wanted this share higher:
+# S at the wanted frequency is required this much below the level, and the frequency wanted this share higher:
 # what is found has to be there when it is measured exactly.
 _TIGHT, _BEYOND = 1e-4, 1.003
 # Weight of what S exceeds the level by, without goals, and by how much it may where a bandwidth is accepted.
@@ -319,7 +319,7 @@ class Search:
         )
 
     def _descended(self, family: Parametrised, x: FloatArray, plants: PlantSet, state: _State) -> FloatArray:
-        """Return where the search on the plants in view leads; `state` says whether it came to its end."""
+        """Return where the search on the plants in view leads; `state.ended` where it has ended."""
         lower, upper = family.lower, family.upper
         if self._moving:
             lower, upper = np.append(lower, -np.inf), np.append(upper, np.inf)
@@ -382,7 +382,7 @@ class Search:
 
 
 def _ratio(value: float) -> float:
-    """Return the ratio that a piece stands for."""
+    """Return the ratio that a piece was made of."""
     return float(np.exp(value - 1.0)) if value > 1.0 else value
 
 

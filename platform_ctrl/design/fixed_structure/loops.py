@@ -1,6 +1,6 @@
 """A controller closed around every plant of a set, with derivatives: responses, singular values, poles, noise.
 
-The formulas stand in `platform_ctrl.design.fixed_structure.goals`.
+The formulas are in `platform_ctrl.design.fixed_structure.goals`.
 """
 
 from __future__ import annotations
@@ -212,7 +212,7 @@ class ClosedLoops:
         fall, rise = left - middle, right - middle
         bend = np.where(fall + rise < 0.0, fall + rise, -np.inf)
         x = x + _CLOSER * step * np.clip(0.5 * (fall - rise) / bend, -2.0, 2.0)
-        # A peak narrower than the grid, of which one point knows, has its top there and not where a parabola has it.
+        # A peak narrower than the grid, that one point shows, has its top there and not where a parabola has it.
         beside = sizes[row, k] > _SPIKE * np.maximum(middle, np.maximum(left, right))
         x = np.where(beside, np.log(w[cut])[k], x)
         found = self._pieces(of, members[row], np.exp(x))

@@ -1,6 +1,6 @@
 """The H-infinity norm of a closed loop as smooth pieces: every peak near the highest, with derivatives.
 
-Everything of a dynamic controller stands in one matrix M = [A_K, B_K; C_K, D_K], which closes a static loop around the
+A dynamic controller is one matrix M = [A_K, B_K; C_K, D_K], which closes a static loop around the
 plant with the controller's integrators beside it. From M on, at any s,
 
     T(M + dM) = T + L dM (I − N dM)⁻¹ R,     L, R, N: the loop from u to z, from w to y and from u to y,
@@ -27,35 +27,9 @@ ComplexArray = NDArray[np.complex128]
 # Steps of the search for the top of a peak.
 _CLIMBS = 12
 # Bend of a peak over the logarithm of frequency, relative to its height, below which it is flat.
-_HELD = 0.05
+_FLAT = 0.05
 # Peaks that no deeper dip than this parts, relative, count once.
 _DIP = 1e-6
-
-
-def augmented(plant: Partition, order: int) -> Partition:
-    """Return the plant with the controller's `order` integrators beside it: u = [xK', u], y = [xK, y]."""
-    if order == 0:
-        return plant
-    n, (nz, nw), (ny, nu) = len(plant.A), plant.D11.shape, plant.D22.shape
-    A = np.zeros((n + order, n + order))
-    A[:n, :n] = plant.A
-    B2 = np.zeros((n + order, order + nu))
-    B2[:n, order:], B2[n:, :order] = plant.B2, np.eye(order)
-    C2 = np.zeros((order + ny, n + order))
-    C2[order:, :n], C2[:order, n:] = plant.C2, np.eye(order)
-    D22 = np.zeros((order + ny, order + nu))
-    D22[order:, order:] = plant.D22
-    return Partition(
-        A=A,
-        B1=np.vstack([plant.B1, np.zeros((order, nw))]),
-        B2=B2,
-        C1=np.hstack([plant.C1, np.zeros((nz, order))]),
-        C2=C2,
-        D11=plant.D11,
-        D12=np.hstack([np.zeros((nz, order)), plant.D12]),
-        D21=np.vstack([np.zeros((order, nw)), plant.D21]),
-        D22=D22,
-    )
 
 
 @value
@@ -408,8 +382,8 @@ class ClosedLoop:
             H = whole
         H = H + second_order(c, d, S, height, apart)
         if inner:
-            # A flat peak would run away with the least change: its frequency is held back.
-            bent = float(H[n, n]) - _HELD * height / frequency**2
+            # A flat peak would run away with the least change: its frequency is damped.
+            bent = float(H[n, n]) - _FLAT * height / frequency**2
             H = H[:n, :n] - (np.outer(H[:n, n], H[:n, n]) / bent if bent < 0.0 else 0.0)
         return np.real(np.outer(across, right)), np.asarray(0.5 * (H + H.T), dtype=np.float64)
 

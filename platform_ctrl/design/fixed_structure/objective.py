@@ -45,7 +45,7 @@ class _Point:
         # Plant, frequency and mixture of singular vectors of each piece.
         self._blocks: dict[tuple[int, float, int], tuple[FloatArray, ComplexArray, ComplexArray]] = {}
         self.seen: list[tuple[int, float, ComplexArray]] | None = None
-        # Gradient with respect to M and Hessian of each piece that is `seen`: a refused step asks for them again.
+        # Gradient with respect to M and Hessian of each piece that is `seen`: needed again after a refused step.
         self.bent: dict[int, tuple[FloatArray, FloatArray]] = {}
 
     def block(self, plant: int, frequency: float, count: int) -> tuple[FloatArray, ComplexArray, ComplexArray]:
@@ -266,7 +266,7 @@ class WorstNorm:
         if point.loops is None or point.seen is None:
             return H
         G = np.zeros(J.shape[:2])
-        for i in np.flatnonzero(weights > 1e-6):
+        for i in map(int, np.flatnonzero(weights > 1e-6)):
             if i not in point.bent:
                 k, frequency, mix = point.seen[i]
                 point.bent[i] = point.loops[k].curvature(frequency, mix, J)

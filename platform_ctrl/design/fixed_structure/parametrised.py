@@ -142,7 +142,7 @@ def _pair(bounds: Any, where: str) -> tuple[float, float]:
 def _ties(
     tied: Sequence[Sequence[str]], everything: Sequence[Parameter], fixed: Mapping[int, float], where: str
 ) -> tuple[FloatArray, list[int]]:
-    """Return the matrix from free numbers to parameters, and which parameter stands for each free number."""
+    """Return the matrix from free numbers to parameters, and the first parameter of each free number."""
     names = [one.name for one in everything]
     leader: dict[int, tuple[int, float]] = {}
     for group in tied:

@@ -37,14 +37,14 @@ class PID(Structure):
     filter_order
         0 (only without D), 1 or 2.
     filtered
-        Whether F stands before everything, or before the derivative alone: u = (K_P + K_I/s + K_D s F(s)) y.
+        Whether F filters every measurement, or the derivative alone: u = (K_P + K_I/s + K_D s F(s)) y.
     filter_zero
         Whether a second-order F before everything has a zero, too: F = (s/z + 1) ω²/(s² + 2 ζ ω s + ω²), with
-        parameters zero1, ... (z, rad/s). In a sampled controller z = 2/period, held by `fixed`, is a filter that does
+        parameters zero1, ... (z, rad/s). In a sampled controller z = 2/period, in `fixed`, is a filter that does
         not wait a sample; left free it is a lead.
     seen_through : (gains, rates), optional
         The measurement is already gain + rate/s (rate in 1/s) times the signal that the PID is meant for, channel by
-        channel, each (ny,), as in a mixed-sensitivity plant whose weight on the error stands before the controller: its
+        channel, each (ny,), as in a mixed-sensitivity plant whose weight on the error is before the controller: its
         pole is the PID's integrator, its zero becomes a fixed pole of the controller.
     start, bounds, fixed, tied
         As in `Structure`.

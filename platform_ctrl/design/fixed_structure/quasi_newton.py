@@ -107,7 +107,7 @@ def descended(
                 break
             found = _searched(bounded, x, level, direction, float(gradient @ direction), target)
             if found is None:
-                # Along a direction of no decrease the inverse Hessian has nothing more to say.
+                # Along a direction of no decrease the inverse Hessian is of no more use.
                 break
             y, new_level, new_gradient, inside, wolfe = found
             inverse = _updated(inverse, y - x, new_gradient - gradient)

@@ -107,7 +107,7 @@ class Limits:
 
 @value
 class Outcome:
-    """Where a search stands.
+    """What a search has reached.
 
     Attributes
     ----------
@@ -208,7 +208,7 @@ def _approached(problem: Problem, x: FloatArray, inverse: FloatArray | None, lim
     loops = WorstNorm(problem.plants, controller, margin=problem.decay)
     spent, late = 0, False
 
-    def ask() -> None:
+    def count() -> None:
         nonlocal spent, late
         late = late or time.monotonic() > limits.deadline
         if late or spent >= limits.evaluations:
@@ -216,13 +216,13 @@ def _approached(problem: Problem, x: FloatArray, inverse: FloatArray | None, lim
         spent += 1
 
     def rightmost(y: FloatArray, _: float) -> tuple[float, FloatArray]:
-        ask()
+        count()
         values, gradients = loops.stability(y)
         i = int(np.argmax(values))
         return float(values[i]), gradients[i]
 
     def norm(y: FloatArray, enough: float) -> tuple[float, FloatArray]:
-        ask()
+        count()
         return loops.top(y, enough)
 
     found = Descent(x=x, level=np.inf, inverse=inverse, finished=True)
@@ -237,7 +237,7 @@ def _approached(problem: Problem, x: FloatArray, inverse: FloatArray | None, lim
         if found.level <= enough or not again or not (found.finished and found.level < last * (1.0 - _AGAIN)):
             break
         found = dataclasses.replace(found, inverse=None)
-    held = whole is None and bool(np.any(np.abs(found.x) >= 0.99 * gain))
+    at_limit = whole is None and bool(np.any(np.abs(found.x) >= 0.99 * gain))
     return Outcome(
         x=found.x,
         M=controller.matrix(found.x),
@@ -247,9 +247,9 @@ def _approached(problem: Problem, x: FloatArray, inverse: FloatArray | None, lim
         abscissa=loops.abscissa(found.x),
         evaluations=spent,
         seconds=0.0,
-        finished=found.finished and not (held and gain < _GAINS[1]),
+        finished=found.finished and not (at_limit and gain < _GAINS[1]),
         late=late,
-        at_limit=held,
+        at_limit=at_limit,
         inverse=found.inverse,
     )
 
@@ -351,7 +351,7 @@ def _minimised(
 
 
 def _pieces(goals: tuple[Goal, ...], controller: Parametrisation, loops: WorstNorm) -> tuple[Pieces, WorstNorm | None]:
-    """Return the pieces of all goals, and what knows their curvature, if anything does."""
+    """Return the pieces of all goals, and the norm that gives their curvature, None without one."""
     if len(goals) == 1 and not goals[0].h2:
         only = loops if goals[0].plants is loops.plants else WorstNorm(goals[0].plants, controller)
         return only.pieces, only

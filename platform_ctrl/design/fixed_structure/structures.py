@@ -1,6 +1,6 @@
 """Structures of controllers: what may be tuned, its names, units and starting values, and the matrices it makes.
 
-Everything is continuous, in s; a sampled plant is taken to the w-plane, where s stands for Tustin's rule. A controller
+Everything is continuous, in s; a sampled plant is taken to the w-plane, where s follows Tustin's rule. A controller
 is u = K y (positive feedback).
 """
 

@@ -2,7 +2,7 @@
 
 The plants are augmented by the controller's integrators, so that all of the controller is one matrix (see `norm`); a
 sampled plant is carried to the w-plane, where stability and H-infinity norm are the same. What the searches find is
-judged by the closed loops of the plants as given, and set beside what a controller of full order can do.
+measured on the closed loops of the plants as given, and compared with a controller of full order.
 """
 
 from __future__ import annotations
@@ -14,22 +14,19 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import StateArrays, state_arrays
 from platform_ctrl.common.arguments import whole as whole_number
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray, value
-from platform_ctrl.design.fixed_structure.norm import augmented
-from platform_ctrl.design.fixed_structure.orders import Orders
 from platform_ctrl.design.fixed_structure.parametrised import Parametrised
-from platform_ctrl.design.fixed_structure.result import Bound, SearchRecord, StructuredDesign, full_order
+from platform_ctrl.design.fixed_structure.result import Bound, StructuredDesign, full_order, measured_design, none_found
 from platform_ctrl.design.fixed_structure.run import Goal, Limits, Outcome, Problem
 from platform_ctrl.design.fixed_structure.side_by_side import best_found
-from platform_ctrl.design.fixed_structure.starts import Fit, around, fits, scattered, truncated
+from platform_ctrl.design.fixed_structure.starts import Fit, Orders, around, fits, scattered, truncated
 from platform_ctrl.design.fixed_structure.structures import StateSpaceOrder, Structure, Units
-from platform_ctrl.design.partition import Partition, closed_loop, in_w_plane, out_of_w_plane, partition
+from platform_ctrl.design.partition import Partition, augmented, in_w_plane, partition
 from platform_ctrl.design.scaling import autoscale, require_stabilisable
 from platform_ctrl.design.synthesis import require_time_limit
-from platform_ctrl.errors import ArgumentError, NotCertifiedError, NotFoundError, TimeLimitError, TimeLimitWarning
+from platform_ctrl.errors import ArgumentError, TimeLimitWarning
 from platform_ctrl.job.requirements import LoopRequirement
 
 if TYPE_CHECKING:
@@ -43,10 +40,6 @@ _RESERVE = 1e-3
 _FITTED = 2
 # Largest order whose companion forms are tried where no start stabilises: entries are named by single digits.
 _MOST_STATES = 9
-# Norms, in the natural unit of the scaled plant, that count as zero, and that rounding alone can make.
-_ZERO, _NOTHING = 1e-6, 1e-9
-# What the recomputed norm may exceed that of the search by, relative.
-_AGREEMENT = 1e-3
 
 
 @value
@@ -74,7 +67,7 @@ def structured(  # noqa: PLR0913, PLR0915 - options by keyword; one method, step
     processes: int | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> StructuredDesign:
-    """Controller of fixed structure with the least worst norm over several plants, judged by the actual closed loops.
+    """Controller of fixed structure with the least worst norm over several plants, measured on the actual closed loops.
 
     Non-smooth optimisation from several starts with first and second derivatives (after Apkarian and Noll 2006, Burke,
     Henrion, Lewis and Overton 2006): a local method, so that more starts may find more.
@@ -152,7 +145,7 @@ def structured(  # noqa: PLR0913, PLR0915 - options by keyword; one method, step
     for P, part, scale in zip(given, flat, scaled, strict=True):
         require_stabilisable(part, P, "structured", scale)
     task = _task(given, parts, flat, requirements)
-    say = progress or (lambda line: None)
+    report_line = progress or (lambda line: None)
 
     # Units by the first plant: the others are its neighbours.
     units = Units(
@@ -191,11 +184,11 @@ def structured(  # noqa: PLR0913, PLR0915 - options by keyword; one method, step
 
     def report(k: int, outcome: Outcome | None) -> None:
         if outcome is None:
-            say(f"structured: start {k + 1} of {len(points)}: lost")
+            report_line(f"structured: start {k + 1} of {len(points)}: lost")
         elif not outcome.stable:
-            say(f"structured: start {k + 1} of {len(points)}: not stable")
+            report_line(f"structured: start {k + 1} of {len(points)}: not stable")
         else:
-            say(f"structured: start {k + 1} of {len(points)}: {outcome.value:.6g}")
+            report_line(f"structured: start {k + 1} of {len(points)}: {outcome.value:.6g}")
 
     least = max((one.gamma for one in bounds if np.isfinite(one.gamma)), default=0.0)
     limits = Limits(evaluations=evaluations, deadline=began + seconds, least=least)
@@ -209,8 +202,10 @@ def structured(  # noqa: PLR0913, PLR0915 - options by keyword; one method, step
     cut = len(ended) < len(found) or any(one.late for one in ended) or any(one.cut for one in bounds)
     best = min(ended, key=lambda one: one.rank, default=None)
     if best is None or best.rank[0] > 0.0:
-        raise _none_found(best, len(ended), spent, cut, structure, parts, given, requirements)
-    made = _judged(given, parts, structure, requirements, best, ended, cut, whole, order, bounds, scaled[0].gain)
+        raise none_found(best, len(ended), spent, cut, structure, parts, given, requirements)
+    made = measured_design(
+        given, parts, structure, requirements, best, ended, cut, whole, order, bounds, scaled[0].gain
+    )
     if cut:
         warnings.warn(
             f"structured: time_limit = {seconds:g} s ended the search; the result depends on the load of the machine",
@@ -344,163 +339,3 @@ def _of_orders(
     known = Orders(task.plants, task.decay, units, np.random.default_rng(seed), limits)
     best = known.best(structure.states, structure.strictly_proper)
     return [best.M if whole is None else whole.nearest(best.M)], known.spent
-
-
-def _infimum(gamma: float, at_limit: bool, bound: float, unit: float) -> str:
-    """Return what the search saw of an infimum that no controller reaches, or that is zero; empty where nothing."""
-    if gamma <= _ZERO * unit:
-        way = " at ever larger gains" if at_limit else ""
-        return f"The infimum is 0, or next to it: the norm fell to {gamma:.3g}{way}, {unit:.3g} being its natural unit."
-    if at_limit:
-        near = ", which is the bound of full order" if bound > 0.0 and gamma <= (1.0 + _AGREEMENT) * bound else ""
-        return (
-            f"The infimum lies at infinite gain: the norm still fell at the largest gains that the search allows, to "
-            f"{gamma:.6g}{near}; bound the structure's numbers where such gains are of no use."
-        )
-    return ""
-
-
-def _none_found(
-    best: Outcome | None,
-    starts: int,
-    spent: int,
-    cut: bool,
-    structure: Structure,
-    parts: tuple[Partition, ...],
-    given: tuple[StateSpace, ...],
-    requirements: Sequence[LoopRequirement],
-) -> Exception:
-    """Return what to raise where no start led to what is requested; the numbers are those of the plants as given."""
-    kind = type(structure).__name__
-    tried = f"{starts} starts and {spent} evaluations"
-    if best is None or (cut and best.rank[0] > 1.0):
-        return TimeLimitError(
-            f"structured: no stabilising {kind} controller within time_limit, after {tried}; give a larger one, or "
-            "starting values (start=...) that stabilise",
-            given,
-        )
-    K = _controller(best.M, given[0], parts[0])
-    further = "a local search does not show that there is none: give more starts or evaluations"
-    if best.rank[0] > 1.0:
-        worst, at = max((_abscissa(part, K), k) for k, part in enumerate(parts, 1))
-        decay = max((r.limit for r in requirements if r.kind == "stability"), default=0.0)
-        requested = f"a decay of {decay:g} 1/s with every plant" if decay else "a stable loop with every plant"
-        return NotFoundError(
-            f"structured: none found: no {kind} controller with {requested} in {tried}; the nearest has the rightmost "
-            f"pole at {worst:+.4g} rad/s, with plant {at}; {further}, starting values (start=...), or a richer "
-            "structure",
-            given,
-            K,
-        )
-    return NotFoundError(
-        f"structured: none found: no {kind} controller that meets every hard requirement in {tried}; the nearest has "
-        f"the largest ratio {best.hard:.4g}, and must not exceed 1; {further}, or relax a limit or make it soft",
-        given,
-        K,
-    )
-
-
-def _controller(M: FloatArray, P: StateSpace, part: Partition) -> StateSpace:
-    """Return M = [A_K, B_K; C_K, D_K], in the w-plane where the plant is sampled, as a controller of the plant."""
-    import control
-
-    order = len(M) - part.B2.shape[1]
-    K = StateArrays(A=M[:order, :order], B=M[:order, order:], C=M[order:, :order], D=M[order:, order:])
-    K = out_of_w_plane(K, part.dt)
-    y, u = P.output_labels[-K.B.shape[1] :], P.input_labels[-K.C.shape[0] :]
-    return control.StateSpace(K.A, K.B, K.C, K.D, part.dt, inputs=y, outputs=u, remove_useless_states=False)
-
-
-def _abscissa(part: Partition, K: StateSpace) -> float:
-    """Return the largest real part, rad/s, of a loop's continuous(-equivalent) poles."""
-    from platform_ctrl.analysis.poles import continuous_poles, poles, spectral_abscissa
-
-    loop = closed_loop(part, state_arrays(K, "controller"))
-    return float(spectral_abscissa(continuous_poles(poles(loop.A), part.dt)))
-
-
-def _judged(  # noqa: PLR0913 - what certifies one result
-    given: tuple[StateSpace, ...],
-    parts: tuple[Partition, ...],
-    structure: Structure,
-    requirements: Sequence[LoopRequirement],
-    best: Outcome,
-    ended: Sequence[Outcome],
-    cut: bool,
-    whole: Parametrised | None,
-    order: int,
-    bounds: Sequence[Bound],
-    unit: float,
-) -> StructuredDesign:
-    """Close the loops with the plants as given and measure them."""
-    import control
-
-    from platform_ctrl.analysis.norms import hinf_norm
-    from platform_ctrl.analysis.poles import continuous_poles, poles, spectral_abscissa
-
-    M, period = best.M, parts[0].dt
-    controller = _controller(M, given[0], parts[0])
-    K = state_arrays(controller, "controller")
-    nmeas, ncon = K.B.shape[1], K.C.shape[0]
-    loops, gammas, every, outcomes = [], [], [], []
-    for k, (P, part) in enumerate(zip(given, parts, strict=True), 1):
-        loop = closed_loop(part, K)
-        at = poles(loop.A)
-        if at.size and not spectral_abscissa(continuous_poles(at, period)) < 0.0:
-            raise NotCertifiedError(f"structured: the closed loop of plant {k} is not stable; give other starts", given)
-        system = control.StateSpace(
-            loop.A, loop.B, loop.C, loop.D, period, inputs=P.input_labels[:-ncon], outputs=P.output_labels[:-nmeas],
-            remove_useless_states=False,
-        )  # fmt: skip
-        loops.append(system)
-        every.append(at)
-        if requirements:
-            held = [one.check_closed_loop(system, subject=f"plant {k}") for one in requirements]
-            outcomes += held
-            norms = [
-                one.ratio for one, requested in zip(held, requirements, strict=True) if requested.kind != "stability"
-            ]
-            soft = [r for r, requested in zip(norms, [a for a in requirements if a.kind != "stability"], strict=True)
-                    if not requested.hard]  # fmt: skip
-            gammas.append(max(soft or norms))
-        else:
-            gammas.append(float(hinf_norm(system)[0]))
-    gamma = max(gammas)
-    # A norm of next to nothing is known to rounding of what cancels in it.
-    if not gamma <= (1.0 + _AGREEMENT) * best.value + _NOTHING * unit:
-        raise NotCertifiedError(
-            f"structured: the closed loops have the norm {gamma:.6g}, the search promised {best.value:.6g}; "
-            "bound the structure's numbers: gains this large are at the limit of floating point",
-            given,
-        )
-    largest = max(bounds, key=lambda one: one.gamma)
-    units = Units(gain=np.ones((ncon, nmeas)), rate=1.0)
-    names = [one.name for one in structure.parameters(nmeas, ncon, units)]
-    if whole is not None:
-        parameters = whole.named(best.x)
-    else:
-        blocks = (M[:order, :order], M[:order, order:], M[order:, :order], M[order:, order:])
-        parameters = dict(zip(names, map(float, np.concatenate([block.ravel() for block in blocks])), strict=True))
-    return StructuredDesign(
-        plants=given,
-        nmeas=nmeas,
-        ncon=ncon,
-        structure=structure,
-        controller=controller,
-        parameters=parameters,
-        closed_loops=tuple(loops),
-        gammas=np.array(gammas),
-        gamma=float(gamma),
-        gamma_optimal=largest.gamma,
-        bound=largest.source,
-        poles=tuple(every),
-        searches=tuple(
-            SearchRecord(value=one.rank[1] if one.rank[0] == 0.0 else float("inf"), evaluations=one.evaluations,
-                         seconds=one.seconds, finished=one.finished)
-            for one in ended
-        ),
-        finished=not cut and (best.reached(largest.gamma) or all(one.finished for one in ended)),
-        cut=cut,
-        infimum=_infimum(gamma, best.at_limit, largest.gamma, unit),
-        outcomes=tuple(outcomes),
-    )  # fmt: skip
