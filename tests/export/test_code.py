@@ -8,6 +8,7 @@ import re
 from pathlib import Path
 from typing import Any
 
+import control
 import numpy as np
 import pytest
 
@@ -111,6 +112,17 @@ def test_commands_are_those_of_the_simulated_controllers_sample_by_sample(
         assert np.all(error <= stated)
         assert np.all(stated < 1e-3 * 0.25)
         assert np.all(error > 0.0)
+
+
+def test_without_limits_it_is_what_python_control_computes(
+    job: Job, entries: list[dict[str, Any]], libraries: dict[str, Path]
+) -> None:
+    scheme = schemes(job, entries)[1]
+    readings = noise(scheme, 1e-6)
+    expected = control.forced_response(state_space(entries[1]), inputs=readings.T).outputs.T
+    out, status = machine(libraries["double"], scheme, "caging_9_10", "double").run(readings)
+    assert set(status) == {0}
+    assert np.allclose(out[:, 2:], expected, rtol=0.0, atol=1e-12 * np.abs(expected).max())
 
 
 def test_without_anti_windup_it_is_the_simulated_controller_at_the_limits_too(
