@@ -8,6 +8,7 @@ import sys
 from collections.abc import Iterator
 
 import pytest
+from filelock import FileLock
 from hypothesis import settings
 
 # Before numpy is loaded: on small matrices BLAS threads spend their time waiting for each other.
@@ -24,6 +25,40 @@ def pytest_collection_finish(session: pytest.Session) -> None:
     gc.collect()
     gc.freeze()
     gc.set_threshold(50_000, 20, 100)
+
+
+def _compile_kernel() -> None:
+    from platform_ctrl import read_platform, simulation
+    from platform_ctrl.simulation.batch import compile_kernel
+
+    compile_kernel()
+    simulation.rollout(read_platform("rate_gyro"), q=[[0.0]], velocity=[[0.0] * 4], step=1e-4, steps=1)
+
+
+def _compile_analysis() -> None:
+    import control
+    import numpy as np
+
+    from platform_ctrl import analysis
+
+    loop = control.ss(-np.diag([1.0, 2.0]), np.eye(2), [[1.0, 0.2], [0.1, 1.0]], 0)
+    analysis.disk_margin(loop)
+    analysis.time_response(loop, np.linspace(0.0, 1.0, 50), np.ones((2, 50)))
+    almost_undamped = control.ss([[0.0, 1.0], [-1.0, -1e-12]], [[0.0], [1.0]], [[1.0, 0.0]], 0)
+    analysis.frequency_response(almost_undamped, [1.0])
+
+
+@pytest.fixture(scope="session", autouse=True)
+def compiled_once(worker_id: str, tmp_path_factory: pytest.TempPathFactory) -> None:
+    """Compile in one worker what others would compile too, on a fresh checkout; these wait and find it cached."""
+    if worker_id == "master":
+        return
+    groups = [_compile_kernel, _compile_analysis]
+    number = int(worker_id.removeprefix("gw"))
+    for k in range(len(groups)):
+        group = groups[(number + k) % len(groups)]
+        with FileLock(tmp_path_factory.getbasetemp().parent / f"{group.__name__}.lock"):
+            group()
 
 
 @pytest.fixture(scope="module")
