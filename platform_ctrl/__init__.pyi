@@ -30,12 +30,12 @@ from .plant.force_elements import Friction as Friction
 from .plant.force_elements import Spring as Spring
 from .plant.force_elements import Unbalance as Unbalance
 from .plant.platform import Gimbal as Gimbal
-from .plant.platform import PickOff as PickOff
 from .plant.platform import Platform as Platform
-from .plant.platform import RateSensor as RateSensor
 from .plant.platform import Rotor as Rotor
 from .plant.platform import Torquer as Torquer
 from .plant.reading import read_platform as read_platform
+from .plant.sensors import PickOff as PickOff
+from .plant.sensors import RateSensor as RateSensor
 from .plant.source import platform_source as platform_source
 from .plant.source import shipped_models as shipped_models
 

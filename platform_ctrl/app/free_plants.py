@@ -126,7 +126,7 @@ def free_models(job: Job, chosen: Sequence[tuple[str, Platform, FloatArray]], ra
         inputs, outputs = list(system.input_labels), list(system.output_labels)
         A.append(system.A)
         B.append(system.B[:, [inputs.index(name) for name in signals]])
-        C.append(measuring(system, sensors).C)
+        C.append(measuring(system, platform, sensors).C)
         B_root.append(system.B[:, [inputs.index(name) for name in ROOT_TORQUE_NAMES]])
         C_rate.append(system.C[[outputs.index(name) for name in OMEGA_NAMES]])
     return FreeModels(

@@ -217,9 +217,8 @@ class StabilisedCurves(LoopCurves):
     @property
     def _angles(self) -> dict[str, str]:
         """Attitude and sensors with their units."""
-        angles = self.job.platform.angle_names
-        sensors = {name: "rad" if name in angles else "rad/s" for name in self.loop.shown.sensors}
-        return dict.fromkeys(ATTITUDE, "rad") | sensors
+        units = {sensor.name: sensor.unit for sensor in self.job.platform.sensors}
+        return dict.fromkeys(ATTITUDE, "rad") | {name: units[name] for name in self.loop.shown.sensors}
 
     def _responses(self, given: Drive, signals: dict[str, str]) -> TimeResponse:
         """Return attitude, angles and torques, as many as there are signals, after a torque on the platform."""

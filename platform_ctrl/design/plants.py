@@ -19,7 +19,8 @@ from platform_ctrl.job.job import Job, LoopSpec, Sampling
 from platform_ctrl.mechanics.linearisation import LinearModel, linearise
 from platform_ctrl.mechanics.matrices import matrices
 from platform_ctrl.mechanics.state_space import state_space, subsystems_of_all
-from platform_ctrl.plant.platform import OMEGA_NAMES, PickOff, Platform, Torquer
+from platform_ctrl.plant.platform import OMEGA_NAMES, Platform, Torquer
+from platform_ctrl.plant.sensors import PickOff
 
 # Open-loop motion slower than this share of the Nyquist frequency is no reference for the loop.
 _SLOW_MOTION = 1e-3

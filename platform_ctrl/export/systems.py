@@ -17,7 +17,8 @@ from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.plant.fields import finite_number
 from platform_ctrl.plant.mistakes import given, one_line
-from platform_ctrl.plant.platform import FORCE_NAMES, OMEGA_NAMES, ROOT_TORQUE_NAMES, Platform, gimbal_rate
+from platform_ctrl.plant.platform import FORCE_NAMES, OMEGA_NAMES, ROOT_TORQUE_NAMES, Platform
+from platform_ctrl.plant.sensors import gimbal_rate
 from platform_ctrl.plant.source import path_of, read_json
 from platform_ctrl.verification.json_tables import SCHEMA
 
@@ -132,7 +133,7 @@ def signal_units(platform: Platform) -> dict[str, str]:
     """Return the units of everything that a plant's signals can be, by name."""
     units = dict.fromkeys(platform.angle_names, "rad")
     units |= dict.fromkeys([*map(gimbal_rate, platform.angle_names), *OMEGA_NAMES], "rad/s")
-    units |= dict.fromkeys(FORCE_NAMES, "m/s^2")
+    units |= {sensor.name: sensor.unit for sensor in platform.sensors} | dict.fromkeys(FORCE_NAMES, "m/s^2")
     return units | dict.fromkeys([*(t.name for t in platform.torquers), *ROOT_TORQUE_NAMES], "N m")
 
 

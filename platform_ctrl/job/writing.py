@@ -15,7 +15,8 @@ from platform_ctrl.job.job import Campaign, Job, Manoeuvre
 from platform_ctrl.job.reading import SCHEMA as JOB_SCHEMA
 from platform_ctrl.job.scenario import Vibration
 from platform_ctrl.plant.force_elements import Cage, Erection, Friction, Spring, Unbalance
-from platform_ctrl.plant.platform import OMEGA_NAMES, ROOT_TORQUE_NAMES, PickOff, Platform, RateSensor, Rotor, Torquer
+from platform_ctrl.plant.platform import OMEGA_NAMES, ROOT_TORQUE_NAMES, Platform, Rotor, Torquer
+from platform_ctrl.plant.sensors import PickOff, RateSensor
 
 Part = Torquer | PickOff | RateSensor | Spring | Friction | Cage | Unbalance | Erection | Vibration
 

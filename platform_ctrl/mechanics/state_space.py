@@ -23,7 +23,8 @@ from platform_ctrl.mechanics.coupling import connected, force_rounding, inertia_
 from platform_ctrl.mechanics.kinematics import cross_matrix, topology
 from platform_ctrl.mechanics.linearisation import LinearModel
 from platform_ctrl.mechanics.matrices import inverse_inertia
-from platform_ctrl.plant.platform import FORCE_NAMES, OMEGA_NAMES, ROOT_TORQUE_NAMES
+from platform_ctrl.plant.platform import FORCE_NAMES, OMEGA_NAMES, ROOT_TORQUE_NAMES, Platform
+from platform_ctrl.plant.sensors import gimbal_rate
 
 if TYPE_CHECKING:
     import control
@@ -188,6 +189,22 @@ def _free(model: LinearModel, specific_force: bool) -> control.StateSpace:
     states = [*names, *(f"p_{name}" for name in names), "P1", "P2", "P3"]
     inputs = [*torquers, *ROOT_TORQUE_NAMES, *FORCE_NAMES]
     return _named(A, B, C, inputs, [*names, *OMEGA_NAMES], states, specific_force)
+
+
+def output_rows(system: control.StateSpace, platform: Platform) -> dict[str, FloatArray]:
+    """Return what can be measured as rows over the states of a linear model, (2 n,) or (2 n + 3,), by name.
+
+    Angles and, of a free root, Omega are the model's outputs. A gimbal's rate is the derivative of its angle, on which
+    no torque acts directly. Where Omega is given it does not deviate: its row is zero. A sensor adds up such rows.
+    """
+    rows = dict.fromkeys(OMEGA_NAMES, np.zeros(system.nstates))
+    rows |= {gimbal_rate(name): system.A[k] for k, name in enumerate(system.output_labels) if name not in OMEGA_NAMES}
+    rows |= dict(zip(system.output_labels, system.C, strict=True))
+    for sensor in platform.sensors:
+        signals = sensor.signals(platform)
+        if signals.keys() <= rows.keys():
+            rows[sensor.name] = sum((weight * rows[name] for name, weight in signals.items()), np.zeros(system.nstates))
+    return rows
 
 
 @check_arguments

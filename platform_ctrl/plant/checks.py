@@ -11,12 +11,8 @@ from typing import Any
 
 from platform_ctrl.plant.fields import ROUNDING, Unfit, coulomb, default_angle, default_torquer, number, text
 from platform_ctrl.plant.mistakes import Mistake, Path, given, suggestion, tables, text_of
-from platform_ctrl.plant.platform import (
-    OMEGA_NAMES,
-    ROOT_TORQUE_NAMES,
-    Platform,
-    gimbal_rate,
-)
+from platform_ctrl.plant.platform import OMEGA_NAMES, ROOT_TORQUE_NAMES, Platform
+from platform_ctrl.plant.sensors import gimbal_rate
 from platform_ctrl.plant.tables import Shape, either, references, shape
 
 Data = dict[str, Any]

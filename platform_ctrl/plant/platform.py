@@ -1,9 +1,10 @@
-"""What a platform is made of: gimbals, rotors, torquers, pick-offs, rate sensors. Values only; SI units."""
+"""What a platform is made of: gimbals, rotors, torquers, and what further kinds of parts it may have; SI units."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import field
+from functools import cache
 from typing import Annotated, Literal, TypeVar, get_args
 
 import numpy as np
@@ -16,7 +17,8 @@ from platform_ctrl.errors import ArgumentError
 from platform_ctrl.plant import fields
 from platform_ctrl.plant.fields import NUMBER, STOPS, Refers, default_angle, default_torquer
 from platform_ctrl.plant.force_elements import Cage, Erection, Friction, Spring, Unbalance
-from platform_ctrl.plant.tables import Array, At, Instead
+from platform_ctrl.plant.sensors import PickOff, RateSensor, Sensor, gimbal_rate
+from platform_ctrl.plant.tables import Array, At, Instead, Shape, shape
 
 RotorControl = Literal["regulated", "free", "servo"]
 
@@ -160,92 +162,6 @@ class Torquer:
 
 
 @input_value
-class PickOff:
-    """A sensor of a gimbal's angle.
-
-    Attributes
-    ----------
-    name
-        Signal name: the angle that it measures. A platform fills it in where it is left out.
-    gimbal
-        Name of the gimbal.
-    noise_rms, noise_bandwidth_hz
-        White noise: `noise_rms` rad within `noise_bandwidth_hz` Hz (one-sided density noise_rms / sqrt(bandwidth)).
-    quantisation
-        Step of the reading, rad; 0 for none.
-    added
-        Whether the device itself does not have it.
-    """
-
-    name: str = ""
-    gimbal: Annotated[fields.Text, Refers(once="pick-off")]
-    noise_rms: fields.NotNegative = 0.0
-    noise_bandwidth_hz: fields.Positive = 1000.0
-    quantisation: fields.NotNegative = 0.0
-    added: fields.Truth = False
-
-    @check_arguments
-    def sampled_noise(self, period: float) -> float:
-        """Return the rms of one sample behind a filter at the Nyquist frequency.
-
-        Parameters
-        ----------
-        period
-            Sample period, s.
-
-        Returns
-        -------
-        float
-            rad.
-        """
-        return _sampled_noise(self.noise_rms, self.noise_bandwidth_hz, period)
-
-
-@input_value
-class RateSensor:
-    """A sensor of a rate: of the root about one of its axes, or of a gimbal against its parent.
-
-    Attributes
-    ----------
-    name
-        Signal name: Omega1, Omega2 or Omega3 on the root; on a gimbal its angle's name + ``_rate``. A platform fills it
-        in where it is left out.
-    gimbal, root_axis
-        Exactly one is given: the gimbal's name, or 1, 2 or 3.
-    noise_rms, noise_bandwidth_hz
-        White noise: `noise_rms` rad/s within `noise_bandwidth_hz` Hz (one-sided density noise_rms / sqrt(bandwidth)).
-    quantisation
-        Step of the reading, rad/s; 0 for none.
-    """
-
-    name: str = ""
-    gimbal: Annotated[fields.Text | None, Refers(once="rate sensor", hint="root_axis measures the root")] = None
-    root_axis: fields.RootAxis | None = None
-    noise_rms: fields.NotNegative = 0.0
-    noise_bandwidth_hz: fields.Positive = 1000.0
-    quantisation: fields.NotNegative = 0.0
-
-    @check_arguments
-    def sampled_noise(self, period: float) -> float:
-        """Return the rms of one sample behind a filter at the Nyquist frequency.
-
-        Parameters
-        ----------
-        period
-            Sample period, s.
-
-        Returns
-        -------
-        float
-            rad/s.
-        """
-        return _sampled_noise(self.noise_rms, self.noise_bandwidth_hz, period)
-
-
-Sensor = TypeVar("Sensor", PickOff, RateSensor)
-
-
-@input_value
 class Platform:
     """A root body that carries a tree of gimbals with rotors.
 
@@ -295,20 +211,20 @@ class Platform:
     source: fields.AnyText = ""
 
     def __post_init__(self) -> None:
-        """Name the signals of sensors after the angles and root axes that they measure."""
+        """Name sensors after the signals that they measure."""
         if all(sensor.name for sensor in self.sensors):
             return
+        for kind in self._sensor_fields:
+            named = (
+                sensor if sensor.name else replaced(sensor, {"name": next(iter(sensor.signals(self)))})
+                for sensor in getattr(self, kind)
+            )
+            object.__setattr__(self, kind, tuple(named))
 
-        def named(sensor: Sensor) -> Sensor:
-            if sensor.name:
-                return sensor
-            if sensor.gimbal is None:
-                return replaced(sensor, {"name": f"Omega{sensor.root_axis}"})
-            angle = self.gimbals[self.gimbal(sensor.gimbal)].angle
-            return replaced(sensor, {"name": angle if isinstance(sensor, PickOff) else gimbal_rate(angle)})
-
-        object.__setattr__(self, "pickoffs", tuple(map(named, self.pickoffs)))
-        object.__setattr__(self, "rate_sensors", tuple(map(named, self.rate_sensors)))
+    @property
+    def _sensor_fields(self) -> tuple[str, ...]:
+        kind: type = type(self)
+        return _sensor_fields(kind)
 
     @property
     def added(self) -> tuple[Torquer | PickOff, ...]:
@@ -327,9 +243,9 @@ class Platform:
         return tuple(g.angle for g in self.gimbals)
 
     @property
-    def sensors(self) -> tuple[PickOff | RateSensor, ...]:
-        """All that measures: the pick-offs, then the rate sensors."""
-        return (*self.pickoffs, *self.rate_sensors)
+    def sensors(self) -> tuple[Sensor, ...]:
+        """All that measures, kind by kind in the order of the fields: the pick-offs first."""
+        return tuple(sensor for kind in self._sensor_fields for sensor in getattr(self, kind))
 
     @property
     def parents(self) -> NDArray[np.intp]:
@@ -387,6 +303,10 @@ class Platform:
         """
         return known_name(f"gimbal of platform {self.name!r}", name, self.gimbal_names)
 
+    def angle(self, gimbal: str) -> str:
+        """Return the name of the named gimbal's angle."""
+        return self.gimbals[self.gimbal(gimbal)].angle
+
     @check_arguments
     def torquer_on(self, gimbal: str) -> Torquer:
         """Return the torquer that loops on the named gimbal use: its first one.
@@ -430,20 +350,17 @@ class Platform:
         return _on(gimbal, self.pickoffs, "pick-off")
 
 
-@check_arguments
-def gimbal_rate(angle: str) -> str:
-    """Return the signal name of a gimbal's rate, from that of its angle."""
-    return f"{angle}_rate"
+@cache
+def _sensor_fields(platform: type) -> tuple[str, ...]:
+    """Return the fields of a class of platforms that hold sensors."""
+    made = ((key.field, key.holds.make) for key in shape(platform).keys.values() if isinstance(key.holds, Shape))
+    return tuple(name for name, part in made if isinstance(part, type) and issubclass(part, Sensor))
 
 
 @check_arguments
 def is_rate(signal: str) -> bool:
     """Return whether a signal's name is that of a rate, of the root or of a gimbal."""
     return signal in OMEGA_NAMES or signal.endswith(gimbal_rate(""))
-
-
-def _sampled_noise(rms: float, bandwidth_hz: float, period: float) -> float:
-    return float(rms * np.sqrt(0.5 / period / bandwidth_hz))
 
 
 Part = TypeVar("Part", Torquer, PickOff)

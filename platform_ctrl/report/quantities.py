@@ -8,11 +8,12 @@ from decimal import Decimal
 from typing import TYPE_CHECKING
 
 from platform_ctrl.common.text import Rounding, at_least, at_most, rounded
+from platform_ctrl.plant.sensors import gimbal_rate
 
 if TYPE_CHECKING:
     from platform_ctrl.common.values import FloatArray
     from platform_ctrl.job.judging import CheckResult
-    from platform_ctrl.plant.platform import Platform, RateSensor, Torquer
+    from platform_ctrl.plant.platform import Platform
 
 # Units of small torques and angles: a thousandth.
 _SMALL = {"N m": "mN m", "rad": "mrad"}
@@ -55,10 +56,10 @@ def signal_series(platform: Platform) -> Mapping[str, int]:
     out = {angle: k for k, angle in enumerate(platform.angle_names)}
     for axis in (1, 2, 3):
         out |= dict.fromkeys((f"Omega{axis}", f"M{axis}", f"attitude{axis}"), root_series(axis))
-    for pickoff in platform.pickoffs:
-        out[pickoff.name] = platform.gimbal(pickoff.gimbal)
-    placed: tuple[Torquer | RateSensor, ...] = (*platform.torquers, *platform.rate_sensors)
-    for part in placed:
+    rates = {gimbal_rate(angle): k for k, angle in enumerate(platform.angle_names)}
+    for sensor in platform.sensors:
+        out[sensor.name] = (out | rates)[next(iter(sensor.signals(platform)))]
+    for part in platform.torquers:
         out[part.name] = platform.gimbal(part.gimbal) if part.gimbal is not None else root_series(part.root_axis or 1)
     return out
 
@@ -214,7 +215,8 @@ def axis_text(axis: Sequence[float] | FloatArray) -> str:
 
 def added_words(platform: Platform) -> str:
     """Return which torquers and pick-offs the device itself does not have, to go with a verdict; or nothing."""
-    from platform_ctrl.plant.platform import PickOff, Torquer
+    from platform_ctrl.plant.platform import Torquer
+    from platform_ctrl.plant.sensors import PickOff
 
     named = []
     for word, kind in (("torquer", Torquer), ("pick-off", PickOff)):

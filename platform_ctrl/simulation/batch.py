@@ -16,7 +16,7 @@ from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError, SimulationError
 from platform_ctrl.job.scenario import Mode, Scenario
-from platform_ctrl.plant.platform import Platform, RateSensor
+from platform_ctrl.plant.platform import Platform
 from platform_ctrl.simulation.compilation import run_interruptibly, wait_for_compilation
 from platform_ctrl.simulation.device import expect_device
 from platform_ctrl.simulation.run_plan import (
@@ -177,7 +177,7 @@ def _kind(platform: Platform) -> tuple[object, ...]:
     return (
         platform.gimbal_names,
         tuple((t.name, t.gimbal, t.root_axis) for t in platform.torquers),
-        tuple((s.name, s.gimbal, s.root_axis if isinstance(s, RateSensor) else None) for s in platform.sensors),
+        tuple((s.name, tuple(s.signals(platform).items())) for s in platform.sensors),
     )
 
 

@@ -15,7 +15,8 @@ import numpy as np
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.mechanics.kinematics import topology
-from platform_ctrl.plant.platform import PickOff, Platform
+from platform_ctrl.plant.platform import OMEGA_NAMES, Platform
+from platform_ctrl.plant.sensors import gimbal_rate
 from platform_ctrl.simulation.kernel import arrays
 from platform_ctrl.simulation.kernel.arrays import At, Links
 
@@ -38,8 +39,10 @@ class Skeleton:
         The rotors' kinds; places of servo rotors among them.
     unbalances, springs, frictions, cages
         Bodies, and gimbals, that they belong to.
-    sensors : (ny, 2), targets : (nu,)
-        As in `kernel.layout.Shared`.
+    sensors
+        Of each the terms of its reading: index into [q, Omega, rates], and weight.
+    targets : (nu,)
+        As in `kernel.arrays.Shared`.
     stops
         Whether any gimbal has stops.
     """
@@ -55,7 +58,7 @@ class Skeleton:
     springs: tuple[int, ...]
     frictions: tuple[int, ...]
     cages: tuple[int, ...]
-    sensors: tuple[tuple[int, int], ...]
+    sensors: tuple[tuple[tuple[int, float], ...], ...]
     targets: tuple[int, ...]
     stops: bool
 
@@ -92,8 +95,7 @@ class _Parts:
             tuple([(g.name, g.parent, _bytes(g.axis), g.stops is None) for g in p.gimbals]),
             tuple([(r.name, r.carrier, _bytes(r.axis), r.control) for r in p.rotors]),
             tuple([(t.name, t.gimbal, t.root_axis) for t in p.torquers]),
-            tuple([(s.name, s.gimbal) for s in p.pickoffs]),
-            tuple([(s.name, s.gimbal, s.root_axis) for s in p.rate_sensors]),
+            tuple([(s.name, tuple(s.signals(p).items())) for s in p.sensors]),
             tuple([s.gimbal for s in p.springs]),
             tuple([(f.gimbal, max(f.breakaway) > 0.0) for f in p.frictions]),
             tuple([c.gimbal for c in p.cages]),
@@ -130,13 +132,10 @@ def _skeleton(parts: _Parts) -> Skeleton:
             raise ArgumentError(
                 f"platform {platform.name!r}: gimbal {twice[0]!r} has more than one {kind}; combine them"
             )
+    angles = platform.angle_names
+    place = {name: k for k, name in enumerate((*angles, *OMEGA_NAMES, *map(gimbal_rate, angles)))}
     sensors = tuple(
-        (arrays.ANGLE, gimbal(s.gimbal))
-        if isinstance(s, PickOff)
-        else (arrays.ROOT_RATE, s.root_axis - 1)
-        if s.root_axis is not None
-        else (arrays.GIMBAL_RATE, gimbal(str(s.gimbal)))
-        for s in platform.sensors
+        tuple((place[name], weight) for name, weight in s.signals(platform).items()) for s in platform.sensors
     )
     controls = tuple(r.control for r in platform.rotors)
     servos = tuple(k for k, control in enumerate(controls) if control == "servo")

@@ -185,8 +185,12 @@ def _shared(
         if len(knots) == 1:
             pieces = np.zeros((1, 3, 4))
             pieces[0, :, 0] = table.values[0]
+    terms = [term for sensor in shape.sensors for term in sensor]
+    ends = np.cumsum([len(sensor) for sensor in shape.sensors], dtype=np.int64)
     shared = Shared(
-        sensors=np.array(shape.sensors, dtype=np.int64).reshape(-1, 2),
+        sensors=np.stack([np.concatenate([[0], ends])[:-1], ends], axis=1).astype(np.int64),
+        signals=np.array([signal for signal, _ in terms], dtype=np.int64),
+        weights=np.array([weight for _, weight in terms], dtype=np.float64),
         targets=np.array(shape.targets, dtype=np.int64),
         faults=np.array(faults, dtype=np.int64).reshape(-1, 3),
         rotors=np.array(rows, dtype=np.int64).reshape(-1, 2),

@@ -27,8 +27,8 @@ from platform_ctrl.job.job import Job
 from platform_ctrl.job.judging import STABLE, CheckResult, Method, Requirement
 from platform_ctrl.job.requirements import loop_requirements
 from platform_ctrl.mechanics.linearisation import LinearModel
-from platform_ctrl.mechanics.state_space import state_space, subsystems
-from platform_ctrl.plant.platform import OMEGA_NAMES, gimbal_rate
+from platform_ctrl.mechanics.state_space import output_rows, state_space, subsystems
+from platform_ctrl.plant.platform import OMEGA_NAMES, Platform
 
 if TYPE_CHECKING:
     import control
@@ -168,32 +168,26 @@ def coupled_plant(job: Job, model: LinearModel, controllers: Sequence[control.St
         system = state_space(model, gimbals=gimbals)
         torquers = [t for t in job.platform.torquers if t.gimbal in gimbals]
         angles = [g.angle for g in job.platform.gimbals if g.name in gimbals]
-    rates = [name for name in sensed_rates(job, controllers) if name in OMEGA_NAMES or name in map(gimbal_rate, angles)]
-    outputs = [*angles, *rates]
-    part = measuring(system, outputs)[outputs, [t.signal for t in torquers]]
+    rows = output_rows(system, job.platform)
+    outputs = [*angles, *(name for name in sensed_rates(job, controllers) if name in rows)]
+    part = measuring(system, job.platform, outputs)[outputs, [t.signal for t in torquers]]
     arrays = StateArrays(part.A, part.B, part.C, part.D, 0.0)
     named = named_system(arrays, [t.name for t in torquers], outputs, list(system.state_labels))
     return sampled(named, job.sampling.period, job.sampling.delay, [t.lag for t in torquers])
 
 
-def measuring(system: control.StateSpace, signals: Sequence[str]) -> control.StateSpace:
-    """Return a linear model of the platform with `signals` as its outputs.
-
-    Angles and, of a free root, Omega are the model's outputs. A gimbal's rate is the derivative of its angle, on which
-    no torque acts directly. Where Omega is given it does not deviate: such an output is zero.
-    """
-    rows = dict.fromkeys(OMEGA_NAMES, np.zeros(system.nstates))
-    rows |= {gimbal_rate(name): system.A[k] for k, name in enumerate(system.output_labels) if name not in OMEGA_NAMES}
-    rows |= dict(zip(system.output_labels, system.C, strict=True))
+def measuring(system: control.StateSpace, platform: Platform, signals: Sequence[str]) -> control.StateSpace:
+    """Return a linear model of the platform with `signals` as its outputs: angles, rates, Omega, names of sensors."""
+    rows = output_rows(system, platform)
     C = np.array([rows[name] for name in signals]).reshape(len(signals), system.nstates)
     arrays = StateArrays(system.A, system.B, C, np.zeros((len(C), system.ninputs)), 0.0)
     return named_system(arrays, system.input_labels, signals, list(system.state_labels))
 
 
 def sensed_rates(job: Job, controllers: Sequence[control.StateSpace]) -> list[str]:
-    """Return the rates that a sensor measures and one of the controllers takes in."""
-    used = {name for K in controllers for name in K.input_labels}
-    return [s.name for s in job.platform.rate_sensors if s.name in used]
+    """Return what a sensor measures beside the angles, such as rates, and one of the controllers takes in."""
+    used = {name for K in controllers for name in K.input_labels} - set(job.platform.angle_names)
+    return [s.name for s in job.platform.sensors if s.name in used]
 
 
 def _root_torquers(job: Job) -> set[str]:
@@ -250,7 +244,7 @@ def one_way_plant(job: Job, model: LinearModel, rates: Sequence[str]) -> control
     arrays = StateArrays(A, B, C, np.zeros((len(C), len(torquers))), 0.0)
     states = [*system.state_labels, *OMEGA_NAMES]
     named = named_system(arrays, [t.name for t in torquers], [*model.angle_names, *OMEGA_NAMES], states)
-    named = measuring(named, [*model.angle_names, *rates])
+    named = measuring(named, job.platform, [*model.angle_names, *rates])
     return sampled(named, job.sampling.period, job.sampling.delay, [t.lag for t in torquers])
 
 

@@ -142,7 +142,7 @@ def test_measured_rates_are_the_derivatives_of_the_angles():
     for system in (state_space(model), state_space(model, root="free"), state_space(model, gimbals=("9", "10"))):
         angles = [name for name in names if name in system.output_labels]
         torques = [name for name in system.input_labels if not name.startswith("Omega")]
-        rates = measuring(system, [f"{name}_rate" for name in angles])
+        rates = measuring(system, model.platform, [f"{name}_rate" for name in angles])
         s = 37.0j
         np.testing.assert_allclose(
             rates[:, torques](s), s * np.asarray(system[angles, torques](s)), rtol=1e-9, atol=1e-9

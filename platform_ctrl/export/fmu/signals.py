@@ -140,7 +140,7 @@ def outputs_of(job: Job) -> tuple[Signal, ...]:
     names |= dict.fromkeys(("rotor_spin", "rotor_torque"), servos)
     names |= {"Omega": OMEGA_NAMES, "attitude": [f"attitude_{part}" for part in "wxyz"]}
     names["reading"] = [one.name for one in platform.sensors]
-    rates = {one.name for one in platform.rate_sensors}
+    units = {one.name: one.unit for one in platform.sensors}
 
     def signals() -> Iterator[Signal]:
         for column, (group, unit, text, variability) in _OUTPUTS.items():
@@ -148,7 +148,7 @@ def outputs_of(job: Job) -> tuple[Signal, ...]:
                 yield Signal(
                     name=variable_name(group, name),
                     kind="Int64" if column in _COUNTS else "Float64",
-                    unit=("rad/s" if name in rates else "rad") if unit is None else unit,
+                    unit=units[name] if unit is None else unit,
                     description=text.format(name),
                     variability=variability,
                 )

@@ -29,6 +29,7 @@ from platform_ctrl.export.mujoco.shapes import (
     text,
 )
 from platform_ctrl.plant.platform import OMEGA_NAMES, Platform, Rotor, Torquer
+from platform_ctrl.plant.sensors import gimbal_rate
 
 Root = Literal["free", "prescribed", "fixed"]
 
@@ -264,10 +265,12 @@ def _add_torquer(group: Element, platform: Platform, torquer: Torquer) -> None:
 
 def _add_sensors(top: Element, platform: Platform, root: Root) -> None:
     group = Element("sensor")
+    joints = {angle: ("jointpos", angle) for angle in platform.angle_names}
+    joints |= {gimbal_rate(angle): ("jointvel", angle) for angle in platform.angle_names}
     for sensor in platform.sensors:
-        if sensor.gimbal is not None:
-            angle = platform.gimbals[platform.gimbal(sensor.gimbal)].angle
-            kind = "jointpos" if sensor.name == angle else "jointvel"
+        [signal, weight], *others = sensor.signals(platform).items()
+        if signal in joints and weight == 1.0 and not others:
+            kind, angle = joints[signal]
             noise = {"noise": repr(sensor.noise_rms)} if sensor.noise_rms else {}
             SubElement(group, kind, {"name": _line(sensor.name), "joint": _line(angle)} | noise)
     for rotor in platform.rotors:

@@ -242,7 +242,7 @@ def platform_compliance(result: JobResult, frequency: FloatArray) -> tuple[Float
     check = result.coupled
     shown = [*model.angle_names, *OMEGA_NAMES]
     outputs = [*shown, *(name for name in check.controller.input_labels if name not in shown)]
-    free = measuring(linear_state_space(model, root="free"), outputs)
+    free = measuring(linear_state_space(model, root="free"), model.platform, outputs)
     signals = [t.signal for t in job.platform.torquers]
     direct = _response(free[outputs, list(ROOT_TORQUE_NAMES)], frequency)
     # The platform's rates become angles.

@@ -13,7 +13,8 @@ from platform_ctrl.common.values import value
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.job.writing import job_data, toml
-from platform_ctrl.plant.platform import PickOff, Torquer
+from platform_ctrl.plant.platform import Torquer
+from platform_ctrl.plant.sensors import PickOff
 from platform_ctrl.report.modes import Mode, modes_at
 from platform_ctrl.report.page import comparison
 from platform_ctrl.report.page.blocks import (

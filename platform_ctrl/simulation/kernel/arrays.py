@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 
 from platform_ctrl.common.values import FloatArray
 
-# Kinds of sensors.
-ANGLE, GIMBAL_RATE, ROOT_RATE = range(3)
 # What the kernel can do to a part that fails. Actions on one part follow each other in this order.
 (
     RUN_DOWN,
@@ -65,7 +63,9 @@ RISE, HOLD, SCALE, PROFILE = 3, 4, 5, 6
 class Shared(NamedTuple):
     """What is the same in every scenario of a batch."""
 
-    sensors: NDArray[np.int64]  # (ny, 2): kind, gimbal or root axis
+    sensors: NDArray[np.int64]  # (ny, 2): begin and end of its terms
+    signals: NDArray[np.int64]  # (terms,): index into [q, Omega, rates]
+    weights: FloatArray  # (terms,)
     targets: NDArray[np.int64]  # (nu,): index into [M, Q]
     faults: NDArray[np.int64]  # (nf, 3): kind; sensor, torquer, gimbal or row of `rotors`; channel of its draws
     rotors: NDArray[np.int64]  # (nr, 2): body; servo rotor or -1

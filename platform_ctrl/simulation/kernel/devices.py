@@ -25,14 +25,12 @@ from platform_ctrl.common.simd import (
 )
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.simulation.kernel.arrays import (
-    ANGLE,
     AT_ONCE,
     BEGIN,
     BEHIND,
     DECAY,
     FAULT,
     FIRST,
-    GIMBAL_RATE,
     HELD,
     LAST,
     PICKOFF_DEAD,
@@ -216,16 +214,19 @@ def normals(keys: Keys, mem: FloatArray, lane: int, step: int, channel: int, slo
 
 
 @internal
+def _signal(at: At, layout: Layout, index: int) -> int:
+    """Slot of an entry of [q, Omega, rates]."""
+    return at.state + index if index < at.n else layout.velocity + index - at.n
+
+
+@internal
 def read(shared: Shared, keys: Keys, mem: FloatArray, lane: int, at: At, layout: Layout, k: int, t: float) -> None:
     """Put what every sensor says at sample k into its LAST."""
     for i in range(shared.sensors.shape[0]):
-        slot, kind, index = layout.sensor + i * SENSOR, shared.sensors[i, 0], shared.sensors[i, 1]
-        if kind == ANGLE:
-            value = load(mem, at.state + index, lane)
-        elif kind == GIMBAL_RATE:
-            value = load(mem, layout.velocity + 3 + index, lane)
-        else:
-            value = load(mem, layout.velocity + index, lane)
+        slot, first, last = layout.sensor + i * SENSOR, shared.sensors[i, 0], shared.sensors[i, 1]
+        value = shared.weights[first] * load(mem, _signal(at, layout, shared.signals[first]), lane)
+        for j in range(first + 1, last):
+            value = value + shared.weights[j] * load(mem, _signal(at, layout, shared.signals[j]), lane)
         rms = load(mem, slot + RMS, lane)
         if anywhere(rms > 0.0):
             if i % 2 == 0 or not anywhere(load(mem, slot - SENSOR + RMS, lane) > 0.0):
