@@ -13,12 +13,9 @@ import numpy as np
 from platform_ctrl.job.faults import FAULT_KINDS, Fault
 from platform_ctrl.job.job import Campaign, Job, Manoeuvre
 from platform_ctrl.job.reading import SCHEMA as JOB_SCHEMA
-from platform_ctrl.job.scenario import Vibration
-from platform_ctrl.plant.force_elements import Cage, Erection, Friction, Spring, Unbalance
-from platform_ctrl.plant.platform import OMEGA_NAMES, ROOT_TORQUE_NAMES, Platform, Rotor, Torquer
-from platform_ctrl.plant.sensors import PickOff, RateSensor
-
-Part = Torquer | PickOff | RateSensor | Spring | Friction | Cage | Unbalance | Erection | Vibration
+from platform_ctrl.plant.force_elements import Friction
+from platform_ctrl.plant.platform import OMEGA_NAMES, ROOT_TORQUE_NAMES, Platform, Rotor
+from platform_ctrl.plant.tables import shape
 
 
 def job_data(job: Job) -> dict[str, Any]:
@@ -154,18 +151,11 @@ def plant_data(platform: Platform) -> dict[str, Any]:
             }
             for r in platform.rotors
         ],
-        "torquer": [_instrument(t) for t in platform.torquers],
-        # The names of what sensors measure follow from the angles and axes.
-        "pickoff": [_instrument(s, "name") for s in platform.pickoffs],
-        "rate_sensor": [_fields(s, "name") for s in platform.rate_sensors],
-        "spring": [_fields(one) for one in platform.springs],
-        "friction": [
-            _fields(one) if math.isfinite(one.stribeck_rate) else _fields(one, "breakaway", "stribeck_rate")
-            for one in platform.frictions
-        ],
-        "cage": [_fields(one) for one in platform.cages],
-        "unbalance": [_fields(one) for one in platform.unbalances],
-        "erection": [_fields(one) for one in platform.erections],
+        **{
+            table: [_part(one) for one in getattr(platform, key.field)]
+            for table, key in shape(type(platform)).keys.items()
+            if key.array is not None and table not in ("gimbal", "rotor")
+        },
     }
 
 
@@ -174,11 +164,17 @@ def _speed_loop(rotor: Rotor) -> dict[str, Any]:
     return _given(own)
 
 
-def _instrument(part: Torquer | PickOff, *apart: str) -> dict[str, Any]:
-    return _fields(part, *apart, *([] if part.added else ["added"]))
+def _part(part: Any) -> dict[str, Any]:
+    """Return the table of a part: fields that are no keys, such as the names of sensors, follow from the others."""
+    apart = {field.name for field in dataclasses.fields(part)} - shape(type(part)).keys.keys()
+    if not getattr(part, "added", True):
+        apart.add("added")
+    if isinstance(part, Friction) and not math.isfinite(part.stribeck_rate):
+        apart |= {"breakaway", "stribeck_rate"}
+    return _fields(part, *apart)
 
 
-def _fields(part: Part, *apart: str) -> dict[str, Any]:
+def _fields(part: Any, *apart: str) -> dict[str, Any]:
     own = {field.name: getattr(part, field.name) for field in dataclasses.fields(part) if field.name not in apart}
     return _given({key: item.tolist() if isinstance(item, np.ndarray) else item for key, item in own.items()})
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import field
 from functools import cache
+from itertools import chain
 from typing import Annotated, Literal, TypeVar, get_args
 
 import numpy as np
@@ -245,7 +246,7 @@ class Platform:
     @property
     def sensors(self) -> tuple[Sensor, ...]:
         """All that measures, kind by kind in the order of the fields: the pick-offs first."""
-        return tuple(sensor for kind in self._sensor_fields for sensor in getattr(self, kind))
+        return tuple(chain.from_iterable(getattr(self, kind) for kind in self._sensor_fields))
 
     @property
     def parents(self) -> NDArray[np.intp]:

@@ -6,7 +6,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import dataclasses
+from collections.abc import Callable, Mapping
+from functools import cache
+from operator import attrgetter
 from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import numpy as np
@@ -18,6 +21,9 @@ from platform_ctrl.plant.fields import Refers
 
 if TYPE_CHECKING:
     from platform_ctrl.plant.platform import Platform
+
+# Fields of a sensor that say how well it measures, not what.
+_ERRORS = ("noise_rms", "noise_bandwidth_hz", "quantisation", "added")
 
 
 class Sensor:
@@ -42,6 +48,12 @@ class Sensor:
     noise_rms: float
     noise_bandwidth_hz: float
     quantisation: float
+
+    @property
+    def place(self) -> tuple[object, ...]:
+        """Kind, name and place: what sensors of plants that differ in numbers alone have in common."""
+        kind: type = type(self)
+        return (kind, *_placed(kind)(self))
 
     def signals(self, platform: Platform) -> Mapping[str, float]:
         """Return the reading without its errors as a sum: weights of angles, gimbals' rates and Omega1 to Omega3."""
@@ -125,6 +137,11 @@ class RateSensor(Sensor):
         if self.gimbal is None:
             return {f"Omega{self.root_axis}": 1.0}
         return {gimbal_rate(platform.angle(self.gimbal)): 1.0}
+
+
+@cache
+def _placed(kind: type) -> Callable[[Sensor], tuple[object, ...]]:
+    return attrgetter(*(field.name for field in dataclasses.fields(kind) if field.name not in _ERRORS))
 
 
 @check_arguments

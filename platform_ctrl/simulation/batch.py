@@ -177,7 +177,7 @@ def _kind(platform: Platform) -> tuple[object, ...]:
     return (
         platform.gimbal_names,
         tuple((t.name, t.gimbal, t.root_axis) for t in platform.torquers),
-        tuple((s.name, tuple(s.signals(platform).items())) for s in platform.sensors),
+        tuple(s.place for s in platform.sensors),
     )
 
 

@@ -95,7 +95,7 @@ class _Parts:
             tuple([(g.name, g.parent, _bytes(g.axis), g.stops is None) for g in p.gimbals]),
             tuple([(r.name, r.carrier, _bytes(r.axis), r.control) for r in p.rotors]),
             tuple([(t.name, t.gimbal, t.root_axis) for t in p.torquers]),
-            tuple([(s.name, tuple(s.signals(p).items())) for s in p.sensors]),
+            tuple([s.place for s in p.sensors]),
             tuple([s.gimbal for s in p.springs]),
             tuple([(f.gimbal, max(f.breakaway) > 0.0) for f in p.frictions]),
             tuple([c.gimbal for c in p.cages]),
