@@ -304,10 +304,6 @@ class Platform:
         """
         return known_name(f"gimbal of platform {self.name!r}", name, self.gimbal_names)
 
-    def angle(self, gimbal: str) -> str:
-        """Return the name of the named gimbal's angle."""
-        return self.gimbals[self.gimbal(gimbal)].angle
-
     @check_arguments
     def torquer_on(self, gimbal: str) -> Torquer:
         """Return the torquer that loops on the named gimbal use: its first one.

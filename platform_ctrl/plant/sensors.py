@@ -104,7 +104,7 @@ class PickOff(Sensor):
 
     def signals(self, platform: Platform) -> Mapping[str, float]:
         """Return the angle alone."""
-        return {platform.angle(self.gimbal): 1.0}
+        return {platform.angle_names[platform.gimbal(self.gimbal)]: 1.0}
 
 
 @input_value
@@ -136,7 +136,7 @@ class RateSensor(Sensor):
         """Return the root's rate about one axis, or the gimbal's."""
         if self.gimbal is None:
             return {f"Omega{self.root_axis}": 1.0}
-        return {gimbal_rate(platform.angle(self.gimbal)): 1.0}
+        return {gimbal_rate(platform.angle_names[platform.gimbal(self.gimbal)]): 1.0}
 
 
 @cache

@@ -85,9 +85,13 @@ class Shape:
 TABLE = object()
 
 
-@cache
 def shape(record: type) -> Shape:
     """Return the shape of the table that becomes a record."""
+    return _shape(record)
+
+
+@cache
+def _shape(record: type) -> Shape:
     hints = get_type_hints(record, include_extras=True)
     keys: dict[str, Key] = {}
     elsewhere: dict[str, dict[str, Key]] = {}
