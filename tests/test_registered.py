@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 
 from fuzz_files import EVERY_JOB_KEY, EVERY_PLANT_KEY, HERE
+from fuzz_rules import rules
 from platform_ctrl import read_job, read_platform
 from platform_ctrl.analysis.metrics import METRICS
 from platform_ctrl.errors import ArgumentError, InputError
@@ -15,8 +16,11 @@ from platform_ctrl.export.exporters import exporters
 from platform_ctrl.job.faults import FAULT_KINDS, FAULT_NUMBERS, Fault
 from platform_ctrl.job.methods import METHODS
 from platform_ctrl.job.requirements import limit_keys
+from platform_ctrl.mechanics.linearisation import linearise
+from platform_ctrl.mechanics.state_space import output_rows, state_space
 from platform_ctrl.plant.platform import Platform
-from platform_ctrl.plant.tables import shape
+from platform_ctrl.plant.tables import Shape, shape
+from platform_ctrl.simulation.packing import skeleton
 
 DOCS = Path(__file__).parents[1] / "docs"
 PARTS = {table: key for table, key in shape(Platform).keys.items() if key.array is not None}
@@ -73,6 +77,22 @@ def test_every_part_is_read_and_refuses_what_is_no_table(table: str) -> None:
     assert len(getattr(read_platform(data), PARTS[table].field)) == len(data[table])
     with pytest.raises(InputError, match=rf"{table} must be a table, got 3"):
         read_platform(data | {table: [3]})
+
+
+@pytest.mark.parametrize("table", PARTS)
+def test_every_key_of_a_part_has_a_rule_on_the_page_that_the_fuzz_tests_use(table: str) -> None:
+    holds = PARTS[table].holds
+    assert isinstance(holds, Shape)
+    assert {(table, key) for key in holds.keys} <= rules("plant-file.md").keys()
+
+
+def test_every_sensor_is_in_linear_models_and_in_simulations() -> None:
+    platform = read_platform(EVERY_PLANT_KEY.data)
+    free = state_space(linearise(platform), root="free")
+    packed = skeleton(platform).sensors
+    assert len(packed) == len(platform.sensors) > 0
+    assert {sensor.name for sensor in platform.sensors} <= output_rows(free, platform).keys()
+    assert {sensor.unit for sensor in platform.sensors} <= {"rad", "rad/s"}
 
 
 def test_names_are_those_of_the_entries() -> None:
