@@ -357,7 +357,6 @@ class Search:
             owners=owners,
         )
         effort = Effort(
-            settling=0,
             descent=0,
             steps=_STEPS,
             target=target,

@@ -18,6 +18,9 @@ from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.fixed_structure.quasi_newton import Stopped, descended
 from platform_ctrl.design.fixed_structure.trust_region import Effort, Objective, Pieces, PieceValues, Polish, Run
 
+# Most iterations of the descent to stability.
+SETTLING = 400
+
 
 @value
 class Minimum:
@@ -143,7 +146,7 @@ def minimise(
     finished = True
     try:
         if objective.stability is not None:
-            x = best = search.descended(objective.stability, x, -1e-300, effort.settling)
+            x = best = search.descended(objective.stability, x, -1e-300, SETTLING)
         if objective.stable(x):
             if objective.hard is not None:
                 x = best = search.descended(search.excess, x, 1.0, effort.descent)

@@ -10,7 +10,7 @@ import numpy as np
 
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.fixed_structure.charts import Chart, Entries
-from platform_ctrl.design.fixed_structure.minimax import Minimum, minimise
+from platform_ctrl.design.fixed_structure.minimax import SETTLING, Minimum, minimise
 from platform_ctrl.design.fixed_structure.objective import Parametrisation, Rescaled, WorstNorm, WorstPower, step_sizes
 from platform_ctrl.design.fixed_structure.parametrised import Parametrised
 from platform_ctrl.design.fixed_structure.quasi_newton import Descent, Stopped, descended
@@ -34,8 +34,6 @@ _GAINS = (1e2, 1e4)
 _AGAIN = 1e-4
 # What a norm may exceed the least of any controller by that counts as reached, relative.
 REACHED = 1e-8
-# Most iterations of a descent to stability.
-_SETTLING = 400
 # Most evaluations in one chart or scaling.
 _EVALUATIONS = 1200
 
@@ -227,7 +225,7 @@ def _approached(problem: Problem, x: FloatArray, inverse: FloatArray | None, lim
 
     found = Descent(x=x, level=np.inf, inverse=inverse, finished=True)
     if not loops.stable(x):
-        found = descended(rightmost, x, low, high, target=-1e-300, iterations=_SETTLING)
+        found = descended(rightmost, x, low, high, target=-1e-300, iterations=SETTLING)
         found = dataclasses.replace(found, inverse=None)
     stable = loops.stable(found.x)
     # Larger gains are followed to their limit: an infimum at infinite gain is to be seen as one.

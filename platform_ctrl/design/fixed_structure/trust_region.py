@@ -80,8 +80,8 @@ class Effort:
     ----------
     evaluations
         Most evaluations of pieces in all.
-    settling, descent, steps
-        Most iterations of the phases to stability and of descent, and most steps of the polish.
+    descent, steps
+        Most iterations of the descents on hard and soft pieces, and most steps of the polish.
     deadline
         Time by `time.monotonic`, s, at which the search ends in any case.
     target, excess
@@ -99,7 +99,6 @@ class Effort:
     """
 
     evaluations: int = 4000
-    settling: int = 400
     descent: int = 400
     steps: int = 10**6
     deadline: float = np.inf
