@@ -102,8 +102,25 @@ class PickOff(Sensor):
     quantisation: fields.NotNegative = 0.0
     added: fields.Truth = False
 
+    @check_arguments
     def signals(self, platform: Platform) -> Mapping[str, float]:
-        """Return the angle alone."""
+        """Return the signal that is read, and its weight.
+
+        Parameters
+        ----------
+        platform
+            The platform that has the sensor.
+
+        Returns
+        -------
+        mapping
+            The gimbal's angle, weight 1.
+
+        Raises
+        ------
+        ArgumentError
+            The platform has no such gimbal.
+        """
         return {platform.angle_names[platform.gimbal(self.gimbal)]: 1.0}
 
 
@@ -132,8 +149,25 @@ class RateSensor(Sensor):
     noise_bandwidth_hz: fields.Positive = 1000.0
     quantisation: fields.NotNegative = 0.0
 
+    @check_arguments
     def signals(self, platform: Platform) -> Mapping[str, float]:
-        """Return the root's rate about one axis, or the gimbal's."""
+        """Return the signal that is read, and its weight.
+
+        Parameters
+        ----------
+        platform
+            The platform that has the sensor.
+
+        Returns
+        -------
+        mapping
+            The root's rate about one axis or the gimbal's rate, weight 1.
+
+        Raises
+        ------
+        ArgumentError
+            The platform has no such gimbal.
+        """
         if self.gimbal is None:
             return {f"Omega{self.root_axis}": 1.0}
         return {gimbal_rate(platform.angle_names[platform.gimbal(self.gimbal)]): 1.0}

@@ -8,10 +8,10 @@ import control
 import numpy as np
 import pytest
 
-from limited_response import half_cosine, limited_response
+from limited_response import LIMIT, LOAD, PERIOD, STOP, gimbal, half_cosine, limited_response, loop, pid
 from platform_ctrl.analysis import time_response
 from platform_ctrl.design.antiwindup.compensator import AntiWindup, anti_windup, largest_Omega, with_excess
-from platform_ctrl.design.antiwindup.loop import LimitedLoop, limited_loop
+from platform_ctrl.design.antiwindup.loop import limited_loop
 from platform_ctrl.design.caging_claims import caging_largest_Omega, caging_loop_limits, caging_plant, intersample_gains
 from platform_ctrl.design.classical.caging import classical_controller
 from platform_ctrl.design.partition import channels
@@ -22,36 +22,6 @@ from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.mechanics.state_space import state_space
 from platform_ctrl.simulation import HalfCosine
 from single_runs import simulated
-
-J, PERIOD, LIMIT, STOP = 2e-4, 5e-4, 0.25, 0.0087
-LOAD = 0.15  # N m for each rad/s
-
-
-def pid(crossover: float = 350.0) -> control.StateSpace:
-    """A sampled PID for an inertia: torque −J (ωc² angle + ...), with integral action."""
-    gain = -J * crossover**2 * np.array([[0.6, 0.12 / crossover, 2.0 * PERIOD * crossover]])
-    # Integral, and the derivative behind a low-pass.
-    pole = 0.4
-    A = np.array([[1.0, 0.0], [0.0, pole]])
-    B = np.array([[PERIOD * crossover**2], [1.0]])
-    C = np.array([[gain[0, 1], -((1.0 - pole) ** 2) * gain[0, 2] / (PERIOD * crossover) ** 2]])
-    D = np.array([[gain[0, 0] + (1.0 - pole) * gain[0, 2] / (PERIOD * crossover) ** 2]])
-    return control.StateSpace(A, B, C, D, PERIOD, inputs=["angle"], outputs=["torque"])
-
-
-def gimbal() -> control.StateSpace:
-    return control.StateSpace(
-        [[0.0, 1.0 / J], [0.0, 0.0]],
-        [[0.0, 0.0], [1.0, LOAD]],
-        [[1.0, 0.0]],
-        [[0.0, 0.0]],
-        inputs=["torque", "Omega"],
-        outputs=["angle"],
-    )
-
-
-def loop(rise: float = 0.5) -> LimitedLoop:
-    return limited_loop(gimbal(), pid(), "Omega", limits=LIMIT, stops=STOP, delay=0.5 * PERIOD, lag=2e-4, rise=rise)
 
 
 @pytest.fixture(scope="module")

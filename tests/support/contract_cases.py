@@ -180,7 +180,7 @@ def shaped() -> ComplexLoop:
 
 @functools.cache
 def limited() -> LimitedLoop:
-    from design.test_antiwindup import loop
+    from limited_response import loop
 
     return loop()
 
@@ -437,7 +437,9 @@ METHODS: dict[str, dict[str, Callable[[], Any]]] = {
     "parameter_varying.ParameterVaryingModel.state_space": of(Omega=[0.1, 0.0, 0.0]),
     "parameter_varying.ParameterVaryingModel.vertices": of(Omega_max=[0.1, 0.0, 0.0]),
     "PickOff.sampled_noise": of(period=PERIOD),
+    "PickOff.signals": {"platform": platform},
     "RateSensor.sampled_noise": of(period=PERIOD),
+    "RateSensor.signals": {"platform": platform},
     "Platform.body": of(name="4"),
     "Platform.gimbal": of(name="4"),
     "Platform.pickoff_on": of(gimbal="9"),

@@ -1,15 +1,46 @@
-"""A limited loop sample by sample: what the statements about all manoeuvres are compared with."""
+"""A loop with torque limits, and its response sample by sample, with which statements about all manoeuvres compare."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
 
+import control
 import numpy as np
 from numpy.typing import ArrayLike
 
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.design.antiwindup.loop import LimitedLoop
+from platform_ctrl.design.antiwindup.loop import LimitedLoop, limited_loop
+
+J, PERIOD, LIMIT, STOP = 2e-4, 5e-4, 0.25, 0.0087
+LOAD = 0.15  # N m for each rad/s
+
+
+def pid(crossover: float = 350.0) -> control.StateSpace:
+    """A sampled PID for an inertia: torque −J (ωc² angle + ...), with integral action."""
+    gain = -J * crossover**2 * np.array([[0.6, 0.12 / crossover, 2.0 * PERIOD * crossover]])
+    # Integral, and the derivative behind a low-pass.
+    pole = 0.4
+    A = np.array([[1.0, 0.0], [0.0, pole]])
+    B = np.array([[PERIOD * crossover**2], [1.0]])
+    C = np.array([[gain[0, 1], -((1.0 - pole) ** 2) * gain[0, 2] / (PERIOD * crossover) ** 2]])
+    D = np.array([[gain[0, 0] + (1.0 - pole) * gain[0, 2] / (PERIOD * crossover) ** 2]])
+    return control.StateSpace(A, B, C, D, PERIOD, inputs=["angle"], outputs=["torque"])
+
+
+def gimbal() -> control.StateSpace:
+    return control.StateSpace(
+        [[0.0, 1.0 / J], [0.0, 0.0]],
+        [[0.0, 0.0], [1.0, LOAD]],
+        [[1.0, 0.0]],
+        [[0.0, 0.0]],
+        inputs=["torque", "Omega"],
+        outputs=["angle"],
+    )
+
+
+def loop(rise: float = 0.5) -> LimitedLoop:
+    return limited_loop(gimbal(), pid(), "Omega", limits=LIMIT, stops=STOP, delay=0.5 * PERIOD, lag=2e-4, rise=rise)
 
 
 @dataclass(frozen=True)

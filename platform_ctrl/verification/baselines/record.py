@@ -134,16 +134,19 @@ class LoopMatrices:
     outputs: tuple[str, ...]
     plant: StateArrays | None
 
+    @check_arguments
     def agrees(self, other: LoopMatrices) -> bool:
         """Return whether plant and controller agree to a millionth of each matrix's largest number."""
         return self.same_controller(other) and self.same_plant(other)
 
+    @check_arguments
     def same_controller(self, other: LoopMatrices) -> bool:
         """Return whether the controllers agree likewise."""
         signals = (self.inputs, self.outputs) == (other.inputs, other.outputs)
         timing = math.isclose(self.delay, other.delay, rel_tol=_ROUNDING, abs_tol=1e-15)
         return signals and timing and _near(self.controller, other.controller)
 
+    @check_arguments
     def same_plant(self, other: LoopMatrices) -> bool:
         """Return whether the plants agree likewise."""
         if self.plant is None or other.plant is None:
