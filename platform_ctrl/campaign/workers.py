@@ -372,7 +372,7 @@ def _client(distributed: Any, address: str) -> Any:
         with warnings.catch_warnings():
             # Versions are compared by name before anything is simulated.
             warnings.simplefilter("ignore")
-            # Judged first: a client that cannot make sense of its address leaves a traceback behind.
+            # Checked first: a client with an invalid address prints a traceback.
             distributed.comm.get_address_host_port(address)
             return distributed.Client(address, timeout=_TIMEOUT, set_as_default=False)
     except (OSError, OverflowError, ValueError, TimeoutError) as error:

@@ -1,7 +1,7 @@
 """Arguments against annotations: a value of another kind than the one annotated is refused in a sentence.
 
-What is judged here is the kind (a number, a vector or matrix of numbers, a system, a word among several); shapes and
-ranges are judged where they are known. Names that are imported for type checkers only, such as ``control.StateSpace``,
+What is checked here is the kind (a number, a vector or matrix of numbers, a system, a word among several); shapes and
+ranges are checked where they are known. Names that are imported for type checkers only, such as ``control.StateSpace``,
 are compared by name: nothing is loaded.
 """
 

@@ -198,7 +198,7 @@ def input_value(cls: type[T]) -> type[T]:
     made = value(cls)
     settled = made.__post_init__  # type: ignore[attr-defined]
 
-    def judged(self: Any) -> None:
+    def checked(self: Any) -> None:
         cls: Any = type(self)
         for name in array_fields(cls):
             item = getattr(self, name)
@@ -209,5 +209,5 @@ def input_value(cls: type[T]) -> type[T]:
         check_fields(self)
         settled(self)
 
-    made.__post_init__ = judged  # type: ignore[attr-defined]
+    made.__post_init__ = checked  # type: ignore[attr-defined]
     return made

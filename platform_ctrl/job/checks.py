@@ -259,7 +259,7 @@ def _loops(data: Data, platform: Platform | None) -> Iterator[Mistake]:
                 fitting = ", ".join(sorted(key for key, (metric, _) in known.items() if METRICS[metric].of_torquers))
                 for key in limits if isinstance(limits, dict) else ():
                     if key in known and not METRICS[known[key][0]].of_torquers:
-                        words = f"{key} is no limit of a stabilisation loop, which is judged in the coupled system"
+                        words = f"{key} is no limit of a stabilisation loop, which is checked in the coupled system"
                         yield Mistake((*path, "limits", key), f"{words}; use {fitting}, or a limit of [coupled]")
                 if "soft" in loop:
                     words = "soft has no effect in a stabilisation loop: nothing is minimised; leave the table out"

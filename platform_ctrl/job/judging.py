@@ -12,7 +12,7 @@ from platform_ctrl.common.signatures import check_kinds
 from platform_ctrl.common.values import input_value, value
 
 Stage = Literal["decoupled", "coupled", "simulated"]
-# How a value is found: "exact", of the plants that are judged, to rounding or to 1e-9 from the worse side; "bound", one
+# How a value is found: "exact", of the plants of the set, to rounding or to 1e-9 from the worse side; "bound", one
 # that is guaranteed not to be better than the true value; "proved", in interval arithmetic; "sampled", the worst at the
 # frequencies of a grid; "simulated", the worst at the samples of one run.
 Method = Literal["exact", "bound", "proved", "sampled", "simulated"]

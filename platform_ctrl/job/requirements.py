@@ -1,6 +1,6 @@
 """Requirements: a limit on a metric of a loop, and the verdict on a measured value.
 
-A requirement turns a measured value into a ratio that is at most 1 when it is met, whatever its sense. It is judged on
+A requirement turns a measured value into a ratio that is at most 1 when it is met, whatever its sense. It is checked on
 a plant set and a controller (`LoopRequirement.check`), on a closed loop with named signals
 (`LoopRequirement.check_closed_loop`), or on metrics that were measured already (`LoopRequirement.ratios`). What can be
 required is `platform_ctrl.analysis.metrics.METRICS`.

@@ -125,13 +125,13 @@ class TimeTable:
 class Vibration:
     """Random vibration of the base about or along a root axis, with a one-sided power spectral density.
 
-    Flown as a sum of `lines` sinusoids at the middles of equal slices of logarithmic frequency, with phases drawn from
-    the run's seed alone (Shinozuka, J. Acoust. Soc. Am. 49, 1971).
+    Simulated as a sum of `lines` sinusoids at the centres of equal intervals of logarithmic frequency, with phases
+    drawn from the run's seed (Shinozuka, J. Acoust. Soc. Am. 49, 1971).
 
     Attributes
     ----------
     kind
-        ``"rate"`` adds to the prescribed Omega (caged alone); ``"force"`` adds to the specific force.
+        ``"rate"`` adds to the prescribed Omega (only caged); ``"force"`` adds to the specific force.
     axis
         Root axis, 1 to 3.
     frequencies_hz : (k,)
@@ -184,7 +184,7 @@ class Vibration:
 
 @input_value
 class Scenario:
-    """One run: the plant as it is in this run, how it begins, what moves it, what fails, and what it is judged by.
+    """One run: the plant as it is in this run, how it begins, its excitation, its faults and its limits.
 
     Noise and random phases depend on (`seed`, `run`), the sample and the channel alone.
 

@@ -1,4 +1,4 @@
-"""How single values are judged: numbers, names, vectors, inertias. The words that a message expects come along."""
+"""Checks of single values: numbers, names, vectors, inertias; each with the words of its message."""
 
 from __future__ import annotations
 

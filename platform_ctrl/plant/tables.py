@@ -270,7 +270,7 @@ def unknown_key(path: Path, item: object, known: list[str]) -> Mistake:
 
 
 def overfull(table: Shape, data: object, path: Path = ()) -> Iterator[Mistake]:
-    """Walk the tables that have more keys, and the arrays of tables that have more of them, than may be judged."""
+    """Walk the tables that have more keys, and the arrays of tables that have more of them, than are allowed."""
     if not isinstance(data, dict):
         return
     if len(data) > MOST_KEYS:

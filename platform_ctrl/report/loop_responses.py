@@ -71,7 +71,7 @@ def peak_metrics() -> dict[str, Peak]:
 
 
 def loop_responses(model: LinearModel, outcome: LoopOutcome) -> LoopResponses | None:
-    """Return the responses of all designs of `outcome`; None for a loop that is judged in the coupled system alone."""
+    """Return the responses of all designs of `outcome`; None for a loop that is only checked in the coupled system."""
     designs = [design for design in outcome.designs if design.plants is not None]
     if not designs or designs[0].plants is None:
         return None

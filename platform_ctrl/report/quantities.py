@@ -108,12 +108,12 @@ def times(factor: float, number: float) -> float:
 
 
 def pessimistic_rounding(one: CheckResult) -> Rounding:
-    """Return the direction in which a judged value is rounded: it is never printed better than it is."""
+    """Return the direction in which a value with a limit is rounded: it is never printed better than it is."""
     return "down" if one.sense == "at least" else "up"
 
 
 def distinguishing_digits(one: CheckResult) -> int:
-    """Return how many digits show that a judged value is not its limit."""
+    """Return how many digits show that a value with a limit is not its limit."""
     for digits in (4, 6, 9):
         if one.value == one.limit or rounded(one.value, digits) != rounded(one.limit, digits):
             break

@@ -34,7 +34,7 @@ _DECAY, _PHASE, _CONTACT = 2.7, 1.0, 0.3
 def check_elements(platforms: Sequence[Platform], steps: ArrayLike, free: bool) -> None:
     """Refuse steps that are too long for an element: one for each of several plants of one skeleton.
 
-    Judged by the gimbals' inertias with all angles zero.
+    Uses the gimbals' inertias with all angles zero.
     """
     shape = skeleton(platforms[0])
     if not shape.at.joints:

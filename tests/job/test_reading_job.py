@@ -273,7 +273,7 @@ MISTAKES: dict[str, tuple[Change, list[str]]] = {
         put({"damping": 0.1}, "loop", 1, "limits"),
         [
             f"{SERVO}: [loop.limits]",
-            "damping is no limit of a stabilisation loop, which is judged in the coupled system; use ",
+            "damping is no limit of a stabilisation loop, which is checked in the coupled system; use ",
             "torque_noise",
         ],
     ),

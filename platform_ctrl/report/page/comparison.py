@@ -100,9 +100,9 @@ def _judged(name: str, found: Sequence[CheckResult | None], cell: Callable[[Chec
 
 def measured_rows(outcome: LoopOutcome) -> list[Row]:
     """Return the metrics of every design that have no limit."""
-    judged = {one.name for design in outcome.designs for one in design.results}
+    required = {one.name for design in outcome.designs for one in design.results}
     measured = [{} if design.measures is None else _measured(design.measures) for design in outcome.designs]
-    return [row for row in _by_name(measured) if row.cells[0].text not in judged]
+    return [row for row in _by_name(measured) if row.cells[0].text not in required]
 
 
 def _measured(metrics: LoopMetrics) -> dict[str, str]:

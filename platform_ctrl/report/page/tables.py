@@ -85,15 +85,15 @@ def goal_rows(result: JobResult) -> tuple[RequirementRow, ...]:
     return _ordered(result, [goal for outcome in result.loops for goal in outcome.closed.goals])
 
 
-def _ordered(result: JobResult, judged: Sequence[CheckResult]) -> tuple[RequirementRow, ...]:
-    subjects = list(dict.fromkeys(one.subject for one in judged))
+def _ordered(result: JobResult, results: Sequence[CheckResult]) -> tuple[RequirementRow, ...]:
+    subjects = list(dict.fromkeys(one.subject for one in results))
 
     def place(one: CheckResult) -> tuple[int, bool, float]:
         # That everything is proved has no margin: it comes last.
         margin = np.inf if one.passed and one.name == PROVED.name else one.margin
         return subjects.index(one.subject), one.passed, margin
 
-    return tuple(_row(result, one) for one in sorted(judged, key=place))
+    return tuple(_row(result, one) for one in sorted(results, key=place))
 
 
 def _row(result: JobResult, one: CheckResult) -> RequirementRow:
