@@ -166,7 +166,7 @@ for _kind in (
     FaultKind(name="torquer dead", effect="no torque", part="torquer", action="no torque"),
     FaultKind(
         name="torquer stuck",
-        effect="the torque that it had at the time at stays",
+        effect="the torque stays as it was at the time at",
         part="torquer",
         action="constant torque",
     ),
@@ -190,7 +190,7 @@ for _kind in (
     ),
     FaultKind(
         name="pick-off dropout",
-        effect="a sample that is lost leaves the last one in its place",
+        effect="a lost sample is replaced by the one before",
         part="pick-off",
         needed=("probability",),
         action="lost readings",
@@ -198,7 +198,7 @@ for _kind in (
     ),
     FaultKind(
         name="controller overrun",
-        effect="in a sample that is missed commands and controllers stay as they are",
+        effect="at a missed sample commands and controller states do not change",
         part=None,
         optional=("until", "probability"),
         action="missed samples",
@@ -206,7 +206,7 @@ for _kind in (
     ),
     FaultKind(
         name="stop contact",
-        effect="an impulse at the joint throws it towards its stop",
+        effect="an impulse at the joint drives it towards its stop",
         part="gimbal",
         needed=("impulse",),
         optional=(),
