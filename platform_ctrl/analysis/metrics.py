@@ -212,8 +212,9 @@ METRICS: dict[str, Metric] = {
         key="fastest_pole",
         unit="rad/s",
         sense="at most",
-        meaning="magnitude of the closed-loop poles in the w-plane, (2/T) (z − 1)/(z + 1). A delay counts 2/T; a pole "
-        "that rings at the Nyquist frequency is infinitely fast. With stability and damping this is a pole region",
+        meaning="magnitude of the closed-loop poles in the w-plane, (2/T) (z − 1)/(z + 1). A delay counts as 2/T; a "
+        "pole that rings at the Nyquist frequency counts as infinitely fast. With stability and damping this is a pole "
+        "region",
         measure=Direct(
             function=lambda loops, request: fastest_pole(loops.poles, loops.period),
             gradient=lambda loops, limit, floor, members: loops.fastest(floor, limit, members),
@@ -261,8 +262,8 @@ METRICS: dict[str, Metric] = {
         key="torque_limit",
         sense="at most",
         meaning="commanded torque over the torquer's limit (1: just at it), worst torquer, for sinusoidal platform "
-        "rates in the ellipsoid with half-axes `Omega`, up to this frequency or of any. Torquers without a limit do "
-        "not count",
+        "rates in the ellipsoid with half-axes `Omega`, up to this frequency or of any frequency. Torquers without "
+        "a limit do not count",
         measure=Peak(transfers=(loop_set.TORQUE_SHARE,), banded=True),
     ),
     "fastest controller pole": Metric(
