@@ -33,8 +33,8 @@ _RANGES: dict[Any, Range] = {
         (fields.Inertia, POSITIVE),
     )
 }
-# Of the servo's speed loop, which campaigns do not vary.
-_NOT_VARIED = frozenset({"speed_gain", "speed_integral", "torque_limit"})
+# Of the servo's speed loop, and what decides how many readings of a sensor are kept: campaigns do not vary them.
+_NOT_VARIED = frozenset({"speed_gain", "speed_integral", "torque_limit", "delay", "rate_hz"})
 _MANOEUVRE_RANGES = {
     "rate": ANY,
     "rise": POSITIVE,

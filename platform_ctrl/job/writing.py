@@ -15,6 +15,7 @@ from platform_ctrl.job.job import Campaign, Job, Manoeuvre
 from platform_ctrl.job.reading import SCHEMA as JOB_SCHEMA
 from platform_ctrl.plant.force_elements import Friction
 from platform_ctrl.plant.platform import OMEGA_NAMES, ROOT_TORQUE_NAMES, Platform, Rotor
+from platform_ctrl.plant.sensors import Sensor
 from platform_ctrl.plant.tables import shape
 
 
@@ -155,7 +156,9 @@ def plant_data(platform: Platform) -> dict[str, Any]:
             table: [_part(one) for one in getattr(platform, key.field)]
             for table, key in shape(type(platform)).keys.items()
             if key.array is not None and table not in ("gimbal", "rotor")
+            if getattr(platform, key.field) or table not in ("angle_sensor", "attitude_sensor")
         },
+        **({} if platform.line_of_sight is None else {"line_of_sight": _part(platform.line_of_sight)}),
     }
 
 
@@ -169,6 +172,10 @@ def _part(part: Any) -> dict[str, Any]:
     apart = {field.name for field in dataclasses.fields(part)} - shape(type(part)).keys.keys()
     if not getattr(part, "added", True):
         apart.add("added")
+    if isinstance(part, Sensor):
+        # What says nothing is left out, so that a record stays short.
+        apart |= {key for key in ("bias", "scale_error", "delay") if not getattr(part, key)}
+        apart |= {"frame"} if getattr(part, "body", "") is None else set()
     if isinstance(part, Friction) and not math.isfinite(part.stribeck_rate):
         apart |= {"breakaway", "stribeck_rate"}
     return _fields(part, *apart)

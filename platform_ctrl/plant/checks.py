@@ -9,7 +9,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from platform_ctrl.plant.fields import ROUNDING, Unfit, coulomb, default_angle, default_torquer, number, text
+import numpy as np
+
+from platform_ctrl.common.values import FloatArray
+from platform_ctrl.plant.fields import ROUNDING, Unfit, axis, coulomb, default_angle, default_torquer, number, text
 from platform_ctrl.plant.mistakes import Mistake, Path, given, suggestion, tables, text_of
 from platform_ctrl.plant.platform import OMEGA_NAMES, ROOT_TORQUE_NAMES, Platform
 from platform_ctrl.plant.sensors import gimbal_rate
@@ -48,7 +51,13 @@ def _servo(data: Data) -> Iterator[Mistake]:
 
 
 # Which signal of its own each table names.
-_SIGNALS = {"gimbal": "angle", "torquer": "torque", "rate_sensor": "rate"}
+_SIGNALS = {
+    "gimbal": "angle",
+    "torquer": "torque",
+    "rate_sensor": "rate",
+    "angle_sensor": "reading",
+    "attitude_sensor": "reading",
+}
 
 
 def plant_mistakes(data: Data) -> list[Mistake]:
@@ -62,6 +71,7 @@ def plant_mistakes(data: Data) -> list[Mistake]:
         *_servo(data),
         *_friction(data),
         *_one_sensor_about_an_axis(data),
+        *_line_of_sight(data),
         *_signals(data),
     ]
 
@@ -147,14 +157,86 @@ def _circles(data: Data) -> Iterator[Mistake]:
 
 def _alternatives(data: Data) -> Iterator[Mistake]:
     """Walk parts that act on both a gimbal and the root, or on neither, and what means nothing without stops."""
-    for kind in ("torquer", "rate_sensor"):
-        for k, table in tables(data, kind):
-            if ("gimbal" in table) == ("root_axis" in table):
-                yield Mistake((kind, k), either("gimbal", "root_axis", "gimbal" in table))
+    for k, table in tables(data, "torquer"):
+        if ("gimbal" in table) == ("root_axis" in table):
+            yield Mistake(("torquer", k), either("gimbal", "root_axis", "gimbal" in table))
+    yield from _rate_sensors(data)
     for k, table in tables(data, "gimbal"):
         if "restitution" in table and "stops" not in table and "stops_deg" not in table:
             words = f'restitution = {given(table["restitution"])} has no effect without "stops" or "stops_deg"'
             yield Mistake(("gimbal", k, "restitution"), words)
+
+
+def _rate_sensors(data: Data) -> Iterator[Mistake]:
+    """Walk rate sensors that do not say, or say twice, what they measure."""
+    root = _root_name(data)
+    for k, table in tables(data, "rate_sensor"):
+        path: Path = ("rate_sensor", k)
+        places = [key for key in ("gimbal", "root_axis", "body") if key in table]
+        if len(places) != 1:
+            which = "not " + " and ".join(f'"{key}"' for key in places) if places else "one of them is needed"
+            yield Mistake(path, f'give one of "gimbal", "root_axis" and "body", {which}')
+            continue
+        if places == ["body"] and "axis" not in table:
+            yield Mistake((*path, "axis"), 'the key "axis" is missing; it must be the sensing axis in the body\'s axes')
+        for key in ("axis", "frame", "misalignment") if places != ["body"] else ():
+            if key in table:
+                yield Mistake((*path, key), f'{key} = {given(table[key])} has no effect without "body"')
+        if places != ["body"] or table.get("frame") != "parent":
+            continue
+        gimbal = next((g for _, g in tables(data, "gimbal") if g.get("name") == table["body"]), None)
+        if table["body"] == root:
+            words = f'frame = "parent" needs a gimbal: {given(root)} is the root; leave it out, or measure a gimbal'
+            yield Mistake((*path, "frame"), words)
+        elif gimbal is not None and _normal(gimbal.get("axis"), table.get("axis")):
+            words = (
+                f"axis: gimbal {given(table['body'])} turns about {given(gimbal['axis'])} against its parent, and "
+                f"{given(table['axis'])} is normal to that: the reading would be 0; measure along that axis"
+            )
+            yield Mistake((*path, "axis"), words)
+
+
+# Cosine below which two axes count as normal to each other, and sine below which they count as parallel.
+_NORMAL = 1e-6
+
+
+def _unit(given_axis: object) -> FloatArray | None:
+    try:
+        return axis(given_axis)
+    except Unfit:
+        return None
+
+
+def _normal(one: object, other: object) -> bool:
+    first, second = _unit(one), _unit(other)
+    return first is not None and second is not None and abs(float(first @ second)) < _NORMAL
+
+
+def _line_of_sight(data: Data) -> Iterator[Mistake]:
+    """Judge a line of sight: its body, and whether any gimbal can turn it."""
+    table, root, gimbals = data.get("line_of_sight"), _root_name(data), _gimbal_names(data)
+    if not isinstance(table, dict) or root is None or gimbals is None:
+        return
+    body = text_of(table, "body")
+    if body is not None and body not in (root, *gimbals):
+        words = f"body must be the name of the root or a gimbal, got {given(body)}"
+        yield Mistake(("line_of_sight", "body"), f"{words}; {suggestion(body, [root, *gimbals])}")
+        return
+    by_name = {text_of(gimbal, "name"): gimbal for _, gimbal in reversed([*tables(data, "gimbal")])}
+    direction, turning, seen = _unit(table.get("direction")), [], set()
+    while body in by_name and body not in seen:
+        seen.add(body)
+        turning.append(by_name[body].get("axis"))
+        body = text_of(by_name[body], "parent")
+    axes = [one for one in map(_unit, turning) if one is not None]
+    if direction is None or not axes or len(axes) < len(turning):
+        return
+    if all(np.linalg.norm(np.cross(one, direction)) < _NORMAL for one in axes):
+        words = (
+            f"direction = {given(table['direction'])} is parallel to the axis of every gimbal that carries it, so "
+            "that none of them turns the line of sight; choose a direction normal to the axis of the inner gimbal"
+        )
+        yield Mistake(("line_of_sight", "direction"), words)
 
 
 def number_of(table: Data, key: str) -> float | None:
@@ -197,12 +279,13 @@ def _one_sensor_about_an_axis(data: Data) -> Iterator[Mistake]:
 def _signals(data: Data) -> Iterator[Mistake]:
     """Angles, torques and rates are inputs and outputs of one system: no name twice."""
     of_root = "a torque about a root axis"
-    taken = dict.fromkeys(OMEGA_NAMES, "a platform rate") | dict.fromkeys(ROOT_TORQUE_NAMES, of_root)
+    rate = "a platform rate"
+    taken = dict.fromkeys(OMEGA_NAMES, rate) | dict.fromkeys(ROOT_TORQUE_NAMES, of_root)
     for path, name, own in _signal_names(data):
         if "." in name:
             what = f"{path[2]} = {given(name)}" if len(path) > 2 else f"the default name {given(name)}"
             yield Mistake(path, f"{what} has a full stop, which no signal may have; choose a name without one")
-        elif name in taken and not (name == own and taken[name] == of_root):
+        elif name in taken and not (name == own and taken[name] in (of_root, rate)):
             what = f"{path[2]} = {given(name)}" if len(path) > 2 else f"the default name {given(name)}"
             yield Mistake(path, f"{what} is the name of {taken[name]} already; choose another")
         else:
@@ -229,8 +312,26 @@ def _signal_names(data: Data) -> Iterator[tuple[Path, str, str]]:
         elif "name" not in table and (gimbal is not None or own):
             yield ("torquer", k), default_torquer(gimbal, root_axis), own
     measured: set[str | None] = set()
-    for k, table in tables(data, "rate_sensor"):
-        gimbal = text_of(table, "gimbal")
-        if gimbal in angles and gimbal not in measured:
-            yield ("rate_sensor", k), gimbal_rate(angles[gimbal]), ""
-        measured.add(gimbal)
+    for kind in ("rate_sensor", "angle_sensor", "attitude_sensor"):
+        for k, table in tables(data, kind):
+            name, gimbal = text_of(table, "name"), text_of(table, "gimbal")
+            if name is not None:
+                own = f"Omega{table.get('root_axis')}" if root_axis_of(table) is not None else ""
+                yield (kind, k, "name"), name, own
+            elif "name" not in table and kind == "rate_sensor" and gimbal in angles and gimbal not in measured:
+                yield (kind, k), gimbal_rate(angles[gimbal]), ""
+            elif "name" not in table and (default := _default_reading(data, kind, table)):
+                yield (kind, k), default, ""
+            measured.add(gimbal)
+
+
+def _default_reading(data: Data, kind: str, table: Data) -> str:
+    """Return the name of a reading of a body where none is given; empty where it has another rule."""
+    body, axes = text_of(table, "body"), _unit(table.get("axis"))
+    if body is None or axes is None or (body == _root_name(data) and kind == "rate_sensor"):
+        return ""
+    if kind == "rate_sensor" and table.get("frame") == "parent":
+        return ""
+    signal = "Omega" if kind == "rate_sensor" else "theta"
+    owner = "" if body == _root_name(data) else f"{body}_"
+    return f"{owner}{signal}{int(np.abs(axes).argmax()) + 1}"

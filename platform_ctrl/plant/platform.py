@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import field
 from functools import cache
 from itertools import chain
@@ -18,8 +19,16 @@ from platform_ctrl.errors import ArgumentError
 from platform_ctrl.plant import fields
 from platform_ctrl.plant.fields import NUMBER, STOPS, Refers, default_angle, default_torquer
 from platform_ctrl.plant.force_elements import Cage, Erection, Friction, Spring, Unbalance
-from platform_ctrl.plant.sensors import PickOff, RateSensor, Sensor, gimbal_rate
-from platform_ctrl.plant.tables import Array, At, Instead, Shape, shape
+from platform_ctrl.plant.sensors import (
+    AngleSensor,
+    AttitudeSensor,
+    LineOfSight,
+    PickOff,
+    RateSensor,
+    Sensor,
+    gimbal_rate,
+)
+from platform_ctrl.plant.tables import TABLE, Array, At, Instead, Shape, shape
 
 RotorControl = Literal["regulated", "free", "servo"]
 
@@ -177,8 +186,10 @@ class Platform:
         Name of the body whose rate is Omega.
     root_inertia : (3, 3)
         Of that body with everything rigidly attached, kg m².
-    gimbals, rotors, torquers, pickoffs, rate_sensors
+    gimbals, rotors, torquers, pickoffs, rate_sensors, angle_sensors, attitude_sensors
         What the plant has of each, in the file's order.
+    line_of_sight
+        The direction in which the payload looks, or None.
     springs, frictions, cages, unbalances, erections
         What acts besides the torquers, in the file's order.
     specific_force : (3,)
@@ -201,6 +212,9 @@ class Platform:
     torquers: Annotated[tuple[Torquer, ...], Array("torquer", most=MOST_PARTS)] = ()
     pickoffs: Annotated[tuple[PickOff, ...], Array("pickoff", most=MOST_PARTS)] = ()
     rate_sensors: Annotated[tuple[RateSensor, ...], Array("rate_sensor", most=MOST_PARTS)] = ()
+    angle_sensors: Annotated[tuple[AngleSensor, ...], Array("angle_sensor", most=MOST_PARTS)] = ()
+    attitude_sensors: Annotated[tuple[AttitudeSensor, ...], Array("attitude_sensor", most=MOST_PARTS)] = ()
+    line_of_sight: Annotated[LineOfSight | None, TABLE] = None
     springs: Annotated[tuple[Spring, ...], Array("spring", most=MOST_PARTS)] = ()
     frictions: Annotated[tuple[Friction, ...], Array("friction", most=MOST_PARTS)] = ()
     cages: Annotated[tuple[Cage, ...], Array("cage", most=MOST_PARTS)] = ()
@@ -247,6 +261,15 @@ class Platform:
     def sensors(self) -> tuple[Sensor, ...]:
         """All that measures, kind by kind in the order of the fields: the pick-offs first."""
         return tuple(chain.from_iterable(getattr(self, kind) for kind in self._sensor_fields))
+
+    @property
+    def outputs(self) -> dict[str, Mapping[str, float]]:
+        """What can be observed, by name: the readings of the sensors, then the outputs of the line of sight.
+
+        Each is a sum of signals of the plant, given by their weights (see `platform_ctrl.plant.sensors`).
+        """
+        out = {sensor.name: sensor.signals(self) for sensor in self.sensors}
+        return out if self.line_of_sight is None else out | {**self.line_of_sight.signals(self)}
 
     @property
     def parents(self) -> NDArray[np.intp]:
@@ -356,8 +379,8 @@ def _sensor_fields(platform: type) -> tuple[str, ...]:
 
 @check_arguments
 def is_rate(signal: str) -> bool:
-    """Return whether a signal's name is that of a rate, of the root or of a gimbal."""
-    return signal in OMEGA_NAMES or signal.endswith(gimbal_rate(""))
+    """Return whether a signal's name is that of a rate, of a body or of a gimbal."""
+    return signal.endswith((*OMEGA_NAMES, gimbal_rate("")))
 
 
 Part = TypeVar("Part", Torquer, PickOff)

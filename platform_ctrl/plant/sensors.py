@@ -1,29 +1,55 @@
 """Sensors of a platform. A kind is a class here and a field of `Platform`; what it reads is one linear combination.
 
 `Sensor.signals` names what a kind reads by signals of the plant. The linear models take their output row from it
-(`mechanics.state_space.output_rows`), simulations the reading (`simulation.packing`), and exports the unit.
+(`mechanics.outputs`), simulations the reading (`simulation.packing`), and exports the unit. Signals are
+
+    angle, angle_rate          a gimbal's angle and rate against its parent
+    Omega1 to Omega3           the root's rate in its own axes
+    NAME_Omega1 to 3           the rate of the gimbal's body NAME against inertial space, in the body's own axes
+    NAME_theta1 to 3           its small rotation against inertial space since the start, in the body's own axes
 """
 
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Callable, Mapping
 from functools import cache
 from operator import attrgetter
-from typing import TYPE_CHECKING, Annotated, ClassVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, get_args
 
 import numpy as np
 
 from platform_ctrl.common.signatures import check_arguments
-from platform_ctrl.common.values import input_value
+from platform_ctrl.common.values import FloatArray, input_value
 from platform_ctrl.plant import fields
-from platform_ctrl.plant.fields import Refers
+from platform_ctrl.plant.fields import NOT_NEGATIVE, Refers
+from platform_ctrl.plant.tables import Instead
 
 if TYPE_CHECKING:
     from platform_ctrl.plant.platform import Platform
 
+Frame = Literal["inertial", "parent"]
+
+_BANDWIDTH = 1000.0
+_DENSITY = Instead(
+    "noise_density",
+    NOT_NEGATIVE,
+    lambda density, sensor: density * math.sqrt(sensor.get("noise_bandwidth_hz", _BANDWIDTH)),
+)
+Noise = Annotated[fields.NotNegative, _DENSITY]
 # Fields of a sensor that say how well it measures, not what.
-_ERRORS = ("noise_rms", "noise_bandwidth_hz", "quantisation", "added")
+_ERRORS = (
+    "noise_rms",
+    "noise_bandwidth_hz",
+    "quantisation",
+    "bias",
+    "scale_error",
+    "bandwidth_hz",
+    "delay",
+    "rate_hz",
+    "added",
+)
 
 
 class Sensor:
@@ -34,9 +60,16 @@ class Sensor:
     name
         Signal name of the reading. A platform fills in that of the first of its `signals` where it is left out.
     noise_rms, noise_bandwidth_hz
-        White noise: `noise_rms` units within `noise_bandwidth_hz` Hz (one-sided density noise_rms / sqrt(bandwidth)).
+        White noise: `noise_rms` units within `noise_bandwidth_hz` Hz (one-sided density noise_rms / sqrt(bandwidth),
+        which a plant file may give as ``noise_density`` instead: of a gyro its angle random walk, rad/s/sqrt(Hz)).
     quantisation
         Step of the reading, units; 0 for none.
+    bias, scale_error
+        Constant error, units, and relative error of the scale factor.
+    bandwidth_hz
+        Where the sensor, a second-order low-pass of damping 1/sqrt(2), has lost 3 dB, Hz; None: it follows at once.
+    delay
+        Age of the reading, s; it counts in whole sample periods of the controllers, rounded up.
     unit
         Of the reading.
     """
@@ -48,15 +81,25 @@ class Sensor:
     noise_rms: float
     noise_bandwidth_hz: float
     quantisation: float
+    bias: float
+    scale_error: float
+    bandwidth_hz: float | None
+    delay: float
+
+    @property
+    def rate_hz(self) -> float | None:
+        """Rate at which the sensor takes new readings, Hz; None: at every sample."""
+        return None
 
     @property
     def place(self) -> tuple[object, ...]:
         """Kind, name and place: what sensors of plants that differ in numbers alone have in common."""
         kind: type = type(self)
-        return (kind, *_placed(kind)(self))
+        lags = (self.bandwidth_hz is not None, self.delay, self.rate_hz)
+        return (kind, *lags, *(_hashable(item) for item in _placed(kind)(self)))
 
     def signals(self, platform: Platform) -> Mapping[str, float]:
-        """Return the reading without its errors as a sum: weights of angles, gimbals' rates and Omega1 to Omega3."""
+        """Return the reading without its errors as a sum: weights of signals of the plant."""
         raise NotImplementedError
 
     @check_arguments
@@ -75,10 +118,26 @@ class Sensor:
         """
         return float(self.noise_rms * np.sqrt(0.5 / period / self.noise_bandwidth_hz))
 
+    @check_arguments
+    def periods_late(self, period: float) -> int:
+        """Return the age of the reading in sample periods, rounded up.
+
+        Parameters
+        ----------
+        period
+            Sample period, s.
+
+        Returns
+        -------
+        int
+            0 or more.
+        """
+        return math.ceil(self.delay / period - 1e-9)
+
 
 @input_value
 class PickOff(Sensor):
-    """A sensor of a gimbal's angle.
+    """A sensor of a gimbal's angle against its parent.
 
     Attributes
     ----------
@@ -86,10 +145,8 @@ class PickOff(Sensor):
         Signal name: the angle that it measures. A platform fills it in where it is left out.
     gimbal
         Name of the gimbal.
-    noise_rms, noise_bandwidth_hz
-        White noise: `noise_rms` rad within `noise_bandwidth_hz` Hz (one-sided density noise_rms / sqrt(bandwidth)).
-    quantisation
-        Step of the reading, rad; 0 for none.
+    noise_rms, noise_bandwidth_hz, quantisation, bias, scale_error, bandwidth_hz, delay
+        See `Sensor`; rad.
     added
         Whether the device itself does not have it.
     """
@@ -97,9 +154,13 @@ class PickOff(Sensor):
     unit = "rad"
     name: str = ""
     gimbal: Annotated[fields.Text, Refers(once="pick-off")]
-    noise_rms: fields.NotNegative = 0.0
-    noise_bandwidth_hz: fields.Positive = 1000.0
+    noise_rms: Noise = 0.0
+    noise_bandwidth_hz: fields.Positive = _BANDWIDTH
     quantisation: fields.NotNegative = 0.0
+    bias: fields.Number = 0.0
+    scale_error: fields.Number = 0.0
+    bandwidth_hz: fields.Positive | None = None
+    delay: fields.NotNegative = 0.0
     added: fields.Truth = False
 
     @check_arguments
@@ -125,29 +186,29 @@ class PickOff(Sensor):
 
 
 @input_value
-class RateSensor(Sensor):
-    """A sensor of a rate: of the root about one of its axes, or of a gimbal against its parent.
+class AngleSensor(Sensor):
+    """An encoder or resolver: a further sensor of a gimbal's angle against its parent, with a name of its own.
 
     Attributes
     ----------
     name
-        Signal name: Omega1, Omega2 or Omega3 on the root; on a gimbal its angle's name + ``_rate``. A platform fills it
-        in where it is left out.
-    gimbal, root_axis
-        Exactly one is given: the gimbal's name, or 1, 2 or 3.
-    noise_rms, noise_bandwidth_hz
-        White noise: `noise_rms` rad/s within `noise_bandwidth_hz` Hz (one-sided density noise_rms / sqrt(bandwidth)).
-    quantisation
-        Step of the reading, rad/s; 0 for none.
+        Signal name of the reading.
+    gimbal
+        Name of the gimbal.
+    noise_rms, noise_bandwidth_hz, quantisation, bias, scale_error, bandwidth_hz, delay
+        See `Sensor`; rad.
     """
 
-    unit = "rad/s"
-    name: str = ""
-    gimbal: Annotated[fields.Text | None, Refers(once="rate sensor", hint="root_axis measures the root")] = None
-    root_axis: fields.RootAxis | None = None
-    noise_rms: fields.NotNegative = 0.0
-    noise_bandwidth_hz: fields.Positive = 1000.0
+    unit = "rad"
+    name: fields.Text
+    gimbal: Annotated[fields.Text, Refers()]
+    noise_rms: Noise = 0.0
+    noise_bandwidth_hz: fields.Positive = _BANDWIDTH
     quantisation: fields.NotNegative = 0.0
+    bias: fields.Number = 0.0
+    scale_error: fields.Number = 0.0
+    bandwidth_hz: fields.Positive | None = None
+    delay: fields.NotNegative = 0.0
 
     @check_arguments
     def signals(self, platform: Platform) -> Mapping[str, float]:
@@ -161,21 +222,238 @@ class RateSensor(Sensor):
         Returns
         -------
         mapping
-            The root's rate about one axis or the gimbal's rate, weight 1.
+            The gimbal's angle, weight 1.
 
         Raises
         ------
         ArgumentError
             The platform has no such gimbal.
         """
-        if self.gimbal is None:
+        return {platform.angle_names[platform.gimbal(self.gimbal)]: 1.0}
+
+
+@input_value
+class RateSensor(Sensor):
+    """A sensor of a rate: of any body about any of its axes, of the root, or of a gimbal against its parent.
+
+    Attributes
+    ----------
+    name
+        Signal name. A platform fills in that of the first signal: Omega1, Omega2 or Omega3 on the root, the angle's
+        name + ``_rate`` of a gimbal against its parent, the body's name + ``_Omega1`` (2, 3) against inertial space.
+    gimbal, root_axis, body
+        Exactly one is given: the gimbal whose rate against its parent is measured; 1, 2 or 3; or a body, with `axis`.
+    axis : (3,)
+        Sensing axis in the axes of `body`, a unit vector; None without `body`.
+    frame
+        Of `body`: its rate against ``"inertial"`` space, as a gyro measures it, or against its ``"parent"``.
+    misalignment : (3,)
+        Small rotation of the sensing axis, body axes, rad: the sensor measures about axis + misalignment × axis.
+    noise_rms, noise_bandwidth_hz, quantisation, bias, scale_error, bandwidth_hz, delay
+        See `Sensor`; rad/s.
+    """
+
+    unit = "rad/s"
+    name: Annotated[str, fields.TEXT] = ""
+    gimbal: Annotated[fields.Text | None, Refers(once="rate sensor", hint="root_axis measures the root")] = None
+    root_axis: fields.RootAxis | None = None
+    body: Annotated[fields.Text | None, Refers(root=True)] = None
+    axis: fields.Axis | None = None
+    frame: Annotated[Frame, fields.one_of(get_args(Frame))] = "inertial"
+    misalignment: fields.Vector | None = None
+    noise_rms: Noise = 0.0
+    noise_bandwidth_hz: fields.Positive = _BANDWIDTH
+    quantisation: fields.NotNegative = 0.0
+    bias: fields.Number = 0.0
+    scale_error: fields.Number = 0.0
+    bandwidth_hz: fields.Positive | None = None
+    delay: fields.NotNegative = 0.0
+
+    @check_arguments
+    def signals(self, platform: Platform) -> Mapping[str, float]:
+        """Return the signals that are read, and their weights.
+
+        Parameters
+        ----------
+        platform
+            The platform that has the sensor.
+
+        Returns
+        -------
+        mapping
+            The root's rate about one axis, the gimbal's rate, or components of the body's inertial rate.
+
+        Raises
+        ------
+        ArgumentError
+            The platform has no such gimbal or body.
+        """
+        if self.root_axis is not None:
             return {f"Omega{self.root_axis}": 1.0}
-        return {gimbal_rate(platform.angle_names[platform.gimbal(self.gimbal)]): 1.0}
+        if self.gimbal is not None:
+            return {gimbal_rate(platform.angle_names[platform.gimbal(self.gimbal)]): 1.0}
+        axis = sensing_axis(self.axis, self.misalignment)
+        body = platform.body(self.body or "")
+        if self.frame == "parent" and body > 0:
+            gimbal = platform.gimbals[body - 1]
+            return {gimbal_rate(gimbal.angle): float(gimbal.axis @ axis)}
+        return components(body_rates(platform, body), axis)
+
+
+@input_value
+class AttitudeSensor(Sensor):
+    """A sensor of a small rotation of a body against inertial space: a tracker, star sensor or autocollimator.
+
+    It reads the rotation about its axis since the start: of a camera's tracker the angle between the line of sight and
+    a target at rest in inertial space, at which it looks at the start.
+
+    Attributes
+    ----------
+    name
+        Signal name; default the body's name + ``_theta1`` (2, 3).
+    body
+        Name of a gimbal or of the root.
+    axis : (3,)
+        Axis of the rotation that is measured, in the body's axes, a unit vector.
+    misalignment : (3,)
+        As of `RateSensor`, rad.
+    noise_rms, noise_bandwidth_hz, quantisation, bias, scale_error, bandwidth_hz, delay
+        See `Sensor`; rad.
+    rate_hz
+        Rate at which the sensor takes new readings, which it holds between, Hz; None: at every sample.
+    """
+
+    unit = "rad"
+    name: Annotated[str, fields.TEXT] = ""
+    body: Annotated[fields.Text, Refers(root=True)]
+    axis: fields.Axis
+    misalignment: fields.Vector | None = None
+    noise_rms: Noise = 0.0
+    noise_bandwidth_hz: fields.Positive = _BANDWIDTH
+    quantisation: fields.NotNegative = 0.0
+    bias: fields.Number = 0.0
+    scale_error: fields.Number = 0.0
+    bandwidth_hz: fields.Positive | None = None
+    delay: fields.NotNegative = 0.0
+    rate_hz: fields.Positive | None = None
+
+    @check_arguments
+    def signals(self, platform: Platform) -> Mapping[str, float]:
+        """Return the signals that are read, and their weights.
+
+        Parameters
+        ----------
+        platform
+            The platform that has the sensor.
+
+        Returns
+        -------
+        mapping
+            Components of the body's small rotation against inertial space.
+
+        Raises
+        ------
+        ArgumentError
+            The platform has no such body.
+        """
+        return components(
+            body_rotations(platform, platform.body(self.body)), sensing_axis(self.axis, self.misalignment)
+        )
+
+
+@input_value
+class LineOfSight:
+    """The direction in which a platform's payload looks.
+
+    Its outputs are the rates and the small rotations against inertial space about two axes across it and about itself:
+    ``los_rate1``, ``los_rate2``, ``los_roll_rate``, rad/s, and ``los_angle1``, ``los_angle2``, ``los_roll``, rad. The
+    first axis across is the next body axis after the one that the line of sight is nearest to (after 1: 2, after 2: 3,
+    after 3: 1), made normal to it; the second completes the right-handed triple.
+
+    Attributes
+    ----------
+    body
+        Name of a gimbal or of the root.
+    direction : (3,)
+        Unit vector in the body's axes; dimensionless.
+    """
+
+    body: Annotated[fields.Text, Refers(root=True)]
+    direction: fields.Axis
+
+    @property
+    def across(self) -> FloatArray:
+        """The two axes across the line of sight and the line of sight itself, (3, 3), in body axes."""
+        first = np.eye(3)[(int(np.abs(self.direction).argmax()) + 1) % 3]
+        first = first - (first @ self.direction) * self.direction
+        first /= np.linalg.norm(first)
+        return np.array([first, np.cross(self.direction, first), self.direction])
+
+    @check_arguments
+    def signals(self, platform: Platform) -> Mapping[str, Mapping[str, float]]:
+        """Return of each output the signals of the plant that it is the sum of, and their weights.
+
+        Parameters
+        ----------
+        platform
+            The platform that has it.
+
+        Returns
+        -------
+        mapping
+            By output: rates first, then angles.
+
+        Raises
+        ------
+        ArgumentError
+            The platform has no such body.
+        """
+        body = platform.body(self.body)
+        return {
+            name: components(signals, axis)
+            for names, signals in (
+                (LOS_RATES, body_rates(platform, body)),
+                (LOS_ANGLES, body_rotations(platform, body)),
+            )
+            for name, axis in zip(names, self.across, strict=True)
+        }
+
+
+LOS_RATES = ("los_rate1", "los_rate2", "los_roll_rate")
+LOS_ANGLES = ("los_angle1", "los_angle2", "los_roll")
+
+
+def sensing_axis(axis: FloatArray | None, misalignment: FloatArray | None) -> FloatArray:
+    """Return an axis that a small rotation has turned."""
+    given = np.zeros(3) if axis is None else np.asarray(axis)
+    return given if misalignment is None else given + np.cross(misalignment, given)
+
+
+def components(signals: tuple[str, ...], axis: FloatArray) -> dict[str, float]:
+    """Return the weights of a vector's components along an axis, the largest first, without zeros."""
+    order = sorted(range(3), key=lambda k: -abs(axis[k]))
+    return {signals[k]: float(axis[k]) for k in order if axis[k] != 0.0}
+
+
+def body_rates(platform: Platform, body: int) -> tuple[str, ...]:
+    """Return the signals of a body's rate against inertial space, in its own axes."""
+    owner = f"{platform.gimbal_names[body - 1]}_" if body else ""
+    return tuple(f"{owner}Omega{k}" for k in (1, 2, 3))
+
+
+def body_rotations(platform: Platform, body: int) -> tuple[str, ...]:
+    """Return the signals of a body's small rotation against inertial space, in its own axes."""
+    owner = f"{platform.gimbal_names[body - 1]}_" if body else ""
+    return tuple(f"{owner}theta{k}" for k in (1, 2, 3))
 
 
 @cache
 def _placed(kind: type) -> Callable[[Sensor], tuple[object, ...]]:
     return attrgetter(*(field.name for field in dataclasses.fields(kind) if field.name not in _ERRORS))
+
+
+def _hashable(item: Any) -> object:
+    return item.tobytes() if isinstance(item, np.ndarray) else item
 
 
 @check_arguments

@@ -171,13 +171,13 @@ WRONG = {
     "sensor of nothing": (
         dropped("rate_sensor", 1, "gimbal"),
         "[[rate_sensor]] 2",
-        'give either "gimbal" or "root_axis", one of them is needed',
+        'give one of "gimbal", "root_axis" and "body", one of them is needed',
         '"root_axis"',
     ),
     "sensor of two": (
         changed("rate_sensor", 0, "gimbal", to="inner"),
-        'give either "gimbal" or "root_axis", not both',
-        '"gimbal" or "root_axis"',
+        'give one of "gimbal", "root_axis" and "body", not "gimbal" and "root_axis"',
+        '"gimbal" and "root_axis"',
     ),
     "sensor of no gimbal": (
         changed("rate_sensor", 1, "gimbal", to="innr"),
@@ -201,7 +201,10 @@ WRONG = {
         'the default name "q_inner_rate" is the name of the angle of [[gimbal]] 1 already; choose',
         'the default name "q_inner_rate" is the name of the angle of [[gimbal]] 1 already; choose',
     ),
-    "sensor with a name": (changed("rate_sensor", 0, "name", to="gyro"), 'unknown key "name"'),
+    "sensor with the name of an angle": (
+        changed("rate_sensor", 0, "name", to="q_outer"),
+        'name = "q_outer" is the name',
+    ),
     "cage without stiffness": (dropped("cage", 0, "stiffness"), 'the key "stiffness" is missing', "a number > 0"),
     "unbalance of nobody": (changed("unbalance", 1, "body", to="x"), '(body "x")', "the root or a gimbal"),
     "moment too short": (changed("unbalance", 0, "moment", to=[1, 2]), "has 2 elements", "three numbers"),
@@ -251,6 +254,7 @@ def test_every_kind_of_part_in_the_register_is_read_written_and_refused_by_its_n
         wrong = copy.deepcopy(EVERY_PLANT_KEY.data)
         wrong[kind][0][key] = {}
         with pytest.raises(
-            InputError, match=rf"\[\[{kind}\]\] 1.*{key}( must be .*, got a table|.* one of them is needed)|give either"
+            InputError,
+            match=rf"\[\[{kind}\]\] 1.*{key}( must be .*, got a table|.* one of them is needed)|has no effect|give (either|one of)",
         ):
             read_platform(wrong)
