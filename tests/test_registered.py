@@ -17,7 +17,8 @@ from platform_ctrl.job.faults import FAULT_KINDS, FAULT_NUMBERS, Fault
 from platform_ctrl.job.methods import METHODS
 from platform_ctrl.job.requirements import limit_keys
 from platform_ctrl.mechanics.linearisation import linearise
-from platform_ctrl.mechanics.state_space import output_rows, state_space
+from platform_ctrl.mechanics.outputs import observed
+from platform_ctrl.mechanics.state_space import state_space
 from platform_ctrl.plant.platform import Platform
 from platform_ctrl.plant.tables import Shape, shape
 from platform_ctrl.simulation.packing import skeleton
@@ -91,7 +92,8 @@ def test_every_sensor_is_in_linear_models_and_in_simulations() -> None:
     free = state_space(linearise(platform), root="free")
     packed = skeleton(platform).sensors
     assert len(packed) == len(platform.sensors) > 0
-    assert {sensor.name for sensor in platform.sensors} <= output_rows(free, platform).keys()
+    every = [sensor.name for sensor in platform.sensors]
+    assert observed(free, platform, every).output_labels == every
     assert {sensor.unit for sensor in platform.sensors} <= {"rad", "rad/s"}
 
 

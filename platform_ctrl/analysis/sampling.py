@@ -126,6 +126,35 @@ def _sampled(
     return Ad, Bd, Cd, np.zeros((*batch, p, m)), lags
 
 
+def late_outputs(system: StateArrays, periods: Sequence[int]) -> StateArrays:
+    """Return a sampled system, which may have leading batch axes, whose outputs are late by whole sample periods."""
+    A, B, C, D, dt = system
+    n, m = A.shape[-1], B.shape[-1]
+    late = [(row, count) for row, count in enumerate(periods) if count > 0]
+    if not late:
+        return system
+    batch = np.broadcast_shapes(A.shape[:-2], B.shape[:-2], C.shape[:-2], D.shape[:-2])
+    size = n + sum(count for _, count in late)
+    new_A, new_B = np.zeros((*batch, size, size)), np.zeros((*batch, size, m))
+    new_C, new_D = np.zeros((*batch, C.shape[-2], size)), np.array(np.broadcast_to(D, (*batch, *D.shape[-2:])))
+    new_A[..., :n, :n], new_B[..., :n, :], new_C[..., :n] = A, B, C
+    first = n
+    for row, count in late:
+        # A chain of states: the reading of one sample ago, of two, ...
+        new_A[..., first, :n], new_B[..., first, :] = C[..., row, :], D[..., row, :]
+        for j in range(first + 1, first + count):
+            new_A[..., j, j - 1] = 1.0
+        first += count
+        new_C[..., row, :], new_D[..., row, :] = 0.0, 0.0
+        new_C[..., row, first - 1] = 1.0
+    return StateArrays(new_A, new_B, new_C, new_D, dt)
+
+
+def late_states(outputs: Sequence[str], periods: Sequence[int]) -> list[str]:
+    """Return the names of the states that `late_outputs` adds."""
+    return [f"{name}_late{j + 1}" for name, count in zip(outputs, periods, strict=True) for j in range(count)]
+
+
 def split_delay(where: str, period: float, delay: float, inputs: int) -> tuple[float, int, float]:
     """Return the period, s, and the delay in periods: a whole number and the part that is left."""
     period, delay = positive(f"{where}: period", period), positive(f"{where}: delay", delay, zero=True)

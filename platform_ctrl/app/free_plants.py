@@ -24,9 +24,9 @@ from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.plants import changed
 from platform_ctrl.job.job import Job, LoopSpec, Sampling
 from platform_ctrl.mechanics.linearisation import LinearModel, linearise
+from platform_ctrl.mechanics.outputs import observed
 from platform_ctrl.mechanics.state_space import state_space as linear_state_space
 from platform_ctrl.plant.platform import OMEGA_NAMES, ROOT_TORQUE_NAMES, Platform
-from platform_ctrl.verification.coupled import measuring
 
 if TYPE_CHECKING:
     import control
@@ -126,7 +126,7 @@ def free_models(job: Job, chosen: Sequence[tuple[str, Platform, FloatArray]], ra
         inputs, outputs = list(system.input_labels), list(system.output_labels)
         A.append(system.A)
         B.append(system.B[:, [inputs.index(name) for name in signals]])
-        C.append(measuring(system, platform, sensors).C)
+        C.append(observed(system, platform, sensors, Omega=Omega).C)
         B_root.append(system.B[:, [inputs.index(name) for name in ROOT_TORQUE_NAMES]])
         C_rate.append(system.C[[outputs.index(name) for name in OMEGA_NAMES]])
     return FreeModels(

@@ -23,8 +23,7 @@ from platform_ctrl.mechanics.coupling import connected, force_rounding, inertia_
 from platform_ctrl.mechanics.kinematics import cross_matrix, topology
 from platform_ctrl.mechanics.linearisation import LinearModel
 from platform_ctrl.mechanics.matrices import inverse_inertia
-from platform_ctrl.plant.platform import FORCE_NAMES, OMEGA_NAMES, ROOT_TORQUE_NAMES, Platform
-from platform_ctrl.plant.sensors import gimbal_rate
+from platform_ctrl.plant.platform import FORCE_NAMES, OMEGA_NAMES, ROOT_TORQUE_NAMES
 
 if TYPE_CHECKING:
     import control
@@ -93,6 +92,7 @@ def state_space(
     root: Literal["prescribed", "free"] = "prescribed",
     gimbals: Sequence[str] | None = None,
     specific_force: bool = False,
+    others: Literal["coupled", "held"] = "coupled",
 ) -> control.StateSpace:
     """Return the linear model as a state-space system.
 
@@ -106,6 +106,9 @@ def state_space(
         Names of the gimbals of one or several subsystems; default all. Only with a prescribed root.
     specific_force
         Whether the specific force is an input as well, for platforms with unbalance: f1 to f3 behind the others, m/s².
+    others
+        What becomes of gimbals that are not named: ``"held"`` at their angles of the trim, or ``"coupled"``: they must
+        not be, `gimbals` have to be whole subsystems.
 
     Returns
     -------
@@ -138,7 +141,7 @@ def state_space(
         if gimbals is not None:
             raise ArgumentError("gimbals: given with root='free'; a free platform couples them all: leave it out")
         return _free(model, specific_force)
-    rows = whole_subsystems(model, gimbals)
+    rows = whole_subsystems(model, gimbals) if others == "coupled" else named_rows(model, gimbals)
     names = [model.angle_names[k] for k in rows]
     chosen = [model.gimbal_names[k] for k in rows]
     torquers, torque_map = gimbal_torquers(model, chosen)
@@ -191,28 +194,18 @@ def _free(model: LinearModel, specific_force: bool) -> control.StateSpace:
     return _named(A, B, C, inputs, [*names, *OMEGA_NAMES], states, specific_force)
 
 
-def output_rows(system: control.StateSpace, platform: Platform) -> dict[str, FloatArray]:
-    """Return what can be measured as rows over the states of a linear model, (2 n,) or (2 n + 3,), by name.
-
-    Angles and, of a free root, Omega are the model's outputs. A gimbal's rate is the derivative of its angle, on which
-    no torque acts directly. Where Omega is given it does not deviate: its row is zero. A sensor adds up such rows.
-    """
-    rows = dict.fromkeys(OMEGA_NAMES, np.zeros(system.nstates))
-    rows |= {gimbal_rate(name): system.A[k] for k, name in enumerate(system.output_labels) if name not in OMEGA_NAMES}
-    rows |= dict(zip(system.output_labels, system.C, strict=True))
-    for sensor in platform.sensors:
-        signals = sensor.signals(platform)
-        if signals.keys() <= rows.keys():
-            rows[sensor.name] = sum((weight * rows[name] for name, weight in signals.items()), np.zeros(system.nstates))
-    return rows
+def named_rows(model: LinearModel, gimbals: Sequence[str] | None) -> list[int]:
+    """Return the rows of the named gimbals, default all, in the file's order."""
+    known = model.gimbal_names
+    return list(range(len(known))) if gimbals is None else known_names("gimbals", gimbals, known)
 
 
 @check_arguments
 def whole_subsystems(model: LinearModel, gimbals: Sequence[str] | None) -> list[int]:
     """Return the rows of the named gimbals (default all); an error where they cut through a subsystem."""
     if gimbals is None:
-        return list(range(len(model.gimbal_names)))
-    chosen = set(known_names("gimbals", gimbals, model.gimbal_names))
+        return named_rows(model, None)
+    chosen = set(named_rows(model, gimbals))
     for group in subsystems(model):
         members = {model.gimbal_names.index(name) for name in group}
         if members & chosen and not members <= chosen:

@@ -81,15 +81,12 @@ class Sensor:
     noise_rms: float
     noise_bandwidth_hz: float
     quantisation: float
-    bias: float
-    scale_error: float
-    bandwidth_hz: float | None
-    delay: float
-
-    @property
-    def rate_hz(self) -> float | None:
-        """Rate at which the sensor takes new readings, Hz; None: at every sample."""
-        return None
+    # Of kinds without such fields:
+    bias: float = 0.0
+    scale_error: float = 0.0
+    bandwidth_hz: float | None = None
+    delay: float = 0.0
+    rate_hz: float | None = None
 
     @property
     def place(self) -> tuple[object, ...]:
@@ -120,7 +117,7 @@ class Sensor:
 
     @check_arguments
     def periods_late(self, period: float) -> int:
-        """Return the age of the reading in sample periods, rounded up.
+        """Return the age of the reading in sample periods, rounded up, with the mean age of readings that are held.
 
         Parameters
         ----------
@@ -132,7 +129,8 @@ class Sensor:
         int
             0 or more.
         """
-        return math.ceil(self.delay / period - 1e-9)
+        held = 1.0 if self.rate_hz is None else max(1.0, 1.0 / (self.rate_hz * period))
+        return math.ceil(self.delay / period + 0.5 * (held - 1.0) - 1e-9)
 
 
 @input_value

@@ -19,7 +19,7 @@ from platform_ctrl.analysis.interconnection import interconnect_controllers
 from platform_ctrl.analysis.margins import DiskMargin, disk_margin, loop_margins
 from platform_ctrl.analysis.metrics import COUPLED_METRICS, METRICS
 from platform_ctrl.analysis.poles import continuous_poles, poles, spectral_abscissa
-from platform_ctrl.analysis.sampling import sampled
+from platform_ctrl.analysis.sampling import late_outputs, late_states, sampled
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.text import at_most
 from platform_ctrl.common.values import FloatArray, value
@@ -27,8 +27,9 @@ from platform_ctrl.job.job import Job
 from platform_ctrl.job.judging import STABLE, CheckResult, Method, Requirement
 from platform_ctrl.job.requirements import loop_requirements
 from platform_ctrl.mechanics.linearisation import LinearModel
-from platform_ctrl.mechanics.state_space import output_rows, state_space, subsystems
-from platform_ctrl.plant.platform import OMEGA_NAMES, Platform
+from platform_ctrl.mechanics.outputs import observed
+from platform_ctrl.mechanics.state_space import state_space, subsystems
+from platform_ctrl.plant.platform import OMEGA_NAMES
 
 if TYPE_CHECKING:
     import control
@@ -168,20 +169,23 @@ def coupled_plant(job: Job, model: LinearModel, controllers: Sequence[control.St
         system = state_space(model, gimbals=gimbals)
         torquers = [t for t in job.platform.torquers if t.gimbal in gimbals]
         angles = [g.angle for g in job.platform.gimbals if g.name in gimbals]
-    rows = output_rows(system, job.platform)
-    outputs = [*angles, *(name for name in sensed_rates(job, controllers) if name in rows)]
-    part = measuring(system, job.platform, outputs)[outputs, [t.signal for t in torquers]]
+    outputs = [*angles, *sensed_rates(job, controllers)]
+    part = observed(system, job.platform, outputs, model.q0, model.Omega0)[outputs, [t.signal for t in torquers]]
     arrays = StateArrays(part.A, part.B, part.C, part.D, 0.0)
-    named = named_system(arrays, [t.name for t in torquers], outputs, list(system.state_labels))
-    return sampled(named, job.sampling.period, job.sampling.delay, [t.lag for t in torquers])
+    named = named_system(arrays, [t.name for t in torquers], outputs, list(part.state_labels))
+    return _read_late(job, sampled(named, job.sampling.period, job.sampling.delay, [t.lag for t in torquers]))
 
 
-def measuring(system: control.StateSpace, platform: Platform, signals: Sequence[str]) -> control.StateSpace:
-    """Return a linear model of the platform with `signals` as its outputs: angles, rates, Omega, names of sensors."""
-    rows = output_rows(system, platform)
-    C = np.array([rows[name] for name in signals]).reshape(len(signals), system.nstates)
-    arrays = StateArrays(system.A, system.B, C, np.zeros((len(C), system.ninputs)), 0.0)
-    return named_system(arrays, system.input_labels, signals, list(system.state_labels))
+def _read_late(job: Job, plant: control.StateSpace) -> control.StateSpace:
+    """Return a sampled plant whose sensors' readings are as late as they are."""
+    late = {sensor.name: sensor.periods_late(job.sampling.period) for sensor in job.platform.sensors}
+    outputs = list(plant.output_labels)
+    periods = [late.get(name, 0) for name in outputs]
+    if not any(periods):
+        return plant
+    arrays = late_outputs(state_arrays(plant, "coupled plant"), periods)
+    states = [*plant.state_labels, *late_states(outputs, periods)]
+    return named_system(arrays, list(plant.input_labels), outputs, states)
 
 
 def sensed_rates(job: Job, controllers: Sequence[control.StateSpace]) -> list[str]:
@@ -244,8 +248,8 @@ def one_way_plant(job: Job, model: LinearModel, rates: Sequence[str]) -> control
     arrays = StateArrays(A, B, C, np.zeros((len(C), len(torquers))), 0.0)
     states = [*system.state_labels, *OMEGA_NAMES]
     named = named_system(arrays, [t.name for t in torquers], [*model.angle_names, *OMEGA_NAMES], states)
-    named = measuring(named, job.platform, [*model.angle_names, *rates])
-    return sampled(named, job.sampling.period, job.sampling.delay, [t.lag for t in torquers])
+    named = observed(named, job.platform, [*model.angle_names, *rates], model.q0, model.Omega0)
+    return _read_late(job, sampled(named, job.sampling.period, job.sampling.delay, [t.lag for t in torquers]))
 
 
 def torquer_metrics(noise_to_torque: StateArrays, rms: FloatArray) -> dict[str, FloatArray]:

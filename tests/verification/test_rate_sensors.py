@@ -12,10 +12,11 @@ from platform_ctrl.analysis.interconnection import interconnect_controllers
 from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.job.job import CoupledLimits, Job, Sampling, Uncertainty
 from platform_ctrl.mechanics.linearisation import linearise
+from platform_ctrl.mechanics.outputs import observed
 from platform_ctrl.mechanics.state_space import state_space
 from platform_ctrl.report.figures.coupled import platform_compliance, platform_disturbance_figure
 from platform_ctrl.verification.controllers import read_controllers
-from platform_ctrl.verification.coupled import coupled_check, coupled_plant, measuring
+from platform_ctrl.verification.coupled import coupled_check, coupled_plant
 
 PERIOD = 0.001
 ROOT = np.array([0.2, 0.3, 0.4])
@@ -142,7 +143,7 @@ def test_measured_rates_are_the_derivatives_of_the_angles():
     for system in (state_space(model), state_space(model, root="free"), state_space(model, gimbals=("9", "10"))):
         angles = [name for name in names if name in system.output_labels]
         torques = [name for name in system.input_labels if not name.startswith("Omega")]
-        rates = measuring(system, model.platform, [f"{name}_rate" for name in angles])
+        rates = observed(system, model.platform, [f"{name}_rate" for name in angles])
         s = 37.0j
         np.testing.assert_allclose(
             rates[:, torques](s), s * np.asarray(system[angles, torques](s)), rtol=1e-9, atol=1e-9

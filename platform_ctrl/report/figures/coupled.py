@@ -16,6 +16,7 @@ from platform_ctrl.analysis.sampling import sampled
 from platform_ctrl.common.arguments import positive
 from platform_ctrl.common.text import at_least
 from platform_ctrl.common.values import FloatArray
+from platform_ctrl.mechanics.outputs import observed
 from platform_ctrl.mechanics.state_space import state_space as linear_state_space
 from platform_ctrl.plant.platform import OMEGA_NAMES, ROOT_TORQUE_NAMES
 from platform_ctrl.report.figures.loop import half_plane_axes
@@ -40,7 +41,7 @@ from platform_ctrl.report.style import (
     linear_axis,
     panels,
 )
-from platform_ctrl.verification.coupled import CoupledCheck, measuring
+from platform_ctrl.verification.coupled import CoupledCheck
 from platform_ctrl.verification.verdict import JobResult
 
 if TYPE_CHECKING:
@@ -242,7 +243,7 @@ def platform_compliance(result: JobResult, frequency: FloatArray) -> tuple[Float
     check = result.coupled
     shown = [*model.angle_names, *OMEGA_NAMES]
     outputs = [*shown, *(name for name in check.controller.input_labels if name not in shown)]
-    free = measuring(linear_state_space(model, root="free"), model.platform, outputs)
+    free = observed(linear_state_space(model, root="free"), model.platform, outputs, model.q0, model.Omega0)
     signals = [t.signal for t in job.platform.torquers]
     direct = _response(free[outputs, list(ROOT_TORQUE_NAMES)], frequency)
     # The platform's rates become angles.
