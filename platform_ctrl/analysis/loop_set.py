@@ -2,7 +2,9 @@
 
 The parts of a closed loop are named by where they begin and end:
 
-    [torque, Omega, noise] → [torque, angle]        u = K (y + noise),  y = P (u + torque) + P_Omega Omega
+    [torque, Omega, noise] → [torque, angle, sight]        u = K (y + noise),  y = P (u + torque) + P_Omega Omega
+
+"angle" is all that is measured, of rate loops rates; "sight" are the rates of the line of sight.
 
 The largest gain over frequency is taken on the set's grid and at the closed-loop poles that are narrower than the
 grid's spacing (`LoopSet.grid_peaks`): quick enough for a search. Over all frequencies it is a norm (`norms.peak`).
@@ -39,7 +41,7 @@ class Transfer(NamedTuple):
     """
 
     source: Literal["torque", "Omega", "noise"]
-    target: Literal["torque", "angle"]
+    target: Literal["torque", "angle", "sight"]
     direct: float = 0.0
     of_limit: bool = False
 
@@ -49,6 +51,7 @@ T_OUTPUT, T_INPUT = Transfer("noise", "angle"), Transfer("torque", "torque")
 # (S − T)/2 = S − I/2
 HALF_OUTPUT, HALF_INPUT = Transfer("noise", "angle", 0.5), Transfer("torque", "torque", 0.5)
 ANGLE_PER_OMEGA, ANGLE_PER_TORQUE = Transfer("Omega", "angle"), Transfer("torque", "angle")
+SIGHT_PER_OMEGA = Transfer("Omega", "sight")
 TORQUE_SHARE = Transfer("Omega", "torque", of_limit=True)
 
 Indices = NDArray[np.intp]
@@ -104,16 +107,14 @@ class LoopSet:
 
     @cached_property
     def arrays(self) -> StateArrays:
-        """Closed loops (N, ...): inputs torque disturbance, Omega, noise; outputs torques, angles, readings."""
-        plants, m = self.plants, self.m
-        B = np.concatenate([plants.B, plants.B_Omega], axis=-1)
-        D = np.concatenate([plants.D, np.zeros((*plants.D.shape[:-1], 3))], axis=-1)
-        loops = StateArrays(plants.A, B, plants.C, D, plants.period)
-        A, B, C, D, _ = closed_loop(loops, self.controller, torques=range(m))
-        D_read = D[..., m:, :].copy()
-        D_read[..., m + 3 :] += np.eye(self.p)
-        C, D = np.concatenate([C, C[..., m:, :]], axis=-2), np.concatenate([D, D_read], axis=-2)
-        return StateArrays(A, B, C, D, plants.period)
+        """Closed loops (N, ...): inputs torque disturbance, Omega, noise; outputs torques, angles, readings, sight."""
+        m, p = self.m, self.p
+        A, B, C, D, _ = closed_loop(self.plants.whole, self.controller, torques=range(m), angles=range(p))
+        C_read, D_read = C[..., m : m + p, :], D[..., m : m + p, :].copy()
+        D_read[..., m + 3 :] += np.eye(p)
+        C = np.concatenate([C[..., : m + p, :], C_read, C[..., m + p :, :]], axis=-2)
+        D = np.concatenate([D[..., : m + p, :], D_read, D[..., m + p :, :]], axis=-2)
+        return StateArrays(A, B, C, D, self.plants.period)
 
     @cached_property
     def own_arrays(self) -> StateArrays:
@@ -131,7 +132,7 @@ class LoopSet:
     def outputs(self) -> list[str]:
         """Names of the closed loops' outputs; ``reading_`` is an angle with its noise: what the controller gets."""
         names = self.plants
-        return [*names.torques, *names.angles, *(f"reading_{name}" for name in names.angles)]
+        return [*names.torques, *names.angles, *(f"reading_{name}" for name in names.angles), *names.sight]
 
     @cached_property
     def poles(self) -> ComplexArray:
@@ -191,7 +192,7 @@ class LoopSet:
         A, B, C, D, dt = _one(self.arrays, k)
         m, p = self.m, self.p
         columns = {"torque": slice(0, m), "Omega": slice(m, m + 3), "noise": slice(m + 3, m + 3 + p)}[transfer.source]
-        rows = {"torque": slice(0, m), "angle": slice(m, m + p)}[transfer.target]
+        rows = {"torque": slice(0, m), "angle": slice(m, m + p), "sight": slice(m + 2 * p, None)}[transfer.target]
         B, C, D = B[:, columns], C[rows], D[rows, columns]
         if not transfer.of_limit:
             return [StateArrays(A, B, C, D + transfer.direct * np.eye(*D.shape), dt)]
@@ -209,9 +210,14 @@ class LoopSet:
         if (transfer.source, transfer.target) in (("noise", "angle"), ("torque", "torque")):
             S = S if transfer.source == "noise" else self.S_input[members]
             return [S - (1.0 - transfer.direct) * np.eye(S.shape[-1])]
-        response = self.K @ S if transfer.target == "torque" else S
+        response = S if transfer.target == "angle" else self.K @ S
         if transfer.source != "noise":
             response = response @ (plants.Omega_response if transfer.source == "Omega" else plants.response)[members]
+        if transfer.target == "sight":
+            sight = plants.sight_response[members]
+            response = sight[..., : self.m] @ response
+            if transfer.source != "noise":
+                response += sight[..., self.m :] if transfer.source == "Omega" else sight[..., : self.m]
         if not transfer.of_limit:
             return [response]
         torque = response * self._shares

@@ -24,8 +24,9 @@ if TYPE_CHECKING:
 
 BoolArray = NDArray[np.bool_]
 
-# What a plant of a set represents: the nominal one; other parameters; another platform rate; a part that fails.
-Group = Literal["nominal", "uncertainty", "Omega", "faults"]
+# What a plant of a set represents: the nominal one; other parameters; another platform rate; other gimbal angles;
+# a part that fails.
+Group = Literal["nominal", "uncertainty", "Omega", "angles", "faults"]
 
 
 @value
@@ -35,15 +36,18 @@ class PlantSet:
     Attributes
     ----------
     A, B, C, D
-        State equations, torques in N m → angles in rad. Shapes (N, n, n), (N, n, m), (N, p, n), (N, p, m).
+        State equations, torques in N m → what is measured: angles in rad, of rate loops rates in rad/s. Shapes
+        (N, n, n), (N, n, m), (N, p, n), (N, p, m).
     period
         Of the samples, s.
     labels, groups
-        What each plant is, and what it represents: ``"nominal"``, ``"uncertainty"``, ``"Omega"`` or ``"faults"``.
+        What each plant is, and what it represents: ``"nominal"``, ``"uncertainty"``, ``"Omega"``, ``"angles"`` or
+        ``"faults"``.
     torques, angles
-        Names of the m inputs and p outputs.
-    B_Omega : (N, n, 3)
-        Input of the platform's rate in rad/s, held between samples and not delayed; in units of the states.
+        Names of the m inputs and p measured outputs.
+    B_Omega, D_Omega
+        Input of the platform's rate in rad/s, held between samples and not delayed, (N, n, 3) in units of the states;
+        and how it is measured at once, (N, p, 3): by a gyro that turns with the platform.
     Omega : (3,)
         Largest platform rate about each axis, rad/s.
     torque_limit : (m,)
@@ -61,6 +65,12 @@ class PlantSet:
         Of the plants on `frequency`, platform rate → angles, s.
     states
         Names of the n states.
+    sight
+        Names of the q outputs of the line of sight, rad/s.
+    C_sight, D_sight
+        Of these outputs: (N, q, n), and directly from torques and Omega, (N, q, m + 3).
+    sight_response : complex (N, F, q, m + 3)
+        Of the plants on `frequency`, torques and platform rate → outputs of the line of sight.
     """
 
     A: FloatArray
@@ -81,6 +91,37 @@ class PlantSet:
     response: ComplexArray
     Omega_response: ComplexArray
     states: tuple[str, ...]
+    D_Omega: FloatArray
+    sight: tuple[str, ...]
+    C_sight: FloatArray
+    D_sight: FloatArray
+    sight_response: ComplexArray
+
+    @property
+    def whole(self) -> StateArrays:
+        """All plants, (N, ...), from torques and Omega to what is measured and the outputs of the line of sight."""
+        return StateArrays(
+            self.A,
+            np.concatenate([self.B, self.B_Omega], axis=-1),
+            np.concatenate([self.C, self.C_sight], axis=-2),
+            np.concatenate([np.concatenate([self.D, self.D_Omega], axis=-1), self.D_sight], axis=-2),
+            self.period,
+        )
+
+    def on(self, frequency: FloatArray) -> PlantSet:
+        """Return the set on another grid of frequencies (F,), rad/s."""
+        return dataclasses.replace(self, frequency=frequency, **self._responses(frequency))
+
+    def _responses(self, frequency: FloatArray) -> dict[str, ComplexArray]:
+        # All together: what depends on the plant and on its outputs alone is then computed once.
+        found = frequency_response(self.whole, frequency, -3, ON_A_GRID)
+        m, p = len(self.torques), len(self.angles)
+        parts = {
+            "response": found[..., :p, :m],
+            "Omega_response": found[..., :p, m:],
+            "sight_response": found[..., p:, :],
+        }
+        return {name: np.ascontiguousarray(part) for name, part in parts.items()}
 
     def system(self, k: int = 0) -> control.StateSpace:
         """Return plant `k` with its signals by name; 0 is the nominal one.
@@ -90,7 +131,7 @@ class PlantSet:
         loop of a controller u = K y.
         """
         k = whole("PlantSet.system: k", k, 0, len(self.labels) - 1)
-        B, D = np.hstack([self.B[k], self.B_Omega[k]]), np.hstack([self.D[k], np.zeros((len(self.angles), 3))])
+        B, D = np.hstack([self.B[k], self.B_Omega[k]]), np.hstack([self.D[k], self.D_Omega[k]])
         arrays = StateArrays(self.A[k], B, self.C[k], D, self.period)
         return named_system(arrays, [*self.torques, *OMEGA_NAMES], self.angles, self.states)
 
@@ -131,16 +172,9 @@ class PlantSet:
         if not len(new):
             return self
         order = np.argsort(np.concatenate([self.frequency, new]), kind="stable")
-        B = np.concatenate([self.B, self.B_Omega], axis=-1)
-        D = np.concatenate([self.D, np.zeros((*self.D.shape[:-1], 3))], axis=-1)
-        found = frequency_response(StateArrays(self.A, B, self.C, D, self.period), new, -3, ON_A_GRID)
-        m = self.B.shape[-1]
-        return dataclasses.replace(
-            self,
-            frequency=np.concatenate([self.frequency, new])[order],
-            response=np.concatenate([self.response, found[..., :m]], axis=1)[:, order],
-            Omega_response=np.concatenate([self.Omega_response, found[..., m:]], axis=1)[:, order],
-        )
+        found = self._responses(new)
+        parts = {name: np.concatenate([getattr(self, name), part], axis=1)[:, order] for name, part in found.items()}
+        return dataclasses.replace(self, frequency=np.concatenate([self.frequency, new])[order], **parts)
 
     @check_arguments
     def only(self, chosen: Sequence[int]) -> PlantSet:
@@ -157,6 +191,10 @@ class PlantSet:
             B_Omega=self.B_Omega[index],
             response=self.response[index],
             Omega_response=self.Omega_response[index],
+            D_Omega=self.D_Omega[index],
+            C_sight=self.C_sight[index],
+            D_sight=self.D_sight[index],
+            sight_response=self.sight_response[index],
         )
 
 
@@ -178,21 +216,20 @@ def plant_set(  # noqa: PLR0913 - options by keyword
     Omega: FloatArray | None = None,
     torque_limit: FloatArray | None = None,
     states: Sequence[str] | None = None,
+    D_Omega: FloatArray | None = None,
+    sight: tuple[str, ...] = (),
+    C_sight: FloatArray | None = None,
+    D_sight: FloatArray | None = None,
 ) -> PlantSet:
     """Return the set, its responses computed once on `tuning_grid`.
 
     Without `groups` the first plant is the nominal one and the others have uncertain parameters; without the rest the
     platform does not turn and the torquers have no limits.
     """
-    grid = tuning_grid(nutation, plants.dt)
+    (N, n), m, p = plants.A.shape[:2], plants.B.shape[-1], plants.C.shape[-2]
     others: list[Group] = ["uncertainty" for _ in labels[1:]]
-    B_Omega = np.zeros((*plants.A.shape[:-1], 3)) if B_Omega is None else B_Omega
-    # Both together: what depends on the plant and on its angles alone is then computed once.
-    m = plants.B.shape[-1]
-    B = np.concatenate([plants.B, B_Omega], axis=-1)
-    D = np.concatenate([plants.D, np.zeros((*plants.D.shape[:-1], 3))], axis=-1)
-    response = frequency_response(StateArrays(plants.A, B, plants.C, D, plants.dt), grid, -3, ON_A_GRID)
-    return PlantSet(
+    none = np.zeros((N, 0, 0, 0), dtype=np.complex128)
+    out = PlantSet(
         A=plants.A,
         B=plants.B,
         C=plants.C,
@@ -202,13 +239,19 @@ def plant_set(  # noqa: PLR0913 - options by keyword
         groups=("nominal", *others) if groups is None else groups,
         torques=torques,
         angles=angles,
-        B_Omega=B_Omega,
+        B_Omega=np.zeros((N, n, 3)) if B_Omega is None else B_Omega,
         Omega=np.zeros(3) if Omega is None else Omega,
         torque_limit=np.full(len(torques), np.inf) if torque_limit is None else torque_limit,
         nutation=nutation,
         noise=noise,
-        frequency=grid,
-        response=np.ascontiguousarray(response[..., :m]),
-        Omega_response=np.ascontiguousarray(response[..., m:]),
-        states=tuple(f"x{k}" for k in range(plants.A.shape[-1])) if states is None else tuple(states),
+        frequency=np.zeros(0),
+        response=none,
+        Omega_response=none,
+        states=tuple(f"x{k}" for k in range(n)) if states is None else tuple(states),
+        D_Omega=np.zeros((N, p, 3)) if D_Omega is None else D_Omega,
+        sight=sight,
+        C_sight=np.zeros((N, 0, n)) if C_sight is None else C_sight,
+        D_sight=np.zeros((N, 0, m + 3)) if D_sight is None else D_sight,
+        sight_response=none,
     )
+    return out.on(tuning_grid(nutation, plants.dt))

@@ -14,13 +14,11 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.bandwidths import LEVEL
 from platform_ctrl.analysis.frequency_grids import tuning_grid
 from platform_ctrl.analysis.loop_metrics import measure
 from platform_ctrl.analysis.loop_set import LoopSet
 from platform_ctrl.analysis.plant_set import PlantSet
-from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.fixed_structure.goals import pieces
 from platform_ctrl.design.fixed_structure.loops import ClosedLoops, Numbers
@@ -391,13 +389,4 @@ def _ranked(by_plant: FloatArray) -> list[int]:
 
 def finer(plants: PlantSet) -> PlantSet:
     """Return the set on a grid on which no resonance of its closed loops hides between two points."""
-    grid = tuning_grid(plants.nutation, plants.period, fine=True)
-    no_direct = np.zeros((*plants.D.shape[:-1], plants.B_Omega.shape[-1]))
-    return dataclasses.replace(
-        plants,
-        frequency=grid,
-        response=frequency_response(StateArrays(plants.A, plants.B, plants.C, plants.D, plants.period), grid, -3),
-        Omega_response=frequency_response(
-            StateArrays(plants.A, plants.B_Omega, plants.C, no_direct, plants.period), grid, -3
-        ),
-    )
+    return plants.on(tuning_grid(plants.nutation, plants.period, fine=True))

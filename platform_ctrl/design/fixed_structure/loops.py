@@ -93,12 +93,11 @@ class Points:
         plants = loops.plants
         z = np.exp(1j * frequency * plants.period)
         pencil = z[:, None, None] * np.eye(plants.A.shape[-1]) - plants.A[plant]
-        into = np.concatenate([plants.B[plant], plants.B_Omega[plant]], axis=-1).astype(complex)
-        P = plants.C[plant] @ np.linalg.solve(pencil, into)
+        whole, m, p = loops.whole, loops.m, loops.p
+        found = whole.C[plant] @ np.linalg.solve(pencil, whole.B[plant].astype(complex)) + whole.D[plant]
         K, self._left, self._right = loops.controller_response(z)
-        direct = np.asarray(P[..., : loops.m] + plants.D[plant], dtype=np.complex128)
-        to_Omega = np.asarray(P[..., loops.m :], dtype=np.complex128)
-        self.responses = Responses(direct, K, *both_sensitivities(direct, K), to_Omega)
+        P, to_Omega, sight = (np.ascontiguousarray(part) for part in (found[:, :p, :m], found[:, :p, m:], found[:, p:]))
+        self.responses = Responses(P, K, *both_sensitivities(P, K), to_Omega, sight)
 
     def singular(self, of: Map, only: int | None = None) -> Singular:
         """Return the largest singular value of a map at every point as smooth pieces.
@@ -151,7 +150,7 @@ class ClosedLoops:
     """
 
     def __init__(self, plants: PlantSet, controller: StateArrays) -> None:
-        self.plants = plants
+        self.plants, self.whole = plants, plants.whole
         self.A_K, self.B_K, self.C_K, self.D_K, _ = controller
         self.M = np.block([[self.A_K, self.B_K], [self.C_K, self.D_K]])
         self.order = len(self.A_K)
@@ -194,6 +193,7 @@ class ClosedLoops:
             self.S_output[members, cut],
             self.S_input[members, cut],
             self.plants.Omega_response[members, cut],
+            self.plants.sight_response[members, cut],
         )
         sizes = largest(of.response(response))
         padded = np.pad(sizes, ((0, 0), (1, 1)), constant_values=-np.inf if ends else np.inf)

@@ -15,13 +15,17 @@ from platform_ctrl.common.values import FloatArray
 
 
 class Responses(NamedTuple):
-    """Plant, controller, sensitivities and platform rate → angles, complex (..., rows, columns)."""
+    """Plant, controller, sensitivities, platform rate → what is measured, and torques and platform rate → sight.
+
+    Each complex (..., rows, columns).
+    """
 
     P: ComplexArray
     K: ComplexArray
     S_output: ComplexArray
     S_input: ComplexArray
     P_Omega: ComplexArray
+    sight: ComplexArray
 
 
 # Singular vectors u, v → a (k, m), b (k, p) with d(uᴴ X v) = a dK b.
@@ -80,10 +84,21 @@ def map_of(transfer: Transfer) -> Map:
             return Map(lambda r: r.S_output @ r.P_Omega, lambda r, u, v: _at_output(r, u, column_of(r.P_Omega, v)))
         case "noise", "torque":
             return Map(lambda r: r.K @ r.S_output, lambda r, u, v: (row_of(u, r.S_input), column_of(r.S_output, v)))
-    return Map(
-        lambda r: r.K @ r.S_output @ r.P_Omega,
-        lambda r, u, v: (row_of(u, r.S_input), column_of(r.S_output, r.P_Omega, v)),
-    )
+        case "Omega", "torque":
+            return Map(
+                lambda r: r.K @ r.S_output @ r.P_Omega,
+                lambda r, u, v: (row_of(u, r.S_input), column_of(r.S_output, r.P_Omega, v)),
+            )
+    return Map(_sight_per_Omega, _at_sight)
+
+
+def _sight_per_Omega(r: Responses) -> ComplexArray:
+    m = r.P.shape[-1]
+    return r.sight[..., m:] + r.sight[..., :m] @ (r.K @ r.S_output @ r.P_Omega)
+
+
+def _at_sight(r: Responses, u: ComplexArray, v: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+    return row_of(u, r.sight[..., : r.P.shape[-1]], r.S_input), column_of(r.S_output, r.P_Omega, v)
 
 
 S_OUTPUT, S_INPUT = map_of(loop_set.S_OUTPUT), map_of(loop_set.S_INPUT)
