@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from platform_ctrl.analysis.metrics import METRICS
+from platform_ctrl.job.budget_checks import budget_mistakes
 from platform_ctrl.job.job import Job, manoeuvre_scenario
 from platform_ctrl.job.methods import METHODS
 from platform_ctrl.job.parameter_limits import misfits
@@ -146,6 +147,7 @@ def job_mistakes(data: Data, platform: Platform | None) -> list[Mistake]:
         *_loops(data, platform),
         *run_mistakes(data, platform),
         *campaign_mistakes(data),
+        *budget_mistakes(data, platform),
     ]
 
 

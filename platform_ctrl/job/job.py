@@ -10,6 +10,7 @@ import numpy as np
 from platform_ctrl.analysis.metrics import RUN_METRICS
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import input_value
+from platform_ctrl.job.budget import Budget
 from platform_ctrl.job.faults import Fault
 from platform_ctrl.job.methods import METHODS
 from platform_ctrl.job.methods import LoopKind as LoopKind
@@ -291,6 +292,8 @@ class Job:
         Number of points between −Omega and Omega about each axis; 2: the corners alone.
     campaign
         Many runs, or None.
+    budget
+        What disturbs the line of sight, or None.
     """
 
     name: fields.Text
@@ -307,6 +310,7 @@ class Job:
     manoeuvres: Annotated[tuple[Manoeuvre, ...], Array("manoeuvre")] = ()
     fault_events: Annotated[tuple[Fault, ...], Array("fault")] = ()
     campaign: Annotated[Campaign | None, TABLE] = None
+    budget: Annotated[Budget | None, TABLE] = None
 
     @property
     def campaign_manoeuvres(self) -> tuple[tuple[Manoeuvre, float], ...]:

@@ -11,6 +11,7 @@ from typing import Any
 
 from platform_ctrl.common.values import replaced
 from platform_ctrl.errors import InputError, OldKeyWarning
+from platform_ctrl.job.budget_checks import size_mistakes
 from platform_ctrl.job.checks import job_mistakes, variation_mistakes
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.old_names import renamed
@@ -78,7 +79,7 @@ def read_job(
     job = Job(**made(read), platform=platform)
     if job.campaign is not None and "seed" not in document.data["campaign"]:
         job = replaced(job, {"campaign": replaced(job.campaign, {"seed": job.seed})})
-    if mistakes := list(variation_mistakes(job)):
+    if mistakes := [*variation_mistakes(job), *(size_mistakes(job.budget) if job.budget is not None else ())]:
         raise report(document.label, document.data, mistakes)
     if old_keys:
         words = (

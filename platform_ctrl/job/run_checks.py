@@ -94,10 +94,11 @@ def _tables(table: Data, path: Path) -> Iterator[Mistake]:
             words = f'the key "{first}" is missing; the table needs {first}, {second} or {third} beside the times'
             yield Mistake((*path, key, first), words)
         for column in columns:
-            yield from _of_length(over_time, column, "t", (*path, key))
+            yield from of_length(over_time, column, "t", (*path, key))
 
 
-def _of_length(table: Data, key: str, beside: str, path: Path) -> Iterator[Mistake]:
+def of_length(table: Data, key: str, beside: str, path: Path) -> Iterator[Mistake]:
+    """Judge that two lists have as many elements."""
     one, other = table.get(key), table.get(beside)
     if isinstance(one, list) and isinstance(other, list) and len(one) != len(other):
         words = f"{key} must have as many elements as {beside}, {len(other)}, got {len(one)}"
@@ -112,7 +113,7 @@ def _vibrations(table: Data, path: Path, mode: str | None) -> Iterator[Mistake]:
                 'kind must be "force" with mode = "stabilised", got "rate": only a caged platform has a prescribed rate'
             )
             yield Mistake((*own, "kind"), words)
-        yield from _of_length(vibration, "densities", "frequencies_hz", own)
+        yield from of_length(vibration, "densities", "frequencies_hz", own)
 
 
 def _names_of_faults(table: Data, path: Path, known: Collection[str]) -> Iterator[Mistake]:

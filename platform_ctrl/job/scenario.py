@@ -14,6 +14,7 @@ from platform_ctrl.common.signatures import check_arguments, short
 from platform_ctrl.common.values import FloatArray, input_value, read_only
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.faults import Fault
+from platform_ctrl.job.spectra import interpolated
 from platform_ctrl.plant import fields
 from platform_ctrl.plant.platform import Platform
 
@@ -178,7 +179,7 @@ class Vibration:
         middle = np.sqrt(edges[:-1] * edges[1:])
         density = np.zeros(self.lines)
         if self.densities.any():  # else it has been scaled to nothing
-            density = np.exp(np.interp(np.log(middle), np.log(self.frequencies_hz), np.log(self.densities)))
+            density = interpolated(middle, self.frequencies_hz, self.densities)
         return 2.0 * math.pi * middle, np.sqrt(2.0 * density * np.diff(edges))
 
 

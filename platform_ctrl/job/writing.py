@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from platform_ctrl.job.budget import Budget
 from platform_ctrl.job.faults import FAULT_KINDS, Fault
 from platform_ctrl.job.job import Campaign, Job, Manoeuvre
 from platform_ctrl.job.reading import SCHEMA as JOB_SCHEMA
@@ -63,6 +64,8 @@ def job_data(job: Job) -> dict[str, Any]:
         data["fault"] = [_fault_data(fault) for fault in job.fault_events]
     if job.campaign is not None:
         data["campaign"] = _campaign_data(job.campaign)
+    if job.budget is not None:
+        data["budget"] = _budget_data(job.budget)
     return data
 
 
@@ -114,6 +117,16 @@ def _campaign_data(campaign: Campaign) -> dict[str, Any]:
             for one in campaign.vary
         ],
         "fault": [{"fault": one.fault, "probability": one.probability} for one in campaign.faults],
+    }
+
+
+def _budget_data(budget: Budget) -> dict[str, Any]:
+    own = _fields(budget, "limits", "sources", "correlations")
+    return {
+        **{key: item for key, item in own.items() if item != ()},
+        "limits": _fields(budget.limits),
+        "source": [_fields(one, "spectrum") | _fields(one.spectrum) for one in budget.sources],
+        "correlation": [_fields(one) for one in budget.correlations],
     }
 
 

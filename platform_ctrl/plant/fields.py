@@ -254,6 +254,33 @@ def _rates(item: object) -> FloatArray:
     return read_only(rates)
 
 
+def rows(*fits: Callable[[float], bool]) -> Callable[[object], FloatArray]:
+    """Return the judge of one or more rows of numbers: what each number of a row has to be."""
+
+    def judge(item: object) -> FloatArray:
+        if not isinstance(item, list) or not item:
+            raise Unfit
+        found = []
+        for k, row in enumerate(item, 1):
+            try:
+                found.append(numbers(row, len(fits)))
+            except Unfit as error:
+                raise Unfit(f"row {k} {error or 'is no list'}") from None
+            if not all(fit(x) for fit, x in zip(fits, found[-1], strict=True)):
+                raise Unfit(f"row {k} is {given(row)}")
+        return read_only(found)
+
+    return judge
+
+
+def _one_or_range(item: object) -> tuple[float, float]:
+    """Return the lowest and the highest of a number > 0 or of two."""
+    low, high = numbers(item, 2) if isinstance(item, list) else (number(item), number(item))
+    if not 0.0 < low <= high:
+        raise Unfit
+    return low, high
+
+
 def _names(item: object) -> tuple[str, ...]:
     if not isinstance(item, list) or not all(isinstance(name, str) for name in item):
         raise Unfit
@@ -279,6 +306,7 @@ POSITIVE = Expected("a number > 0", _number(lambda x: x > 0))
 NOT_NEGATIVE = Expected("a number >= 0", _number(lambda x: x >= 0))
 FREQUENCY = Expected("a number > 0, Hz", _number(lambda x: x > 0))
 NUMBERS = Expected("one or more numbers", numbers_of_any_count(1, lambda found: True))
+POSITIVES = Expected("one or more numbers > 0", numbers_of_any_count(1, lambda found: min(found) > 0))
 TIMES = Expected("two or more times that increase, s", numbers_of_any_count(2, _increasing))
 PLANT = Expected("the name of a shipped model, a path relative to this file, or a table", _plant)
 TEXT = Expected("a line of text that is not empty", text)
@@ -321,6 +349,8 @@ Densities = Annotated[
     FloatArray,
     Expected("a density > 0 for each frequency", numbers_of_any_count(1, lambda found: min(found) > 0)),
 ]
+Positives = Annotated[tuple[float, ...], POSITIVES]
+OneOrRange = Annotated[tuple[float, float], Expected("a number > 0, or two: lowest and highest", _one_or_range)]
 Lines = Annotated[int, Expected("a whole number from 1 to 4096", integer(1, 4096))]
 Runs = Annotated[int, Expected("a whole number from 1 to 2^30", integer(1, 2**30))]
 Names = Annotated[tuple[str, ...], Expected("a list of names", _names)]

@@ -56,6 +56,16 @@ class Collected:
 
 
 @dataclass(frozen=True, eq=False)
+class OneOf:
+    """Mark of a field that is one of several records, whose keys stand in the same table: exactly one is given.
+
+    `records`: by the key that says which it is.
+    """
+
+    records: Mapping[str, type]
+
+
+@dataclass(frozen=True, eq=False)
 class Key:
     """What a key holds, and where it goes: to a field, or into a dictionary that the field is."""
 
@@ -79,6 +89,7 @@ class Shape:
     alternatives: tuple[tuple[str, str, bool], ...] = ()
     # Of any other key: the field that is a dictionary of them ("": the table is one itself), and what is expected.
     others: tuple[str, Expected] | None = None
+    one_of: OneOf | None = None
 
 
 # Mark of a field that is a record, in a table of the field's name.
@@ -96,7 +107,8 @@ def _shape(record: type) -> Shape:
     keys: dict[str, Key] = {}
     elsewhere: dict[str, dict[str, Key]] = {}
     alternatives: list[tuple[str, str, bool]] = []
-    others = None
+    others = one_of = None
+    make: Callable[..., Any] = record
     for one in dataclasses.fields(record):
         kind, marks = _marks(hints[one.name])
         needed = one.default is dataclasses.MISSING and one.default_factory is dataclasses.MISSING
@@ -106,6 +118,10 @@ def _shape(record: type) -> Shape:
             if isinstance(mark, Collected):
                 keys |= {key: Key(expected, one.name, collected=True) for key, expected in mark.keys.items()}
                 others = others if mark.others is None else (one.name, mark.others)
+            elif isinstance(mark, OneOf):
+                one_of, make = mark, _made_of(record, one.name, mark)
+                for part in mark.records.values():
+                    keys |= {key: Key(inner.holds, one.name, collected=True) for key, inner in shape(part).keys.items()}
             elif mark is TABLE:
                 keys[one.name] = Key(shape(kind), one.name, needed=needed)
             elif isinstance(mark, Array):
@@ -122,7 +138,18 @@ def _shape(record: type) -> Shape:
             alternatives += [] if alone else [(one.name, instead.key, needed)]
     for table, inner in elsewhere.items():
         keys[table] = Key(Shape(None, inner), "", needed=any(key.needed for key in inner.values()))
-    return Shape(record, keys, tuple(alternatives), others)
+    return Shape(make, keys, tuple(alternatives), others, one_of)
+
+
+def _made_of(record: type, name: str, mark: OneOf) -> Callable[..., Any]:
+    """Return what makes a record with the one of several that the keys in its field `name` are of."""
+
+    def make(**arguments: Any) -> Any:
+        own = arguments[name]
+        kind = next(kind for key, kind in mark.records.items() if key in own)
+        return record(**arguments | {name: kind(**own)})
+
+    return make
 
 
 @cache
@@ -195,6 +222,8 @@ def _read(table: Shape, data: dict[str, Any], path: Path, mistakes: list[Mistake
     for one, other, needed in table.alternatives:
         if (one in data) == (other in data) and (needed or one in data):
             mistakes.append(Mistake(path, either(one, other, one in data)))
+    if table.one_of is not None:
+        mistakes += _choice(table.one_of, data, path)
     others = [name for name in data if name not in table.keys] if table.others else []
     for name in [*(name for name in known if name in data), *others]:
         key = table.keys.get(name) or _other(table.others, name)
@@ -206,6 +235,24 @@ def _read(table: Shape, data: dict[str, Any], path: Path, mistakes: list[Mistake
         else:
             arguments[key.field] = found if key.instead is None else _Other(key.instead, found)
     return arguments
+
+
+def _choice(one_of: OneOf, data: dict[str, Any], path: Path) -> Iterator[Mistake]:
+    """Judge which of several records a table has: none, two, or one with keys of another."""
+    given_keys = [key for key in one_of.records if key in data]
+    if len(given_keys) != 1:
+        found = f"got {' and '.join(given_keys)}; leave one out" if given_keys else "one of them is needed"
+        yield Mistake(path, f"give exactly one of {', '.join(one_of.records)}; {found}")
+        return
+    [kind] = given_keys
+    own = shape(one_of.records[kind]).keys
+    for name, key in own.items():
+        if key.needed and name not in data:
+            yield Mistake((*path, name), _missing((*path, name), key))
+    for part in one_of.records.values():
+        for name in [name for name in shape(part).keys if name in data and name not in own]:
+            words = f"{name} = {given(data[name])} has no effect with {kind}, which takes {', '.join(own)}"
+            yield Mistake((*path, name), words)
 
 
 def _other(others: tuple[str, Expected] | None, name: str) -> Key:

@@ -97,6 +97,10 @@ def _numbers(item: Any, least: int = 1) -> bool:
     return isinstance(item, list) and len(item) >= least and all(map(_number, item))
 
 
+def _rows(item: Any, length: int) -> bool:
+    return isinstance(item, list) and bool(item) and all(_numbers(row) and len(row) == length for row in item)
+
+
 def _text(item: Any) -> bool:
     return isinstance(item, str) and item.isprintable() and bool(item.strip())
 
@@ -133,6 +137,8 @@ def _taken(kind: str) -> Callable[[Any], bool]:
         ("number ≥ 0", lambda item: _number(item) and item >= 0),
         ("three numbers ≥ 0", lambda item: _numbers(item) and len(item) == 3 and min(item) >= 0),
         ("three numbers", lambda item: _numbers(item) and len(item) == 3),
+        ("rows of three numbers", lambda item: _rows(item, 3)),
+        ("rows of two numbers", lambda item: _rows(item, 2)),
         ("two or more number", lambda item: _numbers(item, 2)),
         ("as many number", _numbers),
         ("numbers", lambda item: _numbers(item) or _number(item)),

@@ -1,0 +1,256 @@
+"""What disturbs the line of sight, as values of the job file: sources, their correlations, the band and the limits."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import field
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from platform_ctrl.common.arguments import real_numbers
+from platform_ctrl.common.signatures import check_arguments
+from platform_ctrl.common.values import FloatArray, input_value, value
+from platform_ctrl.errors import ArgumentError
+from platform_ctrl.job.profiles import G
+from platform_ctrl.job.spectra import SPECTRA, Lines, Spectrum
+from platform_ctrl.plant import fields
+from platform_ctrl.plant.fields import Expected, Unfit
+from platform_ctrl.plant.tables import TABLE, Array, OneOf
+
+MOST_SOURCES = 100
+
+
+@value
+class SourceKind:
+    """A quantity that disturbs.
+
+    Attributes
+    ----------
+    units
+        Units in which a file may give it, with their factors to SI; the first is the SI unit.
+    place
+        The key that says where it acts: ``"axis"`` or ``"gimbal"``.
+    largest_rms
+        More than this cannot be meant, SI units.
+    """
+
+    units: Mapping[str, float]
+    place: str
+    largest_rms: float = math.inf
+
+
+SOURCE_KINDS: dict[str, SourceKind] = {
+    # 200 rad/s is 32 turns a second, more than projectiles that carry a seeker have; 1000 m/s² is 100 g.
+    "base-rate": SourceKind(units={"rad/s": 1.0, "deg/s": math.pi / 180.0}, place="axis", largest_rms=200.0),
+    "specific-force": SourceKind(units={"m/s2": 1.0, "g": G}, place="axis", largest_rms=1000.0),
+    "torque": SourceKind(units={"N m": 1.0, "mN m": 1e-3}, place="gimbal"),
+}
+UNITS = tuple(unit for kind in SOURCE_KINDS.values() for unit in kind.units)
+# What disturbs as well and is written elsewhere, by a word of its name.
+_ELSEWHERE = {
+    "spring": "the torque of a cable is stiffness times the gimbal's angle: write [[spring]] in the plant",
+    "cable": "the torque of a cable is stiffness times the gimbal's angle: write [[spring]] in the plant",
+    "friction": "friction is [[friction]] of the plant",
+    "unbalance": 'unbalance is [[unbalance]] of the plant, which a source of kind "specific-force" shakes',
+    "cogging": 'it is a "torque" with harmonics and turning_rate',
+    "ripple": 'it is a "torque" with harmonics and turning_rate',
+    "bearing": 'it is a "torque" with frequencies_hz and densities',
+    "noise": "noise of a sensor is noise_rms of the sensor in the plant",
+}
+
+
+def _source_kind(item: object) -> str:
+    if isinstance(item, str) and item in SOURCE_KINDS:
+        return item
+    raise Unfit(next((hint for word, hint in _ELSEWHERE.items() if isinstance(item, str) and word in item), ""))
+
+
+_KIND = Expected(lambda: " or ".join(f'"{name}"' for name in SOURCE_KINDS), _source_kind)
+
+
+@input_value
+class BudgetLimits:
+    """What the line of sight has to keep, rad; None: no requirement.
+
+    Attributes
+    ----------
+    jitter, jitter_per_axis
+        Rms in the band of the budget: of both axes together (root of the sum of squares), and of either one.
+    windowed_jitter, smear
+        Rms within an exposure about its mean, and of the motion of the mean from one end of the exposure to the other:
+        both axes together, for the exposure where it is largest.
+    """
+
+    jitter: fields.Positive | None = None
+    jitter_per_axis: fields.Positive | None = None
+    windowed_jitter: fields.Positive | None = None
+    smear: fields.Positive | None = None
+
+
+@input_value
+class Source:
+    """One disturbance.
+
+    Attributes
+    ----------
+    name
+        Its name in tables and plots.
+    kind
+        ``"base-rate"``: rate of the base about a root axis; ``"specific-force"``: along a root axis, which acts on
+        unbalance; ``"torque"``: on a gimbal, against its parent.
+    axis, gimbal
+        Root axis, 1 to 3, of a base rate or specific force; name of the gimbal of a torque.
+    unit
+        Of what `spectrum` says; None: SI.
+    limit
+        Largest rms of the line of sight from this source alone, rad; None: no requirement.
+    spectrum
+        What it is over frequency: one of `platform_ctrl.job.spectra`, in units of `unit`.
+    """
+
+    name: fields.Text
+    kind: Annotated[str, _KIND]
+    axis: fields.RootAxis | None = None
+    gimbal: fields.Text | None = None
+    unit: Annotated[str, fields.one_of(UNITS)] | None = None
+    limit: fields.Positive | None = None
+    spectrum: Annotated[Spectrum, OneOf(SPECTRA)]
+
+    def __post_init__(self) -> None:
+        """Judge what the kind needs."""
+        if self.kind not in SOURCE_KINDS:
+            raise ArgumentError(f"Source: kind must be one of {', '.join(SOURCE_KINDS)}, got {self.kind!r}")
+        kind = SOURCE_KINDS[self.kind]
+        if (self.axis is None) == (kind.place == "axis") or (self.gimbal is None) == (kind.place == "gimbal"):
+            raise ArgumentError(f"source {self.name!r}: kind = {self.kind!r} needs {kind.place} and nothing else")
+        if self.unit is not None and self.unit not in kind.units:
+            known = ", ".join(kind.units)
+            raise ArgumentError(f"source {self.name!r}: unit must be one of {known}, got {self.unit!r}")
+
+    @property
+    def factor(self) -> float:
+        """SI units in a unit of `spectrum`, dimensionless."""
+        return 1.0 if self.unit is None else SOURCE_KINDS[self.kind].units[self.unit]
+
+    @property
+    def knots_hz(self) -> FloatArray:
+        """Frequencies (k,) at which the density has a bend or a jump, increasing, Hz; it is zero outside of them."""
+        return self.spectrum.knots_hz
+
+    @property
+    def lines(self) -> Lines:
+        """Its sines, SI units."""
+        own = self.spectrum.lines
+        return Lines(frequencies_hz=own.frequencies_hz, amplitudes=self.factor * own.amplitudes, phases=own.phases)
+
+    @check_arguments
+    def density(self, f_hz: ArrayLike) -> FloatArray:
+        """Return the one-sided power spectral density.
+
+        Parameters
+        ----------
+        f_hz : any shape (...)
+            Frequencies, Hz.
+
+        Returns
+        -------
+        (...)
+            (rad/s)²/Hz, (m/s²)²/Hz or (N m)²/Hz.
+        """
+        return self.factor**2 * self.spectrum.density(f_hz)
+
+    @check_arguments
+    def rms(self, from_hz: float, to_hz: float) -> float:
+        """Return the rms between two frequencies.
+
+        Parameters
+        ----------
+        from_hz, to_hz
+            Limits, Hz.
+
+        Returns
+        -------
+        float
+            rad/s, m/s² or N m.
+        """
+        return self.factor * math.sqrt(self.spectrum.mean_square(from_hz, to_hz))
+
+
+@input_value
+class Correlation:
+    """How much two sources have in common: E[conj(a) b] is sqrt(coherence S_a S_b) exp(j phase).
+
+    Attributes
+    ----------
+    between
+        Names of the two sources a and b.
+    coherence
+        Magnitude-squared coherence |S_ab|²/(S_a S_b), dimensionless, at all frequencies; 1: one is the other, filtered.
+    phase
+        By which b leads a, rad.
+    """
+
+    between: fields.Names
+    coherence: fields.Part
+    phase: fields.Number = 0.0
+
+
+@input_value
+class Budget:
+    """What disturbs the line of sight, and how much of that it may follow.
+
+    Attributes
+    ----------
+    from_hz, to_hz
+        Band of the budget, Hz.
+    exposure
+        Exposure times for windowed jitter and smear, s.
+    spatial_frequencies
+        At which the modulation transfer function is wanted, cycles/rad.
+    limits
+        What the line of sight has to keep.
+    sources, correlations
+        What disturbs; sources are independent unless a correlation says otherwise.
+    """
+
+    from_hz: fields.Positive
+    to_hz: fields.Positive
+    exposure: fields.Positives = ()
+    spatial_frequencies: fields.Positives = ()
+    limits: Annotated[BudgetLimits, TABLE] = field(default_factory=BudgetLimits)
+    sources: Annotated[tuple[Source, ...], Array("source", least=1, most=MOST_SOURCES)]
+    correlations: Annotated[tuple[Correlation, ...], Array("correlation")] = ()
+
+    @property
+    def coherences(self) -> NDArray[np.complex128]:
+        """Complex coherences of E[u conj(u)ᵀ], (sources, sources), dimensionless; Hermitian, ones on the diagonal."""
+        names = [source.name for source in self.sources]
+        out = np.eye(len(names), dtype=np.complex128)
+        for one in self.correlations:
+            a, b = (names.index(name) for name in one.between)
+            out[a, b] = math.sqrt(one.coherence) * np.exp(-1j * one.phase)
+            out[b, a] = out[a, b].conjugate()
+        return out
+
+    @check_arguments
+    def density(self, f_hz: ArrayLike) -> NDArray[np.complex128]:
+        """Return the one-sided spectral density S of all sources u, cross densities included.
+
+        S is that of E[u conj(u)ᵀ]: what a transfer matrix H makes of it has the density H S conj(H)ᵀ.
+
+        Parameters
+        ----------
+        f_hz : (N,)
+            Frequencies, Hz.
+
+        Returns
+        -------
+        (N, sources, sources)
+            Hermitian, units of the sources, SI, per Hz.
+        """
+        f = real_numbers("f_hz", f_hz)
+        root = np.sqrt([source.density(f) for source in self.sources]).T
+        return root[:, :, None] * self.coherences * root[:, None, :]

@@ -1,0 +1,124 @@
+"""What must fit together in the budget of a job file: where sources act, their units and sizes, their correlations."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from platform_ctrl.job.budget import SOURCE_KINDS, Budget, Source
+from platform_ctrl.job.profiles import PROFILES
+from platform_ctrl.job.run_checks import of_length
+from platform_ctrl.job.spectra import SPECTRA
+from platform_ctrl.plant.checks import number_of
+from platform_ctrl.plant.mistakes import Mistake, Path, given, suggestion, tables, text_of, unique_names
+from platform_ctrl.plant.platform import Platform
+
+Data = dict[str, Any]
+
+
+def budget_mistakes(data: Data, platform: Platform | None) -> Iterator[Mistake]:
+    """Walk what can be said of the plain data; without a platform, what can be said without it."""
+    budget = data.get("budget")
+    if not isinstance(budget, dict):
+        return
+    path: Path = ("budget",)
+    low, high = number_of(budget, "from_hz"), number_of(budget, "to_hz")
+    if low is not None and high is not None and not low < high:
+        words = f"to_hz must be above from_hz = {given(budget['from_hz'])}, got {given(budget['to_hz'])}"
+        yield Mistake((*path, "to_hz"), words)
+    limits = budget.get("limits")
+    for key in ("windowed_jitter", "smear"):
+        if isinstance(limits, dict) and key in limits and not budget.get("exposure"):
+            yield Mistake((*path, "limits", key), f"{key} has no effect without exposure, the exposure times in s")
+    yield from unique_names(budget, path, "source")
+    names = [name for _, source in tables(budget, "source") if (name := text_of(source, "name")) is not None]
+    for k, source in tables(budget, "source"):
+        yield from _source(source, (*path, "source", k), platform)
+    yield from _correlations(budget, path, names)
+
+
+def _source(source: Data, path: Path, platform: Platform | None) -> Iterator[Mistake]:
+    name = text_of(source, "kind")
+    if name not in SOURCE_KINDS:
+        return
+    kind = SOURCE_KINDS[name]
+    for key, words in (("axis", "the root axis, 1 to 3"), ("gimbal", "the name of the gimbal")):
+        if key == kind.place and key not in source:
+            yield Mistake((*path, key), f'the key "{key}" is missing; kind = {given(name)} needs {words}')
+        elif key != kind.place and key in source:
+            words = f"{key} = {given(source[key])} has no effect with kind = {given(name)}, which takes {kind.place}"
+            yield Mistake((*path, key), words)
+    gimbal, unit = text_of(source, "gimbal"), text_of(source, "unit")
+    if gimbal is not None and platform is not None and gimbal not in platform.gimbal_names:
+        words = f"gimbal: {given(gimbal)} is no gimbal of the plant; {suggestion(gimbal, platform.gimbal_names)}"
+        yield Mistake((*path, "gimbal"), words)
+    if unit is not None and unit not in kind.units:
+        known = " or ".join(f'"{unit}"' for unit in kind.units)
+        yield Mistake((*path, "unit"), f"unit must be {known} with kind = {given(name)}, got {given(unit)}")
+    if name == "specific-force" and platform is not None and not platform.unbalances:
+        words = "a specific force moves the line of sight by unbalance, and the plant has none; add [[unbalance]] to it"
+        yield Mistake((*path, "kind"), f"kind: {words}")
+    profile = text_of(source, "profile")
+    if profile in PROFILES:
+        if PROFILES[profile].kind != name:
+            words = f"profile {given(profile)} is of kind {given(PROFILES[profile].kind)}, got kind = {given(name)}"
+            fitting = ", ".join(given(one.name) for one in PROFILES.values() if one.kind == name) or "none"
+            yield Mistake((*path, "profile"), f"{words}; profiles of this kind: {fitting}")
+        if unit is not None:
+            words = f"unit = {given(unit)} has no effect with a profile, which is in SI units; use scale"
+            yield Mistake((*path, "unit"), words)
+    if "harmonics" in source and name != "torque":
+        yield Mistake((*path, "harmonics"), 'harmonics: a turning motor is a torque: kind = "torque" and a gimbal')
+    yield from of_length(source, "densities", "frequencies_hz", path)
+
+
+def _correlations(budget: Data, path: Path, names: list[str]) -> Iterator[Mistake]:
+    taken: dict[frozenset[str], int] = {}
+    for k, correlation in tables(budget, "correlation"):
+        between, own = correlation.get("between"), (*path, "correlation", k, "between")
+        if not isinstance(between, list) or not all(isinstance(name, str) for name in between):
+            continue
+        pair = frozenset(between)
+        unknown = next((name for name in between if name not in names), None)
+        if len(between) != 2 or len(pair) != 2:
+            yield Mistake(own, f"between must be the names of two sources, got {given(between)}")
+        elif unknown is not None:
+            words = f"between: {given(unknown)} is no [[budget.source]] of the job; {suggestion(unknown, names)}"
+            yield Mistake(own, words)
+        elif pair in taken:
+            first = taken[pair] + 1
+            words = f"between: these two are in [[budget.correlation]] {first} already; leave one of them out"
+            yield Mistake(own, words)
+        taken.setdefault(pair, k)
+
+
+def size_mistakes(budget: Budget) -> Iterator[Mistake]:
+    """Walk what the values show: sources outside of the band, sizes that cannot be meant, coherences of no signals."""
+    for k, source in enumerate(budget.sources):
+        path: Path = ("budget", "source", k)
+        lead = next(key for key, kind in SPECTRA.items() if isinstance(source.spectrum, kind))
+        edges = np.concatenate([source.knots_hz, source.lines.frequencies_hz])
+        if edges.min() > budget.to_hz or edges.max() < budget.from_hz:
+            words = f"{lead}: nothing of it lies in the band of the budget, {budget.from_hz:g} to {budget.to_hz:g} Hz"
+            range_words = f"{edges.min():.4g} to {edges.max():.4g} Hz"
+            yield Mistake((*path, lead), f"{words}, got {range_words}; widen the band or leave the source out")
+        elif words := unlikely(source, float(edges.min()), float(edges.max())):
+            yield Mistake((*path, lead), f"{lead}: {words}")
+    smallest = float(np.linalg.eigvalsh(budget.coherences)[0]) if np.isfinite(budget.coherences).all() else 0.0
+    if smallest < -1e-9:
+        words = "no signals have these coherences together: their matrix has the negative eigenvalue"
+        yield Mistake(("budget", "correlation"), f"correlation: {words} {smallest:.4g}; lower a coherence")
+
+
+def unlikely(source: Source, from_hz: float, to_hz: float) -> str:
+    """Return what is wrong with the size of a source, in words; nothing where it may be meant."""
+    kind, rms = SOURCE_KINDS[source.kind], source.rms(from_hz, to_hz)
+    if rms <= kind.largest_rms:
+        return ""
+    si = next(iter(kind.units))
+    named = source.unit or si
+    others = ", ".join(given(unit) for unit in kind.units if unit != named)
+    most = f"an rms of {rms:.4g} {si} cannot be meant, at most {kind.largest_rms:g} {si}"
+    return f'{most}, with unit = "{named}"; other units: {others}'

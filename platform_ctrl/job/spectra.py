@@ -1,0 +1,286 @@
+"""What a disturbance is over frequency: a class for each way to describe it, listed in `SPECTRA`.
+
+Densities are one-sided and lines are sines, in the unit of the quantity u that they describe: u²/Hz and u. A new way is
+a subclass of `Spectrum` and a line of `SPECTRA`; the reader of jobs, the writer and the budget take it from there.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Literal, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from platform_ctrl.common.arguments import positive, real_array, real_numbers
+from platform_ctrl.common.signatures import check_arguments, short
+from platform_ctrl.common.values import FloatArray, input_value, value
+from platform_ctrl.errors import ArgumentError
+from platform_ctrl.job.profiles import PROFILES
+from platform_ctrl.plant import fields
+
+Interpolation = Literal["logarithmic", "linear"]
+# Nodes between two neighbouring frequencies: power laws of any usual slope are integrated to rounding errors.
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
+
+
+@value
+class Lines:
+    """Sines a cos(2π f t + φ).
+
+    Attributes
+    ----------
+    frequencies_hz : (m,)
+        f, Hz.
+    amplitudes : (m,)
+        a, units of the quantity.
+    phases : (m,)
+        φ, rad; None: random, independent of each other and of everything else.
+    """
+
+    frequencies_hz: FloatArray
+    amplitudes: FloatArray
+    phases: FloatArray | None = None
+
+
+_NO_LINES = Lines(frequencies_hz=np.zeros(0), amplitudes=np.zeros(0))
+
+
+class Spectrum:
+    """What all descriptions of a disturbance have in common."""
+
+    __slots__ = ()
+
+    @property
+    def knots_hz(self) -> FloatArray:
+        """Frequencies (k,) at which the density has a bend or a jump, increasing, Hz; it is zero outside of them."""
+        return np.zeros(0)
+
+    @property
+    def lines(self) -> Lines:
+        """Its sines; most descriptions have none."""
+        return _NO_LINES
+
+    def density(self, f_hz: ArrayLike) -> FloatArray:
+        """Return the one-sided power spectral density.
+
+        Parameters
+        ----------
+        f_hz : any shape (...)
+            Frequencies, Hz.
+
+        Returns
+        -------
+        (...)
+            In units²/Hz.
+        """
+        return np.zeros(np.shape(f_hz))
+
+    @check_arguments
+    def mean_square(self, from_hz: float, to_hz: float) -> float:
+        """Return the integral of the density and the mean squares of the lines from one frequency to another.
+
+        Parameters
+        ----------
+        from_hz, to_hz
+            Limits, Hz.
+
+        Returns
+        -------
+        float
+            In units².
+        """
+        lines, knots = self.lines, self.knots_hz
+        inside = (from_hz <= lines.frequencies_hz) & (lines.frequencies_hz <= to_hz)
+        total = 0.5 * float(np.sum(lines.amplitudes[inside] ** 2))
+        if not knots.size or max(from_hz, knots[0]) >= min(to_hz, knots[-1]):
+            return total
+        edges = np.unique(np.clip(knots, max(from_hz, knots[0]), min(to_hz, knots[-1])))
+        # Over the logarithm of frequency, in which a power law is an exponential.
+        half = 0.5 * np.log(edges[1:] / edges[:-1])[:, None]
+        f = np.sqrt(edges[1:] * edges[:-1])[:, None] * np.exp(half * _NODES)
+        return total + float(np.sum(self.density(f) * f * half * _WEIGHTS))
+
+
+@input_value
+class TableSpectrum(Spectrum):
+    """A density that is given at points; zero outside of them.
+
+    Attributes
+    ----------
+    frequencies_hz : (k,)
+        Increasing, Hz.
+    densities : (k,)
+        One-sided, units²/Hz.
+    interpolation
+        Straight lines between the points on logarithmic scales, as standards have them, or on linear ones, as spectra
+        of measurements.
+    """
+
+    frequencies_hz: fields.Frequencies
+    densities: fields.Densities
+    interpolation: Annotated[Interpolation, fields.one_of(get_args(Interpolation))] = "logarithmic"
+
+    def __post_init__(self) -> None:
+        """Judge the points."""
+        f = real_array("TableSpectrum: frequencies_hz", self.frequencies_hz, (np.size(self.frequencies_hz),))
+        if f.size < 2 or f[0] <= 0.0 or np.any(np.diff(f) <= 0.0):
+            expected = "two or more frequencies > 0 that increase"
+            raise ArgumentError(f"TableSpectrum: frequencies_hz must be {expected}, got {short(f.tolist())}")
+        if real_array("TableSpectrum: densities", self.densities, f.shape).min() <= 0.0:
+            raise ArgumentError(f"TableSpectrum: densities must be > 0, got {short(self.densities.tolist())}")
+
+    @property
+    def knots_hz(self) -> FloatArray:
+        """The frequencies of the table, Hz."""
+        return self.frequencies_hz
+
+    @check_arguments
+    def density(self, f_hz: ArrayLike) -> FloatArray:
+        """Return the density; see `Spectrum.density`."""
+        return interpolated(f_hz, self.frequencies_hz, self.densities, self.interpolation)
+
+
+def interpolated(
+    f_hz: ArrayLike, frequencies_hz: FloatArray, densities: FloatArray, interpolation: Interpolation = "logarithmic"
+) -> FloatArray:
+    """Return a density that is given at points, at other frequencies; zero outside of the points."""
+    f = real_numbers("f_hz", f_hz)
+    if interpolation == "linear":
+        return np.asarray(np.interp(f, frequencies_hz, densities, 0.0, 0.0))
+    inside = (frequencies_hz[0] <= f) & (f <= frequencies_hz[-1])
+    logarithm = np.interp(np.log(np.where(inside, f, 1.0)), np.log(frequencies_hz), np.log(densities))
+    return np.asarray(np.where(inside, np.exp(logarithm), 0.0))
+
+
+@input_value
+class ProfileSpectrum(Spectrum):
+    """A standard profile that comes with the package.
+
+    Attributes
+    ----------
+    profile
+        Its name in `platform_ctrl.job.profiles`.
+    scale
+        Factor on the rms; the density has its square.
+    """
+
+    profile: Annotated[str, fields.one_of(PROFILES)]
+    scale: fields.Positive = 1.0
+
+    def __post_init__(self) -> None:
+        """Judge the name and the factor."""
+        if self.profile not in PROFILES:
+            raise ArgumentError(f"ProfileSpectrum: profile must be one of {', '.join(PROFILES)}, got {self.profile!r}")
+        positive("ProfileSpectrum: scale", self.scale)
+
+    @property
+    def knots_hz(self) -> FloatArray:
+        """The frequencies of the profile's table, Hz."""
+        return PROFILES[self.profile].points[:, 0]
+
+    @check_arguments
+    def density(self, f_hz: ArrayLike) -> FloatArray:
+        """Return the density; see `Spectrum.density`."""
+        return self.scale**2 * interpolated(f_hz, *PROFILES[self.profile].points.T)
+
+
+@input_value
+class SineSpectrum(Spectrum):
+    """Sines a cos(2π f t + φ) of known phase: those of one frequency add up, whichever source they are of.
+
+    Attributes
+    ----------
+    sines : (m, 3)
+        Rows of f in Hz, a > 0 in units, φ in rad.
+    """
+
+    sines: Annotated[
+        FloatArray,
+        fields.Expected(
+            "rows of three numbers: frequency > 0, Hz, amplitude > 0, phase, rad",
+            fields.rows(lambda f: f > 0.0, lambda amplitude: amplitude > 0.0, lambda phase: True),
+        ),
+    ]
+
+    def __post_init__(self) -> None:
+        """Judge the rows."""
+        rows = real_array("SineSpectrum: sines", self.sines, (len(np.atleast_1d(self.sines)), 3))
+        if not rows.size or rows[:, :2].min() <= 0.0:
+            raise ArgumentError("SineSpectrum: sines must be rows of frequency > 0, amplitude > 0 and phase")
+
+    @property
+    def lines(self) -> Lines:
+        """The sines."""
+        f, amplitudes, phases = self.sines.T
+        return Lines(frequencies_hz=f, amplitudes=amplitudes, phases=phases)
+
+
+@input_value
+class HarmonicSpectrum(Spectrum):
+    """Cogging and ripple of a turning motor: sines whose frequencies are multiples of its rate.
+
+    At one rate these are lines of unknown phase. Where the rate may be anything in a range, each harmonic of amplitude
+    a is a density a²/2 / (f2 − f1) between its lowest and its highest frequency: all rates of the range are equally
+    likely.
+
+    Attributes
+    ----------
+    harmonics : (m, 2)
+        Rows of the order per revolution > 0 and the amplitude > 0, units.
+    turning_rate
+        Lowest and highest rate of the motor, rad/s; alike: one rate.
+    """
+
+    harmonics: Annotated[
+        FloatArray,
+        fields.Expected(
+            "rows of two numbers: order per revolution > 0, amplitude > 0",
+            fields.rows(lambda order: order > 0.0, lambda amplitude: amplitude > 0.0),
+        ),
+    ]
+    turning_rate: fields.OneOrRange
+
+    def __post_init__(self) -> None:
+        """Judge the rows and the rates."""
+        rows = real_array("HarmonicSpectrum: harmonics", self.harmonics, (len(np.atleast_1d(self.harmonics)), 2))
+        if not rows.size or rows.min() <= 0.0:
+            raise ArgumentError("HarmonicSpectrum: harmonics must be rows of order > 0 and amplitude > 0")
+        if not 0.0 < self.turning_rate[0] <= self.turning_rate[1]:
+            expected = "the lowest and the highest rate > 0, rad/s"
+            raise ArgumentError(f"HarmonicSpectrum: turning_rate must be {expected}, got {short(self.turning_rate)}")
+
+    @property
+    def _bands(self) -> FloatArray:
+        """Lowest and highest frequency of each harmonic, (m, 2), Hz."""
+        return np.outer(self.harmonics[:, 0], self.turning_rate) / (2.0 * math.pi)
+
+    @property
+    def lines(self) -> Lines:
+        """The harmonics at the one rate of the motor; none where it has a range."""
+        low, high = self.turning_rate
+        return Lines(frequencies_hz=self._bands[:, 0], amplitudes=self.harmonics[:, 1]) if low == high else _NO_LINES
+
+    @property
+    def knots_hz(self) -> FloatArray:
+        """Edges of the harmonics' bands, Hz; none at one rate."""
+        return np.zeros(0) if self.turning_rate[0] == self.turning_rate[1] else np.unique(self._bands)
+
+    @check_arguments
+    def density(self, f_hz: ArrayLike) -> FloatArray:
+        """Return the density; see `Spectrum.density`."""
+        f = real_numbers("f_hz", f_hz)[..., None]
+        low, high = self._bands.T
+        if self.turning_rate[0] == self.turning_rate[1]:
+            return np.zeros(f.shape[:-1])
+        inside = (low <= f) & (f <= high)
+        return np.asarray(np.sum(inside * (0.5 * self.harmonics[:, 1] ** 2 / (high - low)), axis=-1))
+
+
+# By the key of a source that says how it is described.
+SPECTRA: dict[str, type[Spectrum]] = {
+    "frequencies_hz": TableSpectrum,
+    "profile": ProfileSpectrum,
+    "sines": SineSpectrum,
+    "harmonics": HarmonicSpectrum,
+}

@@ -1,0 +1,225 @@
+"""The budget of a job file: what its sources say over frequency, and what is refused."""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy import integrate
+
+from fuzz_files import EVERY_JOB_KEY, HERE
+from platform_ctrl import read_job
+from platform_ctrl.errors import ArgumentError, InputError
+from platform_ctrl.job.budget import SOURCE_KINDS, Source
+from platform_ctrl.job.profiles import PROFILES, G
+from platform_ctrl.job.spectra import (
+    SPECTRA,
+    HarmonicSpectrum,
+    ProfileSpectrum,
+    SineSpectrum,
+    Spectrum,
+    TableSpectrum,
+)
+from platform_ctrl.job.writing import job_data, toml
+
+DOCS = Path(__file__).parents[2] / "docs"
+TABLE = TableSpectrum(frequencies_hz=[1.0, 10.0, 100.0], densities=[1.0, 0.01, 0.02])
+ROLL, PITCH, ENGINE, MOTOR = range(4)
+
+
+def base_rate(spectrum: Spectrum, unit: str | None = None) -> Source:
+    return Source(name="base", kind="base-rate", axis=1, unit=unit, spectrum=spectrum)
+
+
+def refusal(change: dict[str, Any], source: int | None = None, *without: str) -> str:
+    """Return the message about a job whose budget, or a source of it, has other values."""
+    data = EVERY_JOB_KEY.data
+    table = data["budget"] if source is None else data["budget"]["source"][source]
+    for key in without:
+        del table[key]
+    table |= change
+    with pytest.raises(InputError) as error:
+        read_job(data, folder=HERE)
+    message = str(error.value)
+    assert "\n" not in message
+    return message
+
+
+def test_a_table_is_straight_on_logarithmic_scales_and_zero_outside() -> None:
+    np.testing.assert_allclose(TABLE.density([1.0, math.sqrt(10.0), 10.0, 100.0]), [1.0, 0.1, 0.01, 0.02], rtol=1e-12)
+    assert TABLE.density([0.999, 100.1]).tolist() == [0.0, 0.0]
+    linear = TableSpectrum(frequencies_hz=[1.0, 3.0], densities=[2.0, 4.0], interpolation="linear")
+    assert linear.density(2.0) == 3.0
+    assert linear.mean_square(0.0, 10.0) == pytest.approx(6.0, rel=1e-12)
+
+
+@pytest.mark.parametrize("spectrum", [TABLE, ProfileSpectrum(profile="jet-fuselage", scale=0.5)])
+def test_the_mean_square_is_the_integral_of_the_density(spectrum: Spectrum) -> None:
+    knots = spectrum.knots_hz
+    low, high = 1.5 * knots[0], 0.7 * knots[-1]
+    integral, _ = integrate.quad(spectrum.density, low, high, points=knots[1:-1], epsrel=1e-12, limit=200)
+    assert spectrum.mean_square(low, high) == pytest.approx(integral, rel=1e-9)
+
+
+def test_sines_have_half_their_squared_amplitude() -> None:
+    sines = SineSpectrum(sines=[[10.0, 3.0, 0.1], [20.0, 4.0, 0.0]])
+    assert sines.mean_square(0.0, 15.0) == 4.5
+    assert sines.mean_square(0.0, 30.0) == 12.5
+    assert not sines.density([10.0]).any()
+
+
+def test_harmonics_of_a_motor_keep_their_mean_square_where_its_rate_has_a_range() -> None:
+    rows = [[6.0, 2.0], [7.0, 1.0]]
+    steady = HarmonicSpectrum(harmonics=rows, turning_rate=(10.0, 10.0))
+    np.testing.assert_allclose(steady.lines.frequencies_hz, [60.0 / (2 * math.pi), 70.0 / (2 * math.pi)])
+    assert steady.lines.phases is None
+    assert not steady.knots_hz.size
+    turning = HarmonicSpectrum(harmonics=rows, turning_rate=(8.0, 12.0))  # their bands overlap
+    assert not turning.lines.frequencies_hz.size
+    assert turning.mean_square(0.0, 100.0) == pytest.approx(steady.mean_square(0.0, 100.0), rel=1e-12) == 2.5
+    assert turning.density(np.array([40.0, 90.0]) / (2 * math.pi)).tolist() == [0.0, 0.0]
+
+
+def test_a_unit_scales_amplitudes_and_densities() -> None:
+    degrees, radians = base_rate(TABLE, "deg/s"), base_rate(TABLE)
+    np.testing.assert_allclose(degrees.density([2.0]), radians.density([2.0]) * math.radians(1.0) ** 2, rtol=1e-12)
+    assert degrees.rms(1.0, 50.0) == pytest.approx(math.radians(radians.rms(1.0, 50.0)), rel=1e-12)
+    sines = base_rate(SineSpectrum(sines=[[1.0, 180.0, 0.0]]), "deg/s")
+    assert sines.lines.amplitudes[0] == pytest.approx(math.pi, rel=1e-15)
+
+
+def test_the_cross_density_is_that_of_signals_with_this_coherence_and_phase() -> None:
+    budget = read_job(EVERY_JOB_KEY.data, folder=HERE).budget
+    assert budget is not None
+    density = budget.density([2.0])[0]
+    roll, pitch = budget.sources[ROLL].density(2.0), budget.sources[PITCH].density(2.0)
+    # pitch = h roll + something independent, and h turns by the phase: E[pitch conj(roll)] = h S_roll.
+    h = math.sqrt(0.5 * pitch / roll) * np.exp(1.57j)
+    np.testing.assert_allclose(density[PITCH, ROLL], h * roll, rtol=1e-12)
+    np.testing.assert_allclose(density[ROLL, PITCH], np.conj(h) * roll, rtol=1e-12)
+    np.testing.assert_allclose(np.diag(density).real[:2], [roll, pitch], rtol=1e-12)
+
+
+@pytest.mark.parametrize("profile", [profile for profile in PROFILES.values() if profile.stated_rms])
+def test_a_profile_has_the_rms_that_its_standard_states(profile: Any) -> None:
+    table = ProfileSpectrum(profile=profile.name)
+    assert math.sqrt(table.mean_square(0.0, 1e4)) == pytest.approx(profile.stated_rms, rel=6e-3)
+
+
+def test_the_micro_vibration_of_olympus_is_16_microradians_of_angle() -> None:
+    spectrum = ProfileSpectrum(profile="olympus-satellite")
+    f = np.geomspace(0.011, 499.0, 400)
+    np.testing.assert_allclose(spectrum.density(f) / (2 * np.pi * f) ** 2, 160e-12 / (1 + f**2), rtol=5e-4)
+    angle = math.sqrt(integrate.quad(lambda x: 160.0 / (1.0 + x * x), 0.0, math.inf)[0])
+    assert angle == pytest.approx(16.0, rel=0.01)
+
+
+def test_the_page_lists_the_profiles() -> None:
+    rows = [line for line in (DOCS / "disturbances.md").read_text(encoding="utf-8").splitlines() if "| " in line]
+    listed = [row for row in rows if row.split("|")[1].strip().strip("`") in PROFILES]
+    expected = []
+    for profile in PROFILES.values():
+        f = profile.points[:, 0]
+        rms = math.sqrt(ProfileSpectrum(profile=profile.name).mean_square(0.0, 1e4))
+        size = f"{rms / G:.3g} g" if profile.kind == "specific-force" else f"{rms:.3g} rad/s"
+        source = profile.source if profile.status == "assumed" else f"published: {profile.source}"
+        expected.append(
+            f"| `{profile.name}` | {profile.kind} | {f[0]:g} to {f[-1]:g} | {size} | {profile.title} | {source} |"
+        )
+    assert listed == expected
+
+
+def test_every_description_and_every_unit_is_on_the_page() -> None:
+    page = (DOCS / "job-file.md").read_text(encoding="utf-8").partition("### `[[budget.source]]`")[2]
+    assert all(f"`{key}`" in page for key in SPECTRA)
+    assert all(f'`"{unit}"`' in page for kind in SOURCE_KINDS.values() for unit in kind.units)
+
+
+def test_a_budget_is_written_back_to_the_last_bit() -> None:
+    data = job_data(read_job(EVERY_JOB_KEY.data, folder=HERE))
+    assert job_data(read_job(tomllib.loads(toml(data)))) == data
+    assert {len(set(source) & set(SPECTRA)) for source in data["budget"]["source"]} == {1}
+
+
+@pytest.mark.parametrize(
+    ("source", "change", "without", "says"),
+    [
+        (
+            ROLL,
+            {"frequencies_hz": [5.0, 0.5, 50.0]},
+            (),
+            "frequencies_hz must be two or more frequencies > 0 that incr",
+        ),
+        (ROLL, {"densities": [1.0, 0.0, 1.0]}, (), "densities must be a density > 0 for each frequency"),
+        (ROLL, {"densities": [1.0, 2.0]}, (), "densities must have as many elements as frequencies_hz, 3, got 2"),
+        (ROLL, {"densities": [9e9, 9e9, 9e9]}, (), 'cannot be meant, at most 200 rad/s, with unit = "deg/s"'),
+        (ENGINE, {"sines": [[30.0, 2000.0, 0.0]]}, (), "an rms of 1414 m/s2 cannot be meant"),
+        (ROLL, {}, ("frequencies_hz", "densities", "interpolation"), "give exactly one of frequencies_hz, profile, "),
+        (ROLL, {"profile": "ship-roll"}, (), "got frequencies_hz and profile; leave one out"),
+        (ROLL, {"scale": 2.0}, (), "scale = 2.0 has no effect with frequencies_hz, which takes frequencies_hz, densit"),
+        (ROLL, {}, ("densities",), 'the key "densities" is missing; it must be a density > 0'),
+        (PITCH, {"profile": "ship"}, (), 'profile must be "olympus-satellite" or "highway-truck-vertical" or'),
+        (PITCH, {"profile": "jet-fuselage"}, (), 'is of kind "specific-force", got kind = "base-rate"; profiles of'),
+        (PITCH, {"unit": "deg/s"}, (), "has no effect with a profile, which is in SI units; use scale"),
+        (ROLL, {"unit": "g"}, (), 'unit must be "rad/s" or "deg/s" with kind = "base-rate", got "g"'),
+        (ROLL, {"axis": 4}, (), "axis must be 1, 2 or 3, got 4"),
+        (ROLL, {}, ("axis",), 'the key "axis" is missing; kind = "base-rate" needs the root axis'),
+        (ROLL, {"gimbal": "outer"}, (), 'gimbal = "outer" has no effect with kind = "base-rate", which takes axis'),
+        (MOTOR, {"gimbal": "Outer"}, (), 'gimbal: "Outer" is no gimbal of the plant; did you mean "outer"?'),
+        (MOTOR, {"kind": "cable spring"}, (), "stiffness times the gimbal's angle: write [[spring]] in the plant"),
+        (MOTOR, {"kind": "cogging"}, (), 'it is a "torque" with harmonics and turning_rate'),
+        (MOTOR, {"turning_rate": [3.0, 2.0]}, (), "turning_rate must be a number > 0, or two: lowest and highest"),
+        (MOTOR, {"harmonics": [[6, 0.1, 0.0]]}, (), "harmonics must be rows of two numbers"),
+        (ENGINE, {"sines": [[30.0, -1.0, 0.0]]}, (), "row 1 is [30.0, -1.0, 0.0]"),
+        (ENGINE, {"sines": [[600.0, 1.0, 0.0]]}, (), "nothing of it lies in the band of the budget, 0.1 to 500 Hz"),
+        (ENGINE, {"name": "vehicle roll"}, (), 'name = "vehicle roll" is the name of [[budget.source]] 1 already; cho'),
+        (None, {"to_hz": 0.1}, (), "to_hz must be above from_hz = 0.1, got 0.1"),
+        (None, {"exposure": [0.0]}, (), "exposure must be one or more numbers > 0"),
+        (None, {}, ("exposure",), "windowed_jitter has no effect without exposure"),
+        (None, {"source": []}, (), "source must have at least one [[budget.source]]"),
+    ],
+)
+def test_what_is_refused(source: int | None, change: dict[str, Any], without: tuple[str, ...], says: str) -> None:
+    assert says in refusal(change, source, *without)
+
+
+def test_a_specific_force_without_unbalance_is_refused() -> None:
+    data = job_data(read_job(EVERY_JOB_KEY.data, folder=HERE))
+    data["plant"]["unbalance"] = []
+    with pytest.raises(InputError, match="moves the line of sight by unbalance, and the plant has none; add"):
+        read_job(data)
+
+
+def test_correlations_that_no_signals_have_are_refused() -> None:
+    pairs = (("vehicle roll", "engine"), ("vehicle pitch", "engine"), ("vehicle roll", "vehicle pitch"))
+    phases = (0.0, 0.0, math.pi)
+    table = [
+        {"between": list(pair), "coherence": 1.0, "phase": phase} for pair, phase in zip(pairs, phases, strict=True)
+    ]
+    assert "no signals have these coherences together" in refusal({"correlation": table})
+    assert "are in [[budget.correlation]] 1 already" in refusal({"correlation": [table[0], table[0]]})
+    assert "must be the names of two sources" in refusal(
+        {"correlation": [{"between": ["engine", "engine"], "coherence": 1.0}]}
+    )
+    wrong = [{"between": ["engine", "engin"], "coherence": 1.0}]
+    assert 'is no [[budget.source]] of the job; did you mean "engine"?' in refusal({"correlation": wrong})
+
+
+def test_sources_made_in_python_are_judged_too() -> None:
+    for make, says in (
+        (lambda: base_rate(TABLE, "g"), "unit must be one of rad/s, deg/s, got 'g'"),
+        (lambda: Source(name="x", kind="torque", axis=1, spectrum=TABLE), "kind = 'torque' needs gimbal"),
+        (lambda: Source(name="x", kind="wind", axis=1, spectrum=TABLE), "kind must be one of base-rate"),
+        (lambda: TableSpectrum(frequencies_hz=[2.0, 1.0], densities=[1.0, 1.0]), "two or more frequencies > 0 that"),
+        (lambda: TableSpectrum(frequencies_hz=[1.0, 2.0], densities=[1.0, -1.0]), "densities must be > 0"),
+        (lambda: ProfileSpectrum(profile="x"), "profile must be one of"),
+        (lambda: SineSpectrum(sines=[[1.0, 1.0]]), "must have shape"),
+        (lambda: HarmonicSpectrum(harmonics=[[1.0, -1.0]], turning_rate=(1.0, 1.0)), "order > 0 and amplitude > 0"),
+        (lambda: HarmonicSpectrum(harmonics=[[1.0, 1.0]], turning_rate=(2.0, 1.0)), "the lowest and the highest"),
+    ):
+        with pytest.raises(ArgumentError, match=says):
+            make()
