@@ -2,20 +2,26 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
+from pathlib import Path as FilePath
 from typing import Any
 
 import numpy as np
 
+from platform_ctrl.common.values import replaced
+from platform_ctrl.errors import InputError
 from platform_ctrl.job.budget import SOURCE_KINDS, Budget, Source
 from platform_ctrl.job.profiles import PROFILES
 from platform_ctrl.job.run_checks import of_length
-from platform_ctrl.job.spectra import SPECTRA
+from platform_ctrl.job.spectra import SPECTRA, LogSpectrum
 from platform_ctrl.plant.checks import number_of
 from platform_ctrl.plant.mistakes import Mistake, Path, given, suggestion, tables, text_of, unique_names
 from platform_ctrl.plant.platform import Platform
 
 Data = dict[str, Any]
+# A mean specific force so near to 1 is gravity in g rather than 1 m/s².
+NEAR_ONE = 0.05
 
 
 def budget_mistakes(data: Data, platform: Platform | None) -> Iterator[Mistake]:
@@ -94,6 +100,36 @@ def _correlations(budget: Data, path: Path, names: list[str]) -> Iterator[Mistak
         taken.setdefault(pair, k)
 
 
+def with_logs(budget: Budget, folder: FilePath) -> tuple[Budget, list[Mistake]]:
+    """Return a budget whose logs are read, and what is wrong with them."""
+    sources, mistakes = [], []
+    for k, source in enumerate(budget.sources):
+        if isinstance(source.spectrum, LogSpectrum):
+            try:
+                spectrum = source.spectrum.read(folder, budget.from_hz)
+                source = replaced(source, {"spectrum": spectrum})
+                if words := _units_of_log(source, spectrum):
+                    mistakes.append(Mistake(("budget", "source", k, "unit"), words))
+            except InputError as error:
+                key = "column" if "there is no column" in str(error) else "log"
+                mistakes.append(Mistake(("budget", "source", k, key), f"{key}: {error}"))
+        sources.append(source)
+    return replaced(budget, {"sources": tuple(sources)}), mistakes
+
+
+def _units_of_log(source: Source, spectrum: LogSpectrum) -> str:
+    """Return what is wrong with the size of a log, its mean included, in words."""
+    assert spectrum.estimate is not None
+    mean, kind = spectrum.estimate.mean, SOURCE_KINDS[source.kind]
+    whole = source.factor * math.hypot(mean, math.sqrt(spectrum.estimate.variance))
+    if whole > kind.largest_rms:
+        return too_large(source, whole)
+    if source.kind == "specific-force" and source.unit is None and abs(abs(mean) - 1.0) < NEAR_ONE:
+        words = f"unit: the mean of {given(spectrum.column)} is {mean:.4g}, which looks like gravity in g"
+        return f'{words}; write unit = "g", or unit = "m/s2" if it is meant'
+    return ""
+
+
 def size_mistakes(budget: Budget) -> Iterator[Mistake]:
     """Walk what the values show: sources outside of the band, sizes that cannot be meant, coherences of no signals."""
     for k, source in enumerate(budget.sources):
@@ -104,19 +140,17 @@ def size_mistakes(budget: Budget) -> Iterator[Mistake]:
             words = f"{lead}: nothing of it lies in the band of the budget, {budget.from_hz:g} to {budget.to_hz:g} Hz"
             range_words = f"{edges.min():.4g} to {edges.max():.4g} Hz"
             yield Mistake((*path, lead), f"{words}, got {range_words}; widen the band or leave the source out")
-        elif words := unlikely(source, float(edges.min()), float(edges.max())):
-            yield Mistake((*path, lead), f"{lead}: {words}")
+        elif (rms := source.rms(float(edges.min()), float(edges.max()))) > SOURCE_KINDS[source.kind].largest_rms:
+            yield Mistake((*path, lead), f"{lead}: {too_large(source, rms)}")
     smallest = float(np.linalg.eigvalsh(budget.coherences)[0]) if np.isfinite(budget.coherences).all() else 0.0
     if smallest < -1e-9:
         words = "no signals have these coherences together: their matrix has the negative eigenvalue"
         yield Mistake(("budget", "correlation"), f"correlation: {words} {smallest:.4g}; lower a coherence")
 
 
-def unlikely(source: Source, from_hz: float, to_hz: float) -> str:
-    """Return what is wrong with the size of a source, in words; nothing where it may be meant."""
-    kind, rms = SOURCE_KINDS[source.kind], source.rms(from_hz, to_hz)
-    if rms <= kind.largest_rms:
-        return ""
+def too_large(source: Source, rms: float) -> str:
+    """Return the words about a size that cannot be meant."""
+    kind = SOURCE_KINDS[source.kind]
     si = next(iter(kind.units))
     named = source.unit or si
     others = ", ".join(given(unit) for unit in kind.units if unit != named)

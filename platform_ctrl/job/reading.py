@@ -11,7 +11,7 @@ from typing import Any
 
 from platform_ctrl.common.values import replaced
 from platform_ctrl.errors import InputError, OldKeyWarning
-from platform_ctrl.job.budget_checks import size_mistakes
+from platform_ctrl.job.budget_checks import size_mistakes, with_logs
 from platform_ctrl.job.checks import job_mistakes, variation_mistakes
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.old_names import renamed
@@ -79,7 +79,12 @@ def read_job(
     job = Job(**made(read), platform=platform)
     if job.campaign is not None and "seed" not in document.data["campaign"]:
         job = replaced(job, {"campaign": replaced(job.campaign, {"seed": job.seed})})
-    if mistakes := [*variation_mistakes(job), *(size_mistakes(job.budget) if job.budget is not None else ())]:
+    mistakes = list(variation_mistakes(job))
+    if job.budget is not None:
+        budget, of_logs = with_logs(job.budget, start or document.folder)
+        mistakes += of_logs or size_mistakes(budget)
+        job = replaced(job, {"budget": budget})
+    if mistakes:
         raise report(document.label, document.data, mistakes)
     if old_keys:
         words = (

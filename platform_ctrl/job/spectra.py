@@ -7,15 +7,17 @@ a subclass of `Spectrum` and a line of `SPECTRA`; the reader of jobs, the writer
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import Annotated, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from platform_ctrl.analysis.logs import LogDensity, log_density, read_log
 from platform_ctrl.common.arguments import positive, real_array, real_numbers
 from platform_ctrl.common.signatures import check_arguments, short
-from platform_ctrl.common.values import FloatArray, input_value, value
-from platform_ctrl.errors import ArgumentError
+from platform_ctrl.common.values import FloatArray, input_value, replaced, value
+from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.job.profiles import PROFILES
 from platform_ctrl.plant import fields
 
@@ -277,10 +279,80 @@ class HarmonicSpectrum(Spectrum):
         return np.asarray(np.sum(inside * (0.5 * self.harmonics[:, 1] ** 2 / (high - low)), axis=-1))
 
 
+@input_value
+class LogSpectrum(Spectrum):
+    """A signal that was recorded; its density is estimated once the job is read.
+
+    Attributes
+    ----------
+    log
+        Path of a CSV or Parquet file, relative to the job file.
+    column, time
+        Names of the columns with the signal, units, and with the time, s.
+    estimate
+        What `read` found; None before.
+    """
+
+    log: fields.Text
+    column: fields.Text
+    time: fields.Text = "time"
+    estimate: LogDensity | None = None
+
+    @check_arguments
+    def read(self, folder: Path, resolution_hz: float) -> LogSpectrum:
+        """Return the same with the density of the log.
+
+        Parameters
+        ----------
+        folder
+            Where a relative path starts.
+        resolution_hz
+            Steps of frequency at most, Hz.
+
+        Returns
+        -------
+        LogSpectrum
+            With its `estimate`.
+
+        Raises
+        ------
+        InputError
+            The file cannot be read or its values and stamps make no sense: one line says where.
+        """
+        log = read_log(folder / self.log, [self.column], self.time)
+        try:
+            estimate = log_density(log.time, log.signals[self.column], resolution_hz)
+        except ArgumentError as error:
+            raise InputError(f"{log.label}: {self.column}: {error}") from None
+        return replaced(self, {"estimate": estimate})
+
+    @property
+    def table(self) -> TableSpectrum:
+        """The estimated density from the first frequency above 0 on; `ArgumentError` before the log is read."""
+        if self.estimate is None:
+            raise ArgumentError(f"log {self.log!r} has not been read; read the job from a file, or call read()")
+        f, densities = self.estimate.frequencies_hz[1:], self.estimate.densities[1:]
+        # A bin of rounding errors, or of none, is not zero: densities are positive.
+        return TableSpectrum(
+            frequencies_hz=f, densities=np.maximum(densities, 1e-20 * densities.max()), interpolation="linear"
+        )
+
+    @property
+    def knots_hz(self) -> FloatArray:
+        """The frequencies of the estimate, Hz."""
+        return self.table.frequencies_hz
+
+    @check_arguments
+    def density(self, f_hz: ArrayLike) -> FloatArray:
+        """Return the density; see `Spectrum.density`."""
+        return self.table.density(f_hz)
+
+
 # By the key of a source that says how it is described.
 SPECTRA: dict[str, type[Spectrum]] = {
     "frequencies_hz": TableSpectrum,
     "profile": ProfileSpectrum,
+    "log": LogSpectrum,
     "sines": SineSpectrum,
     "harmonics": HarmonicSpectrum,
 }

@@ -14,6 +14,7 @@ from platform_ctrl.job.budget import Budget
 from platform_ctrl.job.faults import FAULT_KINDS, Fault
 from platform_ctrl.job.job import Campaign, Job, Manoeuvre
 from platform_ctrl.job.reading import SCHEMA as JOB_SCHEMA
+from platform_ctrl.job.spectra import LogSpectrum, Spectrum
 from platform_ctrl.plant.force_elements import Friction
 from platform_ctrl.plant.platform import OMEGA_NAMES, ROOT_TORQUE_NAMES, Platform, Rotor
 from platform_ctrl.plant.sensors import Sensor
@@ -125,9 +126,14 @@ def _budget_data(budget: Budget) -> dict[str, Any]:
     return {
         **{key: item for key, item in own.items() if item != ()},
         "limits": _fields(budget.limits),
-        "source": [_fields(one, "spectrum") | _fields(one.spectrum) for one in budget.sources],
+        "source": [_fields(one, "spectrum") | _fields(_written(one.spectrum)) for one in budget.sources],
         "correlation": [_fields(one) for one in budget.correlations],
     }
+
+
+def _written(spectrum: Spectrum) -> Spectrum:
+    """Return what a source is written as: a log as its spectrum, so that the job needs no other file."""
+    return spectrum.table if isinstance(spectrum, LogSpectrum) else spectrum
 
 
 def plant_data(platform: Platform) -> dict[str, Any]:

@@ -16,6 +16,9 @@ from platform_ctrl.plant.mistakes import given
 # Relative rounding that a printed number may carry: symmetry, the triangle inequality, C = 2 A.
 ROUNDING = 1e-9
 
+# By how much the length of a vector that was divided by its length may differ from 1.
+UNIT_ROUNDING = 1e-15
+
 # No platform has numbers beyond these, and products of a few of them neither overflow nor vanish.
 SMALLEST, LARGEST = 1e-50, 1e50
 
@@ -197,6 +200,8 @@ def axis(item: object) -> FloatArray:
     largest = max(map(abs, given_axis))
     if largest == 0:
         raise Unfit("of length zero")
+    if abs(math.hypot(*given_axis) - 1.0) <= UNIT_ROUNDING:  # what was written back is read as it was
+        return read_only(given_axis)
     scaled = [entry / largest for entry in given_axis]  # its length neither overflows nor vanishes
     return read_only([entry / math.hypot(*scaled) for entry in scaled])
 

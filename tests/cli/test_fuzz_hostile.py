@@ -27,7 +27,7 @@ CONTROLLERS = ("--controllers", "controllers.json")
 @pytest.fixture(autouse=True)
 def there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.chdir(tmp_path)
-    for name in ("every_plant_key.toml", "every_job_key.toml", "controllers.json"):
+    for name in ("every_plant_key.toml", "every_job_key.toml", "vehicle.csv", "controllers.json"):
         shutil.copy(HERE / name, tmp_path)
     return tmp_path
 

@@ -28,7 +28,7 @@ from platform_ctrl.job.writing import job_data, toml
 
 DOCS = Path(__file__).parents[2] / "docs"
 TABLE = TableSpectrum(frequencies_hz=[1.0, 10.0, 100.0], densities=[1.0, 0.01, 0.02])
-ROLL, PITCH, ENGINE, MOTOR = range(4)
+ROLL, PITCH, ENGINE, MOTOR, YAW = range(5)
 
 
 def base_rate(spectrum: Spectrum, unit: str | None = None) -> Source:
@@ -175,9 +175,9 @@ def test_a_budget_is_written_back_to_the_last_bit() -> None:
         (MOTOR, {"turning_rate": [3.0, 2.0]}, (), "turning_rate must be a number > 0, or two: lowest and highest"),
         (MOTOR, {"harmonics": [[6, 0.1, 0.0]]}, (), "harmonics must be rows of two numbers"),
         (ENGINE, {"sines": [[30.0, -1.0, 0.0]]}, (), "row 1 is [30.0, -1.0, 0.0]"),
-        (ENGINE, {"sines": [[600.0, 1.0, 0.0]]}, (), "nothing of it lies in the band of the budget, 0.1 to 500 Hz"),
+        (ENGINE, {"sines": [[600.0, 1.0, 0.0]]}, (), "nothing of it lies in the band of the budget, 1 to 500 Hz"),
         (ENGINE, {"name": "vehicle roll"}, (), 'name = "vehicle roll" is the name of [[budget.source]] 1 already; cho'),
-        (None, {"to_hz": 0.1}, (), "to_hz must be above from_hz = 0.1, got 0.1"),
+        (None, {"to_hz": 0.1}, (), "to_hz must be above from_hz = 1.0, got 0.1"),
         (None, {"exposure": [0.0]}, (), "exposure must be one or more numbers > 0"),
         (None, {}, ("exposure",), "windowed_jitter has no effect without exposure"),
         (None, {"source": []}, (), "source must have at least one [[budget.source]]"),
@@ -185,6 +185,49 @@ def test_a_budget_is_written_back_to_the_last_bit() -> None:
 )
 def test_what_is_refused(source: int | None, change: dict[str, Any], without: tuple[str, ...], says: str) -> None:
     assert says in refusal(change, source, *without)
+
+
+def logged(tmp_path: Path, mean: float, amplitude: float, **source: Any) -> str:
+    """Return the message about a budget of one log: 5 s of a sine of 3 Hz about a mean."""
+    t = np.arange(500) * 0.01
+    x = mean + amplitude * np.sin(2 * np.pi * 3.0 * t)
+    lines = [f"{one:.2f},{value:.9g}" for one, value in zip(t, x, strict=True)]
+    (tmp_path / "log.csv").write_text("\n".join(["time,x", *lines]) + "\n", encoding="utf-8")
+    data = EVERY_JOB_KEY.data | {"plant": "every_plant_key.toml"}
+    own = {"name": "log", "axis": 3, "log": str(tmp_path / "log.csv"), "column": "x"}
+    data["budget"] = {"from_hz": 1.0, "to_hz": 50.0, "source": [own | source]}
+    try:
+        budget = read_job(data, folder=HERE).budget
+    except InputError as error:
+        return str(error)
+    assert budget is not None
+    return f"{budget.sources[0].rms(0.5, 50.0):.4g}"
+
+
+def test_a_log_becomes_its_spectrum_when_the_job_is_read(tmp_path: Path) -> None:
+    assert logged(tmp_path, 0.2, 2.0, kind="base-rate") == f"{math.sqrt(2.0):.4g}"
+    assert logged(tmp_path, 0.2, 2.0, kind="base-rate", unit="deg/s") == f"{math.radians(math.sqrt(2.0)):.4g}"
+    assert logged(tmp_path, 1.0, 0.1, kind="specific-force", unit="g") == f"{0.1 * G / math.sqrt(2.0):.4g}"
+
+
+def test_units_of_a_log_that_cannot_be_meant_are_refused(tmp_path: Path) -> None:
+    turning = logged(tmp_path, 1000.0, 1.0, kind="base-rate")
+    assert (
+        'an rms of 1000 rad/s cannot be meant, at most 200 rad/s, with unit = "rad/s"; other units: "deg/s"' in turning
+    )
+    gravity = logged(tmp_path, -1.0, 0.1, kind="specific-force")
+    assert (
+        'unit: the mean of "x" is -1, which looks like gravity in g; write unit = "g", or unit = "m/s2" if' in gravity
+    )
+    assert logged(tmp_path, -1.0, 0.1, kind="specific-force", unit="m/s2") == "0.07071"
+
+
+def test_what_is_wrong_with_a_log_is_said_at_its_key(tmp_path: Path) -> None:
+    assert '"vehicle yaw": column: ' in refusal({"column": "gyro"}, YAW)
+    assert 'there is no column "gyro"; did you mean "gyro_z"?' in refusal({"column": "gyro"}, YAW)
+    assert "there is no such file" in refusal({"log": "other.csv"}, YAW)
+    assert "needs 10 s without a gap, and the longest piece is" in refusal({"from_hz": 0.1})
+    assert "the signal does not vary" in logged(tmp_path, 0.5, 0.0, kind="base-rate")
 
 
 def test_a_specific_force_without_unbalance_is_refused() -> None:

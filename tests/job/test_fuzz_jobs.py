@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+import shutil
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
@@ -46,6 +47,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(path)
         (path / "every_plant_key.toml").write_text(EVERY_PLANT_KEY.text, encoding="utf-8")
+        shutil.copy(HERE / "vehicle.csv", path)
         yield path
 
 

@@ -33,7 +33,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     path = tmp_path_factory.mktemp("results")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(path)
-        for name in ("every_plant_key.toml", "every_job_key.toml"):
+        for name in ("every_plant_key.toml", "every_job_key.toml", "vehicle.csv"):
             shutil.copy(HERE / name, path)
         yield path
 

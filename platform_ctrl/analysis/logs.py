@@ -1,0 +1,242 @@
+"""Recorded logs: read from CSV or Parquet, put on a uniform clock, and turned into power spectral densities."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from platform_ctrl.common.values import FloatArray, value
+from platform_ctrl.errors import ArgumentError, InputError
+from platform_ctrl.plant.mistakes import given, one_line, suggestion
+from platform_ctrl.plant.source import read_text
+
+# A step of the clock of more periods than this is a gap, over which nothing is interpolated.
+GAP_PERIODS = 3.0
+# Steps of the clock that differ by less, relative, are alike: stamps are printed with so many digits.
+ALIKE = 1e-6
+LEAST_SAMPLES = 16
+# Segments that half overlap and are averaged, if the resolution allows as many, and samples of one at most.
+SEGMENTS, LONGEST_SEGMENT = 8, 2**15
+
+
+@value
+class Log:
+    """Signals over time, as they were recorded.
+
+    Attributes
+    ----------
+    label
+        The file, as messages say it.
+    time : (N,)
+        Increasing, s.
+    signals
+        By the names of the columns, (N,) each, in units of the file.
+    """
+
+    label: str
+    time: FloatArray
+    signals: Mapping[str, FloatArray]
+
+
+@value
+class LogDensity:
+    """The power spectral density of a recorded signal x about its mean, and what is known of the record.
+
+    Attributes
+    ----------
+    frequencies_hz : (k,)
+        From 0 to half of the sample rate in equal steps, the resolution, Hz.
+    densities : (k,)
+        One-sided, units of x squared per Hz; their integral by trapezoids is the variance.
+    mean, variance
+        Of what was used of x, units of x, and squared.
+    segments
+        How many segments were averaged: the relative standard error of a density is about 1/sqrt(segments).
+    sample_rate
+        Mean rate without the gaps, Hz.
+    clock_jitter
+        Standard deviation of the steps of the clock within pieces, s.
+    interpolation_error
+        Bound on the rms error of putting x on a uniform clock, units of x: that of straight lines between the samples
+        of a smooth curve. The cubic spline that was used is closer. 0: the clock was uniform.
+    lost
+        Share of the recorded time that was not used: gaps, and pieces shorter than a segment.
+    """
+
+    frequencies_hz: FloatArray
+    densities: FloatArray
+    mean: float
+    variance: float
+    segments: int
+    sample_rate: float
+    clock_jitter: float
+    interpolation_error: float
+    lost: float
+
+
+def read_log(path: Path, columns: Sequence[str], time: str = "time") -> Log:
+    """Return columns of a CSV or Parquet file, each checked; `InputError` says which line is wrong and what to do."""
+    label = one_line(str(path))
+    wanted = list(dict.fromkeys([time, *columns]))
+    parquet = path.suffix.lower() in (".parquet", ".pq")
+    values, lines = (_parquet if parquet else _csv)(path, label, wanted)
+    row = "row" if parquet else "line"
+    if len(values) < LEAST_SAMPLES:
+        raise InputError(f"{label}: has {len(values)} samples; at least {LEAST_SAMPLES} are needed")
+    for k, j in np.argwhere(~np.isfinite(values))[:1]:
+        words = f"{row} {lines[k]}: {wanted[j]} is {values[k, j]}"
+        raise InputError(f"{label}: {words}; leave such lines out, which makes a gap of them")
+    t = values[:, 0]
+    for k in np.flatnonzero(np.diff(t) <= 0.0)[:1]:
+        if t[k + 1] == t[k]:
+            words = f"{time} = {t[k]:.12g} stands in {row} {lines[k]} already; leave one of the two out"
+        else:
+            words = f"{time} = {t[k + 1]:.12g} is before the {t[k]:.12g} of {row} {lines[k]}"
+            words += "; sort the lines by time, or cut the log where its clock was set"
+        raise InputError(f"{label}: {row} {lines[k + 1]}: {words}")
+    return Log(label=label, time=t, signals={name: values[:, wanted.index(name)] for name in columns})
+
+
+def _csv(path: Path, label: str, wanted: list[str]) -> tuple[FloatArray, Sequence[int]]:
+    """Return the wanted columns and the line of the file that each row is from."""
+    text = read_text(path, "a CSV file with a header").splitlines()
+    header = [name.strip() for name in next(csv.reader(text[:1]), [])]
+    places = [_place(label, header, name) for name in wanted]
+    lines = [k for k, line in enumerate(text, 1) if k > 1 and line.strip()]
+    rows = [text[k - 1] for k in lines]
+    if not rows:
+        return np.zeros((0, len(wanted))), lines
+    try:
+        return np.loadtxt(rows, delimiter=",", usecols=places, ndmin=2, comments=None, quotechar='"'), lines
+    except ValueError:
+        pass
+    for line, row in zip(lines, csv.reader(rows), strict=False):
+        for name, place in zip(wanted, places, strict=True):
+            cell = row[place].strip() if place < len(row) else ""
+            if not _is_number(cell):
+                words = f"{name} must be a number, got {given(cell)}" if cell else f"{name} is missing"
+                raise InputError(f"{label}: line {line}: {words}; leave such lines out, which makes a gap of them")
+    raise InputError(f"{label}: cannot be read as comma-separated numbers; give a CSV file with a header")
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return "_" not in cell
+
+
+def _parquet(path: Path, label: str, wanted: list[str]) -> tuple[FloatArray, Sequence[int]]:
+    """Return the wanted columns and the number of each row, from 1."""
+    try:
+        import pyarrow
+        import pyarrow.parquet
+    except ImportError:
+        words = "is Parquet and pyarrow is not installed: pip install 'platform_ctrl[campaign]', or give a CSV file"
+        raise InputError(f"{label}: {words}") from None
+    try:
+        file = pyarrow.parquet.ParquetFile(path)
+        for name in wanted:
+            _place(label, file.schema_arrow.names, name)
+        table = file.read(columns=wanted)
+    except FileNotFoundError:
+        raise InputError(f"{label}: there is no such file") from None
+    except (OSError, pyarrow.ArrowException) as error:
+        raise InputError(f"{label}: is not Parquet that can be read: {one_line(str(error))}") from None
+    for name in wanted:
+        kind = table.schema.field(name).type
+        if not (pyarrow.types.is_floating(kind) or pyarrow.types.is_integer(kind)):
+            words = "s, not dates" if name == wanted[0] else "numbers"
+            raise InputError(f"{label}: the column {given(name)} must hold {words}, got the type {kind}")
+    columns = [table[name].to_numpy().astype(np.float64) for name in wanted]  # what is null becomes NaN
+    return np.stack(columns, axis=1), range(1, table.num_rows + 1)
+
+
+def _place(label: str, header: list[str], name: str) -> int:
+    if header.count(name) == 1:
+        return header.index(name)
+    if name in header:
+        raise InputError(f"{label}: {header.count(name)} columns are called {given(name)}; rename all but one")
+    raise InputError(f"{label}: there is no column {given(name)}; {suggestion(name, header)}")
+
+
+def pieces(time: FloatArray) -> list[slice]:
+    """Return the parts of a record between its gaps."""
+    steps = np.diff(time)
+    ends = [*(np.flatnonzero(steps > GAP_PERIODS * np.median(steps)) + 1), len(time)]
+    return [slice(a, b) for a, b in zip([0, *ends[:-1]], ends, strict=True)]
+
+
+def log_density(time: FloatArray, x: FloatArray, resolution_hz: float) -> LogDensity:
+    """Return the density of a signal by Welch's method, finer than `resolution_hz` where the record is long enough.
+
+    Pieces between gaps are put on one uniform clock, and their segments averaged with the same weight. The mean of all
+    of them is removed, not that of each segment, and the sum is scaled to the variance: slow motion counts.
+    """
+    import scipy.signal
+
+    parts = [part for part in pieces(time) if part.stop - part.start > 1]
+    steps = np.concatenate([np.diff(time[part]) for part in parts])
+    period = float(np.mean(steps))
+    length = _segment(period, [part.stop - part.start for part in parts], resolution_hz)
+    clocks, errors = [], []
+    for part in parts:
+        on_clock, error = _uniform(time[part], x[part], period)
+        if len(on_clock) >= length:
+            clocks.append(on_clock)
+            errors.append(error)
+    used = np.concatenate(clocks)
+    mean, variance = float(np.mean(used)), float(np.var(used))
+    if variance <= (1e-12 * abs(mean)) ** 2:
+        raise ArgumentError(f"the signal does not vary, it is {mean:.6g} throughout; choose another column")
+    counts = [(len(one) - length) // (length - length // 2) + 1 for one in clocks]
+    found = [scipy.signal.welch(one - mean, 1.0 / period, "hann", length, detrend=False) for one in clocks]
+    f, density = found[0][0], np.average([one[1] for one in found], axis=0, weights=counts)
+    # SciPy doubles what has a negative frequency: with the ends doubled, too, trapezoids give what Parseval says.
+    density[[0, -1]] *= (2.0, 1.0 if length % 2 else 2.0)
+    return LogDensity(
+        frequencies_hz=f,
+        densities=density * variance / float(np.trapezoid(density, f)),
+        mean=mean,
+        variance=variance,
+        segments=sum(counts),
+        sample_rate=1.0 / period,
+        clock_jitter=float(np.std(steps)),
+        interpolation_error=float(np.sqrt(np.mean(np.concatenate(errors) ** 2))),
+        lost=max(0.0, 1.0 - period * sum(len(one) - 1 for one in clocks) / float(time[-1] - time[0])),
+    )
+
+
+def _segment(period: float, lengths: list[int], resolution_hz: float) -> int:
+    """Return the samples of a segment: enough for the resolution, and more where the record has enough of them."""
+    least = int(np.ceil((1.0 - 1e-9) / (period * resolution_hz)))
+    if least > min(max(lengths), LONGEST_SEGMENT):
+        longest, most = max(lengths) * period, LONGEST_SEGMENT * period
+        words = f"a resolution of {resolution_hz:.4g} Hz needs {1.0 / resolution_hz:.4g} s without a gap"
+        got = (
+            f"the longest piece is {longest:.4g} s" if longest < most else f"at this rate {most:.4g} s are used at most"
+        )
+        raise ArgumentError(f"{words}, and {got}; take {1.0 / min(longest, most):.3g} Hz or more")
+    # Of pieces that are long enough the most is used, and of a long record no more than is needed to see lines.
+    more = min(sum(lengths) // SEGMENTS, 4096, *(length for length in lengths if length >= least))
+    return max(least, more)
+
+
+def _uniform(time: FloatArray, x: FloatArray, period: float) -> tuple[FloatArray, FloatArray]:
+    """Return a piece on a uniform clock, and the bound of its error at each sample."""
+    steps = np.diff(time)
+    if np.ptp(steps) <= ALIKE * period and abs(float(np.mean(steps)) - period) <= ALIKE * period:
+        return x, np.zeros(len(x))
+    from scipy.interpolate import CubicSpline
+
+    spline = CubicSpline(time, x)
+    clock = time[0] + period * np.arange(int((time[-1] - time[0]) / period * (1.0 + 1e-12)) + 1)
+    piece = np.clip(np.searchsorted(time, clock, side="right") - 1, 0, len(steps) - 1)
+    bend = np.abs(spline(time, 2))  # linear in each piece: largest at an end
+    bend = np.maximum(bend[:-1], bend[1:])[piece]
+    since, until = clock - time[piece], time[piece + 1] - clock
+    return np.asarray(spline(clock)), 0.5 * since * np.abs(until) * bend

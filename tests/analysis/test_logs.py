@@ -1,0 +1,199 @@
+"""Recorded logs: their density is that of the signal, whatever the clock did, and what makes no sense is refused."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from platform_ctrl.analysis.logs import _uniform, log_density, pieces, read_log
+from platform_ctrl.errors import ArgumentError, InputError
+from platform_ctrl.job.scenario import Vibration
+from platform_ctrl.job.spectra import LogSpectrum, TableSpectrum
+from vehicle_log import FILE, vehicle_log
+
+RATE = 400.0
+KNOWN = TableSpectrum(frequencies_hz=[0.5, 5.0, 40.0, 150.0], densities=[1e-3, 1e-3, 1e-5, 1e-7])
+
+
+def recorded(seconds: float, jitter: float = 0.0, seed: int = 1) -> tuple[np.ndarray, np.ndarray]:
+    """Return stamps and a random signal of the known density, exact at the stamps: a sum of sines."""
+    random = np.random.default_rng(seed)
+    shake = Vibration(kind="rate", axis=1, frequencies_hz=KNOWN.frequencies_hz, densities=KNOWN.densities, lines=4096)
+    omega, amplitude = shake.amplitudes
+    time = np.arange(0.0, seconds, 1.0 / RATE)
+    time = time + jitter / RATE * random.uniform(-0.5, 0.5, len(time))
+    phase = random.uniform(0.0, 2.0 * np.pi, len(omega))
+    x = np.zeros(len(time))
+    for chunk in np.array_split(np.arange(len(omega)), 64):
+        x += amplitude[chunk] @ np.cos(np.outer(omega[chunk], time) + phase[chunk, None])
+    return time, x
+
+
+@pytest.fixture(scope="module")
+def uniform() -> tuple[np.ndarray, np.ndarray]:
+    return recorded(60.0)
+
+
+@pytest.fixture(scope="module")
+def jittered() -> tuple[np.ndarray, np.ndarray]:
+    return recorded(60.0, jitter=0.6)
+
+
+def write(path: Path, *lines: str) -> Path:
+    path.write_text("\n".join(["time,rate", *lines]) + "\n", encoding="utf-8")
+    return path
+
+
+def ramp(count: int = 40) -> list[str]:
+    return [f"{0.01 * k:.2f},{math.sin(k):.6f}" for k in range(count)]
+
+
+def test_the_integral_of_the_density_is_the_variance(uniform: tuple[np.ndarray, np.ndarray]) -> None:
+    time, x = uniform
+    found = log_density(time, x, 0.5)
+    assert np.trapezoid(found.densities, found.frequencies_hz) == pytest.approx(np.var(x), rel=1e-9)
+    assert found.variance == pytest.approx(KNOWN.mean_square(0.0, 200.0), rel=0.1)
+    assert found.sample_rate == pytest.approx(RATE, rel=1e-9)
+    assert found.interpolation_error == 0.0
+    assert found.clock_jitter < 1e-12
+    assert found.lost == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize("clock", ["uniform", "jittered"])
+def test_a_known_density_is_found_within_its_statistical_bounds(clock: str, request: pytest.FixtureRequest) -> None:
+    found = log_density(*request.getfixturevalue(clock), 1.0)
+    f = found.frequencies_hz
+    inside = (f > 2.0) & (f < 100.0)
+    ratio = found.densities[inside] / KNOWN.density(f[inside])
+    # Each is a chi-squared variable of about 2 x segments degrees of freedom (fewer: segments overlap by half).
+    deviation = math.sqrt(1.0 / (found.segments / 1.2))
+    assert np.mean(ratio) == pytest.approx(1.0, abs=0.05)
+    assert np.std(ratio) < 1.3 * deviation
+    assert np.abs(ratio - 1.0).max() < 5.0 * deviation
+
+
+def test_the_bound_of_the_interpolation_is_above_its_error(jittered: tuple[np.ndarray, np.ndarray]) -> None:
+    time, x = jittered
+    found = log_density(time, x, 1.0)
+    # Steps of a clock with independent uniform errors of 0.6 periods in all: sqrt(2/12) of that.
+    assert found.clock_jitter == pytest.approx(0.6 / RATE * math.sqrt(2.0 / 12.0), rel=0.05)
+    period = 1.0 / found.sample_rate
+    on_clock, bound = _uniform(time, x, period)
+    true = 2.0 * np.sin(2 * np.pi * 7.0 * time)
+    curve, its_bound = _uniform(time, true, period)
+    clock = time[0] + period * np.arange(len(curve))
+    error = curve - 2.0 * np.sin(2 * np.pi * 7.0 * clock)
+    assert 0.0 < np.sqrt(np.mean(error**2)) < np.sqrt(np.mean(its_bound**2)) < 0.01
+    assert found.interpolation_error == pytest.approx(np.sqrt(np.mean(bound**2)), rel=1e-12)
+    assert len(on_clock) in (len(time) - 1, len(time))
+
+
+def test_gaps_are_left_out_and_the_share_that_is_lost_is_stated(uniform: tuple[np.ndarray, np.ndarray]) -> None:
+    time, x = uniform
+    kept = ~(((time > 20.0) & (time < 26.0)) | ((time > 40.0) & (time < 40.1)))
+    assert [part.stop - part.start for part in pieces(time[kept])] == [8001, 5601, 7960]
+    found, whole = log_density(time[kept], x[kept], 0.5), log_density(time, x, 0.5)
+    assert found.lost == pytest.approx((6.0 + 0.1) / 60.0, abs=1e-4)
+    inside = (whole.frequencies_hz > 2.0) & (whole.frequencies_hz < 100.0)
+    here = np.interp(whole.frequencies_hz[inside], found.frequencies_hz, found.densities)
+    assert np.mean(here / whole.densities[inside]) == pytest.approx(1.0, abs=0.1)
+    # A lost sample is no gap: the curve is drawn through.
+    single = np.delete(time, 5000), np.delete(x, 5000)
+    assert len(pieces(single[0])) == 1
+    assert log_density(*single, 0.5).lost == pytest.approx(0.0, abs=1e-4)
+
+
+def test_a_piece_that_is_too_short_for_the_resolution_is_refused() -> None:
+    time, x = np.arange(100) * 0.01, np.sin(np.arange(100))
+    with pytest.raises(ArgumentError, match=r"0\.1 Hz needs 10 s without a gap, and the longest piece is 1 s; take 1 "):
+        log_density(time, x, 0.1)
+    with pytest.raises(ArgumentError, match="does not vary, it is 3 throughout; choose another column"):
+        log_density(time, np.full(100, 3.0), 2.0)
+
+
+def test_csv_and_parquet_hold_the_same(tmp_path: Path) -> None:
+    pyarrow = pytest.importorskip("pyarrow")
+    parquet = pytest.importorskip("pyarrow.parquet")
+    csv = read_log(FILE, ["gyro_z"])
+    table = pyarrow.table({"note": ["x"] * len(csv.time), "gyro_z": csv.signals["gyro_z"], "time": csv.time})
+    parquet.write_table(table, tmp_path / "log.parquet")
+    other = read_log(tmp_path / "log.parquet", ["gyro_z"])
+    np.testing.assert_array_equal(other.time, csv.time)
+    np.testing.assert_array_equal(other.signals["gyro_z"], csv.signals["gyro_z"])
+    with pytest.raises(InputError, match="must hold numbers, got the type string"):
+        read_log(tmp_path / "log.parquet", ["note"])
+    with pytest.raises(InputError, match=r'there is no column "gyro_x"; did you mean "gyro_z"'):
+        read_log(tmp_path / "log.parquet", ["gyro_x"])
+    (tmp_path / "no.parquet").write_bytes(b"time,rate")
+    with pytest.raises(InputError, match="is not Parquet that can be read"):
+        read_log(tmp_path / "no.parquet", ["rate"])
+    nothing = pyarrow.table({"rate": [1.0, None] * 20, "time": np.arange(40.0)})
+    parquet.write_table(nothing, tmp_path / "null.parquet")
+    with pytest.raises(InputError, match="row 2: rate is nan; leave such lines out, which makes a gap of them"):
+        read_log(tmp_path / "null.parquet", ["rate"])
+
+
+def test_the_log_of_the_tests_is_what_its_script_writes() -> None:
+    assert FILE.read_text(encoding="utf-8") == vehicle_log()
+
+
+@pytest.mark.parametrize(
+    ("line", "says"),
+    [
+        ("0.105,nan", "line 13: rate is nan; leave such lines out, which makes a gap of them"),
+        ("0.105,inf", "line 13: rate is inf; leave such lines out"),
+        ("0.105,", "line 13: rate is missing; leave such lines out"),
+        ("0.105", "line 13: rate is missing"),
+        ("0.105,x", 'line 13: rate must be a number, got "x"; leave such lines out'),
+        ("0.10,1.0", "line 13: time = 0.1 stands in line 12 already; leave one of the two out"),
+        ("0.05,1.0", "line 13: time = 0.05 is before the 0.1 of line 12; sort the lines by time, or cut the log"),
+    ],
+)
+def test_lines_that_make_no_sense_are_refused_by_their_number(tmp_path: Path, line: str, says: str) -> None:
+    lines = ramp()
+    lines.insert(11, line)
+    with pytest.raises(InputError) as error:
+        read_log(write(tmp_path / "log.csv", *lines), ["rate"])
+    assert says in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_files_that_are_no_logs_are_refused(tmp_path: Path) -> None:
+    for path, says in (
+        (tmp_path / "none.csv", "there is no such file"),
+        (tmp_path / "none.parquet", "there is no such file"),
+        (write(tmp_path / "short.csv", *ramp(5)), "has 5 samples; at least 16 are needed"),
+        (write(tmp_path / "empty.csv"), "has 0 samples"),
+    ):
+        with pytest.raises(InputError, match=says):
+            read_log(path, ["rate"])
+    path = write(tmp_path / "log.csv", *ramp())
+    with pytest.raises(InputError, match='there is no column "rates"; did you mean "rate"'):
+        read_log(path, ["rates"])
+    path.write_text("time,rate,rate\n", encoding="utf-8")
+    with pytest.raises(InputError, match='2 columns are called "rate"; rename all but one'):
+        read_log(path, ["rate"])
+
+
+def test_a_blank_line_is_no_line_and_is_counted(tmp_path: Path) -> None:
+    lines = ramp()
+    path = write(tmp_path / "log.csv", *lines[:5], "", *lines[5:])
+    assert len(read_log(path, ["rate"]).time) == 40
+    with pytest.raises(InputError, match="line 47: rate is nan"):
+        read_log(write(path, *lines[:5], "", *lines[5:], "", "0.5,1", "0.6,1", "0.7,1", "0.8,nan"), ["rate"])
+
+
+def test_a_log_is_read_before_its_density_is_asked_for() -> None:
+    spectrum = LogSpectrum(log=FILE.name, column="gyro_z")
+    with pytest.raises(ArgumentError, match=r"log 'vehicle\.csv' has not been read; read the job from a file"):
+        spectrum.density(1.0)
+    read = spectrum.read(FILE.parent, 1.0)
+    estimate = read.estimate
+    assert estimate is not None
+    np.testing.assert_array_equal(read.density(estimate.frequencies_hz[1:]), estimate.densities[1:])
+    assert read.density(0.5 * estimate.frequencies_hz[1]) == 0.0
+    with pytest.raises(InputError, match=r"vehicle\.csv: gyro_z: a resolution of 0\.1 Hz needs 10 s"):
+        spectrum.read(FILE.parent, 0.1)
