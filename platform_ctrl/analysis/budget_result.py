@@ -1,0 +1,251 @@
+"""The result of a jitter budget, and how it is put together from integrals over panels."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from platform_ctrl.analysis.disturbances import Disturbance, RandomDisturbance, SampleNoise
+from platform_ctrl.analysis.hybrid_plant import HybridPlant
+from platform_ctrl.common.values import FloatArray, value
+
+
+@value
+class Contribution:
+    """Integrals over P panels for G sources, q outputs and W weights, or the lines of sines.
+
+    Attributes
+    ----------
+    panels : (P, 2)
+        Ends, rad/s.
+    variance, error : (P, W, G, q)
+        Integrals over all images that are kept, and bounds on their errors.
+    members : (P, F, G, q)
+        Those of the first weight for each image.
+    remaining : (P, G, q)
+        Of the images that are not kept, before integration of an output.
+    frequency : (P, K, F)
+        Of the nodes, rad/s.
+    density : (P, K, F, G, q)
+        One-sided, per Hz.
+    sines
+        Names of the sines whose lines these are; the last of the G sources is their sum.
+    """
+
+    panels: FloatArray
+    variance: FloatArray
+    error: FloatArray
+    members: FloatArray
+    remaining: FloatArray
+    frequency: FloatArray
+    density: FloatArray
+    sines: tuple[str, ...] = ()
+
+    def chosen(self, good: NDArray[np.bool_]) -> Contribution:
+        """Return those of some panels."""
+        return Contribution(
+            panels=self.panels[good],
+            variance=self.variance[good],
+            error=self.error[good],
+            members=self.members[good],
+            remaining=self.remaining[good],
+            frequency=self.frequency[good],
+            density=self.density[good],
+        )
+
+
+@value
+class Window:
+    """Displacement, smear and jitter within an exposure; root mean squares over its instants and over exposures.
+
+    Attributes
+    ----------
+    exposure
+        s.
+    displacement, smear, jitter : (G, q)
+        Of each source, in the outputs' units.
+    total_displacement, total_smear, total_jitter : (q,)
+        Of all sources.
+    """
+
+    exposure: float
+    displacement: FloatArray
+    smear: FloatArray
+    jitter: FloatArray
+    total_displacement: FloatArray
+    total_smear: FloatArray
+    total_jitter: FloatArray
+
+
+@value
+class Budget:
+    """What each of G sources does to each of q outputs.
+
+    Attributes
+    ----------
+    names
+        Of the sources.
+    rms : (G, q)
+        In the outputs' units.
+    total : (q,)
+        Of all sources together; sines that add coherently are not the root of the sum of squares.
+    lowest
+        Motion below this frequency, rad/s, does not count in `rms`, `total` and displacements.
+    windows
+        One for each exposure.
+    frequency : (K,)
+        rad/s, rising.
+    density : (G, q, K)
+        One-sided densities of the outputs, per Hz, without the lines of sines.
+    edges : (E,)
+        Frequencies, rad/s, rising, up to which `cumulative` sums.
+    cumulative : (G, q, E)
+        Variance of each source up to the edges, sines included.
+    total_cumulative : (q, E)
+        The same of all sources.
+    error
+        Bound on the error of integration, the largest relative to a variance.
+    remaining
+        Bound on the share of an integrated output's variance that images beyond those kept would add; what they add to
+        other outputs is included.
+    """
+
+    names: tuple[str, ...]
+    rms: FloatArray
+    total: FloatArray
+    lowest: float
+    windows: tuple[Window, ...]
+    frequency: FloatArray
+    density: FloatArray
+    edges: FloatArray
+    cumulative: FloatArray
+    total_cumulative: FloatArray
+    error: float
+    remaining: float
+
+    @property
+    def shares(self) -> FloatArray:
+        """Variance of each source over that of all (G, q); zero where there is none."""
+        every = self.total**2
+        out: FloatArray = np.divide(self.rms**2, every, out=np.zeros_like(self.rms), where=every > 0.0)
+        return out
+
+    @property
+    def reverse_cumulative(self) -> FloatArray:
+        """Variance of all sources above each of the edges (q, E)."""
+        out: FloatArray = self.total_cumulative[:, -1:] - self.total_cumulative
+        return out
+
+
+def assembled(
+    plant: HybridPlant,
+    sources: Sequence[Disturbance],
+    exposures: Sequence[float],
+    lowest: float,
+    found: list[Contribution],
+    lines: list[Contribution],
+) -> Budget:
+    """Return the budget of panels of random sources and of lines of sines."""
+    names = tuple(one.name for one in sources)
+    order = [
+        names.index(one.name) for kind in (RandomDisturbance, SampleNoise) for one in sources if isinstance(one, kind)
+    ]
+    G, q, W = len(names), plant.outputs, 1 + 3 * len(exposures)
+    integrated = np.array(plant.integrated, dtype=np.bool_)
+    variance, rest, error = np.zeros((W, G, q)), np.zeros((G, q)), np.zeros((W, G, q))
+    for one in found:
+        variance[:, order] += one.variance.sum(axis=0)
+        error[:, order] += one.error.sum(axis=0)
+        rest[order] += one.remaining.sum(axis=0)
+    coherent, more = np.zeros((W, q)), np.zeros(q)
+    for one in lines:
+        rows = [names.index(name) for name in one.sines]
+        variance[:, rows] += one.variance[0, :, :-1]
+        rest[rows] += one.remaining[0, :-1]
+        # What the sum of the lines has beyond the sum of their squares.
+        coherent += one.variance[0, :, -1] - one.variance[0, :, :-1].sum(axis=1)
+        more += one.remaining[0, -1] - one.remaining[0, :-1].sum(axis=0)
+    beyond = (0.5 + _kept(found, lines)) * plant.sample_frequency if found or lines else 1.0
+    bound = np.where(integrated, rest / beyond**2, 0.0)
+    added, joint = np.where(integrated, 0.0, rest), np.where(integrated, 0.0, more)
+    # All that is beyond is jitter.
+    for k in [0, *range(3, W, 3)]:
+        variance[k] += added
+        coherent[k] += joint
+    total = variance.sum(axis=1) + coherent
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share = bound.sum(axis=0) / total[0]
+        relative = error / (variance + 1e-6 * total[:, None])
+    root = np.sqrt(np.maximum(variance, 0.0))
+    whole = np.sqrt(np.maximum(total, 0.0))
+    windows = tuple(
+        Window(
+            exposure=one,
+            displacement=root[3 * k + 1],
+            smear=root[3 * k + 2],
+            jitter=root[3 * k + 3],
+            total_displacement=whole[3 * k + 1],
+            total_smear=whole[3 * k + 2],
+            total_jitter=whole[3 * k + 3],
+        )
+        for k, one in enumerate(exposures)
+    )
+    frequency, density = _spectrum(found, order, G, q)
+    edges, cumulative, together = _cumulated(plant, found, lines, names, order)
+    return Budget(
+        names=names,
+        rms=root[0],
+        total=whole[0],
+        lowest=lowest,
+        windows=windows,
+        frequency=frequency,
+        density=density,
+        edges=edges,
+        cumulative=cumulative,
+        total_cumulative=together,
+        error=float(np.nanmax(relative, initial=0.0)),
+        remaining=float(np.nanmax(share, initial=0.0)),
+    )
+
+
+def _kept(found: list[Contribution], lines: list[Contribution]) -> int:
+    return int(next(iter([*found, *lines])).members.shape[1] - 1) // 2
+
+
+def _spectrum(found: list[Contribution], order: list[int], G: int, q: int) -> tuple[FloatArray, FloatArray]:
+    if not found:
+        return np.zeros(0), np.zeros((G, q, 0))
+    frequency = np.concatenate([one.frequency.ravel() for one in found])
+    density = np.concatenate([one.density.reshape(-1, len(order), q) for one in found])
+    rising = np.argsort(frequency)
+    out = np.zeros((G, q, len(frequency)))
+    out[order] = density[rising].transpose(1, 2, 0)
+    return frequency[rising], out
+
+
+def _cumulated(
+    plant: HybridPlant, found: list[Contribution], lines: list[Contribution], names: tuple[str, ...], order: list[int]
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return edges, the variance up to them by source, and of all: panels with their images lie beside each other."""
+    G, q = len(names), plant.outputs
+    upper, steps, together = [np.zeros(1)], [np.zeros((1, G, q))], [np.zeros((1, q))]
+    for one in [*found, *lines]:
+        F = one.members.shape[1]
+        images = np.arange(F) - (F - 1) // 2
+        ends = np.abs(one.panels[:, None, :] + images[:, None] * plant.sample_frequency).max(axis=-1)
+        members = one.members.reshape(-1, *one.members.shape[2:])
+        step = np.zeros((len(members), G, q))
+        if one.sines:
+            step[:, [names.index(name) for name in one.sines]] = members[:, :-1]
+            together.append(members[:, -1])
+        else:
+            step[:, order] = members
+            together.append(members.sum(axis=1))
+        upper.append(ends.ravel())
+        steps.append(step)
+    edges = np.concatenate(upper)
+    rising = np.argsort(edges, kind="stable")
+    cumulative = np.cumsum(np.concatenate(steps)[rising], axis=0).transpose(1, 2, 0)
+    return edges[rising], cumulative, np.cumsum(np.concatenate(together)[rising], axis=0).T

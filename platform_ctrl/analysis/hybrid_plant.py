@@ -1,0 +1,296 @@
+"""A continuous plant behind a sampler and a hold: responses at a frequency and at all its images, without averaging.
+
+::
+
+        w(t) ──►┌───┐──► z(t)
+                │ P │
+    u(t) ──────►└───┘──► y(t) ──► sampler, period T ──► reading delay ──► K ──► hold ──► delay ──► lag ──► u(t)
+
+A component of w at a frequency ω acts on z at ω and at ω + n ω_s, ω_s = 2 π/T, because the sampler takes all these
+frequencies for one. With H the hold with its delay and P_d the exactly sampled plant,
+
+    z(ω) = [P_zw(jω) + P_zu(jω) H(jω) M(ω) P_yw(jω)] w,        z(ω + n ω_s) = P_zu H(j(ω + n ω_s)) M(ω) P_yw(jω) w,
+
+where M = K (I − P_d K)⁻¹ at exp(jωT) (Åström and Wittenmark, Computer-Controlled Systems, 1997, ch. 7; Chen and
+Francis, Optimal Sampled-Data Control Systems, 1995, ch. 3).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, system_arrays
+from platform_ctrl.analysis.feedback import closed_loop
+from platform_ctrl.analysis.lifting import SampledPlant, lifted_plant
+from platform_ctrl.analysis.poles import poles
+from platform_ctrl.analysis.response import frequency_response
+from platform_ctrl.analysis.sampling import sampled, split_delay, with_lag
+from platform_ctrl.common.arguments import not_negative, whole
+from platform_ctrl.common.values import FloatArray, value
+from platform_ctrl.errors import ArgumentError
+
+# Error of plant responses, relative: what feedback cancels costs digits in proportion to its gain.
+_PLANT_TOLERANCE = 1e-13
+# A pole this near to the unit circle counts as one on it; a direction is not seen below this share of the matrix.
+_BOUNDARY, _UNSEEN = 1e-10, 1e-11
+# Remainders of sums over all images below this share of the whole are rounding.
+_ROUNDING = 1e-13
+
+
+@value
+class HybridPlant:
+    """A continuous plant with inputs [u, w] and outputs [y, z], and what stands between y and u beside the controller.
+
+    Attributes
+    ----------
+    plant
+        Continuous arrays; inputs: m controls u, then k disturbances w; outputs: p measured y, then q performance
+        outputs z, in SI units. y may have a direct path from w.
+    controls, measured
+        m and p.
+    period
+        Sample period, s.
+    delay
+        From the sample to the time at which the hold's output acts, s; any number >= 0.
+    lag : (m,)
+        Time constant of the first-order lag behind each hold, s; 0 for none.
+    reading_delay : (p,)
+        Whole periods by which each measured output arrives late.
+    integrated : (q,)
+        Whether the performance output's integral is meant: an angle, of which the plant has the rate. So the pole at
+        zero of an inertial angle never enters the loop.
+    """
+
+    plant: StateArrays
+    controls: int
+    measured: int
+    period: float
+    delay: float = 0.0
+    lag: FloatArray = dataclasses.field(default_factory=lambda: np.zeros(()))
+    reading_delay: tuple[int, ...] = ()
+    integrated: tuple[bool, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Judge sizes; give every control a lag, every measured output a delay."""
+        arrays = system_arrays("hybrid plant", *self.plant)
+        if arrays.dt != 0.0 or arrays.A.ndim != 2:
+            raise ArgumentError("hybrid plant: it must be one continuous system; sampling is part of the analysis")
+        outputs, inputs = arrays.D.shape
+        whole("hybrid plant: controls", self.controls, 1, inputs)
+        whole("hybrid plant: measured", self.measured, 1, outputs)
+        split_delay("hybrid plant", self.period, self.delay, self.controls)
+        delays = self.reading_delay or (0,) * self.measured
+        integrated = self.integrated or (False,) * (outputs - self.measured)
+        for name, given, size in (
+            ("reading_delay", delays, self.measured),
+            ("integrated", integrated, outputs - self.measured),
+        ):
+            if len(given) != size:
+                raise ArgumentError(f"hybrid plant: {name} must be {size} values, got {len(given)}")
+        for one in delays:
+            whole("hybrid plant: reading_delay", one, 0)
+        object.__setattr__(self, "plant", arrays)
+        object.__setattr__(self, "lag", not_negative("hybrid plant: lag", self.lag, self.controls))
+        object.__setattr__(self, "reading_delay", tuple(delays))
+        object.__setattr__(self, "integrated", tuple(bool(one) for one in integrated))
+
+    @property
+    def sample_frequency(self) -> float:
+        """ω_s = 2 π/T, rad/s."""
+        return 2.0 * math.pi / self.period
+
+    @property
+    def disturbances(self) -> int:
+        """k: the number of disturbance inputs."""
+        return int(self.plant.D.shape[1]) - self.controls
+
+    @property
+    def outputs(self) -> int:
+        """q: the number of performance outputs."""
+        return int(self.plant.D.shape[0]) - self.measured
+
+
+class Family(NamedTuple):
+    """Responses at N frequencies ω and at their F images ω + n ω_s.
+
+    Attributes
+    ----------
+    frequency : (N, F)
+        With its sign, rad/s.
+    held : complex (N, F, q, m)
+        From the control of a sample to z before integration: P_zu H.
+    direct : complex (N, F, q, k)
+        From w to z before integration.
+    integral : complex (N, F, q, 1)
+        1/(jω) where z is integrated, 1 elsewhere.
+    measured : complex (N, F, p, k)
+        From w to y.
+    sampled : complex (N, p, m)
+        P_d.
+    """
+
+    frequency: FloatArray
+    held: ComplexArray
+    direct: ComplexArray
+    integral: ComplexArray
+    measured: ComplexArray
+    sampled: ComplexArray
+
+
+class OpenLoop:
+    """What of a `HybridPlant` does not depend on the controller, computed once."""
+
+    def __init__(self, plant: HybridPlant) -> None:
+        self.plant = plant
+        m, p = plant.controls, plant.measured
+        lags = np.concatenate([plant.lag, np.zeros(plant.disturbances)])
+        self._continuous = with_lag(plant.plant, lags)
+        A, B, C, D, _ = self._continuous
+        self.sampled = sampled(StateArrays(A, B[:, :m], C[:p], D[:p, :m]), plant.period, plant.delay)
+        period, parts, part = split_delay("hybrid plant", plant.period, plant.delay, m)
+        n = len(A)
+        self._lifted = [
+            lifted_plant(
+                SampledPlant(
+                    A,
+                    np.zeros((n, 0)),
+                    B[:, :m],
+                    C[row : row + 1],
+                    np.zeros((0, n)),
+                    np.zeros((1, 0)),
+                    D[row : row + 1, :m],
+                    np.zeros((0, m)),
+                    period,
+                    parts,
+                    part,
+                ),
+                math.inf,
+            )
+            for row in range(p, len(C))
+        ]
+
+    def family(self, omega: FloatArray, images: FloatArray) -> Family:
+        """Return the responses at frequencies (N,), rad/s, of any sign but not zero, and at images n (F,)."""
+        plant = self.plant
+        m, p, T = plant.controls, plant.measured, plant.period
+        w = omega[:, None] + images * plant.sample_frequency
+        flat, place = np.unique(np.abs(w), return_inverse=True)
+        P = frequency_response(self._continuous, flat, -3, _PLANT_TOLERANCE)[place.reshape(w.shape)]
+        P = np.where((w < 0.0)[..., None, None], P.conj(), P)
+        z = P[:, :, p:]
+        with np.errstate(divide="ignore"):
+            once = np.where(np.array(plant.integrated), -1j * (1.0 / w)[..., None], 1.0)[..., None]
+        hold = np.exp(-1j * w * (0.5 * T + plant.delay)) * np.sinc(w * (0.5 * T / np.pi))
+        return Family(
+            w, z[..., :m] * hold[..., None, None], z[..., m:], once, P[:, :, :p, m:], self._sampled_response(omega)
+        )
+
+    def _sampled_response(self, omega: FloatArray) -> ComplexArray:
+        P = frequency_response(self.sampled, np.abs(omega), -3, _PLANT_TOLERANCE)
+        out: ComplexArray = np.where((omega < 0.0)[:, None, None], P.conj(), P)
+        return out
+
+    def all_images(self, omega: FloatArray) -> ComplexArray:
+        """Return Σ L' L over all images n, L the row `held` of an output before integration, (N, q, m, m).
+
+        By Parseval's theorem over one period: exact, from the Gramian of the lifted plant.
+        """
+        out = np.zeros((len(omega), len(self._lifted), self.plant.controls, self.plant.controls), dtype=np.complex128)
+        for i, lifted in enumerate(self._lifted):
+            if len(lifted.C):
+                E = frequency_response(lifted, np.abs(omega), -3)
+                out[:, i] = np.swapaxes(E.conj(), -1, -2) @ E / self.plant.period
+        return out
+
+    def remaining_images(self, omega: FloatArray, held: ComplexArray) -> ComplexArray:
+        """Return Σ L' L over all images that `held` (N, F, q, m) of outputs before integration leaves out."""
+        every = self.all_images(omega)
+        rest: ComplexArray = every - np.einsum("nfqr,nfqs->nqrs", held.conj(), held)
+        size = np.einsum("nqrr->nq", every).real
+        rounding = np.einsum("nqrr->nq", rest).real <= _ROUNDING * size
+        rest[rounding] = 0.0
+        return rest
+
+    def modulator(self, controller: StateArrays, omega: FloatArray, P: ComplexArray) -> ComplexArray:
+        """Return M = K (I − P_d K)⁻¹ (N, m, p) at frequencies of any sign; K with the reading delays."""
+        K = frequency_response(controller, np.abs(omega), -3)
+        if np.any(omega < 0.0):
+            K = np.where((omega < 0.0)[:, None, None], K.conj(), K)
+        late = np.array(self.plant.reading_delay, dtype=np.float64)
+        if np.any(late):
+            K = K * np.exp(-1j * self.plant.period * omega[:, None] * late)[:, None, :]
+        if self.plant.measured == 1:
+            return K / (1.0 - P @ K)
+        loop = np.eye(self.plant.measured) - P @ K
+        return np.asarray(np.linalg.solve(loop.swapaxes(-1, -2), K.swapaxes(-1, -2)).swapaxes(-1, -2))
+
+    def closed_poles(self, controller: StateArrays) -> ComplexArray:
+        """Return the poles z of the loop; refuse a controller that does not fit or does not stabilise.
+
+        A pole on the unit circle or outside counts if it can be excited and seen: the angle of a gimbal whose inertial
+        rate is held, and that nothing else depends on, does not.
+        """
+        plant = self.plant
+        controller = system_arrays("controller", *controller)
+        if controller.D.shape != (plant.controls, plant.measured) or not math.isclose(
+            controller.dt, plant.period, rel_tol=1e-9
+        ):
+            raise ArgumentError(
+                f"controller: must have {plant.measured} inputs, {plant.controls} outputs and dt = {plant.period:g} s, "
+                f"got {controller.D.shape[1]}, {controller.D.shape[0]} and {controller.dt:g}"
+            )
+        A, B, C, *_ = closed_loop(self.sampled, _late(controller, plant.reading_delay))
+        z = poles(A)
+        for one in z[np.abs(z) >= 1.0 - _BOUNDARY]:
+            if self._counts(A, B, C, complex(one)):
+                raise ArgumentError(
+                    f"the sampled loop must be stable, it has a pole at |z| = {abs(one):.6g}; "
+                    "check the controller against the plant"
+                )
+        return z
+
+    def _counts(self, A: FloatArray, B: FloatArray, C: FloatArray, z: complex) -> bool:
+        """Return whether a pole is seen from y, u or z and reached from u or w."""
+        n = len(A)
+        continuous, m, p = self._continuous, self.plant.controls, self.plant.measured
+        states = len(continuous.A)
+        seen = np.zeros((self.plant.outputs, n))
+        seen[:, :states] = continuous.C[p:]
+        reached = np.zeros((n, self.plant.disturbances))
+        reached[:states] = continuous.B[:, m:]
+        pencil = z * np.eye(n) - A
+        for matrix in (
+            np.vstack([pencil, _unit(C.T).T, _unit(seen.T).T]),
+            np.hstack([pencil, _unit(B), _unit(reached)]).T,
+        ):
+            values = np.linalg.svd(matrix, compute_uv=False)
+            if values[-1] <= _UNSEEN * values[0]:
+                return False
+        return True
+
+
+def _unit(columns: FloatArray) -> FloatArray:
+    size = np.linalg.norm(columns, axis=0)
+    out: FloatArray = columns / np.where(size > 0.0, size, 1.0)
+    return out
+
+
+def _late(controller: StateArrays, delays: tuple[int, ...]) -> StateArrays:
+    """Return the controller behind its reading delays, as states."""
+    A, B, C, D, dt = controller
+    for j, count in enumerate(delays):
+        for _ in range(count):
+            # The newest reading waits one period in a state of its own.
+            n, column = len(A), np.zeros((len(A) + 1, 1))
+            column[-1] = 1.0
+            A = np.block([[A, B[:, j : j + 1]], [np.zeros((1, n + 1))]])
+            C = np.hstack([C, D[:, j : j + 1]])
+            B = np.vstack([B, np.zeros((1, B.shape[1]))])
+            B[:, j : j + 1] = column
+            D = D.copy()
+            D[:, j] = 0.0
+    return StateArrays(A, B, C, D, dt)

@@ -1,0 +1,427 @@
+"""The budget of a sampled loop: what each disturbance does to each performance output, in continuous time.
+
+The frequencies between zero and half the sample frequency are divided into panels; a panel stands for itself and for
+all its images. Averaged over the instant within the period, the density of an output at an image is that of the same
+frequency of the disturbance, and what the sampler brings there from all others:
+
+    S_z(ω_n) = |G₀(ω_n)|² S_w(ω_n) + Σ_{k ≠ n} |P_zu H(ω_n) M P_yw(ω_k)|² S_w(ω_k),        ω_n = θ + n ω_s.
+
+Sums over the images beyond those that are kept are exact for outputs that are not integrated (`OpenLoop.all_images`)
+and bounded for integrated ones; more images are taken until the bound is below the tolerance.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+
+from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
+from platform_ctrl.analysis.budget_result import Budget, Contribution, assembled
+from platform_ctrl.analysis.disturbances import Disturbance, RandomDisturbance, SampleNoise, SineDisturbance
+from platform_ctrl.analysis.hybrid_plant import HybridPlant, OpenLoop
+from platform_ctrl.analysis.panels import GAUSS, KRONROD, Panel, between, halves, nodes
+from platform_ctrl.analysis.pointing_windows import window_shares
+from platform_ctrl.analysis.poles import continuous_poles, poles
+from platform_ctrl.common.arguments import positive, whole, within
+from platform_ctrl.common.values import FloatArray
+from platform_ctrl.errors import ArgumentError
+
+# Images on each side to begin with, those of outputs to which they may grow, and those that sources may need.
+_IMAGES, _MOST_IMAGES, _MOST_OF_SOURCES = 5, 320, 1_000
+# Panels are halved so often; those that are kept for the next controller.
+_HALVINGS, _MOST_PANELS = 48, 4_000
+# The errors of so many panels may add up.
+_ADDING = 30.0
+# Poles with less damping than this have panels of their own, unless panels around are within so many of their widths.
+_SHARP, _WIDE = 0.1, 30.0
+# A source counts in the error at least as much as this share of all sources.
+_SMALL = 1e-6
+
+
+class _Prepared(NamedTuple):
+    """Responses at the nodes of some panels, weighted by the roots of the densities; images with sources are `inside`.
+
+    theta (N,), frequency (N, F), direct (N, I, q, c), measured (N, I, p, c), held (N, I, q, m), outer (N, F, q, m²),
+    rest (N, q, m²), sampled (N, p, m), weights (W, N, F).
+    """
+
+    theta: FloatArray
+    frequency: FloatArray
+    inside: tuple[int, ...]
+    direct: ComplexArray
+    measured: ComplexArray
+    held: ComplexArray
+    outer: FloatArray
+    rest: FloatArray
+    sampled: ComplexArray
+    weights: FloatArray
+
+
+class JitterBudget:
+    """A plant and its disturbances prepared for budgets with one controller after the other.
+
+    Parameters
+    ----------
+    plant
+        With sampler and hold.
+    sources
+        Disturbances, with names that differ.
+    exposures
+        Lengths of windows, s, for displacement, smear and jitter.
+    lowest
+        Motion of the outputs below this frequency, rad/s, is left out of the rms and the displacement (not of smear and
+        jitter, to which it hardly contributes): an angle held by a noisy gyro drifts without bound.
+
+    Raises
+    ------
+    ArgumentError
+        A source names an input or output that the plant does not have, or numbers make no sense.
+    """
+
+    def __init__(
+        self,
+        plant: HybridPlant,
+        sources: Sequence[Disturbance],
+        exposures: Sequence[float] = (),
+        lowest: float = 0.0,
+    ) -> None:
+        self.plant, self.open_loop, self.sources = plant, OpenLoop(plant), tuple(sources)
+        self.lowest = positive("jitter budget: lowest", lowest, zero=True)
+        if not self.lowest < 0.5 * plant.sample_frequency:
+            raise ArgumentError("jitter budget: lowest must be below half the sample frequency")
+        self.exposures = tuple(positive("jitter budget: exposure", one) for one in exposures)
+        if len({one.name for one in self.sources}) < len(self.sources):
+            raise ArgumentError("jitter budget: sources must have names that differ")
+        for one in self.sources:
+            if isinstance(one, SampleNoise):
+                whole(f"source {one.name}: measured", one.measured, 0, plant.measured - 1)
+            else:
+                for at in one.inputs:
+                    whole(f"source {one.name}: input", at, 0, plant.disturbances - 1)
+        self._random = [one for one in self.sources if isinstance(one, RandomDisturbance)]
+        self._noise = [one for one in self.sources if isinstance(one, SampleNoise)]
+        self._sines = [one for one in self.sources if isinstance(one, SineDisturbance)]
+        highest = max((s.knots[-1] for one in self._random for s in one.spectra), default=0.0)
+        # Every frequency of a source is the image of one below half the sample frequency.
+        self._images = max(_IMAGES, math.ceil(highest / plant.sample_frequency))
+        if self._images > _MOST_OF_SOURCES:
+            raise ArgumentError(
+                f"jitter budget: a spectrum reaches {highest / plant.sample_frequency:.3g} times the sample frequency, "
+                f"at most {_MOST_OF_SOURCES} times are possible; end it earlier"
+            )
+        self._known: dict[Panel, int] = {}
+        self._blocks: list[_Prepared] = []
+        self._last: tuple[tuple[Panel, ...], _Prepared] | None = None
+        self._base = self._edges()
+
+    def of(self, controller: StateArrays, tolerance: float = 1e-6) -> Budget:
+        """Return the budget with a controller.
+
+        Parameters
+        ----------
+        controller
+            Discrete, u = K y, with the plant's sample period.
+        tolerance
+            Bound on the relative error of each variance.
+
+        Returns
+        -------
+        Budget
+            By source and performance output.
+
+        Raises
+        ------
+        ArgumentError
+            The loop is not stable, or an angle drifts without bound.
+        """
+        tolerance = within("jitter budget: tolerance", tolerance, 1e-11, 0.1)
+        z = self.open_loop.closed_poles(controller)
+        while True:
+            parts = [self._line(one, controller) for one in self._coherent()]
+            found = self._integrated(controller, z, tolerance) if self._random or self._noise else []
+            out = assembled(self.plant, self.sources, self.exposures, self.lowest, found, parts)
+            if out.remaining <= tolerance or self._images >= _MOST_IMAGES:
+                return out
+            self._images *= 2
+            # What was prepared has too few images.
+            self._known, self._blocks, self._last = {}, [], None
+
+    # Panels.
+
+    def _edges(self) -> FloatArray:
+        """Return the edges of panels that no controller changes."""
+        plant, turn = self.plant, self.plant.sample_frequency
+        knots = [self.lowest, *(k for one in self._random for s in one.spectra for k in s.knots)]
+        own = poles(plant.plant.A)
+        found = np.concatenate([np.array(knots), _around(own)])
+        folded = np.abs(found - turn * np.round(found / turn))
+        slow = np.abs(own)[np.abs(own) > 1e-9 * turn]
+        least = min([1e-4 * turn, *(k for k in knots if k > 0.0), *(0.1 * slow)])
+        decades = math.log10(0.5 * turn / least)
+        return np.concatenate([folded, np.geomspace(least, 0.5 * turn, max(2, math.ceil(3.0 * decades)))])
+
+    def _integrated(self, controller: StateArrays, z: ComplexArray, tolerance: float) -> list[Contribution]:
+        """Return the integrals over all panels, halved until their errors are below the tolerance."""
+        s = continuous_poles(z[np.abs(z) > 0.0], self.plant.period)
+        half = 0.5 * self.plant.sample_frequency
+        base = between(self._base, 0.0, half)
+        # What a slider hardly moves stays within the panels that are there: their responses are known.
+        ends = np.array([high for _, high in base])
+        width = np.array([high - low for low, high in base])[
+            np.minimum(np.searchsorted(ends, np.abs(s.imag)), len(ends) - 1)
+        ]
+        active = between(np.concatenate([self._base, _around(s[width > _WIDE * np.abs(s.real)])]), 0.0, half)
+        done: list[Contribution] = []
+        for _ in range(_HALVINGS):
+            found = self._contributions(tuple(active), controller)
+            total = np.sum([one.variance.sum(axis=0) for one in [*done, found]], axis=0)
+            least = tolerance * (total + _SMALL * total.sum(axis=1, keepdims=True)) / _ADDING
+            good = np.all(found.error <= least, axis=(1, 2, 3))
+            done.append(found.chosen(good))
+            active = [part for panel, right in zip(active, good, strict=True) if not right for part in halves(panel)]
+            if not active:
+                return done
+        raise ArgumentError(
+            "jitter budget: a variance grows without bound towards zero frequency; "
+            "give the lowest frequency that counts"
+        )
+
+    def _contributions(self, panels: tuple[Panel, ...], controller: StateArrays) -> Contribution:
+        prepared = self._prepared(panels)
+        density, rest = self._densities(prepared, controller)
+        _, half = nodes(list(panels))
+        P, (W, _, F) = len(panels), prepared.weights.shape
+        by_panel = density.reshape(P, 21, F, *density.shape[2:])
+        weights = prepared.weights.reshape(W, P, 21, F)
+        tail = rest.reshape(P, 21, *rest.shape[1:])
+        scale = (half / (2.0 * math.pi))[:, None, None]
+        sums = []
+        for rule in (KRONROD, GAUSS):
+            seen = np.einsum("wpkf,pkfgi->pwgi", weights * rule[:, None], by_panel, optimize=False)
+            sums.append(seen * scale[:, None])
+        members = np.einsum("k,pkf,pkfgi->pfgi", KRONROD, weights[0], by_panel) * scale[:, None]
+        remaining = np.einsum("k,pkgi->pgi", KRONROD, tail) * scale
+        return Contribution(
+            panels=np.array(panels),
+            variance=sums[0],
+            error=np.abs(sums[0] - sums[1]),
+            members=members,
+            remaining=remaining,
+            frequency=np.abs(prepared.frequency).reshape(P, 21, F),
+            density=by_panel,
+        )
+
+    # Responses.
+
+    def _prepared(self, panels: tuple[Panel, ...]) -> _Prepared:
+        if self._last is not None and self._last[0] == panels:
+            return self._last[1]
+        if len(self._known) > _MOST_PANELS:
+            self._known, self._blocks = {}, []
+        new = [one for one in panels if one not in self._known]
+        if new:
+            points, _ = nodes(new)
+            block = self._evaluated(points.ravel())
+            for k, one in enumerate(new):
+                self._known[one] = len(self._blocks)
+                rows = slice(21 * k, 21 * (k + 1))
+                self._blocks.append(_cut(block, rows))
+        out = _joined([self._blocks[self._known[one]] for one in panels])
+        self._last = (panels, out)
+        return out
+
+    def _evaluated(self, theta: FloatArray) -> _Prepared:
+        plant, count = self.plant, self._images
+        images = np.arange(-count, count + 1)
+        family = self.open_loop.family(theta, images)
+        columns = np.concatenate(
+            [
+                np.zeros((*family.frequency.shape, plant.disturbances, 0)),
+                *(one.columns(family.frequency, plant.disturbances) for one in self._random),
+            ],
+            axis=-1,
+        )
+        inside = tuple(int(k) for k in np.flatnonzero(np.any(columns, axis=(0, 2, 3))))
+        columns = columns[:, list(inside)]
+        measured, held = family.measured[:, list(inside)] @ columns, family.held * family.integral
+        return _Prepared(
+            theta,
+            family.frequency,
+            inside,
+            (family.direct * family.integral)[:, list(inside)] @ columns,
+            measured,
+            held[:, list(inside)],
+            _packed(held),
+            _packed_matrix(self.open_loop.remaining_images(theta, family.held)),
+            family.sampled,
+            self._weights(family.frequency),
+        )
+
+    def _weights(self, frequency: FloatArray) -> FloatArray:
+        """Return what counts (W, ...): all, then displacement, smear and jitter for each exposure."""
+        above = np.abs(frequency) >= self.lowest
+        out = [above.astype(np.float64)]
+        for one in self.exposures:
+            shares = window_shares(frequency, one)
+            out += [shares.displacement * above, shares.smear, shares.jitter]
+        return np.stack(out)
+
+    def _densities(self, at: _Prepared, controller: StateArrays) -> tuple[FloatArray, FloatArray]:
+        """Return one-sided densities of the outputs (N, F, G, q) and what the images beyond add (N, G, q)."""
+        M = self.open_loop.modulator(controller, at.theta, at.sampled)
+        N, F, q, packed = at.outer.shape
+        m, inside, images = self.plant.controls, at.inside, len(at.inside)
+        count = len(self._random)
+        density = np.zeros((N, F, count + len(self._noise), q))
+        R = np.zeros((N, packed, count + len(self._noise)))
+        if count and images:
+            columns = at.direct.shape[-1]
+            V = (M @ at.measured.swapaxes(1, 2).reshape(N, self.plant.measured, -1)).reshape(N, m, images, columns)
+            own = at.direct.copy()
+            for r in range(m):
+                own += at.held[..., r, None] * V[:, r, :, None, :]
+            starts = np.cumsum([0, *(len(one.inputs) for one in self._random)])[:-1]
+            power = np.add.reduceat(own.real**2 + own.imag**2, starts, axis=-1)
+            density[:, list(inside), :count] = power.swapaxes(-1, -2)
+            each = np.add.reduceat(_packed_product(V), starts, axis=-1)
+            R[:, :, :count] = each.sum(axis=2)
+        for j, one in enumerate(self._noise):
+            column = M[:, :, one.measured]
+            R[:, :, count + j] = (
+                2.0 * self.plant.period * one.rms**2 * _packed_product(column[:, :, None, None])[..., 0, 0]
+            )
+        aliased = (at.outer.reshape(N, F * q, packed) @ R).reshape(N, F, q, -1).swapaxes(-1, -2)
+        if count and images:
+            # Sums over the others, not the whole less its own: what feedback cancels would leave rounding.
+            before = np.cumsum(each, axis=2) - each if images == 1 else _exclusive(each)
+            for k, n in enumerate(inside):
+                aliased[:, n, :count] = (at.outer[:, n] @ before[:, :, k]).swapaxes(-1, -2)
+        density += aliased
+        return density, (at.rest @ R).swapaxes(-1, -2)
+
+    # Sines.
+
+    def _coherent(self) -> list[tuple[SineDisturbance, ...]]:
+        """Return the sines in groups that add as they come."""
+        groups: dict[object, list[SineDisturbance]] = {}
+        for one in self._sines:
+            groups.setdefault(one.frequency if one.phase is not None else id(one), []).append(one)
+        return [tuple(group) for group in groups.values()]
+
+    def _line(self, sines: tuple[SineDisturbance, ...], controller: StateArrays) -> Contribution:
+        """Return the lines of sines of one frequency: of each alone, and last of all together."""
+        plant, omega = self.plant, np.array([sines[0].frequency])
+        images = np.arange(-self._images, self._images + 1)
+        family = self.open_loop.family(omega, images)
+        M = self.open_loop.modulator(controller, omega, family.sampled)
+        amplitude = np.stack([one.vector(plant.disturbances) for one in sines], axis=-1)
+        u = M[0] @ family.measured[0, self._images] @ amplitude
+        weights = self._weights(family.frequency)[:, 0]
+        hidden = (family.frequency[0] == 0.0) & (self.lowest > 0.0)
+        with np.errstate(invalid="ignore"):
+            z = family.held[0] @ u
+            z[self._images] += family.direct[0, self._images] @ amplitude
+            z = np.where(hidden[:, None, None], 0.0, z * family.integral[0])
+        if not np.isfinite(z).all():
+            raise ArgumentError(
+                f"source {sines[0].name}: a sine at a multiple of the sample frequency makes an angle drift without "
+                "bound; give the lowest frequency that counts"
+            )
+        z, u = (np.concatenate([one, one.sum(axis=-1, keepdims=True)], axis=-1) for one in (z, u))
+        power = 0.5 * np.abs(z.swapaxes(-1, -2)) ** 2
+        rest = self.open_loop.remaining_images(omega, family.held)[0]
+        remaining = 0.5 * np.einsum("rg,irs,sg->gi", u.conj(), rest, u).real
+        variance = np.einsum("wf,fgi->wgi", weights, power)
+        return Contribution(
+            panels=np.array([[omega[0], omega[0]]]),
+            variance=variance[None],
+            error=np.zeros((1, *variance.shape)),
+            members=(weights[0][:, None, None] * power)[None],
+            remaining=remaining[None],
+            frequency=np.abs(family.frequency)[:, None],
+            density=np.zeros((1, 1, 0, 0, 0)),
+            sines=tuple(one.name for one in sines),
+        )
+
+
+def _around(s: ComplexArray) -> FloatArray:
+    """Return edges around the resonances of poles."""
+    sharp = (s.imag > 0.0) & (np.abs(s.real) < _SHARP * np.abs(s))
+    centre, width = s[sharp].imag, np.maximum(np.abs(s[sharp].real), 1e-6 * s[sharp].imag)
+    edges = [np.abs(s[np.isfinite(s)]), *(centre + k * width for k in (-12.0, -3.0, 0.0, 3.0, 12.0))]
+    out: FloatArray = np.concatenate(edges)
+    return out[out > 0.0]
+
+
+def _pairs(m: int) -> list[tuple[int, int]]:
+    return [(r, s) for r in range(m) for s in range(r + 1, m)]
+
+
+def _packed(rows: ComplexArray) -> FloatArray:
+    """Return the conjugate rows' outer products (..., m) as m² real numbers whose sums of products are traces."""
+    return _stacked([rows[..., r] for r in range(rows.shape[-1])], conjugate=True, axis=-1)
+
+
+def _packed_product(V: ComplexArray) -> FloatArray:
+    """Return V V' of columns (N, m, ...) as m² real numbers (N, m², ...)."""
+    return _stacked([V[:, r] for r in range(V.shape[1])], conjugate=False, axis=1)
+
+
+def _stacked(parts: list[ComplexArray], conjugate: bool, axis: int) -> FloatArray:
+    out = [one.real**2 + one.imag**2 for one in parts]
+    for r, s in _pairs(len(parts)):
+        product = math.sqrt(2.0) * (parts[r] * parts[s].conj())
+        out += [product.real, -product.imag if conjugate else product.imag]
+    return np.stack(out, axis=axis)
+
+
+def _packed_matrix(matrices: ComplexArray) -> FloatArray:
+    """Return Hermitian matrices L' L (..., m, m) in the same way."""
+    m = matrices.shape[-1]
+    out = [matrices[..., r, r].real for r in range(m)]
+    for r, s in _pairs(m):
+        item = math.sqrt(2.0) * matrices[..., r, s]
+        out += [item.real, item.imag]
+    return np.stack(out, axis=-1)
+
+
+def _exclusive(each: FloatArray) -> FloatArray:
+    """Return the sums over all others along axis 2, without a subtraction."""
+    before, after = np.zeros_like(each), np.zeros_like(each)
+    before[:, :, 1:] = np.cumsum(each, axis=2)[:, :, :-1]
+    after[:, :, :-1] = np.cumsum(each[:, :, ::-1], axis=2)[:, :, -2::-1]
+    out: FloatArray = before + after
+    return out
+
+
+def _cut(block: _Prepared, rows: slice) -> _Prepared:
+    first = {name: getattr(block, name)[rows] for name in _Prepared._fields if name not in ("inside", "weights")}
+    return block._replace(**first, weights=block.weights[:, rows])
+
+
+def _joined(blocks: list[_Prepared]) -> _Prepared:
+    """Return blocks as one; an image that has sources in one of them is inside in all."""
+    inside = sorted(set().union(*(one.inside for one in blocks)))
+    whole_blocks = [one if list(one.inside) == inside else _spread(one, inside) for one in blocks]
+    join = partial(np.concatenate, axis=0)
+    fields = {
+        name: join([getattr(one, name) for one in whole_blocks])
+        for name in _Prepared._fields
+        if name not in ("inside", "weights")
+    }
+    weights = np.concatenate([one.weights for one in whole_blocks], axis=1)
+    return _Prepared(**fields, inside=tuple(inside), weights=weights)
+
+
+def _spread(block: _Prepared, inside: list[int]) -> _Prepared:
+    place = [inside.index(k) for k in block.inside]
+    changed = {}
+    for name in ("direct", "measured", "held"):
+        item = getattr(block, name)
+        changed[name] = np.zeros((len(item), len(inside), *item.shape[2:]), dtype=item.dtype)
+        changed[name][:, place] = item
+    return block._replace(inside=tuple(inside), **changed)

@@ -1,0 +1,82 @@
+"""The describing function of dry friction, and rates that agree with the damping they cause."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+
+from platform_ctrl.analysis.dry_friction import describing_function, friction_balance
+from platform_ctrl.errors import NotFoundError
+from platform_ctrl.plant.force_elements import Friction
+
+BEARING = Friction(gimbal="pitch", coulomb=(0.02, 0.02), coulomb_rate=1e-3)
+
+
+def test_fast_sliding_has_the_describing_function_of_a_sign() -> None:
+    sharp = Friction(gimbal="pitch", coulomb=(0.02, 0.02), coulomb_rate=1e-6)
+    found = describing_function(sharp, 0.1)
+    assert found.viscous == pytest.approx(math.sqrt(2.0 / math.pi) * 0.02 / 0.1, rel=1e-8)
+    assert found.remainder == pytest.approx(0.02 * math.sqrt(1.0 - 2.0 / math.pi), rel=1e-4)
+    assert found.mean == pytest.approx(0.0, abs=1e-15)
+
+
+def test_slow_motion_has_the_slope_at_rest() -> None:
+    slope = 0.02 / 1e-3
+    assert describing_function(BEARING, 0.0).viscous == pytest.approx(slope, rel=1e-12)
+    assert describing_function(BEARING, 1e-9).viscous == pytest.approx(slope, rel=1e-9)
+    assert describing_function(BEARING, 1e-5).viscous == pytest.approx(slope * (1.0 - 1e-4), rel=1e-7)
+
+
+@pytest.mark.parametrize("rms", [3e-4, 1e-3, 1e-2])
+def test_a_stribeck_curve_is_averaged_over_the_rates(rms: float) -> None:
+    curve = Friction(
+        gimbal="pitch", coulomb=(0.02, 0.03), coulomb_rate=1e-3, breakaway=(0.03, 0.05), stribeck_rate=4e-3
+    )
+
+    def mean_of(what: Callable[[float, float], float]) -> float:
+        def weighted(v: float) -> float:
+            return what(v, curve.dry(v)) * math.exp(-0.5 * (v / rms) ** 2) / (rms * math.sqrt(2.0 * math.pi))
+
+        ends = [-9.0 * rms, 0.0, 9.0 * rms]
+        return sum(quad(weighted, *pair, points=[0.5 * sum(pair)], epsabs=0.0, limit=200)[0] for pair in pairwise(ends))
+
+    found = describing_function(curve, rms)
+    viscous, mean = mean_of(lambda v, f: f * v) / rms**2, mean_of(lambda v, f: f)
+    assert found.viscous == pytest.approx(viscous, rel=1e-10)
+    assert found.mean == pytest.approx(mean, rel=1e-10)
+    assert found.remainder**2 == pytest.approx(mean_of(lambda v, f: f * f) - mean**2 - (viscous * rms) ** 2, rel=1e-8)
+
+
+def test_the_balance_is_a_fixed_point_of_the_linear_loop() -> None:
+    # White torque on an inertia with damping b: the variance of the rate is q/(2 J b).
+    q, inertia = 1e-4, 0.5
+
+    def rate(b: np.ndarray) -> np.ndarray:
+        return np.sqrt(q / (2.0 * inertia * (b + 1e-3)))
+
+    found = friction_balance([BEARING], rate)
+    assert found.rate == pytest.approx(rate(found.viscous), rel=1e-7)
+    assert found.viscous[0] == pytest.approx(describing_function(BEARING, float(found.rate[0])).viscous, rel=1e-7)
+    assert found.iterations < 60
+    # Sliding fast against coulomb_rate: 2 J b σ² = q with b = √(2/π) F/σ.
+    assert found.rate[0] == pytest.approx(q / (2.0 * inertia * math.sqrt(2.0 / math.pi) * 0.02), rel=0.1)
+
+
+def test_a_bearing_that_hardly_slides_is_named() -> None:
+    slow = friction_balance([BEARING], lambda b: np.full(1, 1e-3))
+    assert slow.sticking[0] == pytest.approx(math.erf(1.0 / math.sqrt(2.0)))
+    assert not slow.valid[0]
+    assert "does not hold" in slow.statement[0]
+    fast = friction_balance([BEARING], lambda b: np.full(1, 0.1))
+    assert fast.valid[0]
+    assert "not in the linear budget" in fast.statement[0]
+
+
+def test_rates_that_never_settle_are_refused() -> None:
+    with pytest.raises(NotFoundError, match="no rates found"):
+        friction_balance([BEARING], lambda b: b**4, iterations=20)

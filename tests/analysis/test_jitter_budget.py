@@ -1,0 +1,267 @@
+"""Budgets of sampled loops, against covariances over a period, exact steady states and identities of physics."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import control
+import numpy as np
+import pytest
+
+from platform_ctrl import analysis
+from platform_ctrl.analysis.arrays import StateArrays
+from platform_ctrl.analysis.budget_result import Budget
+from platform_ctrl.analysis.disturbances import RandomDisturbance, SampleNoise, SineDisturbance, Spectrum
+from platform_ctrl.analysis.hybrid_plant import HybridPlant
+from platform_ctrl.analysis.jitter_budget import JitterBudget
+from platform_ctrl.analysis.norms import stationary_covariance
+from platform_ctrl.analysis.sampling import held_input, sampled, with_lag
+from platform_ctrl.errors import ArgumentError
+
+PERIOD = 0.7
+K = StateArrays(np.array([[0.5]]), np.array([[1.0]]), np.array([[-0.3]]), np.array([[-0.5]]), PERIOD)
+# White noise of two-sided density one behind five poles.
+SHAPE = control.tf([1.0], [1.0, 1.0, 1.0]) * control.tf([1.0], [0.25, 1.0]) * control.tf([1.0], [0.2, 1.0])
+KNOTS = np.array([0.0, 0.5, 1.0, 2.0, 5.0, 20.0, 300.0])
+
+
+def shaped(gain: float = 1.0) -> Spectrum:
+    return Spectrum(knots=KNOTS, density=lambda w: 2.0 * gain * np.abs(SHAPE(1j * w)) ** 2)
+
+
+def oscillator(direct: float = 0.0, **changes: object) -> HybridPlant:
+    """Inputs: control, disturbance, another one; outputs: measured position, then position and rate."""
+    A = np.array([[0.0, 1.0, 0.0], [-4.0, -0.3, 1.0], [0.0, 0.0, -3.0]])
+    B = np.array([[0.0, 0.0, 0.2], [0.0, 1.0, -0.5], [1.0, 0.0, 0.0]])
+    C = np.array([[1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    D = np.zeros((3, 3))
+    # The rate is the derivative of the position whatever drives it.
+    D[0, 1], D[2, 2] = direct, 0.2
+    given = {"plant": StateArrays(A, B, C, D), "controls": 1, "measured": 1, "period": PERIOD, "delay": 0.25 * PERIOD}
+    return HybridPlant(**(given | changes))  # type: ignore[arg-type]
+
+
+def noise(name: str = "torque", at: int = 0, gain: float = 1.0) -> RandomDisturbance:
+    return RandomDisturbance(name=name, inputs=(at,), spectra=(shaped(gain),))
+
+
+@pytest.mark.parametrize(
+    ("periods", "direct", "lag", "late"), [(0.0, 0.0, 0.0, 0), (0.25, 0.6, 0.2, 1), (1.6, 0, 0, 0)]
+)
+def test_shaped_noise_has_the_variance_of_the_covariance_over_a_period(
+    periods: float, direct: float, lag: float, late: int
+) -> None:
+    plant = oscillator(direct, delay=periods * PERIOD, lag=np.array([lag]), reading_delay=(late,))
+    found = JitterBudget(plant, [noise()]).of(K, 1e-9)
+    A, B, C, D, _ = with_lag(plant.plant, np.array([lag, 0.0, 0.0]))
+    shape = control.ss(SHAPE)
+    n, f = len(A), shape.nstates
+    whole = np.block([[A, B[:, 1:2] @ shape.C], [np.zeros((f, n)), shape.A]])
+    inputs = np.block([[np.zeros((n, 1)), B[:, :1]], [shape.B, np.zeros((f, 1))]])
+    seen = np.hstack([C, D[:, 1:2] @ shape.C])
+    delayed = control.ss(*K) * control.ss([], [], [], [[1.0]], PERIOD)
+    for _ in range(late):
+        delayed = delayed * control.ss([[0.0]], [[1.0]], [[1.0]], [[0.0]], PERIOD)
+    for output in (0, 1):
+        P = control.ss(whole, inputs, seen[[1 + output, 0]], 0)
+        expected = analysis.intersample_h2(P, delayed, 1, 1, periods * PERIOD)
+        assert found.rms[0, output] == pytest.approx(expected, rel=1e-9)
+    assert found.error < 1e-9
+
+
+def test_the_integral_of_a_rate_is_the_angle() -> None:
+    found = JitterBudget(oscillator(integrated=(False, True)), [noise(), noise("base", 1)]).of(K, 1e-9)
+    assert found.rms[:, 1] == pytest.approx(found.rms[:, 0], rel=1e-9)
+    assert found.total == pytest.approx(np.sqrt(np.sum(found.rms**2, axis=0)), rel=1e-12)
+    assert found.remaining < 1e-9
+
+
+class Loop:
+    """The loop of `oscillator` and K with an oscillation e that drives the disturbance, stepped by hand."""
+
+    def __init__(self, omega: float) -> None:
+        plant = oscillator()
+        A, B, C, _, _ = plant.plant
+        self.A = np.zeros((5, 5))
+        self.A[:3, :3], self.A[:3, 3:4] = A, B[:, 1:2]
+        self.A[3, 4], self.A[4, 3] = omega, -omega
+        self.B = np.vstack([B[:, :1], np.zeros((2, 1))])
+        self.C = np.hstack([C, np.zeros((3, 2))])
+        P = sampled(StateArrays(self.A, self.B, self.C[:1], np.zeros((1, 1))), PERIOD, plant.delay)
+        # States [x, e, u[k-1], controller]; what noise of a sample adds.
+        self.step = np.block([[P.A + P.B @ K.D @ P.C, P.B @ K.C], [K.B @ P.C, K.A]])
+        self.noisy = np.vstack([P.B @ K.D, K.B])
+        self.u = np.hstack([K.D @ P.C, K.C])
+
+    def outputs(self) -> list[tuple[float, np.ndarray, np.ndarray]]:
+        """Weights of instants in the period, and z there from the state and from the noise of the sample."""
+        point, weight = np.polynomial.legendre.leggauss(24)
+        size, out = len(self.step), []
+        start = np.eye(5, size)
+        before = np.eye(1, size, 5)
+        early, held = held_input(self.A, self.B, 0.25 * PERIOD)
+        middle = early @ start + held @ before
+        for length, x, u, n in ((0.25, start, before, 0.0), (0.75, middle, self.u, float(K.D[0, 0]))):
+            for t, w in zip(0.5 * length * (1.0 + point), 0.5 * length * weight, strict=True):
+                phi, gain = held_input(self.A, self.B, t * PERIOD)
+                out.append((w, self.C[1:] @ (phi @ x + gain @ u), n * self.C[1:] @ gain))
+        return out
+
+
+@pytest.mark.parametrize("omega", [0.9, 2.0, 7.3, 31.0])
+def test_a_sine_has_the_mean_square_of_the_exact_steady_state(omega: float) -> None:
+    loop = Loop(omega)
+    rest = [0, 1, 2, 5, 6]
+    e = np.array([1.0, 1j])
+    v = np.zeros(7, dtype=complex)
+    v[3:5] = e
+    turn = np.exp(1j * omega * PERIOD)
+    v[rest] = np.linalg.solve(turn * np.eye(5) - loop.step[np.ix_(rest, rest)], loop.step[np.ix_(rest, [3, 4])] @ e)
+    expected = sum(w * 0.5 * np.abs(z @ v) ** 2 for w, z, _ in loop.outputs())
+    sine = SineDisturbance(name="motor", inputs=(0,), frequency=omega, amplitude=np.array([1.0]))
+    found = JitterBudget(oscillator(), [sine]).of(K)
+    assert found.rms[0] ** 2 == pytest.approx(expected, rel=1e-9)
+    assert found.total == pytest.approx(found.rms[0], rel=1e-12)
+
+
+def test_noise_of_samples_has_the_variance_of_the_covariance_over_a_period() -> None:
+    loop = Loop(1.0)
+    rest = [0, 1, 2, 5, 6]
+    X = stationary_covariance(loop.step[np.ix_(rest, rest)], loop.noisy[rest])
+    expected = sum(
+        w * (np.einsum("ij,jk,ik->i", z[:, rest], X, z[:, rest]) + n[:, 0] ** 2) for w, z, n in loop.outputs()
+    )
+    found = JitterBudget(oscillator(), [SampleNoise(name="gyro", measured=0, rms=0.3)]).of(K, 1e-9)
+    assert found.rms[0] == pytest.approx(0.3 * np.sqrt(expected), rel=1e-9)
+
+
+def test_correlated_sources_are_their_sum_and_difference() -> None:
+    def rms(rho: complex) -> np.ndarray:
+        coherence = np.array([[1.0, rho], [np.conj(rho), 1.0]])
+        both = RandomDisturbance(name="base", inputs=(0, 1), spectra=(shaped(),) * 2, coherence=coherence)
+        return JitterBudget(oscillator(), [both]).of(K, 1e-9).total
+
+    apart = JitterBudget(oscillator(), [noise("a", 0), noise("b", 1)]).of(K, 1e-9).total
+    assert rms(0.0) == pytest.approx(apart, rel=1e-9)
+    assert 0.8 * rms(1.0) ** 2 + 0.2 * rms(-1.0) ** 2 == pytest.approx(rms(0.6) ** 2, rel=1e-9)
+    # One input that does the work of both.
+    A, B, C, D, _ = oscillator().plant
+    joined = StateArrays(
+        A, np.column_stack([B[:, 0], B[:, 1] + B[:, 2]]), C, np.column_stack([D[:, 0], D[:, 1] + D[:, 2]])
+    )
+    one = JitterBudget(oscillator(plant=joined), [noise()]).of(K, 1e-9).total
+    assert rms(1.0) == pytest.approx(one, rel=1e-9)
+    assert np.all(np.abs(rms(0.5j) / rms(-0.5j) - 1.0) > 1e-3)
+
+
+def test_sines_of_one_frequency_add_as_their_phases_say() -> None:
+    def sine(name: str, phase: float | None) -> SineDisturbance:
+        given = None if phase is None else np.array([phase])
+        return SineDisturbance(name=name, inputs=(0,), frequency=3.0, amplitude=np.array([0.2]), phase=given)
+
+    plant = oscillator()
+    alone = JitterBudget(plant, [sine("a", 0.0)]).of(K).total
+    assert JitterBudget(plant, [sine("a", 0.0), sine("b", math.pi)]).of(K).total == pytest.approx(0.0, abs=1e-8)
+    assert JitterBudget(plant, [sine("a", 0.1), sine("b", 0.1)]).of(K).total == pytest.approx(2.0 * alone, rel=1e-12)
+    apart = JitterBudget(plant, [sine("a", None), sine("b", None)]).of(K)
+    assert apart.total == pytest.approx(math.sqrt(2.0) * alone, rel=1e-12)
+    assert apart.shares == pytest.approx(np.full((2, 2), 0.5), rel=1e-12)
+
+
+def stabilised(**changes: object) -> tuple[HybridPlant, StateArrays]:
+    """A gyro holds an inertial rate; the angle against the base is an integral that nothing depends on."""
+    # States: the relative angle, the inertial rate. Inputs: torque, torque disturbance, base rate.
+    A, B = np.array([[0.0, 1.0], [0.0, -0.1]]), np.array([[0.0, 0.0, -1.0], [1.0, 1.0, 0.1]])
+    C = np.array([[0.0, 1.0], [0.0, 1.0]])
+    given = {"plant": StateArrays(A, B, C, np.zeros((2, 3))), "controls": 1, "measured": 1, "period": 0.01}
+    plant = HybridPlant(**(given | {"integrated": (True,)} | changes))  # type: ignore[arg-type]
+    return plant, StateArrays(np.eye(1), np.eye(1), np.array([[-1.0]]), np.array([[-20.0]]), 0.01)
+
+
+def test_an_angle_held_by_a_noisy_gyro_walks() -> None:
+    plant, controller = stabilised()
+    gyro = SampleNoise(name="gyro", measured=0, rms=1e-3)
+    lowest = 1e-3
+    found = JitterBudget(plant, [gyro], (0.02,), lowest).of(controller)
+    # Density 2 T σ²/ω² of an angle random walk.
+    assert found.total[0] ** 2 == pytest.approx(0.01 * 1e-6 / (math.pi * lowest), rel=1e-3)
+    assert found.windows[0].total_jitter[0] < 1e-2 * found.total[0]
+    with pytest.raises(ArgumentError, match="without bound"):
+        JitterBudget(plant, [gyro]).of(controller)
+
+
+def test_an_unseen_integral_is_no_instability_and_a_seen_one_is() -> None:
+    plant, controller = stabilised()
+    assert np.abs(JitterBudget(plant, []).open_loop.closed_poles(controller)).max() >= 1.0 - 1e-9
+    A, B, C, D, _ = plant.plant
+    seen = np.array([C[0], [1.0, 0.0]])
+    for unstable in (
+        dataclasses.replace(plant, plant=StateArrays(A, B, seen, D)),
+        dataclasses.replace(plant, delay=0.1),
+    ):
+        with pytest.raises(ArgumentError, match="must be stable"):
+            JitterBudget(unstable, []).of(controller)
+
+
+@pytest.fixture(scope="module")
+def budget() -> Budget:
+    sources = [noise(), noise("base", 1), SampleNoise(name="gyro", measured=0, rms=0.1)]
+    sine = SineDisturbance(name="motor", inputs=(0,), frequency=6.0, amplitude=np.array([0.3]))
+    return JitterBudget(oscillator(), [*sources, sine], (0.4, 3.0)).of(K, 1e-8)
+
+
+def test_the_cumulative_variance_rises_to_the_total(budget: Budget) -> None:
+    assert np.all(np.diff(budget.cumulative) >= 0.0)
+    # The position's images beyond those that are kept are the only difference.
+    assert budget.cumulative[..., -1] == pytest.approx(budget.rms**2, rel=1e-5)
+    assert budget.reverse_cumulative[:, 0] == pytest.approx(budget.total**2, rel=1e-5)
+    below = np.searchsorted(budget.edges, 6.0) - 1
+    motor = budget.cumulative[3, 0]
+    # The first image, at 2 π/T - 6, lies below the sine itself.
+    assert 0.0 < motor[below] < 1e-2 * motor[below + 1]
+
+
+def test_the_density_integrates_to_the_variance(budget: Budget) -> None:
+    area = np.trapezoid(budget.density[:3], budget.frequency / (2.0 * math.pi))
+    assert area == pytest.approx(budget.rms[:3] ** 2, rel=2e-2)
+
+
+def test_displacement_smear_and_jitter_add_up_to_the_variance(budget: Budget) -> None:
+    for window in budget.windows:
+        parts = window.displacement**2 + window.smear**2 + window.jitter**2
+        assert parts == pytest.approx(budget.rms**2, rel=1e-9)
+    assert np.all(budget.windows[0].total_jitter < budget.windows[1].total_jitter)
+
+
+def test_one_controller_after_another_gives_what_each_gives_alone() -> None:
+    prepared = JitterBudget(oscillator(), [noise()])
+    for gain in (0.5, 1.5, 1.0):
+        controller = K._replace(C=gain * K.C, D=gain * K.D)
+        alone = JitterBudget(oscillator(), [noise()]).of(controller, 1e-9)
+        assert prepared.of(controller, 1e-9).total == pytest.approx(alone.total, rel=1e-9)
+
+
+def test_a_table_is_straight_in_logarithms_and_zero_outside() -> None:
+    table = Spectrum(knots=np.array([1.0, 10.0]), density=np.array([4.0, 0.04]))
+    assert table.at(np.array([0.9, 1.0, -2.0, 10.0, 11.0])) == pytest.approx([0.0, 4.0, 1.0, 0.04, 0.0])
+
+
+def test_what_makes_no_sense_is_refused() -> None:
+    table = Spectrum(knots=np.array([1.0, 10.0]), density=np.array([4.0, 0.04]))
+    for knots, density in (([2.0, 1.0], [1.0, 1.0]), ([1.0, 2.0], [1.0, -1.0]), ([0.0, 2.0], [1.0, 1.0])):
+        with pytest.raises(ArgumentError, match="spectrum"):
+            Spectrum(knots=np.array(knots), density=np.array(density))
+    with pytest.raises(ArgumentError, match="coherence"):
+        RandomDisturbance(name="a", inputs=(0, 1), spectra=(table, table), coherence=np.array([[1, 2], [2, 1.0]]))
+    for sources, words in (
+        ([noise(at=2)], "input"),
+        ([SampleNoise(name="gyro", measured=1, rms=1.0)], "measured"),
+        ([noise(), noise()], "names"),
+    ):
+        with pytest.raises(ArgumentError, match=words):
+            JitterBudget(oscillator(), sources)
+    with pytest.raises(ArgumentError, match="reading_delay"):
+        oscillator(reading_delay=(1, 2))
+    with pytest.raises(ArgumentError, match="dt"):
+        JitterBudget(oscillator(), []).of(K._replace(dt=1.0))
