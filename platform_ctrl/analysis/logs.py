@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -10,6 +11,7 @@ import numpy as np
 
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError, InputError
+from platform_ctrl.plant.fields import LARGEST
 from platform_ctrl.plant.mistakes import given, one_line, suggestion
 from platform_ctrl.plant.source import read_text
 
@@ -18,6 +20,9 @@ GAP_PERIODS = 3.0
 # Steps of the clock that differ by less, relative, are alike: stamps are printed with so many digits.
 ALIKE = 1e-6
 LEAST_SAMPLES = 16
+_CSV = "give a header and lines of numbers with commas between them"
+# Steps of a clock that no logger has, s: the time is in another unit.
+SHORTEST_STEP = 1e-9
 # Segments that half overlap and are averaged, if the resolution allows as many, and samples of one at most.
 SEGMENTS, LONGEST_SEGMENT = 8, 2**15
 
@@ -86,8 +91,8 @@ def read_log(path: Path, columns: Sequence[str], time: str = "time") -> Log:
     row = "row" if parquet else "line"
     if len(values) < LEAST_SAMPLES:
         raise InputError(f"{label}: has {len(values)} samples; at least {LEAST_SAMPLES} are needed")
-    for k, j in np.argwhere(~np.isfinite(values))[:1]:
-        words = f"{row} {lines[k]}: {wanted[j]} is {values[k, j]}"
+    for k, j in np.argwhere(~(np.abs(values) <= LARGEST))[:1]:
+        words = f"{row} {lines[k]}: {wanted[j]} is {values[k, j]:.6g}"
         raise InputError(f"{label}: {words}; leave such lines out, which makes a gap of them")
     t = values[:, 0]
     for k in np.flatnonzero(np.diff(t) <= 0.0)[:1]:
@@ -103,7 +108,10 @@ def read_log(path: Path, columns: Sequence[str], time: str = "time") -> Log:
 def _csv(path: Path, label: str, wanted: list[str]) -> tuple[FloatArray, Sequence[int]]:
     """Return the wanted columns and the line of the file that each row is from."""
     text = read_text(path, "a CSV file with a header").splitlines()
-    header = [name.strip() for name in next(csv.reader(text[:1]), [])]
+    try:
+        header = [name.strip() for name in next(csv.reader(text[:1]), [])]
+    except csv.Error as error:
+        raise InputError(f"{label}: is not CSV: {one_line(str(error))}; {_CSV}") from None
     places = [_place(label, header, name) for name in wanted]
     lines = [k for k, line in enumerate(text, 1) if k > 1 and line.strip()]
     rows = [text[k - 1] for k in lines]
@@ -113,13 +121,14 @@ def _csv(path: Path, label: str, wanted: list[str]) -> tuple[FloatArray, Sequenc
         return np.loadtxt(rows, delimiter=",", usecols=places, ndmin=2, comments=None, quotechar='"'), lines
     except ValueError:
         pass
-    for line, row in zip(lines, csv.reader(rows), strict=False):
-        for name, place in zip(wanted, places, strict=True):
-            cell = row[place].strip() if place < len(row) else ""
-            if not _is_number(cell):
-                words = f"{name} must be a number, got {given(cell)}" if cell else f"{name} is missing"
-                raise InputError(f"{label}: line {line}: {words}; leave such lines out, which makes a gap of them")
-    raise InputError(f"{label}: cannot be read as comma-separated numbers; give a CSV file with a header")
+    with contextlib.suppress(csv.Error):  # a cell that is too long, or a quotation mark that nothing closes
+        for line, row in zip(lines, csv.reader(rows), strict=False):
+            for name, place in zip(wanted, places, strict=True):
+                cell = row[place].strip() if place < len(row) else ""
+                if not _is_number(cell):
+                    words = f"{name} must be a number, got {given(cell)}" if cell else f"{name} is missing"
+                    raise InputError(f"{label}: line {line}: {words}; leave such lines out, which makes a gap of them")
+    raise InputError(f"{label}: is not CSV; {_CSV}")
 
 
 def _is_number(cell: str) -> bool:
@@ -213,6 +222,10 @@ def log_density(time: FloatArray, x: FloatArray, resolution_hz: float) -> LogDen
 
 def _segment(period: float, lengths: list[int], resolution_hz: float) -> int:
     """Return the samples of a segment: enough for the resolution, and more where the record has enough of them."""
+    if period < SHORTEST_STEP or 0.5 / period < resolution_hz:
+        words = f"the mean step of the clock, {period:.4g} s, is too"
+        words += " short" if period < SHORTEST_STEP else f" long for {resolution_hz:.4g} Hz"
+        raise ArgumentError(f"{words}; the time must be in s")
     least = int(np.ceil((1.0 - 1e-9) / (period * resolution_hz)))
     if least > min(max(lengths), LONGEST_SEGMENT):
         longest, most = max(lengths) * period, LONGEST_SEGMENT * period

@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 import math
+import os
+from collections.abc import Sequence
 from dataclasses import field
 from typing import Annotated, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from platform_ctrl.analysis.logs import pieces, read_log
 from platform_ctrl.common.arguments import number, positive, real_array, real_numbers, whole
 from platform_ctrl.common.signatures import check_arguments, short
 from platform_ctrl.common.values import FloatArray, input_value, read_only
-from platform_ctrl.errors import ArgumentError
+from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.job.faults import Fault
 from platform_ctrl.job.spectra import interpolated
 from platform_ctrl.plant import fields
 from platform_ctrl.plant.platform import Platform
+from platform_ctrl.plant.source import path_of
 
 Mode = Literal["caged", "stabilised"]
 VibrationKind = Literal["rate", "force"]
@@ -82,6 +86,58 @@ class TimeTable:
             least = "two times or more" if self.smooth else "times"
             raise ArgumentError(f"TimeTable: t must be {least} that increase, s, got {short(self.t.tolist())}")
         number("TimeTable: scale", self.scale)
+
+    @classmethod
+    @check_arguments
+    def from_log(
+        cls,
+        path: str | os.PathLike[str],
+        columns: Sequence[str | None],
+        *,
+        time: str = "time",
+        factor: float = 1.0,
+        smooth: bool = False,
+    ) -> TimeTable:
+        """Return a recorded log as a table that begins at t = 0.
+
+        Parameters
+        ----------
+        path
+            Of a CSV file with a header, or a Parquet file.
+        columns
+            Names of the three columns; None: zero.
+        time
+            Name of the column with the time, s.
+        factor
+            SI units in a unit of the log.
+        smooth
+            As in `TimeTable`.
+
+        Returns
+        -------
+        TimeTable
+            With all samples of the log.
+
+        Raises
+        ------
+        InputError
+            A line makes no sense, or the log has a gap.
+        ArgumentError
+            The columns are not three.
+        """
+        if len(columns) != 3 or not any(columns):
+            raise ArgumentError(
+                f"TimeTable.from_log: columns must be three, not all of them None, got {short(columns)}"
+            )
+        log = read_log(path_of(path, "the path of a log"), [name for name in columns if name is not None], time)
+        if len(parts := pieces(log.time)) > 1:
+            words = f"{log.label}: has a gap from {log.time[parts[0].stop - 1]:.6g} to {log.time[parts[1].start]:.6g} s"
+            raise InputError(f"{words}; give a part of the log without gaps")
+        zero = np.zeros(len(log.time))
+        values = np.stack([zero if name is None else log.signals[name] for name in columns], axis=1)
+        return cls(
+            t=log.time - log.time[0], values=number("TimeTable.from_log: factor", factor) * values, smooth=smooth
+        )
 
     @property
     def pieces(self) -> FloatArray:

@@ -28,7 +28,7 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
 
 @value
 class Lines:
-    """Sines a cos(2π f t + φ).
+    """Sines a sin(2π f t + φ).
 
     Attributes
     ----------
@@ -189,7 +189,7 @@ class ProfileSpectrum(Spectrum):
 
 @input_value
 class SineSpectrum(Spectrum):
-    """Sines a cos(2π f t + φ) of known phase: those of one frequency add up, whichever source they are of.
+    """Sines a sin(2π f t + φ) of known phase: those of one frequency add up, whichever source they are of.
 
     Attributes
     ----------

@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import math
+import random
+import tempfile
 from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
 
+from fuzz_bytes import mangled
+from fuzz_run import cases, chances
 from platform_ctrl.analysis.logs import _uniform, log_density, pieces, read_log
 from platform_ctrl.errors import ArgumentError, InputError
-from platform_ctrl.job.scenario import Vibration
+from platform_ctrl.job.scenario import TimeTable, Vibration
 from platform_ctrl.job.spectra import LogSpectrum, TableSpectrum
 from vehicle_log import FILE, vehicle_log
 
@@ -104,6 +109,46 @@ def test_gaps_are_left_out_and_the_share_that_is_lost_is_stated(uniform: tuple[n
     single = np.delete(time, 5000), np.delete(x, 5000)
     assert len(pieces(single[0])) == 1
     assert log_density(*single, 0.5).lost == pytest.approx(0.0, abs=1e-4)
+
+
+def test_a_time_in_another_unit_is_refused() -> None:
+    k, x = np.arange(100.0), np.sin(np.arange(100))
+    with pytest.raises(ArgumentError, match=r"step of the clock, 2500 s, is too long for 1 Hz; the time must be in s"):
+        log_density(2500.0 * k, x, 1.0)
+    with pytest.raises(ArgumentError, match=r"1e-12 s, is too short; the time must be in s"):
+        log_density(1e-12 * k, x, 1.0)
+
+
+def test_a_time_table_of_a_log_with_a_gap_is_refused() -> None:
+    with pytest.raises(InputError, match=r"has a gap from 3\.98\d* to 4\.30\d* s; give a part of the log without gaps"):
+        TimeTable.from_log(FILE, (None, None, "gyro_z"))
+    with pytest.raises(ArgumentError, match="columns must be three, not all of them None"):
+        TimeTable.from_log(FILE, ("gyro_z",))
+
+
+def test_a_log_without_gaps_becomes_a_time_table(tmp_path: Path) -> None:
+    path = write(tmp_path / "log.csv", *(f"{5.0 + 0.01 * k:.2f},{k}" for k in range(40)))
+    table = TimeTable.from_log(path, (None, "rate", None), factor=0.5)
+    np.testing.assert_allclose(table.at([0.0, 0.005, 0.39]), [[0, 0, 0], [0, 0.25, 0], [0, 19.5, 0]], atol=1e-9)
+
+
+@cases(150)
+@given(chances)
+def test_mangled_logs_are_refused_in_a_line_or_read(how: random.Random) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "log.csv"
+        path.write_bytes(mangled(FILE.read_bytes()[:1500], how))
+        error, estimate = "", None
+        try:
+            estimate = LogSpectrum(log="log.csv", column="gyro_z").read(Path(folder), 1.0).estimate
+        except InputError as refused:
+            error = str(refused)
+        if estimate is None:
+            assert error.startswith(f"{path}: ")
+            assert error.isprintable()
+        else:
+            assert np.isfinite(estimate.densities).all()
+            assert estimate.variance > 0.0
 
 
 def test_a_piece_that_is_too_short_for_the_resolution_is_refused() -> None:

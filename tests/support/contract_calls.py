@@ -78,7 +78,9 @@ def cases() -> dict[str, Case]:
 def taken(function: Callable[..., Any]) -> dict[str, inspect.Parameter]:
     """Return the parameters of a function that have names of their own."""
     found = inspect.signature(function).parameters
-    return {k: p for k, p in found.items() if k != "self" and p.kind not in (p.VAR_KEYWORD, p.VAR_POSITIONAL)}
+    return {
+        k: p for k, p in found.items() if k not in ("self", "cls") and p.kind not in (p.VAR_KEYWORD, p.VAR_POSITIONAL)
+    }
 
 
 def _fields(cls: type) -> tuple[str, ...]:

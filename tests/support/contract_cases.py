@@ -33,8 +33,10 @@ from platform_ctrl.design.classical.crossover import CrossoverDesign
 from platform_ctrl.design.jobs import LoopOutcome
 from platform_ctrl.design.lmi.scheduled import Scheduled
 from platform_ctrl.export.job_systems import model_systems
+from platform_ctrl.job.budget import Budget, Source
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.requirements import requirement
+from platform_ctrl.job.spectra import SineSpectrum
 from platform_ctrl.job.variation import ANY
 from platform_ctrl.mechanics.parameter_varying import ParameterVaryingModel
 from platform_ctrl.mechanics.precession.result import Precession
@@ -42,6 +44,7 @@ from platform_ctrl.simulation.closed_loop import Trajectory
 from platform_ctrl.verification import baselines
 from platform_ctrl.verification.baselines.file import write_baseline
 from platform_ctrl.verification.baselines.record import Baseline, Tolerance
+from vehicle_log import FILE as VEHICLE_LOG
 
 PERIOD = 0.0005
 W = np.array([1.0, 10.0, 100.0])
@@ -159,6 +162,10 @@ def summary() -> Summary:
 @functools.cache
 def scenario() -> simulation.Scenario:
     return simulation.Scenario(platform=platform(), mode="caged", duration=0.002, delay=0.0)
+
+
+def source() -> Source:
+    return Source(name="sway", kind="base-rate", axis=1, spectrum=SineSpectrum(sines=np.array([[1.0, 0.1, 0.0]])))
 
 
 @functools.cache
@@ -411,6 +418,8 @@ INSTANCES: dict[str, Callable[[], Any]] = {
     "requirements.LoopRequirement.check_closed_loop": lambda: requirement("damping", 0.1),
     "requirements.LoopRequirement.check_controller": lambda: requirement("controller gain", 0.1),
     "simulation.Fault": lambda: simulation.Fault(name="lost", kind="torquer weak", part="Q9", at=0.1, share=0.5),
+    "budget.Budget": lambda: Budget(from_hz=1.0, to_hz=9.0, sources=(source(),)),
+    "budget.Source": source,
     "simulation.Simulator": stepper,
     "simulation.HalfCosine": lambda: simulation.HalfCosine(axis=1, rate=1.0, rise=0.1, hold=0.1),
     "simulation.Scenario": scenario,
@@ -484,7 +493,11 @@ METHODS: dict[str, dict[str, Callable[[], Any]]] = {
     "requirements.LoopRequirement.values": {"metrics": INSTANCES["loop_metrics.LoopMetrics"]},
     "requirements.LoopRequirement.ratios": {"metrics": INSTANCES["loop_metrics.LoopMetrics"]},
     "requirements.LoopRequirement.result": {"plants": plants, "metrics": INSTANCES["loop_metrics.LoopMetrics"]},
+    "budget.Budget.density": of(f_hz=[1.0, 2.0]),
+    "budget.Source.density": of(f_hz=[1.0, 2.0]),
+    "budget.Source.rms": of(from_hz=1.0, to_hz=2.0),
     "simulation.TimeTable.at": of(t=[0.5]),
+    "simulation.TimeTable.from_log": of(path=VEHICLE_LOG, columns=("gyro_z", None, None), factor=1.0),
     "simulation.Simulator.advance": of(samples=1),
     "simulation.Simulator.restore": {"snapshot": lambda: stepper().snapshot()},
     "variation.Range.holds": of(low=0.1, high=0.2, continuous=True),
