@@ -23,6 +23,8 @@ LEAST_SAMPLES = 16
 _CSV = "give a header and lines of numbers with commas between them"
 # Steps of a clock that no logger has, s: the time is in another unit.
 SHORTEST_STEP = 1e-9
+# Relative width of the bands over which the density is averaged; below, bins are wider than that.
+BAND = 0.01
 # Segments that half overlap and are averaged, if the resolution allows as many, and samples of one at most.
 SEGMENTS, LONGEST_SEGMENT = 8, 2**15
 
@@ -53,9 +55,10 @@ class LogDensity:
     Attributes
     ----------
     frequencies_hz : (k,)
-        From 0 to half of the sample rate in equal steps, the resolution, Hz.
+        From 0 to half of the sample rate: in equal steps, the resolution, as long as these are more than 1 % of the
+        frequency, then the middles of bands of 1 %, Hz.
     densities : (k,)
-        One-sided, units of x squared per Hz; their integral by trapezoids is the variance.
+        One-sided, units of x squared per Hz, means over the bands; the integral by trapezoids is the variance.
     mean, variance
         Of what was used of x, units of x, and squared.
     segments
@@ -204,9 +207,12 @@ def log_density(time: FloatArray, x: FloatArray, resolution_hz: float) -> LogDen
         raise ArgumentError(f"the signal does not vary, it is {mean:.6g} throughout; choose another column")
     counts = [(len(one) - length) // (length - length // 2) + 1 for one in clocks]
     found = [scipy.signal.welch(one - mean, 1.0 / period, "hann", length, detrend=False) for one in clocks]
-    f, density = found[0][0], np.average([one[1] for one in found], axis=0, weights=counts)
+    raw = np.average([one[1] for one in found], axis=0, weights=counts)
     # SciPy doubles what has a negative frequency: with the ends doubled, too, trapezoids give what Parseval says.
-    density[[0, -1]] *= (2.0, 1.0 if length % 2 else 2.0)
+    raw[[0, -1]] *= (2.0, 1.0 if length % 2 else 2.0)
+    bands = _bands(len(raw))
+    width = np.diff([*bands, len(raw)])
+    f, density = np.add.reduceat(found[0][0], bands) / width, np.add.reduceat(raw, bands) / width
     return LogDensity(
         frequencies_hz=f,
         densities=density * variance / float(np.trapezoid(density, f)),
@@ -218,6 +224,14 @@ def log_density(time: FloatArray, x: FloatArray, resolution_hz: float) -> LogDen
         interpolation_error=float(np.sqrt(np.mean(np.concatenate(errors) ** 2))),
         lost=max(0.0, 1.0 - period * sum(len(one) - 1 for one in clocks) / float(time[-1] - time[0])),
     )
+
+
+def _bands(bins: int) -> list[int]:
+    """Return the first bin of each band: one bin, or as many as are within `BAND` of its frequency."""
+    first = [0]
+    while (following := first[-1] + max(1, int(BAND * first[-1]))) < bins:
+        first.append(following)
+    return first
 
 
 def _segment(period: float, lengths: list[int], resolution_hz: float) -> int:

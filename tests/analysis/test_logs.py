@@ -80,6 +80,19 @@ def test_a_known_density_is_found_within_its_statistical_bounds(clock: str, requ
     assert np.abs(ratio - 1.0).max() < 5.0 * deviation
 
 
+def test_a_fine_resolution_is_averaged_over_bands_of_one_percent(uniform: tuple[np.ndarray, np.ndarray]) -> None:
+    time, x = uniform
+    found = log_density(time, x, 0.05)  # 20 s, 8,000 samples of a segment
+    f = found.frequencies_hz
+    assert f[1] == pytest.approx(0.05, rel=1e-9)
+    np.testing.assert_allclose(np.diff(f)[:190], 0.05, rtol=1e-9)
+    assert np.max(np.diff(f)[300:-1] / f[300:-2]) < 0.0101
+    assert len(f) < 600
+    spectrum = LogSpectrum(log="x", column="x", estimate=found)
+    assert spectrum.mean_square(2.0, 100.0) == pytest.approx(KNOWN.mean_square(2.0, 100.0), rel=0.05)
+    assert np.trapezoid(found.densities, f) == pytest.approx(np.var(x), rel=1e-9)
+
+
 def test_the_bound_of_the_interpolation_is_above_its_error(jittered: tuple[np.ndarray, np.ndarray]) -> None:
     time, x = jittered
     found = log_density(time, x, 1.0)
