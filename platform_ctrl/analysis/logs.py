@@ -26,7 +26,7 @@ SHORTEST_STEP = 1e-9
 # Relative width of the bands over which the density is averaged; below, bins are wider than that.
 BAND = 0.01
 # Segments that half overlap and are averaged, if the resolution allows as many, and samples of one at most.
-SEGMENTS, LONGEST_SEGMENT = 8, 2**15
+SEGMENTS, LONGEST_SEGMENT = 8, 2**20
 
 
 @value

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Iterator
 from pathlib import Path as FilePath
@@ -9,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from platform_ctrl.analysis.logs import Log, read_log
 from platform_ctrl.common.values import replaced
 from platform_ctrl.errors import InputError
 from platform_ctrl.job.budget import SOURCE_KINDS, Budget, Source
@@ -102,11 +104,15 @@ def _correlations(budget: Data, path: Path, names: list[str]) -> Iterator[Mistak
 
 def with_logs(budget: Budget, folder: FilePath) -> tuple[Budget, list[Mistake]]:
     """Return a budget whose logs are read, and what is wrong with them."""
-    sources, mistakes = [], []
+    sources, mistakes, logs = [], [], _logs(budget, folder)
     for k, source in enumerate(budget.sources):
         if isinstance(source.spectrum, LogSpectrum):
+            log = logs.get((source.spectrum.log, source.spectrum.time))
             try:
-                spectrum = source.spectrum.read(folder, budget.from_hz)
+                if log is None:  # which of its columns is wrong, each says for itself
+                    spectrum = source.spectrum.read(folder, budget.from_hz)
+                else:
+                    spectrum = source.spectrum.of(log, budget.from_hz)
                 source = replaced(source, {"spectrum": spectrum})
                 if words := _units_of_log(source, spectrum):
                     mistakes.append(Mistake(("budget", "source", k, "unit"), words))
@@ -115,6 +121,19 @@ def with_logs(budget: Budget, folder: FilePath) -> tuple[Budget, list[Mistake]]:
                 mistakes.append(Mistake(("budget", "source", k, key), f"{key}: {error}"))
         sources.append(source)
     return replaced(budget, {"sources": tuple(sources)}), mistakes
+
+
+def _logs(budget: Budget, folder: FilePath) -> dict[tuple[str, str], Log]:
+    """Return the logs that can be read by their paths and columns of time, each read once for all of its columns."""
+    columns: dict[tuple[str, str], list[str]] = {}
+    for source in budget.sources:
+        if isinstance(source.spectrum, LogSpectrum):
+            columns.setdefault((source.spectrum.log, source.spectrum.time), []).append(source.spectrum.column)
+    found = {}
+    for (path, time), names in columns.items():
+        with contextlib.suppress(InputError):
+            found[path, time] = read_log(folder / path, names, time)
+    return found
 
 
 def _units_of_log(source: Source, spectrum: LogSpectrum) -> str:

@@ -13,7 +13,7 @@ from typing import Annotated, Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike
 
-from platform_ctrl.analysis.logs import LogDensity, log_density, read_log
+from platform_ctrl.analysis.logs import Log, LogDensity, log_density, read_log
 from platform_ctrl.common.arguments import positive, real_array, real_numbers
 from platform_ctrl.common.signatures import check_arguments, short
 from platform_ctrl.common.values import FloatArray, input_value, replaced, value
@@ -319,7 +319,10 @@ class LogSpectrum(Spectrum):
         InputError
             The file cannot be read or its values and stamps make no sense: one line says where.
         """
-        log = read_log(folder / self.log, [self.column], self.time)
+        return self.of(read_log(folder / self.log, [self.column], self.time), resolution_hz)
+
+    def of(self, log: Log, resolution_hz: float) -> LogSpectrum:
+        """Return the same with the density of a log that has been read."""
         try:
             estimate = log_density(log.time, log.signals[self.column], resolution_hz)
         except ArgumentError as error:

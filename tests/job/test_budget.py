@@ -13,7 +13,9 @@ from scipy import integrate
 
 from fuzz_files import EVERY_JOB_KEY, HERE
 from platform_ctrl import read_job
+from platform_ctrl.analysis.logs import read_log
 from platform_ctrl.errors import ArgumentError, InputError
+from platform_ctrl.job import budget_checks
 from platform_ctrl.job.budget import SOURCE_KINDS, Source
 from platform_ctrl.job.profiles import PROFILES, G
 from platform_ctrl.job.spectra import (
@@ -228,6 +230,19 @@ def test_what_is_wrong_with_a_log_is_said_at_its_key(tmp_path: Path) -> None:
     assert "there is no such file" in refusal({"log": "other.csv"}, YAW)
     assert "needs 10 s without a gap, and the longest piece is" in refusal({"from_hz": 0.1})
     assert "the signal does not vary" in logged(tmp_path, 0.5, 0.0, kind="base-rate")
+
+
+def test_a_log_of_several_sources_is_read_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    reads = []
+    monkeypatch.setattr(budget_checks, "read_log", lambda *given: reads.append(given) or read_log(*given))
+    data = EVERY_JOB_KEY.data
+    other = data["budget"]["source"][YAW] | {"name": "vehicle sway", "axis": 1}
+    data["budget"]["source"].append(other)
+    assert read_job(data, folder=HERE).budget.sources[-1].rms(1.0, 25.0) > 0.0
+    assert len(reads) == 1
+    other["column"] = "gyro_x"
+    with pytest.raises(InputError, match=r'"vehicle sway": column: .* there is no column "gyro_x"'):
+        read_job(data, folder=HERE)
 
 
 def test_a_specific_force_without_unbalance_is_refused() -> None:
