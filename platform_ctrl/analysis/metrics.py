@@ -39,6 +39,7 @@ class Metric(Quantity):
     """A metric of a loop; its limit is in ``[loop.limits]``, with the edge of a band as key + ``_hz``."""
 
     scale: float = 1.0  # the unit in SI units
+    decibels: bool = False  # whether the unit is dB: of a ratio of amplitudes
     measure: Direct | Peak | Bandwidth | ControllerGain  # how it is measured
     # which limits a job file may set: ``""``: of the nominal plant; ``"worst_case"`` and ``"faults"``: with the key's
     # ending ``_worst_case`` or ``_faults``
@@ -52,6 +53,17 @@ class Metric(Quantity):
     # of_torquers: from the coupled closed loop between the sensors' noise and the torque commands, and the rms of that
     # noise, to the values of all torquers; with it a stabilisation loop may have a limit
     of_torquers: Callable[[StateArrays, FloatArray], FloatArray] | None = None
+
+    def in_SI(self, number: float) -> float:
+        """Return a number in the metric's unit in SI units."""
+        return float(10.0 ** (number / 20.0)) if self.decibels else number * self.scale
+
+    def in_unit(self, values: FloatArray | float) -> FloatArray:
+        """Return values in SI units in the metric's unit."""
+        if not self.decibels:
+            return np.asarray(values) / self.scale
+        with np.errstate(divide="ignore"):
+            return np.asarray(20.0 * np.log10(values))
 
     @property
     def band(self) -> str:
@@ -68,7 +80,7 @@ class Metric(Quantity):
     @property
     def frequency_key(self) -> str:
         """Key of the band's edge in a job file, Hz; empty where there is none."""
-        return f"{self.key}_hz" if self.key and self.band == "up to" else ""
+        return f"{self.key.removesuffix('_db')}_hz" if self.key and self.band == "up to" else ""
 
 
 def exact_value(loops: Loops, request: Request, k: int = 0) -> float:
@@ -236,6 +248,18 @@ METRICS: dict[str, Metric] = {
         sense="at most",
         meaning="peak gain from the platform's rate to the angles",
         measure=Peak(transfers=(loop_set.ANGLE_PER_OMEGA,)),
+    ),
+    "attenuation": Metric(
+        name="attenuation of base motion",
+        key="attenuation_db",
+        unit="dB",
+        decibels=True,
+        sense="at least",
+        meaning="the platform's rate over the rate of the line of sight that it causes, in the worst direction, up to "
+        "this frequency; of the axes across the line of sight that the loop's torquers move",
+        measure=Peak(transfers=(loop_set.SIGHT_PER_OMEGA,), banded=True, reciprocal=True),
+        scopes=("", "worst_case"),
+        needs_frequency=True,
     ),
     "torque rejection": Metric(
         name="angle from torque",

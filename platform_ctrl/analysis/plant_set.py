@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 BoolArray = NDArray[np.bool_]
 
 # What a plant of a set represents: the nominal one; other parameters; another platform rate; other gimbal angles;
-# a part that fails.
-Group = Literal["nominal", "uncertainty", "Omega", "angles", "faults"]
+# dry friction by its describing function; a part that fails.
+Group = Literal["nominal", "uncertainty", "Omega", "angles", "friction", "faults"]
 
 
 @value
@@ -41,8 +41,8 @@ class PlantSet:
     period
         Of the samples, s.
     labels, groups
-        What each plant is, and what it represents: ``"nominal"``, ``"uncertainty"``, ``"Omega"``, ``"angles"`` or
-        ``"faults"``.
+        What each plant is, and what it represents: ``"nominal"``, ``"uncertainty"``, ``"Omega"``, ``"angles"``,
+        ``"friction"`` or ``"faults"``.
     torques, angles
         Names of the m inputs and p measured outputs.
     B_Omega, D_Omega
@@ -112,7 +112,7 @@ class PlantSet:
         """Return the set on another grid of frequencies (F,), rad/s."""
         return dataclasses.replace(self, frequency=frequency, **self._responses(frequency))
 
-    def _responses(self, frequency: FloatArray) -> dict[str, ComplexArray]:
+    def _responses(self, frequency: FloatArray) -> dict[str, Any]:
         # All together: what depends on the plant and on its outputs alone is then computed once.
         found = frequency_response(self.whole, frequency, -3, ON_A_GRID)
         m, p = len(self.torques), len(self.angles)
@@ -160,6 +160,19 @@ class PlantSet:
             )
         return K
 
+    def in_directions(self, sense: FloatArray) -> PlantSet:
+        """Return the set with combinations of its measured outputs, the rows of `sense` (k, p), in their place."""
+        return dataclasses.replace(
+            self,
+            C=sense @ self.C,
+            D=sense @ self.D,
+            D_Omega=sense @ self.D_Omega,
+            angles=tuple(f"direction_{k + 1}" for k in range(len(sense))),
+            noise=np.sqrt(sense**2 @ self.noise**2),
+            response=sense @ self.response,
+            Omega_response=sense @ self.Omega_response,
+        )
+
     @check_arguments
     def of(self, groups: Sequence[str]) -> BoolArray:
         """Return which plants belong to `groups`, truth values (N,); other names have no members."""
@@ -173,7 +186,9 @@ class PlantSet:
             return self
         order = np.argsort(np.concatenate([self.frequency, new]), kind="stable")
         found = self._responses(new)
-        parts = {name: np.concatenate([getattr(self, name), part], axis=1)[:, order] for name, part in found.items()}
+        parts: dict[str, Any] = {
+            name: np.concatenate([getattr(self, name), part], axis=1)[:, order] for name, part in found.items()
+        }
         return dataclasses.replace(self, frequency=np.concatenate([self.frequency, new])[order], **parts)
 
     @check_arguments

@@ -106,7 +106,7 @@ class Backend:
         known_name("design", design, names)
         channels = self._loops.plants.channels_of(spec)
         return settings.but(
-            mode="caged" if spec.kind == "caging" else "stabilised",
+            mode="caged" if spec.has_plants else "stabilised",
             loop=name,
             design=design,
             closed={**settings.closed, name: design},
@@ -218,7 +218,7 @@ class Backend:
         """Return the parts of a picture, and lines about its controllers."""
         spec, _ = self._loops.design(settings)
         labels = self.plants(settings)
-        if spec.kind == "caging":
+        if spec.has_plants:
             loop, notes = self._designs.caged(settings)
             drawing, measure = caged_parts(loop, settings, labels, self._loops.cached_metrics(settings, loop))
         else:
@@ -239,7 +239,7 @@ class Backend:
             return self.moved(settings, slider.name, moved_slider(slider))
 
         with np.errstate(all="ignore"):
-            if spec.kind == "caging":
+            if spec.has_plants:
                 loop, _ = self._loops.caged(settings)
                 return caged_influence(loop, sliders, lambda slider: self._loops.caged(with_slider(slider))[0])
             return stabilised_influence(self._loops, settings, sliders, with_slider)
@@ -317,7 +317,7 @@ class Backend:
             raise DesignError(f"{spec.name}, {design.name}: no slider is free to be tuned; free at least one")
         options = self._loops.options.used(settings, spec, design)
         task: Tuning | ServoTuning
-        if spec.kind == "caging":
+        if spec.has_plants:
             task = Tuning(job=self.job(settings), loop=spec.name, options=options, movable=free)
         else:
             others = [one for one in self._loops.controllers(settings) if one.loop != spec.name]

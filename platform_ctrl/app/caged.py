@@ -47,10 +47,11 @@ from platform_ctrl.app.settings import Settings
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.loop import limits_and_goals, requirements_of
 from platform_ctrl.job.job import Job, LoopSpec, Manoeuvre, manoeuvre_scenario
+from platform_ctrl.job.requirements import WORST_CASE
 from platform_ctrl.job.scenario import HalfCosine
 
 # Groups that a band shows: failed parts are not among them.
-_BAND = ("nominal", "uncertainty", "Omega")
+_BAND = WORST_CASE
 # Largest number of states of a closed loop for which norms are computed while a slider moves.
 _QUICK = 32
 

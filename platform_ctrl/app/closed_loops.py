@@ -81,7 +81,7 @@ def given_designs(path: Path, job: Job) -> list[tuple[str, str, str, Made]]:
 
 def _loop_of(job: Job, outputs: set[str]) -> LoopSpec | None:
     for spec in job.loops:
-        if spec.kind == "caging" and outputs == {job.platform.torquer_on(name).name for name in spec.gimbals}:
+        if spec.has_plants and outputs == {job.platform.torquer_on(name).name for name in spec.gimbals}:
             return spec
     return None
 
@@ -264,7 +264,7 @@ class ClosedLoops:
         """Return the cache of the disk margins of the caging loops, for while only the servo's sliders move."""
         others = []
         for spec in self.read.loops:
-            if spec.kind == "caging":
+            if spec.has_plants:
                 name = settings.closed[spec.name]
                 design = next(d for d in spec.designs if d.name == name)
                 seen = None if built_directly(design) else self.available_conditions(settings, spec, design)
@@ -294,7 +294,7 @@ class ClosedLoops:
 
     def _closed(self, settings: Settings, spec: LoopSpec, name: str, strict: bool) -> ClosedController:
         design, note = self._named_design(spec, name), ""
-        if spec.kind != "caging":
+        if not spec.has_plants:
             system = self.servo(settings, spec, design)
             options = dict(settings.options[spec.name][name])
         else:

@@ -166,7 +166,7 @@ class DesignOptions:
         first = self.read.loops[0]
         return Settings(
             axis=self._plants.loading_axis(first, 1),
-            mode="caged" if first.kind == "caging" else "stabilised",
+            mode="caged" if first.has_plants else "stabilised",
             loop=first.name,
             design=closed[first.name],
             options=options,
@@ -182,7 +182,7 @@ class DesignOptions:
     def _options(self, spec: LoopSpec, design: DesignSpec, spins: dict[str, float]) -> dict[str, float]:
         """Return all options of a design, complete, so that they stay while the plant is moved."""
         period = self.read.sampling.period
-        if spec.kind != "caging":
+        if not spec.has_plants:
             problem = LoopProblem(job=self.read, spec=spec, design=design, model=self._plants.model(spins))
             return dict(designed(problem).options)
         channel = self._plants.gyros(spins, spec)

@@ -195,7 +195,7 @@ class Designs:
         own = settings.but(design=name)
         method = next(one.method for one in spec.designs if one.name == name)
         with np.errstate(all="ignore"):
-            if spec.kind != "caging":
+            if not spec.has_plants:
                 # The picture below it has the lines about the other loops.
                 free, _ = self._loops.stabilised(own)
                 return stabilised_overlay(free, own, method, frequency), ""

@@ -13,7 +13,7 @@ import dataclasses
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Hashable, Mapping, Sequence
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
@@ -21,20 +21,22 @@ from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.app.free_plants import FreePlants, SpinningModels, corners, free_models, free_plants
 from platform_ctrl.app.settings import Settings
 from platform_ctrl.common.values import FloatArray, value
-from platform_ctrl.design.partition import Channels, channels
+from platform_ctrl.design.partition import Channels
 from platform_ctrl.design.plants import (
     Case,
     LinearPlants,
+    caging_signals,
     cases,
     linear_plants,
-    reference_frequency,
-    rows_of,
+    loop_channels,
+    loop_reference,
+    loop_signals,
     sampled_plants,
     with_spins,
 )
 from platform_ctrl.job.job import Job, LoopSpec, Sampling
 from platform_ctrl.mechanics.linearisation import LinearModel, linearise
-from platform_ctrl.mechanics.state_space import whole_subsystems
+from platform_ctrl.mechanics.state_space import named_rows, whole_subsystems
 from platform_ctrl.plant.platform import Platform
 
 T = TypeVar("T")
@@ -90,12 +92,15 @@ class _Share:
 
 
 class QuickPlants:
-    """Plants of one caging loop."""
+    """Plants of one loop, or of the caging loop on some gimbals."""
 
-    def __init__(self, job: Job, gimbals: tuple[str, ...]) -> None:
-        self.job, self.gimbals = job, gimbals
-        self.model = linearise(job.platform)
-        self.rows = whole_subsystems(self.model, gimbals)
+    def __init__(self, job: Job, loop: LoopSpec | tuple[str, ...]) -> None:
+        platform = job.platform
+        self.signals = loop_signals(platform, loop) if isinstance(loop, LoopSpec) else caging_signals(platform, loop)
+        self.job, self.gimbals = job, self.signals.gimbals
+        self.model = linearise(platform)
+        held = self.signals.held
+        self.rows = (named_rows if held else whole_subsystems)(self.model, self.gimbals)
         self.momenta = {r.name: r.angular_momentum for r in job.platform.rotors}
         self.shares = {name: self._share(name) for name in self.momenta}
         self._linear: Bounded[LinearPlants] = Bounded(4)
@@ -122,7 +127,7 @@ class QuickPlants:
 
     def nutation(self, spins: Mapping[str, float], sampling: Sampling, Omega: FloatArray) -> float:
         """Return the nutation frequency of the nominal plant, rad/s, as the set has it."""
-        return reference_frequency(self.linear(spins, Omega).A[0], sampling.period)
+        return loop_reference(self.linear(spins, Omega), sampling.period)
 
     def loading_axis(self, axis: int) -> int:
         """Return the axis about which a turn loads these gimbals: `axis` where it does, else that of most.
@@ -145,9 +150,7 @@ class QuickPlants:
         every = self._all(Omega)
         case = next((one for one in every if one.label == label), every[0])
         turned = dataclasses.replace(case, Omega=case.Omega + at)
-        return sampled_plants(
-            self._with_spins(linear_plants(self.job.platform, self.gimbals, (turned,)), spins), sampling, Omega
-        )
+        return sampled_plants(self._with_spins(linear_plants(self.signals, (turned,)), spins), sampling, Omega)
 
     def _all(self, Omega: FloatArray) -> tuple[Case, ...]:
         key = tuple(map(float, Omega))
@@ -161,20 +164,19 @@ class QuickPlants:
         """Linearise all plants; with another range of Omega only those that it moves."""
         plants = self._all(Omega)
         if np.array_equal(Omega, self.job.Omega):
-            return linear_plants(self.job.platform, self.gimbals, plants)
+            return linear_plants(self.signals, plants)
         own = self._base(np.asarray(self.job.Omega))
         known = {case.label: k for k, case in enumerate(own.cases)}
         new = tuple(case for case in plants if case.label not in known)
-        fresh = linear_plants(self.job.platform, self.gimbals, new) if new else own
+        fresh = linear_plants(self.signals, new) if new else own
         place = {case.label: k for k, case in enumerate(fresh.cases)} if new else {}
 
         def picked(name: str) -> FloatArray:
             old, other = getattr(own, name), getattr(fresh, name)
             return np.array([other[place[c.label]] if c.label in place else old[known[c.label]] for c in plants])
 
-        return dataclasses.replace(
-            own, cases=plants, A=picked("A"), B=picked("B"), C=picked("C"), D=picked("D"), B_Omega=picked("B_Omega")
-        )
+        names = ("A", "B", "C", "D", "B_Omega", "D_Omega", "C_sight", "D_sight")
+        return dataclasses.replace(own, cases=plants, **dict[str, Any]({name: picked(name) for name in names}))
 
     def _changes(self, spins: Mapping[str, float]) -> dict[str, float]:
         """Return by how much the momentum of each rotor is larger than the job's, N m s."""
@@ -196,7 +198,7 @@ class QuickPlants:
             return linear
         n = len(self.rows)
         A, B_Omega = linear.A.copy(), linear.B_Omega.copy()
-        mobility = A[:, :n, n:]
+        mobility, momenta = A[:, :n, n : 2 * n], slice(n, 2 * n)
         # q̇ = M⁻¹ (p − M_Omega ω): the upper rows of the input of Omega are −M⁻¹ M_Omega.
         turned = B_Omega[:, :n]
         rates = np.array([case.Omega for case in linear.cases])
@@ -206,9 +208,9 @@ class QuickPlants:
             factor = np.array([_factor(case.platform, name, self.momenta[name]) for case in linear.cases]) * change
             G = factor[:, None, None] * share.G
             K = factor[:, None, None] * np.einsum("ka,aij->kij", rates, share.K)
-            A[:, n:, :n] -= K
-            A[:, n:, n:] -= G @ mobility
-            B_Omega[:, n:] -= G @ turned + factor[:, None, None] * share.G_Omega
+            A[:, momenta, :n] -= K
+            A[:, momenta, momenta] -= G @ mobility
+            B_Omega[:, momenta] -= G @ turned + factor[:, None, None] * share.G_Omega
         return dataclasses.replace(linear, A=A, B_Omega=B_Omega)
 
     def _share(self, rotor: str) -> _Share:
@@ -258,18 +260,18 @@ class JobPlants:
         """Return what makes the plants of a caging loop."""
         with self._lock:
             if spec.name not in self._quick:
-                self._quick[spec.name] = QuickPlants(self.read, spec.gimbals)
+                self._quick[spec.name] = QuickPlants(self.read, spec)
             return self._quick[spec.name]
 
     def channels_of(self, spec: LoopSpec) -> tuple[str, ...]:
         """Return the torquers of a loop."""
-        if spec.kind == "caging":
-            return tuple(self.read.platform.torquer_on(gimbal).name for gimbal in spec.gimbals)
+        if spec.has_plants:
+            return tuple(torquer.name for torquer in loop_signals(self.read.platform, spec).torquers)
         return tuple(t.name for t in self.read.platform.torquers if t.root_axis is not None)
 
     def loading_axis(self, spec: LoopSpec, axis: int) -> int:
         """Return the axis of Omega to look at: `axis` unless a rate about it does nothing to this loop."""
-        return self.quick(spec).loading_axis(axis) if spec.kind == "caging" else axis
+        return self.quick(spec).loading_axis(axis) if spec.has_plants else axis
 
     def job(self, settings: Settings) -> Job:
         """Return the job with the settings' rotors, sampling and range of Omega; its designs are as they were read."""
@@ -282,7 +284,7 @@ class JobPlants:
 
     def labels(self, settings: Settings, spec: LoopSpec) -> tuple[str, ...]:
         """Return the labels of a loop's plants that may be shown, the nominal one first."""
-        if spec.kind == "caging":
+        if spec.has_plants:
             return self.quick(spec).labels(self.range(settings))
         return tuple(label for label, _, _ in self._corners(settings))
 
@@ -334,7 +336,7 @@ class JobPlants:
 
         def made() -> Channels:
             model = self.model(spins)
-            return channels(model, rows_of(model, spec.gimbals))
+            return loop_channels(model, loop_signals(model.platform, spec), self.read.sampling.period)
 
         return self._channels.get((spec.name, tuple(sorted(spins.items()))), made)
 

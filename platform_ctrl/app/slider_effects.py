@@ -105,7 +105,7 @@ _WEIGHTS = {"gains": 1.0, "lead": 0.25, "notch": 0.05, "lag": 0.05}
 def limits_of(loops: ClosedLoops, settings: Settings, parameters: FreeParameters) -> Limits:
     """Return the hard limits that are met with these settings, as the page measures them: a drag must keep them."""
     spec, _ = loops.design(settings)
-    if spec.kind != "caging":
+    if not spec.has_plants:
         return _coupled_limits(loops, settings)
     loop, _ = loops.caged(settings)
 
@@ -177,7 +177,7 @@ def free_parameters(
     """Return the free sliders of the design, the plant that is shown, and the channel."""
     spec, design = loops.design(settings)
     free = [slider for slider in sliders if slider.tunable and not slider.fixed]
-    if spec.kind == "caging":
+    if spec.has_plants:
         loop, _ = loops.caged(settings)
         P = loop.shown
         plant = StateArrays(P.A[0], P.B[0], P.C[0], P.D[0], P.period)
@@ -191,7 +191,7 @@ def free_parameters(
 
     def build(numbers: Mapping[str, float]) -> StateArrays:
         new = with_options(settings, numbers)
-        if spec.kind == "caging":
+        if spec.has_plants:
             return loops.caging(new, spec, design)[0]
         servo = loops.servo(new, spec, design)
         others = [servo if one.name == here else one for one in whole.controllers]

@@ -79,6 +79,7 @@ def loops(
                 if plants is None or str(error).startswith(f"{spec.name}, "):
                     raise
                 raise type(error)(f"{spec.name}, {design.name}: {error}", error.problem) from None
-            designs.append(made if plants is None else with_caging_claims(job, made, closed=design.name == spec.use))
+            closed = design.name == spec.use
+            designs.append(with_caging_claims(job, made, closed=closed) if spec.kind == "caging" else made)
         out.append(LoopOutcome(spec=spec, designs=tuple(designs), use=spec.use))
     return tuple(out)

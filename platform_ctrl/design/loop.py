@@ -16,8 +16,8 @@ from platform_ctrl.analysis.feedback import closed_loop
 from platform_ctrl.analysis.loop_metrics import LoopMetrics, measure
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.common.values import value
-from platform_ctrl.design.partition import Channels, channels
-from platform_ctrl.design.plants import rows_of
+from platform_ctrl.design.partition import Channels
+from platform_ctrl.design.plants import loop_channels, loop_signals
 from platform_ctrl.errors import DesignError, NotCertifiedError
 from platform_ctrl.job.job import DesignSpec, Job, LoopSpec
 from platform_ctrl.job.judging import CheckResult
@@ -106,7 +106,9 @@ class LoopProblem:
     model
         The platform linearised at rest.
     plant_set
-        The plants of a caging loop, the nominal one first; None for a stabilisation loop.
+        The plants of the loop, the nominal one first; None for a stabilisation loop.
+    outer
+        Directions of a loop around another one.
     progress
         Called with a line during long work.
     """
@@ -116,18 +118,23 @@ class LoopProblem:
     design: DesignSpec
     model: LinearModel
     plant_set: PlantSet | None = None
+    outer: Channels | None = None
     progress: Progress = lambda line: None
 
     @property
     def plants(self) -> PlantSet:
-        """The plants of a caging loop, the nominal one first."""
-        assert self.plant_set is not None, "a caging loop has plants"
-        return self.plant_set
+        """The plants, the nominal one first; their outputs are the directions of `channel` where it has `sense`."""
+        assert self.plant_set is not None, "the loop has plants"
+        sense = self.channel.sense
+        return self.plant_set if sense is None else self.plant_set.in_directions(sense)
 
     @property
     def channel(self) -> Channels:
         """Gyroscopic pairs and inertial directions of the loop's gimbals."""
-        return channels(self.model, rows_of(self.model, self.spec.gimbals))
+        if self.outer is not None:
+            return self.outer
+        signals = loop_signals(self.model.platform, self.spec)
+        return loop_channels(self.model, signals, self.job.sampling.period)
 
 
 @value
@@ -159,6 +166,10 @@ def designed(problem: LoopProblem) -> LoopDesign:
     method = known_method(design.method)
     found: Designed = resolved(method.design)(problem)
     if plants is not None:
+        sense = problem.channel.sense
+        if sense is not None:
+            K = found.controller
+            found = dataclasses.replace(found, controller=K._replace(B=K.B @ sense, D=K.D @ sense))
         out = certified(spec, design, found, plants)
         if method.goals:
             ratios = {"limit_ratio": out.results, "goal_ratio": out.goals}

@@ -245,12 +245,19 @@ class Channels:
         Inertia in each direction, kg m².
     spins : (rotors,)
         Spin of the rotors that the gimbals carry, rad/s, without those that stand still.
+    order
+        2 where the inertial directions measure angles, 1 where rates: a torque shows in that derivative.
+    sense : (n, p)
+        Of loops that read other sensors than pick-offs: from their readings to the directions. Design methods then
+        get plants whose outputs are the directions already; None: they take the gimbals' angles there by `basis`.
     """
 
     basis: FloatArray
     momenta: FloatArray
     inertias: FloatArray
     spins: FloatArray
+    order: int = 2
+    sense: FloatArray | None = None
 
     @property
     def inertial(self) -> int:

@@ -9,21 +9,27 @@ from itertools import product
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import StateArrays
+from platform_ctrl.analysis.arrays import StateArrays, seen_states
 from platform_ctrl.analysis.plant_set import Group, PlantSet, plant_set
-from platform_ctrl.analysis.sampling import held_input, sampled, sampled_states
+from platform_ctrl.analysis.sampling import held_input, late_outputs, late_states, sampled, sampled_states
 from platform_ctrl.common.arguments import known_name
 from platform_ctrl.common.values import FloatArray, value
+from platform_ctrl.design.partition import Channels, channels
 from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.job.job import Job, LoopSpec, Sampling
 from platform_ctrl.mechanics.linearisation import LinearModel, linearise
-from platform_ctrl.mechanics.matrices import matrices
+from platform_ctrl.mechanics.matrices import inverse_inertia, matrices
+from platform_ctrl.mechanics.outputs import observed
 from platform_ctrl.mechanics.state_space import state_space, subsystems_of_all
 from platform_ctrl.plant.platform import OMEGA_NAMES, Platform, Torquer
-from platform_ctrl.plant.sensors import PickOff
+from platform_ctrl.plant.sensors import LOS_RATES, Sensor
 
 # Open-loop motion slower than this share of the Nyquist frequency is no reference for the loop.
 _SLOW_MOTION = 1e-3
+# Ratio of the least to the largest effect of torquers on readings from which on each is seen.
+_SEEN = 1e-6
+# Share of the largest gain from torques to the line of sight from which on an output counts as moved.
+_MOVES = 1e-6
 # Largest angle of a motion in a sample period, rad: beyond it a sampled plant has lost all digits.
 _LARGEST_ANGLE = 1e6
 
@@ -60,9 +66,11 @@ def with_spins(platform: Platform, spins: Mapping[str, float]) -> Platform:
 
 @value
 class Case:
-    """A plant of the set: what it is and stands for, the rate (3,) at which it is linearised.
+    """A plant of the set: what it is and stands for, the rate (3,) and angles (n,) at which it is linearised.
 
-    `torque`, (m,), is the share of its torque that each torquer of the loop keeps.
+    `torque`, (m,), is the share of its torque that each torquer of the loop keeps; no angles: zero. `rate` is the
+    amplitude of the gimbals' rates, rad/s, for which dry friction is replaced by its describing function; None: without
+    dry friction.
     """
 
     label: str
@@ -70,12 +78,15 @@ class Case:
     platform: Platform
     Omega: FloatArray
     torque: FloatArray
+    q: FloatArray | None = None
+    rate: float | None = None
 
 
 def cases(job: Job, gimbals: tuple[str, ...]) -> list[Case]:
     """Return the plants that the loop on `gimbals` must control, the nominal one first.
 
-    Then every corner of the parameter uncertainty and the samples inside it, the grid of Omega, and the faults.
+    Then every corner of the parameter uncertainty and the samples inside it, the grid of Omega, the gimbal angles with
+    the nominal and with the other parameters, and the faults.
     """
     platform, still, whole = job.platform, np.zeros(3), np.ones(len(gimbals))
     out = [Case(label="nominal", group="nominal", platform=platform, Omega=still, torque=whole)]
@@ -85,7 +96,30 @@ def cases(job: Job, gimbals: tuple[str, ...]) -> list[Case]:
     for rates in _rates(job.Omega, job.Omega_grid):
         label = f"Omega = ({rates[0]:g}, {rates[1]:g}, {rates[2]:g}) rad/s"
         out.append(Case(label=label, group="Omega", platform=platform, Omega=np.array(rates), torque=whole))
+    varied = [one for one in out if one.group in ("nominal", "uncertainty")]
+    for q in job.trims[1:]:
+        for one in varied:
+            group: Group = "angles" if one.group == "nominal" else "uncertainty"
+            label = at_angles(platform, q) if one.group == "nominal" else f"{one.label}, {at_angles(platform, q)}"
+            out.append(dataclasses.replace(one, label=label, group=group, q=q))
     return [*out, *_faults(job, gimbals)]
+
+
+def _with_friction(job: Job, plants: Sequence[Case]) -> list[Case]:
+    """Return plants with dry friction as it acts on gimbals that turn at the largest rate of the platform."""
+    rate = float(np.max(job.Omega))
+    if rate == 0.0 or not any(max(friction.breakaway) > 0.0 for friction in job.platform.frictions):
+        return []
+    out: list[Case] = []
+    for one in plants:
+        label = f"dry friction at {rate:g} rad/s" + ("" if one.group == "nominal" else f", {one.label}")
+        out.append(dataclasses.replace(one, label=label, group="friction", rate=rate))
+    return out
+
+
+def at_angles(platform: Platform, q: FloatArray) -> str:
+    """Return gimbal angles (n,) in words, those alone that are not zero."""
+    return ", ".join(f"{name} = {x:g} rad" for name, x in zip(platform.angle_names, q, strict=True) if x)
 
 
 def _varied(job: Job, gimbals: tuple[str, ...]) -> Iterator[tuple[str, dict[str, dict[str, float]]]]:
@@ -163,12 +197,109 @@ def rows_of(model: LinearModel, gimbals: tuple[str, ...]) -> list[int]:
 
 def plants_of(job: Job, spec: LoopSpec) -> PlantSet | None:
     """Return the plants of a loop of the job; None for a loop that is checked in the coupled system alone."""
-    if spec.kind != "caging":
+    if spec.kind in ("stabilisation", "tracking"):
         return None
     try:
-        return loop_plants(job, spec.gimbals)
+        return loop_plants(job, spec)
     except ArgumentError as error:
         raise InputError(f"loop {spec.name!r}: {error}") from None
+
+
+@value
+class LoopSignals:
+    """What a loop turns, reads and sets.
+
+    Attributes
+    ----------
+    gimbals
+        Names, in the loop's order.
+    torquers, sensors
+        Of the loop.
+    sight
+        Outputs of the line of sight that its torquers move.
+    held
+        Whether all other gimbals are held; else the loop's are whole subsystems.
+    """
+
+    gimbals: tuple[str, ...]
+    torquers: tuple[Torquer, ...]
+    sensors: tuple[Sensor, ...]
+    sight: tuple[str, ...] = ()
+    held: bool = False
+
+
+def caging_signals(platform: Platform, gimbals: tuple[str, ...]) -> LoopSignals:
+    """Return the signals of a caging loop: one torquer and one pick-off on each gimbal."""
+    return LoopSignals(
+        gimbals=gimbals,
+        torquers=tuple(platform.torquer_on(name) for name in gimbals),
+        sensors=tuple(platform.pickoff_on(name) for name in gimbals),
+    )
+
+
+def loop_signals(platform: Platform, spec: LoopSpec) -> LoopSignals:
+    """Return what a caging, rate or pointing loop turns, reads and sets."""
+    if spec.kind == "caging":
+        return caging_signals(platform, spec.gimbals)
+    sensors = {sensor.name: sensor for sensor in platform.sensors}
+    torquers = {torquer.name: torquer for torquer in platform.torquers}
+    out = LoopSignals(
+        gimbals=spec.gimbals,
+        torquers=tuple(torquers[name] for name in spec.torquers)
+        or tuple(platform.torquer_on(name) for name in spec.gimbals),
+        sensors=tuple(sensors[name] for name in spec.sensors),
+        held=True,
+    )
+    return dataclasses.replace(out, sight=_moved_sight(platform, out))
+
+
+def _moved_sight(platform: Platform, signals: LoopSignals) -> tuple[str, ...]:
+    """Return the rates across the line of sight that the loop's torquers move, at the angles zero."""
+    if platform.line_of_sight is None:
+        return ()
+    model = linearise(platform)
+    system = observed(state_space(model, gimbals=signals.gimbals, others="held"), platform, LOS_RATES[:2])
+    gain = np.abs(system.C @ system.B[:, [system.input_labels.index(t.name) for t in signals.torquers]]).max(axis=1)
+    largest = gain.max(initial=0.0)
+    return tuple(name for name, one in zip(LOS_RATES, gain, strict=False) if one > _MOVES * largest > 0.0)
+
+
+def loop_channels(model: LinearModel, signals: LoopSignals, period: float) -> Channels:
+    """Return the directions in which design methods see a loop.
+
+    Of a loop that reads other sensors than pick-offs there is one for each torquer: the combination of readings that
+    shows, at a hundredth of the sample rate, what this torquer does to the rate or angle of its gimbal, and nothing of
+    the others.
+    """
+    rows = rows_of(model, signals.gimbals)
+    if not signals.held:
+        return channels(model, rows)
+    platform, order = model.platform, 1 if signals.sensors[0].unit == "rad/s" else 2
+    weights = [sensor.signals(platform) for sensor in signals.sensors]
+    names = list(dict.fromkeys(name for one in weights for name in one))
+    system = observed(state_space(model, gimbals=signals.gimbals, others="held"), platform, names, model.q0)
+    inputs = [system.input_labels.index(torquer.name) for torquer in signals.torquers]
+    s = 2j * np.pi * 0.01 / period
+    shown = system.C @ np.linalg.solve(s * np.eye(system.nstates) - system.A, system.B[:, inputs])
+    mixing = np.array([[one.get(name, 0.0) for name in names] for one in weights])
+    effect = np.real(s**order * (mixing @ shown))
+    own = np.array([signals.gimbals.index(str(torquer.gimbal)) for torquer in signals.torquers])
+    mobility = np.diag(inverse_inertia(model.M[np.ix_(rows, rows)], signals.gimbals))[own]
+    sizes = np.linalg.svd(effect, compute_uv=False)
+    if len(signals.sensors) < len(own) or not sizes[-1] > _SEEN * sizes[0]:
+        raise ArgumentError(
+            f"sensors: {', '.join(sensor.name for sensor in signals.sensors)} do not show what each of the torquers "
+            f"{', '.join(torquer.name for torquer in signals.torquers)} does; add a sensor, or leave out a torquer"
+        )
+    carried = [r for r in platform.rotors if r.carrier in signals.gimbals and r.spin != 0.0]
+    return Channels(
+        basis=np.eye(len(own)),
+        momenta=np.zeros(0),
+        inertias=1.0 / mobility,
+        spins=np.array([abs(rotor.spin) for rotor in carried]),
+        order=order,
+        sense=mobility[:, None] * np.linalg.pinv(effect),
+    )
 
 
 @value
@@ -179,70 +310,130 @@ class LinearPlants:
     ----------
     cases
         What each of them is, the nominal plant first.
-    torquers, pickoffs
-        Of the loop's gimbals, in the loop's order.
-    A, B, C, D, B_Omega
-        Continuous; shapes (N, n, n), (N, n, m), (N, p, n), (N, p, m), (N, n, 3).
+    signals
+        What the loop turns, reads and sets.
+    A, B, C, D, B_Omega, D_Omega
+        Continuous; shapes (N, n, n), (N, n, m), (N, p, n), (N, p, m), (N, n, 3), (N, p, 3).
+    C_sight, D_sight
+        Of the line of sight, (N, q, n) and, from torques and Omega, (N, q, m + 3).
     states
         Names of the n states.
     """
 
     cases: tuple[Case, ...]
-    torquers: tuple[Torquer, ...]
-    pickoffs: tuple[PickOff, ...]
+    signals: LoopSignals
     A: FloatArray
     B: FloatArray
     C: FloatArray
     D: FloatArray
     B_Omega: FloatArray
+    D_Omega: FloatArray
+    C_sight: FloatArray
+    D_sight: FloatArray
     states: tuple[str, ...]
 
+    @property
+    def torquers(self) -> tuple[Torquer, ...]:
+        """Torquers of the loop, in its order."""
+        return self.signals.torquers
 
-def linear_plants(platform: Platform, gimbals: tuple[str, ...], plants: Sequence[Case]) -> LinearPlants:
-    """Linearise `plants`: one torquer and one pick-off on each of `gimbals`, in that order."""
-    torquers = [platform.torquer_on(name) for name in gimbals]
-    pickoffs = [platform.pickoff_on(name) for name in gimbals]
-    torques, angles = [t.name for t in torquers], [s.name for s in pickoffs]
-    systems = [state_space(linearise(one.platform, Omega=one.Omega), gimbals=gimbals) for one in plants]
-    acting = [system[angles, torques] for system in systems]
-    A, B, C, D = (np.array([getattr(system, name) for system in acting]) for name in "ABCD")
+    @property
+    def sensors(self) -> tuple[Sensor, ...]:
+        """Sensors of the loop, in its order."""
+        return self.signals.sensors
+
+
+def linear_plants(signals: LoopSignals, plants: Sequence[Case]) -> LinearPlants:
+    """Linearise `plants`, and keep what a loop sets, reads and shows."""
+    torques, sensors = [t.name for t in signals.torquers], [s.name for s in signals.sensors]
+    inputs, p, m = [*torques, *OMEGA_NAMES], len(sensors), len(torques)
+    systems = []
+    for one in plants:
+        rates = None if one.rate is None else np.full(len(one.platform.gimbals), one.rate)
+        model = linearise(one.platform, Omega=one.Omega, q=one.q, rate_amplitude=rates)
+        bare = state_space(model, gimbals=signals.gimbals, others="held" if signals.held else "coupled")
+        systems.append(observed(bare, one.platform, [*sensors, *signals.sight], model.q0, model.Omega0))
+    columns = [systems[0].input_labels.index(name) for name in inputs]
+    A, C = (np.array([getattr(system, name) for system in systems]) for name in "AC")
+    B, D = (np.array([getattr(system, name)[:, columns] for system in systems]) for name in "BD")
+    states = list(systems[0].state_labels)
+    if signals.held:
+        kept = seen_states(A, C)
+        A, B, C, states = A[:, kept][:, :, kept], B[:, kept], C[:, :, kept], [states[k] for k in kept]
+    torque = np.array([one.torque for one in plants])[:, None, :]
     return LinearPlants(
         cases=tuple(plants),
-        torquers=tuple(torquers),
-        pickoffs=tuple(pickoffs),
+        signals=signals,
         A=A,
-        B=B * np.array([one.torque for one in plants])[:, None, :],
-        C=C,
-        D=D,
-        B_Omega=np.array([system[angles, list(OMEGA_NAMES)].B for system in systems]),
-        states=tuple(systems[0].state_labels),
+        B=B[..., :m] * torque,
+        C=C[:, :p],
+        D=D[:, :p, :m] * torque,
+        B_Omega=B[..., m:],
+        D_Omega=D[:, :p, m:],
+        C_sight=C[:, p:],
+        D_sight=np.concatenate([D[:, p:, :m] * torque, D[:, p:, m:]], axis=-1),
+        states=tuple(states),
     )
 
 
 def sampled_plants(linear: LinearPlants, sampling: Sampling, Omega: FloatArray) -> PlantSet:
     """Sample linear plants; `Omega` is the largest platform rate about each axis, rad/s."""
-    torques, angles = (tuple(one.name for one in part) for part in (linear.torquers, linear.pickoffs))
+    torques, names = (tuple(one.name for one in part) for part in (linear.torquers, linear.sensors))
     A, lags = linear.A, np.array([t.lag for t in linear.torquers])
+    p, m = len(names), len(torques)
     _expect_slow(A, linear.cases, sampling.period)
-    arrays = sampled(StateArrays(A, linear.B, linear.C, linear.D, 0.0), sampling.period, sampling.delay, lags)
+    C, D = (
+        np.concatenate([linear.C, linear.C_sight], axis=1),
+        np.concatenate([linear.D, linear.D_sight[..., :m]], axis=1),
+    )
+    arrays = sampled(StateArrays(A, linear.B, C, D, 0.0), sampling.period, sampling.delay, lags)
+    B_Omega = held_rate(A, linear.B_Omega, sampling.period, arrays.A.shape[-1])
+    D_Omega = np.concatenate([linear.D_Omega, linear.D_sight[..., m:]], axis=1)
+    states = sampled_states(linear.states, torques, lags, arrays.A.shape[-1])
+    late = [sensor.periods_late(sampling.period) for sensor in linear.sensors]
+    whole = late_outputs(
+        arrays._replace(B=np.concatenate([arrays.B, B_Omega], axis=-1), D=np.concatenate([arrays.D, D_Omega], axis=-1)),
+        [*late, *(0 for _ in linear.signals.sight)],
+    )
     return plant_set(
-        arrays,
+        StateArrays(whole.A, whole.B[..., :m], whole.C[:, :p], whole.D[:, :p, :m], sampling.period),
         labels=tuple(one.label for one in linear.cases),
         torques=torques,
-        angles=angles,
-        nutation=reference_frequency(A[0], sampling.period),
-        noise=np.array([s.sampled_noise(sampling.period) for s in linear.pickoffs]),
+        angles=names,
+        nutation=loop_reference(linear, sampling.period),
+        noise=np.array([s.sampled_noise(sampling.period) for s in linear.sensors]),
         groups=tuple(one.group for one in linear.cases),
-        B_Omega=held_rate(A, linear.B_Omega, sampling.period, arrays.A.shape[-1]),
+        B_Omega=whole.B[..., m:],
         Omega=Omega,
         torque_limit=np.array([np.inf if t.limit is None else t.limit for t in linear.torquers]),
-        states=sampled_states(linear.states, torques, lags, arrays.A.shape[-1]),
+        states=[*states, *late_states(names, late)],
+        D_Omega=whole.D[:, :p, m:],
+        sight=linear.signals.sight,
+        C_sight=whole.C[:, p:],
+        D_sight=whole.D[:, p:],
     )
 
 
-def loop_plants(job: Job, gimbals: tuple[str, ...]) -> PlantSet:
-    """Return the sampled plants of the loop on `gimbals`: one torquer and one pick-off on each, in the loop's order."""
-    return sampled_plants(linear_plants(job.platform, gimbals, cases(job, gimbals)), job.sampling, job.Omega)
+def loop_reference(linear: LinearPlants, period: float) -> float:
+    """Return the frequency that grids go by: of caged gimbals and those that carry rotors their fastest motion."""
+    carried = _carried(linear.cases[0].platform, linear.signals.gimbals)
+    angles = {gimbal.angle for gimbal in linear.cases[0].platform.gimbals}
+    own = [k for k, name in enumerate(linear.states) if name.removeprefix("p_") in angles]
+    moving = bool(carried) or not linear.signals.held
+    return reference_frequency(linear.A[0][np.ix_(own, own)] if moving else np.zeros((1, 1)), period)
+
+
+def loop_plants(job: Job, loop: LoopSpec | tuple[str, ...]) -> PlantSet:
+    """Return the sampled plants of a loop, or of the caging loop on some gimbals, signals in the loop's order."""
+    platform = job.platform
+    signals = loop_signals(platform, loop) if isinstance(loop, LoopSpec) else caging_signals(platform, loop)
+    plants = cases(job, signals.gimbals)
+    if signals.held:
+        # These loops keep a body still while the platform turns about it: its rate is a disturbance, no constant at
+        # which the gimbals rest. Friction brings it in.
+        plants = [one for one in plants if one.group != "Omega"]
+        plants += _with_friction(job, [one for one in plants if one.group in ("nominal", "angles")])
+    return sampled_plants(linear_plants(signals, plants), job.sampling, job.Omega)
 
 
 def _expect_slow(A: FloatArray, plants: Sequence[Case], period: float) -> None:

@@ -5,13 +5,14 @@ Like the checks of the plant, these read the plain data and pass over what the s
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, get_args
 
 from platform_ctrl.analysis.metrics import METRICS
 from platform_ctrl.job.budget_checks import budget_mistakes
 from platform_ctrl.job.job import Job, manoeuvre_scenario
-from platform_ctrl.job.methods import METHODS
+from platform_ctrl.job.methods import METHODS, LoopKind
 from platform_ctrl.job.parameter_limits import misfits
 from platform_ctrl.job.requirements import limit_keys
 from platform_ctrl.job.run_checks import run_mistakes
@@ -143,6 +144,7 @@ def job_mistakes(data: Data, platform: Platform | None) -> list[Mistake]:
         *unique_names(data, (), "fault"),
         *_sampling(data),
         *_sets(data),
+        *_trims(data, platform),
         *_designs(data),
         *_loops(data, platform),
         *run_mistakes(data, platform),
@@ -171,6 +173,34 @@ def _sets(data: Data) -> Iterator[Mistake]:
             yield from _limits(limits, ("loop", i, table), isinstance(faults, dict) and bool(faults))
 
 
+# Combinations of gimbal angles at most: each is a plant for every corner of the uncertainty.
+MOST_TRIMS = 200
+
+
+def _trims(data: Data, platform: Platform | None) -> Iterator[Mistake]:
+    """Judge the gimbal angles at which the loops have to work."""
+    operation = data.get("operation")
+    angles = operation.get("angles") if isinstance(operation, dict) else None
+    if not isinstance(angles, dict) or platform is None:
+        return
+    count = 1
+    for name, values in angles.items():
+        path: Path = ("operation", "angles", name)
+        if name not in platform.angle_names:
+            yield Mistake(path, f"{name} is no angle of the plant; {suggestion(name, platform.angle_names)}")
+            continue
+        numbers = [number_of({"x": x}, "x") for x in values] if isinstance(values, list) else []
+        stops = platform.gimbals[platform.angle_names.index(name)].stops or (-math.inf, math.inf)
+        outside = [x for x in numbers if x is not None and not stops[0] <= x <= stops[1]]
+        if outside:
+            words = f"{name}: {outside[0]:g} rad is outside the stops, {stops[0]:.6g} to {stops[1]:.6g} rad"
+            yield Mistake(path, f"{words}; choose angles between them")
+        count *= max(len(set(numbers)), 1)
+    if count > MOST_TRIMS:
+        words = f"angles: {count} combinations of gimbal angles are more than {MOST_TRIMS}; give fewer angles"
+        yield Mistake(("operation", "angles"), words)
+
+
 def _limits(limits: Data, path: Path, faults: bool) -> Iterator[Mistake]:
     known = limit_keys()
     for key in sorted(limits):
@@ -181,9 +211,13 @@ def _limits(limits: Data, path: Path, faults: bool) -> Iterator[Mistake]:
             yield Mistake((*path, key), words)
     for metric in METRICS.values():
         edge = metric.frequency_key
-        for key, other in ((edge, metric.key), (metric.key, edge if metric.needs_frequency else "")):
-            if other and key in limits and other not in limits:
-                yield Mistake((*path, other), f'the key "{other}" is missing; {key} has no effect without it')
+        keys = [key for key, (kind, scope) in known.items() if METRICS[kind] is metric and scope != "hz"]
+        of = [key for key in keys if key in limits]
+        if edge and edge in limits and not of:
+            words = f'the key "{metric.key}" is missing; {edge} has no effect without it'
+            yield Mistake((*path, metric.key), words)
+        elif of and metric.needs_frequency and edge not in limits:
+            yield Mistake((*path, edge), f'the key "{edge}" is missing; {of[0]} has no effect without it')
 
 
 def _sampling(data: Data) -> Iterator[Mistake]:
@@ -232,8 +266,8 @@ def _design(design: Data, path: Path, kind: str | None) -> Iterator[Mistake]:
         yield Mistake(
             (*path, "tune"), f"tune must be false: method {given(key)} has no tuner; methods that have one: {tuned}"
         )
-    if kind in ("caging", "stabilisation") and method.kind != kind:
-        expected = " or ".join(given(name) for name in METHODS if METHODS[name].kind == kind)
+    if kind in get_args(LoopKind) and kind not in method.kinds:
+        expected = " or ".join(given(name) for name, one in METHODS.items() if kind in one.kinds)
         yield Mistake((*path, "method"), f"method must be one for a {kind} loop, {expected}, got {given(key)}")
 
 
@@ -250,12 +284,20 @@ def _loops(data: Data, platform: Platform | None) -> Iterator[Mistake]:
                     words = f"a caging loop must be before the stabilisation loop, [[loop]] {stabilisation + 1}"
                     yield Mistake((*path, "kind"), f"kind: {words}, which uses the torques of the caged gyros")
                 yield from _caged_gimbals(loop["gimbals"], (*path, "gimbals"), i, caged_by, platform)
+                yield from _useless(loop, path, "caging", ("sensors", "torquers", "around"))
+            case "rate" | "pointing" as kind:
+                yield from _useless(loop, path, kind, ("around",))
+                yield from _signals_of(loop, path, kind, platform)
+            case "tracking":
+                yield from _useless(loop, path, "tracking", ("gimbals", "torquers"))
+                yield from _tracking(data, loop, path, i, platform)
             case "stabilisation":
                 if "gimbals" in loop:
                     words = (
                         f"gimbals = {given(loop['gimbals'])} has no effect in a stabilisation loop; leave the key out"
                     )
                     yield Mistake((*path, "gimbals"), words)
+                yield from _useless(loop, path, "stabilisation", ("sensors", "torquers", "around"))
                 limits = loop.get("limits")
                 known = limit_keys()
                 fitting = ", ".join(sorted(key for key, (metric, _) in known.items() if METRICS[metric].of_torquers))
@@ -274,6 +316,65 @@ def _loops(data: Data, platform: Platform | None) -> Iterator[Mistake]:
                 else:
                     stabilisation = i
                     yield from _root_torquers((*path, "kind"), platform)
+
+
+def _useless(loop: Data, path: Path, kind: str, keys: tuple[str, ...]) -> Iterator[Mistake]:
+    for key in keys:
+        if key in loop:
+            yield Mistake((*path, key), f"{key} = {given(loop[key])} has no effect in a {kind} loop; leave the key out")
+
+
+def _names_of(loop: Data, key: str) -> list[str]:
+    names = loop.get(key, [])
+    return [name for name in names if isinstance(name, str)] if isinstance(names, list) else []
+
+
+def _signals_of(loop: Data, path: Path, kind: str, platform: Platform | None) -> Iterator[Mistake]:
+    """Judge what a rate or pointing loop turns, reads and sets."""
+    for key, words in (("gimbals", "the gimbals that the loop turns"), ("sensors", "what the loop reads")):
+        if not _names_of(loop, key):
+            yield Mistake((*path, key), f"{key} must be a list of names, {words}")
+    if platform is None:
+        return
+    unit = "rad/s" if kind == "rate" else "rad"
+    fitting = [sensor.name for sensor in platform.sensors if sensor.unit == unit]
+    every = [sensor.name for sensor in platform.sensors]
+    torquers = {t.name: t.gimbal for t in platform.torquers if t.gimbal is not None}
+    for name in _names_of(loop, "gimbals"):
+        if name not in platform.gimbal_names:
+            words = f"gimbals: {given(name)} is no gimbal of the plant; {suggestion(name, platform.gimbal_names)}"
+            yield Mistake((*path, "gimbals"), words)
+        elif "torquers" not in loop and name not in torquers.values():
+            yield Mistake((*path, "gimbals"), f"gimbals: {given(name)} has no torquer in the plant; add a [[torquer]]")
+    for name in _names_of(loop, "sensors"):
+        if name in fitting:
+            continue
+        what = (
+            f"measures {'an angle' if unit == 'rad/s' else 'a rate'}" if name in every else "is no sensor of the plant"
+        )
+        wanted = f"a {kind} loop reads sensors of {'rates' if unit == 'rad/s' else 'angles'}"
+        yield Mistake((*path, "sensors"), f"sensors: {given(name)} {what}; {wanted}; {suggestion(name, fitting)}")
+    for name in _names_of(loop, "torquers"):
+        if torquers.get(name) not in _names_of(loop, "gimbals"):
+            words = f"torquers: {given(name)} is no torquer on a gimbal of the loop; {suggestion(name, torquers)}"
+            yield Mistake((*path, "torquers"), words)
+
+
+def _tracking(data: Data, loop: Data, path: Path, number: int, platform: Platform | None) -> Iterator[Mistake]:
+    """Judge a tracking loop: what it reads, and the rate loop that it commands."""
+    if not _names_of(loop, "sensors"):
+        yield Mistake((*path, "sensors"), "sensors must be a list of names, what the loop reads")
+    if platform is not None:
+        fitting = [sensor.name for sensor in platform.sensors if sensor.unit == "rad"]
+        for name in _names_of(loop, "sensors"):
+            if name not in fitting:
+                words = f"sensors: {given(name)} is no sensor of an angle; {suggestion(name, fitting)}"
+                yield Mistake((*path, "sensors"), words)
+    inner = [text_of(one, "name") or "" for k, one in tables(data, "loop") if k < number and one.get("kind") == "rate"]
+    around = text_of(loop, "around")
+    if around not in inner:
+        words = f"around must be the name of a rate loop before this one, got {given(loop.get('around'))}"
+        yield Mistake((*path, "around"), f"{words}; {suggestion(around or '', inner)}")
 
 
 def _caged_gimbals(

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import field
+from itertools import product
 from typing import Annotated, Literal, get_args
 
 import numpy as np
 
 from platform_ctrl.analysis.metrics import RUN_METRICS
 from platform_ctrl.common.signatures import check_arguments
-from platform_ctrl.common.values import input_value
+from platform_ctrl.common.values import FloatArray, input_value
 from platform_ctrl.job.budget import Budget
 from platform_ctrl.job.faults import Fault
 from platform_ctrl.job.methods import METHODS
@@ -28,6 +29,7 @@ MOST_LOOPS, MOST_VIBRATIONS = 100, 20
 _RATE_HZ = Instead("rate_hz", fields.FREQUENCY, lambda rate, _: 1.0 / rate)
 _LIMITS = Shape(dict, {name: Key(fields.POSITIVE, name) for name in RUN_METRICS})
 _LOOP_LIMITS = Shape(dict, {}, others=("", fields.POSITIVE))  # which keys there are, METRICS says: see job.checks
+_ANGLES = Shape(dict, {}, others=("", fields.NUMBERS))
 _INITIAL = Shape(dict, {}, others=("", fields.NUMBER))
 
 
@@ -111,8 +113,16 @@ class LoopSpec:
 
     Attributes
     ----------
-    name, kind, gimbals
-        Which loop, on which gimbals.
+    name, kind
+        Which loop: ``"caging"`` keeps gimbals at zero against the platform; ``"rate"`` keeps rates that sensors measure
+        at zero or at the command of a loop around it, ``"pointing"`` angles; ``"tracking"`` commands a rate loop by the
+        angle that a tracker measures; ``"stabilisation"`` keeps the platform at rest.
+    gimbals
+        That the loop's torquers turn; all others are held in its plants.
+    sensors, torquers
+        What a rate, pointing or tracking loop reads and sets; no torquers: the first one on each gimbal.
+    around
+        The rate loop that a tracking loop commands.
     designs, use
         By which methods, and the name of the design that is closed.
     limits
@@ -126,10 +136,18 @@ class LoopSpec:
     name: fields.SystemName
     kind: Annotated[LoopKind, fields.one_of(get_args(LoopKind))]
     gimbals: fields.Names = ()
+    sensors: fields.Names = ()
+    torquers: fields.Names = ()
+    around: fields.Text | None = None
     designs: Annotated[tuple[DesignSpec, ...], Array("design", least=1, most=MOST_LOOPS)]
     use: fields.Text
     limits: Annotated[dict[str, float], _LOOP_LIMITS] = field(default_factory=dict)
     soft: Annotated[dict[str, float], _LOOP_LIMITS] = field(default_factory=dict)
+
+    @property
+    def has_plants(self) -> bool:
+        """Whether the loop has plants of its own; else it is checked in the coupled system alone."""
+        return self.kind != "stabilisation"
 
 
 @input_value
@@ -290,6 +308,9 @@ class Job:
         What everything random in design and simulation is drawn from.
     Omega_grid
         Number of points between −Omega and Omega about each axis; 2: the corners alone.
+    angles
+        Gimbal angles at which the loops have to work, rad, by the names of the angles; angles that are not named stay
+        at zero. With several, every combination counts.
     campaign
         Many runs, or None.
     budget
@@ -302,6 +323,7 @@ class Job:
     Omega: Annotated[fields.Rates, At("operation", "Omega")]
     Omega_grid: Annotated[fields.GridPoints, At("operation", "Omega_grid")] = 2
     seed: Annotated[fields.Seed, At("operation", "seed")] = 0
+    angles: Annotated[dict[str, tuple[float, ...]], At("operation", "angles"), _ANGLES] = field(default_factory=dict)
     uncertainty: Annotated[Uncertainty, TABLE] = field(default_factory=Uncertainty)
     faults: Annotated[Faults, TABLE] = field(default_factory=Faults)
     sampling: Annotated[Sampling, TABLE]
@@ -311,6 +333,13 @@ class Job:
     fault_events: Annotated[tuple[Fault, ...], Array("fault")] = ()
     campaign: Annotated[Campaign | None, TABLE] = None
     budget: Annotated[Budget | None, TABLE] = None
+
+    @property
+    def trims(self) -> tuple[FloatArray, ...]:
+        """Gimbal angles (n,) at which the loops have to work, rad: zero first, then all combinations of `angles`."""
+        names = self.platform.angle_names
+        lists = [sorted(set(self.angles.get(name, (0.0,)))) for name in names]
+        return (np.zeros(len(names)), *(np.array(q) for q in product(*lists) if any(q)))
 
     @property
     def campaign_manoeuvres(self) -> tuple[tuple[Manoeuvre, float], ...]:

@@ -17,7 +17,7 @@ from platform_ctrl.common.values import value
 from platform_ctrl.errors import ArgumentError
 
 Structure = Literal["cross-axis", "pid", "state-space"]
-LoopKind = Literal["caging", "stabilisation"]
+LoopKind = Literal["caging", "rate", "pointing", "tracking", "stabilisation"]
 
 OptionGroup = Literal["gains", "lead", "notch", "lag", "design"]
 # A function, or where it is: "module:name" is imported on first use, so that reading a job needs no design.
@@ -62,7 +62,7 @@ class DesignMethod:
     ----------
     key
         What ``method`` is in the job file.
-    kind
+    kinds
         Which loops it designs.
     design
         `design.loop.LoopProblem` -> `design.loop.Designed`, or where that function is, as ``"module:name"``.
@@ -88,7 +88,7 @@ class DesignMethod:
     """
 
     key: str
-    kind: LoopKind = "caging"
+    kinds: tuple[LoopKind, ...] = ("caging", "rate", "pointing", "tracking")
     design: Reference
     options: Mapping[str, Option]
     defaults: Reference | None = None
@@ -160,6 +160,15 @@ _CLASSICAL: dict[str, Option] = {
     "lag_ratio": Option(
         label="lag ratio", group="lag", tip="by how much it raises it", low=1.01, high=100.0, part="lag"
     ),
+}
+_RATE: dict[str, Option] = {
+    "crossover_hz": _hz("crossover", "gains", "where each channel crosses over", high=0.2),
+    "integral_hz": _hz("integral", "gains", "below this frequency the integral acts"),
+    "double_integral_hz": _hz(
+        "second integral", "gains", "below this frequency a second integral acts, against friction", part="second"
+    ),
+    "rolloff_hz": _hz("roll-off", "lead", "pole of the low-pass behind", high=0.45),
+    **{name: option for name, option in _CLASSICAL.items() if name.startswith(("notch_", "lag_"))},
 }
 _SERVO: dict[str, Option] = {
     "crossover_hz": _hz("crossover", "gains", "where the rate loop of the platform crosses over", high=0.1),
@@ -244,6 +253,7 @@ def known_method(key: str) -> DesignMethod:
 register_method(
     DesignMethod(
         key="classical",
+        kinds=("caging", "pointing"),
         design="platform_ctrl.design.classical.caging:classical_design",
         options=_CLASSICAL,
         defaults="platform_ctrl.design.classical.caging:default_options",
@@ -268,6 +278,24 @@ register_method(
             "lag": ("lag", "raises the gain at low frequencies"),
             "notch": ("notch", "takes gain out of the cross-axis path, at nutation as a rule"),
             "spin_notch": ("spin notch", "keeps what an unbalanced rotor shakes from the torquers"),
+        },
+    )
+)
+register_method(
+    DesignMethod(
+        key="pi",
+        kinds=("rate", "tracking"),
+        design="platform_ctrl.design.classical.rate:rate_design",
+        options=_RATE,
+        defaults="platform_ctrl.design.classical.rate:rate_options",
+        advice="a lower crossover_hz, or tune = true",
+        tunable=("crossover_hz", "integral_hz", "double_integral_hz", "notch_hz", "notch_depth", "notch_width"),
+        tunes=True,
+        instant=True,
+        parts={
+            "second": ("second integral", "takes out what dry friction does at low frequencies"),
+            "lag": ("lag", "raises the gain at low frequencies"),
+            "notch": ("notch", "takes gain out at a resonance"),
         },
     )
 )
@@ -303,7 +331,7 @@ register_method(
 register_method(
     DesignMethod(
         key="platform-servo",
-        kind="stabilisation",
+        kinds=("stabilisation",),
         design="platform_ctrl.design.classical.stabilisation:platform_servo",
         options=_SERVO,
         advice="a lower crossover_hz",

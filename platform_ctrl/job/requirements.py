@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 __all__ = ["requirement"]
 
 NOMINAL: tuple[Group, ...] = ("nominal",)
-WORST_CASE: tuple[Group, ...] = ("nominal", "uncertainty", "Omega")
+WORST_CASE: tuple[Group, ...] = ("nominal", "uncertainty", "Omega", "angles", "friction")
 FAULTS: tuple[Group, ...] = ("nominal", "faults")
 # Groups of plants by the ending of a limit's key, and how a name says them.
 SCOPES: dict[str, tuple[Group, ...]] = {"": NOMINAL, "worst_case": WORST_CASE, "faults": FAULTS}
@@ -90,7 +90,7 @@ class LoopRequirement(Requirement):
         ArgumentError
             `metrics` were measured without this requirement.
         """
-        return metrics.values(self) / self.metric.scale
+        return self.metric.in_unit(metrics.values(self))
 
     @check_arguments
     def ratios(self, metrics: LoopMetrics) -> FloatArray:
@@ -191,7 +191,7 @@ class LoopRequirement(Requirement):
                 f"{self.name} is about {', '.join(self.over)}; the set of plants must have such ones, here "
                 f"{', '.join(dict.fromkeys(plants.groups))}"
             )
-        values = measured(LoopSet(plants, K), self, exact=True) / self.metric.scale
+        values = self.metric.in_unit(measured(LoopSet(plants, K), self, exact=True))
         return self._worst(plants, values, subject, design, True)
 
     @check_arguments
@@ -253,7 +253,7 @@ class LoopRequirement(Requirement):
         return self._single(loop, f"controller with {arrays.A.shape[0]} states", subject, design)
 
     def _single(self, loop: SingleLoop, evidence: str, subject: str, design: str) -> CheckResult:
-        found = exact_value(loop, self) / self.metric.scale
+        found = float(self.metric.in_unit(exact_value(loop, self)))
         return self.judge(found, subject=subject, design=design, stage="decoupled", evidence=evidence, method="exact")
 
 

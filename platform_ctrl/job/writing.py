@@ -26,7 +26,12 @@ def job_data(job: Job) -> dict[str, Any]:
     data: dict[str, Any] = {
         "schema": JOB_SCHEMA,
         "name": job.name,
-        "operation": {"Omega": job.Omega.tolist(), "Omega_grid": job.Omega_grid, "seed": job.seed},
+        "operation": {
+            "Omega": job.Omega.tolist(),
+            "Omega_grid": job.Omega_grid,
+            "seed": job.seed,
+            **({"angles": {name: list(values) for name, values in job.angles.items()}} if job.angles else {}),
+        },
         "uncertainty": {
             "inertia": job.uncertainty.inertia,
             "spin": job.uncertainty.spin,
@@ -44,7 +49,8 @@ def job_data(job: Job) -> dict[str, Any]:
             {
                 "name": spec.name,
                 "kind": spec.kind,
-                **({"gimbals": list(spec.gimbals)} if spec.gimbals else {}),
+                **{key: list(getattr(spec, key)) for key in ("gimbals", "sensors", "torquers") if getattr(spec, key)},
+                **_given({"around": spec.around}),
                 "use": spec.use,
                 "limits": dict(spec.limits),
                 **({"soft": soft} if soft else {}),

@@ -14,7 +14,7 @@ from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.design.caging_claims import with_caging_claims
 from platform_ctrl.design.jobs import LoopOutcome
 from platform_ctrl.design.loop import LoopDesign, remeasured
-from platform_ctrl.design.plants import plants_of
+from platform_ctrl.design.plants import loop_signals, plants_of
 from platform_ctrl.errors import InputError
 from platform_ctrl.job.job import Job, LoopSpec
 from platform_ctrl.plant.mistakes import given, suggestion
@@ -138,7 +138,8 @@ def _outcome(job: Job, spec: LoopSpec, closed: control.StateSpace, others: Seque
         if plants is None:
             designs.append(LoopDesign(loop=spec.name, name=name, method="given", controller=K))
         else:
-            designs.append(with_caging_claims(job, remeasured(spec, name, K, plants), closed=not designs))
+            made = remeasured(spec, name, K, plants)
+            designs.append(with_caging_claims(job, made, closed=not designs) if spec.kind == "caging" else made)
     return LoopOutcome(spec=spec, designs=tuple(designs), use=designs[0].name)
 
 
@@ -152,10 +153,10 @@ def _free_name(name: str, taken: Sequence[str]) -> str:
 
 
 def _torques(job: Job, spec: LoopSpec) -> set[str]:
-    """Return the torquers of a loop: of a caging loop the first on every gimbal, as it is designed."""
+    """Return the torquers of a loop, as it is designed."""
     if spec.kind == "stabilisation":
         return {t.name for t in job.platform.torquers if t.root_axis is not None}
-    return {job.platform.torquer_on(gimbal).name for gimbal in spec.gimbals}
+    return {torquer.name for torquer in loop_signals(job.platform, spec).torquers}
 
 
 def _loop_of(job: Job, K: control.StateSpace) -> LoopSpec:
@@ -163,11 +164,11 @@ def _loop_of(job: Job, K: control.StateSpace) -> LoopSpec:
     for spec in job.loops:
         if outputs != _torques(job, spec):
             continue
-        pickoffs = {job.platform.pickoff_on(gimbal).name for gimbal in spec.gimbals}
-        if pickoffs and set(K.input_labels) != pickoffs:
+        read = {s.name for s in loop_signals(job.platform, spec).sensors} if spec.has_plants else set()
+        if read and set(K.input_labels) != read:
             raise InputError(
                 f"controller {given(K.name)}: inputs {', '.join(K.input_labels)}; the loop {given(spec.name)} is "
-                f"measured with {', '.join(sorted(pickoffs))}: give just these"
+                f"measured with {', '.join(sorted(read))}: give just these"
             )
         return spec
     loops = "; ".join(f"{spec.name}: {', '.join(sorted(_torques(job, spec)))}" for spec in job.loops)

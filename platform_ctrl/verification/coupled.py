@@ -9,11 +9,11 @@ which no loop is closed.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, named_system, state_arrays
+from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, named_system, seen_states, state_arrays
 from platform_ctrl.analysis.feedback import closed_loop, loop_transfer
 from platform_ctrl.analysis.interconnection import interconnect_controllers
 from platform_ctrl.analysis.margins import DiskMargin, disk_margin, loop_margins
@@ -23,10 +23,11 @@ from platform_ctrl.analysis.sampling import late_outputs, late_states, sampled
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.text import at_most
 from platform_ctrl.common.values import FloatArray, value
+from platform_ctrl.design.plants import at_angles
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.judging import STABLE, CheckResult, Method, Requirement
 from platform_ctrl.job.requirements import loop_requirements
-from platform_ctrl.mechanics.linearisation import LinearModel
+from platform_ctrl.mechanics.linearisation import LinearModel, linearise
 from platform_ctrl.mechanics.outputs import observed
 from platform_ctrl.mechanics.state_space import state_space, subsystems
 from platform_ctrl.plant.platform import OMEGA_NAMES
@@ -137,6 +138,7 @@ def coupled_check(job: Job, model: LinearModel, controllers: Sequence[control.St
     simultaneous = disk_margin(loop_transfer(plant, K, at="input"))
     of_torquers = _torquer_metrics(job, loop, len(channels))
     decay = -float(spectral_abscissa(continuous_poles(z, job.sampling.period)))
+    worst = _worst_trims(job, controllers, decay, simultaneous)
     return CoupledCheck(
         plant=plant,
         controller=K,
@@ -148,8 +150,39 @@ def coupled_check(job: Job, model: LinearModel, controllers: Sequence[control.St
         cost=cost,
         simultaneous=simultaneous,
         of_torquers=of_torquers,
-        results=coupled_results(job, decay, channels, cost, (simultaneous.guaranteed, simultaneous.upper), of_torquers),
+        results=coupled_results(
+            job,
+            worst.decay,
+            channels,
+            cost,
+            (worst.simultaneous.guaranteed, worst.simultaneous.upper),
+            of_torquers,
+            at=(worst.decay_at, worst.margin_at),
+        ),
     )
+
+
+class _Worst(NamedTuple):
+    """The slowest decay and the least simultaneous margin over the job's gimbal angles, and where they are."""
+
+    decay: float
+    decay_at: str
+    simultaneous: DiskMargin
+    margin_at: str
+
+
+def _worst_trims(job: Job, controllers: Sequence[control.StateSpace], decay: float, simultaneous: DiskMargin) -> _Worst:
+    out = _Worst(decay, "", simultaneous, "")
+    for q in job.trims[1:]:
+        plant = coupled_plant(job, linearise(job.platform, q=q), controllers)
+        K, where = one_controller(job, controllers, plant), f", {at_angles(job.platform, q)}"
+        own = -float(spectral_abscissa(continuous_poles(poles(closed_loop(plant, K).A), job.sampling.period)))
+        margin = disk_margin(loop_transfer(plant, K, at="input"))
+        if own < out.decay:
+            out = out._replace(decay=own, decay_at=where)
+        if margin.guaranteed < out.simultaneous.guaranteed:
+            out = out._replace(simultaneous=margin, margin_at=where)
+    return out
 
 
 def coupled_plant(job: Job, model: LinearModel, controllers: Sequence[control.StateSpace]) -> control.StateSpace:
@@ -169,11 +202,23 @@ def coupled_plant(job: Job, model: LinearModel, controllers: Sequence[control.St
         system = state_space(model, gimbals=gimbals)
         torquers = [t for t in job.platform.torquers if t.gimbal in gimbals]
         angles = [g.angle for g in job.platform.gimbals if g.name in gimbals]
+    read = {name for K in controllers for name in K.input_labels}
+    angles = [name for name in angles if name in read or name not in drifting_angles(job)]
     outputs = [*angles, *sensed_rates(job, controllers)]
-    part = observed(system, job.platform, outputs, model.q0, model.Omega0)[outputs, [t.signal for t in torquers]]
-    arrays = StateArrays(part.A, part.B, part.C, part.D, 0.0)
-    named = named_system(arrays, [t.name for t in torquers], outputs, list(part.state_labels))
+    whole = observed(system, job.platform, outputs, model.q0, model.Omega0)
+    columns = [whole.input_labels.index(t.signal) for t in torquers]
+    kept = seen_states(whole.A[None], whole.C[None]) if drifting_angles(job) else range(whole.nstates)
+    arrays = StateArrays(
+        whole.A[np.ix_(kept, kept)], whole.B[np.ix_(kept, columns)], whole.C[:, kept], whole.D[:, columns], 0.0
+    )
+    named = named_system(arrays, [t.name for t in torquers], outputs, [whole.state_labels[k] for k in kept])
     return _read_late(job, sampled(named, job.sampling.period, job.sampling.delay, [t.lag for t in torquers]))
+
+
+def drifting_angles(job: Job) -> set[str]:
+    """Return the angles of gimbals that rate loops turn: they hold the rate of a body, and no angle."""
+    turned = {name for spec in job.loops if spec.kind == "rate" for name in spec.gimbals}
+    return {gimbal.angle for gimbal in job.platform.gimbals if gimbal.name in turned}
 
 
 def _read_late(job: Job, plant: control.StateSpace) -> control.StateSpace:
@@ -294,16 +339,19 @@ def coupled_results(
     simultaneous: tuple[float, float],
     of_torquers: Mapping[str, FloatArray],
     proved: bool = True,
+    at: tuple[str, str] = ("", ""),
 ) -> tuple[CheckResult, ...]:
     """Return the verdicts on the requirements on the coupled system; see `CoupledCheck`.
 
     `simultaneous` are a guaranteed lower and an upper bound of the simultaneous disk margin; `proved` is whether the
-    lower one holds between all frequencies. `of_torquers` is as `torquer_metrics` returns it.
+    lower one holds between all frequencies. `of_torquers` is as `torquer_metrics` returns it. `at` are words for the
+    gimbal angles at which decay and margin are worst.
     """
-    scaling = f"{len(channels)} torquers, guaranteed by diagonal scaling; at most {at_most(simultaneous[1], 4)}"
+    scaling = f"{len(channels)} torquers, guaranteed by diagonal scaling; at most {at_most(simultaneous[1], 4)}{at[1]}"
+    drifting = "; angles that rate loops leave free do not count" if drifting_angles(job) else ""
     costliest = int(np.argmax(cost))
     measured: dict[str, tuple[float, str, Method]] = {
-        STABLE.name: (decay, "poles of the coupled sampled closed loop", "exact"),
+        STABLE.name: (decay, f"poles of the coupled sampled closed loop{at[0]}{drifting}", "exact"),
         COUPLED_METRICS["simultaneous disk margin"].name: (simultaneous[0], scaling, "bound" if proved else "sampled"),
         COUPLED_METRICS["coupling cost"].name: (
             float(cost[costliest]),

@@ -168,7 +168,7 @@ def choice_data(choices: Choices, settings: Settings, plants: tuple[str, ...]) -
 def available_modes(choices: Choices) -> tuple[str, ...]:
     """Return the modes in which a job can be shown."""
     servo = any(
-        METHODS[one].kind == "stabilisation" for methods in choices.methods.values() for one in methods.values()
+        "stabilisation" in METHODS[one].kinds for methods in choices.methods.values() for one in methods.values()
     )
     return _MODES if servo else _MODES[:1]
 

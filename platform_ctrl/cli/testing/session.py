@@ -35,7 +35,7 @@ def requirements_of(job: Job) -> tuple[Subject, ...]:
     """Return subject and name of every requirement that the verdict on `job` will rest on, in its order."""
     out: list[Subject] = []
     for spec in job.loops:
-        if spec.kind == "caging":
+        if spec.has_plants:
             out += [(spec.name, one.name) for one in loop_requirements(spec.limits)]
             out.append((spec.name, PROVED.name))
     out += [(subject, one.name) for subject, one in coupled_requirements(job)]

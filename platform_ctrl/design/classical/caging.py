@@ -189,7 +189,7 @@ def classical_stages(options: dict[str, float], channel: Channels, period: float
     if "spin_notch_hz" in options:
         for k, source in enumerate(inputs):
             inputs[k] = f"quiet_{k + 1}"
-            out.append(_notch(options, "spin_notch", f"_{k + 1}", "rotors' spin", source, inputs[k], period))
+            out.append(notch_stage(options, "spin_notch", f"_{k + 1}", "rotors' spin", source, inputs[k], period))
     pairs = len(channel.momenta)
     for pair in range(pairs):
         out += _pair(options, channel, pair, inputs[2 * pair : 2 * pair + 2], period)
@@ -204,9 +204,9 @@ def _pair(options: dict[str, float], channel: Channels, pair: int, inputs: Seque
     crosses, rates = [], []
     for axis, source in enumerate(inputs, 1):
         name, where = f"_{pair + 1}_{axis}", f"pair {pair + 1}, axis {axis}"
-        out += _integrated(options, name, where, source, period)
+        out += integrated(options, name, where, source, period)
         if "notch_hz" in options:
-            out.append(_notch(options, "notch", name, where, out[-1].outputs[0], f"sharp{name}", period))
+            out.append(notch_stage(options, "notch", name, where, out[-1].outputs[0], f"sharp{name}", period))
         crosses.append(out[-1].outputs[0])
         lead = first_order(1.0, _rad(options, "lead_hz"), 1.0 / _rad(options, "rolloff_hz"), 1.0, period)
         zero, pole = options["lead_hz"], options["rolloff_hz"]
@@ -235,7 +235,7 @@ def _inertial(options: dict[str, float], channel: Channels, k: int, source: str,
     name, where = f"_inertial_{number}", f"inertial direction {number}"
     w0, wz = _rad(options, "inertial_crossover_hz"), _rad(options, "inertial_lead_hz")
     strength = channel.inertias[k] * w0**2 / np.hypot(1.0, w0 / wz)
-    out = _integrated(options, name, where, source, period)
+    out = integrated(options, name, where, source, period)
     lead = first_order(1.0 / wz, 1.0, 1.0 / _rad(options, "inertial_rolloff_hz"), 1.0, period)
     zero, pole = options["inertial_lead_hz"], options["inertial_rolloff_hz"]
     note = f"{where}: (s/wz + 1)/(s/wr + 1), zero at {zero:.6g} Hz, pole at {pole:.6g} Hz, by Tustin's rule"
@@ -245,7 +245,7 @@ def _inertial(options: dict[str, float], channel: Channels, k: int, source: str,
     return out
 
 
-def _integrated(options: dict[str, float], name: str, where: str, source: str, period: float) -> list[Stage]:
+def integrated(options: dict[str, float], name: str, where: str, source: str, period: float) -> list[Stage]:
     """Return the PI of a direction, and behind it the lag where there is one."""
     integral = first_order(1.0, _rad(options, "integral_hz"), 1.0, 0.0, period)
     note = f"{where}: 1 + wi/s, corner at {options['integral_hz']:.6g} Hz, by Tustin's rule"
@@ -258,7 +258,7 @@ def _integrated(options: dict[str, float], name: str, where: str, source: str, p
     return out
 
 
-def _notch(
+def notch_stage(
     options: dict[str, float], option: str, name: str, where: str, source: str, target: str, period: float
 ) -> Stage:
     """Return a notch by the options that begin with `option`."""

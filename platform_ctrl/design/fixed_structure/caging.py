@@ -19,6 +19,8 @@ from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.classical.caging import TUNABLE, classical_controller, starting_values, upper_bounds
+from platform_ctrl.design.classical.rate import rate_controller, rate_options
+from platform_ctrl.design.classical.rate import upper_bounds as rate_bounds
 from platform_ctrl.design.fixed_structure.descent import Found, Search
 from platform_ctrl.design.fixed_structure.parametrised import Parametrised
 from platform_ctrl.design.fixed_structure.pid import PID
@@ -30,6 +32,7 @@ from platform_ctrl.design.partition import Channels, between, first_order, side_
 from platform_ctrl.design.riccati.weighted_loop import hinf_design
 from platform_ctrl.errors import DesignError
 from platform_ctrl.job.job import DesignSpec, Structure
+from platform_ctrl.job.methods import METHODS
 from platform_ctrl.job.requirements import LoopRequirement, hard_and_soft, requirement
 
 # Share of the integral rate that the slowest closed-loop pole keeps: integral action that does not act is none.
@@ -56,8 +59,12 @@ def structured_design(problem: LoopProblem) -> Designed:
     spec, design, channel, plants = problem.spec, problem.design, problem.channel, problem.plants
     structure = design.structure or _DEFAULT
     options = default_options(design, channel, plants.nutation, plants.period)
-    first = starting_values({"integral_hz": options["integral_hz"]}, channel, plants.nutation, plants.period)
-    cross_axis = classical_structure(first, channel, plants.period)
+    kept = {"integral_hz": options["integral_hz"]}
+    if channel.order == 1:
+        cross_axis = rate_structure(kept, channel, plants)
+    else:
+        first = starting_values(kept, channel, plants.nutation, plants.period)
+        cross_axis = classical_structure(first, channel, plants.period)
     full_order = dataclasses.replace(problem, design=DesignSpec(name=design.name, method="hinf", options={}))
     hard, soft = hard_and_soft(spec.limits, spec.soft)
 
@@ -177,15 +184,30 @@ def tuned_controller(
 
 def classical_structure(options: dict[str, float], channel: Channels, period: float) -> Parametrised:
     """Return the classical loop over the numbers that its tuner moves."""
-    moved = [name for name in TUNABLE if name in options]
+    return _named(TUNABLE, options, lambda trial: classical_controller(trial, channel, period), upper_bounds(period))
+
+
+def rate_structure(given: dict[str, float], channel: Channels, plants: PlantSet) -> Parametrised:
+    """Return the classical rate loop, with a second integral, over the numbers that its tuner moves."""
+    period = plants.period
+    spec = DesignSpec(name="rate", method="pi", options=given | {"double_integral_hz": 0.3 * given["integral_hz"]})
+    options = rate_options(spec, channel, plants.nutation, period)
+    moved = METHODS["pi"].tunable
+    return _named(moved, options, lambda trial: rate_controller(trial, channel, period), rate_bounds(period))
+
+
+def _named(
+    tunable: Sequence[str],
+    options: dict[str, float],
+    build: Callable[[dict[str, float]], StateArrays],
+    largest: dict[str, float],
+) -> Parametrised:
+    """Return a controller that a function builds, over those of its options that are tunable."""
+    moved = [name for name in tunable if name in options]
     fixed = {name: number for name, number in options.items() if name not in moved}
-    structure = Named(
-        build=lambda trial: classical_controller(trial, channel, period),
-        values={name: options[name] for name in (*moved, *fixed)},
-        largest=upper_bounds(period),
-        fixed=fixed,
-    )
-    size = len(channel.basis)
+    values = {name: options[name] for name in (*moved, *fixed)}
+    size = build(values).D.shape[0]
+    structure = Named(build=build, values=values, largest=largest, fixed=fixed)
     return Parametrised(structure, size, size, Units(gain=np.ones((size, size)), rate=1.0))
 
 

@@ -48,7 +48,7 @@ def pieces(loops: ClosedLoops, requirement: LoopRequirement, floor: float = 0.8)
         Ratio below which a piece is of no interest.
     """
     plants, metric = loops.plants, requirement.metric
-    limit, measure = requirement.limit * metric.scale, metric.measure
+    limit, measure = metric.in_SI(requirement.limit), metric.measure
     members = members_of(plants, requirement)
     if not len(members):
         return loops.none()

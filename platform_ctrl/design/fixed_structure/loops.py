@@ -50,6 +50,8 @@ _SLOW = 2.0
 _LEAST = 0.01
 # Relative step in frequency for the slope of a singular value.
 _SLOPE_STEP = 1e-4
+# A gain below this is none: a balanced gimbal without friction transmits nothing.
+_NOTHING = 1e-200
 # Resonances of less damping may hide between two points of the grid.
 _HIDDEN = 0.02
 
@@ -94,7 +96,8 @@ class Points:
         z = np.exp(1j * frequency * plants.period)
         pencil = z[:, None, None] * np.eye(plants.A.shape[-1]) - plants.A[plant]
         whole, m, p = loops.whole, loops.m, loops.p
-        found = whole.C[plant] @ np.linalg.solve(pencil, whole.B[plant].astype(complex)) + whole.D[plant]
+        inner = np.linalg.solve(pencil, whole.B[plant].astype(complex))
+        found = np.asarray(whole.C[plant] @ inner + whole.D[plant], dtype=np.complex128)
         K, self._left, self._right = loops.controller_response(z)
         P, to_Omega, sight = (np.ascontiguousarray(part) for part in (found[:, :p, :m], found[:, :p, m:], found[:, p:]))
         self.responses = Responses(P, K, *both_sensitivities(P, K), to_Omega, sight)
@@ -204,7 +207,7 @@ class ClosedLoops:
         row, k = np.nonzero(chosen)
         if not len(k):
             return hidden
-        x, step = _tops(np.log(w[cut]), np.log(sizes), row, k)
+        x, step = _tops(np.log(w[cut]), np.log(np.maximum(sizes, _NOTHING)), row, k)
         # Once more, from three points close to the top.
         close = x + np.multiply.outer(np.array([-_CLOSER, 0.0, _CLOSER]), step)
         near = Points(self, np.tile(members[row], 3), np.exp(close.ravel()))

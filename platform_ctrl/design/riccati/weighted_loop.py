@@ -84,9 +84,13 @@ def error_weight(gain: FloatArray, rate: FloatArray) -> StateArrays:
 
 
 def torque_units(channel: Channels, nutation: float) -> FloatArray:
-    """Return the units of the channels' torques, N m: h ω_nutation of pairs, J ω_nutation² of inertial directions."""
+    """Return the units of the channels' torques, N m, for 1 rad or, where rates are measured, 1 rad/s.
+
+    h ω_nutation of pairs, J ω_nutation² or J ω_nutation of inertial directions.
+    """
     pairs = 2 * len(channel.momenta)
-    return np.concatenate([np.repeat(channel.momenta, 2) * nutation, channel.inertias[pairs:] * nutation**2])
+    inertial = channel.inertias[pairs:] * nutation**channel.order
+    return np.concatenate([np.repeat(channel.momenta, 2) * nutation, inertial])
 
 
 def mixed_sensitivity(

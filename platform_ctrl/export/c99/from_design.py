@@ -209,7 +209,7 @@ def _closed_by(job: Job, outputs: tuple[str, ...]) -> str | None:
     gimbals = {torquer.name: torquer.gimbal for torquer in job.platform.torquers}
     acted_on = {gimbals.get(name) for name in outputs}
     for spec in job.loops:
-        if acted_on == (set(spec.gimbals) if spec.kind == "caging" else {None}):
+        if acted_on == (set(spec.gimbals) if spec.has_plants else {None}):
             return spec.name
     return None
 

@@ -129,7 +129,7 @@ def further_gains(outcome: LoopOutcome, responses: LoopResponses, kinds: Sequenc
     """Gains whose peaks have a limit, beside those of the other plots."""
     peaks = responses.closed_design.peaks
     limits, goals = (any(limited(one, kind) for kind in kinds) for one in (outcome.spec.limits, outcome.spec.soft))
-    values = [(METRICS[kind], peaks[kind] / METRICS[kind].scale) for kind in kinds]
+    values = [(METRICS[kind], float(METRICS[kind].in_unit(peaks[kind]))) for kind in kinds]
     return sentences("further_gains", outcome=outcome, values=values, limits=limits, goals=goals)
 
 

@@ -113,7 +113,7 @@ def _measured(metrics: LoopMetrics) -> dict[str, str]:
         for scope in metric.scopes:
             if scope and metrics.of(SCOPES[scope]).sum() < 2:
                 continue
-            values = metrics.values(MetricRequest(kind=kind, over=SCOPES[scope])) / metric.scale
+            values = metric.in_unit(metrics.values(MetricRequest(kind=kind, over=SCOPES[scope])))
             at_least = metric.sense == "at least"
             worst = float(values.min() if at_least else values.max(initial=0.0))
             out[metric.name + SCOPE_WORDS[scope]] = quantity(worst, metric.unit, rounding="down" if at_least else "up")

@@ -239,7 +239,7 @@ def _measured(design: LoopDesign) -> Iterator[Figure]:
         for kind in ALWAYS_MEASURED:
             metric = METRICS[kind]
             if scope in metric.scopes:
-                values = measures.values(MetricRequest(kind=kind, over=groups)) / metric.scale
+                values = metric.in_unit(measures.values(MetricRequest(kind=kind, over=groups)))
                 worst = values.min() if metric.sense == "at least" else values.max()
                 yield _figure(subject, metric, worst, metric.name + SCOPE_WORDS[scope])
 
