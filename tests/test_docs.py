@@ -56,7 +56,7 @@ def tables(file: Shape) -> Iterator[tuple[str, set[str]]]:
             name = f"`{path[1]}` of a manoeuvre"
         elif path:
             name = f"`[{name}]`" if parent.keys[path[-1]].array is None else f"`[[{name}]]`"
-        if name != "`[loop.soft]`":  # the keys of [loop.limits]
+        if name not in ("`[loop.soft]`", "`[operation.angles]`"):  # the keys of [loop.limits], and names of angles
             yield name or "The whole file", set(table.keys)
 
 

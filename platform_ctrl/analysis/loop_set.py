@@ -28,6 +28,7 @@ from platform_ctrl.analysis.poles import continuous_poles, poles, spectral_absci
 from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.analysis.singular_values import largest_singular_values
 from platform_ctrl.common.values import FloatArray
+from platform_ctrl.errors import ArgumentError
 
 # Half-width of a resonance over the grid's spacing, up to which it may hide between two points of the grid.
 _NARROW = 0.5
@@ -189,6 +190,7 @@ class LoopSet:
         return [system for transfer in parts for system in self._systems(transfer, k)]
 
     def _systems(self, transfer: Transfer, k: int) -> list[StateArrays]:
+        self._expect_sight(transfer)
         A, B, C, D, dt = _one(self.arrays, k)
         m, p = self.m, self.p
         columns = {"torque": slice(0, m), "Omega": slice(m, m + 3), "noise": slice(m + 3, m + 3 + p)}[transfer.source]
@@ -200,12 +202,19 @@ class LoopSet:
             StateArrays(A, B * share, C[j : j + 1], D[j : j + 1] * share, dt) for j, share in enumerate(self._shares)
         ]
 
+    def _expect_sight(self, transfer: Transfer) -> None:
+        if transfer.target == "sight" and not self.plants.sight:
+            raise ArgumentError(
+                "attenuation: the loop moves no line of sight; give the plant a [line_of_sight] that the loop turns"
+            )
+
     @property
     def _shares(self) -> FloatArray:
         return np.asarray(self.plants.Omega / self.plants.torque_limit[:, None])
 
     def _responses(self, transfer: Transfer, members: Indices) -> list[ComplexArray]:
         """Return responses of some plants on the grid, (k, F, ...)."""
+        self._expect_sight(transfer)
         plants, S = self.plants, self.S_output[members]
         if (transfer.source, transfer.target) in (("noise", "angle"), ("torque", "torque")):
             S = S if transfer.source == "noise" else self.S_input[members]

@@ -23,6 +23,10 @@ from platform_ctrl.common.values import FloatArray, value
 Sense = Literal["at least", "at most"]
 
 
+# Beyond this ratio, 400 dB, what is left is rounding.
+_NOTHING_LEFT = 1e20
+
+
 @value
 class Quantity:
     """What can be measured, and so be required."""
@@ -63,7 +67,7 @@ class Metric(Quantity):
         if not self.decibels:
             return np.asarray(values) / self.scale
         with np.errstate(divide="ignore"):
-            return np.asarray(20.0 * np.log10(values))
+            return np.asarray(20.0 * np.log10(np.minimum(values, _NOTHING_LEFT)))
 
     @property
     def band(self) -> str:

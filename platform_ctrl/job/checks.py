@@ -145,6 +145,7 @@ def job_mistakes(data: Data, platform: Platform | None) -> list[Mistake]:
         *_sampling(data),
         *_sets(data),
         *_trims(data, platform),
+        *_sight(data, platform),
         *_designs(data),
         *_loops(data, platform),
         *run_mistakes(data, platform),
@@ -199,6 +200,23 @@ def _trims(data: Data, platform: Platform | None) -> Iterator[Mistake]:
     if count > MOST_TRIMS:
         words = f"angles: {count} combinations of gimbal angles are more than {MOST_TRIMS}; give fewer angles"
         yield Mistake(("operation", "angles"), words)
+
+
+def _sight(data: Data, platform: Platform | None) -> Iterator[Mistake]:
+    """Walk limits on the line of sight of loops that move none."""
+    for i, loop in tables(data, "loop"):
+        for table in ("limits", "soft"):
+            limits = loop.get(table)
+            named = [key for key in limits if key.startswith("attenuation_db")] if isinstance(limits, dict) else []
+            if not named or platform is None:
+                continue
+            key = named[0]
+            if text_of(loop, "kind") not in ("rate", "pointing"):
+                words = f"{key} is a limit of rate and pointing loops alone; leave it out of this loop"
+                yield Mistake(("loop", i, table, key), words)
+            elif platform.line_of_sight is None:
+                words = f"{key} needs a line of sight; add [line_of_sight] to the plant"
+                yield Mistake(("loop", i, table, key), words)
 
 
 def _limits(limits: Data, path: Path, faults: bool) -> Iterator[Mistake]:

@@ -94,8 +94,7 @@ class Requirement:
         """Return a number that is at most 1 when the bound is met."""
         measured = float(measured)
         if not np.isfinite(measured):
-            # Nothing that is transmitted is attenuated without bound.
-            return 0.0 if measured > 0.0 and self.sense == "at least" else float("inf")
+            return float("inf")
         if self.limit == 0.0:
             return 1.0 if (measured <= 0.0 if self.sense == "at most" else measured >= 0.0) else float("inf")
         if self.sense == "at most":

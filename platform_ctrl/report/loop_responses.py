@@ -82,11 +82,12 @@ def loop_responses(model: LinearModel, outcome: LoopOutcome) -> LoopResponses | 
     poles = np.concatenate([np.linalg.eigvals(P.A), *(loop.poles[0] for loop in loops.values())])
     low = max(min(2e-3 * plants.nutation, 0.05 * nyquist), 1e-4 * nyquist)
     grid = following_grid(continuous_poles(poles, plants.period), low, 0.999 * nyquist)
-    # Torquers without a limit have no share of it.
+    # Torquers without a limit have no share of it, and not every loop moves a line of sight.
     kinds = [
         kind
         for kind, peak in peak_metrics().items()
         if not (all(part.of_limit for part in peak.transfers) and np.isinf(plants.torque_limit).all())
+        and (plants.sight or all(part.target != "sight" for part in peak.transfers))
     ]
     peaks = {
         name: {kind: exact_value(loop, MetricRequest(kind=kind)) for kind in kinds} for name, loop in loops.items()

@@ -33,6 +33,8 @@ from platform_ctrl.job.requirements import (
 from platform_ctrl.verification.records import result_record
 
 KINDS = tuple(METRICS)
+# The plants here have no line of sight.
+MEASURED = tuple(kind for kind in KINDS if kind != "attenuation")
 ALL = get_args(Group)
 PERIOD = 5e-4
 L, LIMIT = 0.15, 0.25
@@ -40,7 +42,7 @@ L, LIMIT = 0.15, 0.25
 
 def asked(kind, limit=1.0, **more):
     """Return a requirement with what its kind needs."""
-    if kind == "tracking":
+    if METRICS[kind].needs_frequency:
         more.setdefault("frequency", 100.0)
     return requirement(kind, limit, **more)
 
@@ -149,7 +151,7 @@ def test_a_figure_at_its_limit_is_met(kind, limit):
 
 def test_every_kind_is_measured_over_every_group_and_as_a_norm(plants, controller):
     K = plants.joined(controller)
-    every = [asked(kind, over=over) for kind in KINDS for over in (NOMINAL, WORST_CASE, FAULTS, ALL)]
+    every = [asked(kind, over=over) for kind in MEASURED for over in (NOMINAL, WORST_CASE, FAULTS, ALL)]
     rough, exact = (measure(plants, K, every, exact=exact) for exact in (False, True))
     for one in every:
         grid, norm = one.values(rough), one.values(exact)
@@ -227,7 +229,7 @@ def test_an_unstable_loop_meets_no_requirement_but_those_of_the_controller(plant
         remove_useless_states=False,
     )
     lenient = {"at least": 1e-6, "at most": 1e12}
-    for kind in KINDS:
+    for kind in MEASURED:
         one = asked(kind, lenient[asked(kind).sense])
         if kind not in ("fastest pole", "fastest controller pole", "controller gain"):
             assert not one.check(plants, wrong).passed, kind
@@ -409,7 +411,7 @@ def test_kinds_that_need_to_know_the_signals_refuse_a_bare_loop():
         (
             ("damping", 0.1),
             {"frequency": 1.0},
-            "requirement: kind with a frequency must be 'tracking', 'torque limit' or 'controller gai",
+            "requirement: kind with a frequency must be 'tracking', 'attenuation', 'torque limit' or 'cont",
         ),
         (
             ("damping", 0.1),
@@ -419,12 +421,12 @@ def test_kinds_that_need_to_know_the_signals_refuse_a_bare_loop():
         (
             ("damping", 0.1),
             {"over": ("corners",)},
-            "over must be a sequence, each 'nominal', 'uncertainty', 'Omega' or 'faults', got 'corner",
+            "'angles', 'friction' or 'faults', got 'corner",
         ),
         (
             ("damping", 0.1),
             {"over": ()},
-            "requirement: over must be 'nominal', 'uncertainty', 'Omega' or 'faults', got 'none'",
+            "requirement: over must be 'nominal', 'uncertainty', 'Omega', 'angles', 'friction' or 'faults', got 'none'",
         ),
     ],
 )
@@ -439,7 +441,7 @@ def test_a_requirement_that_makes_no_sense_is_one_line(arguments, more, message)
 
 
 def test_every_limit_of_a_job_becomes_one_requirement():
-    edges = {"tracking_hz": 10.0, "torque_limit_hz": 20.0}
+    edges = {"tracking_hz": 10.0, "torque_limit_hz": 20.0, "attenuation_hz": 5.0}
     names = [key for key in limit_keys() if key not in edges]
     always = {one.name for one in loop_requirements({})}
     assert always == {"minimum decay rate", "minimum decay rate, worst case"}
