@@ -429,6 +429,7 @@ def loop_plants(job: Job, loop: LoopSpec | tuple[str, ...]) -> PlantSet:
     signals = loop_signals(platform, loop) if isinstance(loop, LoopSpec) else caging_signals(platform, loop)
     plants = cases(job, signals.gimbals)
     if signals.held:
+        loop_channels(linearise(platform), signals, job.sampling.period)  # its sensors have to show what they need to
         # These loops keep a body still while the platform turns about it: its rate is a disturbance, no constant at
         # which the gimbals rest. Friction brings it in.
         plants = [one for one in plants if one.group != "Omega"]

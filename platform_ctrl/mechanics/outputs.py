@@ -67,7 +67,8 @@ def observed(
     model = _Signals(system, platform, angles, real_array("Omega", Omega, (3,), 0.0))
     outputs = platform.outputs
     sensors = {sensor.name: sensor for sensor in platform.sensors}
-    unknown = [name for name in names if name not in outputs and name not in model.rows]
+    known = outputs.keys() | model.rows.keys() | model.rates.keys()
+    unknown = [name for name in names if name not in known]
     if unknown:
         raise ArgumentError(
             f"observed: there is no output {unknown[0]!r} of platform {platform.name!r}; "

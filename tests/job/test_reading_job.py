@@ -172,7 +172,7 @@ MISTAKES: dict[str, tuple[Change, list[str]]] = {
         [
             CAGING,
             'kind must be "caging" or "rate" or "pointing" or "tracking" or "stabilisation", got "cage"',
-            '"caging" or "stabilisation"',
+            '"tracking" or "stabilisation"',
         ],
     ),
     "use missing": (drop("loop", 0, "use"), [CAGING, 'the key "use" is missing']),

@@ -1,0 +1,192 @@
+"""Rate and pointing loops of a camera gimbal against textbook formulas, over gimbal angles and with dry friction."""
+
+import numpy as np
+import pytest
+
+import platform_ctrl as pc
+from camera_job import FRICTION, J_AZIMUTH, J_ELEVATION, camera_job, camera_loop, camera_plant
+from platform_ctrl import analysis, design
+from platform_ctrl.errors import InputError, NotCertifiedError
+from platform_ctrl.job.requirements import requirement
+from platform_ctrl.verification.verdict import check_job
+
+STILL = {"Omega": [0.0, 0.0, 0.0]}
+
+
+def closed(**changes):
+    """Return the loop's design."""
+    return design.loops(pc.read_job(camera_job(**changes)))[0].closed
+
+
+@pytest.fixture(scope="module")
+def loop():
+    return closed()
+
+
+def test_a_channel_is_a_pi_over_an_inertia_with_hold_delay_and_lag(loop):
+    """L = J ωc (1 + ωi/s) · 1/(J s), sampled; the two axes do not act on each other at zero elevation."""
+    L = analysis.loop_transfer(loop.plants.system(), loop.controller)
+    w = 2.0 * np.pi * np.array([2.0, 8.0, 30.0])
+    T, delay, lag = 5e-4, 2e-4, 2e-4
+    hold = np.exp(-1j * w * (delay + 0.5 * T)) * np.sinc(0.5 * w * T / np.pi) / (1.0 + 1j * w * lag)
+    rolloff = 1.0 / (1.0 + 1j * w / (2.0 * np.pi * 800.0))
+    wc, wi = 2.0 * np.pi * 30.0, 2.0 * np.pi * 3.0
+    expected = wc / (1j * w) * (1.0 + wi / (1j * w)) * hold * rolloff
+    found = analysis.frequency_response(L, w)
+    # Tustin's rule and aliases: a share of (ωT)².
+    for k in range(2):
+        np.testing.assert_allclose(found[k, k], expected, rtol=6e-3)
+    np.testing.assert_allclose(found[[0, 1], [1, 0]], 0.0, atol=1e-12)
+
+
+def test_a_balanced_gimbal_without_friction_transmits_nothing():
+    data = camera_plant()
+    del data["friction"]
+    found = closed(plant=data)
+    assert found.plants.sight == ("los_rate1", "los_rate2")
+    attenuation = requirement("attenuation", 40.0, frequency=60.0).check(found.plants, found.controller)
+    assert attenuation.value > 200.0
+
+
+def test_dry_friction_brings_the_base_in_by_its_describing_function():
+    """LOS rate/base rate = S d/(J s), d = 4 F/(π Ω): the rate loop holds the body against d times the base's rate."""
+    found = closed()
+    labels = found.plants.labels
+    assert labels == ("nominal", "dry friction at 0.2 rad/s")
+    d, w = 4.0 * FRICTION / (np.pi * 0.2), 2.0 * np.pi * 5.0
+    at = requirement("attenuation", 1.0, over=("friction",), frequency=w).check(found.plants, found.controller)
+    wc, wi = 2.0 * np.pi * 30.0, 2.0 * np.pi * 3.0
+    s = 1j * w
+    for J in (J_AZIMUTH, J_ELEVATION):
+        L = wc / s * (1.0 + wi / s) * np.exp(-s * 6.5e-4) / (1.0 + s / (2.0 * np.pi * 800.0))
+        ratio = d / abs(J * s * (1.0 + L) + d)
+        if J == J_ELEVATION:
+            # The lighter axis is the worse one, and the worst frequency the edge of the band.
+            assert at.value == pytest.approx(-20.0 * np.log10(ratio), abs=0.1)
+        else:
+            assert at.value < -20.0 * np.log10(ratio)
+
+
+def test_the_yaw_loop_loses_the_cosine_of_the_elevation_at_every_trim():
+    found = closed(operation=STILL | {"angles": {"q_el": [0.6, 1.0]}})
+    assert found.plants.labels == ("nominal", "q_el = 0.6 rad", "q_el = 1 rad")
+    w = np.array([2.0 * np.pi * 20.0])
+    nominal = found.plants.system(0)
+    for k, elevation in ((1, 0.6), (2, 1.0)):
+        one = analysis.frequency_response(found.plants.system(k), w)[0, 0, 0]
+        # The inertia about azimuth changes with the elevation as well.
+        inertia = J_AZIMUTH + (0.02 - 0.019) * np.sin(elevation) ** 2
+        expected = analysis.frequency_response(nominal, w)[0, 0, 0] * np.cos(elevation) * J_AZIMUTH / inertia
+        assert one == pytest.approx(expected, rel=1e-9)
+
+
+def test_uncertain_inertias_count_at_every_trim():
+    found = closed(operation=STILL | {"angles": {"q_el": [0.6]}}, uncertainty={"inertia": 0.2})
+    assert len(found.plants.labels) == 2 * (1 + 4)
+    assert {label for label in found.plants.labels if label.startswith("Jaz+20%")} == {
+        "Jaz+20% Jel-20%",
+        "Jaz+20% Jel+20%",
+        "Jaz+20% Jel-20%, q_el = 0.6 rad",
+        "Jaz+20% Jel+20%, q_el = 0.6 rad",
+    }
+
+
+@pytest.mark.parametrize(
+    ("kind", "method", "options"),
+    [
+        ("rate", "hinf", {}),
+        ("rate", "lqg", {}),
+        ("rate", "structured", {"structure": "cross-axis", "evaluations": 40}),
+        ("pointing", "classical", {"inertial_crossover_hz": 20}),
+        ("pointing", "hinf", {"inertial_bandwidth_hz": 10}),
+    ],
+)
+def test_every_method_makes_a_stable_loop_of_every_kind_it_is_for(kind, method, options):
+    found = closed(loop=camera_loop(kind, method, use="one", design=[{"name": "one", "method": method} | options]))
+    assert found.measures.decay.min() > 0.05
+    assert found.measures.disk_margin.min() > 0.3
+    assert found.controller.input_labels == (
+        ["yaw_gyro", "pitch_gyro"] if kind == "rate" else ["yaw_error", "pitch_error"]
+    )
+
+
+def test_a_pointing_loop_keeps_integrals_of_the_rates_that_it_reads_and_drops_the_angles():
+    found = closed(loop=camera_loop("pointing", "classical"))
+    assert set(found.plants.states) >= {"integral_1", "integral_2", "p_q_az", "p_q_el"}
+    assert "q_az" not in found.plants.states
+
+
+def test_one_axis_by_itself_holds_the_other_and_the_whole_is_checked():
+    loops = camera_loop(gimbals=["az"], sensors=["yaw_gyro"], name="yaw")
+    loops += camera_loop(gimbals=["el"], sensors=["pitch_gyro"], name="pitch")
+    job = pc.read_job(camera_job(loop=loops, operation=STILL | {"angles": {"q_el": [0.9]}}))
+    outcomes = design.loops(job)
+    assert [outcome.closed.plants.sight for outcome in outcomes] == [("los_rate2",), ("los_rate1",)]
+    result = check_job(job, outcomes)
+    assert result.coupled.stable
+    assert result.coupled.channels == ("Qaz", "Qel")
+    margin = next(one for one in result.requirements if one.name == "simultaneous disk margin")
+    assert "q_el = 0.9 rad" in margin.evidence
+    stable = next(one for one in result.requirements if one.stage == "coupled" and "decay" in one.name)
+    assert "angles that rate loops leave free do not count" in stable.evidence
+
+
+def test_readings_that_are_late_cost_phase():
+    data = camera_plant()
+    for sensor in data["rate_sensor"]:
+        sensor["delay"] = 1.2e-3
+    late, prompt = closed(plant=data), closed()
+    w = np.array([2.0 * np.pi * 30.0])
+    ratio = analysis.frequency_response(late.plants.system(), w) / analysis.frequency_response(
+        prompt.plants.system(), w
+    )
+    # 1.2 ms are three periods of 0.5 ms.
+    np.testing.assert_allclose(np.diag(ratio[:, :2, 0]), np.exp(-1j * w * 1.5e-3), rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("loops", "words"),
+    [
+        (camera_loop(sensors=["pitch_error"]), '"pitch_error" measures an angle; a rate loop reads sensors of rates'),
+        (camera_loop(sensors=["gyro"]), '"gyro" is no sensor of the plant'),
+        (camera_loop(gimbals=["az", "elevation"]), 'gimbals: "elevation" is no gimbal of the plant'),
+        (camera_loop(torquers=["Qaz", "Qx"]), 'torquers: "Qx" is no torquer on a gimbal of the loop'),
+        (camera_loop(around="rate"), 'around = "rate" has no effect in a rate loop'),
+        (
+            camera_loop(method="classical"),
+            'method must be one for a rate loop, "pi" or "hinf"',
+        ),
+        (camera_loop(limits={"attenuation_db": 40.0}), 'the key "attenuation_hz" is missing'),
+    ],
+)
+def test_a_loop_that_makes_no_sense_is_one_line(loops, words):
+    with pytest.raises(InputError) as caught:
+        pc.read_job(camera_job(loop=loops))
+    assert words in str(caught.value)
+
+
+def test_sensors_that_do_not_show_what_a_torquer_does_are_refused():
+    job = pc.read_job(camera_job(loop=camera_loop(sensors=["pitch_gyro"])))
+    with pytest.raises(InputError, match="do not show what each of the torquers Qaz, Qel does"):
+        design.loops(job)
+
+
+def test_a_loop_that_is_too_fast_is_refused():
+    loops = camera_loop(design=[{"name": "pi", "method": "pi", "crossover_hz": 700}])
+    with pytest.raises(NotCertifiedError, match="it is unstable; try a lower crossover_hz"):
+        design.loops(pc.read_job(camera_job(loop=loops)))
+
+
+@pytest.mark.parametrize(
+    ("angles", "words"),
+    [
+        ({"el": [0.1]}, "el is no angle of the plant"),
+        ({"q_el": [1.5]}, "q_el: 1.5 rad is outside the stops, -0.9 to 1.3 rad"),
+        ({"q_el": []}, "q_el must be one or more numbers"),
+        ({"q_az": list(np.linspace(-1, 1, 50)), "q_el": [0.1, 0.2, 0.3, 0.4, 0.5]}, "250 combinations"),
+    ],
+)
+def test_gimbal_angles_that_make_no_sense_are_one_line(angles, words):
+    with pytest.raises(InputError) as caught:
+        pc.read_job(camera_job(operation=STILL | {"angles": angles}))
+    assert words in str(caught.value)
