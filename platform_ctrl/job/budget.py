@@ -243,14 +243,14 @@ class Budget:
 
         Parameters
         ----------
-        f_hz : (N,)
+        f_hz : any shape (...)
             Frequencies, Hz.
 
         Returns
         -------
-        (N, sources, sources)
+        (..., sources, sources)
             Hermitian, units of the sources, SI, per Hz.
         """
         f = real_numbers("f_hz", f_hz)
-        root = np.sqrt([source.density(f) for source in self.sources]).T
-        return root[:, :, None] * self.coherences * root[:, None, :]
+        root = np.sqrt(np.stack([source.density(f) for source in self.sources], axis=-1))
+        return np.asarray(root[..., :, None] * self.coherences * root[..., None, :])
