@@ -274,8 +274,10 @@ class Scenario:
         Spins against the carriers at t = 0, rad/s; None: the nominal ones of `platform`.
     seed, run
         What the noise is drawn from.
+    settle
+        Time before the mean and the rms of rates and line of sight begin, s.
     limits
-        Largest ``angle``, ``attitude``, ``torque_share``, as in `platform_ctrl.job.job.Manoeuvre`.
+        As in `platform_ctrl.job.job.Manoeuvre`.
     """
 
     platform: Platform
@@ -295,6 +297,7 @@ class Scenario:
     spin: FloatArray | None = None
     seed: int = 0
     run: int = 0
+    settle: float = 0.0
     limits: dict[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

@@ -7,6 +7,9 @@
     Omega1 to Omega3           the root's rate in its own axes
     NAME_Omega1 to 3           the rate of the gimbal's body NAME against inertial space, in the body's own axes
     NAME_theta1 to 3           its small rotation against inertial space since the start, in the body's own axes
+
+With the rotation R(t) from body to inertial axes and E = R(0)ᵀ R(t), theta_i is (E_kj − E_jk)/2 for i, j, k = 1, 2, 3
+and cyclic: the sine of the angle times its axis, linear in small rotations.
 """
 
 from __future__ import annotations

@@ -19,13 +19,14 @@ from platform_ctrl.job.scenario import Mode, Scenario
 from platform_ctrl.plant.platform import Platform
 from platform_ctrl.simulation.compilation import run_interruptibly, wait_for_compilation
 from platform_ctrl.simulation.device import expect_device
+from platform_ctrl.simulation.kernel.arrays import widths_of_metrics
+from platform_ctrl.simulation.packing import sight_of
 from platform_ctrl.simulation.run_plan import (
     Batch,
     Controller,
     Prepared,
     batch,
     controller_rows,
-    metric_slots,
     prepared,
 )
 from platform_ctrl.simulation.scenarios import expect_several, steps
@@ -52,6 +53,18 @@ class BatchResult:
         How often each gimbal came up against a stop.
     samples : (N,)
         Number of samples before the run ended or diverged.
+    gimbal_rate : (N, n)
+        Largest |q̇| of every gimbal, rad/s.
+    settled : (N,)
+        Number of samples from the scenario's `settle` on, over which the means and rms below are taken. All of these
+        are of plants with a line of sight: others have no samples and no columns.
+    Omega_mean, Omega_rms : (N, axes)
+        Platform rate: mean, and rms about it, rad/s.
+    gimbal_rate_mean, gimbal_rate_rms : (N, gimbals)
+        Gimbal rates: mean, and rms about it, rad/s.
+    line_of_sight_mean, line_of_sight_rms : (N, outputs)
+        Line of sight: mean, and rms about it, of ``los_rate1``, ``los_rate2``, ``los_roll_rate``, rad/s, and of
+        ``los_angle1``, ``los_angle2``, ``los_roll``, rad.
     requested : (N,)
         Number of samples of a complete run.
     period
@@ -65,6 +78,14 @@ class BatchResult:
     stop_contacts: NDArray[np.int64]
     samples: NDArray[np.int64]
     requested: NDArray[np.int64]
+    gimbal_rate: FloatArray
+    settled: NDArray[np.int64]
+    Omega_mean: FloatArray
+    Omega_rms: FloatArray
+    gimbal_rate_mean: FloatArray
+    gimbal_rate_rms: FloatArray
+    line_of_sight_mean: FloatArray
+    line_of_sight_rms: FloatArray
     period: float
 
     @property
@@ -154,12 +175,19 @@ def simulate_batch(
         raise ArgumentError(
             "scenarios: their plants differ in gimbals, torquers or sensors; simulate them one kind at a time"
         )
-    n, nu = (members[0].skeleton.at.n, len(members[0].skeleton.targets)) if members else (0, 0)
-    rows = np.empty((len(members), metric_slots(n, nu)))
+    shape = members[0].skeleton if members else None
+    n, nu, sight = (shape.at.n, len(shape.targets), len(shape.sight)) if shape else (0, 0, 0)
+    widths = widths_of_metrics(n, nu, sight)
+    rows = np.empty((len(members), sum(widths)))
     # All batches are put together, and with that checked, before the first one is computed.
     for places, batched in [(places, put_together(places)) for places in groups.values()]:
         rows[places] = batch_metrics(batched, threads, device)
-    angle, attitude, share, saturated, contacts, samples = np.split(rows, np.cumsum([n, 3, nu, nu, n]), axis=1)
+    angle, attitude, share, saturated, contacts, samples, rate, settled, mean, squares = np.split(
+        rows, np.cumsum(widths[:-1]), axis=1
+    )
+    rms = np.sqrt(squares / np.maximum(settled, 1.0))
+    parts = np.cumsum([3, n]) if sight else [0, 0]
+    means, spreads = np.split(mean, parts, axis=1), np.split(rms, parts, axis=1)
     return BatchResult(
         angle=angle,
         attitude=attitude,
@@ -168,6 +196,14 @@ def simulate_batch(
         stop_contacts=np.rint(contacts).astype(np.int64),
         samples=np.rint(samples[:, 0]).astype(np.int64),
         requested=np.array([member.timing.samples for member in members], dtype=np.int64),
+        gimbal_rate=rate,
+        settled=np.rint(settled[:, 0]).astype(np.int64),
+        Omega_mean=means[0],
+        Omega_rms=spreads[0],
+        gimbal_rate_mean=means[1],
+        gimbal_rate_rms=spreads[1],
+        line_of_sight_mean=means[2],
+        line_of_sight_rms=spreads[2],
         period=period,
     )
 
@@ -178,6 +214,7 @@ def _kind(platform: Platform) -> tuple[object, ...]:
         platform.gimbal_names,
         tuple((t.name, t.gimbal, t.root_axis) for t in platform.torquers),
         tuple(s.place for s in platform.sensors),
+        sight_of(platform),
     )
 
 
@@ -249,7 +286,10 @@ def batch_metrics(batched: Batch, threads: int = 1, device: str = "cpu") -> Floa
 
 
 def columns_of_record(batched: Batch) -> int:
-    """Return how many numbers are recorded of a sample."""
+    """Return how many numbers are recorded of a sample.
+
+    q, rates, Omega, p, attitude, readings, commands, torques, spins and motors' torques of servo rotors, line of sight.
+    """
     at, shared = batched.packed.at, batched.shared
     return 3 * at.n + 7 + len(shared.sensors) + 2 * len(shared.targets) + 2 * at.servos
 

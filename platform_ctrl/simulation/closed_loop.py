@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.job.scenario import Mode, Scenario
+from platform_ctrl.plant.platform import Platform
 from platform_ctrl.simulation.batch import merged_controller, recorded
+from platform_ctrl.simulation.kernel.arrays import widths_of_metrics
 from platform_ctrl.simulation.run_plan import prepared
 from platform_ctrl.simulation.scenarios import expect_several, steps
 from platform_ctrl.simulation.servo_rotors import servo_rotors
@@ -31,7 +33,7 @@ class Trajectory:
     q, rate, p : (N, n)
         Gimbal angles, rad; their rates, rad/s; joint momenta ∂T/∂q̇, N m s.
     reading : (N, sensors)
-        What the pick-offs said, rad, and behind them the rate sensors, rad/s: noise and quantisation included.
+        What the sensors said, the pick-offs first, rad and rad/s: lag, delay, errors, noise, quantisation included.
     command, torque : (N, torquers)
         The controllers' output computed from this sample's readings, before limiting; and the torque that acts just
         after this instant: delayed, limited, then lagged. N m.
@@ -41,6 +43,9 @@ class Trajectory:
         Unit quaternion w, x, y, z from platform axes to inertial axes, dimensionless.
     rotor_spin, rotor_torque : (N, servo rotors)
         Spins against the carriers, rad/s, and the torques of their motors, N m.
+    line_of_sight : (N, outputs)
+        Line of sight, if the plant has one, without any sensor's errors: ``los_rate1``, ``los_rate2``,
+        ``los_roll_rate``, rad/s, and ``los_angle1``, ``los_angle2``, ``los_roll`` since t = 0, rad.
     angle_names, pickoff_names, torquer_names, rotor_names
         What the columns are, each in the plant's order; `pickoff_names` are those of all sensors.
     saturated : (torquers,)
@@ -65,6 +70,7 @@ class Trajectory:
     attitude: FloatArray
     rotor_spin: FloatArray
     rotor_torque: FloatArray
+    line_of_sight: FloatArray
     angle_names: tuple[str, ...]
     pickoff_names: tuple[str, ...]
     torquer_names: tuple[str, ...]
@@ -155,9 +161,15 @@ def simulate(
     member = prepared(scenario, period, step)
     controller = merged_controller(scenario.platform, controllers, period, scenario.mode)
     record, metrics = recorded(member, controller, period, noise)
-    done = int(np.rint(metrics[-1]))
+    done = int(counts(metrics, scenario.platform)[2][0])
     ended = "completed" if done == len(record) else f"diverged at t = {done * period:.6g} s"
     return trajectory_of(record[:done], metrics, scenario, first=0, period=period, step=step, ended=ended)
+
+
+def counts(metrics: FloatArray, platform: Platform) -> list[NDArray[np.int64]]:
+    """Return of a run's metrics the saturated samples, the contacts and the samples."""
+    widths = widths_of_metrics(len(platform.gimbals), len(platform.torquers), 0)
+    return [np.rint(part).astype(np.int64) for part in np.split(metrics, np.cumsum(widths))[3:6]]
 
 
 def trajectory_of(
@@ -173,9 +185,10 @@ def trajectory_of(
     """Return what the kernel recorded of the samples from `first` on as a trajectory."""
     platform = scenario.platform
     n, servos = len(platform.gimbals), servo_rotors(platform)
-    counts = np.rint(metrics[n + 3 + len(platform.torquers) :]).astype(np.int64)
-    widths = (n, n, 3, n, 4, len(platform.sensors), len(platform.torquers), len(platform.torquers), len(servos))
-    angle, rate, Omega, momentum, attitude, reading, command, torque, spin, motor = np.split(
+    nu = len(platform.torquers)
+    saturated, contacts, _ = counts(metrics, platform)
+    widths = (n, n, 3, n, 4, len(platform.sensors), nu, nu, len(servos), len(servos))
+    angle, rate, Omega, momentum, attitude, reading, command, torque, spin, motor, sight = np.split(
         record, np.cumsum(widths), axis=1
     )
     return Trajectory(
@@ -190,12 +203,13 @@ def trajectory_of(
         attitude=attitude,
         rotor_spin=spin,
         rotor_torque=motor,
+        line_of_sight=sight,
         angle_names=platform.angle_names,
         pickoff_names=tuple(s.name for s in platform.sensors),
         torquer_names=tuple(t.name for t in platform.torquers),
         rotor_names=tuple(r.name for r in servos),
-        saturated=counts[: len(platform.torquers)],
-        stop_contacts=counts[-1 - n : -1],
+        saturated=saturated,
+        stop_contacts=contacts,
         ended=ended,
         mode=scenario.mode,
         period=period,

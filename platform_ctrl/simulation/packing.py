@@ -6,7 +6,7 @@ What plants of the same parts share is worked out once (`skeleton`), their numbe
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -16,11 +16,14 @@ from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.mechanics.kinematics import topology
 from platform_ctrl.plant.platform import OMEGA_NAMES, Platform
-from platform_ctrl.plant.sensors import gimbal_rate
+from platform_ctrl.plant.sensors import body_rates, body_rotations, gimbal_rate
 from platform_ctrl.simulation.kernel import arrays
 from platform_ctrl.simulation.kernel.arrays import At, Links
 
 _SIX = ([0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2])
+
+
+Terms = tuple[tuple[int, float], ...]
 
 
 @value
@@ -39,8 +42,11 @@ class Skeleton:
         The rotors' kinds; places of servo rotors among them.
     unbalances, springs, frictions, cages
         Bodies, and gimbals, that they belong to.
-    sensors
-        Of each the terms of its reading: index into [q, Omega, rates], and weight.
+    sensors, sight
+        Of each sensor, and each output of the line of sight, the terms: index into [q, Omega, rates, rates of the
+        bodies, their rotations], those of a body three numbers in the kernel's axes, and weight.
+    turned
+        Whether any of them is a rotation.
     targets : (nu,)
         As in `kernel.arrays.Shared`.
     stops
@@ -58,7 +64,9 @@ class Skeleton:
     springs: tuple[int, ...]
     frictions: tuple[int, ...]
     cages: tuple[int, ...]
-    sensors: tuple[tuple[tuple[int, float], ...], ...]
+    sensors: tuple[Terms, ...]
+    sight: tuple[Terms, ...]
+    turned: bool
     targets: tuple[int, ...]
     stops: bool
 
@@ -96,6 +104,7 @@ class _Parts:
             tuple([(r.name, r.carrier, _bytes(r.axis), r.control) for r in p.rotors]),
             tuple([(t.name, t.gimbal, t.root_axis) for t in p.torquers]),
             tuple([s.place for s in p.sensors]),
+            sight_of(p),
             tuple([s.gimbal for s in p.springs]),
             tuple([(f.gimbal, max(f.breakaway) > 0.0) for f in p.frictions]),
             tuple([c.gimbal for c in p.cages]),
@@ -108,6 +117,12 @@ class _Parts:
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, _Parts) and self._key == other._key
+
+
+def sight_of(platform: Platform) -> tuple[str, bytes] | None:
+    """Return the line of sight in a form that can be compared."""
+    sight = platform.line_of_sight
+    return None if sight is None else (sight.body, _bytes(sight.direction))
 
 
 def _bytes(axis: FloatArray) -> bytes:
@@ -132,11 +147,8 @@ def _skeleton(parts: _Parts) -> Skeleton:
             raise ArgumentError(
                 f"platform {platform.name!r}: gimbal {twice[0]!r} has more than one {kind}; combine them"
             )
-    angles = platform.angle_names
-    place = {name: k for k, name in enumerate((*angles, *OMEGA_NAMES, *map(gimbal_rate, angles)))}
-    sensors = tuple(
-        tuple((place[name], weight) for name, weight in s.signals(platform).items()) for s in platform.sensors
-    )
+    terms = [_terms(platform, frames, signals) for signals in platform.outputs.values()]
+    many, turns = len(platform.sensors), 5 * len(tree.parents) + 6
     controls = tuple(r.control for r in platform.rotors)
     servos = tuple(k for k, control in enumerate(controls) if control == "servo")
     carriers = tuple(tree.carriers.tolist())
@@ -154,12 +166,32 @@ def _skeleton(parts: _Parts) -> Skeleton:
         springs=tuple(gimbal(one.gimbal) for one in platform.springs),
         frictions=tuple(gimbal(one.gimbal) for one in platform.frictions),
         cages=tuple(gimbal(one.gimbal) for one in platform.cages),
-        sensors=sensors,
+        sensors=tuple(terms[:many]),
+        sight=tuple(terms[many:]),
+        turned=any(index >= turns for one in terms for index, _ in one),
         targets=tuple(
             t.root_axis - 1 if t.root_axis is not None else 3 + gimbal(str(t.gimbal)) for t in platform.torquers
         ),
         stops=any(g.stops is not None for g in platform.gimbals),
     )
+
+
+def _terms(platform: Platform, frames: FloatArray, signals: Mapping[str, float]) -> Terms:
+    """Terms of a sum of signals; vectors of a body are turned into the kernel's axes."""
+    angles = platform.angle_names
+    place = {name: k for k, name in enumerate((*angles, *OMEGA_NAMES, *map(gimbal_rate, angles)))}
+    weights: dict[int, float] = {}
+    for name, weight in signals.items():
+        if name in place:
+            weights[place[name]] = weight
+            continue
+        bodies = range(len(frames))
+        vectors = [*(body_rates(platform, b) for b in bodies), *(body_rotations(platform, b) for b in bodies)]
+        k, i = next((k, names.index(name)) for k, names in enumerate(vectors) if name in names)
+        first = 2 * len(angles) + 3 + 3 * k
+        for j, turned in enumerate(weight * frames[k % len(frames)][:, i]):
+            weights[first + j] = weights.get(first + j, 0.0) + float(turned)
+    return tuple((index, weight) for index, weight in weights.items() if weight != 0.0)
 
 
 def _frame(axis: FloatArray) -> FloatArray:

@@ -13,7 +13,7 @@ from platform_ctrl.common.values import FloatArray
 from platform_ctrl.job.faults import FAULT_KINDS, Fault
 from platform_ctrl.job.scenario import Scenario
 from platform_ctrl.simulation.kernel import arrays
-from platform_ctrl.simulation.kernel.arrays import Layout, Shared
+from platform_ctrl.simulation.kernel.arrays import Layout, Shared, widths_of_metrics
 from platform_ctrl.simulation.packing import Packed, Skeleton, numbers, skeleton
 from platform_ctrl.simulation.scenarios import (
     FaultKey,
@@ -22,11 +22,13 @@ from platform_ctrl.simulation.scenarios import (
     plants_of,
     put_faults,
     put_lines,
+    put_lowpasses,
     put_rotors,
     put_sensors,
     put_stops,
     put_torquers,
     rate,
+    rows_of_sensors,
     states,
 )
 from platform_ctrl.simulation.servo_rotors import check_step
@@ -148,7 +150,9 @@ def batch(members: Sequence[Prepared], controller: Controller, period: float, no
     steady[:, :3] = [scenario.torque for scenario in scenarios]
     part(layout.rate, 1, arrays.PROFILE)[:, 0] = [rate(scenario) for scenario in scenarios]
     part(layout.segments, 1, 2)[:, 0] = lengths
-    put_sensors(plants, part(layout.sensor, len(shared.sensors), arrays.SENSOR), period, noise)
+    part(layout.settle, 1, 1)[:, 0, 0] = [math.ceil(scenario.settle / period - 1e-9) for scenario in scenarios]
+    put_sensors(plants, part(layout.sensor, layout.sensors, arrays.SENSOR), period, noise)
+    put_lowpasses(plants, part(layout.lowpass, _filtered(shared), arrays.LOWPASS), period)
     put_torquers(plants, part(layout.torquer, len(shared.targets), arrays.TORQUER), 0.5 * lengths)
     put_stops(plants, part(layout.stop, shape.at.n, arrays.STOP))
     put_faults([member.faults for member in members], order, part(layout.fault, len(order), arrays.FAULT))
@@ -185,10 +189,12 @@ def _shared(
         if len(knots) == 1:
             pieces = np.zeros((1, 3, 4))
             pieces[0, :, 0] = table.values[0]
-    terms = [term for sensor in shape.sensors for term in sensor]
-    ends = np.cumsum([len(sensor) for sensor in shape.sensors], dtype=np.int64)
+    sums = (*shape.sensors, *shape.sight)
+    terms = [term for one in sums for term in one]
+    ends = np.cumsum([len(one) for one in sums], dtype=np.int64)
+    bounds = np.stack([np.concatenate([[0], ends])[:-1], ends], axis=1).astype(np.int64)
     shared = Shared(
-        sensors=np.stack([np.concatenate([[0], ends])[:-1], ends], axis=1).astype(np.int64),
+        sensors=np.concatenate([bounds, rows_of_sensors(platform, len(bounds), period)], axis=1),
         signals=np.array([signal for signal, _ in terms], dtype=np.int64),
         weights=np.array([weight for _, weight in terms], dtype=np.float64),
         targets=np.array(shape.targets, dtype=np.int64),
@@ -207,7 +213,7 @@ def _shared(
 
 def _layout(packed: Packed, shared: Shared, one: Prepared, controller: Controller) -> Layout:
     at = packed.at
-    n, nu, ny = at.n, len(shared.targets), len(shared.sensors)
+    n, nu, ny, sight = at.n, len(shared.targets), len(one.skeleton.sensors), len(one.skeleton.sight)
     place = at.end
 
     def take(count: int) -> int:
@@ -223,11 +229,14 @@ def _layout(packed: Packed, shared: Shared, one: Prepared, controller: Controlle
         states=controller.states,
         stops=one.skeleton.stops,
         profile=one.scenario.profile is not None,
+        sensors=ny,
         start=take(at.size),
         steady=take(at.block),
         rate=take(arrays.PROFILE),
         segments=take(2),
+        settle=take(1),
         sensor=take(ny * arrays.SENSOR),
+        lowpass=take(_filtered(shared) * arrays.LOWPASS),
         torquer=take(nu * arrays.TORQUER),
         stop=take(n * arrays.STOP),
         fault=take(len(shared.faults) * arrays.FAULT),
@@ -237,18 +246,20 @@ def _layout(packed: Packed, shared: Shared, one: Prepared, controller: Controlle
         controller=take(2 * controller.states),
         command=take(nu),
         ring=take((one.timing.whole + 2) * nu),
+        late=take(int(shared.sensors[:, arrays.LATE].sum())),
         velocity=take(2 * n + 3),
+        sight=take(sight),
+        turns=take(21 * (n + 1)) if one.skeleton.turned else 0,
         table=take(9),
         alive=take(1),
         contact=take(1),
         random=take(4),
         spare_state=take(2 * at.size),
         spare_block=take(at.block),
-        metrics=take(metric_slots(n, nu)),
+        metrics=take(sum(widths_of_metrics(n, nu, sight))),
         end=place,
     )
 
 
-def metric_slots(n: int, nu: int) -> int:
-    """Return how many metrics come out: |q|, |rotation vector|, shares and saturated samples, contacts, samples."""
-    return n + 3 + 2 * nu + n + 1
+def _filtered(shared: Shared) -> int:
+    return int((shared.sensors[:, arrays.FILTERED] >= 0).sum())

@@ -16,6 +16,7 @@ from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.faults import FAULT_KINDS, Fault, part_names
 from platform_ctrl.job.scenario import Scenario
 from platform_ctrl.plant.platform import Platform
+from platform_ctrl.plant.sensors import Sensor
 from platform_ctrl.simulation.kernel import arrays
 from platform_ctrl.simulation.packing import Packed, Skeleton
 from platform_ctrl.simulation.servo_rotors import initial_spins, servo_rotors, with_rotor_states
@@ -30,7 +31,7 @@ def expect_scenario(scenario: object, period: float) -> None:
         raise ArgumentError(f"scenario must be a Scenario, got {short(scenario)}")
     whole("seed", scenario.seed, 0, 2**64 - 1)
     whole("run", scenario.run, 0, 2**64 - 1)
-    for name, most in (("duration", _SAMPLES), ("delay", _PERIODS)):
+    for name, most in (("duration", _SAMPLES), ("delay", _PERIODS), ("settle", _SAMPLES)):
         time = positive(name, getattr(scenario, name), zero=True)
         if time > most * period:
             raise ArgumentError(
@@ -163,7 +164,7 @@ def rate(scenario: Scenario) -> list[float]:
 
 
 def put_sensors(plants: Plants, rows: FloatArray, period: float, noise: bool) -> None:
-    """Noise of a sample, and quantisation."""
+    """Noise of a reading, quantisation, and errors of scale and zero."""
     if rows.size == 0:
         return
     # Sensors that do not differ from plant to plant are the same objects: the noise of a sample is found once.
@@ -171,11 +172,68 @@ def put_sensors(plants: Plants, rows: FloatArray, period: float, noise: bool) ->
     kinds = [p.sensors for p in plants.made]
     for sensor in (sensor for sensors in kinds for sensor in sensors):
         if id(sensor) not in sampled:
-            sampled[id(sensor)] = sensor.sampled_noise(period) if noise else 0.0
-    rows[:, :, arrays.RMS] = np.array([[sampled[id(sensor)] for sensor in sensors] for sensors in kinds])[plants.which]
-    rows[:, :, arrays.QUANTISATION] = np.array([[one.quantisation for one in sensors] for sensors in kinds])[
-        plants.which
-    ]
+            own = period * samples_apart(sensor, period)
+            sampled[id(sensor)] = sensor.sampled_noise(own) if noise else 0.0
+    rows[:, :, : arrays.LAST] = np.array(
+        [
+            [(sampled[id(one)], one.quantisation, 1.0 + one.scale_error, one.bias) for one in sensors]
+            for sensors in kinds
+        ]
+    )[plants.which]
+
+
+def put_lowpasses(plants: Plants, rows: FloatArray, period: float) -> None:
+    """What the sensors' low-passes do from sample to sample, their input running straight between (ramp-invariant)."""
+    known: dict[float, FloatArray] = {}
+    for k, platform in enumerate(plants.made):
+        bands = [sensor.bandwidth_hz for sensor in platform.sensors if sensor.bandwidth_hz is not None]
+        for j, band in enumerate(bands):
+            if band not in known:
+                known[band] = _lowpass(2.0 * math.pi * band * period)
+            rows[plants.which == k, j, : arrays.INPUT] = known[band]
+
+
+def _lowpass(angle: float) -> FloatArray:
+    """Transition (2, 2), and effect of the input before and now (2 each): x'' = a² (u − x) − √2 a x' in samples."""
+    from scipy.linalg import expm
+
+    # With the states x, x' go u and its change over the sample.
+    A = np.zeros((4, 4))
+    A[0, 1], A[2, 3] = 1.0, 1.0
+    A[1, :3] = -(angle**2), -math.sqrt(2.0) * angle, angle**2
+    step = expm(A)
+    before, now = step[:2, 2] - step[:2, 3], step[:2, 3]
+    return np.concatenate([step[:2, :2].ravel(), before, now])
+
+
+def rows_of_sensors(platform: Platform, size: int, period: float) -> NDArray[np.int64]:
+    """Row of the low-pass, samples late and where they are kept, samples from reading to reading: (size, 4)."""
+    rows = np.tile(np.array([-1, 0, 0, 1], dtype=np.int64), (size, 1))
+    filtered = kept = 0
+    for row, sensor in zip(rows, platform.sensors, strict=False):
+        late = sensor.periods_late(period)
+        if late > _PERIODS:
+            raise ArgumentError(
+                f"sensor {sensor.name!r}: a delay of {sensor.delay:.6g} s is {late} sample periods, more than the "
+                f"{_PERIODS:.0e} that a run may have; give a shorter one"
+            )
+        row[:] = filtered if sensor.bandwidth_hz is not None else -1, late, kept, samples_apart(sensor, period)
+        filtered, kept = filtered + (sensor.bandwidth_hz is not None), kept + late
+    return rows
+
+
+def samples_apart(sensor: Sensor, period: float) -> int:
+    """Return the number of samples from one reading of a sensor to the next."""
+    if sensor.rate_hz is None:
+        return 1
+    exact = 1.0 / (sensor.rate_hz * period)
+    whole_number = max(round(exact), 1)
+    if abs(exact / whole_number - 1.0) > 1e-6:
+        raise ArgumentError(
+            f"sensor {sensor.name!r}: a reading every {1e3 / sensor.rate_hz:.6g} ms is not a whole number of sample "
+            f"periods of {1e3 * period:.6g} ms; give rate_hz = {1.0 / (whole_number * period):.6g}"
+        )
+    return whole_number
 
 
 def put_torquers(plants: Plants, rows: FloatArray, half: FloatArray) -> None:

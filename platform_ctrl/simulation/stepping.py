@@ -17,7 +17,7 @@ from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError, SimulationError
 from platform_ctrl.job.scenario import Scenario
 from platform_ctrl.simulation.batch import columns_of_record, merged_controller
-from platform_ctrl.simulation.closed_loop import Trajectory, trajectory_of
+from platform_ctrl.simulation.closed_loop import Trajectory, counts, trajectory_of
 from platform_ctrl.simulation.compilation import wait_for_compilation
 from platform_ctrl.simulation.kernel import arrays
 from platform_ctrl.simulation.run_plan import batch, prepared
@@ -239,7 +239,7 @@ class Simulator:
             self._figures,
             record,
         )
-        sound = int(np.rint(self._figures[0, -1, 0])) - first
+        sound = int(counts(self._figures[0, :, 0], self.scenario.platform)[2][0]) - first
         self.going = sound == samples
         record = record[:sound]
         self.sample += sound

@@ -40,8 +40,13 @@ ACTIONS = {
     "impulse": CONTACT,
 }
 
-# Slots of a sensor: rms of a sample, quantisation; the last reading, and the last one delivered.
-RMS, QUANTISATION, LAST, SENSOR = 0, 1, 2, 3
+# Columns of `Shared.sensors`, a row for each sensor: begin and end of its terms; row of its low-pass, or -1; samples
+# that it is late, and where in `Layout.late` the last ones are; samples from one reading to the next.
+BEGIN_TERMS, END_TERMS, FILTERED, LATE, KEPT, EVERY = range(6)
+# Slots of a sensor: rms of a sample, quantisation, scale, bias; the last reading.
+RMS, QUANTISATION, SENSOR_SCALE, BIAS, LAST, SENSOR = 0, 1, 2, 3, 4, 5
+# Slots of a low-pass: x of the next sample is TRANSITION x + BEFORE u + NOW u of the next sample; u; x.
+TRANSITION, BEFORE, NOW, INPUT, LAGGING, LOWPASS = 0, 4, 6, 8, 9, 11
 # Slots of a torquer: limit, how far it slews at once and in half a substep of each segment, decay of the lag over half
 # a substep of each segment; what it works towards, where it has slewed to, torque; share of what it slews in half a
 # substep of each segment by which the lag is behind at its end.
@@ -63,8 +68,10 @@ RISE, HOLD, SCALE, PROFILE = 3, 4, 5, 6
 class Shared(NamedTuple):
     """What is the same in every scenario of a batch."""
 
-    sensors: NDArray[np.int64]  # (ny, 2): begin and end of its terms
-    signals: NDArray[np.int64]  # (terms,): index into [q, Omega, rates]
+    # (ny, 6), and behind the sensors the rates and angles of the line of sight. Every array of this tuple makes calls
+    # of compiled functions slower by some percent of a run.
+    sensors: NDArray[np.int64]
+    signals: NDArray[np.int64]  # (terms,): index into [q, Omega, rates, bodies' rates, bodies' rotations]
     weights: FloatArray  # (terms,)
     targets: NDArray[np.int64]  # (nu,): index into [M, Q]
     faults: NDArray[np.int64]  # (nf, 3): kind; sensor, torquer, gimbal or row of `rotors`; channel of its draws
@@ -88,11 +95,14 @@ class Layout(NamedTuple):
     states: int  # of the controllers
     stops: int  # whether any gimbal has stops
     profile: int  # whether a half-cosine is simulated
+    sensors: int  # rows of `Shared.sensors` that are sensors
     start: int  # state at t = 0, v holding the rates
     steady: int  # block of surroundings: what does not change
     rate: int
     segments: int  # substeps of the two segments
+    settle: int  # samples before the mean and rms begin
     sensor: int
+    lowpass: int
     torquer: int
     stop: int
     fault: int
@@ -102,15 +112,29 @@ class Layout(NamedTuple):
     controller: int  # states, then next states
     command: int  # the present one
     ring: int  # limited commands of the last `whole` + 2 samples
+    late: int  # what sensors that are late have yet to say
     velocity: int  # rates at the sample
+    sight: int  # rates, and angles, of the line of sight at the sample
+    turns: int  # every body's rotation since t = 0; inertial axes in its axes, and at t = 0; 0: nothing reads it
     table: int  # three rows of the time table's torque
     alive: int
     contact: int  # whether any gimbal lies on a stop
     random: int
     spare_state: int  # two of them
     spare_block: int
-    metrics: int  # largest |q| (n), |rotation vector| (3), share of limits (nu), saturated (nu), contacts (n), samples
+    metrics: int  # see `widths_of_metrics`
     end: int
+
+
+def widths_of_metrics(n: int, nu: int, sight: int) -> tuple[int, ...]:
+    """Return how many of each metric come out, of n gimbals, nu torquers and `sight` outputs of the line of sight.
+
+    Largest |q|, |rotation vector|, share of limits; saturated samples; contacts; samples; largest |gimbal rate|;
+    samples that are settled; of a plant with a line of sight, of [Omega, gimbal rates, line of sight] the mean over
+    them and the sum of squares about it.
+    """
+    spread = 3 + n + sight if sight else 0
+    return n, 3, nu, nu, n, 1, n, 1, spread, spread
 
 
 # Columns of `Links.tree`, a row for each gimbal, parents first: gimbal, parent's body; which component of a vector in

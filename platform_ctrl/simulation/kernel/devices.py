@@ -1,4 +1,4 @@
-"""The torquers between samples: limited rates, first-order lags, and what fails of their torque."""
+"""The torquers between samples: limited rates, first-order lags, and what fails of their torque; random numbers."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from platform_ctrl.common.simd import (
     Mask,
     Number,
-    anywhere,
     apart,
     choose,
     columns,
@@ -21,7 +20,6 @@ from platform_ctrl.common.simd import (
     load,
     root,
     store,
-    whole,
 )
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.simulation.kernel.arrays import (
@@ -32,15 +30,7 @@ from platform_ctrl.simulation.kernel.arrays import (
     FAULT,
     FIRST,
     HELD,
-    LAST,
-    PICKOFF_DEAD,
-    PICKOFF_DRIFT,
-    PICKOFF_DROPOUT,
-    PICKOFF_STUCK,
-    QUANTISATION,
-    RMS,
     SECOND,
-    SENSOR,
     SLEW,
     SLEWED,
     STUCK,
@@ -211,48 +201,3 @@ def normals(keys: Keys, mem: FloatArray, lane: int, step: int, channel: int, slo
     c, s = cosine_and_sine(_TURN * load(mem, slot + 1, lane))
     store(mem, slot, lane, size * c)
     store(mem, slot + 1, lane, size * s)
-
-
-@internal
-def _signal(at: At, layout: Layout, index: int) -> int:
-    """Slot of an entry of [q, Omega, rates]."""
-    return at.state + index if index < at.n else layout.velocity + index - at.n
-
-
-@internal
-def read(shared: Shared, keys: Keys, mem: FloatArray, lane: int, at: At, layout: Layout, k: int, t: float) -> None:
-    """Put what every sensor says at sample k into its LAST."""
-    for i in range(shared.sensors.shape[0]):
-        slot, first, last = layout.sensor + i * SENSOR, shared.sensors[i, 0], shared.sensors[i, 1]
-        value = shared.weights[first] * load(mem, _signal(at, layout, shared.signals[first]), lane)
-        for j in range(first + 1, last):
-            value = value + shared.weights[j] * load(mem, _signal(at, layout, shared.signals[j]), lane)
-        rms = load(mem, slot + RMS, lane)
-        if anywhere(rms > 0.0):
-            if i % 2 == 0 or not anywhere(load(mem, slot - SENSOR + RMS, lane) > 0.0):
-                normals(keys, mem, lane, k, PICKOFF + i // 2, layout.random)
-            value = value + rms * load(mem, layout.random + i % 2, lane)
-        for f in range(shared.faults.shape[0]):
-            if shared.faults[f, 0] == PICKOFF_DRIFT and shared.faults[f, 1] == i:
-                fault = layout.fault + f * FAULT
-                drift = load(mem, fault + FIRST, lane) * (t - load(mem, fault + BEGIN, lane))
-                value = choose(acts(mem, lane, fault, t), value + drift, value)
-        step = load(mem, slot + QUANTISATION, lane)
-        fine = step > 0.0
-        unit = choose(fine, step, 0.0 * step + 1.0)
-        value = choose(fine, unit * whole(value / unit + 0.5), value)
-        for f in range(shared.faults.shape[0]):
-            failing = shared.faults[f, 0]
-            if failing < PICKOFF_DROPOUT or failing > PICKOFF_DEAD or shared.faults[f, 1] != i:
-                continue
-            fault = layout.fault + f * FAULT
-            on = acts(mem, lane, fault, t)
-            if failing == PICKOFF_DEAD:
-                value = choose(on, 0.0 * value, value)
-            elif failing == PICKOFF_STUCK:
-                value = choose(on, load(mem, slot + LAST, lane), value)
-            elif failing == PICKOFF_DROPOUT:
-                uniforms(keys, mem, lane, k, LOSS + shared.faults[f, 2], layout.random + 2)
-                lost = on & (load(mem, layout.random + 2, lane) < load(mem, fault + FIRST, lane))
-                value = choose(lost, load(mem, slot + LAST, lane), value)
-        store(mem, slot + LAST, lane, value)

@@ -15,7 +15,6 @@ from platform_ctrl.common.simd import (
     internal,
     lesser,
     load,
-    root,
     store,
 )
 from platform_ctrl.common.values import FloatArray
@@ -51,7 +50,6 @@ from platform_ctrl.simulation.kernel.devices import (
     acts,
     new_torque,
     put_torques,
-    read,
     ready_torquers,
     torquers_fail,
     uniforms,
@@ -59,96 +57,15 @@ from platform_ctrl.simulation.kernel.devices import (
 )
 from platform_ctrl.simulation.kernel.dynamics import derivative, joint_momenta, runge_kutta
 from platform_ctrl.simulation.kernel.functions import cosine_and_sine
+from platform_ctrl.simulation.kernel.metrics import judge, update_metrics
+from platform_ctrl.simulation.kernel.sensors import look, read, turn_bodies
 from platform_ctrl.simulation.kernel.stops import hold, meet_stops, strike
 from platform_ctrl.simulation.kernel.surroundings import begin_surroundings, follow_rotors, hand_on, surround
 
 
 @inlined
-def _half_turn(sine: Number, cosine: Number) -> tuple[Number, Number]:
-    """Angle a in [0, pi/2] of sin a and cos a, and a / sin a."""
-    t = sine / (1.0 + cosine)
-    u = t / (1.0 + root(1.0 + t * t))
-    v = u / (1.0 + root(1.0 + u * u))
-    z = v * v
-    series = 1.0 / 21.0 + 0.0 * z
-    for i in range(19, 0, -2):
-        series = 1.0 / i - z * series
-    angle = 8.0 * v * series
-    return angle, choose(sine > 1e-9, angle / sine, 0.0 * sine + 1.0)
-
-
-@internal
-def update_metrics(shared: Shared, mem: FloatArray, lane: int, at: At, layout: Layout) -> None:
-    """Largest angles, rotation vector and shares of torque so far, of the scenarios that are still going."""
-    n, nu = at.n, shared.targets.shape[0]
-    alive = load(mem, layout.alive, lane)
-    going = alive > 0.5
-    for i in range(n):
-        q, slot = load(mem, at.state + i, lane), layout.metrics + i
-        q = choose(q < 0.0, -q, q)
-        store(mem, slot, lane, choose(going, greater(load(mem, slot, lane), q), load(mem, slot, lane)))
-    e = at.state + 2 * n + 3
-    e0, e1 = load(mem, e, lane), load(mem, e + 1, lane)
-    e2, e3 = load(mem, e + 2, lane), load(mem, e + 3, lane)
-    _, per_sine = _half_turn(root(e1 * e1 + e2 * e2 + e3 * e3), choose(e0 < 0.0, -e0, e0))
-    for i in range(3):
-        part, slot = 2.0 * per_sine * load(mem, e + 1 + i, lane), layout.metrics + n + i
-        part = choose(part < 0.0, -part, part)
-        store(mem, slot, lane, choose(going, greater(load(mem, slot, lane), part), load(mem, slot, lane)))
-    for i in range(nu):
-        limit = load(mem, layout.torquer + i * TORQUER + LIMIT, lane)
-        command, slot = load(mem, layout.command + i, lane), layout.metrics + n + 3 + i
-        command = choose(command < 0.0, -command, command)
-        share = command / limit
-        store(mem, slot, lane, choose(going, greater(load(mem, slot, lane), share), load(mem, slot, lane)))
-        slot += nu
-        store(mem, slot, lane, load(mem, slot, lane) + choose(command >= limit, alive, 0.0 * alive))
-
-
-@internal
-def judge(mem: FloatArray, lane: int, at: At, layout: Layout, shared: Shared) -> bool:
-    """Let go of scenarios that diverge: a number that is not finite, or a rate above one radian per substep.
-
-    They start again from t = 0 so as not to compute with such numbers, and count no more. Returns whether any is left.
-    """
-    n = at.n
-    step = greater(load(mem, layout.segments, lane), load(mem, layout.segments + 1, lane))
-    sound = step > 0.0
-    for i in range(at.size):
-        y = load(mem, at.state + i, lane)
-        sound = sound & (y - y == 0.0)
-    for i in range(n + 3):
-        turn = load(mem, layout.velocity + i, lane) * step
-        sound = sound & (turn < 1.0) & (turn > -1.0)
-    for i in range(shared.targets.shape[0]):
-        command = load(mem, layout.command + i, lane)
-        sound = sound & (command - command == 0.0)
-    alive = load(mem, layout.alive, lane)
-    if anywhere(~sound):
-        for i in range(at.size):
-            y = at.state + i
-            store(mem, y, lane, choose(sound, load(mem, y, lane), load(mem, layout.start + i, lane)))
-        for i in range(n + 3):
-            slot = layout.velocity + i
-            store(mem, slot, lane, choose(sound, load(mem, slot, lane), 0.0 * step))
-        for i in range(layout.states):
-            slot = layout.controller + i
-            store(mem, slot, lane, choose(sound, load(mem, slot, lane), 0.0 * step))
-        for i in range(shared.targets.shape[0]):
-            slot = layout.command + i
-            store(mem, slot, lane, choose(sound, load(mem, slot, lane), 0.0 * step))
-            slot = layout.torquer + i * TORQUER + TORQUE
-            store(mem, slot, lane, choose(sound, load(mem, slot, lane), 0.0 * step))
-    alive = choose(sound, alive, 0.0 * alive)
-    store(mem, layout.alive, lane, alive)
-    done = layout.metrics + 2 * n + 3 + 2 * shared.targets.shape[0]
-    store(mem, done, lane, load(mem, done, lane) + alive)
-    return bool(anywhere(alive > 0.5))
-
-
-@inlined
 def note_sample(links: Links, shared: Shared, mem: FloatArray, at: At, layout: Layout, record: FloatArray) -> None:
-    """A row for the first column: q, rates, Omega, p, attitude, reading, command, torque, spins, motors' torques."""
+    """A row for the first column: see `columns_of_record`."""
     n, nu, column = at.n, shared.targets.shape[0], 0
     for i in range(n):
         record[i] = load(mem, at.state + i, 0)
@@ -159,9 +76,9 @@ def note_sample(links: Links, shared: Shared, mem: FloatArray, at: At, layout: L
     for i in range(4):
         record[3 * n + 3 + i] = load(mem, at.state + 2 * n + 3 + i, 0)
     column = 3 * n + 7
-    for i in range(shared.sensors.shape[0]):
+    for i in range(layout.sensors):
         record[column + i] = load(mem, layout.sensor + i * SENSOR + LAST, 0)
-    column += shared.sensors.shape[0]
+    column += layout.sensors
     for i in range(nu):
         record[column + i] = load(mem, layout.command + i, 0)
     column += 2 * nu
@@ -176,6 +93,9 @@ def note_sample(links: Links, shared: Shared, mem: FloatArray, at: At, layout: L
         record[column + r] = spin
         limit = load(mem, row + TORQUE_LIMIT, 0)
         record[column + at.servos + r] = min(max(wanted, -limit), limit)
+    column += 2 * at.servos
+    for i in range(shared.sensors.shape[0] - layout.sensors):
+        record[column + i] = load(mem, layout.sight + i, 0)
 
 
 @inlined
@@ -184,7 +104,7 @@ def note_torques(shared: Shared, mem: FloatArray, at: At, layout: Layout, record
     if record.shape[0] > 0:
         nu = shared.targets.shape[0]
         for i in range(nu):
-            column = 3 * at.n + 7 + shared.sensors.shape[0] + nu + i
+            column = 3 * at.n + 7 + layout.sensors + nu + i
             record[k, column] = load(mem, layout.torquer + i * TORQUER + TORQUE, 0)
 
 
@@ -343,10 +263,13 @@ def _sample(
     nu, t = shared.targets.shape[0], k * shared.period
     strike(links, shared, mem, lane, at, layout, free, k)
     _survey(links, mem, lane, at, layout, free)
+    if layout.turns > 0:
+        turn_bodies(links, mem, lane, at, layout, k)
+    look(shared, mem, lane, at, layout)
     read(shared, keys, mem, lane, at, layout, k, t)
     _control(shared, keys, mem, lane, at, layout, k, t)
     going = judge(mem, lane, at, layout, shared)
-    update_metrics(shared, mem, lane, at, layout)
+    update_metrics(shared, mem, lane, at, layout, k)
     for i in range(nu):
         slot = layout.torquer + i * TORQUER
         limit = load(mem, slot + LIMIT, lane)
