@@ -374,3 +374,44 @@ RUN_METRICS: dict[str, Quantity] = {
         ),
     )
 }
+# Of the line of sight; the limits are in ``[budget.limits]`` and, of one source, in ``[[budget.source]]``.
+BUDGET_METRICS: dict[str, Quantity] = {
+    one.key: one
+    for one in (
+        Quantity(
+            name="line-of-sight jitter",
+            key="jitter",
+            unit="rad",
+            sense="at most",
+            meaning="rms of both axes across the line of sight together, in the band of the budget",
+        ),
+        Quantity(
+            name="line-of-sight jitter of one axis",
+            key="jitter_per_axis",
+            unit="rad",
+            sense="at most",
+            meaning="the larger rms of the two axes across the line of sight, in the band of the budget",
+        ),
+        Quantity(
+            name="line-of-sight jitter within an exposure",
+            key="windowed_jitter",
+            unit="rad",
+            sense="at most",
+            meaning="rms about the mean of an exposure, both axes together, at the exposure where it is largest",
+        ),
+        Quantity(
+            name="line-of-sight smear within an exposure",
+            key="smear",
+            unit="rad",
+            sense="at most",
+            meaning="rms of the extent of the line that fits an exposure best, from end to end, both axes together",
+        ),
+        Quantity(
+            name="line-of-sight rms",
+            key="limit",
+            unit="rad",
+            sense="at most",
+            meaning="rms of both axes across the line of sight from one source alone",
+        ),
+    )
+}

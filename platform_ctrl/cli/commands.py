@@ -11,6 +11,7 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperCommand, TyperGroup
 
+from platform_ctrl.cli.budget_command import budget
 from platform_ctrl.cli.campaign_command import campaign
 from platform_ctrl.cli.design_commands import check, design
 from platform_ctrl.cli.export_command import export
@@ -173,6 +174,7 @@ app.command(cls=Teaching, rich_help_panel=START)(equations)
 
 app.command(cls=Teaching, rich_help_panel=DESIGN)(design)
 app.command(cls=Teaching, rich_help_panel=DESIGN)(check)
+app.command(cls=Teaching, rich_help_panel=DESIGN)(budget)
 app.command(cls=Teaching, rich_help_panel=DESIGN)(serve)
 app.command(cls=Teaching, rich_help_panel=SIMULATE)(simulate)
 app.command(cls=Teaching, rich_help_panel=SIMULATE)(campaign)

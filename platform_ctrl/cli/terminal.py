@@ -126,8 +126,8 @@ def show_result(result: JobResult) -> None:
         console.print(terminal_table(result))
     else:
         console.print(result.job.name, style="bold", markup=False)
-        _show_lines(console, result.requirements)
-        _show_lines(console, [goal for outcome in result.loops for goal in outcome.closed.goals])
+        show_lines(console, result.requirements)
+        show_lines(console, [goal for outcome in result.loops for goal in outcome.closed.goals])
     _show_verdict(console, result.requirements, added_words(result.job.platform))
 
 
@@ -151,7 +151,7 @@ def show_run(run: Run, largest: dict[str, tuple[float, str]]) -> None:
         table.add_row(name, words)
     console.print(run.manoeuvre.name, style="bold", markup=False)
     console.print(table)
-    _show_lines(console, run.results)
+    show_lines(console, run.results)
 
 
 def show_inputs(title: str, inputs: Mapping[str, object]) -> None:
@@ -167,7 +167,8 @@ def show_inputs(title: str, inputs: Mapping[str, object]) -> None:
     console.print(table)
 
 
-def _show_lines(console: Console, results: Sequence[CheckResult]) -> None:
+def show_lines(console: Console, results: Sequence[CheckResult]) -> None:
+    """Print a line for each result: whether it is met, its value and its limit."""
     from rich.text import Text
 
     from platform_ctrl.report.failures import value_and_limit

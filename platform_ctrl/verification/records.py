@@ -17,6 +17,7 @@ import numpy as np
 from platform_ctrl import __version__
 from platform_ctrl.analysis.certificates import Certificate
 from platform_ctrl.analysis.certificates.certificate import Verification
+from platform_ctrl.analysis.dry_friction import FrictionBalance
 from platform_ctrl.common.json_text import plain_types, write_json
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray
@@ -25,6 +26,7 @@ from platform_ctrl.job.job import Job
 from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.plant.mistakes import given
 from platform_ctrl.plant.source import read_json
+from platform_ctrl.verification.budget import LineOfSightBudget
 from platform_ctrl.verification.coupled import CoupledCheck
 from platform_ctrl.verification.json_tables import SCHEMA
 from platform_ctrl.verification.simulated import Run, largest
@@ -55,8 +57,68 @@ def result_record(result: JobResult) -> Record:
         "coupled": _coupled(result.coupled) | {"certificates": _certificates(result.proofs["", ""])},
         "runs": [run_record(job, run) for run in result.runs],
     }
+    if result.budget is not None:
+        record["budget"] = budget_record(job, result.budget)
     out: Record = plain_types(record)
     return out
+
+
+def budget_record(job: Job, found: LineOfSightBudget) -> Record:
+    """Return the budget of a job's line of sight in plain types, SI units; what ``budget --json`` prints."""
+    assert job.budget is not None
+    record = {
+        "schema": SCHEMA,
+        "platform": job.platform.name,
+        "job": job.name,
+        "passed": found.passed,
+        "band_hz": [job.budget.from_hz, job.budget.to_hz],
+        "axes": found.axes,
+        "sources": [
+            {"name": name, "kind": kind, "rms": rms, "share": share}
+            for name, kind, rms, share in zip(found.names, found.kinds, found.rms, found.shares, strict=True)
+        ],
+        "total": {"rms": found.total, "across": found.jitter},
+        "windows": [
+            {
+                "exposure": one.exposure,
+                "displacement": one.displacement,
+                "smear": one.smear,
+                "jitter": one.jitter,
+                "about_mean": one.about_mean,
+                "contrast": [
+                    {"spatial_frequency": nu, "contrast": one.contrast[:, k]}
+                    for k, nu in enumerate(job.budget.spatial_frequencies)
+                ],
+            }
+            for one in found.windows
+        ],
+        "friction": () if found.friction is None else _friction(found.friction),
+        "requirements": [_requirement(one) for one in found.results],
+    }
+    out: Record = plain_types(record)
+    return out
+
+
+def _friction(balance: FrictionBalance) -> list[Record]:
+    return [
+        {
+            "rate_rms": rate,
+            "viscous": viscous,
+            "remainder": left,
+            "sticking": sticking,
+            "valid": bool(valid),
+            "says": says,
+        }
+        for rate, viscous, left, sticking, valid, says in zip(
+            balance.rate,
+            balance.viscous,
+            balance.remainder,
+            balance.sticking,
+            balance.valid,
+            balance.statement,
+            strict=True,
+        )
+    ]
 
 
 def run_record(job: Job, run: Run) -> Record:

@@ -20,6 +20,12 @@ from platform_ctrl.errors import NotCertifiedError
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.judging import CheckResult, Requirement, Stage
 from platform_ctrl.mechanics.linearisation import LinearModel, linearise
+from platform_ctrl.verification.budget import (
+    LineOfSightBudget,
+    is_limited,
+    line_of_sight_budget,
+    unlimited_results,
+)
 from platform_ctrl.verification.coupled import ALL_LOOPS, CoupledCheck, coupled_check
 from platform_ctrl.verification.simulated import Run, simulate_manoeuvre
 
@@ -169,7 +175,9 @@ class JobResult:
     proofs
         Of every design by (loop, design), and of the coupled system by ("", ""): its certificates, verified.
     requirements
-        All results that the verdict rests on: the closed designs', the coupled system's, the runs'.
+        All results that the verdict rests on: the closed designs', the coupled system's, the budget's, the runs'.
+    budget
+        Of the line of sight, where the job limits it.
     """
 
     job: Job
@@ -180,6 +188,7 @@ class JobResult:
     runs: tuple[Run, ...]
     proofs: dict[tuple[str, str], Proofs]
     requirements: tuple[CheckResult, ...]
+    budget: LineOfSightBudget | None = None
 
     @property
     def passed(self) -> bool:
@@ -220,6 +229,10 @@ def check_job(job: Job, loops: Sequence[LoopOutcome], progress: Progress | None 
     say("certificates: every claim proved in interval arithmetic")
     proofs = {(d.loop, d.name): proofs_of(d) for outcome in loops for d in outcome.designs}
     together = coupled_proofs(coupled, controllers)
+    budget = None
+    if is_limited(job):
+        say("budget: every source through the coupled sampled model")
+        budget = line_of_sight_budget(job, controllers) if coupled.stable else None
     runs = []
     for manoeuvre in job.manoeuvres:
         say(f"simulated run: {manoeuvre.name}")
@@ -230,6 +243,7 @@ def check_job(job: Job, loops: Sequence[LoopOutcome], progress: Progress | None 
         shown = proofs[design.loop, design.name].results(design.loop, design.name, "decoupled")
         requirements += [*design.results, *shown]
     requirements += [*coupled.results, *together.results(ALL_LOOPS, "", "coupled")]
+    requirements += unlimited_results(job) if budget is None else budget.results
     requirements += [result for run in runs for result in run.results]
     return JobResult(
         job=job,
@@ -240,4 +254,5 @@ def check_job(job: Job, loops: Sequence[LoopOutcome], progress: Progress | None 
         runs=tuple(runs),
         proofs=proofs | {("", ""): together},
         requirements=tuple(requirements),
+        budget=budget,
     )

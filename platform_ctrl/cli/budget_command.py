@@ -1,0 +1,138 @@
+"""``platform-ctrl budget``: what each source of a job does to the line of sight."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import typer
+
+from platform_ctrl.cli.job_arguments import (
+    DESIGNED,
+    RESULT,
+    Controllers,
+    JobFile,
+    Json,
+    Quiet,
+    controller_file,
+    job_of,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    import control
+
+    from platform_ctrl.job.job import Job
+    from platform_ctrl.verification.budget import LineOfSightBudget, WindowBudget
+
+# Columns for the name of a source; with three axes a line has 80.
+_NAME, _KIND = 24, 14
+_MICRO = 1e6
+
+
+def budget(job: JobFile, controllers: Controllers = None, as_json: Json = False, quiet: Quiet = False) -> int:
+    """Print how much the line of sight shakes, and from what.
+
+    Closes existing controllers around the coupled sampled model at rest, or designs them where there are none, and
+    gives the rms of the line of sight from each source of the job's [budget] and from the noise of the sensors, by
+    axis; displacement, smear and jitter within the exposures; and the contrast that is left. Exit code 1 if a limit of
+    the budget is not kept.
+
+    \b
+    platform-ctrl budget job.toml                          with the controllers of out/result.json
+    platform-ctrl budget job.toml --controllers mine.json  with others
+    platform-ctrl budget job.toml --json | jq .total       to compute with
+    """  # noqa: D301
+    from platform_ctrl.cli.terminal import progress, screen, show_lines
+
+    with progress(quiet or as_json, f"reading {job}") as say:
+        read = job_of(job)
+        from platform_ctrl.verification.budget import expect_budget, line_of_sight_budget
+
+        expect_budget(read)
+        closed = _controllers(read, job, controllers, say)
+        say("budget: every source through the coupled sampled model")
+        found = line_of_sight_budget(read, closed)
+    if as_json:
+        from platform_ctrl.common.json_text import json_text
+        from platform_ctrl.verification.records import budget_record
+
+        typer.echo(json_text(budget_record(read, found)))
+    else:
+        for line in budget_lines(read, found):
+            typer.echo(line)
+        show_lines(screen(), found.results)
+    return 0 if found.passed else 1
+
+
+def _controllers(job: Job, path: Path, given: Path | None, say: Callable[[str], None]) -> list[control.StateSpace]:
+    """Return the controllers of a file as check finds it, or new ones where there is none."""
+    from platform_ctrl.app.saving import controllers_beside
+    from platform_ctrl.verification.controllers import read_controllers
+
+    if given is None and not controllers_beside(path).is_file() and not (DESIGNED / RESULT).exists():
+        from platform_ctrl.design import loops
+
+        return [outcome.closed.controller for outcome in loops(job, say)]
+    file = controller_file(given, None, path)
+    say(f"controllers: {file}")
+    return read_controllers(file, job)
+
+
+def budget_lines(job: Job, found: LineOfSightBudget) -> Iterator[str]:
+    """Walk the lines of the tables, 80 columns wide."""
+    assert job.budget is not None
+    yield f"{job.name}: line of sight, {job.budget.from_hz:g} to {job.budget.to_hz:g} Hz, µrad rms and share"
+    yield ""
+    yield f"{'source':{_NAME}}{'kind':{_KIND}}" + "".join(f"{name:>14}" for name in found.axes)
+    for name, kind, rms, shares in zip(found.names, found.kinds, found.rms, found.shares, strict=True):
+        numbers = "".join(f"{_micro(x):>9}{_percent(s):>5}" for x, s in zip(rms, shares, strict=True))
+        yield f"{_short(name, _NAME - 1):{_NAME}}{kind:{_KIND}}{numbers}".rstrip()
+    total = "".join(f"{_micro(x):>9}{'':5}" for x in found.total)
+    yield f"{'all together':{_NAME + _KIND}}{total}".rstrip()
+    yield f"{'both axes across':{_NAME + _KIND}}{_micro(found.jitter):>9}"
+    for window in found.windows:
+        yield ""
+        yield from _window(job, window)
+    for line in () if found.friction is None else found.friction.statement:
+        yield ""
+        yield from _wrapped(line)
+    yield ""
+
+
+def _window(job: Job, window: WindowBudget) -> Iterator[str]:
+    assert job.budget is not None
+    yield f"within {1e3 * window.exposure:g} ms, µrad rms"
+    for words, rms in (
+        ("displacement: the mean", window.displacement),
+        ("smear: the line's extent, end to end", window.smear),
+        ("jitter about the line", window.jitter),
+        ("about the mean, smear included", window.about_mean),
+    ):
+        yield _row(words, [_micro(x) for x in rms])
+    for k, nu in enumerate(job.budget.spatial_frequencies):
+        words = f"contrast at {nu:g} cycles/rad"
+        yield _row(words, [f"{x:.4f}" for x in window.contrast[:, k]])
+
+
+def _row(words: str, numbers: list[str]) -> str:
+    return f"  {words:{_NAME + _KIND - 2}}{''.join(f'{number:>9}     ' for number in numbers)}".rstrip()
+
+
+def _micro(rad: float) -> str:
+    return f"{_MICRO * rad:.4g}"
+
+
+def _percent(share: float) -> str:
+    return f"{100.0 * share:.0f} %" if share > 0.0 else ""
+
+
+def _short(text: str, most: int) -> str:
+    return text if len(text) <= most else text[: most - 3] + "..."
+
+
+def _wrapped(text: str) -> list[str]:
+    import textwrap
+
+    return textwrap.wrap(text, 80)

@@ -1,0 +1,477 @@
+"""The line of sight's budget of a job: what each of its sources does to it with all loops closed.
+
+The coupled linear model, sampled exactly, follows `analysis.jitter_budget`. The sources are those of ``[budget]`` and
+the noise and quantisation of the sensors that the controllers read; dry friction is replaced by its describing function
+at the rates that the budget itself finds.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from platform_ctrl.analysis.arrays import StateArrays, selected, state_arrays
+from platform_ctrl.analysis.budget_result import Budget as Found
+from platform_ctrl.analysis.disturbances import Disturbance, RandomDisturbance, SampleNoise, SineDisturbance, Spectrum
+from platform_ctrl.analysis.dry_friction import FrictionBalance, friction_balance
+from platform_ctrl.analysis.hybrid_plant import HybridPlant
+from platform_ctrl.analysis.jitter_budget import JitterBudget
+from platform_ctrl.analysis.metrics import BUDGET_METRICS
+from platform_ctrl.analysis.pointing_windows import motion_transfer
+from platform_ctrl.common.signatures import check_arguments
+from platform_ctrl.common.values import FloatArray, value
+from platform_ctrl.errors import ArgumentError
+from platform_ctrl.job.budget import Budget, Source
+from platform_ctrl.job.job import Job
+from platform_ctrl.job.judging import CheckResult, Requirement
+from platform_ctrl.mechanics.linearisation import linearise
+from platform_ctrl.mechanics.outputs import observed
+from platform_ctrl.mechanics.state_space import state_space
+from platform_ctrl.plant.platform import FORCE_NAMES, OMEGA_NAMES, Platform
+from platform_ctrl.plant.sensors import LOS_ANGLES, LOS_RATES, gimbal_rate
+from platform_ctrl.verification.coupled import acts_on_root, coupled_plant, one_controller
+
+if TYPE_CHECKING:
+    import control
+
+LINE_OF_SIGHT = "line of sight"  # subject of what is required of it
+# Relative errors of variances, and of the rates that friction is balanced with.
+_TOLERANCE, _FRICTION_TOLERANCE = 1e-5, 1e-4
+# A recorded spectrum has at most so many points to an octave; below, its own.
+_PER_OCTAVE = 24
+# The fitted line's extent from end to end over its root mean square.
+_EXTENT = math.sqrt(12.0)
+
+
+@value
+class WindowBudget:
+    """The line of sight within an exposure; rows are the two axes across it and the rotation about it, rad.
+
+    Attributes
+    ----------
+    exposure
+        s.
+    displacement, smear, jitter : (3,)
+        Rms of the mean, of the extent of the fitted line from end to end, and of what is left about that line, rad.
+    about_mean : (3,)
+        Rms about the mean, smear included, rad.
+    contrast : (2, f)
+        Modulation transfer function of the motion across at the budget's spatial frequencies, dimensionless.
+    """
+
+    exposure: float
+    displacement: FloatArray
+    smear: FloatArray
+    jitter: FloatArray
+    about_mean: FloatArray
+    contrast: FloatArray
+
+
+@value
+class LineOfSightBudget:
+    """What each source does to the line of sight.
+
+    Attributes
+    ----------
+    names, kinds
+        Of the sources: those of the job, then the noise and quantisation of sensors.
+    axes
+        Names of the outputs: the two angles across the line of sight, and the rotation about it.
+    rms : (sources, 3)
+        In the band of the budget, rad.
+    total : (3,)
+        Of all sources together, correlations included, rad.
+    windows
+        One for each exposure.
+    frequencies_hz : (k,)
+        Up to which `cumulative` sums, Hz.
+    cumulative : (sources, 3, k)
+        Mean square of each source up to these frequencies, rad².
+    friction
+        Rates and equivalent dampings of bearings with dry friction; None where there is none.
+    results
+        The budget's limits compared with these.
+    """
+
+    names: tuple[str, ...]
+    kinds: tuple[str, ...]
+    axes: tuple[str, ...]
+    rms: FloatArray
+    total: FloatArray
+    windows: tuple[WindowBudget, ...]
+    frequencies_hz: FloatArray
+    cumulative: FloatArray
+    friction: FrictionBalance | None
+    results: tuple[CheckResult, ...]
+
+    @property
+    def jitter(self) -> float:
+        """Rms of both axes across the line of sight together, rad."""
+        return _across(self.total)
+
+    @property
+    def shares(self) -> FloatArray:
+        """Mean square of each source over that of all (sources, 3), dimensionless; zero where nothing moves."""
+        every = self.total**2
+        out: FloatArray = np.divide(self.rms**2, every, out=np.zeros_like(self.rms), where=every > 0.0)
+        return out
+
+    @property
+    def passed(self) -> bool:
+        """Whether every limit is kept."""
+        return all(one.passed for one in self.results)
+
+
+def _across(rms: FloatArray) -> float:
+    return float(math.hypot(rms[0], rms[1]))
+
+
+def expect_budget(job: Job) -> Budget:
+    """Return the budget of a job whose plant has a line of sight."""
+    if job.budget is None:
+        raise ArgumentError(f"job {job.name!r}: there is no [budget]; state what disturbs the line of sight there")
+    if job.platform.line_of_sight is None:
+        raise ArgumentError(
+            f"platform {job.platform.name!r}: there is no [line_of_sight]; state what looks out in the plant"
+        )
+    return job.budget
+
+
+@check_arguments
+def line_of_sight_budget(job: Job, controllers: Sequence[control.StateSpace]) -> LineOfSightBudget:
+    """Return the budget of the line of sight with `controllers` closed around the coupled sampled model at rest.
+
+    Parameters
+    ----------
+    job
+        With a budget, and a plant with a line of sight.
+    controllers
+        u = K y in the order in which they are computed, with the job's sample period.
+
+    Returns
+    -------
+    LineOfSightBudget
+        By source and axis, rad.
+
+    Raises
+    ------
+    ArgumentError
+        The job has no budget or the plant no line of sight, a base rate acts on a platform that is free, the
+        controllers do not fit the plant, or the loop is not stable.
+    NotFoundError
+        No rates were found that agree with the damping by dry friction at them.
+    """
+    budget, platform = expect_budget(job), job.platform
+    loop = _Loop(job, budget, controllers)
+    dry = [one for one in platform.frictions if max(*one.coulomb, *one.breakaway) > 0.0]
+    places = [len(LOS_RATES) + platform.gimbal(one.gimbal) for one in dry]
+
+    def damped(viscous: FloatArray) -> HybridPlant:
+        added = dict(zip((one.gimbal for one in dry), map(float, viscous), strict=True))
+        return loop.plant(_damped(platform, added))
+
+    def rates(viscous: FloatArray) -> FloatArray:
+        return np.asarray(loop.found(damped(viscous), loop.together).total[places])
+
+    balance = friction_balance(dry, rates, tolerance=_FRICTION_TOLERANCE) if dry else None
+    plant = damped(balance.viscous if balance is not None else np.zeros(0))
+    together = loop.found(plant, loop.together)
+    apart = together if loop.together is loop.apart else loop.found(plant, loop.apart)
+    return _told(job, budget, loop, apart, together, balance)
+
+
+class _Loop:
+    """The loop of a job, for one damping of its bearings after the other."""
+
+    def __init__(self, job: Job, budget: Budget, controllers: Sequence[control.StateSpace]) -> None:
+        self.job, self.budget = job, budget
+        self.free = acts_on_root(job, controllers)
+        K = one_controller(job, controllers, coupled_plant(job, linearise(job.platform), controllers))
+        read = {name for one in controllers for name in one.input_labels}
+        self.torquers, self.sensors = list(K.output_labels), [name for name in K.input_labels if name in read]
+        # An angle that no controller reads may drift.
+        self.controller = state_arrays(selected(K, self.torquers, self.sensors), "controllers")
+        self.inputs: list[str] = []
+        columns = [self._input(source) for source in budget.sources]
+        self.sources, self.rows = self._sources(columns)
+        self.noise = self._noise()
+        # As if all were independent, for what each does; and as they are.
+        self.apart: list[Disturbance] = [*self.sources, *self.noise]
+        self.together = self._joined()
+        self.names = [*(one.name for one in budget.sources), *(one.name for one in self.noise)]
+        self.kinds = [*(one.kind for one in budget.sources), *("sensor" for _ in self.noise)]
+
+    def found(self, plant: HybridPlant, sources: Sequence[Disturbance]) -> Found:
+        """Return what sources do to a plant."""
+        prepared = JitterBudget(plant, sources, self.budget.exposure, 2.0 * math.pi * self.budget.from_hz)
+        return prepared.of(self.controller, _TOLERANCE)
+
+    def plant(self, platform: Platform) -> HybridPlant:
+        """Return the model of a platform with the loop's torquers, sensors and sources."""
+        model = linearise(platform)
+        system = state_space(model, root="free" if self.free else "prescribed", specific_force=True)
+        system = _with_torques(system, model.angle_names)
+        rates = [gimbal_rate(name) for name in model.angle_names]
+        shown = observed(system, platform, [*self.sensors, *LOS_RATES, *rates], model.q0, model.Omega0)
+        torquers = {t.name: t for t in platform.torquers}
+        controls = [torquers[name].signal for name in self.torquers]
+        columns = [shown.input_labels.index(name) for name in (*controls, *self.inputs)]
+        A, B, C, D, _ = state_arrays(shown, "budget")
+        late = {sensor.name: sensor.periods_late(self.job.sampling.period) for sensor in platform.sensors}
+        return HybridPlant(
+            plant=StateArrays(A, B[:, columns], C, D[:, columns]),
+            controls=len(controls),
+            measured=len(self.sensors),
+            period=self.job.sampling.period,
+            delay=self.job.sampling.delay,
+            lag=np.array([torquers[name].lag for name in self.torquers]),
+            reading_delay=tuple(late[name] for name in self.sensors),
+            integrated=(True,) * len(LOS_RATES) + (False,) * len(rates),
+        )
+
+    def _input(self, source: Source) -> int:
+        """Return the disturbance input on which a source acts."""
+        if source.kind == "torque":
+            name = _torque_on(self.job.platform.gimbals[self.job.platform.gimbal(source.gimbal or "")].angle)
+        else:
+            name = (OMEGA_NAMES if source.kind == "base-rate" else FORCE_NAMES)[(source.axis or 1) - 1]
+        if source.kind == "base-rate" and self.free:
+            raise ArgumentError(
+                f"source {source.name!r}: a base rate moves a platform that is carried, and here a controller turns "
+                "the root; state torques"
+            )
+        if name not in self.inputs:
+            self.inputs.append(name)
+        return self.inputs.index(name)
+
+    def _sources(self, columns: list[int]) -> tuple[list[Disturbance], list[int]]:
+        """Return the job's sources within the band, their sines one by one, and the source of each."""
+        low, high = self.budget.from_hz, self.budget.to_hz
+        out: list[Disturbance] = []
+        rows = []
+        for k, (source, at) in enumerate(zip(self.budget.sources, columns, strict=True)):
+            spectrum = _spectrum(source, low, high)
+            if spectrum is not None:
+                out.append(RandomDisturbance(name=source.name, inputs=(at,), spectra=(spectrum,)))
+                rows.append(k)
+            lines = source.lines
+            for i, (f, a) in enumerate(zip(lines.frequencies_hz, lines.amplitudes, strict=True)):
+                if low <= f <= high:
+                    phase = None if lines.phases is None else lines.phases[i : i + 1]
+                    line = SineDisturbance(
+                        name=f"{source.name}, line {i + 1}",
+                        inputs=(at,),
+                        frequency=2.0 * math.pi * float(f),
+                        amplitude=np.array([a]),
+                        phase=phase,
+                    )
+                    out.append(line)
+                    rows.append(k)
+        return out, rows
+
+    def _noise(self) -> list[SampleNoise]:
+        sensors = {sensor.name: sensor for sensor in self.job.platform.sensors}
+        out = []
+        for k, name in enumerate(self.sensors):
+            sensor = sensors[name]
+            if sensor.noise_rms > 0.0:
+                rms = sensor.sampled_noise(self.job.sampling.period)
+                out.append(SampleNoise(name=f"noise of {name}", measured=k, rms=rms))
+            if sensor.quantisation > 0.0:
+                out.append(
+                    SampleNoise(name=f"quantisation of {name}", measured=k, rms=sensor.quantisation / math.sqrt(12.0))
+                )
+        return out
+
+    def _joined(self) -> list[Disturbance]:
+        """Return the sources with those that are correlated as one."""
+        coherence = self.budget.coherences
+        random = {self.rows[k]: one for k, one in enumerate(self.sources) if isinstance(one, RandomDisturbance)}
+        groups = _connected(coherence, list(random))
+        if all(len(group) == 1 for group in groups):
+            return self.apart
+        out: list[Disturbance] = []
+        for group in groups:
+            out.append(
+                RandomDisturbance(
+                    name=", ".join(random[k].name for k in group),
+                    inputs=tuple(random[k].inputs[0] for k in group),
+                    spectra=tuple(random[k].spectra[0] for k in group),
+                    coherence=coherence[np.ix_(group, group)],
+                )
+            )
+        return [*out, *(one for one in self.sources if isinstance(one, SineDisturbance)), *self.noise]
+
+
+def _connected(coherence: np.ndarray[tuple[int, ...], np.dtype[np.complex128]], of: list[int]) -> list[list[int]]:
+    """Return the groups of sources that are correlated with each other, directly or through others."""
+    left, out = list(of), []
+    while left:
+        group = [left.pop(0)]
+        for one in group:
+            more = [k for k in left if coherence[one, k] != 0.0]
+            group += more
+            left = [k for k in left if k not in more]
+        out.append(sorted(group))
+    return out
+
+
+def _damped(platform: Platform, viscous: dict[str, float]) -> Platform:
+    """Return the platform with viscous friction in the place of dry friction."""
+    if not viscous:
+        return platform
+    frictions = [
+        dataclasses.replace(one, viscous=one.viscous + viscous[one.gimbal], coulomb=(0.0, 0.0), breakaway=(0.0, 0.0))
+        if one.gimbal in viscous
+        else one
+        for one in platform.frictions
+    ]
+    return dataclasses.replace(platform, frictions=tuple(frictions))
+
+
+def _torque_on(angle: str) -> str:
+    return f"torque on {angle}"
+
+
+def _with_torques(system: control.StateSpace, angles: Sequence[str]) -> control.StateSpace:
+    """Return a model with the torque on every gimbal as a further input: it changes the gimbal's momentum."""
+    import control
+
+    states = list(system.state_labels)
+    more = np.zeros((len(states), len(angles)))
+    for k, angle in enumerate(angles):
+        more[states.index(f"p_{angle}"), k] = 1.0
+    return control.StateSpace(
+        system.A,
+        np.hstack([system.B, more]),
+        system.C,
+        np.hstack([system.D, np.zeros((system.noutputs, len(angles)))]),
+        remove_useless_states=False,
+        inputs=[*system.input_labels, *map(_torque_on, angles)],
+        outputs=list(system.output_labels),
+        states=states,
+    )
+
+
+def _spectrum(source: Source, low: float, high: float) -> Spectrum | None:
+    """Return the density of a source within the band, None where there is none."""
+    knots = source.knots_hz
+    if not knots.size or max(low, knots[0]) >= min(high, knots[-1]):
+        return None
+    knots = np.unique(np.clip(knots, low, high))
+    thin = _thinned(knots)
+    if len(thin) == len(knots):
+        return Spectrum(knots=2.0 * math.pi * knots, density=lambda w: source.density(w / (2.0 * math.pi)))
+    # Of a record: the mean density between two knots, so that each keeps its share of the variance.
+    mean = np.array([source.rms(a, b) ** 2 / (b - a) for a, b in pairwise(thin)])
+    turns = 2.0 * math.pi * thin
+    return Spectrum(
+        knots=turns, density=lambda w: mean[np.clip(np.searchsorted(turns, w, side="right") - 1, 0, len(mean) - 1)]
+    )
+
+
+def _thinned(knots: FloatArray) -> FloatArray:
+    """Return knots of a long table without those that are nearer than a 24th of an octave to the one before."""
+    if len(knots) <= 8 * _PER_OCTAVE:
+        return knots
+    kept = [float(knots[0])]
+    for one in knots[1:]:
+        if one >= kept[-1] * 2.0 ** (1.0 / _PER_OCTAVE):
+            kept.append(float(one))
+    kept[-1] = float(knots[-1])
+    return np.array(kept)
+
+
+def _told(
+    job: Job, budget: Budget, loop: _Loop, apart: Found, together: Found, friction: FrictionBalance | None
+) -> LineOfSightBudget:
+    """Return the result: sines of one source added up, and the limits judged."""
+    place = [*loop.rows, *range(len(budget.sources), len(loop.names))]
+    sums = np.zeros((len(loop.names), len(apart.names)))
+    sums[place, range(len(apart.names))] = 1.0
+    rms = np.sqrt(sums @ apart.rms[:, :3] ** 2)
+    windows = []
+    for one in together.windows:
+        smear, jitter = one.total_smear[:3], one.total_jitter[:3]
+        windows.append(
+            WindowBudget(
+                exposure=one.exposure,
+                displacement=one.total_displacement[:3],
+                smear=_EXTENT * smear,
+                jitter=jitter,
+                about_mean=np.hypot(smear, jitter),
+                contrast=np.array(
+                    [motion_transfer(budget.spatial_frequencies, float(jitter[k]), float(smear[k])) for k in range(2)]
+                ),
+            )
+        )
+    return LineOfSightBudget(
+        names=tuple(loop.names),
+        kinds=tuple(loop.kinds),
+        axes=LOS_ANGLES,
+        rms=rms,
+        total=together.total[:3],
+        windows=tuple(windows),
+        frequencies_hz=apart.edges / (2.0 * math.pi),
+        cumulative=np.einsum("sg,gik->sik", sums, apart.cumulative[:, :3]),
+        friction=friction,
+        results=_judged(budget, rms, together.total[:3], windows, friction),
+    )
+
+
+def _judged(
+    budget: Budget,
+    rms: FloatArray,
+    total: FloatArray,
+    windows: Sequence[WindowBudget],
+    friction: FrictionBalance | None,
+) -> tuple[CheckResult, ...]:
+    valid = () if friction is None else zip(friction.statement, friction.valid, strict=True)
+    linear = "".join(["linear budget", *(f"; {words}" for words, holds in valid if not holds)])
+    worst = int(np.argmax(total[:2]))
+    measured: dict[str, tuple[float, str]] = {
+        "jitter": (_across(total), f"both axes, {linear}"),
+        "jitter_per_axis": (float(total[worst]), f"{LOS_ANGLES[worst]}, {linear}"),
+    }
+    for key, of in (("windowed_jitter", "about_mean"), ("smear", "smear")):
+        if windows:
+            found, exposure = max((_across(getattr(one, of)), one.exposure) for one in windows)
+            measured[key] = (found, f"exposure {exposure:g} s, both axes, {linear}")
+    for source, own in zip(budget.sources, rms, strict=False):
+        measured[source.name] = (_across(own), f"both axes, {linear}")
+    return tuple(
+        one.judge(measured[key][0], subject=LINE_OF_SIGHT, stage="coupled", evidence=measured[key][1], method="exact")
+        for key, one in _requirements(budget)
+    )
+
+
+def _requirements(budget: Budget) -> list[tuple[str, Requirement]]:
+    """Return the limits with their keys, or with the names of the sources that they are of."""
+    out = []
+    for key, metric in BUDGET_METRICS.items():
+        of = [(key, metric.name, getattr(budget.limits, key, None))]
+        if key == "limit":
+            of = [(source.name, f"{metric.name} from {source.name}", source.limit) for source in budget.sources]
+        for place, name, limit in of:
+            if limit is not None:
+                out.append((place, Requirement(name=name, limit=limit, unit=metric.unit, sense=metric.sense)))
+    return out
+
+
+def is_limited(job: Job) -> bool:
+    """Return whether a job has a budget with limits."""
+    return job.budget is not None and bool(_requirements(job.budget))
+
+
+def unlimited_results(job: Job) -> tuple[CheckResult, ...]:
+    """Return the limits of a job's budget as they are judged where the loop is not stable; none without a budget."""
+    of = [] if job.budget is None else _requirements(job.budget)
+    evidence = "the loop is not stable"
+    return tuple(
+        one.judge(math.inf, subject=LINE_OF_SIGHT, stage="coupled", evidence=evidence, method="exact") for _, one in of
+    )

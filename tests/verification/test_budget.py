@@ -1,0 +1,238 @@
+"""The budget of a job's line of sight, against a model of one gimbal written down by hand."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import control
+import numpy as np
+import pytest
+
+import platform_ctrl as pc
+from platform_ctrl.analysis.arrays import StateArrays
+from platform_ctrl.analysis.budget_result import Budget
+from platform_ctrl.analysis.disturbances import Disturbance, RandomDisturbance, SampleNoise, Spectrum
+from platform_ctrl.analysis.dry_friction import describing_function
+from platform_ctrl.analysis.hybrid_plant import HybridPlant
+from platform_ctrl.analysis.jitter_budget import JitterBudget
+from platform_ctrl.cli import main
+from platform_ctrl.errors import ArgumentError
+from platform_ctrl.plant.force_elements import Friction
+from platform_ctrl.verification.budget import is_limited, line_of_sight_budget, unlimited_results
+
+PERIOD, DELAY, LAG = 0.001, 0.0007, 0.0003
+INERTIA, DAMPING, UNBALANCE = 0.01, 0.02, 2e-3
+HZ = [1.0, 10.0, 200.0]
+DENSITIES = {"pitch rate": [1e-3, 1e-3, 1e-6], "vibration": [0.5, 2.0, 0.1], "bearing": [1e-7, 1e-7, 1e-8]}
+FILE = """
+schema = 2
+name = "camera"
+sampling = {{ rate_hz = 1000, delay = 0.0007 }}
+operation = {{ Omega = [0.1, 0.1, 0.1] }}
+
+[plant]
+schema = 1
+name = "one-axis camera"
+source = "assumed"
+root = {{ name = "base", inertia = [9.0, 9.0, 9.0] }}
+gimbal = [{{ name = "pitch", parent = "base", axis = [0, 1, 0], inertia = [0.01, 0.01, 0.01] }}]
+torquer = [{{ gimbal = "pitch", lag = 0.0003 }}]
+pickoff = [{{ gimbal = "pitch" }}]
+friction = [{{ gimbal = "pitch", viscous = 0.02{friction} }}]
+unbalance = [{{ body = "pitch", moment = [2e-3, 0.0, 0.0] }}]
+line_of_sight = {{ body = "pitch", direction = [1, 0, 0] }}
+
+[[plant.rate_sensor]]
+name = "gyro"
+body = "pitch"
+axis = [0, 1, 0]
+noise_rms = 1e-4
+quantisation = 2e-5
+delay = 0.001
+
+[[loop]]
+name = "pitch"
+kind = "caging"
+gimbals = ["pitch"]
+use = "lead"
+design = [{{ name = "lead", method = "classical" }}]
+
+[budget]
+from_hz = 0.5
+to_hz = 150.0
+exposure = [0.02]
+spatial_frequencies = [1e-3, 2000.0]
+{more}
+"""
+SOURCE = """
+[[budget.source]]
+name = "{name}"
+{place}
+frequencies_hz = [1.0, 10.0, 200.0]
+densities = {densities}
+"""
+PLACES = {
+    "pitch rate": 'kind = "base-rate"\naxis = 2',
+    "vibration": 'kind = "specific-force"\naxis = 3',
+    "bearing": 'kind = "torque"\ngimbal = "pitch"',
+}
+ALL = "".join(SOURCE.format(name=name, place=PLACES[name], densities=DENSITIES[name]) for name in PLACES)
+
+
+def job(tmp_path: Path, more: str = "", friction: str = "") -> pc.Job:
+    file = tmp_path / "camera.toml"
+    file.write_text(FILE.format(more=more + ALL, friction=friction), encoding="utf-8")
+    return pc.read_job(file)
+
+
+def controllers(gain: float = 0.5) -> list[control.StateSpace]:
+    system = ([[1.0]], [[1.0]], [[-gain * 0.02]], [[-gain]], PERIOD)
+    return [control.ss(*system, inputs=["gyro"], outputs=["Qpitch"], name="pitch")]
+
+
+def by_hand(damping: float = DAMPING, coherence: np.ndarray | None = None) -> Budget:
+    """J ω' = u + d (Ω − ω) + m f + Q of the payload's inertial rate ω."""
+    B = np.array([[1.0, damping, UNBALANCE, 1.0]]) / INERTIA
+    C, D = np.array([[1.0], [1.0], [1.0]]), np.zeros((3, 4))
+    D[2, 1] = -1.0
+    plant = HybridPlant(
+        plant=StateArrays(np.array([[-damping / INERTIA]]), B, C, D),
+        controls=1,
+        measured=1,
+        period=PERIOD,
+        delay=DELAY,
+        lag=np.array([LAG]),
+        reading_delay=(1,),
+        integrated=(True, False),
+    )
+    # The tables end at 150 Hz, on their straight lines.
+    spectra = []
+    for densities in DENSITIES.values():
+        end = math.exp(np.interp(math.log(150.0), np.log(HZ), np.log(densities)))
+        knots = 2.0 * math.pi * np.array([*HZ[:2], 150.0])
+        spectra.append(Spectrum(knots=knots, density=np.array([*densities[:2], end])))
+    sources: list[Disturbance] = [
+        RandomDisturbance(name=name, inputs=(k,), spectra=(one,))
+        for k, (name, one) in enumerate(zip(DENSITIES, spectra, strict=True))
+    ]
+    if coherence is not None:
+        sources = [RandomDisturbance(name="all", inputs=(0, 1, 2), spectra=tuple(spectra), coherence=coherence)]
+    # Noise in 1000 Hz behind a filter at the Nyquist frequency, 500 Hz.
+    sources += [
+        SampleNoise(name="noise", measured=0, rms=1e-4 * math.sqrt(0.5)),
+        SampleNoise(name="steps", measured=0, rms=2e-5 / math.sqrt(12.0)),
+    ]
+    K = controllers()[0]
+    arrays = StateArrays(K.A, K.B, K.C, K.D, PERIOD)
+    return JitterBudget(plant, sources, (0.02,), 2.0 * math.pi * 0.5).of(arrays, 1e-8)
+
+
+def test_the_budget_of_one_gimbal_is_that_of_its_equation(tmp_path: Path) -> None:
+    found = line_of_sight_budget(job(tmp_path), controllers())
+    expected = by_hand()
+    assert found.names == ("pitch rate", "vibration", "bearing", "noise of gyro", "quantisation of gyro")
+    # Looking along 1, the first axis across is 2: elevation.
+    assert found.rms[:, 0] == pytest.approx(expected.rms[:, 0], rel=1e-4)
+    assert found.total[0] == pytest.approx(expected.total[0], rel=1e-4)
+    assert found.rms[:, 1:] == pytest.approx(0.0, abs=1e-15)
+    assert found.shares[:, 0].sum() == pytest.approx(1.0, rel=1e-9)
+    assert found.cumulative[..., -1] == pytest.approx(found.rms**2, rel=1e-6)
+    window, own = found.windows[0], expected.windows[0]
+    assert window.displacement[0] == pytest.approx(own.total_displacement[0], rel=1e-4)
+    assert window.smear[0] == pytest.approx(math.sqrt(12.0) * own.total_smear[0], rel=1e-4)
+    assert window.jitter[0] == pytest.approx(own.total_jitter[0], rel=1e-4)
+    assert window.contrast[:, 0] == pytest.approx(1.0)
+    assert 0.0 < window.contrast[0, 1] < 1.0
+    assert found.friction is None
+
+
+def test_correlated_sources_count_together_in_the_total_alone(tmp_path: Path) -> None:
+    between = '[[budget.correlation]]\nbetween = ["pitch rate", "vibration"]\ncoherence = 0.64\nphase = 0.5\n'
+    found = line_of_sight_budget(job(tmp_path, between), controllers())
+    coherence = np.eye(3, dtype=complex)
+    # A base that accelerates along 3 leaves mass that lies ahead along 1 behind: a torque of +m f about axis 2.
+    coherence[0, 1] = 0.8 * np.exp(-0.5j)
+    coherence[1, 0] = coherence[0, 1].conjugate()
+    assert found.total[0] == pytest.approx(by_hand(coherence=coherence).total[0], rel=1e-4)
+    assert found.rms[:, 0] == pytest.approx(by_hand().rms[:, 0], rel=1e-4)
+    assert found.total[0] != pytest.approx(by_hand().total[0], rel=1e-3)
+
+
+def test_dry_friction_is_the_damping_of_the_rate_that_it_leaves(tmp_path: Path) -> None:
+    found = line_of_sight_budget(job(tmp_path, friction=", coulomb = 2e-4, coulomb_rate = 1e-4"), controllers())
+    balance = found.friction
+    assert balance is not None
+    bearing = Friction(gimbal="pitch", coulomb=(2e-4, 2e-4), coulomb_rate=1e-4)
+    b = describing_function(bearing, float(balance.rate[0])).viscous
+    assert balance.viscous[0] == pytest.approx(b, rel=1e-3)
+    expected = by_hand(DAMPING + b)
+    assert found.total[0] == pytest.approx(expected.total[0], rel=1e-3)
+    assert balance.rate[0] == pytest.approx(expected.total[1], rel=1e-3)
+
+
+def test_sines_are_lines_and_those_outside_of_the_band_do_not_count(tmp_path: Path) -> None:
+    sines = '[[budget.source]]\nname = "{}"\nkind = "torque"\ngimbal = "pitch"\nsines = {}\n'
+    lines = sines.format("motor", "[[20.0, 1e-3, 0.0], [160.0, 1.0, 0.0]]") + sines.format(
+        "other", "[[20.0, 1e-3, 3.141592653589793]]"
+    )
+    found = line_of_sight_budget(job(tmp_path, lines), controllers())
+    assert found.rms[0, 0] == pytest.approx(found.rms[1, 0], rel=1e-9)
+    assert found.rms[0, 0] > 0.0
+    # In opposite phase they cancel.
+    assert found.total[0] == pytest.approx(by_hand().total[0], rel=1e-4)
+
+
+LIMITS = "limits = { jitter = 1e-3, jitter_per_axis = 1e-9, windowed_jitter = 1.0, smear = 1e-9 }\n"
+
+
+def test_limits_are_judged(tmp_path: Path) -> None:
+    limited = job(tmp_path, LIMITS)
+    found = line_of_sight_budget(limited, controllers())
+    assert [one.passed for one in found.results] == [True, False, True, False]
+    assert not found.passed
+    assert [one.value for one in found.results][:2] == pytest.approx([found.jitter, found.total[0]])
+    assert is_limited(limited)
+    assert not is_limited(job(tmp_path))
+    unstable = unlimited_results(limited)
+    assert [one.name for one in unstable] == [one.name for one in found.results]
+    assert not any(one.passed for one in unstable)
+    with pytest.raises(ArgumentError, match="must be stable"):
+        line_of_sight_budget(limited, controllers(50.0))
+
+
+def test_what_has_no_budget_or_no_line_of_sight_is_refused(tmp_path: Path) -> None:
+    text = FILE.format(more=ALL, friction="")
+    (tmp_path / "blind.toml").write_text(text.replace("line_of_sight", "# line_of_sight"), encoding="utf-8")
+    (tmp_path / "still.toml").write_text(text[: text.index("[budget]")], encoding="utf-8")
+    for name, words in (("blind", "no \\[line_of_sight\\]"), ("still", "no \\[budget\\]")):
+        with pytest.raises(ArgumentError, match=words):
+            line_of_sight_budget(pc.read_job(tmp_path / f"{name}.toml"), controllers())
+
+
+def test_the_command_prints_a_table_of_80_columns_or_json(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    found = line_of_sight_budget(job(tmp_path, LIMITS), controllers())
+    K = controllers()[0]
+    record: dict[str, Any] = {"name": "pitch", "inputs": ["gyro"], "outputs": ["Qpitch"], "dt": PERIOD, "delay": DELAY}
+    record |= {name: getattr(K, name).tolist() for name in "ABCD"}
+    Path("k.json").write_text(json.dumps({"schema": 1, "controllers": [record]}), encoding="utf-8")
+    assert main(["budget", "camera.toml", "--controllers", "k.json"]) == 1
+    out = capsys.readouterr().out
+    table = out.partition("NOT MET")[0].splitlines()
+    assert max(map(len, table[:-1])) <= 80
+    assert any(line.startswith("vibration") and line.split()[2] == f"{1e6 * found.rms[1, 0]:.4g}" for line in table)
+    assert "NOT MET line of sight: line-of-sight jitter of one axis" in out
+    assert main(["budget", "camera.toml", "--controllers", "k.json", "--json"]) == 1
+    data = json.loads(capsys.readouterr().out)
+    assert data["sources"][0]["rms"] == pytest.approx(found.rms[0].tolist(), rel=1e-12)
+    assert data["total"]["across"] == pytest.approx(found.jitter, rel=1e-12)
+    assert data["windows"][0]["exposure"] == 0.02
+    assert [one["passed"] for one in data["requirements"]] == [one.passed for one in found.results]
+    Path("still.toml").write_text(FILE.format(more="", friction="").partition("[budget]")[0], encoding="utf-8")
+    assert main(["budget", "still.toml", "--controllers", "k.json"]) == 2
+    assert "there is no [budget]" in capsys.readouterr().err
