@@ -84,7 +84,7 @@ class FrictionBalance:
     sticking : (J,)
         Probability that the rate is within ±coulomb_rate: there the bearing hardly slides.
     valid : (J,)
-        1 where `sticking` is at most 0.1, else 0.
+        1 where `sticking` is at most 0.1, else 0; dimensionless.
     iterations
         Loops that were evaluated.
     statement

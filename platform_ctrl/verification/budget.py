@@ -91,7 +91,7 @@ class LineOfSightBudget:
     frequencies_hz : (k,)
         Up to which `cumulative` sums, Hz.
     cumulative : (sources, 3, k)
-        Mean square of each source up to these frequencies, rad².
+        Mean square of each source up to these frequencies, in rad · rad.
     friction
         Rates and equivalent dampings of bearings with dry friction; None where there is none.
     results
