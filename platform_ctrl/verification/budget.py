@@ -24,7 +24,8 @@ from platform_ctrl.analysis.jitter_budget import JitterBudget
 from platform_ctrl.analysis.metrics import BUDGET_METRICS
 from platform_ctrl.analysis.pointing_windows import motion_transfer
 from platform_ctrl.common.signatures import check_arguments
-from platform_ctrl.common.values import FloatArray, value
+from platform_ctrl.common.values import FloatArray, replaced, value
+from platform_ctrl.design.plants import at_angles
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.budget import Budget, Source
 from platform_ctrl.job.job import Job
@@ -156,7 +157,7 @@ def line_of_sight_budget(job: Job, controllers: Sequence[control.StateSpace]) ->
     Returns
     -------
     LineOfSightBudget
-        By source and axis, rad.
+        By source and axis at zero gimbal angles, rad; limits are judged at the job's gimbal angles where it is worst.
 
     Raises
     ------
@@ -166,14 +167,24 @@ def line_of_sight_budget(job: Job, controllers: Sequence[control.StateSpace]) ->
     NotFoundError
         No rates were found that agree with the damping by dry friction at them.
     """
-    budget, platform = expect_budget(job), job.platform
-    loop = _Loop(job, budget, controllers)
+    loop = _Loop(job, expect_budget(job), controllers)
+    nominal, *others = (_at(loop, q) for q in job.trims)
+    results = []
+    for k, one in enumerate(nominal.results):
+        worst = max((one, *(other.results[k] for other in others)), key=lambda result: result.ratio)
+        results.append(worst)
+    return replaced(nominal, {"results": tuple(results)})
+
+
+def _at(loop: _Loop, q: FloatArray) -> LineOfSightBudget:
+    """Return the budget at gimbal angles (n,)."""
+    platform = loop.job.platform
     dry = [one for one in platform.frictions if max(*one.coulomb, *one.breakaway) > 0.0]
     places = [len(LOS_RATES) + platform.gimbal(one.gimbal) for one in dry]
 
     def damped(viscous: FloatArray) -> HybridPlant:
         added = dict(zip((one.gimbal for one in dry), map(float, viscous), strict=True))
-        return loop.plant(_damped(platform, added))
+        return loop.plant(_damped(platform, added), q)
 
     def rates(viscous: FloatArray) -> FloatArray:
         return np.asarray(loop.found(damped(viscous), loop.together).total[places])
@@ -182,7 +193,7 @@ def line_of_sight_budget(job: Job, controllers: Sequence[control.StateSpace]) ->
     plant = damped(balance.viscous if balance is not None else np.zeros(0))
     together = loop.found(plant, loop.together)
     apart = together if loop.together is loop.apart else loop.found(plant, loop.apart)
-    return _told(job, budget, loop, apart, together, balance)
+    return _told(loop, apart, together, balance, at_angles(platform, q))
 
 
 class _Loop:
@@ -211,9 +222,9 @@ class _Loop:
         prepared = JitterBudget(plant, sources, self.budget.exposure, 2.0 * math.pi * self.budget.from_hz)
         return prepared.of(self.controller, _TOLERANCE)
 
-    def plant(self, platform: Platform) -> HybridPlant:
-        """Return the model of a platform with the loop's torquers, sensors and sources."""
-        model = linearise(platform)
+    def plant(self, platform: Platform, q: FloatArray) -> HybridPlant:
+        """Return the model of a platform about gimbal angles, with the loop's torquers, sensors and sources."""
+        model = linearise(platform, q=q)
         system = state_space(model, root="free" if self.free else "prescribed", specific_force=True)
         system = _with_torques(system, model.angle_names)
         rates = [gimbal_rate(name) for name in model.angle_names]
@@ -388,9 +399,10 @@ def _thinned(knots: FloatArray) -> FloatArray:
 
 
 def _told(
-    job: Job, budget: Budget, loop: _Loop, apart: Found, together: Found, friction: FrictionBalance | None
+    loop: _Loop, apart: Found, together: Found, friction: FrictionBalance | None, where: str
 ) -> LineOfSightBudget:
     """Return the result: sines of one source added up, and the limits judged."""
+    budget = loop.budget
     place = [*loop.rows, *range(len(budget.sources), len(loop.names))]
     sums = np.zeros((len(loop.names), len(apart.names)))
     sums[place, range(len(apart.names))] = 1.0
@@ -420,8 +432,15 @@ def _told(
         frequencies_hz=apart.edges / (2.0 * math.pi),
         cumulative=np.einsum("sg,gik->sik", sums, apart.cumulative[:, :3]),
         friction=friction,
-        results=_judged(budget, rms, together.total[:3], windows, friction),
+        results=_judged(budget, rms, together.total[:3], windows, _assumption(friction, where)),
     )
+
+
+def _assumption(friction: FrictionBalance | None, where: str) -> str:
+    """Return what verdicts rest on, in words."""
+    valid = () if friction is None else zip(friction.statement, friction.valid, strict=True)
+    unsure = [words for words, holds in valid if not holds]
+    return "; ".join(["linear budget" + (f" at {where}" if where else ""), *unsure])
 
 
 def _judged(
@@ -429,10 +448,8 @@ def _judged(
     rms: FloatArray,
     total: FloatArray,
     windows: Sequence[WindowBudget],
-    friction: FrictionBalance | None,
+    linear: str,
 ) -> tuple[CheckResult, ...]:
-    valid = () if friction is None else zip(friction.statement, friction.valid, strict=True)
-    linear = "".join(["linear budget", *(f"; {words}" for words, holds in valid if not holds)])
     worst = int(np.argmax(total[:2]))
     measured: dict[str, tuple[float, str]] = {
         "jitter": (_across(total), f"both axes, {linear}"),

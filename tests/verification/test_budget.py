@@ -203,6 +203,18 @@ def test_limits_are_judged(tmp_path: Path) -> None:
         line_of_sight_budget(limited, controllers(50.0))
 
 
+def test_a_limit_is_judged_at_the_gimbal_angles_where_it_is_worst(tmp_path: Path) -> None:
+    # A force along 1 has no lever on mass that lies ahead along 1, until the payload looks up.
+    text = FILE.format(more=LIMITS + ALL, friction="").replace("axis = 3", "axis = 1\nlimit = 1.0")
+    angles = "operation = { Omega = [0.1, 0.1, 0.1], angles = { q_pitch = [-0.3, 0.5] } }"
+    (tmp_path / "up.toml").write_text(text.replace("operation = { Omega = [0.1, 0.1, 0.1] }", angles), encoding="utf-8")
+    found = line_of_sight_budget(pc.read_job(tmp_path / "up.toml"), controllers())
+    assert found.rms[1] == pytest.approx(0.0, abs=1e-15)
+    worst = next(one for one in found.results if one.name.endswith("from vibration"))
+    assert worst.value == pytest.approx(math.sin(0.5) * by_hand().rms[1, 0], rel=1e-4)
+    assert "q_pitch = 0.5 rad" in worst.evidence
+
+
 def test_what_has_no_budget_or_no_line_of_sight_is_refused(tmp_path: Path) -> None:
     text = FILE.format(more=ALL, friction="")
     (tmp_path / "blind.toml").write_text(text.replace("line_of_sight", "# line_of_sight"), encoding="utf-8")
