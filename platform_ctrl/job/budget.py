@@ -80,8 +80,8 @@ class BudgetLimits:
     jitter, jitter_per_axis
         Rms in the band of the budget: of both axes together (root of the sum of squares), and of either one.
     windowed_jitter, smear
-        Rms within an exposure about its mean, and of the motion of the mean from one end of the exposure to the other:
-        both axes together, for the exposure where it is largest.
+        Rms within an exposure about its mean, and of the extent of the line that fits it best, from end to end: both
+        axes together, for the exposure where it is largest.
     """
 
     jitter: fields.Positive | None = None

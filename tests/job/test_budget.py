@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import tomllib
 from pathlib import Path
@@ -14,9 +15,10 @@ from scipy import integrate
 from fuzz_files import EVERY_JOB_KEY, HERE
 from platform_ctrl import read_job
 from platform_ctrl.analysis.logs import read_log
+from platform_ctrl.analysis.metrics import BUDGET_METRICS
 from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.job import budget_checks
-from platform_ctrl.job.budget import SOURCE_KINDS, Source
+from platform_ctrl.job.budget import SOURCE_KINDS, BudgetLimits, Source
 from platform_ctrl.job.profiles import PROFILES, G
 from platform_ctrl.job.spectra import (
     SPECTRA,
@@ -133,6 +135,13 @@ def test_the_page_lists_the_profiles() -> None:
             f"| `{profile.name}` | {profile.kind} | {f[0]:g} to {f[-1]:g} | {size} | {profile.title} | {source} |"
         )
     assert listed == expected
+
+
+def test_the_page_says_of_the_limits_what_their_metrics_say() -> None:
+    page = (DOCS / "job-file.md").read_text(encoding="utf-8")
+    for field in dataclasses.fields(BudgetLimits):
+        metric = BUDGET_METRICS[field.name]
+        assert f"| `{field.name}` | number > 0, rad | no limit | {metric.sense}: {metric.meaning} |" in page
 
 
 def test_every_description_and_every_unit_is_on_the_page() -> None:
