@@ -24,6 +24,9 @@ if TYPE_CHECKING:
 
 BoolArray = NDArray[np.bool_]
 
+# Ending of the name of a command: what a tracking loop adds to a reading of the rate loop inside.
+COMMAND = "_command"
+
 # What a plant of a set represents: the nominal one; other parameters; another platform rate; other gimbal angles;
 # dry friction by its describing function; a part that fails.
 Group = Literal["nominal", "uncertainty", "Omega", "angles", "friction", "faults"]
@@ -138,19 +141,22 @@ class PlantSet:
     def joined(self, controller: control.StateSpace | StateArrays) -> StateArrays:
         """Return the arrays of a controller u = K y from all angles of this set to all of its torques, in its order.
 
-        A `control.StateSpace` is joined by the names of its signals. Other signals, sizes or sample periods are
-        refused.
+        A `control.StateSpace` is joined by the names of its signals; commands of a loop around this one are left out.
+        Other signals, sizes or sample periods are refused.
         """
         K = controller if isinstance(controller, StateArrays) else state_arrays(controller, "controller")
         if abs(K.dt - self.period) > 1e-9 * self.period:
             raise ArgumentError(f"controller: dt must be {self.period} s, as of the plants, got {K.dt} s")
         if not isinstance(controller, StateArrays):
             columns, rows = list(controller.input_labels), list(controller.output_labels)
+            # Commands of a loop around this one are no measurements of it.
+            columns = [name for name in columns if name.removesuffix(COMMAND) == name or name in self.angles]
             if set(columns) != set(self.angles) or set(rows) != set(self.torques):
                 raise ArgumentError(
                     f"controller: inputs and outputs must be {list(self.angles)} and {list(self.torques)}, "
                     f"got {columns} and {rows}"
                 )
+            columns = list(controller.input_labels)
             at, of = [columns.index(name) for name in self.angles], [rows.index(name) for name in self.torques]
             K = StateArrays(K.A, K.B[:, at], K.C[of], K.D[np.ix_(of, at)], K.dt)
         if K.D.shape != (len(self.torques), len(self.angles)):

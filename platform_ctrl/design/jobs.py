@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import value
 from platform_ctrl.design.caging_claims import with_caging_claims
-from platform_ctrl.design.loop import LoopDesign, LoopProblem, Progress, designed
-from platform_ctrl.design.plants import plants_of
+from platform_ctrl.design.loop import LoopDesign, LoopProblem, Progress, commanded, designed
+from platform_ctrl.design.plants import plants_of, tracking_plants
 from platform_ctrl.errors import DesignError
 from platform_ctrl.job.job import Job, LoopSpec
 from platform_ctrl.job.reading import read_job
@@ -51,7 +52,7 @@ def loops(
     Returns
     -------
     tuple of LoopOutcome
-        In the job's order.
+        In the job's order, but a tracking loop before the rate loop that it commands.
 
     Raises
     ------
@@ -67,12 +68,20 @@ def loops(
     model = linearise(job.platform)
     # All plants before the first design: an error in the third loop is raised before the work on the first.
     plant_sets = [plants_of(job, spec) for spec in job.loops]
-    out = []
+    out: list[LoopOutcome] = []
     for spec, plants in zip(job.loops, plant_sets, strict=True):
+        outer = None
+        if spec.kind == "tracking":
+            inner = next(one for one in out if one.spec.name == spec.around)
+            assert inner.closed.plants is not None, "a rate loop has plants"
+            K = inner.closed.plants.joined(inner.closed.controller)
+            plants, outer = tracking_plants(job, spec, inner.spec, K)
         designs = []
         for design in spec.designs:
             progress(f"{spec.name}: {design.name}")
-            problem = LoopProblem(job=job, spec=spec, design=design, model=model, plant_set=plants, progress=progress)
+            problem = LoopProblem(
+                job=job, spec=spec, design=design, model=model, plant_set=plants, outer=outer, progress=progress
+            )
             try:
                 made = designed(problem)
             except DesignError as error:
@@ -82,4 +91,18 @@ def loops(
             closed = design.name == spec.use
             designs.append(with_caging_claims(job, made, closed=closed) if spec.kind == "caging" else made)
         out.append(LoopOutcome(spec=spec, designs=tuple(designs), use=spec.use))
+    return in_order(out)
+
+
+def in_order(outcomes: Sequence[LoopOutcome]) -> tuple[LoopOutcome, ...]:
+    """Return loops in the order in which their controllers are computed: a tracking loop before the one it commands.
+
+    The commanded ones take commands then.
+    """
+    out = list(outcomes)
+    for tracking in [one for one in outcomes if one.spec.kind == "tracking"]:
+        k = next(i for i, one in enumerate(out) if one.spec.name == tracking.spec.around)
+        inner = dataclasses.replace(out[k], designs=tuple(commanded(design) for design in out[k].designs))
+        out.remove(tracking)
+        out[k : k + 1] = [tracking, inner]
     return tuple(out)

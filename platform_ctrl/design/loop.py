@@ -14,7 +14,7 @@ from platform_ctrl.analysis.certificates import Certificate
 from platform_ctrl.analysis.certificates.plant_set import plant_set_certificates
 from platform_ctrl.analysis.feedback import closed_loop
 from platform_ctrl.analysis.loop_metrics import LoopMetrics, measure
-from platform_ctrl.analysis.plant_set import PlantSet
+from platform_ctrl.analysis.plant_set import COMMAND, PlantSet
 from platform_ctrl.common.values import value
 from platform_ctrl.design.partition import Channels
 from platform_ctrl.design.plants import loop_channels, loop_signals
@@ -79,6 +79,13 @@ class LoopDesign:
         closes the loop by the signals' names. None where `plants` is.
         """
         return None if self.plants is None else self.plants.system()
+
+    @property
+    def own_controller(self) -> control.StateSpace:
+        """The controller from what the loop itself measures, without the commands of a loop around it."""
+        if self.plants is None:
+            return self.controller
+        return named_system(self.plants.joined(self.controller), self.plants.angles, self.plants.torques)
 
     @property
     def passed(self) -> bool:
@@ -254,6 +261,17 @@ def _with_evidence(
         certificates=certificates,
         unproved=unproved,
     )
+
+
+def commanded(design: LoopDesign) -> LoopDesign:
+    """Return the design of a rate loop that takes commands: u = K (y − command), an input more for every reading."""
+    plants = design.plants
+    assert plants is not None, "a rate loop has plants"
+    K = plants.joined(design.controller)
+    inputs = [*plants.angles, *(f"{name}{COMMAND}" for name in plants.angles)]
+    arrays = K._replace(B=np.hstack([K.B, -K.B]), D=np.hstack([K.D, -K.D]))
+    controller = named_system(arrays, inputs, plants.torques, name=str(design.controller.name))
+    return dataclasses.replace(design, controller=controller)
 
 
 def closed_loop_poles(plants: PlantSet, controller: control.StateSpace) -> ComplexArray:

@@ -10,7 +10,8 @@ from itertools import product
 import numpy as np
 
 from platform_ctrl.analysis.arrays import StateArrays, seen_states
-from platform_ctrl.analysis.plant_set import Group, PlantSet, plant_set
+from platform_ctrl.analysis.feedback import closed_loop
+from platform_ctrl.analysis.plant_set import COMMAND, Group, PlantSet, plant_set
 from platform_ctrl.analysis.sampling import held_input, late_outputs, late_states, sampled, sampled_states
 from platform_ctrl.common.arguments import known_name
 from platform_ctrl.common.values import FloatArray, value
@@ -26,6 +27,8 @@ from platform_ctrl.plant.sensors import LOS_RATES, Sensor
 
 # Open-loop motion slower than this share of the Nyquist frequency is no reference for the loop.
 _SLOW_MOTION = 1e-3
+# Phase that a tracker's delay takes at the frequency that its loop goes by, rad.
+_PHASE = 0.5
 # Ratio of the least to the largest effect of torquers on readings from which on each is seen.
 _SEEN = 1e-6
 # Share of the largest gain from torques to the line of sight from which on an output counts as moved.
@@ -414,6 +417,57 @@ def sampled_plants(linear: LinearPlants, sampling: Sampling, Omega: FloatArray) 
     )
 
 
+def tracking_plants(job: Job, spec: LoopSpec, inner: LoopSpec, controller: StateArrays) -> tuple[PlantSet, Channels]:
+    """Return the plants of a tracking loop, from commands of the rate loop inside to its readings, and its directions.
+
+    `controller` is that of the rate loop, closed around each of its plants.
+    """
+    sensors = {sensor.name: sensor for sensor in job.platform.sensors}
+    own = loop_signals(job.platform, inner)
+    both = dataclasses.replace(own, sensors=(*own.sensors, *(sensors[name] for name in spec.sensors)))
+    plants = _loop_plants(job, both)
+    p, m = len(own.sensors), len(own.torquers)
+    A, B, C, D, dt = closed_loop(plants.whole, controller, torques=range(m), angles=range(p))
+    # u = K (y + noise): a command is noise with the other sign. Outputs are the torques, then all of the plant's.
+    Omega, command = slice(m, m + 3), slice(m + 3, m + 3 + p)
+    read, sight = slice(m + p, m + p + len(spec.sensors)), slice(m + p + len(spec.sensors), None)
+    commands = tuple(f"{sensor.name}{COMMAND}" for sensor in own.sensors)
+    late = max(sensors[name].periods_late(dt) for name in spec.sensors)
+    found = plant_set(
+        StateArrays(A, -B[..., command], C[..., read, :], -D[..., read, command], dt),
+        labels=plants.labels,
+        torques=commands,
+        angles=spec.sensors,
+        nutation=min(0.1 * plants.nutation, _PHASE / ((late + 1) * dt)),
+        noise=plants.noise[p:],
+        groups=plants.groups,
+        B_Omega=B[..., Omega],
+        Omega=job.Omega,
+        D_Omega=D[..., read, Omega],
+        sight=plants.sight,
+        C_sight=C[..., sight, :],
+        D_sight=np.concatenate([-D[..., sight, command], D[..., sight, Omega]], axis=-1),
+    )
+    z = np.exp(1j * (w := 0.1 * found.nutation) * dt)
+    inside = np.linalg.solve(z * np.eye(found.A.shape[-1]) - found.A[0], found.B[0])
+    effect = np.real(1j * w * (found.C[0] @ inside + found.D[0]))
+    sizes = np.linalg.svd(effect, compute_uv=False)
+    if len(spec.sensors) < p or not sizes[-1] > _SEEN * sizes[0]:
+        raise InputError(
+            f"loop {spec.name!r}: sensors {', '.join(spec.sensors)} do not show what each of the commands "
+            f"{', '.join(commands)} does; add a sensor of an angle, or give the axis a rate loop by itself"
+        )
+    channel = Channels(
+        basis=np.eye(p),
+        momenta=np.zeros(0),
+        inertias=np.ones(p),
+        spins=np.zeros(0),
+        order=1,
+        sense=np.linalg.pinv(effect),
+    )
+    return found, channel
+
+
 def loop_reference(linear: LinearPlants, period: float) -> float:
     """Return the frequency that grids go by: of caged gimbals and those that carry rotors their fastest motion."""
     carried = _carried(linear.cases[0].platform, linear.signals.gimbals)
@@ -427,9 +481,14 @@ def loop_plants(job: Job, loop: LoopSpec | tuple[str, ...]) -> PlantSet:
     """Return the sampled plants of a loop, or of the caging loop on some gimbals, signals in the loop's order."""
     platform = job.platform
     signals = loop_signals(platform, loop) if isinstance(loop, LoopSpec) else caging_signals(platform, loop)
-    plants = cases(job, signals.gimbals)
     if signals.held:
         loop_channels(linearise(platform), signals, job.sampling.period)  # its sensors have to show what they need to
+    return _loop_plants(job, signals)
+
+
+def _loop_plants(job: Job, signals: LoopSignals) -> PlantSet:
+    plants = cases(job, signals.gimbals)
+    if signals.held:
         # These loops keep a body still while the platform turns about it: its rate is a disturbance, no constant at
         # which the gimbals rest. Friction brings it in.
         plants = [one for one in plants if one.group != "Omega"]

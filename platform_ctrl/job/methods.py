@@ -88,7 +88,7 @@ class DesignMethod:
     """
 
     key: str
-    kinds: tuple[LoopKind, ...] = ("caging", "rate", "pointing", "tracking")
+    kinds: tuple[LoopKind, ...] = ("caging", "rate", "pointing")
     design: Reference
     options: Mapping[str, Option]
     defaults: Reference | None = None
@@ -320,6 +320,7 @@ register_method(
 register_method(
     DesignMethod(
         key="structured",
+        kinds=("caging", "rate", "pointing", "tracking"),
         design="platform_ctrl.design.fixed_structure.caging:structured_design",
         options=_STRUCTURED,
         defaults="platform_ctrl.design.fixed_structure.caging:default_options",

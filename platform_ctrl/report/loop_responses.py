@@ -110,14 +110,14 @@ def _design_responses(
     design: LoopDesign, loop: LoopSet, peaks: Mapping[str, float], frequency: FloatArray, from_rate: ComplexArray
 ) -> DesignResponses:
     assert design.plants is not None
-    responses = gang(sampled_plant(design.plants), design.controller, frequency)
+    responses = gang(sampled_plant(design.plants), design.own_controller, frequency)
     S_in, S_out, T_in = (np.moveaxis(H, -1, 0) for H in (responses.S_input, responses.S_output, responses.T_input))
     own = np.moveaxis(np.diagonal(S_in, axis1=-2, axis2=-1), -1, 0)
     with np.errstate(all="ignore"):
         # L = S⁻¹ T: never the product of two integrators' infinities.
         loop_transfer = np.linalg.solve(S_in, T_in)
         channels = 1.0 / own - 1.0
-    poles = continuous_poles(closed_loop_poles(design.plants, design.controller), design.plants.period)
+    poles = continuous_poles(closed_loop_poles(design.plants, design.own_controller), design.plants.period)
     faults = design.plants.of(("faults",))
     metrics = peak_metrics()
     return DesignResponses(

@@ -10,11 +10,12 @@ import os
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+from platform_ctrl.analysis.plant_set import COMMAND
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.design.caging_claims import with_caging_claims
-from platform_ctrl.design.jobs import LoopOutcome
+from platform_ctrl.design.jobs import LoopOutcome, in_order
 from platform_ctrl.design.loop import LoopDesign, remeasured
-from platform_ctrl.design.plants import loop_signals, plants_of
+from platform_ctrl.design.plants import loop_signals, plants_of, tracking_plants
 from platform_ctrl.errors import InputError
 from platform_ctrl.job.job import Job, LoopSpec
 from platform_ctrl.plant.mistakes import given, suggestion
@@ -89,8 +90,9 @@ def _controller(entry: JSONTable, job: Job, known: Sequence[str]) -> control.Sta
             wrong = f"{given(one)} is no pick-off of the plant and no output of a controller before it"
             raise entry.mistake(f"inputs: {wrong}; {suggestion(one, known)}")
     torquers = [t.name for t in job.platform.torquers]
+    commands = {f"{name}{COMMAND}" for spec in job.loops for name in spec.sensors if spec.kind == "rate"}
     for one in outputs:
-        if one not in torquers:
+        if one not in torquers and one not in commands:
             raise entry.mistake(f"outputs: {given(one)} is no torquer of the plant; {suggestion(one, torquers)}")
     period = job.sampling.period
     for key, words, expected in (("dt", "sample period", period), ("delay", "delay", job.sampling.delay)):
@@ -127,11 +129,26 @@ def outcomes_from(
     others: dict[str, list[control.StateSpace]] = {name: [] for name in placed}
     for K in alternatives:
         others[_loop_of(job, K).name].append(K)
-    return tuple(_outcome(job, specs[name], K, others[name]) for name, K in placed.items())
+    # The plants of a tracking loop have the rate loop inside them.
+    first = sorted(placed, key=lambda name: specs[name].kind == "tracking")
+    made: dict[str, LoopOutcome] = {}
+    for name in first:
+        inner = made.get(specs[name].around or "")
+        made[name] = _outcome(job, specs[name], placed[name], others[name], inner)
+    return in_order([made[name] for name in first])
 
 
-def _outcome(job: Job, spec: LoopSpec, closed: control.StateSpace, others: Sequence[control.StateSpace]) -> LoopOutcome:
+def _outcome(
+    job: Job,
+    spec: LoopSpec,
+    closed: control.StateSpace,
+    others: Sequence[control.StateSpace],
+    inner: LoopOutcome | None,
+) -> LoopOutcome:
     plants = plants_of(job, spec)
+    if inner is not None and inner.closed.plants is not None:
+        K = inner.closed.plants.joined(inner.closed.controller)
+        plants, _ = tracking_plants(job, spec, inner.spec, K)
     designs: list[LoopDesign] = []
     for K in (closed, *others):
         name = _free_name(str(K.name).removeprefix(f"{spec.name}, "), [design.name for design in designs])
@@ -156,7 +173,17 @@ def _torques(job: Job, spec: LoopSpec) -> set[str]:
     """Return the torquers of a loop, as it is designed."""
     if spec.kind == "stabilisation":
         return {t.name for t in job.platform.torquers if t.root_axis is not None}
+    if spec.kind == "tracking":
+        inner = next(one for one in job.loops if one.name == spec.around)
+        return {f"{name}{COMMAND}" for name in inner.sensors}
     return {torquer.name for torquer in loop_signals(job.platform, spec).torquers}
+
+
+def _read(job: Job, spec: LoopSpec) -> set[str]:
+    """Return the sensors of a loop; of a stabilisation loop, which may read what it needs, none."""
+    if spec.kind == "tracking":
+        return set(spec.sensors)
+    return {sensor.name for sensor in loop_signals(job.platform, spec).sensors} if spec.has_plants else set()
 
 
 def _loop_of(job: Job, K: control.StateSpace) -> LoopSpec:
@@ -164,8 +191,10 @@ def _loop_of(job: Job, K: control.StateSpace) -> LoopSpec:
     for spec in job.loops:
         if outputs != _torques(job, spec):
             continue
-        read = {s.name for s in loop_signals(job.platform, spec).sensors} if spec.has_plants else set()
-        if read and set(K.input_labels) != read:
+        read = _read(job, spec)
+        around = any(one.around == spec.name for one in job.loops)
+        taken = {name for name in K.input_labels if not (around and name.endswith(COMMAND))}
+        if read and taken != read:
             raise InputError(
                 f"controller {given(K.name)}: inputs {', '.join(K.input_labels)}; the loop {given(spec.name)} is "
                 f"measured with {', '.join(sorted(read))}: give just these"

@@ -262,7 +262,8 @@ def _decoupled_margins(
     job: Job, model: LinearModel, controllers: Sequence[control.StateSpace], channels: Sequence[str]
 ) -> FloatArray:
     gimbal_torquers = [t for t in job.platform.torquers if t.gimbal is not None and t.name in channels]
-    caging = [K for K in controllers if set(K.output_labels) <= {t.name for t in gimbal_torquers}]
+    own = {t.name for t in gimbal_torquers} | {name for K in controllers for name in K.input_labels}
+    caging = [K for K in controllers if set(K.output_labels) <= own]
     margins: dict[str, float] = {}
     if caging:
         plant = coupled_plant(job, model, caging)

@@ -90,7 +90,7 @@ def proofs_of(design: LoopDesign) -> Proofs:
 
 def _is_of(certificate: Certificate, design: LoopDesign) -> bool:
     """Return whether every loop of `certificate` is a plant of `design` with its controller, to the last bit."""
-    K = state_arrays(design.controller, "controller")[:4]
+    K = state_arrays(design.own_controller, "controller")[:4]
     return design.plants is not None and all(
         loop.controller is not None
         and all(np.array_equal(*pair) for pair in zip(loop.controller, K, strict=True))

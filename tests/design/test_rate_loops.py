@@ -8,6 +8,8 @@ from camera_job import FRICTION, J_AZIMUTH, J_ELEVATION, camera_job, camera_loop
 from platform_ctrl import analysis, design
 from platform_ctrl.errors import InputError, NotCertifiedError
 from platform_ctrl.job.requirements import requirement
+from platform_ctrl.verification.controllers import outcomes_from, read_controllers
+from platform_ctrl.verification.records import result_record
 from platform_ctrl.verification.verdict import check_job
 
 STILL = {"Omega": [0.0, 0.0, 0.0]}
@@ -188,3 +190,73 @@ def test_gimbal_angles_that_make_no_sense_are_one_line(angles, words):
     with pytest.raises(InputError) as caught:
         pc.read_job(camera_job(operation=STILL | {"angles": angles}))
     assert words in str(caught.value)
+
+
+TRACKING = {
+    "name": "track",
+    "kind": "tracking",
+    "around": "rate",
+    "sensors": ["yaw_error", "pitch_error"],
+    "use": "pi",
+    "limits": {"disk_margin": 0.4},
+    "design": [{"name": "pi", "method": "pi", "crossover_hz": 2.0}],
+}
+
+
+@pytest.fixture(scope="module")
+def tracked():
+    data = camera_plant()
+    for sensor in data["attitude_sensor"]:
+        sensor["delay"] = 0.01
+    job = pc.read_job(camera_job(plant=data, loop=[*camera_loop(), TRACKING]))
+    outcomes = design.loops(job)
+    return job, outcomes, check_job(job, outcomes)
+
+
+def test_a_tracking_loop_is_an_integrator_behind_the_rate_loop_and_the_tracker(tracked):
+    """Well below the rate loop's crossover: ωc (1 + ωi/s)/s · exp(−s τ) times its complementary sensitivity."""
+    _, (tracking, rate), _ = tracked
+    w = 2.0 * np.pi * np.array([0.5, 2.0])
+    L = analysis.frequency_response(analysis.loop_transfer(tracking.closed.plant, tracking.closed.controller), w)
+    T = analysis.gang(rate.closed.plant, rate.closed.own_controller, w).T_output
+    s = 1j * w
+    for k in range(2):
+        expected = 4.0 * np.pi / s * (1.0 + 0.6 * np.pi / s) * np.exp(-0.01 * s) * T[k, k]
+        np.testing.assert_allclose(L[k, k], expected, rtol=0.01)
+
+
+def test_the_poles_of_the_cascade_are_those_of_the_whole(tracked):
+    _, (tracking, rate), result = tracked
+    assert [one.spec.name for one in (tracking, rate)] == ["track", "rate"]
+    assert result.coupled.stable
+    slow = float(-np.log(np.abs(result.coupled.poles).max()) / 5e-4)
+    assert slow == pytest.approx(tracking.closed.measures.decay[0], rel=1e-6)
+    assert all(one.passed for one in result.requirements)
+
+
+def test_a_cascade_is_read_back_and_measured_the_same(tracked):
+    job, outcomes, result = tracked
+    again = outcomes_from(job, read_controllers(result_record(result), job))
+    assert [one.spec.name for one in again] == [one.spec.name for one in outcomes]
+    for one, other in zip(outcomes, again, strict=True):
+        np.testing.assert_allclose(other.closed.measures.disk_margin, one.closed.measures.disk_margin, rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"around": "pan"}, 'around must be the name of a rate loop before this one, got "pan"'),
+        ({"sensors": ["yaw_gyro", "pitch_gyro"]}, '"yaw_gyro" is no sensor of an angle'),
+        ({"gimbals": ["az"]}, 'gimbals = ["az"] has no effect in a tracking loop'),
+    ],
+)
+def test_a_tracking_loop_that_makes_no_sense_is_one_line(change, words):
+    with pytest.raises(InputError) as caught:
+        pc.read_job(camera_job(loop=[*camera_loop(), TRACKING | change]))
+    assert words in str(caught.value)
+
+
+def test_a_tracker_that_does_not_see_what_a_command_does_is_refused():
+    job = pc.read_job(camera_job(loop=[*camera_loop(), TRACKING | {"sensors": ["yaw_error"]}]))
+    with pytest.raises(InputError, match="give the axis a rate loop by itself"):
+        design.loops(job)

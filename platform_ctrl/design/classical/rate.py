@@ -23,8 +23,8 @@ from platform_ctrl.job.job import DesignSpec
 from platform_ctrl.job.methods import METHODS
 from platform_ctrl.job.requirements import loop_requirements
 
-# Default crossover over the sample rate, and the default integral's corner over the crossover.
-_CROSSOVER, _INTEGRAL = 0.02, 0.15
+# Default crossover over the frequency that the plants' grids go by, and the integral's corner over the crossover.
+_CROSSOVER, _INTEGRAL = 0.4, 0.15
 
 
 def rate_design(problem: LoopProblem) -> Designed:
@@ -54,7 +54,7 @@ def upper_bounds(period: float) -> dict[str, float]:
 def rate_options(design: DesignSpec, channel: Channels, nutation: float, period: float) -> dict[str, float]:
     """Return all options of the rate loop, those not given from rules of thumb."""
     given = design.options
-    crossover = given.get("crossover_hz", _CROSSOVER / period)
+    crossover = given.get("crossover_hz", _CROSSOVER * nutation / (2.0 * np.pi))
     out = {"crossover_hz": crossover, "integral_hz": _INTEGRAL * crossover, "rolloff_hz": 0.4 / period}
     if "double_integral_hz" in given:
         out["double_integral_hz"] = 0.5 * _INTEGRAL * crossover

@@ -384,7 +384,7 @@ def pole_figure(responses: LoopResponses, spec: LoopSpec, nutation: float, perio
 def root_locus_plot(design: LoopDesign, spec: LoopSpec) -> Any:
     """Return a root locus over gains up to twice the design's, with the limits on poles; `locus` has the numbers."""
     assert design.plants is not None
-    plot = root_locus(sampled_plant(design.plants), design.controller, gains=_GAINS)
+    plot = root_locus(sampled_plant(design.plants), design.own_controller, gains=_GAINS)
     axes: Axes = plot.axes[0, 0]
     damping_lines(axes, spec, axes.get_ylim()[1], named=False)
     fastest_pole_line(axes, spec, design.plants.period)
