@@ -17,7 +17,6 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 import platform_ctrl as pc
-from platform_ctrl.mechanics.outputs import observed
 
 
 def row(quantity: str, theory: float, computed: float) -> None:
@@ -43,7 +42,7 @@ def main() -> None:
     file = parser.parse_args().o
 
     mirror = pc.read_platform("fast_steering_mirror")
-    system = observed(pc.state_space(pc.linearise(mirror)), mirror, ["los_angle1", "los_angle2"])
+    system = pc.state_space(pc.linearise(mirror))
     k, d, J = mirror.springs[1].stiffness, mirror.frictions[1].viscous, mirror.gimbals[1].inertia[1, 1]
     fastest = max(pc.state_space(pc.linearise(mirror)).poles(), key=lambda pole: (abs(pole), pole.imag))
     stop = mirror.gimbals[1].stops[1]
@@ -54,8 +53,8 @@ def main() -> None:
     row("torque that holds the largest angle, N m", k * stop, held)
     row("share of the voice coils' torque, %", 100.0 * k * stop / 0.03, 100.0 * held / mirror.torquers[1].limit)
     at = np.array([1e-3])
-    tip = np.abs(pc.analysis.frequency_response(system["los_angle1", "Qtip"], at))[0, 0, 0]
-    tilt = np.abs(pc.analysis.frequency_response(system["los_angle2", "Qtilt"], at))[0, 0, 0]
+    tip = np.abs(pc.analysis.frequency_response(system["tip", "Qtip"], at))[0, 0, 0]
+    tilt = np.abs(pc.analysis.frequency_response(system["tilt", "Qtilt"], at))[0, 0, 0]
     row("normal's turn per torque of tip, rad/(N m): 1/k", 1.0 / k, tip)
     row("normal's turn per torque of tilt, rad/(N m): 1/k", 1.0 / k, tilt)
     row("turn of the beam at 10 mrad of tilt, mrad", 20.0, 1e3 * turned_beam(mirror, 0.0, 0.01))
@@ -68,7 +67,7 @@ def main() -> None:
         return
     figure, plot = plt.subplots(figsize=(7, 4.8), layout="constrained")
     hz = np.geomspace(1.0, 2000.0, 400)
-    for name, torque, colour in (("los_angle1", "Qtip", "C0"), ("los_angle2", "Qtilt", "C3")):
+    for name, torque, colour in (("tip", "Qtip", "C0"), ("tilt", "Qtilt", "C3")):
         response = pc.analysis.frequency_response(system[name, torque], 2.0 * pi * hz)[0, 0]
         plot.loglog(hz, 2.0 * np.abs(response), colour, label=f"beam from {torque}")
     plot.set(xlabel="frequency, Hz", ylabel="rad/(N m)", title="turn of the beam for each N m of the voice coils")

@@ -12,15 +12,13 @@ by cos(roll).
 from __future__ import annotations
 
 import argparse
-from math import cos, pi, radians, sin, sqrt
+from math import cos, radians, sin, sqrt
 
 import matplotlib.pyplot as plt
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 import platform_ctrl as pc
-from platform_ctrl.mechanics.outputs import observed
-
-GYROS = ("gyro1", "gyro2", "gyro3")
 
 
 def row(quantity: str, theory: float, computed: float) -> None:
@@ -29,14 +27,13 @@ def row(quantity: str, theory: float, computed: float) -> None:
 
 
 def felt_rates(gimbal: pc.Platform, pitch: float, roll: float = 0.0) -> np.ndarray:
-    """What the gyros on the camera feel of each gimbal's rate at angles in degrees, (3, 3)."""
-    q = [0.0, radians(roll), radians(pitch)]
-    angles = list(gimbal.angle_names)
-    rates = [f"{name}_rate" for name in angles]
-    torques = [torquer.name for torquer in gimbal.torquers]
-    system = observed(pc.state_space(pc.linearise(gimbal, q=q)), gimbal, [*GYROS, *rates], q=q)[:, torques]
-    response = pc.analysis.frequency_response(system, np.array([2.0 * pi * 0.1]))[..., 0]
-    return np.real(response[:3] @ np.linalg.inv(response[3:]))
+    """Rate of the camera in its own axes for each gimbal's rate, at angles in degrees, (3, 3)."""
+    felt, turned = np.zeros((3, 3)), np.eye(3)
+    for k, degrees in ((2, pitch), (1, roll), (0, 0.0)):
+        axis = gimbal.gimbals[k].axis
+        turned = turned @ Rotation.from_rotvec(-radians(degrees) * axis).as_matrix()
+        felt[:, k] = turned @ axis
+    return felt
 
 
 def main() -> None:

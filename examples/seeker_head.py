@@ -13,13 +13,12 @@ dB.
 from __future__ import annotations
 
 import argparse
-from math import cos, pi, radians, sqrt
+from math import log10, pi, radians, sqrt
 
 import matplotlib.pyplot as plt
 import numpy as np
 
 import platform_ctrl as pc
-from platform_ctrl.mechanics.outputs import observed
 
 
 def row(quantity: str, theory: float, computed: float) -> None:
@@ -27,10 +26,11 @@ def row(quantity: str, theory: float, computed: float) -> None:
     print(f"{quantity:58s}{theory:12.5g}{computed:12.5g}")
 
 
-def response(seeker: pc.Platform, outputs: list[str], signal: str, hz: float) -> np.ndarray:
-    """Frequency responses from one input of the linear model at zero angles."""
-    system = observed(pc.state_space(pc.linearise(seeker)), seeker, outputs)
-    return pc.analysis.frequency_response(system[outputs, [signal]], np.array([2.0 * pi * hz]))[:, 0, 0]
+def isolation(seeker: pc.Platform, hz: float) -> float:
+    """Pitch rate of the optics over that of the missile, from the linear model."""
+    system = pc.state_space(pc.linearise(seeker))["pitch", "Omega2"]
+    frequency = np.array([2.0 * pi * hz])
+    return float(np.abs(1.0 + 1j * frequency * pc.analysis.frequency_response(system, frequency)[0, 0])[0])
 
 
 def main() -> None:
@@ -48,33 +48,25 @@ def main() -> None:
     at = pc.linearise(seeker, q=[0.0, radians(30.0)]).M[0, 0]
     across = inner.inertia[0, 0] * 0.25 + inner.inertia[1, 1] * 0.75
     row("pitch inertia at yaw 30 deg, kg m2", outer.inertia[1, 1] + across, at)
-    turned = observed(
-        pc.state_space(pc.linearise(seeker, q=[0.0, 0.5])), seeker, ["gyro_pitch", "pitch_rate"], q=[0.0, 0.5]
-    )
-    felt, relative = pc.analysis.frequency_response(turned[:, ["Qouter"]], np.array([1.0]))[:, 0, 0]
-    row("gyro reading per pitch rate at yaw 0.5 rad: cos", cos(0.5), float(np.abs(felt / relative)))
-
-    # The missile pitches at 2 Hz and a perfect loop keeps what it reads at zero: gyro + resolver rate, both scaled.
-    about2 = response(seeker, ["Omega2"], "Omega2", 2.0)[0]
-    row("scale of the base gyro", 1.0 + gyro["Omega2"].scale_error, float(abs(about2)))
+    # Sharp indirect loops keep the sum of what gyro and resolver read at zero: both by their scale factors.
     e, r = gyro["Omega2"].scale_error, seeker.pickoffs[0].scale_error
-    left = abs(1.0 - (1.0 + e) / (1.0 + r))
-    row("share of the missile's rate left by indirect loops: e - r", r - e, left)
+    gimbal_rate = -(1.0 + e) / (1.0 + r)
+    row("missile's rate left by sharp indirect loops: r - e", r - e, 1.0 + gimbal_rate)
+    row("attenuation that no such loop exceeds, dB", -20.0 * log10(r - e), -20.0 * log10(1.0 + gimbal_rate))
     drift = gyro["gyro_pitch"].noise_rms / sqrt(gyro["gyro_pitch"].noise_bandwidth_hz) * sqrt(0.5)
     row("angle random walk of the payload's gyro, deg/sqrt(h)", 0.15, np.degrees(drift) * 60.0)
     bearing, spring = seeker.frictions[0], seeker.springs[0].stiffness
     s = 2j * pi * 2.0
     stiffness = spring + seeker.unbalances[0].moment[2] * -seeker.specific_force[2]
     take = bearing.viscous * s + stiffness
-    got = response(seeker, ["los_rate1"], "Omega2", 2.0)[0]
-    row("share of 2 Hz that a free gimbal takes", abs(take / (model.M[0, 0] * s**2 + take)), abs(got))
+    row("share of 2 Hz that a free gimbal takes", abs(take / (model.M[0, 0] * s**2 + take)), isolation(seeker, 2.0))
     if not file:
         return
     figure, plot = plt.subplots(figsize=(7, 4.8), layout="constrained")
     hz = np.geomspace(0.1, 30.0, 120)
-    free = [abs(response(seeker, ["los_rate1"], "Omega2", one)[0]) for one in hz]
+    free = [isolation(seeker, one) for one in hz]
     plot.loglog(hz, free, "C0", linewidth=2.0, label="free gimbals")
-    for wrong, colour in ((left, "C2"), (e + r, "C3")):
+    for wrong, colour in ((r - e, "C2"), (r + e, "C3")):
         plot.axhline(wrong, color=colour, linestyle="--", label=f"best indirect loop, errors leave {wrong:.2g}")
     plot.set(xlabel="frequency, Hz", ylabel="line of sight's pitch rate / missile's", title="before any loop is closed")
     plot.grid(alpha=0.3)

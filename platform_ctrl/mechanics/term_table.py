@@ -17,6 +17,7 @@ from platform_ctrl.plant.platform import Platform
 
 Kind = Literal[
     "nutation",
+    "inertia",
     "coupling inertia",
     "gyroscopic action",
     "Coriolis",
@@ -37,7 +38,8 @@ Kind = Literal[
 # The paper's reading of what (27) keeps, in our words; the rest is ours.
 MEANINGS: dict[Kind, str] = {
     "nutation": "inertia about the gimbal's own axis; matters for nutation and fast oscillation, not for precession",
-    "coupling inertia": "inertia that a gimbal feels when another is accelerated; matters where nutation does",
+    "inertia": "inertia about the gimbal's own axis",
+    "coupling inertia": "inertia that a gimbal feels when another is accelerated; matters for fast motion only",
     "gyroscopic action": "a rotor that is turned about one axis pushes about the other; dominant with fast rotors",
     "Coriolis": "adds J Ω to the L of a gyroscopic action; dropped, because L is much larger",
     "gyroscopic restraint": "the turning platform pulls the rotor's axis towards its own: a spring, stable where rotor "

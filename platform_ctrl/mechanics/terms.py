@@ -76,7 +76,8 @@ def _mass(platform: Platform, q: FloatArray) -> Iterator[Part]:
         i, j = place
         return symbol("J", names[i] if i == j else f"{names[i]},{names[j]}")
 
-    yield Part("nutation", 2, "1", M, inertia, off_diagonal="coupling inertia")
+    own: Kind = "nutation" if platform.rotors else "inertia"
+    yield Part(own, 2, "1", M, inertia, off_diagonal="coupling inertia")
     for a, name in enumerate(OMEGA_NAMES):
         column = clean(model.M_Omega[:, a], np.diag(rounding))
 

@@ -249,8 +249,8 @@ def test_every_order_leaves_an_error_of_the_next():
 @pytest.mark.parametrize("name", shipped_models())
 @pytest.mark.parametrize("terms", TERMS)
 def test_subsystems_are_those_of_the_state_space_model(name, terms):
-    """About a rate without a zero: in symbols no component of Omega vanishes."""
-    platform = read_platform(name)
+    """About a rate and a specific force without a zero: in symbols no component of them vanishes."""
+    platform = dataclasses.replace(read_platform(name), specific_force=np.array([1.3, -2.4, -9.5]))
     model = linearise(platform, Omega=[0.7, -0.4, 0.9], terms=terms)
     assert equations(platform, "sympy", terms=terms).groups == subsystems(model)
 

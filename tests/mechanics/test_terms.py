@@ -320,7 +320,7 @@ def test_without_gimbals_or_rotors_it_answers(platform):
     gimbals = terms(dataclasses.replace(platform, rotors=()), (0, 0, 0), np.full(5, 0.1))
     inertia = one(gimbals, "9", "J9 α̈9")
     assert (inertia.pole_change, inertia.poles_lost) == (0.0, 4)  # nothing else says how the pair moves
-    assert {term.kind for term in gimbals.terms if term.size > 0} == {"nutation"}
+    assert {term.kind for term in gimbals.terms if term.size > 0} == {"inertia"}
 
 
 def test_the_text_is_aligned_and_leaves_out_what_is_small(platform, table):

@@ -137,8 +137,8 @@ def test_rotors_of_different_speeds_have_an_axis_in_shares(three):
     assert axes.get_xlim()[1] == pytest.approx(1.5 * 1250.0 * RPM)
 
 
-@pytest.mark.parametrize("name", EVERY)
-def test_every_shipped_plant_has_a_campbell_chart(name):
+@pytest.mark.parametrize("name", [name for name in EVERY if pc.read_platform(name).rotors])
+def test_every_shipped_plant_with_a_rotor_has_a_campbell_chart(name):
     figure = figures.campbell(pc.read_platform(name))
     for line in figure.axes[0].lines:
         assert np.isfinite(np.asarray(line.get_ydata(), dtype=float)).all()

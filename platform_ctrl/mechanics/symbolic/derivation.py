@@ -279,6 +279,8 @@ def _singular(
     platform: Platform, known: Parameters, core: _Core, groups: tuple[tuple[int, ...], ...]
 ) -> tuple[str, ...]:
     """Say where G_R of a subsystem cannot be inverted, so that (15) does not determine its rates."""
+    if not platform.rotors:
+        return ()
     numbers = np.array([s.value for s in known.symbols], dtype=np.float64)
     n = len(platform.gimbals)
     zero = np.zeros((len(numbers), 3 + n, 3 + n))

@@ -242,7 +242,7 @@ def matrix_sections(equations: Equations) -> list[MatrixSection]:
     A = f"mass matrix without C, {to}" if exact else "mass matrix without C, taken as constant"
     G_A = f"Coriolis matrix, {to}" if exact else "Coriolis matrix, A constant: from (24) as it stands"
     h = "∂T/∂Ω of A* u + BᵀL" if exact else "∂T/∂Ω of BᵀL alone"
-    return [
+    sections = [
         MatrixSection("(21)", "B0", "B0", "B_0", "directions B at zero angles; rotors by [Ω, q̇]", "rotors", ""),
         MatrixSection("(21)", "B_A", "B_A", "B_A", f"B − B0, {to_next}", "rotors", ""),
         MatrixSection("(23)", "A", "A", "A", A, "velocity", "symmetric"),
@@ -261,18 +261,22 @@ def matrix_sections(equations: Equations) -> list[MatrixSection]:
             "skew",
         ),
     ]
+    return sections if equations.platform.rotors else [one for one in sections if one.key not in _OF_ROTORS]
 
 
 def row_sections(equations: Equations) -> list[RowSection]:
-    """Return the gimbal equations in the order in which they are printed."""
+    """Return the gimbal equations in the order in which they are printed; without rotors there is no precession."""
     kept = "the terms that the paper keeps" if equations.terms == "paper" else "every term"
+    slow = RowSection("(15)", PRECESSION, "precession: momenta and force elements alone")
     return [
         RowSection("(27)", PARTIALLY_LINEAR, f"linear in the angles, for any Ω(t); {kept}"),
         RowSection("(19)", LINEAR, "linear in the angles and in Ω"),
-        RowSection("(15)", PRECESSION, "precession: momenta and force elements alone"),
+        *([slow] if equations.platform.rotors else []),
     ]
 
 
+# Matrices that are empty or zero without rotors.
+_OF_ROTORS = {"B0", "B_A", "BtA_RB", "G_R"}
 _ORDINAL = {1: "first", 2: "second", 3: "third", 4: "fourth"}
 
 

@@ -75,8 +75,6 @@ def _labels(equations: Equations, section: MatrixSection, write: Notation) -> tu
 def _matrix(equations: Equations, section: MatrixSection, write: Notation) -> list[str]:
     matrix = matrix_of(equations, section)
     rows, columns = _labels(equations, section, write)
-    if not rows:
-        return ["    has no rows: there are no rotors"]
     cells = [[write(matrix[i, j]) for j in range(len(columns))] for i in range(len(rows))]
     if all(cell == "0" for row in cells for cell in row):
         return ["    zero"]
