@@ -78,9 +78,7 @@ def main() -> None:
     out = pc.simulation.rollout(camera, [[0.0, 0.0]], moving, 1e-4, round(TIME / 1e-4))
     pushed = bearing.coulomb[1] + bearing.viscous * RATE - weight * moment[0]
     tilt = (0.5 * pushed + spring * RATE * TIME / 6.0) / J * TIME**2
-    row(
-        "payload's tilt after 0.1 s, mrad: F and weight", 1e3 * tilt, 1e3 * (RATE * TIME + out.q[0, 1]), "5 %"
-    )
+    row("payload's tilt after 0.1 s, mrad: F and weight", 1e3 * tilt, 1e3 * (RATE * TIME + out.q[0, 1]), "5 %")
     if not file:
         return
     figure, (gain, bode) = plt.subplots(1, 2, figsize=(11, 4.8), layout="constrained")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from itertools import product
 
 import numpy as np
@@ -33,6 +33,8 @@ _PHASE = 0.5
 _SEEN = 1e-6
 # Share of the largest gain from torques to the line of sight from which on an output counts as moved.
 _MOVES = 1e-6
+# Rate at which angles that a rate loop leaves free decay in its plants, 1/s: four times what every pole has to.
+_FORGETTING = 0.2
 # Largest angle of a motion in a sample period, rad: beyond it a sampled plant has lost all digits.
 _LARGEST_ANGLE = 1e6
 
@@ -231,6 +233,20 @@ class LoopSignals:
     held: bool = False
 
 
+def forgetting(A: FloatArray, states: Sequence[str], angles: Collection[str]) -> FloatArray:
+    """Return A (..., n, n) with those of its states that are `angles` decaying.
+
+    A rate loop is in balance at any angle: where a cable or a weight pulls at it, its integral holds against that. So
+    each of its angles is a closed-loop pole at zero, which says nothing about the loop, but which no verdict and no
+    certificate could tell from one that grows. Far above the rate of the decay nothing changes.
+    """
+    out = A.copy()
+    for k, name in enumerate(states):
+        if name in angles:
+            out[..., k, k] -= _FORGETTING
+    return out
+
+
 def caging_signals(platform: Platform, gimbals: tuple[str, ...]) -> LoopSignals:
     """Return the signals of a caging loop: one torquer and one pick-off on each gimbal."""
     return LoopSignals(
@@ -363,6 +379,8 @@ def linear_plants(signals: LoopSignals, plants: Sequence[Case]) -> LinearPlants:
     if signals.held:
         kept = seen_states(A, C)
         A, B, C, states = A[:, kept][:, :, kept], B[:, kept], C[:, :, kept], [states[k] for k in kept]
+        if signals.sensors[0].unit == "rad/s":
+            A = forgetting(A, states, plants[0].platform.angle_names)
     torque = np.array([one.torque for one in plants])[:, None, :]
     return LinearPlants(
         cases=tuple(plants),

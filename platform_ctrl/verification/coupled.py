@@ -23,7 +23,7 @@ from platform_ctrl.analysis.sampling import late_outputs, late_states, sampled
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.text import at_most
 from platform_ctrl.common.values import FloatArray, value
-from platform_ctrl.design.plants import at_angles
+from platform_ctrl.design.plants import at_angles, forgetting
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.judging import STABLE, CheckResult, Method, Requirement
 from platform_ctrl.job.requirements import loop_requirements
@@ -203,13 +203,15 @@ def coupled_plant(job: Job, model: LinearModel, controllers: Sequence[control.St
         torquers = [t for t in job.platform.torquers if t.gimbal in gimbals]
         angles = [g.angle for g in job.platform.gimbals if g.name in gimbals]
     read = {name for K in controllers for name in K.input_labels}
-    angles = [name for name in angles if name in read or name not in drifting_angles(job)]
+    drifting = drifting_angles(job)
+    angles = [name for name in angles if name in read or name not in drifting]
     outputs = [*angles, *sensed_rates(job, controllers)]
     whole = observed(system, job.platform, outputs, model.q0, model.Omega0)
     columns = [whole.input_labels.index(t.signal) for t in torquers]
-    kept = seen_states(whole.A[None], whole.C[None]) if drifting_angles(job) else range(whole.nstates)
+    kept = seen_states(whole.A[None], whole.C[None]) if drifting else range(whole.nstates)
+    A = forgetting(whole.A, whole.state_labels, drifting - read)
     arrays = StateArrays(
-        whole.A[np.ix_(kept, kept)], whole.B[np.ix_(kept, columns)], whole.C[:, kept], whole.D[:, columns], 0.0
+        A[np.ix_(kept, kept)], whole.B[np.ix_(kept, columns)], whole.C[:, kept], whole.D[:, columns], 0.0
     )
     named = named_system(arrays, [t.name for t in torquers], outputs, [whole.state_labels[k] for k in kept])
     return _read_late(job, sampled(named, job.sampling.period, job.sampling.delay, [t.lag for t in torquers]))
