@@ -21,9 +21,9 @@ import numpy as np
 import platform_ctrl as pc
 
 
-def row(quantity: str, theory: float, computed: float) -> None:
-    """Print one line of the table."""
-    print(f"{quantity:58s}{theory:12.5g}{computed:12.5g}")
+def row(quantity: str, theory: float, computed: float, good_to: str = "") -> None:
+    """Print one line of the table; `good_to` says how good an approximate theory is, if not to 0.1 %."""
+    print(f"{quantity:58s}{theory:12.5g}{computed:12.5g}" + (f"  (theory to {good_to})" if good_to else ""))
 
 
 def isolation(seeker: pc.Platform, hz: float) -> float:
@@ -54,7 +54,7 @@ def main() -> None:
     row("missile's rate left by sharp indirect loops: r - e", r - e, 1.0 + gimbal_rate)
     row("attenuation that no such loop exceeds, dB", -20.0 * log10(r - e), -20.0 * log10(1.0 + gimbal_rate))
     drift = gyro["gyro_pitch"].noise_rms / sqrt(gyro["gyro_pitch"].noise_bandwidth_hz) * sqrt(0.5)
-    row("angle random walk of the payload's gyro, deg/sqrt(h)", 0.15, np.degrees(drift) * 60.0)
+    row("angle random walk of the payload's gyro, deg/sqrt(h)", 0.15, np.degrees(drift) * 60.0, "1 %")
     bearing, spring = seeker.frictions[0], seeker.springs[0].stiffness
     s = 2j * pi * 2.0
     stiffness = spring + seeker.unbalances[0].moment[2] * -seeker.specific_force[2]

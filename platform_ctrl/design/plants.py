@@ -87,13 +87,16 @@ class Case:
     rate: float | None = None
 
 
-def cases(job: Job, gimbals: tuple[str, ...]) -> list[Case]:
-    """Return the plants that the loop on `gimbals` must control, the nominal one first.
+def cases(job: Job, gimbals: tuple[str, ...], torquers: Sequence[str] = ()) -> list[Case]:
+    """Return the plants that the loop on `gimbals` with `torquers` must control, the nominal one first.
+
+    Default: the first torquer on each of the gimbals.
 
     Then every corner of the parameter uncertainty and the samples inside it, the grid of Omega, the gimbal angles with
     the nominal and with the other parameters, and the faults.
     """
-    platform, still, whole = job.platform, np.zeros(3), np.ones(len(gimbals))
+    torquers = torquers or [job.platform.torquer_on(name).name for name in gimbals]
+    platform, still, whole = job.platform, np.zeros(3), np.ones(len(torquers))
     out = [Case(label="nominal", group="nominal", platform=platform, Omega=still, torque=whole)]
     for label, parameters in _varied(job, gimbals):
         moved = changed(platform, **parameters)
@@ -107,7 +110,7 @@ def cases(job: Job, gimbals: tuple[str, ...]) -> list[Case]:
             group: Group = "angles" if one.group == "nominal" else "uncertainty"
             label = at_angles(platform, q) if one.group == "nominal" else f"{one.label}, {at_angles(platform, q)}"
             out.append(dataclasses.replace(one, label=label, group=group, q=q))
-    return [*out, *_faults(job, gimbals)]
+    return [*out, *_faults(job, gimbals, torquers)]
 
 
 def _with_friction(job: Job, plants: Sequence[Case]) -> list[Case]:
@@ -176,8 +179,8 @@ def _rates(Omega: FloatArray, grid: int) -> list[tuple[float, ...]]:
     return [tuple(map(float, rates)) for rates in product(*axes) if any(rates)]
 
 
-def _faults(job: Job, gimbals: tuple[str, ...]) -> Iterator[Case]:
-    still, whole = np.zeros(3), np.ones(len(gimbals))
+def _faults(job: Job, gimbals: tuple[str, ...], torquers: Sequence[str]) -> Iterator[Case]:
+    still, whole = np.zeros(3), np.ones(len(torquers))
     slow, weak = job.faults.slow_rotor, job.faults.weak_torquer
     if slow is not None:
         for name in _carried(job.platform, gimbals):
@@ -185,9 +188,9 @@ def _faults(job: Job, gimbals: tuple[str, ...]) -> Iterator[Case]:
             label = f"rotor {name} at {slow:.0%} of its spin"
             yield Case(label=label, group="faults", platform=platform, Omega=still, torque=whole)
     if weak is not None:
-        for k, gimbal in enumerate(gimbals):
-            label = f"torquer {job.platform.torquer_on(gimbal).name} at {weak:.0%} of its torque"
-            torque = np.where(np.arange(len(gimbals)) == k, weak, 1.0)
+        for k, name in enumerate(torquers):
+            label = f"torquer {name} at {weak:.0%} of its torque"
+            torque = np.where(np.arange(len(torquers)) == k, weak, 1.0)
             yield Case(label=label, group="faults", platform=job.platform, Omega=still, torque=torque)
 
 
@@ -505,7 +508,7 @@ def loop_plants(job: Job, loop: LoopSpec | tuple[str, ...]) -> PlantSet:
 
 
 def _loop_plants(job: Job, signals: LoopSignals) -> PlantSet:
-    plants = cases(job, signals.gimbals)
+    plants = cases(job, signals.gimbals, [torquer.name for torquer in signals.torquers])
     if signals.held:
         # These loops keep a body still while the platform turns about it: its rate is a disturbance, no constant at
         # which the gimbals rest. Friction brings it in.

@@ -8,7 +8,7 @@ from decimal import Decimal
 from typing import TYPE_CHECKING
 
 from platform_ctrl.common.text import Rounding, at_least, at_most, rounded
-from platform_ctrl.plant.sensors import gimbal_rate
+from platform_ctrl.plant.sensors import body_rates, body_rotations, gimbal_rate
 
 if TYPE_CHECKING:
     from platform_ctrl.common.values import FloatArray
@@ -51,12 +51,15 @@ def root_series(axis: int) -> int:
 def signal_series(platform: Platform) -> Mapping[str, int]:
     """Return which colour of the palette, from 0 on, each signal of a plant has in every plot, by its name.
 
-    A gimbal's angle, rate and torque share one; so do the angle, rate and torque about a root axis.
+    A gimbal's angle, rate, torque and what sensors on it read share one; so do the angle, rate and torque about a root axis.
     """
     out = {angle: k for k, angle in enumerate(platform.angle_names)}
     for axis in (1, 2, 3):
         out |= dict.fromkeys((f"Omega{axis}", f"M{axis}", f"attitude{axis}"), root_series(axis))
     rates = {gimbal_rate(angle): k for k, angle in enumerate(platform.angle_names)}
+    rates |= {f"theta{axis}": root_series(axis) for axis in (1, 2, 3)}
+    for k in range(len(platform.gimbals)):
+        rates |= dict.fromkeys((*body_rates(platform, k + 1), *body_rotations(platform, k + 1)), k)
     for sensor in platform.sensors:
         out[sensor.name] = (out | rates)[next(iter(sensor.signals(platform)))]
     for part in platform.torquers:

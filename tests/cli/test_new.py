@@ -61,10 +61,18 @@ def test_the_design_that_is_commented_out_can_be_switched_on(there: Path) -> Non
 
 # Eight gimbals in one loop: what it claims takes ten seconds to measure.
 LONG = {"suspended_platform"}
+# Its fluid is as strong as its rotor: no caging loop of cross-axis gains holds it, and a platform with such a gyro is
+# not caged but pointed by it. Its own job is in examples/.
+POINTED = {"floated_gyro_platform"}
 
 
 @pytest.mark.parametrize(
-    "model", [pytest.param(name, marks=[pytest.mark.slow] if name in LONG else []) for name in shipped_models()]
+    "model",
+    [
+        pytest.param(name, marks=[pytest.mark.slow] if name in LONG else [])
+        for name in shipped_models()
+        if name not in POINTED
+    ],
 )
 def test_every_shipped_plant_has_a_job_that_passes(model: str, there: Path) -> None:
     assert main(["new", "start", "--like", model, "-q"]) == 0
