@@ -51,8 +51,8 @@ def root_series(axis: int) -> int:
 def signal_series(platform: Platform) -> Mapping[str, int]:
     """Return which colour of the palette, from 0 on, each signal of a plant has in every plot, by its name.
 
-    What belongs to a gimbal shares one: its angle, rate and torque, and what sensors on it read; so does what belongs to
-    a root axis.
+    What belongs to a gimbal shares one: its angle, rate and torque, and what sensors on it read; so does what
+    belongs to a root axis.
     """
     out = {angle: k for k, angle in enumerate(platform.angle_names)}
     for axis in (1, 2, 3):
