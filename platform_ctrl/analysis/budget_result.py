@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from platform_ctrl.analysis.disturbances import Disturbance, RandomDisturbance, SampleNoise
 from platform_ctrl.analysis.hybrid_plant import HybridPlant
+from platform_ctrl.analysis.panels import UP_TO
 from platform_ctrl.common.values import FloatArray, value
 
 
@@ -231,21 +232,32 @@ def _cumulated(
     """Return edges, the variance up to them by source, and of all: panels with their images lie beside each other."""
     G, q = len(names), plant.outputs
     upper, steps, together = [np.zeros(1)], [np.zeros((1, G, q))], [np.zeros((1, q))]
-    for one in [*found, *lines]:
-        F = one.members.shape[1]
-        images = np.arange(F) - (F - 1) // 2
-        ends = np.abs(one.panels[:, None, :] + images[:, None] * plant.sample_frequency).max(axis=-1)
-        members = one.members.reshape(-1, *one.members.shape[2:])
-        step = np.zeros((len(members), G, q))
-        if one.sines:
-            step[:, [names.index(name) for name in one.sines]] = members[:, :-1]
-            together.append(members[:, -1])
-        else:
-            step[:, order] = members
-            together.append(members.sum(axis=1))
-        upper.append(ends.ravel())
+    for one in found:
+        ends, parts = _between_nodes(one, plant.sample_frequency)
+        step = np.zeros((len(ends), G, q))
+        step[:, order] = parts
+        upper.append(ends)
         steps.append(step)
+        together.append(parts.sum(axis=1))
+    for one in lines:
+        step = np.zeros((one.members.shape[1], G, q))
+        step[:, [names.index(name) for name in one.sines]] = one.members[0, :, :-1]
+        upper.append(one.frequency[0, 0])
+        steps.append(step)
+        together.append(one.members[0, :, -1])
     edges = np.concatenate(upper)
     rising = np.argsort(edges, kind="stable")
     cumulative = np.cumsum(np.concatenate(steps)[rising], axis=0).transpose(1, 2, 0)
     return edges[rising], cumulative, np.cumsum(np.concatenate(together)[rising], axis=0).T
+
+
+def _between_nodes(one: Contribution, turn: float) -> tuple[FloatArray, FloatArray]:
+    """Return the upper ends (N,) of the intervals between neighbouring nodes, and the integrals over them (N, G, q)."""
+    P, _, F, G, q = one.density.shape
+    ends = np.abs(one.panels[:, None, :] + (np.arange(F) - (F - 1) // 2)[:, None] * turn)
+    at = np.concatenate([ends[:, None, :, 0], one.frequency, ends[:, None, :, 1]], axis=1)
+    rising = np.diff(UP_TO, axis=0, prepend=0.0) @ one.density.reshape(P, 21, -1)
+    parts = np.maximum(rising, 0.0).reshape(P, 22, F, G, q)
+    every = parts.sum(axis=1)
+    parts *= np.divide(one.members, every, out=np.zeros_like(every), where=every > 0.0)[:, None]
+    return np.maximum(at[:, 1:], at[:, :-1]).ravel(), parts.reshape(-1, G, q)

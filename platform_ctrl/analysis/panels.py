@@ -39,6 +39,13 @@ KRONROD = np.array([*_WEIGHTS, _MIDDLE, *reversed(_WEIGHTS)])
 GAUSS = np.zeros(21)
 GAUSS[1::2] = np.polynomial.legendre.leggauss(10)[1]
 
+# Integrals of a polynomial through the nodes, from -1 to each node and to 1, in terms of its values there.
+_DEGREES = np.polynomial.legendre.legvander(NODES, len(NODES) - 1)
+_INTEGRALS = np.polynomial.legendre.legvander(np.append(NODES, 1.0), len(NODES)) @ np.polynomial.legendre.legint(
+    np.eye(len(NODES)), lbnd=-1.0
+)
+UP_TO = np.linalg.solve(_DEGREES.T, _INTEGRALS.T).T
+
 Panel = tuple[float, float]
 
 

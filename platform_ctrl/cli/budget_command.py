@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 # Columns for the name of a source; with three axes a line has 80.
 _NAME, _KIND = 24, 14
 _MICRO = 1e6
+# Shares of the mean square that are none.
+_ROUNDING = 1e-12
 
 
 def budget(job: JobFile, controllers: Controllers = None, as_json: Json = False, quiet: Quiet = False) -> int:
@@ -87,7 +89,9 @@ def budget_lines(job: Job, found: LineOfSightBudget) -> Iterator[str]:
     yield ""
     yield f"{'source':{_NAME}}{'kind':{_KIND}}" + "".join(f"{name:>14}" for name in found.axes)
     for name, kind, rms, shares in zip(found.names, found.kinds, found.rms, found.shares, strict=True):
-        numbers = "".join(f"{_micro(x):>9}{_percent(s):>5}" for x, s in zip(rms, shares, strict=True))
+        # Rounding shows in axes on which a source does not act.
+        pairs = [(x if s > _ROUNDING else 0.0, s) for x, s in zip(rms, shares, strict=True)]
+        numbers = "".join(f"{_micro(x):>9}{_percent(s):>5}" for x, s in pairs)
         yield f"{_short(name, _NAME - 1):{_NAME}}{kind:{_KIND}}{numbers}".rstrip()
     total = "".join(f"{_micro(x):>9}{'':5}" for x in found.total)
     yield f"{'all together':{_NAME + _KIND}}{total}".rstrip()
@@ -125,7 +129,7 @@ def _micro(rad: float) -> str:
 
 
 def _percent(share: float) -> str:
-    return f"{100.0 * share:.0f} %" if share > 0.0 else ""
+    return f"{100.0 * share:.0f} %" if share > _ROUNDING else ""
 
 
 def _short(text: str, most: int) -> str:

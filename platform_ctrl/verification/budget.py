@@ -93,6 +93,8 @@ class LineOfSightBudget:
         Up to which `cumulative` sums, Hz.
     cumulative : (sources, 3, k)
         Mean square of each source up to these frequencies, in rad · rad.
+    total_cumulative : (3, k)
+        The same of all sources together, in rad · rad.
     friction
         Rates and equivalent dampings of bearings with dry friction; None where there is none.
     results
@@ -107,6 +109,7 @@ class LineOfSightBudget:
     windows: tuple[WindowBudget, ...]
     frequencies_hz: FloatArray
     cumulative: FloatArray
+    total_cumulative: FloatArray
     friction: FrictionBalance | None
     results: tuple[CheckResult, ...]
 
@@ -187,7 +190,7 @@ def _at(loop: _Loop, q: FloatArray) -> LineOfSightBudget:
         return loop.plant(_damped(platform, added), q)
 
     def rates(viscous: FloatArray) -> FloatArray:
-        return np.asarray(loop.found(damped(viscous), loop.together).total[places])
+        return np.asarray(loop.found(damped(viscous), loop.together, windows=False).total[places])
 
     balance = friction_balance(dry, rates, tolerance=_FRICTION_TOLERANCE) if dry else None
     plant = damped(balance.viscous if balance is not None else np.zeros(0))
@@ -217,9 +220,10 @@ class _Loop:
         self.names = [*(one.name for one in budget.sources), *(one.name for one in self.noise)]
         self.kinds = [*(one.kind for one in budget.sources), *("sensor" for _ in self.noise)]
 
-    def found(self, plant: HybridPlant, sources: Sequence[Disturbance]) -> Found:
+    def found(self, plant: HybridPlant, sources: Sequence[Disturbance], windows: bool = True) -> Found:
         """Return what sources do to a plant."""
-        prepared = JitterBudget(plant, sources, self.budget.exposure, 2.0 * math.pi * self.budget.from_hz)
+        exposures = self.budget.exposure if windows else ()
+        prepared = JitterBudget(plant, sources, exposures, 2.0 * math.pi * self.budget.from_hz)
         return prepared.of(self.controller, _TOLERANCE)
 
     def plant(self, platform: Platform, q: FloatArray) -> HybridPlant:
@@ -431,6 +435,9 @@ def _told(
         windows=tuple(windows),
         frequencies_hz=apart.edges / (2.0 * math.pi),
         cumulative=np.einsum("sg,gik->sik", sums, apart.cumulative[:, :3]),
+        total_cumulative=np.array(
+            [np.interp(apart.edges, together.edges, of_axis) for of_axis in together.total_cumulative[:3]]
+        ),
         friction=friction,
         results=_judged(budget, rms, together.total[:3], windows, _assumption(friction, where)),
     )

@@ -19,9 +19,13 @@ from platform_ctrl.analysis.dry_friction import describing_function
 from platform_ctrl.analysis.hybrid_plant import HybridPlant
 from platform_ctrl.analysis.jitter_budget import JitterBudget
 from platform_ctrl.cli import main
+from platform_ctrl.design import loops
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.plant.force_elements import Friction
+from platform_ctrl.report.page.job_page import page_html
+from platform_ctrl.verification import check_job
 from platform_ctrl.verification.budget import is_limited, line_of_sight_budget, unlimited_results
+from platform_ctrl.verification.records import result_record
 
 PERIOD, DELAY, LAG = 0.001, 0.0007, 0.0003
 INERTIA, DAMPING, UNBALANCE = 0.01, 0.02, 2e-3
@@ -222,6 +226,22 @@ def test_what_has_no_budget_or_no_line_of_sight_is_refused(tmp_path: Path) -> No
     for name, words in (("blind", "no \\[line_of_sight\\]"), ("still", "no \\[budget\\]")):
         with pytest.raises(ArgumentError, match=words):
             line_of_sight_budget(pc.read_job(tmp_path / f"{name}.toml"), controllers())
+
+
+def test_the_verdict_of_a_job_counts_the_limits_and_its_report_has_a_section(tmp_path: Path) -> None:
+    loop = '[[loop]]\nname = "rate"\nkind = "rate"\nsensors = ["gyro"]\ngimbals = ["pitch"]\nuse = "PI"\n'
+    loop += 'design = [{ name = "PI", method = "pi" }]\n\n[budget]'
+    head, _, rest = FILE.format(more=LIMITS + ALL, friction=", coulomb = 2e-4").partition("[[loop]]")
+    (tmp_path / "rate.toml").write_text(head + loop + rest.partition("[budget]")[2], encoding="utf-8")
+    limited = pc.read_job(tmp_path / "rate.toml")
+    result = check_job(limited, loops(limited))
+    assert result.budget is not None
+    assert set(result.budget.results) <= set(result.requirements)
+    assert not result.passed
+    assert result_record(result)["budget"]["total"]["across"] == pytest.approx(result.budget.jitter)
+    page = page_html(result)
+    for words in ("Within an exposure", "all together", "vibration", "Dry friction", "rms up to a frequency"):
+        assert words in page
 
 
 def test_the_command_prints_a_table_of_80_columns_or_json(

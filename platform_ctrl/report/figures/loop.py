@@ -250,7 +250,7 @@ def disturbance_figure(responses: LoopResponses, spec: LoopSpec) -> Figure:
     designs, f = responses.designs, responses.frequency * HZ
     acting = [a for a in range(3) if np.nanmax(responses.open_angle_per_rate[a], initial=0.0) > 1e-12]
     shares = [one.gains["torque limit"] for one in designs if "torque limit" in one.gains]
-    limited_torque = bool(np.nanmax(shares, initial=0.0) > 0.0)
+    limited_torque = any(np.any(one > 0.0) for one in shares)  # not a number without a limit
     names = ["open loop", *design_names(responses)]
     figure, cells = _cells(len(acting) + 1 + limited_torque, names)
     for axes, a in zip(cells, acting, strict=False):

@@ -48,6 +48,7 @@ from platform_ctrl.report.page.blocks import (
     pdf,
     sentence,
 )
+from platform_ctrl.report.page.budget_page import budget_sections
 from platform_ctrl.report.page.campaign_page import as_section, digests
 from platform_ctrl.report.page.captions import compared_with_alternatives, opening, sentences
 from platform_ctrl.report.plots.time_run import time_run
@@ -162,6 +163,7 @@ def prepared(
             _plant(result),
             *(_loop(result, outcome, k) for k, outcome in enumerate(result.loops, 1)),
             Section(name="coupled", title="Coupled system", blocks=_coupled(result)),
+            *budget_sections(result),
             *_runs(result),
             *_campaign(result, campaign, again),
             _again(result, command, campaign),

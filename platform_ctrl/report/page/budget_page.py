@@ -1,0 +1,70 @@
+"""The report's section about the line of sight: what each source does to it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from platform_ctrl.report import style
+from platform_ctrl.report.figures.budget import MICRO, budget_figure
+from platform_ctrl.report.page.blocks import Block, Paragraph, Part, Plate, Section, Table, sentence, table
+from platform_ctrl.report.page.captions import sentences
+from platform_ctrl.report.quantities import plain, quantity
+from platform_ctrl.verification.budget import LineOfSightBudget
+from platform_ctrl.verification.verdict import JobResult
+
+# Shares of the mean square that are none.
+_ROUNDING = 1e-12
+
+
+def budget_sections(result: JobResult) -> list[Section]:
+    """Return the section; none where the job does not limit the line of sight."""
+    found, budget = result.budget, result.job.budget
+    if found is None or budget is None:
+        return []
+    caption = sentences("budget_figure")
+    title = "Line of sight: rms up to a frequency"
+    picture = style.svg(budget_figure(budget, found), f"{title}. {caption}")
+    blocks: list[Block] = [
+        Paragraph(text=sentences("budget", found=found, budget=budget)),
+        Plate(svg=picture, title=title, caption=caption),
+        _sources(found),
+    ]
+    if found.windows:
+        blocks.append(Part(title="Within an exposure", blocks=(_windows(found, budget.spatial_frequencies),)))
+    if found.friction is not None:
+        lines = tuple(Paragraph(text=f"{sentence(line)}") for line in found.friction.statement)
+        blocks.append(Part(title="Dry friction", blocks=lines))
+    return [Section(name="budget", title="Line of sight", blocks=tuple(blocks))]
+
+
+def _sources(found: LineOfSightBudget) -> Table:
+    rows = []
+    for name, kind, rms, shares in zip(found.names, found.kinds, found.rms, found.shares, strict=True):
+        # Rounding shows in axes on which a source does not act.
+        pairs = zip(_micro(np.where(shares > _ROUNDING, rms, 0.0)), map(_percent, shares), strict=True)
+        rows.append((name, kind, *(text for pair in pairs for text in pair)))
+    total = [text for one in _micro(found.total) for text in (one, "")]
+    numbers = "|".join(f"{axis}, µrad|share" for axis in found.axes)
+    return table(f"source|kind|{numbers}", [*rows, ("all together", "", *total)], numbers=numbers)
+
+
+def _windows(found: LineOfSightBudget, spatial_frequencies: Iterable[float]) -> Table:
+    rows = []
+    for one in found.windows:
+        for k, axis in enumerate(found.axes[:2]):
+            rms = _micro([one.displacement[k], one.smear[k], one.jitter[k], one.about_mean[k]])
+            contrast = [plain(float(x), 4) for x in one.contrast[k]]
+            rows.append((quantity(one.exposure, "s"), axis, *rms, *contrast))
+    waves = [f"contrast at {nu:g}/rad" for nu in spatial_frequencies]
+    numbers = "|".join(["displacement, µrad", "smear, end to end", "jitter", "about the mean", *waves])
+    return table(f"exposure|axis|{numbers}", rows, numbers=numbers)
+
+
+def _micro(rms: Iterable[float]) -> list[str]:
+    return [plain(MICRO * float(x), 4) for x in rms]
+
+
+def _percent(share: float) -> str:
+    return f"{plain(100.0 * share, 3)} %" if share > _ROUNDING else ""
