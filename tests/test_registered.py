@@ -60,7 +60,8 @@ def test_every_exporter_is_in_the_documentation(name: str) -> None:
 def test_every_limit_has_a_row_and_refuses_a_wrong_number_in_a_sentence(key: str) -> None:
     assert f"`{key}`" in page("job-file.md")
     data = EVERY_JOB_KEY.data
-    data["loop"][0]["limits"][key] = -1.0
+    loop = next(one for one in data["loop"] if key in one.get("limits", {}))
+    loop["limits"][key] = -1.0
     assert f"{key} must be a number > 0, got -1.0" in refusal(data)
 
 

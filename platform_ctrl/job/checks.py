@@ -372,8 +372,9 @@ def _signals_of(loop: Data, path: Path, kind: str, platform: Platform | None) ->
         )
         wanted = f"a {kind} loop reads sensors of {'rates' if unit == 'rad/s' else 'angles'}"
         yield Mistake((*path, "sensors"), f"sensors: {given(name)} {what}; {wanted}; {suggestion(name, fitting)}")
-    for name in _names_of(loop, "torquers"):
-        if torquers.get(name) not in _names_of(loop, "gimbals"):
+    turned = _names_of(loop, "gimbals")
+    for name in _names_of(loop, "torquers") if turned == loop.get("gimbals") else ():
+        if torquers.get(name) not in turned:
             words = f"torquers: {given(name)} is no torquer on a gimbal of the loop; {suggestion(name, torquers)}"
             yield Mistake((*path, "torquers"), words)
 
