@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from platform_ctrl.job.budget import Budget
 from platform_ctrl.report.style import frequency_axes, legend, line_style, linear_axis, panels
@@ -20,7 +21,7 @@ def budget_figure(budget: Budget, found: LineOfSightBudget) -> Figure:
     largest = [k for k in np.argsort(-across, kind="stable")[:_CURVES] if across[k] > 0.0]
     names = ["all sources", *(found.names[k] for k in largest)]
     figure, [[first, second]] = panels(1, 2, 2.0, names)
-    handles = []
+    handles: list[Line2D] = []
     inside = (found.frequencies_hz >= budget.from_hz) & (found.frequencies_hz <= budget.to_hz)
     f = found.frequencies_hz[inside]
     for axis, axes in enumerate((first, second)):
