@@ -21,8 +21,10 @@ from platform_ctrl.analysis.jitter_budget import JitterBudget
 from platform_ctrl.cli import main
 from platform_ctrl.design import loops
 from platform_ctrl.errors import ArgumentError
+from platform_ctrl.job.scenario import Scenario, TimeTable
 from platform_ctrl.plant.force_elements import Friction
 from platform_ctrl.report.page.job_page import page_html
+from platform_ctrl.simulation.closed_loop import simulate
 from platform_ctrl.verification import check_job
 from platform_ctrl.verification.budget import is_limited, line_of_sight_budget, unlimited_results
 from platform_ctrl.verification.records import result_record
@@ -187,6 +189,38 @@ def test_sines_are_lines_and_those_outside_of_the_band_do_not_count(tmp_path: Pa
     assert found.rms[0, 0] > 0.0
     # In opposite phase they cancel.
     assert found.total[0] == pytest.approx(by_hand().total[0], rel=1e-4)
+
+
+def multisine(rms: float) -> np.ndarray:
+    """Rows of frequency, amplitude and phase: 40 lines from 0.5 to 20 Hz, less with frequency."""
+    f = 0.5 * np.arange(1, 41)
+    a = np.minimum(1.0, 2.0 / f)
+    phase = np.random.default_rng(3).uniform(0.0, 2.0 * math.pi, len(f))
+    return np.column_stack([f, rms * math.sqrt(2.0) * a / np.linalg.norm(a), phase])
+
+
+def simulated(of: pc.Job, rows: np.ndarray) -> float:
+    """The rms of the simulated elevation over a period of the base's rate, from the third second on."""
+    t = np.arange(0.0, 5.0005, 1e-3)
+    rate = np.sum(rows[:, 1] * np.cos(2.0 * math.pi * np.outer(t, rows[:, 0]) + rows[:, 2]), axis=1)
+    table = TimeTable(t=t, values=np.outer(np.minimum(1.0, t) * rate, [0.0, 1.0, 0.0]), smooth=True)
+    run = Scenario(platform=of.platform, mode="caged", duration=5.0 - PERIOD, delay=DELAY, Omega_table=table)
+    found = simulate(run, controllers(), period=PERIOD, step=1e-4, noise=False)
+    return float(found.line_of_sight[found.t > 3.0 - 1e-9][:2000, 3].std())
+
+
+def shaken(tmp_path: Path, rows: np.ndarray, friction: str = "") -> pc.Job:
+    """The camera on a base that turns by `rows`, with a gyro that neither steps nor is noisy."""
+    source = f'[[budget.source]]\nname = "base"\nkind = "base-rate"\naxis = 2\nsines = {rows.tolist()}\n'
+    text = FILE.format(more=source, friction=friction).replace("noise_rms = 1e-4\nquantisation = 2e-5\n", "")
+    (tmp_path / "shaken.toml").write_text(text.replace("from_hz = 0.5", "from_hz = 0.4"), encoding="utf-8")
+    return pc.read_job(tmp_path / "shaken.toml")
+
+
+def test_the_budget_is_the_rms_of_the_non_linear_simulation(tmp_path: Path) -> None:
+    rows = multisine(0.01)
+    of = shaken(tmp_path, rows)
+    assert line_of_sight_budget(of, controllers()).total[0] == pytest.approx(simulated(of, rows), rel=1e-4)
 
 
 LIMITS = "limits = { jitter = 1e-3, jitter_per_axis = 1e-9, windowed_jitter = 1.0, smear = 1e-9 }\n"
