@@ -14,6 +14,7 @@ import numpy as np
 from platform_ctrl.analysis import loop_set
 from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.channel import Channel
+from platform_ctrl.analysis.classical_margins import margins_of_channel
 from platform_ctrl.analysis.loop_set import Indices, LoopSet
 from platform_ctrl.analysis.measuring import Bandwidth, ControllerGain, Direct, Loops, Peak, Request
 from platform_ctrl.analysis.norms import h2_norm, noise_rms
@@ -149,6 +150,22 @@ def torque_noise(loops: LoopSet, plants: slice = slice(None)) -> FloatArray:
     return noise_rms(noise_to_torque, loops.plants.noise, allow_unstable=True)
 
 
+def _classical_margin(which: int) -> Callable[[LoopSet, Request], FloatArray]:
+    """Return the measure of the gain margin, a factor (0), or of the phase margin, rad (1), of the worst channel."""
+
+    def measured(loops: LoopSet, request: Request) -> FloatArray:
+        out = np.full(len(loops.plants.labels), 1.0 - which)
+        for k in np.flatnonzero(loops.decay > 0.0):
+            A, B, C, D, dt = (item if np.isscalar(item) else item[k] for item in loops.own_arrays)
+            out[k] = min(
+                margins_of_channel(StateArrays(A, B[:, [i]], C[[i]], D[[i]][:, [i]] + np.eye(1), dt))[which]
+                for i in range(loops.m)
+            )
+        return out
+
+    return measured
+
+
 def _h2_norm(loops: Loops, request: Request) -> FloatArray:
     A, B, C, D, dt = loops.channel(request.channel)
     if dt > 0.0:
@@ -192,6 +209,27 @@ METRICS: dict[str, Metric] = {
         measure=Peak(transfers=(loop_set.HALF_OUTPUT, loop_set.HALF_INPUT), reciprocal=True),
         scopes=("", "worst_case", "faults"),
         best=2.0,
+    ),
+    "gain margin": Metric(
+        name="gain margin",
+        key="gain_margin_db",
+        unit="dB",
+        decibels=True,
+        sense="at least",
+        meaning="least change of the gain of one torquer, up or down, that ends stability, all others closed",
+        measure=Direct(function=_classical_margin(0)),
+        scopes=("", "worst_case"),
+    ),
+    "phase margin": Metric(
+        name="phase margin",
+        key="phase_margin_deg",
+        unit="°",
+        scale=np.pi / 180.0,
+        sense="at least",
+        meaning="least lag of one torquer that ends stability where its loop's gain is 1, all others closed",
+        measure=Direct(function=_classical_margin(1)),
+        scopes=("", "worst_case"),
+        best=180.0,
     ),
     "sensitivity peak": Metric(
         name="sensitivity peak",

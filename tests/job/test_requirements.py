@@ -402,7 +402,7 @@ def test_kinds_that_need_to_know_the_signals_refuse_a_bare_loop():
         (
             ("dampign", 1.0),
             {},
-            "requirement: kind must be 'stability', 'bandwidth', 'disk margin', 'sensitivity peak', '",
+            "requirement: kind must be 'stability', 'bandwidth', 'disk margin', 'gain margin', ",
         ),
         (("damping", 0.0), {}, "requirement: limit must be a finite number > 0, got 0.0"),
         (("damping", float("nan")), {}, "limit must be a number, got nan"),

@@ -1,0 +1,67 @@
+"""Gain and phase margins against textbook loops and against a dense grid of frequencies."""
+
+import dataclasses
+
+import control
+import numpy as np
+import pytest
+
+import platform_ctrl as pc
+from camera_job import camera_job, camera_loop
+from platform_ctrl import analysis, design
+from platform_ctrl.analysis.arrays import StateArrays, state_arrays
+from platform_ctrl.analysis.classical_margins import margins_of_channel
+from platform_ctrl.job.requirements import requirement
+
+
+def sensitivity(L: control.StateSpace) -> StateArrays:
+    return state_arrays(control.feedback(control.ss([], [], [], [[1.0]], L.dt), L), "S")
+
+
+@pytest.mark.parametrize("gain", [0.2, 0.9])
+def test_an_integrator_with_one_sample_of_delay_has_the_margins_of_its_formula(gain):
+    """L = g/(z (z − 1)): real at ωT = π/3, where |L| = g; |L| = 1 at 2 sin(ωT/2) = g with −90° − 1.5 ωT of phase."""
+    L = control.ss(control.tf([gain], [1.0, -1.0, 0.0], 0.01))
+    found, phase = margins_of_channel(sensitivity(L))
+    assert found == pytest.approx(1.0 / gain, rel=1e-9)
+    assert phase == pytest.approx(0.5 * np.pi - 3.0 * np.arcsin(0.5 * gain), rel=1e-9)
+
+
+def test_a_loop_that_may_lose_gain_has_a_margin_downwards():
+    """A plant that diverges, z = 1.1, under L = g/(z − 1.1): stable for 0.1 < g < 2.1."""
+    for gain, margin in ((0.15, 1.5), (1.9, 2.1 / 1.9)):
+        L = control.ss(control.tf([gain], [1.0, -1.1], 0.01))
+        found, _ = margins_of_channel(sensitivity(L))
+        assert found == pytest.approx(margin, rel=1e-5)
+
+
+@pytest.mark.parametrize("name", ["camera", "three gyros"])
+def test_a_grid_finds_nothing_worse(name):
+    loops = camera_loop(use="one", design=[{"name": "one", "method": "hinf"}])
+    job = pc.read_job(camera_job(loop=loops)) if name == "camera" else pc.read_job("examples/three_gyro_platform.toml")
+    (outcome,) = design.loops(dataclasses.replace(job, loops=job.loops[len(job.loops) > 1 :][:1]))
+    found = outcome.closed
+    gain, phase = (
+        requirement(kind, 1.0).check(found.plants, found.controller).value for kind in ("gain margin", "phase margin")
+    )
+    w = np.geomspace(1.0, 0.99999 * np.pi / found.plants.period, 100_000)
+    plant = found.plants.system()[list(found.plants.angles), list(found.plants.torques)]
+    S = analysis.gang(plant, found.controller, w).S_input
+    gains, phases = [], []
+    for i in range(S.shape[0]):
+        L = 1.0 / S[i, i] - 1.0
+        real = np.flatnonzero((np.sign(L.imag[1:]) != np.sign(L.imag[:-1])) & (L.real[1:] < 0.0))
+        unit = np.flatnonzero(np.sign(np.abs(L[1:]) - 1.0) != np.sign(np.abs(L[:-1]) - 1.0))
+        gains.append(np.abs(20.0 * np.log10(-L.real[real])).min())
+        phases.append(np.degrees(np.pi - np.abs(np.angle(L[unit]))).min())
+    assert gain == pytest.approx(min(gains), abs=0.01)
+    assert phase == pytest.approx(min(phases), abs=0.02)
+
+
+def test_an_unstable_loop_has_no_margin():
+    job = pc.read_job(camera_job())
+    found = design.loops(job)[0].closed
+    K = control.ss(found.controller)
+    reversed_sign = control.StateSpace(K.A, K.B, -K.C, -K.D, K.dt, inputs=K.input_labels, outputs=K.output_labels)
+    for kind in ("gain margin", "phase margin"):
+        assert requirement(kind, 1.0).check(found.plants, reversed_sign).value == 0.0
