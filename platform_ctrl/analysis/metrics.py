@@ -156,9 +156,9 @@ def _classical_margin(which: int) -> Callable[[LoopSet, Request], FloatArray]:
     def measured(loops: LoopSet, request: Request) -> FloatArray:
         out = np.full(len(loops.plants.labels), 1.0 - which)
         for k in np.flatnonzero(loops.decay > 0.0):
-            A, B, C, D, dt = (item if np.isscalar(item) else item[k] for item in loops.own_arrays)
+            A, B, C, D, dt = loops.own_arrays
             out[k] = min(
-                margins_of_channel(StateArrays(A, B[:, [i]], C[[i]], D[[i]][:, [i]] + np.eye(1), dt))[which]
+                margins_of_channel(StateArrays(A[k], B[k, :, [i]].T, C[k, [i]], D[k, [[i]], [i]] + 1.0, dt))[which]
                 for i in range(loops.m)
             )
         return out
