@@ -386,29 +386,73 @@ COUPLED_METRICS: dict[str, Quantity] = {
         meaning="largest relative loss of a loop-by-loop disk margin against the decoupled design",
     ),
 }
-# Of a simulated run; the limits are in ``[manoeuvre.limits]``.
-RUN_METRICS: dict[str, Quantity] = {
+
+
+@value
+class RunMetric(Quantity):
+    """A metric of a simulated run; the limits are in ``[manoeuvre.limits]``."""
+
+    on_demand: bool = False  # whether it is shown only where a manoeuvre limits it
+    sight: bool = False  # whether the plant needs a line of sight
+
+
+RUN_METRICS: dict[str, RunMetric] = {
     one.key: one
     for one in (
-        Quantity(
+        RunMetric(
             name="largest gimbal angle",
             key="angle",
             unit="rad",
             sense="at most",
             meaning="largest magnitude of a gimbal's angle",
         ),
-        Quantity(
+        RunMetric(
             name="largest platform angle",
             key="attitude",
             unit="rad",
             sense="at most",
             meaning="largest component of the platform's rotation vector",
         ),
-        Quantity(
+        RunMetric(
             name="largest torque over its limit",
             key="torque_share",
             sense="at most",
             meaning="largest commanded torque over its torquer's limit",
+        ),
+        RunMetric(
+            name="largest gimbal rate",
+            key="gimbal_rate",
+            unit="rad/s",
+            sense="at most",
+            meaning="largest magnitude of a gimbal's rate",
+            on_demand=True,
+        ),
+        RunMetric(
+            name="line-of-sight angle, rms",
+            key="los_angle_rms",
+            unit="rad",
+            sense="at most",
+            meaning="rms of `los_angle1` or `los_angle2` about its mean after `settle`, the larger",
+            on_demand=True,
+            sight=True,
+        ),
+        RunMetric(
+            name="line-of-sight rate, rms",
+            key="los_rate_rms",
+            unit="rad/s",
+            sense="at most",
+            meaning="rms of `los_rate1` or `los_rate2` about its mean after `settle`, the larger",
+            on_demand=True,
+            sight=True,
+        ),
+        RunMetric(
+            name="attenuation of base motion",
+            key="attenuation_db",
+            unit="dB",
+            sense="at least",
+            meaning="rms of the platform rate over `los_rate_rms`, in dB, caged",
+            on_demand=True,
+            sight=True,
         ),
     )
 }

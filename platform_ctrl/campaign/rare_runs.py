@@ -8,10 +8,12 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from platform_ctrl.analysis.metrics import RUN_METRICS
+from platform_ctrl.analysis.run_metrics import over_limit
 from platform_ctrl.campaign.planning import Plan
 from platform_ctrl.campaign.probability import CONFIDENCE
 from platform_ctrl.campaign.rare_events import RunNumbers, rare_event
 from platform_ctrl.campaign.rare_result import RareMethod, RareResult
+from platform_ctrl.campaign.single_run import metric_of, metrics_of
 from platform_ctrl.common.arguments import known_name
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray
@@ -106,12 +108,13 @@ def limit_ratios(
     result = simulate_batch(
         scenarios, plan.controllers, period=plan.job.sampling.period, step=plan.step, threads=threads, device=device
     )
-    names = tuple(RUN_METRICS) if requirement is None else (requirement,)
+    names = metrics_of(plan) if requirement is None else (requirement,)
     out = np.zeros(len(scenarios))
     for name in names:
-        limit = np.array([scenario.limits.get(name, np.inf) for scenario in scenarios])
-        largest = getattr(result, name).max(axis=1, initial=0.0)
+        limit = np.array([scenario.limits.get(name, np.nan) for scenario in scenarios])
+        limited = ~np.isnan(limit)
+        ratio = over_limit(name, metric_of(result, name), np.where(limited, limit, 1.0))
         # A run that diverged violates all its limits; without any it still has not passed.
-        lost = ~result.completed & (np.isfinite(limit) | (requirement is None))
-        out = np.maximum(out, np.where(lost, np.inf, largest / limit))
+        lost = ~result.completed & (limited | (requirement is None))
+        out = np.maximum(out, np.where(lost, np.inf, np.where(limited, ratio, 0.0)))
     return out

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from platform_ctrl.analysis.metrics import RUN_METRICS
+from platform_ctrl.analysis.run_metrics import over_limit
 from platform_ctrl.campaign.probability import SIGNIFICANCE, holm
 from platform_ctrl.campaign.table import (
     ENDED,
@@ -325,7 +326,7 @@ def _output(
         return (data[PASSED] == 0).astype(np.float64), np.asarray(data[PASSED] >= 0)
     bounds = limits_of(known, requirement, limits)[place] if known else np.zeros(0)
     limited = ~np.isnan(bounds)
-    return data[requirement] / np.where(limited, bounds, 1.0), limited
+    return over_limit(requirement, data[requirement], np.where(limited, bounds, 1.0)), limited
 
 
 def _sensitivity(

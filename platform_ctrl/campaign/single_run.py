@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from platform_ctrl.analysis.metrics import RUN_METRICS
+from platform_ctrl.analysis.run_metrics import attenuation_db, over_limit, run_metrics, worst_value
 from platform_ctrl.campaign.identity import identity, versions
 from platform_ctrl.campaign.store import TABLE, Record, differences
 from platform_ctrl.campaign.table import ENDED, MANOEUVRE, NOT_SIMULATED, PASSED, RUN, Array, Columns, Kind, arrow
@@ -39,7 +39,7 @@ def simulate_runs(plan: Plan, runs: Sequence[int], *, threads: int = 1, device: 
     result = simulation.simulate_batch(
         scenarios, plan.controllers, period=plan.job.sampling.period, step=plan.step, threads=threads, device=device
     )
-    return {**columns, **_outcomes(scenarios, result)}
+    return {**columns, **_outcomes(scenarios, result, metrics_of(plan))}
 
 
 def inputs_of(plan: Plan, runs: Sequence[int]) -> dict[str, Array]:
@@ -50,17 +50,33 @@ def inputs_of(plan: Plan, runs: Sequence[int]) -> dict[str, Array]:
     return {RUN: numbers, **{name: np.asarray(column)[numbers - first] for name, column in inputs.items()}}
 
 
-def _outcomes(scenarios: Sequence[Scenario], result: BatchResult) -> dict[str, Array]:
+def metrics_of(plan: Plan) -> tuple[str, ...]:
+    """Return the keys of the metrics that the table of a plan has."""
+    return run_metrics(manoeuvre.limits for manoeuvre, _ in plan.job.campaign_manoeuvres)
+
+
+def metric_of(result: BatchResult, name: str) -> Array:
+    """Return a metric of runs by its key, the worst of all axes, (N,)."""
+    sight = result.line_of_sight_rms
+    if name == "los_rate_rms":
+        return np.asarray(sight[:, :2].max(axis=1))
+    if name == "los_angle_rms":
+        return np.asarray(sight[:, 3:5].max(axis=1))
+    if name == "attenuation_db":
+        return attenuation_db(result.Omega_rms, sight[:, :2])
+    return np.asarray(getattr(result, name).max(axis=1, initial=0.0))
+
+
+def _outcomes(scenarios: Sequence[Scenario], result: BatchResult, names: Sequence[str]) -> dict[str, Array]:
     """Return the outcomes of runs, by the names of the columns."""
     done = result.completed
-    largest = {name: getattr(result, name).max(axis=1, initial=0.0) for name in RUN_METRICS}
-    metrics = {name: np.where(done, values, np.inf) for name, values in largest.items()}
+    metrics = {name: np.where(done, metric_of(result, name), worst_value(name)) for name in names}
     passed = done.copy()
     answers: dict[str, Array] = {}
-    for name in RUN_METRICS:
+    for name in names:
         limits = np.array([one.limits.get(name, np.nan) for one in scenarios])
         limited = ~np.isnan(limits)
-        met = metrics[name] <= np.where(limited, limits, np.inf)
+        met = over_limit(name, metrics[name], np.where(limited, limits, 1.0)) <= 1.0
         passed &= met | ~limited
         answers[f"{name}_passed"] = np.where(limited, met, np.array(None))
     return {
@@ -83,8 +99,8 @@ _KINDS: dict[str, Kind] = {"i": "whole", "u": "whole", "f": "number", "b": "answ
 def kinds_of(plan: Plan) -> dict[str, Kind]:
     """Return the kinds of all columns by their names, in the table's order."""
     inputs = {name: _KINDS[np.asarray(column).dtype.kind] for name, column in plan.inputs(0, 1).items()}
-    metrics: dict[str, Kind] = dict.fromkeys(RUN_METRICS, "number")
-    answers: dict[str, Kind] = {f"{name}_passed": "answer" for name in RUN_METRICS}
+    metrics: dict[str, Kind] = dict.fromkeys(metrics_of(plan), "number")
+    answers: dict[str, Kind] = {f"{name}_passed": "answer" for name in metrics}
     rest: dict[str, Kind] = {"stop_contacts": "whole", "saturated": "number", **answers, PASSED: "answer"}
     return {RUN: "whole", **inputs, **metrics, **rest, ENDED: "word"}
 

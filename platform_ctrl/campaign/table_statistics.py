@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from platform_ctrl.analysis.metrics import RUN_METRICS
+from platform_ctrl.analysis.run_metrics import over_limit, worst_value
 from platform_ctrl.campaign.probability import (
     CONFIDENCE,
     SIGNIFICANCE,
@@ -245,9 +246,12 @@ class _Counts:
         if not place.size:
             return
         limit = np.array([limits_of(self._known, name, self._limits)[place] for name in self._metrics])
-        values = np.array([np.where(np.isfinite(batch[name]), batch[name], np.inf) for name in self._metrics])
+        values = np.array(
+            [np.where(np.isfinite(batch[name]), batch[name], worst_value(name)) for name in self._metrics]
+        )
         # Where there is no limit no metric is bad.
-        ratio = np.where(np.isnan(limit), -np.inf, values / limit)
+        ratio = np.array([over_limit(name, *rows) for name, *rows in zip(self._metrics, values, limit, strict=True)])
+        ratio = np.where(np.isnan(limit), -np.inf, ratio.reshape(limit.shape))
         for manoeuvre in (None, *self._known):
             here = np.ones(len(place), dtype=bool) if manoeuvre is None else place == self._known[manoeuvre]
             if not here.any():

@@ -16,7 +16,7 @@ from platform_ctrl.job.faults import Fault
 from platform_ctrl.job.methods import METHODS
 from platform_ctrl.job.methods import LoopKind as LoopKind
 from platform_ctrl.job.methods import Structure as Structure
-from platform_ctrl.job.scenario import HalfCosine, Scenario, TimeTable, Vibration
+from platform_ctrl.job.scenario import HalfCosine, Scenario, Sine, Start, TimeTable, Vibration
 from platform_ctrl.job.scenario import Mode as Mode
 from platform_ctrl.job.variation import Vary
 from platform_ctrl.plant import fields
@@ -25,7 +25,7 @@ from platform_ctrl.plant.tables import TABLE, Array, At, Collected, Instead, Key
 
 Points = Literal["sobol", "latin-hypercube", "random"]
 
-MOST_LOOPS, MOST_VIBRATIONS = 100, 20
+MOST_LOOPS, MOST_VIBRATIONS, MOST_SINES = 100, 20, 100
 _RATE_HZ = Instead("rate_hz", fields.FREQUENCY, lambda rate, _: 1.0 / rate)
 _LIMITS = Shape(dict, {name: Key(fields.POSITIVE, name) for name in RUN_METRICS})
 _LOOP_LIMITS = Shape(dict, {}, others=("", fields.POSITIVE))  # which keys there are, METRICS says: see job.checks
@@ -195,15 +195,18 @@ class Manoeuvre:
         Stabilised: step of the torque on the platform at t = 0, N m.
     Omega_table, torque_table
         Caged: a platform rate, stabilised: a torque on the platform, over time; it adds to the above.
-    vibrations
+    vibrations, sines
         Of the base.
     faults
         Names of the faults that happen in it.
     initial
         What does not start at zero: angles and angle + ``_rate``, rad and rad/s; stabilised: Omega1 to Omega3.
+    start
+        ``"rest"``, or ``"equilibrium"``: constant torques hold the gimbals from t = 0 on (see `Scenario`).
+    settle
+        Time after which means and rms are taken, s.
     limits
-        ``angle``: largest gimbal angle, rad; ``attitude``: largest platform angle, rad; ``torque_share``: largest
-        share of a torquer's limit (1: at the limit).
+        By the keys and in the units of `platform_ctrl.analysis.metrics.RUN_METRICS`.
     """
 
     name: fields.Text
@@ -217,8 +220,11 @@ class Manoeuvre:
     Omega_table: Annotated[TimeTable | None, _time_table(OMEGA_NAMES)] = None
     torque_table: Annotated[TimeTable | None, _time_table(ROOT_TORQUE_NAMES)] = None
     vibrations: Annotated[tuple[Vibration, ...], Array("vibration", most=MOST_VIBRATIONS)] = ()
+    sines: Annotated[tuple[Sine, ...], Array("sine", most=MOST_SINES)] = ()
     faults: fields.Names = ()
     initial: Annotated[dict[str, float], _INITIAL] = field(default_factory=dict)
+    start: Annotated[Start, fields.one_of(get_args(Start))] = "rest"
+    settle: fields.NotNegative = 0.0
     limits: Annotated[dict[str, float], _LIMITS] = field(default_factory=dict)
 
 
@@ -379,10 +385,13 @@ def manoeuvre_scenario(job: Job, manoeuvre: Manoeuvre) -> Scenario:
         torque=torque,
         torque_table=manoeuvre.torque_table,
         vibrations=manoeuvre.vibrations,
+        sines=manoeuvre.sines,
         faults=tuple(fault for fault in job.fault_events if fault.name in manoeuvre.faults),
         q=q,
         rate=rate,
         Omega=Omega,
+        start=manoeuvre.start,
         seed=job.seed,
+        settle=manoeuvre.settle,
         limits=dict(manoeuvre.limits),
     )

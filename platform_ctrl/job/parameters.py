@@ -173,7 +173,7 @@ def _of_manoeuvres(scenarios: Sequence[Scenario]) -> Iterator[Parameter]:
         if any(in_manoeuvre(key, one) is not None for one in scenarios):
             scale = key.endswith("_scale")
             yield Parameter(path=f"manoeuvre.{key}", group="manoeuvre", key=key, allowed=allowed, factor=scale)
-    if any(one.vibrations for one in scenarios):
+    if any(one.vibrations or one.sines for one in scenarios):
         yield Parameter(path="vibration.scale", group="vibration", key="scale", allowed=NOT_NEGATIVE, factor=True)
 
 
@@ -211,7 +211,7 @@ def nominal(parameter: Parameter, scenario: Scenario, faults: Sequence[Fault]) -
         case "manoeuvre":
             return in_manoeuvre(key, scenario)
         case "vibration":
-            return 1.0 if scenario.vibrations else None
+            return 1.0 if scenario.vibrations or scenario.sines else None
         case "fault":
             found = float(getattr(next(one for one in faults if one.name == parameter.part), key))
             return found if math.isfinite(found) else None
@@ -267,6 +267,7 @@ def varied_scenario(
                 own["vibrations"] = tuple(
                     replaced(one, {"densities": one.densities * number**2}) for one in scenario.vibrations
                 )
+                own["sines"] = tuple(replaced(one, {"amplitude": one.amplitude * number}) for one in scenario.sines)
             case "fault":
                 own["faults"] = tuple(
                     one if one.name != parameter.part else replaced(one, {key: drawn_value(one, key, number, relative)})

@@ -24,6 +24,7 @@ from platform_ctrl.plant.source import path_of
 
 Mode = Literal["caged", "stabilised"]
 VibrationKind = Literal["rate", "force"]
+Start = Literal["rest", "equilibrium"]
 # Sinusoids that a vibration may be the sum of.
 MOST_LINES = 10_000
 
@@ -240,6 +241,36 @@ class Vibration:
 
 
 @input_value
+class Sine:
+    """A sinusoidal motion of the base about or along a root axis: amplitude sin(2π frequency_hz t + phase).
+
+    Attributes
+    ----------
+    kind, axis
+        As of `Vibration`.
+    frequency_hz
+        Hz.
+    amplitude
+        Peak value, rad/s or m/s².
+    phase
+        At t = 0, rad.
+    """
+
+    kind: Annotated[VibrationKind, fields.one_of(get_args(VibrationKind))]
+    axis: fields.RootAxis
+    frequency_hz: Annotated[float, fields.FREQUENCY]
+    amplitude: fields.NotZero
+    phase: fields.Number = 0.0
+
+    def __post_init__(self) -> None:
+        """Judge the numbers."""
+        whole("Sine: axis", self.axis, 1, 3)
+        positive("Sine: frequency_hz", self.frequency_hz)
+        for name in ("amplitude", "phase"):
+            number(f"Sine: {name}", getattr(self, name))
+
+
+@input_value
 class Scenario:
     """One run: the plant as it is in this run, how it begins, its excitation, its faults and its limits.
 
@@ -254,12 +285,12 @@ class Scenario:
     duration, delay
         Length of the run, and from the sample to the torque, s.
     profile, Omega_table
-        Caged: what Omega is the sum of, rate vibration included; none of them: zero.
+        Caged: what Omega is the sum of, rates of vibrations and sines included; none of them: zero.
     torque : (3,)
         Stabilised: constant torque on the platform in its own axes, N m; `torque_table` adds to it.
     torque_table
         Stabilised: a torque over time, or None.
-    vibrations
+    vibrations, sines
         Of the base.
     faults
         What fails. Of several on one part: a weak torquer is weak, then stuck, then dead; a sensor drifts, then loses
@@ -272,6 +303,10 @@ class Scenario:
         Unit quaternion w, x, y, z of the platform at t = 0, dimensionless.
     spin : (servo rotors,)
         Spins against the carriers at t = 0, rad/s; None: the nominal ones of `platform`.
+    start
+        ``"rest"``: the torquers give what the controllers command alone. ``"equilibrium"``: from before t = 0 on a
+        constant torque of each torquer holds springs, unbalance and erection at the initial angles, as that of a motor
+        whose loop has settled; the controllers' commands add to it, and it counts against the limits.
     seed, run
         What the noise is drawn from.
     settle
@@ -289,12 +324,14 @@ class Scenario:
     torque: FloatArray = field(default_factory=lambda: read_only((0.0, 0.0, 0.0)))
     torque_table: TimeTable | None = None
     vibrations: tuple[Vibration, ...] = ()
+    sines: tuple[Sine, ...] = ()
     faults: tuple[Fault, ...] = ()
     q: FloatArray = field(default_factory=lambda: read_only(()))
     rate: FloatArray = field(default_factory=lambda: read_only(()))
     Omega: FloatArray = field(default_factory=lambda: read_only((0.0, 0.0, 0.0)))
     attitude: FloatArray = field(default_factory=lambda: read_only((1.0, 0.0, 0.0, 0.0)))
     spin: FloatArray | None = None
+    start: Start = "rest"
     seed: int = 0
     run: int = 0
     settle: float = 0.0

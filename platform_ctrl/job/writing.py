@@ -96,6 +96,12 @@ def _manoeuvre_data(manoeuvre: Manoeuvre) -> dict[str, Any]:
         own["initial"] = dict(manoeuvre.initial)
     if manoeuvre.vibrations:
         own["vibration"] = [_fields(one) for one in manoeuvre.vibrations]
+    if manoeuvre.sines:
+        own["sine"] = [_fields(one) for one in manoeuvre.sines]
+    if manoeuvre.start != "rest":
+        own["start"] = manoeuvre.start
+    if manoeuvre.settle:
+        own["settle"] = manoeuvre.settle
     return own | {"limits": dict(manoeuvre.limits)}
 
 

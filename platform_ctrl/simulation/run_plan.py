@@ -17,9 +17,11 @@ from platform_ctrl.simulation.kernel.arrays import Layout, Shared, widths_of_met
 from platform_ctrl.simulation.packing import Packed, Skeleton, numbers, skeleton
 from platform_ctrl.simulation.scenarios import (
     FaultKey,
+    component,
     expect_scenario,
     part_of,
     plants_of,
+    put_equilibrium,
     put_faults,
     put_lines,
     put_lowpasses,
@@ -105,6 +107,7 @@ def prepared(scenario: Scenario, period: float, longest: float) -> Prepared:
         scenario.profile is not None,
         None if table is None else (table.t.tobytes(), table.values.tobytes(), table.smooth),
         tuple((v.kind, v.axis, v.lines, v.frequencies_hz.tobytes()) for v in scenario.vibrations),
+        tuple((sine.kind, sine.axis) for sine in scenario.sines),
     )
     return Prepared(scenario, shape, when, faults, key)
 
@@ -154,6 +157,7 @@ def batch(members: Sequence[Prepared], controller: Controller, period: float, no
     put_sensors(plants, part(layout.sensor, layout.sensors, arrays.SENSOR), period, noise)
     put_lowpasses(plants, part(layout.lowpass, _filtered(shared), arrays.LOWPASS), period)
     put_torquers(plants, part(layout.torquer, len(shared.targets), arrays.TORQUER), 0.5 * lengths)
+    put_equilibrium(scenarios, part(layout.torquer, len(shared.targets), arrays.TORQUER))
     put_stops(plants, part(layout.stop, shape.at.n, arrays.STOP))
     put_faults([member.faults for member in members], order, part(layout.fault, len(order), arrays.FAULT))
     put_rotors(shape, plants, rotors, part(layout.rotor, len(rotors), arrays.ROTOR))
@@ -181,7 +185,8 @@ def _shared(
         fault = next(member.faults[key] for member in members if key in member.faults)
         place = rotors.index(part) if action <= arrays.RIPPLE else part_of(platform, fault)
         faults.append((action, place, 64 * place + 8 * _STREAM.get(action, 0) + again))
-    lines = [(v.axis - 1 if v.kind == "rate" else v.axis + 2) for v in scenario.vibrations for _ in range(v.lines)]
+    lines = [component(v) for v in scenario.vibrations for _ in range(v.lines)]
+    lines += [6 + component(sine) for sine in scenario.sines]
     table = scenario.torque_table if free else scenario.Omega_table
     knots, pieces = np.zeros(0), np.zeros((0, 3, 4))
     if table is not None:

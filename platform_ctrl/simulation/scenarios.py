@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from typing import NamedTuple
+from typing import NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,7 +14,8 @@ from platform_ctrl.common.signatures import short
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.faults import FAULT_KINDS, Fault, part_names
-from platform_ctrl.job.scenario import Scenario
+from platform_ctrl.job.scenario import Scenario, Sine, Start, Vibration
+from platform_ctrl.mechanics.forces import element_forces
 from platform_ctrl.plant.platform import Platform
 from platform_ctrl.plant.sensors import Sensor
 from platform_ctrl.simulation.kernel import arrays
@@ -85,7 +86,10 @@ def _motion(scenario: Scenario) -> None:
     for name, there in given.items():
         if there:
             raise ArgumentError(f"{name}: has no effect in mode {scenario.mode!r}, {why}")
-    if scenario.mode == "stabilised" and any(vibration.kind == "rate" for vibration in scenario.vibrations):
+    if scenario.start not in get_args(Start):
+        raise ArgumentError(f"start must be 'rest' or 'equilibrium', got {short(scenario.start)}")
+    moving = (*scenario.vibrations, *scenario.sines)
+    if scenario.mode == "stabilised" and any(vibration.kind == "rate" for vibration in moving):
         raise ArgumentError(
             "vibration: kind 'rate' has no effect in mode 'stabilised', where the root is free; use 'force'"
         )
@@ -260,6 +264,36 @@ def put_torquers(plants: Plants, rows: FloatArray, half: FloatArray) -> None:
         rows[:, :, arrays.DECAY + segment] = np.where(lag > 0.0, np.exp(-step / lagging), 0.0)
 
 
+def put_equilibrium(scenarios: Sequence[Scenario], rows: FloatArray) -> None:
+    """Constant torques of scenarios that start in equilibrium."""
+    for row, scenario in zip(rows, scenarios, strict=True):
+        if scenario.start == "equilibrium":
+            row[:, arrays.EQUILIBRIUM] = equilibrium_torques(scenario)
+
+
+def equilibrium_torques(scenario: Scenario) -> FloatArray:
+    """Return the torque of each torquer, N m, that holds the force elements at the initial angles, root at rest.
+
+    The first torquer of a gimbal or root axis has it; a gimbal that none turns has to be in equilibrium by itself.
+    """
+    platform = scenario.platform
+    forces = element_forces(platform, q=scenario.q)
+    free = 0 if scenario.mode == "stabilised" else 3
+    forces[:free] = 0.0
+    out = np.zeros(len(platform.torquers))
+    for k, torquer in enumerate(platform.torquers):
+        place = torquer.root_axis - 1 if torquer.root_axis is not None else 3 + platform.gimbal(str(torquer.gimbal))
+        out[k], forces[place] = -forces[place], 0.0
+    scale = float(np.abs(out).max(initial=0.0))
+    for place in np.flatnonzero(np.abs(forces) > 1e-9 * max(scale, 1e-9)):
+        what = f"root axis {place + 1}" if place < 3 else f"gimbal {platform.gimbal_names[place - 3]!r}"
+        raise ArgumentError(
+            f"start: {what} is not in equilibrium, {forces[place]:.3g} N m act on it and no torquer turns it; "
+            "give it a torquer, balance it or start at rest"
+        )
+    return out
+
+
 def put_stops(plants: Plants, rows: FloatArray) -> None:
     """Where the stops are, and what they give back."""
     if rows.size == 0:
@@ -304,3 +338,18 @@ def put_lines(scenarios: Sequence[Scenario], rows: FloatArray, half: FloatArray)
             own[:, :, arrays.TURN + 2 * segment] = np.cos(turn)
             own[:, :, arrays.TURN + 2 * segment + 1] = np.sin(turn)
         place += vibration.lines
+    for j in range(len(scenarios[0].sines)):
+        sines = [scenario.sines[j] for scenario in scenarios]
+        own = rows[:, place + j]
+        own[:, arrays.AMPLITUDE] = [sine.amplitude for sine in sines]
+        # a sin x = a cos(x - pi/2)
+        phase = np.array([sine.phase for sine in sines])
+        own[:, arrays.PHASE], own[:, arrays.PHASE + 1] = np.sin(phase), -np.cos(phase)
+        for segment in range(2):
+            turn = 2.0 * math.pi * np.array([sine.frequency_hz for sine in sines]) * half[:, segment]
+            own[:, arrays.TURN + 2 * segment], own[:, arrays.TURN + 2 * segment + 1] = np.cos(turn), np.sin(turn)
+
+
+def component(vibration: Vibration | Sine) -> int:
+    """Return what a vibration adds to: 0 to 2: a component of Omega, 3 to 5: of the specific force."""
+    return vibration.axis - 1 if vibration.kind == "rate" else vibration.axis + 2

@@ -132,7 +132,8 @@ def run_record(job: Job, run: Run) -> Record:
         "ended": trajectory.ended,
         "passed": all(one.passed for one in run.results),
         "largest": {
-            name: {"value": figure, "signal": signal} for name, (figure, signal) in largest(job, trajectory).items()
+            name: {"value": figure, "signal": signal}
+            for name, (figure, signal) in largest(job, manoeuvre, trajectory).items()
         },
         "saturated": dict(zip(trajectory.torquer_names, trajectory.saturated, strict=True)),
         "stop_contacts": dict(zip(trajectory.angle_names, trajectory.stop_contacts, strict=True)),

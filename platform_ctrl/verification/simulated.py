@@ -8,12 +8,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from platform_ctrl.analysis.metrics import RUN_METRICS
+from platform_ctrl.analysis.run_metrics import attenuation_db, run_metrics, worst_value
 from platform_ctrl.common.signatures import check_arguments
-from platform_ctrl.common.values import value
+from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.job.job import Job, Manoeuvre, manoeuvre_scenario
 from platform_ctrl.job.judging import CheckResult, Requirement
+from platform_ctrl.plant.sensors import LOS_ANGLES, LOS_RATES
 from platform_ctrl.simulation import simulate
 from platform_ctrl.simulation.closed_loop import Trajectory
+from platform_ctrl.simulation.scenarios import equilibrium_torques
 
 if TYPE_CHECKING:
     import control
@@ -47,42 +50,53 @@ def simulate_manoeuvre(job: Job, manoeuvre: Manoeuvre, controllers: Sequence[con
 
 
 @check_arguments
-def largest(job: Job, trajectory: Trajectory) -> dict[str, tuple[float, str]]:
+def largest(job: Job, manoeuvre: Manoeuvre, trajectory: Trajectory) -> dict[str, tuple[float, str]]:
     """Return the run's metrics by the names of the limits, each with the signal that it belongs to.
 
-    ``angle``: largest gimbal angle, rad; ``attitude``: largest component of the platform's rotation vector, rad;
-    ``torque_share``: largest commanded torque over the torquer's limit. Infinite when the run diverged.
+    See `platform_ctrl.analysis.metrics.RUN_METRICS`; those on demand only where the manoeuvre limits them. Infinite
+    when the run diverged.
 
     Parameters
     ----------
     job
         The job that the run is from.
+    manoeuvre
+        The manoeuvre that was simulated.
     trajectory
         From `simulate_manoeuvre`.
 
     Returns
     -------
     dict
-        Value and signal by name; rad, rad and a share.
+        Value, in the unit of its limit, and signal by name.
     """
+    names = run_metrics([manoeuvre.limits])
     if not trajectory.completed:
-        return {name: (float("inf"), trajectory.ended) for name in RUN_METRICS}
-    angles = np.abs(trajectory.q).max(axis=0)
-    attitude = np.abs(trajectory.attitude_angles).max(axis=0)
+        return {name: (worst_value(name), trajectory.ended) for name in names}
     limits = np.array([np.inf if t.limit is None else t.limit for t in job.platform.torquers])
-    shares = np.abs(trajectory.command).max(axis=0) / limits
-    return {
-        "angle": (float(angles.max()), trajectory.angle_names[int(angles.argmax())])
-        if angles.size
-        else (0.0, "no gimbal"),
-        "attitude": (float(attitude.max()), f"axis {int(attitude.argmax()) + 1}"),
-        "torque_share": (float(shares.max()), trajectory.torquer_names[int(shares.argmax())]),
+    settled = trajectory.t >= manoeuvre.settle - 1e-9 * trajectory.period
+    base, sight = trajectory.Omega[settled].std(axis=0), trajectory.line_of_sight[settled].std(axis=0)
+    found = {
+        "angle": _worst(np.abs(trajectory.q).max(axis=0), trajectory.angle_names, "no gimbal"),
+        "attitude": _worst(np.abs(trajectory.attitude_angles).max(axis=0), ("axis 1", "axis 2", "axis 3")),
+        "torque_share": _worst(np.abs(trajectory.command).max(axis=0) / limits, trajectory.torquer_names),
+        "gimbal_rate": _worst(np.abs(trajectory.rate).max(axis=0), trajectory.angle_names, "no gimbal"),
     }
+    if sight.size:
+        found["los_angle_rms"] = _worst(sight[3:5], LOS_ANGLES)
+        found["los_rate_rms"] = _worst(sight[:2], LOS_RATES)
+        attenuation = float(attenuation_db(base, sight[:2]))
+        found["attenuation_db"] = attenuation, found["los_rate_rms"][1] if base.any() else "no base motion"
+    return {name: found[name] for name in names}
+
+
+def _worst(values: FloatArray, names: Sequence[str], without: str = "") -> tuple[float, str]:
+    return (float(values.max()), names[int(values.argmax())]) if values.size else (0.0, without)
 
 
 def limit_results(job: Job, manoeuvre: Manoeuvre, trajectory: Trajectory) -> tuple[CheckResult, ...]:
     """Compare a run with the limits of its manoeuvre; one that diverges fails without limits too."""
-    found = largest(job, trajectory)
+    found = largest(job, manoeuvre, trajectory)
     out = []
     if not trajectory.completed and not manoeuvre.limits:
         completed = Requirement(name="share of the run that was simulated", limit=1.0, unit="", sense="at least")
@@ -96,9 +110,19 @@ def limit_results(job: Job, manoeuvre: Manoeuvre, trajectory: Trajectory) -> tup
         metric, (number, signal) = RUN_METRICS[key], found[key]
         limited = Requirement(name=metric.name, limit=limit, unit=metric.unit, sense=metric.sense)
         evidence = (
-            f"{signal}; non-linear plant, {trajectory.ended}, seed {trajectory.seed}, substep {trajectory.step:g} s"
+            f"{signal}; non-linear plant{_start(job, manoeuvre)}, {trajectory.ended}, seed {trajectory.seed}, "
+            f"substep {trajectory.step:g} s"
         )
         out.append(
             limited.judge(number, subject=manoeuvre.name, stage="simulated", evidence=evidence, method="simulated")
         )
     return tuple(out)
+
+
+def _start(job: Job, manoeuvre: Manoeuvre) -> str:
+    """What a run in equilibrium rests on."""
+    if manoeuvre.start == "rest":
+        return ""
+    held = equilibrium_torques(manoeuvre_scenario(job, manoeuvre))
+    torques = ", ".join(f"{t.name} {Q:.3g} N m" for t, Q in zip(job.platform.torquers, held, strict=True) if Q)
+    return f" from equilibrium, held by constant torques besides the controllers' ({torques or 'none is needed'})"

@@ -182,7 +182,7 @@ def test_a_weak_torquer_loses_the_gyro_and_the_verdict_says_so(job, controllers)
     job = dataclasses.replace(job, platform=weak)
     run = simulate_manoeuvre(job, job.manoeuvres[0], controllers)
     assert not any(r.passed for r in run.results)
-    assert largest(job, run.trajectory)["torque_share"][0] > 1.0
+    assert largest(job, run.manoeuvre, run.trajectory)["torque_share"][0] > 1.0
 
 
 def test_signals_that_do_not_fit_are_named(job, controllers):

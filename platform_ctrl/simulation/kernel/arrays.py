@@ -49,8 +49,8 @@ RMS, QUANTISATION, SENSOR_SCALE, BIAS, LAST, SENSOR = 0, 1, 2, 3, 4, 5
 TRANSITION, BEFORE, NOW, INPUT, LAGGING, LOWPASS = 0, 4, 6, 8, 9, 11
 # Slots of a torquer: limit, how far it slews at once and in half a substep of each segment, decay of the lag over half
 # a substep of each segment; what it works towards, where it has slewed to, torque; share of what it slews in half a
-# substep of each segment by which the lag is behind at its end.
-LIMIT, AT_ONCE, SLEW, DECAY, HELD, SLEWED, TORQUE, BEHIND, TORQUER = 0, 1, 2, 4, 6, 7, 8, 9, 11
+# substep of each segment by which the lag is behind at its end; constant torque that adds to the commands.
+LIMIT, AT_ONCE, SLEW, DECAY, HELD, SLEWED, TORQUE, BEHIND, EQUILIBRIUM, TORQUER = 0, 1, 2, 4, 6, 7, 8, 9, 11, 12
 # Slots of a stop: low, high, restitution; whether the gimbal lies on it; when and at which rate it last bounced off.
 LOW, HIGH, RESTITUTION, TOUCHING, WHEN, AWAY, STOP = 0, 1, 2, 3, 4, 5, 6
 # Slots of a fault: begin, end, its two numbers; what is stuck.
@@ -76,7 +76,7 @@ class Shared(NamedTuple):
     targets: NDArray[np.int64]  # (nu,): index into [M, Q]
     faults: NDArray[np.int64]  # (nf, 3): kind; sensor, torquer, gimbal or row of `rotors`; channel of its draws
     rotors: NDArray[np.int64]  # (nr, 2): body; servo rotor or -1
-    lines: NDArray[np.int64]  # (nl,): component 0 to 2 of Omega, 3 to 5 of the specific force
+    lines: NDArray[np.int64]  # (nl,): component 0 to 2 of Omega, 3 to 5 of the specific force; 6 more: phase is given
     first: NDArray[np.int64]  # (nx + nu + 1,): rows of the controllers [A B; C D], stored without zeros
     column: NDArray[np.int64]
     number: FloatArray

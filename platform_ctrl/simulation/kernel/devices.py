@@ -27,9 +27,11 @@ from platform_ctrl.simulation.kernel.arrays import (
     BEGIN,
     BEHIND,
     DECAY,
+    EQUILIBRIUM,
     FAULT,
     FIRST,
     HELD,
+    LIMIT,
     SECOND,
     SLEW,
     SLEWED,
@@ -65,6 +67,21 @@ def ready_torquers(shared: Shared, mem: FloatArray, lane: int, layout: Layout) -
             store(mem, slot + BEHIND, lane, choose(lagging, behind, choose(decay > 0.0, zero + 1.0, zero)))
 
 
+@internal
+def hold_equilibrium(shared: Shared, mem: FloatArray, lane: int, layout: Layout) -> None:
+    """Let torquers have had the torque that holds the gimbals, within their limits, before t = 0."""
+    nu = shared.targets.shape[0]
+    for i in range(nu):
+        slot = layout.torquer + i * TORQUER
+        wanted, limit = load(mem, slot + EQUILIBRIUM, lane), load(mem, slot + LIMIT, lane)
+        torque = lesser(greater(wanted, -limit), limit)
+        store(mem, layout.command + i, lane, wanted)
+        store(mem, slot + SLEWED, lane, torque)
+        store(mem, slot + TORQUE, lane, torque)
+        for k in range(layout.whole + 2):
+            store(mem, layout.ring + k * nu + i, lane, torque)
+
+
 @inlined
 def torquers_fail(shared: Shared) -> bool:
     """Whether any torquer of any scenario fails."""
@@ -88,10 +105,8 @@ def new_torque(
     nu = shared.targets.shape[0]
     for i in range(nu):
         slot = layout.torquer + i * TORQUER
-        held = 0.0 * t
-        fixed, level = held, held
-        if source >= 0:
-            held = load(mem, layout.ring + source % (layout.whole + 2) * nu + i, lane)
+        fixed, level = 0.0 * t, 0.0 * t
+        held = load(mem, layout.ring + source % (layout.whole + 2) * nu + i, lane)
         torque = load(mem, slot + TORQUE, lane)
         for f in range(shared.faults.shape[0]):
             kind = shared.faults[f, 0]

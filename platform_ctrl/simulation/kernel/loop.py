@@ -19,6 +19,7 @@ from platform_ctrl.common.simd import (
 )
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.simulation.kernel.arrays import (
+    EQUILIBRIUM,
     FAULT,
     FIRST,
     GAIN,
@@ -48,6 +49,7 @@ from platform_ctrl.simulation.kernel.devices import (
     PHASE_OF_LINE,
     Keys,
     acts,
+    hold_equilibrium,
     new_torque,
     put_torques,
     ready_torquers,
@@ -133,6 +135,7 @@ def _control(shared: Shared, keys: Keys, mem: FloatArray, lane: int, at: At, lay
             )
         else:
             command = layout.command + row - nx
+            total = total + load(mem, layout.torquer + (row - nx) * TORQUER + EQUILIBRIUM, lane)
             store(mem, command, lane, choose(lost, load(mem, command, lane), total))
     for i in range(nx):
         store(mem, layout.controller + i, lane, load(mem, layout.controller + nx + i, lane))
@@ -221,8 +224,11 @@ def _begin(
         store(mem, at.state + i, lane, load(mem, layout.start + i, lane))
     store(mem, layout.alive, lane, zero + 1.0)
     ready_torquers(shared, mem, lane, layout)
+    hold_equilibrium(shared, mem, lane, layout)
     begin_surroundings(shared, mem, lane, at, layout)
     for j in range(shared.lines.shape[0]):
+        if shared.lines[j] >= 6:
+            continue
         uniforms(keys, mem, lane, j, PHASE_OF_LINE + j, layout.random)
         c, s = cosine_and_sine(2.0 * math.pi * load(mem, layout.random, lane))
         store(mem, layout.line + j * LINE + PHASE, lane, c)

@@ -209,7 +209,7 @@ def surround(
                 c, s = c * c_turn - s * s_turn, s * c_turn + c * s_turn
                 store(mem, slot + PHASE, lane, c)
                 store(mem, slot + PHASE + 1, lane, s)
-            component = shared.lines[j]
+            component = shared.lines[j] % 6
             if component >= 3 or not free:
                 target = Omega + component  # the slots of the specific force follow those of Omega
                 store(mem, target, lane, load(mem, target, lane) + load(mem, slot + AMPLITUDE, lane) * c)

@@ -258,7 +258,7 @@ def _coupled(check: CoupledCheck) -> Iterator[Figure]:
 
 def _of_run(result: JobResult, run: Run) -> Iterator[Figure]:
     job, manoeuvre = result.job, run.manoeuvre
-    for key, (number, _) in largest(job, run.trajectory).items():
+    for key, (number, _) in largest(job, manoeuvre, run.trajectory).items():
         if key == "attitude" and manoeuvre.mode == "caged":
             continue  # prescribed
         if key == "torque_share" and all(torquer.limit is None for torquer in job.platform.torquers):

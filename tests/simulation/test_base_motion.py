@@ -1,0 +1,209 @@
+"""How a run begins and what moves its base: equilibrium, sines, and what is measured of the line of sight then."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import control
+import numpy as np
+import pytest
+
+from platform_ctrl import read_job, read_platform
+from platform_ctrl.campaign.single_run import metric_of
+from platform_ctrl.errors import ArgumentError, InputError
+from platform_ctrl.job.job import manoeuvre_scenario
+from platform_ctrl.job.scenario import Scenario, Sine
+from platform_ctrl.mechanics.forces import element_forces
+from platform_ctrl.plant.platform import Platform
+from platform_ctrl.simulation import simulate, simulate_batch
+from platform_ctrl.verification.simulated import simulate_manoeuvre
+from sighted_gimbal import PLANT, sighted
+
+PERIOD = 1e-3
+TILTED = np.array([0.4, -0.3])
+
+
+def loaded(torquers: list[dict[str, Any]] | None = None) -> Platform:
+    """Return a plant on which gravity and a spring act at any angle."""
+    return sighted(
+        torquer=torquers or PLANT["torquer"],
+        unbalance=[{"body": "pitch", "moment": [2e-3, 1e-3, 0.0]}],
+        spring=[{"gimbal": "yaw", "stiffness": 0.05}],
+    )
+
+
+def begun(platform: Platform, **more: Any) -> Scenario:
+    given = {"mode": "caged", "duration": 0.3, "delay": 0.0, "q": TILTED, "start": "equilibrium"}
+    return Scenario(platform=platform, **(given | more))
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.4e-3, 2.3e-3])
+@pytest.mark.parametrize("lag", [{}, {"lag": 0.01, "rate_limit": 1.0}], ids=["at once", "with lag"])
+def test_a_run_in_equilibrium_stays_where_it_began(delay, lag) -> None:
+    platform = loaded([one | lag for one in PLANT["torquer"]])
+    run = simulate(begun(platform, delay=delay), [], period=PERIOD)
+    np.testing.assert_allclose(run.q, np.tile(TILTED, (len(run.t), 1)), rtol=0.0, atol=1e-12)
+    held = -element_forces(platform, q=TILTED)[3:]
+    np.testing.assert_allclose(run.torque, np.tile(held, (len(run.t), 1)), rtol=1e-13)
+    np.testing.assert_array_equal(run.command, np.tile(run.command[0], (len(run.t), 1)))
+    falls = simulate(begun(platform, start="rest"), [], period=PERIOD)
+    assert np.abs(falls.q[-1] - TILTED).max() > 0.05
+
+
+def test_the_free_root_is_held_by_its_own_torquers() -> None:
+    roots = [{"root_axis": k} for k in (1, 2, 3)]
+    run = simulate(begun(loaded([*PLANT["torquer"], *roots]), mode="stabilised"), [], period=PERIOD)
+    np.testing.assert_allclose(run.Omega, 0.0, atol=1e-12)
+    np.testing.assert_allclose(run.q, np.tile(TILTED, (len(run.t), 1)), rtol=0.0, atol=1e-12)
+    with pytest.raises(ArgumentError, match=r"start: root axis 1 is not in equilibrium, .* no torquer turns it"):
+        simulate(begun(loaded(), mode="stabilised"), [], period=PERIOD)
+
+
+def test_the_torque_of_equilibrium_counts_against_the_limit() -> None:
+    platform = loaded()
+    needed = np.abs(element_forces(platform, q=TILTED)[3:])
+    weak = loaded([{"gimbal": "yaw", "limit": 0.5}, {"gimbal": "pitch", "limit": 0.5 * needed[1]}])
+    result = simulate_batch([begun(one) for one in (platform,)], [], period=PERIOD)
+    np.testing.assert_allclose(result.torque_share[0], needed / 0.5, rtol=1e-13)
+    run = simulate(begun(weak), [], period=PERIOD)
+    assert run.saturated.tolist() == [0, len(run.t)]
+    assert abs(run.q[-1, 1] - TILTED[1]) > 0.05
+
+
+def test_a_gimbal_that_nothing_holds_is_refused_in_a_sentence() -> None:
+    with pytest.raises(ArgumentError, match="start: gimbal 'pitch' is not in equilibrium"):
+        simulate(begun(loaded([{"gimbal": "yaw"}])), [], period=PERIOD)
+
+
+def test_sines_of_the_base_have_their_frequency_amplitude_and_phase() -> None:
+    sines = (
+        Sine(kind="rate", axis=2, frequency_hz=7.0, amplitude=0.3, phase=0.4),
+        Sine(kind="rate", axis=2, frequency_hz=11.0, amplitude=-0.1),
+        Sine(kind="rate", axis=3, frequency_hz=2.0, amplitude=0.2, phase=-1.0),
+    )
+    run = simulate(begun(sighted(), sines=sines, seed=3), [], period=PERIOD)
+    expected = np.zeros((len(run.t), 3))
+    for one in sines:
+        expected[:, one.axis - 1] += one.amplitude * np.sin(2.0 * np.pi * one.frequency_hz * run.t + one.phase)
+    np.testing.assert_allclose(run.Omega, expected, rtol=0.0, atol=1e-12)
+    with pytest.raises(ArgumentError, match="kind 'rate' has no effect in mode 'stabilised'"):
+        simulate(begun(sighted(), mode="stabilised", sines=sines), [], period=PERIOD)
+
+
+def test_a_sine_of_specific_force_turns_an_unbalanced_gimbal() -> None:
+    amplitude, moment, J, w = 0.2, 1e-3, 2e-3, 2.0 * np.pi * 10.0
+    platform = read_platform(
+        {
+            "schema": 1,
+            "name": "pendulum",
+            "root": {"name": "base", "inertia": [1.0, 1.0, 1.0]},
+            "gimbal": [{"name": "g", "parent": "base", "axis": [0, 1, 0], "inertia": [J, J, J]}],
+            "unbalance": [{"body": "g", "moment": [moment, 0.0, 0.0]}],
+        }
+    )
+    shaken = Sine(kind="force", axis=3, frequency_hz=10.0, amplitude=amplitude)
+    run = simulate(begun(platform, q=np.zeros(1), start="rest", sines=(shaken,)), [], period=PERIOD)
+    # J q'' = -(m r x f)_2 = m r a sin(w t)
+    expected = moment * amplitude / (J * w**2) * (w * run.t - np.sin(w * run.t))
+    np.testing.assert_allclose(run.q[:, 0], expected, rtol=0.0, atol=1e-5 * expected[-1])
+
+
+FORCE = {"kind": "force", "axis": 2, "frequency_hz": 4.0, "amplitude": 0.2}
+FRICTION, GAIN, HZ = 0.01, 0.5, 4.0
+JOB: dict[str, Any] = {
+    "schema": 2,
+    "name": "steady",
+    "plant": {**PLANT, "friction": [{"gimbal": "pitch", "viscous": FRICTION}]},
+    "operation": {"Omega": [0.1, 0.1, 0.1]},
+    "sampling": {"rate_hz": 5000, "delay": 0.0},
+    "loop": [
+        {
+            "name": "pitch rate",
+            "kind": "rate",
+            "gimbals": ["pitch"],
+            "sensors": ["gyro2"],
+            "use": "pi",
+            "design": [{"name": "pi", "method": "pi"}],
+        }
+    ],
+    "manoeuvre": [
+        {
+            "name": "sine",
+            "mode": "caged",
+            "duration": 1.25,
+            "settle": 0.25,
+            "sine": [{"kind": "rate", "axis": 2, "frequency_hz": HZ, "amplitude": 0.2}],
+            "limits": {"attenuation_db": 30.0, "los_rate_rms": 1e-2, "los_angle_rms": 1e-3, "gimbal_rate": 1.0},
+        }
+    ],
+}
+
+
+def damped() -> control.StateSpace:
+    return control.ss([], [], [], [[-GAIN]], 2e-4, inputs=["gyro2"], outputs=["Qpitch"], name="damper")
+
+
+def test_base_motion_is_attenuated_as_friction_and_rate_loop_say() -> None:
+    """J w' = -c (w - base) - k w of the payload's inertial rate w."""
+    job = read_job(JOB)
+    run = simulate_manoeuvre(job, job.manoeuvres[0], [damped()])
+    found = {one.name: one for one in run.results}
+    s = 2j * np.pi * HZ
+    J = job.platform.gimbals[1].inertia[1, 1]
+    share = abs(FRICTION / (J * s + FRICTION + GAIN))
+    attenuation = found["attenuation of base motion"]
+    assert attenuation.value == pytest.approx(-20.0 * np.log10(share), abs=0.01)
+    assert attenuation.sense == "at least"
+    assert attenuation.passed
+    rms = 0.2 * share / np.sqrt(2.0)
+    assert found["line-of-sight rate, rms"].value == pytest.approx(rms, rel=1e-3)
+    assert found["line-of-sight angle, rms"].value == pytest.approx(rms / abs(s), rel=1e-3)
+    assert found["largest gimbal rate"].value == np.abs(run.trajectory.rate).max()
+    assert "los_rate1" in attenuation.evidence
+
+
+def test_a_batch_measures_what_a_run_measures() -> None:
+    job = read_job(JOB)
+    run = simulate_manoeuvre(job, job.manoeuvres[0], [damped()])
+    batch = simulate_batch([manoeuvre_scenario(job, job.manoeuvres[0])], [damped()], period=job.sampling.period)
+    for key, one in zip(job.manoeuvres[0].limits, run.results, strict=True):
+        assert metric_of(batch, key)[0] == pytest.approx(one.value, rel=1e-9)
+
+
+def test_equilibrium_stands_in_the_evidence() -> None:
+    plant = {**JOB["plant"], "unbalance": [{"body": "pitch", "moment": [1e-3, 0.0, 0.0]}]}
+    data = JOB | {"plant": plant, "manoeuvre": [JOB["manoeuvre"][0] | {"start": "equilibrium"}]}
+    job = read_job(data)
+    [result, *_] = simulate_manoeuvre(job, job.manoeuvres[0], [damped()]).results
+    assert "from equilibrium, held by constant torques besides the controllers' (Qpitch -0.00981" in result.evidence
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"settle": 2.0}, "settle must be less than duration"),
+        ({"start": "anyhow"}, 'start must be "rest" or "equilibrium"'),
+        ({"mode": "stabilised", "sine": [FORCE]}, "attenuation_db is for a caged manoeuvre"),
+    ],
+)
+def test_manoeuvres_that_say_nothing_are_refused(change, words) -> None:
+    with pytest.raises(InputError) as error:
+        read_job(JOB | {"manoeuvre": [JOB["manoeuvre"][0] | change]})
+    assert words in str(error.value)
+
+
+def test_a_limit_on_a_line_of_sight_needs_one() -> None:
+    plant = {key: item for key, item in JOB["plant"].items() if key != "line_of_sight"}
+    with pytest.raises(InputError, match="has no effect: the plant has no line of sight; add"):
+        read_job(JOB | {"plant": plant})
+
+
+def test_runs_that_differ_in_their_sines_are_computed_side_by_side() -> None:
+    job = read_job(JOB)
+    one = manoeuvre_scenario(job, job.manoeuvres[0])
+    other = replace(one, sines=(replace(one.sines[0], amplitude=0.4, frequency_hz=8.0, phase=1.0),))
+    batch = simulate_batch([one, other], [damped()], period=PERIOD / 5)
+    for k, alone in enumerate((one, other)):
+        run = simulate(alone, [damped()], period=PERIOD / 5)
+        np.testing.assert_array_equal(batch.gimbal_rate[k], np.abs(run.rate).max(axis=0))
