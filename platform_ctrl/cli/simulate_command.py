@@ -171,7 +171,7 @@ def _show(job: Job, run: Run, more: dict[str, Any] | None = None) -> None:
         return
     from platform_ctrl.cli.terminal import show_run
 
-    show_run(run, largest(job, run.trajectory))
+    show_run(run, largest(job, run.manoeuvre, run.trajectory))
 
 
 def _has_campaign(job: Job, out: Path | None) -> bool:

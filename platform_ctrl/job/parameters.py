@@ -34,7 +34,7 @@ _RANGES: dict[Any, Range] = {
     )
 }
 # Of the servo's speed loop, and what decides how many readings of a sensor are kept: campaigns do not vary them.
-_NOT_VARIED = frozenset({"speed_gain", "speed_integral", "torque_limit", "delay", "rate_hz"})
+_NOT_VARIED = frozenset({"speed_gain", "speed_integral", "torque_limit", "delay", "rate_hz", "noise_density"})
 _MANOEUVRE_RANGES = {
     "rate": ANY,
     "rise": POSITIVE,
@@ -150,6 +150,8 @@ def _there(part: Any, key: str) -> bool:
             return math.isfinite(part.stribeck_rate)
         case "restitution":
             return part.stops is not None
+        case "bandwidth_hz":
+            return part.bandwidth_hz is not None
         case _:
             return True
 

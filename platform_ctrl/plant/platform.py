@@ -266,7 +266,7 @@ class Platform:
     def outputs(self) -> dict[str, Mapping[str, float]]:
         """What can be observed, by name: the readings of the sensors, then the outputs of the line of sight.
 
-        Each is a sum of signals of the plant, given by their weights (see `platform_ctrl.plant.sensors`).
+        Each is a sum of signals of the plant, given by their dimensionless weights (see `platform_ctrl.plant.sensors`).
         """
         out = {sensor.name: sensor.signals(self) for sensor in self.sensors}
         return out if self.line_of_sight is None else out | {**self.line_of_sight.signals(self)}

@@ -384,7 +384,7 @@ class LineOfSight:
 
     @property
     def across(self) -> FloatArray:
-        """The two axes across the line of sight and the line of sight itself, (3, 3), in body axes."""
+        """The two axes across the line of sight and the line of sight itself, (3, 3), unit vectors in body axes."""
         first = np.eye(3)[(int(np.abs(self.direction).argmax()) + 1) % 3]
         first = first - (first @ self.direction) * self.direction
         first /= np.linalg.norm(first)
@@ -402,7 +402,7 @@ class LineOfSight:
         Returns
         -------
         mapping
-            By output: rates first, then angles.
+            By output: rates first, then angles; weights are dimensionless.
 
         Raises
         ------

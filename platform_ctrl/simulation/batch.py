@@ -213,7 +213,7 @@ def _kind(platform: Platform) -> tuple[object, ...]:
     return (
         platform.gimbal_names,
         tuple((t.name, t.gimbal, t.root_axis) for t in platform.torquers),
-        tuple(s.place for s in platform.sensors),
+        tuple(s.name for s in platform.sensors),
         sight_of(platform),
     )
 

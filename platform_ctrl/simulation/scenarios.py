@@ -88,7 +88,7 @@ def _motion(scenario: Scenario) -> None:
             raise ArgumentError(f"{name}: has no effect in mode {scenario.mode!r}, {why}")
     if scenario.start not in get_args(Start):
         raise ArgumentError(f"start must be 'rest' or 'equilibrium', got {short(scenario.start)}")
-    moving = (*scenario.vibrations, *scenario.sines)
+    moving: tuple[Vibration | Sine, ...] = (*scenario.vibrations, *scenario.sines)
     if scenario.mode == "stabilised" and any(vibration.kind == "rate" for vibration in moving):
         raise ArgumentError(
             "vibration: kind 'rate' has no effect in mode 'stabilised', where the root is free; use 'force'"
@@ -215,7 +215,7 @@ def rows_of_sensors(platform: Platform, size: int, period: float) -> NDArray[np.
     rows = np.tile(np.array([-1, 0, 0, 1], dtype=np.int64), (size, 1))
     filtered = kept = 0
     for row, sensor in zip(rows, platform.sensors, strict=False):
-        late = sensor.periods_late(period)
+        late = math.ceil(sensor.delay / period - 1e-9)  # `periods_late` has half the time that it is held, besides
         if late > _PERIODS:
             raise ArgumentError(
                 f"sensor {sensor.name!r}: a delay of {sensor.delay:.6g} s is {late} sample periods, more than the "
@@ -285,7 +285,7 @@ def equilibrium_torques(scenario: Scenario) -> FloatArray:
         place = torquer.root_axis - 1 if torquer.root_axis is not None else 3 + platform.gimbal(str(torquer.gimbal))
         out[k], forces[place] = -forces[place], 0.0
     scale = float(np.abs(out).max(initial=0.0))
-    for place in np.flatnonzero(np.abs(forces) > 1e-9 * max(scale, 1e-9)):
+    for place in np.flatnonzero(np.abs(forces) > 1e-9 * max(scale, 1e-9)).tolist():
         what = f"root axis {place + 1}" if place < 3 else f"gimbal {platform.gimbal_names[place - 3]!r}"
         raise ArgumentError(
             f"start: {what} is not in equilibrium, {forces[place]:.3g} N m act on it and no torquer turns it; "

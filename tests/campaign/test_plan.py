@@ -330,6 +330,8 @@ def test_a_factor_multiplies_what_its_path_says_and_nothing_else(path: str) -> N
         ("sampling.delay", 7e-4, {".delay": 7e-4}),
         ("fault.drift.until", 0.75, {".faults[3].until": 0.75}),
         ("pickoff.alpha4.quantisation", 1e-6, {f"{P}.pickoffs[0].quantisation": 1e-6}),
+        ("pickoff.alpha4.bias", 1e-3, {f"{P}.pickoffs[0].bias": 1e-3}),
+        ("rate_sensor.Omega2.scale_error", 1e-3, {f"{P}.rate_sensors[1].scale_error": 1e-3}),
     ],
 )
 def test_a_number_takes_the_place_of_what_its_path_says_and_of_nothing_else(
@@ -344,6 +346,7 @@ def test_every_path_that_is_known_is_tried_here() -> None:
     known = set(parameters(planned().nominal, job().fault_events))
     kinds = {(path.partition(".")[0], path.rpartition(".")[2]) for path in EXPECTED}
     kinds |= {("root", f"specific_force{k}") for k in (1, 2)} | {("unbalance", f"moment{k}") for k in (1, 3)}
+    kinds |= {(kind, key) for kind in ("pickoff", "rate_sensor") for key in ("bias", "scale_error")}
     kinds |= {("pickoff", "quantisation"), ("rate_sensor", "quantisation"), ("rate_sensor", "noise_bandwidth_hz")}
     kinds |= {("initial", name) for k in job().platform.angle_names for name in (k, f"{k}_rate")}
     kinds |= {("initial", f"Omega{k}") for k in (1, 2)}
