@@ -32,6 +32,7 @@ from platform_ctrl.design.partition import Channels, between, first_order, side_
 from platform_ctrl.design.riccati.weighted_loop import hinf_design
 from platform_ctrl.errors import DesignError
 from platform_ctrl.job.job import DesignSpec, Structure
+from platform_ctrl.job.judging import STABLE
 from platform_ctrl.job.methods import METHODS
 from platform_ctrl.job.requirements import LoopRequirement, hard_and_soft, requirement
 
@@ -132,7 +133,8 @@ def tuned_controller(
         Called with the largest ratio of a limit and of a goal; infinite where a loop is not stable yet.
     """
     integral = 2.0 * np.pi * options["integral_hz"]
-    kept = _INTEGRAL_KEPT * integral
+    # A rate loop against a spring has a slow mode that integrals do not move: the angle gives way by and by.
+    kept = _INTEGRAL_KEPT * integral if channel.order == 2 else STABLE.limit
     requested = [dataclasses.replace(r, limit=max(r.limit, kept)) if r.kind == "stability" else r for r in requirements]
     if not any(r.kind == "stability" for r in requested):
         requested.append(requirement("stability", kept))
