@@ -2,8 +2,9 @@
 
 A friction torque f(v) of a Gaussian rate v with the rms σ is replaced by b v + r, with b = E[f(v) v]/σ² and a remainder
 r that is not correlated with v (Booton; Gelb and Vander Velde, Multiple-Input Describing Functions, 1968, ch. 7). For
-f = F sign(v), b = √(2/π) F/σ and the remainder has 60 % of F: it is no small quantity. The linear budget has b only, so
-how much the remainder is, and for how much of the time the bearing hardly slides, is part of every result.
+f = F sign(v), b = √(2/π) F/σ and the remainder has 60 % of F: it is no small quantity, and acts like a torque from
+outside (`friction_noise`). How much it is, and for how much of the time the bearing hardly slides, is part of every
+result.
 """
 
 from __future__ import annotations
@@ -80,7 +81,7 @@ class FrictionBalance:
     viscous : (J,)
         Equivalent damping of the dry part, N m s.
     remainder : (J,)
-        rms of the friction torque that is not in proportion to the rate and missing in the linear budget, N m.
+        rms of the friction torque that is not in proportion to the rate, N m.
     sticking : (J,)
         Probability that the rate is within ±coulomb_rate: there the bearing hardly slides.
     valid : (J,)
@@ -169,7 +170,7 @@ def friction_balance(
 
 def _statement(friction: Friction, rate: float, sticking: float, remainder: float) -> str:
     where = f"friction of gimbal {friction.gimbal}: "
-    left = f"{remainder:.3g} N m rms of its torque are not in the linear budget"
+    left = f"{remainder:.3g} N m rms of its torque are not in proportion to the rate"
     if sticking <= _MOST_STICKING:
         return f"{where}it slides at {rate:.3g} rad/s rms, {100 * sticking:.2g} % of the time nearly at rest; {left}"
     return (

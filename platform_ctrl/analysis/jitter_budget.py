@@ -141,7 +141,7 @@ class JitterBudget:
         tolerance = within("jitter budget: tolerance", tolerance, 1e-11, 0.1)
         z = self.open_loop.closed_poles(controller)
         while True:
-            parts = [self._line(one, controller) for one in self._coherent()]
+            parts = self._lines(controller)
             found = self._integrated(controller, z, tolerance) if self._random or self._noise else []
             out = assembled(self.plant, self.sources, self.exposures, self.lowest, found, parts)
             if out.remaining <= tolerance or self._images >= _MOST_IMAGES:
@@ -312,40 +312,47 @@ class JitterBudget:
             groups.setdefault(one.frequency if one.phase is not None else id(one), []).append(one)
         return [tuple(group) for group in groups.values()]
 
-    def _line(self, sines: tuple[SineDisturbance, ...], controller: StateArrays) -> Contribution:
-        """Return the lines of sines of one frequency: of each alone, and last of all together."""
-        plant, omega = self.plant, np.array([sines[0].frequency])
-        images = np.arange(-self._images, self._images + 1)
-        family = self.open_loop.family(omega, images)
+    def _lines(self, controller: StateArrays) -> list[Contribution]:
+        """Return the lines of sines, those of one frequency together: of each alone, and last of all of them."""
+        groups = self._coherent()
+        if not groups:
+            return []
+        plant, omega = self.plant, np.array([group[0].frequency for group in groups])
+        family = self.open_loop.family(omega, np.arange(-self._images, self._images + 1))
         M = self.open_loop.modulator(controller, omega, family.sampled)
-        amplitude = np.stack([one.vector(plant.disturbances) for one in sines], axis=-1)
-        u = M[0] @ family.measured[0, self._images] @ amplitude
-        weights = self._weights(family.frequency)[:, 0]
-        hidden = (family.frequency[0] == 0.0) & (self.lowest > 0.0)
-        with np.errstate(invalid="ignore"):
-            z = family.held[0] @ u
-            z[self._images] += family.direct[0, self._images] @ amplitude
-            z = np.where(hidden[:, None, None], 0.0, z * family.integral[0])
-        if not np.isfinite(z).all():
-            raise ArgumentError(
-                f"source {sines[0].name}: a sine at a multiple of the sample frequency makes an angle drift without "
-                "bound; give the lowest frequency that counts"
+        weights = self._weights(family.frequency)
+        rest = self.open_loop.remaining_images(omega, family.held)
+        hidden = (family.frequency == 0.0) & (self.lowest > 0.0)
+        out = []
+        for k, sines in enumerate(groups):
+            amplitude = np.stack([one.vector(plant.disturbances) for one in sines], axis=-1)
+            u = M[k] @ family.measured[k, self._images] @ amplitude
+            with np.errstate(invalid="ignore"):
+                z = family.held[k] @ u
+                z[self._images] += family.direct[k, self._images] @ amplitude
+                z = np.where(hidden[k, :, None, None], 0.0, z * family.integral[k])
+            if not np.isfinite(z).all():
+                raise ArgumentError(
+                    f"source {sines[0].name}: a sine at a multiple of the sample frequency makes an angle drift "
+                    "without bound; give the lowest frequency that counts"
+                )
+            z, u = (np.concatenate([one, one.sum(axis=-1, keepdims=True)], axis=-1) for one in (z, u))
+            power = 0.5 * np.abs(z.swapaxes(-1, -2)) ** 2
+            remaining = 0.5 * np.einsum("rg,irs,sg->gi", u.conj(), rest[k], u).real
+            variance = np.einsum("wf,fgi->wgi", weights[:, k], power)
+            out.append(
+                Contribution(
+                    panels=np.array([[omega[k], omega[k]]]),
+                    variance=variance[None],
+                    error=np.zeros((1, *variance.shape)),
+                    members=(weights[0, k][:, None, None] * power)[None],
+                    remaining=remaining[None],
+                    frequency=np.abs(family.frequency[k])[None, None],
+                    density=np.zeros((1, 1, 0, 0, 0)),
+                    sines=tuple(one.name for one in sines),
+                )
             )
-        z, u = (np.concatenate([one, one.sum(axis=-1, keepdims=True)], axis=-1) for one in (z, u))
-        power = 0.5 * np.abs(z.swapaxes(-1, -2)) ** 2
-        rest = self.open_loop.remaining_images(omega, family.held)[0]
-        remaining = 0.5 * np.einsum("rg,irs,sg->gi", u.conj(), rest, u).real
-        variance = np.einsum("wf,fgi->wgi", weights, power)
-        return Contribution(
-            panels=np.array([[omega[0], omega[0]]]),
-            variance=variance[None],
-            error=np.zeros((1, *variance.shape)),
-            members=(weights[0][:, None, None] * power)[None],
-            remaining=remaining[None],
-            frequency=np.abs(family.frequency)[:, None],
-            density=np.zeros((1, 1, 0, 0, 0)),
-            sines=tuple(one.name for one in sines),
-        )
+        return out
 
 
 def _around(s: ComplexArray) -> FloatArray:

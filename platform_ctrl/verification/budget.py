@@ -2,7 +2,7 @@
 
 The coupled linear model, sampled exactly, follows `analysis.jitter_budget`. The sources are those of ``[budget]`` and
 the noise and quantisation of the sensors that the controllers read; dry friction is replaced by its describing function
-at the rates that the budget itself finds.
+at the rates that the budget itself finds, and by the noise of what is not in proportion to the rate.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from platform_ctrl.analysis.arrays import StateArrays, selected, state_arrays
 from platform_ctrl.analysis.budget_result import Budget as Found
 from platform_ctrl.analysis.disturbances import Disturbance, RandomDisturbance, SampleNoise, SineDisturbance, Spectrum
 from platform_ctrl.analysis.dry_friction import FrictionBalance, friction_balance
+from platform_ctrl.analysis.friction_noise import friction_noise
 from platform_ctrl.analysis.hybrid_plant import HybridPlant
 from platform_ctrl.analysis.jitter_budget import JitterBudget
 from platform_ctrl.analysis.metrics import BUDGET_METRICS
@@ -194,9 +195,18 @@ def _at(loop: _Loop, q: FloatArray) -> LineOfSightBudget:
 
     balance = friction_balance(dry, rates, tolerance=_FRICTION_TOLERANCE) if dry else None
     plant = damped(balance.viscous if balance is not None else np.zeros(0))
-    together = loop.found(plant, loop.together)
-    apart = together if loop.together is loop.apart else loop.found(plant, loop.apart)
-    return _told(loop, apart, together, balance, at_angles(platform, q))
+    rest: list[Disturbance] = []
+    if balance is not None:
+        moved = loop.found(plant, loop.together, windows=False)
+        lowest = 2.0 * math.pi * loop.budget.from_hz
+        for one, at, rms in zip(dry, places, balance.rate, strict=True):
+            spectrum = friction_noise(one, float(rms), moved.edges, moved.total_cumulative[at], lowest)
+            if spectrum is not None:
+                name = f"dry friction of {one.gimbal}"
+                rest.append(RandomDisturbance(name=name, inputs=(loop.torque_on(one.gimbal),), spectra=(spectrum,)))
+    together = loop.found(plant, [*loop.together, *rest])
+    apart = together if loop.together is loop.apart else loop.found(plant, [*loop.apart, *rest])
+    return _told(loop, [one.name for one in rest], apart, together, balance, at_angles(platform, q))
 
 
 class _Loop:
@@ -212,6 +222,8 @@ class _Loop:
         self.controller = state_arrays(selected(K, self.torquers, self.sensors), "controllers")
         self.inputs: list[str] = []
         columns = [self._input(source) for source in budget.sources]
+        for friction in job.platform.frictions:
+            self.torque_on(friction.gimbal)
         self.sources, self.rows = self._sources(columns)
         self.noise = self._noise()
         # As if all were independent, for what each does; and as they are.
@@ -252,14 +264,20 @@ class _Loop:
     def _input(self, source: Source) -> int:
         """Return the disturbance input on which a source acts."""
         if source.kind == "torque":
-            name = _torque_on(self.job.platform.gimbals[self.job.platform.gimbal(source.gimbal or "")].angle)
-        else:
-            name = (OMEGA_NAMES if source.kind == "base-rate" else FORCE_NAMES)[(source.axis or 1) - 1]
+            return self.torque_on(source.gimbal or "")
+        name = (OMEGA_NAMES if source.kind == "base-rate" else FORCE_NAMES)[(source.axis or 1) - 1]
         if source.kind == "base-rate" and self.free:
             raise ArgumentError(
                 f"source {source.name!r}: a base rate moves a platform that is carried, and here a controller turns "
                 "the root; state torques"
             )
+        return self._index(name)
+
+    def torque_on(self, gimbal: str) -> int:
+        """Return the disturbance input that is the torque on a gimbal."""
+        return self._index(_torque_on(self.job.platform.gimbals[self.job.platform.gimbal(gimbal)].angle))
+
+    def _index(self, name: str) -> int:
         if name not in self.inputs:
             self.inputs.append(name)
         return self.inputs.index(name)
@@ -403,12 +421,13 @@ def _thinned(knots: FloatArray) -> FloatArray:
 
 
 def _told(
-    loop: _Loop, apart: Found, together: Found, friction: FrictionBalance | None, where: str
+    loop: _Loop, rest: list[str], apart: Found, together: Found, friction: FrictionBalance | None, where: str
 ) -> LineOfSightBudget:
     """Return the result: sines of one source added up, and the limits judged."""
     budget = loop.budget
-    place = [*loop.rows, *range(len(budget.sources), len(loop.names))]
-    sums = np.zeros((len(loop.names), len(apart.names)))
+    names = [*loop.names, *rest]
+    place = [*loop.rows, *range(len(budget.sources), len(names))]
+    sums = np.zeros((len(names), len(apart.names)))
     sums[place, range(len(apart.names))] = 1.0
     rms = np.sqrt(sums @ apart.rms[:, :3] ** 2)
     windows = []
@@ -427,8 +446,8 @@ def _told(
             )
         )
     return LineOfSightBudget(
-        names=tuple(loop.names),
-        kinds=tuple(loop.kinds),
+        names=tuple(names),
+        kinds=(*loop.kinds, *("friction" for _ in rest)),
         axes=LOS_ANGLES,
         rms=rms,
         total=together.total[:3],

@@ -9,8 +9,10 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from scipy.integrate import quad
+from scipy.special import erf
 
 from platform_ctrl.analysis.dry_friction import describing_function, friction_balance
+from platform_ctrl.analysis.friction_noise import friction_noise
 from platform_ctrl.errors import NotFoundError
 from platform_ctrl.plant.force_elements import Friction
 
@@ -52,6 +54,34 @@ def test_a_stribeck_curve_is_averaged_over_the_rates(rms: float) -> None:
     assert found.remainder**2 == pytest.approx(mean_of(lambda v, f: f * f) - mean**2 - (viscous * rms) ** 2, rel=1e-8)
 
 
+def test_what_is_left_of_a_sign_is_a_noise_by_the_arcsine_law() -> None:
+    sharp = Friction(gimbal="pitch", coulomb=(0.02, 0.02), coulomb_rate=1e-6)
+    # A rate with the density exp(-ω²/2a²) has the correlation exp(-a²τ²/2).
+    a = 5.0
+    edges = np.linspace(0.0, 10.0 * a, 4000)
+    cumulative = 0.1**2 * erf(edges / (a * math.sqrt(2.0)))
+    noise = friction_noise(sharp, 0.1, edges, cumulative, 0.05)
+    assert noise is not None
+
+    def below(omega: float) -> float:
+        def part(tau: float) -> float:
+            rho = math.exp(-0.5 * (a * tau) ** 2)
+            return 2.0 / math.pi * 0.02**2 * (math.asin(rho) - rho) * math.sin(omega * tau) / tau
+
+        return 2.0 / math.pi * quad(part, 1e-12, 8.0 / a, limit=400)[0]
+
+    def between(low: float, high: float) -> float:
+        omega = np.geomspace(low, high, 4001)
+        return float(np.trapezoid(noise.at(omega), omega)) / (2.0 * math.pi)
+
+    for omega in (3.0, 10.0, 30.0, 100.0):
+        # Below the lowest frequency nothing counts.
+        assert between(0.05, omega) == pytest.approx(below(omega) - below(0.05), rel=0.02)
+    whole = between(0.05, float(noise.knots[-1]))
+    assert whole == pytest.approx(describing_function(sharp, 0.1).remainder ** 2, rel=0.03)
+    assert friction_noise(sharp, 0.0, edges, cumulative, 0.05) is None
+
+
 def test_the_balance_is_a_fixed_point_of_the_linear_loop() -> None:
     # White torque on an inertia with damping b: the variance of the rate is q/(2 J b).
     q, inertia = 1e-4, 0.5
@@ -74,7 +104,7 @@ def test_a_bearing_that_hardly_slides_is_named() -> None:
     assert "does not hold" in slow.statement[0]
     fast = friction_balance([BEARING], lambda b: np.full(1, 0.1))
     assert fast.valid[0]
-    assert "not in the linear budget" in fast.statement[0]
+    assert "not in proportion to the rate" in fast.statement[0]
 
 
 def test_rates_that_never_settle_are_refused() -> None:
