@@ -26,7 +26,7 @@ from platform_ctrl.analysis.metrics import BUDGET_METRICS
 from platform_ctrl.analysis.pointing_windows import motion_transfer
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray, replaced, value
-from platform_ctrl.design.plants import at_angles
+from platform_ctrl.design.plants import at_angles, forgetting
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.budget import Budget, Source
 from platform_ctrl.job.job import Job
@@ -36,7 +36,7 @@ from platform_ctrl.mechanics.outputs import observed
 from platform_ctrl.mechanics.state_space import state_space
 from platform_ctrl.plant.platform import FORCE_NAMES, OMEGA_NAMES, Platform
 from platform_ctrl.plant.sensors import LOS_ANGLES, LOS_RATES, gimbal_rate
-from platform_ctrl.verification.coupled import acts_on_root, coupled_plant, one_controller
+from platform_ctrl.verification.coupled import acts_on_root, coupled_plant, drifting_angles, one_controller
 
 if TYPE_CHECKING:
     import control
@@ -249,6 +249,7 @@ class _Loop:
         controls = [torquers[name].signal for name in self.torquers]
         columns = [shown.input_labels.index(name) for name in (*controls, *self.inputs)]
         A, B, C, D, _ = state_arrays(shown, "budget")
+        A = forgetting(A, shown.state_labels, drifting_angles(self.job) - set(self.sensors))
         late = {sensor.name: sensor.periods_late(self.job.sampling.period) for sensor in platform.sensors}
         return HybridPlant(
             plant=StateArrays(A, B[:, columns], C, D[:, columns]),

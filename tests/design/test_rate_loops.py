@@ -260,3 +260,21 @@ def test_a_tracker_that_does_not_see_what_a_command_does_is_refused():
     job = pc.read_job(camera_job(loop=[*camera_loop(), TRACKING | {"sensors": ["yaw_error"]}]))
     with pytest.raises(InputError, match="give the axis a rate loop by itself"):
         design.loops(job)
+
+
+def test_a_cable_does_not_make_a_rate_loop_unstable():
+    """J q'' + k q = Q with Q = −K q': balance at any angle, a pole at zero that is no fault of the loop."""
+    cable = [{"gimbal": name, "stiffness": 0.1} for name in ("az", "el")]
+    held, free = closed(plant=camera_plant(spring=cable)), closed()
+    assert held.measures.decay.min() == pytest.approx(0.2, rel=0.01)
+    w = 2.0 * np.pi * np.array([10.0, 30.0])
+    found, expected = (analysis.frequency_response(one.plants.system(), w)[:, :2] for one in (held, free))
+    # (ω₀/ω)² with ω₀² = k/J.
+    np.testing.assert_allclose(found, expected, rtol=0.002, atol=1e-9)
+    assert held.measures.disk_margin[0] == pytest.approx(free.measures.disk_margin[0], rel=0.01)
+
+
+def test_a_loop_may_have_fewer_torquers_than_gimbals():
+    loops = camera_loop(gimbals=["az", "el"], torquers=["Qel"], sensors=["pitch_gyro"])
+    [outcome] = design.loops(pc.read_job(camera_job(loop=loops, operation=STILL)))
+    assert outcome.closed.controller.output_labels == ["Qel"]
