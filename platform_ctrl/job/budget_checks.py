@@ -40,6 +40,11 @@ def budget_mistakes(data: Data, platform: Platform | None) -> Iterator[Mistake]:
     for key in ("windowed_jitter", "smear"):
         if isinstance(limits, dict) and key in limits and not budget.get("exposure"):
             yield Mistake((*path, "limits", key), f"{key} has no effect without exposure, the exposure times in s")
+    if platform is not None and platform.line_of_sight is None:
+        words = "limits: the plant has no line of sight to be limited; state its body and direction in [line_of_sight]"
+        own = [(*path, "source", k, "limit") for k, source in tables(budget, "source") if "limit" in source]
+        for place in [*([(*path, "limits")] if limits else []), *own]:
+            yield Mistake(place, words.replace("limits", str(place[-1]), 1))
     yield from unique_names(budget, path, "source")
     names = [name for _, source in tables(budget, "source") if (name := text_of(source, "name")) is not None]
     for k, source in tables(budget, "source"):

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 import platform_ctrl as pc
+from camera_job import camera_job, camera_loop, camera_plant
 from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.budget_result import Budget
 from platform_ctrl.analysis.disturbances import Disturbance, RandomDisturbance, SampleNoise, Spectrum
@@ -20,7 +21,7 @@ from platform_ctrl.analysis.hybrid_plant import HybridPlant
 from platform_ctrl.analysis.jitter_budget import JitterBudget
 from platform_ctrl.cli import main
 from platform_ctrl.design import loops
-from platform_ctrl.errors import ArgumentError
+from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.job.scenario import Scenario, TimeTable
 from platform_ctrl.plant.force_elements import Friction
 from platform_ctrl.report.page.job_page import page_html
@@ -203,14 +204,17 @@ def multisine(rms: float) -> np.ndarray:
     return np.column_stack([f, rms * math.sqrt(2.0) * a / np.linalg.norm(a), phase])
 
 
-def simulated(of: pc.Job, rows: np.ndarray) -> float:
+def simulated(of: pc.Job, rows: np.ndarray, closed: list[control.StateSpace] | None = None) -> float:
     """The rms of the simulated elevation over a period of the base's rate, from the third second on."""
     t = np.arange(0.0, 5.0005, 1e-3)
     rate = np.sum(rows[:, 1] * np.cos(2.0 * math.pi * np.outer(t, rows[:, 0]) + rows[:, 2]), axis=1)
     table = TimeTable(t=t, values=np.outer(np.minimum(1.0, t) * rate, [0.0, 1.0, 0.0]), smooth=True)
-    run = Scenario(platform=of.platform, mode="caged", duration=5.0 - PERIOD, delay=DELAY, Omega_table=table)
-    found = simulate(run, controllers(), period=PERIOD, step=1e-4, noise=False)
-    return float(found.line_of_sight[found.t > 3.0 - 1e-9][:2000, 3].std())
+    period = of.sampling.period
+    run = Scenario(
+        platform=of.platform, mode="caged", duration=5.0 - period, delay=of.sampling.delay, Omega_table=table
+    )
+    found = simulate(run, closed or controllers(), period=period, step=1e-4, noise=False)
+    return float(found.line_of_sight[found.t > 3.0 - 1e-9][: round(2.0 / period), 3].std())
 
 
 def shaken(tmp_path: Path, rows: np.ndarray, friction: str = "") -> pc.Job:
@@ -225,6 +229,32 @@ def test_the_budget_is_the_rms_of_the_non_linear_simulation(tmp_path: Path) -> N
     rows = multisine(0.01)
     of = shaken(tmp_path, rows)
     assert line_of_sight_budget(of, controllers()).total[0] == pytest.approx(simulated(of, rows), rel=1e-4)
+
+
+def test_the_budget_of_a_tracker_around_a_rate_loop_is_that_of_the_simulation() -> None:
+    plant, rows = (
+        camera_plant(friction=[{"gimbal": "az", "viscous": 0.02}, {"gimbal": "el", "viscous": 0.02}]),
+        multisine(0.01),
+    )
+    for sensor in plant["attitude_sensor"]:
+        sensor["delay"] = 0.01
+    track = {
+        "name": "track",
+        "kind": "tracking",
+        "around": "rate",
+        "sensors": ["yaw_error", "pitch_error"],
+        "use": "pi",
+    }
+    track["design"] = [{"name": "pi", "method": "pi", "crossover_hz": 2.0}]
+    base = {"name": "base", "kind": "base-rate", "axis": 2, "sines": rows.tolist()}
+    of = pc.read_job(
+        camera_job(plant=plant, loop=[*camera_loop(), track], budget={"from_hz": 0.4, "to_hz": 50.0, "source": [base]})
+    )
+    closed = [outcome.closed.controller for outcome in loops(of)]
+    found = line_of_sight_budget(of, closed)
+    assert found.names[0] == "base"
+    assert any(name.startswith("noise of pitch_error") for name in found.names)
+    assert found.rms[0, 0] == pytest.approx(simulated(of, rows, closed), rel=2e-3)
 
 
 def test_dry_friction_shakes_as_in_the_non_linear_simulation(tmp_path: Path) -> None:
@@ -273,6 +303,10 @@ def test_what_has_no_budget_or_no_line_of_sight_is_refused(tmp_path: Path) -> No
     for name, words in (("blind", "no \\[line_of_sight\\]"), ("still", "no \\[budget\\]")):
         with pytest.raises(ArgumentError, match=words):
             line_of_sight_budget(pc.read_job(tmp_path / f"{name}.toml"), controllers())
+    blind = FILE.format(more=LIMITS + ALL, friction="").replace("line_of_sight", "# line_of_sight")
+    (tmp_path / "blind.toml").write_text(blind, encoding="utf-8")
+    with pytest.raises(InputError, match="limits: the plant has no line of sight"):
+        pc.read_job(tmp_path / "blind.toml")
 
 
 def test_the_verdict_of_a_job_counts_the_limits_and_its_report_has_a_section(tmp_path: Path) -> None:
