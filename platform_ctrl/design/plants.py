@@ -29,6 +29,8 @@ from platform_ctrl.plant.sensors import LOS_RATES, Sensor
 _SLOW_MOTION = 1e-3
 # Phase that a tracker's delay takes at the frequency that its loop goes by, rad.
 _PHASE = 0.5
+# Share of their effect at zero angles below which torquers are near a keyhole: 1/cos of the elevation is 10 there.
+_KEYHOLE = 0.1
 # Ratio of the least to the largest effect of torquers on readings from which on each is seen.
 _SEEN = 1e-6
 # Share of the largest gain from torques to the line of sight from which on an output counts as moved.
@@ -297,14 +299,7 @@ def loop_channels(model: LinearModel, signals: LoopSignals, period: float) -> Ch
     if not signals.held:
         return channels(model, rows)
     platform, order = model.platform, 1 if signals.sensors[0].unit == "rad/s" else 2
-    weights = [sensor.signals(platform) for sensor in signals.sensors]
-    names = list(dict.fromkeys(name for one in weights for name in one))
-    system = observed(state_space(model, gimbals=signals.gimbals, others="held"), platform, names, model.q0)
-    inputs = [system.input_labels.index(torquer.name) for torquer in signals.torquers]
-    s = 2j * np.pi * 0.01 / period
-    shown = system.C @ np.linalg.solve(s * np.eye(system.nstates) - system.A, system.B[:, inputs])
-    mixing = np.array([[one.get(name, 0.0) for name in names] for one in weights])
-    effect = np.real(s**order * (mixing @ shown))
+    effect = _effect(model, signals, period)
     own = np.array([signals.gimbals.index(str(torquer.gimbal)) for torquer in signals.torquers])
     mobility = np.diag(inverse_inertia(model.M[np.ix_(rows, rows)], signals.gimbals))[own]
     sizes = np.linalg.svd(effect, compute_uv=False)
@@ -322,6 +317,34 @@ def loop_channels(model: LinearModel, signals: LoopSignals, period: float) -> Ch
         order=order,
         sense=mobility[:, None] * np.linalg.pinv(effect),
     )
+
+
+def _effect(model: LinearModel, signals: LoopSignals, period: float) -> FloatArray:
+    """Return what each torquer does to each reading, or to its rate of angles, at a hundredth of the sample rate."""
+    weights = [sensor.signals(model.platform) for sensor in signals.sensors]
+    names = list(dict.fromkeys(name for one in weights for name in one))
+    system = observed(state_space(model, gimbals=signals.gimbals, others="held"), model.platform, names, model.q0)
+    inputs = [system.input_labels.index(torquer.name) for torquer in signals.torquers]
+    s = 2j * np.pi * 0.01 / period
+    shown = system.C @ np.linalg.solve(s * np.eye(system.nstates) - system.A, system.B[:, inputs])
+    mixing = np.array([[one.get(name, 0.0) for name in names] for one in weights])
+    order = 1 if signals.sensors[0].unit == "rad/s" else 2
+    return np.asarray(np.real(s**order * (mixing @ shown)))
+
+
+def _expect_no_keyhole(job: Job, signals: LoopSignals) -> None:
+    """Refuse gimbal angles at which a torquer hardly turns what the sensors read, as at an elevation of 90°."""
+    least = [
+        float(np.linalg.svd(_effect(linearise(job.platform, q=q), signals, job.sampling.period), compute_uv=False)[-1])
+        for q in job.trims
+    ]
+    for q, one in zip(job.trims[1:], least[1:], strict=True):
+        if one < _KEYHOLE * least[0]:
+            raise InputError(
+                f"angles: at {at_angles(job.platform, q)} the torquers turn what {signals.sensors[0].name} and others "
+                f"read by only {one / least[0]:.2g} of what they do at zero angles (keyhole), where no loop on these "
+                "axes works; leave such angles out of [operation]"
+            )
 
 
 @value
@@ -504,6 +527,7 @@ def loop_plants(job: Job, loop: LoopSpec | tuple[str, ...]) -> PlantSet:
     signals = loop_signals(platform, loop) if isinstance(loop, LoopSpec) else caging_signals(platform, loop)
     if signals.held:
         loop_channels(linearise(platform), signals, job.sampling.period)  # its sensors have to show what they need to
+        _expect_no_keyhole(job, signals)
     return _loop_plants(job, signals)
 
 

@@ -181,7 +181,7 @@ def test_a_loop_that_is_too_fast_is_refused():
     ("angles", "words"),
     [
         ({"el": [0.1]}, "el is no angle of the plant"),
-        ({"q_el": [1.5]}, "q_el: 1.5 rad is outside the stops, -0.9 to 1.3 rad"),
+        ({"q_el": [1.6]}, "q_el: 1.6 rad is outside the stops, -0.9 to 1.55 rad"),
         ({"q_el": []}, "q_el must be one or more numbers"),
         ({"q_az": list(np.linspace(-1, 1, 50)), "q_el": [0.1, 0.2, 0.3, 0.4, 0.5]}, "250 combinations"),
     ],
@@ -190,6 +190,12 @@ def test_gimbal_angles_that_make_no_sense_are_one_line(angles, words):
     with pytest.raises(InputError) as caught:
         pc.read_job(camera_job(operation=STILL | {"angles": angles}))
     assert words in str(caught.value)
+
+
+def test_an_elevation_near_the_keyhole_is_named():
+    job = pc.read_job(camera_job(operation=STILL | {"angles": {"q_el": [0.5, 1.5]}}))
+    with pytest.raises(InputError, match=r"at q_el = 1.5 rad the torquers turn .* by only 0.0\d+ of .*keyhole"):
+        design.loops(job)
 
 
 TRACKING = {

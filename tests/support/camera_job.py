@@ -14,7 +14,7 @@ _PLANT: dict[str, Any] = {
     "root": {"name": "vehicle", "inertia": [5.0, 6.0, 7.0]},
     "gimbal": [
         {"name": "az", "parent": "vehicle", "axis": [0, 0, 1], "inertia": [0.011, 0.011, J_AZIMUTH - 0.019]},
-        {"name": "el", "parent": "az", "axis": [0, 1, 0], "inertia": [0.02, J_ELEVATION, 0.019], "stops": [-0.9, 1.3]},
+        {"name": "el", "parent": "az", "axis": [0, 1, 0], "inertia": [0.02, J_ELEVATION, 0.019], "stops": [-0.9, 1.55]},
     ],
     "torquer": [{"gimbal": "az", "limit": 2.0, "lag": 2e-4}, {"gimbal": "el", "limit": 2.0, "lag": 2e-4}],
     "pickoff": [{"gimbal": "az"}, {"gimbal": "el"}],
