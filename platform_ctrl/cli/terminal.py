@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING
 
+from platform_ctrl.analysis.metrics import RUN_METRICS
 from platform_ctrl.cli.interrupts import interruptible
 from platform_ctrl.job.judging import CheckResult
 
@@ -143,6 +144,7 @@ def show_run(run: Run, largest: dict[str, tuple[float, str]]) -> None:
         "largest gimbal angle": "{:.4g} rad ({})".format(*largest["angle"]),
         "largest platform angle": "{:.4g} rad ({})".format(*largest["attitude"]),
         "largest torque over its limit": "{:.4g} ({})".format(*largest["torque_share"]),
+        **{RUN_METRICS[key].name: _measured(key, *largest[key]) for key in largest if RUN_METRICS[key].on_demand},
         "saturated samples": ", ".join(f"{name} {n}" for name, n in saturated.items()) or "none",
         "stops touched": ", ".join(f"{name} {n}" for name, n in touched.items()) or "none",
     }
@@ -152,6 +154,10 @@ def show_run(run: Run, largest: dict[str, tuple[float, str]]) -> None:
     console.print(run.manoeuvre.name, style="bold", markup=False)
     console.print(table)
     show_lines(console, run.results)
+
+
+def _measured(key: str, number: float, signal: str) -> str:
+    return f"{number:.4g} {RUN_METRICS[key].unit} ({signal})"
 
 
 def show_inputs(title: str, inputs: Mapping[str, object]) -> None:

@@ -331,7 +331,7 @@ def test_a_factor_multiplies_what_its_path_says_and_nothing_else(path: str) -> N
         ("fault.drift.until", 0.75, {".faults[3].until": 0.75}),
         ("pickoff.alpha4.quantisation", 1e-6, {f"{P}.pickoffs[0].quantisation": 1e-6}),
         ("pickoff.alpha4.bias", 1e-3, {f"{P}.pickoffs[0].bias": 1e-3}),
-        ("rate_sensor.Omega2.scale_error", 1e-3, {f"{P}.rate_sensors[1].scale_error": 1e-3}),
+        ("rate_sensor.Omega2.scale_error", 1e-3, {f"{P}.rate_sensors[0].scale_error": 1e-3}),
     ],
 )
 def test_a_number_takes_the_place_of_what_its_path_says_and_of_nothing_else(

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-import control
 import numpy as np
 import pytest
 
@@ -18,7 +17,7 @@ from platform_ctrl.mechanics.forces import element_forces
 from platform_ctrl.plant.platform import Platform
 from platform_ctrl.simulation import simulate, simulate_batch
 from platform_ctrl.verification.simulated import simulate_manoeuvre
-from sighted_gimbal import PLANT, sighted
+from sighted_gimbal import FRICTION, GAIN, HZ, JOB, PLANT, damped, sighted
 
 PERIOD = 1e-3
 TILTED = np.array([0.4, -0.3])
@@ -110,38 +109,6 @@ def test_a_sine_of_specific_force_turns_an_unbalanced_gimbal() -> None:
 
 
 FORCE = {"kind": "force", "axis": 2, "frequency_hz": 4.0, "amplitude": 0.2}
-FRICTION, GAIN, HZ = 0.01, 0.5, 4.0
-JOB: dict[str, Any] = {
-    "schema": 2,
-    "name": "steady",
-    "plant": {**PLANT, "friction": [{"gimbal": "pitch", "viscous": FRICTION}]},
-    "operation": {"Omega": [0.1, 0.1, 0.1]},
-    "sampling": {"rate_hz": 5000, "delay": 0.0},
-    "loop": [
-        {
-            "name": "pitch rate",
-            "kind": "rate",
-            "gimbals": ["pitch"],
-            "sensors": ["gyro2"],
-            "use": "pi",
-            "design": [{"name": "pi", "method": "pi"}],
-        }
-    ],
-    "manoeuvre": [
-        {
-            "name": "sine",
-            "mode": "caged",
-            "duration": 1.25,
-            "settle": 0.25,
-            "sine": [{"kind": "rate", "axis": 2, "frequency_hz": HZ, "amplitude": 0.2}],
-            "limits": {"attenuation_db": 30.0, "los_rate_rms": 1e-2, "los_angle_rms": 1e-3, "gimbal_rate": 1.0},
-        }
-    ],
-}
-
-
-def damped() -> control.StateSpace:
-    return control.ss([], [], [], [[-GAIN]], 2e-4, inputs=["gyro2"], outputs=["Qpitch"], name="damper")
 
 
 def test_base_motion_is_attenuated_as_friction_and_rate_loop_say() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+import control
 import numpy as np
 
 from oracle_trees import turn
@@ -49,3 +50,39 @@ def skewed(platform: Platform) -> Platform:
         attitude_sensors=tuple(replace(s, axis=skew @ s.axis) for s in platform.attitude_sensors),
         line_of_sight=replace(sight, direction=skew @ sight.direction),
     )
+
+
+# A sine of HZ Hz moves the base; viscous friction carries it over, a rate loop holds the payload against it.
+FRICTION, GAIN, HZ = 0.01, 0.5, 4.0
+JOB: dict[str, Any] = {
+    "schema": 2,
+    "name": "steady",
+    "plant": {**PLANT, "friction": [{"gimbal": "pitch", "viscous": FRICTION}]},
+    "operation": {"Omega": [0.1, 0.1, 0.1]},
+    "sampling": {"rate_hz": 5000, "delay": 0.0},
+    "loop": [
+        {
+            "name": "pitch rate",
+            "kind": "rate",
+            "gimbals": ["pitch"],
+            "sensors": ["gyro2"],
+            "use": "pi",
+            "design": [{"name": "pi", "method": "pi"}],
+        }
+    ],
+    "manoeuvre": [
+        {
+            "name": "sine",
+            "mode": "caged",
+            "duration": 1.25,
+            "settle": 0.25,
+            "sine": [{"kind": "rate", "axis": 2, "frequency_hz": HZ, "amplitude": 0.2}],
+            "limits": {"attenuation_db": 30.0, "los_rate_rms": 1e-2, "los_angle_rms": 1e-3, "gimbal_rate": 1.0},
+        }
+    ],
+}
+
+
+def damped() -> control.StateSpace:
+    """Return a controller that makes a damper of the payload's gyro."""
+    return control.ss([], [], [], [[-GAIN]], 2e-4, inputs=["gyro2"], outputs=["Qpitch"], name="damper")

@@ -347,13 +347,18 @@ class _Model:
     def _sensors(self, out: Tables) -> None:
         model, kinds = self.model, self.mujoco.mjtSensor
         of = {self.bodies[k].joint: self.bodies[k].name for k in self.gimbals}
-        found: dict[str, list[Tables]] = {"pickoff": [], "rate_sensor": []}
+        found: dict[str, list[Tables]] = {"pickoff": [], "rate_sensor": [], "angle_sensor": []}
         for k in range(model.nsensor):
             joint = int(model.sensor_objid[k])
             key = {int(kinds.mjSENS_JOINTPOS): "pickoff", int(kinds.mjSENS_JOINTVEL): "rate_sensor"}
             table = key.get(int(model.sensor_type[k]))
-            if table is not None and joint in of:
-                found[table].append({"gimbal": of[joint], "noise_rms": float(model.sensor_noise[k])})
+            if table is None or joint not in of:
+                continue
+            own: Tables = {"gimbal": of[joint], "noise_rms": float(model.sensor_noise[k])}
+            if not any(one["gimbal"] == of[joint] for one in found[table]):
+                found[table].append(own)
+            elif table == "pickoff":
+                found["angle_sensor"].append({"name": model.sensor(k).name, **own})
         out |= found
 
 

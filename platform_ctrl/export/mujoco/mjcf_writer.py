@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+from collections.abc import Sequence
 from typing import Literal
 from xml.etree.ElementTree import Comment, Element, SubElement, indent, tostring
 
@@ -29,7 +30,7 @@ from platform_ctrl.export.mujoco.shapes import (
     text,
 )
 from platform_ctrl.plant.platform import OMEGA_NAMES, Platform, Rotor, Torquer
-from platform_ctrl.plant.sensors import gimbal_rate
+from platform_ctrl.plant.sensors import Sensor, body_rates, body_rotations, gimbal_rate
 
 Root = Literal["free", "prescribed", "fixed"]
 
@@ -138,6 +139,8 @@ def _add_carried(
         for key, item in _joint(platform, child - 1, step).items():
             joint.set(key, item)
         _add_inertia(inner, bodies[child])
+        if gimbal.name in inertial_bodies(platform):
+            SubElement(inner, "site", name=_line(gimbal.name), pos="0 0 0", size="0.001", group="4")
         add_ring(inner, platform, child, bodies, depth + 1)
         rates += [0.0, *_add_carried(inner, platform, bodies, child, depth + 1, step)]
     return rates
@@ -263,6 +266,24 @@ def _add_torquer(group: Element, platform: Platform, torquer: Torquer) -> None:
         SubElement(group, "motor", about)
 
 
+def inertial_bodies(platform: Platform) -> list[str]:
+    """Return the gimbals whose rate or attitude in inertial space is read, or that have the line of sight."""
+    read = {*_inertial(platform, platform.sensors)}
+    read |= {platform.line_of_sight.body} if platform.line_of_sight is not None else set()
+    return [name for name in platform.gimbal_names if name in read]
+
+
+def _inertial(platform: Platform, sensors: Sequence[Sensor]) -> dict[str, list[str]]:
+    """Return the names of sensors by the body whose rate or rotation in inertial space they read."""
+    out: dict[str, list[str]] = {}
+    for body, name in enumerate((platform.root_name, *platform.gimbal_names)):
+        read = {*body_rates(platform, body), *body_rotations(platform, body)}
+        found = [one.name for one in sensors if read & one.signals(platform).keys()]
+        if found:
+            out[name] = found
+    return out
+
+
 def _add_sensors(top: Element, platform: Platform, root: Root) -> None:
     group = Element("sensor")
     joints = {angle: ("jointpos", angle) for angle in platform.angle_names}
@@ -278,6 +299,9 @@ def _add_sensors(top: Element, platform: Platform, root: Root) -> None:
     if root != "fixed":
         SubElement(group, "gyro", name="Omega", site="root")
         SubElement(group, "framequat", name="attitude", objtype="site", objname="root")
+    for gimbal in inertial_bodies(platform):
+        SubElement(group, "gyro", name=_line(f"{gimbal}_Omega"), site=_line(gimbal))
+        SubElement(group, "framequat", name=_line(f"{gimbal}_attitude"), objtype="site", objname=_line(gimbal))
     if len(group):
         top.append(group)
 
@@ -297,9 +321,10 @@ def _notes(platform: Platform, root: Root) -> tuple[str, ...]:
             t.name for t in platform.torquers if t.rate_limit is not None and t.name not in left_out
         ],
         "quantisation of {}: left out": [one.name for one in platform.sensors if one.quantisation],
-        f"rate sensor {{}}: {'left out' if root == 'fixed' else 'an element of the sensor Omega'}": [
-            sensor.name for sensor in platform.rate_sensors if sensor.root_axis is not None
+        "bandwidth, delay, bias or scale error of {}: left out": [
+            one.name for one in platform.sensors if one.bandwidth_hz or one.delay or one.bias or one.scale_error
         ],
+        **_notes_of_inertial(platform, root),
         "torque limit of the speed loop of {}: left out": [
             rotor.name for rotor in platform.rotors if rotor.control == "servo" and rotor.torque_limit is not None
         ],
@@ -311,6 +336,25 @@ def _notes(platform: Platform, root: Root) -> tuple[str, ...]:
         ],
     }
     return tuple(_line(note.format(", ".join(names))) for note, names in found.items() if names)
+
+
+def _notes_of_inertial(platform: Platform, root: Root) -> dict[str, list[str]]:
+    """Return where to find what sensors read of bodies in inertial space."""
+    out: dict[str, list[str]] = {}
+    for kind, sensors, signal in (
+        ("rate sensor", platform.rate_sensors, "Omega"),
+        ("attitude sensor", platform.attitude_sensors, "attitude"),
+    ):
+        for body, names in _inertial(platform, sensors).items():
+            place = signal if body == platform.root_name else f"{body}_{signal}"
+            how = "an element of" if place == "Omega" else "from"
+            left_out = root == "fixed" and body == platform.root_name
+            out[f"{kind} {{}}: {'left out' if left_out else f'{how} the sensor {place}'}"] = names
+    sight = platform.line_of_sight
+    if sight is not None and not (root == "fixed" and sight.body == platform.root_name):
+        own = "" if sight.body == platform.root_name else f"{sight.body}_"
+        out["line of sight of {}: " + f"from the sensors {own}Omega and {own}attitude"] = [sight.body]
+    return out
 
 
 def _line(words: str) -> str:

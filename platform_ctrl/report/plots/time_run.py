@@ -12,12 +12,14 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from platform_ctrl.analysis.metrics import RUN_METRICS
 from platform_ctrl.common.arguments import known_name, positive
 from platform_ctrl.common.files import write_whole
 from platform_ctrl.common.signatures import check_arguments, short
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.plant.platform import ROOT_TORQUE_NAMES, Platform, Torquer
+from platform_ctrl.plant.sensors import LOS_ANGLES, LOS_RATES
 from platform_ctrl.report.quantities import root_series, signal_series
 from platform_ctrl.report.style import (
     BEYOND,
@@ -43,7 +45,6 @@ _FAR = 3.7
 _WILD = 5.0
 # Angles below this are drawn in μrad, rad.
 _TINY = 1e-5
-_LIMITS = ("angle", "attitude", "torque_share")
 
 
 @standalone
@@ -63,8 +64,8 @@ def time_run(
     platform
         The plant that was run: with the torquers' limits. None: they are not drawn.
     limits
-        ``angle``, ``attitude``, rad, ``torque_share``, a share: at most; default those of the manoeuvre, none of a
-        trajectory.
+        By the names of `platform_ctrl.analysis.metrics.RUN_METRICS`, SI units; default those of the manoeuvre, none of
+        a trajectory. ``angle``, ``attitude`` and ``torque_share`` are drawn.
 
     Returns
     -------
@@ -82,7 +83,7 @@ def time_run(
     elif not isinstance(limits, Mapping):
         raise ArgumentError(f"time_run: limits must be a mapping such as {{'angle': 0.01}}, got {short(limits)}")
     for name in limits:
-        known_name("time_run: limits", name, _LIMITS)
+        known_name("time_run: limits", name, tuple(RUN_METRICS))
     allowed = {name: positive(f"time_run: limits: {name}", limit) for name, limit in limits.items()}
     names = recorded.torquer_names
     if platform is None:
@@ -129,7 +130,8 @@ def _drawn(
 ) -> Figure:
     """Draw a run with the colour of each signal, `series`; `unlimited` is shown if no torquer has a limit."""
     free = t.mode == "stabilised"
-    figure, rows = panels(2, 3 if free else 2, 1.7)
+    sight = t.line_of_sight.shape[1] > 0
+    figure, rows = panels(3 if sight else 2, 3 if free else 2, 1.7)
     roots = [k for k, torquer in enumerate(torquers) if torquer.root_axis is not None]
     gimbals = [k for k in range(len(torquers)) if k not in roots]
 
@@ -145,14 +147,28 @@ def _drawn(
     title = "platform rate" if free else "platform rate, prescribed"
     _traces(rate, t.t, factor * t.Omega, _of_axes("Ω"), None, title, unit)
     _shares(rows[1][-1], t, torquers, gimbals + roots if free else gimbals, limits.get("torque_share"), unlimited)
-    if not t.completed:
-        for axes in rows.flat[:-1]:
+    over_time = [axes for axes in rows[:2].flat if axes is not rows[1][-1]]
+    if sight:
+        over_time += _line_of_sight(rows[2], t)
+    for axes in over_time:
+        if not t.completed:
             axes.axvline(t.t[-1] if t.t.size else 0.0, color=LIMIT, linewidth=1.0)
-    for axes in rows.flat[:-1]:
         axes.set_xlim(0.0, duration)
         axes.set_xlabel("time, s")
         linear_axis(axes.xaxis, 6)
     return figure
+
+
+def _line_of_sight(row: Sequence[Axes], t: Trajectory) -> list[Axes]:
+    """Draw what of the line of sight is across it; return the panels."""
+    names = {name: k for k, name in enumerate(LOS_ANGLES[:2])}
+    _angles(row[0], t.t, t.line_of_sight[:, 3:5], names, None, "line of sight, angle since the start")
+    factor, unit = (1e3, "mrad/s") if np.nanmax(np.abs(t.line_of_sight[:, :2]), initial=0.0) < 0.5 else (1.0, "rad/s")
+    names = {name: k for k, name in enumerate(LOS_RATES[:2])}
+    _traces(row[1], t.t, factor * t.line_of_sight[:, :2], names, None, "line of sight, rate", unit)
+    for axes in row[2:]:
+        axes.set_visible(False)
+    return [row[0], row[1]]
 
 
 def _angles(

@@ -1,0 +1,85 @@
+"""Every export of a gimbal whose payload has gyros, a tracker and a line of sight."""
+
+from __future__ import annotations
+
+import json
+import zipfile
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+from platform_ctrl import read_job
+from platform_ctrl.cli import main
+from platform_ctrl.export.mujoco.mjcf_reader import read_mjcf
+from platform_ctrl.export.mujoco.mjcf_writer import write_mjcf
+from platform_ctrl.job.scenario import Scenario
+from platform_ctrl.job.writing import job_data, toml
+from platform_ctrl.simulation import simulate
+from sighted_gimbal import JOB, damped, sighted
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "job.toml").write_text(toml(job_data(read_job(JOB))), encoding="utf-8")
+    K = damped()
+    one = {"name": "pitch rate", "method": "given", "dt": K.dt, "inputs": K.input_labels, "outputs": K.output_labels}
+    matrices = {"A": [], "B": [], "C": [], "D": K.D.tolist()}
+    record = {"schema": 1, "controllers": [{**one, **matrices, "delay": 0.0}]}
+    (tmp_path / "job.controllers.json").write_text(json.dumps(record), encoding="utf-8")
+    return tmp_path
+
+
+def test_every_format_has_the_sensors_that_it_can_have(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    files = {"c": "c", "mat": "m.mat", "models": "m.json", "csv": "csv", "mjcf": "m.xml", "fmu": "m.fmu"}
+    options = [word for flag, name in files.items() for word in (f"--{flag}", name)]
+    assert main(["export", "job.toml", *options, "--json"]) == 0
+    answer = json.loads(capsys.readouterr().out)
+    assert {one["format"] for one in answer["written"]} == set(files)
+    code = "".join(path.read_text(encoding="utf-8") for path in (folder / "c").glob("*.h"))
+    assert "gyro2" in code
+    with zipfile.ZipFile(folder / "m.fmu") as unit:
+        model = ElementTree.fromstring(unit.read("modelDescription.xml"))
+    outputs = {one.get("name"): one for one in model.iter() if one.get("causality") == "output"}
+    for sensor in read_job(JOB).platform.sensors:
+        assert outputs[f"reading.{sensor.name}"].get("unit") == sensor.unit
+
+
+def test_fixed_point_needs_the_range_of_a_gyro(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["export", "job.toml", "--c", "q", "--number", "q31"]) == 2
+    assert "no range is known for 'gyro2'" in capsys.readouterr().err
+    assert main(["export", "job.toml", "--c", "q", "--number", "q31", "--range", "gyro2=4"]) == 0
+
+
+def test_the_mujoco_model_says_where_its_readings_are_and_reads_back(folder: Path) -> None:
+    platform = sighted()
+    notes = write_mjcf(platform, folder / "m.xml")
+    assert "rate sensor gyro2, gyro3: from the sensor pitch_Omega" in notes
+    assert "attitude sensor tracker: from the sensor pitch_attitude" in notes
+    assert "line of sight of pitch: from the sensors pitch_Omega and pitch_attitude" in notes
+    pytest.importorskip("mujoco")
+    back = read_mjcf(folder / "m.xml")
+    assert [one.name for one in back.angle_sensors] == ["encoder"]
+    assert len(back.pickoffs) == len(platform.pickoffs)
+
+
+def test_mujocos_gyro_on_the_payload_reads_its_inertial_rate(folder: Path) -> None:
+    mujoco = pytest.importorskip("mujoco")
+    platform = sighted()
+    write_mjcf(platform, folder / "m.xml")
+    model = mujoco.MjModel.from_xml_path("m.xml")
+    data = mujoco.MjData(model)
+    q, rate, Omega = np.array([0.3, -0.4]), np.array([0.8, -1.1]), np.array([0.3, -0.7, 0.5])
+    data.qpos[4:], data.qvel[:3], data.qvel[3:] = q, Omega, rate
+    mujoco.mj_forward(model, data)
+    start = Scenario(
+        platform=platform, mode="stabilised", duration=0.0, delay=0.0, q=q, rate=rate, Omega=Omega
+    )  # fmt: skip
+    run = simulate(start, [], period=1e-3)
+    reading = dict(zip(run.pickoff_names, run.reading[0], strict=True))
+    assert data.sensor("pitch_Omega").data[1] == pytest.approx(reading["gyro2"], abs=1e-12)
+    np.testing.assert_allclose(
+        platform.line_of_sight.across @ data.sensor("pitch_Omega").data, run.line_of_sight[0, :3], atol=1e-12
+    )
