@@ -138,14 +138,22 @@ def friction_balance(
 
     near = np.array([one.coulomb_rate for one in frictions])
     rate = real_array("friction balance: start", start, (len(near),)) if start is not None else 10.0 * near
+    least = 1e-12 * near
+    before: tuple[FloatArray, FloatArray] | None = None
     for count in range(1, iterations + 1):  # noqa: B007 - reported after the loop
         found = [describing_function(one, float(at)) for one, at in zip(frictions, rate, strict=True)]
         viscous = np.array([one.viscous for one in found])
         new = np.asarray(rate_rms(viscous), dtype=np.float64)
         if np.all(np.abs(new - rate) <= tolerance * np.maximum(new, 1e-9 * near)):
             break
-        # Half of the change, in logarithms: rates are positive, and dampings go as their inverse.
-        rate = np.sqrt(np.maximum(rate, 1e-12 * near) * np.maximum(new, 1e-12 * near))
+        # Secants of each bearing in logarithms: rates are positive, and dampings go as their inverse.
+        x, y = np.log(np.maximum(rate, least)), np.log(np.maximum(new, least))
+        slope = np.zeros(len(near))
+        if before is not None:
+            moved = x - before[0]
+            np.divide(y - before[1], moved, out=slope, where=np.abs(moved) > 1e-12)
+        before = (x, y)
+        rate = np.exp(x + (y - x) / (1.0 - np.clip(slope, -20.0, 0.9)))
     else:
         raise NotFoundError(
             f"friction balance: no rates found in {iterations} loops, the last were {short(rate.tolist())}; "

@@ -64,19 +64,25 @@ def friction_noise(
     step, count = high / _POINTS, 2 * _POINTS
     grid = step * np.arange(_POINTS + 1)
     bins = np.diff(np.interp(grid, edges, cumulative), prepend=0.0)
-    rho = np.clip(np.fft.irfft(0.5 * count * bins, count) / float(bins.sum()), -1.0, 1.0)
+    # Correlations are even: the first half has all of it.
+    half = slice(0, _POINTS + 1)
+    rho = np.clip(np.fft.irfft(0.5 * count * bins, count)[half] / float(bins.sum()), -1.0, 1.0)
     squares, rest = _hermite_squares(friction, rms)
     correlation, power = np.zeros_like(rho), rho.copy()
     for square in squares:
         power = power * rho
-        correlation += square * power
+        if square > 1e-20 * sum(squares):
+            correlation += square * power
     ends = _TERMS * _GROWTH ** np.arange(_GROUPS + 1)
     weights = ends[:-1] ** -0.5 - ends[1:] ** -0.5
     weights[-1] = ends[-2] ** -0.5
+    # High powers of small correlations are none.
+    large = np.flatnonzero(np.abs(rho) > 0.5)
+    sign, logarithm = np.sign(rho[large]), np.log(np.abs(rho[large]))
     for n, weight in zip(np.sqrt(ends[1:] * ends[:-1]), weights / weights.sum(), strict=True):
-        correlation += rest * weight * np.sign(rho) * np.abs(rho) ** n
+        correlation[large] += rest * weight * sign * np.exp(n * logarithm)
     # One-sided variance of each bin; all together are the remainder's.
-    share = np.maximum(np.fft.rfft(correlation).real, 0.0) * 2.0 / count
+    share = np.maximum(np.fft.irfft(correlation, count)[half], 0.0) * 2.0
     sums = np.concatenate([[0.0], np.cumsum(share)])
     first = max(lowest, 2.0 * step)
     knots = first * 2.0 ** (np.arange(math.ceil(_PER_OCTAVE * math.log2(high / first)) + 1) / _PER_OCTAVE)

@@ -172,7 +172,8 @@ def line_of_sight_budget(job: Job, controllers: Sequence[control.StateSpace]) ->
         No rates were found that agree with the damping by dry friction at them.
     """
     loop = _Loop(job, expect_budget(job), controllers)
-    nominal, *others = (_at(loop, q) for q in job.trims)
+    nominal = _at(loop, job.trims[0])
+    others = [_at(loop, q, nominal.friction) for q in job.trims[1:]]
     results = []
     for k, one in enumerate(nominal.results):
         worst = max((one, *(other.results[k] for other in others)), key=lambda result: result.ratio)
@@ -180,8 +181,8 @@ def line_of_sight_budget(job: Job, controllers: Sequence[control.StateSpace]) ->
     return replaced(nominal, {"results": tuple(results)})
 
 
-def _at(loop: _Loop, q: FloatArray) -> LineOfSightBudget:
-    """Return the budget at gimbal angles (n,)."""
+def _at(loop: _Loop, q: FloatArray, near: FrictionBalance | None = None) -> LineOfSightBudget:
+    """Return the budget at gimbal angles (n,); `near` is the balance of friction at others."""
     platform = loop.job.platform
     dry = [one for one in platform.frictions if max(*one.coulomb, *one.breakaway) > 0.0]
     places = [len(LOS_RATES) + platform.gimbal(one.gimbal) for one in dry]
@@ -193,7 +194,8 @@ def _at(loop: _Loop, q: FloatArray) -> LineOfSightBudget:
     def rates(viscous: FloatArray) -> FloatArray:
         return np.asarray(loop.found(damped(viscous), loop.together, windows=False).total[places])
 
-    balance = friction_balance(dry, rates, tolerance=_FRICTION_TOLERANCE) if dry else None
+    start = None if near is None else near.rate
+    balance = friction_balance(dry, rates, start, _FRICTION_TOLERANCE) if dry else None
     plant = damped(balance.viscous if balance is not None else np.zeros(0))
     rest: list[Disturbance] = []
     if balance is not None:
