@@ -11,7 +11,7 @@ from typing import Literal
 
 import numpy as np
 
-from platform_ctrl.analysis import loop_set
+from platform_ctrl.analysis import loop_set, step_metrics
 from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.channel import Channel
 from platform_ctrl.analysis.classical_margins import margins_of_channel
@@ -19,6 +19,7 @@ from platform_ctrl.analysis.loop_set import Indices, LoopSet
 from platform_ctrl.analysis.measuring import Bandwidth, ControllerGain, Direct, Loops, Peak, Request
 from platform_ctrl.analysis.norms import h2_norm, noise_rms
 from platform_ctrl.analysis.poles import fastest_pole, minimum_damping, poles
+from platform_ctrl.analysis.step_metrics import of_following
 from platform_ctrl.common.values import FloatArray, value
 
 Sense = Literal["at least", "at most"]
@@ -282,6 +283,40 @@ METRICS: dict[str, Metric] = {
         meaning="the largest singular value of S at the plant's output up to this frequency",
         measure=Peak(transfers=(loop_set.S_OUTPUT,), banded=True),
         needs_frequency=True,
+    ),
+    "overshoot": Metric(
+        name="overshoot",
+        key="overshoot",
+        sense="at most",
+        meaning="of what is measured, over a step of its reference, u = K (y − reference), relative; worst channel",
+        measure=Direct(function=of_following(step_metrics.overshoot)),
+        scopes=("", "worst_case"),
+    ),
+    "settling time": Metric(
+        name="settling time",
+        key="settling_time",
+        unit="s",
+        sense="at most",
+        meaning="until what is measured stays within 2 % of a step of its reference; worst channel",
+        measure=Direct(function=of_following(step_metrics.settling_time)),
+        scopes=("", "worst_case"),
+    ),
+    "steady-state error": Metric(
+        name="steady-state error",
+        key="steady_error",
+        sense="at most",
+        meaning="share of a step of the reference that remains as error; worst channel",
+        measure=Direct(function=of_following(step_metrics.steady_error)),
+        scopes=("", "worst_case"),
+    ),
+    "ramp error": Metric(
+        name="ramp error",
+        key="ramp_error",
+        unit="s",
+        sense="at most",
+        meaning="error behind a ramp of the reference over the slope of the ramp; worst channel",
+        measure=Direct(function=of_following(step_metrics.ramp_error)),
+        scopes=("", "worst_case"),
     ),
     "Omega rejection": Metric(
         name="angle from Omega",
