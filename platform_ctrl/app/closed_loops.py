@@ -20,6 +20,7 @@ from platform_ctrl.app.settings import Conditions, Settings
 from platform_ctrl.app.stabilised import CachedMargins
 from platform_ctrl.common.arguments import known_name
 from platform_ctrl.design.loop import LoopProblem, designed
+from platform_ctrl.design.plants import loop_signals
 from platform_ctrl.errors import DesignError, PlatformCtrlError
 from platform_ctrl.job.job import DesignSpec, Job, LoopSpec
 from platform_ctrl.job.judging import CheckResult
@@ -59,12 +60,12 @@ def given_designs(path: Path, job: Job) -> list[tuple[str, str, str, Made]]:
             spec = _loop_of(job, set(K.output_labels))
             if spec is None:
                 continue
-            angles = [job.platform.pickoff_on(name).name for name in spec.gimbals]
-            torques = [job.platform.torquer_on(name).name for name in spec.gimbals]
-            if set(K.input_labels) != set(angles):
+            signals = loop_signals(job.platform, spec)
+            readings, torques = ([one.name for one in part] for part in (signals.sensors, signals.torquers))
+            if set(K.input_labels) != set(readings):
                 continue
             arrays = state_arrays(K, str(K.name))
-            at = [list(K.input_labels).index(name) for name in angles]
+            at = [list(K.input_labels).index(name) for name in readings]
             of = [list(K.output_labels).index(name) for name in torques]
             ordered = StateArrays(arrays.A, arrays.B[:, at], arrays.C[of], arrays.D[of][:, at], arrays.dt)
             options = entry.get("options")
@@ -81,7 +82,7 @@ def given_designs(path: Path, job: Job) -> list[tuple[str, str, str, Made]]:
 
 def _loop_of(job: Job, outputs: set[str]) -> LoopSpec | None:
     for spec in job.loops:
-        if spec.has_plants and outputs == {job.platform.torquer_on(name).name for name in spec.gimbals}:
+        if spec.has_plants and outputs == {one.name for one in loop_signals(job.platform, spec).torquers}:
             return spec
     return None
 
@@ -308,9 +309,8 @@ class ClosedLoops:
                 design, (K, _) = other, self.caging(settings, spec, other)
             if strict and note:
                 raise DesignError(f"{spec.name}, {note}")
-            platform = self.read.platform
-            inputs = [platform.pickoff_on(gimbal).name for gimbal in spec.gimbals]
-            outputs = [platform.torquer_on(gimbal).name for gimbal in spec.gimbals]
+            signals = loop_signals(self.read.platform, spec)
+            inputs, outputs = ([one.name for one in part] for part in (signals.sensors, signals.torquers))
             system = named_system(K, inputs, outputs, name=f"{spec.name}, {design.name}")
             options = self.options.used(settings, spec, design)
         return ClosedController(

@@ -241,7 +241,7 @@ class LoopSignals:
 def forgetting(A: FloatArray, states: Sequence[str], angles: Collection[str]) -> FloatArray:
     """Return A (..., n, n) with those of its states that are `angles` decaying.
 
-    A rate loop is in balance at any angle: where a cable or a weight pulls at it, its integral holds against that. So
+    A loop that holds a body is in balance at any angle: it holds against a cable or a weight that pulls at it. So
     each of its angles is a closed-loop pole at zero, which says nothing about the loop, but which no verdict and no
     certificate could tell from one that grows. Far above the rate of the decay nothing changes.
     """
@@ -405,8 +405,9 @@ def linear_plants(signals: LoopSignals, plants: Sequence[Case]) -> LinearPlants:
     if signals.held:
         kept = seen_states(A, C)
         A, B, C, states = A[:, kept][:, :, kept], B[:, kept], C[:, :, kept], [states[k] for k in kept]
-        if signals.sensors[0].unit == "rad/s":
-            A = forgetting(A, states, plants[0].platform.angle_names)
+        platform = plants[0].platform
+        read = {signal for sensor in signals.sensors for signal in sensor.signals(platform)}
+        A = forgetting(A, states, set(platform.angle_names) - read)
     torque = np.array([one.torque for one in plants])[:, None, :]
     return LinearPlants(
         cases=tuple(plants),

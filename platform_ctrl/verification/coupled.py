@@ -162,6 +162,10 @@ def coupled_check(job: Job, model: LinearModel, controllers: Sequence[control.St
     )
 
 
+# Kinds of loops that hold a body in inertial space where they read no angle of a gimbal.
+_HOLD_BODIES = ("rate", "pointing")
+
+
 class _Worst(NamedTuple):
     """The slowest decay and the least simultaneous margin over the job's gimbal angles, and where they are."""
 
@@ -209,7 +213,7 @@ def coupled_plant(job: Job, model: LinearModel, controllers: Sequence[control.St
     whole = observed(system, job.platform, outputs, model.q0, model.Omega0)
     columns = [whole.input_labels.index(t.signal) for t in torquers]
     kept = seen_states(whole.A[None], whole.C[None]) if drifting else range(whole.nstates)
-    A = forgetting(whole.A, whole.state_labels, drifting - read)
+    A = forgetting(whole.A, whole.state_labels, drifting)
     arrays = StateArrays(
         A[np.ix_(kept, kept)], whole.B[np.ix_(kept, columns)], whole.C[:, kept], whole.D[:, columns], 0.0
     )
@@ -218,9 +222,18 @@ def coupled_plant(job: Job, model: LinearModel, controllers: Sequence[control.St
 
 
 def drifting_angles(job: Job) -> set[str]:
-    """Return the angles of gimbals that rate loops turn: they hold the rate of a body, and no angle."""
-    turned = {name for spec in job.loops if spec.kind == "rate" for name in spec.gimbals}
-    return {gimbal.angle for gimbal in job.platform.gimbals if gimbal.name in turned}
+    """Return the angles of gimbals that rate and pointing loops turn, and that no loop reads: they hold a body."""
+    turned = {name for spec in job.loops if spec.kind in _HOLD_BODIES for name in spec.gimbals}
+    used = {name for spec in job.loops for name in spec.sensors}
+    read = {signal for sensor in job.platform.sensors if sensor.name in used for signal in sensor.signals(job.platform)}
+    return {gimbal.angle for gimbal in job.platform.gimbals if gimbal.name in turned} - read
+
+
+def _drifting_words(job: Job) -> str:
+    if not drifting_angles(job):
+        return ""
+    kinds = dict.fromkeys(spec.kind for spec in job.loops if spec.kind in _HOLD_BODIES)
+    return f"; angles that {' and '.join(kinds)} loops leave free do not count"
 
 
 def _read_late(job: Job, plant: control.StateSpace) -> control.StateSpace:
@@ -351,10 +364,9 @@ def coupled_results(
     gimbal angles at which decay and margin are worst.
     """
     scaling = f"{len(channels)} torquers, guaranteed by diagonal scaling; at most {at_most(simultaneous[1], 4)}{at[1]}"
-    drifting = "; angles that rate loops leave free do not count" if drifting_angles(job) else ""
     costliest = int(np.argmax(cost))
     measured: dict[str, tuple[float, str, Method]] = {
-        STABLE.name: (decay, f"poles of the coupled sampled closed loop{at[0]}{drifting}", "exact"),
+        STABLE.name: (decay, f"poles of the coupled sampled closed loop{at[0]}{_drifting_words(job)}", "exact"),
         COUPLED_METRICS["simultaneous disk margin"].name: (simultaneous[0], scaling, "bound" if proved else "sampled"),
         COUPLED_METRICS["coupling cost"].name: (
             float(cost[costliest]),

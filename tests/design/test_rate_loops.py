@@ -284,3 +284,17 @@ def test_a_loop_may_have_fewer_torquers_than_gimbals():
     loops = camera_loop(gimbals=["az", "el"], torquers=["Qel"], sensors=["pitch_gyro"])
     [outcome] = design.loops(pc.read_job(camera_job(loop=loops, operation=STILL)))
     assert outcome.closed.controller.output_labels == ["Qel"]
+
+
+@pytest.mark.parametrize("spring", [0.0, 0.3])
+def test_angles_that_a_pointing_loop_leaves_free_are_no_instability(spring):
+    """A body is held against inertial space: its gimbals follow the base, and stay wherever it leaves them."""
+    data = camera_plant() if spring == 0.0 else camera_plant(spring=[{"gimbal": "az", "stiffness": spring}])
+    job = pc.read_job(camera_job(plant=data, loop=camera_loop("pointing", "classical", use="pi")))
+    outcomes = design.loops(job)
+    assert outcomes[0].closed.measures.decay.min() > 0.05
+    stable = next(
+        one for one in check_job(job, outcomes).requirements if one.stage == "coupled" and "decay" in one.name
+    )
+    assert stable.passed
+    assert "angles that pointing loops leave free do not count" in stable.evidence

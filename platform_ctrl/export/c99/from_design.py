@@ -15,7 +15,7 @@ from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.classical.caging import Stage, classical_diagram
 from platform_ctrl.design.classical.stabilisation import rate_estimate, servo_diagram
 from platform_ctrl.design.partition import channels
-from platform_ctrl.design.plants import rows_of
+from platform_ctrl.design.plants import loop_signals, rows_of
 from platform_ctrl.errors import ArgumentError, InputError, NotCertifiedError, PlatformCtrlError
 from platform_ctrl.export.c99.modes import modal_sections, pid_sections, plain_sections
 from platform_ctrl.export.c99.scheme import Entry, Provenance, Scheme, Section, arrays, row
@@ -206,10 +206,10 @@ def _record(K: control.StateSpace, job: Job) -> dict[str, Any]:
 
 def _closed_by(job: Job, outputs: tuple[str, ...]) -> str | None:
     """Return the name of the loop whose torques these are."""
-    gimbals = {torquer.name: torquer.gimbal for torquer in job.platform.torquers}
-    acted_on = {gimbals.get(name) for name in outputs}
+    roots = {torquer.name for torquer in job.platform.torquers if torquer.gimbal is None}
     for spec in job.loops:
-        if acted_on == (set(spec.gimbals) if spec.has_plants else {None}):
+        own = {one.name for one in loop_signals(job.platform, spec).torquers} if spec.has_plants else roots
+        if set(outputs) == own:
             return spec.name
     return None
 
