@@ -14,13 +14,16 @@ from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 
 import platform_ctrl as pc
+from platform_ctrl import simulation
 from platform_ctrl.campaign.table_statistics import statistics
 from platform_ctrl.common.text import greek
 from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.job.job import Manoeuvre
 from platform_ctrl.plant.source import shipped_models
 from platform_ctrl.report import figures, style
+from platform_ctrl.report.axes.picture import description
 from platform_ctrl.report.style import BEYOND, LIMIT, SERIES
+from sighted_gimbal import sighted
 from single_runs import simulated
 
 HZ = 1.0 / (2.0 * np.pi)
@@ -183,6 +186,22 @@ def test_the_tree_of_a_platform_with_all_signs_explains_them(gyro):
         assert words in told
     assert "±85°" in told
     assert "erection" not in told
+
+
+def test_the_tree_shows_what_looks_out_and_what_measures_it():
+    told = written(figures.gimbal_tree(sighted()))
+    for words in ("pick-off", "rate sensor", "attitude sensor", "line of sight", "+1"):
+        assert words in told
+    assert description(sighted()).endswith("The line of sight is fixed in pitch, along +1.")
+
+
+def test_a_run_is_drawn_with_its_line_of_sight():
+    run = simulation.simulate(
+        simulation.Scenario(platform=sighted(), mode="stabilised", duration=0.01, delay=0.0), [], period=1e-3
+    )
+    titles = [axes.get_title(loc="left") for axes in figures.time_run(run, limits={"los_rate_rms": 1.0}).axes]
+    assert "line of sight, angle since the start" in titles
+    assert "line of sight, rate" in titles
 
 
 def test_the_tree_draws_a_lone_root_and_odd_names(gyro):

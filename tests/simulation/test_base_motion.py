@@ -12,7 +12,7 @@ from platform_ctrl import read_job, read_platform
 from platform_ctrl.campaign.single_run import metric_of
 from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.job.job import manoeuvre_scenario
-from platform_ctrl.job.scenario import Scenario, Sine
+from platform_ctrl.job.scenario import Scenario, Sine, Vibration
 from platform_ctrl.mechanics.forces import element_forces
 from platform_ctrl.plant.platform import Platform
 from platform_ctrl.simulation import simulate, simulate_batch
@@ -174,3 +174,21 @@ def test_runs_that_differ_in_their_sines_are_computed_side_by_side() -> None:
     for k, alone in enumerate((one, other)):
         run = simulate(alone, [damped()], period=PERIOD / 5)
         np.testing.assert_array_equal(batch.gimbal_rate[k], np.abs(run.rate).max(axis=0))
+
+
+def test_the_rms_of_many_shaken_runs_is_that_of_the_linear_budget() -> None:
+    """The mean square of the line of sight's rate is the integral of |c/(J s + c + k)|² S(f) df."""
+    job = read_job(JOB)
+    band, densities = np.array([2.0, 10.0, 80.0]), np.array([1e-4, 1e-3, 2e-5])
+    shaken = Vibration(kind="rate", axis=2, frequencies_hz=band, densities=densities, lines=40)
+    one = replace(manoeuvre_scenario(job, job.manoeuvres[0]), sines=(), vibrations=(shaken,), duration=15.0, settle=0.2)
+    runs = [replace(one, run=k) for k in range(8)]
+    result = simulate_batch(runs, [damped()], period=job.sampling.period, step=2e-4)
+    f = np.geomspace(band[0], band[-1], 20_001)
+    S = np.exp(np.interp(np.log(f), np.log(band), np.log(densities)))
+    J = job.platform.gimbals[1].inertia[1, 1]
+    share = np.abs(FRICTION / (2j * np.pi * f * J + FRICTION + GAIN))
+    rms = np.sqrt((result.line_of_sight_rms[:, 0] ** 2).mean())
+    assert rms == pytest.approx(np.sqrt(np.trapezoid(share**2 * S, f)), rel=0.01)
+    base = np.sqrt((result.Omega_rms[:, 1] ** 2).mean())
+    assert base == pytest.approx(np.sqrt(np.trapezoid(S, f)), rel=0.01)

@@ -106,6 +106,9 @@ def description(platform: Platform) -> str:
         sentences.append(f"Torquers on {listed(torqued)}.")
     if platform.pickoffs:
         sentences.append(f"Pick-offs on {listed([s.gimbal for s in platform.pickoffs])}.")
+    if platform.line_of_sight is not None:
+        sight = platform.line_of_sight
+        sentences.append(f"The line of sight is fixed in {sight.body}, along {direction_text(sight.direction)}.")
     return " ".join(sentences)
 
 

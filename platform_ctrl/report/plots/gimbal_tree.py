@@ -39,12 +39,16 @@ _SIGNS = {kind: path for kind, (path, _) in SIGNS.items()} | {
     "stop": "M-5-4.5V4.5M5-4.5V4.5M-5 0H5",
     "friction": "M-5.5 3.5H5.5M-4.5 3.5V-1.5H4.5V3.5",
     "unbalance": "M0-4.5A",
+    "attitude": "M-5.5 4.5H5.5L-5.5-4.5V4.5",
+    "sight": "M-5.5 0H5.5M1.5-3.5L5.5 0L1.5 3.5",
 }
 WORDS = {kind: words for kind, (_, words) in SIGNS.items()} | {
     "rate": "rate sensor",
     "stop": "stops",
     "friction": "friction",
     "unbalance": "unbalance",
+    "attitude": "attitude sensor",
+    "sight": "line of sight",
 }
 
 
@@ -70,10 +74,11 @@ class Card(NamedTuple):
 def root_card(platform: Platform) -> Card:
     """Return the card of the root: the axes that all vectors are written in."""
     torquers = [t.name for t in platform.torquers if t.root_axis is not None]
-    sensors = [s.name for s in platform.rate_sensors if s.root_axis is not None]
+    root = platform.root_name
+    sensors = [s.name for s in platform.rate_sensors if s.root_axis is not None or s.body == root]
     marks = [("torquer", ", ".join(map(drawable, torquers)))] if torquers else []
     marks += [("rate", ", ".join(greek(drawable(name)) for name in sensors))] if sensors else []
-    marks += _unbalance(platform, platform.root_name)
+    marks += [*_inertial(platform, root), *_unbalance(platform, root)]
     lines = (("root: axes 1, 2, 3", MUTED),)
     return Card(drawable(platform.root_name), "root", lines, tuple(marks), None, INK, "-")
 
@@ -83,7 +88,8 @@ def gimbal_card(platform: Platform, gimbal: Gimbal, level: int) -> Card:
     there = signs(platform, gimbal.name)
     marks = [("torquer", drawable(t.name)) for t in platform.torquers if t.gimbal == gimbal.name]
     marks += [("pickoff", "")] * ("pickoff" in there)
-    marks += [("rate", "")] * any(s.gimbal == gimbal.name for s in platform.rate_sensors)
+    marks += [("rate", "")] * any(gimbal.name in (s.gimbal, s.body) for s in platform.rate_sensors)
+    marks += _inertial(platform, gimbal.name)
     if gimbal.stops is not None:
         marks.append(("stop", _degrees(*gimbal.stops)))
     marks += [(kind, "") for kind in ("spring", "cage", "erection") if kind in there]
@@ -92,6 +98,12 @@ def gimbal_card(platform: Platform, gimbal: Gimbal, level: int) -> Card:
     text = f"{greek(drawable(gimbal.angle))} about {direction_text(gimbal.axis)}"
     edge = LEVELS[(level - 1) % len(LEVELS)]
     return Card(drawable(gimbal.name), "gimbal", ((text, AXIS),), tuple(marks), gimbal.axis, edge, "-")
+
+
+def _inertial(platform: Platform, body: str) -> list[tuple[str, str]]:
+    marks = [("attitude", "")] * any(s.body == body for s in platform.attitude_sensors)
+    sight = platform.line_of_sight
+    return marks + ([("sight", direction_text(sight.direction))] if sight is not None and sight.body == body else [])
 
 
 def rotor_card(rotor: Rotor) -> Card:
