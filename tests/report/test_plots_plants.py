@@ -337,7 +337,7 @@ def test_histograms_are_the_same_of_statistics_and_of_a_folder(tmp_path):
         (lambda p, t: figures.campaign_histograms(table(), {"turn": {}}), "nothing to draw"),
         (
             lambda p, t: figures.campaign_histograms(table(), LIMITS, figure="angel"),
-            "campaign_histograms: figure must be 'angle', 'attitude' or 'torque_share', got 'angel'",
+            "campaign_histograms: figure must be 'angle', 'attitude', 'torque_share', 'gimbal_rate'",
         ),
         (lambda p, t: figures.campaign_histograms(statistics(table(), LIMITS), LIMITS), "leave limits out"),
         (lambda p, t: figures.show(), "no plot"),
