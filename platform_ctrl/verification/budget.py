@@ -208,7 +208,7 @@ def _at(loop: _Loop, q: FloatArray, near: FrictionBalance | None = None) -> Line
                 rest.append(RandomDisturbance(name=name, inputs=(loop.torque_on(one.gimbal),), spectra=(spectrum,)))
     together = loop.found(plant, [*loop.together, *rest])
     apart = together if loop.together is loop.apart else loop.found(plant, [*loop.apart, *rest])
-    return _told(loop, [one.name for one in rest], apart, together, balance, at_angles(platform, q))
+    return _result(loop, [one.name for one in rest], apart, together, balance, at_angles(platform, q))
 
 
 class _Loop:
@@ -423,7 +423,7 @@ def _thinned(knots: FloatArray) -> FloatArray:
     return np.array(kept)
 
 
-def _told(
+def _result(
     loop: _Loop, rest: list[str], apart: Found, together: Found, friction: FrictionBalance | None, where: str
 ) -> LineOfSightBudget:
     """Return the result: sines of one source added up, and the limits judged."""
@@ -514,7 +514,7 @@ def is_limited(job: Job) -> bool:
     return job.budget is not None and bool(_requirements(job.budget))
 
 
-def unlimited_results(job: Job) -> tuple[CheckResult, ...]:
+def unstable_results(job: Job) -> tuple[CheckResult, ...]:
     """Return the limits of a job's budget as they are judged where the loop is not stable; none without a budget."""
     of = [] if job.budget is None else _requirements(job.budget)
     evidence = "the loop is not stable"

@@ -24,7 +24,7 @@ from platform_ctrl.verification.budget import (
     LineOfSightBudget,
     is_limited,
     line_of_sight_budget,
-    unlimited_results,
+    unstable_results,
 )
 from platform_ctrl.verification.coupled import ALL_LOOPS, CoupledCheck, coupled_check
 from platform_ctrl.verification.simulated import Run, simulate_manoeuvre
@@ -243,7 +243,7 @@ def check_job(job: Job, loops: Sequence[LoopOutcome], progress: Progress | None 
         shown = proofs[design.loop, design.name].results(design.loop, design.name, "decoupled")
         requirements += [*design.results, *shown]
     requirements += [*coupled.results, *together.results(ALL_LOOPS, "", "coupled")]
-    requirements += unlimited_results(job) if budget is None else budget.results
+    requirements += unstable_results(job) if budget is None else budget.results
     requirements += [result for run in runs for result in run.results]
     return JobResult(
         job=job,

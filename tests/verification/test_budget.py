@@ -27,7 +27,7 @@ from platform_ctrl.plant.force_elements import Friction
 from platform_ctrl.report.page.job_page import page_html
 from platform_ctrl.simulation.closed_loop import simulate
 from platform_ctrl.verification import check_job
-from platform_ctrl.verification.budget import is_limited, line_of_sight_budget, unlimited_results
+from platform_ctrl.verification.budget import is_limited, line_of_sight_budget, unstable_results
 from platform_ctrl.verification.records import result_record
 
 PERIOD, DELAY, LAG = 0.001, 0.0007, 0.0003
@@ -277,7 +277,7 @@ def test_limits_are_judged(tmp_path: Path) -> None:
     assert [one.value for one in found.results][:2] == pytest.approx([found.jitter, found.total[0]])
     assert is_limited(limited)
     assert not is_limited(job(tmp_path))
-    unstable = unlimited_results(limited)
+    unstable = unstable_results(limited)
     assert [one.name for one in unstable] == [one.name for one in found.results]
     assert not any(one.passed for one in unstable)
     with pytest.raises(ArgumentError, match="must be stable"):
