@@ -22,7 +22,6 @@ from platform_ctrl.analysis.dry_friction import FrictionBalance, friction_balanc
 from platform_ctrl.analysis.friction_noise import friction_noise
 from platform_ctrl.analysis.hybrid_plant import HybridPlant
 from platform_ctrl.analysis.jitter_budget import JitterBudget
-from platform_ctrl.analysis.metrics import BUDGET_METRICS
 from platform_ctrl.analysis.pointing_windows import motion_transfer
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray, replaced, value
@@ -30,18 +29,18 @@ from platform_ctrl.design.plants import at_angles, forgetting
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.budget import Budget, Source
 from platform_ctrl.job.job import Job
-from platform_ctrl.job.judging import CheckResult, Requirement
+from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.mechanics.outputs import observed
 from platform_ctrl.mechanics.state_space import state_space
 from platform_ctrl.plant.platform import FORCE_NAMES, OMEGA_NAMES, Platform
 from platform_ctrl.plant.sensors import LOS_ANGLES, LOS_RATES, gimbal_rate
+from platform_ctrl.verification.budget_limits import across, assumption, judged
 from platform_ctrl.verification.coupled import acts_on_root, coupled_plant, drifting_angles, one_controller
 
 if TYPE_CHECKING:
     import control
 
-LINE_OF_SIGHT = "line of sight"  # subject of what is required of it
 # Relative errors of variances, and of the rates that friction is balanced with.
 _TOLERANCE, _FRICTION_TOLERANCE = 1e-5, 1e-4
 # A recorded spectrum has at most so many points to an octave; below, its own.
@@ -117,7 +116,7 @@ class LineOfSightBudget:
     @property
     def jitter(self) -> float:
         """Rms of both axes across the line of sight together, rad."""
-        return _across(self.total)
+        return across(self.total)
 
     @property
     def shares(self) -> FloatArray:
@@ -130,10 +129,6 @@ class LineOfSightBudget:
     def passed(self) -> bool:
         """Whether every limit is kept."""
         return all(one.passed for one in self.results)
-
-
-def _across(rms: FloatArray) -> float:
-    return float(math.hypot(rms[0], rms[1]))
 
 
 def expect_budget(job: Job) -> Budget:
@@ -461,63 +456,5 @@ def _result(
             [np.interp(apart.edges, together.edges, of_axis) for of_axis in together.total_cumulative[:3]]
         ),
         friction=friction,
-        results=_judged(budget, rms, together.total[:3], windows, _assumption(friction, where)),
-    )
-
-
-def _assumption(friction: FrictionBalance | None, where: str) -> str:
-    """Return what verdicts rest on, in words."""
-    valid = () if friction is None else zip(friction.statement, friction.valid, strict=True)
-    unsure = [words for words, holds in valid if not holds]
-    return "; ".join(["linear budget" + (f" at {where}" if where else ""), *unsure])
-
-
-def _judged(
-    budget: Budget,
-    rms: FloatArray,
-    total: FloatArray,
-    windows: Sequence[WindowBudget],
-    linear: str,
-) -> tuple[CheckResult, ...]:
-    worst = int(np.argmax(total[:2]))
-    measured: dict[str, tuple[float, str]] = {
-        "jitter": (_across(total), f"both axes, {linear}"),
-        "jitter_per_axis": (float(total[worst]), f"{LOS_ANGLES[worst]}, {linear}"),
-    }
-    for key, of in (("windowed_jitter", "about_mean"), ("smear", "smear")):
-        if windows:
-            found, exposure = max((_across(getattr(one, of)), one.exposure) for one in windows)
-            measured[key] = (found, f"exposure {exposure:g} s, both axes, {linear}")
-    for source, own in zip(budget.sources, rms, strict=False):
-        measured[source.name] = (_across(own), f"both axes, {linear}")
-    return tuple(
-        one.judge(measured[key][0], subject=LINE_OF_SIGHT, stage="coupled", evidence=measured[key][1], method="exact")
-        for key, one in _requirements(budget)
-    )
-
-
-def _requirements(budget: Budget) -> list[tuple[str, Requirement]]:
-    """Return the limits with their keys, or with the names of the sources that they are of."""
-    out = []
-    for key, metric in BUDGET_METRICS.items():
-        of = [(key, metric.name, getattr(budget.limits, key, None))]
-        if key == "limit":
-            of = [(source.name, f"{metric.name} from {source.name}", source.limit) for source in budget.sources]
-        for place, name, limit in of:
-            if limit is not None:
-                out.append((place, Requirement(name=name, limit=limit, unit=metric.unit, sense=metric.sense)))
-    return out
-
-
-def is_limited(job: Job) -> bool:
-    """Return whether a job has a budget with limits."""
-    return job.budget is not None and bool(_requirements(job.budget))
-
-
-def unstable_results(job: Job) -> tuple[CheckResult, ...]:
-    """Return the limits of a job's budget as they are judged where the loop is not stable; none without a budget."""
-    of = [] if job.budget is None else _requirements(job.budget)
-    evidence = "the loop is not stable"
-    return tuple(
-        one.judge(math.inf, subject=LINE_OF_SIGHT, stage="coupled", evidence=evidence, method="exact") for _, one in of
+        results=judged(budget, rms, together.total[:3], windows, assumption(friction, where)),
     )

@@ -27,7 +27,8 @@ from platform_ctrl.plant.force_elements import Friction
 from platform_ctrl.report.page.job_page import page_html
 from platform_ctrl.simulation.closed_loop import simulate
 from platform_ctrl.verification import check_job
-from platform_ctrl.verification.budget import is_limited, line_of_sight_budget, unstable_results
+from platform_ctrl.verification.budget import line_of_sight_budget
+from platform_ctrl.verification.budget_limits import is_limited, unstable_results
 from platform_ctrl.verification.records import result_record
 
 PERIOD, DELAY, LAG = 0.001, 0.0007, 0.0003
@@ -275,6 +276,11 @@ def test_limits_are_judged(tmp_path: Path) -> None:
     assert [one.passed for one in found.results] == [True, False, True, False]
     assert not found.passed
     assert [one.value for one in found.results][:2] == pytest.approx([found.jitter, found.total[0]])
+    # A source may have any name.
+    file = tmp_path / "camera.toml"
+    file.write_text(file.read_text(encoding="utf-8").replace('"bearing"', '"jitter"'), encoding="utf-8")
+    named = line_of_sight_budget(pc.read_job(file), controllers())
+    assert named.results[0].value == pytest.approx(found.jitter, rel=1e-12)
     assert is_limited(limited)
     assert not is_limited(job(tmp_path))
     unstable = unstable_results(limited)

@@ -1,0 +1,86 @@
+"""The limits of a job's budget, compared with what the line of sight does."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from platform_ctrl.analysis.dry_friction import FrictionBalance
+from platform_ctrl.analysis.metrics import BUDGET_METRICS
+from platform_ctrl.common.values import FloatArray
+from platform_ctrl.job.budget import Budget
+from platform_ctrl.job.job import Job
+from platform_ctrl.job.judging import CheckResult, Requirement
+from platform_ctrl.plant.sensors import LOS_ANGLES
+
+if TYPE_CHECKING:
+    from platform_ctrl.verification.budget import WindowBudget
+
+LINE_OF_SIGHT = "line of sight"  # subject of what is required of it
+
+
+def across(rms: FloatArray) -> float:
+    """Return the rms of both axes across the line of sight together, rad."""
+    return float(math.hypot(rms[0], rms[1]))
+
+
+def assumption(friction: FrictionBalance | None, where: str) -> str:
+    """Return what verdicts rest on, in words."""
+    valid = () if friction is None else zip(friction.statement, friction.valid, strict=True)
+    unsure = [words for words, holds in valid if not holds]
+    return "; ".join(["linear budget" + (f" at {where}" if where else ""), *unsure])
+
+
+def judged(
+    budget: Budget,
+    rms: FloatArray,
+    total: FloatArray,
+    windows: Sequence[WindowBudget],
+    linear: str,
+) -> tuple[CheckResult, ...]:
+    """Return the limits compared with the budget; `linear` is what the values rest on."""
+    worst = int(np.argmax(total[:2]))
+    measured: dict[tuple[str, str], tuple[float, str]] = {
+        ("jitter", ""): (across(total), f"both axes, {linear}"),
+        ("jitter_per_axis", ""): (float(total[worst]), f"{LOS_ANGLES[worst]}, {linear}"),
+    }
+    for key, of in (("windowed_jitter", "about_mean"), ("smear", "smear")):
+        if windows:
+            found, exposure = max((across(getattr(one, of)), one.exposure) for one in windows)
+            measured[key, ""] = (found, f"exposure {exposure:g} s, both axes, {linear}")
+    for source, own in zip(budget.sources, rms, strict=False):
+        measured["limit", source.name] = (across(own), f"both axes, {linear}")
+    return tuple(
+        one.judge(measured[key][0], subject=LINE_OF_SIGHT, stage="coupled", evidence=measured[key][1], method="exact")
+        for key, one in _requirements(budget)
+    )
+
+
+def _requirements(budget: Budget) -> list[tuple[tuple[str, str], Requirement]]:
+    """Return the limits with their keys and the names of the sources that they are of, if they are of one."""
+    out = []
+    for key, metric in BUDGET_METRICS.items():
+        of = [("", metric.name, getattr(budget.limits, key, None))]
+        if key == "limit":
+            of = [(one.name, f"{metric.name} from {one.name}", one.limit) for one in budget.sources]
+        for source, name, limit in of:
+            if limit is not None:
+                out.append(((key, source), Requirement(name=name, limit=limit, unit=metric.unit, sense=metric.sense)))
+    return out
+
+
+def is_limited(job: Job) -> bool:
+    """Return whether a job has a budget with limits."""
+    return job.budget is not None and bool(_requirements(job.budget))
+
+
+def unstable_results(job: Job) -> tuple[CheckResult, ...]:
+    """Return the limits of a job's budget as they are judged where the loop is not stable; none without a budget."""
+    of = [] if job.budget is None else _requirements(job.budget)
+    evidence = "the loop is not stable"
+    return tuple(
+        one.judge(math.inf, subject=LINE_OF_SIGHT, stage="coupled", evidence=evidence, method="exact") for _, one in of
+    )
