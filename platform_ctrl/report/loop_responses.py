@@ -19,8 +19,10 @@ from platform_ctrl.analysis.singular_values import largest_singular_values
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.jobs import LoopOutcome
 from platform_ctrl.design.loop import LoopDesign, closed_loop_poles, sampled_plant
-from platform_ctrl.design.plants import rows_of
+from platform_ctrl.design.plants import loop_signals
+from platform_ctrl.job.job import LoopSpec
 from platform_ctrl.mechanics.linearisation import LinearModel
+from platform_ctrl.mechanics.outputs import observed
 from platform_ctrl.mechanics.state_space import state_space
 from platform_ctrl.plant.platform import OMEGA_NAMES
 
@@ -94,7 +96,7 @@ def loop_responses(model: LinearModel, outcome: LoopOutcome) -> LoopResponses | 
     }
     at_peaks = np.concatenate([loop.peak_frequencies for loop in loops.values()])
     frequency = np.union1d(grid, at_peaks[(at_peaks > grid[0]) & (at_peaks < grid[-1])])
-    from_rate = _angle_per_rate(model, outcome.spec.gimbals, frequency)
+    from_rate = _reading_per_rate(model, outcome.spec, frequency)
     return LoopResponses(
         frequency=frequency,
         designs=tuple(
@@ -138,8 +140,9 @@ def _design_responses(
     )
 
 
-def _angle_per_rate(model: LinearModel, gimbals: tuple[str, ...], frequency: FloatArray) -> ComplexArray:
-    """Return the response of the uncontrolled gimbals to Omega, continuous, (N, gimbals, 3)."""
-    angles = [model.angle_names[k] for k in rows_of(model, gimbals)]
-    system = state_space(model, gimbals=gimbals)[angles, list(OMEGA_NAMES)]
-    return frequency_response(state_arrays(system, "gimbals"), frequency, -3)
+def _reading_per_rate(model: LinearModel, spec: LoopSpec, frequency: FloatArray) -> ComplexArray:
+    """Return the response of what the loop reads to Omega while its gimbals are uncontrolled, (N, readings, 3)."""
+    signals = loop_signals(model.platform, spec)
+    system = state_space(model, gimbals=signals.gimbals, others="held" if signals.held else "coupled")
+    shown = observed(system, model.platform, [sensor.name for sensor in signals.sensors], model.q0, model.Omega0)
+    return frequency_response(state_arrays(shown[:, list(OMEGA_NAMES)], "gimbals"), frequency, -3)
