@@ -64,7 +64,8 @@ class Sensor:
         Signal name of the reading. A platform fills in that of the first of its `signals` where it is left out.
     noise_rms, noise_bandwidth_hz
         White noise: `noise_rms` units within `noise_bandwidth_hz` Hz (one-sided density noise_rms / sqrt(bandwidth),
-        which a plant file may give as ``noise_density`` instead: of a gyro its angle random walk, rad/s/sqrt(Hz)).
+        which a plant file may give as ``noise_density`` instead: of a gyro sqrt(2) times its angle random walk in
+        rad/sqrt(s)).
     quantisation
         Step of the reading, units; 0 for none.
     bias, scale_error
