@@ -49,7 +49,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     path = tmp_path_factory.mktemp("flights")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(path)
-        shutil.copy(HERE / "controllers.json", path)
+        for name in ("controllers.json", "vehicle.csv"):
+            shutil.copy(HERE / name, path)
         yield path
 
 
