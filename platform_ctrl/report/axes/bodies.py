@@ -108,7 +108,7 @@ def signs(platform: Platform, gimbal: str) -> tuple[str, ...]:
     """Return what acts and measures at a gimbal's joint, bearing friction left out."""
     there: dict[str, set[str | None]] = {
         "torquer": {torquer.gimbal for torquer in platform.torquers},
-        "pickoff": {one.gimbal for one in platform.pickoffs} | {one.gimbal for one in platform.angle_sensors},
+        "pickoff": {*(one.gimbal for one in platform.pickoffs), *(one.gimbal for one in platform.angle_sensors)},
         "spring": {spring.gimbal for spring in platform.springs},
         "cage": {cage.gimbal for cage in platform.cages},
         "erection": {erection.gimbal for erection in platform.erections},
