@@ -264,8 +264,7 @@ class _Counts:
                 # Over all manoeuvres relative to each limit: without one a metric means something else, as the attitude
                 # of a platform that is turned on purpose.
                 own = here & ~np.isnan(limit[k]) if manoeuvre is None else here
-                scale = limit[k][own] if manoeuvre is None else 1.0
-                self.of(manoeuvre, name).distribution.add(values[k][own] / scale)
+                self.of(manoeuvre, name).distribution.add((ratio if manoeuvre is None else values)[k][own])
             for k, name in enumerate((*self._metrics, PASSED) if self._metrics else ()):
                 which = ratio.argmax(axis=0) if name == PASSED else np.full(len(place), k)
                 self._worst(self.of(manoeuvre, name), batch, np.array([values, limit, ratio]), which, here)

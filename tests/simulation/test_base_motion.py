@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 
 from platform_ctrl import read_job, read_platform
-from platform_ctrl.campaign.single_run import metric_of
+from platform_ctrl.campaign.planning import plan
+from platform_ctrl.campaign.single_run import metric_of, simulate_runs
+from platform_ctrl.campaign.table_statistics import statistics
 from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.job.job import manoeuvre_scenario
 from platform_ctrl.job.scenario import Scenario, Sine, Vibration
@@ -192,3 +194,24 @@ def test_the_rms_of_many_shaken_runs_is_that_of_the_linear_budget() -> None:
     assert rms == pytest.approx(np.sqrt(np.trapezoid(share**2 * S, f)), rel=0.01)
     base = np.sqrt((result.Omega_rms[:, 1] ** 2).mean())
     assert base == pytest.approx(np.sqrt(np.trapezoid(S, f)), rel=0.01)
+
+
+def test_a_campaign_counts_runs_below_a_least_value() -> None:
+    friction = {"parameter": "friction.pitch.viscous", "distribution": "uniform", "relative": True}
+    manoeuvre = JOB["manoeuvre"][0] | {"duration": 0.75, "limits": {"attenuation_db": 30.0}}
+    campaign = {"runs": 16, "vary": [friction | {"low": 0.2, "high": 3.0}]}
+    job = read_job(JOB | {"campaign": campaign, "manoeuvre": [manoeuvre]})
+    made = plan(job, [damped()])
+    table = simulate_runs(made, range(16))
+    assert "los_rate_rms" not in table  # nothing limits it
+    low = table["attenuation_db"] < 30.0
+    assert 0 < low.sum() < 16
+    np.testing.assert_array_equal(table["attenuation_db_passed"], ~low)
+    np.testing.assert_array_equal(table["passed"], ~low)
+    rows = statistics(table, {"sine": job.manoeuvres[0].limits}).requirements
+    [own] = [one for one in rows if (one.manoeuvre, one.requirement) == ("sine", "attenuation_db")]
+    assert own.violation.events == low.sum()
+    assert own.worst[0].value == table["attenuation_db"].min()
+    assert own.worst[0].ratio == pytest.approx(30.0 / own.worst[0].value)
+    # The most friction carries most of the base's motion over.
+    assert own.worst[0].run == table["friction.pitch.viscous"].argmax()
