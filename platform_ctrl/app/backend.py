@@ -14,7 +14,7 @@ from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.app.background import IsCancelled, Progress, ServoTuning, Simulating, TaskRunner, Tuning, run_alone
 from platform_ctrl.app.caged import caged_parts
 from platform_ctrl.app.closed_loops import ClosedLoops
-from platform_ctrl.app.controllers import built_directly
+from platform_ctrl.app.controllers import built_directly, part_of
 from platform_ctrl.app.curves import Parts
 from platform_ctrl.app.designs import Designs, never, silent
 from platform_ctrl.app.dragging import NO_LIMITS, DragResult, FreeParameters, Limits, dragged_crossover, dragged_pole
@@ -159,7 +159,7 @@ class Backend:
         return tuple(
             Part(name=name, label=label, on=name in on, tip=tip)
             for name, (label, tip) in METHODS[design.method].parts.items()
-            if f"{name}_hz" in known
+            if any(part_of(option) == name for option in known)
         )
 
     def with_part(self, settings: Settings, part: str, on: bool) -> Settings:
@@ -318,7 +318,8 @@ class Backend:
         options = self._loops.options.used(settings, spec, design)
         task: Tuning | ServoTuning
         if spec.has_plants:
-            task = Tuning(job=self.job(settings), loop=spec.name, options=options, movable=free)
+            job = self.job(settings)
+            task = Tuning(job=job, loop=spec.name, method=design.method, options=options, movable=free)
         else:
             others = [one for one in self._loops.controllers(settings) if one.loop != spec.name]
             task = ServoTuning(

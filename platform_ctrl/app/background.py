@@ -138,35 +138,37 @@ def _specs(job: Job, loop: str, design: str) -> tuple[LoopSpec, DesignSpec]:
 
 @value
 class Tuning:
-    """Tunes the `movable` options of a classical design until the limits of its loop are met.
+    """Tunes the `movable` options of a classical or PI design until the limits of its loop are met.
 
     `job` has the plant and sampling of the settings, `options` are all that the design uses.
     """
 
     job: Job
     loop: str
+    method: str
     options: dict[str, float]
     movable: tuple[str, ...]
 
     def run(self, progress: Progress) -> dict[str, float]:
         """Return the tuned options."""
-        from platform_ctrl.design.classical.caging import classical_controller, upper_bounds
-        from platform_ctrl.design.partition import channels
-        from platform_ctrl.design.plants import loop_plants, rows_of
+        from platform_ctrl.app.controllers import direct_arrays
+        from platform_ctrl.design.classical import caging, rate
+        from platform_ctrl.design.plants import loop_channels, loop_plants, loop_signals
         from platform_ctrl.design.tuning import tune
         from platform_ctrl.job.requirements import loop_requirements
         from platform_ctrl.mechanics.linearisation import linearise
 
         spec = next(one for one in self.job.loops if one.name == self.loop)
-        model = linearise(self.job.platform)
-        channel, plants = channels(model, rows_of(model, spec.gimbals)), loop_plants(self.job, spec.gimbals)
+        platform, plants = self.job.platform, loop_plants(self.job, spec)
+        channel = loop_channels(linearise(platform), loop_signals(platform, spec), plants.period)
+        bounds = (rate if self.method == "pi" else caging).upper_bounds(plants.period)
         return tune(
             self.options,
             self.movable,
-            lambda trial: classical_controller(trial, channel, plants.period),
+            lambda trial: direct_arrays(self.method, trial, channel, plants.period),
             plants,
             loop_requirements(spec.limits),
-            upper=upper_bounds(plants.period),
+            upper=bounds,
             progress=lambda ratio: progress(f"worst requirement at {ratio:.0%} of its limit"),
         )
 

@@ -47,7 +47,7 @@ from platform_ctrl.app.settings import Settings
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.loop import limits_and_goals, requirements_of
 from platform_ctrl.job.job import Job, LoopSpec, Manoeuvre, manoeuvre_scenario
-from platform_ctrl.job.requirements import WORST_CASE
+from platform_ctrl.job.requirements import WORST_CASE, of_readings
 from platform_ctrl.job.scenario import HalfCosine
 
 # Groups that a band shows: failed parts are not among them.
@@ -149,7 +149,8 @@ class CagedCurves(LoopCurves):
         order = [*range(m, m + p), *range(m)]
         shown = selected(arrays(self.shown), order, [column])
         band = None if self.band is None else selected(arrays(self.band), order, [column])
-        signals = dict.fromkeys(plants.angles, "rad") | dict.fromkeys(plants.torques, "N m")
+        units = {sensor.name: sensor.unit for sensor in self.job.platform.sensors}
+        signals = {name: units[name] for name in plants.angles} | dict.fromkeys(plants.torques, "N m")
         return self._time_response(given, signals, shown, band)
 
     def disturbance_gain(self, frequency: FloatArray) -> FrequencyGain:
@@ -159,8 +160,8 @@ class CagedCurves(LoopCurves):
             plants = self.band.plants
             band = plants.frequency, (self.band.S_output @ plants.Omega_response[..., axis : axis + 1])[..., 0]
         return self._disturbance_gain(
-            f"rate Omega{self.axis} → angles",
-            metric.unit,
+            f"rate Omega{self.axis} → {'rates' if self._loop.spec.kind == 'rate' else 'angles'}",
+            of_readings(metric.unit, self._loop.spec.kind),
             frequency,
             selected(one_of(self.shown.arrays, 0), range(m, m + p), [m + axis]),
             band,

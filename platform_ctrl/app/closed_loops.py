@@ -12,7 +12,7 @@ from platform_ctrl.analysis.loop_metrics import LoopMetrics
 from platform_ctrl.analysis.sampling import from_w_plane, to_w_plane
 from platform_ctrl.app.background import Made
 from platform_ctrl.app.caged import CachedMetrics, CagedLoop
-from platform_ctrl.app.controllers import DesignOptions, built_directly, classical_arrays
+from platform_ctrl.app.controllers import DesignOptions, built_directly, direct_arrays
 from platform_ctrl.app.free_plants import StabilisedLoop
 from platform_ctrl.app.plants import Bounded, JobPlants
 from platform_ctrl.app.saving import ClosedController
@@ -330,10 +330,10 @@ class ClosedLoops:
     def caging(self, settings: Settings, spec: LoopSpec, design: DesignSpec) -> tuple[StateArrays, str]:
         """Return the controller of a caging loop, and a line about it or an empty text."""
         period = 1.0 / settings.rate_hz
-        if design.method == "classical":
-            return classical_arrays(
-                self.options.used(settings, spec, design), self.plants.gyros(settings.spins, spec), period
-            ), ""
+        if built_directly(design):
+            channel = self.plants.gyros(settings.spins, spec, period)
+            options = self.options.used(settings, spec, design)
+            return direct_arrays(design.method, options, channel, period), ""
         seen = self.available_conditions(settings, spec, design)
         made = self.found(spec.name, design.name, seen)
         if made is None:

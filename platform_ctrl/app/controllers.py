@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Callable, Mapping
 
@@ -11,6 +12,7 @@ from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.app.plants import JobPlants
 from platform_ctrl.app.settings import Settings, lowest_rate
 from platform_ctrl.design.classical.caging import classical_controller, starting_values
+from platform_ctrl.design.classical.rate import rate_controller, rate_options
 from platform_ctrl.design.loop import LoopProblem, designed
 from platform_ctrl.design.partition import Channels
 from platform_ctrl.errors import DesignError, PlatformCtrlError
@@ -22,17 +24,18 @@ _OF_PAIRS = frozenset({"crossover_hz", "damping_hz", "damping2_hz", "lead_hz", "
 # The one that a classical design takes whatever its gyros: the default of the integral's corner is a share of it.
 ALWAYS = "crossover_hz"
 _CLASSICAL = METHODS["classical"]
+_PARTED = {name: option for method in METHODS.values() if method.parts for name, option in method.options.items()}
 
 
 def part_of(option: str) -> str:
-    """Return the optional part that an option of a classical loop belongs to, else an empty text."""
-    known = _CLASSICAL.options.get(option)
+    """Return the optional part that an option of a classical or a PI loop belongs to, else an empty text."""
+    known = _PARTED.get(option)
     return "" if known is None else known.part
 
 
 def parts_given(options: Mapping[str, float]) -> tuple[str, ...]:
     """Return the optional parts that a job's options ask for."""
-    return tuple(sorted(part for part in _CLASSICAL.parts if any(part_of(name) == part for name in options)))
+    return tuple(sorted({part for name in options if (part := part_of(name))}))
 
 
 def acts(option: str, channel: Channels) -> bool:
@@ -47,8 +50,21 @@ def meaningful(options: Mapping[str, float], channel: Channels) -> dict[str, flo
     return {name: x for name, x in options.items() if name == ALWAYS or acts(name, channel)}
 
 
-def full_options(given: Mapping[str, float], channel: Channels, nutation: float, period: float) -> dict[str, float]:
-    """Return all options of a classical design, those of parts that it does not have as well."""
+def full_options(
+    design: DesignSpec, given: Mapping[str, float], channel: Channels, nutation: float, period: float
+) -> dict[str, float]:
+    """Return all options of a classical or PI design, those of parts that it does not have as well."""
+    if design.method == "pi":
+        crossover = rate_options(_with(design, given), channel, nutation, period)["crossover_hz"]
+        rest = {"double_integral_hz": 0.1 * crossover, "lag_hz": 0.1 * crossover, "lag_ratio": 3.0}
+        rest |= {"notch_hz": min(3.0 * crossover, 0.35 / period), "notch_depth": 0.3, "notch_width": 0.3}
+        return rate_options(_with(design, rest | dict(given)), channel, nutation, period)
+    return _classical_options(given, channel, nutation, period)
+
+
+def _classical_options(
+    given: Mapping[str, float], channel: Channels, nutation: float, period: float
+) -> dict[str, float]:
     own = meaningful(given, channel)
     rate_hz = 1.0 / period
     more = {"lag_hz": 0.1 * starting_values(own, channel, nutation, period)["crossover_hz"], "lag_ratio": 3.0}
@@ -58,6 +74,10 @@ def full_options(given: Mapping[str, float], channel: Channels, nutation: float,
         spin = float(channel.spins.mean()) / math.tau
         more |= {"spin_notch_hz": min(spin, 0.4 * rate_hz), "spin_notch_depth": 0.1, "spin_notch_width": 0.1}
     return starting_values(more | own, channel, nutation, period)
+
+
+def _with(design: DesignSpec, options: Mapping[str, float]) -> DesignSpec:
+    return dataclasses.replace(design, options=dict(options))
 
 
 def acting_options(
@@ -73,7 +93,7 @@ def acting_options(
         for name in _CLASSICAL.options
         if acts(name, channel) and (part_of(name) != "spin_notch" or len(channel.spins)) and name not in known
     ]
-    rules = full_options({}, channel, nutation(), period) if missing else {}
+    rules = _classical_options({}, channel, nutation(), period) if missing else {}
     return known | {name: rules[name] for name in missing}
 
 
@@ -82,11 +102,12 @@ def parts_used(options: Mapping[str, float], parts: tuple[str, ...]) -> dict[str
     return {name: x for name, x in options.items() if not part_of(name) or part_of(name) in parts}
 
 
-def classical_arrays(options: Mapping[str, float], channel: Channels, period: float) -> StateArrays:
-    """Return the sampled controller of a classical design of complete options."""
-    controller = classical_controller(dict(options), channel, period)
+def direct_arrays(method: str, options: Mapping[str, float], channel: Channels, period: float) -> StateArrays:
+    """Return the sampled controller of a classical or PI design of complete options, from readings to torques."""
+    made = (rate_controller if method == "pi" else classical_controller)(dict(options), channel, period)
+    controller = made if channel.sense is None else made._replace(B=made.B @ channel.sense, D=made.D @ channel.sense)
     if not all(bool((abs(item) < 1e300).all()) for item in controller[:4]):
-        raise DesignError("classical: the controller of these options is not finite; choose less extreme ones")
+        raise DesignError(f"{method}: the controller of these options is not finite; choose less extreme ones")
     return controller
 
 
@@ -106,7 +127,7 @@ class DesignOptions:
     def offered(self, settings: Settings, spec: LoopSpec, design: DesignSpec) -> dict[str, float]:
         """Return the options that a design is made of as the loop is now, those of parts that are off as well."""
         options = settings.options[spec.name][design.name]
-        if not METHODS[design.method].parts:
+        if design.method != "classical":
             return dict(options)
         return acting_options(
             options,
@@ -134,6 +155,8 @@ class DesignOptions:
         channel, period = self._plants.gyros(settings.spins, spec), 1.0 / settings.rate_hz
         given = parts_used(offered, settings.parts_on(spec.name, design.name))
         try:
+            if design.method == "pi":
+                return rate_options(_with(design, given), channel, self._plants.nutation(settings, spec), period)
             complete = starting_values(given, channel, self._plants.nutation(settings, spec), period)
         except DesignError as error:
             # It may be another loop than the one that is worked on.
@@ -189,7 +212,7 @@ class DesignOptions:
         nutation = self._plants.quick(spec).nutation(spins, self.read.sampling, np.asarray(self.read.Omega))
         method = METHODS[design.method]
         if method.parts:
-            return full_options(design.options, channel, nutation, period)
+            return full_options(design, design.options, channel, nutation, period)
         if method.defaults is None:
             return dict(design.options)
         try:

@@ -26,8 +26,8 @@ from platform_ctrl.design.plants import (
     Case,
     LinearPlants,
     caging_signals,
-    cases,
     linear_plants,
+    loop_cases,
     loop_channels,
     loop_reference,
     loop_signals,
@@ -150,12 +150,13 @@ class QuickPlants:
     ) -> PlantSet:
         every = self._all(Omega)
         case = next((one for one in every if one.label == label), every[0])
-        turned = dataclasses.replace(case, Omega=case.Omega + at)
+        # Loops that keep a body still are about rest: see `loop_cases`.
+        turned = case if self.signals.held else dataclasses.replace(case, Omega=case.Omega + at)
         return sampled_plants(self._with_spins(linear_plants(self.signals, (turned,)), spins), sampling, Omega)
 
     def _all(self, Omega: FloatArray) -> tuple[Case, ...]:
         key = tuple(map(float, Omega))
-        return self._cases.get(key, lambda: tuple(cases(dataclasses.replace(self.job, Omega=Omega), self.gimbals)))
+        return self._cases.get(key, lambda: tuple(loop_cases(dataclasses.replace(self.job, Omega=Omega), self.signals)))
 
     def _base(self, Omega: FloatArray) -> LinearPlants:
         key = tuple(map(float, Omega))
@@ -197,6 +198,9 @@ class QuickPlants:
         changes = self._changes(spins)
         if not any(changes.values()):
             return linear
+        if self.signals.held:
+            moved = [dataclasses.replace(one, platform=self._spun(one.platform, changes)) for one in linear.cases]
+            return linear_plants(self.signals, moved)
         n = len(self.rows)
         A, B_Omega = linear.A.copy(), linear.B_Omega.copy()
         mobility, momenta = A[:, :n, n : 2 * n], slice(n, 2 * n)
@@ -213,6 +217,12 @@ class QuickPlants:
             A[:, momenta, momenta] -= G @ mobility
             B_Omega[:, momenta] -= G @ turned + factor[:, None, None] * share.G_Omega
         return dataclasses.replace(linear, A=A, B_Omega=B_Omega)
+
+    def _spun(self, platform: Platform, changes: Mapping[str, float]) -> Platform:
+        for name, change in changes.items():
+            factor = _factor(platform, name, self.momenta[name])
+            platform = _with_momentum(platform, name, factor * (self.momenta[name] + change))
+        return platform
 
     def _share(self, rotor: str) -> _Share:
         platform, unit = self.job.platform, 1.0
@@ -337,14 +347,15 @@ class JobPlants:
         """Return the nutation frequency of a caging loop's nominal plant, rad/s."""
         return self.quick(spec).nutation(settings.spins, self.sampling(settings), self.range(settings))
 
-    def gyros(self, spins: Mapping[str, float], spec: LoopSpec) -> Channels:
-        """Return how the gyros couple the gimbals of a caging loop at these spins."""
+    def gyros(self, spins: Mapping[str, float], spec: LoopSpec, period: float | None = None) -> Channels:
+        """Return the directions in which methods see a loop at these spins; default of `period`: the job's."""
+        period = self.read.sampling.period if period is None else period
 
         def made() -> Channels:
             model = self.model(spins)
-            return loop_channels(model, loop_signals(model.platform, spec), self.read.sampling.period)
+            return loop_channels(model, loop_signals(model.platform, spec), period)
 
-        return self._channels.get((spec.name, tuple(sorted(spins.items()))), made)
+        return self._channels.get((spec.name, period, tuple(sorted(spins.items()))), made)
 
     def model(self, spins: Mapping[str, float]) -> LinearModel:
         """Return the linear model of the whole platform at rest at these spins."""

@@ -22,7 +22,7 @@ from platform_ctrl.errors import DesignError, NotCertifiedError
 from platform_ctrl.job.job import DesignSpec, Job, LoopSpec
 from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.job.methods import known_method, resolved
-from platform_ctrl.job.requirements import LoopRequirement, hard_and_soft
+from platform_ctrl.job.requirements import LoopRequirement, hard_and_soft, of_readings
 from platform_ctrl.mechanics.linearisation import LinearModel
 
 if TYPE_CHECKING:
@@ -210,8 +210,15 @@ def certified(spec: LoopSpec, design: DesignSpec, found: Designed, plants: Plant
 
 def requirements_of(spec: LoopSpec) -> tuple[LoopRequirement, ...]:
     """Return all limits and goals of a loop."""
-    hard, soft = hard_and_soft(spec.limits, spec.soft)
+    hard, soft = _hard_and_soft(spec)
     return (*hard, *soft)
+
+
+def _hard_and_soft(spec: LoopSpec) -> list[tuple[LoopRequirement, ...]]:
+    def named(one: LoopRequirement) -> LoopRequirement:
+        return dataclasses.replace(one, name=of_readings(one.name, spec.kind), unit=of_readings(one.unit, spec.kind))
+
+    return [tuple(map(named, part)) for part in hard_and_soft(spec.limits, spec.soft)]
 
 
 def limits_and_goals(
@@ -220,7 +227,7 @@ def limits_and_goals(
     """Return the loop's limits and its goals compared with `measures`."""
     hard, soft = (
         tuple(requirement.result(plants, measures, subject=spec.name, design=design) for requirement in requirements)
-        for requirements in hard_and_soft(spec.limits, spec.soft)
+        for requirements in _hard_and_soft(spec)
     )
     return hard, soft
 

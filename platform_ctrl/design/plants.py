@@ -533,13 +533,18 @@ def loop_plants(job: Job, loop: LoopSpec | tuple[str, ...]) -> PlantSet:
 
 
 def _loop_plants(job: Job, signals: LoopSignals) -> PlantSet:
+    return sampled_plants(linear_plants(signals, loop_cases(job, signals)), job.sampling, job.Omega)
+
+
+def loop_cases(job: Job, signals: LoopSignals) -> list[Case]:
+    """Return the plants that a loop with these signals must control, the nominal one first."""
     plants = cases(job, signals.gimbals, [torquer.name for torquer in signals.torquers])
     if signals.held:
         # These loops keep a body still while the platform turns about it: its rate is a disturbance, no constant at
         # which the gimbals rest. Friction brings it in.
         plants = [one for one in plants if one.group != "Omega"]
         plants += _with_friction(job, [one for one in plants if one.group in ("nominal", "angles")])
-    return sampled_plants(linear_plants(signals, plants), job.sampling, job.Omega)
+    return plants
 
 
 def _expect_slow(A: FloatArray, plants: Sequence[Case], period: float) -> None:

@@ -257,6 +257,24 @@ class LoopRequirement(Requirement):
         return self.judge(found, subject=subject, design=design, stage="decoupled", evidence=evidence, method="exact")
 
 
+# What gains of a loop whose sensors measure rates are called, in place of those of angles.
+_OF_RATES = {
+    "angle from Omega": "rate from Omega",
+    "angle from torque": "rate from torque",
+    "rad/(rad/s)": "(rad/s)/(rad/s)",
+    "rad/(N m)": "(rad/s)/(N m)",
+    "N m/rad": "N m/(rad/s)",
+}
+
+
+def of_readings(words: str, kind: str) -> str:
+    """Return name or unit of a metric for a loop of this kind: rate loops read rates, others angles."""
+    for angles, rates in _OF_RATES.items() if kind == "rate" else ():
+        if words.startswith(angles):
+            return words.replace(angles, rates, 1)
+    return words
+
+
 @check_arguments
 def requirement(
     kind: str,

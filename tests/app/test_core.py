@@ -12,7 +12,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from platform_ctrl import analysis
+import platform_ctrl as pc
+from camera_job import camera_job, camera_loop
+from platform_ctrl import analysis, design
 from platform_ctrl.analysis.arrays import StateArrays, named_system
 from platform_ctrl.analysis.loop_set import LoopSet
 from platform_ctrl.analysis.plant_set import PlantSet
@@ -487,3 +489,26 @@ def test_a_turn_that_is_shown_loads_the_gimbals_also_without_rotors() -> None:
         }
     )
     assert [QuickPlants(job, (name,)).loading_axis(1) for name in ("yaw", "pitch")] == [3, 2]
+
+
+@pytest.mark.parametrize(("kind", "method"), [("rate", "pi"), ("pointing", "classical")])
+def test_rate_and_pointing_loops_are_shown_as_they_are_designed(kind, method):
+    """The page closes the same controller around the same plants: its numbers are those of the design."""
+    angles = {"Omega": [0.2, 0.2, 0.2], "angles": {"q_el": [0.6]}}
+    loop = camera_loop(kind, method, use="pi", limits={"disk_margin": 0.3})
+    job = pc.read_job(camera_job(operation=angles, loop=loop))
+    designed = design.loops(job)[0].closed
+    backend = Backend(job)
+    try:
+        start = backend.start()
+        shown = backend.picture(start)
+        found = {one.name: one.value for one in shown.requirements}
+        for one in designed.results:
+            assert found[one.name] == pytest.approx(one.value, rel=1e-9)
+        assert shown.step.units == (("rad/s",) if kind == "rate" else ("rad",)) * 2 + ("N m",) * 2
+        slider = next(one for one in backend.sliders(start) if one.name.endswith("crossover_hz"))
+        slower = backend.picture(backend.moved(start, slider.name, 0.5 * slider.value))
+        assert slower.margins.crossover < 0.7 * shown.margins.crossover
+        assert ("second" in {part.name for part in backend.parts(start)}) == (kind == "rate")
+    finally:
+        backend.close()

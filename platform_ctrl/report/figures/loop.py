@@ -16,7 +16,7 @@ from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.loop import LoopDesign, sampled_plant
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.job import LoopSpec
-from platform_ctrl.job.requirements import SCOPE_WORDS
+from platform_ctrl.job.requirements import SCOPE_WORDS, of_readings
 from platform_ctrl.report.loop_responses import LoopResponses, peak_metrics
 from platform_ctrl.report.plots.curves import phase_in_degrees
 from platform_ctrl.report.plots.nichols import nichols
@@ -75,12 +75,14 @@ def limit_lines(axes: Axes, spec: LoopSpec, kind: str, *, scale: float = 1.0, fr
     left, right = axes.get_xlim()
     for limits, hard in ((spec.limits, True), (spec.soft, False)):
         for metric in (METRICS[name] for name in limited(limits, kind)):
-            limit = scale * metric.scale * limits[metric.key]
+            limit = scale * metric.in_SI(limits[metric.key])
+            inverse = isinstance(metric.measure, Peak) and metric.measure.reciprocal
             if metric.band:
                 end = min(limits.get(metric.frequency_key, right), right)
-                _band_limit(axes, limit, max(from_hz, left), end, hard)
+                level, text = (1.0 / limit if inverse else limit), f"{limit:g}"
+                text = f"{limits[metric.key]:g} dB" if metric.decibels else text
+                _band_limit(axes, level, max(from_hz, left), end, hard, text)
                 continue
-            inverse = isinstance(metric.measure, Peak) and metric.measure.reciprocal
             level = 1.0 / limit if inverse else limit
             colour, dashes = (LIMIT, DASHED) if hard else (MUTED, DASH_DOTTED)
             axes.axhline(level, color=colour, linewidth=0.9, linestyle=dashes)
@@ -91,13 +93,13 @@ def limit_lines(axes: Axes, spec: LoopSpec, kind: str, *, scale: float = 1.0, fr
             axes.annotate(text if hard else f"goal {text}", at, shift, color=colour, **label, **_LABEL)
 
 
-def _band_limit(axes: Axes, level: float, start: float, end: float, hard: bool) -> None:
+def _band_limit(axes: Axes, level: float, start: float, end: float, hard: bool, text: str) -> None:
     colour, dashes = (LIMIT, DASHED) if hard else (MUTED, DASH_DOTTED)
     top = axes.get_ylim()[1]
     if hard and (start, end) != axes.get_xlim() and level < top:
         axes.fill_between([start, end], level, top, color=BEYOND, linewidth=0, zorder=0.5)
     axes.plot([start, end], [level, level], color=colour, linewidth=0.9, linestyle=dashes)
-    text = f"{level:g}" if hard else f"goal {level:g}"
+    text = text if hard else f"goal {text}"
     axes.annotate(text, (start, level), (3, 2 if hard else -2), color=colour, va="bottom" if hard else "top", **_LABEL)
 
 
@@ -167,6 +169,8 @@ SENSITIVITIES = {
     "complementary sensitivity peak": "T: transmitted share",
     "disk margin": "(S − T)/2: 1/disk margin at its peak",
 }
+# A gain of this and less is none.
+_NOTHING = 1e-12
 # Range of the root locus, factors on the loop gain.
 _GAINS = (0.0, 2.0)
 # Metrics whose curves the other standard plots of a loop show.
@@ -239,7 +243,7 @@ def loop_transfer_figure(responses: LoopResponses, spec: LoopSpec, torques: tupl
     rows[0][0].set_ylabel("singular values, 1")
     rows[0][1].set_ylabel("gain, 1")
     rows[1][0].set_title("controller, largest gain")
-    rows[1][0].set_ylabel(METRICS["controller gain"].unit)
+    rows[1][0].set_ylabel(of_readings(METRICS["controller gain"].unit, spec.kind))
     rows[1][1].set_ylabel("phase, degrees")
     legend(figure, handles, names)
     return figure
@@ -296,12 +300,17 @@ def further_gains_figure(responses: LoopResponses, spec: LoopSpec, kinds: Sequen
     handles: list[Any] = []
     for axes, kind in zip(cells, kinds, strict=True):
         metric = METRICS[kind]
-        curves = [one.gains[kind] / metric.scale for one in responses.designs]
+        # What transmits nothing is drawn below everything else.
+        curves = [np.maximum(one.gains[kind] / metric.scale, _NOTHING) for one in responses.designs]
         handles = _design_curves(axes, responses.frequency * HZ, curves, responses)
         gain_limits(axes, curves)
         limit_lines(axes, spec, kind, scale=1.0 / metric.scale)
-        axes.set_title(metric.name)
-        axes.set_ylabel(metric.unit or "1")
+        axes.set_title(of_readings(metric.name, spec.kind))
+        axes.set_ylabel(
+            "line of sight rate per base rate, 1"
+            if kind == "attenuation"
+            else of_readings(metric.unit, spec.kind) or "1"
+        )
     legend(figure, handles, names)
     return figure
 

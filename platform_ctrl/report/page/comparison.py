@@ -12,7 +12,7 @@ from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.design.jobs import LoopOutcome
 from platform_ctrl.design.loop import LoopDesign
 from platform_ctrl.job.judging import CheckResult
-from platform_ctrl.job.requirements import SCOPE_WORDS, SCOPES, requirement
+from platform_ctrl.job.requirements import SCOPE_WORDS, SCOPES, of_readings, requirement
 from platform_ctrl.report.page.blocks import Cell, Column, Group, Row, Table, cells
 from platform_ctrl.report.quantities import (
     BOUND,
@@ -101,11 +101,13 @@ def _judged(name: str, found: Sequence[CheckResult | None], cell: Callable[[Chec
 def measured_rows(outcome: LoopOutcome) -> list[Row]:
     """Return the metrics of every design that have no limit."""
     required = {one.name for design in outcome.designs for one in design.results}
-    measured = [{} if design.measures is None else _measured(design.measures) for design in outcome.designs]
+    measured = [
+        {} if design.measures is None else _measured(design.measures, outcome.spec.kind) for design in outcome.designs
+    ]
     return [row for row in _by_name(measured) if row.cells[0].text not in required]
 
 
-def _measured(metrics: LoopMetrics) -> dict[str, str]:
+def _measured(metrics: LoopMetrics, loop: str) -> dict[str, str]:
     """Return the worst value of every metric that is always measured, by the names of its limits."""
     out = {}
     for kind in ALWAYS_MEASURED:
@@ -116,7 +118,8 @@ def _measured(metrics: LoopMetrics) -> dict[str, str]:
             values = metric.in_unit(metrics.values(MetricRequest(kind=kind, over=SCOPES[scope])))
             at_least = metric.sense == "at least"
             worst = float(values.min() if at_least else values.max(initial=0.0))
-            out[metric.name + SCOPE_WORDS[scope]] = quantity(worst, metric.unit, rounding="down" if at_least else "up")
+            name, unit = (of_readings(words, loop) for words in (metric.name, metric.unit))
+            out[name + SCOPE_WORDS[scope]] = quantity(worst, unit, rounding="down" if at_least else "up")
     return out
 
 
