@@ -62,6 +62,18 @@ def subsystems(model: LinearModel) -> tuple[tuple[str, ...], ...]:
     return subsystems_of_all([model])
 
 
+def coupled_while_changing(model: LinearModel) -> tuple[tuple[str, str], ...]:
+    """Return pairs of gimbals of different subsystems that act on one another only while Omega changes.
+
+    What Omega' multiplies in the linear equations is `M_Omega_q`.
+    """
+    names, rounding = model.gimbal_names, inertia_rounding(topology(model.platform))
+    either = np.abs(model.M_Omega_q).max(axis=1, initial=0.0) > rounding
+    together = {(a, b) for group in subsystems(model) for a in group for b in group}
+    pairs = [(names[i], names[j]) for i, j in zip(*np.nonzero(np.triu(either | either.T, 1)), strict=True)]
+    return tuple(pair for pair in pairs if pair not in together)
+
+
 @check_arguments
 def subsystems_of_all(models: Sequence[LinearModel]) -> tuple[tuple[str, ...], ...]:
     """Return the groups of gimbals whose equations are coupled in any of several models of the same gimbals."""

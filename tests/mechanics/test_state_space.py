@@ -7,12 +7,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from camera_job import camera_plant
 from mechanics.test_forces import furnished
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.mechanics.equations import forward_dynamics, inverse_dynamics
 from platform_ctrl.mechanics.forces import element_forces
 from platform_ctrl.mechanics.linearisation import linearise
-from platform_ctrl.mechanics.state_space import state_space, subsystems
+from platform_ctrl.mechanics.state_space import coupled_while_changing, state_space, subsystems
 from platform_ctrl.plant.force_elements import Unbalance
 from platform_ctrl.plant.platform import Gimbal, Platform, Rotor
 from platform_ctrl.plant.reading import read_platform
@@ -307,3 +308,11 @@ def test_wrong_questions_get_one_line(platform):
         linearise(platform, terms="both")
     with pytest.raises(ArgumentError, match=r"Omega must have shape \(3,\), got \(2,\)"):
         linearise(platform, Omega=(0, 1))
+
+
+def test_yaw_and_pitch_of_a_balanced_gimbal_act_on_one_another_only_while_the_platform_rate_changes():
+    """M_Omega_q: azimuth feels the derivative of the roll rate times the elevation angle."""
+    model = linearise(read_platform(camera_plant()))
+    assert subsystems(model) == (("az",), ("el",))
+    assert coupled_while_changing(model) == (("az", "el"),)
+    assert coupled_while_changing(linearise(read_platform("three_gyro_platform"))) == ()

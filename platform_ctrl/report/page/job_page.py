@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from platform_ctrl.common.files import write_whole
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.design.jobs import LoopOutcome
+from platform_ctrl.mechanics.state_space import coupled_while_changing
 from platform_ctrl.report import style
 from platform_ctrl.report.axes.picture import axes_picture
 from platform_ctrl.report.figures.coupled import (
@@ -194,8 +195,9 @@ def _summary(result: JobResult, campaign: Summary | None) -> tuple[Block, ...]:
 
 def _plant(result: JobResult) -> Section:
     gimbals = len(result.job.platform.gimbals)
+    changing = coupled_while_changing(result.model)
     blocks: list[Block] = [
-        Paragraph(text=sentences("groups", subsystems=result.subsystems, gimbals=gimbals)),
+        Paragraph(text=sentences("groups", subsystems=result.subsystems, gimbals=gimbals, changing=changing)),
         _axes_plate(result),
         Part(title="Gimbals", blocks=(tables.gimbal_table(result),)),
     ]
