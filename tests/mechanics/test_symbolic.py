@@ -255,6 +255,14 @@ def test_subsystems_are_those_of_the_state_space_model(name, terms):
     assert equations(platform, "sympy", terms=terms).groups == subsystems(model)
 
 
+@pytest.mark.parametrize("name", [name for name in shipped_models() if not read_platform(name).rotors])
+def test_equations_of_a_plant_without_rotors_speak_of_no_gyroscopic_motion(name):
+    text = equations(read_platform(name))
+    assert "(27)" in text
+    for word in ("precession", "nutation", "rotors", "gyroscopic"):
+        assert word not in text
+
+
 # Force elements
 
 ELEMENTS = {
