@@ -120,7 +120,7 @@ def screen() -> Console:
 def show_result(result: JobResult) -> None:
     """Print all requirements, as the report's table or as lines where it would not fit, and the verdict."""
     from platform_ctrl.report.page.tables import terminal_table
-    from platform_ctrl.report.quantities import added_words
+    from platform_ctrl.report.quantities import added_words, assumed_words
 
     console = screen()
     if console.width >= _NARROW:
@@ -129,7 +129,7 @@ def show_result(result: JobResult) -> None:
         console.print(result.job.name, style="bold", markup=False)
         show_lines(console, result.requirements)
         show_lines(console, [goal for outcome in result.loops for goal in outcome.closed.goals])
-    _show_verdict(console, result.requirements, added_words(result.job.platform))
+    _show_verdict(console, result.requirements, added_words(result.job.platform) + assumed_words(result.job))
 
 
 def show_run(run: Run, largest: dict[str, tuple[float, str]]) -> None:

@@ -12,6 +12,7 @@ from platform_ctrl.plant.sensors import body_rates, body_rotations, gimbal_rate
 
 if TYPE_CHECKING:
     from platform_ctrl.common.values import FloatArray
+    from platform_ctrl.job.job import Job
     from platform_ctrl.job.judging import CheckResult
     from platform_ctrl.plant.platform import Platform
 
@@ -220,14 +221,35 @@ def axis_text(axis: Sequence[float] | FloatArray) -> str:
 def added_words(platform: Platform) -> str:
     """Return which torquers and pick-offs the device itself does not have, to go with a verdict; or nothing."""
     from platform_ctrl.plant.platform import Torquer
-    from platform_ctrl.plant.sensors import PickOff
+    from platform_ctrl.plant.sensors import PickOff, Sensor
 
     named = []
     for word, kind in (("torquer", Torquer), ("pick-off", PickOff)):
         bodies = [part.gimbal or platform.root_name for part in platform.added if isinstance(part, kind)]
         if bodies:
             named.append(f"{f'a {word}' if len(bodies) == 1 else f'{word}s'} on {listed(bodies)}")
+    sensors = [part.name for part in platform.added if isinstance(part, Sensor) and not isinstance(part, PickOff)]
+    if sensors:
+        named.append(f"{'the sensor' if len(sensors) == 1 else 'the sensors'} {listed(sensors)}")
     return f", with {listed(named)} added that the device does not have" if named else ""
+
+
+def assumed_words(job: Job) -> str:
+    """Return what the verdict on loops that hold a body rests on, to go with it; nothing for other loops."""
+    kinds = {spec.kind for spec in job.loops}
+    if not kinds & {"rate", "pointing"}:
+        return ""
+    words = ["rate loops leave the gimbal angles free"] if "rate" in kinds else []
+    rate = float(max(job.Omega))
+    if rate > 0.0 and any(max(friction.breakaway) > 0.0 for friction in job.platform.frictions):
+        words.append(f"dry friction is a describing function at {plain(rate)} rad/s")
+    checked = [
+        f"{name} = {listed([plain(x) for x in sorted({0.0, *values})])} rad"
+        for name, values in job.angles.items()
+        if set(values) - {0.0}
+    ]
+    words.append(f"the gimbal angles are {'; '.join(checked) if checked else 'zero alone'}")
+    return f", assuming that {listed(words)}"
 
 
 _RAISED = str.maketrans("-0123456789", "\u207b\u2070\u00b9\u00b2\u00b3\u2074\u2075\u2076\u2077\u2078\u2079")

@@ -8,6 +8,7 @@ from camera_job import FRICTION, J_AZIMUTH, J_ELEVATION, camera_job, camera_loop
 from platform_ctrl import analysis, design
 from platform_ctrl.errors import InputError, NotCertifiedError
 from platform_ctrl.job.requirements import requirement
+from platform_ctrl.report.quantities import assumed_words
 from platform_ctrl.verification.controllers import outcomes_from, read_controllers
 from platform_ctrl.verification.records import result_record
 from platform_ctrl.verification.verdict import check_job
@@ -298,3 +299,14 @@ def test_angles_that_a_pointing_loop_leaves_free_are_no_instability(spring):
     )
     assert stable.passed
     assert "angles that pointing loops leave free do not count" in stable.evidence
+
+
+def test_the_verdict_names_what_it_rests_on_and_rows_have_the_units_of_rates():
+    angles = {"Omega": [0.2, 0.2, 0.2], "angles": {"q_el": [0.6]}}
+    job = pc.read_job(camera_job(operation=angles, loop=camera_loop(limits={"controller_gain": 100.0})))
+    assert assumed_words(job) == (
+        ", assuming that rate loops leave the gimbal angles free, dry friction is a describing function at 0.2 rad/s "
+        "and the gimbal angles are q_el = 0 and 0.6 rad"
+    )
+    gain = next(one for one in design.loops(job)[0].closed.results if one.name == "gain of the controller")
+    assert gain.unit == "N m/(rad/s)"

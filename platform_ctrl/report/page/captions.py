@@ -22,7 +22,7 @@ from platform_ctrl.design.caging_claims import largest_Omega_name
 from platform_ctrl.design.jobs import LoopOutcome
 from platform_ctrl.design.loop import LoopDesign
 from platform_ctrl.job.judging import STABLE, CheckResult
-from platform_ctrl.job.requirements import FAULTS, WORST_CASE
+from platform_ctrl.job.requirements import FAULTS, WORST_CASE, of_readings
 from platform_ctrl.plant.platform import Platform
 from platform_ctrl.report.figures.loop import SENSITIVITIES, damping_rays, limited
 from platform_ctrl.report.loop_responses import LoopResponses
@@ -49,7 +49,8 @@ def _templates() -> Any:
     environment = Environment(
         loader=PackageLoader("platform_ctrl.report"), undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-    filters: list[Any] = [compared, count, disk_words, listed, number_word, percent, plain, quantity, quoted, share]
+    filters: list[Any] = [compared, count, disk_words, listed, number_word, of_readings, percent, plain, quantity]
+    filters += [quoted, share]
     filters += [campaign_tables.chance, campaign_tables.count_words]
     environment.filters |= {function.__name__: function for function in filters}
     environment.globals |= {"METRICS": METRICS, "BOUND": BOUND, "chances": campaign_tables.chances}

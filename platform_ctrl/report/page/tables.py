@@ -36,6 +36,7 @@ from platform_ctrl.report.quantities import (
     MET,
     NOT_MET,
     added_words,
+    assumed_words,
     axis_text,
     compared,
     count,
@@ -128,7 +129,7 @@ def verdict(result: JobResult) -> str:
         words = f"{missed} of {count(number, 'requirement')} not met"
     else:
         words = f"all {count(number, 'requirement')} met" if number != 1 else "the one requirement is met"
-    return f"{words}{added_words(result.job.platform)}"
+    return f"{words}{added_words(result.job.platform)}{assumed_words(result.job)}"
 
 
 def terminal_table(result: JobResult) -> rich_table.Table:
