@@ -182,13 +182,13 @@ def attenuation(job, controllers, axis, hz, rate):
 
 @pytest.mark.parametrize("axis", [2, 3])
 def test_the_camera_stands_still_on_a_vehicle_that_pitches_and_yaws_with_all_its_dry_friction(axis):
-    """40 dB from 1 to 10 Hz at 0.5 rad/s; what friction does does not grow with the motion, so it weighs less there."""
+    """40 dB from 1 to 10 Hz at 0.3 rad/s; what friction does does not grow with the motion, so it weighs less there."""
     result, _ = shipped(Path("examples/camera_gimbal.toml"))
     assert max(max(friction.coulomb) for friction in result.job.platform.frictions) >= 0.02
     controllers = [outcome.closed.controller for outcome in result.loops]
     for hz in (1.0, 2.0, 5.0, 10.0):
-        assert attenuation(result.job, controllers, axis, hz, 0.5) >= 40.0
-    assert attenuation(result.job, controllers, axis, 10.0, 0.1) < attenuation(result.job, controllers, axis, 10.0, 0.5)
+        assert attenuation(result.job, controllers, axis, hz, 0.3) >= 40.0
+    assert attenuation(result.job, controllers, axis, 10.0, 0.1) < attenuation(result.job, controllers, axis, 10.0, 0.3)
 
 
 def test_the_margin_of_the_camera_loop_holds_over_inertias_and_elevations():
