@@ -22,6 +22,7 @@ import numpy as np
 
 from platform_ctrl.analysis.arrays import StateArrays, named_system
 from platform_ctrl.analysis.norms import hinf_norm
+from platform_ctrl.design.cases import rows_of
 from platform_ctrl.design.fixed_structure.norm import ClosedLoop
 from platform_ctrl.design.fixed_structure.pid import PID
 from platform_ctrl.design.fixed_structure.result import least_norm
@@ -30,7 +31,7 @@ from platform_ctrl.design.fixed_structure.side_by_side import best_found
 from platform_ctrl.design.fixed_structure.structures import Static
 from platform_ctrl.design.fixed_structure.synthesis import structured
 from platform_ctrl.design.partition import Partition, channels, closed_loop, partition
-from platform_ctrl.design.plants import loop_plants, rows_of
+from platform_ctrl.design.plants import loop_plants
 from platform_ctrl.design.riccati.weighted_loop import WeightedPlant, hinf_options, signal_names, weighted_plant
 from platform_ctrl.design.scaling import autoscale
 from platform_ctrl.errors import PlatformCtrlError

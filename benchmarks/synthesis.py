@@ -29,8 +29,9 @@ import numpy as np
 
 from platform_ctrl.analysis.arrays import named_system
 from platform_ctrl.analysis.norms import h2_norm, hinf_norm
+from platform_ctrl.design.cases import rows_of
 from platform_ctrl.design.partition import Partition, channels, partition
-from platform_ctrl.design.plants import loop_plants, rows_of
+from platform_ctrl.design.plants import loop_plants
 from platform_ctrl.design.riccati.h2 import h2
 from platform_ctrl.design.riccati.hinf import hinf_riccati
 from platform_ctrl.design.riccati.weighted_loop import hinf_options, weighted_plant

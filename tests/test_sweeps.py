@@ -6,7 +6,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from platform_ctrl import design
-from platform_ctrl.design.plants import cases
+from platform_ctrl.design.cases import cases
 from platform_ctrl.job.reading import read_job
 from platform_ctrl.mechanics.equations import forward_dynamics, inverse_dynamics
 from platform_ctrl.mechanics.linearisation import linearise

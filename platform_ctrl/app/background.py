@@ -153,7 +153,8 @@ class Tuning:
         """Return the tuned options."""
         from platform_ctrl.app.controllers import direct_arrays
         from platform_ctrl.design.classical import caging, rate
-        from platform_ctrl.design.plants import loop_channels, loop_plants, loop_signals
+        from platform_ctrl.design.loop_signals import loop_channels, loop_signals
+        from platform_ctrl.design.plants import loop_plants
         from platform_ctrl.design.tuning import tune
         from platform_ctrl.job.requirements import loop_requirements
         from platform_ctrl.mechanics.linearisation import linearise

@@ -20,7 +20,7 @@ from platform_ctrl.app.settings import Conditions, Settings
 from platform_ctrl.app.stabilised import CachedMargins
 from platform_ctrl.common.arguments import known_name
 from platform_ctrl.design.loop import LoopProblem, designed
-from platform_ctrl.design.plants import loop_signals
+from platform_ctrl.design.loop_signals import loop_signals
 from platform_ctrl.errors import DesignError, PlatformCtrlError
 from platform_ctrl.job.job import DesignSpec, Job, LoopSpec
 from platform_ctrl.job.judging import CheckResult

@@ -21,7 +21,7 @@ from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.analysis.sampling import held_input, sampled
 from platform_ctrl.app.curves import EDGE, GRID_POINTS, selected
 from platform_ctrl.common.values import FloatArray, value
-from platform_ctrl.design.plants import changed
+from platform_ctrl.design.cases import changed
 from platform_ctrl.job.job import Job, LoopSpec, Sampling
 from platform_ctrl.mechanics.linearisation import LinearModel, linearise
 from platform_ctrl.mechanics.outputs import observed

@@ -21,19 +21,10 @@ from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.app.free_plants import FreePlants, SpinningModels, corners, free_models, free_plants
 from platform_ctrl.app.settings import Settings
 from platform_ctrl.common.values import FloatArray, value
+from platform_ctrl.design.cases import Case, with_spins
+from platform_ctrl.design.loop_signals import caging_signals, loop_channels, loop_signals
 from platform_ctrl.design.partition import Channels
-from platform_ctrl.design.plants import (
-    Case,
-    LinearPlants,
-    caging_signals,
-    linear_plants,
-    loop_cases,
-    loop_channels,
-    loop_reference,
-    loop_signals,
-    sampled_plants,
-    with_spins,
-)
+from platform_ctrl.design.plants import LinearPlants, linear_plants, loop_cases, loop_reference, sampled_plants
 from platform_ctrl.errors import InputError
 from platform_ctrl.job.job import Job, LoopSpec, Sampling
 from platform_ctrl.mechanics.linearisation import LinearModel, linearise

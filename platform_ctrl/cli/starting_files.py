@@ -65,7 +65,7 @@ def starting_loops(plant: dict[str, Any]) -> Start:
     The starting values are the first, from fast to slow, with which a loop is stable and near its limits, or else the
     best: what the tuner finds its way from.
     """
-    from platform_ctrl.design.plants import subsystems_over
+    from platform_ctrl.design.cases import subsystems_over
     from platform_ctrl.job.reading import read_job
     from platform_ctrl.mechanics.linearisation import linearise
     from platform_ctrl.mechanics.state_space import state_space
@@ -121,9 +121,10 @@ def _noise_limit(gimbals: tuple[str, ...], limits: dict[str, float]) -> dict[str
 
 
 def _loop(job: Job, spec: LoopSpec, model: LinearModel, limits: dict[str, float]) -> StartingLoop:
+    from platform_ctrl.design.cases import rows_of
     from platform_ctrl.design.classical.caging import classical_controller, starting_values
     from platform_ctrl.design.partition import channels
-    from platform_ctrl.design.plants import plants_of, rows_of
+    from platform_ctrl.design.plants import plants_of
     from platform_ctrl.design.tuning import worst_ratio
     from platform_ctrl.job.requirements import loop_requirements
 

@@ -15,8 +15,8 @@ from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import value
 from platform_ctrl.design.antiwindup.compensator import LargestOmega, largest_Omega
 from platform_ctrl.design.antiwindup.loop import LimitedLoop, limited_loop
+from platform_ctrl.design.cases import cases
 from platform_ctrl.design.loop import LoopDesign
-from platform_ctrl.design.plants import cases
 from platform_ctrl.errors import ArgumentError, DesignError
 from platform_ctrl.job.job import Job, Uncertainty
 from platform_ctrl.mechanics.linearisation import linearise

@@ -16,8 +16,8 @@ from platform_ctrl.analysis.feedback import closed_loop
 from platform_ctrl.analysis.loop_metrics import LoopMetrics, measure
 from platform_ctrl.analysis.plant_set import COMMAND, PlantSet
 from platform_ctrl.common.values import value
+from platform_ctrl.design.loop_signals import loop_channels, loop_signals
 from platform_ctrl.design.partition import Channels
-from platform_ctrl.design.plants import loop_channels, loop_signals
 from platform_ctrl.errors import DesignError, NotCertifiedError
 from platform_ctrl.job.job import DesignSpec, Job, LoopSpec
 from platform_ctrl.job.judging import CheckResult

@@ -1,208 +1,43 @@
-"""The plants that a loop must control: the nominal one, uncertain parameters, the range of Omega, parts that fail."""
+"""The plants of a loop, linear and sampled, and those of a loop around another one."""
 
 from __future__ import annotations
 
 import dataclasses
-import math
-from collections.abc import Collection, Iterator, Mapping, Sequence
-from itertools import product
+from collections.abc import Collection, Sequence
 
 import numpy as np
 
 from platform_ctrl.analysis.arrays import StateArrays, seen_states
 from platform_ctrl.analysis.feedback import closed_loop
-from platform_ctrl.analysis.plant_set import COMMAND, Group, PlantSet, plant_set
+from platform_ctrl.analysis.plant_set import COMMAND, PlantSet, plant_set
 from platform_ctrl.analysis.sampling import held_input, late_outputs, late_states, sampled, sampled_states
-from platform_ctrl.common.arguments import known_name
 from platform_ctrl.common.values import FloatArray, value
-from platform_ctrl.design.partition import Channels, channels
+from platform_ctrl.design.cases import Case, carried, cases, with_friction
+from platform_ctrl.design.loop_signals import (
+    SEEN,
+    LoopSignals,
+    caging_signals,
+    expect_no_keyhole,
+    loop_channels,
+    loop_signals,
+)
+from platform_ctrl.design.partition import Channels
 from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.job.job import Job, LoopSpec, Sampling
-from platform_ctrl.mechanics.linearisation import LinearModel, linearise
-from platform_ctrl.mechanics.matrices import inverse_inertia, matrices
+from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.mechanics.outputs import observed
-from platform_ctrl.mechanics.state_space import state_space, subsystems_of_all
-from platform_ctrl.plant.platform import OMEGA_NAMES, Platform, Torquer
-from platform_ctrl.plant.sensors import LOS_RATES, Sensor
+from platform_ctrl.mechanics.state_space import state_space
+from platform_ctrl.plant.platform import OMEGA_NAMES, Torquer
+from platform_ctrl.plant.sensors import Sensor
 
 # Open-loop motion slower than this share of the Nyquist frequency is no reference for the loop.
 _SLOW_MOTION = 1e-3
 # Phase that a tracker's delay takes at the frequency that its loop goes by, rad.
 _PHASE = 0.5
-# Share of their effect at zero angles below which torquers are near a keyhole: 1/cos of the elevation is 10 there.
-_KEYHOLE = 0.1
-# Ratio of the least to the largest effect of torquers on readings from which on each is seen.
-_SEEN = 1e-6
-# Share of the largest gain from torques to the line of sight from which on an output counts as moved.
-_MOVES = 1e-6
 # Rate at which angles that a rate loop leaves free decay in its plants, 1/s: four times what every pole has to.
 _FORGETTING = 0.2
 # Largest angle of a motion in a sample period, rad: beyond it a sampled plant has lost all digits.
 _LARGEST_ANGLE = 1e6
-
-
-def changed(platform: Platform, inertia: dict[str, float], spin: dict[str, float]) -> Platform:
-    """Return `platform` with other inertias and spins, relative changes by name.
-
-    `inertia` changes J about the axis of a gimbal alone: what the gimbal's own body gains or loses is a thin disk about
-    its axis, so that no other J about a gimbal axis through the same body changes unless the axes are parallel. `spin`
-    changes the L of a rotor.
-    """
-    J = np.diag(matrices(platform).A_star)[3:]
-    gimbals = tuple(
-        dataclasses.replace(g, inertia=g.inertia + inertia.get(g.name, 0.0) * J[k] * np.outer(g.axis, g.axis))
-        for k, g in enumerate(platform.gimbals)
-    )
-    rotors = tuple(
-        dataclasses.replace(r, angular_momentum=r.angular_momentum * (1.0 + spin.get(r.name, 0.0)))
-        for r in platform.rotors
-    )
-    return dataclasses.replace(platform, gimbals=gimbals, rotors=rotors)
-
-
-def with_spins(platform: Platform, spins: Mapping[str, float]) -> Platform:
-    """Return the platform with other spins of its rotors, rad/s; those that are not named stay."""
-    rotors = tuple(
-        dataclasses.replace(r, angular_momentum=r.axial_inertia * spins[r.name])
-        if r.name in spins and spins[r.name] != r.spin
-        else r
-        for r in platform.rotors
-    )
-    return dataclasses.replace(platform, rotors=rotors)
-
-
-@value
-class Case:
-    """A plant of the set: what it is and stands for, the rate (3,) and angles (n,) at which it is linearised.
-
-    `torque`, (m,), is the share of its torque that each torquer of the loop keeps; no angles: zero. `rate` is the
-    amplitude of the gimbals' rates, rad/s, for which dry friction is replaced by its describing function; None: without
-    dry friction.
-    """
-
-    label: str
-    group: Group
-    platform: Platform
-    Omega: FloatArray
-    torque: FloatArray
-    q: FloatArray | None = None
-    rate: float | None = None
-
-
-def cases(job: Job, gimbals: tuple[str, ...], torquers: Sequence[str] = ()) -> list[Case]:
-    """Return the plants that the loop on `gimbals` with `torquers` must control, the nominal one first.
-
-    Default: the first torquer on each of the gimbals.
-
-    Then every corner of the parameter uncertainty and the samples inside it, the grid of Omega, the gimbal angles with
-    the nominal and with the other parameters, and the faults.
-    """
-    torquers = torquers or [job.platform.torquer_on(name).name for name in gimbals]
-    platform, still, whole = job.platform, np.zeros(3), np.ones(len(torquers))
-    out = [Case(label="nominal", group="nominal", platform=platform, Omega=still, torque=whole)]
-    for label, parameters in _varied(job, gimbals):
-        moved = changed(platform, **parameters)
-        out.append(Case(label=label, group="uncertainty", platform=moved, Omega=still, torque=whole))
-    for rates in _rates(job.Omega, job.Omega_grid):
-        label = f"Omega = ({rates[0]:g}, {rates[1]:g}, {rates[2]:g}) rad/s"
-        out.append(Case(label=label, group="Omega", platform=platform, Omega=np.array(rates), torque=whole))
-    varied = [one for one in out if one.group in ("nominal", "uncertainty")]
-    for q in job.trims[1:]:
-        for one in varied:
-            group: Group = "angles" if one.group == "nominal" else "uncertainty"
-            label = at_angles(platform, q) if one.group == "nominal" else f"{one.label}, {at_angles(platform, q)}"
-            out.append(dataclasses.replace(one, label=label, group=group, q=q))
-    return [*out, *_faults(job, gimbals, torquers)]
-
-
-def _with_friction(job: Job, plants: Sequence[Case]) -> list[Case]:
-    """Return plants with dry friction as it acts on gimbals that turn at the largest rate of the platform."""
-    rate = float(np.max(job.Omega))
-    if rate == 0.0 or not any(max(friction.breakaway) > 0.0 for friction in job.platform.frictions):
-        return []
-    out: list[Case] = []
-    for one in plants:
-        label = f"dry friction at {rate:g} rad/s" + ("" if one.group == "nominal" else f", {one.label}")
-        out.append(dataclasses.replace(one, label=label, group="friction", rate=rate))
-    return out
-
-
-def at_angles(platform: Platform, q: FloatArray) -> str:
-    """Return gimbal angles (n,) in words, those alone that are not zero."""
-    return ", ".join(f"{name} = {x:g} rad" for name, x in zip(platform.angle_names, q, strict=True) if x)
-
-
-def _varied(job: Job, gimbals: tuple[str, ...]) -> Iterator[tuple[str, dict[str, dict[str, float]]]]:
-    """Walk the relative changes of J and L at the corners of the uncertainty, then at the samples inside it."""
-    named = [("inertia", g, job.uncertainty.inertia) for g in gimbals]
-    named += [("spin", name, job.uncertainty.spin) for name in _carried(job.platform, gimbals)]
-    named = [entry for entry in named if entry[2] > 0.0]
-    if not named:
-        return
-    for signs in product((-1.0, 1.0), repeat=len(named)):
-        yield _moved(named, signs, "+.0%")
-    for place in _samples(job, len(named)):
-        yield _moved(named, place, "+.1%")
-
-
-def _moved(
-    named: list[tuple[str, str, float]], place: Sequence[float], digits: str
-) -> tuple[str, dict[str, dict[str, float]]]:
-    out: dict[str, dict[str, float]] = {"inertia": {}, "spin": {}}
-    words = []
-    for (parameter, name, width), part in zip(named, place, strict=True):
-        out[parameter][name] = part * width
-        words.append(f"{'J' if parameter == 'inertia' else 'L'}{name}{part * width:{digits}}")
-    return " ".join(words), out
-
-
-def subsystems_over(platform: Platform, Omega: FloatArray, grid: int) -> tuple[tuple[str, ...], ...]:
-    """Return the groups of gimbals that are coupled at rest or on a grid of platform rates, in the file's order."""
-    return subsystems_of_all([linearise(platform, Omega=rate) for rate in [(0.0, 0.0, 0.0), *_rates(Omega, grid)]])
-
-
-def _samples(job: Job, dimension: int) -> list[list[float]]:
-    """Return points of the box [-1, 1]: a scrambled Sobol sequence (Owen), the same for the same seed."""
-    if job.uncertainty.samples == 0:
-        return []
-    from scipy.stats import qmc
-
-    points = qmc.Sobol(dimension, scramble=True, seed=np.random.default_rng(job.seed))
-    # Drawn by powers of two, for which alone the sequence is balanced.
-    drawn = points.random_base2(math.ceil(math.log2(job.uncertainty.samples)))[: job.uncertainty.samples]
-    return [[float(entry) for entry in row] for row in 2.0 * drawn - 1.0]
-
-
-def _rates(Omega: FloatArray, grid: int) -> list[tuple[float, ...]]:
-    """Return a grid of platform rates up to `Omega` about each axis, without rest."""
-    axes = [np.linspace(-rate, rate, grid) if rate > 0.0 else np.zeros(1) for rate in Omega]
-    # An odd grid's middle is 0 up to rounding.
-    axes = [np.where(np.abs(axis) < 1e-9 * rate, 0.0, axis) for axis, rate in zip(axes, Omega, strict=True)]
-    return [tuple(map(float, rates)) for rates in product(*axes) if any(rates)]
-
-
-def _faults(job: Job, gimbals: tuple[str, ...], torquers: Sequence[str]) -> Iterator[Case]:
-    still, whole = np.zeros(3), np.ones(len(torquers))
-    slow, weak = job.faults.slow_rotor, job.faults.weak_torquer
-    if slow is not None:
-        for name in _carried(job.platform, gimbals):
-            platform = changed(job.platform, {}, {name: slow - 1.0})
-            label = f"rotor {name} at {slow:.0%} of its spin"
-            yield Case(label=label, group="faults", platform=platform, Omega=still, torque=whole)
-    if weak is not None:
-        for k, name in enumerate(torquers):
-            label = f"torquer {name} at {weak:.0%} of its torque"
-            torque = np.where(np.arange(len(torquers)) == k, weak, 1.0)
-            yield Case(label=label, group="faults", platform=job.platform, Omega=still, torque=torque)
-
-
-def _carried(platform: Platform, gimbals: tuple[str, ...]) -> list[str]:
-    return [r.name for r in platform.rotors if r.carrier in gimbals]
-
-
-def rows_of(model: LinearModel, gimbals: tuple[str, ...]) -> list[int]:
-    """Return the row numbers of the named gimbals, in the loop's order."""
-    return [known_name("gimbals", name, model.gimbal_names) for name in gimbals]
 
 
 def plants_of(job: Job, spec: LoopSpec) -> PlantSet | None:
@@ -213,29 +48,6 @@ def plants_of(job: Job, spec: LoopSpec) -> PlantSet | None:
         return loop_plants(job, spec)
     except ArgumentError as error:
         raise InputError(f"loop {spec.name!r}: {error}") from None
-
-
-@value
-class LoopSignals:
-    """What a loop turns, reads and sets.
-
-    Attributes
-    ----------
-    gimbals
-        Names, in the loop's order.
-    torquers, sensors
-        Of the loop.
-    sight
-        Outputs of the line of sight that its torquers move.
-    held
-        Whether all other gimbals are held; else the loop's are whole subsystems.
-    """
-
-    gimbals: tuple[str, ...]
-    torquers: tuple[Torquer, ...]
-    sensors: tuple[Sensor, ...]
-    sight: tuple[str, ...] = ()
-    held: bool = False
 
 
 def forgetting(A: FloatArray, states: Sequence[str], angles: Collection[str]) -> FloatArray:
@@ -250,101 +62,6 @@ def forgetting(A: FloatArray, states: Sequence[str], angles: Collection[str]) ->
         if name in angles:
             out[..., k, k] -= _FORGETTING
     return out
-
-
-def caging_signals(platform: Platform, gimbals: tuple[str, ...]) -> LoopSignals:
-    """Return the signals of a caging loop: one torquer and one pick-off on each gimbal."""
-    return LoopSignals(
-        gimbals=gimbals,
-        torquers=tuple(platform.torquer_on(name) for name in gimbals),
-        sensors=tuple(platform.pickoff_on(name) for name in gimbals),
-    )
-
-
-def loop_signals(platform: Platform, spec: LoopSpec) -> LoopSignals:
-    """Return what a caging, rate or pointing loop turns, reads and sets."""
-    if spec.kind == "caging":
-        return caging_signals(platform, spec.gimbals)
-    sensors = {sensor.name: sensor for sensor in platform.sensors}
-    torquers = {torquer.name: torquer for torquer in platform.torquers}
-    out = LoopSignals(
-        gimbals=spec.gimbals,
-        torquers=tuple(torquers[name] for name in spec.torquers)
-        or tuple(platform.torquer_on(name) for name in spec.gimbals),
-        sensors=tuple(sensors[name] for name in spec.sensors),
-        held=True,
-    )
-    return dataclasses.replace(out, sight=_moved_sight(platform, out))
-
-
-def _moved_sight(platform: Platform, signals: LoopSignals) -> tuple[str, ...]:
-    """Return the rates across the line of sight that the loop's torquers move, at the angles zero."""
-    if platform.line_of_sight is None:
-        return ()
-    model = linearise(platform)
-    system = observed(state_space(model, gimbals=signals.gimbals, others="held"), platform, LOS_RATES[:2])
-    gain = np.abs(system.C @ system.B[:, [system.input_labels.index(t.name) for t in signals.torquers]]).max(axis=1)
-    largest = gain.max(initial=0.0)
-    return tuple(name for name, one in zip(LOS_RATES, gain, strict=False) if one > _MOVES * largest > 0.0)
-
-
-def loop_channels(model: LinearModel, signals: LoopSignals, period: float) -> Channels:
-    """Return the directions in which design methods see a loop.
-
-    Of a loop that reads other sensors than pick-offs there is one for each torquer: the combination of readings that
-    shows, at a hundredth of the sample rate, what this torquer does to the rate or angle of its gimbal, and nothing of
-    the others.
-    """
-    rows = rows_of(model, signals.gimbals)
-    if not signals.held:
-        return channels(model, rows)
-    platform, order = model.platform, 1 if signals.sensors[0].unit == "rad/s" else 2
-    effect = _effect(model, signals, period)
-    own = np.array([signals.gimbals.index(str(torquer.gimbal)) for torquer in signals.torquers])
-    mobility = np.diag(inverse_inertia(model.M[np.ix_(rows, rows)], signals.gimbals))[own]
-    sizes = np.linalg.svd(effect, compute_uv=False)
-    if len(signals.sensors) < len(own) or not sizes[-1] > _SEEN * sizes[0]:
-        raise ArgumentError(
-            f"sensors: {', '.join(sensor.name for sensor in signals.sensors)} do not show what each of the torquers "
-            f"{', '.join(torquer.name for torquer in signals.torquers)} does; add a sensor, or leave out a torquer"
-        )
-    carried = [r for r in platform.rotors if r.carrier in signals.gimbals and r.spin != 0.0]
-    return Channels(
-        basis=np.eye(len(own)),
-        momenta=np.zeros(0),
-        inertias=1.0 / mobility,
-        spins=np.array([abs(rotor.spin) for rotor in carried]),
-        order=order,
-        sense=mobility[:, None] * np.linalg.pinv(effect),
-    )
-
-
-def _effect(model: LinearModel, signals: LoopSignals, period: float) -> FloatArray:
-    """Return what each torquer does to each reading, or to its rate of angles, at a hundredth of the sample rate."""
-    weights = [sensor.signals(model.platform) for sensor in signals.sensors]
-    names = list(dict.fromkeys(name for one in weights for name in one))
-    system = observed(state_space(model, gimbals=signals.gimbals, others="held"), model.platform, names, model.q0)
-    inputs = [system.input_labels.index(torquer.name) for torquer in signals.torquers]
-    s = 2j * np.pi * 0.01 / period
-    shown = system.C @ np.linalg.solve(s * np.eye(system.nstates) - system.A, system.B[:, inputs])
-    mixing = np.array([[one.get(name, 0.0) for name in names] for one in weights])
-    order = 1 if signals.sensors[0].unit == "rad/s" else 2
-    return np.asarray(np.real(s**order * (mixing @ shown)))
-
-
-def _expect_no_keyhole(job: Job, signals: LoopSignals) -> None:
-    """Refuse gimbal angles at which a torquer hardly turns what the sensors read, as at an elevation of 90°."""
-    least = [
-        float(np.linalg.svd(_effect(linearise(job.platform, q=q), signals, job.sampling.period), compute_uv=False)[-1])
-        for q in job.trims
-    ]
-    for q, one in zip(job.trims[1:], least[1:], strict=True):
-        if one < _KEYHOLE * least[0]:
-            raise InputError(
-                f"angles: at {at_angles(job.platform, q)} the torquers turn what {signals.sensors[0].name} and others "
-                f"read by only {one / least[0]:.2g} of what they do at zero angles (keyhole), where no loop on these "
-                "axes works; leave such angles out of [operation]"
-            )
 
 
 @value
@@ -497,7 +214,7 @@ def tracking_plants(job: Job, spec: LoopSpec, inner: LoopSpec, controller: State
     inside = np.linalg.solve(z * np.eye(found.A.shape[-1]) - found.A[0], found.B[0])
     effect = np.real(1j * w * (found.C[0] @ inside + found.D[0]))
     sizes = np.linalg.svd(effect, compute_uv=False)
-    if len(spec.sensors) < p or not sizes[-1] > _SEEN * sizes[0]:
+    if len(spec.sensors) < p or not sizes[-1] > SEEN * sizes[0]:
         raise InputError(
             f"loop {spec.name!r}: sensors {', '.join(spec.sensors)} do not show what each of the commands "
             f"{', '.join(commands)} does; add a sensor of an angle, or give the axis a rate loop by itself"
@@ -515,10 +232,10 @@ def tracking_plants(job: Job, spec: LoopSpec, inner: LoopSpec, controller: State
 
 def loop_reference(linear: LinearPlants, period: float) -> float:
     """Return the frequency that grids go by: of caged gimbals and those that carry rotors their fastest motion."""
-    carried = _carried(linear.cases[0].platform, linear.signals.gimbals)
+    rotors = carried(linear.cases[0].platform, linear.signals.gimbals)
     angles = {gimbal.angle for gimbal in linear.cases[0].platform.gimbals}
     own = [k for k, name in enumerate(linear.states) if name.removeprefix("p_") in angles]
-    moving = bool(carried) or not linear.signals.held
+    moving = bool(rotors) or not linear.signals.held
     return reference_frequency(linear.A[0][np.ix_(own, own)] if moving else np.zeros((1, 1)), period)
 
 
@@ -528,7 +245,7 @@ def loop_plants(job: Job, loop: LoopSpec | tuple[str, ...]) -> PlantSet:
     signals = loop_signals(platform, loop) if isinstance(loop, LoopSpec) else caging_signals(platform, loop)
     if signals.held:
         loop_channels(linearise(platform), signals, job.sampling.period)  # its sensors have to show what they need to
-        _expect_no_keyhole(job, signals)
+        expect_no_keyhole(job, signals)
     return _loop_plants(job, signals)
 
 
@@ -543,7 +260,7 @@ def loop_cases(job: Job, signals: LoopSignals) -> list[Case]:
         # These loops keep a body still while the platform turns about it: its rate is a disturbance, no constant at
         # which the gimbals rest. Friction brings it in.
         plants = [one for one in plants if one.group != "Omega"]
-        plants += _with_friction(job, [one for one in plants if one.group in ("nominal", "angles")])
+        plants += with_friction(job, [one for one in plants if one.group in ("nominal", "angles")])
     return plants
 
 

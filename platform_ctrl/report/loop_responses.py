@@ -13,13 +13,14 @@ from platform_ctrl.analysis.loop_set import LoopSet
 from platform_ctrl.analysis.measuring import MetricRequest, Peak
 from platform_ctrl.analysis.metrics import METRICS, exact_value
 from platform_ctrl.analysis.norms import gains
+from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.poles import continuous_poles
 from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.analysis.singular_values import largest_singular_values
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.jobs import LoopOutcome
 from platform_ctrl.design.loop import LoopDesign, closed_loop_poles, sampled_plant
-from platform_ctrl.design.plants import loop_signals
+from platform_ctrl.design.loop_signals import loop_signals
 from platform_ctrl.job.job import LoopSpec
 from platform_ctrl.mechanics.linearisation import LinearModel
 from platform_ctrl.mechanics.outputs import observed
@@ -91,16 +92,25 @@ def loop_responses(model: LinearModel, outcome: LoopOutcome) -> LoopResponses | 
         if not (all(part.of_limit for part in peak.transfers) and np.isinf(plants.torque_limit).all())
         and (plants.sight or all(part.target != "sight" for part in peak.transfers))
     ]
+    shown = {name: dict.fromkeys(kinds, loop) for name, loop in loops.items()}
+    if plants.sight:
+        # What friction brings of the platform's motion; without it a balanced gimbal transmits nothing.
+        rubbing = designs[0].plants.only([_with_friction(designs[0].plants)])
+        for one in designs:
+            of_sight = LoopSet(rubbing, rubbing.joined(one.controller))
+            shown[one.name] |= {kind: of_sight for kind in kinds if _is_of_sight(kind)}
     peaks = {
-        name: {kind: exact_value(loop, MetricRequest(kind=kind)) for kind in kinds} for name, loop in loops.items()
+        name: {kind: exact_value(loop, MetricRequest(kind=kind)) for kind, loop in of.items()}
+        for name, of in shown.items()
     }
-    at_peaks = np.concatenate([loop.peak_frequencies for loop in loops.values()])
+    at_peaks = np.concatenate([loop.peak_frequencies for of in shown.values() for loop in of.values()])
     frequency = np.union1d(grid, at_peaks[(at_peaks > grid[0]) & (at_peaks < grid[-1])])
     from_rate = _reading_per_rate(model, outcome.spec, frequency)
     return LoopResponses(
         frequency=frequency,
         designs=tuple(
-            _design_responses(one, loops[one.name], peaks[one.name], frequency, from_rate) for one in designs
+            _design_responses(one, loops[one.name], shown[one.name], peaks[one.name], frequency, from_rate)
+            for one in designs
         ),
         closed=outcome.use,
         open_angle_per_rate=np.linalg.norm(from_rate, axis=1).T,
@@ -108,8 +118,23 @@ def loop_responses(model: LinearModel, outcome: LoopOutcome) -> LoopResponses | 
     )
 
 
+def _is_of_sight(kind: str) -> bool:
+    """Return whether a metric is the peak of a gain to the line of sight."""
+    return any(part.target == "sight" for part in peak_metrics()[kind].transfers)
+
+
+def _with_friction(plants: PlantSet) -> int:
+    """Return the first plant with dry friction; without any the nominal one."""
+    return plants.groups.index("friction") if "friction" in plants.groups else 0
+
+
 def _design_responses(
-    design: LoopDesign, loop: LoopSet, peaks: Mapping[str, float], frequency: FloatArray, from_rate: ComplexArray
+    design: LoopDesign,
+    loop: LoopSet,
+    shown: Mapping[str, LoopSet],
+    peaks: Mapping[str, float],
+    frequency: FloatArray,
+    from_rate: ComplexArray,
 ) -> DesignResponses:
     assert design.plants is not None
     responses = gang(sampled_plant(design.plants), design.own_controller, frequency)
@@ -125,8 +150,8 @@ def _design_responses(
     return DesignResponses(
         design=design,
         gains={
-            kind: np.max([gains(part, frequency) for part in loop.parts(metrics[kind].transfers, 0)], axis=0)
-            for kind in peaks
+            kind: np.max([gains(part, frequency) for part in of.parts(metrics[kind].transfers, 0)], axis=0)
+            for kind, of in shown.items()
         },
         peaks=peaks,
         smallest_sensitivity=np.asarray(np.linalg.svd(S_in, compute_uv=False)[:, -1], dtype=np.float64),

@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.arrays import ComplexArray
 from platform_ctrl.common.values import FloatArray, value
-from platform_ctrl.design.plants import changed, rows_of
+from platform_ctrl.design.cases import changed, rows_of
 from platform_ctrl.mechanics.linearisation import LinearModel, linearise
 from platform_ctrl.mechanics.state_space import state_space
 from platform_ctrl.plant.platform import Platform

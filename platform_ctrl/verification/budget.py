@@ -25,7 +25,8 @@ from platform_ctrl.analysis.jitter_budget import JitterBudget
 from platform_ctrl.analysis.pointing_windows import motion_transfer
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray, replaced, value
-from platform_ctrl.design.plants import at_angles, forgetting
+from platform_ctrl.design.cases import at_angles
+from platform_ctrl.design.plants import forgetting
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.budget import Budget, Source
 from platform_ctrl.job.job import Job

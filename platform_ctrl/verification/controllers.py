@@ -15,7 +15,8 @@ from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.design.caging_claims import with_caging_claims
 from platform_ctrl.design.jobs import LoopOutcome, in_order
 from platform_ctrl.design.loop import LoopDesign, remeasured
-from platform_ctrl.design.plants import loop_signals, plants_of, tracking_plants
+from platform_ctrl.design.loop_signals import loop_signals
+from platform_ctrl.design.plants import plants_of, tracking_plants
 from platform_ctrl.errors import InputError
 from platform_ctrl.job.job import Job, LoopSpec
 from platform_ctrl.plant.mistakes import given, suggestion

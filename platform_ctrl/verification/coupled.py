@@ -23,7 +23,8 @@ from platform_ctrl.analysis.sampling import late_outputs, late_states, sampled
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.text import at_most
 from platform_ctrl.common.values import FloatArray, value
-from platform_ctrl.design.plants import at_angles, forgetting
+from platform_ctrl.design.cases import at_angles
+from platform_ctrl.design.plants import forgetting
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.judging import STABLE, CheckResult, Method, Requirement
 from platform_ctrl.job.requirements import loop_requirements

@@ -13,9 +13,9 @@ from platform_ctrl.analysis.certificates.certificate import Verification
 from platform_ctrl.analysis.certificates.makers import stability_certificate
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import value
+from platform_ctrl.design.cases import subsystems_over
 from platform_ctrl.design.jobs import LoopOutcome
 from platform_ctrl.design.loop import LoopDesign
-from platform_ctrl.design.plants import subsystems_over
 from platform_ctrl.errors import NotCertifiedError
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.judging import CheckResult, Requirement, Stage

@@ -8,7 +8,8 @@ import pytest
 from platform_ctrl.analysis import frequency_response, sampled
 from platform_ctrl.analysis.arrays import StateArrays, state_arrays
 from platform_ctrl.analysis.plant_set import plant_set
-from platform_ctrl.design.plants import cases, loop_plants
+from platform_ctrl.design.cases import cases
+from platform_ctrl.design.plants import loop_plants
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.job import Faults, Uncertainty
 from platform_ctrl.job.reading import read_job

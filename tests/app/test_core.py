@@ -24,8 +24,9 @@ from platform_ctrl.app.closed_loops import ClosedLoops
 from platform_ctrl.app.pictures import Picture
 from platform_ctrl.app.plants import QuickPlants
 from platform_ctrl.app.settings import History, Settings
+from platform_ctrl.design.cases import with_spins
 from platform_ctrl.design.loop import Designed, certified, closed_loop_poles, sampled_plant
-from platform_ctrl.design.plants import LinearPlants, loop_plants, with_spins
+from platform_ctrl.design.plants import LinearPlants, loop_plants
 from platform_ctrl.errors import ArgumentError, DesignError, PlatformCtrlError
 from platform_ctrl.job.job import Job, LoopSpec, Uncertainty
 from platform_ctrl.job.reading import read_job

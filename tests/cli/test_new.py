@@ -16,7 +16,7 @@ from platform_ctrl import design, verification
 from platform_ctrl.cli import main
 from platform_ctrl.cli.atomic_output import written_together
 from platform_ctrl.cli.starting_files import RISE, _turn
-from platform_ctrl.design.plants import subsystems_over
+from platform_ctrl.design.cases import subsystems_over
 from platform_ctrl.job.writing import job_data, toml
 from platform_ctrl.plant.source import shipped_models
 from refused_command import refused

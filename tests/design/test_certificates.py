@@ -13,7 +13,7 @@ from platform_ctrl.analysis.arrays import StateArrays, state_arrays
 from platform_ctrl.analysis.feedback import closed_loop
 from platform_ctrl.analysis.lifting import lifted_plant, sampled_plant
 from platform_ctrl.design import complex_loop, complex_plant, from_crossover_and_margin, lqe, lqg, lqr, pole_placement
-from platform_ctrl.design.plants import changed
+from platform_ctrl.design.cases import changed
 from platform_ctrl.design.riccati.sampled_hinf import sampled_hinf
 from platform_ctrl.errors import NotCertifiedError
 

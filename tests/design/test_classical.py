@@ -11,12 +11,13 @@ from hypothesis import given, settings
 from platform_ctrl.analysis.arrays import named_system, state_arrays
 from platform_ctrl.analysis.feedback import series
 from platform_ctrl.analysis.loop_metrics import measure
+from platform_ctrl.design.cases import cases, changed
 from platform_ctrl.design.classical.caging import classical_controller, starting_values
 from platform_ctrl.design.classical.crossover import from_crossover_and_margin
 from platform_ctrl.design.classical.stabilisation import platform_servo, rate_estimate
 from platform_ctrl.design.loop import Designed, LoopProblem, certified, closed_loop_poles, sampled_plant
 from platform_ctrl.design.partition import channels, first_order, gain, low_pass, notch, side_by_side
-from platform_ctrl.design.plants import cases, changed, loop_plants
+from platform_ctrl.design.plants import loop_plants
 from platform_ctrl.design.riccati.pole_placement import pole_placement
 from platform_ctrl.design.tuning import tune, worst_ratio
 from platform_ctrl.errors import ArgumentError, DesignError, InfeasibleError, NotStabilisableError

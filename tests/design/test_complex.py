@@ -7,9 +7,9 @@ import pytest
 import platform_ctrl as pc
 from platform_ctrl import analysis
 from platform_ctrl.analysis.poles import continuous_poles, is_stable
+from platform_ctrl.design.cases import changed
 from platform_ctrl.design.classical.complex_coordinates import complex_plant, complex_response
 from platform_ctrl.design.classical.complex_shaping import complex_loop, two_sided_nyquist
-from platform_ctrl.design.plants import changed
 from platform_ctrl.errors import ArgumentError, NotStabilisableError
 
 PERIOD, DELAY, LAG = 5e-4, 3e-4, 2e-4

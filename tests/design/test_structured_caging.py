@@ -11,6 +11,7 @@ from platform_ctrl import design
 from platform_ctrl.analysis import loop_set
 from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.loop_metrics import measure
+from platform_ctrl.design.cases import rows_of
 from platform_ctrl.design.classical.caging import classical_controller, starting_values
 from platform_ctrl.design.fixed_structure.caging import (
     classical_structure,
@@ -30,7 +31,7 @@ from platform_ctrl.design.fixed_structure.maps import (
 )
 from platform_ctrl.design.fixed_structure.starts import balanced_truncation
 from platform_ctrl.design.partition import channels
-from platform_ctrl.design.plants import plants_of, rows_of
+from platform_ctrl.design.plants import plants_of
 from platform_ctrl.errors import DesignError
 from platform_ctrl.job.reading import read_job
 from platform_ctrl.job.requirements import WORST_CASE, requirement

@@ -10,9 +10,10 @@ import pytest
 import platform_ctrl as pc
 from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.design import tuning
+from platform_ctrl.design.cases import rows_of
 from platform_ctrl.design.classical.caging import classical_controller, starting_values
 from platform_ctrl.design.partition import channels
-from platform_ctrl.design.plants import plants_of, rows_of
+from platform_ctrl.design.plants import plants_of
 from platform_ctrl.job.requirements import loop_requirements
 
 GIMBALS = ("outer", "inner")

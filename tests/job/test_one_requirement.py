@@ -12,6 +12,7 @@ import pytest
 from platform_ctrl import design, verification
 from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.plant_set import PlantSet
+from platform_ctrl.design.cases import rows_of
 from platform_ctrl.design.classical.caging import classical_controller, starting_values
 from platform_ctrl.design.fixed_structure.caging import pid_structure
 from platform_ctrl.design.fixed_structure.descent import Search
@@ -19,7 +20,7 @@ from platform_ctrl.design.fixed_structure.goals import pieces
 from platform_ctrl.design.fixed_structure.loops import ClosedLoops
 from platform_ctrl.design.fixed_structure.parametrised import Parametrised
 from platform_ctrl.design.partition import channels
-from platform_ctrl.design.plants import plants_of, rows_of
+from platform_ctrl.design.plants import plants_of
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.reading import read_job
 from platform_ctrl.job.requirements import WORST_CASE, loop_requirements, requirement

@@ -183,7 +183,7 @@ def test_over_spin_the_nominal_poles_are_those_of_the_loop(over_spin, plant, con
 
 
 def test_over_spin_the_plant_is_the_linearised_one_at_every_speed(job, controller):
-    from platform_ctrl.design.plants import changed
+    from platform_ctrl.design.cases import changed
 
     Omega = (0.3, -0.2, 0.5)
     plot = figures.root_locus_over_spin(
@@ -199,7 +199,7 @@ def test_over_spin_the_plant_is_the_linearised_one_at_every_speed(job, controlle
 
 
 def test_over_spin_stability_ends_where_the_poles_say(over_spin, job, controller):
-    from platform_ctrl.design.plants import changed
+    from platform_ctrl.design.cases import changed
 
     [edge] = over_spin.locus.edges
     assert 0.6 < edge < 0.8

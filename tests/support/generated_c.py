@@ -14,11 +14,11 @@ import numpy as np
 import pytest
 
 from platform_ctrl.common.values import FloatArray
+from platform_ctrl.design.cases import rows_of
 from platform_ctrl.design.classical.caging import classical_controller
 from platform_ctrl.design.fixed_structure.caging import pid_structure
 from platform_ctrl.design.loop import LoopProblem, designed
 from platform_ctrl.design.partition import channels
-from platform_ctrl.design.plants import rows_of
 from platform_ctrl.export.c99.controller_files import ControllerFiles
 from platform_ctrl.job.job import Job
 from platform_ctrl.mechanics.linearisation import linearise

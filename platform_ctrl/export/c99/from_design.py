@@ -12,10 +12,11 @@ from platform_ctrl.analysis.arrays import StateArrays, state_arrays
 from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.common.signatures import short
 from platform_ctrl.common.values import FloatArray
+from platform_ctrl.design.cases import rows_of
 from platform_ctrl.design.classical.caging import Stage, classical_diagram
 from platform_ctrl.design.classical.stabilisation import rate_estimate, servo_diagram
+from platform_ctrl.design.loop_signals import loop_signals
 from platform_ctrl.design.partition import channels
-from platform_ctrl.design.plants import loop_signals, rows_of
 from platform_ctrl.errors import ArgumentError, InputError, NotCertifiedError, PlatformCtrlError
 from platform_ctrl.export.c99.modes import modal_sections, pid_sections, plain_sections
 from platform_ctrl.export.c99.scheme import Entry, Provenance, Scheme, Section, arrays, row

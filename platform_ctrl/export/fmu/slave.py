@@ -31,7 +31,7 @@ from pythonfmu3.variables import Boolean, Enumeration, Float64, Int64
 
 from platform_ctrl import __version__
 from platform_ctrl.common.values import FloatArray, replaced
-from platform_ctrl.design.plants import with_spins
+from platform_ctrl.design.cases import with_spins
 from platform_ctrl.errors import InputError, PlatformCtrlError, SimulationError
 from platform_ctrl.export.fmu.signals import UNITS, Signal, inputs_of, output_values, outputs_of, parameters_of, runs_of
 from platform_ctrl.job.job import Job, manoeuvre_scenario

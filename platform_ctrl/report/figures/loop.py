@@ -305,12 +305,12 @@ def further_gains_figure(responses: LoopResponses, spec: LoopSpec, kinds: Sequen
         handles = _design_curves(axes, responses.frequency * HZ, curves, responses)
         gain_limits(axes, curves)
         limit_lines(axes, spec, kind, scale=1.0 / metric.scale)
+        if kind == "attenuation":
+            axes.set_title("line of sight per base motion, with dry friction")
+            axes.set_ylabel("rate per rate, 1")
+            continue
         axes.set_title(of_readings(metric.name, spec.kind))
-        axes.set_ylabel(
-            "line of sight rate per base rate, 1"
-            if kind == "attenuation"
-            else of_readings(metric.unit, spec.kind) or "1"
-        )
+        axes.set_ylabel(of_readings(metric.unit, spec.kind) or "1")
     legend(figure, handles, names)
     return figure
 

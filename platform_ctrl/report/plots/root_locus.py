@@ -21,7 +21,7 @@ from platform_ctrl.analysis.transfer_function import LinearSystem
 from platform_ctrl.common.arguments import known_names, one_of, positive, real_numbers
 from platform_ctrl.common.signatures import check_arguments, short
 from platform_ctrl.common.values import FloatArray, value
-from platform_ctrl.design.plants import changed
+from platform_ctrl.design.cases import changed
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.mechanics.state_space import state_space

@@ -1,0 +1,184 @@
+"""Which plants a loop must control: the nominal one, uncertain parameters, Omega, gimbal angles, friction, faults."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import product
+
+import numpy as np
+
+from platform_ctrl.analysis.plant_set import Group
+from platform_ctrl.common.arguments import known_name
+from platform_ctrl.common.values import FloatArray, value
+from platform_ctrl.job.job import Job
+from platform_ctrl.mechanics.linearisation import LinearModel, linearise
+from platform_ctrl.mechanics.matrices import matrices
+from platform_ctrl.mechanics.state_space import subsystems_of_all
+from platform_ctrl.plant.platform import Platform
+
+
+def changed(platform: Platform, inertia: dict[str, float], spin: dict[str, float]) -> Platform:
+    """Return `platform` with other inertias and spins, relative changes by name.
+
+    `inertia` changes J about the axis of a gimbal alone: what the gimbal's own body gains or loses is a thin disk about
+    its axis, so that no other J about a gimbal axis through the same body changes unless the axes are parallel. `spin`
+    changes the L of a rotor.
+    """
+    J = np.diag(matrices(platform).A_star)[3:]
+    gimbals = tuple(
+        dataclasses.replace(g, inertia=g.inertia + inertia.get(g.name, 0.0) * J[k] * np.outer(g.axis, g.axis))
+        for k, g in enumerate(platform.gimbals)
+    )
+    rotors = tuple(
+        dataclasses.replace(r, angular_momentum=r.angular_momentum * (1.0 + spin.get(r.name, 0.0)))
+        for r in platform.rotors
+    )
+    return dataclasses.replace(platform, gimbals=gimbals, rotors=rotors)
+
+
+def with_spins(platform: Platform, spins: Mapping[str, float]) -> Platform:
+    """Return the platform with other spins of its rotors, rad/s; those that are not named stay."""
+    rotors = tuple(
+        dataclasses.replace(r, angular_momentum=r.axial_inertia * spins[r.name])
+        if r.name in spins and spins[r.name] != r.spin
+        else r
+        for r in platform.rotors
+    )
+    return dataclasses.replace(platform, rotors=rotors)
+
+
+@value
+class Case:
+    """A plant of the set: what it is and stands for, the rate (3,) and angles (n,) at which it is linearised.
+
+    `torque`, (m,), is the share of its torque that each torquer of the loop keeps; no angles: zero. `rate` is the
+    amplitude of the gimbals' rates, rad/s, for which dry friction is replaced by its describing function; None: without
+    dry friction.
+    """
+
+    label: str
+    group: Group
+    platform: Platform
+    Omega: FloatArray
+    torque: FloatArray
+    q: FloatArray | None = None
+    rate: float | None = None
+
+
+def cases(job: Job, gimbals: tuple[str, ...], torquers: Sequence[str] = ()) -> list[Case]:
+    """Return the plants that the loop on `gimbals` with `torquers` must control, the nominal one first.
+
+    Default: the first torquer on each of the gimbals.
+
+    Then every corner of the parameter uncertainty and the samples inside it, the grid of Omega, the gimbal angles with
+    the nominal and with the other parameters, and the faults.
+    """
+    torquers = torquers or [job.platform.torquer_on(name).name for name in gimbals]
+    platform, still, whole = job.platform, np.zeros(3), np.ones(len(torquers))
+    out = [Case(label="nominal", group="nominal", platform=platform, Omega=still, torque=whole)]
+    for label, parameters in _varied(job, gimbals):
+        moved = changed(platform, **parameters)
+        out.append(Case(label=label, group="uncertainty", platform=moved, Omega=still, torque=whole))
+    for rates in _rates(job.Omega, job.Omega_grid):
+        label = f"Omega = ({rates[0]:g}, {rates[1]:g}, {rates[2]:g}) rad/s"
+        out.append(Case(label=label, group="Omega", platform=platform, Omega=np.array(rates), torque=whole))
+    varied = [one for one in out if one.group in ("nominal", "uncertainty")]
+    for q in job.trims[1:]:
+        for one in varied:
+            group: Group = "angles" if one.group == "nominal" else "uncertainty"
+            label = at_angles(platform, q) if one.group == "nominal" else f"{one.label}, {at_angles(platform, q)}"
+            out.append(dataclasses.replace(one, label=label, group=group, q=q))
+    return [*out, *_faults(job, gimbals, torquers)]
+
+
+def with_friction(job: Job, plants: Sequence[Case]) -> list[Case]:
+    """Return plants with dry friction as it acts on gimbals that turn at the largest rate of the platform."""
+    rate = float(np.max(job.Omega))
+    if rate == 0.0 or not any(max(friction.breakaway) > 0.0 for friction in job.platform.frictions):
+        return []
+    out: list[Case] = []
+    for one in plants:
+        label = f"dry friction at {rate:g} rad/s" + ("" if one.group == "nominal" else f", {one.label}")
+        out.append(dataclasses.replace(one, label=label, group="friction", rate=rate))
+    return out
+
+
+def at_angles(platform: Platform, q: FloatArray) -> str:
+    """Return gimbal angles (n,) in words, those alone that are not zero."""
+    return ", ".join(f"{name} = {x:g} rad" for name, x in zip(platform.angle_names, q, strict=True) if x)
+
+
+def _varied(job: Job, gimbals: tuple[str, ...]) -> Iterator[tuple[str, dict[str, dict[str, float]]]]:
+    """Walk the relative changes of J and L at the corners of the uncertainty, then at the samples inside it."""
+    named = [("inertia", g, job.uncertainty.inertia) for g in gimbals]
+    named += [("spin", name, job.uncertainty.spin) for name in carried(job.platform, gimbals)]
+    named = [entry for entry in named if entry[2] > 0.0]
+    if not named:
+        return
+    for signs in product((-1.0, 1.0), repeat=len(named)):
+        yield _moved(named, signs, "+.0%")
+    for place in _samples(job, len(named)):
+        yield _moved(named, place, "+.1%")
+
+
+def _moved(
+    named: list[tuple[str, str, float]], place: Sequence[float], digits: str
+) -> tuple[str, dict[str, dict[str, float]]]:
+    out: dict[str, dict[str, float]] = {"inertia": {}, "spin": {}}
+    words = []
+    for (parameter, name, width), part in zip(named, place, strict=True):
+        out[parameter][name] = part * width
+        words.append(f"{'J' if parameter == 'inertia' else 'L'}{name}{part * width:{digits}}")
+    return " ".join(words), out
+
+
+def subsystems_over(platform: Platform, Omega: FloatArray, grid: int) -> tuple[tuple[str, ...], ...]:
+    """Return the groups of gimbals that are coupled at rest or on a grid of platform rates, in the file's order."""
+    return subsystems_of_all([linearise(platform, Omega=rate) for rate in [(0.0, 0.0, 0.0), *_rates(Omega, grid)]])
+
+
+def _samples(job: Job, dimension: int) -> list[list[float]]:
+    """Return points of the box [-1, 1]: a scrambled Sobol sequence (Owen), the same for the same seed."""
+    if job.uncertainty.samples == 0:
+        return []
+    from scipy.stats import qmc
+
+    points = qmc.Sobol(dimension, scramble=True, seed=np.random.default_rng(job.seed))
+    # Drawn by powers of two, for which alone the sequence is balanced.
+    drawn = points.random_base2(math.ceil(math.log2(job.uncertainty.samples)))[: job.uncertainty.samples]
+    return [[float(entry) for entry in row] for row in 2.0 * drawn - 1.0]
+
+
+def _rates(Omega: FloatArray, grid: int) -> list[tuple[float, ...]]:
+    """Return a grid of platform rates up to `Omega` about each axis, without rest."""
+    axes = [np.linspace(-rate, rate, grid) if rate > 0.0 else np.zeros(1) for rate in Omega]
+    # An odd grid's middle is 0 up to rounding.
+    axes = [np.where(np.abs(axis) < 1e-9 * rate, 0.0, axis) for axis, rate in zip(axes, Omega, strict=True)]
+    return [tuple(map(float, rates)) for rates in product(*axes) if any(rates)]
+
+
+def _faults(job: Job, gimbals: tuple[str, ...], torquers: Sequence[str]) -> Iterator[Case]:
+    still, whole = np.zeros(3), np.ones(len(torquers))
+    slow, weak = job.faults.slow_rotor, job.faults.weak_torquer
+    if slow is not None:
+        for name in carried(job.platform, gimbals):
+            platform = changed(job.platform, {}, {name: slow - 1.0})
+            label = f"rotor {name} at {slow:.0%} of its spin"
+            yield Case(label=label, group="faults", platform=platform, Omega=still, torque=whole)
+    if weak is not None:
+        for k, name in enumerate(torquers):
+            label = f"torquer {name} at {weak:.0%} of its torque"
+            torque = np.where(np.arange(len(torquers)) == k, weak, 1.0)
+            yield Case(label=label, group="faults", platform=job.platform, Omega=still, torque=torque)
+
+
+def carried(platform: Platform, gimbals: tuple[str, ...]) -> list[str]:
+    """Return the names of the rotors that the gimbals carry."""
+    return [r.name for r in platform.rotors if r.carrier in gimbals]
+
+
+def rows_of(model: LinearModel, gimbals: tuple[str, ...]) -> list[int]:
+    """Return the row numbers of the named gimbals, in the loop's order."""
+    return [known_name("gimbals", name, model.gimbal_names) for name in gimbals]

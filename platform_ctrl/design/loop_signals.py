@@ -1,0 +1,144 @@
+"""What a loop turns, reads and sets, and the directions in which design methods see it."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from platform_ctrl.common.values import FloatArray, value
+from platform_ctrl.design.cases import at_angles, rows_of
+from platform_ctrl.design.partition import Channels, channels
+from platform_ctrl.errors import ArgumentError, InputError
+from platform_ctrl.job.job import Job, LoopSpec
+from platform_ctrl.mechanics.linearisation import LinearModel, linearise
+from platform_ctrl.mechanics.matrices import inverse_inertia
+from platform_ctrl.mechanics.outputs import observed
+from platform_ctrl.mechanics.state_space import state_space
+from platform_ctrl.plant.platform import Platform, Torquer
+from platform_ctrl.plant.sensors import LOS_RATES, Sensor
+
+# Share of their effect at zero angles below which torquers are near a keyhole: 1/cos of the elevation is 10 there.
+_KEYHOLE = 0.1
+# Ratio of the least to the largest effect of torquers on readings from which on each is seen.
+SEEN = 1e-6
+# Share of the largest gain from torques to the line of sight from which on an output counts as moved.
+_MOVES = 1e-6
+
+
+@value
+class LoopSignals:
+    """What a loop turns, reads and sets.
+
+    Attributes
+    ----------
+    gimbals
+        Names, in the loop's order.
+    torquers, sensors
+        Of the loop.
+    sight
+        Outputs of the line of sight that its torquers move.
+    held
+        Whether all other gimbals are held; else the loop's are whole subsystems.
+    """
+
+    gimbals: tuple[str, ...]
+    torquers: tuple[Torquer, ...]
+    sensors: tuple[Sensor, ...]
+    sight: tuple[str, ...] = ()
+    held: bool = False
+
+
+def caging_signals(platform: Platform, gimbals: tuple[str, ...]) -> LoopSignals:
+    """Return the signals of a caging loop: one torquer and one pick-off on each gimbal."""
+    return LoopSignals(
+        gimbals=gimbals,
+        torquers=tuple(platform.torquer_on(name) for name in gimbals),
+        sensors=tuple(platform.pickoff_on(name) for name in gimbals),
+    )
+
+
+def loop_signals(platform: Platform, spec: LoopSpec) -> LoopSignals:
+    """Return what a caging, rate or pointing loop turns, reads and sets."""
+    if spec.kind == "caging":
+        return caging_signals(platform, spec.gimbals)
+    sensors = {sensor.name: sensor for sensor in platform.sensors}
+    torquers = {torquer.name: torquer for torquer in platform.torquers}
+    out = LoopSignals(
+        gimbals=spec.gimbals,
+        torquers=tuple(torquers[name] for name in spec.torquers)
+        or tuple(platform.torquer_on(name) for name in spec.gimbals),
+        sensors=tuple(sensors[name] for name in spec.sensors),
+        held=True,
+    )
+    return dataclasses.replace(out, sight=_moved_sight(platform, out))
+
+
+def _moved_sight(platform: Platform, signals: LoopSignals) -> tuple[str, ...]:
+    """Return the rates across the line of sight that the loop's torquers move, at the angles zero."""
+    if platform.line_of_sight is None:
+        return ()
+    model = linearise(platform)
+    system = observed(state_space(model, gimbals=signals.gimbals, others="held"), platform, LOS_RATES[:2])
+    gain = np.abs(system.C @ system.B[:, [system.input_labels.index(t.name) for t in signals.torquers]]).max(axis=1)
+    largest = gain.max(initial=0.0)
+    return tuple(name for name, one in zip(LOS_RATES, gain, strict=False) if one > _MOVES * largest > 0.0)
+
+
+def loop_channels(model: LinearModel, signals: LoopSignals, period: float) -> Channels:
+    """Return the directions in which design methods see a loop.
+
+    Of a loop that reads other sensors than pick-offs there is one for each torquer: the combination of readings that
+    shows, at a hundredth of the sample rate, what this torquer does to the rate or angle of its gimbal, and nothing of
+    the others.
+    """
+    rows = rows_of(model, signals.gimbals)
+    if not signals.held:
+        return channels(model, rows)
+    platform, order = model.platform, 1 if signals.sensors[0].unit == "rad/s" else 2
+    effect = _effect(model, signals, period)
+    own = np.array([signals.gimbals.index(str(torquer.gimbal)) for torquer in signals.torquers])
+    mobility = np.diag(inverse_inertia(model.M[np.ix_(rows, rows)], signals.gimbals))[own]
+    sizes = np.linalg.svd(effect, compute_uv=False)
+    if len(signals.sensors) < len(own) or not sizes[-1] > SEEN * sizes[0]:
+        raise ArgumentError(
+            f"sensors: {', '.join(sensor.name for sensor in signals.sensors)} do not show what each of the torquers "
+            f"{', '.join(torquer.name for torquer in signals.torquers)} does; add a sensor, or leave out a torquer"
+        )
+    carried = [r for r in platform.rotors if r.carrier in signals.gimbals and r.spin != 0.0]
+    return Channels(
+        basis=np.eye(len(own)),
+        momenta=np.zeros(0),
+        inertias=1.0 / mobility,
+        spins=np.array([abs(rotor.spin) for rotor in carried]),
+        order=order,
+        sense=mobility[:, None] * np.linalg.pinv(effect),
+    )
+
+
+def _effect(model: LinearModel, signals: LoopSignals, period: float) -> FloatArray:
+    """Return what each torquer does to each reading, or to its rate of angles, at a hundredth of the sample rate."""
+    weights = [sensor.signals(model.platform) for sensor in signals.sensors]
+    names = list(dict.fromkeys(name for one in weights for name in one))
+    system = observed(state_space(model, gimbals=signals.gimbals, others="held"), model.platform, names, model.q0)
+    inputs = [system.input_labels.index(torquer.name) for torquer in signals.torquers]
+    s = 2j * np.pi * 0.01 / period
+    shown = system.C @ np.linalg.solve(s * np.eye(system.nstates) - system.A, system.B[:, inputs])
+    mixing = np.array([[one.get(name, 0.0) for name in names] for one in weights])
+    order = 1 if signals.sensors[0].unit == "rad/s" else 2
+    return np.asarray(np.real(s**order * (mixing @ shown)))
+
+
+def expect_no_keyhole(job: Job, signals: LoopSignals) -> None:
+    """Refuse gimbal angles at which a torquer hardly turns what the sensors read, as at an elevation of 90°."""
+    least = [
+        float(np.linalg.svd(_effect(linearise(job.platform, q=q), signals, job.sampling.period), compute_uv=False)[-1])
+        for q in job.trims
+    ]
+    for q, one in zip(job.trims[1:], least[1:], strict=True):
+        if one < _KEYHOLE * least[0]:
+            raise InputError(
+                f"angles: at {at_angles(job.platform, q)} the torquers turn what {signals.sensors[0].name} and others "
+                f"read by only {one / least[0]:.2g} of what they do at zero angles (keyhole), where no loop on these "
+                "axes works; leave such angles out of [operation]"
+            )
