@@ -100,9 +100,19 @@ def campaign(
         str | None,
         option(
             "--rare",
-            metavar="any|angle|attitude|torque_share",
-            help="After the campaign, estimate the probability that this requirement (or any) is violated by "
-            "importance splitting, for probabilities too small to count.",
+            metavar="LIMIT",
+            help="After the campaign, estimate the probability that this limit of the manoeuvres (angle, attitude, "
+            "torque_share, ...; or any) is violated by importance splitting, for probabilities too small to count.",
+            words=completion.words(
+                "any",
+                "angle",
+                "attitude",
+                "torque_share",
+                "gimbal_rate",
+                "los_angle_rms",
+                "los_rate_rms",
+                "attenuation_db",
+            ),
             panel=RARE,
         ),
     ] = None,

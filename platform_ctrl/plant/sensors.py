@@ -25,6 +25,7 @@ import numpy as np
 
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray, input_value
+from platform_ctrl.errors import ArgumentError
 from platform_ctrl.plant import fields
 from platform_ctrl.plant.fields import NOT_NEGATIVE, Refers
 from platform_ctrl.plant.tables import Instead
@@ -35,6 +36,8 @@ if TYPE_CHECKING:
 Frame = Literal["inertial", "parent"]
 
 _BANDWIDTH = 1000.0
+# Sample periods that a reading may be old in a linear model, which has a state for each.
+_MOST_LATE = 1000
 _DENSITY = Instead(
     "noise_density",
     NOT_NEGATIVE,
@@ -132,9 +135,20 @@ class Sensor:
         -------
         int
             0 or more.
+
+        Raises
+        ------
+        ArgumentError
+            It is older than linear models with a state for every period can show.
         """
         held = 1.0 if self.rate_hz is None else max(1.0, 1.0 / (self.rate_hz * period))
-        return math.ceil(self.delay / period + 0.5 * (held - 1.0) - 1e-9)
+        late = self.delay / period + 0.5 * (held - 1.0)
+        if late > _MOST_LATE:
+            raise ArgumentError(
+                f"sensor {self.name!r}: its reading is {late:.4g} sample periods old, more than the {_MOST_LATE} of a "
+                "linear model; give a shorter delay, a higher rate_hz, or a lower sample rate"
+            )
+        return math.ceil(late - 1e-9)
 
 
 @input_value

@@ -231,6 +231,11 @@ def samples_apart(sensor: Sensor, period: float) -> int:
     if sensor.rate_hz is None:
         return 1
     exact = 1.0 / (sensor.rate_hz * period)
+    if exact > _SAMPLES:
+        raise ArgumentError(
+            f"sensor {sensor.name!r}: a reading every {1.0 / sensor.rate_hz:.6g} s is one in {exact:.3g} samples, more "
+            f"than the {_SAMPLES:.0e} that a run may have; give a higher rate_hz"
+        )
     whole_number = max(round(exact), 1)
     if abs(exact / whole_number - 1.0) > 1e-6:
         raise ArgumentError(
