@@ -57,6 +57,12 @@ class Contribution:
         )
 
 
+def variance_shares(rms: FloatArray, total: FloatArray) -> FloatArray:
+    """Return the variance of each source over that of all, (G, q) of rms (G, q) and total (q,); zero without any."""
+    every = total**2
+    return np.asarray(np.divide(rms**2, every, out=np.zeros_like(rms), where=every > 0.0))
+
+
 @value
 class Window:
     """Displacement, smear and jitter within an exposure; root mean squares over its instants and over exposures.
@@ -129,9 +135,7 @@ class Budget:
     @property
     def shares(self) -> FloatArray:
         """Variance of each source over that of all (G, q); zero where there is none."""
-        every = self.total**2
-        out: FloatArray = np.divide(self.rms**2, every, out=np.zeros_like(self.rms), where=every > 0.0)
-        return out
+        return variance_shares(self.rms, self.total)
 
     @property
     def reverse_cumulative(self) -> FloatArray:

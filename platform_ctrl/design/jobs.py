@@ -10,6 +10,7 @@ from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import value
 from platform_ctrl.design.caging_claims import with_caging_claims
 from platform_ctrl.design.loop import LoopDesign, LoopProblem, Progress, commanded, designed
+from platform_ctrl.design.loop_signals import loop_channels, loop_signals
 from platform_ctrl.design.plants import plants_of, tracking_plants
 from platform_ctrl.errors import DesignError
 from platform_ctrl.job.job import Job, LoopSpec
@@ -70,17 +71,26 @@ def loops(
     plant_sets = [plants_of(job, spec) for spec in job.loops]
     out: list[LoopOutcome] = []
     for spec, plants in zip(job.loops, plant_sets, strict=True):
-        outer = None
+        directions = None
         if spec.kind == "tracking":
             inner = next(one for one in out if one.spec.name == spec.around)
             assert inner.closed.plants is not None, "a rate loop has plants"
             K = inner.closed.plants.joined(inner.closed.controller)
-            plants, outer = tracking_plants(job, spec, inner.spec, K)
+            plants, directions = tracking_plants(job, spec, inner.spec, K)
+        elif plants is not None:
+            # Once for all designs of the loop, which ask for them again and again.
+            directions = loop_channels(model, loop_signals(job.platform, spec), plants.period)
         designs = []
         for design in spec.designs:
             progress(f"{spec.name}: {design.name}")
             problem = LoopProblem(
-                job=job, spec=spec, design=design, model=model, plant_set=plants, outer=outer, progress=progress
+                job=job,
+                spec=spec,
+                design=design,
+                model=model,
+                plant_set=plants,
+                directions=directions,
+                progress=progress,
             )
             try:
                 made = designed(problem)

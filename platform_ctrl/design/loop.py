@@ -114,8 +114,8 @@ class LoopProblem:
         The platform linearised at rest.
     plant_set
         The plants of the loop, the nominal one first; None for a stabilisation loop.
-    outer
-        Directions of a loop around another one.
+    directions
+        Those that `channel` has, where they are known already, as those of a loop around another one have to be.
     progress
         Called with a line during long work.
     """
@@ -125,7 +125,7 @@ class LoopProblem:
     design: DesignSpec
     model: LinearModel
     plant_set: PlantSet | None = None
-    outer: Channels | None = None
+    directions: Channels | None = None
     progress: Progress = lambda line: None
 
     @property
@@ -138,8 +138,8 @@ class LoopProblem:
     @property
     def channel(self) -> Channels:
         """Gyroscopic pairs and inertial directions of the loop's gimbals."""
-        if self.outer is not None:
-            return self.outer
+        if self.directions is not None:
+            return self.directions
         signals = loop_signals(self.model.platform, self.spec)
         return loop_channels(self.model, signals, self.job.sampling.period)
 

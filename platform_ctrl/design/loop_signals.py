@@ -21,7 +21,7 @@ from platform_ctrl.plant.sensors import LOS_RATES, Sensor
 # Share of their effect at zero angles below which torquers are near a keyhole: 1/cos of the elevation is 10 there.
 _KEYHOLE = 0.1
 # Ratio of the least to the largest effect of torquers on readings from which on each is seen.
-SEEN = 1e-6
+_SEEN = 1e-6
 # Share of the largest gain from torques to the line of sight from which on an output counts as moved.
 _MOVES = 1e-6
 
@@ -47,6 +47,11 @@ class LoopSignals:
     sensors: tuple[Sensor, ...]
     sight: tuple[str, ...] = ()
     held: bool = False
+
+    @property
+    def order(self) -> int:
+        """Which derivative of what is read a torque shows in: 1 of rates, 2 of angles."""
+        return 1 if self.sensors[0].unit == "rad/s" else 2
 
 
 def caging_signals(platform: Platform, gimbals: tuple[str, ...]) -> LoopSignals:
@@ -95,23 +100,21 @@ def loop_channels(model: LinearModel, signals: LoopSignals, period: float) -> Ch
     rows = rows_of(model, signals.gimbals)
     if not signals.held:
         return channels(model, rows)
-    platform, order = model.platform, 1 if signals.sensors[0].unit == "rad/s" else 2
     effect = _effect(model, signals, period)
     own = np.array([signals.gimbals.index(str(torquer.gimbal)) for torquer in signals.torquers])
     mobility = np.diag(inverse_inertia(model.M[np.ix_(rows, rows)], signals.gimbals))[own]
-    sizes = np.linalg.svd(effect, compute_uv=False)
-    if len(signals.sensors) < len(own) or not sizes[-1] > SEEN * sizes[0]:
+    if not shows_each(effect):
         raise ArgumentError(
             f"sensors: {', '.join(sensor.name for sensor in signals.sensors)} do not show what each of the torquers "
             f"{', '.join(torquer.name for torquer in signals.torquers)} does; add a sensor, or leave out a torquer"
         )
-    carried = [r for r in platform.rotors if r.carrier in signals.gimbals and r.spin != 0.0]
+    carried = [r for r in model.platform.rotors if r.carrier in signals.gimbals and r.spin != 0.0]
     return Channels(
         basis=np.eye(len(own)),
         momenta=np.zeros(0),
         inertias=1.0 / mobility,
         spins=np.array([abs(rotor.spin) for rotor in carried]),
-        order=order,
+        order=signals.order,
         sense=mobility[:, None] * np.linalg.pinv(effect),
     )
 
@@ -125,8 +128,13 @@ def _effect(model: LinearModel, signals: LoopSignals, period: float) -> FloatArr
     s = 2j * np.pi * 0.01 / period
     shown = system.C @ np.linalg.solve(s * np.eye(system.nstates) - system.A, system.B[:, inputs])
     mixing = np.array([[one.get(name, 0.0) for name in names] for one in weights])
-    order = 1 if signals.sensors[0].unit == "rad/s" else 2
-    return np.asarray(np.real(s**order * (mixing @ shown)))
+    return np.asarray(np.real(s**signals.order * (mixing @ shown)))
+
+
+def shows_each(effect: FloatArray) -> bool:
+    """Return whether readings (p) show what each of the inputs (m) does, by its effect (p, m) on them."""
+    sizes = np.linalg.svd(effect, compute_uv=False)
+    return len(effect) >= effect.shape[1] and bool(sizes[-1] > _SEEN * sizes[0])
 
 
 def expect_no_keyhole(job: Job, signals: LoopSignals) -> None:

@@ -14,12 +14,12 @@ from platform_ctrl.analysis.sampling import held_input, late_outputs, late_state
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.cases import Case, carried, cases, with_friction
 from platform_ctrl.design.loop_signals import (
-    SEEN,
     LoopSignals,
     caging_signals,
     expect_no_keyhole,
     loop_channels,
     loop_signals,
+    shows_each,
 )
 from platform_ctrl.design.partition import Channels
 from platform_ctrl.errors import ArgumentError, InputError
@@ -213,8 +213,7 @@ def tracking_plants(job: Job, spec: LoopSpec, inner: LoopSpec, controller: State
     z = np.exp(1j * (w := 0.1 * found.nutation) * dt)
     inside = np.linalg.solve(z * np.eye(found.A.shape[-1]) - found.A[0], found.B[0])
     effect = np.real(1j * w * (found.C[0] @ inside + found.D[0]))
-    sizes = np.linalg.svd(effect, compute_uv=False)
-    if len(spec.sensors) < p or not sizes[-1] > SEEN * sizes[0]:
+    if not shows_each(effect):
         raise InputError(
             f"loop {spec.name!r}: sensors {', '.join(spec.sensors)} do not show what each of the commands "
             f"{', '.join(commands)} does; add a sensor of an angle, or give the axis a rate loop by itself"

@@ -13,7 +13,8 @@ from platform_ctrl.analysis.loop_metrics import LoopMetrics, measure
 from platform_ctrl.analysis.loop_set import LoopSet
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.job.requirements import LoopRequirement
+from platform_ctrl.design.loop import LoopProblem
+from platform_ctrl.job.requirements import LoopRequirement, loop_requirements
 
 BoolArray = NDArray[np.bool_]
 Builder = Callable[[dict[str, float]], StateArrays]
@@ -22,6 +23,30 @@ Builder = Callable[[dict[str, float]], StateArrays]
 _LARGEST_FACTOR = 1e6
 # Plants that are kept in view while searching: the worst ones. All are looked at again after each search.
 _MOST_PLANTS = 8
+
+
+def tuned(
+    problem: LoopProblem,
+    options: dict[str, float],
+    tunable: Sequence[str],
+    build: Builder,
+    upper: dict[str, float],
+) -> dict[str, float]:
+    """Return the options of a design, with ``tune = true`` moved until its loop's limits are met: see `tune`."""
+    spec, design = problem.spec, problem.design
+    if not design.tune:
+        return options
+    return tune(
+        options,
+        [name for name in tunable if name in options],
+        build,
+        problem.plants,
+        loop_requirements(spec.limits),
+        upper=upper,
+        progress=lambda ratio: problem.progress(
+            f"{spec.name}: {design.name}, worst requirement at {ratio:.0%} of its limit"
+        ),
+    )
 
 
 def worst_ratio(controller: StateArrays, plants: PlantSet, requirements: Sequence[LoopRequirement]) -> float:

@@ -17,6 +17,7 @@ import numpy as np
 
 from platform_ctrl.analysis.arrays import StateArrays, selected, state_arrays
 from platform_ctrl.analysis.budget_result import Budget as Found
+from platform_ctrl.analysis.budget_result import variance_shares
 from platform_ctrl.analysis.disturbances import Disturbance, RandomDisturbance, SampleNoise, SineDisturbance, Spectrum
 from platform_ctrl.analysis.dry_friction import FrictionBalance, friction_balance
 from platform_ctrl.analysis.friction_noise import friction_noise
@@ -122,9 +123,7 @@ class LineOfSightBudget:
     @property
     def shares(self) -> FloatArray:
         """Mean square of each source over that of all (sources, 3), dimensionless; zero where nothing moves."""
-        every = self.total**2
-        out: FloatArray = np.divide(self.rms**2, every, out=np.zeros_like(self.rms), where=every > 0.0)
-        return out
+        return variance_shares(self.rms, self.total)
 
     @property
     def passed(self) -> bool:

@@ -26,11 +26,10 @@ from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.loop import Designed, LoopProblem, completed
 from platform_ctrl.design.partition import Channels, between, first_order, gain, notch
-from platform_ctrl.design.tuning import tune
+from platform_ctrl.design.tuning import tuned
 from platform_ctrl.errors import DesignError
 from platform_ctrl.job.job import DesignSpec
 from platform_ctrl.job.methods import METHODS
-from platform_ctrl.job.requirements import loop_requirements
 
 Kind = Literal["mix", "integral", "lag", "lead", "notch", "low-pass"]
 
@@ -74,21 +73,14 @@ TUNABLE = METHODS["classical"].tunable
 
 def classical_design(problem: LoopProblem) -> Designed:
     """Return the classical loop of a job, with ``tune = true`` moved until its limits are met."""
-    spec, design, channel, plants = problem.spec, problem.design, problem.channel, problem.plants
-    options = default_options(design, channel, plants.nutation, plants.period)
-    if design.tune:
-        options = tune(
-            options,
-            [name for name in TUNABLE if name in options],
-            lambda trial: classical_controller(trial, channel, plants.period),
-            plants,
-            loop_requirements(spec.limits),
-            upper=upper_bounds(plants.period),
-            progress=lambda ratio: problem.progress(
-                f"{spec.name}: {design.name}, worst requirement at {ratio:.0%} of its limit"
-            ),
-        )
-    return Designed(controller=classical_controller(options, channel, plants.period), options=options)
+    channel, plants = problem.channel, problem.plants
+
+    def build(options: dict[str, float]) -> StateArrays:
+        return classical_controller(options, channel, plants.period)
+
+    start = default_options(problem.design, channel, plants.nutation, plants.period)
+    options = tuned(problem, start, TUNABLE, build, upper_bounds(plants.period))
+    return Designed(controller=build(options), options=options)
 
 
 def default_options(design: DesignSpec, channel: Channels, nutation: float, period: float) -> dict[str, float]:

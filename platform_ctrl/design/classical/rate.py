@@ -17,11 +17,10 @@ from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.design.classical.caging import Stage, flattened, integrated, notch_stage
 from platform_ctrl.design.loop import Designed, LoopProblem, completed
 from platform_ctrl.design.partition import Channels, first_order, gain
-from platform_ctrl.design.tuning import tune
+from platform_ctrl.design.tuning import tuned
 from platform_ctrl.errors import DesignError
 from platform_ctrl.job.job import DesignSpec
 from platform_ctrl.job.methods import METHODS
-from platform_ctrl.job.requirements import loop_requirements
 
 # Default crossover over the frequency that the plants' grids go by, and the integral's corner over the crossover.
 _CROSSOVER, _INTEGRAL = 0.4, 0.15
@@ -29,21 +28,14 @@ _CROSSOVER, _INTEGRAL = 0.4, 0.15
 
 def rate_design(problem: LoopProblem) -> Designed:
     """Return the rate loop of a job, with ``tune = true`` moved until its limits are met."""
-    spec, design, channel, plants = problem.spec, problem.design, problem.channel, problem.plants
-    options = rate_options(design, channel, plants.nutation, plants.period)
-    if design.tune:
-        options = tune(
-            options,
-            [name for name in METHODS["pi"].tunable if name in options],
-            lambda trial: rate_controller(trial, channel, plants.period),
-            plants,
-            loop_requirements(spec.limits),
-            upper=upper_bounds(plants.period),
-            progress=lambda ratio: problem.progress(
-                f"{spec.name}: {design.name}, worst requirement at {ratio:.0%} of its limit"
-            ),
-        )
-    return Designed(controller=rate_controller(options, channel, plants.period), options=options)
+    channel, plants = problem.channel, problem.plants
+
+    def build(options: dict[str, float]) -> StateArrays:
+        return rate_controller(options, channel, plants.period)
+
+    start = rate_options(problem.design, channel, plants.nutation, plants.period)
+    options = tuned(problem, start, METHODS["pi"].tunable, build, upper_bounds(plants.period))
+    return Designed(controller=build(options), options=options)
 
 
 def upper_bounds(period: float) -> dict[str, float]:
