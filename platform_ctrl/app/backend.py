@@ -18,6 +18,7 @@ from platform_ctrl.app.controllers import built_directly, part_of
 from platform_ctrl.app.curves import Parts
 from platform_ctrl.app.designs import Designs, never, silent
 from platform_ctrl.app.dragging import NO_LIMITS, DragResult, FreeParameters, Limits, dragged_crossover, dragged_pole
+from platform_ctrl.app.job_parts import JobParts, loop_stamp, run_stamp
 from platform_ctrl.app.pictures import Drawing, Influence, Measured, Picture
 from platform_ctrl.app.saving import Saved, controllers_beside, write_job
 from platform_ctrl.app.settings import (
@@ -44,6 +45,7 @@ from platform_ctrl.errors import ArgumentError, DesignError, PlatformCtrlError
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.methods import METHODS
 from platform_ctrl.job.reading import read_job
+from platform_ctrl.verification.simulated import limit_results
 
 if TYPE_CHECKING:
     from platform_ctrl.simulation.closed_loop import Trajectory
@@ -74,6 +76,7 @@ class Backend:
         self._loops = ClosedLoops(self.read, None if controllers is None else Path(controllers))
         self._designs = Designs(self._loops)
         self._simulator = TaskRunner()
+        self.job_parts = JobParts(self._loops)
 
     def close(self) -> None:
         """End the processes that design and simulate."""
@@ -211,6 +214,9 @@ class Backend:
                 f"{settings.loop}, {settings.design}: the loop cannot be computed in floating point; choose less "
                 "extreme values"
             ) from None
+        spec, _ = self._loops.design(settings)
+        if spec.has_plants:
+            self.job_parts.keep(loop_stamp(self._loops, settings, spec), measured.requirements)
         values = _fields(drawing) | _fields(measured) | {"notes": (*notes, *measured.notes)}
         return Picture(**values, elapsed=time.perf_counter() - begun)
 
@@ -429,6 +435,8 @@ class Backend:
         closed = tuple(one.system for one in self._loops.controllers(settings))
         task = Simulating(job=self.job(settings), manoeuvre=manoeuvre, controllers=closed)
         trajectory: Trajectory = self._simulator.run(task, silent, cancelled)
+        made = next(one for one in task.job.manoeuvres if one.name == manoeuvre)
+        self.job_parts.keep(run_stamp(self._loops, settings, manoeuvre), limit_results(task.job, made, trajectory))
         return trajectory
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Hashable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -27,7 +27,7 @@ from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.job.methods import METHODS
 from platform_ctrl.plant.source import read_json
 from platform_ctrl.verification.controllers import read_controllers
-from platform_ctrl.verification.coupled import sensed_rates
+from platform_ctrl.verification.coupled import CoupledCheck, coupled_check, sensed_rates
 
 if TYPE_CHECKING:
     import control
@@ -101,6 +101,7 @@ class ClosedLoops:
         self._margins: Bounded[dict[str, float]] = Bounded(16)
         self._measures: Bounded[LoopMetrics] = Bounded(8)
         self._results: Bounded[tuple[CheckResult, ...]] = Bounded(8)
+        self._coupled: Bounded[CoupledCheck] = Bounded(4)
         self._take([] if controllers is None else given_designs(controllers, job))
 
     @property
@@ -164,7 +165,7 @@ class ClosedLoops:
 
     def job(self, settings: Settings) -> Job:
         """Return the job with these settings."""
-        closed = {**settings.closed, settings.loop: settings.design}
+        closed = self.closed(settings)
         loops = tuple(
             dataclasses.replace(
                 spec, use=closed[spec.name], designs=tuple(self._as_set(settings, spec, d) for d in spec.designs)
@@ -263,19 +264,37 @@ class ClosedLoops:
 
     def cached_margins(self, settings: Settings) -> CachedMargins:
         """Return the cache of the disk margins of the caging loops, for while only the servo's sliders move."""
-        others = []
-        for spec in self.read.loops:
-            if spec.has_plants:
-                name = settings.closed[spec.name]
-                design = next(d for d in spec.designs if d.name == name)
-                seen = None if built_directly(design) else self.available_conditions(settings, spec, design)
-                options = tuple(sorted(settings.options[spec.name][name].items()))
-                others.append((spec.name, name, seen, options, settings.parts_on(spec.name, name)))
+        others = tuple(self.closed_key(settings, spec) for spec in self.read.loops if spec.has_plants)
 
         def of(name: str, make: Callable[[], dict[str, float]]) -> dict[str, float]:
-            return self._margins.get((name, tuple(others), self.plants.key(settings)), make)
+            return self._margins.get((name, others, self.plants.key(settings)), make)
 
         return of
+
+    def closed(self, settings: Settings) -> dict[str, str]:
+        """Return the name of the design that is closed in each loop, the shown one in its own."""
+        return {**settings.closed, settings.loop: settings.design}
+
+    def closed_key(self, settings: Settings, spec: LoopSpec) -> Hashable:
+        """Return all that the closed design of a loop depends on besides the plants."""
+        name = self.closed(settings)[spec.name]
+        design = self._named_design(spec, name)
+        seen = None if built_directly(design) else self.available_conditions(settings, spec, design)
+        options = tuple(sorted(settings.options[spec.name][name].items()))
+        return spec.name, name, seen, options, settings.parts_on(spec.name, name)
+
+    def whole_key(self, settings: Settings) -> Hashable:
+        """Return all that the whole depends on: the plants and every closed design."""
+        return self.plants.key(settings), tuple(self.closed_key(settings, spec) for spec in self.read.loops)
+
+    def coupled(self, settings: Settings) -> CoupledCheck:
+        """Return the check of all loops together, as `check` does it."""
+
+        def make() -> CoupledCheck:
+            controllers = [one.system for one in self.controllers(settings)]
+            return coupled_check(self.job(settings), self.plants.model(settings.spins), controllers)
+
+        return self._coupled.get(self.whole_key(settings), make)
 
     def cached_metrics(self, settings: Settings, loop: CagedLoop) -> CachedMetrics:
         """Return the cache of a caging loop's metrics: the result of a drag is drawn next."""
@@ -290,7 +309,7 @@ class ClosedLoops:
 
     def controllers(self, settings: Settings, strict: bool = False) -> list[ClosedController]:
         """Return the controller of every loop; with `strict` only those that are named in `closed` will do."""
-        closed = {**settings.closed, settings.loop: settings.design}
+        closed = self.closed(settings)
         return [self._closed(settings, spec, closed[spec.name], strict) for spec in self.read.loops]
 
     def _closed(self, settings: Settings, spec: LoopSpec, name: str, strict: bool) -> ClosedController:

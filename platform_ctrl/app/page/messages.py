@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+from platform_ctrl.app.job_parts import ChipState
 from platform_ctrl.app.pictures import Influence, Margins, Picture
 from platform_ctrl.app.settings import Choices, Mode, Settings, Slider
 from platform_ctrl.common.arguments import known_name, whole
@@ -185,6 +186,46 @@ def verdict_data(picture: Picture) -> dict[str, Any]:
     }
 
 
+def strip_data(states: Sequence[ChipState], loop: str) -> dict[str, Any]:
+    """Return the strip of the whole job: a line about all requirements, and a chip for each part; `loop` is shown."""
+    count, checked, missed = (sum(getattr(one, of) for one in states) for of in ("count", "checked", "missed"))
+    left = f", {count - checked} not checked" if checked < count else ""
+    if missed:
+        verdict, words = "bad", f"{missed} of {count} missed{left}"
+    elif left:
+        verdict, words = "open", f"{checked} of {count} met{left}"
+    else:
+        verdict, words = "good", f"All {count} requirements met"
+    return {"verdict": verdict, "words": words, "chips": [_chip(one, loop) for one in states]}
+
+
+def _chip(one: ChipState, loop: str) -> dict[str, Any]:
+    chip, worst = one.chip, one.worst
+    whole = one.checked >= one.count and not one.error
+    short = "not run" if one.on_request else "–" if one.error else "…"
+    if one.error:
+        words = one.error
+    elif worst is None:
+        words = f"{one.count} requirements, " + (
+            "not simulated for these settings" if one.on_request else "not measured"
+        )
+    else:
+        met = f"{one.missed} of {one.count} missed" if one.missed else f"{one.checked} of {one.count} met"
+        words = f"{met}; least margin: {worst.name}" + (f", {worst.subject}" if worst.subject != chip.label else "")
+    return {
+        "key": chip.key,
+        "label": chip.label,
+        "loop": chip.loop,
+        "panel": chip.panel,
+        "verdict": "bad" if one.missed else "good" if whole else "open",
+        "margin": None if worst is None else plain_number(worst.margin),
+        "short": short,
+        "measuring": worst is None and not one.on_request and not one.error,
+        "words": words,
+        "shown": bool(chip.loop) and chip.loop == loop and chip.key.startswith("loop "),
+    }
+
+
 def requirement_data(picture: Picture) -> list[dict[str, Any]]:
     """Return the requirements, and the goals after them."""
     return [_row(one) for one in (*picture.requirements, *picture.goals)]
@@ -227,11 +268,11 @@ def _verdict(picture: Picture) -> tuple[str, str, str]:
     if count == 0:
         return "good", "Stable", "this loop has no requirements"
     least = min(picture.requirements, key=lambda one: one.margin)
-    # What lies between the frequencies of a grid is no verdict.
+    # What lies between the frequencies of a grid is no verdict. The job's own verdict stands in the strip.
     sampled = any(one.method == "sampled" for one in picture.requirements)
-    met = "met on a frequency grid" if sampled else "met" if count == 1 else "requirements met"
     left = f"smallest margin: {least.name}, {100 * least.margin:.1f} %"
-    return "good", met.capitalize() if count == 1 else f"All {count} {met}", left
+    met = "limit is" if count == 1 else "limits are"
+    return "good", f"This loop's {met} met" + ", sampled" * sampled, left
 
 
 # What the numbers are of, caged and stabilised: channels, angles, and what poles have to be faster than to count.

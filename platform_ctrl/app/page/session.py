@@ -336,7 +336,13 @@ class Session:
             "sliders": sliders,
             "bar": messages.verdict_data(picture),
             "requirements": messages.requirement_data(picture),
+            "strip": self.strip(),
         }
+
+    def strip(self) -> dict[str, Any]:
+        """Return what is known of all parts of the job, for the settings as they are."""
+        parts, settings = self.backend.job_parts, self.settings
+        return messages.strip_data(parts.states(parts.parts(settings)), settings.loop)
 
     def _slider_rows(self, settings: Settings) -> dict[str, Any]:
         return {"sliders": self._sliders(settings), "parts": self._parts(settings)}
@@ -355,7 +361,7 @@ class Session:
         return {one.name: one.value for one in self.backend.sliders(there)}
 
     def _rest(self) -> None:
-        """Compute the effect of each slider on each requirement once nothing has changed for a while."""
+        """Compute what each slider does, and the other parts of the job, once nothing has changed for a while."""
         document = self.connection.document
         if document is None:
             return
@@ -364,7 +370,7 @@ class Session:
         def rested() -> None:
             self._idle = None
             if self.picture is not None:
-                self._tasks.influence(self.picture.settings)
+                self._tasks.measure(self.picture.settings)
 
         self._idle = document.add_timeout_callback(rested, IDLE)
 

@@ -9,6 +9,7 @@ import shlex
 import threading
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
     from platform_ctrl.app.backend import Backend
     from platform_ctrl.app.gimbal_tree import TreeView
     from platform_ctrl.app.page.connection import Connection
-    from platform_ctrl.app.pictures import Picture
+    from platform_ctrl.app.pictures import Influence, Picture
     from platform_ctrl.app.settings import Choices, Settings
 
 # A plain file name; those that Windows reserves.
@@ -76,6 +77,9 @@ class Page(Protocol):
     picture: Picture | None
     tree: TreeView
 
+    def strip(self) -> dict[str, Any]:
+        """Return what the strip of the whole job shows."""
+
     def change(self, key: str, change: Callable[[Settings], Settings]) -> None:
         """Have the settings changed and shown."""
 
@@ -127,30 +131,44 @@ class PageTasks:
         if self._running is not None and self._running.name == "tune":
             self._cancel()
 
-    def influence(self, settings: Settings) -> None:
-        """Compute the effect of each slider on each requirement of these settings, and send it."""
+    def measure(self, settings: Settings) -> None:
+        """Compute what each slider does to each requirement of these settings, then the other parts of the job."""
         page = self._page
         if self._measuring or (self._running is not None and self._running.name == "tune"):
             return
         self._measuring = True
 
+        def is_shown() -> bool:
+            return page.picture is not None and page.picture.settings.data() == settings.data()
+
+        def show_influence(influence: Influence) -> None:
+            if is_shown():
+                self._connection.answer(influence=influence_data(influence))
+
         def measured() -> Callable[[], None]:
-            influence = self._backend.influence(settings)
+            try:
+                influence = self._backend.influence(settings)
+                self._connection.later(lambda: show_influence(influence))
+                self._measure_parts(settings, is_shown)
+            finally:
+                self._measuring = False
 
             def show() -> None:
-                self._measuring = False
-                now = page.picture
-                if now is not None and now.settings.data() == settings.data():
-                    self._connection.answer(influence=influence_data(influence))
-                elif now is not None:
-                    self.influence(now.settings)
+                if page.picture is not None and not is_shown():
+                    self.measure(page.picture.settings)
 
             return show
 
-        def failed(line: str) -> None:
-            self._measuring = False
+        self._do(measured, lambda line: None)
 
-        self._do(measured, failed)
+    def _measure_parts(self, settings: Settings, is_shown: Callable[[], bool]) -> None:
+        """Measure the parts of the job that are not known for these settings, as long as the page shows them."""
+        parts, page = self._backend.job_parts, self._page
+        for one in parts.open(parts.parts(settings)):
+            if not is_shown():
+                return
+            parts.measure(one)
+            self._connection.later(lambda: self._connection.answer(strip=page.strip()))
 
     def _on_cancel(self, request: Request) -> None:
         self._cancel()
@@ -206,8 +224,10 @@ class PageTasks:
 
     def _on_simulate(self, request: Request) -> None:
         page, settings, manoeuvre = self._page, self._page.settings, request.more["manoeuvre"]
-        known_name("manoeuvre", manoeuvre, page.choices.manoeuvres)
-        long = f"Simulating {manoeuvre}"
+        if manoeuvre:
+            known_name("manoeuvre", manoeuvre, page.choices.manoeuvres)
+        names = (manoeuvre,) if manoeuvre else page.choices.manoeuvres
+        long = f"Simulating {names[0] if len(names) == 1 else f'{len(names)} runs'}"
         if not self._backend.has_simulated:
             long += ": the first run loads its equations, or compiles them once on this machine"
         running = self._begin("simulate", "Simulating", request)
@@ -216,13 +236,18 @@ class PageTasks:
         self._connection.soon(lambda: self._show_busy(running, long), LONG)
 
         def simulated() -> Callable[[], None]:
-            trajectory = self._backend.simulate(settings, manoeuvre, running.cancelled.is_set)
             platform = self._backend.job(settings).platform
+            for k, name in enumerate(names):
+                if k:
+                    line = f"Simulating {k + 1} of {len(names)}: {name}"
+                    self._connection.later(partial(self._show_busy, running, line))
+                trajectory = self._backend.simulate(settings, name, running.cancelled.is_set)
+                self._connection.later(lambda: self._connection.answer(strip=page.strip()))
 
             def show() -> None:
                 page.tree.stage(platform)
                 page.tree.show(trajectory)
-                self._connection.answer(simulated=manoeuvre)
+                self._connection.answer(simulated=names[-1])
 
             return show
 

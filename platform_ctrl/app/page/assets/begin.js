@@ -4,6 +4,7 @@ import { themeChanged } from "./choices.js";
 import { watch } from "./connection.js";
 import "./sliders.js";
 import "./table.js";
+import "./strip.js";
 import "./actions.js";
 
 const LOOK = 20;

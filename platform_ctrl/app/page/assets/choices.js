@@ -67,7 +67,9 @@ on("state", (given, { n }) => {
   for (const [id, name] of Object.entries(SELECTS)) fill(byId(id), given.choices[name], given[name]);
   byId("band").checked = given.band;
   // The chosen manoeuvre is the page's own.
-  fill(byId("manoeuvre"), given.choices.manoeuvre, byId("manoeuvre").value || given.manoeuvre);
+  const runs = given.choices.manoeuvre, all = runs.length > 1 ? [{ value: "", label: `all ${runs.length} runs` }] : [];
+  const list = byId("manoeuvre");
+  fill(list, [...runs, ...all], list.options.length ? list.value : given.manoeuvre);
   byId("simulate").disabled = given.choices.manoeuvre.length === 0;
   byId("undo").disabled = !given.undo;
   byId("redo").disabled = !given.redo;

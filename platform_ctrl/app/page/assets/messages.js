@@ -106,6 +106,13 @@ export const shown = (value, figures = 4) => {
     : String(Number(value.toPrecision(size >= 1000 ? Math.max(figures, 5) : figures)));
   return text.replace("-", "−");
 };
+// A margin as a share of its limit. What has no room is said to be more, never to be another number.
+export const percent = (share) => {
+  if (share === null || share === undefined) return "–";
+  if (share === "inf" || share === "-inf") return share === "inf" ? "+∞" : "−∞";
+  const sign = share < 0 ? "−" : "+", size = Math.abs(share);
+  return size > 9.99 ? `${share < 0 ? "< −" : "> +"}999 %` : `${sign}${shown(100 * size, size < 0.1 ? 2 : 3)} %`;
+};
 export const typed = (text) => {
   const plain = text.trim().replace("−", "-").replace(/^(-?\d*),(\d+)$/, "$1.$2");
   return plain === "" ? NaN : Number(plain);

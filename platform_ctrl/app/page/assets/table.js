@@ -1,15 +1,9 @@
 // The requirements: required value, actual value, margin, and which way each slider would help.
-import { byId, dress, made, on, shown, write } from "./messages.js";
+import { byId, dress, made, on, percent, shown, write } from "./messages.js";
 import { near, rows } from "./sliders.js";
 
 const KEY = "Arrows: which way to move a slider to help. Colour: how much 5 % of it changes; empty: next to nothing.";
 const LEAST = 0.002, MOST = 0.1;
-// What has no room is said to be more, never to be another number.
-const percent = (share) => {
-  if (share === null) return "–";
-  const sign = share < 0 ? "−" : "+", size = Math.abs(share);
-  return size > 9.99 ? `${share < 0 ? "< −" : "> +"}999 %` : `${sign}${shown(100 * size, size < 0.1 ? 2 : 3)} %`;
-};
 let influence = null;
 
 const bar = () => {

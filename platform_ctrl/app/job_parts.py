@@ -1,0 +1,194 @@
+"""The parts of a job that have verdicts of their own: its loops, the coupled check, the simulated runs.
+
+A further part is a function that returns its `JobPart`s, appended to `PARTS`: the page's strip follows.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Hashable, Iterable, Sequence
+from typing import NamedTuple
+
+from platform_ctrl.app.caged import loop_metrics
+from platform_ctrl.app.closed_loops import ClosedLoops
+from platform_ctrl.app.plants import Bounded
+from platform_ctrl.app.settings import Settings
+from platform_ctrl.common.values import value
+from platform_ctrl.design.loop import limits_and_goals, requirements_of
+from platform_ctrl.errors import PlatformCtrlError
+from platform_ctrl.job.job import LoopSpec
+from platform_ctrl.job.judging import CheckResult
+from platform_ctrl.verification.coupled import ALL_LOOPS, coupled_requirements
+
+Results = tuple[CheckResult, ...]
+
+
+class Chip(NamedTuple):
+    """A chip of the strip: `key` is its own, `label` its words.
+
+    A click chooses a `loop` of the job, or goes to a `panel` of the page.
+    """
+
+    key: str
+    label: str
+    loop: str = ""
+    panel: str = ""
+
+
+@value
+class JobPart:
+    """Something that `measure` compares with the limits of the job; the results of equal `stamp`s are equal.
+
+    Several parts may share a chip. `count` is the number of its limits. One that is measured only `on_request` takes
+    long: what has been measured is kept under its stamp.
+    """
+
+    chip: Chip
+    count: int
+    stamp: Hashable
+    measure: Callable[[], Results]
+    on_request: bool = False
+
+
+PartsOf = Callable[[ClosedLoops, Settings], Iterable[JobPart]]
+
+
+def _loop_parts(loops: ClosedLoops, settings: Settings) -> Iterable[JobPart]:
+    """Return the loops with plants of their own, and the servo's limits on the whole."""
+    whole = coupled_requirements(loops.read)
+    for spec in loops.read.loops:
+        chip = Chip(key=f"loop {spec.name}", label=spec.name, loop=spec.name)
+        if not spec.has_plants:
+            count = sum(subject == spec.name for subject, _ in whole)
+            yield _coupled_part(loops, settings, chip, count, spec.name)
+            continue
+        at = settings.but(loop=spec.name, design=loops.closed(settings)[spec.name], plant="nominal")
+
+        def measure(at: Settings = at) -> Results:
+            loop, _ = loops.caged(at)
+            metrics = loops.cached_metrics(at, loop)(lambda: loop_metrics(loop))
+            return limits_and_goals(loop.spec, loop.design, loop.plants, metrics)[0]
+
+        yield JobPart(
+            chip=chip,
+            count=sum(one.hard for one in requirements_of(spec)),
+            stamp=loop_stamp(loops, settings, spec),
+            measure=measure,
+        )
+
+
+def loop_stamp(loops: ClosedLoops, settings: Settings, spec: LoopSpec) -> Hashable:
+    """Return the stamp of a loop with plants of its own."""
+    return ("loop", loops.plants.key(settings), loops.closed_key(settings, spec))
+
+
+def _coupled_parts(loops: ClosedLoops, settings: Settings) -> Iterable[JobPart]:
+    """Return the limits on all loops closed."""
+    servo = next((spec.name for spec in loops.read.loops if not spec.has_plants), "")
+    count = sum(subject == ALL_LOOPS for subject, _ in coupled_requirements(loops.read))
+    yield _coupled_part(loops, settings, Chip(key="coupled", label="coupled", loop=servo), count, ALL_LOOPS)
+
+
+def _coupled_part(loops: ClosedLoops, settings: Settings, chip: Chip, count: int, subject: str) -> JobPart:
+    stamp = loops.whole_key(settings)
+
+    def measure() -> Results:
+        return tuple(one for one in loops.coupled(settings).results if one.subject == subject)
+
+    return JobPart(chip=chip, count=count, stamp=(chip.key, stamp), measure=measure)
+
+
+def _run_parts(loops: ClosedLoops, settings: Settings) -> Iterable[JobPart]:
+    """Return the job's manoeuvres; `JobParts.keep` keeps what was simulated."""
+    chip = Chip(key="runs", label="runs", panel="tree")
+    for one in loops.read.manoeuvres:
+        yield JobPart(
+            chip=chip,
+            count=len(one.limits),
+            stamp=run_stamp(loops, settings, one.name),
+            measure=tuple,
+            on_request=True,
+        )
+
+
+def run_stamp(loops: ClosedLoops, settings: Settings, manoeuvre: str) -> Hashable:
+    """Return the stamp of a simulated manoeuvre."""
+    return ("run", manoeuvre, loops.whole_key(settings))
+
+
+PARTS: list[PartsOf] = [_loop_parts, _coupled_parts, _run_parts]
+
+# Results that are kept: a few steps back and forth of a job with many runs.
+_ROOM = 256
+
+
+@value
+class ChipState:
+    """What a chip says: of `count` limits `checked` are known for the settings as they are, `missed` of them violated.
+
+    `worst` is the result with the least margin, or None; `error` the line of what could not be measured. `on_request`:
+    the rest is measured only on request.
+    """
+
+    chip: Chip
+    count: int
+    checked: int
+    missed: int
+    worst: CheckResult | None
+    on_request: bool
+    error: str = ""
+
+
+class JobParts:
+    """The results of a job's parts, which all its pages share; safe in several threads."""
+
+    def __init__(self, loops: ClosedLoops) -> None:
+        self._loops = loops
+        self._results: Bounded[Results | str] = Bounded(_ROOM)
+
+    def parts(self, settings: Settings) -> list[JobPart]:
+        """Return all parts of the job for these settings, in the order of the strip."""
+        return [part for parts_of in PARTS for part in parts_of(self._loops, settings)]
+
+    def keep(self, stamp: Hashable, results: Results) -> None:
+        """Keep what was measured elsewhere: for a picture, or on request."""
+        self._results.put(stamp, results)
+
+    def open(self, parts: Iterable[JobPart]) -> list[JobPart]:
+        """Return the parts that can be measured at once and are not yet."""
+        return [one for one in parts if not one.on_request and self._results.found(one.stamp) is None]
+
+    def measure(self, part: JobPart) -> None:
+        """Measure a part and keep the results, or the line of its error."""
+        try:
+            found: Results | str = part.measure()
+        except PlatformCtrlError as error:
+            found = str(error)
+        self._results.put(part.stamp, found)
+
+    def states(self, parts: Sequence[JobPart]) -> list[ChipState]:
+        """Return the chips of the strip with what is known."""
+        chips: dict[str, list[JobPart]] = {}
+        for part in parts:
+            chips.setdefault(part.chip.key, []).append(part)
+        return [self._state(one) for one in chips.values()]
+
+    def _state(self, parts: list[JobPart]) -> ChipState:
+        found = [self._results.found(one.stamp) for one in parts]
+        results = [one for each in found if isinstance(each, tuple) for one in each if one.hard]
+        return ChipState(
+            chip=parts[0].chip,
+            count=sum(
+                one.count if each is None or isinstance(each, str) else sum(result.hard for result in each)
+                for one, each in zip(parts, found, strict=True)
+            ),
+            checked=len(results),
+            missed=sum(not one.passed for one in results),
+            worst=min(results, key=_severity, default=None),
+            on_request=any(one.on_request for one in parts),
+            error=next((each for each in found if isinstance(each, str)), ""),
+        )
+
+
+def _severity(one: CheckResult) -> tuple[bool, float]:
+    return one.passed, -math.inf if math.isnan(one.margin) else one.margin

@@ -1,0 +1,103 @@
+"""The strip of the whole job: what its chips say is what `check` measures, and every part of the job has one."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+
+pytest.importorskip("bokeh", reason="the extra `designer` is not installed")
+
+from app.test_page import JOB
+from platform_ctrl.app import job_parts
+from platform_ctrl.app.backend import Backend
+from platform_ctrl.app.job_parts import Chip, ChipState, JobPart
+from platform_ctrl.app.page.messages import strip_data, verdict_data
+from platform_ctrl.app.settings import Settings
+from platform_ctrl.job.judging import Requirement
+from platform_ctrl.job.reading import read_job
+from platform_ctrl.mechanics.linearisation import linearise
+from platform_ctrl.verification.coupled import coupled_check
+
+
+@pytest.fixture(scope="module")
+def backend(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Backend]:
+    path = tmp_path_factory.mktemp("parts") / "gyros.toml"
+    path.write_text(JOB, encoding="utf-8")
+    made = Backend(path)
+    yield made
+    made.close()
+
+
+def chips(backend: Backend, settings: Settings, measure: bool = True) -> dict[str, ChipState]:
+    parts = backend.job_parts.parts(settings)
+    for one in backend.job_parts.open(parts) if measure else ():
+        backend.job_parts.measure(one)
+    return {one.chip.key: one for one in backend.job_parts.states(parts)}
+
+
+def test_each_chip_has_the_least_margin_of_its_part(backend: Backend) -> None:
+    settings = backend.start()
+    found = chips(backend, settings)
+    assert list(found) == ["loop caging 9-10", "coupled", "runs"]
+    picture = backend.picture(settings)
+    loop = found["loop caging 9-10"]
+    assert loop.worst is not None
+    assert loop.worst.margin == min(one.margin for one in picture.requirements)
+    assert (loop.checked, loop.missed) == (
+        len(picture.requirements),
+        sum(not one.passed for one in picture.requirements),
+    )
+    # The coupled check of the controllers as `save` writes them.
+    controllers = [one.system for one in backend._loops.controllers(settings)]
+    whole = coupled_check(read_job(backend.path), linearise(backend.read.platform), controllers)
+    assert found["coupled"].worst is not None
+    assert found["coupled"].worst.margin == pytest.approx(min(one.margin for one in whole.results), rel=1e-9)
+
+
+def test_a_job_is_met_only_when_all_of_its_parts_are(backend: Backend) -> None:
+    settings = backend.start()
+    states = chips(backend, settings)
+    data = strip_data(list(states.values()), settings.loop)
+    every = sum(one.count for one in states.values())
+    assert every == 3 + 2 + 1 + 2  # limits and stability of the loop, coupled, runs
+    assert states["runs"].checked == 0
+    assert data["verdict"] == "open"
+    assert data["words"] == f"{every - 2} of {every} met, 2 not checked"
+    # One loop alone never claims all of a job's requirements.
+    words = verdict_data(backend.picture(settings))["words"]
+    assert "all" not in words.lower().split()
+    assert "loop" in words
+
+
+def test_a_run_counts_for_the_settings_that_it_was_simulated_with(backend: Backend) -> None:
+    settings = backend.start()
+    backend.simulate(settings, "0.5 rad/s about axis 1")
+    state = chips(backend, settings)["runs"]
+    assert (state.checked, state.count) == (1, 2)
+    assert state.worst is not None
+    assert state.worst.subject == "0.5 rad/s about axis 1"
+    moved = backend.moved(settings, "crossover_hz", 41.0)
+    after = chips(backend, moved, measure=False)
+    assert all(one.checked == 0 for one in after.values())
+    # Returning to the settings returns to the results.
+    assert chips(backend, settings, measure=False)["runs"].checked == 1
+
+
+def test_a_further_part_is_one_registered_function(backend: Backend, monkeypatch: pytest.MonkeyPatch) -> None:
+    limit = Requirement(name="jitter", limit=2.0, unit="", sense="at most")
+    result = limit.judge(3.0, subject="budget", stage="coupled", evidence="")
+
+    def budget(loops: object, settings: Settings) -> list[JobPart]:
+        chip = Chip(key="budget", label="budget", panel="budget")
+        return [JobPart(chip=chip, count=1, stamp=("budget", settings.rate_hz), measure=lambda: (result,))]
+
+    monkeypatch.setattr(job_parts, "PARTS", [*job_parts.PARTS, budget])
+    settings = backend.start()
+    states = chips(backend, settings)
+    assert states["budget"].worst is result
+    data = strip_data(list(states.values()), settings.loop)
+    assert data["verdict"] == "bad"
+    assert data["words"].startswith("1 of ")
+    assert data["chips"][-1]["verdict"] == "bad"
+    assert data["chips"][-1]["margin"] == pytest.approx(-0.5)
