@@ -10,14 +10,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.app.background import IsCancelled, Progress, ServoTuning, Simulating, TaskRunner, Tuning, run_alone
 from platform_ctrl.app.caged import caged_parts
 from platform_ctrl.app.closed_loops import ClosedLoops
 from platform_ctrl.app.controllers import built_directly, part_of
 from platform_ctrl.app.curves import Parts
 from platform_ctrl.app.designs import Designs, never, silent
-from platform_ctrl.app.dragging import NO_LIMITS, DragResult, FreeParameters, Limits, dragged_crossover, dragged_pole
+from platform_ctrl.app.drags import Drags
 from platform_ctrl.app.job_parts import JobParts, loop_stamp, run_stamp
 from platform_ctrl.app.pictures import Drawing, Influence, Measured, Picture
 from platform_ctrl.app.saving import Saved, controllers_beside, write_job
@@ -33,8 +32,6 @@ from platform_ctrl.app.settings import (
 )
 from platform_ctrl.app.slider_effects import (
     caged_influence,
-    free_parameters,
-    limits_of,
     moved_slider,
     stabilised_influence,
 )
@@ -52,11 +49,9 @@ if TYPE_CHECKING:
 
 # Digits of a saved slider, and most digits of a number that was typed or found by tuning.
 _DIGITS, _TYPED = 4, 6
-# A dragged crossover stays inside the diagram by this factor.
-_INSIDE = 1.1
 
 
-class Backend:
+class Backend(Drags):
     """All that pages need of a job, shared by them; every method may be called from several threads.
 
     Parameters
@@ -250,70 +245,7 @@ class Backend:
                 return caged_influence(loop, sliders, lambda slider: self._loops.caged(with_slider(slider))[0])
             return stabilised_influence(self._loops, settings, sliders, with_slider)
 
-    # Sliders moved by dragging and by tuning.
-
-    def drag_pole(
-        self,
-        settings: Settings,
-        pole: complex,
-        target: complex,
-        *,
-        free: bool = False,
-        on_limited: Callable[[tuple[str, ...]], None] | None = None,
-    ) -> Settings:
-        """Return the settings in which a closed-loop pole lies at `target`, rad/s, or as near as it may be brought.
-
-        It moves along the limits that are met, unless it is `free`; limits that are missed already are ignored.
-        `on_limited` is called with the names of the limits that keep it from going all the way.
-        """
-        if not (np.isfinite(pole) and np.isfinite(target)):
-            raise ArgumentError(f"pole: both places must be finite, rad/s, got {pole} and {target}")
-
-        def solve(parameters: FreeParameters, plant: StateArrays, channel: int, limits: Limits) -> DragResult:
-            return dragged_pole(parameters, plant, complex(pole), complex(target), limits)
-
-        return self._dragged(settings, solve, free, on_limited)
-
-    def drag_crossover(
-        self,
-        settings: Settings,
-        frequency: float,
-        *,
-        free: bool = False,
-        on_limited: Callable[[tuple[str, ...]], None] | None = None,
-    ) -> Settings:
-        """Return the settings in which the shown channel crosses over at `frequency`, rad/s, or as near as can be.
-
-        The highest crossover is dragged; it stops at limits, unless it is `free`.
-        """
-        if not np.isfinite(frequency):
-            raise ArgumentError(f"frequency must be a finite number of rad/s, got {frequency}")
-        bode = self.picture(settings.but(band=False, overlays=())).bode
-        if not len(bode.crossovers):
-            raise DesignError(f"{settings.channel}: the loop has no crossover to drag, its gain never passes 1")
-        start = float(bode.crossovers[-1])
-        # Left of the diagram it could not be taken hold of again.
-        frequency = max(float(frequency), min(start, _INSIDE * float(bode.frequency[0])))
-
-        def solve(parameters: FreeParameters, plant: StateArrays, channel: int, limits: Limits) -> DragResult:
-            return dragged_crossover(parameters, plant, channel, start, frequency, limits)
-
-        return self._dragged(settings, solve, free, on_limited)
-
-    def _dragged(
-        self,
-        settings: Settings,
-        solve: Callable[[FreeParameters, StateArrays, int, Limits], DragResult],
-        free: bool,
-        on_limited: Callable[[tuple[str, ...]], None] | None,
-    ) -> Settings:
-        with np.errstate(all="ignore"):
-            parameters, plant, channel = free_parameters(self._loops, settings, self.sliders(settings))
-            limits = NO_LIMITS if free else limits_of(self._loops, settings, parameters)
-            result = solve(parameters, plant, channel, limits)
-        if result.limited_by and on_limited is not None:
-            on_limited(result.limited_by)
-        return with_options(settings, result.numbers)
+    # Sliders moved by tuning.
 
     def tune(self, settings: Settings, progress: Progress = silent, cancelled: IsCancelled = never) -> Settings:
         """Return the settings with all sliders of the design that are not fixed tuned until its limits are met."""

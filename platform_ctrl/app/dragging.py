@@ -7,6 +7,7 @@ keep its linearisation go on along the limit.
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Callable, Mapping
 
@@ -17,12 +18,14 @@ from platform_ctrl.analysis.feedback import closed_loop, sensitivity_functions
 from platform_ctrl.analysis.poles import continuous_poles, poles
 from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.app.curves import channel_response
+from platform_ctrl.app.least_squares import constrained_least_squares
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import DesignError, PlatformCtrlError
 
 Build = Callable[[Mapping[str, float]], StateArrays]
 Ratios = Callable[[Mapping[str, float]], FloatArray]
-Residual = Callable[[StateArrays], FloatArray]
+# Of the sliders' logarithms.
+Residual = Callable[[FloatArray], FloatArray]
 
 # Most steps along a path, and the relative length of a step if fewer suffice.
 _MAX_STEPS, _STEP = 8, 0.05
@@ -37,6 +40,11 @@ _TARGET_TOLERANCE = 1e-9
 _GAIN_TOLERANCE, _BISECTIONS = 1e-6, 5
 # Relative distance to both sides at which the gain has to be above and below 1.
 _SIDE_STEP = 1e-3
+# Largest change of a slider's logarithm relative to the relative way of what is dragged, beside a small one: a pole
+# that hardly moves with the sliders does not carry them off.
+REACH, _LEAST_REACH = 2.0, 0.02
+# What such a drag is limited by, in the words of the page.
+SLIDERS = "the change of the sliders"
 # Step of finite differences, in logarithms.
 _DIFFERENCE = 1e-6
 # Share of the distance to the target that a step along a limit has to make for another to follow, and the relative
@@ -54,7 +62,8 @@ _INSIDE, _MAX_HALVINGS = 1e-3, 4
 class FreeParameters:
     """The sliders that may move, and the sampled controller that `build` makes of them.
 
-    `start` (k,) are their values, `low` and `high` the ends, and `weights` (k,) how easily each moves.
+    `start` (k,) are their values, `low` and `high` the ends, and `weights` (k,) how easily each moves. `origin` (k,)
+    are their values when the drag began.
     """
 
     names: tuple[str, ...]
@@ -63,10 +72,21 @@ class FreeParameters:
     high: FloatArray
     weights: FloatArray
     build: Build
+    origin: FloatArray
 
     def controller(self, x: FloatArray) -> StateArrays:
         """Return the controller for logarithms of the sliders."""
         return self.build(self.numbers(x))
+
+    def within(self, distance: float) -> FreeParameters:
+        """Return the sliders with ends as far from their origin as a drag over a relative `distance` may move them."""
+        reach = math.exp(min(REACH * distance + _LEAST_REACH, 700.0))
+        low, high = np.maximum(self.low, self.origin / reach), np.minimum(self.high, self.origin * reach)
+        return dataclasses.replace(self, low=np.minimum(low, self.start), high=np.maximum(high, self.start))
+
+    def at_end(self, x: FloatArray) -> bool:
+        """Return whether a slider stands at one of its ends."""
+        return bool(np.any((x <= np.log(self.low) + 1e-9) | (x >= np.log(self.high) - 1e-9)))
 
     def numbers(self, x: FloatArray) -> dict[str, float]:
         """Return the values of logarithms `x`; one that has not moved has exactly the value that it started with."""
@@ -143,8 +163,8 @@ def dragged_pole(
     scale = max(abs(here), abs(goal), 1e-12)
 
     def residual(place: complex) -> Residual:
-        def of(K: StateArrays) -> FloatArray:
-            away = _nearest(_poles(K, plant), place) - place
+        def of(x: FloatArray) -> FloatArray:
+            away = _nearest(poles(x), place) - place
             return np.array([away.real] if real else [away.real, away.imag]) / scale
 
         return of
@@ -166,7 +186,50 @@ def dragged_pole(
             break
         path.append(new)
         here = place
+    result = _met(parameters, limits, path, limited_by)
+    short = abs(_nearest(poles(path[-1]), goal) - goal) > _INVISIBLE * scale
+    if short and not result.limited_by and parameters.at_end(path[-1]):
+        return dataclasses.replace(result, limited_by=(SLIDERS,))
+    return result
+
+
+def dragged_slider(parameters: FreeParameters, name: str, target: float, limits: Limits = NO_LIMITS) -> DragResult:
+    """Return the sliders with the one called `name` at `target`, or as near as it may come.
+
+    It moves alone; where a requirement would be missed the others follow as little as keeps it.
+    """
+    if name not in parameters.names:
+        raise DesignError(f"{name}: the slider is fixed; free it to drag it")
+    k = parameters.names.index(name)
+    x = np.log(parameters.start)
+    goal = float(np.clip(math.log(target), math.log(parameters.low[k]), math.log(parameters.high[k])))
+    path, first, limited_by = [x], x[k], NO_LIMITS.names
+    shares = _shares(abs(goal - first))
+    for share in shares:
+        new = path[-1].copy()
+        new[k] = first + share * (goal - first)
+        limited_by = limits.broken(limits.exact if share == shares[-1] else limits.near, parameters.numbers(new))
+        if limited_by:
+            path.append(_last_within(parameters, limits, path[-1], new))
+            break
+        path.append(new)
+    for _ in range(limits.steps if limited_by else 0):
+        found = _kept_step(parameters, limits, path[-1], lambda x: np.array([x[k] - goal]))
+        if found is None:
+            break
+        path.append(found)
     return _met(parameters, limits, path, limited_by)
+
+
+def _last_within(parameters: FreeParameters, limits: Limits, good: FloatArray, beyond: FloatArray) -> FloatArray:
+    """Return the last place from a good one on the way to one beyond a limit that keeps all of them, by bisection."""
+    for _ in range(_BISECTIONS):
+        middle = 0.5 * (good + beyond)
+        if limits.broken(limits.exact, parameters.numbers(middle)):
+            beyond = middle
+        else:
+            good = middle
+    return good
 
 
 def _along(
@@ -211,25 +274,20 @@ def _met(parameters: FreeParameters, limits: Limits, path: list[FloatArray], lim
 def _kept_step(parameters: FreeParameters, limits: Limits, x: FloatArray, residual: Residual) -> FloatArray | None:
     """Return a step towards a smaller residual that keeps all limits, by their slopes and then in truth, or None."""
     numbers = parameters.numbers
-    r = residual(parameters.controller(x))
-    J = _slopes(parameters, x, residual, r)
-    ratios = limits.local(numbers(x))
-    G = np.zeros((len(ratios), len(x)))
-    for k in np.flatnonzero(parameters.weights > 0.0):
-        moved = x.copy()
-        moved[k] += _DIFFERENCE
-        G[:, k] = (limits.local(numbers(moved)) - ratios) / _DIFFERENCE
+    r = residual(x)
+    J = slopes(parameters, x, residual, r)
+    ratios, G = limit_slopes(parameters, limits, x)
     low, high = np.log(parameters.low), np.log(parameters.high)
-    reach = np.minimum(high - x, _MAX_CHANGE), np.minimum(x - low, _MAX_CHANGE)
+    reach = (np.clip(way, 0.0, _MAX_CHANGE) for way in (high - x, x - low))
     A = np.vstack([_PLACE_WEIGHT * J, np.diag(1.0 / np.sqrt(np.maximum(parameters.weights, 1e-12)))])
     b = np.concatenate([-_PLACE_WEIGHT * r, np.zeros(len(x))])
-    within = np.vstack([np.nan_to_num(G), np.eye(len(x)), -np.eye(len(x))])
+    within = np.vstack([G, np.eye(len(x)), -np.eye(len(x))])
     room = np.concatenate([np.maximum(limits.bound - _INSIDE - ratios, 0.0), *reach])
     dx = constrained_least_squares(A, b, within, room)
     for _ in range(_MAX_HALVINGS):
         new = np.clip(x + dx, low, high)
         try:
-            nearer = bool(np.linalg.norm(residual(parameters.controller(new))) < np.linalg.norm(r))
+            nearer = bool(np.linalg.norm(residual(new)) < np.linalg.norm(r))
         except PlatformCtrlError:
             nearer = False
         if nearer and not limits.broken(limits.near, numbers(new)):
@@ -238,29 +296,14 @@ def _kept_step(parameters: FreeParameters, limits: Limits, x: FloatArray, residu
     return None
 
 
-def constrained_least_squares(A: FloatArray, b: FloatArray, G: FloatArray, h: FloatArray) -> FloatArray:
-    """Return the x (n,) of least |A x - b| with G x <= h, h >= 0; A has full column rank.
+def limit_slopes(parameters: FreeParameters, limits: Limits, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the ratios (m,) at `x` and their slopes (m, k)."""
 
-    With A = Q R and z = R x - Qᵀ b it is the least z within other half spaces, which non-negative least squares finds.
+    def local(x: FloatArray) -> FloatArray:
+        return limits.local(parameters.numbers(x))
 
-    References
-    ----------
-    C. L. Lawson, R. J. Hanson, Solving Least Squares Problems, 1974, ch. 23.
-    """
-    from scipy.linalg import solve_triangular
-    from scipy.optimize import nnls
-
-    Q, R = np.linalg.qr(A)
-    u = Q.T @ b
-    M = solve_triangular(R, G.T, trans="T").T
-    rhs = M @ u - h
-    E = np.vstack([-M.T, rhs])
-    target = np.zeros(len(E))
-    target[-1] = 1.0
-    y, rest = nnls(E, target)
-    away = E @ y - target
-    z = -away[:-1] / away[-1] if rest > 1e-12 else np.zeros(len(u))
-    return np.asarray(solve_triangular(R, z + u))
+    ratios = local(x)
+    return ratios, slopes(parameters, x, local, ratios)
 
 
 def dragged_crossover(
@@ -275,16 +318,7 @@ def dragged_crossover(
     if not 0.0 < target < nyquist:
         raise DesignError(f"crossover: {target:.4g} rad/s is not below the Nyquist frequency of {nyquist:.4g} rad/s")
 
-    def residual(w: float) -> Residual:
-        grid = np.array([w])
-        P = frequency_response(plant, grid, -3)
-
-        def of(K: StateArrays) -> FloatArray:
-            L = channel_response(sensitivity_functions(-frequency_response(K, grid, -3) @ P)[0], channel)
-            return np.log(np.maximum(np.abs(L), 1e-300))
-
-        return of
-
+    residual = crossover_residual(parameters, plant, channel)
     what = f"the gain at {target:.4g} rad/s"
     limited_by: tuple[str, ...] = ()
 
@@ -313,7 +347,32 @@ def dragged_crossover(
         else:
             path.append(found)
             here = middle
-    return _met(parameters, limits, path, limited_by)
+    result = _met(parameters, limits, path, limited_by)
+    if not math.isnan(beyond) and not result.limited_by:
+        return dataclasses.replace(result, limited_by=(SLIDERS,))
+    return result
+
+
+def crossover_residual(parameters: FreeParameters, plant: StateArrays, channel: int) -> Callable[[float], Residual]:
+    """Return the function from a frequency, rad/s, to the logarithm of the channel's gain there."""
+
+    def residual(w: float) -> Residual:
+        grid = np.array([w])
+        P = frequency_response(plant, grid, -3)
+
+        def of(x: FloatArray) -> FloatArray:
+            K = parameters.controller(x)
+            L = channel_response(sensitivity_functions(-frequency_response(K, grid, -3) @ P)[0], channel)
+            return np.log(np.maximum(np.abs(L), 1e-300))
+
+        return of
+
+    return residual
+
+
+def nearest_pole(parameters: FreeParameters, plant: StateArrays, x: FloatArray, place: complex) -> complex:
+    """Return the closed-loop pole nearest to a place, rad/s."""
+    return _nearest(_poles(parameters.controller(x), plant), place)
 
 
 def _poles(K: StateArrays, plant: StateArrays) -> ComplexArray:
@@ -337,8 +396,7 @@ def _crossing(
     found = _reached(
         parameters, x, residual(w), np.log(parameters.low), np.log(parameters.high), what, _TARGET_TOLERANCE
     )
-    K = parameters.controller(found)
-    below, at, above = (float(residual(w * share)(K)[0]) for share in (1.0 - _SIDE_STEP, 1.0, 1.0 + _SIDE_STEP))
+    below, at, above = (float(residual(w * share)(found)[0]) for share in (1.0 - _SIDE_STEP, 1.0, 1.0 + _SIDE_STEP))
     return found if abs(at) <= _GAIN_TOLERANCE and below * above < 0.0 else None
 
 
@@ -360,17 +418,19 @@ def _reached(
     what: str,
     near: float,
 ) -> FloatArray:
-    r = residual(parameters.controller(x))
+    r = residual(x)
     for _ in range(_MAX_ITERATIONS):
         if np.abs(r).max() <= near:
             break
-        J = _slopes(parameters, x, residual, r)
+        J = slopes(parameters, x, residual, r)
         # A slider at its end does not move further out.
         free = parameters.weights.copy()
         for _ in range(len(x)):
             W = J * free
             normal = W @ J.T
             ridge = 1e-12 * np.trace(normal)
+            if not ridge > 0.0 and not np.array_equal(free, parameters.weights):
+                return x  # whatever moves it stands at its end
             if not ridge > 0.0:
                 raise DesignError(f"{what} does not move with any slider that is free; free others")
             dx = -W.T @ np.linalg.solve(normal + ridge * np.eye(len(r)), r)
@@ -385,7 +445,7 @@ def _reached(
         for _ in range(6):
             new = np.clip(x + dx, low, high)
             try:
-                found = residual(parameters.controller(new))
+                found = residual(new)
             except PlatformCtrlError:
                 found = np.full(len(r), np.inf)
             if np.linalg.norm(found) < before:
@@ -397,10 +457,11 @@ def _reached(
     return x
 
 
-def _slopes(parameters: FreeParameters, x: FloatArray, residual: Residual, r: FloatArray) -> FloatArray:
+def slopes(parameters: FreeParameters, x: FloatArray, residual: Residual, r: FloatArray) -> FloatArray:
+    """Return the slopes (m, k) of a function of the sliders' logarithms that is `r` (m,) at `x`."""
     out = np.zeros((len(r), len(x)))
     for k in np.flatnonzero(parameters.weights > 0.0):
         moved = x.copy()
         moved[k] += _DIFFERENCE
-        out[:, k] = (residual(parameters.controller(moved)) - r) / _DIFFERENCE
+        out[:, k] = (residual(moved) - r) / _DIFFERENCE
     return np.nan_to_num(out, nan=0.0, posinf=0.0, neginf=0.0)

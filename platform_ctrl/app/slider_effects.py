@@ -172,9 +172,9 @@ def _coupled_limits(loops: ClosedLoops, settings: Settings) -> Limits:
 
 
 def free_parameters(
-    loops: ClosedLoops, settings: Settings, sliders: Sequence[Slider]
+    loops: ClosedLoops, settings: Settings, sliders: Sequence[Slider], origin: Settings
 ) -> tuple[FreeParameters, StateArrays, int]:
-    """Return the free sliders of the design, the plant that is shown, and the channel."""
+    """Return the free sliders of the design, the plant that is shown, and the channel; a drag began at `origin`."""
     spec, design = loops.design(settings)
     free = [slider for slider in sliders if slider.tunable and not slider.fixed]
     if spec.has_plants:
@@ -197,6 +197,7 @@ def free_parameters(
         others = [servo if one.name == here else one for one in whole.controllers]
         return dataclasses.replace(whole, controllers=tuple(others)).joined(whole.shown)[0]
 
+    before = origin.options[spec.name][design.name]
     parameters = FreeParameters(
         names=tuple(slider.name for slider in free),
         start=np.array([slider.value for slider in free]),
@@ -204,5 +205,6 @@ def free_parameters(
         high=np.array([slider.high if slider.high < np.inf else 20.0 * slider.value for slider in free]),
         weights=np.array([_WEIGHTS.get(slider.group, 1.0) for slider in free]),
         build=build,
+        origin=np.array([before.get(slider.name, slider.value) for slider in free]),
     )
     return parameters, plant, list(torquers).index(settings.channel) if settings.channel in torquers else 0

@@ -109,8 +109,6 @@ def campaign(
                 "attitude",
                 "torque_share",
                 "gimbal_rate",
-                "angle_following_error",
-                "rate_following_error",
                 "los_angle_rms",
                 "los_rate_rms",
                 "attenuation_db",

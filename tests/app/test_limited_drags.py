@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 import hypothesis
@@ -12,9 +13,12 @@ from hypothesis import strategies as st
 from scipy.optimize import minimize
 
 from platform_ctrl.app.backend import Backend
-from platform_ctrl.app.dragging import constrained_least_squares
+from platform_ctrl.app.dragging import REACH, SLIDERS
+from platform_ctrl.app.least_squares import constrained_least_squares
 from platform_ctrl.app.pictures import Picture
 from platform_ctrl.cli import main
+from platform_ctrl.errors import DesignError
+from platform_ctrl.job.reading import read_job
 
 pytestmark = pytest.mark.usefixtures("untraced")
 
@@ -68,6 +72,75 @@ def test_a_pole_that_few_sliders_move_little_is_brought_to_its_place_all_the_sam
     assert abs(there - 1.03 * pole) < 1e-6 * abs(pole)
 
 
+def test_a_pole_pulled_by_a_fifth_keeps_the_bandwidth_within_a_factor_of_two_also_without_any_limit() -> None:
+    job = read_job(JOB)
+    without = dataclasses.replace(job, loops=tuple(dataclasses.replace(one, limits={}) for one in job.loops))
+    bench = Backend(without)
+    start = bench.start(PAIR)
+    before = bench.picture(start)
+    pole = nearest(before, -630.0 + 760.0j)
+    # With Shift the sliders go wherever the pole is asked to: next to no bandwidth is left.
+    free = bench.picture(bench.drag_pole(start, pole, 1.2 * pole, free=True))
+    assert free.margins.bandwidth < before.margins.bandwidth / 20.0
+    for turn in (0.8, 1.2, np.exp(0.2j), np.exp(-0.2j)):
+        limiting: list[tuple[str, ...]] = []
+        dragged = bench.drag_pole(start, pole, turn * pole, on_limited=limiting.append)
+        after = bench.picture(dragged)
+        assert 0.5 < after.margins.bandwidth / before.margins.bandwidth < 2.0
+        if limiting != [(SLIDERS,)]:
+            continue
+        # As near as the sliders get: each within twice the relative way of the pole.
+        ways = [
+            abs(np.log(x / start.options[PAIR][start.design][name]))
+            for name, x in dragged.options[PAIR][dragged.design].items()
+        ]
+        assert max(ways) == pytest.approx(REACH * abs(turn - 1.0) / max(abs(turn), 1.0), abs=0.03)
+
+
+def test_a_drag_that_returns_to_where_it_began_moves_sliders_no_further_than_it_went(bench: Backend) -> None:
+    start = bench.start(PAIR)
+    pole = nearest(bench.picture(start), -630.0 + 760.0j)
+    origin = start, pole
+    there = bench.drag_pole(start, pole, 0.95 * pole, origin=origin)
+    back = bench.drag_pole(there, nearest(bench.picture(there), 0.95 * pole), pole, origin=origin)
+    for name, x in start.options[PAIR][start.design].items():
+        assert back.options[PAIR][start.design][name] == pytest.approx(x, rel=0.05)
+
+
+def test_the_shaded_region_is_about_what_a_drag_reaches(bench: Backend) -> None:
+    start = bench.start(PAIR)
+    before = bench.picture(start)
+    pole = nearest(before, -190.0 + 1240.0j)
+    corners = bench.reachable_poles(start, pole)
+    assert np.abs(corners - pole).max() > 0.02 * abs(pole)
+    for corner in corners[::5]:
+        way = corner - pole
+        reached = nearest(bench.picture(bench.drag_pole(start, pole, pole + 3.0 * way)), corner)
+        assert abs(reached - corner) < 0.9 * abs(way) + 0.02 * abs(pole)
+    low, high = bench.reachable_crossovers(start, float(before.bode.crossovers[-1]))
+    for end, factor in ((low, 0.5), (high, 2.0)):
+        crossover = float(before.bode.crossovers[-1])
+        after = bench.picture(bench.drag_crossover(start, factor * crossover)).bode.crossovers[-1]
+        assert after == pytest.approx(end, rel=0.15)
+
+
+@pytest.mark.parametrize("name", ["lead_hz", "notch_hz"])
+def test_a_dragged_zero_or_notch_moves_alone_and_stops_at_the_limits(bench: Backend, judge: Backend, name: str) -> None:
+    start = bench.start(PAIR)
+    options = start.options[PAIR][start.design]
+    near = bench.drag_slider(start, name, 1.01 * options[name])
+    assert near.options[PAIR][start.design] == dict(options) | {name: pytest.approx(1.01 * options[name])}
+    limiting: list[tuple[str, ...]] = []
+    far = bench.drag_slider(start, name, 0.5 * options[name], on_limited=limiting.append)
+    assert missed(judge.picture(far)) == set()
+    assert limiting
+    assert 0.5 < far.options[PAIR][start.design][name] / options[name] < 1.0
+    free = bench.drag_slider(start, name, 0.5 * options[name], free=True)
+    assert free.options[PAIR][start.design][name] == pytest.approx(0.5 * options[name])
+    with pytest.raises(DesignError, match="fixed"):
+        bench.drag_slider(start.but(fixed=frozenset({name})), name, options[name])
+
+
 @given(
     loop=st.sampled_from([PAIR, THREE]),
     which=st.integers(0, 4),
@@ -92,7 +165,7 @@ def test_no_drag_makes_a_requirement_missed_that_is_met(
         assert abs(nearest(after, target) - target) == pytest.approx(
             abs(nearest(judge.picture(free), target) - target), abs=1e-6 * abs(target)
         )
-    for name in {name for names in limiting for name in names}:
+    for name in {name for names in limiting for name in names} - {SLIDERS}:
         assert name in {one.name for one in before.requirements if one.passed}
 
 

@@ -11,6 +11,7 @@ from platform_ctrl.app.designs import DesignPending
 from platform_ctrl.app.gimbal_tree import TreeView
 from platform_ctrl.app.page import messages
 from platform_ctrl.app.page.connection import Connection
+from platform_ctrl.app.page.drags import PageDrags
 from platform_ctrl.app.page.messages import Request, chosen, parse_request, request_count
 from platform_ctrl.app.page.tasks import LatestTasks, PageTasks, error_text
 from platform_ctrl.app.plots import Plots
@@ -87,8 +88,6 @@ class Session:
             # Beside the headings the template has a button.
             root.children[0].margin = (0, 24, 0, 0)
         self.tree = TreeView(backend.read.platform)
-        self.plots.on_pole_dragged(self._pole_dragged)
-        self.plots.on_crossover_dragged(self._crossover_dragged)
         self._gesture: object = None
         self._changes: LatestTasks[Task] = LatestTasks(self._work)
         # What is drawn next.
@@ -98,9 +97,10 @@ class Session:
         self._awaited: tuple[Settings, object] | None = None
         self._idle: Any = None
         # Whether a drag may violate limits, and which of them hold the present one back.
-        self._free = False
+        self.free = False
         self._limited_by: tuple[str, ...] = ()
         self._tasks = PageTasks(self)
+        PageDrags(self, self._tasks)
         self._stop_listening = backend.on_designed(self._designed)
 
     def roots(self) -> list[Any]:
@@ -201,26 +201,10 @@ class Session:
         self.change("history", lambda settings: there, count=request.count, gesture="history")
 
     def _on_free(self, request: Request) -> None:
-        self._free = request.more["free"]
+        self.free = request.more["free"]
         self.connection.answer(request.count)
 
-    def _pole_dragged(self, pole: complex, target: complex) -> None:
-        dragged, free = self.backend.drag_pole, self._free
-
-        def change(settings: Settings) -> Settings:
-            return dragged(settings, pole, target, free=free, on_limited=self._limited)
-
-        self.change("drag", change, gesture=("pole", self.plots.drags))
-
-    def _crossover_dragged(self, frequency: float) -> None:
-        dragged, free = self.backend.drag_crossover, self._free
-
-        def change(settings: Settings) -> Settings:
-            return dragged(settings, frequency, free=free, on_limited=self._limited)
-
-        self.change("drag", change, gesture=("crossover", self.plots.drags))
-
-    def _limited(self, names: tuple[str, ...]) -> None:
+    def limited(self, names: tuple[str, ...]) -> None:
         """Remember which limits hold a drag back; called while a change is computed."""
         self._limited_by = names
 

@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     from platform_ctrl.app.pictures import Influence, Picture
     from platform_ctrl.app.settings import Choices, Settings
 
+Region = TypeVar("Region")
+
 # A plain file name; those that Windows reserves.
 _NAME = re.compile(r"[\w .,()+=@-]+(?<![ .])")
 _LONGEST = 80
@@ -169,6 +171,15 @@ class PageTasks:
                 return
             parts.measure(one)
             self._connection.later(lambda: self._connection.answer(strip=page.strip()))
+
+    def shade(self, region: Callable[[], Region], show: Callable[[Region], None]) -> None:
+        """Compute where a drag may lead in a thread of its own, and show it."""
+
+        def found() -> Callable[[], None]:
+            there = region()
+            return lambda: show(there)
+
+        self._do(found, lambda line: None)
 
     def _on_cancel(self, request: Request) -> None:
         self._cancel()

@@ -7,9 +7,11 @@ from contextlib import contextmanager
 
 from bokeh.models import LayoutDOM
 
+from platform_ctrl.analysis.arrays import ComplexArray
 from platform_ctrl.app.pictures import Drawing
 from platform_ctrl.app.plots.data import Sources, View
 from platform_ctrl.app.plots.frequency import BodePanel, NicholsPanel
+from platform_ctrl.app.plots.handles import SliderHandle
 from platform_ctrl.app.plots.locus import LocusPanel
 from platform_ctrl.app.plots.panel import Theme
 from platform_ctrl.app.plots.responses import RatePanel, StepPanel
@@ -42,7 +44,8 @@ class Plots:
     @property
     def drags(self) -> int:
         """Number of drags so far: all callbacks of one drag see the same number."""
-        return self._locus.handles.drag.count + self._bode.handle.drag.count
+        sliders = sum(one.drag.count for one in self._bode.sliders)
+        return self._locus.handles.drag.count + self._bode.handle.drag.count + sliders
 
     def show(self, picture: Drawing) -> None:
         """Follow a picture: all changes go to the browser together, no model is made or removed.
@@ -65,6 +68,14 @@ class Plots:
             if self._picture is not None:
                 self.show(self._picture)
 
+    def shade_poles(self, corners: ComplexArray) -> None:
+        """Shade the region that the dragged pole may be brought to, rad/s, while the drag lasts."""
+        self._locus.shade(corners)
+
+    def shade_crossovers(self, ends: tuple[float, float]) -> None:
+        """Shade where the crossover may be dragged to, rad/s, while the drag lasts."""
+        self._bode.shade(*ends)
+
     def on_pole_dragged(self, callback: Callable[[complex, complex], None]) -> None:
         """Call `callback` a few times a second while a pole is dragged, and at the end.
 
@@ -78,6 +89,15 @@ class Plots:
     def on_crossover_dragged(self, callback: Callable[[float], None]) -> None:
         """Call `callback` with the new crossover, rad/s, a few times a second while it is dragged, and at the end."""
         self._bode.handle.callbacks.append(callback)
+
+    def on_slider_dragged(self, callback: Callable[[str, float], None]) -> None:
+        """Call `callback` with a slider's name and its new frequency, rad/s, while it is dragged."""
+        for handle in self._bode.sliders:
+
+            def dragged(frequency: float, handle: SliderHandle = handle) -> None:
+                callback(handle.slider, frequency)
+
+            handle.callbacks.append(dragged)
 
     @contextmanager
     def _combined(self) -> Iterator[None]:

@@ -6,6 +6,7 @@ import math
 from typing import Any
 
 import numpy as np
+from bokeh.models.annotations.geometry import BoxAnnotation
 
 from platform_ctrl.app.pictures import Bode, Drawing, Nichols
 from platform_ctrl.app.plots.data import (
@@ -21,11 +22,14 @@ from platform_ctrl.app.plots.data import (
     stepped,
     thinned,
 )
-from platform_ctrl.app.plots.handles import CrossoverHandle
+from platform_ctrl.app.plots.handles import CrossoverHandle, SliderHandle
 from platform_ctrl.app.plots.panel import OverlayCurves, Panel, Theme, limit_key, overlay_keys, set_message
+from platform_ctrl.app.settings import Settings
 from platform_ctrl.common.values import FloatArray
 
 _BAND = ("frequency", "gain_low", "gain_high", "phase_low", "phase_high")
+# Sliders that are dragged in the diagram: their words, and the optional part that they belong to.
+_SLIDERS = {"lead_hz": ("lead zero", ""), "inertial_lead_hz": ("inertial zero", ""), "notch_hz": ("notch", "notch")}
 _MARKS = ("frequency", "gain0", "gain1", "phase0", "phase1")
 
 
@@ -60,8 +64,25 @@ class BodePanel(Panel):
             self.draw(plot.scatter, "frequency", f"{name}1", source=marks, line="ink", fill="page", size=6)
             self.hover(plot, [line], rows, mode="vline", line_policy="interp")
         self.crosshair(above, below)
-        self.handle = CrossoverHandle(above, theme)
+        self._reach: Any = BoxAnnotation(visible=False, level="underlay", fill_alpha=0.12, line_alpha=0.0, left=1.0)
+        theme.paint(self._reach, fill_color="series-1")
+        above.add_layout(self._reach)
+        self.handle = CrossoverHandle(above, theme, lambda: self._reach.update(visible=False))
+        self.sliders = [SliderHandle(above, theme) for _ in range(len(_SLIDERS))]
         self._message = self.message(above)
+
+    def _mark_sliders(self, settings: Settings) -> None:
+        """Mark the lead zeros and the notch of a design that is shaped by sliders."""
+        options = settings.options.get(settings.loop, {}).get(settings.design, {})
+        on = settings.parts_on(settings.loop, settings.design)
+        for handle, (name, (words, part)) in zip(self.sliders, _SLIDERS.items(), strict=True):
+            shown = name in options and (not part or part in on)
+            handle.mark(name, words, options[name] if shown else None)
+
+    def shade(self, low: float, high: float) -> None:
+        """Shade where the crossover may be dragged to, rad/s; it goes with the drag."""
+        if self.handle.drag.active:
+            self._reach.update(left=low * HZ, right=high * HZ, visible=True)
 
     def show(self, picture: Drawing) -> None:
         """Follow a picture."""
@@ -88,6 +109,7 @@ class BodePanel(Panel):
         self._gain.fit(extent([gain, band[1], band[2]]))
         self._phase.fit(extent([phase]))
         self.handle.show(None if crossover is None else crossover * HZ)
+        self._mark_sliders(picture.settings)
         self.heading(f"L at {bode.channel}, others closed")
         limits = [limit_key("required bandwidth")] if required is not None else []
         self.keys([(picture.settings.design or "L", "series-1", (), 2.2), *overlay_keys(bode.overlays), *limits])

@@ -10,9 +10,10 @@ import numpy as np
 from bokeh.events import PanEnd, PanStart
 from bokeh.models import Model
 from bokeh.models.annotations.geometry import BoxAnnotation, Span
+from bokeh.models.annotations.labels import Label
 
 from platform_ctrl.app.pictures import Locus
-from platform_ctrl.app.plots.data import HZ, Sources, column, inner_size
+from platform_ctrl.app.plots.data import FONT, HZ, Sources, column, inner_size
 from platform_ctrl.app.plots.panel import Theme
 
 Place = TypeVar("Place")
@@ -118,24 +119,31 @@ _HALF_BAR = 6.0
 
 
 class CrossoverHandle:
-    """A bar over the crossover that is dragged along the frequency axis; `callbacks` get the frequency, rad/s."""
+    """A bar over the crossover that is dragged along the frequency axis; `callbacks` get the frequency, rad/s.
 
-    def __init__(self, plot: Any, theme: Theme) -> None:
+    `ended` is called after a drag.
+    """
+
+    name, role, alpha = "crossover-handle", "series-1", 0.14
+    dash: tuple[int, ...] = ()
+
+    def __init__(self, plot: Any, theme: Theme, ended: Callable[[], None] = lambda: None) -> None:
         self.callbacks: list[Callable[[float], None]] = []
         self._plot = plot
         self._shown: float | None = None
         # Where the server put it last: the browser's news of that comes later, and is no drag.
         self._put: tuple[float, float] | None = None
         self.box: Any = BoxAnnotation(
-            left=1.0, right=2.0, editable=True, movable="x", resizable="none", visible=False, name="crossover-handle",
-            fill_alpha=0.14, hover_fill_alpha=0.38, line_alpha=0.0, hover_line_alpha=0.0, propagate_hover=True,
+            left=1.0, right=2.0, editable=True, movable="x", resizable="none", visible=False, name=self.name,
+            fill_alpha=self.alpha, hover_fill_alpha=0.38, line_alpha=0.0, hover_line_alpha=0.0, propagate_hover=True,
         )  # fmt: skip
-        theme.paint(self.box, fill_color="series-1", hover_fill_color="series-1")
-        self.line: Any = Span(dimension="height", location=None, line_width=1.2)
-        theme.paint(self.line, line_color="series-1")
+        theme.paint(self.box, fill_color=self.role, hover_fill_color=self.role)
+        self.line: Any = Span(dimension="height", location=None, line_width=1.2, line_dash=list(self.dash))
+        theme.paint(self.line, line_color=self.role)
         plot.add_layout(self.box)
         plot.add_layout(self.line)
-        self.drag: Drag[float] = Drag(plot, self._dragged, self._place)
+        self.drag: Drag[float] = Drag(plot, self._dragged, self._end)
+        self._after = ended
         for name in ("left", "right"):
             self.box.on_change(name, self._moved)
         _on_changes(self._place_at_rest, *(one for one in _zoom(plot) if one[0] is not plot.y_range))
@@ -158,6 +166,10 @@ class CrossoverHandle:
         left, right = self._put = self._shown / half, self._shown * half
         self.box.update(left=left, right=right, visible=True)
 
+    def _end(self) -> None:
+        self._place()
+        self._after()
+
     def _half(self) -> float:
         """Return half the bar's width as a factor on the axis."""
         low, high = self._plot.x_range.start, self._plot.x_range.end
@@ -177,6 +189,28 @@ class CrossoverHandle:
     def _dragged(self, frequency: float) -> None:
         for callback in self.callbacks:
             callback(frequency / HZ)
+
+
+class SliderHandle(CrossoverHandle):
+    """A bar at the frequency of a slider, a lead zero or a notch say, with its words."""
+
+    name, role, alpha = "slider-handle", "muted", 0.0
+    dash = (2, 3)
+
+    def __init__(self, plot: Any, theme: Theme) -> None:
+        super().__init__(plot, theme)
+        self.slider = ""
+        self.label: Any = Label(
+            x=1.0, y=3, y_units="screen", x_offset=3, text="", text_font=FONT, text_font_size="10px", visible=False
+        )
+        theme.paint(self.label, text_color="muted")
+        plot.add_layout(self.label)
+
+    def mark(self, slider: str, words: str, frequency: float | None) -> None:
+        """Stand for a slider at a frequency, Hz, or for none."""
+        self.slider = slider
+        self.show(frequency)
+        self.label.update(x=frequency or 1.0, text=words, visible=frequency is not None)
 
 
 # Most poles with a handle, and half the handle's size, pixels.

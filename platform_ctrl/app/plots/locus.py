@@ -136,6 +136,9 @@ class LocusPanel(Panel):
 
     def _draw_poles(self, plot: Any) -> None:
         new, draw = self.sources.new, self.draw
+        reach = new("reach", "re", "im")
+        area: dict[str, Any] = {"fill_alpha": 0.12, "line_alpha": 0.6, "line_dash": [4, 3]}
+        draw(plot.patch, "re", "im", source=reach, line="series-1", fill="series-1", **area)
         others = new("other_poles", "re", "im")
         cloud: dict[str, Any] = {"marker": "dot", "size": 8, "line_alpha": 0.0, "fill_alpha": 0.35}
         draw(plot.scatter, "re", "im", source=others, fill="series-1", **cloud)
@@ -227,7 +230,13 @@ class LocusPanel(Panel):
         arcs = np.outer(radii[radii < 4.0 * reach], turn)
         self.sources.put("arcs", x=joined_curves(arcs.real), y=joined_curves(arcs.imag))
 
+    def shade(self, corners: ComplexArray) -> None:
+        """Shade the region that the dragged pole may be brought to; it goes with the drag."""
+        if self.handles.drag.active:
+            self.sources.put("reach", re=column(corners.real), im=column(corners.imag))
+
     def _follow_later(self) -> None:
+        self.sources.clear("reach")
         locus, self._later = self._later, None
         if locus is not None:
             self._follow(locus)
