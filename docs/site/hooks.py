@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import json
 import posixpath
 import re
 import tomllib
@@ -18,7 +19,12 @@ from mkdocs.structure.files import File, Files
 
 ROOT = drawn.ROOT
 # Files beside docs/ that pages lead to: each has a page under the same path.
-SHOWN = {"examples": ("*.py", "*.toml"), "examples/apps": ("*.py",), "models": ("*.toml",)}
+SHOWN = {
+    "examples": ("*.py", "*.toml"),
+    "examples/apps": ("*.py",),
+    "examples/notebooks": ("*.ipynb",),
+    "models": ("*.toml",),
+}
 _LINK = re.compile(r"\]\(((?:\.\./)+(?:examples|models)(?:/[^)\s]*)?)\)")
 
 
@@ -80,8 +86,10 @@ def _list(folder: str) -> str:
 
 
 def _told(path: Path) -> str:
-    """Return what a file says about itself: the first line of a script, the name in a TOML file."""
+    """Return what a file says about itself: the first line of a script, the name in a TOML file, a notebook's title."""
     text = path.read_text(encoding="utf-8")
+    if path.suffix == ".ipynb":
+        return _cells(text)[0][1].partition("\n")[0].lstrip("# ")
     if path.suffix == ".toml":
         return str(tomllib.loads(text)["name"])
     return (ast.get_docstring(ast.parse(text)) or "").partition("\n")[0]
@@ -91,8 +99,16 @@ def _picture(uri: str, k: int) -> str:
     return f"{uri.removesuffix('.md').replace('/', '-')}-{k + 1}"
 
 
+def _cells(text: str) -> list[tuple[str, str]]:
+    """Return kind and text of every cell of a notebook."""
+    return [(cell["cell_type"], "".join(cell["source"])) for cell in json.loads(text)["cells"]]
+
+
 def _listing(path: Path) -> str:
     where = path.relative_to(ROOT).as_posix()
+    if path.suffix == ".ipynb":
+        cells = _cells(path.read_text(encoding="utf-8"))
+        return "\n\n".join(text if kind == "markdown" else f"````python\n{text}\n````" for kind, text in cells) + "\n"
     language = {".py": "python", ".toml": "toml"}[path.suffix]
     return f"# {where}\n\n````{language}\n{path.read_text(encoding='utf-8').rstrip()}\n````\n"
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from platform_ctrl.app.background import IsCancelled, Progress, ServoTuning, Simulating, TaskRunner, Tuning, run_alone
+from platform_ctrl.app.background import IsCancelled, ServoTuning, Simulating, TaskRunner, Tuning, run_alone
 from platform_ctrl.app.caged import caged_parts
 from platform_ctrl.app.closed_loops import ClosedLoops
 from platform_ctrl.app.controllers import built_directly, part_of
@@ -37,6 +37,7 @@ from platform_ctrl.app.slider_effects import (
 )
 from platform_ctrl.app.stabilised import stabilised_parts
 from platform_ctrl.common.arguments import known_name, whole
+from platform_ctrl.common.progress import Progress
 from platform_ctrl.common.signatures import short
 from platform_ctrl.errors import ArgumentError, DesignError, PlatformCtrlError
 from platform_ctrl.job.job import Job

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from platform_ctrl.analysis.arrays import StateArrays, state_arrays
 from platform_ctrl.common.processes import POLL, ProcessTimeout, Started, TaskProcess, next_result, send_early
+from platform_ctrl.common.progress import Progress
 from platform_ctrl.common.values import value
 from platform_ctrl.errors import DesignError, PlatformCtrlError
 from platform_ctrl.job.job import DesignSpec, Job, LoopSpec
@@ -20,7 +21,6 @@ if TYPE_CHECKING:
 
     from platform_ctrl.simulation.closed_loop import Trajectory
 
-Progress = Callable[[str], None]
 IsCancelled = Callable[[], bool]
 
 # Tasks at a time, each in a process of its own; others wait.

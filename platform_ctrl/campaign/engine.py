@@ -14,6 +14,7 @@ from platform_ctrl.campaign.single_run import SimulateRuns, kinds_of
 from platform_ctrl.campaign.store import Record, opened
 from platform_ctrl.campaign.table import DIVERGED, ENDED, NOT_SIMULATED, arrow
 from platform_ctrl.campaign.workers import Chunks, columns_by_cluster, columns_by_processes
+from platform_ctrl.common.progress import shown_runs
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import value
 from platform_ctrl.errors import ArgumentError
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
     from platform_ctrl.campaign.planning import Plan
 
 # Called with the number of runs that are kept, and of those that were not simulated or diverged since the start.
-Progress = Callable[[int, int], None]
+RunsProgress = Callable[[int, int], None]
 
 
 @value
@@ -58,7 +59,7 @@ def run_campaign(  # noqa: PLR0913 - options by keyword
     scheduler: str | None = None,
     device: str = "cpu",
     restart: bool = False,
-    progress: Progress | None = None,
+    progress: RunsProgress | bool | None = None,
     say: Callable[[str], None] = lambda line: None,
     simulate: SimulateRuns = single_run.simulate_runs,
 ) -> CampaignResult:
@@ -82,7 +83,8 @@ def run_campaign(  # noqa: PLR0913 - options by keyword
     restart
         Forget what is in `folder`.
     progress, say
-        Called after each chunk of runs, and with a line where something should be known.
+        Called after each chunk of runs with the numbers of runs that are done and that failed (True shows a bar, in a
+        notebook or on a terminal), and with a line where something should be known.
     simulate
         Simulates runs as `single_run.simulate_runs` does, its default; a function that worker processes can import.
 
@@ -107,11 +109,13 @@ def run_campaign(  # noqa: PLR0913 - options by keyword
     crew = workers or (processors() if device == "cpu" else 1)
     about = {"job": plan.job.name, "platform": plan.job.platform.name}
     kinds = kinds_of(plan)
-    with opened(Path(folder), identity(plan, device), about, plan.runs, versions(), kinds, restart) as store:
+    with (
+        opened(Path(folder), identity(plan, device), about, plan.runs, versions(), kinds, restart) as store,
+        shown_runs(progress, plan.runs) as tick,
+    ):
         chunks = Chunks(store.gaps, crew, device)
         amiss = 0
-        if progress is not None:
-            progress(store.done, amiss)
+        tick(store.done, amiss)
         if chunks.waiting:
             if scheduler is None:
                 batches = columns_by_processes(plan, chunks, simulate, workers=crew, device=device)
@@ -121,8 +125,7 @@ def run_campaign(  # noqa: PLR0913 - options by keyword
                 for runs, columns in batches:
                     store.write(runs, columns)
                     amiss += sum(str(one).startswith((NOT_SIMULATED, DIVERGED)) for one in columns[ENDED])
-                    if progress is not None:
-                        progress(store.done, amiss)
+                    tick(store.done, amiss)
         say("putting the runs in order")
         store.finish()
         return CampaignResult(table=store.table, record=store.record)

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from platform_ctrl.analysis.metrics import RUN_METRICS
 from platform_ctrl.cli.interrupts import interruptible
+from platform_ctrl.common.progress import spinner
 from platform_ctrl.job.judging import CheckResult
 
 if TYPE_CHECKING:
@@ -65,15 +66,8 @@ def _shown(quiet: bool, first: str) -> Iterator[Callable[[str], None]]:
         with _lines(first) as show:
             yield show
         return
-    from rich.console import Console
-    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
-    from rich.table import Column
-
-    text = TextColumn("{task.description}", markup=False, table_column=Column(no_wrap=True, overflow="ellipsis"))
-    columns = (SpinnerColumn("line"), TimeElapsedColumn(), text)
-    with Progress(*columns, console=Console(stderr=True), transient=True) as shown:
-        task = shown.add_task(first, total=None)
-        yield lambda line: shown.update(task, description=line)
+    with spinner(first) as show:
+        yield show
 
 
 @contextmanager

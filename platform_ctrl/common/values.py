@@ -183,7 +183,8 @@ def value(cls: type[T]) -> type[T]:
     cls.__post_init__ = settled  # type: ignore[attr-defined]
     if "__repr__" not in cls.__dict__:
         cls.__repr__ = _summary  # type: ignore[method-assign]
-    cls._repr_html_ = _html  # type: ignore[attr-defined]
+    if "_repr_html_" not in cls.__dict__:
+        cls._repr_html_ = _html  # type: ignore[attr-defined]
     made = dataclasses.dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)(cls)
     made._settled = settled  # type: ignore[attr-defined]
     made.__setstate__ = _set_state  # type: ignore[attr-defined]

@@ -6,10 +6,11 @@ import dataclasses
 import os
 from collections.abc import Mapping, Sequence
 
+from platform_ctrl.common.progress import Progress, shown
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import value
 from platform_ctrl.design.caging_claims import with_caging_claims
-from platform_ctrl.design.loop import LoopDesign, LoopProblem, Progress, commanded, designed
+from platform_ctrl.design.loop import LoopDesign, LoopProblem, commanded, designed
 from platform_ctrl.design.loop_signals import loop_channels, loop_signals
 from platform_ctrl.design.plants import plants_of, tracking_plants
 from platform_ctrl.errors import DesignError
@@ -39,7 +40,7 @@ class LoopOutcome:
 
 @check_arguments
 def loops(
-    job: Job | str | os.PathLike[str] | Mapping[str, object], progress: Progress | None = None
+    job: Job | str | os.PathLike[str] | Mapping[str, object], progress: Progress | bool | None = None
 ) -> tuple[LoopOutcome, ...]:
     """Design every loop of `job` by each of its methods.
 
@@ -48,7 +49,7 @@ def loops(
     job
         The job, or what `read_job` reads: a path or a dict.
     progress
-        Called with a line before and during each design.
+        Called with a line before and during each design; True shows the lines, in a notebook or on a terminal.
 
     Returns
     -------
@@ -65,7 +66,11 @@ def loops(
         The mass matrix is singular at rest (gimbal lock).
     """
     job = job if isinstance(job, Job) else read_job(job)
-    progress = progress or (lambda line: None)
+    with shown(progress) as say:
+        return _loops(job, say)
+
+
+def _loops(job: Job, progress: Progress) -> tuple[LoopOutcome, ...]:
     model = linearise(job.platform)
     # All plants before the first design: an error in the third loop is raised before the work on the first.
     plant_sets = [plants_of(job, spec) for spec in job.loops]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
 from dataclasses import field
 from typing import TYPE_CHECKING
 
@@ -15,6 +14,7 @@ from platform_ctrl.analysis.certificates.plant_set import plant_set_certificates
 from platform_ctrl.analysis.feedback import closed_loop
 from platform_ctrl.analysis.loop_metrics import LoopMetrics, measure
 from platform_ctrl.analysis.plant_set import COMMAND, PlantSet
+from platform_ctrl.common.progress import Progress
 from platform_ctrl.common.values import value
 from platform_ctrl.design.loop_signals import loop_channels, loop_signals
 from platform_ctrl.design.partition import Channels
@@ -97,9 +97,6 @@ def sampled_plant(plants: PlantSet, k: int = 0) -> control.StateSpace:
     """Return the nominal sampled plant (or plant `k` of the set) with its signal names."""
     arrays = StateArrays(plants.A[k], plants.B[k], plants.C[k], plants.D[k], plants.period)
     return named_system(arrays, plants.torques, plants.angles, plants.states)
-
-
-Progress = Callable[[str], None]
 
 
 @value

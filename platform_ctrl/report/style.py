@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Sequence
-from functools import wraps
-from io import StringIO
+from functools import partial, wraps
+from io import BytesIO, StringIO
 from typing import Any, ParamSpec, TypeVar
 
 import matplotlib as mpl
@@ -57,6 +57,8 @@ _VARIABLES = {
     REFERENCE: "reference",
 } | {colour: f"series-{k + 1}" for k, colour in enumerate(SERIES)}
 
+# Pixels an inch of a figure in a page.
+_PAGE_DPI = 96
 # Inches: margins of a figure, gaps between panels, rows of the legend, distance of an axis label from its axis.
 FULL_WIDTH = 9.6
 _LEFT, _RIGHT, _BOTTOM, _GAP_X = 0.66, 0.2, 0.46, 0.76
@@ -116,7 +118,7 @@ def settings() -> Any:
 
 
 def standalone(draw: Callable[P, Drawn]) -> Callable[P, Drawn]:
-    """Decorate a plot for scripts: the report's look whatever the caller's settings are, on white paper."""
+    """Decorate a plot for scripts and notebooks: in the report's look whatever the settings are, on white paper."""
 
     @wraps(draw)
     def drawn(*args: P.args, **keywords: P.kwargs) -> Drawn:
@@ -125,9 +127,20 @@ def standalone(draw: Callable[P, Drawn]) -> Callable[P, Drawn]:
         figure = out if isinstance(out, Figure) else getattr(out, "figure", None)
         if isinstance(figure, Figure):
             figure.set_facecolor("white")
+            # What notebooks show of a cell that ends with the plot.
+            out._repr_png_ = partial(_png, figure)  # type: ignore[attr-defined]
         return out
 
     return drawn
+
+
+def _png(figure: Figure) -> tuple[bytes, dict[str, int]]:
+    """Return a figure as PNG in two pixels for each one of the page, and its size there."""
+    out = BytesIO()
+    with settings():
+        figure.savefig(out, format="png", dpi=2 * _PAGE_DPI)
+    width, height = (round(_PAGE_DPI * inches) for inches in figure.get_size_inches())
+    return out.getvalue(), {"width": width, "height": height}
 
 
 def panels(

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from html import escape
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,6 +12,7 @@ from platform_ctrl.analysis.arrays import StateArrays, state_arrays
 from platform_ctrl.analysis.certificates import Certificate
 from platform_ctrl.analysis.certificates.certificate import Verification
 from platform_ctrl.analysis.certificates.makers import stability_certificate
+from platform_ctrl.common.progress import Progress, shown
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import value
 from platform_ctrl.design.cases import subsystems_over
@@ -28,6 +30,7 @@ from platform_ctrl.verification.simulated import Run, simulate_manoeuvre
 if TYPE_CHECKING:
     import control
 
+_SIGNS = {"at most": "≤", "at least": "≥"}
 PROVED = Requirement(name="certified properties", limit=1.0, unit="", sense="at least")
 
 
@@ -149,9 +152,6 @@ def _side_by_side(
     return StateArrays(P.A, B, C, D, P.dt), StateArrays(A_K, B_K, C_K, D_K, P.dt)
 
 
-Progress = Callable[[str], None]
-
-
 @value
 class JobResult:
     """The result of a job.
@@ -191,9 +191,28 @@ class JobResult:
         """Whether every requirement is met; goals do not count."""
         return all(result.passed or not result.hard for result in self.requirements)
 
+    def _repr_html_(self) -> str:
+        """Return the verdict and all requirements, the tightest first: what notebooks show."""
+        by_margin = sorted(self.requirements, key=lambda one: (one.passed or not one.hard, one.margin))
+        cells = [
+            (
+                f"{one.subject} {one.design}".strip(),
+                one.name,
+                f"{one.value:.4g}",
+                f"{_SIGNS[one.sense]} {one.limit:.4g} {one.unit}",
+                f"{one.margin:+.0%}",
+                "met" if one.passed else "not met" if one.hard else "goal missed",
+            )
+            for one in by_margin
+        ]
+        rows = ("<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in cells)
+        head = "".join(f"<th>{name}</th>" for name in ("of", "requirement", "value", "limit", "margin", ""))
+        verdict = f"{escape(self.job.name)}: {'PASSED' if self.passed else 'FAILED'}"
+        return f"<table><caption>{verdict}</caption><tr>{head}</tr>{''.join(rows)}</table>"
+
 
 @check_arguments
-def check_job(job: Job, loops: Sequence[LoopOutcome], progress: Progress | None = None) -> JobResult:
+def check_job(job: Job, loops: Sequence[LoopOutcome], progress: Progress | bool | None = None) -> JobResult:
     """Close the chosen designs of `loops`, check the whole, and return the verdict.
 
     Parameters
@@ -203,7 +222,7 @@ def check_job(job: Job, loops: Sequence[LoopOutcome], progress: Progress | None 
     loops
         From `platform_ctrl.design.loops`, or from controllers that exist already.
     progress
-        Called with a line before each step.
+        Called with a line before each step; True shows the lines, in a notebook or on a terminal.
 
     Returns
     -------
@@ -217,7 +236,11 @@ def check_job(job: Job, loops: Sequence[LoopOutcome], progress: Progress | None 
     MechanicsError
         The mass matrix is singular at rest (gimbal lock).
     """
-    say = progress or (lambda line: None)
+    with shown(progress) as say:
+        return _checked(job, loops, say)
+
+
+def _checked(job: Job, loops: Sequence[LoopOutcome], say: Progress) -> JobResult:
     model = linearise(job.platform)
     controllers = [outcome.closed.controller for outcome in loops]
     say("coupled check: all loops on the coupled sampled model")
@@ -236,8 +259,8 @@ def check_job(job: Job, loops: Sequence[LoopOutcome], progress: Progress | None 
     requirements: list[CheckResult] = []
     for outcome in loops:
         design = outcome.closed
-        shown = proofs[design.loop, design.name].results(design.loop, design.name, "decoupled")
-        requirements += [*design.results, *shown]
+        certified = proofs[design.loop, design.name].results(design.loop, design.name, "decoupled")
+        requirements += [*design.results, *certified]
     requirements += [*coupled.results, *together.results(ALL_LOOPS, "", "coupled")]
     requirements += unstable_results(job) if budget is None else budget.results
     requirements += [result for run in runs for result in run.results]

@@ -1,0 +1,74 @@
+"""What long pieces of work say meanwhile: to a function of the caller, on a terminal, or in a cell of a notebook."""
+
+from __future__ import annotations
+
+import html
+import importlib
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+# Called with a line before each step.
+Progress = Callable[[str], None]
+
+
+@contextmanager
+def shown(progress: Progress | bool | None) -> Iterator[Progress]:
+    """Yield what is called with a line before each step: True shows the present one, with the time since the start."""
+    if callable(progress):
+        yield progress
+    elif not progress:
+        yield lambda line: None
+    elif (cell := _cell()) is not None:
+        yield lambda line: cell(f"<progress></progress> {html.escape(line)}")
+        cell("")
+    else:
+        with spinner("") as show:
+            yield show
+
+
+@contextmanager
+def shown_runs(progress: Callable[[int, int], None] | bool | None, runs: int) -> Iterator[Callable[[int, int], None]]:
+    """Yield what is called with the numbers of runs that are done and that failed: True shows a bar."""
+    if callable(progress):
+        yield progress
+    elif not progress:
+        yield lambda done, failed: None
+    else:
+        cell = _cell()
+
+        def words(done: int, failed: int) -> str:
+            return f"{done:,} of {runs:,} runs" + (f", {failed:,} diverged or not simulated" if failed else "")
+
+        if cell is not None:
+            yield lambda done, failed: cell(f'<progress max="{runs}" value="{done}"></progress> {words(done, failed)}')
+        else:
+            with spinner(words(0, 0)) as show:
+                yield lambda done, failed: show(words(done, failed))
+
+
+@contextmanager
+def spinner(first: str) -> Iterator[Progress]:
+    """Yield what shows a line on standard error, `first` at the start, with the time; it vanishes at the end."""
+    from rich.console import Console
+    from rich.progress import Progress as Shown
+    from rich.progress import SpinnerColumn, TextColumn, TimeElapsedColumn
+    from rich.table import Column
+
+    text = TextColumn("{task.description}", markup=False, table_column=Column(no_wrap=True, overflow="ellipsis"))
+    columns = (SpinnerColumn("line"), TimeElapsedColumn(), text)
+    with Shown(*columns, console=Console(stderr=True), transient=True) as shown:
+        task = shown.add_task(first, total=None)
+        yield lambda line: shown.update(task, description=line)
+
+
+def _cell() -> Progress | None:
+    """Return what replaces the output of a notebook's cell by HTML; None outside of a notebook."""
+    ipython = sys.modules.get("IPython")
+    shell = ipython.get_ipython() if ipython is not None else None
+    if getattr(shell, "kernel", None) is None:
+        return None
+    notebook: Any = importlib.import_module("IPython.display")
+    handle = notebook.display(notebook.HTML(""), display_id=True)
+    return lambda text: handle.update(notebook.HTML(text))
