@@ -131,7 +131,8 @@ def entries(kind: str, module: str) -> str:
     given = given | {item.__qualname__: item for item in here.values() if item not in given.values()}
     rows = [f"| {_led(name, item)} | {_told(item)} |" for name, item in _sorted(given)]
     own = [f"::: {identifier(item)}" for _, item in _sorted(given) if documented(item) and identifier(item) in here]
-    return "| name | is |\n| --- | --- |\n" + "\n".join(rows) + "\n\n" + "\n\n".join(own) + "\n"
+    detail = f"## {module.removeprefix('platform_ctrl.')} in detail\n\n" if kind == "names" and own else ""
+    return "| name | is |\n| --- | --- |\n" + "\n".join(rows) + "\n\n" + detail + "\n\n".join(own) + "\n"
 
 
 def every() -> str:

@@ -48,7 +48,13 @@ def of_script(path: Path, digest: str) -> str:
     """Return the picture of a gallery script: what it binds to `figure`."""
     text = path.read_text(encoding="utf-8")
     description = text.partition('"""')[2].partition("\n")[0].rstrip(".")
-    return _kept([path.name, text, digest], lambda: [_svg(_run(text, path.name)["figure"], description)])[0]
+    return _kept([path.name, text, digest], lambda: [_svg(_figure(text, path.name), description)])[0]
+
+
+def _figure(text: str, name: str) -> Any:
+    """Return what a script binds to `figure`; the file that it saves is left behind."""
+    with tempfile.TemporaryDirectory() as folder, chdir(folder):
+        return _run(text, name)["figure"]
 
 
 def of_page(page: str, name: str, digest: str) -> list[str]:

@@ -33,3 +33,4 @@ lag = [torquer.lag for torquer in job.platform.torquers[-2:]] + [0.0, 0.0, 0.0]
 plant = pc.analysis.sampled(gyro, PERIOD, DELAY, lag)
 
 figure = figures.Omega_sensitivity(plant, {"caged": controller}, limit=0.01).figure
+figure.savefig("Omega_sensitivity.png", dpi=150)

@@ -33,3 +33,4 @@ gyro = pc.state_space(pc.linearise(job.platform), gimbals=("9", "10"))[["alpha9"
 plant = pc.analysis.sampled(gyro, PERIOD, DELAY, [torquer.lag for torquer in job.platform.torquers[-2:]])
 
 figure = figures.bode(pc.analysis.loop_transfer(plant, controller)).figure
+figure.savefig("bode.png", dpi=150)

@@ -42,3 +42,4 @@ plan = campaign.plan(job, [pc.design.loops(job)[0].closed.controller])
 table = campaign.run_campaign(plan, tempfile.mkdtemp(), workers=1).table
 
 figure = figures.campaign_histograms(table, {one.name: one.limits for one in job.manoeuvres})
+figure.savefig("campaign_histograms.png", dpi=150)

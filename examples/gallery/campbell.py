@@ -13,3 +13,4 @@ gyro = pc.read_platform("gimballed_gyro")
 springs = tuple(pc.Spring(gimbal=name, stiffness=200.0) for name in gyro.gimbal_names)
 
 figure = figures.campbell(dataclasses.replace(gyro, springs=springs))
+figure.savefig("campbell.png", dpi=150)

@@ -16,3 +16,4 @@ controller = control.ss(-(2000.0 + 90.0 * s + 8000.0 / s) / (0.003 * s + 1.0))
 loop = pc.analysis.loop_transfer(plant, controller)
 
 figure = figures.disk_margin_region({"loop": loop, "required": 0.5}).figure
+figure.savefig("disk_margin_region.png", dpi=150)

@@ -32,3 +32,4 @@ gyro = pc.state_space(pc.linearise(job.platform), gimbals=("9", "10"))[["alpha9"
 plant = pc.analysis.sampled(gyro, PERIOD, DELAY, [torquer.lag for torquer in job.platform.torquers[-2:]])
 
 figure = figures.gang_of_four(plant, {"as designed": controller, "half the gain": 0.5 * controller}, S_limit=3.0).figure
+figure.savefig("gang_of_four.png", dpi=150)

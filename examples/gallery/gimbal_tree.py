@@ -8,3 +8,4 @@ import platform_ctrl as pc
 from platform_ctrl.report import figures
 
 figure = figures.gimbal_tree(pc.read_platform("three_gyro_platform"))
+figure.savefig("gimbal_tree.png", dpi=150)

@@ -33,3 +33,4 @@ plant = pc.analysis.sampled(gyro, PERIOD, DELAY, [torquer.lag for torquer in job
 loop = pc.analysis.loop_transfer(plant, controller)
 
 figure = figures.nichols({"nominal": loop, "gain × 1.5": 1.5 * loop}, disk_margins=(0.4, 0.6)).figure
+figure.savefig("nichols.png", dpi=150)

@@ -34,3 +34,4 @@ plant = pc.analysis.sampled(gyro, PERIOD, DELAY, [torquer.lag for torquer in job
 closed = pc.analysis.closed_loop(plant, controller)
 
 figure = figures.pole_map({"gyro alone": gyro, "caged, sampled at 2 kHz": closed}).figure
+figure.savefig("pole_map.png", dpi=150)

@@ -32,3 +32,4 @@ gyro = pc.state_space(pc.linearise(job.platform), gimbals=("9", "10"))[["alpha9"
 plant = pc.analysis.sampled(gyro, PERIOD, DELAY, [torquer.lag for torquer in job.platform.torquers[-2:]])
 
 figure = figures.root_locus(plant, controller).figure
+figure.savefig("root_locus.png", dpi=150)

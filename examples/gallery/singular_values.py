@@ -20,3 +20,4 @@ for label, speed in {"full speed": 1.0, "half speed": 0.5}.items():
     plants[label] = pc.state_space(model, gimbals=("4", "5", "7"))[["alpha4", "beta5", "beta7"], ["Q4", "Q5", "Q7"]]
 
 figure = figures.singular_values(plants).figure
+figure.savefig("singular_values.png", dpi=150)

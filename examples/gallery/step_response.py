@@ -33,3 +33,4 @@ plant = pc.analysis.sampled(gyro, PERIOD, DELAY, [torquer.lag for torquer in job
 closed = pc.analysis.closed_loop(plant, controller)
 
 figure = figures.step_response(closed[["alpha9", "beta10"], ["Q9", "Q10"]], labels=["caged gyro"]).figure
+figure.savefig("step_response.png", dpi=150)

@@ -32,3 +32,4 @@ scenario = pc.simulation.Scenario(platform=job.platform, mode="caged", duration=
 run = pc.simulation.simulate(scenario, [controller], period=0.0005)
 
 figure = figures.time_run(run, job.platform, limits={"angle": 0.003, "torque_share": 0.8})
+figure.savefig("time_run.png", dpi=150)

@@ -12,3 +12,4 @@ plant = pc.design.complex_plant(model, ("9", "10"), period=0.0005, delay=0.0005,
 loop = pc.design.complex_loop(plant, crossover_hz=40.0, integral_hz=2.0, damping_hz=50.0, lead_hz=7.0, rolloff_hz=900.0)
 
 figure = figures.two_sided_nyquist(loop.nyquist)
+figure.savefig("two_sided_nyquist.png", dpi=150)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from platform_ctrl.analysis.arrays import StateArrays, named_system, state_arrays
+from platform_ctrl.analysis.plant_set import COMMAND
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
@@ -28,7 +29,9 @@ def interconnect_controllers(
     ----------
     controllers
         In the order in which they are computed. Inputs: names among `inputs`, or outputs of an earlier controller
-        (that step's value). Outputs: names among `outputs`, or inputs of a later controller; no name twice.
+        (that step's value), or NAME + ``_command`` of a reading, zero where nothing gives it. Outputs: names among
+        `outputs`, or inputs of a later controller; no name twice, but a command that is among `inputs` adds to what an
+        outer loop commands.
     inputs, outputs
         Signals of the result; an output that no controller sets is zero.
     period
@@ -67,6 +70,9 @@ def interconnected(
         if not math.isclose(K.dt, period, rel_tol=1e-9):
             raise ArgumentError(f"{where}: dt must be the sample period {period:.6g} s, got {system.dt!r}")
         unknown = [name for name in system.input_labels if name not in rows]
+        # Nobody commands these readings: they are held at zero.
+        rows |= {name: np.zeros(size) for name in unknown if name.endswith(COMMAND)}
+        unknown = [name for name in unknown if name not in rows]
         if unknown and is_rate(unknown[0]):
             raise ArgumentError(
                 f"{where}: input {unknown[0]!r} is a rate that no sensor measures; add a rate sensor to the plant"
@@ -84,7 +90,9 @@ def interconnected(
         u = K.D @ seen
         u[:, own] += K.C
         for name, row in zip(system.output_labels, u, strict=True):
-            if name in rows:
+            if name in inputs and name.endswith(COMMAND) and name not in made:
+                row = row + rows[name]
+            elif name in rows:
                 raise ArgumentError(f"{where}: output {name!r} exists already; give it another name")
             rows[name] = row
             made[name] = where

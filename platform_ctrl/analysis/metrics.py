@@ -429,6 +429,7 @@ class RunMetric(Quantity):
 
     on_demand: bool = False  # whether it is shown only where a manoeuvre limits it
     sight: bool = False  # whether the plant needs a line of sight
+    commanded: bool = False  # whether the run needs a command in its unit
 
 
 RUN_METRICS: dict[str, RunMetric] = {
@@ -461,6 +462,24 @@ RUN_METRICS: dict[str, RunMetric] = {
             sense="at most",
             meaning="largest magnitude of a gimbal's rate",
             on_demand=True,
+        ),
+        RunMetric(
+            name="largest error behind a commanded angle",
+            key="angle_following_error",
+            unit="rad",
+            sense="at most",
+            meaning="largest magnitude of a reading of an angle less its command after `settle`",
+            on_demand=True,
+            commanded=True,
+        ),
+        RunMetric(
+            name="largest error behind a commanded rate",
+            key="rate_following_error",
+            unit="rad/s",
+            sense="at most",
+            meaning="largest magnitude of a reading of a rate less its command after `settle`",
+            on_demand=True,
+            commanded=True,
         ),
         RunMetric(
             name="line-of-sight angle, rms",

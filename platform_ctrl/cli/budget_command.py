@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     import control
 
     from platform_ctrl.job.job import Job
-    from platform_ctrl.verification.budget import LineOfSightBudget, WindowBudget
+    from platform_ctrl.verification.budget_result import LineOfSightBudget, WindowBudget
 
 # Columns for the name of a source; with three axes a line has 80.
 _NAME, _KIND = 24, 14

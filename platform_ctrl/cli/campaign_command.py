@@ -109,6 +109,8 @@ def campaign(
                 "attitude",
                 "torque_share",
                 "gimbal_rate",
+                "angle_following_error",
+                "rate_following_error",
                 "los_angle_rms",
                 "los_rate_rms",
                 "attenuation_db",

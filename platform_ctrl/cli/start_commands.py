@@ -12,6 +12,7 @@ import typer
 
 from platform_ctrl.cli import completion
 from platform_ctrl.cli.job_arguments import Json, Quiet, one_of, option, prepare_folder
+from platform_ctrl.cli.starting.kinds import DEFAULT, KINDS
 from platform_ctrl.errors import InputError
 from platform_ctrl.mechanics.symbolic.options import HIGHEST_ORDER, TERMS, WRITTEN
 
@@ -36,8 +37,17 @@ def new(
         option(
             "--like",
             metavar="PLANT",
-            help="Start from this plant: a shipped name or a plant file. Default: one gyro in two gimbals.",
+            help="Start from this plant: a shipped name or a plant file.",
             words=completion.plants,
+        ),
+    ] = None,
+    kind: Annotated[
+        str | None,
+        option(
+            "--kind",
+            metavar="KIND",
+            help=f"Start from what you have: {', '.join(KINDS)}. Default: {DEFAULT}.",
+            words=completion.words(*KINDS),
         ),
     ] = None,
     force: Annotated[bool, option("--force", help="Overwrite files that are there.", default=True)] = False,
@@ -46,42 +56,46 @@ def new(
 ) -> None:
     """Write a commented plant and a job for it, to start from.
 
-    NAME_plant.toml describes the bodies, rotors, torquers and pick-offs; NAME.toml defines the loops to be designed,
-    their methods and their requirements. Both work as they are; then put in your own numbers. With --like the
-    loops are the subsystems of that plant, with starting values from rules of thumb.
+    NAME_plant.toml describes the bodies, rotors, torquers and sensors; NAME.toml defines the loops to be designed,
+    their methods and their requirements. Both work as they are; then put in your own numbers. The loops are those
+    that the plant is for: rate loops on inertial gyros, pointing loops on angles, caging of gyros, stabilisation of a
+    platform with caged gyros, with starting values from rules of thumb.
 
     \b
     platform-ctrl new gyro                              gyro_plant.toml and gyro.toml
     platform-ctrl design gyro.toml                      designs and checks its loop: out/report.html
+    platform-ctrl new eye --kind camera-gimbal          by what you have
     platform-ctrl new pyramid --like vscmg_pyramid      from a plant that platform-ctrl models lists
     platform-ctrl new mine --like plants/mine.toml      a job for a plant of your own
     """  # noqa: D301
     from platform_ctrl.cli.atomic_output import written_together
-    from platform_ctrl.cli.starting_files import own_start, start_like
+    from platform_ctrl.cli.starting.files import start_like, start_of
     from platform_ctrl.cli.terminal import progress
     from platform_ctrl.common.json_text import json_text
 
+    if like is not None and kind is not None:
+        raise InputError("--like and --kind exclude each other; leave one out")
     title = _title(name)
     files = (f"{title}_plant.toml", f"{title}.toml")
     for file in files:
         if os.path.exists(out / file) and not force:
             raise InputError(f"{out / file}: exists already; choose another NAME or -o DIR, or overwrite with --force")
     with progress(quiet or as_json, "reading the plant") as say:
-        made = own_start(title, *files) if like is None else start_like(like, title, *files, say)
+        made = start_of(kind or DEFAULT, title, *files, say) if like is None else start_like(like, title, *files, say)
         prepare_folder(out, files)
         with written_together(out) as folder:
             for file, text in zip(files, (made.plant, made.job), strict=True):
                 (folder / file).write_text(text, encoding="utf-8", newline="\n")
     plant, job = (out / file for file in files)
-    then = [["design", job], ["equations", plant], ["simulate", job, "--manoeuvre", "turn"]]
+    then = [["design", job], ["equations", plant], ["simulate", job, "--manoeuvre", made.run]]
     commands = [shlex.join(["platform-ctrl", *map(str, words)]) for words in then]
     if as_json:
-        record = {"schema": 1, "plant": str(plant), "job": str(job), "like": like, "loops": made.loops}
+        record = {"schema": 1, "plant": str(plant), "job": str(job), "like": like, "kind": kind, "loops": made.loops}
         typer.echo(json_text(record | {"added": made.added, "next": commands}))
         return
-    typer.echo(f"plant: {plant}{f' (like {like})' if like else ''}")
+    typer.echo(f"plant: {plant}{f' (like {like})' if like else f' ({kind})' if kind else ''}")
     for line in made.added:
-        typer.echo(f"  added: {line}, which a caging loop needs and the plant does not have")
+        typer.echo(f"  added: {line}, which a loop needs and the plant does not have")
     typer.echo(f"job:   {job} ({', '.join(made.loops)})")
     for word, command in zip(("next:", "also:", "then:"), commands, strict=True):
         typer.echo(f"{word:<6} {command}")

@@ -106,18 +106,23 @@ def _loops(job: Job, progress: Progress) -> tuple[LoopOutcome, ...]:
             closed = design.name == spec.use
             designs.append(with_caging_claims(job, made, closed=closed) if spec.kind == "caging" else made)
         out.append(LoopOutcome(spec=spec, designs=tuple(designs), use=spec.use))
-    return in_order(out)
+    return in_order(job, out)
 
 
-def in_order(outcomes: Sequence[LoopOutcome]) -> tuple[LoopOutcome, ...]:
+def in_order(job: Job, outcomes: Sequence[LoopOutcome]) -> tuple[LoopOutcome, ...]:
     """Return loops in the order in which their controllers are computed: a tracking loop before the one it commands.
 
-    The commanded ones take commands then.
+    Those that such a loop or a manoeuvre commands take commands then.
     """
-    out = list(outcomes)
-    for tracking in [one for one in outcomes if one.spec.kind == "tracking"]:
-        k = next(i for i, one in enumerate(out) if one.spec.name == tracking.spec.around)
-        inner = dataclasses.replace(out[k], designs=tuple(commanded(design) for design in out[k].designs))
+    around = {one.spec.around for one in outcomes}
+    out = [
+        dataclasses.replace(one, designs=tuple(commanded(design) for design in one.designs))
+        if one.spec.name in around or job.commanded & set(one.spec.sensors)
+        else one
+        for one in outcomes
+    ]
+    for tracking in [one for one in out if one.spec.kind == "tracking"]:
         out.remove(tracking)
-        out[k : k + 1] = [tracking, inner]
+        k = next(i for i, one in enumerate(out) if one.spec.name == tracking.spec.around)
+        out.insert(k, tracking)
     return tuple(out)

@@ -38,7 +38,9 @@ class LoopDesign:
     loop, name, method
         Loop, design and method, as in the job file.
     controller
-        u = K y with ``dt`` the sample period; inputs are signals that it measures, outputs the torques that it sets.
+        u = K y with ``dt`` the sample period; inputs are signals that it measures, outputs the torques that it sets. A
+        loop that is commanded, by one around it or in a run, has u = K (y − command), its commands behind the signals:
+        NAME + ``_command``.
     options
         The method's numbers as finally used, in the units of the job file.
     plants
@@ -82,7 +84,7 @@ class LoopDesign:
 
     @property
     def own_controller(self) -> control.StateSpace:
-        """The controller from what the loop itself measures, without the commands of a loop around it."""
+        """The controller from what the loop measures, without its commands."""
         if self.plants is None:
             return self.controller
         return named_system(self.plants.joined(self.controller), self.plants.angles, self.plants.torques)
@@ -268,9 +270,9 @@ def _with_evidence(
 
 
 def commanded(design: LoopDesign) -> LoopDesign:
-    """Return the design of a rate loop that takes commands: u = K (y − command), an input more for every reading."""
+    """Return the design with commands: u = K (y − command), an input more for every reading."""
     plants = design.plants
-    assert plants is not None, "a rate loop has plants"
+    assert plants is not None, "a loop that is commanded has plants"
     K = plants.joined(design.controller)
     inputs = [*plants.angles, *(f"{name}{COMMAND}" for name in plants.angles)]
     arrays = K._replace(B=np.hstack([K.B, -K.B]), D=np.hstack([K.D, -K.D]))

@@ -16,7 +16,7 @@ from platform_ctrl.job.faults import Fault
 from platform_ctrl.job.methods import METHODS
 from platform_ctrl.job.methods import LoopKind as LoopKind
 from platform_ctrl.job.methods import Structure as Structure
-from platform_ctrl.job.scenario import HalfCosine, Scenario, Sine, Start, TimeTable, Vibration
+from platform_ctrl.job.scenario import Command, HalfCosine, Scenario, Sine, Start, TimeTable, Vibration
 from platform_ctrl.job.scenario import Mode as Mode
 from platform_ctrl.job.variation import Vary
 from platform_ctrl.plant import fields
@@ -25,7 +25,7 @@ from platform_ctrl.plant.tables import TABLE, Array, At, Collected, Instead, Key
 
 Points = Literal["sobol", "latin-hypercube", "random"]
 
-MOST_LOOPS, MOST_VIBRATIONS, MOST_SINES = 100, 20, 100
+MOST_LOOPS, MOST_VIBRATIONS, MOST_SINES, MOST_COMMANDS = 100, 20, 100, 100
 _RATE_HZ = Instead("rate_hz", fields.FREQUENCY, lambda rate, _: 1.0 / rate)
 _LIMITS = Shape(dict, {name: Key(fields.POSITIVE, name) for name in RUN_METRICS})
 _LOOP_LIMITS = Shape(dict, {}, others=("", fields.POSITIVE))  # which keys there are, METRICS says: see job.checks
@@ -197,6 +197,8 @@ class Manoeuvre:
         Caged: a platform rate, stabilised: a torque on the platform, over time; it adds to the above.
     vibrations, sines
         Of the base.
+    commands
+        What loops hold their readings at.
     faults
         Names of the faults that happen in it.
     initial
@@ -221,6 +223,7 @@ class Manoeuvre:
     torque_table: Annotated[TimeTable | None, _time_table(ROOT_TORQUE_NAMES)] = None
     vibrations: Annotated[tuple[Vibration, ...], Array("vibration", most=MOST_VIBRATIONS)] = ()
     sines: Annotated[tuple[Sine, ...], Array("sine", most=MOST_SINES)] = ()
+    commands: Annotated[tuple[Command, ...], Array("command", most=MOST_COMMANDS)] = ()
     faults: fields.Names = ()
     initial: Annotated[dict[str, float], _INITIAL] = field(default_factory=dict)
     start: Annotated[Start, fields.one_of(get_args(Start))] = "rest"
@@ -348,6 +351,11 @@ class Job:
         return (np.zeros(len(names)), *(np.array(q) for q in product(*lists) if any(q)))
 
     @property
+    def commanded(self) -> frozenset[str]:
+        """Names of the readings that a manoeuvre commands."""
+        return frozenset(one.reading for manoeuvre in self.manoeuvres for one in manoeuvre.commands)
+
+    @property
     def campaign_manoeuvres(self) -> tuple[tuple[Manoeuvre, float], ...]:
         """Manoeuvres of the campaign with their weights, relative to one another.
 
@@ -386,6 +394,7 @@ def manoeuvre_scenario(job: Job, manoeuvre: Manoeuvre) -> Scenario:
         torque_table=manoeuvre.torque_table,
         vibrations=manoeuvre.vibrations,
         sines=manoeuvre.sines,
+        commands=manoeuvre.commands,
         faults=tuple(fault for fault in job.fault_events if fault.name in manoeuvre.faults),
         q=q,
         rate=rate,

@@ -7,6 +7,7 @@ from collections.abc import Collection, Iterator
 from typing import Any
 
 from platform_ctrl.analysis.metrics import RUN_METRICS
+from platform_ctrl.job.command_checks import command_mistakes
 from platform_ctrl.job.faults import FAULT_KINDS, FAULT_NUMBERS, PART_WORDS, PartKind, part_names
 from platform_ctrl.job.job import Campaign
 from platform_ctrl.plant.checks import number_of
@@ -24,7 +25,7 @@ MOST_SAMPLES, MOST_STEPS = 1e7, 1e9
 LONGEST_STEP = Campaign().step  # that of manoeuvres, too
 
 # What may happen to a platform that is not moved: one of these is enough of a manoeuvre.
-EVENTS = ("vibration", "sine", "faults", "initial")
+EVENTS = ("vibration", "sine", "command", "faults", "initial")
 
 
 def run_mistakes(data: Data, platform: Platform | None) -> Iterator[Mistake]:
@@ -39,7 +40,8 @@ def run_mistakes(data: Data, platform: Platform | None) -> Iterator[Mistake]:
         yield from _length(table, path, data)
         yield from _tables(table, path)
         yield from _vibrations(table, path, mode)
-        yield from _sight(table, path, mode, platform)
+        yield from _limits(table, path, mode, platform)
+        yield from command_mistakes(data, table, path, platform)
         yield from _names_of_faults(table, path, faults)
     for k, table in tables(data, "fault"):
         yield from _fault(table, ("fault", k), platform)
@@ -107,7 +109,7 @@ def of_length(table: Data, key: str, beside: str, path: Path) -> Iterator[Mistak
         yield Mistake((*path, key), words)
 
 
-def _sight(table: Data, path: Path, mode: str | None, platform: Platform | None) -> Iterator[Mistake]:
+def _limits(table: Data, path: Path, mode: str | None, platform: Platform | None) -> Iterator[Mistake]:
     duration, settle = number_of(table, "duration"), number_of(table, "settle")
     if duration is not None and settle is not None and settle >= duration > 0.0:
         yield Mistake((*path, "settle"), f"settle must be less than duration, {duration:.6g} s, got {given(settle)}")
@@ -117,9 +119,19 @@ def _sight(table: Data, path: Path, mode: str | None, platform: Platform | None)
         if metric is not None and metric.sight and platform is not None and platform.line_of_sight is None:
             words = f"{key} has no effect: the plant has no line of sight; add [line_of_sight] to it"
             yield Mistake((*path, "limits", key), words)
+        elif metric is not None and metric.commanded and platform is not None and not _commanded(table, key, platform):
+            words = f"{key} has no effect: no [[manoeuvre.command]] is of a reading in {metric.unit}; add one"
+            yield Mistake((*path, "limits", key), words)
         elif key == "attenuation_db" and mode == "stabilised":
             words = f"{key} is for a caged manoeuvre, whose base moves as prescribed; leave it out"
             yield Mistake((*path, "limits", key), words)
+
+
+def _commanded(table: Data, key: str, platform: Platform) -> bool:
+    """Return whether the manoeuvre commands a reading in the metric's unit."""
+    units = {sensor.name: sensor.unit for sensor in platform.sensors}
+    readings = [text_of(one, "reading") for _, one in tables(table, "command")]
+    return any(units.get(reading or "") == RUN_METRICS[key].unit for reading in readings)
 
 
 def _vibrations(table: Data, path: Path, mode: str | None) -> Iterator[Mistake]:

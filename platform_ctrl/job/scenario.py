@@ -271,6 +271,49 @@ class Sine:
 
 
 @input_value
+class Command:
+    """What a loop holds one of its readings at in a run: the sum of what is given, and of all commands of the reading.
+
+    Attributes
+    ----------
+    reading
+        Name of the sensor: its loop computes u = K (y − command). Amounts are in the sensor's unit, rad or rad/s.
+    step, ramp
+        From `at` on: a constant, and its change per second.
+    at
+        When they begin, s.
+    frequency_hz, amplitude, phase
+        amplitude sin(2π frequency_hz t + phase); Hz, the reading's unit, rad.
+    t, value : (k,)
+        A table over time; before the first and after the last point it stays as there. t in s.
+    smooth
+        Between the points of the table: a cubic spline with natural ends, or straight lines.
+    """
+
+    reading: fields.Text
+    step: fields.NotZero = 0.0
+    ramp: fields.NotZero = 0.0
+    at: fields.NotNegative = 0.0
+    frequency_hz: Annotated[float, fields.FREQUENCY] = 0.0
+    amplitude: fields.NotZero = 0.0
+    phase: fields.Number = 0.0
+    t: Annotated[tuple[float, ...], fields.TIMES] = ()
+    value: fields.Numbers = ()
+    smooth: fields.Truth = False
+
+    def __post_init__(self) -> None:
+        """Judge the numbers."""
+        for name in ("step", "ramp", "amplitude", "phase"):
+            number(f"Command: {name}", getattr(self, name))
+        for name in ("at", "frequency_hz"):
+            positive(f"Command: {name}", getattr(self, name), zero=True)
+        t = real_array("Command: t", self.t, (len(self.t),))
+        real_array("Command: value", self.value, (len(self.t),))
+        if len(t) == 1 or np.any(np.diff(t) <= 0.0):
+            raise ArgumentError(f"Command: t must be two times or more that increase, s, got {short(t.tolist())}")
+
+
+@input_value
 class Scenario:
     """One run: the plant as it is in this run, how it begins, its excitation, its faults and its limits.
 
@@ -292,6 +335,8 @@ class Scenario:
         Stabilised: a torque over time, or None.
     vibrations, sines
         Of the base.
+    commands
+        What loops hold their readings at; others hold them at zero.
     faults
         What fails. Of several on one part: a weak torquer is weak, then stuck, then dead; a sensor drifts, then loses
         samples, then is stuck, then dead.
@@ -325,6 +370,7 @@ class Scenario:
     torque_table: TimeTable | None = None
     vibrations: tuple[Vibration, ...] = ()
     sines: tuple[Sine, ...] = ()
+    commands: tuple[Command, ...] = ()
     faults: tuple[Fault, ...] = ()
     q: FloatArray = field(default_factory=lambda: read_only(()))
     rate: FloatArray = field(default_factory=lambda: read_only(()))

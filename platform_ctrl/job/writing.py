@@ -98,6 +98,8 @@ def _manoeuvre_data(manoeuvre: Manoeuvre) -> dict[str, Any]:
         own["vibration"] = [_fields(one) for one in manoeuvre.vibrations]
     if manoeuvre.sines:
         own["sine"] = [_fields(one) for one in manoeuvre.sines]
+    if manoeuvre.commands:
+        own["command"] = [_said(one) for one in manoeuvre.commands]
     if manoeuvre.start != "rest":
         own["start"] = manoeuvre.start
     if manoeuvre.settle:
@@ -210,6 +212,11 @@ def _part(part: Any) -> dict[str, Any]:
     if isinstance(part, Friction) and not math.isfinite(part.stribeck_rate):
         apart |= {"breakaway", "stribeck_rate"}
     return _fields(part, *apart)
+
+
+def _said(part: Any) -> dict[str, Any]:
+    """Return the fields of a part without those that have their default values."""
+    return {one.name: x for one in dataclasses.fields(part) if (x := getattr(part, one.name)) != one.default}
 
 
 def _fields(part: Any, *apart: str) -> dict[str, Any]:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from platform_ctrl.analysis.interconnection import interconnected
+from platform_ctrl.analysis.plant_set import COMMAND
 from platform_ctrl.common.arguments import whole
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray, value
@@ -29,7 +30,7 @@ from platform_ctrl.simulation.run_plan import (
     controller_rows,
     prepared,
 )
-from platform_ctrl.simulation.scenarios import expect_several, steps
+from platform_ctrl.simulation.scenarios import commanded_readings, expect_several, steps
 
 if TYPE_CHECKING:
     import control
@@ -65,6 +66,10 @@ class BatchResult:
     line_of_sight_mean, line_of_sight_rms : (N, outputs)
         Line of sight: mean, and rms about it, of ``los_rate1``, ``los_rate2``, ``los_roll_rate``, rad/s, and of
         ``los_angle1``, ``los_angle2``, ``los_roll``, rad.
+    angle_following_error : (N, sensors of angles)
+        Largest |reading − command| from `settle` on, rad; 0 where nothing is commanded.
+    rate_following_error : (N, sensors of rates)
+        The same of rates, rad/s.
     requested : (N,)
         Number of samples of a complete run.
     period
@@ -86,6 +91,8 @@ class BatchResult:
     gimbal_rate_rms: FloatArray
     line_of_sight_mean: FloatArray
     line_of_sight_rms: FloatArray
+    angle_following_error: FloatArray
+    rate_following_error: FloatArray
     period: float
 
     @property
@@ -162,14 +169,15 @@ def simulate_batch(
     members = [prepared(scenario, period, longest) for scenario in scenarios]
     for place, member in enumerate(members):
         groups.setdefault(member.key, []).append(place)
-    modes: dict[Mode, Controller] = {}
+    modes: dict[tuple[Mode, tuple[str, ...]], Controller] = {}
 
     def put_together(places: list[int]) -> Batch:
         own = [members[place] for place in places]
-        platform, mode = own[0].scenario.platform, own[0].scenario.mode
-        if mode not in modes:
-            modes[mode] = merged_controller(platform, controllers, period, mode)
-        return batch(own, modes[mode], period, noise)
+        scenario = own[0].scenario
+        kind = scenario.mode, commanded_readings(scenario)
+        if kind not in modes:
+            modes[kind] = merged_controller(scenario.platform, controllers, period, *kind)
+        return batch(own, modes[kind], period, noise)
 
     if len({_kind(one.scenario.platform) for one in {member.skeleton: member for member in members}.values()}) > 1:
         raise ArgumentError(
@@ -178,13 +186,17 @@ def simulate_batch(
     shape = members[0].skeleton if members else None
     n, nu, sight = (shape.at.n, len(shape.targets), len(shape.sight)) if shape else (0, 0, 0)
     widths = widths_of_metrics(n, nu, sight)
-    rows = np.empty((len(members), sum(widths)))
+    rows, sensors = np.empty((len(members), sum(widths))), members[0].scenario.platform.sensors if members else ()
+    errors, names = np.zeros((len(members), len(sensors))), [sensor.name for sensor in sensors]
     # All batches are put together, and with that checked, before the first one is computed.
     for places, batched in [(places, put_together(places)) for places in groups.values()]:
-        rows[places] = batch_metrics(batched, threads, device)
+        found = batch_metrics(batched, threads, device)
+        commanded = [names.index(name) for name in commanded_readings(members[places[0]].scenario)]
+        rows[places], errors[np.ix_(places, commanded)] = np.split(found, [sum(widths)], axis=1)
     angle, attitude, share, saturated, contacts, samples, rate, settled, mean, squares = np.split(
         rows, np.cumsum(widths[:-1]), axis=1
     )
+    of_rates = np.array([sensor.unit == "rad/s" for sensor in sensors], dtype=np.bool_)
     rms = np.sqrt(squares / np.maximum(settled, 1.0))
     parts = np.cumsum([3, n]) if sight else [0, 0]
     means, spreads = np.split(mean, parts, axis=1), np.split(rms, parts, axis=1)
@@ -204,6 +216,8 @@ def simulate_batch(
         gimbal_rate_rms=spreads[1],
         line_of_sight_mean=means[2],
         line_of_sight_rms=spreads[2],
+        angle_following_error=errors[:, ~of_rates],
+        rate_following_error=errors[:, of_rates],
         period=period,
     )
 
@@ -219,9 +233,13 @@ def _kind(platform: Platform) -> tuple[object, ...]:
 
 
 def merged_controller(
-    platform: Platform, controllers: Sequence[control.StateSpace], period: float, mode: Mode
+    platform: Platform,
+    controllers: Sequence[control.StateSpace],
+    period: float,
+    mode: Mode,
+    commanded: Sequence[str] = (),
 ) -> Controller:
-    """Return one state space from all sensors to all torquers, in the kernel's form.
+    """Return one state space from all sensors, and commands of some readings, to all torquers, in the kernel's form.
 
     Where Omega is prescribed controllers that act on the root are left out.
     """
@@ -229,7 +247,15 @@ def merged_controller(
     # What is no controller stays: `interconnected` refuses it.
     active = [K for K in controllers if mode == "stabilised" or not roots & set(getattr(K, "output_labels", ()))]
     sensors, torquers = [s.name for s in platform.sensors], [t.name for t in platform.torquers]
-    K = interconnected(active, sensors, torquers, period)
+    commands = [f"{name}{COMMAND}" for name in commanded]
+    taken = {name for system in active for name in system.input_labels}
+    useless = [name.removesuffix(COMMAND) for name in commands if name not in taken]
+    if useless:
+        raise ArgumentError(
+            f"commands: no controller takes a command of {useless[0]!r}; design the loop that reads it again, in a job "
+            "whose manoeuvre commands it"
+        )
+    K = interconnected(active, [*sensors, *commands], torquers, period)
     return controller_rows(K.A, K.B, K.C, K.D)
 
 

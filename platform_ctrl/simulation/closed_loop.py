@@ -15,7 +15,7 @@ from platform_ctrl.plant.platform import Platform
 from platform_ctrl.simulation.batch import merged_controller, recorded
 from platform_ctrl.simulation.kernel.arrays import widths_of_metrics
 from platform_ctrl.simulation.run_plan import prepared
-from platform_ctrl.simulation.scenarios import expect_several, steps
+from platform_ctrl.simulation.scenarios import commanded_readings, expect_several, sampled_commands, steps
 from platform_ctrl.simulation.servo_rotors import servo_rotors
 
 if TYPE_CHECKING:
@@ -34,6 +34,8 @@ class Trajectory:
         Gimbal angles, rad; their rates, rad/s; joint momenta ∂T/∂q̇, N m s.
     reading : (N, sensors)
         What the sensors said, the pick-offs first, rad and rad/s: lag, delay, errors, noise, quantisation included.
+    reading_command : (N, commanded readings)
+        What the scenario commands of readings, in their units; what an outer loop commands adds to it.
     command, torque : (N, torquers)
         The controllers' output computed from this sample's readings, before limiting; and the torque that acts just
         after this instant: delayed, limited, then lagged. N m.
@@ -46,8 +48,11 @@ class Trajectory:
     line_of_sight : (N, outputs)
         Line of sight, if the plant has one, without any sensor's errors: ``los_rate1``, ``los_rate2``,
         ``los_roll_rate``, rad/s, and ``los_angle1``, ``los_angle2``, ``los_roll`` since t = 0, rad.
-    angle_names, pickoff_names, torquer_names, rotor_names
-        What the columns are, each in the plant's order; `pickoff_names` are those of all sensors.
+    angle_names, pickoff_names, torquer_names, rotor_names, commanded_names
+        What the columns are, each in the plant's order; `pickoff_names` are those of all sensors, `commanded_names` of
+        those that are commanded.
+    commanded_units
+        Of these readings, ``"rad"`` or ``"rad/s"``.
     saturated : (torquers,)
         Number of samples whose command reached the torquer's limit.
     stop_contacts : (n,)
@@ -64,6 +69,7 @@ class Trajectory:
     rate: FloatArray
     p: FloatArray
     reading: FloatArray
+    reading_command: FloatArray
     command: FloatArray
     torque: FloatArray
     Omega: FloatArray
@@ -75,6 +81,8 @@ class Trajectory:
     pickoff_names: tuple[str, ...]
     torquer_names: tuple[str, ...]
     rotor_names: tuple[str, ...]
+    commanded_names: tuple[str, ...]
+    commanded_units: tuple[str, ...]
     saturated: NDArray[np.int64]
     stop_contacts: NDArray[np.int64]
     ended: str
@@ -110,7 +118,8 @@ def simulate(
     """Run sampled controllers on the exact non-linear plant: force elements act, servo rotors run their speed loops.
 
     At t = k `period` pick-offs and rate sensors are read (angle or rate + white noise, then quantisation) and the
-    controllers are evaluated in their order, u = K y (positive feedback). The scenario's `delay` later their torque
+    controllers are evaluated in their order, u = K y (positive feedback), u = K (y − command) where the scenario
+    commands a reading. The scenario's `delay` later their torque
     command takes effect and is held until the next one does: it is limited to ± the torquer's limit first; the limited
     command is followed no faster than the torquer's rate limit, and then passes its first-order lag. Before the first
     command takes effect the torquers are silent; controllers start at rest. The plant is integrated by the classical
@@ -127,8 +136,9 @@ def simulate(
     scenario
         The run: plant, mode, duration, delay, motion, faults, initial values, seed.
     controllers
-        Discrete state spaces with dt = `period`. Inputs: angles and rates that sensors measure, or outputs of a
-        controller earlier in the list (that step's value, before limiting). Outputs: torquers, or signals that a later
+        Discrete state spaces with dt = `period`. Inputs: angles and rates that sensors measure, commands of readings,
+        NAME + ``_command``, zero unless the scenario has them, or outputs of a controller earlier in the list (that
+        step's value, before limiting). Outputs: torquers, or signals that a later
         controller takes in. In mode ``"caged"`` those that act on the root are left out.
     period
         Sample period, s.
@@ -159,7 +169,8 @@ def simulate(
     period, step = steps(period, step)
     expect_several("controllers", controllers)
     member = prepared(scenario, period, step)
-    controller = merged_controller(scenario.platform, controllers, period, scenario.mode)
+    commanded = commanded_readings(scenario)
+    controller = merged_controller(scenario.platform, controllers, period, scenario.mode, commanded)
     record, metrics = recorded(member, controller, period, noise)
     done = int(counts(metrics, scenario.platform)[2][0])
     ended = "completed" if done == len(record) else f"diverged at t = {done * period:.6g} s"
@@ -191,12 +202,14 @@ def trajectory_of(
     angle, rate, Omega, momentum, attitude, reading, command, torque, spin, motor, sight = np.split(
         record, np.cumsum(widths), axis=1
     )
+    t = period * np.arange(first, first + len(record), dtype=np.float64)
     return Trajectory(
-        t=period * np.arange(first, first + len(record), dtype=np.float64),
+        t=t,
         q=angle,
         rate=rate,
         p=momentum,
         reading=reading,
+        reading_command=sampled_commands(scenario, t),
         command=command,
         torque=torque,
         Omega=Omega,
@@ -208,6 +221,8 @@ def trajectory_of(
         pickoff_names=tuple(s.name for s in platform.sensors),
         torquer_names=tuple(t.name for t in platform.torquers),
         rotor_names=tuple(r.name for r in servos),
+        commanded_names=(commanded := commanded_readings(scenario)),
+        commanded_units=tuple(s.unit for s in platform.sensors if s.name in commanded),
         saturated=saturated,
         stop_contacts=contacts,
         ended=ended,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -17,6 +18,7 @@ from platform_ctrl.simulation.kernel.arrays import Layout, Shared, widths_of_met
 from platform_ctrl.simulation.packing import Packed, Skeleton, numbers, skeleton
 from platform_ctrl.simulation.scenarios import (
     FaultKey,
+    commanded_readings,
     component,
     expect_scenario,
     part_of,
@@ -31,6 +33,7 @@ from platform_ctrl.simulation.scenarios import (
     put_torquers,
     rate,
     rows_of_sensors,
+    sampled_commands,
     states,
 )
 from platform_ctrl.simulation.servo_rotors import check_step
@@ -41,7 +44,7 @@ _STREAM = {arrays.PICKOFF_DROPOUT: 3, arrays.OVERRUN: 4}
 
 
 class Controller(NamedTuple):
-    """All controllers as one state space in the form of rows without zeros: next states, then commands."""
+    """All controllers as one state space in the form of rows without zeros: next states, then torques."""
 
     states: int
     first: NDArray[np.int64]
@@ -108,6 +111,7 @@ def prepared(scenario: Scenario, period: float, longest: float) -> Prepared:
         None if table is None else (table.t.tobytes(), table.values.tobytes(), table.smooth),
         tuple((v.kind, v.axis, v.lines, v.frequencies_hz.tobytes()) for v in scenario.vibrations),
         tuple((sine.kind, sine.axis) for sine in scenario.sines),
+        tuple(dataclasses.astuple(command) for command in scenario.commands),
     )
     return Prepared(scenario, shape, when, faults, key)
 
@@ -198,6 +202,9 @@ def _shared(
     terms = [term for one in sums for term in one]
     ends = np.cumsum([len(one) for one in sums], dtype=np.int64)
     bounds = np.stack([np.concatenate([[0], ends])[:-1], ends], axis=1).astype(np.int64)
+    commanded = commanded_readings(scenario)
+    readings = [sensor.name for sensor in platform.sensors]
+    courses = sampled_commands(scenario, period * np.arange(one.timing.samples, dtype=np.float64))
     shared = Shared(
         sensors=np.concatenate([bounds, rows_of_sensors(platform, len(bounds), period)], axis=1),
         signals=np.array([signal for signal, _ in terms], dtype=np.int64),
@@ -206,9 +213,9 @@ def _shared(
         faults=np.array(faults, dtype=np.int64).reshape(-1, 3),
         rotors=np.array(rows, dtype=np.int64).reshape(-1, 2),
         lines=np.array(lines, dtype=np.int64),
-        first=controller.first,
+        first=np.concatenate([controller.first, np.array([readings.index(name) for name in commanded], np.int64)]),
         column=controller.column,
-        number=controller.number,
+        number=np.concatenate([controller.number, courses.ravel()]),
         knots=knots,
         pieces=np.ascontiguousarray(pieces),
         period=period,
@@ -219,6 +226,7 @@ def _shared(
 def _layout(packed: Packed, shared: Shared, one: Prepared, controller: Controller) -> Layout:
     at = packed.at
     n, nu, ny, sight = at.n, len(shared.targets), len(one.skeleton.sensors), len(one.skeleton.sight)
+    commands = len(shared.first) - controller.states - nu - 1
     place = at.end
 
     def take(count: int) -> int:
@@ -240,7 +248,7 @@ def _layout(packed: Packed, shared: Shared, one: Prepared, controller: Controlle
         rate=take(arrays.PROFILE),
         segments=take(2),
         settle=take(1),
-        sensor=take(ny * arrays.SENSOR),
+        sensor=take((ny + commands) * arrays.SENSOR),
         lowpass=take(_filtered(shared) * arrays.LOWPASS),
         torquer=take(nu * arrays.TORQUER),
         stop=take(n * arrays.STOP),
@@ -262,6 +270,7 @@ def _layout(packed: Packed, shared: Shared, one: Prepared, controller: Controlle
         spare_state=take(2 * at.size),
         spare_block=take(at.block),
         metrics=take(sum(widths_of_metrics(n, nu, sight))),
+        following=take(commands),
         end=place,
     )
 

@@ -14,7 +14,7 @@ from platform_ctrl.common.signatures import short
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.faults import FAULT_KINDS, Fault, part_names
-from platform_ctrl.job.scenario import Scenario, Sine, Start, Vibration
+from platform_ctrl.job.scenario import Command, Scenario, Sine, Start, Vibration
 from platform_ctrl.mechanics.forces import element_forces
 from platform_ctrl.plant.platform import Platform
 from platform_ctrl.plant.sensors import Sensor
@@ -24,6 +24,8 @@ from platform_ctrl.simulation.servo_rotors import initial_spins, servo_rotors, w
 
 # What a run may take of memory and time.
 _SAMPLES, _PERIODS, _SUBSTEPS = 1e8, 1e3, 1e8
+# A command that begins so little after a sample, s, begins there: times are rounded.
+_AT_ONCE = 1e-9
 
 
 def expect_scenario(scenario: object, period: float) -> None:
@@ -40,6 +42,7 @@ def expect_scenario(scenario: object, period: float) -> None:
             )
     _start(scenario)
     _motion(scenario)
+    _commands(scenario)
     for fault in scenario.faults:
         part_of(scenario.platform, fault)
 
@@ -93,6 +96,42 @@ def _motion(scenario: Scenario) -> None:
         raise ArgumentError(
             "vibration: kind 'rate' has no effect in mode 'stabilised', where the root is free; use 'force'"
         )
+
+
+def commanded_readings(scenario: Scenario) -> tuple[str, ...]:
+    """Return the names of the sensors whose readings are commanded, in the plant's order."""
+    commanded = {command.reading for command in scenario.commands}
+    return tuple(sensor.name for sensor in scenario.platform.sensors if sensor.name in commanded)
+
+
+def sampled_commands(scenario: Scenario, t: FloatArray) -> FloatArray:
+    """Return the commands at times t (N,), s: (N, readings), in the order of `commanded_readings`."""
+    readings = commanded_readings(scenario)
+    out = np.zeros((len(t), len(readings)))
+    for command in scenario.commands:
+        out[:, readings.index(command.reading)] += _course(command, t)
+    return out
+
+
+def _course(command: Command, t: FloatArray) -> FloatArray:
+    begun = t >= command.at - _AT_ONCE
+    out = np.where(begun, command.step + command.ramp * (t - command.at), 0.0)
+    out += command.amplitude * np.sin(2.0 * math.pi * command.frequency_hz * t + command.phase)
+    if command.smooth:
+        from scipy.interpolate import CubicSpline
+
+        spline = CubicSpline(command.t, command.value, bc_type="natural")
+        out += spline(np.clip(t, command.t[0], command.t[-1]))
+    elif command.t:
+        out += np.interp(t, command.t, command.value)
+    return out
+
+
+def _commands(scenario: Scenario) -> None:
+    known = [sensor.name for sensor in scenario.platform.sensors]
+    for command in scenario.commands:
+        if command.reading not in known:
+            raise ArgumentError(f"commands: there is no sensor {command.reading!r}, only {', '.join(known) or 'none'}")
 
 
 def part_of(platform: Platform, fault: Fault) -> int:

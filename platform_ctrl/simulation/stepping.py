@@ -21,7 +21,7 @@ from platform_ctrl.simulation.closed_loop import Trajectory, counts, trajectory_
 from platform_ctrl.simulation.compilation import wait_for_compilation
 from platform_ctrl.simulation.kernel import arrays
 from platform_ctrl.simulation.run_plan import batch, prepared
-from platform_ctrl.simulation.scenarios import expect_several, steps
+from platform_ctrl.simulation.scenarios import commanded_readings, expect_several, sampled_commands, steps
 
 if TYPE_CHECKING:
     import control
@@ -92,8 +92,10 @@ class Simulator:
         member = prepared(scenario, self.period, self.step)
         self.scenario = scenario
         self._free = scenario.mode == "stabilised"
-        controller = merged_controller(scenario.platform, controllers, self.period, scenario.mode)
+        commanded = commanded_readings(scenario)
+        controller = merged_controller(scenario.platform, controllers, self.period, scenario.mode, commanded)
         batched = batch([member], controller, self.period, noise)
+        self._controller = controller
         self._packed, self._shared, self._simulation = batched.packed, batched.shared, batched.layout
         self._keys = np.repeat(batched.keys[None], LANES, axis=1)
         self._memory = memory(self._simulation.end)
@@ -223,6 +225,9 @@ class Simulator:
         else:
             given[:, self._simulation.rate + arrays.SCALE - self._packed.at.end] = scale
         record = np.zeros((samples, self._row.shape[1]))
+        if self.scenario.commands:
+            courses = sampled_commands(self.scenario, self.period * np.arange(first, first + samples, dtype=np.float64))
+            shared = shared._replace(number=np.concatenate([self._controller.number, courses.ravel()]))
         simulate_groups(
             self._packed.links,
             shared,

@@ -11,13 +11,12 @@ import dataclasses
 import math
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from platform_ctrl.analysis.arrays import StateArrays, selected, state_arrays
 from platform_ctrl.analysis.budget_result import Budget as Found
-from platform_ctrl.analysis.budget_result import variance_shares
 from platform_ctrl.analysis.disturbances import Disturbance, RandomDisturbance, SampleNoise, SineDisturbance, Spectrum
 from platform_ctrl.analysis.dry_friction import FrictionBalance, friction_balance
 from platform_ctrl.analysis.friction_noise import friction_noise
@@ -25,19 +24,19 @@ from platform_ctrl.analysis.hybrid_plant import HybridPlant
 from platform_ctrl.analysis.jitter_budget import JitterBudget
 from platform_ctrl.analysis.pointing_windows import motion_transfer
 from platform_ctrl.common.signatures import check_arguments
-from platform_ctrl.common.values import FloatArray, replaced, value
+from platform_ctrl.common.values import FloatArray, replaced
 from platform_ctrl.design.cases import at_angles
 from platform_ctrl.design.plants import forgetting
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.budget import Budget, Source
 from platform_ctrl.job.job import Job
-from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.mechanics.outputs import observed
 from platform_ctrl.mechanics.state_space import state_space
 from platform_ctrl.plant.platform import FORCE_NAMES, OMEGA_NAMES, Platform
 from platform_ctrl.plant.sensors import LOS_ANGLES, LOS_RATES, gimbal_rate
-from platform_ctrl.verification.budget_limits import across, assumption, judged
+from platform_ctrl.verification.budget_limits import assumption, judged
+from platform_ctrl.verification.budget_result import LineOfSightBudget, WindowBudget
 from platform_ctrl.verification.coupled import acts_on_root, coupled_plant, drifting_angles, one_controller
 
 if TYPE_CHECKING:
@@ -49,86 +48,6 @@ _TOLERANCE, _FRICTION_TOLERANCE = 1e-5, 1e-4
 _PER_OCTAVE = 24
 # The fitted line's extent from end to end over its root mean square.
 _EXTENT = math.sqrt(12.0)
-
-
-@value
-class WindowBudget:
-    """The line of sight within an exposure; rows are the two axes across it and the rotation about it, rad.
-
-    Attributes
-    ----------
-    exposure
-        s.
-    displacement, smear, jitter : (3,)
-        Rms of the mean, of the extent of the fitted line from end to end, and of what is left about that line, rad.
-    about_mean : (3,)
-        Rms about the mean, smear included, rad.
-    contrast : (2, f)
-        Modulation transfer function of the motion across at the budget's spatial frequencies, dimensionless.
-    """
-
-    exposure: float
-    displacement: FloatArray
-    smear: FloatArray
-    jitter: FloatArray
-    about_mean: FloatArray
-    contrast: FloatArray
-
-
-@value
-class LineOfSightBudget:
-    """What each source does to the line of sight.
-
-    Attributes
-    ----------
-    names, kinds
-        Of the sources: those of the job, then the noise and quantisation of sensors.
-    axes
-        Names of the outputs: the two angles across the line of sight, and the rotation about it.
-    rms : (sources, 3)
-        In the band of the budget, rad.
-    total : (3,)
-        Of all sources together, correlations included, rad.
-    windows
-        One for each exposure.
-    frequencies_hz : (k,)
-        Up to which `cumulative` sums, Hz.
-    cumulative : (sources, 3, k)
-        Mean square of each source up to these frequencies, in rad · rad.
-    total_cumulative : (3, k)
-        The same of all sources together, in rad · rad.
-    friction
-        Rates and equivalent dampings of bearings with dry friction; None where there is none.
-    results
-        The budget's limits compared with these.
-    """
-
-    names: tuple[str, ...]
-    kinds: tuple[str, ...]
-    axes: tuple[str, ...]
-    rms: FloatArray
-    total: FloatArray
-    windows: tuple[WindowBudget, ...]
-    frequencies_hz: FloatArray
-    cumulative: FloatArray
-    total_cumulative: FloatArray
-    friction: FrictionBalance | None
-    results: tuple[CheckResult, ...]
-
-    @property
-    def jitter(self) -> float:
-        """Rms of both axes across the line of sight together, rad."""
-        return across(self.total)
-
-    @property
-    def shares(self) -> FloatArray:
-        """Mean square of each source over that of all (sources, 3), dimensionless; zero where nothing moves."""
-        return variance_shares(self.rms, self.total)
-
-    @property
-    def passed(self) -> bool:
-        """Whether every limit is kept."""
-        return all(one.passed for one in self.results)
 
 
 def expect_budget(job: Job) -> Budget:
@@ -166,44 +85,122 @@ def line_of_sight_budget(job: Job, controllers: Sequence[control.StateSpace]) ->
     NotFoundError
         No rates were found that agree with the damping by dry friction at them.
     """
-    loop = _Loop(job, expect_budget(job), controllers)
-    nominal = _at(loop, job.trims[0])
-    others = [_at(loop, q, nominal.friction) for q in job.trims[1:]]
-    results = []
-    for k, one in enumerate(nominal.results):
-        worst = max((one, *(other.results[k] for other in others)), key=lambda result: result.ratio)
-        results.append(worst)
-    return replaced(nominal, {"results": tuple(results)})
+    return PreparedBudget(job, controllers).first
 
 
-def _at(loop: _Loop, q: FloatArray, near: FrictionBalance | None = None) -> LineOfSightBudget:
-    """Return the budget at gimbal angles (n,); `near` is the balance of friction at others."""
-    platform = loop.job.platform
-    dry = [one for one in platform.frictions if max(*one.coulomb, *one.breakaway) > 0.0]
-    places = [len(LOS_RATES) + platform.gimbal(one.gimbal) for one in dry]
+class _Balanced(NamedTuple):
+    """Gimbal angles (n,), and what stands for dry friction there: damping, and the noise of the rest."""
 
-    def damped(viscous: FloatArray) -> HybridPlant:
-        added = dict(zip((one.gimbal for one in dry), map(float, viscous), strict=True))
-        return loop.plant(_damped(platform, added), q)
+    q: FloatArray
+    friction: FrictionBalance | None
+    rest: tuple[RandomDisturbance, ...]
 
-    def rates(viscous: FloatArray) -> FloatArray:
-        return np.asarray(loop.found(damped(viscous), loop.together, windows=False).total[places])
+
+class PreparedBudget:
+    """A job's budget, prepared for one controller after the other: some milliseconds each.
+
+    Parameters
+    ----------
+    job
+        With a budget, and a plant with a line of sight.
+    controllers
+        For which dry friction is balanced; u = K y in the order in which they are computed.
+    like
+        Of a plant that differs little: friction is taken from there instead, and only the gimbal angles count at which
+        limits were decided there.
+
+    Attributes
+    ----------
+    first
+        The budget with `controllers`.
+
+    Raises
+    ------
+    ArgumentError, NotFoundError
+        As `line_of_sight_budget`.
+    """
+
+    def __init__(self, job: Job, controllers: Sequence[control.StateSpace], like: PreparedBudget | None = None) -> None:
+        self._loop = loop = _Loop(job, expect_budget(job), controllers)
+        if like is None:
+            nominal = _balanced(loop, job.trims[0])
+            self._balanced = [nominal, *(_balanced(loop, q, nominal.friction) for q in job.trims[1:])]
+        else:
+            self._balanced = like.deciding
+        self._prepared = [_prepared(loop, one) for one in self._balanced]
+        self.first, decided = self._found(loop.controller, range(len(self._balanced)))
+        self._decided = sorted({0, *decided})
+
+    @property
+    def deciding(self) -> list[_Balanced]:
+        """Zero gimbal angles, and those at which limits were worst."""
+        return [self._balanced[k] for k in self._decided]
+
+    def of(self, controllers: Sequence[control.StateSpace]) -> LineOfSightBudget:
+        """Return the budget with other controllers of the same signals.
+
+        Parameters
+        ----------
+        controllers
+            u = K y in the order in which they are computed, with the job's sample period.
+
+        Returns
+        -------
+        LineOfSightBudget
+            With the friction of `first`, and limits at the gimbal angles that decided there.
+
+        Raises
+        ------
+        ArgumentError
+            The loop is not stable.
+        """
+        return self._found(self._loop.controller_of(controllers), self._decided)[0]
+
+    def _found(self, controller: StateArrays, places: Sequence[int]) -> tuple[LineOfSightBudget, list[int]]:
+        """Return the budget, and the place of the angles at which each limit is worst."""
+        found = []
+        for k in places:
+            apart, together = self._prepared[k]
+            of_all = together.of(controller, _TOLERANCE)
+            alone = of_all if apart is together else apart.of(controller, _TOLERANCE)
+            found.append(_result(self._loop, self._balanced[k], alone, of_all))
+        worst = [max(range(len(found)), key=lambda k: found[k].results[j].ratio) for j in range(len(found[0].results))]
+        results = tuple(found[k].results[j] for j, k in enumerate(worst))
+        return replaced(found[0], {"results": results}), [places[k] for k in worst]
+
+
+def _balanced(loop: _Loop, q: FloatArray, near: FrictionBalance | None = None) -> _Balanced:
+    """Return what stands for dry friction at gimbal angles (n,); `near` is the balance at others."""
+    dry = loop.dry
+    if not dry:
+        return _Balanced(q, None, ())
+    places = [len(LOS_RATES) + loop.job.platform.gimbal(one.gimbal) for one in dry]
+
+    def found(viscous: FloatArray) -> Found:
+        return loop.prepared(loop.damped(viscous, q), loop.together, ()).of(loop.controller, _TOLERANCE)
 
     start = None if near is None else near.rate
-    balance = friction_balance(dry, rates, start, _FRICTION_TOLERANCE) if dry else None
-    plant = damped(balance.viscous if balance is not None else np.zeros(0))
-    rest: list[Disturbance] = []
-    if balance is not None:
-        moved = loop.found(plant, loop.together, windows=False)
-        lowest = 2.0 * math.pi * loop.budget.from_hz
-        for one, at, rms in zip(dry, places, balance.rate, strict=True):
-            spectrum = friction_noise(one, float(rms), moved.edges, moved.total_cumulative[at], lowest)
-            if spectrum is not None:
-                name = f"dry friction of {one.gimbal}"
-                rest.append(RandomDisturbance(name=name, inputs=(loop.torque_on(one.gimbal),), spectra=(spectrum,)))
-    together = loop.found(plant, [*loop.together, *rest])
-    apart = together if loop.together is loop.apart else loop.found(plant, [*loop.apart, *rest])
-    return _result(loop, [one.name for one in rest], apart, together, balance, at_angles(platform, q))
+    balance = friction_balance(
+        dry, lambda viscous: np.asarray(found(viscous).total[places]), start, _FRICTION_TOLERANCE
+    )
+    moved = found(balance.viscous)
+    lowest = 2.0 * math.pi * loop.budget.from_hz
+    rest = []
+    for one, at, rms in zip(dry, places, balance.rate, strict=True):
+        spectrum = friction_noise(one, float(rms), moved.edges, moved.total_cumulative[at], lowest)
+        if spectrum is not None:
+            name = f"dry friction of {one.gimbal}"
+            rest.append(RandomDisturbance(name=name, inputs=(loop.torque_on(one.gimbal),), spectra=(spectrum,)))
+    return _Balanced(q, balance, tuple(rest))
+
+
+def _prepared(loop: _Loop, at: _Balanced) -> tuple[JitterBudget, JitterBudget]:
+    """Return the budgets of the sources as if independent and as they are, one where that is the same."""
+    plant = loop.damped(at.friction.viscous if at.friction is not None else np.zeros(0), at.q)
+    together = loop.prepared(plant, [*loop.together, *at.rest], loop.budget.exposure)
+    if loop.together is loop.apart:
+        return together, together
+    return loop.prepared(plant, [*loop.apart, *at.rest], loop.budget.exposure), together
 
 
 class _Loop:
@@ -212,11 +209,13 @@ class _Loop:
     def __init__(self, job: Job, budget: Budget, controllers: Sequence[control.StateSpace]) -> None:
         self.job, self.budget = job, budget
         self.free = acts_on_root(job, controllers)
-        K = one_controller(job, controllers, coupled_plant(job, linearise(job.platform), controllers))
+        self.dry = [one for one in job.platform.frictions if max(*one.coulomb, *one.breakaway) > 0.0]
+        self._seen_by = coupled_plant(job, linearise(job.platform), controllers)
+        K = one_controller(job, controllers, self._seen_by)
         read = {name for one in controllers for name in one.input_labels}
-        self.torquers, self.sensors = list(K.output_labels), [name for name in K.input_labels if name in read]
         # An angle that no controller reads may drift.
-        self.controller = state_arrays(selected(K, self.torquers, self.sensors), "controllers")
+        self.torquers, self.sensors = list(K.output_labels), [name for name in K.input_labels if name in read]
+        self.controller = self.controller_of(controllers)
         self.inputs: list[str] = []
         columns = [self._input(source) for source in budget.sources]
         for friction in job.platform.frictions:
@@ -229,11 +228,19 @@ class _Loop:
         self.names = [*(one.name for one in budget.sources), *(one.name for one in self.noise)]
         self.kinds = [*(one.kind for one in budget.sources), *("sensor" for _ in self.noise)]
 
-    def found(self, plant: HybridPlant, sources: Sequence[Disturbance], windows: bool = True) -> Found:
-        """Return what sources do to a plant."""
-        exposures = self.budget.exposure if windows else ()
-        prepared = JitterBudget(plant, sources, exposures, 2.0 * math.pi * self.budget.from_hz)
-        return prepared.of(self.controller, _TOLERANCE)
+    def controller_of(self, controllers: Sequence[control.StateSpace]) -> StateArrays:
+        """Return controllers as one, from the loop's sensors to its torquers."""
+        K = one_controller(self.job, controllers, self._seen_by)
+        return state_arrays(selected(K, self.torquers, self.sensors), "controllers")
+
+    def prepared(self, plant: HybridPlant, sources: Sequence[Disturbance], exposures: Sequence[float]) -> JitterBudget:
+        """Return what sources do to a plant, for any controller."""
+        return JitterBudget(plant, sources, exposures, 2.0 * math.pi * self.budget.from_hz)
+
+    def damped(self, viscous: FloatArray, q: FloatArray) -> HybridPlant:
+        """Return the model about gimbal angles with damping (J,) in the place of dry friction."""
+        added = dict(zip((one.gimbal for one in self.dry), map(float, viscous), strict=True))
+        return self.plant(_damped(self.job.platform, added), q)
 
     def plant(self, platform: Platform, q: FloatArray) -> HybridPlant:
         """Return the model of a platform about gimbal angles, with the loop's torquers, sensors and sources."""
@@ -418,12 +425,10 @@ def _thinned(knots: FloatArray) -> FloatArray:
     return np.array(kept)
 
 
-def _result(
-    loop: _Loop, rest: list[str], apart: Found, together: Found, friction: FrictionBalance | None, where: str
-) -> LineOfSightBudget:
+def _result(loop: _Loop, at: _Balanced, apart: Found, together: Found) -> LineOfSightBudget:
     """Return the result: sines of one source added up, and the limits judged."""
     budget = loop.budget
-    names = [*loop.names, *rest]
+    names = [*loop.names, *(one.name for one in at.rest)]
     place = [*loop.rows, *range(len(budget.sources), len(names))]
     sums = np.zeros((len(names), len(apart.names)))
     sums[place, range(len(apart.names))] = 1.0
@@ -443,9 +448,10 @@ def _result(
                 ),
             )
         )
+    linear = assumption(at.friction, at_angles(loop.job.platform, at.q))
     return LineOfSightBudget(
         names=tuple(names),
-        kinds=(*loop.kinds, *("friction" for _ in rest)),
+        kinds=(*loop.kinds, *("friction" for _ in at.rest)),
         axes=LOS_ANGLES,
         rms=rms,
         total=together.total[:3],
@@ -455,6 +461,6 @@ def _result(
         total_cumulative=np.array(
             [np.interp(apart.edges, together.edges, of_axis) for of_axis in together.total_cumulative[:3]]
         ),
-        friction=friction,
-        results=judged(budget, rms, together.total[:3], windows, assumption(friction, where)),
+        friction=at.friction,
+        results=judged(budget, rms, together.total[:3], windows, linear),
     )

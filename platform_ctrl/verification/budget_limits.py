@@ -17,7 +17,7 @@ from platform_ctrl.job.judging import CheckResult, Requirement
 from platform_ctrl.plant.sensors import LOS_ANGLES
 
 if TYPE_CHECKING:
-    from platform_ctrl.verification.budget import WindowBudget
+    from platform_ctrl.verification.budget_result import WindowBudget
 
 LINE_OF_SIGHT = "line of sight"  # subject of what is required of it
 

@@ -63,6 +63,7 @@ def read_controllers(
     if not entries and key == "controllers":
         raise table.must_be(key, "a list of controllers", [])
     known = [s.name for s in job.platform.sensors]
+    known += [f"{name}{COMMAND}" for spec in job.loops for name in spec.sensors]
     made_by: dict[str, str] = {}
     out = []
     for number, entry in enumerate(entries, 1):
@@ -136,7 +137,7 @@ def outcomes_from(
     for name in first:
         inner = made.get(specs[name].around or "")
         made[name] = _outcome(job, specs[name], placed[name], others[name], inner)
-    return in_order([made[name] for name in first])
+    return in_order(job, [made[name] for name in first])
 
 
 def _outcome(
@@ -193,8 +194,7 @@ def _loop_of(job: Job, K: control.StateSpace) -> LoopSpec:
         if outputs != _torques(job, spec):
             continue
         read = _read(job, spec)
-        around = any(one.around == spec.name for one in job.loops)
-        taken = {name for name in K.input_labels if not (around and name.endswith(COMMAND))}
+        taken = {name for name in K.input_labels if name.removesuffix(COMMAND) not in read or name in read}
         if read and taken != read:
             raise InputError(
                 f"controller {given(K.name)}: inputs {', '.join(K.input_labels)}; the loop {given(spec.name)} is "

@@ -26,7 +26,7 @@ from platform_ctrl.job.job import Job
 from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.plant.mistakes import given
 from platform_ctrl.plant.source import read_json
-from platform_ctrl.verification.budget import LineOfSightBudget
+from platform_ctrl.verification.budget_result import LineOfSightBudget
 from platform_ctrl.verification.coupled import CoupledCheck
 from platform_ctrl.verification.json_tables import SCHEMA
 from platform_ctrl.verification.simulated import Run, largest

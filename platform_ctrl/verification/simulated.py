@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from platform_ctrl.analysis.metrics import RUN_METRICS
 from platform_ctrl.analysis.run_metrics import attenuation_db, run_metrics, worst_value
@@ -82,12 +83,24 @@ def largest(job: Job, manoeuvre: Manoeuvre, trajectory: Trajectory) -> dict[str,
         "torque_share": _worst(np.abs(trajectory.command).max(axis=0) / limits, trajectory.torquer_names),
         "gimbal_rate": _worst(np.abs(trajectory.rate).max(axis=0), trajectory.angle_names, "no gimbal"),
     }
+    for key in names:
+        if RUN_METRICS[key].commanded:
+            found[key] = _following_error(trajectory, settled, RUN_METRICS[key].unit)
     if sight.size:
         found["los_angle_rms"] = _worst(sight[3:5], LOS_ANGLES)
         found["los_rate_rms"] = _worst(sight[:2], LOS_RATES)
         attenuation = float(attenuation_db(base, sight[:2]))
         found["attenuation_db"] = attenuation, found["los_rate_rms"][1] if base.any() else "no base motion"
     return {name: found[name] for name in names}
+
+
+def _following_error(trajectory: Trajectory, settled: NDArray[np.bool_], unit: str) -> tuple[float, str]:
+    """Return the largest |reading − command| of the readings in a unit, and the sensor's name."""
+    behind = [k for k, one in enumerate(trajectory.commanded_units) if one == unit]
+    names = [trajectory.commanded_names[k] for k in behind]
+    columns = [trajectory.pickoff_names.index(name) for name in names]
+    error = (trajectory.reading[:, columns] - trajectory.reading_command[:, behind])[settled]
+    return _worst(np.abs(error).max(axis=0, initial=0.0), names, "nothing commanded")
 
 
 def _worst(values: FloatArray, names: Sequence[str], without: str = "") -> tuple[float, str]:

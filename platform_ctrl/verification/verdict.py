@@ -22,8 +22,9 @@ from platform_ctrl.errors import NotCertifiedError
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.judging import CheckResult, Requirement, Stage
 from platform_ctrl.mechanics.linearisation import LinearModel, linearise
-from platform_ctrl.verification.budget import LineOfSightBudget, line_of_sight_budget
+from platform_ctrl.verification.budget import line_of_sight_budget
 from platform_ctrl.verification.budget_limits import is_limited, unstable_results
+from platform_ctrl.verification.budget_result import LineOfSightBudget
 from platform_ctrl.verification.coupled import ALL_LOOPS, CoupledCheck, coupled_check
 from platform_ctrl.verification.simulated import Run, simulate_manoeuvre
 

@@ -15,10 +15,11 @@ import platform_ctrl as pc
 from platform_ctrl import design, verification
 from platform_ctrl.cli import main
 from platform_ctrl.cli.atomic_output import written_together
-from platform_ctrl.cli.starting_files import RISE, _turn
+from platform_ctrl.cli.starting.kinds import KINDS
+from platform_ctrl.cli.starting.loops import RISE, safe_turn
 from platform_ctrl.design.cases import subsystems_over
 from platform_ctrl.job.writing import job_data, toml
-from platform_ctrl.plant.source import shipped_models
+from platform_ctrl.plant.source import platform_source, shipped_models
 from refused_command import refused
 
 
@@ -61,28 +62,89 @@ def test_the_design_that_is_commented_out_can_be_switched_on(there: Path) -> Non
 
 # Eight gimbals in one loop: what it claims takes ten seconds to measure.
 LONG = {"suspended_platform"}
-# Its fluid is as strong as its rotor: no caging loop of cross-axis gains holds it, and a platform with such a gyro is
-# not caged but pointed by it. Its own job is in examples/.
-POINTED = {"floated_gyro_platform"}
+# What the loops of the shipped plants are for; of the others gyros are caged.
+PURPOSES = {
+    "camera_gimbal": ["rate"],
+    "fast_steering_mirror": ["pointing"],
+    "floated_gyro_platform": ["pointing"],
+    "multirotor_gimbal": ["rate"],
+    "seeker_head": ["rate"],
+    "three_gyro_platform": ["caging", "caging", "stabilisation"],
+}
+
+
+def designed(job: pc.Job) -> verification.JobResult:
+    result = verification.check_job(job, design.loops(job))
+    assert result.passed, [one for one in result.requirements if not one.passed]
+    return result
 
 
 @pytest.mark.parametrize(
-    "model",
-    [
-        pytest.param(name, marks=[pytest.mark.slow] if name in LONG else [])
-        for name in shipped_models()
-        if name not in POINTED
-    ],
+    "model", [pytest.param(name, marks=[pytest.mark.slow] if name in LONG else []) for name in shipped_models()]
 )
 def test_every_shipped_plant_has_a_job_that_passes(model: str, there: Path) -> None:
     assert main(["new", "start", "--like", model, "-q"]) == 0
     job = pc.read_job(there / "start.toml")
-    assert {loop.gimbals for loop in job.loops} == set(subsystems_over(job.platform, job.Omega, job.Omega_grid))
-    result = verification.check_job(job, design.loops(job))
-    assert result.passed, [one for one in result.requirements if not one.passed]
-    own, shipped = job.platform, pc.read_platform(model)
-    assert own.gimbal_names == shipped.gimbal_names
-    assert {one.name for one in shipped.torquers} <= {one.name for one in own.torquers}
+    kinds = [loop.kind for loop in job.loops]
+    assert kinds == PURPOSES.get(model, ["caging"] * len(kinds))
+    if "rate" not in kinds:
+        own = {loop.gimbals for loop in job.loops if loop.gimbals}
+        assert own == set(subsystems_over(job.platform, job.Omega, job.Omega_grid))
+    designed(job)
+    made, shipped = job.platform, pc.read_platform(model)
+    assert made.gimbal_names == shipped.gimbal_names
+    assert {one.name for one in shipped.torquers} <= {one.name for one in made.torquers}
+    text = (there / "start.toml").read_text(encoding="utf-8")
+    assert len(text.splitlines()) < 160
+    assert max(map(len, text.splitlines())) <= 120
+
+
+def test_every_kind_takes_the_job_of_its_plant(there: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for kind, one in KINDS.items():
+        given = ["--like", one.plant] if one.plant is not None else []
+        assert main(["new", "mine", "--kind", kind, "-o", kind, "--json"]) == 0
+        assert json.loads(capsys.readouterr().out)["kind"] == kind
+        assert main(["new", "mine", *given, "-o", f"{kind} again", "--json"]) == 0
+        capsys.readouterr()
+        for file in ("mine.toml", "mine_plant.toml"):
+            assert (there / kind / file).read_bytes() == (there / f"{kind} again" / file).read_bytes()
+    assert {"caged-gyro", "camera-gimbal", "stabilised-platform", "control-moment-gyro"} <= set(KINDS)
+
+
+def test_the_job_of_a_camera_holds_its_line_of_sight_while_the_vehicle_moves(there: Path) -> None:
+    """The base moves about the axes across the line of sight; the motors hold the unbalance from the start on."""
+    assert main(["new", "eye", "--kind", "camera-gimbal", "-q"]) == 0
+    job = pc.read_job(there / "eye.toml")
+    [loop], [run] = job.loops, job.manoeuvres
+    assert set(loop.sensors) == {"pitch_rate", "yaw_rate"}
+    assert {"disk_margin_worst_case", "attenuation_db_worst_case", "attenuation_hz"} <= set(loop.limits)
+    assert run.start == "equilibrium"
+    assert {one.axis for one in run.sines} == {2, 3}
+    assert "attenuation_db" in run.limits
+    assert not job.platform.added
+    found = {one.name: one.value for one in designed(job).requirements if one.stage == "simulated"}
+    # In the run dry friction acts as it is: what the describing function promised is there.
+    assert found["attenuation of base motion"] > loop.limits["attenuation_db_worst_case"]
+
+
+@pytest.mark.parametrize(
+    ("kept", "sensors"),
+    [
+        # Its tracker is late by twenty samples, which are states of every plant.
+        pytest.param("attitude_sensor", ("track_pitch", "track_yaw"), marks=pytest.mark.slow),
+        ("", ("azimuth", "elevation")),
+    ],
+)
+def test_a_body_whose_sensors_measure_angles_alone_is_pointed(kept: str, sensors: tuple[str, ...], there: Path) -> None:
+    """The camera without its gyros has a tracker, and without that its encoders."""
+    removed = {"rate_sensor", "attitude_sensor"} - {kept}
+    tables = platform_source("camera_gimbal").split("\n\n")
+    bare = [table for table in tables if not any(f"[[{kind}]]" in table for kind in removed)]
+    (there / "bare.toml").write_text("\n\n".join(bare), encoding="utf-8")
+    assert main(["new", "start", "--like", "bare.toml", "-q"]) == 0
+    job = pc.read_job(there / "start.toml")
+    assert [(loop.kind, loop.sensors) for loop in job.loops] == [("pointing", sensors)]
+    designed(job)
 
 
 def test_a_loop_that_falls_short_of_the_usual_margin_asks_for_what_it_reaches(there: Path) -> None:
@@ -149,14 +211,10 @@ def test_without_rotors_the_platform_turns_about_an_axis_that_loads_the_gimbals(
     (there / "two.toml").write_text(TWO_AXES, encoding="utf-8")
     assert main(["new", "start", "--like", "two.toml", "-q"]) == 0
     job = pc.read_job(there / "start.toml")
-    [turn] = job.manoeuvres
-    model = pc.linearise(job.platform)
-    load = np.abs(model.M_Omega).sum(axis=0)
-    assert load[0] == 0.0
-    assert turn.axis == 1 + load.argmax() == 3
-    at, peak = np.zeros(2), np.zeros(3)
-    peak[turn.axis - 1] = 0.5 * np.pi * turn.rate / turn.rise
-    assert np.abs(pc.inverse_dynamics(job.platform, at, np.zeros(5), [*peak, 0, 0])[3:]).max() > 0.0
+    assert {loop.kind for loop in job.loops} == {"pointing"}
+    load = np.abs(pc.linearise(job.platform).M_Omega).sum(axis=0)
+    shaken = {one.axis for run in job.manoeuvres for one in run.sines}
+    assert shaken == {2, 3} == set(1 + np.flatnonzero(load))
     text = (there / "start.toml").read_text(encoding="utf-8")
     assert "any will do" not in text
 
@@ -164,7 +222,7 @@ def test_without_rotors_the_platform_turns_about_an_axis_that_loads_the_gimbals(
 @pytest.mark.parametrize("name", shipped_models())
 def test_the_turn_of_a_start_asks_a_torque_of_the_gimbals(name: str) -> None:
     platform = pc.read_platform(name)
-    axis, rate = _turn(pc.linearise(platform), {})
+    axis, rate = safe_turn(pc.linearise(platform), {})
     velocity = np.zeros(3 + len(platform.gimbals))
     velocity[axis - 1] = rate
     rising = velocity * 0.5 * np.pi / RISE
@@ -214,6 +272,8 @@ def test_files_that_are_there_stay_unless_told_otherwise(there: Path, capsys: py
         (["new", "x", "--like", "none.toml"], "none.toml: there is no such file"),
         (["new", "x", "--like", "bare.toml"], "--like bare.toml: this plant has no gimbals"),
         (["new", "x", "--like", "inline.toml"], "--like inline.toml: a torquer on g, a pick-off on g"),
+        (["new", "x", "--kind", "gyro"], "--kind gyro: must be one of caged-gyro, camera-gimbal"),
+        (["new", "x", "--kind", "caged-gyro", "--like", "ecp_750"], "--like and --kind exclude each other"),
         (["new", "x", "-o", "bare.toml"], "-o bare.toml: is no folder"),
     ],
 )

@@ -27,8 +27,9 @@ from platform_ctrl.plant.force_elements import Friction
 from platform_ctrl.report.page.job_page import page_html
 from platform_ctrl.simulation.closed_loop import simulate
 from platform_ctrl.verification import check_job
-from platform_ctrl.verification.budget import line_of_sight_budget
+from platform_ctrl.verification.budget import PreparedBudget, line_of_sight_budget
 from platform_ctrl.verification.budget_limits import is_limited, unstable_results
+from platform_ctrl.verification.budget_result import Waterfall, waterfalls
 from platform_ctrl.verification.records import result_record
 
 PERIOD, DELAY, LAG = 0.001, 0.0007, 0.0003
@@ -327,7 +328,14 @@ def test_the_verdict_of_a_job_counts_the_limits_and_its_report_has_a_section(tmp
     assert not result.passed
     assert result_record(result)["budget"]["total"]["across"] == pytest.approx(result.budget.jitter)
     page = page_html(result)
-    for words in ("Within an exposure", "all together", "vibration", "Dry friction", "rms up to a frequency"):
+    for words in (
+        "Within an exposure",
+        "all together",
+        "vibration",
+        "Dry friction",
+        "rms up to a frequency",
+        "from sources to the total",
+    ):
         assert words in page
 
 
@@ -355,3 +363,62 @@ def test_the_command_prints_a_table_of_80_columns_or_json(
     Path("still.toml").write_text(FILE.format(more="", friction="").partition("[budget]")[0], encoding="utf-8")
     assert main(["budget", "still.toml", "--controllers", "k.json"]) == 2
     assert "there is no [budget]" in capsys.readouterr().err
+
+
+def test_the_steps_of_a_waterfall_end_at_the_total_the_largest_first(tmp_path: Path) -> None:
+    correlated = job(tmp_path, '[[budget.correlation]]\nbetween = ["pitch rate", "bearing"]\ncoherence = 0.7\n')
+    budget = correlated.budget
+    assert budget is not None
+    found = line_of_sight_budget(correlated, controllers())
+    one, other, both = waterfalls(budget, found)
+    assert [fall.axis for fall in (one, other, both)] == [*found.axes[:2], "both axes"]
+    assert one.high[-1] == pytest.approx(found.total[0] ** 2, rel=1e-9)
+    assert both.high[-1] == pytest.approx(found.jitter**2, rel=1e-9)
+    assert one.low[0] == 0.0
+    np.testing.assert_array_equal(one.low[1:], one.high[:-1])
+    # Correlated sources come last: what they do together is not a sum of mean squares.
+    assert one.names[-1] == "correlation"
+    assert np.all(np.diff(one.rms[:-1]) <= 0.0)
+    assert one.rms[0] == found.rms[:, 0].max()
+    assert float(one.shares.sum()) == pytest.approx(1.0, rel=1e-9)
+    # The camera turns about its pitch axis alone.
+    assert other.total == 0.0
+    assert not other.names
+
+
+@pytest.mark.parametrize(("limit", "inside"), [(1.5, True), (30.0, False), (None, False)])
+def test_a_limit_is_in_the_picture_where_the_sources_are_still_seen(limit: float | None, inside: bool) -> None:
+    fall = Waterfall(
+        axis="pitch",
+        names=("a", "b"),
+        places=(0, 1),
+        low=np.array([0.0, 4e-10]),
+        high=np.array([4e-10, 9e-10]),
+        total=3e-5,
+        limit=None if limit is None else limit * 3e-5,
+    )
+    assert fall.limit_inside is inside
+    assert fall.end > fall.total**2
+    assert np.all(np.diff(fall.ticks**2) > 0.1 * fall.end)
+    assert fall.ticks[-1] ** 2 <= fall.end
+    # Round numbers.
+    assert all(float(f"{one:.2g}") == pytest.approx(one, rel=1e-9, abs=1e-15) for one in fall.ticks)
+
+
+def test_another_controller_of_a_prepared_budget_has_the_budget_of_its_own(tmp_path: Path) -> None:
+    prepared = PreparedBudget(job(tmp_path, LIMITS), controllers(0.5))
+    moved, own = prepared.of(controllers(0.7)), line_of_sight_budget(job(tmp_path, LIMITS), controllers(0.7))
+    # There is no dry friction: all but the tolerance of the integrals is the same.
+    np.testing.assert_allclose(moved.rms, own.rms, rtol=1e-5)
+    assert moved.jitter != prepared.first.jitter
+    assert [one.name for one in moved.results] == [one.name for one in own.results]
+    again = PreparedBudget(job(tmp_path, LIMITS), controllers(0.7), like=prepared).first
+    np.testing.assert_allclose(again.rms, own.rms, rtol=1e-9)
+
+
+def test_a_prepared_budget_keeps_the_friction_of_its_first_controller(tmp_path: Path) -> None:
+    rubbing = job(tmp_path, LIMITS, friction=", coulomb = 2e-4")
+    prepared = PreparedBudget(rubbing, controllers(0.5))
+    np.testing.assert_allclose(prepared.first.rms, line_of_sight_budget(rubbing, controllers(0.5)).rms, rtol=1e-12)
+    assert prepared.first.friction is not None
+    assert prepared.of(controllers(0.7)).friction is prepared.first.friction

@@ -1,24 +1,40 @@
-"""The plot of the line of sight's budget: rms up to a frequency, of all sources and of the largest."""
+"""The plots of the line of sight's budget: rms up to a frequency, and how the sources add up to the total."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from platform_ctrl.job.budget import Budget
-from platform_ctrl.report.style import frequency_axes, legend, line_style, linear_axis, panels
-from platform_ctrl.verification.budget import LineOfSightBudget
+from platform_ctrl.report.quantities import plain
+from platform_ctrl.report.style import (
+    DASHED,
+    INK,
+    LIMIT,
+    REFERENCE,
+    frequency_axes,
+    legend,
+    line_style,
+    linear_axis,
+    panels,
+)
+from platform_ctrl.verification.budget_result import LineOfSightBudget, Waterfall, waterfalls
 
 MICRO = 1e6
 # Sources that have a curve of their own.
 _CURVES = 5
+# Height of a step of a waterfall, inches; in this height: middle of its words, of its bar, and the bar's height. A bar
+# is at least this share of the width.
+_ROW, _WORDS, _BAR, _TALL, _THIN = 0.3, 0.27, 0.67, 0.36, 0.006
 
 
 def budget_figure(budget: Budget, found: LineOfSightBudget) -> Figure:
     """Draw the rms of both axes across the line of sight up to a frequency: all sources, and the largest ones."""
-    across = np.hypot(found.rms[:, 0], found.rms[:, 1])
-    largest = [k for k in np.argsort(-across, kind="stable")[:_CURVES] if across[k] > 0.0]
+    largest = found.ranking[:_CURVES]
     names = ["all sources", *(found.names[k] for k in largest)]
     figure, [[first, second]] = panels(1, 2, 2.0, names)
     handles: list[Line2D] = []
@@ -38,3 +54,48 @@ def budget_figure(budget: Budget, found: LineOfSightBudget) -> Figure:
     first.set_ylabel("rms up to this frequency, µrad")
     legend(figure, handles, names)
     return figure
+
+
+def waterfall_figure(budget: Budget, found: LineOfSightBudget) -> Figure:
+    """Draw how the mean squares of the sources add up to the total, the largest first: by axis, and both together."""
+    falls = waterfalls(budget, found)
+    rows = 1 + max(len(fall.names) for fall in falls)
+    figure, [every] = panels(1, len(falls), _ROW * rows)
+    for axes, fall in zip(every, falls, strict=True):
+        axes.set_title(fall.axis)
+        axes.set_xlim(0.0, fall.end)
+        axes.set_ylim(rows, 0.0)
+        axes.set_yticks([])
+        axes.spines["left"].set_visible(False)
+        axes.set_xticks(fall.ticks**2, [plain(MICRO * float(one), 3) for one in fall.ticks])
+        axes.set_xlabel("rms, µrad; lengths are mean squares")
+        _steps(axes, fall, found.ranking)
+        if fall.limit is not None:
+            where = "" if fall.limit_inside else " →"
+            words = f"limit {plain(MICRO * fall.limit, 3)} µrad{where}"
+            axes.set_title(words, loc="right", color=LIMIT, fontweight="normal", fontsize=7.5)
+            if fall.limit_inside:
+                axes.axvline(fall.limit**2, color=LIMIT, linestyle=DASHED, linewidth=1.2)
+    return figure
+
+
+def _steps(axes: Axes, fall: Waterfall, ranking: Sequence[int]) -> None:
+    """Draw a bar with its words above for each step, and one for all together."""
+    last = len(fall.names)
+    bars = [
+        *zip(fall.low, fall.high, [curve_of(ranking, place) for place in fall.places], strict=True),
+        (0.0, fall.total**2, 0),
+    ]
+    words = [*zip(fall.names, fall.rms, fall.shares, strict=True), ("all together", fall.total, 1.0)]
+    for k, ((low, high, curve), (name, rms, share)) in enumerate(zip(bars, words, strict=True)):
+        colour = REFERENCE if curve is None else line_style(curve)["color"]
+        left = min(low, high)
+        axes.barh(k + _BAR, max(abs(high - low), _THIN * fall.end), _TALL, left, color=colour, linewidth=0.0)
+        value = f"{plain(MICRO * rms, 3)} µrad" + ("" if k == last else f", {plain(100.0 * share, 2)} %")
+        axes.text(0.0, k + _WORDS, f"{name}: {value}", fontsize=7.5, va="center", color=INK)
+
+
+def curve_of(ranking: Sequence[int], place: int | None) -> int | None:
+    """Return which curve of the plot up to a frequency a source is, 0 being all; None where it has none of its own."""
+    rank = ranking.index(place) if place is not None else _CURVES
+    return 1 + rank if rank < _CURVES else None

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from platform_ctrl.report import style
-from platform_ctrl.report.figures.budget import MICRO, budget_figure
+from platform_ctrl.report.figures.budget import MICRO, budget_figure, waterfall_figure
 from platform_ctrl.report.page.blocks import Block, Paragraph, Part, Plate, Section, Table, sentence, table
 from platform_ctrl.report.page.captions import sentences
 from platform_ctrl.report.quantities import plain, quantity
-from platform_ctrl.verification.budget import LineOfSightBudget
+from platform_ctrl.verification.budget_result import LineOfSightBudget
 from platform_ctrl.verification.verdict import JobResult
 
 # Shares of the mean square that are none.
@@ -23,12 +24,10 @@ def budget_sections(result: JobResult) -> list[Section]:
     found, budget = result.budget, result.job.budget
     if found is None or budget is None:
         return []
-    caption = sentences("budget_figure")
-    title = "Line of sight: rms up to a frequency"
-    picture = style.svg(budget_figure(budget, found), f"{title}. {caption}")
     blocks: list[Block] = [
         Paragraph(text=sentences("budget", found=found, budget=budget)),
-        Plate(svg=picture, title=title, caption=caption),
+        _plate("Line of sight: rms up to a frequency", sentences("budget_figure"), budget_figure(budget, found)),
+        _plate("Line of sight: from sources to the total", sentences("waterfall"), waterfall_figure(budget, found)),
         _sources(found),
     ]
     if found.windows:
@@ -37,6 +36,10 @@ def budget_sections(result: JobResult) -> list[Section]:
         lines = tuple(Paragraph(text=f"{sentence(line)}") for line in found.friction.statement)
         blocks.append(Part(title="Dry friction", blocks=lines))
     return [Section(name="budget", title="Line of sight", blocks=tuple(blocks))]
+
+
+def _plate(title: str, caption: str, figure: Figure) -> Plate:
+    return Plate(svg=style.svg(figure, f"{title}. {caption}"), title=title, caption=caption)
 
 
 def _sources(found: LineOfSightBudget) -> Table:

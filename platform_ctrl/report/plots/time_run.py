@@ -131,7 +131,7 @@ def _drawn(
     """Draw a run with the colour of each signal, `series`; `unlimited` is shown if no torquer has a limit."""
     free = t.mode == "stabilised"
     sight = t.line_of_sight.shape[1] > 0
-    figure, rows = panels(3 if sight else 2, 3 if free else 2, 1.7)
+    figure, rows = panels(2 + sight + bool(t.commanded_names), 3 if free else 2, 1.7)
     roots = [k for k, torquer in enumerate(torquers) if torquer.root_axis is not None]
     gimbals = [k for k in range(len(torquers)) if k not in roots]
 
@@ -150,6 +150,8 @@ def _drawn(
     over_time = [axes for axes in rows[:2].flat if axes is not rows[1][-1]]
     if sight:
         over_time += _line_of_sight(rows[2], t)
+    if t.commanded_names:
+        over_time += _commanded(rows[-1], t)
     for axes in over_time:
         if not t.completed:
             axes.axvline(t.t[-1] if t.t.size else 0.0, color=LIMIT, linewidth=1.0)
@@ -169,6 +171,25 @@ def _line_of_sight(row: Sequence[Axes], t: Trajectory) -> list[Axes]:
     for axes in row[2:]:
         axes.set_visible(False)
     return [row[0], row[1]]
+
+
+def _commanded(row: Sequence[Axes], t: Trajectory) -> list[Axes]:
+    """Draw what is commanded, its command dashed over it; return the panels."""
+    used = list(dict.fromkeys(t.commanded_units))
+    for axes, unit in zip(row, used, strict=False):
+        chosen = [k for k, one in enumerate(t.commanded_units) if one == unit]
+        names = {t.commanded_names[k]: k for k in chosen}
+        reading = t.reading[:, [t.pickoff_names.index(name) for name in names]]
+        command = t.reading_command[:, chosen]
+        small = np.nanmax(np.abs([reading, command]), initial=0.0) < 0.5
+        factor = 1e3 if small else 1.0
+        kind = "angle" if unit == "rad" else "rate"
+        title = f"commanded {kind}, command dashed"
+        _traces(axes, t.t, factor * reading, names, None, title, f"m{unit}" if small else unit)
+        axes.plot(t.t, factor * command, color=INK, linewidth=0.9, linestyle=DASHED, zorder=3.0)
+    for axes in row[len(used) :]:
+        axes.set_visible(False)
+    return list(row[: len(used)])
 
 
 def _angles(

@@ -77,9 +77,11 @@ class Shared(NamedTuple):
     faults: NDArray[np.int64]  # (nf, 3): kind; sensor, torquer, gimbal or row of `rotors`; channel of its draws
     rotors: NDArray[np.int64]  # (nr, 2): body; servo rotor or -1
     lines: NDArray[np.int64]  # (nl,): component 0 to 2 of Omega, 3 to 5 of the specific force; 6 more: phase is given
-    first: NDArray[np.int64]  # (nx + nu + 1,): rows of the controllers [A B; C D], stored without zeros
+    # (nx + nu + 1 + nc,): rows of the controllers [A B; C D], stored without zeros; then the sensor of every command.
+    # Columns of B and D: sensors, then commands.
+    first: NDArray[np.int64]
     column: NDArray[np.int64]
-    number: FloatArray
+    number: FloatArray  # then the nc commands of every sample from the first of a call on
     knots: FloatArray  # (k,): of the time table of Omega or, with a free root, of M
     pieces: FloatArray  # (k - 1, 3, 4)
     period: float
@@ -101,7 +103,7 @@ class Layout(NamedTuple):
     rate: int
     segments: int  # substeps of the two segments
     settle: int  # samples before the mean and rms begin
-    sensor: int
+    sensor: int  # and behind the sensors, in slots like theirs, the commands: LAST alone is used
     lowpass: int
     torquer: int
     stop: int
@@ -123,6 +125,7 @@ class Layout(NamedTuple):
     spare_state: int  # two of them
     spare_block: int
     metrics: int  # see `widths_of_metrics`
+    following: int  # of every command the largest |reading − command| of settled samples
     end: int
 
 
@@ -131,7 +134,7 @@ def widths_of_metrics(n: int, nu: int, sight: int) -> tuple[int, ...]:
 
     Largest |q|, |rotation vector|, share of limits; saturated samples; contacts; samples; largest |gimbal rate|;
     samples that are settled; of a plant with a line of sight, of [Omega, gimbal rates, line of sight] the mean over
-    them and the sum of squares about it.
+    them and the sum of squares about it. Behind them are those of `Layout.following`.
     """
     spread = 3 + n + sight if sight else 0
     return n, 3, nu, nu, n, 1, n, 1, spread, spread

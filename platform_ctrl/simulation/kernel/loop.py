@@ -110,6 +110,17 @@ def note_torques(shared: Shared, mem: FloatArray, at: At, layout: Layout, record
             record[k, column] = load(mem, layout.torquer + i * TORQUER + TORQUE, 0)
 
 
+@inlined
+def _command(shared: Shared, mem: FloatArray, lane: int, layout: Layout, row: int) -> None:
+    """The commands of a sample, in slots behind those of the sensors."""
+    end = layout.states + shared.targets.shape[0]
+    count = shared.first.shape[0] - end - 1
+    zero = 0.0 * load(mem, layout.start, lane)
+    for j in range(count):
+        slot = layout.sensor + (layout.sensors + j) * SENSOR + LAST
+        store(mem, slot, lane, zero + shared.number[shared.first[end] + row * count + j])
+
+
 @internal
 def _control(shared: Shared, keys: Keys, mem: FloatArray, lane: int, at: At, layout: Layout, k: int, t: float) -> None:
     """The controllers' commands from the readings, and their next states; a missed sample leaves both as they were."""
@@ -273,6 +284,7 @@ def _sample(
         turn_bodies(links, mem, lane, at, layout, k)
     look(shared, mem, lane, at, layout)
     read(shared, keys, mem, lane, at, layout, k, t)
+    _command(shared, mem, lane, layout, row)
     _control(shared, keys, mem, lane, at, layout, k, t)
     going = judge(mem, lane, at, layout, shared)
     update_metrics(shared, mem, lane, at, layout, k)

@@ -15,7 +15,7 @@ from platform_ctrl.common.simd import (
     store,
 )
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.simulation.kernel.arrays import LIMIT, TORQUE, TORQUER, At, Layout, Shared
+from platform_ctrl.simulation.kernel.arrays import LAST, LIMIT, SENSOR, TORQUE, TORQUER, At, Layout, Shared
 
 
 @inlined
@@ -71,6 +71,13 @@ def update_metrics(shared: Shared, mem: FloatArray, lane: int, at: At, layout: L
         share = 1.0 / greater(count, 0.0 * alive + 1.0)
         _spread(mem, lane, settled, share, layout.velocity, n + 3, rates + n + 1, n + 3 + sight)
         _spread(mem, lane, settled, share, layout.sight, sight, rates + 2 * n + 4, n + 3 + sight)
+    end = layout.states + nu + 1
+    for j in range(shared.first.shape[0] - end):
+        slot = layout.following + j
+        error = load(mem, layout.sensor + shared.first[end + j] * SENSOR + LAST, lane)
+        error = error - load(mem, layout.sensor + (layout.sensors + j) * SENSOR + LAST, lane)
+        error = choose(error < 0.0, -error, error)
+        store(mem, slot, lane, choose(settled, greater(load(mem, slot, lane), error), load(mem, slot, lane)))
 
 
 @internal

@@ -1,0 +1,75 @@
+"""Commands of a run: on a plant that is linear the response is that of linear system theory."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.interpolate import CubicSpline
+from scipy.signal import dlsim
+
+from commanded_gimbal import INERTIA, RATE_HZ, commanded_job
+from platform_ctrl import read_job
+from platform_ctrl.common.values import FloatArray
+from platform_ctrl.design import loops
+from platform_ctrl.errors import ArgumentError
+from platform_ctrl.job.job import Job, manoeuvre_scenario
+from platform_ctrl.simulation import Simulator, simulate, simulate_batch
+
+PERIOD = 1.0 / RATE_HZ
+COMMANDS: list[dict[str, Any]] = [
+    {"reading": "gyro", "step": 0.2, "ramp": -0.1, "at": 0.1},
+    {"reading": "gyro", "amplitude": 0.05, "frequency_hz": 7.0, "phase": 0.3},
+    {"reading": "gyro", "t": [0.2, 0.3, 0.7], "value": [0.0, 0.3, 0.1], "smooth": True},
+]
+
+
+def controllers(job: Job) -> list[Any]:
+    return [one.closed.controller for one in loops(job)]
+
+
+def expected(t: FloatArray) -> FloatArray:
+    begun = t >= 0.1 - 1e-12
+    spline = CubicSpline([0.2, 0.3, 0.7], [0.0, 0.3, 0.1], bc_type="natural")
+    out = np.where(begun, 0.2 - 0.1 * (t - 0.1), 0.0) + 0.05 * np.sin(14.0 * np.pi * t + 0.3)
+    return np.asarray(out + spline(np.clip(t, 0.2, 0.7)))
+
+
+def test_a_rate_loop_follows_its_command_as_linear_theory_says() -> None:
+    job = read_job(commanded_job(COMMANDS))
+    (K,) = controllers(job)
+    run = simulate(manoeuvre_scenario(job, job.manoeuvres[0]), [K], period=PERIOD, noise=False)
+    command = expected(run.t)
+    np.testing.assert_allclose(run.reading_command[:, 0], command, rtol=0.0, atol=1e-12)
+    assert K.input_labels == ["gyro", "gyro_command"]
+    # The rate grows by T/J times the torque held over a sample; u = K (rate - command).
+    A = np.block([[np.ones((1, 1)) + PERIOD / INERTIA * K.D[:, :1], PERIOD / INERTIA * K.C], [K.B[:, :1], K.A]])
+    B = np.concatenate([-PERIOD / INERTIA * K.D[:, 0], -K.B[:, 0]])[:, None]
+    _, rate, _ = dlsim((A, B, np.eye(1, len(A)), np.zeros((1, 1)), PERIOD), command)
+    np.testing.assert_allclose(run.rate[:, 0], rate[:, 0], rtol=0.0, atol=1e-6 * np.abs(rate).max())
+
+
+def test_many_runs_and_runs_by_steps_are_those_of_one() -> None:
+    job = read_job(commanded_job(COMMANDS))
+    closed, scenario = controllers(job), manoeuvre_scenario(job, job.manoeuvres[0])
+    scenario = dataclasses.replace(scenario, settle=0.5)
+    alone = simulate(scenario, closed, period=PERIOD)
+    still = dataclasses.replace(scenario, commands=())
+    both = simulate_batch([still, scenario], closed, period=PERIOD)
+    error = np.abs(alone.reading[:, 1] - alone.reading_command[:, 0])[alone.t >= 0.5 - 1e-9].max()
+    assert both.rate_following_error[1].max() == error
+    assert both.rate_following_error[0].max() == both.angle_following_error.max() == 0.0
+    stepped = Simulator(scenario, closed, period=PERIOD)
+    parts = [stepped.advance(7), stepped.advance(300), stepped.advance(len(alone.t) - 308)]
+    np.testing.assert_array_equal(np.concatenate([part.rate for part in parts]), alone.rate[1:])
+    np.testing.assert_array_equal(np.concatenate([part.reading_command for part in parts]), alone.reading_command[1:])
+
+
+def test_commands_need_a_controller_that_takes_them() -> None:
+    job = read_job(commanded_job(COMMANDS))
+    scenario = manoeuvre_scenario(job, job.manoeuvres[0])
+    (K,) = controllers(read_job(commanded_job([]) | {"manoeuvre": []}))
+    with pytest.raises(ArgumentError, match="no controller takes a command of 'gyro'"):
+        simulate(scenario, [K], period=PERIOD)
