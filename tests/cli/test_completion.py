@@ -93,7 +93,10 @@ def offered(monkeypatch: pytest.MonkeyPatch, *words: str, shell: str = "bash") -
         (["check", "job.toml", "--controllers", ""], ["out/result.json"]),
         (["design", "job.toml", "--campaign", "n"], ["night"]),
         (["campaign", "job.toml", "--device", ""], ["cpu", "cuda"]),
-        (["campaign", "job.toml", "--rare", "a"], ["any", "angle", "attitude", "attenuation_db"]),
+        (
+            ["campaign", "job.toml", "--rare", "a"],
+            ["any", "angle", "attitude", "angle_following_error", "attenuation_db"],
+        ),
         (["campaign", "job.toml", "--sampling", "so"], ["sobol"]),
         (["design", "nowhere/x"], []),
         (["design", "job.toml", "-o", "ou"], []),
