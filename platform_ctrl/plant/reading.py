@@ -69,11 +69,36 @@ def judge_plant(document: Document) -> tuple[Platform | None, list[Mistake]]:
     if "root" not in document.data and {"plant", "loop"} <= set(document.data):
         its_plant = given(document.data["plant"])
         return None, [Mistake(("plant",), f"this is a job file; give its plant instead, {its_plant}")]
-    if crowd := list(overfull(PLANT_FILE, document.data)):
+    data = _axis_by_axis(document.data)
+    if crowd := list(overfull(PLANT_FILE, data)):
         return None, crowd
-    read, wrong = read_table(PLANT_FILE, document.data)
-    mistakes = [*document.mistakes, *plant_mistakes(document.data), *wrong]
+    read, wrong = read_table(PLANT_FILE, data)
+    mistakes = [*document.mistakes, *plant_mistakes(data), *wrong]
     if mistakes:
         return None, mistakes
     del read["schema"]
     return Platform(**made(read)), []
+
+
+def _axis_by_axis(data: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a plant whose sensors with ``axis = "all"`` are three each, about the axes of the body: name + 1, 2, 3."""
+    out = dict(data)
+    for kind in ("rate_sensor", "attitude_sensor"):
+        tables = out.get(kind)
+        if not isinstance(tables, list):
+            continue
+        first, others = [], []
+        for table in tables:
+            if not (isinstance(table, dict) and table.get("axis") == "all"):
+                first.append(table)
+                continue
+            named = isinstance(table.get("name"), str)
+            axes = ([1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0])
+            three = [{**table, "axis": axis} for axis in axes]
+            if named:
+                three = [one | {"name": f"{table['name']}{k}"} for k, one in enumerate(three, 1)]
+            # The others behind all tables of the file, so that a mistake is found in the table that has it.
+            first.append(three[0])
+            others += three[1:]
+        out[kind] = [*first, *others]
+    return out

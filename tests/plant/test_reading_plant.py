@@ -912,3 +912,28 @@ def test_whatever_is_typed_into_a_file_it_is_read_or_refused_in_one_line(
     file.write_text(whole[:at] + text + whole[at + 3 :], encoding="utf-8", newline="")
     platform = outcome(read_platform, file)
     assert not isinstance(platform, str) or platform.isprintable()
+
+
+def test_a_sensor_about_all_axes_is_one_about_each_axis_of_its_body() -> None:
+    """A gyro triad and a star sensor in one table read as in three."""
+    gyro: dict[str, Any] = {"name": "imu", "body": "cart", "bias": 0.01, "bandwidth_hz": 100.0}
+    star: dict[str, Any] = {"body": "cart", "noise_rms": 1e-5}
+    base: dict[str, Any] = {
+        "schema": 1,
+        "name": "cart",
+        "root": {"name": "base", "inertia": [1, 1, 1]},
+        "gimbal": [{"name": "cart", "parent": "base", "axis": [0, 0, 1], "inertia": [1, 1, 1]}],
+    }
+    axes = np.eye(3).tolist()
+    short = base | {"rate_sensor": [gyro | {"axis": "all"}], "attitude_sensor": [star | {"axis": "all"}]}
+    long = base | {
+        "rate_sensor": [gyro | {"name": f"imu{k + 1}", "axis": axes[k]} for k in range(3)],
+        "attitude_sensor": [star | {"axis": axis} for axis in axes],
+    }
+    one, other = read_platform(short), read_platform(long)
+    assert [s.name for s in one.sensors] == ["imu1", "imu2", "imu3", "cart_theta1", "cart_theta2", "cart_theta3"]
+    assert digest(one) == digest(other)
+    with pytest.raises(InputError, match="no_such_body"):
+        read_platform(short | {"rate_sensor": [gyro | {"axis": "all", "body": "no_such_body"}]})
+    with pytest.raises(InputError, match="three numbers"):
+        read_platform(base | {"rate_sensor": [gyro | {"axis": "both"}]})
