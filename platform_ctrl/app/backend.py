@@ -18,6 +18,7 @@ from platform_ctrl.app.curves import Parts
 from platform_ctrl.app.designs import Designs, never, silent
 from platform_ctrl.app.drags import Drags
 from platform_ctrl.app.job_parts import JobParts, loop_stamp, run_stamp
+from platform_ctrl.app.next_step import NextStep, candidates, next_step
 from platform_ctrl.app.pictures import Drawing, Influence, Measured, Picture
 from platform_ctrl.app.saving import Saved, controllers_beside, write_job
 from platform_ctrl.app.settings import (
@@ -41,6 +42,7 @@ from platform_ctrl.common.progress import Progress
 from platform_ctrl.common.signatures import short
 from platform_ctrl.errors import ArgumentError, DesignError, PlatformCtrlError
 from platform_ctrl.job.job import Job
+from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.job.methods import METHODS
 from platform_ctrl.job.reading import read_job
 from platform_ctrl.verification.simulated import limit_results
@@ -191,8 +193,13 @@ class Backend(Drags):
         """Call `listener` in a thread whenever a design that pictures wait for is available or failed."""
         return self._designs.queue.listen(listener)
 
-    def picture(self, settings: Settings, on_drawn: Callable[[Drawing], None] | None = None) -> Picture:
-        """Return the curves and the results for the settings.
+    def picture(
+        self,
+        settings: Settings,
+        on_drawn: Callable[[Drawing], None] | None = None,
+        ghosts: Sequence[tuple[str, Settings]] = (),
+    ) -> Picture:
+        """Return the curves and the results for the settings; `ghosts` are other settings of the loop, drawn over it.
 
         `on_drawn` is called with what is drawn before it is measured, which takes as long again. Requirements are as
         `check` measures them, but the simultaneous margin of all loops together is sampled: within about a thousandth.
@@ -201,7 +208,7 @@ class Backend(Drags):
         whole("axis", settings.axis, 1, 3)
         try:
             with np.errstate(all="ignore"):
-                (drawing, measure), notes = self._parts(settings)
+                (drawing, measure), notes = self._parts(settings, ghosts)
                 if on_drawn is not None:
                     on_drawn(drawing)
                 measured = measure()
@@ -216,7 +223,7 @@ class Backend(Drags):
         values = _fields(drawing) | _fields(measured) | {"notes": (*notes, *measured.notes)}
         return Picture(**values, elapsed=time.perf_counter() - begun)
 
-    def _parts(self, settings: Settings) -> tuple[Parts, tuple[str, ...]]:
+    def _parts(self, settings: Settings, ghosts: Sequence[tuple[str, Settings]]) -> tuple[Parts, tuple[str, ...]]:
         """Return the parts of a picture, and lines about its controllers."""
         spec, _ = self._loops.design(settings)
         labels = self.plants(settings)
@@ -226,11 +233,23 @@ class Backend(Drags):
         else:
             free, notes = self._loops.stabilised(settings)
             drawing, measure = stabilised_parts(free, settings, labels, self._loops.cached_margins(settings))
-        if not settings.overlays:
+        if not settings.overlays and not ghosts:
             return (drawing, measure), notes
         overlays, more = self._designs.overlays(settings, spec, drawing.bode.frequency)
+        overlays += self._designs.ghosts(settings, spec, ghosts, drawing.bode.frequency)
         drawing = dataclasses.replace(drawing, bode=dataclasses.replace(drawing.bode, overlays=overlays))
         return (drawing, measure), (*notes, *more)
+
+    def next_step(self, settings: Settings, influence: Influence) -> NextStep | None:
+        """Return the one move of a slider that helps the tightest requirement most, or None."""
+        tried = candidates(influence, self.sliders(settings))
+
+        def results(now: Settings) -> tuple[CheckResult, ...]:
+            return self.picture(now.but(overlays=())).requirements
+
+        return next_step(
+            results(settings), tried, lambda slider, after: self.moved(settings, slider.name, after), results
+        )
 
     def influence(self, settings: Settings) -> Influence:
         """Return what each slider does to each requirement."""

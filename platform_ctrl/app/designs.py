@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import threading
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Sequence
 from functools import partial
 
 import numpy as np
@@ -189,6 +190,20 @@ class Designs:
             out.append(found)
             notes += [note] if note else []
         return tuple(out), tuple(notes)
+
+    def ghosts(
+        self, settings: Settings, spec: LoopSpec, ghosts: Sequence[tuple[str, Settings]], frequency: FloatArray
+    ) -> tuple[Overlay, ...]:
+        """Return the loop at other settings as overlays, by their names; one that cannot be computed is left out."""
+        out = []
+        for name, other in ghosts:
+            if other.loop != spec.name:
+                continue
+            own = other.but(channel=settings.channel, axis=settings.axis, plant=settings.plant, overlays=(), band=False)
+            with contextlib.suppress(PlatformCtrlError):
+                found, _ = self._overlay(own, spec, own.design, frequency)
+                out.append(dataclasses.replace(found, design=name))
+        return tuple(out)
 
     def _overlay(self, settings: Settings, spec: LoopSpec, name: str, frequency: FloatArray) -> tuple[Overlay, str]:
         """Return one design of the loop as an overlay, and a line about it; all other loops stay as they are."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Protocol
 
 import numpy as np
@@ -38,7 +38,12 @@ class _Shown(Protocol):
 
     def moved(self, settings: Settings, slider: str, number: float) -> Settings: ...
 
-    def picture(self, settings: Settings, on_drawn: Callable[[Drawing], None] | None = None) -> Picture: ...
+    def picture(
+        self,
+        settings: Settings,
+        on_drawn: Callable[[Drawing], None] | None = None,
+        ghosts: Sequence[tuple[str, Settings]] = (),
+    ) -> Picture: ...
 
     def _dragged(
         self,

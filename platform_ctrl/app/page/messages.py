@@ -8,6 +8,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from platform_ctrl.app.job_parts import ChipState
+from platform_ctrl.app.next_step import MarginChange, NextStep
 from platform_ctrl.app.pictures import Influence, Margins, Picture
 from platform_ctrl.app.settings import Choices, Mode, Settings, Slider
 from platform_ctrl.common.arguments import known_name, whole
@@ -43,6 +44,10 @@ REQUESTS: Mapping[str, Mapping[str, type]] = {
     "cancel": {},
     "save": {"name": str, "overwrite": bool},
     "simulate": {"manoeuvre": str},
+    "preview": {"on": bool},
+    "apply": {},
+    "pin": {},
+    "snapshot": {"name": str, "act": str},
 }
 _WORDS = {bool: "true or false", int: "a whole number", str: "a text", list: "a list"}
 
@@ -240,6 +245,40 @@ def influence_data(influence: Influence) -> dict[str, Any]:
             for name, row in zip(influence.requirements, influence.change, strict=True)
         },
     }
+
+
+def pinned_data(name: str, design: str, drawn: bool, results: tuple[CheckResult, ...]) -> dict[str, Any]:
+    """Return a snapshot: value and margin of each requirement by its full name."""
+    rows = [_row(one) for one in results]
+    values = {one["full"].partition(": ")[2]: [one["reached"], one["margin"], one["passed"]] for one in rows}
+    return {"name": name, "design": design, "drawn": drawn, "values": values}
+
+
+def next_data(step: NextStep | None, picture: Picture) -> dict[str, Any]:
+    """Return the next step in words: the slider's move, what it gains, and what it costs."""
+    if step is None:
+        tightest = max(picture.requirements, key=lambda one: one.ratio, default=None)
+        of = "" if tightest is None else f" {tightest.name}"
+        return {"move": f"No single slider helps{of}", "gain": "", "cost": "", "slider": ""}
+    slider = step.slider
+    way = "Raise" if step.after > slider.value else "Lower"
+    unit = f" {slider.unit}" if slider.unit else ""
+    return {
+        "move": f"{way} {slider.label} from {slider.value:.4g} to {step.after:.4g}{unit}",
+        "gain": _margins(step.gain),
+        "cost": "costs nothing" if step.cost is None else f"costs {_margins(step.cost)}",
+        "slider": slider.name,
+    }
+
+
+def _margins(change: MarginChange) -> str:
+    return f"{change.requirement}: {_percent(change.before)} → {_percent(change.after)}"
+
+
+def _percent(margin: float) -> str:
+    if not math.isfinite(margin):
+        return "unstable" if margin < 0.0 else "+∞"
+    return f"{100 * margin:+.1f} %".replace("-", "−")
 
 
 def _row(one: CheckResult) -> dict[str, Any]:

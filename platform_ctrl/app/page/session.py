@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from platform_ctrl.app.designs import DesignPending
 from platform_ctrl.app.gimbal_tree import TreeView
 from platform_ctrl.app.page import messages
+from platform_ctrl.app.page.compared import Compared
 from platform_ctrl.app.page.connection import Connection
 from platform_ctrl.app.page.drags import PageDrags
 from platform_ctrl.app.page.messages import Request, chosen, parse_request, request_count
@@ -101,6 +102,7 @@ class Session:
         self._limited_by: tuple[str, ...] = ()
         self._tasks = PageTasks(self)
         PageDrags(self, self._tasks)
+        self.compared = Compared(self)
         self._stop_listening = backend.on_designed(self._designed)
 
     def roots(self) -> list[Any]:
@@ -118,10 +120,15 @@ class Session:
     def change(self, key: str, change: Change, *, count: int = 0, gesture: object = None) -> None:
         """Change the settings and show them; it replaces a waiting change of the same key."""
         self._tasks.cancel_tuning()
+        self.compared.forget_step()
         self._no_rest()
         if gesture is None:
             gesture = object()
         self._changes.add(key, Task(count=count, change=change, gesture=gesture))
+
+    def redraw(self, count: int) -> None:
+        """Draw the same settings again: something is compared with them, or no longer."""
+        self._changes.add("again", Task(count=count, change=lambda settings: settings, gesture="ready"))
 
     # Requests of the page.
 
@@ -129,7 +136,8 @@ class Session:
         """Do what a message requests; a wrong one is answered by an error."""
         try:
             request = parse_request(new)
-            getattr(self, f"_on_{request.what}", self._tasks.handle)(request)
+            own = getattr(self, f"_on_{request.what}", None) or getattr(self.compared, f"on_{request.what}", None)
+            (own or self._tasks.handle)(request)
         except PlatformCtrlError as error:
             # The sliders show their values again, not what was typed.
             rows = {} if self.picture is None else self._slider_rows(self.picture.settings)
@@ -234,7 +242,8 @@ class Session:
             self._drawn(drawing)
 
         try:
-            picture = self.backend.picture(settings, on_drawn)
+            ghosts = self.compared.ghosts(settings.loop)
+            picture = self.backend.picture(settings, on_drawn, **({"ghosts": ghosts} if ghosts else {}))
         except DesignPending as error:
             line, awaits = str(error), True
         except Exception as error:
@@ -313,6 +322,7 @@ class Session:
                 "undo": self.history.can_undo,
                 "redo": self.history.can_redo,
                 "tunable": any(one["tunable"] and not one["fixed"] for one in sliders),
+                **self.compared.data(settings.loop),
                 "link": encode_state(self.backend, settings),
                 **self._tasks.data(),
             },

@@ -23,6 +23,7 @@ from platform_ctrl.errors import InputError, PlatformCtrlError
 if TYPE_CHECKING:
     from platform_ctrl.app.backend import Backend
     from platform_ctrl.app.gimbal_tree import TreeView
+    from platform_ctrl.app.page.compared import Compared
     from platform_ctrl.app.page.connection import Connection
     from platform_ctrl.app.pictures import Influence, Picture
     from platform_ctrl.app.settings import Choices, Settings
@@ -78,6 +79,7 @@ class Page(Protocol):
     settings: Settings
     picture: Picture | None
     tree: TreeView
+    compared: Compared
 
     def strip(self) -> dict[str, Any]:
         """Return what the strip of the whole job shows."""
@@ -151,6 +153,9 @@ class PageTasks:
             try:
                 influence = self._backend.influence(settings)
                 self._connection.later(lambda: show_influence(influence))
+                if is_shown():
+                    step = self._backend.next_step(settings, influence)
+                    self._connection.later(lambda: page.compared.found(step) if is_shown() else None)
                 self._measure_parts(settings, is_shown)
             finally:
                 self._measuring = False

@@ -5,6 +5,7 @@ import { watch } from "./connection.js";
 import "./sliders.js";
 import "./table.js";
 import "./strip.js";
+import "./compared.js";
 import "./actions.js";
 
 const LOOK = 20;

@@ -74,7 +74,7 @@ on("state", (given, { n }) => {
   byId("undo").disabled = !given.undo;
   byId("redo").disabled = !given.redo;
   byId("tune").disabled = !given.tunable;
-  byId("compare").disabled = given.choices.overlays.length === 0;
+  byId("over").hidden = given.choices.overlays.length === 0;
   showLink();
   const now = JSON.stringify(given.choices.overlays);
   if (now !== overlays) {
@@ -93,7 +93,7 @@ const overlayRow = ({ design, method }) => {
     request("overlay", { design, on: box.checked });
     box.dataset.request = lastRequest();
   });
-  return made("li", {}, made("label", {}, box, made("span", {}, design), made("span", { className: "quiet" }, method)));
+  return made("li", {}, made("label", { title: `${method}; drawn over every plot once it is designed` }, box, made("span", {}, design)));
 };
 
 let figures = "", cells = [];
@@ -128,8 +128,6 @@ on("line", (given) => {
   write(line, given?.text ?? "");
   if (line.title !== line.textContent) line.title = line.textContent;
   dress(line, given?.kind ?? "");
-  // The dialog hides the line.
-  write(byId("compare-line"), line.textContent);
 });
 on("busy", (given) => {
   byId("busy").hidden = given === null;
