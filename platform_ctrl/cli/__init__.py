@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import errno
 import os
+import shutil
 import sys
+import textwrap
 import warnings
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -135,5 +137,10 @@ def _usage_message(error: Any) -> str:
 
 
 def _failed(message: str, code: int) -> int:
-    print(f"platform-ctrl: error: {' '.join(message.split())}", file=sys.stderr)
+    line = f"platform-ctrl: error: {' '.join(message.split())}"
+    if sys.stderr.isatty():
+        # A terminal would break the one line within words.
+        width = shutil.get_terminal_size().columns
+        line = textwrap.fill(line, width, break_long_words=False, break_on_hyphens=False)
+    print(line, file=sys.stderr)
     return code

@@ -46,7 +46,7 @@ def budget(job: JobFile, controllers: Controllers = None, as_json: Json = False,
     platform-ctrl budget job.toml --controllers mine.json  with others
     platform-ctrl budget job.toml --json | jq .total       to compute with
     """  # noqa: D301
-    from platform_ctrl.cli.terminal import progress, screen, show_lines
+    from platform_ctrl.cli.terminal import progress, screen, show_requirements
 
     with progress(quiet or as_json, f"reading {job}") as say:
         read = job_of(job)
@@ -64,7 +64,7 @@ def budget(job: JobFile, controllers: Controllers = None, as_json: Json = False,
     else:
         for line in budget_lines(read, found):
             typer.echo(line)
-        show_lines(screen(), found.results)
+        show_requirements(screen(), found.results)
     return 0 if found.passed else 1
 
 

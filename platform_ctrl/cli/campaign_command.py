@@ -26,7 +26,6 @@ from platform_ctrl.errors import InputError
 
 if TYPE_CHECKING:
     from rich.console import Console
-    from rich.table import Table
 
     from platform_ctrl.campaign.engine import CampaignResult
     from platform_ctrl.campaign.planning import Plan
@@ -216,7 +215,8 @@ def _show_files(result: CampaignResult, page: Path) -> None:
     typer.echo(f"{count_words(result.record['runs'])}: {', '.join(f'{n:,} {name}' for name, n in counts.items() if n)}")
     for reason, number in result.reasons.items():
         typer.echo(f"  {number:,} x {reason}")
-    typer.echo(f"page: {page}, runs: {result.table}, values: {result.table.with_suffix('.json')}")
+    for word, file in (("page", page), ("runs", result.table), ("values", result.table.with_suffix(".json"))):
+        typer.echo(f"{word + ':':<7} {file}")
 
 
 def expect_rare(plan: Plan, requirement: str | None, runs_per_level: int, method: str) -> None:
@@ -281,81 +281,69 @@ def write_campaign(
     return summary, record
 
 
-# Narrower terminals get lines instead of a table.
-_NARROW_TABLE = 100
 # Worst runs that are named; the page has more.
 _WORST = 3
 
 
 def show_campaign(summary: Summary) -> None:
     """Print every requirement with its probability and bounds, what drives them, the worst runs, and the verdict."""
-    from platform_ctrl.cli.terminal import screen
+    from platform_ctrl.cli.terminal import screen, show_words
     from platform_ctrl.report.page import campaign_tables as tables
 
     console = screen()
-    rows = tables.probability_rows(summary)
-    if console.width >= _NARROW_TABLE:
-        console.print(_table(summary, rows))
-    else:
-        console.print(summary.plan.job.name, style="bold", markup=False)
-        for row in rows:
-            console.print(_line(row), markup=False)
+    console.print(summary.plan.job.name, style="bold", markup=False)
+    _show_rows(console, tables.probability_rows(summary), summary.statistics.confidence)
     _show_drivers(console, summary)
     _show_worst(console, summary)
     for rare in summary.rare:
         show_rare(summary, rare)
     first, *more = tables.verdict(summary), *tables.verdict_lines(summary)
     word, style = ("PASSED", "green") if summary.passed else ("FAILED", "bold red")
-    console.print(f"{word}: {first}", style=style, markup=False)
+    show_words(console, f"{word}: {first}", style)
     for line in more:
-        console.print(line, markup=False)
+        show_words(console, line)
 
 
 def show_rare(summary: Summary, rare: RareResult) -> None:
     """Print a rare event: its probability with its interval, what it took, and what has to come together."""
-    from rich.table import Table
-
-    from platform_ctrl.cli.terminal import screen
+    from platform_ctrl.cli.terminal import screen, show_pairs, show_words
     from platform_ctrl.report.page import campaign_tables as tables
 
     console = screen()
-    console.print(f"rare event: {tables.rare_words(rare)}", style="bold", markup=False)
-    grid = Table.grid(padding=(0, 2))
-    for name, words in tables.rare_rows(rare):
-        grid.add_row(f"  {name}", words)
+    show_words(console, f"rare event: {tables.rare_words(rare)}", "bold")
     moved = tables.moved_words(summary.plan, rare)
-    if moved:
-        grid.add_row("  what moves together", moved)
-    console.print(grid)
+    together = [("what moves together", moved)] if moved else []
+    show_pairs(console, [*tables.rare_rows(rare), *together], indent="  ")
 
 
-def _table(summary: Summary, rows: tuple[ProbabilityRow, ...]) -> Table:
-    from rich.table import Table
+def _show_rows(console: Console, rows: tuple[ProbabilityRow, ...], confidence: float) -> None:
+    """Print probabilities by manoeuvre, the likeliest first, in columns or in lines where these do not fit."""
     from rich.text import Text
 
-    confidence = f"{100.0 * summary.statistics.confidence:g} % bounds"
-    name = summary.plan.job.name
-    table = Table(title=Text(name), title_justify="left", title_style="bold", header_style="bold", expand=False)
-    table.add_column("manoeuvre", overflow="fold")
-    table.add_column("requirement", no_wrap=True)
-    for heading in ("limit", "violations", "probability", confidence, "99 %"):
-        table.add_column(heading, justify="right", no_wrap=True)
+    from platform_ctrl.cli.terminal import show_words
+
+    heads = ("requirement", "limit", "violations", "probability", f"{100.0 * confidence:g} % bounds")
+    cells = [(f"  {row.requirement}", row.limit, row.violations, row.probability, row.bounds) for row in rows]
+    widths = [max(map(len, column)) for column in zip(heads, *cells, strict=True)]
+
+    def aligned(line: tuple[str, ...]) -> str:
+        return "  ".join([f"{line[0]:<{widths[0]}}", *map("{:>{}}".format, line[1:], widths[1:])]).rstrip()
+
+    wide = sum(widths) + 2 * (len(widths) - 1) <= console.width
+    if wide and rows:
+        console.print(Text(aligned(heads), "dim"), soft_wrap=True)
+    groups = list(dict.fromkeys(row.group for row in rows))
+    order = sorted(range(len(rows)), key=lambda k: (groups.index(rows[k].group), -rows[k].numbers.estimate))
     before = ""
-    for row in rows:
-        if row.group != before:
-            table.add_section()
-        style = "red" if row.numbers.events else ""
-        table.add_row(
-            Text("" if row.group == before else _named(row)),
-            Text(row.requirement),
-            Text(row.limit),
-            Text(row.violations, style=style),
-            Text(row.probability, style=style),
-            Text(row.bounds),
-            Text(row.high_quantile),
-        )
-        before = row.group
-    return table
+    for k in order:
+        if rows[k].group != before:
+            show_words(console, _named(rows[k]), "bold")
+        before = rows[k].group
+        style = "red" if rows[k].numbers.events else ""
+        if wide:
+            console.print(Text(aligned(cells[k]), style), soft_wrap=True)
+        else:
+            show_words(console, _line(rows[k]), style, indent="    ")
 
 
 def _named(row: ProbabilityRow) -> str:
@@ -365,11 +353,12 @@ def _named(row: ProbabilityRow) -> str:
 
 
 def _line(row: ProbabilityRow) -> str:
-    limit = f" (at most {row.limit})" if row.limit not in ("", "–") else ""
-    return f"{_named(row)}: {row.requirement}{limit}: {row.violations}, {row.probability} ({row.bounds})"
+    limit = f" ({row.limit})" if row.limit not in ("", "–") else ""
+    return f"  {row.requirement}{limit}: {row.violations}, {row.probability} ({row.bounds})"
 
 
 def _show_drivers(console: Console, summary: Summary) -> None:
+    from platform_ctrl.cli.terminal import show_words
     from platform_ctrl.report.page import campaign_tables as tables
 
     for one in summary.sensitivities:
@@ -377,14 +366,15 @@ def _show_drivers(console: Console, summary: Summary) -> None:
             name = tables.requirement_name(one.requirement)
             violating = tables.violation_drivers(one)
             more = f"; its violations by {violating}" if violating else ""
-            console.print(f"{name} is driven by {tables.short_drivers(one)}{more}", markup=False)
+            show_words(console, f"{name} is driven by {tables.short_drivers(one)}{more}", indent="  ")
     for found in tables.causes(summary):
-        console.print(tables.contrast_words(found), markup=False)
+        show_words(console, tables.contrast_words(found), indent="  ")
 
 
 def _show_worst(console: Console, summary: Summary) -> None:
+    from platform_ctrl.cli.terminal import show_words
     from platform_ctrl.report.page import campaign_tables as tables
 
     for one, words in tables.worst_rows(summary, summary.statistics.worst[:_WORST], tables.all_drivers(summary)):
-        shown = f"{words[0]} {words[1]} (at most {words[2]})"
-        console.print(f"worst: run {one.run}, {one.manoeuvre}: {shown}", markup=False)
+        shown = f"{words[0]} {words[1]} ({words[2]})"
+        show_words(console, f"worst: run {one.run}, {one.manoeuvre}: {shown}", indent="  ")

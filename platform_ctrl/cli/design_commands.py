@@ -376,5 +376,7 @@ class Report:
             typer.echo(json_text(record))
             return
         show_result(result)
-        files = ", ".join(str(self.folder / name) for name in (REPORT, PDF) if name in self.files)
-        typer.echo(f"report: {files}, values: {self.folder / RESULT}")
+        for name in (REPORT, PDF):
+            if name in self.files:
+                typer.echo(f"report: {self.folder / name}")
+        typer.echo(f"values: {self.folder / RESULT}")

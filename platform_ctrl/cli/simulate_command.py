@@ -74,9 +74,11 @@ def simulate(
 
     Uses existing controllers. Gimbal stops, torque limits, sampling, delay and pick-off noise are those of plant
     and job; the job's seed makes the run the same every time. A run of the campaign is simulated with all its draws:
-    its values are those in the campaign's table. Exit code 1 if a limit is not met.
+    its values are those in the campaign's table. Without a choice the manoeuvres are listed. Exit code 1 if a limit is
+    not met.
 
     \b
+    platform-ctrl simulate job.toml                           what can be simulated
     platform-ctrl simulate job.toml --manoeuvre turn -o runs  by name, with a figure
     platform-ctrl simulate job.toml --manoeuvre 1 --json      by number, the values as JSON
     platform-ctrl simulate job.toml --run 4711                the campaign's run 4711: campaign/run-4711.svg
@@ -84,9 +86,12 @@ def simulate(
     """  # noqa: D301
     from platform_ctrl.cli.terminal import progress
 
-    if (run is None) == (manoeuvre is None):
-        wrong = "Missing option '--run'" if run is None else "--run and --manoeuvre exclude each other"
-        raise InputError(f"{wrong}; give --run NUMBER for a run of the campaign, or --manoeuvre NAME")
+    if run is not None and manoeuvre is not None:
+        raise InputError(
+            "--run and --manoeuvre exclude each other; give --run NUMBER for a run of the campaign, or --manoeuvre NAME"
+        )
+    if run is None and manoeuvre is None:
+        return _list(job, as_json)
     with progress(quiet or as_json, f"reading {job}") as say:
         read = job_of(job)
         selected = str(run if manoeuvre is None else manoeuvre)
@@ -112,6 +117,49 @@ def simulate(
             say(f"simulated run: {chosen.name}")
             show = _manoeuvre_run(read, chosen, closed, out)
     return show(as_json)
+
+
+def _list(path: Path, as_json: bool) -> int:
+    """Print the manoeuvres of a job, and how to choose one."""
+    job = job_of(path)
+    if as_json:
+        from platform_ctrl.common.json_text import json_text
+
+        listed = [{"number": k, "name": one.name, "mode": one.mode} for k, one in enumerate(job.manoeuvres, 1)]
+        typer.echo(json_text({"schema": 1, "job": job.name, "manoeuvres": listed}))
+        return 0
+    from platform_ctrl.cli.terminal import screen, show_pairs, show_words
+
+    console = screen()
+    if not job.manoeuvres:
+        show_words(console, f"{path}: has no manoeuvres; a [[manoeuvre]] adds one")
+        return 0
+    console.print(f"manoeuvres of {job.name}", style="bold", markup=False)
+    numbered = [(f"{k}: {one.name}", _motion(one)) for k, one in enumerate(job.manoeuvres, 1)]
+    show_pairs(console, numbered, indent="  ")
+    words = "simulate one: --manoeuvre NUMBER or NAME"
+    if job.campaign is not None:
+        words += f"; one of the {job.campaign.runs:,} runs of the campaign: --run NUMBER"
+    show_words(console, words)
+    return 0
+
+
+def _motion(one: Manoeuvre) -> str:
+    """Say what acts in a manoeuvre."""
+    parts = []
+    if one.rate:
+        parts.append(f"{one.rate:g} rad/s about axis {one.axis}")
+    if one.torque:
+        parts.append(f"{one.torque:g} N m about axis {one.axis}")
+    for count, word in (
+        (len(one.sines), "sine"),
+        (len(one.vibrations), "vibration"),
+        (int(one.Omega_table is not None) + int(one.torque_table is not None), "table"),
+        (len(one.faults), "fault"),
+    ):
+        if count:
+            parts.append(f"{count} {word}{'' if count == 1 else 's'}")
+    return f"{one.mode}, {one.duration:g} s: {', '.join(parts) or 'nothing acts'}"
 
 
 def _manoeuvre_run(job: Job, manoeuvre: Manoeuvre, controllers: list[control.StateSpace], out: Path | None) -> Shown:

@@ -117,6 +117,7 @@ def models(as_json: Json = False) -> None:
     """  # noqa: D301
     import tomllib
 
+    from platform_ctrl.cli.terminal import screen, show_pairs
     from platform_ctrl.common.json_text import json_text
     from platform_ctrl.plant.source import platform_source, shipped_models
     from platform_ctrl.report.quantities import count
@@ -129,10 +130,8 @@ def models(as_json: Json = False) -> None:
     if as_json:
         typer.echo(json_text(listed))
         return
-    width = max(len(model["name"]) for model in listed)
-    for model in listed:
-        bodies = f"{count(model['gimbal'], 'gimbal')}, {count(model['rotor'], 'rotor')}"
-        typer.echo(f"{model['name']:<{width}}  {model['title']}: {bodies}")
+    pairs = [(m["name"], f"{m['title']}: {count(m['gimbal'], 'gimbal')}, {count(m['rotor'], 'rotor')}") for m in listed]
+    show_pairs(screen(), pairs)
 
 
 def equations(

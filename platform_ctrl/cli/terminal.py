@@ -1,8 +1,9 @@
-"""What people see while a command works, and when it is done. Colours, spinner and boxes only on a terminal."""
+"""What people see while a command works, and when it is done. Colours and a spinner on a terminal alone."""
 
 from __future__ import annotations
 
 import os
+import re
 import sys
 import threading
 import time
@@ -21,9 +22,8 @@ if TYPE_CHECKING:
     from platform_ctrl.verification import JobResult
     from platform_ctrl.verification.simulated import Run
 
-# Columns that a pipe is given, which has no width; narrower terminals get lines instead of a table.
-_PIPE_WIDTH = 120
-_NARROW = 96
+# Columns of a pipe, which has no width: a statement is one line there.
+_PIPE_WIDTH = 10_000
 # Seconds after which a first line is printed where there is no terminal, and the last line is printed again.
 _LATE = 2.0
 _AGAIN = (10.0, 30.0, 60.0)
@@ -112,24 +112,18 @@ def screen() -> Console:
 
 
 def show_result(result: JobResult) -> None:
-    """Print all requirements, as the report's table or as lines where it would not fit, and the verdict."""
-    from platform_ctrl.report.page.tables import terminal_table
+    """Print all requirements, the worst first, and the verdict."""
     from platform_ctrl.report.quantities import added_words, assumed_words
 
     console = screen()
-    if console.width >= _NARROW:
-        console.print(terminal_table(result))
-    else:
-        console.print(result.job.name, style="bold", markup=False)
-        show_lines(console, result.requirements)
-        show_lines(console, [goal for outcome in result.loops for goal in outcome.closed.goals])
+    console.print(result.job.name, style="bold", markup=False)
+    goals = [goal for outcome in result.loops for goal in outcome.closed.goals]
+    show_requirements(console, [*result.requirements, *goals], result)
     _show_verdict(console, result.requirements, added_words(result.job.platform) + assumed_words(result.job))
 
 
 def show_run(run: Run, largest: dict[str, tuple[float, str]]) -> None:
     """Print the largest angles and torque of a run, saturated torquers, stops that were touched, and its limits."""
-    from rich.table import Table
-
     trajectory, console = run.trajectory, screen()
     saturated = {name: int(n) for name, n in zip(trajectory.torquer_names, trajectory.saturated, strict=True) if n}
     touched = {name: int(n) for name, n in zip(trajectory.angle_names, trajectory.stop_contacts, strict=True) if n}
@@ -142,12 +136,9 @@ def show_run(run: Run, largest: dict[str, tuple[float, str]]) -> None:
         "saturated samples": ", ".join(f"{name} {n}" for name, n in saturated.items()) or "none",
         "stops touched": ", ".join(f"{name} {n}" for name, n in touched.items()) or "none",
     }
-    table = Table.grid(padding=(0, 2))
-    for name, words in rows.items():
-        table.add_row(name, words)
     console.print(run.manoeuvre.name, style="bold", markup=False)
-    console.print(table)
-    show_lines(console, run.results)
+    show_pairs(console, list(rows.items()))
+    show_requirements(console, run.results, titles=False)
 
 
 def _measured(key: str, number: float, signal: str) -> str:
@@ -156,50 +147,71 @@ def _measured(key: str, number: float, signal: str) -> str:
 
 def show_inputs(title: str, inputs: Mapping[str, object]) -> None:
     """Print what was drawn for a run."""
-    from rich.table import Table
-
     console = screen()
-    table = Table.grid(padding=(0, 2))
-    for name, item in inputs.items():
-        words = f"{item:.6g}" if isinstance(item, float) else {True: "yes", False: "no"}.get(item, item)  # type: ignore[call-overload]
-        table.add_row(name, str(words))
     console.print(title, style="bold", markup=False)
-    console.print(table)
+    shown = {
+        name: f"{item:.6g}" if isinstance(item, float) else {True: "yes", False: "no"}.get(item, item)  # type: ignore[call-overload]
+        for name, item in inputs.items()
+    }
+    show_pairs(console, [(name, str(words)) for name, words in shown.items()])
 
 
-def show_lines(console: Console, results: Sequence[CheckResult]) -> None:
-    """Print a line for each result: whether it is met, its value and its limit."""
+def show_pairs(console: Console, pairs: Sequence[tuple[str, str]], indent: str = "") -> None:
+    """Print names and what they are, aligned; what does not fit goes on below itself, or below its name."""
+    widest = len(indent) + max((len(name) for name, _ in pairs), default=0) + 2
+    if widest > console.width // 2:
+        for name, words in pairs:
+            show_words(console, f"{indent}{name}: {words}", indent=f"{indent}  ")
+        return
+    for name, words in pairs:
+        show_words(console, f"{indent}{name}".ljust(widest) + words, indent=" " * widest)
+
+
+def show_words(console: Console, words: str, style: str = "", indent: str = "") -> None:
+    """Print a statement, wrapped between words; a number keeps its unit."""
+    import textwrap
+
+    together = re.sub(r"(?<=\d) (?=[^\W\d]|[%°/])", "\N{NO-BREAK SPACE}", words)
+    wrapper = textwrap.TextWrapper(
+        console.width, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False
+    )
+    for line in wrapper.wrap(together):
+        shown = line.replace("\N{NO-BREAK SPACE}", " ")
+        console.print(shown, style=style, markup=False, highlight=False, soft_wrap=True)
+
+
+_STYLES = {"title": "bold", "missed": "bold red", "met": "", "goal": "dim", "plain": ""}
+
+
+def show_requirements(
+    console: Console, results: Sequence[CheckResult], of: JobResult | None = None, titles: bool = True
+) -> None:
+    """Print requirements and goals in aligned columns, the worst first; `of` has the proofs."""
     from rich.text import Text
 
-    from platform_ctrl.report.failures import value_and_limit
+    from platform_ctrl.cli.requirement_lines import requirement_lines
 
-    for one in results:
-        style = "dim" if not one.hard else "green" if one.passed else "bold red"
-        mark = Text("met    " if one.passed else "NOT MET" if one.hard else "not met", style)
-        found, limit = value_and_limit(one)
-        console.print(Text.assemble(mark, f" {_subject(one)}: {one.name} {found} ({one.sense} {limit})"))
+    for line in requirement_lines(results, console.width, of, titles):
+        text = Text(line.text, _STYLES[line.kind])
+        if line.kind == "met":
+            text.stylize("green", 0, len("met"))
+        console.print(text, soft_wrap=True)
 
 
 def _show_verdict(console: Console, results: Sequence[CheckResult], added: str) -> None:
+    from platform_ctrl.cli.requirement_lines import severity, subject_of, tells_nothing
+    from platform_ctrl.report.quantities import percent
+
     missed = sum(not one.passed for one in results)
     words = f"{missed} of {len(results)} requirements not met" if missed else f"all {len(results)} requirements met"
     words += added
-    # How slow the slowest pole is, if it decays at all, is no measure of how tight a design is; nor is a proof.
-    telling = [
-        one
-        for one in results
-        if not (one.passed and one.name.startswith(("minimum decay rate", "certified properties")))
-    ]
+    telling = [one for one in results if not tells_nothing(one)]
     if telling:
-        worst = min(telling, key=lambda one: (one.passed, one.margin))
-        words += f"; {'worst' if missed else 'tightest'}: {_subject(worst)}, {worst.name}"
-        words += f" ({worst.margin:+.0%})" if abs(worst.margin) < 10.0 else ""
+        worst = min(telling, key=severity)
+        words += f"; {'worst' if missed else 'tightest'}: {subject_of(worst)}, {worst.name}"
+        words += f" ({percent(worst.margin)})" if abs(worst.margin) < 10.0 else ""
     verdict, style = ("FAILED", "bold red") if missed else ("PASSED", "green")
-    console.print(f"{verdict}: {words}", style=style, markup=False)
-
-
-def _subject(one: CheckResult) -> str:
-    return f"{one.subject}, {one.design}" if one.design else one.subject
+    show_words(console, f"{verdict}: {words}", style)
 
 
 Tick = Callable[[int, int], None]

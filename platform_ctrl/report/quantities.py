@@ -12,7 +12,7 @@ from platform_ctrl.plant.sensors import body_rates, body_rotations, gimbal_rate
 
 if TYPE_CHECKING:
     from platform_ctrl.common.values import FloatArray
-    from platform_ctrl.job.job import Job
+    from platform_ctrl.job.job import Job, Manoeuvre
     from platform_ctrl.job.judging import CheckResult
     from platform_ctrl.plant.platform import Platform
 
@@ -250,6 +250,19 @@ def assumed_words(job: Job) -> str:
     ]
     words.append(f"the gimbal angles are {'; '.join(checked) if checked else 'zero alone'}")
     return f", assuming that {listed(words)}"
+
+
+def simulated_words(job: Job, manoeuvres: Sequence[Manoeuvre]) -> str:
+    """Return what the verdict on runs rests on, to go with it; nothing where that is nothing."""
+    words = []
+    if any(one.start == "equilibrium" for one in manoeuvres):
+        words.append("constant torques of the motors hold the gimbals from the start on")
+    angles = set(job.platform.angle_names)
+    if {spec.kind for spec in job.loops} & {"rate", "pointing"} and not any(
+        angles & set(m.initial) for m in manoeuvres
+    ):
+        words.append("the gimbals start at the angles zero")
+    return f", assuming that {listed(words)}" if words else ""
 
 
 _RAISED = str.maketrans("-0123456789", "\u207b\u2070\u00b9\u00b2\u00b3\u2074\u2075\u2076\u2077\u2078\u2079")

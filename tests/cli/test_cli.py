@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -147,7 +148,8 @@ def test_a_folder_that_is_named_gives_its_controllers_and_a_narrow_terminal_gets
     out, err = capsys.readouterr()
     assert err == ""
     assert max(map(len, out.splitlines())) <= 60
-    assert "met     caging 9-10, classical: bandwidth" in out
+    assert "caging 9-10, classical" in out.splitlines()
+    assert re.search(r"^met +bandwidth +[\d.]+ Hz +≥ \d+ Hz +\+[\d.]+ %$", out, re.MULTILINE)
     assert "\x1b" not in out
     assert json.loads((there / "other" / "result.json").read_text())["controllers"][0]["design"] == "from there"
 
@@ -163,6 +165,17 @@ def test_simulate_flies_one_manoeuvre_by_name_or_number(there: Path, capsys: pyt
     # The same run as in the check: the seed makes it so.
     whole = json.loads((there / "out" / "result.json").read_text())
     assert run["largest"] == whole["runs"][0]["largest"]
+
+
+def test_simulate_without_a_choice_lists_the_manoeuvres(there: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["simulate", "job.toml"]) == 0
+    out, err = capsys.readouterr()
+    assert err == ""
+    assert [line.split()[:2] for line in out.splitlines()[1:3]] == [["1:", "turn"], ["2:", "step"]]
+    assert "--manoeuvre NUMBER or NAME" in out
+    assert main(["simulate", "job.toml", "--json"]) == 0
+    listed = json.loads(capsys.readouterr().out)["manoeuvres"]
+    assert [(one["number"], one["name"]) for one in listed] == [(1, "turn"), (2, "step")]
 
 
 def test_simulate_ends_with_one_when_a_limit_is_not_met(there: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -226,7 +239,7 @@ def test_the_shell_gets_completion(monkeypatch: pytest.MonkeyPatch) -> None:
         (["design", "job.toml", "--colour"], "No such option: --colour"),
         (["design", "job.toml", "more"], "unexpected extra argument"),
         (["design", "job.toml", "-o"], "requires an argument"),
-        (["simulate", "job.toml"], "Missing option '--run'"),
+        (["simulate", "job.toml", "--run", "1", "--manoeuvre", "1"], "--run and --manoeuvre exclude each other"),
         (["design", "none.toml"], "none.toml: there is no such file"),
         (["design", "joob.toml"], "joob.toml: there is no such file; did you mean job.toml?"),
         (["design", "qqq"], "qqq: there is no such file; platform-ctrl new writes one"),

@@ -343,6 +343,7 @@ def test_the_command_prints_a_table_of_80_columns_or_json(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "80")
     found = line_of_sight_budget(job(tmp_path, LIMITS), controllers())
     K = controllers()[0]
     record: dict[str, Any] = {"name": "pitch", "inputs": ["gyro"], "outputs": ["Qpitch"], "dt": PERIOD, "delay": DELAY}
@@ -350,10 +351,10 @@ def test_the_command_prints_a_table_of_80_columns_or_json(
     Path("k.json").write_text(json.dumps({"schema": 1, "controllers": [record]}), encoding="utf-8")
     assert main(["budget", "camera.toml", "--controllers", "k.json"]) == 1
     out = capsys.readouterr().out
-    table = out.partition("NOT MET")[0].splitlines()
-    assert max(map(len, table[:-1])) <= 80
+    table = out.splitlines()
+    assert max(map(len, table)) <= 80
     assert any(line.startswith("vibration") and line.split()[2] == f"{1e6 * found.rms[1, 0]:.4g}" for line in table)
-    assert "NOT MET line of sight: line-of-sight jitter of one axis" in out
+    assert any(line.startswith("NOT MET  line-of-sight jitter of one axis") for line in out.splitlines())
     assert main(["budget", "camera.toml", "--controllers", "k.json", "--json"]) == 1
     data = json.loads(capsys.readouterr().out)
     assert data["sources"][0]["rms"] == pytest.approx(found.rms[0].tolist(), rel=1e-12)

@@ -16,7 +16,17 @@ from platform_ctrl.campaign.table_statistics import Contrast, RequirementStatist
 from platform_ctrl.common.text import Rounding, rounded
 from platform_ctrl.common.values import value
 from platform_ctrl.job.variation import Vary
-from platform_ctrl.report.quantities import DASH, MINUS, added_words, count, plain, quantity, times
+from platform_ctrl.report.quantities import (
+    BOUND,
+    DASH,
+    MINUS,
+    added_words,
+    count,
+    plain,
+    quantity,
+    simulated_words,
+    times,
+)
 
 ALL_MANOEUVRES = "all manoeuvres, values relative to their limits"
 # Inputs that a table names for a requirement.
@@ -56,7 +66,7 @@ def _row(one: RequirementStatistics) -> ProbabilityRow:
     return ProbabilityRow(
         group=one.manoeuvre or ALL_MANOEUVRES,
         requirement=requirement_name(one.requirement).removeprefix("largest "),
-        limit=DASH if one.limit is None else figure_words(one.limit, unit, one.limit),
+        limit=DASH if one.limit is None else limit_words(one.requirement, one.limit, relative=one.manoeuvre is None),
         violations=f"{one.violation.events:,} of {one.violation.runs:,}",
         probability=chance(one.violation.estimate),
         bounds=chances(one.violation.low, one.violation.high),
@@ -66,6 +76,13 @@ def _row(one: RequirementStatistics) -> ProbabilityRow:
         worst=one.worst[0].run if one.worst else None,
         numbers=one.violation,
     )
+
+
+def limit_words(figure: str, limit: float, *, relative: bool = False) -> str:
+    """Return a limit with its sense; `relative`: of ratios of values to their limits, which are to be at most one."""
+    if relative:
+        return f"{BOUND['at most']} {plain(limit)}"
+    return f"{BOUND[RUN_METRICS[figure].sense]} {quantity(limit, RUN_METRICS[figure].unit, 4, limit)}"
 
 
 def requirement_name(figure: str | None) -> str:
@@ -119,7 +136,8 @@ def verdict(summary: Summary) -> str:
         words = f"none of {count_words(violation.runs)} violates a requirement"
     else:
         words = "the run violates no requirement" if violation.runs else "no run was simulated"
-    return f"{words}{added_words(summary.plan.job.platform)}"
+    job = summary.plan.job
+    return f"{words}{added_words(job.platform)}{simulated_words(job, [one for one, _ in job.campaign_manoeuvres])}"
 
 
 def verdict_lines(summary: Summary) -> list[str]:
@@ -258,7 +276,7 @@ def worst_rows(summary: Summary, runs: Sequence[WorstRun], drivers: Sequence[str
         words = [
             requirement_name(one.requirement).removeprefix("largest "),
             figure_words(one.value, unit, one.limit),
-            quantity(one.limit, unit, 4, one.limit),
+            limit_words(one.requirement, one.limit),
             DIVERGED if math.isinf(one.ratio) else plain(one.ratio, 3),
             ", ".join(shown),
         ]

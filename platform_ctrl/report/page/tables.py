@@ -1,10 +1,9 @@
-"""The tables of the report; the terminal shows the same table of requirements."""
+"""The tables of the report."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from importlib.metadata import version
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -46,9 +45,6 @@ from platform_ctrl.report.quantities import (
 )
 from platform_ctrl.verification import records
 from platform_ctrl.verification.verdict import PROVED, JobResult
-
-if TYPE_CHECKING:
-    from rich import table as rich_table
 
 
 @value
@@ -94,13 +90,14 @@ def _ordered(result: JobResult, results: Sequence[CheckResult]) -> tuple[Require
         margin = np.inf if one.passed and one.name == PROVED.name else one.margin
         return subjects.index(one.subject), one.passed, margin
 
-    return tuple(_row(result, one) for one in sorted(results, key=place))
+    return tuple(requirement_row(one, result) for one in sorted(results, key=place))
 
 
-def _row(result: JobResult, one: CheckResult) -> RequirementRow:
+def requirement_row(one: CheckResult, result: JobResult | None = None) -> RequirementRow:
+    """Return a requirement as the tables show it; `result` has the proofs of "certified properties"."""
     number, limit = compared(one)
     limit, margin = f"{BOUND[one.sense]} {limit}", percent(one.margin)
-    if one.name == PROVED.name:
+    if one.name == PROVED.name and result is not None:
         # All claims have to be proved: there is no margin.
         proofs = result.proofs[one.subject if one.design else "", one.design]
         number, limit, margin = f"{proofs.proved} of {proofs.of}", "all", ""
@@ -130,34 +127,6 @@ def verdict(result: JobResult) -> str:
     else:
         words = f"all {count(number, 'requirement')} met" if number != 1 else "the one requirement is met"
     return f"{words}{added_words(result.job.platform)}{assumed_words(result.job)}"
-
-
-def terminal_table(result: JobResult) -> rich_table.Table:
-    """Return the requirement table for a terminal."""
-    from rich.table import Table as RichTable
-    from rich.text import Text
-
-    out = RichTable(
-        title=Text(result.job.name), title_justify="left", title_style="bold", header_style="bold", expand=False
-    )
-    for name in ("subject", "requirement"):
-        out.add_column(name, overflow="fold")
-    for name in ("value", "limit", "margin"):
-        out.add_column(name, justify="right", no_wrap=True)
-    out.add_column("stage", no_wrap=True)
-    out.add_column("method", no_wrap=True)
-    out.add_column("met", justify="center", no_wrap=True)
-    goals = goal_rows(result)
-    if goals:
-        out.caption, out.caption_justify = "Goals are not part of the verdict.", "left"
-    for subject, rows in by_subject(result).items():
-        out.add_section()
-        for k, row in enumerate((*rows, *(goal for goal in goals if goal.subject == subject))):
-            style, mark = ("dim", "dim") if row.goal else ("", "green") if row.passed else ("bold red", "bold red")
-            cells = [row.requirement, row.value, row.limit, row.margin, row.stage, row.method]
-            words = [Text(subject if k == 0 else ""), *(Text(cell, style=style) for cell in cells)]
-            out.add_row(*words, Text(row.symbol, style=mark))
-    return out
 
 
 def by_subject(result: JobResult) -> dict[str, list[RequirementRow]]:
