@@ -4,7 +4,9 @@ The parts of a closed loop are named by where they begin and end:
 
     [torque, Omega, noise] → [torque, angle, sight]        u = K (y + noise),  y = P (u + torque) + P_Omega Omega
 
-"angle" is all that is measured, of rate loops rates; "sight" are the rates of the line of sight.
+"angle" is all that is measured, of rate loops rates; "sight" are the rates of the line of sight. A controller may also
+have inputs for commands, behind those for what is measured: "command" enters there, with the other sign, and without
+them as noise.
 
 The largest gain over frequency is taken on the set's grid and at the closed-loop poles that are narrower than the
 grid's spacing (`LoopSet.grid_peaks`): quick enough for a search. Over all frequencies it is a norm (`norms.peak`).
@@ -22,6 +24,7 @@ from numpy.typing import NDArray
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
 from platform_ctrl.analysis.channel import Channel
 from platform_ctrl.analysis.feedback import closed_loop, sensitivities_of_plants
+from platform_ctrl.analysis.following import commanded_loop
 from platform_ctrl.analysis.norms import Band, gains
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.poles import continuous_poles, poles, spectral_abscissa
@@ -41,13 +44,14 @@ class Transfer(NamedTuple):
     With `of_limit` every torque is taken by itself, over its torquer's limit, for platform rates over the set's Omega.
     """
 
-    source: Literal["torque", "Omega", "noise"]
+    source: Literal["torque", "Omega", "noise", "command"]
     target: Literal["torque", "angle", "sight"]
     direct: float = 0.0
     of_limit: bool = False
 
 
 S_OUTPUT, S_INPUT = Transfer("noise", "angle", 1.0), Transfer("torque", "torque", 1.0)
+FOLLOWING = Transfer("command", "angle", 1.0)  # from a command to its error
 T_OUTPUT, T_INPUT = Transfer("noise", "angle"), Transfer("torque", "torque")
 # (S − T)/2 = S − I/2
 HALF_OUTPUT, HALF_INPUT = Transfer("noise", "angle", 0.5), Transfer("torque", "torque", 0.5)
@@ -95,11 +99,15 @@ class SingleLoop:
 
 
 class LoopSet:
-    """A controller u = K y closed around every plant of a set, each part computed when it is first needed."""
+    """A controller closed around every plant of a set, each part computed when it is first needed.
+
+    `controller` is u = K y, or u = K y + H r with twice as many inputs: see `analysis.following`.
+    """
 
     def __init__(self, plants: PlantSet, controller: StateArrays) -> None:
         self.plants = plants
-        self.controller = controller
+        self.controller = plants.feedback(controller)
+        self.two_degrees = None if self.controller is controller else controller
         self.m, self.p = plants.B.shape[-1], plants.C.shape[-2]
         self.period, self.slow = plants.period, plants.nutation / 10.0
         # By metric and plant: exact values with their frequencies, rad/s, and values that a plant is no worse than.
@@ -122,6 +130,17 @@ class LoopSet:
         """Closed loops (N, ...) without Omega: inputs torque disturbance and noise; outputs torques and angles."""
         plants = self.plants
         return closed_loop(StateArrays(plants.A, plants.B, plants.C, plants.D, plants.period), self.controller)
+
+    @cached_property
+    def following(self) -> StateArrays:
+        """Closed loops (N, ...) from commands to what is measured."""
+        A, B, C, D, dt = self.own_arrays
+        m, p = self.m, self.p
+        if self.two_degrees is None:
+            return StateArrays(A, -B[..., m:], C[..., m:, :], -D[..., m:, m:], dt)
+        own = StateArrays(self.plants.A, self.plants.B, self.plants.C, self.plants.D, dt)
+        A, B, C, D, _ = commanded_loop(own, self.two_degrees, range(m), range(p))
+        return StateArrays(A, B[..., m:], C[..., m:, :], D[..., m:, m:], dt)
 
     @property
     def inputs(self) -> list[str]:
@@ -167,7 +186,7 @@ class LoopSet:
     def only(self, chosen: Sequence[int]) -> LoopSet:
         """Return the loops of some of the plants (indices): what is computed here is taken over."""
         index = np.asarray(chosen, dtype=np.intp)
-        out = LoopSet(self.plants.only(chosen), self.controller)
+        out = LoopSet(self.plants.only(chosen), self.two_degrees or self.controller)
         out.K, out.poles, out.decay = self.K, self.poles[index], self.decay[index]
         out.S_output, out.S_input = self.S_output[index], self.S_input[index]
         out.arrays, out.own_arrays = _some(self.arrays, index), _some(self.own_arrays, index)
@@ -191,6 +210,9 @@ class LoopSet:
 
     def _systems(self, transfer: Transfer, k: int) -> list[StateArrays]:
         self._expect_sight(transfer)
+        if transfer.source == "command":
+            loop = _one(self.following, k)
+            return [loop._replace(C=-loop.C, D=transfer.direct * np.eye(self.p) - loop.D)]
         A, B, C, D, dt = _one(self.arrays, k)
         m, p = self.m, self.p
         columns = {"torque": slice(0, m), "Omega": slice(m, m + 3), "noise": slice(m + 3, m + 3 + p)}[transfer.source]
@@ -216,6 +238,11 @@ class LoopSet:
         """Return responses of some plants on the grid, (k, F, ...)."""
         self._expect_sight(transfer)
         plants, S = self.plants, self.S_output[members]
+        if transfer.source == "command" and self.two_degrees is not None:
+            H = frequency_response(self.two_degrees, plants.frequency, -3)[..., self.p :]
+            return [transfer.direct * np.eye(self.p) - S @ plants.response[members] @ H]
+        if transfer.source == "command":
+            return [S - (1.0 - transfer.direct) * np.eye(self.p)]
         if (transfer.source, transfer.target) in (("noise", "angle"), ("torque", "torque")):
             S = S if transfer.source == "noise" else self.S_input[members]
             return [S - (1.0 - transfer.direct) * np.eye(S.shape[-1])]

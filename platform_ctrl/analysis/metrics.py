@@ -280,8 +280,9 @@ METRICS: dict[str, Metric] = {
         name="tracking error",
         key="tracking",
         sense="at most",
-        meaning="the largest singular value of S at the plant's output up to this frequency",
-        measure=Peak(transfers=(loop_set.S_OUTPUT,), banded=True),
+        meaning="the largest singular value of S at the plant's output up to this frequency; of a design with "
+        "`command` of the transfer from commands to their errors",
+        measure=Peak(transfers=(loop_set.FOLLOWING,), banded=True),
         needs_frequency=True,
     ),
     "overshoot": Metric(

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, named_system, state_arrays
+from platform_ctrl.analysis.following import feedback_part
 from platform_ctrl.analysis.frequency_grids import tuning_grid
 from platform_ctrl.analysis.resolvent import ON_A_GRID
 from platform_ctrl.analysis.response import frequency_response
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
 
 BoolArray = NDArray[np.bool_]
 
-# Ending of the name of a command: what a tracking loop adds to a reading of the rate loop inside.
+# Ending of the name of a command: what a loop holds a reading at.
 COMMAND = "_command"
 
 # What a plant of a set represents: the nominal one; other parameters; another platform rate; other gimbal angles;
@@ -141,7 +142,7 @@ class PlantSet:
     def joined(self, controller: control.StateSpace | StateArrays) -> StateArrays:
         """Return the arrays of a controller u = K y from all angles of this set to all of its torques, in its order.
 
-        A `control.StateSpace` is joined by the names of its signals; commands of a loop around this one are left out.
+        A `control.StateSpace` is joined by the names of its signals. Commands are left out, and what they alone reach.
         Other signals, sizes or sample periods are refused.
         """
         K = controller if isinstance(controller, StateArrays) else state_arrays(controller, "controller")
@@ -149,7 +150,6 @@ class PlantSet:
             raise ArgumentError(f"controller: dt must be {self.period} s, as of the plants, got {K.dt} s")
         if not isinstance(controller, StateArrays):
             columns, rows = list(controller.input_labels), list(controller.output_labels)
-            # Commands of a loop around this one are no measurements of it.
             columns = [name for name in columns if name.removesuffix(COMMAND) == name or name in self.angles]
             if set(columns) != set(self.angles) or set(rows) != set(self.torques):
                 raise ArgumentError(
@@ -158,13 +158,20 @@ class PlantSet:
                 )
             columns = list(controller.input_labels)
             at, of = [columns.index(name) for name in self.angles], [rows.index(name) for name in self.torques]
-            K = StateArrays(K.A, K.B[:, at], K.C[of], K.D[np.ix_(of, at)], K.dt)
+            K = feedback_part(StateArrays(K.A, K.B, K.C[of], K.D[of], K.dt), at)
+        else:
+            K = self.feedback(K)
         if K.D.shape != (len(self.torques), len(self.angles)):
             raise ArgumentError(
                 f"controller: must have {len(self.angles)} inputs and {len(self.torques)} outputs, "
                 f"got {K.D.shape[1]} and {K.D.shape[0]}"
             )
         return K
+
+    def feedback(self, controller: StateArrays) -> StateArrays:
+        """Return K of a controller u = K y, itself, or of u = K y + H r, with twice as many inputs."""
+        p = len(self.angles)
+        return feedback_part(controller, range(p)) if controller.D.shape[1] == 2 * p else controller
 
     def in_directions(self, sense: FloatArray) -> PlantSet:
         """Return the set with combinations of its measured outputs, the rows of `sense` (k, p), in their place."""

@@ -1,4 +1,4 @@
-"""How a loop follows a reference, u = K (y − reference): overshoot, settling, errors that remain. Of the samples."""
+"""How a loop follows its commands: overshoot, settling, errors that remain. Of the samples."""
 
 from __future__ import annotations
 
@@ -23,16 +23,14 @@ _NO_ERROR = 1e-8
 def of_following(function: Callable[[StateArrays, float], FloatArray]) -> Callable[[LoopSet, Request], FloatArray]:
     """Return the measure of the worst channel of each plant; infinite of an unstable loop.
 
-    `function` gets the loop from references to what is measured, and the decay rate of its slowest pole, 1/s.
+    `function` gets the loop from commands to what is measured, and the decay rate of its slowest pole, 1/s.
     """
 
     def measured(loops: LoopSet, request: Request) -> FloatArray:
         out = np.full(len(loops.plants.labels), np.inf)
-        A, B, C, D, dt = loops.own_arrays
-        m = loops.m
+        A, B, C, D, dt = loops.following
         for k in np.flatnonzero(loops.decay > 0.0):
-            # A reference enters as noise with the other sign.
-            loop = StateArrays(A[k], -B[k, :, m:], C[k, m:], -D[k, m:, m:], dt)
+            loop = StateArrays(A[k], B[k], C[k], D[k], dt)
             out[k] = float(function(loop, float(loops.decay[k])).max(initial=0.0))
         return out
 

@@ -10,7 +10,7 @@ from platform_ctrl.common.progress import Progress, shown
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import value
 from platform_ctrl.design.caging_claims import with_caging_claims
-from platform_ctrl.design.loop import LoopDesign, LoopProblem, commanded, designed
+from platform_ctrl.design.loop import LoopDesign, LoopProblem, commanded, designed, with_commands
 from platform_ctrl.design.loop_signals import loop_channels, loop_signals
 from platform_ctrl.design.plants import plants_of, tracking_plants
 from platform_ctrl.errors import DesignError
@@ -80,7 +80,7 @@ def _loops(job: Job, progress: Progress) -> tuple[LoopOutcome, ...]:
         if spec.kind == "tracking":
             inner = next(one for one in out if one.spec.name == spec.around)
             assert inner.closed.plants is not None, "a rate loop has plants"
-            K = inner.closed.plants.joined(inner.closed.controller)
+            K = with_commands(inner.closed.plants, inner.closed.controller)
             plants, directions = tracking_plants(job, spec, inner.spec, K)
         elif plants is not None:
             # Once for all designs of the loop, which ask for them again and again.

@@ -12,10 +12,12 @@ from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, named_syste
 from platform_ctrl.analysis.certificates import Certificate
 from platform_ctrl.analysis.certificates.plant_set import plant_set_certificates
 from platform_ctrl.analysis.feedback import closed_loop
+from platform_ctrl.analysis.following import with_error_alone
 from platform_ctrl.analysis.loop_metrics import LoopMetrics, measure
 from platform_ctrl.analysis.plant_set import COMMAND, PlantSet
 from platform_ctrl.common.progress import Progress
 from platform_ctrl.common.values import value
+from platform_ctrl.design.command_shaping import shaped
 from platform_ctrl.design.loop_signals import loop_channels, loop_signals
 from platform_ctrl.design.partition import Channels
 from platform_ctrl.errors import DesignError, NotCertifiedError
@@ -134,6 +136,12 @@ class LoopProblem:
         sense = self.channel.sense
         return self.plant_set if sense is None else self.plant_set.in_directions(sense)
 
+    def with_commands(self, K: StateArrays) -> StateArrays:
+        """Return the design's controller of `plants` with its commands, if it says what to do with them; else K."""
+        if self.design.command is None:
+            return K
+        return shaped(K._replace(dt=self.plants.period), self.design.command, self.channel, np.eye(len(K.B.T)))
+
     @property
     def channel(self) -> Channels:
         """Gyroscopic pairs and inertial directions of the loop's gimbals."""
@@ -176,6 +184,10 @@ def designed(problem: LoopProblem) -> LoopDesign:
         if sense is not None:
             K = found.controller
             found = dataclasses.replace(found, controller=K._replace(B=K.B @ sense, D=K.D @ sense))
+        if design.command is not None:
+            own = found.controller._replace(dt=plants.period)
+            K = shaped(own, design.command, problem.channel, np.eye(len(own.B.T)) if sense is None else sense)
+            found = dataclasses.replace(found, controller=K)
         out = certified(spec, design, found, plants)
         if method.goals:
             ratios = {"limit_ratio": out.results, "goal_ratio": out.goals}
@@ -245,7 +257,7 @@ def _proofs(
 
 def remeasured(spec: LoopSpec, name: str, controller: control.StateSpace, plants: PlantSet) -> LoopDesign:
     """Return an existing controller as a design of `spec`, measured again, without its claims."""
-    K = plants.joined(controller)
+    K = with_commands(plants, controller)
     return _with_evidence(spec, name, "given", K, plants, measure(plants, K, requirements_of(spec)))
 
 
@@ -254,12 +266,13 @@ def _with_evidence(
 ) -> LoopDesign:
     """Return a measured controller with its results and certificates."""
     results, goals = limits_and_goals(spec, name, plants, measures)
-    certificates, unproved = _proofs(spec, plants, K, measures)
+    certificates, unproved = _proofs(spec, plants, plants.feedback(K), measures)
+    inputs = [*plants.angles, *_commands(plants)][: K.B.shape[1]]
     return LoopDesign(
         loop=spec.name,
         name=name,
         method=method,
-        controller=named_system(K, plants.angles, plants.torques, name=f"{spec.name}, {name}"),
+        controller=named_system(K, inputs, plants.torques, name=f"{spec.name}, {name}"),
         plants=plants,
         measures=measures,
         results=results,
@@ -269,13 +282,33 @@ def _with_evidence(
     )
 
 
+def _commands(plants: PlantSet) -> list[str]:
+    return [f"{name}{COMMAND}" for name in plants.angles]
+
+
+def with_commands(plants: PlantSet, controller: control.StateSpace) -> StateArrays:
+    """Return a controller of what the plants measure and, if it takes their commands, of these behind it."""
+    own = plants.joined(controller)
+    names, commands = list(controller.input_labels), _commands(plants)
+    if not set(commands) <= set(names):
+        return own
+    A, B, C, D, dt = state_arrays(controller, "controller")
+    at = [names.index(name) for name in (*plants.angles, *commands)]
+    of = [controller.output_labels.index(name) for name in plants.torques]
+    p, K = len(plants.angles), StateArrays(A, B[:, at], C[of], D[np.ix_(of, at)], dt)
+    # What compares readings and commands alone is measured as what it is, K.
+    error = np.array_equal(K.B[:, :p], -K.B[:, p:]) and np.array_equal(K.D[:, :p], -K.D[:, p:])
+    return own if error else K
+
+
 def commanded(design: LoopDesign) -> LoopDesign:
-    """Return the design with commands: u = K (y − command), an input more for every reading."""
+    """Return the design with commands: u = K (y − command) unless it says otherwise."""
     plants = design.plants
     assert plants is not None, "a loop that is commanded has plants"
-    K = plants.joined(design.controller)
-    inputs = [*plants.angles, *(f"{name}{COMMAND}" for name in plants.angles)]
-    arrays = K._replace(B=np.hstack([K.B, -K.B]), D=np.hstack([K.D, -K.D]))
+    if set(_commands(plants)) <= set(design.controller.input_labels):
+        return design
+    arrays = with_error_alone(plants.joined(design.controller))
+    inputs = [*plants.angles, *_commands(plants)]
     controller = named_system(arrays, inputs, plants.torques, name=str(design.controller.name))
     return dataclasses.replace(design, controller=controller)
 

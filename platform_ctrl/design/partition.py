@@ -188,6 +188,13 @@ def low_pass(frequency: float, damping: float, period: float) -> StateArrays:
     return _prewarped((0.0, 0.0, f2), (1.0, 2.0 * damping * frequency, f2), frequency, period)
 
 
+def derived_low_pass(frequency: float, damping: float, order: int, period: float) -> StateArrays:
+    """Return sᵏ times `low_pass`, k = 1 or 2, with the same states."""
+    f2 = frequency**2
+    numerator = (0.0, f2, 0.0) if order == 1 else (f2, 0.0, 0.0)
+    return _prewarped(numerator, (1.0, 2.0 * damping * frequency, f2), frequency, period)
+
+
 def _prewarped(
     numerator: tuple[float, float, float], denominator: tuple[float, float, float], frequency: float, period: float
 ) -> StateArrays:

@@ -8,7 +8,7 @@ from collections.abc import Collection, Sequence
 import numpy as np
 
 from platform_ctrl.analysis.arrays import StateArrays, seen_states
-from platform_ctrl.analysis.feedback import closed_loop
+from platform_ctrl.analysis.following import commanded_loop, with_error_alone
 from platform_ctrl.analysis.plant_set import COMMAND, PlantSet, plant_set
 from platform_ctrl.analysis.sampling import held_input, late_outputs, late_states, sampled, sampled_states
 from platform_ctrl.common.values import FloatArray, value
@@ -182,21 +182,23 @@ def sampled_plants(linear: LinearPlants, sampling: Sampling, Omega: FloatArray) 
 def tracking_plants(job: Job, spec: LoopSpec, inner: LoopSpec, controller: StateArrays) -> tuple[PlantSet, Channels]:
     """Return the plants of a tracking loop, from commands of the rate loop inside to its readings, and its directions.
 
-    `controller` is that of the rate loop, closed around each of its plants.
+    `controller` is that of the rate loop, closed around each of its plants, with its commands behind what it measures
+    where it does more with them than to compare.
     """
     sensors = {sensor.name: sensor for sensor in job.platform.sensors}
     own = loop_signals(job.platform, inner)
     both = dataclasses.replace(own, sensors=(*own.sensors, *(sensors[name] for name in spec.sensors)))
     plants = _loop_plants(job, both)
     p, m = len(own.sensors), len(own.torquers)
-    A, B, C, D, dt = closed_loop(plants.whole, controller, torques=range(m), angles=range(p))
-    # u = K (y + noise): a command is noise with the other sign. Outputs are the torques, then all of the plant's.
+    K = controller if controller.D.shape[1] == 2 * p else with_error_alone(controller)
+    A, B, C, D, dt = commanded_loop(plants.whole, K, range(m), range(p))
+    # Outputs are the torques, then all of the plant's.
     Omega, command = slice(m, m + 3), slice(m + 3, m + 3 + p)
     read, sight = slice(m + p, m + p + len(spec.sensors)), slice(m + p + len(spec.sensors), None)
     commands = tuple(f"{sensor.name}{COMMAND}" for sensor in own.sensors)
     late = max(sensors[name].periods_late(dt) for name in spec.sensors)
     found = plant_set(
-        StateArrays(A, -B[..., command], C[..., read, :], -D[..., read, command], dt),
+        StateArrays(A, B[..., command], C[..., read, :], D[..., read, command], dt),
         labels=plants.labels,
         torques=commands,
         angles=spec.sensors,
@@ -208,7 +210,7 @@ def tracking_plants(job: Job, spec: LoopSpec, inner: LoopSpec, controller: State
         D_Omega=D[..., read, Omega],
         sight=plants.sight,
         C_sight=C[..., sight, :],
-        D_sight=np.concatenate([-D[..., sight, command], D[..., sight, Omega]], axis=-1),
+        D_sight=np.concatenate([D[..., sight, command], D[..., sight, Omega]], axis=-1),
     )
     z = np.exp(1j * (w := 0.1 * found.nutation) * dt)
     inside = np.linalg.solve(z * np.eye(found.A.shape[-1]) - found.A[0], found.B[0])

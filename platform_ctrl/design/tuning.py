@@ -39,7 +39,7 @@ def tuned(
     return tune(
         options,
         [name for name in tunable if name in options],
-        build,
+        lambda numbers: problem.with_commands(build(numbers)),
         problem.plants,
         loop_requirements(spec.limits),
         upper=upper,

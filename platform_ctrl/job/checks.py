@@ -271,10 +271,11 @@ def _design(design: Data, path: Path, kind: str | None) -> Iterator[Mistake]:
     if key is None or key not in METHODS:
         return
     method = METHODS[key]
-    known = ["name", "method", "tune", *sorted(method.options)]
+    known = ["name", "method", "tune", *sorted(method.options), "command"]
     if method.structures:
         known.insert(2, "structure")
     yield from (unknown_key((*path, name), item, known) for name, item in design.items() if name not in known)
+    yield from _shaping(design.get("command"), (*path, "command"), kind)
     for option in sorted(method.options):
         number = number_of(design, option)
         if number is not None and not number > 0:
@@ -287,6 +288,13 @@ def _design(design: Data, path: Path, kind: str | None) -> Iterator[Mistake]:
     if kind in get_args(LoopKind) and kind not in method.kinds:
         expected = " or ".join(given(name) for name, one in METHODS.items() if kind in one.kinds)
         yield Mistake((*path, "method"), f"method must be one for a {kind} loop, {expected}, got {given(key)}")
+
+
+def _shaping(command: object, path: Path, kind: str | None) -> Iterator[Mistake]:
+    """Judge what a design does with commands."""
+    if isinstance(command, dict) and kind in ("caging", "stabilisation"):
+        words = f"command has no effect in a {kind} loop, which holds zero; leave it out"
+        yield Mistake(path, words)
 
 
 def _loops(data: Data, platform: Platform | None) -> Iterator[Mistake]:

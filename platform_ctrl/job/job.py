@@ -83,6 +83,22 @@ class Sampling:
 
 
 @input_value
+class CommandShaping:
+    """What a controller does with commands of its readings before it compares them: see `design.command_shaping`.
+
+    Attributes
+    ----------
+    filter_hz
+        Of the reference filter, a second-order low-pass with damping 1, Hz.
+    acceleration
+        Whether torques accelerate the loop's inertias as the filtered commands do.
+    """
+
+    filter_hz: Annotated[float, fields.FREQUENCY]
+    acceleration: fields.Truth = False
+
+
+@input_value
 class DesignSpec:
     """One way to design a loop.
 
@@ -98,6 +114,8 @@ class DesignSpec:
         Whether the method may move the options to meet the loop's limits.
     structure
         What a structured controller is made of; None leaves it to the method.
+    command
+        What it does with commands; None: u = K (y − command) where the loop is commanded.
     """
 
     name: fields.SystemName
@@ -105,6 +123,7 @@ class DesignSpec:
     options: Annotated[dict[str, float], Collected(others=fields.NUMBER)] = field(default_factory=dict)
     tune: fields.Truth = False
     structure: Annotated[Structure, fields.one_of(get_args(Structure))] | None = None
+    command: Annotated[CommandShaping | None, TABLE] = None
 
 
 @input_value

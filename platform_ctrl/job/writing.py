@@ -60,6 +60,7 @@ def job_data(job: Job) -> dict[str, Any]:
                         "method": d.method,
                         "tune": d.tune,
                         **_given({"structure": d.structure}),
+                        **({} if d.command is None else {"command": _said(d.command)}),
                         **d.options,
                     }
                     for d in spec.designs

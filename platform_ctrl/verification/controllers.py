@@ -14,7 +14,7 @@ from platform_ctrl.analysis.plant_set import COMMAND
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.design.caging_claims import with_caging_claims
 from platform_ctrl.design.jobs import LoopOutcome, in_order
-from platform_ctrl.design.loop import LoopDesign, remeasured
+from platform_ctrl.design.loop import LoopDesign, remeasured, with_commands
 from platform_ctrl.design.loop_signals import loop_signals
 from platform_ctrl.design.plants import plants_of, tracking_plants
 from platform_ctrl.errors import InputError
@@ -149,7 +149,7 @@ def _outcome(
 ) -> LoopOutcome:
     plants = plants_of(job, spec)
     if inner is not None and inner.closed.plants is not None:
-        K = inner.closed.plants.joined(inner.closed.controller)
+        K = with_commands(inner.closed.plants, inner.closed.controller)
         plants, _ = tracking_plants(job, spec, inner.spec, K)
     designs: list[LoopDesign] = []
     for K in (closed, *others):

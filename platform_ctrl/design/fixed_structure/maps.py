@@ -74,7 +74,7 @@ def map_of(transfer: Transfer) -> Map:
     """Return the map of a part of the closed loop; of torques over their limits see `torque_per_Omega`."""
     direct = transfer.direct
     match transfer.source, transfer.target:
-        case "noise", "angle":
+        case "noise" | "command", "angle":
             return Map(lambda r: _plus(r.S_output, direct - 1.0), _at_output)
         case "torque", "torque":
             return Map(lambda r: _plus(r.S_input, direct - 1.0), _at_input)
