@@ -151,8 +151,9 @@ def assembled(
     lowest: float,
     found: list[Contribution],
     lines: list[Contribution],
+    over_frequency: bool,
 ) -> Budget:
-    """Return the budget of panels of random sources and of lines of sines."""
+    """Return the budget of panels of random sources and of lines of sines; not `over_frequency`: sums alone."""
     names = tuple(one.name for one in sources)
     order = [
         names.index(one.name) for kind in (RandomDisturbance, SampleNoise) for one in sources if isinstance(one, kind)
@@ -197,8 +198,9 @@ def assembled(
         )
         for k, one in enumerate(exposures)
     )
-    frequency, density = _spectrum(found, order, G, q)
-    edges, cumulative, together = _cumulated(plant, found, lines, names, order)
+    seen, drawn = (found, lines) if over_frequency else ([], [])
+    frequency, density = _spectrum(seen, order, G, q)
+    edges, cumulative, together = _cumulated(plant, seen, drawn, names, order)
     return Budget(
         names=names,
         rms=root[0],

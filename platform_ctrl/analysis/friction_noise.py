@@ -48,7 +48,7 @@ def friction_noise(
     Returns
     -------
     Spectrum
-        A table.
+        Smooth.
 
     References
     ----------
@@ -56,6 +56,8 @@ def friction_noise(
 
     R. Price, IRE Transactions on Information Theory 4, 1958.
     """
+    from scipy.interpolate import PchipInterpolator
+
     total = float(cumulative[-1])
     if not (rms > 0.0 and total > 0.0):
         return None
@@ -89,8 +91,11 @@ def friction_noise(
     within = np.interp(knots, np.append(grid, high + step), sums)
     level = np.diff(within) / (np.diff(knots) / (2.0 * math.pi))
     # In the middle of each interval; a smooth curve on logarithmic scales.
-    middle = np.concatenate([knots[:1], np.sqrt(knots[1:-2] * knots[2:-1]), knots[-1:]])
-    return Spectrum(knots=middle, density=np.maximum(level, 1e-12 * level.max()))
+    middle: FloatArray = np.concatenate([knots[:1], np.sqrt(knots[1:-2] * knots[2:-1]), knots[-1:]])
+    law = PchipInterpolator(np.log(middle), np.log(np.maximum(level, 1e-12 * level.max())))
+    # The curve is smooth: integrals need no panel for each point.
+    octaves = np.array([*middle[:-1:_PER_OCTAVE], middle[-1]], dtype=np.float64)
+    return Spectrum(knots=octaves, density=lambda w: np.exp(law(np.log(w))))
 
 
 def _hermite_squares(friction: Friction, rms: float) -> tuple[list[float], float]:

@@ -118,7 +118,7 @@ class JitterBudget:
         self._last: tuple[tuple[Panel, ...], _Prepared] | None = None
         self._base = self._edges()
 
-    def of(self, controller: StateArrays, tolerance: float = 1e-6) -> Budget:
+    def of(self, controller: StateArrays, tolerance: float = 1e-6, *, over_frequency: bool = True) -> Budget:
         """Return the budget with a controller.
 
         Parameters
@@ -127,6 +127,8 @@ class JitterBudget:
             Discrete, u = K y, with the plant's sample period.
         tolerance
             Bound on the relative error of each variance.
+        over_frequency
+            Whether densities and cumulative variances are wanted; without them it is faster, and there are none.
 
         Returns
         -------
@@ -143,7 +145,7 @@ class JitterBudget:
         while True:
             parts = self._lines(controller)
             found = self._integrated(controller, z, tolerance) if self._random or self._noise else []
-            out = assembled(self.plant, self.sources, self.exposures, self.lowest, found, parts)
+            out = assembled(self.plant, self.sources, self.exposures, self.lowest, found, parts, over_frequency)
             if out.remaining <= tolerance or self._images >= _MOST_IMAGES:
                 return out
             self._images *= 2

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from platform_ctrl.app.background import IsCancelled, ServoTuning, Simulating, TaskRunner, Tuning, run_alone
+from platform_ctrl.app.budget import BudgetState
 from platform_ctrl.app.caged import caged_parts
 from platform_ctrl.app.closed_loops import ClosedLoops
 from platform_ctrl.app.controllers import built_directly, part_of
@@ -222,6 +223,13 @@ class Backend(Drags):
             self.job_parts.keep(loop_stamp(self._loops, settings, spec), measured.requirements)
         values = _fields(drawing) | _fields(measured) | {"notes": (*notes, *measured.notes)}
         return Picture(**values, elapsed=time.perf_counter() - begun)
+
+    def budget(self, settings: Settings) -> BudgetState | None:
+        """Return the line of sight's budget, None for a job without one; what is not known takes some milliseconds.
+
+        It is as `platform-ctrl budget` computes it once the part "budget" of `job_parts` is measured.
+        """
+        return None if self.read.budget is None else self._loops.sight.now(settings)
 
     def _parts(self, settings: Settings, ghosts: Sequence[tuple[str, Settings]]) -> tuple[Parts, tuple[str, ...]]:
         """Return the parts of a picture, and lines about its controllers."""

@@ -11,6 +11,7 @@ from platform_ctrl.analysis.arrays import StateArrays, named_system, state_array
 from platform_ctrl.analysis.loop_metrics import LoopMetrics
 from platform_ctrl.analysis.sampling import from_w_plane, to_w_plane
 from platform_ctrl.app.background import Made
+from platform_ctrl.app.budget import LineOfSight
 from platform_ctrl.app.caged import CachedMetrics, CagedLoop
 from platform_ctrl.app.controllers import DesignOptions, built_directly, direct_arrays
 from platform_ctrl.app.free_plants import StabilisedLoop
@@ -102,6 +103,7 @@ class ClosedLoops:
         self._measures: Bounded[LoopMetrics] = Bounded(8)
         self._results: Bounded[tuple[CheckResult, ...]] = Bounded(8)
         self._coupled: Bounded[CoupledCheck] = Bounded(4)
+        self.sight = LineOfSight(self)
         self._take([] if controllers is None else given_designs(controllers, job))
 
     @property

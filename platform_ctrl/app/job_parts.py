@@ -1,4 +1,4 @@
-"""The parts of a job that have verdicts of their own: its loops, the coupled check, the simulated runs.
+"""The parts of a job that have verdicts of their own: loops, the coupled check, the budget, the simulated runs.
 
 A further part is a function that returns its `JobPart`s, appended to `PARTS`: the page's strip follows.
 """
@@ -18,6 +18,7 @@ from platform_ctrl.design.loop import limits_and_goals, requirements_of
 from platform_ctrl.errors import PlatformCtrlError
 from platform_ctrl.job.job import LoopSpec
 from platform_ctrl.job.judging import CheckResult
+from platform_ctrl.verification.budget_limits import unstable_results
 from platform_ctrl.verification.coupled import ALL_LOOPS, coupled_requirements
 
 Results = tuple[CheckResult, ...]
@@ -116,7 +117,21 @@ def run_stamp(loops: ClosedLoops, settings: Settings, manoeuvre: str) -> Hashabl
     return ("run", manoeuvre, loops.whole_key(settings))
 
 
-PARTS: list[PartsOf] = [_loop_parts, _coupled_parts, _run_parts]
+BUDGET = "budget"  # key of its chip, and the view of the page
+
+
+def _budget_parts(loops: ClosedLoops, settings: Settings) -> Iterable[JobPart]:
+    """Return the limits of the line of sight's budget."""
+    if loops.read.budget is not None:
+        yield JobPart(
+            chip=Chip(key=BUDGET, label=BUDGET, panel=BUDGET),
+            count=len(unstable_results(loops.read)),
+            stamp=(BUDGET, loops.whole_key(settings)),
+            measure=lambda: loops.sight.results(settings),
+        )
+
+
+PARTS: list[PartsOf] = [_loop_parts, _coupled_parts, _budget_parts, _run_parts]
 
 # Results that are kept: a few steps back and forth of a job with many runs.
 _ROOM = 256

@@ -44,6 +44,8 @@ if TYPE_CHECKING:
 
 # Relative errors of variances, and of the rates that friction is balanced with.
 _TOLERANCE, _FRICTION_TOLERANCE = 1e-5, 1e-4
+# The same for one controller after the other.
+_QUICK = 1e-4
 # A recorded spectrum has at most so many points to an octave; below, its own.
 _PER_OCTAVE = 24
 # The fitted line's extent from end to end over its root mean square.
@@ -125,10 +127,11 @@ class PreparedBudget:
         if like is None:
             nominal = _balanced(loop, job.trims[0])
             self._balanced = [nominal, *(_balanced(loop, q, nominal.friction) for q in job.trims[1:])]
+            tolerance = _TOLERANCE
         else:
-            self._balanced = like.deciding
+            self._balanced, tolerance = like.deciding, _QUICK
         self._prepared = [_prepared(loop, one) for one in self._balanced]
-        self.first, decided = self._found(loop.controller, range(len(self._balanced)))
+        self.first, decided = self._found(loop.controller, range(len(self._balanced)), tolerance)
         self._decided = sorted({0, *decided})
 
     @property
@@ -154,15 +157,18 @@ class PreparedBudget:
         ArgumentError
             The loop is not stable.
         """
-        return self._found(self._loop.controller_of(controllers), self._decided)[0]
+        return self._found(self._loop.controller_of(controllers), self._decided, _QUICK)[0]
 
-    def _found(self, controller: StateArrays, places: Sequence[int]) -> tuple[LineOfSightBudget, list[int]]:
-        """Return the budget, and the place of the angles at which each limit is worst."""
-        found = []
+    def _found(
+        self, controller: StateArrays, places: Sequence[int], tolerance: float
+    ) -> tuple[LineOfSightBudget, list[int]]:
+        """Return the budget at the first of some angles, and the place of those at which each limit is worst."""
+        found: list[LineOfSightBudget] = []
         for k in places:
             apart, together = self._prepared[k]
-            of_all = together.of(controller, _TOLERANCE)
-            alone = of_all if apart is together else apart.of(controller, _TOLERANCE)
+            # Only the first is shown over frequency.
+            of_all = together.of(controller, tolerance, over_frequency=not found)
+            alone = of_all if apart is together else apart.of(controller, tolerance, over_frequency=not found)
             found.append(_result(self._loop, self._balanced[k], alone, of_all))
         worst = [max(range(len(found)), key=lambda k: found[k].results[j].ratio) for j in range(len(found[0].results))]
         results = tuple(found[k].results[j] for j, k in enumerate(worst))
@@ -176,14 +182,15 @@ def _balanced(loop: _Loop, q: FloatArray, near: FrictionBalance | None = None) -
         return _Balanced(q, None, ())
     places = [len(LOS_RATES) + loop.job.platform.gimbal(one.gimbal) for one in dry]
 
-    def found(viscous: FloatArray) -> Found:
-        return loop.prepared(loop.damped(viscous, q), loop.together, ()).of(loop.controller, _TOLERANCE)
+    def found(viscous: FloatArray, over_frequency: bool) -> Found:
+        prepared = loop.prepared(loop.damped(viscous, q), loop.together, ())
+        return prepared.of(loop.controller, _TOLERANCE, over_frequency=over_frequency)
 
-    start = None if near is None else near.rate
-    balance = friction_balance(
-        dry, lambda viscous: np.asarray(found(viscous).total[places]), start, _FRICTION_TOLERANCE
-    )
-    moved = found(balance.viscous)
+    def rates(viscous: FloatArray) -> FloatArray:
+        return np.asarray(found(viscous, False).total[places])
+
+    balance = friction_balance(dry, rates, None if near is None else near.rate, _FRICTION_TOLERANCE)
+    moved = found(balance.viscous, True)
     lowest = 2.0 * math.pi * loop.budget.from_hz
     rest = []
     for one, at, rms in zip(dry, places, balance.rate, strict=True):

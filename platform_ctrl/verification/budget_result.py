@@ -159,17 +159,17 @@ class Waterfall:
         """Whether the limit lies in the picture."""
         return self.limit is not None and self.limit**2 < self.end
 
-    @property
-    def ticks(self) -> FloatArray:
-        """Round rms for the axis of a picture, rad, with room for their numbers."""
-        most = math.sqrt(self.end)
-        decade = 10.0 ** math.floor(math.log10(most / 4.0))
-        step = next(k * decade for k in (1.0, 2.0, 5.0, 10.0) if k * decade >= most / 8.0)
-        kept: list[float] = []
-        for one in np.arange(math.floor(most / step), 0, -1) * step:
-            if not kept or kept[-1] ** 2 - one**2 > _APART * self.end:
-                kept.append(float(one))
-        return np.array([0.0, *(one for one in kept[::-1] if one**2 > _APART * self.end)])
+
+def rms_ticks(end: float) -> FloatArray:
+    """Return round rms for an axis of mean squares from 0 to `end`, whose unit is squared, with room for numbers."""
+    most = math.sqrt(end)
+    decade = 10.0 ** math.floor(math.log10(most / 4.0))
+    step = next(k * decade for k in (1.0, 2.0, 5.0, 10.0) if k * decade >= most / 8.0)
+    kept: list[float] = []
+    for one in np.arange(math.floor(most / step), 0, -1) * step:
+        if not kept or kept[-1] ** 2 - one**2 > _APART * end:
+            kept.append(float(one))
+    return np.array([0.0, *(one for one in kept[::-1] if one**2 > _APART * end)])
 
 
 def waterfall(budget: Budget, found: LineOfSightBudget, axis: int | None = None) -> Waterfall:

@@ -7,6 +7,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+from platform_ctrl.app.budget import BudgetState
 from platform_ctrl.app.job_parts import ChipState
 from platform_ctrl.app.next_step import MarginChange, NextStep
 from platform_ctrl.app.pictures import Influence, Margins, Picture
@@ -38,6 +39,7 @@ REQUESTS: Mapping[str, Mapping[str, type]] = {
     "reset": {"slider": str},
     "overlay": {"design": str, "on": bool},
     "set": {"name": str, "value": object},
+    "view": {"view": str},
     "undo": {},
     "redo": {},
     "tune": {},
@@ -127,6 +129,8 @@ def _no_constant(text: str) -> float:
     raise ValueError(text)
 
 
+# Shares of a mean square that are none.
+_ROUNDING = 1e-12
 # What a slider's value looked like before a page moved it; a start that no slider has is shown as none.
 Starts = Mapping[str, float]
 _MODES = ("caged", "stabilised")
@@ -207,7 +211,7 @@ def strip_data(states: Sequence[ChipState], loop: str) -> dict[str, Any]:
 def _chip(one: ChipState, loop: str) -> dict[str, Any]:
     chip, worst = one.chip, one.worst
     whole = one.checked >= one.count and not one.error
-    short = "not run" if one.on_request else "–" if one.error else "…"
+    short = "not run" if one.on_request else "–" if one.error else "…" if one.count else "no limits"
     if one.error:
         words = one.error
     elif worst is None:
@@ -225,9 +229,36 @@ def _chip(one: ChipState, loop: str) -> dict[str, Any]:
         "verdict": "bad" if one.missed else "good" if whole else "open",
         "margin": None if worst is None else plain_number(worst.margin),
         "short": short,
-        "measuring": worst is None and not one.on_request and not one.error,
+        "measuring": worst is None and not one.on_request and not one.error and one.count > 0,
         "words": words,
         "shown": bool(chip.loop) and chip.loop == loop and chip.key.startswith("loop "),
+    }
+
+
+def budget_data(state: BudgetState) -> dict[str, Any]:
+    """Return the table of the line of sight's budget, µrad: sources by axis, all together, and the limits."""
+    found = state.found
+    if found is None:
+        return {"line": state.line, "exact": state.exact, "axes": [], "rows": [], "total": [], "limits": []}
+    rows = [
+        {
+            "name": name,
+            "kind": kind,
+            # Rounding shows in axes on which a source does not act.
+            "rms": [1e6 * float(x) if share > _ROUNDING else 0.0 for x, share in zip(rms, shares, strict=True)],
+            "share": [float(share) for share in shares],
+        }
+        for name, kind, rms, shares in zip(found.names, found.kinds, found.rms, found.shares, strict=True)
+    ]
+    return {
+        "line": state.line,
+        "exact": state.exact,
+        "axes": list(found.axes),
+        "rows": rows,
+        "total": [1e6 * float(x) for x in found.total],
+        "across": 1e6 * found.jitter,
+        "limits": [_row(one) | {"value": 1e6 * one.value, "limit": 1e6 * one.limit} for one in found.results],
+        "friction": [] if found.friction is None else list(found.friction.statement),
     }
 
 
@@ -316,7 +347,7 @@ def _verdict(picture: Picture) -> tuple[str, str, str]:
 
 # What the numbers are of, caged and stabilised: channels, angles, and what poles have to be faster than to count.
 _OF = {
-    "caged": ("all channels of the loop at once", "all angles of the loop", "nutation frequency"),
+    "caged": ("all channels of the loop at once", "all angles of the loop", "loop's reference frequency"),
     "stabilised": ("broken at the torquer that is shown, all others closed", "the platform's axes", "crossover"),
 }
 

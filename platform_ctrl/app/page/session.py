@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from jinja2 import Template
 
     from platform_ctrl.app.backend import Backend
+    from platform_ctrl.app.budget import BudgetState
     from platform_ctrl.app.pictures import Drawing, Picture
     from platform_ctrl.app.settings import Settings
 
@@ -36,6 +37,8 @@ IDLE = 350
 # Longest time that measuring waits for the drawing to be sent, s.
 _SENDING = 0.05
 _SHOWN_SETTINGS = ("mode", "loop", "design", "channel", "axis", "plant", "band")
+# What the page shows: the plots of the loop, or the budget of the line of sight.
+VIEWS = ("loop", "budget")
 Change = Callable[["Settings"], "Settings"]
 
 
@@ -83,7 +86,8 @@ class Session:
         self.history = History(self.settings)
         self.picture: Picture | None = None
         self.connection.model.on_change("request", self._requested)
-        self.plots = Plots(dark=False)
+        self.plots = Plots(dark=False, budget=backend.read.budget)
+        self._view = VIEWS[0]
         roots: list[Any] = list(self.plots.layout.values())
         for root in roots:
             # Beside the headings the template has a button.
@@ -195,6 +199,13 @@ class Session:
         plants = () if self.picture is None else self.picture.plants
         self.change(f"set {name}", lambda settings: chosen(backend, settings, name, given, plants), count=request.count)
 
+    def _on_view(self, request: Request) -> None:
+        views = VIEWS if self.backend.read.budget is not None else VIEWS[:1]
+        self._view = views[known_name("view", request.more["view"], views)]
+        if self._view == "loop" and self.picture is not None:
+            self.plots.show(self.picture)
+        self.change("view", lambda settings: settings, count=request.count, gesture="ready")
+
     def _on_undo(self, request: Request) -> None:
         self._step(request, self.history.undo if self.history.can_undo else None, "There is nothing to undo.")
 
@@ -242,6 +253,8 @@ class Session:
             self._drawn(drawing)
 
         try:
+            if self._view == "budget":
+                self._budgeted(settings)
             ghosts = self.compared.ghosts(settings.loop)
             picture = self.backend.picture(settings, on_drawn, **({"ghosts": ghosts} if ghosts else {}))
         except DesignPending as error:
@@ -264,8 +277,31 @@ class Session:
         )
         self.connection.later(lambda: self._show(outcome))
 
+    def _budgeted(self, settings: Settings) -> None:
+        """Show the budget before the loop is measured; called in a thread."""
+        state = self.backend.budget(settings)
+        if state is not None:
+            self._sent.clear()
+            self.connection.later(lambda: self._show_budget(state, self._sent.set))
+            self._sent.wait(_SENDING)
+
+    def _show_budget(self, state: BudgetState, shown: Callable[[], None] = lambda: None) -> None:
+        if state.found is not None:
+            self.plots.show_budget(state.found)
+        self.connection.answer(budget=messages.budget_data(state))
+        self.connection.later(shown)
+
+    def parts_measured(self) -> None:
+        """Show what has become known of the parts of the job."""
+        self.connection.answer(strip=self.strip())
+        state = self.backend.budget(self.settings) if self._view == "budget" else None
+        if state is not None and state.exact:
+            self._show_budget(state)
+
     def _drawn(self, drawing: Drawing) -> None:
         """Show the curves before they are measured; called in a thread."""
+        if self._view != "loop":
+            return
         self._sent.clear()
         self._drawing = drawing
         self.connection.later(lambda: self._draw(drawing))
@@ -382,6 +418,13 @@ PANELS = (
     ("step", "Step response"),
     ("Omega", "Response to a disturbance"),
 )
+BUDGET_PANELS = (
+    ("cumulative0", "Rms up to a frequency, first axis"),
+    ("cumulative1", "Rms up to a frequency, second axis"),
+    ("waterfall0", "From sources to the total, first axis"),
+    ("waterfall1", "From sources to the total, second axis"),
+    ("waterfall2", "From sources to the total, both axes"),
+)
 
 
 def page(backend: Backend, document: Document) -> None:
@@ -395,7 +438,8 @@ def page(backend: Backend, document: Document) -> None:
     # A lost page says so itself, and is loaded again with its state: what the server knew of it may be gone.
     document.config.update(reconnect_session=False, notify_connection_status=False)
     document.template = _template()
-    document.template_variables.update(panels=PANELS)
+    has_budget = backend.read.budget is not None
+    document.template_variables.update(panels=PANELS, budget_panels=BUDGET_PANELS if has_budget else ())
 
 
 def _state(document: Document) -> str:

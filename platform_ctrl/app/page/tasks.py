@@ -81,8 +81,8 @@ class Page(Protocol):
     tree: TreeView
     compared: Compared
 
-    def strip(self) -> dict[str, Any]:
-        """Return what the strip of the whole job shows."""
+    def parts_measured(self) -> None:
+        """Show what has become known of the parts of the job."""
 
     def change(self, key: str, change: Callable[[Settings], Settings]) -> None:
         """Have the settings changed and shown."""
@@ -175,7 +175,7 @@ class PageTasks:
             if not is_shown():
                 return
             parts.measure(one)
-            self._connection.later(lambda: self._connection.answer(strip=page.strip()))
+            self._connection.later(page.parts_measured)
 
     def shade(self, region: Callable[[], Region], show: Callable[[Region], None]) -> None:
         """Compute where a drag may lead in a thread of its own, and show it."""
@@ -258,7 +258,7 @@ class PageTasks:
                     line = f"Simulating {k + 1} of {len(names)}: {name}"
                     self._connection.later(partial(self._show_busy, running, line))
                 trajectory = self._backend.simulate(settings, name, running.cancelled.is_set)
-                self._connection.later(lambda: self._connection.answer(strip=page.strip()))
+                self._connection.later(page.parts_measured)
 
             def show() -> None:
                 page.tree.stage(platform)

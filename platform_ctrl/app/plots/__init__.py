@@ -9,12 +9,15 @@ from bokeh.models import LayoutDOM
 
 from platform_ctrl.analysis.arrays import ComplexArray
 from platform_ctrl.app.pictures import Drawing
+from platform_ctrl.app.plots.budget import BudgetPlots
 from platform_ctrl.app.plots.data import Sources, View
 from platform_ctrl.app.plots.frequency import BodePanel, NicholsPanel
 from platform_ctrl.app.plots.handles import SliderHandle
 from platform_ctrl.app.plots.locus import LocusPanel
 from platform_ctrl.app.plots.panel import Theme
 from platform_ctrl.app.plots.responses import RatePanel, StepPanel
+from platform_ctrl.job.budget import Budget
+from platform_ctrl.verification.budget_result import LineOfSightBudget
 
 
 class Plots:
@@ -23,12 +26,13 @@ class Plots:
     Attributes
     ----------
     layout
-        Roots by name: ``"bode"``, ``"nichols"``, ``"locus"``, ``"step"``, ``"Omega"``; each fills its container.
+        Roots by name: ``"bode"``, ``"nichols"``, ``"locus"``, ``"step"``, ``"Omega"``, and of a job with a budget
+        ``"cumulative0"``, ``"cumulative1"``, ``"waterfall0"`` to ``"waterfall2"``; each fills its container.
     sources
         Bokeh's column data sources by name: what is drawn, in the units of the axes.
     """
 
-    def __init__(self, dark: bool = False) -> None:
+    def __init__(self, dark: bool = False, budget: Budget | None = None) -> None:
         self._theme, sources = Theme(dark), Sources()
         self._picture: Drawing | None = None
         # One view for all that is over frequency: zooming one zooms all.
@@ -38,8 +42,10 @@ class Plots:
         self._locus = LocusPanel(self._theme, sources)
         self._rate = RatePanel(self._theme, sources, frequency)
         self._panels = (self._bode, nichols, self._locus, StepPanel(self._theme, sources), self._rate)
+        self._budget = None if budget is None else BudgetPlots(budget, self._theme, sources)
         self.sources = sources.by_name
-        self.layout: dict[str, LayoutDOM] = {one.name: one.layout for one in self._panels}
+        panels = self._panels if self._budget is None else (*self._panels, *self._budget.panels)
+        self.layout: dict[str, LayoutDOM] = {one.name: one.layout for one in panels}
 
     @property
     def drags(self) -> int:
@@ -67,6 +73,14 @@ class Plots:
             self._theme.change(dark)
             if self._picture is not None:
                 self.show(self._picture)
+            if self._budget is not None:
+                self._budget.again()
+
+    def show_budget(self, found: LineOfSightBudget) -> None:
+        """Follow the budget of the line of sight, of a job that has one."""
+        if self._budget is not None:
+            with self._combined():
+                self._budget.show(found)
 
     def shade_poles(self, corners: ComplexArray) -> None:
         """Shade the region that the dragged pole may be brought to, rad/s, while the drag lasts."""

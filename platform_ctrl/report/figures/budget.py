@@ -22,7 +22,7 @@ from platform_ctrl.report.style import (
     linear_axis,
     panels,
 )
-from platform_ctrl.verification.budget_result import LineOfSightBudget, Waterfall, waterfalls
+from platform_ctrl.verification.budget_result import LineOfSightBudget, Waterfall, rms_ticks, waterfalls
 
 MICRO = 1e6
 # Sources that have a curve of their own.
@@ -67,7 +67,8 @@ def waterfall_figure(budget: Budget, found: LineOfSightBudget) -> Figure:
         axes.set_ylim(rows, 0.0)
         axes.set_yticks([])
         axes.spines["left"].set_visible(False)
-        axes.set_xticks(fall.ticks**2, [plain(MICRO * float(one), 3) for one in fall.ticks])
+        ticks = rms_ticks(fall.end)
+        axes.set_xticks(ticks**2, [plain(MICRO * float(one), 3) for one in ticks])
         axes.set_xlabel("rms, µrad; lengths are mean squares")
         _steps(axes, fall, found.ranking)
         if fall.limit is not None:

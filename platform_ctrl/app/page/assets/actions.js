@@ -117,6 +117,7 @@ const KEYS = [
   ["Q", "next torquer; Shift: previous", (e) => e.key === "q", (e) => next("channel", e.shift ? -1 : 1)],
   ["A", "next axis; Shift: previous", (e) => e.key === "a", (e) => next("axis", e.shift ? -1 : 1)],
   ["P", "next plant; Shift: previous", (e) => e.key === "p", (e) => next("plant", e.shift ? -1 : 1)],
+  ["J", "loop or budget of the line of sight", (e) => e.key === "j", () => byId("view")?.querySelector('[aria-checked="false"]')?.click()],
   ["B", "band of the set on or off", (e) => e.key === "b", () => byId("band").click()],
   ["T", "tune the rest", (e) => e.key === "t", () => byId("tune").click()],
   ["C", "go to the designs that can be drawn over this one", (e) => e.key === "c", () => byId("overlays").querySelector("input")?.focus()],

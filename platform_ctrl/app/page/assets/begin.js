@@ -6,6 +6,7 @@ import "./sliders.js";
 import "./table.js";
 import "./strip.js";
 import "./compared.js";
+import "./budget.js";
 import "./actions.js";
 
 const LOOK = 20;

@@ -19,7 +19,7 @@ for (const [id, name] of Object.entries(SELECTS)) {
 byId("band").addEventListener("change", (event) => request("set", { name: "band", value: event.target.checked }));
 
 // Buttons of which one is chosen: Tab reaches the chosen one, arrows go through them.
-const radios = (group, choose) => {
+export const radios = (group, choose) => {
   const buttons = [...group.querySelectorAll("button")];
   const paint = (is) => {
     for (const button of buttons) {
@@ -63,6 +63,8 @@ export const shownState = () => state;
 on("state", (given, { n }) => {
   state = given;
   paintMode((button) => button.dataset.mode === given.mode);
+  // A single one is no choice.
+  byId("mode").hidden = given.choices.mode.length < 2;
   for (const button of byId("mode").children) button.disabled = !given.choices.mode.includes(button.dataset.mode);
   for (const [id, name] of Object.entries(SELECTS)) fill(byId(id), given.choices[name], given[name]);
   byId("band").checked = given.band;

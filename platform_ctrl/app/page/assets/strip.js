@@ -1,15 +1,19 @@
 // The whole job: a line about all of its requirements, and a chip for each part, which leads there.
 import { byId, dress, made, on, percent, request, write } from "./messages.js";
 
+import { showView } from "./budget.js";
+
 const MARKS = { good: "✓", bad: "✗", open: "·" };
 const SAID = { good: ", met, ", bad: ", missed, ", open: ", " };
 let structure = "", chips = [];
 
 const go = ({ loop, panel, key }) => {
   if (loop) {
+    if (byId("view")) showView("loop");
     if (loop !== byId("loop").value) request("set", { name: "loop", value: loop });
     return;
   }
+  if (byId("view")) showView(panel === "budget" ? "budget" : "loop");
   const place = byId(`panel-${panel}`);
   place.scrollIntoView({ block: "nearest" });
   // All runs are one choice of the list of manoeuvres.

@@ -1,0 +1,174 @@
+"""The line of sight's budget: rms up to a frequency, and how the sources add up to the total, by axis."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from platform_ctrl.app.plots.data import DASHES, FONT, SMALL, Column, Sources, View, column, round_bounds, series
+from platform_ctrl.app.plots.panel import Panel, Theme, limit_key
+from platform_ctrl.common.values import FloatArray
+from platform_ctrl.job.budget import Budget
+from platform_ctrl.report.quantities import plain
+from platform_ctrl.verification.budget_result import LineOfSightBudget, Waterfall, rms_ticks, waterfalls
+
+MICRO = 1e6
+# Sources that have a curve of their own, and points of a curve.
+_CURVES, _POINTS = 5, 160
+_WIDTH = 1.6
+# Within the height of a step: middle of its words and of its bar, and the bar's height.
+_WORDS, _BAR, _TALL = 0.27, 0.76, 0.34
+# Steps for which there is room at least.
+_ROWS = 6
+_LIMIT = "limit"
+
+
+def _rising(low: float, high: float) -> tuple[float, float]:
+    return 0.0, max(round_bounds(0.0, high)[1], 1e-6)
+
+
+class CumulativePanel(Panel):
+    """The rms of an axis up to a frequency, of all sources and of the largest."""
+
+    def __init__(self, theme: Theme, sources: Sources, budget: Budget, frequency: View, axis: int) -> None:
+        super().__init__(f"cumulative{axis}", "Rms up to a frequency", theme, sources)
+        self._budget, self._axis, self._source = budget, axis, f"cumulative{axis}"
+        self._size = View(0.0, 1.0, _rising)
+        plot = self.add(frequency, self._size, "frequency, Hz", "µrad")
+        lines = sources.new(self._source, lists=("xs", "ys", "name", "colour", "dash"))
+        curves = plot.multi_line("xs", "ys", source=lines, line_color="colour", line_dash="dash", line_width=_WIDTH)
+        self._limit = self.limit_line(plot, "width")
+        rows = [("@name", "$snap_y{0.[00]} µrad"), ("up to", "$snap_x{0.[000]} Hz")]
+        self.hover(plot, [curves], rows, line_policy="interp")
+        # The same at every move: what is drawn is interpolated.
+        self._f = np.geomspace(budget.from_hz, budget.to_hz, _POINTS)
+
+    def show_budget(self, found: LineOfSightBudget, largest: tuple[str, ...]) -> None:
+        """Follow a budget; the sources `largest` have curves."""
+        every = [found.total_cumulative[self._axis]]
+        every += [found.cumulative[found.names.index(name), self._axis] for name in largest]
+        ys = [self._rms(found.frequencies_hz, one) for one in every]
+        f, names = column(self._f), ("all sources", *largest)
+        self.sources.put(
+            self._source,
+            xs=[f] * len(ys),
+            ys=ys,
+            name=list(names),
+            colour=[self.theme.colours[series(k)] for k in range(len(ys))],
+            dash=[list(DASHES[k % len(DASHES)]) for k in range(len(ys))],
+        )
+        limit, total = self._budget.limits.jitter_per_axis, MICRO * float(found.total[self._axis])
+        near = limit is not None and MICRO * limit < 2.5 * total
+        self._limit.location = MICRO * limit if near and limit is not None else None
+        self._size.fit((0.0, max(total, MICRO * limit if near and limit is not None else 0.0)))
+        self.heading(found.axes[self._axis])
+        keys = [(name, series(k), DASHES[k % len(DASHES)], _WIDTH) for k, name in enumerate(names)]
+        self.keys([*keys, *([limit_key(_LIMIT)] if near else [])])
+
+    def _rms(self, frequencies_hz: FloatArray, mean_square: FloatArray) -> Column:
+        return column(np.sqrt(np.interp(self._f, frequencies_hz, mean_square)), MICRO)
+
+
+class WaterfallPanel(Panel):
+    """How the mean squares of the sources add up to the total, the largest first."""
+
+    def __init__(self, theme: Theme, sources: Sources, name: str) -> None:
+        super().__init__(name, "From sources to the total", theme, sources)
+        self._across, self._rows = View(0.0, 1.0, _ends), View(8.0, 0.0, _turned)
+        self.plot = plot = self.add(self._across, self._rows, "rms, µrad; lengths are mean squares", "")
+        columns = {"y": "bar", "left": "low", "right": "high"}
+        source = sources.new(name, "bar", "low", "high", "at", "zero", lists=("words", "colour"))
+        plot.hbar(**columns, height=_TALL, source=source, fill_color="colour", line_color="colour", line_width=1)
+        words = plot.text(
+            "zero",
+            "at",
+            text="words",
+            source=source,
+            text_font={"value": FONT},
+            text_font_size={"value": SMALL},
+            text_baseline="middle",
+        )
+        theme.paint(words.glyph, text_color="ink")
+        self._limit = self.limit_line(plot, "height")
+        plot.yaxis[0].visible = False
+        plot.ygrid[0].visible = False
+        plot.min_border_left = 12
+
+    def show_budget(self, fall: Waterfall, largest: tuple[str, ...], room: int) -> None:
+        """Follow a waterfall with room for so many steps; the sources `largest` have the colours of their curves."""
+        low, high = (MICRO**2 * np.append(one, last) for one, last in ((fall.low, 0.0), (fall.high, fall.total**2)))
+        rows = len(low)
+        texts = [
+            f"{name}: {plain(MICRO * float(rms), 3)} µrad, {plain(100.0 * float(share), 2)} %"
+            for name, rms, share in zip(fall.names, fall.rms, fall.shares, strict=True)
+        ]
+        texts.append(f"all together: {plain(MICRO * fall.total, 3)} µrad")
+        roles = [series(1 + largest.index(one)) if one in largest else "reference" for one in fall.names]
+        self.sources.put(
+            self.name,
+            bar=column(np.arange(rows) + _BAR),
+            low=column(np.minimum(low, high)),
+            high=column(np.maximum(low, high)),
+            at=column(np.arange(rows) + _WORDS),
+            zero=column(np.zeros(rows)),
+            words=texts,
+            colour=[self.theme.colours[one] for one in (*roles, series(0))],
+        )
+        self._rows.fit((0.0, float(room)))
+        self._across.fit((0.0, MICRO**2 * fall.end))
+        end = self._across.rest[1]
+        ticks = MICRO * rms_ticks(end / MICRO**2)
+        axis = self.plot.xaxis[0]
+        places = [float(one) for one in ticks**2]
+        if not hasattr(axis.ticker, "ticks") or list(axis.ticker.ticks) != places:
+            axis.ticker = places
+            self.plot.xgrid[0].ticker = axis.ticker
+            axis.major_label_overrides = {at: plain(float(one), 3) for at, one in zip(places, ticks, strict=True)}
+        inside = fall.limit is not None and (MICRO * fall.limit) ** 2 < end
+        self._limit.location = (MICRO * fall.limit) ** 2 if inside and fall.limit is not None else None
+        self.heading(fall.axis)
+        words = "" if fall.limit is None else f"limit {plain(MICRO * fall.limit, 3)} µrad"
+        self.keys([limit_key(words + ("" if inside else ", beyond the right end"))] if words else [])
+
+
+def _ends(low: float, high: float) -> tuple[float, float]:
+    """Return a length that stays while a slider moves the numbers a little."""
+    decade = 10.0 ** math.floor(math.log10(max(high, 1e-12)))
+    return 0.0, next(k * decade for k in (1.0, 1.3, 1.7, 2.2, 3.0, 4.0, 5.5, 7.5, 10.0) if k * decade >= 0.999 * high)
+
+
+def _turned(low: float, high: float) -> tuple[float, float]:
+    return high, low
+
+
+class BudgetPlots:
+    """The plots of a budget, in the order of the page: two axes over frequency, then the waterfalls below them."""
+
+    def __init__(self, budget: Budget, theme: Theme, sources: Sources) -> None:
+        self._budget = budget
+        frequency = View(budget.from_hz, budget.to_hz, lambda low, high: (low, high), logarithmic=True)
+        frequency.fit((budget.from_hz, budget.to_hz))
+        self._over_frequency = [CumulativePanel(theme, sources, budget, frequency, axis) for axis in (0, 1)]
+        self._falls = [WaterfallPanel(theme, sources, f"waterfall{k}") for k in (0, 1, 2)]
+        self.panels: tuple[Panel, ...] = (*self._over_frequency, *self._falls)
+        # The sources with colours: those that were largest first, so that none changes its colour while a slider moves.
+        self._largest: tuple[str, ...] = ()
+        self._found: LineOfSightBudget | None = None
+
+    def show(self, found: LineOfSightBudget) -> None:
+        """Follow a budget."""
+        self._found = found
+        if not set(self._largest) <= set(found.names) or not self._largest:
+            self._largest = tuple(found.names[k] for k in found.ranking[:_CURVES])
+        for panel in self._over_frequency:
+            panel.show_budget(found, self._largest)
+        falls = waterfalls(self._budget, found)
+        room = max(_ROWS, *(1 + len(one.names) for one in falls))
+        for fall, one in zip(self._falls, falls, strict=True):
+            fall.show_budget(one, self._largest, room)
+
+    def again(self) -> None:
+        """Show the same with other colours."""
+        if self._found is not None:
+            self.show(self._found)

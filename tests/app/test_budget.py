@@ -1,0 +1,192 @@
+"""The line of sight's budget on the page: the command's numbers at rest, quick ones while a slider moves."""
+
+from __future__ import annotations
+
+import json
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("bokeh", reason="the extra `designer` is not installed")
+pytest.importorskip("tomlkit")
+
+import tomlkit
+from bokeh.document import Document
+
+from browser import screen, served
+from camera_job import camera_job
+from platform_ctrl.app.backend import Backend
+from platform_ctrl.app.job_parts import BUDGET, ChipState
+from platform_ctrl.app.page.connection import Connection
+from platform_ctrl.app.page.session import Session
+from platform_ctrl.app.settings import Settings
+from platform_ctrl.cli import main
+from platform_ctrl.verification.budget_result import LineOfSightBudget
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser
+
+pytestmark = pytest.mark.usefixtures("untraced")
+
+SPECTRUM = {"kind": "base-rate", "frequencies_hz": [0.5, 100.0], "densities": [1e-4, 1e-8]}
+SOURCES = [{"name": f"base {axis}", "axis": axis, **SPECTRUM} for axis in (2, 3)]
+JITTER = {"from_hz": 0.5, "to_hz": 200.0, "exposure": [0.01], "limits": {"jitter": 1e-3}, "source": SOURCES}
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("sight") / "camera.toml"
+    job = camera_job(operation={"Omega": [0.2, 0.2, 0.2], "angles": {"q_el": [0.9]}}, budget=JITTER)
+    out.write_text(tomlkit.dumps(job), encoding="utf-8")
+    return out
+
+
+@pytest.fixture(scope="module")
+def backend(path: Path) -> Iterator[Backend]:
+    made = Backend(path)
+    measured(made, made.start())
+    yield made
+    made.close()
+
+
+def chip(backend: Backend, settings: Settings) -> ChipState:
+    """Return what the strip says about the budget."""
+    states = backend.job_parts.states(backend.job_parts.parts(settings))
+    return next(one for one in states if one.chip.key == BUDGET)
+
+
+def measured(backend: Backend, settings: Settings) -> ChipState:
+    """Measure the budget, as the page does once its sliders rest."""
+    for part in backend.job_parts.parts(settings):
+        if part.chip.key == BUDGET:
+            backend.job_parts.measure(part)
+    return chip(backend, settings)
+
+
+def found(backend: Backend, settings: Settings) -> LineOfSightBudget:
+    state = backend.budget(settings)
+    assert state is not None
+    assert state.found is not None
+    return state.found
+
+
+def test_at_rest_the_page_has_the_numbers_of_the_command(
+    backend: Backend, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    settings = backend.moved(backend.moved(backend.start(), "crossover_hz", 36.0), "delay", 0.0003)
+    measured(backend, settings)
+    state = backend.budget(settings)
+    assert state is not None
+    assert state.exact
+    backend.save(settings, tmp_path / "saved.toml")
+    assert main(["budget", str(tmp_path / "saved.toml"), "--json"]) == 0
+    record = json.loads(capsys.readouterr().out)
+    here = found(backend, settings)
+    np.testing.assert_allclose(here.total, record["total"]["rms"], rtol=1e-9, atol=1e-18)
+    np.testing.assert_allclose(here.rms, [one["rms"] for one in record["sources"]], rtol=1e-9, atol=1e-18)
+    judged = [(one.value, one.limit, one.passed) for one in here.results]
+    assert judged == [
+        (pytest.approx(one["value"], rel=1e-9), one["limit"], one["passed"]) for one in record["requirements"]
+    ]
+
+
+@pytest.mark.parametrize(("slider", "number"), [("crossover_hz", 31.0), ("delay", 0.00021)])
+def test_while_a_slider_moves_only_friction_is_that_of_the_last_rest(
+    backend: Backend, slider: str, number: float
+) -> None:
+    settings = backend.moved(backend.start(), slider, number)
+    quick = backend.budget(settings)
+    assert quick is not None
+    assert not quick.exact
+    assert "dry friction as it was balanced" in quick.line
+    before = found(backend, settings)
+    measured(backend, settings)
+    after = found(backend, settings)
+    assert before.names == after.names
+    # The linear part follows at once: all that is left is how the friction has changed, which a small step hardly does.
+    np.testing.assert_allclose(before.total[:2], after.total[:2], rtol=5e-3)
+    assert before.results[0].name == after.results[0].name
+
+
+def test_the_limits_of_the_budget_count_in_the_strip_as_those_of_the_command_do(backend: Backend) -> None:
+    met = measured(backend, backend.start())
+    assert (met.count, met.checked, met.missed) == (1, 1, 0)
+    assert met.worst is not None
+    assert met.worst.value == found(backend, backend.start()).results[0].value
+    # A loop that is not stable misses them all.
+    fast = backend.moved(backend.start(), "crossover_hz", 600.0)
+    unstable = measured(backend, fast)
+    assert (unstable.checked, unstable.missed) == (1, 1)
+    state = backend.budget(fast)
+    assert state is not None
+    assert state.found is None
+    assert "must be stable" in state.line
+
+
+def test_a_page_shows_the_budget_once_it_is_wanted(backend: Backend, monkeypatch: pytest.MonkeyPatch) -> None:
+    waiting: list[Any] = []
+    monkeypatch.setattr(Connection, "later", lambda connection, act: waiting.append(act))
+    session = Session(backend, Document(), "")
+    said: list[dict[str, Any]] = []
+    session.connection.model.on_change("response", lambda name, old, new: said.append(json.loads(new)))
+
+    def request(count: int, what: str, **more: Any) -> list[dict[str, Any]]:
+        said.clear()
+        session.connection.model.request = json.dumps({"n": count, "what": what, **more})
+        end = time.monotonic() + 60.0
+        while not any(one["n"] == count for one in said) or any(t.name == "page" for t in threading.enumerate()):
+            assert time.monotonic() < end, "it did not come"
+            while waiting:
+                waiting.pop(0)()
+            time.sleep(0.002)
+        return said
+
+    assert not any("budget" in one for one in request(1, "ready"))
+    (shown,) = [one["budget"] for one in request(2, "view", view="budget") if "budget" in one]
+    first = found(backend, backend.start())
+    assert [row["name"] for row in shown["rows"]] == list(first.names)
+    np.testing.assert_allclose(shown["total"], 1e6 * first.total, rtol=1e-12)
+    sources = session.plots.sources
+    # The last bar is all together, and ends where the curve over frequency does.
+    assert sources["waterfall0"].data["high"][-1] == pytest.approx((1e6 * first.total[0]) ** 2, rel=1e-5)
+    assert sources["cumulative0"].data["ys"][0][-1] == pytest.approx(1e6 * first.total[0], rel=0.05)
+    loop = list(sources["loop"].data["gain"])
+    (moved,) = [
+        one["budget"]
+        for one in request(3, "move", moves=[{"slider": "crossover_hz", "value": 33.0}], gesture=1)
+        if "budget" in one
+    ]
+    assert moved["total"] != shown["total"]
+    assert not moved["exact"]
+    # The plots of the loop follow when they are shown again.
+    assert list(sources["loop"].data["gain"]) == loop
+    assert not any("budget" in one for one in request(4, "view", view="loop"))
+    assert list(sources["loop"].data["gain"]) != loop
+    (line,) = [one["line"] for one in request(5, "view", view="somewhere")]
+    assert "view must be one of" in line["text"]
+    session.close(None)
+
+
+def test_the_table_in_a_browser_shows_the_numbers_and_the_limits(backend: Backend, browser: Browser) -> None:
+    with served(backend) as server, screen(browser, server.address) as seen:
+        page = seen.page
+        page.wait_for_selector("body:not(.starting)", state="attached")
+        # There is no servo: nothing to choose between caged and stabilised.
+        assert page.locator("#mode").is_hidden()
+        page.click('#view [data-view="budget"]')
+        total = page.locator("#panel-budget tr.total td").first
+        total.wait_for()
+        assert float(total.text_content() or "") == pytest.approx(
+            1e6 * found(backend, backend.start()).total[0], rel=1e-3
+        )
+        assert page.locator("#budget-limits tr").count() == 1
+        assert page.locator("#panel-bode").is_hidden()
+        assert page.locator("#panel-waterfall0 canvas").first.is_visible()
+        page.keyboard.press("j")
+        assert page.locator("#panel-bode").is_visible()
+        assert seen.complaints == []
