@@ -8,7 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from platform_ctrl.analysis.arrays import StateArrays, named_system, state_arrays
+from platform_ctrl.analysis.following import feedback_part
 from platform_ctrl.analysis.loop_metrics import LoopMetrics
+from platform_ctrl.analysis.plant_set import COMMAND
 from platform_ctrl.analysis.sampling import from_w_plane, to_w_plane
 from platform_ctrl.app.background import Made
 from platform_ctrl.app.budget import LineOfSight
@@ -63,12 +65,13 @@ def given_designs(path: Path, job: Job) -> list[tuple[str, str, str, Made]]:
                 continue
             signals = loop_signals(job.platform, spec)
             readings, torques = ([one.name for one in part] for part in (signals.sensors, signals.torquers))
-            if set(K.input_labels) != set(readings):
+            own = {name for name in K.input_labels if name.removesuffix(COMMAND) not in readings or name in readings}
+            if own != set(readings):
                 continue
             arrays = state_arrays(K, str(K.name))
             at = [list(K.input_labels).index(name) for name in readings]
             of = [list(K.output_labels).index(name) for name in torques]
-            ordered = StateArrays(arrays.A, arrays.B[:, at], arrays.C[of], arrays.D[of][:, at], arrays.dt)
+            ordered = feedback_part(arrays._replace(C=arrays.C[of], D=arrays.D[of]), at)
             options = entry.get("options")
             numbers = {
                 str(name): float(x)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from platform_ctrl.analysis.arrays import StateArrays, named_system, state_arrays
+from platform_ctrl.analysis.plant_set import COMMAND
 from platform_ctrl.common.arguments import positive
 from platform_ctrl.common.json_text import write_json
 from platform_ctrl.common.signatures import check_arguments, short
@@ -133,6 +134,7 @@ def signal_units(platform: Platform) -> dict[str, str]:
     """Return the units of everything that a plant's signals can be, by name."""
     units = dict.fromkeys(platform.angle_names, "rad")
     units |= dict.fromkeys([*map(gimbal_rate, platform.angle_names), *OMEGA_NAMES], "rad/s")
+    units |= {f"{sensor.name}{COMMAND}": sensor.unit for sensor in platform.sensors}
     units |= {sensor.name: sensor.unit for sensor in platform.sensors} | dict.fromkeys(FORCE_NAMES, "m/s^2")
     return units | dict.fromkeys([*(t.name for t in platform.torquers), *ROOT_TORQUE_NAMES], "N m")
 

@@ -147,7 +147,7 @@ def _side_by_side(
         if name in outputs:
             row = outputs.index(name)
             C[i], D[i, acting] = P.C[row], P.D[row, columns]
-        else:
+        elif name in made:  # else nobody commands it: zero
             D[i, made.index(name)] = 1.0
     A_K, B_K, C_K, D_K = (np.asarray(block_diag(*(part[i] for part in parts)), dtype=np.float64) for i in range(4))
     return StateArrays(P.A, B, C, D, P.dt), StateArrays(A_K, B_K, C_K, D_K, P.dt)

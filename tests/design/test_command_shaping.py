@@ -17,6 +17,7 @@ from platform_ctrl.errors import InputError
 from platform_ctrl.job.job import manoeuvre_scenario
 from platform_ctrl.job.writing import job_data
 from platform_ctrl.simulation import simulate
+from platform_ctrl.verification import check_job
 from platform_ctrl.verification.controllers import outcomes_from
 
 PERIOD, HZ = 1.0 / RATE_HZ, 4.0
@@ -130,3 +131,12 @@ def test_options_that_make_no_sense_are_refused(kind: str, command: dict[str, An
     with pytest.raises(InputError) as found:
         read_job(job)
     assert words in str(found.value)
+
+
+def test_all_loops_together_are_checked_with_commands_at_zero() -> None:
+    job = read_job(job_of("rate", BOTH))
+    found = check_job(job, loops(job))
+    assert found.coupled.stable
+    assert found.coupled.controller.input_labels == ["gyro"]
+    assert found.proofs["", ""].certificates
+    assert not found.proofs["", ""].unproved
