@@ -11,6 +11,7 @@ from typing import Any, get_args
 
 from platform_ctrl.analysis.metrics import METRICS
 from platform_ctrl.job.budget_checks import budget_mistakes
+from platform_ctrl.job.drive_checks import drive_mistakes
 from platform_ctrl.job.job import Job, manoeuvre_scenario
 from platform_ctrl.job.methods import METHODS, LoopKind
 from platform_ctrl.job.parameter_limits import misfits
@@ -150,6 +151,7 @@ def job_mistakes(data: Data, platform: Platform | None) -> list[Mistake]:
         *_loops(data, platform),
         *run_mistakes(data, platform),
         *campaign_mistakes(data),
+        *drive_mistakes(data),
         *budget_mistakes(data, platform),
     ]
 

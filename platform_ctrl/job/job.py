@@ -12,6 +12,7 @@ from platform_ctrl.analysis.metrics import RUN_METRICS
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray, input_value
 from platform_ctrl.job.budget import Budget
+from platform_ctrl.job.drive import Drive, DriveLaw, drive_law
 from platform_ctrl.job.faults import Fault
 from platform_ctrl.job.methods import METHODS
 from platform_ctrl.job.methods import LoopKind as LoopKind
@@ -25,7 +26,7 @@ from platform_ctrl.plant.tables import TABLE, Array, At, Collected, Instead, Key
 
 Points = Literal["sobol", "latin-hypercube", "random"]
 
-MOST_LOOPS, MOST_VIBRATIONS, MOST_SINES, MOST_COMMANDS = 100, 20, 100, 100
+MOST_LOOPS, MOST_DRIVES, MOST_VIBRATIONS, MOST_SINES, MOST_COMMANDS = 100, 100, 20, 100, 100
 _RATE_HZ = Instead("rate_hz", fields.FREQUENCY, lambda rate, _: 1.0 / rate)
 _LIMITS = Shape(dict, {name: Key(fields.POSITIVE, name) for name in RUN_METRICS})
 _LOOP_LIMITS = Shape(dict, {}, others=("", fields.POSITIVE))  # which keys there are, METRICS says: see job.checks
@@ -330,6 +331,8 @@ class Job:
         Sample period and delay of the controllers.
     loops, coupled
         The loops with their designs and limits, and what all of them together have to reach.
+    drives
+        What torquers do besides what the loops command.
     manoeuvres, fault_events
         The simulated runs, and the faults that happen at a time in them.
     seed
@@ -356,6 +359,7 @@ class Job:
     faults: Annotated[Faults, TABLE] = field(default_factory=Faults)
     sampling: Annotated[Sampling, TABLE]
     loops: Annotated[tuple[LoopSpec, ...], Array("loop", least=1, most=MOST_LOOPS)]
+    drives: Annotated[tuple[Drive, ...], Array("drive", most=MOST_DRIVES)] = ()
     coupled: Annotated[CoupledLimits, TABLE] = field(default_factory=CoupledLimits)
     manoeuvres: Annotated[tuple[Manoeuvre, ...], Array("manoeuvre")] = ()
     fault_events: Annotated[tuple[Fault, ...], Array("fault")] = ()
@@ -368,6 +372,11 @@ class Job:
         names = self.platform.angle_names
         lists = [sorted(set(self.angles.get(name, (0.0,)))) for name in names]
         return (np.zeros(len(names)), *(np.array(q) for q in product(*lists) if any(q)))
+
+    @property
+    def drive_laws(self) -> tuple[DriveLaw, ...]:
+        """The drives with the weights of their sensors on the nominal plant."""
+        return tuple(drive_law(self.platform, one) for one in self.drives)
 
     @property
     def commanded(self) -> frozenset[str]:
@@ -414,6 +423,7 @@ def manoeuvre_scenario(job: Job, manoeuvre: Manoeuvre) -> Scenario:
         vibrations=manoeuvre.vibrations,
         sines=manoeuvre.sines,
         commands=manoeuvre.commands,
+        drives=job.drive_laws,
         faults=tuple(fault for fault in job.fault_events if fault.name in manoeuvre.faults),
         q=q,
         rate=rate,

@@ -13,6 +13,7 @@ from platform_ctrl.common.values import replaced
 from platform_ctrl.errors import InputError, OldKeyWarning
 from platform_ctrl.job.budget_checks import size_mistakes, with_logs
 from platform_ctrl.job.checks import job_mistakes, variation_mistakes
+from platform_ctrl.job.drive_checks import misplaced_drives
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.old_names import renamed
 from platform_ctrl.plant.fields import PLANT, Expected, integer
@@ -79,6 +80,8 @@ def read_job(
     job = Job(**made(read), platform=platform)
     if job.campaign is not None and "seed" not in document.data["campaign"]:
         job = replaced(job, {"campaign": replaced(job.campaign, {"seed": job.seed})})
+    if mistakes := list(misplaced_drives(job)):
+        raise report(document.label, document.data, mistakes)
     mistakes = list(variation_mistakes(job))
     if job.budget is not None:
         budget, of_logs = with_logs(job.budget, start or document.folder)

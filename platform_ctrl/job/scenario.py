@@ -16,6 +16,7 @@ from platform_ctrl.common.arguments import number, positive, real_array, real_nu
 from platform_ctrl.common.signatures import check_arguments, short
 from platform_ctrl.common.values import FloatArray, input_value, read_only
 from platform_ctrl.errors import ArgumentError, InputError
+from platform_ctrl.job.drive import DriveLaw
 from platform_ctrl.job.faults import Fault
 from platform_ctrl.job.spectra import interpolated
 from platform_ctrl.plant import fields
@@ -337,6 +338,8 @@ class Scenario:
         Of the base.
     commands
         What loops hold their readings at; others hold them at zero.
+    drives
+        What torquers do besides what the controllers command; one for each torquer at most.
     faults
         What fails. Of several on one part: a weak torquer is weak, then stuck, then dead; a sensor drifts, then loses
         samples, then is stuck, then dead.
@@ -371,6 +374,7 @@ class Scenario:
     vibrations: tuple[Vibration, ...] = ()
     sines: tuple[Sine, ...] = ()
     commands: tuple[Command, ...] = ()
+    drives: tuple[DriveLaw, ...] = ()
     faults: tuple[Fault, ...] = ()
     q: FloatArray = field(default_factory=lambda: read_only(()))
     rate: FloatArray = field(default_factory=lambda: read_only(()))

@@ -67,6 +67,8 @@ def job_data(job: Job) -> dict[str, Any]:
                 ],
             }
         )
+    if job.drives:
+        data["drive"] = [_said(one) for one in job.drives]
     data["manoeuvre"] = [_manoeuvre_data(manoeuvre) for manoeuvre in job.manoeuvres]
     if job.fault_events:
         data["fault"] = [_fault_data(fault) for fault in job.fault_events]

@@ -335,6 +335,7 @@ Coulomb = Annotated[
 Inertia = Annotated[FloatArray, Expected("three principal moments > 0 or a symmetric 3 x 3 matrix, kg m2", inertia)]
 Stops = Annotated[tuple[float, float], STOPS]
 NotZero = Annotated[float, Expected("a number other than 0", _number(lambda x: x != 0))]
+AtLeastOne = Annotated[float, Expected("a number >= 1", _number(lambda x: x >= 1))]
 Share = Annotated[float, Expected("a number from 0 to 0.9", _number(lambda x: 0 <= x <= 0.9))]
 Part = Annotated[float, Expected("a share from 0 to 1", _number(lambda x: 0 <= x <= 1))]
 SomePart = Annotated[float, Expected("a share > 0, up to 1", _number(lambda x: 0 < x <= 1))]

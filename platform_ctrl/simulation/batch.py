@@ -16,6 +16,7 @@ from platform_ctrl.common.arguments import whole
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError, SimulationError
+from platform_ctrl.job.drive import DriveLaw
 from platform_ctrl.job.scenario import Mode, Scenario
 from platform_ctrl.plant.platform import Platform
 from platform_ctrl.simulation.compilation import run_interruptibly, wait_for_compilation
@@ -169,14 +170,17 @@ def simulate_batch(
     members = [prepared(scenario, period, longest) for scenario in scenarios]
     for place, member in enumerate(members):
         groups.setdefault(member.key, []).append(place)
-    modes: dict[tuple[Mode, tuple[str, ...]], Controller] = {}
+    modes: dict[tuple[object, ...], Controller] = {}
 
     def put_together(places: list[int]) -> Batch:
         own = [members[place] for place in places]
         scenario = own[0].scenario
-        kind = scenario.mode, commanded_readings(scenario)
+        commanded = commanded_readings(scenario)
+        kind = scenario.mode, commanded, tuple(tuple(one.weights.items()) for one in scenario.drives)
         if kind not in modes:
-            modes[kind] = merged_controller(scenario.platform, controllers, period, *kind)
+            modes[kind] = merged_controller(
+                scenario.platform, controllers, period, scenario.mode, commanded, scenario.drives
+            )
         return batch(own, modes[kind], period, noise)
 
     if len({_kind(one.scenario.platform) for one in {member.skeleton: member for member in members}.values()}) > 1:
@@ -238,10 +242,11 @@ def merged_controller(
     period: float,
     mode: Mode,
     commanded: Sequence[str] = (),
+    drives: Sequence[DriveLaw] = (),
 ) -> Controller:
     """Return one state space from all sensors, and commands of some readings, to all torquers, in the kernel's form.
 
-    Where Omega is prescribed controllers that act on the root are left out.
+    Where Omega is prescribed controllers that act on the root are left out. Behind it are the rates of drives.
     """
     roots = {t.name for t in platform.torquers if t.root_axis is not None}
     # What is no controller stays: `interconnected` refuses it.
@@ -256,7 +261,8 @@ def merged_controller(
             "whose manoeuvre commands it"
         )
     K = interconnected(active, [*sensors, *commands], torquers, period)
-    return controller_rows(K.A, K.B, K.C, K.D)
+    rates = np.array([[one.weights.get(name, 0.0) for name in (*sensors, *commands)] for one in drives])
+    return controller_rows(K.A, K.B, K.C, K.D, rates.reshape(len(drives), len(sensors) + len(commands)))
 
 
 def batch_metrics(batched: Batch, threads: int = 1, device: str = "cpu") -> FloatArray:

@@ -170,7 +170,7 @@ def simulate(
     expect_several("controllers", controllers)
     member = prepared(scenario, period, step)
     commanded = commanded_readings(scenario)
-    controller = merged_controller(scenario.platform, controllers, period, scenario.mode, commanded)
+    controller = merged_controller(scenario.platform, controllers, period, scenario.mode, commanded, scenario.drives)
     record, metrics = recorded(member, controller, period, noise)
     done = int(counts(metrics, scenario.platform)[2][0])
     ended = "completed" if done == len(record) else f"diverged at t = {done * period:.6g} s"

@@ -20,9 +20,11 @@ from platform_ctrl.simulation.scenarios import (
     FaultKey,
     commanded_readings,
     component,
+    drive_parts,
     expect_scenario,
     part_of,
     plants_of,
+    put_drives,
     put_equilibrium,
     put_faults,
     put_lines,
@@ -44,7 +46,7 @@ _STREAM = {arrays.PICKOFF_DROPOUT: 3, arrays.OVERRUN: 4}
 
 
 class Controller(NamedTuple):
-    """All controllers as one state space in the form of rows without zeros: next states, then torques."""
+    """All controllers as one state space in the form of rows without zeros: next states, torques, rates of drives."""
 
     states: int
     first: NDArray[np.int64]
@@ -71,9 +73,9 @@ class Prepared(NamedTuple):
     key: tuple[object, ...]
 
 
-def controller_rows(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray) -> Controller:
-    """Return a discrete state space in the kernel's form."""
-    rows = np.block([[A, B], [C, D]])
+def controller_rows(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, rates: FloatArray) -> Controller:
+    """Return a discrete state space, and the weights (drives, inputs) in the rates of drives, in the kernel's form."""
+    rows = np.block([[A, B], [C, D], [np.zeros((len(rates), len(A))), rates]])
     row, column = np.nonzero(rows)
     first = np.searchsorted(row, np.arange(len(rows) + 1))
     return Controller(len(A), first.astype(np.int64), column.astype(np.int64), np.ascontiguousarray(rows[row, column]))
@@ -112,6 +114,7 @@ def prepared(scenario: Scenario, period: float, longest: float) -> Prepared:
         tuple((v.kind, v.axis, v.lines, v.frequencies_hz.tobytes()) for v in scenario.vibrations),
         tuple((sine.kind, sine.axis) for sine in scenario.sines),
         tuple(dataclasses.astuple(command) for command in scenario.commands),
+        tuple((one.torquer, tuple(one.weights.items()), one.secant_of) for one in scenario.drives),
     )
     return Prepared(scenario, shape, when, faults, key)
 
@@ -162,6 +165,7 @@ def batch(members: Sequence[Prepared], controller: Controller, period: float, no
     put_lowpasses(plants, part(layout.lowpass, _filtered(shared), arrays.LOWPASS), period)
     put_torquers(plants, part(layout.torquer, len(shared.targets), arrays.TORQUER), 0.5 * lengths)
     put_equilibrium(scenarios, part(layout.torquer, len(shared.targets), arrays.TORQUER))
+    put_drives(scenarios, part(layout.drive, layout.drives, arrays.DRIVEN))
     put_stops(plants, part(layout.stop, shape.at.n, arrays.STOP))
     put_faults([member.faults for member in members], order, part(layout.fault, len(order), arrays.FAULT))
     put_rotors(shape, plants, rotors, part(layout.rotor, len(rotors), arrays.ROTOR))
@@ -202,8 +206,8 @@ def _shared(
     terms = [term for one in sums for term in one]
     ends = np.cumsum([len(one) for one in sums], dtype=np.int64)
     bounds = np.stack([np.concatenate([[0], ends])[:-1], ends], axis=1).astype(np.int64)
-    commanded = commanded_readings(scenario)
     readings = [sensor.name for sensor in platform.sensors]
+    parts = [readings.index(name) for name in commanded_readings(scenario)] + drive_parts(scenario)
     courses = sampled_commands(scenario, period * np.arange(one.timing.samples, dtype=np.float64))
     shared = Shared(
         sensors=np.concatenate([bounds, rows_of_sensors(platform, len(bounds), period)], axis=1),
@@ -213,7 +217,7 @@ def _shared(
         faults=np.array(faults, dtype=np.int64).reshape(-1, 3),
         rotors=np.array(rows, dtype=np.int64).reshape(-1, 2),
         lines=np.array(lines, dtype=np.int64),
-        first=np.concatenate([controller.first, np.array([readings.index(name) for name in commanded], np.int64)]),
+        first=np.concatenate([controller.first, np.array(parts, np.int64)]),
         column=controller.column,
         number=np.concatenate([controller.number, courses.ravel()]),
         knots=knots,
@@ -226,7 +230,7 @@ def _shared(
 def _layout(packed: Packed, shared: Shared, one: Prepared, controller: Controller) -> Layout:
     at = packed.at
     n, nu, ny, sight = at.n, len(shared.targets), len(one.skeleton.sensors), len(one.skeleton.sight)
-    commands = len(shared.first) - controller.states - nu - 1
+    commands, drives = len(commanded_readings(one.scenario)), len(one.scenario.drives)
     place = at.end
 
     def take(count: int) -> int:
@@ -243,6 +247,8 @@ def _layout(packed: Packed, shared: Shared, one: Prepared, controller: Controlle
         stops=one.skeleton.stops,
         profile=one.scenario.profile is not None,
         sensors=ny,
+        commands=commands,
+        drives=drives,
         start=take(at.size),
         steady=take(at.block),
         rate=take(arrays.PROFILE),
@@ -251,6 +257,7 @@ def _layout(packed: Packed, shared: Shared, one: Prepared, controller: Controlle
         sensor=take((ny + commands) * arrays.SENSOR),
         lowpass=take(_filtered(shared) * arrays.LOWPASS),
         torquer=take(nu * arrays.TORQUER),
+        drive=take(drives * arrays.DRIVEN),
         stop=take(n * arrays.STOP),
         fault=take(len(shared.faults) * arrays.FAULT),
         rotor=take(len(shared.rotors) * arrays.ROTOR),

@@ -43,6 +43,7 @@ def expect_scenario(scenario: object, period: float) -> None:
     _start(scenario)
     _motion(scenario)
     _commands(scenario)
+    _drives(scenario)
     for fault in scenario.faults:
         part_of(scenario.platform, fault)
 
@@ -132,6 +133,37 @@ def _commands(scenario: Scenario) -> None:
     for command in scenario.commands:
         if command.reading not in known:
             raise ArgumentError(f"commands: there is no sensor {command.reading!r}, only {', '.join(known) or 'none'}")
+
+
+def _drives(scenario: Scenario) -> None:
+    platform = scenario.platform
+    sensors, torquers = [s.name for s in platform.sensors], [t.name for t in platform.torquers]
+    driven = [law.torquer for law in scenario.drives]
+    for law in scenario.drives:
+        read = [*law.weights, *([law.secant_of] if law.secant_of is not None else [])]
+        for what, names, known in (("torquer", [law.torquer], torquers), ("sensor", read, sensors)):
+            unknown = [name for name in names if name not in known]
+            if unknown:
+                words = f"there is no {what} {unknown[0]!r}, only {', '.join(known) or 'none'}"
+                raise ArgumentError(f"drives: {words}")
+        if driven.count(law.torquer) > 1:
+            raise ArgumentError(f"drives: torquer {law.torquer!r} has several; a torquer has one")
+
+
+def drive_parts(scenario: Scenario) -> list[int]:
+    """Return of each drive the torquer, and the sensor of the angle that its gain follows or -1, by their numbers."""
+    platform = scenario.platform
+    sensors, torquers = [s.name for s in platform.sensors], [t.name for t in platform.torquers]
+    out = []
+    for law in scenario.drives:
+        out += [torquers.index(law.torquer), -1 if law.secant_of is None else sensors.index(law.secant_of)]
+    return out
+
+
+def put_drives(scenarios: Sequence[Scenario], rows: FloatArray) -> None:
+    """Friction that is fed forward, 1 over the rate from which on it acts, largest gain."""
+    if rows.size:
+        rows[:] = [[(one.friction, 1.0 / one.friction_rate, one.secant_limit) for one in s.drives] for s in scenarios]
 
 
 def part_of(platform: Platform, fault: Fault) -> int:

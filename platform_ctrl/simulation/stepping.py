@@ -93,7 +93,9 @@ class Simulator:
         self.scenario = scenario
         self._free = scenario.mode == "stabilised"
         commanded = commanded_readings(scenario)
-        controller = merged_controller(scenario.platform, controllers, self.period, scenario.mode, commanded)
+        controller = merged_controller(
+            scenario.platform, controllers, self.period, scenario.mode, commanded, scenario.drives
+        )
         batched = batch([member], controller, self.period, noise)
         self._controller = controller
         self._packed, self._shared, self._simulation = batched.packed, batched.shared, batched.layout

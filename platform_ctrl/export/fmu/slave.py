@@ -360,7 +360,9 @@ class PlatformSlave(Fmi3Slave):  # type: ignore[misc]
         if chosen > 2:
             own = manoeuvre_scenario(job, job.manoeuvres[chosen - 3])
         else:
-            own = Scenario(platform=job.platform, mode=mode, duration=0.0, delay=job.sampling.delay)
+            own = Scenario(
+                platform=job.platform, mode=mode, duration=0.0, delay=job.sampling.delay, drives=job.drive_laws
+            )
         if own.mode == "caged" and Omega.any():
             raise InputError("initial.Omega1 to 3 are parameters of stabilised runs and must be zero in this caged run")
         return replaced(

@@ -51,6 +51,8 @@ TRANSITION, BEFORE, NOW, INPUT, LAGGING, LOWPASS = 0, 4, 6, 8, 9, 11
 # a substep of each segment; what it works towards, where it has slewed to, torque; share of what it slews in half a
 # substep of each segment by which the lag is behind at its end; constant torque that adds to the commands.
 LIMIT, AT_ONCE, SLEW, DECAY, HELD, SLEWED, TORQUE, BEHIND, EQUILIBRIUM, TORQUER = 0, 1, 2, 4, 6, 7, 8, 9, 11, 12
+# Slots of a drive: friction that is fed forward, 1 over the rate from which on all of it acts, largest secant gain.
+DRIVE_FRICTION, PER_DRIVE_RATE, SECANT_LIMIT, DRIVEN = 0, 1, 2, 3
 # Slots of a stop: low, high, restitution; whether the gimbal lies on it; when and at which rate it last bounced off.
 LOW, HIGH, RESTITUTION, TOUCHING, WHEN, AWAY, STOP = 0, 1, 2, 3, 4, 5, 6
 # Slots of a fault: begin, end, its two numbers; what is stuck.
@@ -77,8 +79,9 @@ class Shared(NamedTuple):
     faults: NDArray[np.int64]  # (nf, 3): kind; sensor, torquer, gimbal or row of `rotors`; channel of its draws
     rotors: NDArray[np.int64]  # (nr, 2): body; servo rotor or -1
     lines: NDArray[np.int64]  # (nl,): component 0 to 2 of Omega, 3 to 5 of the specific force; 6 more: phase is given
-    # (nx + nu + 1 + nc,): rows of the controllers [A B; C D], stored without zeros; then the sensor of every command.
-    # Columns of B and D: sensors, then commands.
+    # (nx + nu + nd + 1 + nc + 2 nd,): rows of the controllers [A B; C D] and of the rates of the nd drives, stored
+    # without zeros; the sensor of every command; of each drive its torquer, and its sensor of an angle or -1. Columns
+    # of B and D: sensors, then commands.
     first: NDArray[np.int64]
     column: NDArray[np.int64]
     number: FloatArray  # then the nc commands of every sample from the first of a call on
@@ -98,6 +101,8 @@ class Layout(NamedTuple):
     stops: int  # whether any gimbal has stops
     profile: int  # whether a half-cosine is simulated
     sensors: int  # rows of `Shared.sensors` that are sensors
+    commands: int
+    drives: int
     start: int  # state at t = 0, v holding the rates
     steady: int  # block of surroundings: what does not change
     rate: int
@@ -106,6 +111,7 @@ class Layout(NamedTuple):
     sensor: int  # and behind the sensors, in slots like theirs, the commands: LAST alone is used
     lowpass: int
     torquer: int
+    drive: int
     stop: int
     fault: int
     rotor: int

@@ -19,6 +19,8 @@ from platform_ctrl.common.simd import (
 )
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.simulation.kernel.arrays import (
+    DRIVE_FRICTION,
+    DRIVEN,
     EQUILIBRIUM,
     FAULT,
     FIRST,
@@ -28,8 +30,10 @@ from platform_ctrl.simulation.kernel.arrays import (
     LIMIT,
     LINE,
     OVERRUN,
+    PER_DRIVE_RATE,
     PHASE,
     RATE,
+    SECANT_LIMIT,
     SENSOR,
     SERVO,
     SPIN,
@@ -113,12 +117,35 @@ def note_torques(shared: Shared, mem: FloatArray, at: At, layout: Layout, record
 @inlined
 def _command(shared: Shared, mem: FloatArray, lane: int, layout: Layout, row: int) -> None:
     """The commands of a sample, in slots behind those of the sensors."""
-    end = layout.states + shared.targets.shape[0]
-    count = shared.first.shape[0] - end - 1
+    end = layout.states + shared.targets.shape[0] + layout.drives
     zero = 0.0 * load(mem, layout.start, lane)
-    for j in range(count):
+    for j in range(layout.commands):
         slot = layout.sensor + (layout.sensors + j) * SENSOR + LAST
-        store(mem, slot, lane, zero + shared.number[shared.first[end] + row * count + j])
+        store(mem, slot, lane, zero + shared.number[shared.first[end] + row * layout.commands + j])
+
+
+@internal
+def _driven(shared: Shared, mem: FloatArray, lane: int, layout: Layout, torquer: int, total: Number) -> Number:
+    """The command of a torquer with what its drive, if it has one, makes of it."""
+    row = layout.states + shared.targets.shape[0]
+    parts = row + layout.drives + 1 + layout.commands
+    for d in range(layout.drives):
+        if shared.first[parts + 2 * d] != torquer:
+            continue
+        slot, one = layout.drive + d * DRIVEN, 0.0 * total + 1.0
+        angle = shared.first[parts + 2 * d + 1]
+        if angle >= 0:
+            cosine, _ = cosine_and_sine(load(mem, layout.sensor + angle * SENSOR + LAST, lane))
+            most = load(mem, slot + SECANT_LIMIT, lane)
+            within = cosine * most > 1.0
+            total = total * choose(within, 1.0 / choose(within, cosine, one), most)
+        rate = 0.0 * total
+        for j in range(shared.first[row + d], shared.first[row + d + 1]):
+            reading = layout.sensor + (shared.column[j] - layout.states) * SENSOR + LAST
+            rate = rate + shared.number[j] * load(mem, reading, lane)
+        share = lesser(greater(rate * load(mem, slot + PER_DRIVE_RATE, lane), -one), one)
+        total = total + load(mem, slot + DRIVE_FRICTION, lane) * share
+    return total
 
 
 @internal
@@ -146,6 +173,8 @@ def _control(shared: Shared, keys: Keys, mem: FloatArray, lane: int, at: At, lay
             )
         else:
             command = layout.command + row - nx
+            if layout.drives > 0:
+                total = _driven(shared, mem, lane, layout, row - nx, total)
             total = total + load(mem, layout.torquer + (row - nx) * TORQUER + EQUILIBRIUM, lane)
             store(mem, command, lane, choose(lost, load(mem, command, lane), total))
     for i in range(nx):

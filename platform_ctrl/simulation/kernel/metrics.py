@@ -71,8 +71,8 @@ def update_metrics(shared: Shared, mem: FloatArray, lane: int, at: At, layout: L
         share = 1.0 / greater(count, 0.0 * alive + 1.0)
         _spread(mem, lane, settled, share, layout.velocity, n + 3, rates + n + 1, n + 3 + sight)
         _spread(mem, lane, settled, share, layout.sight, sight, rates + 2 * n + 4, n + 3 + sight)
-    end = layout.states + nu + 1
-    for j in range(shared.first.shape[0] - end):
+    end = layout.states + nu + layout.drives + 1
+    for j in range(layout.commands):
         slot = layout.following + j
         error = load(mem, layout.sensor + shared.first[end + j] * SENSOR + LAST, lane)
         error = error - load(mem, layout.sensor + (layout.sensors + j) * SENSOR + LAST, lane)

@@ -1,0 +1,206 @@
+"""What the computer does between controllers and a torquer: feedforward of dry friction, gain over gimbal angles."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+
+from platform_ctrl.common.arguments import number, positive
+from platform_ctrl.common.signatures import check_arguments
+from platform_ctrl.common.values import FloatArray, input_value
+from platform_ctrl.errors import ArgumentError
+from platform_ctrl.mechanics.kinematics import configuration, topology
+from platform_ctrl.plant import fields
+from platform_ctrl.plant.platform import OMEGA_NAMES, Platform
+from platform_ctrl.plant.sensors import RateSensor, gimbal_rate
+
+# Relative part of a rate that sensors may leave out: rounding.
+_ROUNDING = 1e-9
+
+
+@input_value
+class Drive:
+    """What a torquer does besides what the loops command: torque = gain * command + friction * sat(v / friction_rate).
+
+    Attributes
+    ----------
+    torquer
+        Name of a torquer on a gimbal.
+    friction
+        Dry friction that is fed forward, N m; 0: none.
+    friction_rate
+        Rate v from which on all of it acts, rad/s.
+    sensors
+        Rate sensors from which the gimbal's rate v follows: on the root, then v is the rate with which the gimbal
+        slides while its body is at rest in inertial space, at zero gimbal angles; or of the gimbal against its parent.
+    secant_of
+        Name of a sensor of a gimbal angle q: the gain is 1/cos q; None: 1.
+    secant_limit
+        Largest gain, >= 1, dimensionless.
+    """
+
+    torquer: fields.Text
+    friction: fields.NotNegative = 0.0
+    friction_rate: fields.Positive = 0.01
+    sensors: fields.Names = ()
+    secant_of: fields.Text | None = None
+    secant_limit: fields.AtLeastOne = 5.0
+
+
+@input_value
+class DriveLaw:
+    """A drive with the weights of its sensors: what a computer needs to know, whatever the plant is like.
+
+    Attributes
+    ----------
+    torquer, friction, friction_rate, secant_of, secant_limit
+        As of `Drive`.
+    weights
+        Of the sensors' readings in v, by their names; dimensionless.
+    feedback
+        Whether v is the gimbal's own rate, which the torque changes.
+    """
+
+    torquer: str
+    friction: float = 0.0
+    friction_rate: float = 0.01
+    weights: dict[str, float] = dataclasses.field(default_factory=dict)
+    feedback: bool = False
+    secant_of: str | None = None
+    secant_limit: float = 5.0
+
+    def __post_init__(self) -> None:
+        """Judge the numbers."""
+        positive("DriveLaw: friction", self.friction, zero=True)
+        positive("DriveLaw: friction_rate", self.friction_rate)
+        for weight in self.weights.values():
+            number("DriveLaw: weights", weight)
+        if positive("DriveLaw: secant_limit", self.secant_limit) < 1.0:
+            raise ArgumentError(f"DriveLaw: secant_limit must be at least 1, got {self.secant_limit:g}")
+
+    @check_arguments
+    def gain(self, angle: float) -> float:
+        """Return the factor on the controllers' command.
+
+        Parameters
+        ----------
+        angle
+            Reading of `secant_of`, rad.
+
+        Returns
+        -------
+        float
+            From 1 to `secant_limit`, dimensionless.
+        """
+        if self.secant_of is None:
+            return 1.0
+        cosine = math.cos(angle)
+        return 1.0 / cosine if cosine * self.secant_limit > 1.0 else self.secant_limit
+
+    @check_arguments
+    def angle(self, platform: Platform, q: FloatArray) -> float:
+        """Return the angle that the gain follows.
+
+        Parameters
+        ----------
+        platform
+            With the sensor `secant_of`.
+        q : (n,)
+            Gimbal angles, rad.
+
+        Returns
+        -------
+        float
+            Without errors of the sensor, rad; 0 without `secant_of`.
+        """
+        if self.secant_of is None:
+            return 0.0
+        return float(q[angle_sensors(platform)[self.secant_of]])
+
+
+def angle_sensors(platform: Platform) -> dict[str, int]:
+    """Return the gimbals, by their numbers, whose angles pick-offs and angle sensors measure, by the sensors' names."""
+    found = {one.name: one.gimbal for one in platform.pickoffs} | {
+        one.name: one.gimbal for one in platform.angle_sensors
+    }
+    return {name: platform.gimbal(gimbal) for name, gimbal in found.items()}
+
+
+@check_arguments
+def drive_law(platform: Platform, drive: Drive) -> DriveLaw:
+    """Return a drive with the weights of its sensors, which follow from where these are: see `slide_rates`.
+
+    Parameters
+    ----------
+    platform
+        That has the torquer and the sensors.
+    drive
+        What is asked for.
+
+    Returns
+    -------
+    DriveLaw
+        With weights, none where no friction is fed forward.
+
+    Raises
+    ------
+    ArgumentError
+        A sensor turns with a gimbal, or the sensors do not give the rate.
+    """
+    weights: dict[str, float] = {}
+    feedback = False
+    if drive.friction:
+        gimbal = next(one.gimbal for one in platform.torquers if one.name == drive.torquer)
+        weights, feedback = _weights(platform, platform.gimbal(str(gimbal)), drive.sensors)
+    return DriveLaw(
+        torquer=drive.torquer,
+        friction=drive.friction,
+        friction_rate=drive.friction_rate,
+        weights=weights,
+        feedback=feedback,
+        secant_of=drive.secant_of,
+        secant_limit=drive.secant_limit,
+    )
+
+
+def _weights(platform: Platform, gimbal: int, names: tuple[str, ...]) -> tuple[dict[str, float], bool]:
+    """Return the weights of sensors in the rate of a gimbal, and whether that is its own rate."""
+    rates = [gimbal_rate(angle) for angle in platform.angle_names]
+    signals = [*OMEGA_NAMES, *rates]
+    known = {sensor.name: sensor for sensor in platform.rate_sensors}
+    rows = np.zeros((len(names), len(signals)))
+    for row, name in zip(rows, names, strict=True):
+        for signal, weight in _nominal(known[name], platform).items():
+            if signal not in signals:
+                raise ArgumentError(
+                    f"{name!r} turns with the gimbal {known[name].body!r}; use rate sensors on {platform.root_name!r} "
+                    'or of the gimbal against its parent (frame = "parent")'
+                )
+            row[signals.index(signal)] = weight
+    own = np.eye(1, len(signals), 3 + gimbal)[0]
+    still = np.concatenate([slide_rates(platform)[gimbal], np.zeros(len(rates))])
+    for wanted, feedback in ((own, True), (still, False)):
+        found = np.linalg.lstsq(rows.T, wanted)[0]
+        if np.linalg.norm(found @ rows - wanted) <= _ROUNDING:
+            return {name: float(w) for name, w in zip(names, found, strict=True) if abs(w) > _ROUNDING}, feedback
+    axis = " + ".join(f"{-w:.4g} {name}" for name, w in zip(OMEGA_NAMES, still, strict=False) if abs(w) > _ROUNDING)
+    raise ArgumentError(
+        f"{', '.join(names)} do not give the rate of {platform.gimbal_names[gimbal]!r}, which is that of the base, "
+        f"{axis or 'here zero'}; name sensors of it, or one of the gimbal against its parent"
+    )
+
+
+def _nominal(sensor: RateSensor, platform: Platform) -> dict[str, float]:
+    """Return what a sensor is taken to read: its misalignment is not known to the computer."""
+    return dict(dataclasses.replace(sensor, misalignment=None).signals(platform))
+
+
+def slide_rates(platform: Platform) -> FloatArray:
+    """Return the rates (n, 3) of the gimbals per platform rate at which no body turns about its own gimbal's axis.
+
+    At zero angles: a_k · (Omega + Σ a_j q̇_j) + q̇_k = 0, over the gimbals j between the root and k.
+    """
+    at = configuration(topology(platform), np.zeros(len(platform.gimbals)))
+    return np.asarray(-np.linalg.solve(np.where(at.tree.on_path[1:], at.axes @ at.axes.T, 0.0), at.axes))

@@ -1,0 +1,114 @@
+"""Drives of torquers are read, written and judged; the weights of their sensors follow from kinematics."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from driven_gimbal import FRICTION, SECANT, driven_job
+from platform_ctrl import read_job
+from platform_ctrl.errors import ArgumentError, InputError
+from platform_ctrl.job.drive import DriveLaw, slide_rates
+from platform_ctrl.job.writing import job_data, toml
+from platform_ctrl.mechanics.kinematics import kinematics
+
+BOTH = FRICTION | SECANT | {"secant_limit": 3.0}
+
+
+def test_a_job_is_written_with_its_drives() -> None:
+    job = read_job(driven_job(BOTH))
+    assert job_data(job)["drive"] == [
+        {key: item for key, item in BOTH.items() if key != "friction_rate"} | {"sensors": ("base_yaw",)}
+    ]
+    assert "[[drive]]" in toml(job_data(job))
+
+
+@pytest.mark.parametrize("name", ["camera_gimbal", "three_gyro_platform", "seeker_head"])
+def test_no_body_turns_about_its_own_axis_where_the_gimbals_slide(name: str) -> None:
+    from platform_ctrl import read_platform
+
+    platform = read_platform(name)
+    slides = slide_rates(platform)
+    at = kinematics(platform, np.zeros(len(platform.gimbals)))
+    turning = at.jacobians[1:] @ np.vstack([np.eye(3), slides])
+    np.testing.assert_allclose(np.einsum("ki,kij->kj", at.axes, turning), 0.0, atol=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("sensors", "weights", "feedback"),
+    [
+        (["base_yaw"], {"base_yaw": -1.0}, False),
+        (["base_pitch", "base_oblique"], {"base_pitch": 0.75, "base_oblique": -1.25}, False),
+        (["base_yaw", "base_pitch"], {"base_yaw": -1.0}, False),
+        (["tacho"], {"tacho": 1.0}, True),
+    ],
+)
+def test_weights_follow_from_the_sensing_axes(sensors: list[str], weights: dict[str, float], feedback: bool) -> None:
+    (law,) = read_job(driven_job(FRICTION | {"sensors": sensors})).drive_laws
+    assert law.weights.keys() == weights.keys()
+    assert law.weights == pytest.approx(weights, rel=1e-12)
+    assert law.feedback is feedback
+
+
+def test_the_computer_does_not_know_a_misalignment() -> None:
+    job = driven_job(FRICTION)
+    job["plant"]["rate_sensor"][2]["misalignment"] = [0.01, 0.02, 0.0]
+    assert read_job(job).drive_laws[0].weights == pytest.approx({"base_yaw": -1.0}, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("drive", "words"),
+    [
+        (FRICTION | {"torquer": "Qoutre"}, 'torquer: "Qoutre" is no torquer on a gimbal of the plant; did you mean'),
+        (FRICTION | {"sensors": ["base_jaw"]}, 'sensors: "base_jaw" is no rate sensor of the plant; did you mean'),
+        (FRICTION | {"sensors": ["yaw"]}, 'sensors: "yaw" is no rate sensor of the plant'),
+        (FRICTION | {"sensors": ["gyro"]}, "sensors: 'gyro' turns with the gimbal 'inner'; use rate sensors on 'base'"),
+        (
+            FRICTION | {"sensors": ["base_pitch"]},
+            "do not give the rate of 'outer', which is that of the base, 1 Omega3",
+        ),
+        (FRICTION | {"friction": 0.07}, "0.07 N m is 3.5 times the dry friction of gimbal 'outer', 0.02 N m"),
+        (FRICTION | {"torquer": "Qinner", "sensors": ["base_pitch"]}, "gimbal 'inner' has no dry friction"),
+        ({"torquer": "Qouter", "friction": 0.01}, 'the key "sensors" is missing'),
+        ({"torquer": "Qouter"}, 'the key "friction" is missing; a drive needs friction with sensors, secant_of'),
+        (SECANT | {"secant_of": "gyro"}, "\"gyro\" is no sensor of the angle of a gimbal that 'outer' carries"),
+        (SECANT | {"secant_of": "yaw"}, "\"yaw\" is no sensor of the angle of a gimbal that 'outer' carries"),
+        (SECANT | {"secant_limit": 0.9}, "secant_limit must be a number >= 1"),
+        (SECANT | {"sensors": ["base_yaw"]}, 'sensors = ["base_yaw"] has no effect without friction'),
+        (FRICTION | {"secant_limit": 4.0}, "secant_limit = 4.0 has no effect without secant_of"),
+    ],
+)
+def test_a_drive_that_makes_no_sense_is_refused_by_one_line(drive: dict[str, Any], words: str) -> None:
+    with pytest.raises(InputError) as found:
+        read_job(driven_job(drive))
+    assert words in str(found.value)
+    assert str(found.value).startswith("job given as a dict: [[drive]] 1: ")
+
+
+def test_a_torquer_has_one_drive() -> None:
+    with pytest.raises(InputError, match=r'torquer: "Qouter" has \[\[drive\]\] 1 already'):
+        read_job(driven_job(FRICTION, SECANT))
+
+
+def test_a_base_that_a_loop_moves_gives_no_feedforward() -> None:
+    job = driven_job(FRICTION)
+    job["plant"]["torquer"] += [{"root_axis": axis} for axis in (1, 2, 3)]
+    job["loop"].append(
+        {
+            "name": "platform",
+            "kind": "stabilisation",
+            "use": "own",
+            "design": [{"name": "own", "method": "platform-servo"}],
+        }
+    )
+    with pytest.raises(InputError, match="base_yaw turn with 'base', which a stabilisation loop moves"):
+        read_job(job)
+
+
+def test_a_law_is_made_of_numbers_that_can_be() -> None:
+    with pytest.raises(ArgumentError, match="secant_limit must be at least 1"):
+        DriveLaw(torquer="Q", secant_limit=0.5)
+    with pytest.raises(ArgumentError, match="friction_rate"):
+        DriveLaw(torquer="Q", friction_rate=0.0)

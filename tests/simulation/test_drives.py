@@ -1,0 +1,117 @@
+"""Feedforward of dry friction and gain over gimbal angles in simulated runs."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import control
+import numpy as np
+import pytest
+
+from driven_gimbal import COULOMB, COULOMB_RATE, FRICTION, INERTIA, RATE_HZ, SECANT, VISCOUS, driven_job
+from platform_ctrl import read_job
+from platform_ctrl.common.values import FloatArray
+from platform_ctrl.errors import ArgumentError
+from platform_ctrl.job.drive import DriveLaw
+from platform_ctrl.job.job import manoeuvre_scenario
+from platform_ctrl.job.scenario import Scenario
+from platform_ctrl.simulation import Simulator, simulate, simulate_batch
+
+PERIOD = 1.0 / RATE_HZ
+TACHO = FRICTION | {"sensors": ["tacho"]}
+
+
+def scenario_of(*drives: dict[str, object]) -> Scenario:
+    job = read_job(driven_job(*drives))
+    return manoeuvre_scenario(job, job.manoeuvres[0])
+
+
+def damping(gain: float) -> control.StateSpace:
+    return control.ss([], [], [], [[-gain]], PERIOD, inputs=["gyro"], outputs=["Qouter"])
+
+
+def by_hand(law: DriveLaw, gain: float, samples: int, steps: int = 200) -> FloatArray:
+    """A rate w of the inertia with friction against a base that turns at Omega(t), by small steps of its own."""
+    out, w = np.zeros(samples), 0.0
+    whole = 2.0 * INERTIA  # both bodies turn about the axis
+
+    def base(t: float) -> float:
+        return 0.1 * math.sin(4.0 * math.pi * t)
+
+    def slope(t: float, w: float, u: float) -> float:
+        slide = w - base(t)
+        return (u - COULOMB * math.tanh(slide / COULOMB_RATE) - VISCOUS * slide) / whole
+
+    for k in range(samples):
+        out[k] = w
+        t, h = k * PERIOD, PERIOD / steps
+        v = -base(t) if not law.feedback else w - base(t)
+        u = -gain * w + law.friction * min(max(v / law.friction_rate, -1.0), 1.0)
+        for m in range(steps):
+            middle = w + 0.5 * h * slope(t + m * h, w, u)
+            w += h * slope(t + (m + 0.5) * h, middle, u)
+    return out
+
+
+@pytest.mark.parametrize("drive", [FRICTION, FRICTION | {"friction": 0.026}, TACHO])
+def test_an_inertia_with_fed_forward_friction_moves_as_by_hand(drive: dict[str, object]) -> None:
+    scenario = dataclasses.replace(scenario_of(drive), duration=0.6)
+    run = simulate(scenario, [damping(1.0)], period=PERIOD, noise=False)
+    expected = by_hand(scenario.drives[0], 1.0, len(run.t))
+    body = run.rate[:, 0] + run.Omega[:, 2]
+    np.testing.assert_allclose(body, expected, rtol=0.0, atol=2e-5 * np.abs(expected).max())
+
+
+def test_friction_that_is_known_hardly_moves_the_body() -> None:
+    still, moved = (
+        simulate(scenario_of(*drives), [damping(1.0)], period=PERIOD, noise=False).line_of_sight[:, 1].std()
+        for drives in ((FRICTION,), ())
+    )
+    assert still < 0.2 * moved
+
+
+def test_the_gain_is_the_secant_of_the_reading_up_to_its_limit() -> None:
+    law = scenario_of(SECANT).drives[0]
+    for angle in (-0.5, 0.0, 1.0, 1.3694, 1.5, 2.0):
+        scenario = dataclasses.replace(scenario_of(SECANT), q=np.array([0.0, angle]), duration=0.05)
+        run = simulate(scenario, [damping(0.3)], period=PERIOD, noise=False)
+        gains = np.array([law.gain(float(q)) for q in run.reading[:, 1]])
+        np.testing.assert_allclose(run.command[:, 0], gains * (-0.3 * run.reading[:, 2]), rtol=1e-14, atol=0.0)
+    assert law.gain(1.5) == law.gain(2.0) == law.secant_limit == 5.0
+
+
+def test_many_runs_and_runs_by_steps_are_those_of_one() -> None:
+    one = scenario_of({**FRICTION, **SECANT})
+    most = dataclasses.replace(one.drives[0], friction=0.01, friction_rate=0.05, secant_limit=1.1)
+    q = np.array([0.0, 0.6])
+    scenarios = [dataclasses.replace(one, q=q, drives=drives) for drives in (one.drives, (most,), ())]
+    closed = [damping(0.5)]
+    alone = [simulate(scenario, closed, period=PERIOD) for scenario in scenarios]
+    both = simulate_batch(scenarios, closed, period=PERIOD)
+    np.testing.assert_array_equal(both.gimbal_rate, [np.abs(run.rate).max(axis=0) for run in alone])
+    assert len(np.unique(both.gimbal_rate[:, 0])) == 3
+    stepped = Simulator(scenarios[1], closed, period=PERIOD)
+    np.testing.assert_array_equal(stepped.advance(300).rate, alone[1].rate[1:301])
+
+
+def test_the_equilibrium_is_no_command_that_the_gain_multiplies() -> None:
+    job = driven_job(SECANT)
+    job["plant"]["spring"] = [{"gimbal": "outer", "stiffness": 0.1, "rest": 0.5}]
+    job["manoeuvre"][0] |= {"start": "equilibrium", "sine": [], "initial": {"pitch": 1.0, "yaw": 0.2}}
+    read = read_job(job)
+    run = simulate(manoeuvre_scenario(read, read.manoeuvres[0]), [damping(0.5)], period=PERIOD)
+    assert np.abs(run.rate).max() < 1e-12
+
+
+def test_a_drive_names_parts_of_the_plant() -> None:
+    one = scenario_of(FRICTION)
+    law = one.drives[0]
+    for wrong, words in (
+        ((dataclasses.replace(law, torquer="motor"),), "no torquer 'motor'"),
+        ((dataclasses.replace(law, weights={"giro": 1.0}),), "no sensor 'giro'"),
+        ((dataclasses.replace(law, secant_of="roll"),), "no sensor 'roll'"),
+        ((law, law), "has several"),
+    ):
+        with pytest.raises(ArgumentError, match=words):
+            simulate(dataclasses.replace(one, drives=wrong), [damping(0.5)], period=PERIOD)

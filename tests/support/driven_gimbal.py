@@ -1,0 +1,61 @@
+"""Gimbals with dry friction, gyros on the payload and on the base, and the drives of their torquers."""
+
+from __future__ import annotations
+
+import copy
+from typing import Any
+
+INERTIA, COULOMB, COULOMB_RATE, VISCOUS, RATE_HZ = 0.02, 0.02, 0.01, 0.003, 1000.0
+FRICTION = {"torquer": "Qouter", "friction": COULOMB, "friction_rate": 0.01, "sensors": ["base_yaw"]}
+SECANT = {"torquer": "Qouter", "secant_of": "pitch"}
+_SPHERE = [INERTIA, INERTIA, INERTIA]
+_PLANT: dict[str, Any] = {
+    "schema": 1,
+    "name": "two axes",
+    "root": {"name": "base", "inertia": [1.0, 1.0, 1.0]},
+    "gimbal": [
+        {"name": "outer", "angle": "yaw", "parent": "base", "axis": [0, 0, 1], "inertia": _SPHERE},
+        {"name": "inner", "angle": "pitch", "parent": "outer", "axis": [0, 1, 0], "inertia": _SPHERE},
+    ],
+    "torquer": [{"gimbal": "outer"}, {"gimbal": "inner"}],
+    "pickoff": [{"gimbal": "outer"}, {"gimbal": "inner"}],
+    "rate_sensor": [
+        {"name": "gyro", "body": "inner", "axis": [0, 0, 1]},
+        {"name": "pitch_gyro", "body": "inner", "axis": [0, 1, 0]},
+        {"name": "base_yaw", "body": "base", "axis": [0, 0, 1]},
+        {"name": "base_oblique", "body": "base", "axis": [0, 0.6, 0.8]},
+        {"name": "base_pitch", "body": "base", "axis": [0, 1, 0]},
+        {"name": "tacho", "gimbal": "outer"},
+    ],
+    "friction": [{"gimbal": "outer", "coulomb": COULOMB, "coulomb_rate": COULOMB_RATE, "viscous": VISCOUS}],
+    "line_of_sight": {"body": "inner", "direction": [1, 0, 0]},
+}
+_JOB: dict[str, Any] = {
+    "schema": 2,
+    "name": "driven",
+    "operation": {"Omega": [0.1, 0.1, 0.1]},
+    "sampling": {"rate_hz": RATE_HZ, "delay": 0.0},
+    "loop": [
+        {
+            "name": "loop",
+            "kind": "rate",
+            "gimbals": ["outer", "inner"],
+            "sensors": ["gyro", "pitch_gyro"],
+            "use": "own",
+            "design": [{"name": "own", "method": "pi"}],
+        }
+    ],
+    "manoeuvre": [
+        {
+            "name": "yaw",
+            "mode": "caged",
+            "duration": 1.0,
+            "sine": [{"kind": "rate", "axis": 3, "frequency_hz": 2.0, "amplitude": 0.1}],
+        }
+    ],
+}
+
+
+def driven_job(*drives: dict[str, Any], **changed: Any) -> dict[str, Any]:
+    """Return a job of a rate loop on both gimbals with these drives."""
+    return copy.deepcopy(_JOB | {"plant": _PLANT} | ({"drive": list(drives)} if drives else {}) | changed)
