@@ -44,6 +44,7 @@ if TYPE_CHECKING:
 
 
 CHECKED = Path("check")
+REUSE = "reuse"
 
 
 def design(
@@ -53,6 +54,9 @@ def design(
         option("--out", "-o", metavar="DIR", help=f"Folder for {RESULT} and {REPORT}; made if needed.", default=True),
     ] = DESIGNED,
     pdf: Pdf = False,
+    fresh: Annotated[
+        bool, option("--fresh", help=f"Design everything anew: ignore what {REUSE} in the folder holds.", default=True)
+    ] = False,
     campaign: CampaignFolder = None,
     junit: Junit = None,
     as_json: Json = False,
@@ -61,7 +65,8 @@ def design(
     """Design every loop of a job and check the whole.
 
     Each loop is designed by every method in the job; the designs that it uses are closed together on the coupled model
-    and simulated on the non-linear plant. Writes result.json and report.html, whole or not at all.
+    and simulated on the non-linear plant. Writes result.json and report.html, whole or not at all. Designs that nothing
+    has changed for are taken from the folder's reuse/, and their certificates verified.
 
     \b
     platform-ctrl design job.toml                            report: out/report.html
@@ -78,19 +83,26 @@ def design(
         report = Report(out, pdf, campaign)
         report.expect_possible(read)
         report.prepare(junit, [job, *plant_file(job, read)])
+        from platform_ctrl.common.store import Store
         from platform_ctrl.design import loops
         from platform_ctrl.simulation.compilation import start_compilation
         from platform_ctrl.verification import check_job
 
         if read.manoeuvres:
             start_compilation()
-        result = check_job(read, loops(read, say), say)
+        store = Store(out / REUSE, fresh=fresh)
+        result = check_job(read, loops(read, say, store), say)
         show = report.write(result, ["design", str(job), "-o", str(out)], say, as_json)
         if junit is not None:
             from platform_ctrl.report.failures import write_junit
 
             write_junit(result, junit)
-    return show()
+    code = show()
+    if store.taken and not as_json:
+        names = {loop: ", ".join(name for one, name in store.taken if one == loop) for loop, _ in store.taken}
+        words = "; ".join(f"{loop} ({designs})" for loop, designs in names.items())
+        typer.echo(f"unchanged, taken from {store.folder}, certificates verified: {words}")
+    return code
 
 
 @dataclass(frozen=True)

@@ -32,8 +32,15 @@ _NO_LOAD = 1e-6
 _RISE = 0.5
 
 
-def with_caging_claims(job: Job, design: LoopDesign, *, closed: bool) -> LoopDesign:
+def shortest_rise(job: Job) -> float:
+    """Return how fast Omega rises in the fastest of the job's caged manoeuvres, 0.5 s without any."""
+    return min((m.rise for m in job.manoeuvres if m.mode == "caged" and m.rise > 0.0), default=_RISE)
+
+
+def with_caging_claims(job: Job, design: LoopDesign, *, closed: bool, rise: float | None = None) -> LoopDesign:
     """Return a caging design with its gains in continuous time and, where it is closed, its largest Omega.
+
+    `rise` is how fast Omega rises, s; default: `shortest_rise`.
 
     The names end in their units. What does not exist for a loop is left out: the gains of an unstable loop, the largest
     Omega of torquers without limits or of an axis that loads none.
@@ -42,7 +49,7 @@ def with_caging_claims(job: Job, design: LoopDesign, *, closed: bool) -> LoopDes
         return design
     claims = dict(design.claims) | _between_samples(job, design)
     if closed:
-        claims |= _at_the_limits(job, design)
+        claims |= _at_the_limits(job, design, rise)
     return dataclasses.replace(design, claims=claims)
 
 
@@ -62,11 +69,11 @@ def _between_samples(job: Job, design: LoopDesign) -> dict[str, float]:
     }
 
 
-def _at_the_limits(job: Job, design: LoopDesign) -> dict[str, float]:
+def _at_the_limits(job: Job, design: LoopDesign, rise: float | None) -> dict[str, float]:
     # Where one plant of the uncertainty is unstable, the claims are those of the nominal plant.
     for requested in (job, dataclasses.replace(job, uncertainty=Uncertainty())):
         try:
-            found = caging_largest_Omega(requested, design.controller)
+            found = caging_largest_Omega(requested, design.controller, rise=rise)
         except (ArgumentError, DesignError):
             continue
         out = {largest_Omega_name(one.axis): one.nominal.Omega for one in found}
@@ -194,7 +201,7 @@ def caging_loop_limits(
     stops = {g.name: g.stops for g in platform.gimbals}
     reach = [stops[sensed[name]] for name in controller.input_labels]
     if rise is None:
-        rise = min((m.rise for m in job.manoeuvres if m.mode == "caged" and m.rise > 0.0), default=_RISE)
+        rise = shortest_rise(job)
     return limited_loop(
         plant,
         controller,

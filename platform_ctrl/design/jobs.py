@@ -8,11 +8,13 @@ from collections.abc import Mapping, Sequence
 
 from platform_ctrl.common.progress import Progress, shown
 from platform_ctrl.common.signatures import check_arguments
+from platform_ctrl.common.store import Store
 from platform_ctrl.common.values import value
-from platform_ctrl.design.caging_claims import with_caging_claims
-from platform_ctrl.design.loop import LoopDesign, LoopProblem, commanded, designed, with_commands
+from platform_ctrl.design.caging_claims import shortest_rise
+from platform_ctrl.design.loop import LoopDesign, LoopProblem, commanded, with_commands
 from platform_ctrl.design.loop_signals import loop_channels, loop_signals
 from platform_ctrl.design.plants import plants_of, tracking_plants
+from platform_ctrl.design.reuse import design_job, kept_or_designed, plant_job
 from platform_ctrl.errors import DesignError
 from platform_ctrl.job.job import Job, LoopSpec
 from platform_ctrl.job.reading import read_job
@@ -40,7 +42,9 @@ class LoopOutcome:
 
 @check_arguments
 def loops(
-    job: Job | str | os.PathLike[str] | Mapping[str, object], progress: Progress | bool | None = None
+    job: Job | str | os.PathLike[str] | Mapping[str, object],
+    progress: Progress | bool | None = None,
+    store: Store | None = None,
 ) -> tuple[LoopOutcome, ...]:
     """Design every loop of `job` by each of its methods.
 
@@ -50,6 +54,9 @@ def loops(
         The job, or what `read_job` reads: a path or a dict.
     progress
         Called with a line before and during each design; True shows the lines, in a notebook or on a terminal.
+    store
+        Where designs are kept. One that was made from the same loop, plant and sampling by the same code is not made
+        again: it is measured, and its certificates are verified, against the closed loops of this job.
 
     Returns
     -------
@@ -67,44 +74,44 @@ def loops(
     """
     job = job if isinstance(job, Job) else read_job(job)
     with shown(progress) as say:
-        return _loops(job, say)
+        return _loops(job, say, store)
 
 
-def _loops(job: Job, progress: Progress) -> tuple[LoopOutcome, ...]:
+def _loops(job: Job, progress: Progress, store: Store | None) -> tuple[LoopOutcome, ...]:
     model = linearise(job.platform)
     # All plants before the first design: an error in the third loop is raised before the work on the first.
-    plant_sets = [plants_of(job, spec) for spec in job.loops]
+    plant_sets = [plants_of(plant_job(job, spec), spec) for spec in job.loops]
     out: list[LoopOutcome] = []
     for spec, plants in zip(job.loops, plant_sets, strict=True):
-        directions = None
+        directions, inner = None, None
         if spec.kind == "tracking":
-            inner = next(one for one in out if one.spec.name == spec.around)
-            assert inner.closed.plants is not None, "a rate loop has plants"
-            K = with_commands(inner.closed.plants, inner.closed.controller)
-            plants, directions = tracking_plants(job, spec, inner.spec, K)
+            inner = next(one for one in out if one.spec.name == spec.around).closed
+            around = next(one for one in job.loops if one.name == spec.around)
+            assert inner.plants is not None, "a rate loop has plants"
+            K = with_commands(inner.plants, inner.controller)
+            plants, directions = tracking_plants(plant_job(job, spec, around), spec, around, K)
         elif plants is not None:
             # Once for all designs of the loop, which ask for them again and again.
             directions = loop_channels(model, loop_signals(job.platform, spec), plants.period)
         designs = []
         for design in spec.designs:
-            progress(f"{spec.name}: {design.name}")
+            alone = design_job(job, spec, design)
             problem = LoopProblem(
-                job=job,
-                spec=spec,
+                job=alone,
+                spec=alone.loops[-1],
                 design=design,
                 model=model,
                 plant_set=plants,
                 directions=directions,
                 progress=progress,
             )
+            progress(f"{spec.name}: {design.name}")
             try:
-                made = designed(problem)
+                designs.append(kept_or_designed(problem, shortest_rise(job), inner, store))
             except DesignError as error:
                 if plants is None or str(error).startswith(f"{spec.name}, "):
                     raise
                 raise type(error)(f"{spec.name}, {design.name}: {error}", error.problem) from None
-            closed = design.name == spec.use
-            designs.append(with_caging_claims(job, made, closed=closed) if spec.kind == "caging" else made)
         out.append(LoopOutcome(spec=spec, designs=tuple(designs), use=spec.use))
     return in_order(job, out)
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, named_system, state_arrays
 from platform_ctrl.analysis.certificates import Certificate
-from platform_ctrl.analysis.certificates.plant_set import plant_set_certificates
+from platform_ctrl.analysis.certificates.plant_set import KnownProofs, plant_set_certificates
 from platform_ctrl.analysis.feedback import closed_loop
 from platform_ctrl.analysis.following import with_error_alone
 from platform_ctrl.analysis.loop_metrics import LoopMetrics, measure
@@ -176,9 +176,13 @@ class Designed:
 
 def designed(problem: LoopProblem) -> LoopDesign:
     """Return the design that the problem's method makes, with all its values recomputed; a DesignError says why not."""
+    return evaluated(problem, resolved(known_method(problem.design.method).design)(problem))
+
+
+def evaluated(problem: LoopProblem, found: Designed, known: KnownProofs | None = None) -> LoopDesign:
+    """Return what a method has found, with all its values recomputed; `known` proofs are verified, none is searched."""
     spec, design, plants = problem.spec, problem.design, problem.plant_set
     method = known_method(design.method)
-    found: Designed = resolved(method.design)(problem)
     if plants is not None:
         sense = problem.channel.sense
         if sense is not None:
@@ -188,7 +192,7 @@ def designed(problem: LoopProblem) -> LoopDesign:
             own = found.controller._replace(dt=plants.period)
             K = shaped(own, design.command, problem.channel, np.eye(len(own.B.T)) if sense is None else sense)
             found = dataclasses.replace(found, controller=K)
-        out = certified(spec, design, found, plants)
+        out = certified(spec, design, found, plants, known)
         if method.goals:
             ratios = {"limit_ratio": out.results, "goal_ratio": out.goals}
             largest = {name: max(result.ratio for result in results) for name, results in ratios.items() if results}
@@ -205,7 +209,9 @@ def designed(problem: LoopProblem) -> LoopDesign:
     )
 
 
-def certified(spec: LoopSpec, design: DesignSpec, found: Designed, plants: PlantSet) -> LoopDesign:
+def certified(
+    spec: LoopSpec, design: DesignSpec, found: Designed, plants: PlantSet, known: KnownProofs | None = None
+) -> LoopDesign:
     """Return the design with all its numbers recomputed from the closed loops."""
     K = found.controller._replace(dt=plants.period)
     measures = measure(plants, K, requirements_of(spec))
@@ -215,7 +221,7 @@ def certified(spec: LoopSpec, design: DesignSpec, found: Designed, plants: Plant
             f"{known_method(design.method).advice}",
             plants,
         )
-    out = _with_evidence(spec, design.name, design.method, K, plants, measures)
+    out = _with_evidence(spec, design.name, design.method, K, plants, measures, known)
     return dataclasses.replace(out, options=found.options, claims=found.claims)
 
 
@@ -244,7 +250,7 @@ def limits_and_goals(
 
 
 def _proofs(
-    spec: LoopSpec, plants: PlantSet, controller: StateArrays, measures: LoopMetrics
+    spec: LoopSpec, plants: PlantSet, controller: StateArrays, measures: LoopMetrics, known: KnownProofs | None
 ) -> tuple[tuple[Certificate, ...], tuple[str, ...]]:
     """Return the certificates of stability and of the disk margins of `spec`, and what is left unproved."""
     requested = np.zeros(len(plants.labels))
@@ -252,7 +258,7 @@ def _proofs(
         if requirement.kind == "disk margin" and requirement.hard:
             chosen = measures.of(requirement.over)
             requested[chosen] = np.maximum(requested[chosen], requirement.limit)
-    return plant_set_certificates(plants, controller, measures.decay, measures.disk_margin, requested)
+    return plant_set_certificates(plants, controller, measures.decay, measures.disk_margin, requested, known)
 
 
 def remeasured(spec: LoopSpec, name: str, controller: control.StateSpace, plants: PlantSet) -> LoopDesign:
@@ -262,11 +268,17 @@ def remeasured(spec: LoopSpec, name: str, controller: control.StateSpace, plants
 
 
 def _with_evidence(
-    spec: LoopSpec, name: str, method: str, K: StateArrays, plants: PlantSet, measures: LoopMetrics
+    spec: LoopSpec,
+    name: str,
+    method: str,
+    K: StateArrays,
+    plants: PlantSet,
+    measures: LoopMetrics,
+    known: KnownProofs | None = None,
 ) -> LoopDesign:
     """Return a measured controller with its results and certificates."""
     results, goals = limits_and_goals(spec, name, plants, measures)
-    certificates, unproved = _proofs(spec, plants, plants.feedback(K), measures)
+    certificates, unproved = _proofs(spec, plants, plants.feedback(K), measures, known)
     inputs = [*plants.angles, *_commands(plants)][: K.B.shape[1]]
     return LoopDesign(
         loop=spec.name,

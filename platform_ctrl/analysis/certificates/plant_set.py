@@ -2,22 +2,71 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping, Sequence
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.arrays import StateArrays
-from platform_ctrl.analysis.certificates.certificate import Certificate
+from platform_ctrl.analysis.certificates.certificate import Certificate, Claim, proved
 from platform_ctrl.analysis.certificates.closed_loop import closed, matrices_of, real_modes
 from platform_ctrl.analysis.certificates.makers import found_in_doubles, norm_certificate, stability_certificate
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.common.signatures import check_arguments
-from platform_ctrl.common.values import FloatArray
+from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError, NotCertifiedError
+
+
+@value
+class Evidence:
+    """What proves a claim about a loop that is known otherwise.
+
+    Attributes
+    ----------
+    bound
+        As of a `Certificate`.
+    X : (n, n)
+        As of a `Certificate`.
+    coordinates : (n, n), optional
+        As of a `Certificate`.
+    """
+
+    bound: float
+    X: FloatArray
+    coordinates: FloatArray | None = None
+
+
+# By the kind of the claim and the label of its loop.
+KnownProofs = Mapping[tuple[Claim, str], Evidence]
+
+
+def evidence_of(certificates: Sequence[Certificate]) -> KnownProofs:
+    """Return what proves the claims of certificates of one loop each, without the loops."""
+    return {
+        (one.claim, one.loops[0].label): Evidence(bound=one.bound, X=one.X, coordinates=one.coordinates)
+        for one in certificates
+    }
+
+
+class _Claimed(NamedTuple):
+    """A claim about a plant closed by the controller: its bound, if it is required, and a norm that is known."""
+
+    claim: Claim
+    system: StateArrays
+    label: str
+    gamma: float | None = None
+    norm: float | None = None
 
 
 @check_arguments
 def plant_set_certificates(
-    plants: PlantSet, controller: StateArrays, decay: FloatArray, margin: FloatArray, required: FloatArray
+    plants: PlantSet,
+    controller: StateArrays,
+    decay: FloatArray,
+    margin: FloatArray,
+    required: FloatArray,
+    known: KnownProofs | None = None,
 ) -> tuple[tuple[Certificate, ...], tuple[str, ...]]:
     """Return what is proved of a loop u = K y, and a line for each claim without a proof.
 
@@ -28,36 +77,61 @@ def plant_set_certificates(
 
     The certificates say, in the order of the plants, that the loop with each plant decays at its own rate; then they
     bound the norm of (S − T)/2 at the torques and at the pick-offs: the larger of the two is 1/disk margin.
+
+    With `known` proofs nothing is searched: every claim has to be proved by what is known, for the plants and the
+    controller given here, else a `NotCertifiedError` is raised.
     """
     for name, numbers in (("decay", decay), ("margin", margin), ("required", required)):
         if numbers.shape != (len(plants.labels),):
             raise ArgumentError(f"plant_set_certificates: {name} must be ({len(plants.labels)},), got {numbers.shape}")
+    claims = _claims(plants, decay, margin, required)
+    if known is not None:
+        return tuple(_proved_by(known, one, controller) for one in claims), ()
     proved: list[Certificate] = []
     unproved: list[str] = []
-    for k in np.flatnonzero(decay > 0.0):
-        A, B, C, D = (x[k] for x in (plants.A, plants.B, plants.C, plants.D))
+    for one in claims:
         try:
-            proved.append(
-                stability_certificate(A, plants.period, B=B, C=C, D=D, controller=controller, label=plants.labels[k])
-            )
+            proved.append(_made(one, controller))
         except NotCertifiedError as error:
             unproved.append(str(error))
+    return tuple(proved), tuple(unproved)
+
+
+def _claims(plants: PlantSet, decay: FloatArray, margin: FloatArray, required: FloatArray) -> Iterator[_Claimed]:
+    for k in np.flatnonzero(decay > 0.0):
+        plant = StateArrays(plants.A[k], plants.B[k], plants.C[k], plants.D[k], plants.period)
+        yield _Claimed("stability", plant, plants.labels[k])
     for k in np.flatnonzero((decay > 0.0) & ((required < margin) & (required > 0.0) | (np.arange(len(decay)) == 0))):
         # With the nominal plant the norm itself; with the others the required bound. Of these the norm is known, or,
         # where another plant is the worst, known from below.
-        bound = {} if k == 0 else {"gamma": 1.0 / float(required[k])}
-        known = {} if k == 0 else {"norm": 1.0 / float(margin[k])}
+        gamma = None if k == 0 else 1.0 / float(required[k])
+        norm = None if k == 0 else 1.0 / float(margin[k])
         for system, where in zip(sensitivity_plants(plants, int(k)), ("torques", "pick-offs"), strict=True):
-            label = f"{plants.labels[k]}, (S − T)/2 at the {where}"
-            for given in (bound | known, bound) if known else (bound,):
-                try:
-                    proved.append(norm_certificate(*system, controller=controller, label=label, **given))
-                    break
-                except NotCertifiedError as error:
-                    reason = str(error)
-            else:
-                unproved.append(reason)
-    return tuple(proved), tuple(unproved)
+            yield _Claimed("norm", system, f"{plants.labels[k]}, (S − T)/2 at the {where}", gamma, norm)
+
+
+def _made(one: _Claimed, controller: StateArrays) -> Certificate:
+    A, B, C, D, dt = one.system
+    if one.claim == "stability":
+        return stability_certificate(A, dt, B=B, C=C, D=D, controller=controller, label=one.label)
+    try:
+        return norm_certificate(*one.system, one.gamma, controller=controller, norm=one.norm, label=one.label)
+    except NotCertifiedError:
+        if one.norm is None:
+            raise
+    return norm_certificate(*one.system, one.gamma, controller=controller, label=one.label)
+
+
+def _proved_by(known: KnownProofs, one: _Claimed, controller: StateArrays) -> Certificate:
+    evidence = known.get((one.claim, one.label))
+    if evidence is None or (one.gamma is not None and evidence.bound != one.gamma):
+        raise NotCertifiedError(f"plant_set_certificates: no proof of {one.claim} is known of {one.label}", known)
+    loop = closed(one.system, controller, one.label)
+    return proved(
+        Certificate(
+            claim=one.claim, bound=evidence.bound, loops=(loop,), X=evidence.X, coordinates=evidence.coordinates
+        )
+    )
 
 
 @check_arguments

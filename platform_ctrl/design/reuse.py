@@ -1,0 +1,147 @@
+"""What a design may depend on, and designs taken from a store instead of being made again.
+
+A design is made from a reduced job, which holds nothing else than what its key is the hash of: what is not in the key
+cannot change the design. What is taken from the store is only what a search has found, the controller and the matrices
+of its proofs. The rest is computed from the closed loops of the present job, and every proof is verified there.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import Any
+
+from platform_ctrl.analysis.arrays import StateArrays, state_arrays
+from platform_ctrl.analysis.certificates.plant_set import Evidence, KnownProofs, evidence_of
+from platform_ctrl.common.store import Store, array_of, array_text, key_of
+from platform_ctrl.common.values import replaced
+from platform_ctrl.design.caging_claims import with_caging_claims
+from platform_ctrl.design.loop import Designed, LoopDesign, LoopProblem, evaluated
+from platform_ctrl.errors import PlatformCtrlError
+from platform_ctrl.job.job import CoupledLimits, DesignSpec, Job, LoopSpec
+from platform_ctrl.job.methods import known_method, resolved
+
+# Relative difference up to which a measure computed again is the same.
+_SAME = 1e-9
+# What no design may depend on.
+_REMOVED: dict[str, Any] = {
+    "name": "",
+    "plant": "",
+    "coupled": CoupledLimits(),
+    "manoeuvres": (),
+    "fault_events": (),
+    "campaign": None,
+    "budget": None,
+}
+# Of a loop whose plants alone count.
+_BARE: dict[str, Any] = {"designs": (), "use": "", "limits": {}, "soft": {}}
+
+
+def plant_job(job: Job, *loops: LoopSpec) -> Job:
+    """Return what the plants of loops may depend on: neither on their designs nor on their limits."""
+    bare = (replaced(spec, _BARE) for spec in loops)
+    return _with_loops(job, tuple(bare))
+
+
+def design_job(job: Job, spec: LoopSpec, design: DesignSpec) -> Job:
+    """Return what a design of a loop may depend on: its loop without the other designs comes last.
+
+    ``use`` is empty unless the design is the one that is closed. The loop that a tracking loop commands comes first.
+    """
+    use = design.name if design.name == spec.use else ""
+    around = (one for one in job.loops if one.name == spec.around)
+    inner = (replaced(one, _BARE) for one in around)
+    return _with_loops(job, (*inner, replaced(spec, {"designs": (design,), "use": use})))
+
+
+def _with_loops(job: Job, loops: tuple[LoopSpec, ...]) -> Job:
+    return replaced(job, _REMOVED | {"loops": loops})
+
+
+def design_key(job: Job, rise: float, inner: LoopDesign | None = None) -> str:
+    """Return the hash of all that a design depends on: the reduced job, and the controller of the loop inside.
+
+    `rise` is how fast Omega rises where saturation is looked for, s: it counts for the caging loop that is closed.
+    """
+    spec = job.loops[-1]
+    commanded = None if inner is None else tuple(state_arrays(inner.controller, "controller"))
+    return key_of("design", job, rise if spec.kind == "caging" and spec.use else None, commanded)
+
+
+def kept_or_designed(problem: LoopProblem, rise: float, inner: LoopDesign | None, store: Store | None) -> LoopDesign:
+    """Return the design of a problem with a reduced job, from the store if it is there and verified."""
+    spec, method = problem.spec, known_method(problem.design.method)
+    closed, caging = bool(spec.use), spec.kind == "caging"
+    # A loop without plants has no certificates; of other methods than the package's the code is not in the key.
+    own = isinstance(method.design, str) and method.design.startswith(f"{__name__.partition('.')[0]}.")
+    key = ""
+    if store is not None and own and problem.plant_set is not None:
+        key = design_key(problem.job, rise, inner)
+        taken = _taken(problem, store.find(key))
+        if taken is not None:
+            store.taken.append((spec.name, problem.design.name))
+            problem.progress(
+                f"{spec.name}: {problem.design.name}: unchanged, taken from {store.folder}, certificates verified"
+            )
+            return taken
+    found: Designed = resolved(method.design)(problem)
+    made = evaluated(problem, found)
+    out = with_caging_claims(problem.job, made, closed=closed, rise=rise) if caging else made
+    if store is not None and key and made.certificates and not made.unproved:
+        store.keep(key, _written(found, out))
+    return out
+
+
+def _written(found: Designed, made: LoopDesign) -> dict[str, Any]:
+    """Return what a search has found, in the types of JSON."""
+    return {
+        "controller": [array_text(part) for part in found.controller[:4]] + [found.controller.dt],
+        "options": found.options,
+        "method's claims": found.claims,
+        "signals": [found.inputs, found.outputs],
+        "claims": made.claims,
+        "proofs": [
+            [claim, label, one.bound, array_text(one.X), array_text(one.coordinates)]
+            for (claim, label), one in evidence_of(made.certificates).items()
+        ],
+    }
+
+
+def _taken(problem: LoopProblem, kept: Any) -> LoopDesign | None:
+    """Return a design that was kept, measured and verified with the problem's plants; None if it is not proved."""
+    if kept is None:
+        return None
+    try:
+        found, known = _read(kept)
+        made = evaluated(problem, found, known)
+        claims = {str(name): float(number) for name, number in kept["claims"].items()}
+    except (PlatformCtrlError, ValueError, TypeError, KeyError, AttributeError):
+        return None
+    # What the proofs do not cover is compared: to the last digits, which depend on how numbers lie in memory.
+    same = all(name in claims and math.isclose(claims[name], x, rel_tol=_SAME) for name, x in made.claims.items())
+    return dataclasses.replace(made, claims=claims) if same else None
+
+
+def _read(kept: Any) -> tuple[Designed, KnownProofs]:
+    *matrices, dt = kept["controller"]
+    A, B, C, D = (_array(one) for one in matrices)
+    inputs, outputs = (tuple(map(str, names)) for names in kept["signals"])
+    found = Designed(
+        controller=StateArrays(A, B, C, D, float(dt)),
+        options={str(name): float(number) for name, number in kept["options"].items()},
+        claims={str(name): float(number) for name, number in kept["method's claims"].items()},
+        inputs=inputs,
+        outputs=outputs,
+    )
+    known = {
+        (claim, str(label)): Evidence(bound=float(bound), X=_array(X), coordinates=array_of(T))
+        for claim, label, bound, X, T in kept["proofs"]
+    }
+    return found, known
+
+
+def _array(item: Any) -> Any:
+    found = array_of(item)
+    if found is None:
+        raise ValueError("a matrix is missing")
+    return found
