@@ -210,7 +210,7 @@ def limit_rows() -> list[str]:
     for metric in METRICS.values():
         if metric.key:
             keys = [f"{metric.key}_{scope}" if scope else metric.key for scope in metric.scopes]
-            names = ", ".join(f"`{key}`" for key in (*keys, *filter(None, [metric.frequency_key])))
+            names = ", ".join(f"`{key}`" for key in (*keys, *filter(None, [metric.lowest_key, metric.frequency_key])))
             edge = f"; Hz{'' if metric.needs_frequency else ', optional'}" if metric.frequency_key else ""
             best = f"; no loop has more than {metric.best:g}" if metric.best else ""
             kind = f"number > 0{f', {metric.unit}' if metric.unit else ''}{edge}{best}"

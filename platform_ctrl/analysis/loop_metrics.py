@@ -26,7 +26,7 @@ ALWAYS_MEASURED = ("stability", "bandwidth", "disk margin", "damping", "torque n
 
 _FIRST = np.zeros(1, dtype=np.intp)
 
-Key = tuple[str, tuple[str, ...], float | None, Channel | None]
+Key = tuple[str, tuple[str, ...], float, float | None, Channel | None]
 
 
 @value
@@ -164,7 +164,7 @@ def measured(loops: LoopSet, request: Request, *, exact: bool = False) -> FloatA
 
 
 def _key(request: Request) -> Key:
-    return request.kind, tuple(request.over), request.frequency, request.channel
+    return request.kind, tuple(request.over), request.lowest, request.frequency, request.channel
 
 
 def _is_of_nominal(request: Request) -> bool:

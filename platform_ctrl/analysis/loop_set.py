@@ -266,11 +266,14 @@ class LoopSet:
             responses = [frequency_response(_some(self.channel(parts), members), grid, -3)]
         else:
             responses = [response for transfer in parts for response in self._responses(transfer, members)]
-        inside = grid <= max(band[1], grid[0])
+        inside = (grid >= band[0]) & (grid <= band[1])
+        if not inside.any():
+            # A band beside the grid, or between two of its points.
+            inside[[np.abs(grid - edge).argmin() for edge in band if np.isfinite(edge)]] = True
         peaks: FloatArray = np.max([_highest(response[:, inside]) for response in responses], axis=0)
         for i, k in enumerate(members):
             w = self.narrow.get(int(k), np.zeros(0))
-            w = w[w <= band[1]]
+            w = w[(w >= band[0]) & (w <= band[1])]
             if w.size:
                 peaks[i] = max([peaks[i], *(gains(part, w).max(initial=0.0) for part in self.parts(parts, int(k)))])
         return np.where(self.decay[members] > 0.0, peaks, np.inf)

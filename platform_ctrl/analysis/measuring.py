@@ -42,6 +42,10 @@ class Request(Protocol):
         """Edge of a band, rad/s."""
 
     @property
+    def lowest(self) -> float:
+        """Where a band that ends there begins, rad/s."""
+
+    @property
     def channel(self) -> Channel | None:
         """Signals between which a norm is taken."""
 
@@ -53,6 +57,7 @@ class MetricRequest:
     kind: str
     over: tuple[str, ...] = ("nominal",)
     frequency: float | None = None
+    lowest: float = 0.0
     channel: Channel | None = None
 
 
@@ -82,7 +87,7 @@ class Peak:
 
     transfers: tuple[Transfer, ...] = ()  # the parts; none: the channel of the request
     reciprocal: bool = False  # whether the metric is 1/peak
-    banded: bool = False  # whether the peak is taken up to the frequency of the request only, if it has one
+    banded: bool = False  # whether the peak is taken from the lowest up to the frequency of the request, if it has one
 
     def values(self, loops: LoopSet, request: Request, members: Indices) -> FloatArray:
         """Return the values of some plants on the grid, (k,): never worse than they are."""
@@ -104,7 +109,7 @@ class Peak:
         return self.transfers or request.channel or Channel()
 
     def _band(self, request: Request) -> Band:
-        return (0.0, request.frequency) if self.banded and request.frequency is not None else WHOLE
+        return (request.lowest, request.frequency) if self.banded and request.frequency is not None else WHOLE
 
     def _of_peak(self, peaks: FloatArray) -> FloatArray:
         if not self.reciprocal:

@@ -42,7 +42,7 @@ class Quantity:
 
 @value
 class Metric(Quantity):
-    """A metric of a loop; its limit is in ``[loop.limits]``, with the edge of a band as key + ``_hz``."""
+    """A metric of a loop; its limit is in ``[loop.limits]``, with the edges of its band as ``_from_hz`` and ``_hz``."""
 
     scale: float = 1.0  # the unit in SI units
     decibels: bool = False  # whether the unit is dB: of a ratio of amplitudes
@@ -87,6 +87,11 @@ class Metric(Quantity):
     def frequency_key(self) -> str:
         """Key of the band's edge in a job file, Hz; empty where there is none."""
         return f"{self.key.removesuffix('_db')}_hz" if self.key and self.band == "up to" else ""
+
+    @property
+    def lowest_key(self) -> str:
+        """Key of the frequency at which that band begins, Hz; empty where there is no band."""
+        return f"{self.frequency_key.removesuffix('_hz')}_from_hz" if self.frequency_key else ""
 
 
 def exact_value(loops: Loops, request: Request, k: int = 0) -> float:
@@ -138,9 +143,9 @@ def _no_worse(loops: LoopSet, request: Request, k: int, bound: float) -> bool:
     return True
 
 
-def _key(request: Request) -> tuple[str, float | None, Channel | None]:
+def _key(request: Request) -> tuple[str, float, float | None, Channel | None]:
     """Return the key of a value: its request without the plants."""
-    return request.kind, request.frequency, request.channel
+    return request.kind, request.lowest, request.frequency, request.channel
 
 
 def torque_noise(loops: LoopSet, plants: slice = slice(None)) -> FloatArray:

@@ -15,7 +15,7 @@ from platform_ctrl.job.drive_checks import drive_mistakes
 from platform_ctrl.job.job import Job, manoeuvre_scenario
 from platform_ctrl.job.methods import METHODS, LoopKind
 from platform_ctrl.job.parameter_limits import misfits
-from platform_ctrl.job.requirements import limit_keys
+from platform_ctrl.job.requirements import SCOPES, limit_keys
 from platform_ctrl.job.run_checks import run_mistakes
 from platform_ctrl.job.variation import CENTRES, DISTRIBUTION_NUMBERS
 from platform_ctrl.plant.checks import number_of
@@ -231,13 +231,20 @@ def _limits(limits: Data, path: Path, faults: bool) -> Iterator[Mistake]:
             yield Mistake((*path, key), words)
     for metric in METRICS.values():
         edge = metric.frequency_key
-        keys = [key for key, (kind, scope) in known.items() if METRICS[kind] is metric and scope != "hz"]
+        keys = [key for key, (kind, scope) in known.items() if METRICS[kind] is metric and scope in SCOPES]
         of = [key for key in keys if key in limits]
         if edge and edge in limits and not of:
             words = f'the key "{metric.key}" is missing; {edge} has no effect without it'
             yield Mistake((*path, metric.key), words)
         elif of and metric.needs_frequency and edge not in limits:
             yield Mistake((*path, edge), f'the key "{edge}" is missing; {of[0]} has no effect without it')
+        low, high = number_of(limits, metric.lowest_key), number_of(limits, edge)
+        if low is not None and high is not None and 0.0 < high <= low:
+            words = f"{metric.lowest_key} must be below {edge} = {given(limits[edge])}, got {given(low)}"
+            yield Mistake((*path, metric.lowest_key), f"{words}; the band begins there")
+        elif low is not None and edge not in limits:
+            words = f"{metric.lowest_key} has no effect without {edge}, where the band ends; add it, or leave this out"
+            yield Mistake((*path, metric.lowest_key), words)
 
 
 def _sampling(data: Data) -> Iterator[Mistake]:

@@ -52,6 +52,8 @@ class LoopRequirement(Requirement):
         Groups of plants that it is about.
     frequency
         Edge of the metric's band, rad/s; None: no edge ("controller gain": a tenth of the nutation frequency).
+    lowest
+        Where a band that ends at `frequency` begins, rad/s.
     channel
         "H-infinity norm" and "H2 norm": between which signals, with which weights; None: all signals.
     """
@@ -59,6 +61,7 @@ class LoopRequirement(Requirement):
     kind: str
     over: tuple[Group, ...] = NOMINAL
     frequency: float | None = None
+    lowest: float = 0.0
     channel: Channel | None = None
 
     @property
@@ -283,6 +286,7 @@ def requirement(
     over: tuple[Group, ...] = NOMINAL,
     hard: bool = True,
     frequency: float | None = None,
+    lowest: float = 0.0,
     channel: Channel | None = None,
     name: str | None = None,
 ) -> LoopRequirement:
@@ -300,7 +304,9 @@ def requirement(
     hard
         False for a goal.
     frequency
-        rad/s, see `LoopRequirement`; required for "tracking".
+        rad/s, see `LoopRequirement`; required for "tracking" and "attenuation".
+    lowest
+        rad/s, at least 0 and below `frequency`: where the band of these two begins.
     channel
         See `LoopRequirement`.
     name
@@ -333,6 +339,11 @@ def requirement(
     if frequency is not None:
         one_of("requirement: kind with a frequency", kind, [key for key, one in METRICS.items() if one.band])
         frequency = positive("requirement: frequency", frequency)
+    if lowest and not (metric.band == "up to" and frequency is not None and 0.0 <= lowest < frequency):
+        raise ArgumentError(
+            f"requirement: lowest must be from 0 to below frequency, got {lowest!r}, and only a band that ends at a "
+            "frequency has one"
+        )
     if channel is not None:
         one_of("requirement: kind with a channel", kind, [key for key, one in METRICS.items() if one.has_channel])
     return LoopRequirement(
@@ -344,21 +355,26 @@ def requirement(
         kind=kind,
         over=over,
         frequency=frequency,
+        lowest=float(lowest),
         channel=channel,
     )
 
 
 def limit_keys() -> dict[str, tuple[str, str]]:
-    """Return the keys of ``[loop.limits]``: of each the metric, and ``""``, ``"worst_case"``, ``"faults"`` or ``"hz"``.
+    """Return the keys of ``[loop.limits]``: of each the metric, and what it is.
 
-    ``"hz"`` is the edge of the metric's band; the others are the plants that the limit is about.
+    ``""``, ``"worst_case"`` and ``"faults"`` are limits and the plants that they are about; ``"from_hz"`` and ``"hz"``
+    the edges of the metric's band.
     """
     out = {}
     for scope in SCOPES:
         for kind, metric in METRICS.items():
             if metric.key and scope in metric.scopes:
                 out[f"{metric.key}_{scope}" if scope else metric.key] = kind, scope
-    return out | {metric.frequency_key: (kind, "hz") for kind, metric in METRICS.items() if metric.frequency_key}
+    for kind, metric in METRICS.items():
+        if metric.frequency_key:
+            out |= {metric.frequency_key: (kind, "hz"), metric.lowest_key: (kind, "from_hz")}
+    return out
 
 
 @check_arguments
@@ -397,6 +413,7 @@ def _required(limits: Mapping[str, float], hard: bool) -> tuple[LoopRequirement,
                     over=SCOPES[scope],
                     hard=hard,
                     frequency=None if edge is None else 2.0 * np.pi * edge,
+                    lowest=2.0 * np.pi * limits.get(metric.lowest_key, 0.0),
                     name=name if hard else f"goal: {name}",
                 )
             )

@@ -6,6 +6,7 @@ import pytest
 import platform_ctrl as pc
 from camera_job import FRICTION, J_AZIMUTH, J_ELEVATION, camera_job, camera_loop, camera_plant
 from platform_ctrl import analysis, design
+from platform_ctrl.analysis.loop_metrics import measure
 from platform_ctrl.errors import InputError, NotCertifiedError
 from platform_ctrl.job.requirements import requirement
 from platform_ctrl.report.quantities import assumed_words
@@ -68,6 +69,30 @@ def test_dry_friction_brings_the_base_in_by_its_describing_function():
             assert at.value == pytest.approx(-20.0 * np.log10(ratio), abs=0.1)
         else:
             assert at.value < -20.0 * np.log10(ratio)
+
+
+def test_the_attenuation_of_a_band_is_the_least_between_its_edges():
+    """Above the crossover the body's inertia takes the friction's torque: the lower edge is the worst frequency."""
+    found = closed()
+    low, high = 2.0 * np.pi * 80.0, 2.0 * np.pi * 200.0
+    d, wc, wi = 4.0 * FRICTION / (np.pi * 0.2), 2.0 * np.pi * 30.0, 2.0 * np.pi * 3.0
+    s = 1j * low
+    L = wc / s * (1.0 + wi / s) * np.exp(-s * 6.5e-4) / (1.0 + s / (2.0 * np.pi * 800.0))
+    ratio = d / abs(J_ELEVATION * s * (1.0 + L) + d)
+    whole, band = (
+        requirement("attenuation", 1.0, over=("friction",), frequency=high, lowest=edge) for edge in (0.0, low)
+    )
+    least, within = (one.check(found.plants, found.controller).value for one in (whole, band))
+    assert within == pytest.approx(-20.0 * np.log10(ratio), abs=0.2)
+    assert least < within - 3.0
+    # Both are measured at once, on the grid of a search too.
+    for exact in (True, False):
+        metrics = measure(found.plants, found.plants.joined(found.controller), [whole, band], exact=exact)
+        assert [float(one.values(metrics).min()) for one in (whole, band)] == pytest.approx([least, within], abs=0.3)
+    limits = {"attenuation_db_worst_case": 1.0, "attenuation_from_hz": 80.0, "attenuation_hz": 200.0}
+    same = camera_loop(limits=limits, design=camera_job()["loop"][0]["design"])
+    [value] = [one.value for one in closed(loop=same).results if one.unit == "dB"]
+    assert value == pytest.approx(within, abs=0.01)
 
 
 def test_the_yaw_loop_loses_the_cosine_of_the_elevation_at_every_trim():

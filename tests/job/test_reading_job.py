@@ -322,6 +322,14 @@ MISTAKES: dict[str, tuple[Change, list[str]]] = {
         put(0.1, "loop", 0, "limits", "tracking"),
         [f"{CAGING}: [loop.limits]", 'the key "tracking_hz" is missing; tracking has no effect without it'],
     ),
+    "a band that ends before it begins": (
+        put({"tracking": 0.1, "tracking_from_hz": 5, "tracking_hz": 5}, "loop", 0, "limits"),
+        [f"{CAGING}: [loop.limits]", "tracking_from_hz must be below tracking_hz = 5, got 5"],
+    ),
+    "a band without an end": (
+        put({"torque_limit": 0.5, "torque_limit_from_hz": 5}, "loop", 0, "limits"),
+        [f"{CAGING}: [loop.limits]", "torque_limit_from_hz has no effect without torque_limit_hz"],
+    ),
     "tracking nothing": (put({"tracking_hz": 5}, "loop", 0, "soft"), ["[loop.soft]", 'the key "tracking" is missing']),
     "a band without a torque limit": (
         put(5, "loop", 0, "limits", "torque_limit_hz"),
@@ -637,11 +645,11 @@ def test_every_limit_can_be_a_goal() -> None:
     # Those of the line of sight belong to rate and pointing loops.
     names = [key for key in limit_keys() if not key.startswith("attenuation")]
     data = job() | {"faults": {"slow_rotor": 0.5}}
-    data["loop"][0]["limits"] = dict.fromkeys(names, 0.5)
-    data["loop"][0]["soft"] = dict.fromkeys(names, 0.25)
+    # A band begins below where it ends.
+    limits, soft = ({key: x / 2 if "_from_" in key else x for key in names} for x in (0.5, 0.25))
+    data["loop"][0]["limits"], data["loop"][0]["soft"] = limits, soft
     loop = read_job(data).loops[0]
-    assert loop.limits == dict.fromkeys(names, 0.5)
-    assert loop.soft == dict.fromkeys(names, 0.25)
+    assert (loop.limits, loop.soft) == (limits, soft)
 
 
 def test_a_job_is_written_and_read_back_whole() -> None:
@@ -652,7 +660,7 @@ def test_a_job_is_written_and_read_back_whole() -> None:
     data = job() | {"faults": {"slow_rotor": 0.5}}
     data["operation"]["Omega_grid"] = 4
     data["uncertainty"]["samples"] = 3
-    data["loop"][0]["soft"] = dict.fromkeys(names, 0.25)
+    data["loop"][0]["soft"] = {key: 0.1 if "_from_" in key else 0.25 for key in names}
     data["loop"][0]["design"].append({"name": "simple", "method": "structured", "structure": "pid", "order": 2})
     read = read_job(data)
     again = read_job(job_data(read))

@@ -442,6 +442,7 @@ def test_a_requirement_that_makes_no_sense_is_one_line(arguments, more, message)
 
 def test_every_limit_of_a_job_becomes_one_requirement():
     edges = {"tracking_hz": 10.0, "torque_limit_hz": 20.0, "attenuation_hz": 5.0}
+    edges |= {f"{key.removesuffix('_hz')}_from_hz": 1.0 for key in edges}
     names = [key for key in limit_keys() if key not in edges]
     always = {one.name for one in loop_requirements({})}
     assert always == {"minimum decay rate", "minimum decay rate, worst case"}

@@ -54,11 +54,11 @@ def pieces(loops: ClosedLoops, requirement: LoopRequirement, floor: float = 0.8)
         return loops.none()
     if isinstance(measure, Peak):
         below, factor = (floor / limit, limit) if measure.reciprocal else (floor * limit, 1.0 / limit)
-        edge = requirement.frequency
-        band = (0.0, np.inf if edge is None else edge)
+        edges = [w for w in (requirement.lowest, requirement.frequency) if w]
+        band = (requirement.lowest, requirement.frequency or np.inf)
         maps = [of for transfer in measure.transfers for of in _maps(transfer, plants)]
         found = [loops.peaks(of, below, members, band) for of in maps]
-        found += [loops.edge(of, edge, members) for of in maps if edge is not None]
+        found += [loops.edge(of, edge, members) for of in maps for edge in edges]
         return joined([loops.none(), *found]).times(factor)
     if isinstance(measure, ControllerGain):
         nominal = np.zeros(1, dtype=np.intp)

@@ -81,7 +81,8 @@ def limit_lines(axes: Axes, spec: LoopSpec, kind: str, *, scale: float = 1.0, fr
                 end = min(limits.get(metric.frequency_key, right), right)
                 level, text = (1.0 / limit if inverse else limit), f"{limit:g}"
                 text = f"{limits[metric.key]:g} dB" if metric.decibels else text
-                _band_limit(axes, level, max(from_hz, left), end, hard, text)
+                start = max(from_hz, limits.get(metric.lowest_key, left), left)
+                _band_limit(axes, level, start, end, hard, text)
                 continue
             level = 1.0 / limit if inverse else limit
             colour, dashes = (LIMIT, DASHED) if hard else (MUTED, DASH_DOTTED)
