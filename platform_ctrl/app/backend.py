@@ -12,7 +12,7 @@ import numpy as np
 
 from platform_ctrl.app.background import IsCancelled, ServoTuning, Simulating, TaskRunner, Tuning, run_alone
 from platform_ctrl.app.budget import BudgetState
-from platform_ctrl.app.caged import caged_parts
+from platform_ctrl.app.caged import caged_parts, loop_metrics
 from platform_ctrl.app.closed_loops import ClosedLoops
 from platform_ctrl.app.controllers import built_directly, part_of
 from platform_ctrl.app.curves import Parts
@@ -37,10 +37,11 @@ from platform_ctrl.app.slider_effects import (
     moved_slider,
     stabilised_influence,
 )
-from platform_ctrl.app.stabilised import stabilised_parts
+from platform_ctrl.app.stabilised import requirements, stabilised_parts
 from platform_ctrl.common.arguments import known_name, whole
 from platform_ctrl.common.progress import Progress
 from platform_ctrl.common.signatures import short
+from platform_ctrl.design.loop import limits_and_goals
 from platform_ctrl.errors import ArgumentError, DesignError, PlatformCtrlError
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.judging import CheckResult
@@ -252,12 +253,21 @@ class Backend(Drags):
         """Return the one move of a slider that helps the tightest requirement most, or None."""
         tried = candidates(influence, self.sliders(settings))
 
-        def results(now: Settings) -> tuple[CheckResult, ...]:
-            return self.picture(now.but(overlays=())).requirements
+        def settings_with(slider: Slider, after: float) -> Settings:
+            return self.moved(settings, slider.name, after)
 
-        return next_step(
-            results(settings), tried, lambda slider, after: self.moved(settings, slider.name, after), results
-        )
+        return next_step(self._results(settings), tried, settings_with, self._results)
+
+    def _results(self, settings: Settings) -> tuple[CheckResult, ...]:
+        """Return the requirements of a picture without its curves."""
+        spec, _ = self._loops.design(settings)
+        with np.errstate(all="ignore"):
+            if spec.has_plants:
+                loop, _ = self._loops.caged(settings)
+                metrics = self._loops.cached_metrics(settings, loop)(lambda: loop_metrics(loop))
+                return limits_and_goals(spec, loop.design, loop.plants, metrics)[0]
+            whole, _ = self._loops.stabilised(settings.but(band=False))
+            return requirements(whole, self._loops.cached_margins(settings))
 
     def influence(self, settings: Settings) -> Influence:
         """Return what each slider does to each requirement."""

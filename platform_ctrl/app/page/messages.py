@@ -12,6 +12,7 @@ from platform_ctrl.app.job_parts import ChipState
 from platform_ctrl.app.next_step import MarginChange, NextStep
 from platform_ctrl.app.pictures import Influence, Margins, Picture
 from platform_ctrl.app.settings import Choices, Mode, Settings, Slider
+from platform_ctrl.app.slider_effects import SHARE
 from platform_ctrl.common.arguments import known_name, whole
 from platform_ctrl.common.signatures import short
 from platform_ctrl.common.values import value
@@ -271,6 +272,8 @@ def influence_data(influence: Influence) -> dict[str, Any]:
     """Return what the sliders do to the requirements."""
     return {
         "sliders": list(influence.sliders),
+        "ratios": [plain_number(float(ratio)) for ratio in influence.ratios],
+        "share": SHARE,
         "change": {
             name: [plain_number(float(number)) for number in row]
             for name, row in zip(influence.requirements, influence.change, strict=True)

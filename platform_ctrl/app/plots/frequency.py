@@ -6,10 +6,12 @@ import math
 from typing import Any
 
 import numpy as np
+from bokeh.core.properties import value
 from bokeh.models.annotations.geometry import BoxAnnotation
 
 from platform_ctrl.app.pictures import Bode, Drawing, Nichols
 from platform_ctrl.app.plots.data import (
+    FONT,
     HZ,
     Column,
     Sources,
@@ -18,6 +20,7 @@ from platform_ctrl.app.plots.data import (
     decibels,
     extent,
     finite,
+    inner_size,
     joined_curves,
     stepped,
     thinned,
@@ -30,6 +33,7 @@ from platform_ctrl.common.values import FloatArray
 _BAND = ("frequency", "gain_low", "gain_high", "phase_low", "phase_high")
 # Sliders that are dragged in the diagram: their words, and the optional part that they belong to.
 _SLIDERS = {"lead_hz": ("lead zero", ""), "inertial_lead_hz": ("inertial zero", ""), "notch_hz": ("notch", "notch")}
+_MARK_WORDS = ("gain_words", "phase_words")
 _MARKS = ("frequency", "gain0", "gain1", "phase0", "phase1")
 
 
@@ -47,12 +51,13 @@ class BodePanel(Panel):
         self.decibels(above.yaxis[0])
         self.degrees(below.yaxis[0])
         loop = sources.new("loop", "frequency", "gain", "phase")
-        band, marks = sources.new("band", *_BAND), sources.new("margins", *_MARKS)
+        band, marks = sources.new("band", *_BAND), sources.new("margins", *_MARKS, lists=_MARK_WORDS)
         self.overlays = OverlayCurves(sources, theme)
         self._nyquist, self._required = [], []
         rows = [("frequency", "@frequency{0.[000]} Hz"), ("gain", "@gain{0.0} dB"), ("phase", "@phase{0}°")]
         for plot, name, level in ((above, "gain", 0.0), (below, "phase", -180.0)):
             ends = f"{name}_low", f"{name}_high"
+            self.span(plot, "height", "reference", line_dash=[3, 3], name="cursor")
             self.draw(plot.varea, "frequency", *ends, source=band, fill="series-1", fill_alpha=0.16)
             self.span(plot, "width", "reference", location=level)
             self._nyquist.append(self.span(plot, "height", "reference", line_dash=[2, 3]))
@@ -62,6 +67,13 @@ class BodePanel(Panel):
             mark = "frequency", f"{name}0", "frequency", f"{name}1"
             self.draw(plot.segment, *mark, source=marks, line="ink", line_width=2)
             self.draw(plot.scatter, "frequency", f"{name}1", source=marks, line="ink", fill="page", size=6)
+            # Beside the end that is never at the edge of the view.
+            end, offset, side = (f"{name}1", -3, "bottom") if name == "gain" else (f"{name}0", 3, "top")
+            text = plot.text(
+                "frequency", end, text=f"{name}_words", source=marks, x_offset=7, y_offset=offset,
+                text_font=value(FONT), text_font_size=value("10px"), text_baseline=side,
+            )  # fmt: skip
+            theme.paint(text.glyph, text_color="ink")
             self.hover(plot, [line], rows, mode="vline", line_policy="interp")
         self.crosshair(above, below)
         self._reach: Any = BoxAnnotation(visible=False, level="underlay", fill_alpha=0.12, line_alpha=0.0, left=1.0)
@@ -99,7 +111,12 @@ class BodePanel(Panel):
         self.sources.put("band", **dict(zip(_BAND, band, strict=True)))
         self.overlays.show(bode.overlays, bode.frequency)
         marks = _margin_marks(bode) if picture.stable else np.zeros((0, 5))
-        self.sources.put("margins", **{name: column(marks[:, k]) for k, name in enumerate(_MARKS)})
+        self.sources.put(
+            "margins",
+            **{name: column(marks[:, k]) for k, name in enumerate(_MARKS)},
+            gain_words=["" if math.isnan(to) else f"{abs(to):.1f} dB" for to in marks[:, 2]],
+            phase_words=["" if math.isnan(to) else f"{abs(to - at):.1f}°" for at, to in marks[:, 3:]],
+        )
         for span in self._nyquist:
             span.location = float(bode.nyquist * HZ) if math.isfinite(bode.nyquist) else None
         for span in self._required:
@@ -159,12 +176,35 @@ _POINTS, _PLANTS, _RIM = 110, 64, 121
 _LOWEST, _HIGHEST = -30.0, 40.0
 
 
+# Phases of the view around the critical point, degrees, and the contours of the closed loop's gain |T|, dB.
+_CRITICAL_VIEW = (-270.0, -90.0)
+_LABELLED = 180.0  # pixels of height from which they are labelled
+_CONTOURS = (-20.0, -12.0, -6.0, -3.0, -1.0, 1.0, 3.0, 6.0, 12.0)
+
+
+def gain_contours() -> tuple[list[FloatArray], list[FloatArray], list[tuple[float, float, str]]]:
+    """Return phases, degrees, and gains, dB, of L with |T| constant around -180 degrees, and places of their labels."""
+    phases, gains, labels = [], [], []
+    for level in _CONTOURS:
+        M = 10.0 ** (level / 20.0)
+        # Closed curves around the critical point beyond 0 dB, curves over all phases below it.
+        T = M * np.exp(1j * np.linspace(0.0 if M > 1.0 else -np.pi, 2.0 * np.pi if M > 1.0 else np.pi, 241))
+        L = T / (1.0 - T)
+        phase = np.degrees(np.angle(-L))
+        order = np.arange(len(phase)) if M > 1.0 else np.argsort(phase)
+        phases.append(phase[order])
+        gains.append(20.0 * np.log10(np.abs(L[order])))
+        top = 20.0 * math.log10(M / (M - 1.0) if M > 1.0 else M / math.sqrt(1.0 - M * M))
+        labels.append((0.0 if M > 1.0 else 88.0, top, f"{level:+g} dB".replace("-", "−")))
+    return phases, gains, labels
+
+
 class NicholsPanel(Panel):
     """The Nichols diagram."""
 
     def __init__(self, theme: Theme, sources: Sources, overlays: OverlayCurves) -> None:
         super().__init__("nichols", "Nichols", theme, sources)
-        self._phase = View(-360.0, 0.0, stepped(45.0, -720.0, 180.0))
+        self._phase = View(*_CRITICAL_VIEW, stepped(45.0, -720.0, 180.0))
         self._gain = View(-40.0, 40.0, stepped(10.0, _LOWEST, _HIGHEST))
         plot = self.add(self._phase, self._gain, "phase, °", "gain, dB")
         self.degrees(plot.xaxis[0])
@@ -173,6 +213,7 @@ class NicholsPanel(Panel):
         critical = sources.new("critical", "phase", "gain")
         plants = sources.new("plants", "phase", "gain")
         self.draw(plot.patches, "xs", "ys", source=regions, line="reference", fill="band", line_width=1)
+        self._draw_contours(plot)
         self.span(plot, "width", "reference", location=0.0)
         self.draw(plot.line, "phase", "gain", source=plants, line="series-1", line_width=0.7, line_alpha=0.35)
         overlays.draw(plot, "phases", "gains")
@@ -180,6 +221,8 @@ class NicholsPanel(Panel):
         line = self.draw(plot.line, "phase", "gain", source=loop, line="series-1", line_width=2.2)
         look: dict[str, Any] = {"marker": "cross", "size": 11, "line_width": 2}
         self.draw(plot.scatter, "phase", "gain", source=critical, line="limit", **look)
+        cursor = sources.new("cursor_nichols", "phase", "gain")
+        self.draw(plot.scatter, "phase", "gain", source=cursor, line="ink", fill="page", size=8, line_width=2)
         rows = [("phase", "@phase{0.0}°"), ("gain", "@gain{0.0} dB"), ("frequency", "@frequency{0.[000]} Hz")]
         self.hover(plot, [line], rows, line_policy="interp")
         self.crosshair(plot)
@@ -192,11 +235,10 @@ class NicholsPanel(Panel):
         phase, gain = _thin_curves(nichols)
         self.sources.put("plants", phase=phase, gain=gain)
         loop = self.sources.by_name["loop"].data
+        # The critical point at the crossover with 90 degrees on both sides: the rest is seen by zooming out.
+        left, right = _CRITICAL_VIEW
         phases, gains = (np.concatenate([loop[name], one]) for name, one in (("phase", phase), ("gain", gain)))
-        seen = extent([phases[np.isfinite(gains) & (gains > _LOWEST) & (gains < _HIGHEST)]])
-        # The critical point is always in view, with 90 degrees on both sides.
-        self._phase.fit(None if seen is None else (min(seen[0], -270.0), max(seen[1], -90.0)))
-        self._gain.fit(extent([gains]))
+        self._gain.fit(extent([gains[(phases >= left) & (phases <= right)]]) or extent([gains]))
         self._regions(required)
         others = len(nichols.labels) - 1
         self.heading("" if required is None else f"grey: disk margin {required:g}")
@@ -205,6 +247,35 @@ class NicholsPanel(Panel):
         empty = not (np.isfinite(loop["phase"]).any() and np.isfinite(loop["gain"]).any())
         trouble = "no finite response of this loop" if empty else "" if picture.stable else "closed loop not stable"
         set_message(self._message, trouble)
+
+    def _draw_contours(self, plot: Any) -> None:
+        """Draw the contours of |T| around the critical points that the view may show."""
+        curves = self.sources.new("contours", lists=("xs", "ys"))
+        words = self.sources.new("contour_labels", "x", "y", lists=("text", "align"))
+        phases, gains, labels = gain_contours()
+        centres = (-540.0, -180.0, 180.0)
+        self.sources.put(
+            "contours", xs=[column(c + x) for c in centres for x in phases], ys=[column(y) for y in gains] * 3
+        )
+        self.sources.put(
+            "contour_labels",
+            x=column([c + x for c in centres for x, _, _ in labels]),
+            y=column([y for _, y, _ in labels] * 3),
+            text=[text for _, _, text in labels] * 3,
+            align=["right" if x else "center" for x, _, _ in labels] * 3,
+        )
+        self.draw(plot.multi_line, "xs", "ys", source=curves, line="grid", line_width=1)
+        text = plot.text(
+            "x", "y", text="text", source=words, text_align="align", text_font=value(FONT),
+            text_font_size=value("9px"), text_baseline="bottom",
+        )  # fmt: skip
+        self.theme.paint(text.glyph, text_color="muted")
+        text.visible = False
+
+        def follow(attr: str, old: object, new: object) -> None:
+            text.visible = inner_size(plot)[1] >= _LABELLED
+
+        plot.on_change("inner_height", follow)
 
     def _regions(self, alpha: float | None) -> None:
         if alpha is not None and not 0.0 < alpha < 2.0:

@@ -106,7 +106,7 @@ class LocusPanel(Panel):
     def __init__(self, theme: Theme, sources: Sources) -> None:
         super().__init__("locus", "Root locus", theme, sources)
         self._real, self._imaginary = View(-1.0, 0.3), View(-0.1, 1.0)
-        plot = self.add(self._real, self._imaginary, "real part, rad/s", "imaginary part, rad/s")
+        plot = self.add(self._real, self._imaginary, "Re s, rad/s", "Im s, rad/s")
         plot.xgrid.grid_line_color = plot.ygrid.grid_line_color = None
         self._reach = 0.0
         self._draw_plane(plot)
@@ -136,6 +136,8 @@ class LocusPanel(Panel):
 
     def _draw_poles(self, plot: Any) -> None:
         new, draw = self.sources.new, self.draw
+        cursor = new("cursor_locus", "re", "im")
+        draw(plot.line, "re", "im", source=cursor, line="reference", line_width=1.2, line_dash=[3, 3])
         reach = new("reach", "re", "im")
         area: dict[str, Any] = {"fill_alpha": 0.12, "line_alpha": 0.6, "line_dash": [4, 3]}
         draw(plot.patch, "re", "im", source=reach, line="series-1", fill="series-1", **area)

@@ -248,7 +248,9 @@ class Panel:
         axis.major_label_text_font_size = axis.axis_label_text_font_size = SMALL
         axis.axis_label_text_font_style = "normal"
         if isinstance(axis, LogAxis):
-            axis.ticker = LogTicker(desired_num_ticks=8, num_minor_ticks=0)
+            axis.ticker = LogTicker(desired_num_ticks=8, num_minor_ticks=9)
+            self.theme.paint(axis, minor_tick_line_color="frame")
+            axis.minor_tick_in, axis.minor_tick_out = 0, 2
             axis.formatter = LogTickFormatter(ticker=axis.ticker, min_exponent=4)
             # Within a decade the numbers come closer and closer together.
             axis.major_label_policy = NoOverlap(min_distance=_APART)
@@ -271,6 +273,7 @@ class Panel:
         axis.major_label_text_font_size, axis.major_label_text_alpha = (SMALL, 1.0) if shown else ("1px", 0.0)
         axis.axis_label = label if shown else ""
         axis.major_tick_out = 4 if shown else 0
+        axis.minor_tick_out = 2 if shown else 0
         # Room for half a number of the vertical axis.
         plot.min_border_bottom = 0 if shown else 8
 

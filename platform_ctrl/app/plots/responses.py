@@ -250,6 +250,7 @@ class RatePanel(TimePanel):
         lines = sources.new("Omega_gain", "frequency", "gain")
         band = sources.new("Omega_gain_band", "frequency", "low", "high")
         others = sources.new("Omega_gain_overlays", lists=("xs", "ys", "name", "colour", "dash"))
+        self.span(plot, "height", "reference", line_dash=[3, 3], name="cursor")
         self._beyond, self._edge = self.beyond(plot, "bottom"), self.limit_line(plot, "width")
         self.draw(plot.varea, "frequency", "low", "high", source=band, fill="series-1", fill_alpha=0.16)
         plot.multi_line("xs", "ys", source=others, line_color="colour", line_dash="dash", line_width=1.5)

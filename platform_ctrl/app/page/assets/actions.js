@@ -64,21 +64,32 @@ byId("saved-copy").addEventListener("click", async () => {
   byId("saved-copy").textContent = await copy(byId("saved-command").textContent) ? "Copied" : "Select it";
 });
 
-const grow = (panel, is) => {
-  for (const one of document.querySelectorAll(".panel")) {
-    const large = is && one === panel;
-    one.classList.toggle("large", large);
-    one.querySelector(".grow").setAttribute("aria-pressed", String(large));
+// One plot is large, the others are thumbnails; the large one may take all of the room, or all plots are equal.
+const LARGE = "platform_ctrl large plot";
+const kept = () => { try { return localStorage.getItem(LARGE); } catch { return null; } };
+const panels = () => [...document.querySelectorAll(".panel")];
+const large = () => document.querySelector(".panel.large");
+const grow = (panel, alone) => {
+  byId("plots").classList.toggle("grown", alone);
+  byId("plots").classList.toggle("focus", panel !== null);
+  for (const one of panels()) {
+    one.classList.toggle("large", one === panel);
+    const button = one.querySelector(".grow"), name = one.getAttribute("aria-label");
+    button.setAttribute("aria-pressed", String(one === panel));
+    button.setAttribute("aria-label", `${one !== panel ? "Enlarge" : alone ? "Back" : "Show alone"}: ${name}`);
   }
-  byId("plots").classList.toggle("grown", is);
-  if (is) panel.querySelector(".grow").focus();
+  try { localStorage.setItem(LARGE, panel?.id ?? "none"); } catch { /* it lasts as long as the page */ }
 };
 for (const button of document.querySelectorAll(".grow")) {
   button.addEventListener("click", () => {
-    const panel = button.closest(".panel");
-    grow(panel, !panel.classList.contains("large"));
+    const panel = button.closest(".panel"), alone = byId("plots").classList.contains("grown");
+    // Enlarged, then alone, then as all others.
+    if (panel !== large()) grow(panel, false);
+    else grow(alone ? null : panel, !alone);
+    button.focus();
   });
 }
+grow(kept() === "none" ? null : byId(kept() ?? "panel-bode") ?? byId("panel-bode"), false);
 let lastPanel = document.querySelector(".panel");
 for (const type of ["mouseover", "focusin"]) {
   byId("plots").addEventListener(type, (event) => { lastPanel = event.target.closest?.(".panel") ?? lastPanel; });
@@ -125,7 +136,7 @@ const KEYS = [
   ["V", "preview the next step, or not", (e) => e.key === "v", () => byId("preview").click()],
   ["Y", "apply the next step", (e) => e.key === "y", () => byId("apply").click()],
   ["S", "simulate the manoeuvre", (e) => e.key === "s", () => byId("simulate").click()],
-  ["F", "enlarge the plot last pointed at; again: back", (e) => e.key === "f", () => lastPanel.querySelector(".grow").click()],
+  ["F", "enlarge the plot last pointed at; again: alone, and equal to the others", (e) => e.key === "f", () => lastPanel.querySelector(".grow").click()],
   ["L", "copy the link", (e) => e.key === "l", acts.link],
   ["K", "theme: light, dark, as the system", (e) => e.key === "k", () => {
     const themes = ["light", "dark", "system"];
@@ -133,7 +144,7 @@ const KEYS = [
   }],
   ["Esc", "cancel what is going on; close", (e) => e.key === "escape", () => {
     if (!byId("busy").hidden) acts.cancel();
-    else if (byId("plots").classList.contains("grown")) grow(null, false);
+    else if (byId("plots").classList.contains("grown")) grow(large(), false);
   }],
   ["?", "this list", (e) => e.key === "?", acts.help],
 ];

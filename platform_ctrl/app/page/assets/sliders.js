@@ -1,7 +1,7 @@
 // The sliders: a row each with its number, unit, a lock and a reset button.
 import { request, byId, icon, made, move, newGesture, on, pending, put, settled, shown, typed } from "./messages.js";
 
-const STEPS = 1000, FINE = 2, COARSE = 20;
+const STEPS = 4000, FINE = 4, COARSE = 20;
 // Milliseconds without a key after which the next one begins a series of its own; a key that is held is one series.
 const SERIES = 1500;
 const GROUPS = { gains: "Gains", lead: "Lead and lag", lag: "Lag", notch: "Notch", design: "Design", sampling: "Sampling", rotors: "Rotors", Omega: "Platform rate" };
@@ -34,6 +34,7 @@ const paintRow = (row) => {
   row.painted = now;
   if (Number(range.value) !== position) range.value = position;
   range.style.setProperty("--at", `${position / STEPS * 100}%`);
+  range.style.setProperty("--start", `${place(slider, slider.start) / STEPS * 100}%`);
   range.setAttribute("aria-valuetext", `${shown(value)} ${slider.unit}`.trim());
   if (document.activeElement !== number || !row.typing) number.value = shown(value);
   pin.setAttribute("aria-pressed", String(slider.fixed));
@@ -62,6 +63,7 @@ const makeRow = (slider, k) => {
   const reset = made("button", { type: "button", className: "reset", title: "Reset to the job's value (R)", "aria-label": `Reset ${slider.label}` }, icon("reset"));
   const label = made("label", { for: id, title: slider.tip }, slider.label);
   const unit = made("span", { className: "unit" }, slider.unit);
+  range.title = "Shaded: all requirements are met, by their slopes; mark: the job's value";
   const tip = made("span", { hidden: true, id: `${id}-tip` }, slider.tip);
   const element = made("div", { className: "slider", "data-slider": slider.name }, label, range, number, unit, pin, reset, tip);
   const row = { slider, element, range, number, pin, reset, dragged: null, typing: false, painted: "" };
@@ -131,6 +133,27 @@ const build = (sliders, parts) => {
   byId("sliders").replaceChildren(...fieldsets);
   if (focused && rows.has(focused)) rows.get(focused).range.focus();
 };
+
+// Where all requirements are met, as far as their slopes tell: none is marked where one is missed now.
+const FARTHEST = 0.3;
+const admissible = ({ sliders, ratios, share, change }) => {
+  for (const [k, name] of sliders.entries()) {
+    const row = rows.get(name);
+    if (!row || !row.slider.value) continue;
+    let low = -FARTHEST, high = FARTHEST;
+    for (const [r, changes] of Object.values(change).entries()) {
+      const slope = typeof changes[k] === "number" ? changes[k] / share : changes[k] === null ? 0 : Infinity;
+      const room = 1 - ratios[r];
+      if (!(room >= 0)) { low = high = 0; break; }
+      if (slope > 0) high = Math.min(high, room / slope);
+      if (slope < 0) low = Math.max(low, room / slope);
+    }
+    const at = (share) => Math.min(100, Math.max(0, place(row.slider, row.slider.value * (1 + share)) / STEPS * 100));
+    row.range.style.setProperty("--from", `${at(low)}%`);
+    row.range.style.setProperty("--to", `${at(high)}%`);
+  }
+};
+on("influence", admissible);
 
 on("sliders", (sliders, message) => {
   const parts = message.parts ?? [];
