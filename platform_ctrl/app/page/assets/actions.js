@@ -68,6 +68,8 @@ byId("saved-copy").addEventListener("click", async () => {
 const LARGE = "platform_ctrl large plot";
 const kept = () => { try { return localStorage.getItem(LARGE); } catch { return null; } };
 const panels = () => [...document.querySelectorAll(".panel")];
+const ofBudget = (panel) => panel?.classList.contains("of-budget") === true;
+let chosen = null;
 const large = () => document.querySelector(".panel.large");
 const grow = (panel, alone) => {
   byId("plots").classList.toggle("grown", alone);
@@ -78,13 +80,18 @@ const grow = (panel, alone) => {
     button.setAttribute("aria-pressed", String(one === panel));
     button.setAttribute("aria-label", `${one !== panel ? "Enlarge" : alone ? "Back" : "Show alone"}: ${name}`);
   }
+  // The panels of the budget are large only alone.
+  if (ofBudget(panel)) return;
+  chosen = panel;
   try { localStorage.setItem(LARGE, panel?.id ?? "none"); } catch { /* it lasts as long as the page */ }
 };
+const back = () => grow(chosen, false);
 for (const button of document.querySelectorAll(".grow")) {
   button.addEventListener("click", () => {
     const panel = button.closest(".panel"), alone = byId("plots").classList.contains("grown");
     // Enlarged, then alone, then as all others.
-    if (panel !== large()) grow(panel, false);
+    if (panel !== large()) grow(panel, ofBudget(panel));
+    else if (ofBudget(panel)) back();
     else grow(alone ? null : panel, !alone);
     button.focus();
   });
@@ -144,7 +151,7 @@ const KEYS = [
   }],
   ["Esc", "cancel what is going on; close", (e) => e.key === "escape", () => {
     if (!byId("busy").hidden) acts.cancel();
-    else if (byId("plots").classList.contains("grown")) grow(large(), false);
+    else if (byId("plots").classList.contains("grown")) back();
   }],
   ["?", "this list", (e) => e.key === "?", acts.help],
 ];
