@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -16,15 +16,18 @@ from platform_ctrl.cli.job_arguments import (
     Quiet,
     controller_file,
     job_of,
+    option,
 )
+from platform_ctrl.errors import InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Sequence
 
     import control
 
     from platform_ctrl.job.job import Job
     from platform_ctrl.verification.budget_result import LineOfSightBudget, WindowBudget
+    from platform_ctrl.verification.simulated_budget import SimulatedBudget
 
 # Columns for the name of a source; with three axes a line has 80.
 _NAME, _KIND = 24, 14
@@ -33,7 +36,20 @@ _MICRO = 1e6
 _ROUNDING = 1e-12
 
 
-def budget(job: JobFile, controllers: Controllers = None, as_json: Json = False, quiet: Quiet = False) -> int:
+SIMULATE = option(
+    "--simulate", metavar="N", help="Simulate N runs of the non-linear plant beside it, friction and noise included."
+)
+SEED = option("--seed", metavar="N", help="Random seed of these runs. Default: 0.")
+
+
+def budget(
+    job: JobFile,
+    controllers: Controllers = None,
+    simulate: Annotated[int | None, SIMULATE] = None,
+    seed: Annotated[int | None, SEED] = None,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> int:
     """Print how much the line of sight shakes, and from what.
 
     Closes existing controllers around the coupled sampled model at rest, or designs them where there are none, and
@@ -44,6 +60,7 @@ def budget(job: JobFile, controllers: Controllers = None, as_json: Json = False,
     \b
     platform-ctrl budget job.toml                          with the controllers of out/result.json
     platform-ctrl budget job.toml --controllers mine.json  with others
+    platform-ctrl budget job.toml --simulate 200           what the non-linear plant does beside it
     platform-ctrl budget job.toml --json | jq .total       to compute with
     """  # noqa: D301
     from platform_ctrl.cli.terminal import progress, screen, show_requirements
@@ -56,16 +73,35 @@ def budget(job: JobFile, controllers: Controllers = None, as_json: Json = False,
         closed = _controllers(read, job, controllers, say)
         say("budget: every source through the coupled sampled model")
         found = line_of_sight_budget(read, closed)
+        runs = _simulated(read, closed, simulate, seed, say)
     if as_json:
         from platform_ctrl.common.json_text import json_text
         from platform_ctrl.verification.records import budget_record
 
-        typer.echo(json_text(budget_record(read, found)))
+        typer.echo(json_text(budget_record(read, found, runs)))
     else:
-        for line in budget_lines(read, found):
+        for line in budget_lines(read, found, runs):
             typer.echo(line)
         show_requirements(screen(), found.results)
     return 0 if found.passed else 1
+
+
+def _simulated(
+    job: Job, controllers: Sequence[control.StateSpace], runs: int | None, seed: int | None, say: Callable[[str], None]
+) -> SimulatedBudget | None:
+    """Return what runs show, None where none are wanted."""
+    if runs is None:
+        if seed is not None:
+            raise InputError("--seed: it is the seed of simulated runs; give --simulate N as well")
+        return None
+    if runs < 2 or (seed is not None and seed < 0):
+        raise InputError("--simulate: give at least 2 runs, and a seed of 0 or more")
+    import os
+
+    from platform_ctrl.verification.simulated_budget import simulated_budget
+
+    say(f"budget: {runs} runs of the non-linear plant")
+    return simulated_budget(job, controllers, runs, seed=seed or 0, threads=os.cpu_count() or 1)
 
 
 def _controllers(job: Job, path: Path, given: Path | None, say: Callable[[str], None]) -> list[control.StateSpace]:
@@ -82,7 +118,7 @@ def _controllers(job: Job, path: Path, given: Path | None, say: Callable[[str], 
     return read_controllers(file, job)
 
 
-def budget_lines(job: Job, found: LineOfSightBudget) -> Iterator[str]:
+def budget_lines(job: Job, found: LineOfSightBudget, runs: SimulatedBudget | None = None) -> Iterator[str]:
     """Walk the lines of the tables, 80 columns wide."""
     assert job.budget is not None
     yield f"{job.name}: line of sight, {job.budget.from_hz:g} to {job.budget.to_hz:g} Hz, µrad rms and share"
@@ -102,7 +138,21 @@ def budget_lines(job: Job, found: LineOfSightBudget) -> Iterator[str]:
     for line in () if found.friction is None else found.friction.statement:
         yield ""
         yield from _wrapped(line)
+    if runs is not None:
+        yield ""
+        yield from _runs(runs)
     yield ""
+
+
+def _runs(runs: SimulatedBudget) -> Iterator[str]:
+    yield f"simulated, {runs.runs} runs of seed {runs.seed}: µrad rms about the mean of {runs.time:g} s"
+    yield _row("non-linear plant", [_micro(x) for x in runs.rms])
+    yield _row("its 95 % interval, from", [_micro(x) for x in runs.low])
+    yield _row("to", [_micro(x) for x in runs.high])
+    yield _row("linear budget of the same", [_micro(x) for x in runs.linear])
+    yield from _wrapped(f"both axes across: simulated over linear {runs.ratio:.3f}")
+    for line in runs.left_out:
+        yield from _wrapped(f"not simulated: {line}")
 
 
 def _window(job: Job, window: WindowBudget) -> Iterator[str]:

@@ -30,6 +30,7 @@ from platform_ctrl.verification.budget_result import LineOfSightBudget
 from platform_ctrl.verification.coupled import CoupledCheck
 from platform_ctrl.verification.json_tables import SCHEMA
 from platform_ctrl.verification.simulated import Run, largest
+from platform_ctrl.verification.simulated_budget import SimulatedBudget
 from platform_ctrl.verification.verdict import JobResult, Proofs
 
 Record = dict[str, Any]
@@ -63,7 +64,7 @@ def result_record(result: JobResult) -> Record:
     return out
 
 
-def budget_record(job: Job, found: LineOfSightBudget) -> Record:
+def budget_record(job: Job, found: LineOfSightBudget, runs: SimulatedBudget | None = None) -> Record:
     """Return the budget of a job's line of sight in plain types, SI units; what ``budget --json`` prints."""
     assert job.budget is not None
     record = {
@@ -95,6 +96,19 @@ def budget_record(job: Job, found: LineOfSightBudget) -> Record:
         "friction": () if found.friction is None else _friction(found.friction),
         "requirements": [_requirement(one) for one in found.results],
     }
+    if runs is not None:
+        record["simulated"] = {
+            "runs": runs.runs,
+            "seed": runs.seed,
+            "time": runs.time,
+            "settle": runs.settle,
+            "rms": runs.rms,
+            "low": runs.low,
+            "high": runs.high,
+            "linear": runs.linear,
+            "ratio": runs.ratio,
+            "left_out": runs.left_out,
+        }
     out: Record = plain_types(record)
     return out
 

@@ -1,0 +1,84 @@
+"""The line of sight's budget against runs of the non-linear plant."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from platform_ctrl.cli import main
+from platform_ctrl.errors import ArgumentError
+from platform_ctrl.verification.budget import line_of_sight_budget
+from platform_ctrl.verification.simulated_budget import SimulatedBudget, simulated_budget
+from verification.test_budget import LIMITS, controllers, job
+
+
+def spread(found: SimulatedBudget) -> float:
+    """Return half of the 95 % interval over the rms of the first axis."""
+    return float((found.high[0] - found.low[0]) / (2.0 * found.rms[0]))
+
+
+def test_where_all_is_linear_runs_have_the_rms_of_the_budget(tmp_path: Path) -> None:
+    found = simulated_budget(job(tmp_path), controllers(), 192, time=0.5)
+    # Four standard errors; the interval has two.
+    assert found.rms[0] == pytest.approx(found.linear[0], rel=2.0 * spread(found))
+    assert spread(found) < 0.1
+    assert found.low[0] < found.rms[0] < found.high[0]
+    # A camera that turns about its pitch axis alone looks nowhere else.
+    assert found.rms[1] == pytest.approx(0.0, abs=1e-12)
+    assert found.left_out == ("bearing: runs have no torque on a gimbal but that of its motor",)
+
+
+@pytest.mark.slow
+def test_where_all_is_linear_runs_have_the_rms_of_the_budget_within_a_per_cent(tmp_path: Path) -> None:
+    found = simulated_budget(job(tmp_path), controllers(), 10_000, time=0.5)
+    assert spread(found) < 0.01
+    assert found.rms[0] == pytest.approx(found.linear[0], rel=0.01)
+
+
+def test_a_bearing_that_hardly_slides_is_simulated_where_the_budget_does_not_hold(tmp_path: Path) -> None:
+    stuck = job(tmp_path, friction=", coulomb = 0.05, coulomb_rate = 0.05")
+    budget = line_of_sight_budget(stuck, controllers())
+    assert budget.friction is not None
+    assert not budget.friction.valid[0]
+    assert "simulate" in budget.friction.statement[0]
+    few, again = (simulated_budget(stuck, controllers(), 8, time=0.25) for _ in range(2))
+    assert math.isfinite(few.ratio)
+    np.testing.assert_array_equal(few.rms, again.rms)
+    assert np.any(simulated_budget(stuck, controllers(), 8, seed=1, time=0.25).rms != few.rms)
+
+
+def test_what_runs_cannot_have_is_named(tmp_path: Path) -> None:
+    joined = '[[budget.correlation]]\nbetween = ["pitch rate", "vibration"]\ncoherence = 0.5\n'
+    found = simulated_budget(job(tmp_path, joined), controllers(), 2, time=0.05)
+    assert [line.partition(":")[0] for line in found.left_out] == ["bearing", "correlations"]
+    with pytest.raises(ArgumentError, match="runs must be"):
+        simulated_budget(job(tmp_path), controllers(), 1)
+
+
+def test_the_command_prints_what_runs_show_beside_the_budget(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    job(tmp_path, LIMITS)
+    K = controllers()[0]
+    record = {"name": "pitch", "inputs": ["gyro"], "outputs": ["Qpitch"], "dt": 0.001, "delay": 0.0007}
+    record |= {name: getattr(K, name).tolist() for name in "ABCD"}
+    Path("k.json").write_text(json.dumps({"schema": 1, "controllers": [record]}), encoding="utf-8")
+    given = ["budget", "camera.toml", "--controllers", "k.json", "--simulate", "4"]
+    assert main(given) == 1
+    out = capsys.readouterr().out
+    assert "simulated, 4 runs of seed 0" in out
+    assert "not simulated: bearing" in out
+    assert max(map(len, out.partition("not simulated")[0].splitlines())) <= 80
+    assert main([*given, "--seed", "3", "--json"]) == 1
+    data = json.loads(capsys.readouterr().out)["simulated"]
+    assert (data["runs"], data["seed"]) == (4, 3)
+    assert data["ratio"] == pytest.approx(np.hypot(*data["rms"][:2]) / np.hypot(*data["linear"][:2]), rel=1e-12)
+    assert main([*given[:-1], "1"]) == 2
+    assert "at least 2 runs" in capsys.readouterr().err
+    assert main([*given[:-2], "--seed", "3"]) == 2
+    assert "give --simulate" in capsys.readouterr().err
