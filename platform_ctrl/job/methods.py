@@ -302,6 +302,7 @@ register_method(
 register_method(
     DesignMethod(
         key="hinf",
+        kinds=("caging", "rate", "pointing", "tracking"),
         design="platform_ctrl.design.riccati.weighted_loop:hinf_design",
         options=_HINF,
         defaults="platform_ctrl.design.riccati.weighted_loop:hinf_options",
@@ -311,6 +312,7 @@ register_method(
 register_method(
     DesignMethod(
         key="lqg",
+        kinds=("caging", "rate", "pointing", "tracking"),
         design="platform_ctrl.design.riccati.weighted_loop:lqg_design",
         options=_WEIGHTS,
         defaults="platform_ctrl.design.riccati.weighted_loop:lqg_options",

@@ -1,0 +1,59 @@
+"""A tracking loop by every method that designs one: commands of the rate loop from a late tracker."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from commanded_gimbal import commanded_job
+from platform_ctrl import read_job
+from platform_ctrl.analysis.poles import poles
+from platform_ctrl.analysis.response import frequency_response
+from platform_ctrl.design import loops
+
+DELAY = 0.005
+
+
+def job_of(method: str, **rate_design: Any) -> dict[str, Any]:
+    job = commanded_job([], **rate_design) | {"manoeuvre": []}
+    job["plant"]["attitude_sensor"][0]["delay"] = DELAY
+    tracking = {
+        "name": "track",
+        "kind": "tracking",
+        "around": "loop",
+        "sensors": ["heading"],
+        "use": "own",
+        "limits": {"disk_margin": 0.5, "steady_error": 1e-6},
+        "design": [{"name": "own", "method": method}],
+    }
+    job["loop"].append(tracking)
+    return job
+
+
+@pytest.mark.parametrize("method", ["pi", "hinf", "lqg"])
+def test_a_tracking_loop_leaves_no_error_and_is_proved(method: str) -> None:
+    tracking, rate = loops(read_job(job_of(method)))
+    closed = tracking.closed
+    assert closed.passed
+    assert not closed.unproved
+    assert closed.controller.input_labels == ["heading"]
+    assert closed.controller.output_labels == ["gyro_command"]
+    assert rate.closed.controller.input_labels == ["gyro", "gyro_command"]
+    # Its own integrator, and that of the gimbal behind the rate loop: the gain rises by the square of the period.
+    assert np.abs(poles(np.asarray(closed.controller.A)) - 1.0).min() < 1e-9
+
+
+def test_a_rate_loop_passes_the_commands_of_a_loop_around_it_through_its_filter() -> None:
+    plain, shaped = (
+        loops(read_job(job_of("pi", **more)))[0].closed.plants for more in ({}, {"command": {"filter_hz": 5.0}})
+    )
+    assert plain is not None
+    assert shaped is not None
+    w, f = np.array([3.0, 30.0]), 10.0 * np.pi
+    ratio = [
+        frequency_response(one.whole._replace(A=one.A[0], B=one.B[0], C=one.C[0], D=one.D[0]), w)
+        for one in (shaped, plain)
+    ]
+    np.testing.assert_allclose(ratio[0].ravel() / ratio[1].ravel(), (f / (1j * w + f)) ** 2, rtol=2e-3)
