@@ -123,7 +123,17 @@ class LoopSet:
         D_read[..., m + 3 :] += np.eye(p)
         C = np.concatenate([C[..., : m + p, :], C_read, C[..., m + p :, :]], axis=-2)
         D = np.concatenate([D[..., : m + p, :], D_read, D[..., m + p :, :]], axis=-2)
+        if (fed := self.fed_torque) is not None:
+            # The torque is what the controller sets and what feedforward adds, whose states are the plants' last.
+            n, f = self.plants.A.shape[-1], len(fed.A)
+            C[..., :m, n - f : n] += fed.C
+            D[..., :m, m : m + 3] += fed.D
         return StateArrays(A, B, C, D, self.plants.period)
+
+    @property
+    def fed_torque(self) -> StateArrays | None:
+        """From the platform's rate to the torques that feedforward adds to the controller's; None: nothing."""
+        return None if self.plants.feedforward is None else self.plants.feedforward.torque
 
     @cached_property
     def own_arrays(self) -> StateArrays:
@@ -254,6 +264,8 @@ class LoopSet:
             response = sight[..., : self.m] @ response
             if transfer.source != "noise":
                 response += sight[..., self.m :] if transfer.source == "Omega" else sight[..., : self.m]
+        if transfer.target == "torque" and transfer.source == "Omega" and (fed := self.fed_torque) is not None:
+            response = response + frequency_response(fed, plants.frequency, -3)
         if not transfer.of_limit:
             return [response]
         torque = response * self._shares

@@ -149,11 +149,16 @@ def _key(request: Request) -> tuple[str, float, float | None, Channel | None]:
 
 
 def torque_noise(loops: LoopSet, plants: slice = slice(None)) -> FloatArray:
-    """Return the rms of every torque from the noise of the pick-offs, N m, (k, m); infinite of an unstable loop."""
+    """Return the rms of every torque from the noise of the sensors, N m, (k, m); infinite of an unstable loop."""
     A, B, C, D, dt = loops.own_arrays
     m = loops.m
-    noise_to_torque = StateArrays(A[plants], B[plants, :, m:], C[plants, :m], D[plants, :m, m:], dt)
-    return noise_rms(noise_to_torque, loops.plants.noise, allow_unstable=True)
+    to_torque = StateArrays(A[plants], B[plants], C[plants, :m], D[plants, :m], dt)
+    of_readings = to_torque._replace(B=to_torque.B[..., m:], D=to_torque.D[..., m:])
+    out = noise_rms(of_readings, loops.plants.noise, allow_unstable=True)
+    fed = loops.plants.feedforward
+    if fed is not None:
+        out = np.hypot(out, noise_rms(fed.noise_of_torques(to_torque), np.ones(len(fed.sensors)), allow_unstable=True))
+    return out
 
 
 def _classical_margin(which: int) -> Callable[[LoopSet, Request], FloatArray]:

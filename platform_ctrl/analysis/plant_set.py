@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, named_system, state_arrays
+from platform_ctrl.analysis.feedforward import RateFeedforward
 from platform_ctrl.analysis.following import feedback_part
 from platform_ctrl.analysis.frequency_grids import tuning_grid
 from platform_ctrl.analysis.resolvent import ON_A_GRID
@@ -25,6 +26,8 @@ if TYPE_CHECKING:
 
 BoolArray = NDArray[np.bool_]
 
+# Matrices that differ by less than this share of their largest entry are the same.
+_ALIKE = 1e-9
 # Ending of the name of a command: what a loop holds a reading at.
 COMMAND = "_command"
 
@@ -75,6 +78,8 @@ class PlantSet:
         Of these outputs: (N, q, n), and directly from torques and Omega, (N, q, m + 3).
     sight_response : complex (N, F, q, m + 3)
         Of the plants on `frequency`, torques and platform rate → outputs of the line of sight.
+    feedforward
+        Feedforward of the platform's rate that the plants have: see `fed_forward`; None where there is none.
     """
 
     A: FloatArray
@@ -100,6 +105,7 @@ class PlantSet:
     C_sight: FloatArray
     D_sight: FloatArray
     sight_response: ComplexArray
+    feedforward: RateFeedforward | None = None
 
     @property
     def whole(self) -> StateArrays:
@@ -111,6 +117,50 @@ class PlantSet:
             np.concatenate([np.concatenate([self.D, self.D_Omega], axis=-1), self.D_sight], axis=-2),
             self.period,
         )
+
+    def fed_forward(self, feedforward: RateFeedforward) -> PlantSet:
+        """Return the plants with feedforward of the platform's rate, its states behind theirs.
+
+        Gains from the platform's rate change, those of the loop do not. The torque that feedforward adds counts in
+        what the platform's rate does to the torques, its sensors' noise in what noise does.
+        """
+        m, p = len(self.torques), len(self.angles)
+        whole = feedforward.taken_up(self.whole, m, p)
+        added = whole.A.shape[-1] - len(self.states)
+        out = dataclasses.replace(
+            self,
+            A=whole.A,
+            B=whole.B[..., :m],
+            C=whole.C[:, :p],
+            D=whole.D[:, :p, :m],
+            B_Omega=whole.B[..., m:],
+            D_Omega=whole.D[:, :p, m:],
+            C_sight=whole.C[:, p:],
+            D_sight=whole.D[:, p:],
+            states=(*self.states, *(f"feedforward_{k + 1}" for k in range(added))),
+            feedforward=feedforward,
+        )
+        return out.on(self.frequency)
+
+    @property
+    def noise_input(self) -> FloatArray:
+        """How independent samples of unit rms become the noise of what the controller reads, (p, k).
+
+        Noise that feedforward filters before it is read is not in it.
+        """
+        own, fed = np.diag(self.noise), self.feedforward
+        static = fed is not None and fed.into == "reading" and not len(fed.path.A)
+        return np.hstack([own, fed.path.D * fed.noise]) if fed is not None and static else own
+
+    def of_torques(self, k: int = 0) -> StateArrays:
+        """Return plant `k` from its torques to what is measured, without states that no torque changes."""
+        added = 0 if self.feedforward is None else len(self.feedforward.from_rate.A)
+        n = self.A.shape[-1] - added
+        return StateArrays(self.A[k, :n, :n], self.B[k, :n], self.C[k, :, :n], self.D[k], self.period)
+
+    def named_inputs(self, commands: Sequence[str] = ()) -> list[str]:
+        """Return the names of what a delivered controller reads: the angles, commands, sensors of feedforward."""
+        return [*self.angles, *commands, *(self.feedforward.sensors if self.feedforward is not None else ())]
 
     def on(self, frequency: FloatArray) -> PlantSet:
         """Return the set on another grid of frequencies (F,), rad/s."""
@@ -142,8 +192,9 @@ class PlantSet:
     def joined(self, controller: control.StateSpace | StateArrays) -> StateArrays:
         """Return the arrays of a controller u = K y from all angles of this set to all of its torques, in its order.
 
-        A `control.StateSpace` is joined by the names of its signals. Commands are left out, and what they alone reach.
-        Other signals, sizes or sample periods are refused.
+        A `control.StateSpace` is joined by the names of its signals. Commands are left out, and what they alone reach,
+        and so is feedforward of the platform's rate, which is a part of the plants. Other signals, sizes or sample
+        periods are refused.
         """
         K = controller if isinstance(controller, StateArrays) else state_arrays(controller, "controller")
         if abs(K.dt - self.period) > 1e-9 * self.period:
@@ -151,14 +202,14 @@ class PlantSet:
         if not isinstance(controller, StateArrays):
             columns, rows = list(controller.input_labels), list(controller.output_labels)
             columns = [name for name in columns if name.removesuffix(COMMAND) == name or name in self.angles]
-            if set(columns) != set(self.angles) or set(rows) != set(self.torques):
+            if set(columns) != set(self.named_inputs()) or set(rows) != set(self.torques):
                 raise ArgumentError(
-                    f"controller: inputs and outputs must be {list(self.angles)} and {list(self.torques)}, "
+                    f"controller: inputs and outputs must be {self.named_inputs()} and {list(self.torques)}, "
                     f"got {columns} and {rows}"
                 )
-            columns = list(controller.input_labels)
-            at, of = [columns.index(name) for name in self.angles], [rows.index(name) for name in self.torques]
-            K = feedback_part(StateArrays(K.A, K.B, K.C[of], K.D[of], K.dt), at)
+            own, names = self.without_feedforward(controller)
+            at, of = [names.index(name) for name in self.angles], [rows.index(name) for name in self.torques]
+            K = feedback_part(StateArrays(own.A, own.B, own.C[of], own.D[of], own.dt), at)
         else:
             K = self.feedback(K)
         if K.D.shape != (len(self.torques), len(self.angles)):
@@ -167,6 +218,24 @@ class PlantSet:
                 f"got {K.D.shape[1]} and {K.D.shape[0]}"
             )
         return K
+
+    def without_feedforward(self, controller: control.StateSpace) -> tuple[StateArrays, list[str]]:
+        """Return a controller's arrays and inputs without feedforward, which must be the one that the plants have."""
+        K, names, fed = state_arrays(controller, "controller"), list(controller.input_labels), self.feedforward
+        if fed is None:
+            return K, names
+        others = [name for name in names if name not in (*self.angles, *fed.sensors)]
+        own, n = [*self.angles, *others], len(K.A) - len(fed.path.A)
+        every = [names.index(name) for name in (*own, *fed.sensors)]
+        of = [list(controller.output_labels).index(name) for name in self.torques]
+        inner = StateArrays(K.A[:n, :n], K.B[:n, every[: len(own)]], K.C[:, :n], K.D[:, every[: len(own)]], K.dt)
+        made = fed.joined_to(StateArrays(inner.A, inner.B, inner.C[of], inner.D[of], K.dt))
+        if not _alike(StateArrays(K.A, K.B[:, every], K.C[of], K.D[np.ix_(of, every)], K.dt), made):
+            raise ArgumentError(
+                f"controller: its feedforward from {', '.join(fed.sensors)} is not the one that follows from the "
+                "plant; design it again"
+            )
+        return inner, own
 
     def feedback(self, controller: StateArrays) -> StateArrays:
         """Return K of a controller u = K y, itself, or of u = K y + H r, with twice as many inputs."""
@@ -184,6 +253,7 @@ class PlantSet:
             noise=np.sqrt(sense**2 @ self.noise**2),
             response=sense @ self.response,
             Omega_response=sense @ self.Omega_response,
+            feedforward=None if self.feedforward is None else self.feedforward.in_directions(sense),
         )
 
     @check_arguments
@@ -224,6 +294,14 @@ class PlantSet:
             D_sight=self.D_sight[index],
             sight_response=self.sight_response[index],
         )
+
+
+def _alike(one: StateArrays, other: StateArrays) -> bool:
+    """Return whether two systems have the same matrices but for rounding."""
+    pairs = [(getattr(one, name), getattr(other, name)) for name in "ABCD"]
+    return all(
+        a.shape == b.shape and bool(np.all(np.abs(a - b) <= _ALIKE * np.abs(b).max(initial=0.0))) for a, b in pairs
+    )
 
 
 def members(groups: Sequence[str], of: Sequence[str]) -> BoolArray:

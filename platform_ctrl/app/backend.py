@@ -74,6 +74,7 @@ class Backend(Drags):
         if controllers is None and self.path is not None and controllers_beside(self.path).exists():
             controllers = controllers_beside(self.path)
         self._loops = ClosedLoops(self.read, None if controllers is None else Path(controllers))
+        self.read = self._loops.read
         self._designs = Designs(self._loops)
         self._simulator = TaskRunner()
         self.job_parts = JobParts(self._loops)

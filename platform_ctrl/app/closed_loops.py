@@ -24,7 +24,7 @@ from platform_ctrl.app.stabilised import CachedMargins
 from platform_ctrl.common.arguments import known_name
 from platform_ctrl.design.loop import LoopProblem, designed
 from platform_ctrl.design.loop_signals import loop_signals
-from platform_ctrl.errors import DesignError, PlatformCtrlError
+from platform_ctrl.errors import DesignError, InputError, PlatformCtrlError
 from platform_ctrl.job.job import DesignSpec, Job, LoopSpec
 from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.job.methods import METHODS
@@ -37,6 +37,27 @@ if TYPE_CHECKING:
 
 # Designs that are kept for settings that a page may return to.
 _ROOM = 64
+
+
+def without_feedforward(job: Job) -> tuple[Job, dict[str, str]]:
+    """Return the job without designs that have feedforward or sensors of their own, and a line about them by loop."""
+    loops, lines = [], {}
+    for spec in job.loops:
+        designs = tuple(one for one in spec.designs if one.feedforward is None and not one.sensors)
+        left = [one.name for one in spec.designs if one not in designs]
+        if not designs:
+            raise InputError(
+                f"loop {spec.name!r}: the page shows no designs with feedforward or sensors of their own; add a design "
+                "without them, or use platform-ctrl design and its report"
+            )
+        if left:
+            names = ", ".join(left)
+            lines[spec.name] = (
+                f"{spec.name}: {names}, with feedforward or sensors of their own, are shown in the report"
+            )
+        use = spec.use if spec.use not in left else designs[0].name
+        loops.append(dataclasses.replace(spec, designs=designs, use=use))
+    return dataclasses.replace(job, loops=tuple(loops)), lines
 
 
 def at_rate(K: StateArrays, period: float, design: str) -> StateArrays:
@@ -95,7 +116,9 @@ class ClosedLoops:
     """The loops of a job, closed as settings say."""
 
     def __init__(self, job: Job, controllers: Path | None) -> None:
-        self.read = job
+        # By loop a line about designs that the page does not show.
+        self.read, self._left_out = without_feedforward(job)
+        job = self.read
         self.plants = JobPlants(job)
         self.options = DesignOptions(self.plants)
         # Controllers by loop, design and conditions: made here, and read from a file, which no method could make again.
@@ -248,7 +271,7 @@ class ClosedLoops:
         plants, shown = self.plants.caged(settings, spec)
         K, note = self.caging(settings, spec, design)
         loop = CagedLoop(job=job, spec=spec, design=design.name, plants=plants, shown=shown, controller=K)
-        return loop, (note,) if note else ()
+        return loop, tuple(line for line in (note, self._left_out.get(spec.name, "")) if line)
 
     def stabilised(self, settings: Settings) -> tuple[StabilisedLoop, tuple[str, ...]]:
         """Return all loops closed around the free platform, and lines about their controllers."""

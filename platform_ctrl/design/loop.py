@@ -42,7 +42,7 @@ class LoopDesign:
     controller
         u = K y with ``dt`` the sample period; inputs are signals that it measures, outputs the torques that it sets. A
         loop that is commanded, by one around it or in a run, has u = K (y − command), its commands behind the signals:
-        NAME + ``_command``.
+        NAME + ``_command``. Sensors of feedforward of the platform's rate come last.
     options
         The method's numbers as finally used, in the units of the job file.
     plants
@@ -86,7 +86,7 @@ class LoopDesign:
 
     @property
     def own_controller(self) -> control.StateSpace:
-        """The controller from what the loop measures, without its commands."""
+        """The controller from what the loop measures, without its commands and feedforward."""
         if self.plants is None:
             return self.controller
         return named_system(self.plants.joined(self.controller), self.plants.angles, self.plants.torques)
@@ -147,7 +147,7 @@ class LoopProblem:
         """Gyroscopic pairs and inertial directions of the loop's gimbals."""
         if self.directions is not None:
             return self.directions
-        signals = loop_signals(self.model.platform, self.spec)
+        signals = loop_signals(self.model.platform, self.spec.read_by(self.design))
         return loop_channels(self.model, signals, self.job.sampling.period)
 
 
@@ -279,12 +279,11 @@ def _with_evidence(
     """Return a measured controller with its results and certificates."""
     results, goals = limits_and_goals(spec, name, plants, measures)
     certificates, unproved = _proofs(spec, plants, plants.feedback(K), measures, known)
-    inputs = [*plants.angles, *_commands(plants)][: K.B.shape[1]]
     return LoopDesign(
         loop=spec.name,
         name=name,
         method=method,
-        controller=named_system(K, inputs, plants.torques, name=f"{spec.name}, {name}"),
+        controller=_delivered(K, plants, f"{spec.name}, {name}"),
         plants=plants,
         measures=measures,
         results=results,
@@ -298,13 +297,20 @@ def _commands(plants: PlantSet) -> list[str]:
     return [f"{name}{COMMAND}" for name in plants.angles]
 
 
+def _delivered(K: StateArrays, plants: PlantSet, name: str) -> control.StateSpace:
+    """Return a controller of what the plants measure, perhaps of its commands behind it, with feedforward, by name."""
+    commands = _commands(plants)[: K.B.shape[1] - len(plants.angles)]
+    whole = K if plants.feedforward is None else plants.feedforward.joined_to(K)
+    return named_system(whole, plants.named_inputs(commands), plants.torques, name=name)
+
+
 def with_commands(plants: PlantSet, controller: control.StateSpace) -> StateArrays:
     """Return a controller of what the plants measure and, if it takes their commands, of these behind it."""
     own = plants.joined(controller)
-    names, commands = list(controller.input_labels), _commands(plants)
+    (A, B, C, D, dt), names = plants.without_feedforward(controller)
+    commands = _commands(plants)
     if not set(commands) <= set(names):
         return own
-    A, B, C, D, dt = state_arrays(controller, "controller")
     at = [names.index(name) for name in (*plants.angles, *commands)]
     of = [controller.output_labels.index(name) for name in plants.torques]
     p, K = len(plants.angles), StateArrays(A, B[:, at], C[of], D[np.ix_(of, at)], dt)
@@ -320,8 +326,7 @@ def commanded(design: LoopDesign) -> LoopDesign:
     if set(_commands(plants)) <= set(design.controller.input_labels):
         return design
     arrays = with_error_alone(plants.joined(design.controller))
-    inputs = [*plants.angles, *_commands(plants)]
-    controller = named_system(arrays, inputs, plants.torques, name=str(design.controller.name))
+    controller = _delivered(arrays, plants, str(design.controller.name))
     return dataclasses.replace(design, controller=controller)
 
 

@@ -123,12 +123,19 @@ def _effect(model: LinearModel, signals: LoopSignals, period: float) -> FloatArr
     """Return what each torquer does to each reading, or to its rate of angles, at a hundredth of the sample rate."""
     weights = [sensor.signals(model.platform) for sensor in signals.sensors]
     names = list(dict.fromkeys(name for one in weights for name in one))
-    system = observed(state_space(model, gimbals=signals.gimbals, others="held"), model.platform, names, model.q0)
+    # A sensor may have the name of the signal that it reads, but shows it with its low-pass and errors.
+    bare = without_sensors(model.platform)
+    system = observed(state_space(model, gimbals=signals.gimbals, others="held"), bare, names, model.q0)
     inputs = [system.input_labels.index(torquer.name) for torquer in signals.torquers]
     s = 2j * np.pi * 0.01 / period
     shown = system.C @ np.linalg.solve(s * np.eye(system.nstates) - system.A, system.B[:, inputs])
     mixing = np.array([[one.get(name, 0.0) for name in names] for one in weights])
     return np.asarray(np.real(s**signals.order * (mixing @ shown)))
+
+
+def without_sensors(platform: Platform) -> Platform:
+    """Return the platform alone: what is observed of it by name are its signals."""
+    return dataclasses.replace(platform, pickoffs=(), angle_sensors=(), rate_sensors=(), attitude_sensors=())
 
 
 def shows_each(effect: FloatArray) -> bool:

@@ -35,7 +35,7 @@ _SLOW_MOTION = 1e-3
 # Phase that a tracker's delay takes at the frequency that its loop goes by, rad.
 _PHASE = 0.5
 # Rate at which angles that a rate loop leaves free decay in its plants, 1/s: four times what every pole has to.
-_FORGETTING = 0.2
+FORGETTING = 0.2
 # Largest angle of a motion in a sample period, rad: beyond it a sampled plant has lost all digits.
 _LARGEST_ANGLE = 1e6
 
@@ -50,8 +50,8 @@ def plants_of(job: Job, spec: LoopSpec) -> PlantSet | None:
         raise InputError(f"loop {spec.name!r}: {error}") from None
 
 
-def forgetting(A: FloatArray, states: Sequence[str], angles: Collection[str]) -> FloatArray:
-    """Return A (..., n, n) with those of its states that are `angles` decaying.
+def forgetting(A: FloatArray, states: Sequence[str], angles: Collection[str], rate: float = FORGETTING) -> FloatArray:
+    """Return A (..., n, n) with those of its states that are `angles` decaying at a `rate`, 1/s.
 
     A loop that holds a body is in balance at any angle: it holds against a cable or a weight that pulls at it. So
     each of its angles is a closed-loop pole at zero, which says nothing about the loop, but which no verdict and no
@@ -60,7 +60,7 @@ def forgetting(A: FloatArray, states: Sequence[str], angles: Collection[str]) ->
     out = A.copy()
     for k, name in enumerate(states):
         if name in angles:
-            out[..., k, k] -= _FORGETTING
+            out[..., k, k] -= rate
     return out
 
 
@@ -179,19 +179,22 @@ def sampled_plants(linear: LinearPlants, sampling: Sampling, Omega: FloatArray) 
     )
 
 
-def tracking_plants(job: Job, spec: LoopSpec, inner: LoopSpec, controller: StateArrays) -> tuple[PlantSet, Channels]:
+def tracking_plants(
+    job: Job, spec: LoopSpec, inner: LoopSpec, inside: PlantSet, controller: StateArrays
+) -> tuple[PlantSet, Channels]:
     """Return the plants of a tracking loop, from commands of the rate loop inside to its readings, and its directions.
 
-    `controller` is that of the rate loop, closed around each of its plants, with its commands behind what it measures
-    where it does more with them than to compare.
+    `inside` are the plants of the rate loop's design, its feedforward in them, around each of which its `controller` is
+    closed, with its commands behind what it measures where it does more with them than to compare.
     """
     sensors = {sensor.name: sensor for sensor in job.platform.sensors}
-    own = loop_signals(job.platform, inner)
+    own = loop_signals(job.platform, dataclasses.replace(inner, sensors=inside.angles))
     both = dataclasses.replace(own, sensors=(*own.sensors, *(sensors[name] for name in spec.sensors)))
     plants = _loop_plants(job, both)
     p, m = len(own.sensors), len(own.torquers)
     K = controller if controller.D.shape[1] == 2 * p else with_error_alone(controller)
-    A, B, C, D, dt = commanded_loop(plants.whole, K, range(m), range(p))
+    whole = plants.whole if inside.feedforward is None else inside.feedforward.taken_up(plants.whole, m, p)
+    A, B, C, D, dt = commanded_loop(whole, K, range(m), range(p))
     # Outputs are the torques, then all of the plant's.
     Omega, command = slice(m, m + 3), slice(m + 3, m + 3 + p)
     read, sight = slice(m + p, m + p + len(spec.sensors)), slice(m + p + len(spec.sensors), None)
@@ -213,8 +216,8 @@ def tracking_plants(job: Job, spec: LoopSpec, inner: LoopSpec, controller: State
         D_sight=np.concatenate([D[..., sight, command], D[..., sight, Omega]], axis=-1),
     )
     z = np.exp(1j * (w := 0.1 * found.nutation) * dt)
-    inside = np.linalg.solve(z * np.eye(found.A.shape[-1]) - found.A[0], found.B[0])
-    effect = np.real(1j * w * (found.C[0] @ inside + found.D[0]))
+    seen = np.linalg.solve(z * np.eye(found.A.shape[-1]) - found.A[0], found.B[0])
+    effect = np.real(1j * w * (found.C[0] @ seen + found.D[0]))
     if not shows_each(effect):
         raise InputError(
             f"loop {spec.name!r}: sensors {', '.join(spec.sensors)} do not show what each of the commands "

@@ -64,7 +64,8 @@ def design_key(job: Job, rise: float, inner: LoopDesign | None = None) -> str:
     `rise` is how fast Omega rises where saturation is looked for, s: it counts for the caging loop that is closed.
     """
     spec = job.loops[-1]
-    commanded = None if inner is None else tuple(state_arrays(inner.controller, "controller"))
+    K = None if inner is None else inner.controller
+    commanded = None if K is None else (*state_arrays(K, "controller"), *K.input_labels)
     return key_of("design", job, rise if spec.kind == "caging" and spec.use else None, commanded)
 
 

@@ -87,7 +87,10 @@ def job_responses(job: Job, controllers: Sequence[control.StateSpace]) -> tuple[
     """
     units = signal_units(job.platform)
     frequency = _frequency(job)
-    closed = dict(zip((one.spec.name for one in outcomes_from(_nominal(job), controllers)), controllers, strict=True))
+    outcomes = outcomes_from(_nominal(job), controllers)
+    closed = dict(zip((one.spec.name for one in outcomes), controllers, strict=True))
+    # Of the loop itself: without feedforward, which is a part of its plants.
+    own = {one.spec.name: one.closed.own_controller for one in outcomes}
     out = []
     for name, plant in _loop_plants(job):
         notes = (f"{job.name}: sampled plant of {name}, hold, dead time and torquer lag in it", _units(plant, units))
@@ -97,7 +100,7 @@ def job_responses(job: Job, controllers: Sequence[control.StateSpace]) -> tuple[
         out.append(ResponseTable(name=f"controller {name}", response=response_data(K, frequency), notes=notes))
     for name, plant in _loop_plants(job):
         what = f"{job.name}: {name} broken at one torquer, its others closed"
-        out += _broken(f"loop {name}", plant, closed[name], frequency, what)
+        out += _broken(f"loop {name}", plant, own[name], frequency, what)
     if len(controllers) > 1:
         plant = coupled_plant(job, linearise(job.platform), controllers)
         K = one_controller(job, controllers, plant)
@@ -114,7 +117,7 @@ def _nominal(job: Job) -> Job:
 def _loop_plants(job: Job) -> Iterator[tuple[str, control.StateSpace]]:
     """Go through the caging loops with their nominal sampled plants."""
     for spec in job.loops:
-        plants = plants_of(_nominal(job), spec)
+        plants = plants_of(_nominal(job), spec.read_by(spec.closed))
         if plants is not None:
             yield spec.name, sampled_plant(plants)
 

@@ -11,6 +11,7 @@ from typing import Any, get_args
 
 from platform_ctrl.analysis.metrics import METRICS
 from platform_ctrl.job.budget_checks import budget_mistakes
+from platform_ctrl.job.design_checks import DESIGN_SIGNALS, design_signal_mistakes, names_of, sensor_mistakes
 from platform_ctrl.job.drive_checks import drive_mistakes
 from platform_ctrl.job.job import Job, manoeuvre_scenario
 from platform_ctrl.job.methods import METHODS, LoopKind
@@ -148,6 +149,7 @@ def job_mistakes(data: Data, platform: Platform | None) -> list[Mistake]:
         *_trims(data, platform),
         *_sight(data, platform),
         *_designs(data),
+        *design_signal_mistakes(data, platform),
         *_loops(data, platform),
         *run_mistakes(data, platform),
         *campaign_mistakes(data),
@@ -280,7 +282,7 @@ def _design(design: Data, path: Path, kind: str | None) -> Iterator[Mistake]:
     if key is None or key not in METHODS:
         return
     method = METHODS[key]
-    known = ["name", "method", "tune", *sorted(method.options), "command"]
+    known = ["name", "method", "tune", *DESIGN_SIGNALS, *sorted(method.options), "command"]
     if method.structures:
         known.insert(2, "structure")
     yield from (unknown_key((*path, name), item, known) for name, item in design.items() if name not in known)
@@ -359,38 +361,23 @@ def _useless(loop: Data, path: Path, kind: str, keys: tuple[str, ...]) -> Iterat
             yield Mistake((*path, key), f"{key} = {given(loop[key])} has no effect in a {kind} loop; leave the key out")
 
 
-def _names_of(loop: Data, key: str) -> list[str]:
-    names = loop.get(key, [])
-    return [name for name in names if isinstance(name, str)] if isinstance(names, list) else []
-
-
 def _signals_of(loop: Data, path: Path, kind: str, platform: Platform | None) -> Iterator[Mistake]:
     """Judge what a rate or pointing loop turns, reads and sets."""
     for key, words in (("gimbals", "the gimbals that the loop turns"), ("sensors", "what the loop reads")):
-        if not _names_of(loop, key):
+        if not names_of(loop, key):
             yield Mistake((*path, key), f"{key} must be a list of names, {words}")
     if platform is None:
         return
-    unit = "rad/s" if kind == "rate" else "rad"
-    fitting = [sensor.name for sensor in platform.sensors if sensor.unit == unit]
-    every = [sensor.name for sensor in platform.sensors]
     torquers = {t.name: t.gimbal for t in platform.torquers if t.gimbal is not None}
-    for name in _names_of(loop, "gimbals"):
+    for name in names_of(loop, "gimbals"):
         if name not in platform.gimbal_names:
             words = f"gimbals: {given(name)} is no gimbal of the plant; {suggestion(name, platform.gimbal_names)}"
             yield Mistake((*path, "gimbals"), words)
         elif "torquers" not in loop and name not in torquers.values():
             yield Mistake((*path, "gimbals"), f"gimbals: {given(name)} has no torquer in the plant; add a [[torquer]]")
-    for name in _names_of(loop, "sensors"):
-        if name in fitting:
-            continue
-        what = (
-            f"measures {'an angle' if unit == 'rad/s' else 'a rate'}" if name in every else "is no sensor of the plant"
-        )
-        wanted = f"a {kind} loop reads sensors of {'rates' if unit == 'rad/s' else 'angles'}"
-        yield Mistake((*path, "sensors"), f"sensors: {given(name)} {what}; {wanted}; {suggestion(name, fitting)}")
-    turned = _names_of(loop, "gimbals")
-    for name in _names_of(loop, "torquers") if turned == loop.get("gimbals") else ():
+    yield from sensor_mistakes(loop, path, kind, platform)
+    turned = names_of(loop, "gimbals")
+    for name in names_of(loop, "torquers") if turned == loop.get("gimbals") else ():
         if torquers.get(name) not in turned:
             words = f"torquers: {given(name)} is no torquer on a gimbal of the loop; {suggestion(name, torquers)}"
             yield Mistake((*path, "torquers"), words)
@@ -398,11 +385,11 @@ def _signals_of(loop: Data, path: Path, kind: str, platform: Platform | None) ->
 
 def _tracking(data: Data, loop: Data, path: Path, number: int, platform: Platform | None) -> Iterator[Mistake]:
     """Judge a tracking loop: what it reads, and the rate loop that it commands."""
-    if not _names_of(loop, "sensors"):
+    if not names_of(loop, "sensors"):
         yield Mistake((*path, "sensors"), "sensors must be a list of names, what the loop reads")
     if platform is not None:
         fitting = [sensor.name for sensor in platform.sensors if sensor.unit == "rad"]
-        for name in _names_of(loop, "sensors"):
+        for name in names_of(loop, "sensors"):
             if name not in fitting:
                 words = f"sensors: {given(name)} is no sensor of an angle; {suggestion(name, fitting)}"
                 yield Mistake((*path, "sensors"), words)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import field
 from itertools import product
 from typing import Annotated, Literal, get_args
 
 import numpy as np
 
+from platform_ctrl.analysis.feedforward import Into
 from platform_ctrl.analysis.metrics import RUN_METRICS
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray, input_value
@@ -100,6 +102,27 @@ class CommandShaping:
 
 
 @input_value
+class Feedforward:
+    """Feedforward of the platform's rate in a design of a rate or pointing loop.
+
+    Attributes
+    ----------
+    sensors
+        Rate sensors of the root, which no torquer moves.
+    into
+        ``"torque"``: the torques that keep what the loop reads at zero while the platform turns are added to the
+        controller's. ``"reading"``: the rates are added to what the loop reads, so that relative rates and angles of
+        gimbals become inertial ones (indirect stabilisation).
+    bandwidth_hz
+        Of the filtered derivative of the rates, into the torque alone, Hz; None: a tenth of the sample rate.
+    """
+
+    sensors: fields.Names
+    into: Annotated[Into, fields.one_of(get_args(Into))] = "torque"
+    bandwidth_hz: fields.Positive | None = None
+
+
+@input_value
 class DesignSpec:
     """One way to design a loop.
 
@@ -117,6 +140,10 @@ class DesignSpec:
         What a structured controller is made of; None leaves it to the method.
     command
         What it does with commands; None: u = K (y − command) where the loop is commanded.
+    sensors
+        What this design of a rate or pointing loop reads; none: the loop's.
+    feedforward
+        Of the platform's rate, or None.
     """
 
     name: fields.SystemName
@@ -125,6 +152,8 @@ class DesignSpec:
     tune: fields.Truth = False
     structure: Annotated[Structure, fields.one_of(get_args(Structure))] | None = None
     command: Annotated[CommandShaping | None, TABLE] = None
+    sensors: fields.Names = ()
+    feedforward: Annotated[Feedforward | None, TABLE] = None
 
 
 @input_value
@@ -168,6 +197,15 @@ class LoopSpec:
     def has_plants(self) -> bool:
         """Whether the loop has plants of its own; else it is checked in the coupled system alone."""
         return self.kind != "stabilisation"
+
+    @property
+    def closed(self) -> DesignSpec:
+        """The design that is closed."""
+        return next(design for design in self.designs if design.name == self.use)
+
+    def read_by(self, design: DesignSpec) -> LoopSpec:
+        """Return the loop as a design reads it: with the design's own sensors, where it has some."""
+        return dataclasses.replace(self, sensors=design.sensors) if design.sensors else self
 
 
 @input_value

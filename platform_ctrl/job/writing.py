@@ -61,6 +61,8 @@ def job_data(job: Job) -> dict[str, Any]:
                         "tune": d.tune,
                         **_given({"structure": d.structure}),
                         **({} if d.command is None else {"command": _said(d.command)}),
+                        **({"sensors": list(d.sensors)} if d.sensors else {}),
+                        **({} if d.feedforward is None else {"feedforward": _fields(d.feedforward)}),
                         **d.options,
                     }
                     for d in spec.designs

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping
 
 import numpy as np
@@ -75,13 +76,16 @@ def peak_metrics() -> dict[str, Peak]:
 
 def loop_responses(model: LinearModel, outcome: LoopOutcome) -> LoopResponses | None:
     """Return the responses of all designs of `outcome`; None for a loop that is only checked in the coupled system."""
-    designs = [design for design in outcome.designs if design.plants is not None]
-    if not designs or designs[0].plants is None:
+    of_designs = [(design, design.plants) for design in outcome.designs if design.plants is not None]
+    if not of_designs:
         return None
-    plants = designs[0].plants.only([0])
+    designs = [design for design, _ in of_designs]
+    # A design may read what others do not, and have feedforward in its plants.
+    nominal = {design.name: own.only([0]) for design, own in of_designs}
+    plants = nominal[outcome.use] if outcome.use in nominal else nominal[designs[0].name]
     nyquist = np.pi / plants.period
-    P = StateArrays(plants.A[0], plants.B[0], plants.C[0], plants.D[0], plants.period)
-    loops = {design.name: LoopSet(plants, plants.joined(design.controller)) for design in designs}
+    P = plants.of_torques()
+    loops = {one.name: LoopSet(nominal[one.name], nominal[one.name].joined(one.controller)) for one in designs}
     poles = np.concatenate([np.linalg.eigvals(P.A), *(loop.poles[0] for loop in loops.values())])
     low = max(min(2e-3 * plants.nutation, 0.05 * nyquist), 1e-4 * nyquist)
     grid = following_grid(continuous_poles(poles, plants.period), low, 0.999 * nyquist)
@@ -95,8 +99,8 @@ def loop_responses(model: LinearModel, outcome: LoopOutcome) -> LoopResponses | 
     shown = {name: dict.fromkeys(kinds, loop) for name, loop in loops.items()}
     if plants.sight:
         # What friction brings of the platform's motion; without it a balanced gimbal transmits nothing.
-        rubbing = designs[0].plants.only([_with_friction(designs[0].plants)])
-        for one in designs:
+        for one, own in of_designs:
+            rubbing = own.only([_with_friction(own)])
             of_sight = LoopSet(rubbing, rubbing.joined(one.controller))
             shown[one.name] |= {kind: of_sight for kind in kinds if _is_of_sight(kind)}
     peaks = {
@@ -105,15 +109,15 @@ def loop_responses(model: LinearModel, outcome: LoopOutcome) -> LoopResponses | 
     }
     at_peaks = np.concatenate([loop.peak_frequencies for of in shown.values() for loop in of.values()])
     frequency = np.union1d(grid, at_peaks[(at_peaks > grid[0]) & (at_peaks < grid[-1])])
-    from_rate = _reading_per_rate(model, outcome.spec, frequency)
+    from_rate = {one.name: _reading_per_rate(model, outcome.spec, own, frequency) for one, own in of_designs}
     return LoopResponses(
         frequency=frequency,
         designs=tuple(
-            _design_responses(one, loops[one.name], shown[one.name], peaks[one.name], frequency, from_rate)
+            _design_responses(one, loops[one.name], shown[one.name], peaks[one.name], frequency, from_rate[one.name])
             for one in designs
         ),
         closed=outcome.use,
-        open_angle_per_rate=np.linalg.norm(from_rate, axis=1).T,
+        open_angle_per_rate=np.linalg.norm(from_rate.get(outcome.use, from_rate[designs[0].name]), axis=1).T,
         open_angle_per_torque=gains(P, frequency),
     )
 
@@ -165,9 +169,14 @@ def _design_responses(
     )
 
 
-def _reading_per_rate(model: LinearModel, spec: LoopSpec, frequency: FloatArray) -> ComplexArray:
-    """Return the response of what the loop reads to Omega while its gimbals are uncontrolled, (N, readings, 3)."""
+def _reading_per_rate(model: LinearModel, spec: LoopSpec, plants: PlantSet, frequency: FloatArray) -> ComplexArray:
+    """Return the response of what a design reads to Omega while its gimbals are uncontrolled, (N, readings, 3)."""
+    if plants.feedforward is not None:
+        fed = StateArrays(plants.A[0], plants.B_Omega[0], plants.C[0], plants.D_Omega[0], plants.period)
+        return frequency_response(fed, frequency, -3)
     signals = loop_signals(model.platform, spec)
+    if signals.held:
+        signals = loop_signals(model.platform, dataclasses.replace(spec, sensors=plants.angles))
     system = state_space(model, gimbals=signals.gimbals, others="held" if signals.held else "coupled")
     shown = observed(system, model.platform, [sensor.name for sensor in signals.sensors], model.q0, model.Omega0)
     return frequency_response(state_arrays(shown[:, list(OMEGA_NAMES)], "gimbals"), frequency, -3)

@@ -34,7 +34,7 @@ from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.mechanics.outputs import observed
 from platform_ctrl.mechanics.state_space import state_space
 from platform_ctrl.plant.platform import FORCE_NAMES, OMEGA_NAMES, Platform
-from platform_ctrl.plant.sensors import LOS_ANGLES, LOS_RATES, gimbal_rate
+from platform_ctrl.plant.sensors import LOS_ANGLES, LOS_RATES
 from platform_ctrl.verification.budget_limits import assumption, judged
 from platform_ctrl.verification.budget_result import LineOfSightBudget, WindowBudget
 from platform_ctrl.verification.coupled import acts_on_root, coupled_plant, drifting_angles, one_controller
@@ -46,6 +46,8 @@ if TYPE_CHECKING:
 _TOLERANCE, _FRICTION_TOLERANCE = 1e-5, 1e-4
 # The same for one controller after the other.
 _QUICK = 1e-4
+# Rate at which free angles decay, 1/s: far below all sources, so that springs and their feedforward count in full.
+_FORGETTING = 2e-3
 # A recorded spectrum has at most so many points to an octave; below, its own.
 _PER_OCTAVE = 24
 # The fitted line's extent from end to end over its root mean square.
@@ -254,13 +256,15 @@ class _Loop:
         model = linearise(platform, q=q)
         system = state_space(model, root="free" if self.free else "prescribed", specific_force=True)
         system = _with_torques(system, model.angle_names)
-        rates = [gimbal_rate(name) for name in model.angle_names]
-        shown = observed(system, platform, [*self.sensors, *LOS_RATES, *rates], model.q0, model.Omega0)
+        shown = observed(system, platform, [*self.sensors, *LOS_RATES], model.q0, model.Omega0)
         torquers = {t.name: t for t in platform.torquers}
         controls = [torquers[name].signal for name in self.torquers]
         columns = [shown.input_labels.index(name) for name in (*controls, *self.inputs)]
         A, B, C, D, _ = state_arrays(shown, "budget")
-        A = forgetting(A, shown.state_labels, drifting_angles(self.job) - set(self.sensors))
+        # The gimbals' rates: the first states are their angles.
+        rates = len(model.angle_names)
+        C, D = np.vstack([C, A[:rates]]), np.vstack([D, B[:rates]])
+        A = forgetting(A, shown.state_labels, drifting_angles(self.job) - set(self.sensors), _FORGETTING)
         late = {sensor.name: sensor.periods_late(self.job.sampling.period) for sensor in platform.sensors}
         return HybridPlant(
             plant=StateArrays(A, B[:, columns], C, D[:, columns]),
@@ -270,7 +274,7 @@ class _Loop:
             delay=self.job.sampling.delay,
             lag=np.array([torquers[name].lag for name in self.torquers]),
             reading_delay=tuple(late[name] for name in self.sensors),
-            integrated=(True,) * len(LOS_RATES) + (False,) * len(rates),
+            integrated=(True,) * len(LOS_RATES) + (False,) * rates,
         )
 
     def _input(self, source: Source) -> int:

@@ -10,15 +10,16 @@ import os
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from platform_ctrl.analysis.plant_set import COMMAND
+from platform_ctrl.analysis.plant_set import COMMAND, PlantSet
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.design.caging_claims import with_caging_claims
+from platform_ctrl.design.feedforward import design_plants
 from platform_ctrl.design.jobs import LoopOutcome, in_order
 from platform_ctrl.design.loop import LoopDesign, remeasured, with_commands
 from platform_ctrl.design.loop_signals import loop_signals
 from platform_ctrl.design.plants import plants_of, tracking_plants
 from platform_ctrl.errors import InputError
-from platform_ctrl.job.job import Job, LoopSpec
+from platform_ctrl.job.job import DesignSpec, Job, LoopSpec
 from platform_ctrl.plant.mistakes import given, suggestion
 from platform_ctrl.plant.platform import is_rate
 from platform_ctrl.plant.source import read_json
@@ -63,7 +64,7 @@ def read_controllers(
     if not entries and key == "controllers":
         raise table.must_be(key, "a list of controllers", [])
     known = [s.name for s in job.platform.sensors]
-    known += [f"{name}{COMMAND}" for spec in job.loops for name in spec.sensors]
+    known += [f"{name}{COMMAND}" for name in known]
     made_by: dict[str, str] = {}
     out = []
     for number, entry in enumerate(entries, 1):
@@ -92,7 +93,8 @@ def _controller(entry: JSONTable, job: Job, known: Sequence[str]) -> control.Sta
             wrong = f"{given(one)} is no pick-off of the plant and no output of a controller before it"
             raise entry.mistake(f"inputs: {wrong}; {suggestion(one, known)}")
     torquers = [t.name for t in job.platform.torquers]
-    commands = {f"{name}{COMMAND}" for spec in job.loops for name in spec.sensors if spec.kind == "rate"}
+    rates = [spec.read_by(design) for spec in job.loops if spec.kind == "rate" for design in spec.designs]
+    commands = {f"{name}{COMMAND}" for spec in rates for name in spec.sensors}
     for one in outputs:
         if one not in torquers and one not in commands:
             raise entry.mistake(f"outputs: {given(one)} is no torquer of the plant; {suggestion(one, torquers)}")
@@ -147,13 +149,22 @@ def _outcome(
     others: Sequence[control.StateSpace],
     inner: LoopOutcome | None,
 ) -> LoopOutcome:
-    plants = plants_of(job, spec)
+    inside = None
     if inner is not None and inner.closed.plants is not None:
-        K = with_commands(inner.closed.plants, inner.closed.controller)
-        plants, _ = tracking_plants(job, spec, inner.spec, K)
+        inner_K = with_commands(inner.closed.plants, inner.closed.controller)
+        inside, _ = tracking_plants(job, spec, inner.spec, inner.closed.plants, inner_K)
+    bare: dict[tuple[str, ...], PlantSet | None] = {}
     designs: list[LoopDesign] = []
     for K in (closed, *others):
         name = _free_name(str(K.name).removeprefix(f"{spec.name}, "), [design.name for design in designs])
+        if inside is not None or not spec.has_plants:
+            plants = inside
+        else:
+            of = _design_of(job, spec, K)
+            read = spec.read_by(of)
+            if read.sensors not in bare:
+                bare[read.sensors] = plants_of(job, read)
+            plants = design_plants(job, spec, of, bare[read.sensors])
         if plants is None:
             designs.append(LoopDesign(loop=spec.name, name=name, method="given", controller=K))
         else:
@@ -177,15 +188,38 @@ def _torques(job: Job, spec: LoopSpec) -> set[str]:
         return {t.name for t in job.platform.torquers if t.root_axis is not None}
     if spec.kind == "tracking":
         inner = next(one for one in job.loops if one.name == spec.around)
-        return {f"{name}{COMMAND}" for name in inner.sensors}
+        return {f"{name}{COMMAND}" for name in inner.read_by(inner.closed).sensors}
     return {torquer.name for torquer in loop_signals(job.platform, spec).torquers}
 
 
-def _read(job: Job, spec: LoopSpec) -> set[str]:
-    """Return the sensors of a loop; of a stabilisation loop, which may read what it needs, none."""
+def _read(job: Job, spec: LoopSpec, design: DesignSpec | None) -> set[str]:
+    """Return what a design of a loop reads, or the loop without any; of a stabilisation loop, which may read all, none.
+
+    Sensors of feedforward are among it.
+    """
     if spec.kind == "tracking":
         return set(spec.sensors)
-    return {sensor.name for sensor in loop_signals(job.platform, spec).sensors} if spec.has_plants else set()
+    if not spec.has_plants:
+        return set()
+    read = spec if design is None else spec.read_by(design)
+    out = {sensor.name for sensor in loop_signals(job.platform, read).sensors}
+    fed = None if design is None else design.feedforward
+    return out if fed is None else out | set(fed.sensors)
+
+
+def _taken(K: control.StateSpace) -> set[str]:
+    """Return what a controller reads, without commands of what it reads."""
+    names = set(K.input_labels)
+    return {name for name in names if name.removesuffix(COMMAND) not in names or name.removesuffix(COMMAND) == name}
+
+
+def _design_of(job: Job, spec: LoopSpec, K: control.StateSpace) -> DesignSpec:
+    """Return the design of the job that reads what a controller reads: the one of its name, if several do."""
+    name, taken = str(K.name).removeprefix(f"{spec.name}, "), _taken(K)
+    fitting = [design for design in spec.designs if _read(job, spec, design) == taken]
+    named = [design for design in fitting if design.name == name]
+    bare = DesignSpec(name=name, method=spec.closed.method)
+    return next(iter((*named, *fitting)), bare)
 
 
 def _loop_of(job: Job, K: control.StateSpace) -> LoopSpec:
@@ -193,12 +227,12 @@ def _loop_of(job: Job, K: control.StateSpace) -> LoopSpec:
     for spec in job.loops:
         if outputs != _torques(job, spec):
             continue
-        read = _read(job, spec)
-        taken = {name for name in K.input_labels if name.removesuffix(COMMAND) not in read or name in read}
-        if read and taken != read:
+        every = [_read(job, spec, design) for design in (None, *spec.designs)]
+        if every[0] and _taken(K) not in every:
+            several = " or ".join(dict.fromkeys(", ".join(sorted(read)) for read in every))
             raise InputError(
                 f"controller {given(K.name)}: inputs {', '.join(K.input_labels)}; the loop {given(spec.name)} is "
-                f"measured with {', '.join(sorted(read))}: give just these"
+                f"measured with {several}: give just these"
             )
         return spec
     loops = "; ".join(f"{spec.name}: {', '.join(sorted(_torques(job, spec)))}" for spec in job.loops)

@@ -225,7 +225,7 @@ def coupled_plant(job: Job, model: LinearModel, controllers: Sequence[control.St
 def drifting_angles(job: Job) -> set[str]:
     """Return the angles of gimbals that rate and pointing loops turn, and that no loop reads: they hold a body."""
     turned = {name for spec in job.loops if spec.kind in _HOLD_BODIES for name in spec.gimbals}
-    used = {name for spec in job.loops for name in spec.sensors}
+    used = {name for spec in job.loops for name in spec.read_by(spec.closed).sensors}
     read = {signal for sensor in job.platform.sensors if sensor.name in used for signal in sensor.signals(job.platform)}
     return {gimbal.angle for gimbal in job.platform.gimbals if gimbal.name in turned} - read
 

@@ -16,6 +16,7 @@ from platform_ctrl.analysis.bandwidths import LEVEL
 from platform_ctrl.analysis.norms import stationary_covariance
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.poles import continuous_poles
+from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.fixed_structure.maps import (
     S_INPUT,
@@ -100,7 +101,7 @@ class Points:
         found = np.asarray(whole.C[plant] @ inner + whole.D[plant], dtype=np.complex128)
         K, self._left, self._right = loops.controller_response(z)
         P, to_Omega, sight = (np.ascontiguousarray(part) for part in (found[:, :p, :m], found[:, :p, m:], found[:, p:]))
-        self.responses = Responses(P, K, *both_sensitivities(P, K), to_Omega, sight)
+        self.responses = Responses(P, K, *both_sensitivities(P, K), to_Omega, sight, loops.fed(frequency))
 
     def singular(self, of: Map, only: int | None = None) -> Singular:
         """Return the largest singular value of a map at every point as smooth pieces.
@@ -168,6 +169,13 @@ class ClosedLoops:
         right = R @ self.B_K
         return self.C_K @ right + self.D_K, self.C_K @ R, right
 
+    def fed(self, frequency: FloatArray) -> ComplexArray:
+        """Return what feedforward adds to the torques per platform rate, (k, m, 3), at frequencies (k,), rad/s."""
+        fed = None if self.plants.feedforward is None else self.plants.feedforward.torque
+        if fed is None:
+            return np.zeros((len(frequency), self.m, 3), dtype=np.complex128)
+        return frequency_response(fed, frequency, -3)
+
     def none(self) -> Pieces:
         """Return no pieces."""
         shape = (0, self.order + self.m, self.order + self.p)
@@ -197,6 +205,7 @@ class ClosedLoops:
             self.S_input[members, cut],
             self.plants.Omega_response[members, cut],
             self.plants.sight_response[members, cut],
+            np.broadcast_to(self.fed(w[cut]), (len(members), len(inside), self.m, 3)),
         )
         sizes = largest(of.response(response))
         padded = np.pad(sizes, ((0, 0), (1, 1)), constant_values=-np.inf if ends else np.inf)
@@ -380,8 +389,9 @@ class ClosedLoops:
         # The noise enters with the measurement: ȳ = R x + F n, u = M_u ȳ.
         F, M_u, shown = before[:, n_K:], self.M[n_K:], after[n_K:]
         B, C, D = L @ self.M[:, n_K:], M_u @ R, M_u @ F
-        variance = np.diag(self.plants.noise**2)
-        X = stationary_covariance(A, B * self.plants.noise)
+        into = self.plants.noise_input
+        variance = into @ into.T
+        X = stationary_covariance(A, B @ into)
         adjoint = stationary_covariance(A.T, C[:, :, None])
         direct = D @ variance
         rms = np.sqrt(np.einsum("ij,jk,ik->i", C, X, C) + np.sum(direct * D, axis=1))

@@ -17,7 +17,7 @@ from platform_ctrl.common.values import FloatArray
 class Responses(NamedTuple):
     """Plant, controller, sensitivities, platform rate → what is measured, and torques and platform rate → sight.
 
-    Each complex (..., rows, columns).
+    Each complex (..., rows, columns). `fed`: platform rate → torques that feedforward adds, where it does.
     """
 
     P: ComplexArray
@@ -26,6 +26,7 @@ class Responses(NamedTuple):
     S_input: ComplexArray
     P_Omega: ComplexArray
     sight: ComplexArray
+    fed: ComplexArray
 
 
 # Singular vectors u, v → a (k, m), b (k, p) with d(uᴴ X v) = a dK b.
@@ -86,10 +87,14 @@ def map_of(transfer: Transfer) -> Map:
             return Map(lambda r: r.K @ r.S_output, lambda r, u, v: (row_of(u, r.S_input), column_of(r.S_output, v)))
         case "Omega", "torque":
             return Map(
-                lambda r: r.K @ r.S_output @ r.P_Omega,
+                _torque_per_Omega,
                 lambda r, u, v: (row_of(u, r.S_input), column_of(r.S_output, r.P_Omega, v)),
             )
     return Map(_sight_per_Omega, _at_sight)
+
+
+def _torque_per_Omega(r: Responses) -> ComplexArray:
+    return r.K @ r.S_output @ r.P_Omega + r.fed
 
 
 def _sight_per_Omega(r: Responses) -> ComplexArray:
@@ -111,7 +116,7 @@ def torque_per_Omega(k: int, plants: PlantSet) -> Map:
     def differential(r: Responses, u: ComplexArray, v: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
         return u * r.S_input[:, k, :], column_of(r.S_output, r.P_Omega, weight * v)
 
-    return Map(lambda r: (r.K @ r.S_output @ r.P_Omega)[..., k : k + 1, :] * weight, differential)
+    return Map(lambda r: _torque_per_Omega(r)[..., k : k + 1, :] * weight, differential)
 
 
 def both_sensitivities(P: ComplexArray, K: ComplexArray) -> tuple[ComplexArray, ComplexArray]:

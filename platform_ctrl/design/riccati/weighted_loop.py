@@ -122,8 +122,7 @@ def weighted_plant(options: dict[str, float], channel: Channels, plants: PlantSe
         return np.array([options.get(name, 0.0)] * pairs + [options.get(f"inertial_{name}", 0.0)] * single)
 
     unit = torque_units(channel, plants.nutation)
-    nominal = StateArrays(plants.A[0], plants.B[0], plants.C[0], plants.D[0], plants.period)
-    flat = to_w_plane(between(channel.basis.T * unit, nominal, channel.basis))
+    flat = to_w_plane(between(channel.basis.T * unit, plants.of_torques(), channel.basis))
     gain, rate = np.full(size, 1.0 / options["sensitivity_peak"]), 2.0 * np.pi * by_channel("bandwidth_hz")
     disturbed = between(np.diag(by_channel("disturbance")), flat, np.eye(size))
     constant = options["complementary"] * np.eye(size), np.diag(by_channel("torque"))

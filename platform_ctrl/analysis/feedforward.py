@@ -1,0 +1,121 @@
+"""Feedforward of the platform's rate, taken up by the sampled plants of a loop.
+
+    u = K y + F y_ff,   or   u = K (y + F y_ff),        y_ff = G Omega
+
+y_ff are rates that no torque changes: the loop's poles and margins stay what they are, but what the platform's motion
+does to torques, readings and line of sight does not. F and the sensors G become a part of every plant, behind its own
+states, so that all that is measured on plants counts them.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Literal
+
+import numpy as np
+
+from platform_ctrl.analysis.arrays import StateArrays
+from platform_ctrl.analysis.feedback import series
+from platform_ctrl.common.values import FloatArray, value
+
+Into = Literal["torque", "reading"]
+
+
+@value
+class RateFeedforward:
+    """Feedforward of the platform's rate in a sampled loop.
+
+    Attributes
+    ----------
+    into
+        What it adds to: the controller's ``"torque"``, or what the controller reads.
+    sensors
+        Names of the k sensors of the platform's rate that the controller reads.
+    path
+        F, from their readings, rad/s, to the m torques, N m, or to the p readings; sampled.
+    in_plants
+        F as the plants take it up: where they forget angles that are free, the integral of a rate forgets by as much
+        more as the plants do, so that what it leaves of a spring's torque is what it leaves where nothing is forgotten.
+    measured
+        G, from the platform's rate (Omega1 to Omega3, rad/s) to the readings of the sensors, rad/s; sampled.
+    noise : (k,)
+        Rms of one sample of each sensor, rad/s.
+    """
+
+    into: Into
+    sensors: tuple[str, ...]
+    path: StateArrays
+    in_plants: StateArrays
+    measured: StateArrays
+    noise: FloatArray
+
+    @property
+    def from_rate(self) -> StateArrays:
+        """F G, from the platform's rate to torques or readings."""
+        return series(self.measured, self.in_plants)
+
+    @property
+    def torque(self) -> StateArrays | None:
+        """F G where it adds to the torques."""
+        return self.from_rate if self.into == "torque" else None
+
+    def in_directions(self, sense: FloatArray) -> RateFeedforward:
+        """Return it for combinations of the loop's readings, the rows of `sense` (k, p)."""
+        if self.into == "torque":
+            return self
+        path, in_plants = (one._replace(C=sense @ one.C, D=sense @ one.D) for one in (self.path, self.in_plants))
+        return dataclasses.replace(self, path=path, in_plants=in_plants)
+
+    def joined_to(self, controller: StateArrays) -> StateArrays:
+        """Return K (or K with commands) together with F: inputs of K, then the sensors; states of K, then of F."""
+        A, B, C, D, dt = controller
+        n, p, f = len(A), D.shape[1], len(self.path.A)
+        if self.into == "torque":
+            cross, driven = np.zeros((n, f)), np.zeros((n, len(self.sensors)))
+            out, direct = self.path.C, self.path.D
+        else:
+            read = slice(len(self.path.C))
+            cross, driven = B[:, read] @ self.path.C, B[:, read] @ self.path.D
+            out, direct = D[:, read] @ self.path.C, D[:, read] @ self.path.D
+        return StateArrays(
+            np.block([[A, cross], [np.zeros((f, n)), self.path.A]]),
+            np.block([[B, driven], [np.zeros((f, p)), self.path.B]]),
+            np.hstack([C, out]),
+            np.hstack([D, direct]),
+            dt,
+        )
+
+    def taken_up(self, whole: StateArrays, m: int, p: int) -> StateArrays:
+        """Return plants (N, ...) that have it.
+
+        Inputs are `m` torques and the platform's rate, the first `p` outputs are what the controller reads.
+        """
+        A, B, C, D, dt = whole
+        A_f, B_f, C_f, D_f, _ = self.from_rate
+        N, n, f = A.shape[0], A.shape[-1], len(A_f)
+        new_A, new_B = np.zeros((N, n + f, n + f)), np.zeros((N, n + f, m + 3))
+        new_A[:, :n, :n], new_A[:, n:, n:] = A, A_f
+        new_B[:, :n], new_B[:, n:, m:] = B, B_f
+        new_C, new_D = np.concatenate([C, np.zeros((N, C.shape[-2], f))], axis=-1), D.copy()
+        if self.into == "torque":
+            new_A[:, :n, n:] = B[..., :m] @ C_f
+            new_B[:, :n, m:] += B[..., :m] @ D_f
+            new_C[..., n:] = D[..., :m] @ C_f
+            new_D[..., m:] += D[..., :m] @ D_f
+        else:
+            new_C[:, :p, n:] = C_f
+            new_D[:, :p, m:] += D_f
+        return StateArrays(new_A, new_B, new_C, new_D, dt)
+
+    def noise_of_torques(self, closed: StateArrays) -> StateArrays:
+        """Return the loops from independent samples of unit rms, one for each sensor, to the torques.
+
+        `closed` (N, ...) leads from a disturbance of the torques and the noise of the readings to the torques.
+        """
+        path = self.path._replace(B=self.path.B * self.noise, D=self.path.D * self.noise)
+        A, B, C, D, dt = closed
+        m = C.shape[-2]
+        if self.into == "reading":
+            return series(path, StateArrays(A, B[..., m:], C, D[..., m:], dt))
+        # What it adds to the torques, and what the controller adds against it.
+        return series(path, StateArrays(A, B[..., :m], C, D[..., :m] + np.eye(m), dt))
