@@ -362,6 +362,8 @@ class Report:
 
         def show() -> int:
             self._show(result, {**record, **(more or {})} if as_json else None)
+            if not (as_json or result.passed):
+                typer.echo(f"next:   {shlex.join(['platform-ctrl', 'serve', command[1]])} proposes what to change")
             if refused is not None:
                 raise refused
             if not self.pdf and (self.folder / PDF).exists():

@@ -94,6 +94,21 @@ def tells_nothing(one: CheckResult) -> bool:
     return one.passed and one.name.startswith((METRICS["stability"].name, "certified properties"))
 
 
+def summary_words(results: Sequence[CheckResult], more: str = "") -> str:
+    """Return how many requirements are met, `more`, and which one is the worst or the tightest."""
+    from platform_ctrl.report.quantities import percent
+
+    missed = sum(not one.passed for one in results)
+    words = f"{missed} of {len(results)} requirements not met" if missed else f"all {len(results)} requirements met"
+    words += more
+    telling = [one for one in results if not tells_nothing(one)]
+    if telling:
+        worst = min(telling, key=severity)
+        words += f"; {'worst' if missed else 'tightest'}: {subject_of(worst)}, {worst.name}"
+        words += f" ({percent(worst.margin)})" if abs(worst.margin) < 10.0 else ""
+    return words
+
+
 def _as_good_as_can_be(one: CheckResult) -> bool:
     return one.hard and (tells_nothing(one) or (one.passed and one.sense == "at most" and one.margin >= _NOTHING))
 

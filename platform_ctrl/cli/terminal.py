@@ -119,6 +119,7 @@ def show_result(result: JobResult) -> None:
     console.print(result.job.name, style="bold", markup=False)
     goals = [goal for outcome in result.loops for goal in outcome.closed.goals]
     show_requirements(console, [*result.requirements, *goals], result)
+    _show_alternatives(console, result)
     _show_verdict(console, result.requirements, added_words(result.job.platform) + assumed_words(result.job))
 
 
@@ -199,19 +200,20 @@ def show_requirements(
 
 
 def _show_verdict(console: Console, results: Sequence[CheckResult], added: str) -> None:
-    from platform_ctrl.cli.requirement_lines import severity, subject_of, tells_nothing
-    from platform_ctrl.report.quantities import percent
+    from platform_ctrl.cli.requirement_lines import summary_words
 
-    missed = sum(not one.passed for one in results)
-    words = f"{missed} of {len(results)} requirements not met" if missed else f"all {len(results)} requirements met"
-    words += added
-    telling = [one for one in results if not tells_nothing(one)]
-    if telling:
-        worst = min(telling, key=severity)
-        words += f"; {'worst' if missed else 'tightest'}: {subject_of(worst)}, {worst.name}"
-        words += f" ({percent(worst.margin)})" if abs(worst.margin) < 10.0 else ""
-    verdict, style = ("FAILED", "bold red") if missed else ("PASSED", "green")
-    show_words(console, f"{verdict}: {words}", style)
+    verdict, style = ("PASSED", "green") if all(one.passed for one in results) else ("FAILED", "bold red")
+    show_words(console, f"{verdict}: {summary_words(results, added)}", style)
+
+
+def _show_alternatives(console: Console, result: JobResult) -> None:
+    """Print a line for every design that is compared with the one that is closed."""
+    from platform_ctrl.cli.requirement_lines import summary_words
+
+    for outcome in result.loops:
+        for design in outcome.alternatives:
+            words = f"not closed: {outcome.spec.name}, {design.name}: {summary_words(design.results)}"
+            show_words(console, words, "dim", indent="  ")
 
 
 Tick = Callable[[int, int], None]

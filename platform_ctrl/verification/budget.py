@@ -57,7 +57,10 @@ _EXTENT = math.sqrt(12.0)
 def expect_budget(job: Job) -> Budget:
     """Return the budget of a job whose plant has a line of sight."""
     if job.budget is None:
-        raise ArgumentError(f"job {job.name!r}: there is no [budget]; state what disturbs the line of sight there")
+        raise ArgumentError(
+            f"job {job.name!r}: there is no [budget]; add one, with a [[budget.source]] for each thing that shakes the "
+            "line of sight (platform-ctrl new NAME --kind camera-gimbal writes an example)"
+        )
     if job.platform.line_of_sight is None:
         raise ArgumentError(
             f"platform {job.platform.name!r}: there is no [line_of_sight]; state what looks out in the plant"

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from platform_ctrl.analysis.metrics import METRICS, RUN_METRICS
-from platform_ctrl.cli.requirement_lines import Line, requirement_lines, severity, subject_of
+from platform_ctrl.cli.requirement_lines import Line, requirement_lines, severity, subject_of, summary_words
 from platform_ctrl.cli.terminal import screen, show_pairs, show_requirements, show_words
 from platform_ctrl.job.judging import CheckResult, Requirement
 
@@ -100,6 +100,13 @@ def test_a_requirement_that_cannot_be_better_is_shown_where_it_fails() -> None:
     [line] = rows([unstable], 80)
     assert line.kind == "missed"
     assert line.text.startswith("NOT MET  minimum decay rate")
+
+
+def test_the_summary_names_the_worst_and_no_requirement_that_says_nothing() -> None:
+    met = [result(0, "caging", "PI", 400.0, True), result(2, "caging", "PI", 1.2, True)]
+    assert summary_words(met) == "all 2 requirements met; tightest: caging, PI, disk margin (+20 %)"
+    missed = [*met, result(1, "caging", "PI", 0.5, True)]
+    assert summary_words(missed) == "1 of 3 requirements not met; worst: caging, PI, bandwidth (−50 %)"
 
 
 @pytest.mark.parametrize("columns", ["60", "80", None])

@@ -149,6 +149,7 @@ def _job_like(start: Start, plant: dict[str, Any], **words: str) -> str:
         spinning=bool(spinning),
         parameters=[_text(path) for path in (*varied, *(f"gimbal.{name}.inertia" for name in held))],
         turns=start.runs[0].form == "turn",
+        shaken=next((run.axes for run in start.runs if "attenuation_db" in run.limits), ()),
     )
 
 
