@@ -22,9 +22,16 @@ from platform_ctrl.app.free_plants import FreePlants, SpinningModels, corners, f
 from platform_ctrl.app.settings import Settings
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.cases import Case, with_spins
-from platform_ctrl.design.loop_signals import caging_signals, loop_channels, loop_signals
+from platform_ctrl.design.loop_signals import loop_channels, loop_signals
 from platform_ctrl.design.partition import Channels
-from platform_ctrl.design.plants import LinearPlants, linear_plants, loop_cases, loop_reference, sampled_plants
+from platform_ctrl.design.plants import (
+    LinearPlants,
+    job_signals,
+    linear_plants,
+    loop_cases,
+    loop_reference,
+    sampled_plants,
+)
 from platform_ctrl.errors import InputError
 from platform_ctrl.job.job import Job, LoopSpec, Sampling
 from platform_ctrl.mechanics.linearisation import LinearModel, linearise
@@ -88,7 +95,7 @@ class QuickPlants:
 
     def __init__(self, job: Job, loop: LoopSpec | tuple[str, ...]) -> None:
         platform = job.platform
-        self.signals = loop_signals(platform, loop) if isinstance(loop, LoopSpec) else caging_signals(platform, loop)
+        self.signals = job_signals(job, loop)
         self.job, self.gimbals = job, self.signals.gimbals
         self.model = linearise(platform)
         held = self.signals.held

@@ -53,9 +53,10 @@ def with_spins(platform: Platform, spins: Mapping[str, float]) -> Platform:
 class Case:
     """A plant of the set: what it is and stands for, the rate (3,) and angles (n,) at which it is linearised.
 
-    `torque`, (m,), is the share of its torque that each torquer of the loop keeps; no angles: zero. `rate` is the
-    amplitude of the gimbals' rates, rad/s, for which dry friction is replaced by its describing function; None: without
-    dry friction.
+    `torque`, (m,), is the share of its command that each torquer of the loop gives: what a fault leaves, times the
+    secant gain of its drive; no angles: zero. `rate` is the amplitude of the gimbals' rates, rad/s, for which dry
+    friction is replaced by its describing function; None: without dry friction. `feedback`, (m, f), N m s, is what
+    drives add in proportion to the f readings of gimbal rates from which they feed friction forward; None: nothing.
     """
 
     label: str
@@ -65,6 +66,7 @@ class Case:
     torque: FloatArray
     q: FloatArray | None = None
     rate: float | None = None
+    feedback: FloatArray | None = None
 
 
 def cases(job: Job, gimbals: tuple[str, ...], torquers: Sequence[str] = ()) -> list[Case]:
@@ -89,7 +91,7 @@ def cases(job: Job, gimbals: tuple[str, ...], torquers: Sequence[str] = ()) -> l
         for one in varied:
             group: Group = "angles" if one.group == "nominal" else "uncertainty"
             label = at_angles(platform, q) if one.group == "nominal" else f"{one.label}, {at_angles(platform, q)}"
-            out.append(dataclasses.replace(one, label=label, group=group, q=q))
+            out.append(dataclasses.replace(one, label=label, group=group, q=q, torque=secant_gains(job, q, torquers)))
     return [*out, *_faults(job, gimbals, torquers)]
 
 
@@ -103,6 +105,30 @@ def with_friction(job: Job, plants: Sequence[Case]) -> list[Case]:
         label = f"dry friction at {rate:g} rad/s" + ("" if one.group == "nominal" else f", {one.label}")
         out.append(dataclasses.replace(one, label=label, group="friction", rate=rate))
     return out
+
+
+def with_feedback(job: Job, torquers: Sequence[str], sensors: Sequence[str], plants: Sequence[Case]) -> list[Case]:
+    """Return plants with the steepest feedback of drives that find the rate from `sensors` on the gimbals.
+
+    friction sat(v / friction_rate) lies between no gain and that at v = 0, the bearing's own friction left out.
+    """
+    laws = {law.torquer: law for law in job.drive_laws if law.feedback}
+    gains = np.zeros((len(torquers), len(sensors)))
+    for k, name in enumerate(torquers):
+        if name in laws:
+            slope = laws[name].friction / laws[name].friction_rate
+            gains[k] = [slope * laws[name].weights.get(sensor, 0.0) for sensor in sensors]
+    out: list[Case] = []
+    for one in plants if gains.any() else ():
+        label = "friction that is fed forward at rest" + ("" if one.group == "nominal" else f", {one.label}")
+        out.append(dataclasses.replace(one, label=label, group="friction", feedback=gains))
+    return out
+
+
+def secant_gains(job: Job, q: FloatArray, torquers: Sequence[str]) -> FloatArray:
+    """Return what the drives multiply the commands of `torquers` (m,) by at gimbal angles (n,), rad."""
+    laws = {law.torquer: law for law in job.drive_laws}
+    return np.array([laws[t].gain(laws[t].angle(job.platform, q)) if t in laws else 1.0 for t in torquers])
 
 
 def at_angles(platform: Platform, q: FloatArray) -> str:

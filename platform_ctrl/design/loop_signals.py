@@ -40,6 +40,8 @@ class LoopSignals:
         Outputs of the line of sight that its torquers move.
     held
         Whether all other gimbals are held; else the loop's are whole subsystems.
+    fed
+        Sensors of gimbal rates from which drives of its torquers feed friction forward: a feedback.
     """
 
     gimbals: tuple[str, ...]
@@ -47,6 +49,7 @@ class LoopSignals:
     sensors: tuple[Sensor, ...]
     sight: tuple[str, ...] = ()
     held: bool = False
+    fed: tuple[Sensor, ...] = ()
 
     @property
     def order(self) -> int:

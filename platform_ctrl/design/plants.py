@@ -12,7 +12,7 @@ from platform_ctrl.analysis.following import commanded_loop, with_error_alone
 from platform_ctrl.analysis.plant_set import COMMAND, PlantSet, plant_set
 from platform_ctrl.analysis.sampling import held_input, late_outputs, late_states, sampled, sampled_states
 from platform_ctrl.common.values import FloatArray, value
-from platform_ctrl.design.cases import Case, carried, cases, with_friction
+from platform_ctrl.design.cases import Case, carried, cases, with_feedback, with_friction
 from platform_ctrl.design.loop_signals import (
     LoopSignals,
     caging_signals,
@@ -77,7 +77,7 @@ class LinearPlants:
     A, B, C, D, B_Omega, D_Omega
         Continuous; shapes (N, n, n), (N, n, m), (N, p, n), (N, p, m), (N, n, 3), (N, p, 3).
     C_sight, D_sight
-        Of the line of sight, (N, q, n) and, from torques and Omega, (N, q, m + 3).
+        Of the line of sight, (N, q, n) and, from torques and Omega, (N, q, m + 3); then of `signals.fed`.
     states
         Names of the n states.
     """
@@ -109,15 +109,18 @@ def linear_plants(signals: LoopSignals, plants: Sequence[Case]) -> LinearPlants:
     """Linearise `plants`, and keep what a loop sets, reads and shows."""
     torques, sensors = [t.name for t in signals.torquers], [s.name for s in signals.sensors]
     inputs, p, m = [*torques, *OMEGA_NAMES], len(sensors), len(torques)
+    outputs = [*sensors, *signals.sight, *(sensor.name for sensor in signals.fed)]
     systems = []
     for one in plants:
         rates = None if one.rate is None else np.full(len(one.platform.gimbals), one.rate)
         model = linearise(one.platform, Omega=one.Omega, q=one.q, rate_amplitude=rates)
         bare = state_space(model, gimbals=signals.gimbals, others="held" if signals.held else "coupled")
-        systems.append(observed(bare, one.platform, [*sensors, *signals.sight], model.q0, model.Omega0))
+        systems.append(observed(bare, one.platform, list(dict.fromkeys(outputs)), model.q0, model.Omega0))
     columns = [systems[0].input_labels.index(name) for name in inputs]
-    A, C = (np.array([getattr(system, name) for system in systems]) for name in "AC")
-    B, D = (np.array([getattr(system, name)[:, columns] for system in systems]) for name in "BD")
+    rows = [systems[0].output_labels.index(name) for name in outputs]
+    A, C = np.array([system.A for system in systems]), np.array([system.C[rows] for system in systems])
+    B = np.array([system.B[:, columns] for system in systems])
+    D = np.array([system.D[np.ix_(rows, columns)] for system in systems])
     states = list(systems[0].state_labels)
     if signals.held:
         kept = seen_states(A, C)
@@ -155,11 +158,14 @@ def sampled_plants(linear: LinearPlants, sampling: Sampling, Omega: FloatArray) 
     B_Omega = held_rate(A, linear.B_Omega, sampling.period, arrays.A.shape[-1])
     D_Omega = np.concatenate([linear.D_Omega, linear.D_sight[..., m:]], axis=1)
     states = sampled_states(linear.states, torques, lags, arrays.A.shape[-1])
-    late = [sensor.periods_late(sampling.period) for sensor in linear.sensors]
+    shown = [*linear.sensors, *(None for _ in linear.signals.sight), *linear.signals.fed]
+    late = [0 if one is None else one.periods_late(sampling.period) for one in shown]
+    states += late_states(["" if one is None else one.name for one in shown], late)
     whole = late_outputs(
         arrays._replace(B=np.concatenate([arrays.B, B_Omega], axis=-1), D=np.concatenate([arrays.D, D_Omega], axis=-1)),
-        [*late, *(0 for _ in linear.signals.sight)],
+        late,
     )
+    whole = _with_drives(whole, linear)
     return plant_set(
         StateArrays(whole.A, whole.B[..., :m], whole.C[:, :p], whole.D[:, :p, :m], sampling.period),
         labels=tuple(one.label for one in linear.cases),
@@ -171,7 +177,7 @@ def sampled_plants(linear: LinearPlants, sampling: Sampling, Omega: FloatArray) 
         B_Omega=whole.B[..., m:],
         Omega=Omega,
         torque_limit=np.array([np.inf if t.limit is None else t.limit for t in linear.torquers]),
-        states=[*states, *late_states(names, late)],
+        states=states,
         D_Omega=whole.D[:, :p, m:],
         sight=linear.signals.sight,
         C_sight=whole.C[:, p:],
@@ -188,7 +194,7 @@ def tracking_plants(
     closed, with its commands behind what it measures where it does more with them than to compare.
     """
     sensors = {sensor.name: sensor for sensor in job.platform.sensors}
-    own = loop_signals(job.platform, dataclasses.replace(inner, sensors=inside.angles))
+    own = job_signals(job, dataclasses.replace(inner, sensors=inside.angles))
     both = dataclasses.replace(own, sensors=(*own.sensors, *(sensors[name] for name in spec.sensors)))
     plants = _loop_plants(job, both)
     p, m = len(own.sensors), len(own.torquers)
@@ -246,11 +252,37 @@ def loop_reference(linear: LinearPlants, period: float) -> float:
 def loop_plants(job: Job, loop: LoopSpec | tuple[str, ...]) -> PlantSet:
     """Return the sampled plants of a loop, or of the caging loop on some gimbals, signals in the loop's order."""
     platform = job.platform
-    signals = loop_signals(platform, loop) if isinstance(loop, LoopSpec) else caging_signals(platform, loop)
+    signals = job_signals(job, loop)
     if signals.held:
         loop_channels(linearise(platform), signals, job.sampling.period)  # its sensors have to show what they need to
         expect_no_keyhole(job, signals)
     return _loop_plants(job, signals)
+
+
+def job_signals(job: Job, loop: LoopSpec | tuple[str, ...]) -> LoopSignals:
+    """Return what a loop of a job, or the caging loop on some gimbals, turns, reads and sets."""
+    platform = job.platform
+    signals = loop_signals(platform, loop) if isinstance(loop, LoopSpec) else caging_signals(platform, loop)
+    torquers = {torquer.name for torquer in signals.torquers}
+    read = {name for law in job.drive_laws if law.feedback and law.torquer in torquers for name in law.weights}
+    return dataclasses.replace(signals, fed=tuple(one for one in platform.sensors if one.name in read))
+
+
+def _with_drives(whole: StateArrays, linear: LinearPlants) -> StateArrays:
+    """Return sampled plants with what drives feed back of the last outputs, without these outputs."""
+    count, m = len(linear.signals.fed), len(linear.torquers)
+    if not count:
+        return whole
+    A, B, C, D, dt = whole
+    none = np.zeros((m, count))
+    # A torquer's column has the share of its command, which is not that of what the drive adds.
+    gains = [none if one.feedback is None else one.feedback / one.torque[:, None] for one in linear.cases]
+    back = np.array(gains) @ np.concatenate([C[:, -count:], D[:, -count:]], axis=-1)
+    n = A.shape[-1]
+    moved, shown = B[..., :m] @ back, D[:, :-count, :m] @ back
+    return StateArrays(
+        A + moved[..., :n], B + moved[..., n:], C[:, :-count] + shown[..., :n], D[:, :-count] + shown[..., n:], dt
+    )
 
 
 def _loop_plants(job: Job, signals: LoopSignals) -> PlantSet:
@@ -265,6 +297,10 @@ def loop_cases(job: Job, signals: LoopSignals) -> list[Case]:
         # which the gimbals rest. Friction brings it in.
         plants = [one for one in plants if one.group != "Omega"]
         plants += with_friction(job, [one for one in plants if one.group in ("nominal", "angles")])
+    if signals.fed:
+        still = [one for one in plants if one.group in ("nominal", "angles")]
+        torquers, fed = ([one.name for one in part] for part in (signals.torquers, signals.fed))
+        plants += with_feedback(job, torquers, fed, still)
     return plants
 
 

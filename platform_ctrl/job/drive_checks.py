@@ -15,8 +15,8 @@ Data = dict[str, Any]
 
 # The keys that belong together: the first, and what has no effect without it.
 _WITH = {"friction": ("friction_rate", "sensors"), "secant_of": ("secant_limit",)}
-# Friction that is fed forward over the plant's: more cannot be meant.
-_MOST = 3.0
+# Friction that is fed forward over the plant's: with more the bearing would be better off without it.
+_MOST = 2.0
 
 
 def drive_mistakes(data: Data) -> Iterator[Mistake]:
@@ -93,7 +93,7 @@ def _friction(job: Job, gimbal: int, drive: Drive) -> Iterator[tuple[str, str]]:
         yield "friction", f"gimbal {name!r} has no dry friction; add coulomb to its [[friction]] in the plant"
     elif drive.friction > _MOST * there:
         words = f"{drive.friction:g} N m is {drive.friction / there:.3g} times the dry friction of gimbal {name!r}"
-        yield "friction", f"{words}, {there:g} N m; give at most {_MOST:g} times as much"
+        yield "friction", f"{words}, {there:g} N m; give at most twice as much"
     try:
         law = drive_law(platform, drive)
     except ArgumentError as error:

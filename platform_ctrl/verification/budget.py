@@ -25,7 +25,7 @@ from platform_ctrl.analysis.jitter_budget import JitterBudget
 from platform_ctrl.analysis.pointing_windows import motion_transfer
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray, replaced
-from platform_ctrl.design.cases import at_angles
+from platform_ctrl.design.cases import at_angles, secant_gains
 from platform_ctrl.design.plants import forgetting
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.budget import Budget, Source
@@ -264,13 +264,14 @@ class _Loop:
         controls = [torquers[name].signal for name in self.torquers]
         columns = [shown.input_labels.index(name) for name in (*controls, *self.inputs)]
         A, B, C, D, _ = state_arrays(shown, "budget")
+        gains = np.concatenate([secant_gains(self.job, q, self.torquers), np.ones(len(self.inputs))])
         # The gimbals' rates: the first states are their angles.
         rates = len(model.angle_names)
         C, D = np.vstack([C, A[:rates]]), np.vstack([D, B[:rates]])
         A = forgetting(A, shown.state_labels, drifting_angles(self.job) - set(self.sensors), _FORGETTING)
         late = {sensor.name: sensor.periods_late(self.job.sampling.period) for sensor in platform.sensors}
         return HybridPlant(
-            plant=StateArrays(A, B[:, columns], C, D[:, columns]),
+            plant=StateArrays(A, gains * B[:, columns], C, gains * D[:, columns]),
             controls=len(controls),
             measured=len(self.sensors),
             period=self.job.sampling.period,

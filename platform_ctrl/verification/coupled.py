@@ -23,7 +23,7 @@ from platform_ctrl.analysis.sampling import late_outputs, late_states, sampled
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.text import at_most
 from platform_ctrl.common.values import FloatArray, value
-from platform_ctrl.design.cases import at_angles
+from platform_ctrl.design.cases import at_angles, secant_gains
 from platform_ctrl.design.plants import forgetting
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.judging import STABLE, CheckResult, Method, Requirement
@@ -215,10 +215,16 @@ def coupled_plant(job: Job, model: LinearModel, controllers: Sequence[control.St
     columns = [whole.input_labels.index(t.signal) for t in torquers]
     kept = seen_states(whole.A[None], whole.C[None]) if drifting else range(whole.nstates)
     A = forgetting(whole.A, whole.state_labels, drifting)
+    names = [t.name for t in torquers]
+    gains = secant_gains(job, model.q0, names)
     arrays = StateArrays(
-        A[np.ix_(kept, kept)], whole.B[np.ix_(kept, columns)], whole.C[:, kept], whole.D[:, columns], 0.0
+        A[np.ix_(kept, kept)],
+        gains * whole.B[np.ix_(kept, columns)],
+        whole.C[:, kept],
+        gains * whole.D[:, columns],
+        0.0,
     )
-    named = named_system(arrays, [t.name for t in torquers], outputs, [whole.state_labels[k] for k in kept])
+    named = named_system(arrays, names, outputs, [whole.state_labels[k] for k in kept])
     return _read_late(job, sampled(named, job.sampling.period, job.sampling.delay, [t.lag for t in torquers]))
 
 
