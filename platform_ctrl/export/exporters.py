@@ -191,16 +191,24 @@ def _as_typed(settings: Mapping[str, Any]) -> list[str]:
     return [*words, *(["--accuracy", repr(settings["accuracy"])] if "accuracy" in settings else [])]
 
 
+def _without_drives(export: Export, target: Path) -> list[str]:
+    """Return a note where a job's drives, which are not linear, are not in linear systems."""
+    driven = ", ".join(drive.torquer for drive in export.job.drives)
+    return [f"{target}: without the [[drive]] of {driven}, which is not linear; the C source has it"] if driven else []
+
+
 def _write_mat(export: Export, path: Path, target: Path) -> None:
     from platform_ctrl.export.matlab import write_mat
 
     write_mat(export.systems, path)
+    export.notes += _without_drives(export, target)
 
 
 def _write_models(export: Export, path: Path, target: Path) -> None:
     from platform_ctrl.export.systems import write_systems
 
     write_systems(export.systems, path)
+    export.notes += _without_drives(export, target)
 
 
 def _write_csv(export: Export, path: Path, target: Path, *, form: Literal["complex", "polar"]) -> None:

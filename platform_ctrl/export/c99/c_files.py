@@ -17,6 +17,7 @@ from platform_ctrl.common.values import value
 from platform_ctrl.errors import InputError
 from platform_ctrl.export.c99.c_text import FILES, Names, field_names
 from platform_ctrl.export.c99.controller_files import ControllerFiles, job_files
+from platform_ctrl.export.c99.drives import drive_inputs, drive_notes, drive_words
 from platform_ctrl.export.c99.float_error import NOTED, float_error
 from platform_ctrl.export.c99.floating_files import FloatingFiles, cost_of
 from platform_ctrl.export.c99.from_design import entries_of, scheme_of, with_excess
@@ -109,7 +110,8 @@ def write_c(  # noqa: PLR0913 - options by keyword
         schemes.append(with_excess(scheme, windup.gain))
         remarks.append(windup.remark)
         notes += windup.notes
-    signals = field_names([name for scheme in schemes for name in (*scheme.inputs, *scheme.outputs)])
+    named = [name for scheme in schemes for name in (*scheme.inputs, *scheme.outputs)]
+    signals = field_names([*named, *drive_inputs(job, named, number)])
     known_names("ranges", list(ranges or {}), [name for scheme in schemes for name in scheme.inputs])
     known_names("limits", list(limits or {}), [name for scheme in schemes for name in scheme.states])
     prefixes = Names(24, FILES)
@@ -127,7 +129,9 @@ def write_c(  # noqa: PLR0913 - options by keyword
     texts: dict[str, str] = {}
     for unit in units:
         texts |= {f"{unit.prefix}.h": unit.header(), f"{unit.prefix}.c": unit.source()}
-    texts |= job_files(prefixes.new(job.name).lower(), units, cost=cost_of(schemes))
+    prefix = prefixes.new(job.name).lower()
+    texts |= job_files(prefix, units, cost=cost_of(schemes), **drive_words(job, units))
+    notes += drive_notes(job, prefix)
     target = Path(folder)
     try:
         target.mkdir(parents=True, exist_ok=True)

@@ -207,13 +207,14 @@ def job_files(job: str, units: Sequence[ControllerFiles], **words: Any) -> dict[
         made |= {name: (f"out_{number}.{unit.signals[name]}_commanded", unit) for name in unit.scheme.outputs}
         steps.append((unit.prefix, taken, given))
     outputs = [unit.job_field(name, True) for unit in units for name in unit.scheme.outputs]
+    words = {"drives": (), "driven": (), "drive_inputs": ()} | words
     words |= {"p": job, "units": units, "scheme": first.scheme, "prefixes": prefixes, "fixed": first.fixed_point}
     header = rendered(
         "job.h.j2",
         **words,
         suffix=first.suffix.partition(",")[0],
         includes=[f'"{one}.h"' for one in prefixes],
-        inputs=[unit.job_field(name, False) for name, unit in readers.items()],
+        inputs=[*(unit.job_field(name, False) for name, unit in readers.items()), *words["drive_inputs"]],
         outputs=[*outputs, *(f"    unsigned int {one}_status; /* what {one}_step returned */" for one in prefixes)],
         states=[f"    {one}_state {one};" for one in prefixes],
     )

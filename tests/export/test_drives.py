@@ -1,0 +1,103 @@
+"""Drives of torquers in the generated code: what is simulated is what is delivered."""
+
+from __future__ import annotations
+
+import ctypes
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import control
+import numpy as np
+import pytest
+
+from driven_gimbal import FRICTION, RATE_HZ, SECANT, driven_job
+from generated_c import Machine, compiled
+from platform_ctrl import read_job
+from platform_ctrl.errors import InputError
+from platform_ctrl.export.c99.c_files import Written, write_c
+from platform_ctrl.job.job import Job, manoeuvre_scenario
+from platform_ctrl.simulation import simulate
+
+BOTH = FRICTION | SECANT | {"sensors": ["base_pitch", "base_oblique"], "friction": 0.027}
+
+
+def controller() -> control.StateSpace:
+    return control.ss(
+        np.diag([0.9, 1.0]),
+        np.array([[0.1, 0.02], [0.05, 0.0]]),
+        [[-0.3, -0.2], [-0.1, 0.0]],
+        -np.diag([0.7, 0.5]),
+        1.0 / RATE_HZ,
+        inputs=["gyro", "pitch_gyro"],
+        outputs=["Qouter", "Qinner"],
+        name="loop",
+    )
+
+
+def written(job: Job, folder: Path, **more: Any) -> Written:
+    return write_c(job, [controller()], folder, **more)
+
+
+def machine(folder: Path, number: type) -> Machine:
+    library = compiled(sorted(folder.iterdir()), folder / "all.so")
+    inputs = ["gyro", "pitch_gyro", "pitch", "base_oblique", "base_pitch"]
+    return Machine(library, "driven", inputs, ["Qouter", "Qinner"], number, ["loop_status"])
+
+
+@pytest.fixture(scope="module")
+def job() -> Job:
+    return read_job(driven_job(BOTH))
+
+
+def test_torques_are_the_simulated_commands(job: Job, tmp_path: Path) -> None:
+    notes = written(job, tmp_path).notes
+    assert any("what the drives do is in driven_step" in note for note in notes)
+    code = machine(tmp_path, ctypes.c_double)
+    scenario = dataclasses.replace(manoeuvre_scenario(job, job.manoeuvres[0]), q=np.array([0.0, 0.8]))
+    run = simulate(scenario, [controller()], period=1.0 / RATE_HZ)
+    column = {sensor.name: k for k, sensor in enumerate(job.platform.sensors)}
+    names = ["gyro", "pitch_gyro", "pitch", "base_oblique", "base_pitch"]
+    torques, statuses = code.run(run.reading[:, [column[name] for name in names]])
+    np.testing.assert_allclose(torques, run.command, rtol=0.0, atol=1e-15)
+    assert set(statuses) == {0}
+
+
+def test_without_an_angle_torques_are_the_simulated_ones_but_for_a_fused_product(tmp_path: Path) -> None:
+    job = read_job(driven_job(FRICTION))
+    signals = {"inputs": ["gyro", "pitch_gyro"], "outputs": ["Qouter", "Qinner"], "name": "loop"}
+    gain = control.ss([], [], [], -np.diag([0.7, 0.5]), 1.0 / RATE_HZ, **signals)
+    write_c(job, [gain], tmp_path)
+    library = compiled(sorted(tmp_path.iterdir()), tmp_path / "all.so")
+    code = Machine(library, "driven", ["gyro", "pitch_gyro", "base_yaw"], ["Qouter", "Qinner"], ctypes.c_double)
+    run = simulate(manoeuvre_scenario(job, job.manoeuvres[0]), [gain], period=1.0 / RATE_HZ)
+    torques, _ = code.run(run.reading[:, [2, 3, 4]])
+    assert np.abs(torques - run.command).max() <= 2.0**-53 * np.abs(run.command).max()
+
+
+def test_a_reading_that_is_not_finite_leaves_the_command_as_it_is(job: Job, tmp_path: Path) -> None:
+    written(job, tmp_path)
+    code = machine(tmp_path, ctypes.c_double)
+    (plain, _), status = code.step([0.1, 0.0, np.nan, 0.2, 0.0])
+    assert plain == pytest.approx(-0.07, rel=1e-12)
+    assert status == 2
+
+
+def test_single_precision_is_the_same_to_its_digits(job: Job, tmp_path: Path) -> None:
+    written(job, tmp_path, number="float")
+    code = machine(tmp_path, ctypes.c_float)
+    (torque, _), status = code.step([0.1, 0.0, 0.8, 0.004, 0.0])
+    rate = -1.25 * 0.004
+    assert torque == pytest.approx(-0.07 / np.cos(0.8) + 0.027 * rate / 0.01, rel=1e-6)
+    assert status == 0
+
+
+def test_integers_are_refused(job: Job, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"q31 has no drives of torquers, and \[\[drive\]\] of 'Qouter' would be left"):
+        written(job, tmp_path, number="q31")
+
+
+def test_a_controller_that_does_not_set_the_torquer_is_refused(job: Job, tmp_path: Path) -> None:
+    other = control.ss([], [], [], [[-1.0]], 1.0 / RATE_HZ, inputs=["pitch_gyro"], outputs=["Qinner"], name="loop")
+    with pytest.raises(InputError, match="drive of 'Qouter': none of these controllers sets this torquer"):
+        write_c(job, [other], tmp_path)
