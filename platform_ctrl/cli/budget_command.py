@@ -21,7 +21,7 @@ from platform_ctrl.cli.job_arguments import (
 from platform_ctrl.errors import InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
     import control
 
@@ -70,17 +70,18 @@ def budget(
         from platform_ctrl.verification.budget import expect_budget, line_of_sight_budget
 
         expect_budget(read)
-        closed = _controllers(read, job, controllers, say)
+        closed, alternatives = _controllers(read, job, controllers, say)
         say("budget: every source through the coupled sampled model")
         found = line_of_sight_budget(read, closed)
+        others = _others(read, closed, alternatives, say)
         runs = _simulated(read, closed, simulate, seed, say)
     if as_json:
         from platform_ctrl.common.json_text import json_text
         from platform_ctrl.verification.records import budget_record
 
-        typer.echo(json_text(budget_record(read, found, runs)))
+        typer.echo(json_text(budget_record(read, found, runs, others)))
     else:
-        for line in budget_lines(read, found, runs):
+        for line in budget_lines(read, found, runs, others):
             typer.echo(line)
         show_requirements(screen(), found.results)
     return 0 if found.passed else 1
@@ -104,22 +105,53 @@ def _simulated(
     return simulated_budget(job, controllers, runs, seed=seed or 0, threads=os.cpu_count() or 1)
 
 
-def _controllers(job: Job, path: Path, given: Path | None, say: Callable[[str], None]) -> list[control.StateSpace]:
-    """Return the controllers of a file as check finds it, or new ones where there is none."""
+def _others(
+    job: Job,
+    closed: Sequence[control.StateSpace],
+    alternatives: Sequence[control.StateSpace],
+    say: Callable[[str], None],
+) -> dict[str, LineOfSightBudget | None]:
+    """Return the budget with each alternative in the place of the design that sets the same; None: not stable."""
+    from platform_ctrl.errors import ArgumentError
+    from platform_ctrl.verification.budget import line_of_sight_budget
+
+    out: dict[str, LineOfSightBudget | None] = {}
+    for one in alternatives:
+        say(f"budget: {one.name}")
+        outputs = set(one.output_labels)
+        instead = [one if set(K.output_labels) == outputs else K for K in closed]
+        try:
+            out[str(one.name)] = line_of_sight_budget(job, instead)
+        except ArgumentError:
+            out[str(one.name)] = None
+    return out
+
+
+def _controllers(
+    job: Job, path: Path, given: Path | None, say: Callable[[str], None]
+) -> tuple[list[control.StateSpace], list[control.StateSpace]]:
+    """Return the controllers of a file as check finds it and its alternatives, or new ones where there is none."""
     from platform_ctrl.app.saving import controllers_beside
     from platform_ctrl.verification.controllers import read_controllers
 
     if given is None and not controllers_beside(path).is_file() and not (DESIGNED / RESULT).exists():
         from platform_ctrl.design import loops
 
-        return [outcome.closed.controller for outcome in loops(job, say)]
+        made = loops(job, say)
+        others = [design.controller for outcome in made for design in outcome.alternatives]
+        return [outcome.closed.controller for outcome in made], others
     file = controller_file(given, None, path)
     say(f"controllers: {file}")
-    return read_controllers(file, job)
+    return read_controllers(file, job), read_controllers(file, job, "alternatives")
 
 
-def budget_lines(job: Job, found: LineOfSightBudget, runs: SimulatedBudget | None = None) -> Iterator[str]:
-    """Walk the lines of the tables, 80 columns wide."""
+def budget_lines(
+    job: Job,
+    found: LineOfSightBudget,
+    runs: SimulatedBudget | None = None,
+    others: Mapping[str, LineOfSightBudget | None] | None = None,
+) -> Iterator[str]:
+    """Walk the lines of the tables, 80 columns wide; `others` are the budgets of other designs."""
     assert job.budget is not None
     yield f"{job.name}: line of sight, {job.budget.from_hz:g} to {job.budget.to_hz:g} Hz, µrad rms and share"
     yield ""
@@ -132,6 +164,9 @@ def budget_lines(job: Job, found: LineOfSightBudget, runs: SimulatedBudget | Non
     total = "".join(f"{_micro(x):>9}{'':5}" for x in found.total)
     yield f"{'all together':{_NAME + _KIND}}{total}".rstrip()
     yield f"{'both axes across':{_NAME + _KIND}}{_micro(found.jitter):>9}"
+    for name, other in (others or {}).items():
+        numbers = "not stable" if other is None else "".join(f"{_micro(x):>9}{'':5}" for x in other.total)
+        yield f"{_short(f'with {name}', _NAME + _KIND - 1):{_NAME + _KIND}}{numbers}".rstrip()
     for window in found.windows:
         yield ""
         yield from _window(job, window)

@@ -64,7 +64,12 @@ def result_record(result: JobResult) -> Record:
     return out
 
 
-def budget_record(job: Job, found: LineOfSightBudget, runs: SimulatedBudget | None = None) -> Record:
+def budget_record(
+    job: Job,
+    found: LineOfSightBudget,
+    runs: SimulatedBudget | None = None,
+    others: Mapping[str, LineOfSightBudget | None] | None = None,
+) -> Record:
     """Return the budget of a job's line of sight in plain types, SI units; what ``budget --json`` prints."""
     assert job.budget is not None
     record = {
@@ -96,6 +101,11 @@ def budget_record(job: Job, found: LineOfSightBudget, runs: SimulatedBudget | No
         "friction": () if found.friction is None else _friction(found.friction),
         "requirements": [_requirement(one) for one in found.results],
     }
+    if others:
+        # Instead of the design that is closed; None where the loop is not stable.
+        record["alternatives"] = [
+            {"name": name, "rms": one and one.total, "across": one and one.jitter} for name, one in others.items()
+        ]
     if runs is not None:
         record["simulated"] = {
             "runs": runs.runs,

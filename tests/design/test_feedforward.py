@@ -1,5 +1,6 @@
 """Feedforward of the base rate in rate and pointing loops against textbook formulas of one axis, and the simulation."""
 
+import json
 from dataclasses import replace
 from typing import Any
 
@@ -15,6 +16,7 @@ from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.loop_set import LoopSet
 from platform_ctrl.analysis.metrics import torque_noise
 from platform_ctrl.analysis.norms import noise_rms
+from platform_ctrl.cli import main
 from platform_ctrl.design.feedforward import rate_feedforward
 from platform_ctrl.design.jobs import LoopOutcome
 from platform_ctrl.design.loop import LoopDesign, closed_loop_poles
@@ -22,6 +24,7 @@ from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.job.job import Feedforward
 from platform_ctrl.job.requirements import requirement
 from platform_ctrl.job.scenario import Scenario, TimeTable
+from platform_ctrl.job.writing import job_data, toml
 from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.mechanics.outputs import observed
 from platform_ctrl.mechanics.state_space import state_space
@@ -311,3 +314,20 @@ def mistakes(fed: dict[str, Any], kind: str = "rate", **more: Any) -> str:
 )
 def test_mistakes_are_named(fed, more, words):
     assert words.replace("'", '"') in mistakes(fed, **more).replace("'", '"')
+
+
+def test_the_budget_of_a_job_file_has_a_line_for_each_design(tmp_path, monkeypatch, capsys):
+    """The file is written from the job, feedforward included, and every design is closed in the budget."""
+    source = {"name": "base", "kind": "base-rate", "axis": 3, "sines": [[4.0, 0.1, 0.0]]}
+    one = job([DIRECT, INDIRECT], budget={"from_hz": 1.0, "to_hz": 100.0, "source": [source]})
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "job.toml").write_text(toml(job_data(one)), encoding="utf-8")
+    assert main(["budget", "job.toml", "--json", "-q"]) == 0
+    data = json.loads(capsys.readouterr().out)
+    across = {other["name"]: other["across"] for other in data["alternatives"]}
+    assert list(across) == ["rate, direct", "rate, indirect"]
+    made = design.loops(one)[0]
+    for name, found in across.items():
+        K = of(made, name.removeprefix("rate, ")).controller
+        assert found == pytest.approx(line_of_sight_budget(one, [K]).jitter, rel=1e-9)
+    assert across["rate, direct"] < 0.5 * data["total"]["across"]
