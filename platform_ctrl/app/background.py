@@ -290,7 +290,7 @@ class Designing:
         alone = dataclasses.replace(spec, designs=(design,), use=design.name)
         [outcome] = loops(dataclasses.replace(self.job, loops=(alone,)), progress)
         closed = outcome.closed
-        controller = state_arrays(closed.controller, closed.name)
+        controller = state_arrays(closed.own_controller, closed.name)
         return Made(controller=controller, options=dict(closed.options), claims=dict(closed.claims))
 
 

@@ -60,7 +60,8 @@ _QUICK = 32
 class CagedLoop:
     """A caging loop: controller u = K y, the whole set of plants, and the plant that is shown alone.
 
-    `job` has the spins, sampling and range of Omega of the settings.
+    `job` has the spins, sampling and range of Omega of the settings; `two_degrees` is the controller with its commands
+    where its design says what to do with them.
     """
 
     job: Job
@@ -69,6 +70,12 @@ class CagedLoop:
     plants: PlantSet
     shown: PlantSet
     controller: StateArrays
+    two_degrees: StateArrays | None = None
+
+    @property
+    def delivered(self) -> StateArrays:
+        """The controller that is measured, with its commands where it does more with them than to compare."""
+        return self.controller if self.two_degrees is None else self.two_degrees
 
     @property
     def plant(self) -> StateArrays:
@@ -94,8 +101,8 @@ def loop_metrics(loop: CagedLoop, whole: LoopSet | None = None) -> LoopMetrics:
     """Return the metrics that the page shows of a loop: peaks are norms unless it has too many states for that."""
     requests = requirements_of(loop.spec)
     if loop.exact:
-        return measure(loop.plants, loop.controller, requests, loops=whole)
-    return measure(loop.plants, loop.controller, requests, exact=False)
+        return measure(loop.plants, loop.delivered, requests, loops=whole)
+    return measure(loop.plants, loop.delivered, requests, exact=False)
 
 
 class CagedCurves(LoopCurves):
@@ -187,7 +194,7 @@ class CagedCurves(LoopCurves):
 def caged_parts(loop: CagedLoop, settings: Settings, labels: tuple[str, ...], cached: CachedMetrics) -> Parts:
     """Return what is drawn for a caging loop, and the function that measures it; `labels` are those of all plants."""
     plants = loop.plants
-    whole = LoopSet(plants, loop.controller)
+    whole = LoopSet(plants, loop.delivered)
     inside = np.flatnonzero(plants.of(_BAND))
     band = None
     if settings.band and len(plants.labels) > 1:

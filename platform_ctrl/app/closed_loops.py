@@ -7,24 +7,27 @@ from collections.abc import Callable, Hashable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from platform_ctrl.analysis.arrays import StateArrays, named_system, state_arrays
-from platform_ctrl.analysis.following import feedback_part
+from platform_ctrl.analysis.following import feedback_part, with_error_alone
 from platform_ctrl.analysis.loop_metrics import LoopMetrics
 from platform_ctrl.analysis.plant_set import COMMAND
-from platform_ctrl.analysis.sampling import from_w_plane, to_w_plane
 from platform_ctrl.app.background import Made
 from platform_ctrl.app.budget import LineOfSight
 from platform_ctrl.app.caged import CachedMetrics, CagedLoop
-from platform_ctrl.app.controllers import DesignOptions, built_directly, direct_arrays
+from platform_ctrl.app.controllers import DesignOptions, at_rate, built_directly, direct_arrays
 from platform_ctrl.app.free_plants import StabilisedLoop
 from platform_ctrl.app.plants import Bounded, JobPlants
 from platform_ctrl.app.saving import ClosedController
 from platform_ctrl.app.settings import Conditions, Settings
 from platform_ctrl.app.stabilised import CachedMargins
+from platform_ctrl.app.tracking import TrackingLoops, without_tracking
 from platform_ctrl.common.arguments import known_name
+from platform_ctrl.design.command_shaping import shaped
 from platform_ctrl.design.loop import LoopProblem, designed
 from platform_ctrl.design.loop_signals import loop_signals
-from platform_ctrl.errors import DesignError, InputError, PlatformCtrlError
+from platform_ctrl.errors import DesignError, InputError
 from platform_ctrl.job.job import DesignSpec, Job, LoopSpec
 from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.job.methods import METHODS
@@ -58,19 +61,6 @@ def without_feedforward(job: Job) -> tuple[Job, dict[str, str]]:
         use = spec.use if spec.use not in left else designs[0].name
         loops.append(dataclasses.replace(spec, designs=designs, use=use))
     return dataclasses.replace(job, loops=tuple(loops)), lines
-
-
-def at_rate(K: StateArrays, period: float, design: str) -> StateArrays:
-    """Return a controller at a sample period, s: by Tustin's rule where it was made for another one."""
-    if abs(K.dt - period) <= 1e-12 * period:
-        return K
-    try:
-        return from_w_plane(to_w_plane(K), period)
-    except PlatformCtrlError:
-        raise DesignError(
-            f"{design}: Tustin's rule carries it to no controller at {1.0 / period:.4g} Hz; move one of its numbers to "
-            "design it anew"
-        ) from None
 
 
 def given_designs(path: Path, job: Job) -> list[tuple[str, str, str, Made]]:
@@ -107,18 +97,23 @@ def given_designs(path: Path, job: Job) -> list[tuple[str, str, str, Made]]:
 
 def _loop_of(job: Job, outputs: set[str]) -> LoopSpec | None:
     for spec in job.loops:
-        if spec.has_plants and outputs == {one.name for one in loop_signals(job.platform, spec).torquers}:
+        if (
+            spec.has_plants
+            and spec.kind != "tracking"
+            and outputs == {one.name for one in loop_signals(job.platform, spec).torquers}
+        ):
             return spec
     return None
 
 
 class ClosedLoops:
-    """The loops of a job, closed as settings say."""
+    """The loops of a job, closed as settings say; `read` is the job without the `tracking` loops, which stay fixed."""
 
     def __init__(self, job: Job, controllers: Path | None) -> None:
         # By loop a line about designs that the page does not show.
-        self.read, self._left_out = without_feedforward(job)
-        job = self.read
+        whole, self._left_out = without_feedforward(job)
+        self.read = job = without_tracking(whole)
+        self.tracking = TrackingLoops(whole)
         self.plants = JobPlants(job)
         self.options = DesignOptions(self.plants)
         # Controllers by loop, design and conditions: made here, and read from a file, which no method could make again.
@@ -130,7 +125,7 @@ class ClosedLoops:
         self._results: Bounded[tuple[CheckResult, ...]] = Bounded(8)
         self._coupled: Bounded[CoupledCheck] = Bounded(4)
         self.sight = LineOfSight(self)
-        self._take([] if controllers is None else given_designs(controllers, job))
+        self._take([] if controllers is None else given_designs(controllers, whole))
 
     @property
     def start(self) -> Settings:
@@ -270,7 +265,16 @@ class ClosedLoops:
         job = self.job(settings)
         plants, shown = self.plants.caged(settings, spec)
         K, note = self.caging(settings, spec, design)
-        loop = CagedLoop(job=job, spec=spec, design=design.name, plants=plants, shown=shown, controller=K)
+        delivered = None if design.command is None else self._with_commands(settings, spec, design, K)
+        loop = CagedLoop(
+            job=job,
+            spec=spec,
+            design=design.name,
+            plants=plants,
+            shown=shown,
+            controller=K,
+            two_degrees=delivered,
+        )
         return loop, tuple(line for line in (note, self._left_out.get(spec.name, "")) if line)
 
     def stabilised(self, settings: Settings) -> tuple[StabilisedLoop, tuple[str, ...]]:
@@ -326,7 +330,7 @@ class ClosedLoops:
 
     def cached_metrics(self, settings: Settings, loop: CagedLoop) -> CachedMetrics:
         """Return the cache of a caging loop's metrics: the result of a drag is drawn next."""
-        key = (loop.spec.name, self.plants.key(settings), _content(loop.controller))
+        key = (loop.spec.name, self.plants.key(settings), _content(loop.delivered))
         return lambda make: self._measures.get(key, make)
 
     def cached_results(
@@ -338,7 +342,12 @@ class ClosedLoops:
     def controllers(self, settings: Settings, strict: bool = False) -> list[ClosedController]:
         """Return the controller of every loop; with `strict` only those that are named in `closed` will do."""
         closed = self.closed(settings)
-        return [self._closed(settings, spec, closed[spec.name], strict) for spec in self.read.loops]
+        found = [self._closed(settings, spec, closed[spec.name], strict) for spec in self.read.loops]
+        return self.tracking.with_them(found, 1.0 / settings.rate_hz)
+
+    def tracking_results(self, settings: Settings, spec: LoopSpec) -> tuple[CheckResult, ...]:
+        """Return the results of a tracking loop around the rate loop as it is set."""
+        return self.tracking.results(self.job(settings), spec, self.controllers(settings))
 
     def _closed(self, settings: Settings, spec: LoopSpec, name: str, strict: bool) -> ClosedController:
         design, note = self._named_design(spec, name), ""
@@ -358,11 +367,22 @@ class ClosedLoops:
                 raise DesignError(f"{spec.name}, {note}")
             signals = loop_signals(self.read.platform, spec)
             inputs, outputs = ([one.name for one in part] for part in (signals.sensors, signals.torquers))
+            K = self._with_commands(settings, spec, design, K)
+            inputs = [*inputs, *(f"{name}{COMMAND}" for name in inputs)][: K.B.shape[1]]
             system = named_system(K, inputs, outputs, name=f"{spec.name}, {design.name}")
             options = self.options.used(settings, spec, design)
         return ClosedController(
             loop=spec.name, design=design.name, method=design.method, system=system, options=options, note=note
         )
+
+    def _with_commands(self, settings: Settings, spec: LoopSpec, design: DesignSpec, K: StateArrays) -> StateArrays:
+        """Return a controller with the commands that its design shapes, or that a loop or a manoeuvre gives."""
+        if design.command is not None:
+            channel = self.plants.gyros(settings.spins, spec, 1.0 / settings.rate_hz)
+            sense = np.eye(K.B.shape[1]) if channel.sense is None else channel.sense
+            return shaped(K._replace(dt=1.0 / settings.rate_hz), design.command, channel, sense)
+        taken = spec.name in self.tracking.around or bool(self.read.commanded & set(spec.sensors))
+        return with_error_alone(K) if taken else K
 
     def servo(self, settings: Settings, spec: LoopSpec, design: DesignSpec) -> control.StateSpace:
         """Return the controller of a servo on the platform."""

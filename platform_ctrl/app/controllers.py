@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from platform_ctrl.analysis.arrays import StateArrays
+from platform_ctrl.analysis.sampling import from_w_plane, to_w_plane
 from platform_ctrl.app.plants import JobPlants
 from platform_ctrl.app.settings import Settings, lowest_rate
 from platform_ctrl.design.classical.caging import classical_controller, starting_values
@@ -109,6 +110,19 @@ def direct_arrays(method: str, options: Mapping[str, float], channel: Channels, 
     if not all(bool((abs(item) < 1e300).all()) for item in controller[:4]):
         raise DesignError(f"{method}: the controller of these options is not finite; choose less extreme ones")
     return controller
+
+
+def at_rate(K: StateArrays, period: float, design: str) -> StateArrays:
+    """Return a controller at a sample period, s: by Tustin's rule where it was made for another one."""
+    if abs(K.dt - period) <= 1e-12 * period:
+        return K
+    try:
+        return from_w_plane(to_w_plane(K), period)
+    except PlatformCtrlError:
+        raise DesignError(
+            f"{design}: Tustin's rule carries it to no controller at {1.0 / period:.4g} Hz; move one of its numbers to "
+            "design it anew"
+        ) from None
 
 
 class DesignOptions:

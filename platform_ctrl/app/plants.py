@@ -32,7 +32,6 @@ from platform_ctrl.design.plants import (
     loop_reference,
     sampled_plants,
 )
-from platform_ctrl.errors import InputError
 from platform_ctrl.job.job import Job, LoopSpec, Sampling
 from platform_ctrl.mechanics.linearisation import LinearModel, linearise
 from platform_ctrl.mechanics.state_space import named_rows, whole_subsystems
@@ -256,11 +255,6 @@ class JobPlants:
     """The plants of a job; safe in several threads."""
 
     def __init__(self, job: Job) -> None:
-        tracking = [spec.name for spec in job.loops if spec.kind == "tracking"]
-        if tracking:
-            raise InputError(
-                f"loop {tracking[0]!r}: the page shows no tracking loops; leave it out of the job that you serve"
-            )
         self.read = job
         self._quick: dict[str, QuickPlants] = {}
         self._lock = threading.Lock()

@@ -139,6 +139,8 @@ def job_text(
             document["operation"]["Omega"][k] = abs(new)
     for loop in document["loop"]:
         name = str(loop["name"])
+        if name not in settings.closed:  # a tracking loop
+            continue
         # A design that the page does not show stays the one that is closed, unless another is chosen.
         left_out = str(loop["use"]) not in settings.options[name] and settings.closed[name] == start.closed[name]
         if not left_out and loop["use"] != settings.closed[name]:

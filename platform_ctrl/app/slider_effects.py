@@ -35,13 +35,13 @@ def moved_slider(slider: Slider) -> float:
 def caged_influence(loop: CagedLoop, sliders: Sequence[Slider], loop_with: Callable[[Slider], CagedLoop]) -> Influence:
     """Return what `sliders` do to the limits of a caging loop; `loop_with` is the loop with one of them moved."""
     requests = [one for one in requirements_of(loop.spec) if one.hard]
-    whole = measure(loop.plants, loop.controller, requests, exact=False)
+    whole = measure(loop.plants, loop.delivered, requests, exact=False)
     view = deciding(whole, requests)
     names = tuple(one.name for one in requests)
 
     def ratios(now: CagedLoop) -> FloatArray:
         plants = now.plants.only([k for k in view if k < len(now.plants.labels)])
-        return largest_ratios(measure(plants, now.controller, requests, exact=False), requests)
+        return largest_ratios(measure(plants, now.delivered, requests, exact=False), requests)
 
     return _influence(sliders, names, ratios(loop), lambda slider: ratios(loop_with(slider)))
 
