@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from platform_ctrl.analysis.loop_set import FOLLOWING, S_OUTPUT
 from platform_ctrl.analysis.measuring import Peak
 from platform_ctrl.analysis.metrics import METRICS
 from platform_ctrl.common.signatures import short
@@ -53,17 +54,23 @@ _OF_SCOPE: dict[str, tuple[Any, str]] = {
 }
 
 
-def same_curve(kind: str) -> list[str]:
-    """Return the metrics that are read off the curve of the metric `kind`: their limits belong beside it."""
+def same_curve(kind: str, spec: LoopSpec) -> list[str]:
+    """Return the metrics that are read off the curve of the metric `kind`: their limits belong beside it.
+
+    Without a filter of the commands their errors are S.
+    """
     metrics = peak_metrics()
     if kind not in metrics:
         return [kind]
-    return [name for name, peak in metrics.items() if set(peak.transfers) <= set(metrics[kind].transfers)]
+    shown = set(metrics[kind].transfers)
+    if S_OUTPUT in shown and not any(design.command for design in spec.designs):
+        shown.add(FOLLOWING)
+    return [name for name, peak in metrics.items() if set(peak.transfers) <= shown]
 
 
-def limited(limits: Mapping[str, float], kind: str) -> list[str]:
+def limited(limits: Mapping[str, float], kind: str, spec: LoopSpec) -> list[str]:
     """Return the metrics on the curve of `kind` that have a limit (or a goal) for the nominal plant."""
-    return [name for name in same_curve(kind) if METRICS[name].key in limits]
+    return [name for name in same_curve(kind, spec) if METRICS[name].key in limits]
 
 
 def limit_lines(axes: Axes, spec: LoopSpec, kind: str, *, scale: float = 1.0, from_hz: float = 0.0) -> None:
@@ -74,7 +81,7 @@ def limit_lines(axes: Axes, spec: LoopSpec, kind: str, *, scale: float = 1.0, fr
     """
     left, right = axes.get_xlim()
     for limits, hard in ((spec.limits, True), (spec.soft, False)):
-        for metric in (METRICS[name] for name in limited(limits, kind)):
+        for metric in (METRICS[name] for name in limited(limits, kind, spec)):
             limit = scale * metric.in_SI(limits[metric.key])
             inverse = isinstance(metric.measure, Peak) and metric.measure.reciprocal
             if metric.band:
@@ -289,9 +296,9 @@ def disturbance_figure(responses: LoopResponses, spec: LoopSpec) -> Figure:
 
 def further_gains(responses: LoopResponses, spec: LoopSpec) -> list[str]:
     """Return the metrics with a limit or a goal that are the peak of a gain that no standard plot shows."""
-    shown = {name for kind in _STANDARD for name in same_curve(kind)}
+    shown = {name for kind in _STANDARD for name in same_curve(kind, spec)}
     kinds = [kind for kind in responses.closed_design.gains if kind not in shown]
-    return [kind for kind in kinds if limited({**spec.soft, **spec.limits}, kind)]
+    return [kind for kind in kinds if limited({**spec.soft, **spec.limits}, kind, spec)]
 
 
 def further_gains_figure(responses: LoopResponses, spec: LoopSpec, kinds: Sequence[str]) -> Figure:

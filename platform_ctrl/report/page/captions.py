@@ -98,8 +98,8 @@ def sensitivity(outcome: LoopOutcome, responses: LoopResponses) -> str:
         outcome=outcome,
         bandwidth=bandwidth_hz(closed),
         closest=None if closed.measures is None or unstable(closed) else float(responses.frequency[peak]) * HZ,
-        lines=[METRICS[kind] for curve in SENSITIVITIES for kind in limited(spec.limits, curve)],
-        goals=METRICS["bandwidth"].key in spec.soft or any(limited(spec.soft, curve) for curve in SENSITIVITIES),
+        lines=[METRICS[kind] for curve in SENSITIVITIES for kind in limited(spec.limits, curve, spec)],
+        goals=METRICS["bandwidth"].key in spec.soft or any(limited(spec.soft, curve, spec) for curve in SENSITIVITIES),
         margins=_margins(closed),
     )
 
@@ -129,7 +129,9 @@ def disturbance(outcome: LoopOutcome, responses: LoopResponses) -> str:
 def further_gains(outcome: LoopOutcome, responses: LoopResponses, kinds: Sequence[str]) -> str:
     """Gains whose peaks have a limit, beside those of the other plots."""
     peaks = responses.closed_design.peaks
-    limits, goals = (any(limited(one, kind) for kind in kinds) for one in (outcome.spec.limits, outcome.spec.soft))
+    limits, goals = (
+        any(limited(one, kind, outcome.spec) for kind in kinds) for one in (outcome.spec.limits, outcome.spec.soft)
+    )
     values = [(METRICS[kind], float(METRICS[kind].in_unit(peaks[kind]))) for kind in kinds]
     return sentences("further_gains", outcome=outcome, values=values, limits=limits, goals=goals)
 
