@@ -13,6 +13,8 @@ from hypothesis import settings
 
 # Before numpy is loaded: on small matrices BLAS threads spend their time waiting for each other.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+# The tests themselves use all cores: a second process of each command would only start and wait.
+os.environ.setdefault("PLATFORM_CTRL_PROCESSES", "1")
 
 # A change is judged by the same cases everywhere; new ones are sought by `pytest --hypothesis-profile=others`.
 settings.register_profile("same", derandomize=True)

@@ -37,6 +37,7 @@ if TYPE_CHECKING:
 
     from platform_ctrl.campaign.store import Record
     from platform_ctrl.campaign.summary import Summary
+    from platform_ctrl.common.processes import SecondProcess
     from platform_ctrl.job.job import Job
     from platform_ctrl.verification import JobResult
     from platform_ctrl.verification.baselines.comparison import Change, Comparison
@@ -45,6 +46,8 @@ if TYPE_CHECKING:
 
 CHECKED = Path("check")
 REUSE = "reuse"
+# What the second process loads while this one reads the job.
+DRAWING = ("platform_ctrl.report.page.job_page",)
 
 
 def design(
@@ -83,6 +86,7 @@ def design(
         report = Report(out, pdf, campaign)
         report.expect_possible(read)
         report.prepare(junit, [job, *plant_file(job, read)])
+        from platform_ctrl.common.processes import SecondProcess
         from platform_ctrl.common.store import Store
         from platform_ctrl.design import loops
         from platform_ctrl.simulation.compilation import start_compilation
@@ -91,8 +95,9 @@ def design(
         if read.manoeuvres:
             start_compilation()
         store = Store(out / REUSE, fresh=fresh)
-        result = check_job(read, loops(read, say, store), say)
-        show = report.write(result, ["design", str(job), "-o", str(out)], say, as_json)
+        with SecondProcess(*DRAWING) as beside:
+            result = check_job(read, loops(read, say, store, beside), say)
+            show = report.write(result, ["design", str(job), "-o", str(out)], say, as_json, beside=beside)
         if junit is not None:
             from platform_ctrl.report.failures import write_junit
 
@@ -230,6 +235,7 @@ def check(
         comparison = BaselineOptions.given(baseline, update_baseline)
         report = Report(folder, pdf, campaign)
         report.expect_possible(read)
+        from platform_ctrl.common.processes import SecondProcess
         from platform_ctrl.verification import check_job
         from platform_ctrl.verification.controllers import outcomes_from, read_controllers
         from platform_ctrl.verification.records import unconfirmed
@@ -240,11 +246,12 @@ def check(
             campaign_summary(read, closed, campaign)  # before the work on what would be refused
         report.prepare(junit, [job, *plant_file(job, read), file, baseline])
         say(f"controllers: {file}")
-        result = check_job(read, outcomes_from(read, closed, others), say)
-        notes = unconfirmed(file, result)
-        command = ["check", str(job), "--controllers", str(file), "-o", str(folder)]
-        compared: dict[str, Any] = {}
-        show = report.write(result, command, say, as_json, compared)
+        with SecondProcess(*DRAWING) as beside:
+            result = check_job(read, outcomes_from(read, closed, others), say)
+            notes = unconfirmed(file, result)
+            command = ["check", str(job), "--controllers", str(file), "-o", str(folder)]
+            compared: dict[str, Any] = {}
+            show = report.write(result, command, say, as_json, compared, beside=beside)
         outcome = comparison.outcome(result)  # last: nothing is accepted of which there is no report
         compared |= outcome.record or {}
         if junit is not None:
@@ -329,15 +336,18 @@ class Report:
         say: Callable[[str], None],
         as_json: bool,
         more: Mapping[str, object] | None = None,
+        *,
+        beside: SecondProcess,
     ) -> Shown:
         """Write all files or none; return a function that prints the result and returns the exit code.
 
         `command` are the words of the command line without the program's name, the job second; `more` is printed as
-        JSON beside the content of the result's file. A campaign of other controllers is left out, and is an error at
-        the end.
+        JSON beside the content of the result's file; the process `beside` draws a part of the figures. A campaign of
+        other controllers is left out, and is an error at the end.
         """
         from platform_ctrl.cli.atomic_output import written_together
-        from platform_ctrl.report import prepared, write_page, write_pdf
+        from platform_ctrl.report import write_page, write_pdf
+        from platform_ctrl.report.page.job_page import drawn_beside
         from platform_ctrl.verification.records import result_record, write_record
 
         record = result_record(result)
@@ -354,7 +364,7 @@ class Report:
         say(f"drawing the report: {self.folder / REPORT}")
         with written_together(self.folder) as unfinished:
             write_record(record, unfinished / RESULT)
-            content = prepared(result, command=shlex.join(words), **about)
+            content = drawn_beside(result, beside, command=shlex.join(words), **about)
             write_page(content, unfinished / REPORT)
             if self.pdf:
                 say(f"setting the report: {self.folder / PDF}")

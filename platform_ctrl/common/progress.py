@@ -13,6 +13,24 @@ from typing import Any
 Progress = Callable[[str], None]
 
 
+class Local:
+    """What is called with a line in this process, and says nothing in another one that it is sent to."""
+
+    def __init__(self, say: Progress) -> None:
+        self.say = say
+
+    def __call__(self, line: str) -> None:
+        """Say a line."""
+        self.say(line)
+
+    def __reduce__(self) -> tuple[type[Local], tuple[Progress]]:
+        return Local, (_unsaid,)
+
+
+def _unsaid(line: str) -> None:
+    pass
+
+
 @contextmanager
 def shown(progress: Progress | bool | None) -> Iterator[Progress]:
     """Yield what is called with a line before each step: True shows the present one, with the time since the start."""

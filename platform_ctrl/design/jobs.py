@@ -7,7 +7,8 @@ import os
 from collections.abc import Mapping, Sequence
 
 from platform_ctrl.analysis.plant_set import PlantSet
-from platform_ctrl.common.progress import Progress, shown
+from platform_ctrl.common.processes import SecondProcess
+from platform_ctrl.common.progress import Local, Progress, shown
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.store import Store
 from platform_ctrl.common.values import value
@@ -18,10 +19,9 @@ from platform_ctrl.design.loop_signals import loop_channels, loop_signals
 from platform_ctrl.design.partition import Channels
 from platform_ctrl.design.plants import plants_of, tracking_plants
 from platform_ctrl.design.reuse import design_job, kept_or_designed, plant_job
-from platform_ctrl.errors import DesignError
-from platform_ctrl.job.job import Job, LoopSpec
+from platform_ctrl.job.job import DesignSpec, Job, LoopSpec
 from platform_ctrl.job.reading import read_job
-from platform_ctrl.mechanics.linearisation import linearise
+from platform_ctrl.mechanics.linearisation import LinearModel, linearise
 
 
 @value
@@ -48,6 +48,7 @@ def loops(
     job: Job | str | os.PathLike[str] | Mapping[str, object],
     progress: Progress | bool | None = None,
     store: Store | None = None,
+    beside: SecondProcess | None = None,
 ) -> tuple[LoopOutcome, ...]:
     """Design every loop of `job` by each of its methods.
 
@@ -60,6 +61,8 @@ def loops(
     store
         Where designs are kept. One that was made from the same loop, plant and sampling by the same code is not made
         again: it is measured, and its certificates are verified, against the closed loops of this job.
+    beside
+        Another process, which makes a part of the designs.
 
     Returns
     -------
@@ -77,52 +80,77 @@ def loops(
     """
     job = job if isinstance(job, Job) else read_job(job)
     with shown(progress) as say:
-        return _loops(job, say, store)
+        return _loops(job, say, store, beside)
 
 
-def _loops(job: Job, progress: Progress, store: Store | None) -> tuple[LoopOutcome, ...]:
+def _loops(job: Job, progress: Progress, store: Store | None, beside: SecondProcess | None) -> tuple[LoopOutcome, ...]:
     model = linearise(job.platform)
     # All plants before the first design: an error in the third loop is raised before the work on the first.
-    plants_of_all = [_plants_of_designs(plant_job(job, spec), spec) for spec in job.loops]
-    out: list[LoopOutcome] = []
-    for spec, plants_of_loop in zip(job.loops, plants_of_all, strict=True):
-        inside = directions = inner = None
-        if spec.kind == "tracking":
-            inner = next(one for one in out if one.spec.name == spec.around).closed
-            around = next(one for one in job.loops if one.name == spec.around)
-            assert inner.plants is not None, "a rate loop has plants"
-            K = with_commands(inner.plants, inner.controller)
-            inside, directions = tracking_plants(plant_job(job, spec, around), spec, around, inner.plants, K)
-        of_sensors: dict[tuple[str, ...], Channels] = {}
-        designs = []
-        for design, own in zip(spec.designs, plants_of_loop, strict=True):
-            plants = own if inside is None else inside
-            if inside is None and plants is not None:
-                # Once for all designs that read the same, which ask for them again and again.
-                read = spec.read_by(design)
-                if read.sensors not in of_sensors:
-                    found = loop_channels(model, loop_signals(job.platform, read), plants.period)
-                    of_sensors[read.sensors] = found
-                directions = of_sensors[read.sensors]
-            alone = design_job(job, spec, design)
-            problem = LoopProblem(
-                job=alone,
-                spec=alone.loops[-1],
-                design=design,
-                model=model,
-                plant_set=plants,
-                directions=directions,
-                progress=progress,
-            )
-            progress(f"{spec.name}: {design.name}")
-            try:
-                designs.append(kept_or_designed(problem, shortest_rise(job), inner, store))
-            except DesignError as error:
-                if plants is None or str(error).startswith(f"{spec.name}, "):
-                    raise
-                raise type(error)(f"{spec.name}, {design.name}: {error}", error.problem) from None
-        out.append(LoopOutcome(spec=spec, designs=tuple(designs), use=spec.use))
-    return in_order(job, out)
+    plants_of_all = {spec.name: _plants_of_designs(plant_job(job, spec), spec) for spec in job.loops}
+    made: dict[str, LoopOutcome] = {}
+    # A tracking loop has the rate loop that it commands in its plants.
+    for tracking in (False, True):
+        specs = [spec for spec in job.loops if (spec.kind == "tracking") is tracking]
+        problems: list[tuple[LoopProblem, LoopDesign | None]] = []
+        for spec in specs:
+            inner = made[str(spec.around)].closed if tracking else None
+            directed = _with_directions(job, spec, model, plants_of_all[spec.name], inner)
+            problems += [
+                (_problem(job, spec, design, model, *own, progress), inner)
+                for design, own in zip(spec.designs, directed, strict=True)
+            ]
+        designs = kept_or_designed(problems, shortest_rise(job), store, beside)
+        for spec in specs:
+            own = tuple(one for one in designs if one.loop == spec.name)
+            made[spec.name] = LoopOutcome(spec=spec, designs=own, use=spec.use)
+    return in_order(job, [made[spec.name] for spec in job.loops])
+
+
+Directed = tuple[PlantSet | None, Channels | None]
+
+
+def _with_directions(
+    job: Job, spec: LoopSpec, model: LinearModel, plants: Sequence[PlantSet | None], inner: LoopDesign | None
+) -> list[Directed]:
+    """Return the plants of each design of a loop with their directions.
+
+    `inner` is the design of the loop that a tracking loop commands.
+    """
+    if inner is not None:
+        around = next(one for one in job.loops if one.name == spec.around)
+        assert inner.plants is not None, "a rate loop has plants"
+        K = with_commands(inner.plants, inner.controller)
+        return [tracking_plants(plant_job(job, spec, around), spec, around, inner.plants, K)] * len(plants)
+    of_sensors: dict[tuple[str, ...], Channels] = {}
+    out: list[Directed] = []
+    for design, own in zip(spec.designs, plants, strict=True):
+        read = spec.read_by(design)
+        if own is not None and read.sensors not in of_sensors:
+            # Once for all designs that read the same, which ask for them again and again.
+            of_sensors[read.sensors] = loop_channels(model, loop_signals(job.platform, read), own.period)
+        out.append((own, None if own is None else of_sensors[read.sensors]))
+    return out
+
+
+def _problem(
+    job: Job,
+    spec: LoopSpec,
+    design: DesignSpec,
+    model: LinearModel,
+    plants: PlantSet | None,
+    directions: Channels | None,
+    progress: Progress,
+) -> LoopProblem:
+    alone = design_job(job, spec, design)
+    return LoopProblem(
+        job=alone,
+        spec=alone.loops[-1],
+        design=design,
+        model=model,
+        plant_set=plants,
+        directions=directions,
+        progress=Local(progress),
+    )
 
 
 def _plants_of_designs(job: Job, spec: LoopSpec) -> list[PlantSet | None]:

@@ -9,15 +9,17 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Sequence
 from typing import Any
 
 from platform_ctrl.analysis.arrays import StateArrays, state_arrays
 from platform_ctrl.analysis.certificates.plant_set import Evidence, KnownProofs, evidence_of
+from platform_ctrl.common.processes import SecondProcess, Task
 from platform_ctrl.common.store import Store, array_of, array_text, key_of
 from platform_ctrl.common.values import replaced
 from platform_ctrl.design.caging_claims import with_caging_claims
 from platform_ctrl.design.loop import Designed, LoopDesign, LoopProblem, evaluated
-from platform_ctrl.errors import PlatformCtrlError
+from platform_ctrl.errors import DesignError, PlatformCtrlError
 from platform_ctrl.job.job import CoupledLimits, DesignSpec, Job, LoopSpec
 from platform_ctrl.job.methods import known_method, resolved
 
@@ -46,11 +48,14 @@ def plant_job(job: Job, *loops: LoopSpec) -> Job:
 def design_job(job: Job, spec: LoopSpec, design: DesignSpec) -> Job:
     """Return what a design of a loop may depend on: its loop without the other designs comes last.
 
-    ``use`` is empty unless the design is the one that is closed. The loop that a tracking loop commands comes first.
+    ``use`` is empty unless the design is the one that is closed. The loop that a tracking loop commands comes first,
+    with the design that is closed.
     """
     use = design.name if design.name == spec.use else ""
     around = (one for one in job.loops if one.name == spec.around)
-    inner = (replaced(one, _BARE) for one in around)
+    inner = (
+        replaced(one, _BARE | {"designs": tuple(own for own in one.designs if own.name == one.use)}) for one in around
+    )
     return _with_loops(job, (*inner, replaced(spec, {"designs": (design,), "use": use})))
 
 
@@ -69,28 +74,67 @@ def design_key(job: Job, rise: float, inner: LoopDesign | None = None) -> str:
     return key_of("design", job, rise if spec.kind == "caging" and spec.use else None, commanded)
 
 
-def kept_or_designed(problem: LoopProblem, rise: float, inner: LoopDesign | None, store: Store | None) -> LoopDesign:
-    """Return the design of a problem with a reduced job, from the store if it is there and verified."""
-    spec, method = problem.spec, known_method(problem.design.method)
-    closed, caging = bool(spec.use), spec.kind == "caging"
-    # A loop without plants has no certificates; of other methods than the package's the code is not in the key.
-    own = isinstance(method.design, str) and method.design.startswith(f"{__name__.partition('.')[0]}.")
-    key = ""
-    if store is not None and own and problem.plant_set is not None:
-        key = design_key(problem.job, rise, inner)
-        taken = _taken(problem, store.find(key))
-        if taken is not None:
-            store.taken.append((spec.name, problem.design.name))
-            problem.progress(
-                f"{spec.name}: {problem.design.name}: unchanged, taken from {store.folder}, certificates verified"
-            )
-            return taken
-    found: Designed = resolved(method.design)(problem)
-    made = evaluated(problem, found)
-    out = with_caging_claims(problem.job, made, closed=closed, rise=rise) if caging else made
+def kept_or_designed(
+    problems: Sequence[tuple[LoopProblem, LoopDesign | None]],
+    rise: float,
+    store: Store | None,
+    beside: SecondProcess | None,
+) -> list[LoopDesign]:
+    """Return the designs of problems with reduced jobs, each with that of the loop inside.
+
+    Those that are in the store and proved are taken from there; of the others `beside` makes a part.
+    """
+    keys = ["" if store is None else _key(problem, rise, inner) for problem, inner in problems]
+    out: dict[int, LoopDesign] = {}
+    for k, (problem, _) in enumerate(problems):
+        taken = _taken(problem, store.find(keys[k])) if store is not None and keys[k] else None
+        if store is not None and taken is not None:
+            out[k] = taken
+            name = f"{problem.spec.name}: {problem.design.name}"
+            store.taken.append((problem.spec.name, problem.design.name))
+            problem.progress(f"{name}: unchanged, taken from {store.folder}, certificates verified")
+    left = [k for k in range(len(problems)) if k not in out]
+
+    def begun(k: int) -> None:
+        problem, _ = problems[left[k]]
+        problem.progress(f"{problem.spec.name}: {problem.design.name}")
+
+    tasks: list[Task] = [(_made, (problems[k][0], rise, store, keys[k])) for k in left]
+    if beside is None:
+        for k, (function, arguments) in enumerate(tasks):
+            begun(k)
+            out[left[k]] = function(*arguments)
+    else:
+        out |= zip(left, beside.results(tasks, begun), strict=True)
+    return [out[k] for k in range(len(problems))]
+
+
+def _key(problem: LoopProblem, rise: float, inner: LoopDesign | None) -> str:
+    """Return the key of a design; none where it is not kept.
+
+    A loop without plants has no certificates; of other methods than the package's the code is not in the key.
+    """
+    design = known_method(problem.design.method).design
+    own = isinstance(design, str) and design.startswith(f"{__name__.partition('.')[0]}.")
+    return design_key(problem.job, rise, inner) if own and problem.plant_set is not None else ""
+
+
+def _made(problem: LoopProblem, rise: float, store: Store | None, key: str) -> LoopDesign:
+    """Return the design of a problem; it is kept if it has a key and all is proved."""
+    spec = problem.spec
+    try:
+        found: Designed = resolved(known_method(problem.design.method).design)(problem)
+        made = evaluated(problem, found)
+    except DesignError as error:
+        name = f"{spec.name}, {problem.design.name}"
+        if problem.plant_set is None or str(error).startswith(f"{spec.name}, "):
+            raise
+        raise type(error)(f"{name}: {error}", error.problem) from None
+    if spec.kind == "caging":
+        made = with_caging_claims(problem.job, made, closed=bool(spec.use), rise=rise)
     if store is not None and key and made.certificates and not made.unproved:
-        store.keep(key, _written(found, out))
-    return out
+        store.keep(key, _written(found, made))
+    return made
 
 
 def _written(found: Designed, made: LoopDesign) -> dict[str, Any]:

@@ -120,18 +120,16 @@ def expected(job: Job, path: Path_) -> set[tuple[int, int]]:
         return everything
     loop, name = int(path[1]), path[2]
     spec = job.loops[loop]
-    own = {(i, k) for i, k in everything if i == loop}
-    if name == "designs":
-        chosen = {(loop, int(path[3]))}
-        # A name is also what `use` says.
-        return chosen
-    if name == "use":
-        return {(loop, k) for k, design in enumerate(spec.designs) if design.name == spec.use}
-    if name in ("limits", "soft"):
-        return own
-    # What a rate loop turns, reads and sets makes the plants of the tracking loop around it.
+    # What a rate loop turns, reads and sets, and its closed design, make the plants of the tracking loop around it.
     around = {(i, k) for i, k in everything if job.loops[i].around == spec.name}
-    return own | around
+    used = {(loop, k) for k, design in enumerate(spec.designs) if design.name == spec.use}
+    if name == "designs":
+        own = {(loop, int(path[3]))}
+        return own | around if own == used else own
+    if name == "use":
+        return used | around
+    own = {(i, k) for i, k in everything if i == loop}
+    return own if name in ("limits", "soft") else own | around
 
 
 def test_each_value_of_a_job_and_its_plant_is_in_the_key_of_the_designs_that_it_concerns() -> None:

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from matplotlib.figure import Figure
 
 from platform_ctrl.common.files import write_whole
+from platform_ctrl.common.processes import SecondProcess, Task
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.design.jobs import LoopOutcome
+from platform_ctrl.mechanics.linearisation import LinearModel
 from platform_ctrl.mechanics.state_space import coupled_while_changing
+from platform_ctrl.plant.platform import Platform
 from platform_ctrl.report import style
 from platform_ctrl.report.axes.picture import axes_picture
 from platform_ctrl.report.figures.coupled import (
@@ -54,6 +59,7 @@ from platform_ctrl.report.page.campaign_page import as_section, digests
 from platform_ctrl.report.page.captions import compared_with_alternatives, opening, sentences
 from platform_ctrl.report.plots.time_run import time_run
 from platform_ctrl.report.quantities import count
+from platform_ctrl.verification.simulated import Run
 from platform_ctrl.verification.verdict import JobResult
 
 if TYPE_CHECKING:
@@ -156,16 +162,29 @@ def prepared(
     """
     if isinstance(result, Document):
         return result
+    return _document(result, command, campaign, again, None)
+
+
+def drawn_beside(result: JobResult, beside: SecondProcess, **options: Any) -> Document:
+    """Return what `prepared` returns with its `options`; another process draws a part of the figures."""
+    given: dict[str, Any] = {"command": None, "campaign": None, "again": None} | options
+    return _document(result, **given, beside=beside)
+
+
+def _document(
+    result: JobResult, command: str | None, campaign: Summary | None, again: str | None, beside: SecondProcess | None
+) -> Document:
     job = result.job
+    coupled, loops, runs = _drawn(result, beside)
     with style.settings():
         sections = [
             Section(name="summary", title="", blocks=_summary(result, campaign)),
             Section(name="requirements", title="Requirements", blocks=(tables.requirement_table(result),)),
             _plant(result),
-            *(_loop(result, outcome, k) for k, outcome in enumerate(result.loops, 1)),
-            Section(name="coupled", title="Coupled system", blocks=_coupled(result)),
+            *(_loop(result, outcome, k, loops[k - 1]) for k, outcome in enumerate(result.loops, 1)),
+            Section(name="coupled", title="Coupled system", blocks=coupled),
             *budget_sections(result),
-            *_runs(result),
+            *_runs(result, runs),
             *_campaign(result, campaign, again),
             _again(result, command, campaign),
         ]
@@ -177,6 +196,32 @@ def prepared(
         verdict=tables.verdict(result),
         sections=tuple(sections),
     )
+
+
+def _drawn(result: JobResult, beside: SecondProcess | None) -> tuple[tuple[Block, ...], list[list[Plate]], list[Block]]:
+    """Return the blocks of the coupled system, the plates of each loop and the blocks of the runs."""
+    # Without certificates, which no figure shows: there are hundreds, and all of it may go to another process.
+    bare = [
+        dataclasses.replace(one, designs=tuple(dataclasses.replace(design, certificates=()) for design in one.designs))
+        for one in result.loops
+    ]
+    spinning = captions.spins(result.job.platform)
+    tasks: list[Task] = [(_in_style, (_caging_plates, result.model, outcome)) for outcome in bare]
+    for run in result.runs:
+        caption = captions.run(run, spinning, result.loops) if run.trajectory.t.size else ""
+        tasks.append((_in_style, (_run_block, run, result.job.platform, caption)))
+    # Last: this process begins with it, and the whole result goes nowhere.
+    tasks.append((_in_style, (_coupled, result)))
+    if beside is None:
+        *drawn, coupled = [function(*arguments) for function, arguments in tasks]
+    else:
+        *drawn, coupled = beside.results(tasks)
+    return coupled, drawn[: len(bare)], drawn[len(bare) :]
+
+
+def _in_style(draw: Callable[..., Any], *arguments: Any) -> Any:
+    with style.settings():
+        return draw(*arguments)
 
 
 def _summary(result: JobResult, campaign: Summary | None) -> tuple[Block, ...]:
@@ -227,7 +272,7 @@ def _plant_plates(result: JobResult) -> list[Plate]:
     return [_plate(nutation, "Campbell diagram", caption)]
 
 
-def _loop(result: JobResult, outcome: LoopOutcome, number: int) -> Section:
+def _loop(result: JobResult, outcome: LoopOutcome, number: int, plates: Sequence[Plate]) -> Section:
     unstable = captions.unstable(outcome.closed)
     compared = [] if unstable else compared_with_alternatives(outcome)
     words = sentences("loop_summary", outcome=outcome, unstable=unstable, comparisons=compared)
@@ -237,7 +282,7 @@ def _loop(result: JobResult, outcome: LoopOutcome, number: int) -> Section:
     if groups:
         title = f"Plants that “{outcome.use}” must work with"
         blocks.append(Part(title=title, blocks=(tables.group_table(groups),)))
-    blocks += _caging_plates(result, outcome)
+    blocks += plates
     if outcome.spec.kind == "stabilisation":
         blocks += _servo_plates(result)
     return Section(name=f"loop-{number}", title=sentence(outcome.spec.name), blocks=tuple(blocks))
@@ -253,8 +298,8 @@ def _unproved(result: JobResult, outcome: LoopOutcome) -> list[str]:
     return lines
 
 
-def _caging_plates(result: JobResult, outcome: LoopOutcome) -> list[Plate]:
-    responses = loop_responses(result.model, outcome)
+def _caging_plates(model: LinearModel, outcome: LoopOutcome) -> list[Plate]:
+    responses = loop_responses(model, outcome)
     plants = responses.designs[0].design.plants if responses is not None else None
     if responses is None or plants is None:
         return []
@@ -264,7 +309,7 @@ def _caging_plates(result: JobResult, outcome: LoopOutcome) -> list[Plate]:
         _plate(
             loop_transfer_figure(responses, spec, plants.torques, plants.nutation),
             "Loop transfer",
-            sentences("loop_transfer", outcome=outcome, nutates=nutates(result.model, [spec.gimbals])),
+            sentences("loop_transfer", outcome=outcome, nutates=nutates(model, [spec.gimbals])),
         ),
     ]
     if not captions.unstable(outcome.closed):
@@ -318,20 +363,19 @@ def _coupled(result: JobResult) -> tuple[Block, ...]:
     return tuple(blocks)
 
 
-def _runs(result: JobResult) -> list[Section]:
+def _runs(result: JobResult, blocks: Sequence[Block]) -> list[Section]:
     if not result.runs:
         return []
-    blocks: list[Block] = [Paragraph(text=sentences("runs", seed=result.job.seed))]
-    spinning = captions.spins(result.job.platform)
-    for run in result.runs:
-        name = run.manoeuvre.name
-        if run.trajectory.t.size:
-            caption = captions.run(run, spinning, result.loops)
-            blocks.append(_plate(time_run(run, result.job.platform), name, caption))
-        else:
-            nothing = Paragraph(text=f"The run {run.trajectory.ended}: nothing was recorded.")
-            blocks.append(Part(title=name, blocks=(nothing,)))
-    return [Section(name="runs", title="Simulated runs", blocks=tuple(blocks))]
+    first = Paragraph(text=sentences("runs", seed=result.job.seed))
+    return [Section(name="runs", title="Simulated runs", blocks=(first, *blocks))]
+
+
+def _run_block(run: Run, platform: Platform, caption: str) -> Block:
+    name = run.manoeuvre.name
+    if run.trajectory.t.size:
+        return _plate(time_run(run, platform), name, caption)
+    nothing = Paragraph(text=f"The run {run.trajectory.ended}: nothing was recorded.")
+    return Part(title=name, blocks=(nothing,))
 
 
 def _campaign(result: JobResult, campaign: Summary | None, again: str | None) -> list[Section]:
