@@ -22,6 +22,8 @@ from platform_ctrl.cli.start_commands import equations, models, new
 # Groups are those of typer's `rich_help_panel`; options without one come last.
 _OPTIONS, _ARGUMENTS, _EXAMPLES = "Options", "Arguments", "Examples"
 _EXAMPLE = re.compile(r"(\S.*?)(?:\s{2,}(\S.*))?")
+# A hyphen inside a word, at which click would break it, and what stands for it meanwhile.
+_HYPHEN, _WHOLE = re.compile(r"(?<=\w)-(?=\w)"), "\N{NON-BREAKING HYPHEN}"
 # Columns between an example and its meaning, and by which the meaning is indented where it does not fit beside it.
 _GAP, _INDENT = 2, 4
 
@@ -104,7 +106,8 @@ def _write_options(command: Any, ctx: Any, formatter: Any) -> None:
     for title, rows in groups.items():
         if rows:
             with formatter.section(title):
-                formatter.write_dl(rows)
+                formatter.write_dl([(name, _HYPHEN.sub(_WHOLE, words or "")) for name, words in rows])
+    formatter.buffer = [piece.replace(_WHOLE, "-") for piece in formatter.buffer]
 
 
 def _write_examples(examples: list[Example], formatter: Any) -> None:
