@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from platform_ctrl.common.arguments import real_array, real_numbers, whole
 from platform_ctrl.common.signatures import check_arguments
-from platform_ctrl.common.values import FloatArray
+from platform_ctrl.common.values import FloatArray, replaced
 from platform_ctrl.errors import ArgumentError, SimulationError
 from platform_ctrl.job.scenario import Scenario
 from platform_ctrl.simulation.batch import columns_of_record, merged_controller
@@ -30,7 +30,8 @@ if TYPE_CHECKING:
 _CHUNK = 1000
 # Samples of one call of `advance`: their record has to fit into the memory.
 _MAX_SAMPLES = 10_000_000
-# Numbers of a snapshot before the kernel's memory: sample, whether going, Omega reached, slope, M, gimbals' torques.
+# Numbers of a snapshot before gimbals' torques, commands and the kernel's memory: sample, whether going, Omega reached,
+# slope, M.
 _HEAD = 2 + 3 + 3 + 3
 
 
@@ -105,6 +106,7 @@ class Simulator:
         self._table = scenario.torque_table if self._free else scenario.Omega_table
         self._reached, self._slope, self._torque = np.zeros(3), np.zeros(3), np.zeros(3)
         self._gimbal_torque = np.zeros(len(scenario.platform.gimbals))
+        self._command = np.zeros(len(commanded))
         self.sample, self.going = -1, True
         self._row = np.zeros((0, columns_of_record(batched)))
         if Omega is not None:
@@ -132,6 +134,7 @@ class Simulator:
         Omega_rate: ArrayLike | None = None,
         torque: ArrayLike | None = None,
         gimbal_torque: ArrayLike | None = None,
+        command: ArrayLike | None = None,
     ) -> Trajectory:
         """Advance the run by a number of samples and return them.
 
@@ -148,6 +151,9 @@ class Simulator:
             Stabilised: torque on the platform in its own axes, added to the manoeuvre's and held, N m; None: as before.
         gimbal_torque : (n,), optional
             Torques at the gimbals' joints beside the torquers', held, N m; None: as before.
+        command : (commanded readings,), optional
+            Adds to what the scenario commands of these readings, in its order of sensors, from the next sample on and
+            held, rad or rad/s; None: as before. A `Command` without any numbers makes a reading one of them.
 
         Returns
         -------
@@ -175,8 +181,11 @@ class Simulator:
         slope = real_array("Omega_rate", Omega_rate, (3,), 0.0)
         moment = self._torque if torque is None else real_array("torque", torque, (3,))
         joints = self._gimbal_torque if gimbal_torque is None else real_array("gimbal_torque", gimbal_torque, (n,))
+        if command is not None:
+            command = real_array("command", command, self._command.shape)
         if not self.going:
             raise SimulationError(f"the run has {self.now.ended}; start a new one")
+        self._command = self._command if command is None else command
         begin, end = self.sample * self.period, (self.sample + samples) * self.period
         self._put(start - self._reached, moment - self._torque, joints)
         self._reached, self._slope, self._torque = start, slope, moment
@@ -229,6 +238,7 @@ class Simulator:
         record = np.zeros((samples, self._row.shape[1]))
         if self.scenario.commands:
             courses = sampled_commands(self.scenario, self.period * np.arange(first, first + samples, dtype=np.float64))
+            courses += self._command
             shared = shared._replace(number=np.concatenate([self._controller.number, courses.ravel()]))
         simulate_groups(
             self._packed.links,
@@ -256,9 +266,10 @@ class Simulator:
 
     def _trajectory(self, record: FloatArray, first: int) -> Trajectory:
         ended = "completed" if self.going else f"diverged at t = {(self.sample + 1) * self.period:.6g} s"
-        return trajectory_of(
+        found = trajectory_of(
             record, self._figures[0, :, 0], self.scenario, first=first, period=self.period, step=self.step, ended=ended
         )
+        return replaced(found, {"reading_command": found.reading_command + self._command})
 
     def snapshot(self) -> FloatArray:
         """Return all that the run has come to, from which `restore` goes on.
@@ -269,7 +280,7 @@ class Simulator:
             The kernel's memory and what is kept beside it, SI units.
         """
         head = [float(self.sample), float(self.going)]
-        inputs = (self._reached, self._slope, self._torque, self._gimbal_torque)
+        inputs = (self._reached, self._slope, self._torque, self._gimbal_torque, self._command)
         return np.concatenate([head, *inputs, self._memory[:, 0], self._row[0] if len(self._row) else []])
 
     @check_arguments
@@ -287,13 +298,13 @@ class Simulator:
             It is of another size.
         """
         n, slots = len(self._gimbal_torque), len(self._memory)
-        head = _HEAD + n
+        head = _HEAD + n + len(self._command)
         numbers = real_numbers("snapshot", snapshot)
         if numbers.shape != (head + slots + self._row.shape[1],):
             raise ArgumentError(f"snapshot must have the shape of those of this run, got {numbers.shape}")
         self.sample, self.going = int(numbers[0]), bool(numbers[1])
         self._reached, self._slope, self._torque = (numbers[2 + 3 * k : 5 + 3 * k].copy() for k in range(3))
-        self._gimbal_torque = numbers[_HEAD:head].copy()
+        self._gimbal_torque, self._command = numbers[_HEAD : _HEAD + n].copy(), numbers[_HEAD + n : head].copy()
         self._memory[:] = numbers[head : head + slots, None]
         self._figures[:] = self._memory[self._simulation.metrics : self._simulation.end]
         self._row = numbers[None, head + slots :].copy()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from platform_ctrl import read_job
 from platform_ctrl.design import loops
 from platform_ctrl.design.loop import LoopDesign
 from platform_ctrl.errors import InputError
+from platform_ctrl.export import write_c
 from platform_ctrl.job.job import manoeuvre_scenario
 from platform_ctrl.job.writing import job_data
 from platform_ctrl.simulation import simulate
@@ -140,3 +142,11 @@ def test_all_loops_together_are_checked_with_commands_at_zero() -> None:
     assert found.coupled.controller.input_labels == ["gyro"]
     assert found.proofs["", ""].certificates
     assert not found.proofs["", ""].unproved
+
+
+def test_generated_code_takes_the_command_by_its_name(tmp_path: Path) -> None:
+    job = read_job(job_of("rate", BOTH))
+    write_c(job, [made("rate", "both").controller], tmp_path)
+    [header] = [path.read_text(encoding="utf-8") for path in tmp_path.glob("commanded*.h")]
+    assert "double gyro; /* rad/s */" in header
+    assert "double gyro_command; /* rad/s */" in header

@@ -20,7 +20,9 @@ from fmpy.fmi1 import FMICallException
 from fmpy.fmi3 import FMU3Slave
 from fmpy.validation import validate_fmu
 
+from commanded_gimbal import commanded_job
 from one_gyro_runs import by_numbers, flown, one_gyro
+from platform_ctrl.design import loops
 from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.export import write_fmu
 from platform_ctrl.export.fmu.signals import inputs_of, outputs_of, parameters_of, variable_name
@@ -117,7 +119,7 @@ def test_the_description_is_valid_and_names_every_signal_with_its_unit(gyro, uni
     assert validate_fmu(str(unit)) == []
     described = fmpy.read_model_description(unit, validate=True)
     found = {one.name: one for one in described.modelVariables}
-    for signal in (*parameters_of(job, 3), *inputs_of(job), *outputs_of(job)):
+    for signal in (*parameters_of(job, 3), *inputs_of(job, ()), *outputs_of(job)):
         one = found[signal.name]
         assert (one.type, one.causality, one.variability) == (signal.kind, signal.causality, signal.variability)
         assert (one.unit or "") == signal.unit
@@ -185,6 +187,21 @@ def test_the_main_plant_with_all_loops_is_that_of_the_simulation(tmp_path):
     )
     assert np.abs(expected.command[:, expected.torquer_names.index("M3")]).max() > 0.0
     assert differing(found, expected) == []
+
+
+def test_a_reading_is_commanded_by_an_input(tmp_path):
+    job = read_job(commanded_job([{"reading": "gyro", "step": 0.2, "at": 0.0105}], command={"filter_hz": 20.0}))
+    controllers = [one.closed.controller for one in loops(job)]
+    period = job.sampling.period
+    expected = simulate(manoeuvre_scenario(job, job.manoeuvres[0]), controllers, period=period)
+    folder = fmpy.extract(write_fmu(job, controllers, tmp_path / "slew.fmu"), tmp_path / "unit")
+    one = Instance(folder, manoeuvre=1)  # caged, nothing commanded by itself
+    for k in range(30):
+        if k == 10:
+            one.put("reading_command.gyro", 0.2)
+        one.step(k * period, period)
+        assert one.get("rate.q_yaw") == expected.rate[k + 1, 0]
+    one.free()
 
 
 def test_parameters_are_those_of_the_scenario(gyro, unit):

@@ -16,6 +16,7 @@ from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design import loops
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.job import Job, manoeuvre_scenario
+from platform_ctrl.job.scenario import Command
 from platform_ctrl.simulation import Simulator, simulate, simulate_batch
 
 PERIOD = 1.0 / RATE_HZ
@@ -73,3 +74,19 @@ def test_commands_need_a_controller_that_takes_them() -> None:
     (K,) = controllers(read_job(commanded_job([]) | {"manoeuvre": []}))
     with pytest.raises(ArgumentError, match="no controller takes a command of 'gyro'"):
         simulate(scenario, [K], period=PERIOD)
+
+
+def test_a_command_may_be_given_on_the_way_and_is_part_of_a_snapshot() -> None:
+    job = read_job(commanded_job([{"reading": "gyro", "step": 0.2, "at": 0.0105}]))
+    closed, whole = controllers(job), manoeuvre_scenario(job, job.manoeuvres[0])
+    expected_run = simulate(whole, closed, period=PERIOD)
+    stepped = Simulator(dataclasses.replace(whole, commands=(Command(reading="gyro"),)), closed, period=PERIOD)
+    stepped.advance(10)
+    kept = stepped.snapshot()
+    for _ in range(2):
+        stepped.restore(kept)
+        after = stepped.advance(20, command=[0.2])
+        np.testing.assert_array_equal(after.rate, expected_run.rate[11:31])
+        np.testing.assert_array_equal(after.reading_command, expected_run.reading_command[11:31])
+        assert stepped.now.reading_command[0, 0] == 0.2
+    np.testing.assert_array_equal(stepped.advance(5).rate, expected_run.rate[31:36])

@@ -20,7 +20,7 @@ from platform_ctrl.common.files import write_whole
 from platform_ctrl.common.json_text import write_json
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.errors import ArgumentError, InputError
-from platform_ctrl.export.fmu.signals import inputs_of, outputs_of, parameters_of, runs_of
+from platform_ctrl.export.fmu.signals import commands_of, inputs_of, outputs_of, parameters_of, runs_of
 from platform_ctrl.export.systems import write_controllers
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.scenario import Mode
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     import control
 
 
-def page(job: Job, run: int, version: str, hashes: dict[str, str]) -> str:
+def page(job: Job, run: int, version: str, hashes: dict[str, str], commanded: Sequence[str]) -> str:
     """Return the documentation of a unit as HTML: what it needs, how it is stepped, its variables."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
@@ -40,7 +40,7 @@ def page(job: Job, run: int, version: str, hashes: dict[str, str]) -> str:
     environment = Environment(
         loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-    groups = {"Parameters": parameters_of(job, run), "Inputs": inputs_of(job), "Outputs": outputs_of(job)}
+    groups = {"Parameters": parameters_of(job, run), "Inputs": inputs_of(job, commanded), "Outputs": outputs_of(job)}
     return environment.get_template("index.html.j2").render(
         job=job, runs=runs_of(job), version=version, groups=groups, hashes=hashes
     )
@@ -133,7 +133,8 @@ def write_fmu(
         resources = sorted(file for file in folder.iterdir() if file != script)
         built, documentation = folder / "built", folder / "documentation"
         documentation.mkdir()
-        documentation_page = page(job, contents["manoeuvre"], __version__, contents["sha256"])
+        commanded = commands_of(job, controllers)
+        documentation_page = page(job, contents["manoeuvre"], __version__, contents["sha256"], commanded)
         (documentation / "index.html").write_text(documentation_page, encoding="utf-8")
         builder.build_FMU(script, dest=built, project_files=resources, documentation_folder=documentation)
         return write_whole(path, _packed(next(built.glob("*.fmu"))))

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator
-from typing import Literal
+from collections.abc import Iterable, Iterator, Sequence
+from typing import TYPE_CHECKING, Literal
 
+from platform_ctrl.analysis.plant_set import COMMAND
 from platform_ctrl.common.values import value
 from platform_ctrl.job.job import Job
 from platform_ctrl.plant.platform import OMEGA_NAMES, ROOT_TORQUE_NAMES
 from platform_ctrl.simulation.closed_loop import Trajectory
 from platform_ctrl.simulation.servo_rotors import servo_rotors
+
+if TYPE_CHECKING:
+    import control
 
 Kind = Literal["Float64", "Int64", "Boolean", "Enumeration"]
 Variability = Literal["fixed", "discrete", "continuous"]
@@ -94,8 +98,15 @@ def parameters_of(job: Job, run: int) -> tuple[Signal, ...]:
     )
 
 
-def inputs_of(job: Job) -> tuple[Signal, ...]:
-    """Return the inputs: Omega, its slope, the platform's torques, the gimbals'."""
+def commands_of(job: Job, controllers: Sequence[control.StateSpace]) -> tuple[str, ...]:
+    """Return the readings whose commands controllers take, in the plant's order."""
+    taken = {name for K in controllers for name in K.input_labels}
+    return tuple(sensor.name for sensor in job.platform.sensors if f"{sensor.name}{COMMAND}" in taken)
+
+
+def inputs_of(job: Job, commanded: Sequence[str]) -> tuple[Signal, ...]:
+    """Return the inputs: Omega, its slope, the platform's torques, the gimbals', commands of readings."""
+    units = {sensor.name: sensor.unit for sensor in job.platform.sensors}
     rows = [(name, "rad/s", f"Caged: platform rate about axis {name[-1]}") for name in OMEGA_NAMES]
     rows += [
         (f"{name}_rate", "rad/s2", f"Caged: slope of {name} until the next communication point") for name in OMEGA_NAMES
@@ -104,6 +115,10 @@ def inputs_of(job: Job) -> tuple[Signal, ...]:
     rows += [
         (variable_name("disturbance", angle), "N.m", f"Torque at the joint of {angle} beside the torquer's")
         for angle in job.platform.angle_names
+    ]
+    rows += [
+        (variable_name("reading_command", name), units[name], f"What the loop that reads {name} holds it at, besides")
+        for name in commanded
     ]
     return tuple(
         Signal(name=name, causality="input", unit=unit, description=text, start=0.0) for name, unit, text in rows

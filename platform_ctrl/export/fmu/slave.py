@@ -33,10 +33,19 @@ from platform_ctrl import __version__
 from platform_ctrl.common.values import FloatArray, replaced
 from platform_ctrl.design.cases import with_spins
 from platform_ctrl.errors import InputError, PlatformCtrlError, SimulationError
-from platform_ctrl.export.fmu.signals import UNITS, Signal, inputs_of, output_values, outputs_of, parameters_of, runs_of
+from platform_ctrl.export.fmu.signals import (
+    UNITS,
+    Signal,
+    commands_of,
+    inputs_of,
+    output_values,
+    outputs_of,
+    parameters_of,
+    runs_of,
+)
 from platform_ctrl.job.job import Job, manoeuvre_scenario
 from platform_ctrl.job.reading import read_job
-from platform_ctrl.job.scenario import Mode, Scenario
+from platform_ctrl.job.scenario import Command, Mode, Scenario
 from platform_ctrl.simulation import Simulator
 from platform_ctrl.verification.controllers import read_controllers
 
@@ -144,7 +153,8 @@ class PlatformSlave(Fmi3Slave):  # type: ignore[misc]
         self._job: Job = read_job(folder / JOB)
         self._controllers = read_controllers(folder / CONTROLLERS, self._job)
         self._parameters = parameters_of(self._job, about["manoeuvre"])
-        self._inputs = inputs_of(self._job)
+        self._commanded = commands_of(self._job, self._controllers)
+        self._inputs = inputs_of(self._job, self._commanded)
         self._outputs = outputs_of(self._job)
         self._given: dict[str, Any] = {one.name: one.start for one in (*self._parameters, *self._inputs)}
         self._values: list[float | int] = [math.nan if s.kind == "Float64" else 0 for s in self._outputs]
@@ -284,21 +294,22 @@ class PlatformSlave(Fmi3Slave):  # type: ignore[misc]
 
     def _acting(self, mode: Mode) -> dict[str, FloatArray]:
         """The inputs that belong to a mode, as `Simulator.advance` takes them."""
-        Omega, slope, moment, joints = self._input_values()
+        Omega, slope, moment, joints, command = self._input_values()
         if mode == "caged":
             if moment.any():
                 raise InputError("M1 to M3 are inputs of stabilised runs and must be zero in this caged run")
-            return {"Omega": Omega, "Omega_rate": slope, "gimbal_torque": joints}
+            return {"Omega": Omega, "Omega_rate": slope, "gimbal_torque": joints, "command": command}
         if Omega.any() or slope.any():
             raise InputError("Omega1 to Omega3 are inputs of caged runs and must be zero in this stabilised run")
-        return {"torque": moment, "gimbal_torque": joints}
+        return {"torque": moment, "gimbal_torque": joints, "command": command}
 
-    def _input_values(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    def _input_values(self) -> tuple[FloatArray, ...]:
         numbers = np.array([self._given[one.name] for one in self._inputs], dtype=np.float64)
         if not np.isfinite(numbers).all():
             wrong = self._inputs[int(np.flatnonzero(~np.isfinite(numbers))[0])].name
             raise InputError(f"{wrong}: must be a finite number")
-        return numbers[:3], numbers[3:6], numbers[6:9], numbers[9:]
+        joints = 9 + len(self._job.platform.gimbals)
+        return tuple(np.split(numbers, [3, 6, 9, joints]))
 
     def terminate(self) -> None:
         """Free the run; the outputs keep their values."""
@@ -328,7 +339,7 @@ class PlatformSlave(Fmi3Slave):  # type: ignore[misc]
 
     def _at_start(self) -> Simulator:
         scenario = self._scenario()
-        Omega, _, _, _ = self._input_values()
+        Omega = self._input_values()[0]
         caged = scenario.mode == "caged"
         stepper = Simulator(
             scenario,
@@ -374,6 +385,8 @@ class PlatformSlave(Fmi3Slave):  # type: ignore[misc]
                 "rate": own.rate + rate,
                 "Omega": own.Omega + Omega,
                 "attitude": attitude,
+                # Without numbers: what is commanded is an input.
+                "commands": (*own.commands, *(Command(reading=name) for name in self._commanded)),
                 "seed": int(given["seed"]),
                 "run": int(given["run"]),
             },
