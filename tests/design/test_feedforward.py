@@ -316,6 +316,25 @@ def test_mistakes_are_named(fed, more, words):
     assert words.replace("'", '"') in mistakes(fed, **more).replace("'", '"')
 
 
+def test_a_tracker_commands_a_rate_loop_that_stabilises_indirectly():
+    """Commands stand behind the readings, the base's rates behind these; a file with them is measured as the design."""
+    data = job_data(job([INDIRECT | {"command": {"filter_hz": 10.0, "acceleration": True}}], errors=True))
+    data["loop"][0]["use"] = "indirect"
+    tracking = {"name": "track", "kind": "tracking", "around": "rate", "sensors": ["yaw_error", "pitch_error"]}
+    data["loop"].append(tracking | {"use": "pi", "design": [{"name": "pi", "method": "pi", "crossover_hz": 2.0}]})
+    one = pc.read_job(data)
+    made = design.loops(one)
+    inner = made[1].closed.controller
+    assert inner.input_labels == [*RATES, *(f"{name}_command" for name in RATES), *BASE]
+    result = check_job(one, made)
+    assert result.passed
+    record = result_record(result)
+    again = outcomes_from(one, *(read_controllers(record, one, key) for key in ("controllers", "alternatives")))
+    for before, after in zip(made, again, strict=True):
+        margins = (each.closed.measures.disk_margin for each in (before, after))
+        np.testing.assert_allclose(*margins, rtol=1e-9)
+
+
 def test_the_budget_of_a_job_file_has_a_line_for_each_design(tmp_path, monkeypatch, capsys):
     """The file is written from the job, feedforward included, and every design is closed in the budget."""
     source = {"name": "base", "kind": "base-rate", "axis": 3, "sines": [[4.0, 0.1, 0.0]]}
