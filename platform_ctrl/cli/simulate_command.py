@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -184,6 +184,7 @@ def _campaign_run(number: int, plan: Plan, folder: Path, recorded: bool, note: s
     row = recorded_row(folder, number) if recorded else None
     unlikely = [] if row is None else unlike(found, row)
     title = f"run {number}: {found.run.manoeuvre.name}"
+    compared = _compared(plan, found.inputs)
     drawn = _drawn(found.run, found.job, title, folder, f"run-{number}.svg")
 
     def show(as_json: bool) -> int:
@@ -195,7 +196,7 @@ def _campaign_run(number: int, plan: Plan, folder: Path, recorded: bool, note: s
         else:
             from platform_ctrl.cli.terminal import show_inputs
 
-            show_inputs(f"run {number} of the campaign", found.inputs)
+            show_inputs(f"run {number} of the campaign", found.inputs, compared)
             _show(found.job, found.run)
             if row is not None and not unlikely:
                 typer.echo(f"the values are those of {folder / TABLE}")
@@ -205,6 +206,32 @@ def _campaign_run(number: int, plan: Plan, folder: Path, recorded: bool, note: s
         return 0 if found.metrics["passed"] else 1
 
     return show
+
+
+# Runs with which the inputs of one are compared, and the share of them beyond which one is worth saying.
+_COMPARED, _UNUSUAL = 10_000, 0.9
+
+
+def _compared(plan: Plan, inputs: Mapping[str, object]) -> dict[str, str]:
+    """Say which inputs of a run few other runs of the campaign have, the rarest first."""
+    import numpy as np
+
+    others = plan.inputs(0, min(plan.runs, _COMPARED))
+    found = []
+    for name, item in inputs.items():
+        column = np.asarray(others.get(name, ()))
+        if isinstance(item, bool) and item:
+            share = float(1.0 - column.mean())
+            words = f"in {100.0 * (1.0 - share):.2g} % of the runs"
+        elif isinstance(item, float) and column.size:
+            below, above = float((column < item).mean()), float((column > item).mean())
+            share = max(below, above)
+            words = f"{'above' if below > above else 'below'} {100.0 * share:.0f} % of the runs"
+        else:
+            continue
+        if share >= _UNUSUAL:
+            found.append((-share, name, words))
+    return {name: words for _, name, words in sorted(found)}
 
 
 def _show(job: Job, run: Run, more: dict[str, Any] | None = None) -> None:

@@ -146,15 +146,17 @@ def _measured(key: str, number: float, signal: str) -> str:
     return f"{number:.4g} {RUN_METRICS[key].unit} ({signal})"
 
 
-def show_inputs(title: str, inputs: Mapping[str, object]) -> None:
-    """Print what was drawn for a run."""
+def show_inputs(title: str, inputs: Mapping[str, object], unusual: Mapping[str, str]) -> None:
+    """Print what was drawn for a run, first what is `unusual` with why."""
     console = screen()
     console.print(title, style="bold", markup=False)
     shown = {
         name: f"{item:.6g}" if isinstance(item, float) else {True: "yes", False: "no"}.get(item, item)  # type: ignore[call-overload]
         for name, item in inputs.items()
     }
-    show_pairs(console, [(name, str(words)) for name, words in shown.items()])
+    order = [*unusual, *(name for name in shown if name not in unusual)]
+    noted = {name: f" ({words})" for name, words in unusual.items()}
+    show_pairs(console, [(name, f"{shown[name]}{noted.get(name, '')}") for name in order])
 
 
 def show_pairs(console: Console, pairs: Sequence[tuple[str, str]], indent: str = "") -> None:

@@ -103,7 +103,7 @@ def test_a_run_again_shows_its_draws_and_the_figures_of_its_row(
     out, err = capsys.readouterr()
     assert err == ""
     assert code == (0 if row["passed"] else 1)
-    lines = {line.split("  ")[0]: line.split()[-1] for line in out.splitlines() if "  " in line}
+    lines = {line.split("  ")[0]: line.split("  ")[-1].split()[0] for line in out.splitlines() if "  " in line}
     assert out.startswith("run 17 of the campaign\n")
     assert lines["manoeuvre"] == row["manoeuvre"]
     assert float(lines["rotor.11.spin"]) == pytest.approx(row["rotor.11.spin"], rel=1e-5)
@@ -138,6 +138,20 @@ def test_manoeuvres_go_by_name_or_by_an_option_of_their_own(there: Path, capsys:
         assert capsys.readouterr().out.startswith("turn\n")
     main(["simulate", "job.toml", "--manoeuvre", "2", "-o", "drawn", "-q"])
     assert (there / "drawn" / "manoeuvre-2.svg").is_file()
+
+
+def test_a_run_says_first_which_of_its_draws_few_runs_have(there: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    table = rows(there / "campaign")
+    highest = max(table, key=lambda row: float(row["rotor.11.spin"]))
+    main(["simulate", "job.toml", "--run", str(highest["run"]), "-q"])
+    lines = capsys.readouterr().out.splitlines()
+    [spin] = [line for line in lines if line.startswith("rotor.11.spin ")]
+    assert spin.endswith(f"(above {100.0 * (RUNS - 1) / RUNS:.0f} % of the runs)")
+    assert spin in lines[1:3]
+    middle = sorted(table, key=lambda row: float(row["rotor.11.spin"]))[RUNS // 2]
+    main(["simulate", "job.toml", "--run", str(middle["run"]), "-q"])
+    [spin] = [line for line in capsys.readouterr().out.splitlines() if line.startswith("rotor.11.spin ")]
+    assert "%" not in spin
 
 
 def test_runs_of_a_job_that_varies_nothing_are_simulated_again_where_its_campaign_is(
