@@ -463,7 +463,9 @@ def _result(loop: _Loop, at: _Balanced, apart: Found, together: Found) -> LineOf
                 ),
             )
         )
-    linear = assumption(at.friction, at_angles(loop.job.platform, at.q))
+    linear = assumption(
+        at.friction, at_angles(loop.job.platform, at.q), any(drive.friction for drive in loop.job.drives)
+    )
     return LineOfSightBudget(
         names=tuple(names),
         kinds=(*loop.kinds, *("friction" for _ in at.rest)),
