@@ -43,7 +43,7 @@ ROOT = Path(__file__).resolve().parents[1]
 DATA = ROOT / "tests" / "frozen"
 JOB = ROOT / "examples" / "three_gyro_platform.toml"
 MODELS = sorted(path.stem for path in (ROOT / "models").glob("*.toml"))
-COMMANDS = ("new", "models", "equations", "design", "check", "serve", "simulate", "campaign", "export")
+COMMANDS = ("new", "models", "equations", "warm-up", "design", "check", "serve", "simulate", "campaign", "export")
 PROBLEMS = {
     name: problem
     for file in ("compleib.json", "compleib-hard.json")

@@ -18,6 +18,7 @@ from platform_ctrl.cli.export_command import export
 from platform_ctrl.cli.serve_command import serve
 from platform_ctrl.cli.simulate_command import simulate
 from platform_ctrl.cli.start_commands import equations, models, new
+from platform_ctrl.cli.warm_up_command import warm_up
 
 # Groups are those of typer's `rich_help_panel`; options without one come last.
 _OPTIONS, _ARGUMENTS, _EXAMPLES = "Options", "Arguments", "Examples"
@@ -173,6 +174,7 @@ app.command(cls=Teaching, rich_help_panel=START)(new)
 
 app.command(cls=Teaching, rich_help_panel=START)(models)
 app.command(cls=Teaching, rich_help_panel=START)(equations)
+app.command("warm-up", cls=Teaching, rich_help_panel=START)(warm_up)
 
 
 app.command(cls=Teaching, rich_help_panel=DESIGN)(design)
