@@ -6,6 +6,7 @@ CSS variable with that colour as its default, and the page's style sheet sets th
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Callable, Sequence
 from functools import partial, wraps
@@ -59,6 +60,8 @@ _VARIABLES = {
 
 # Pixels an inch of a figure in a page.
 _PAGE_DPI = 96
+# By what they are called in `data-axes`, 0 and 1.
+_SCALES = ("linear", "log")
 # Inches: margins of a figure, gaps between panels, rows of the legend, distance of an axis label from its axis.
 FULL_WIDTH = 9.6
 _LEFT, _RIGHT, _BOTTOM, _GAP_X = 0.66, 0.2, 0.46, 0.76
@@ -284,6 +287,7 @@ def envelope(t: FloatArray, y: FloatArray, buckets: int = 450) -> tuple[FloatArr
 
 _COLOUR = re.compile("|".join(_VARIABLES))
 _STRIP = re.compile(r"<\?xml.*?\?>|<!DOCTYPE.*?>|<metadata>.*?</metadata>|<style.*?</style>|<!--.*?-->", re.DOTALL)
+_LEGEND = re.compile(r' id="legend_\d+"')
 _NAMES = re.compile(r' id="(?!m[0-9a-f]|p[0-9a-f]|h[0-9a-f])[^"]*"')
 _TAG = re.compile(r"<[^>]*>")
 _FRACTION = re.compile(r"(\.\d\d)\d+")
@@ -303,10 +307,28 @@ def svg(figure: Figure, description: str) -> str:
     text = _STRIP.sub("", out.getvalue())
     # Hundredths of a point are fine enough; numbers between tags are what the reader reads.
     text = _TAG.sub(lambda found: _FRACTION.sub(r"\1", found[0]), text)
+    text = _LEGEND.sub(' class="legend"', text)
     text = _NAMES.sub("", text).replace("xlink:href", "href")
     text = _FONT.sub(lambda found: f"font-size: {found[2]}px" + ("; font-weight: 600" if found[1] else ""), text)
     text = _TAG.sub(lambda found: _COLOUR.sub(_themed, found[0]), text)
     text = re.sub(r"\s*\n\s*", "\n", text[text.index("<svg") :])
     escaped = description.replace("&", "&amp;").replace('"', "&quot;").replace("<", "&lt;")
-    head = f'<svg viewBox="0 0 {width:g} {height:g}" role="img" aria-label="{escaped}">'
+    head = f'<svg viewBox="0 0 {width:g} {height:g}" role="img" aria-label="{escaped}"{_scales(figure)}>'
     return head + text[text.index(">") + 1 :].strip()
+
+
+def _scales(figure: Figure) -> str:
+    """Return where each panel is, in the points of the picture, and its scales: what the page's script reads."""
+    width, height = figure.get_size_inches() * 72.0
+    found = []
+    for axes in figure.axes:
+        if axes.get_xscale() not in _SCALES or axes.get_yscale() not in _SCALES or not axes.axison:
+            continue
+        box = axes.get_position()
+        place = [round(x, 1) for x in (box.x0 * width, (1.0 - box.y1) * height, box.width * width, box.height * height)]
+        ends = [[*(float(f"{x:.5g}") for x in limits), _SCALES.index(scale)] for limits, scale in (
+            (axes.get_xlim(), axes.get_xscale()), (axes.get_ylim(), axes.get_yscale())
+        )]  # fmt: skip
+        found.append([*place, *ends])
+    words = re.sub(r"(?<=\d)\.0(?=[,\]])", "", json.dumps(found, separators=(",", ":")))
+    return f' data-axes="{words}"' if found else ""

@@ -75,6 +75,7 @@ class Row:
 
     cells: tuple[Cell, ...]  # One for each column
     missed: bool = False  # Whether it is a requirement that is not met
+    name: str = ""  # Where links to it lead; empty: nowhere
 
 
 @value
@@ -166,7 +167,52 @@ class Cards:
     parts: tuple[Part, ...]
 
 
-Block = Paragraph | Verdict | Table | Plate | Facts | Listing | Part | Cards
+@value
+class Fold:
+    """Blocks that a page shows when their title is clicked; paper shows them."""
+
+    kind: ClassVar[str] = "fold"
+    title: str
+    blocks: tuple[Block, ...]
+
+
+@value
+class Columns:
+    """Blocks side by side where there is room for two columns."""
+
+    kind: ClassVar[str] = "columns"
+    left: tuple[Block, ...]
+    right: tuple[Block, ...]
+
+
+@value
+class Distance:
+    """A mark of `Distances`: place from 0 to 1, row of marks from 0 up, words, and the name of the row it leads to."""
+
+    at: float
+    level: int
+    words: str
+    row: str
+    passed: bool
+
+
+@value
+class Distances:
+    """Requirements by their distance to the limit: marks above an axis with its ticks (place, words) and the limit."""
+
+    kind: ClassVar[str] = "distances"
+    words: str
+    marks: tuple[Distance, ...]
+    ticks: tuple[tuple[float, str], ...]
+    limit: float
+
+    @property
+    def levels(self) -> int:
+        """Rows of marks."""
+        return 1 + max((mark.level for mark in self.marks), default=0)
+
+
+Block = Paragraph | Verdict | Table | Plate | Facts | Listing | Part | Cards | Fold | Columns | Distances
 
 
 @value
@@ -176,6 +222,8 @@ class Section:
     name: str
     title: str
     blocks: tuple[Block, ...]
+    verdict: str = ""  # On the section, beside its title
+    passed: bool = True  # What that verdict is
 
 
 @value
@@ -271,6 +319,8 @@ def plain_data(item: Any, colours: dict[str, str]) -> Any:
         data["kind"] = item.kind
     if isinstance(item, Plate):
         data["svg"] = standalone_svg(item.svg, colours)
+    if isinstance(item, Distances):
+        data["levels"] = item.levels
     if isinstance(item, Listing):
         data["attached"] = item.text if item.file else ""
     return data

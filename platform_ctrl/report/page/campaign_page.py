@@ -26,6 +26,7 @@ from platform_ctrl.report.page.blocks import (
     Column,
     Document,
     Facts,
+    Fold,
     Group,
     Listing,
     Mark,
@@ -72,7 +73,7 @@ def campaign_document(summary: Summary, *, command: str | None = None, again: st
         Paragraph(text="This page was made by"),
         Listing(text=command or "platform-ctrl campaign job.toml"),
         drawn_part(summary),
-        Part(title="Versions and digests", blocks=(Facts(rows=(*versions(), *digests(summary))),)),
+        Fold(title="Versions and digests", blocks=(Facts(rows=(*versions(), *digests(summary))),)),
         record_part(job),
     )
     return Document(

@@ -42,20 +42,31 @@ _GROUPS: dict[PlantGroup, tuple[str, str]] = {
 def design_table(result: JobResult, outcome: LoopOutcome) -> Table:
     """Return the designs of a loop side by side; the column of the one that is closed counts."""
     designs = outcome.designs
-    columns = [Column(title="design"), Column(title="limit", number=True)]
-    for design in designs:
-        closed = design.name == outcome.use
-        tag = f"{design.method}, closed" if closed else design.method
-        columns.append(Column(title=design.name, tag=tag, number=True, strong=closed))
     sections = {
         "limits, measured on the closed loop": limit_rows(outcome),
         "goals, not part of the verdict": goal_rows(outcome),
         "measured, without a limit": measured_rows(outcome),
         "proved in interval arithmetic": proof_rows(designs, [result.proofs[one.loop, one.name] for one in designs]),
         "claimed by the method": _by_name([_claims(design) for design in designs]),
-        "options used": _by_name([_options(design) for design in designs]),
-        "controller": _by_name([signals(design) for design in designs]),
     }
+    return _table_of_designs(outcome, sections)
+
+
+def option_table(outcome: LoopOutcome) -> Table:
+    """Return the options that the designs of a loop were made with, and their controllers, side by side."""
+    sections = {
+        "options used": _by_name([_options(design) for design in outcome.designs]),
+        "controller": _by_name([signals(design) for design in outcome.designs]),
+    }
+    return _table_of_designs(outcome, sections)
+
+
+def _table_of_designs(outcome: LoopOutcome, sections: dict[str, list[Row]]) -> Table:
+    columns = [Column(title="design"), Column(title="limit", number=True)]
+    for design in outcome.designs:
+        closed = design.name == outcome.use
+        tag = f"{design.method}, closed" if closed else design.method
+        columns.append(Column(title=design.name, tag=tag, number=True, strong=closed))
     groups = tuple(Group(title=title, rows=tuple(rows), quiet=True) for title, rows in sections.items() if rows)
     return Table(columns=tuple(columns), groups=groups, form="designs")
 

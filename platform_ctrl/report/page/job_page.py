@@ -14,6 +14,7 @@ from platform_ctrl.common.files import write_whole
 from platform_ctrl.common.processes import SecondProcess, Task
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.design.jobs import LoopOutcome
+from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.mechanics.linearisation import LinearModel
 from platform_ctrl.mechanics.state_space import coupled_while_changing
 from platform_ctrl.plant.platform import Platform
@@ -44,12 +45,12 @@ from platform_ctrl.report.page.blocks import (
     Block,
     Document,
     Facts,
+    Fold,
     Listing,
     Paragraph,
     Part,
     Plate,
     Section,
-    Verdict,
     html,
     pdf,
     sentence,
@@ -57,8 +58,9 @@ from platform_ctrl.report.page.blocks import (
 from platform_ctrl.report.page.budget_page import budget_sections
 from platform_ctrl.report.page.campaign_page import as_section, digests
 from platform_ctrl.report.page.captions import compared_with_alternatives, opening, sentences
+from platform_ctrl.report.page.first_screen import first_screen, section_verdict
 from platform_ctrl.report.plots.time_run import time_run
-from platform_ctrl.report.quantities import count
+from platform_ctrl.verification.coupled import ALL_LOOPS
 from platform_ctrl.verification.simulated import Run
 from platform_ctrl.verification.verdict import JobResult
 
@@ -179,10 +181,15 @@ def _document(
     with style.settings():
         sections = [
             Section(name="summary", title="", blocks=_summary(result, campaign)),
-            Section(name="requirements", title="Requirements", blocks=(tables.requirement_table(result),)),
+            Section(
+                name="requirements",
+                title="Requirements",
+                blocks=(tables.requirement_table(result),),
+                **_judged(result.requirements),
+            ),
             _plant(result),
             *(_loop(result, outcome, k, loops[k - 1]) for k, outcome in enumerate(result.loops, 1)),
-            Section(name="coupled", title="Coupled system", blocks=coupled),
+            Section(name="coupled", title="Coupled system", blocks=coupled, **_judged(_of(result, ALL_LOOPS))),
             *budget_sections(result),
             *_runs(result, runs),
             *_campaign(result, campaign, again),
@@ -225,17 +232,10 @@ def _in_style(draw: Callable[..., Any], *arguments: Any) -> Any:
 
 
 def _summary(result: JobResult, campaign: Summary | None) -> tuple[Block, ...]:
-    goals, missed = tables.goal_rows(result), [row for row in tables.requirement_rows(result) if not row.passed]
-    reached = sum(goal.passed for goal in goals)
-    banner = Verdict(
-        passed=result.passed,
-        words=sentence(tables.verdict(result)),
-        lines=tuple(f"{row.subject}: {row.requirement} {row.value}, limit {row.limit}" for row in missed),
-        aside=f"{reached} of {count(len(goals), 'goal')} reached; goals are not part of the verdict." if goals else "",
-    )
     first, verdict, *details = opening(result, campaign)
     lead = Paragraph(text=f"{first} {verdict}", tone="lead")
-    return (banner, lead, Paragraph(text=" ".join(details))) if details else (banner, lead)
+    rest = (Paragraph(text=" ".join(details)),) if details else ()
+    return (*first_screen(result), lead, *rest)
 
 
 def _plant(result: JobResult) -> Section:
@@ -277,6 +277,7 @@ def _loop(result: JobResult, outcome: LoopOutcome, number: int, plates: Sequence
     compared = [] if unstable else compared_with_alternatives(outcome)
     words = sentences("loop_summary", outcome=outcome, unstable=unstable, comparisons=compared)
     blocks: list[Block] = [Paragraph(text=words), comparison.design_table(result, outcome)]
+    blocks.append(Fold(title="Options and controllers", blocks=(comparison.option_table(outcome),)))
     blocks += [Paragraph(text=f"Not proved: {line}", tone="bad") for line in _unproved(result, outcome)]
     groups = comparison.group_rows(outcome.closed)
     if groups:
@@ -285,7 +286,17 @@ def _loop(result: JobResult, outcome: LoopOutcome, number: int, plates: Sequence
     blocks += plates
     if outcome.spec.kind == "stabilisation":
         blocks += _servo_plates(result)
-    return Section(name=f"loop-{number}", title=sentence(outcome.spec.name), blocks=tuple(blocks))
+    title, own = sentence(outcome.spec.name), _of(result, outcome.spec.name)
+    return Section(name=f"loop-{number}", title=title, blocks=tuple(blocks), **_judged(own))
+
+
+def _of(result: JobResult, *subjects: str) -> list[CheckResult]:
+    return [one for one in result.requirements if one.subject in subjects]
+
+
+def _judged(results: Sequence[CheckResult]) -> dict[str, Any]:
+    words, passed = section_verdict(results)
+    return {"verdict": words, "passed": passed}
 
 
 def _unproved(result: JobResult, outcome: LoopOutcome) -> list[str]:
@@ -367,7 +378,8 @@ def _runs(result: JobResult, blocks: Sequence[Block]) -> list[Section]:
     if not result.runs:
         return []
     first = Paragraph(text=sentences("runs", seed=result.job.seed))
-    return [Section(name="runs", title="Simulated runs", blocks=(first, *blocks))]
+    own = [one for run in result.runs for one in run.results]
+    return [Section(name="runs", title="Simulated runs", blocks=(first, *blocks), **_judged(own))]
 
 
 def _run_block(run: Run, platform: Platform, caption: str) -> Block:
@@ -398,9 +410,9 @@ def _again(result: JobResult, command: str | None, campaign: Summary | None) -> 
             text="The numbers do not depend on the machine beyond rounding; simulated runs repeat to the bit with the "
             f"same versions and seed {seed}."
         ),
-        Part(title="Versions", blocks=(Facts(rows=tables.versions()),)),
+        Fold(title="Versions", blocks=(Facts(rows=tables.versions()),)),
     ]
     if campaign is not None:
-        blocks.append(Part(title="Digests of the campaign", blocks=(Facts(rows=digests(campaign)),)))
+        blocks.append(Fold(title="Digests of the campaign", blocks=(Facts(rows=digests(campaign)),)))
     blocks.append(tables.record_part(result.job))
     return Section(name="again", title="Inputs and versions", blocks=tuple(blocks))

@@ -19,11 +19,11 @@ from platform_ctrl.report.page import comparison
 from platform_ctrl.report.page.blocks import (
     Cell,
     Column,
+    Fold,
     Group,
     Listing,
     Mark,
     Paragraph,
-    Part,
     Row,
     Strip,
     Table,
@@ -254,10 +254,12 @@ _BAR = 64.0
 
 def requirement_table(result: JobResult) -> Table:
     """Return every requirement of a job, loop by loop, and each loop's goals after it."""
-    goals, groups = goal_rows(result), []
+    goals, groups, before = goal_rows(result), [], 0
     for subject, rows in by_subject(result).items():
         title = f"{subject}, {rows[0].design}" if rows[0].design else subject
-        groups.append(Group(title=title, rows=tuple(_requirement(row) for row in rows)))
+        shown = tuple(_requirement(row, row_name(before + k)) for k, row in enumerate(rows))
+        groups.append(Group(title=title, rows=shown))
+        before += len(rows)
         wished = tuple(_requirement(row) for row in goals if row.subject == subject)
         if wished:
             groups.append(Group(title=f"goals of {subject}, not part of the verdict", rows=wished, quiet=True))
@@ -273,7 +275,12 @@ def requirement_table(result: JobResult) -> Table:
     return Table(columns=columns, groups=tuple(groups), form="requirements")
 
 
-def _requirement(row: RequirementRow) -> Row:
+def row_name(k: int) -> str:
+    """Return where links to the k-th of `requirement_rows` lead."""
+    return f"requirement-{k + 1}"
+
+
+def _requirement(row: RequirementRow, place: str = "") -> Row:
     reached = ("reached" if row.passed else "not reached") if row.goal else ("met" if row.passed else "not met")
     tone = "quiet" if row.goal else "good" if row.passed else "bad"
     name = row.requirement.removeprefix(comparison.GOAL) if row.goal else row.requirement
@@ -294,6 +301,7 @@ def _requirement(row: RequirementRow) -> Row:
             Cell(text=f"{row.symbol} {reached}", tone=tone),
         ),
         missed=not row.passed and not row.goal,
+        name=place,
     )
 
 
@@ -333,10 +341,10 @@ def mode_table(result: JobResult) -> Table:
     return table("group|platform rate|motion|poles|frequency", rows, numbers="poles|frequency")
 
 
-def record_part(job: Job) -> Part:
+def record_part(job: Job) -> Fold:
     """Return the job with its plant as a listing to be copied."""
     words = f"All numbers to their last digit, in SI units, with the plant (“{job.plant}” in the job)."
-    return Part(
+    return Fold(
         title="Job and plant as read",
         blocks=(Paragraph(text=words), Listing(text=toml(job_data(job)), file="job.toml")),
     )

@@ -1,0 +1,201 @@
+"""The first screen of the report: the verdict, what limits each loop, and how far requirements are from it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from platform_ctrl.design.jobs import LoopOutcome
+from platform_ctrl.job.judging import CheckResult
+from platform_ctrl.report import style
+from platform_ctrl.report.figures.worst_plant import worst_plant, worst_plant_figure
+from platform_ctrl.report.page import tables
+from platform_ctrl.report.page.blocks import (
+    Block,
+    Cell,
+    Column,
+    Columns,
+    Distance,
+    Distances,
+    Group,
+    Paragraph,
+    Plate,
+    Row,
+    Table,
+    Verdict,
+    sentence,
+)
+from platform_ctrl.report.page.captions import sentences, tightest
+from platform_ctrl.report.quantities import BOUND, DASH, compared, count, listed, percent, plain
+from platform_ctrl.verification.verdict import JobResult
+
+# Of the axis of distances: the part beyond the limit that is shown where nothing is missed; width of a mark.
+_BEYOND, _MARK = 0.15, 0.0225
+_TICKS = (-1.0, -0.25, -0.05, 0.05, 0.25, 1.0)
+
+
+def first_screen(result: JobResult, campaign_line: str = "") -> tuple[Block, ...]:
+    """Return verdict, chain and distances, beside the Nichols plot of the tightest loop where there is one."""
+    left: list[Block] = [_verdict(result, campaign_line)]
+    chain = chain_table(result)
+    if chain is not None:
+        left.append(chain)
+    shown = distances(result)
+    if shown is not None:
+        left += [Paragraph(text=sentences("distances"), tone="quiet"), shown]
+    plate = _nichols(result)
+    return tuple(left) if plate is None else (Columns(left=tuple(left), right=(plate,)),)
+
+
+def _verdict(result: JobResult, campaign_line: str) -> Verdict:
+    goals = tables.goal_rows(result)
+    missed = [row for row in tables.requirement_rows(result) if not row.passed]
+    reached = sum(goal.passed for goal in goals)
+    words, _, assumed = tables.verdict(result).partition(", ")
+    asides = [sentence(f"{assumed}.")] if assumed else []
+    asides += [f"{reached} of {count(len(goals), 'goal')} reached; goals are not part of the verdict."] if goals else []
+    return Verdict(
+        passed=result.passed,
+        words=sentence(words),
+        lines=tuple(f"{row.subject}: {row.requirement} {row.value}, limit {row.limit}" for row in missed),
+        aside=" ".join([*asides, campaign_line]).strip(),
+    )
+
+
+def chain_table(result: JobResult) -> Table | None:
+    """Return for each loop its tightest requirement, the plant in which it is, and the channel that coupling costs."""
+    rows = []
+    for outcome in result.loops:
+        nearest = tightest([one for one in result.requirements if one.subject == outcome.spec.name])
+        if nearest is None:
+            continue
+        number, limit = compared(nearest)
+        where = nearest.evidence.rpartition(";")[0]
+        cells = (
+            Cell(text=outcome.spec.name, note=outcome.use),
+            Cell(text=nearest.name, note=f"with {where}" if where else ""),
+            Cell(text=percent(nearest.margin), note=f"{number} {BOUND[nearest.sense]} {limit}", tone=_tone(nearest)),
+            Cell(text=_coupling(result, outcome)),
+        )
+        rows.append(Row(cells=cells, missed=not nearest.passed))
+    if not rows:
+        return None
+    columns = (
+        Column(title="loop"),
+        Column(title="limited by"),
+        Column(title="margin", number=True),
+        Column(title="coupling costs most in"),
+    )
+    return Table(columns=columns, groups=(Group(rows=tuple(rows)),), form="chain")
+
+
+def _tone(one: CheckResult) -> str:
+    return "" if one.passed else "bad"
+
+
+def _coupling(result: JobResult, outcome: LoopOutcome) -> str:
+    """Return the channel of a loop whose disk margin the other loops reduce by most, and by how much."""
+    check = result.coupled
+    outputs = set(outcome.closed.controller.output_labels)
+    of_loop = [(float(cost), name) for cost, name in zip(check.cost, check.channels, strict=True) if name in outputs]
+    found = [pair for pair in of_loop if math.isfinite(pair[0])]
+    if not check.stable:
+        return "coupled system unstable"
+    if not found:
+        return DASH
+    cost, name = max(found)
+    return f"{name}, {plain(100.0 * max(cost, 0.0), 2, 'up')}\u00a0%" if cost > 1e-6 else "nothing"
+
+
+def distances(result: JobResult) -> Distances | None:
+    """Return a mark for each requirement at the root of its relative distance to the limit, missed ones at the left."""
+    shown = tables.requirement_rows(result)
+    if not shown:
+        return None
+    places = [_place(1.0 if row.passed and not row.margin else row.share) for row in shown]
+    low = min(-_BEYOND, *places)
+    order = sorted(range(len(shown)), key=lambda k: places[k])
+    scaled = [(place - low) / (1.0 - low) for place in places]
+    levels = dict(zip(order, _levels([scaled[k] for k in order]), strict=True))
+    marks = tuple(
+        Distance(
+            at=round(scaled[k], 4),
+            level=levels[k],
+            words=f"{row.subject}: {row.requirement} {row.value}, limit {row.limit}"
+            + (f", margin {row.margin}" if row.margin else ""),
+            row=tables.row_name(k),
+            passed=row.passed,
+        )
+        for k in order
+        for row in (shown[k],)
+    )
+    ticks = [(0.0, "0"), *((x, f"{100.0 * x:+g}".replace("-", "\u2212") + "\u00a0%") for x in _TICKS)]
+    inside = sorted(((_place(x) - low) / (1.0 - low), words) for x, words in ticks if _place(x) >= low - 1e-9)
+    missed = sum(not row.passed for row in shown)
+    words = (
+        f"{count(len(shown), 'requirement')} by their distance to the limit, relative to the limit; {missed} not met"
+    )
+    return Distances(words=words, marks=marks, ticks=tuple(inside), limit=-low / (1.0 - low))
+
+
+def _place(margin: float) -> float:
+    """Return the signed root: close to the limit distances are told apart."""
+    return math.copysign(math.sqrt(abs(margin)), margin)
+
+
+def _levels(places: Sequence[float]) -> list[int]:
+    """Return for ascending places the lowest row of marks in which each covers no other."""
+    ends: list[float] = []
+    out = []
+    for place in places:
+        level = next((k for k, end in enumerate(ends) if place >= end), len(ends))
+        ends[level : level + 1] = [place + _MARK]
+        out.append(level)
+    return out
+
+
+def tightest_loop(result: JobResult) -> LoopOutcome | None:
+    """Return the loop with plants whose requirement is missed by most, or met by least."""
+    found = [
+        (nearest.passed, nearest.margin, k)
+        for k, outcome in enumerate(result.loops)
+        if outcome.closed.plants is not None and (nearest := tightest(outcome.closed.results)) is not None
+    ]
+    return result.loops[min(found)[2]] if found else None
+
+
+def _nichols(result: JobResult) -> Plate | None:
+    outcome = tightest_loop(result)
+    if outcome is None:
+        return None
+    design = outcome.closed
+    k = worst_plant(design)
+    assert design.plants is not None
+    assert design.measures is not None
+    margin = float(design.measures.disk_margin[k])
+    caption = sentences(
+        "worst_plant",
+        loop=outcome.spec.name,
+        design=design.name,
+        label=design.plants.labels[k],
+        nominal=k == 0,
+        margin=margin,
+        stable=bool(np.all(design.measures.decay[k] > 0.0)),
+    )
+    figure, title = worst_plant_figure(outcome, k), "Tightest loop, worst plant"
+    return Plate(svg=style.svg(figure, f"{title}. {caption}"), title=title, caption=caption)
+
+
+def section_verdict(results: Sequence[CheckResult]) -> tuple[str, bool]:
+    """Return what stands beside the title of a section with these results: words and whether all are met."""
+    hard = [one for one in results if one.hard]
+    if not hard:
+        return "", True
+    missed = [one.name for one in hard if not one.passed]
+    if missed:
+        return f"{len(missed)} of {len(hard)} not met: {listed(list(dict.fromkeys(missed))[:3])}", False
+    nearest = tightest(hard)
+    least = "" if nearest is None else f", tightest {percent(nearest.margin)}"
+    return f"{'all ' if len(hard) > 1 else ''}{len(hard)} met{least}", True

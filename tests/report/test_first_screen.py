@@ -1,0 +1,133 @@
+"""The first screen of the report: what limits each loop, and how far every requirement is from its limit."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+
+import numpy as np
+import pytest
+
+from platform_ctrl import report
+from platform_ctrl.analysis.margins import disk_margin
+from platform_ctrl.design.loop import sampled_plant
+from platform_ctrl.report import style
+from platform_ctrl.report.figures.worst_plant import worst_plant, worst_plant_figure
+from platform_ctrl.report.page import first_screen, tables
+from platform_ctrl.report.page.blocks import Columns, Document, Fold
+from platform_ctrl.report.page.job_page import page_html
+from platform_ctrl.verification import JobResult
+from report_jobs import caging, checked, classical, job, turn
+
+pytestmark = pytest.mark.usefixtures("untraced")
+
+
+@pytest.fixture(scope="module")
+def result() -> JobResult:
+    limits = {"bandwidth_hz": 60, "disk_margin_worst_case": 0.3, "torque_noise": 0.05}
+    loop = caging(classical("slow", 25), classical(), limits=limits, use="classical")
+    return checked(job(loop=[loop], uncertainty={"inertia": 0.1}, manoeuvre=[turn()]))
+
+
+@pytest.fixture(scope="module")
+def document(result: JobResult) -> Document:
+    return report.prepared(result)
+
+
+def test_every_requirement_has_one_mark_at_its_distance_and_the_missed_ones_are_left_of_the_limit(
+    result: JobResult,
+) -> None:
+    shown = first_screen.distances(result)
+    assert shown is not None
+    rows = tables.requirement_rows(result)
+    assert sorted(mark.row for mark in shown.marks) == sorted(tables.row_name(k) for k in range(len(rows)))
+    assert [mark.at for mark in shown.marks] == sorted(mark.at for mark in shown.marks)
+    assert {mark.passed for mark in shown.marks} == {True, False}
+    for mark in shown.marks:
+        assert mark.passed == (mark.at >= shown.limit)
+        row = rows[int(mark.row.rpartition("-")[2]) - 1]
+        assert row.requirement in mark.words
+        assert row.passed == mark.passed
+    places = [(mark.at, mark.level) for mark in shown.marks]
+    apart = [abs(a - b) >= 0.02 for k, (a, i) in enumerate(places) for b, j in places[:k] if i == j]
+    assert all(apart)
+
+
+def test_a_mark_leads_to_the_row_of_its_requirement(result: JobResult, document: Document) -> None:
+    page = page_html(document)
+    links = re.findall(r'<a href="#(requirement-\d+)" aria-label="([^"]+)"', page)
+    assert len(links) == len(result.requirements)
+    for place, words in links:
+        [row] = re.findall(rf'<tr id="{place}"[^>]*>(.*?)</tr>', page, flags=re.DOTALL)
+        name = re.sub(r"<span.*", "", re.findall(r"<th[^>]*>(.*?)</th>", row, flags=re.DOTALL)[0])
+        assert name in words
+
+
+def test_the_chain_names_the_tightest_requirement_of_each_loop_and_its_plant(result: JobResult) -> None:
+    table = first_screen.chain_table(result)
+    assert table is not None
+    [[row]] = [group.rows for group in table.groups]
+    missed = [one for one in result.loops[0].closed.results if not one.passed]
+    assert row.missed
+    assert row.cells[1].text == min(missed, key=lambda one: one.margin).name == "bandwidth"
+    assert "nominal plant" in row.cells[1].note
+
+
+def test_the_nichols_plot_is_of_the_plant_with_the_least_disk_margin(result: JobResult, document: Document) -> None:
+    design = result.loops[0].closed
+    k = worst_plant(design)
+    assert design.plants is not None
+    assert k > 0
+    margins = [
+        disk_margin(sampled_plant(design.plants, i) * -design.own_controller).alpha
+        for i in range(len(design.plants.labels))
+    ]
+    assert margins[k] == pytest.approx(min(margins), rel=1e-3)
+    [columns] = [one for one in document.sections[0].blocks if isinstance(one, Columns)]
+    assert design.plants.labels[k] in columns.right[0].caption  # type: ignore[union-attr]
+    with style.settings():
+        [axes] = worst_plant_figure(result.loops[0], k).axes
+    drawn = [line.get_xydata() for line in axes.lines if len(line.get_xydata()) > 10]
+    assert len(drawn) == 4  # two channels, with the worst and the nominal plant
+    # Each curve passes the critical point on one side: it is shown in the turn around −180 degrees.
+    for curve in map(np.asarray, drawn):
+        level = np.abs(curve[:, 1])
+        assert -330.0 < curve[np.argmin(level), 0] < -30.0
+
+
+def test_a_section_shows_its_own_verdict(result: JobResult, document: Document) -> None:
+    verdicts = {section.name: (section.passed, section.verdict) for section in document.sections}
+    missed = sum(not one.passed for one in result.requirements)
+    assert verdicts["requirements"][0] is False
+    assert verdicts["requirements"][1].startswith(f"{missed} of {len(result.requirements)} not met: bandwidth")
+    assert verdicts["loop-1"][1].startswith(f"{missed} of")
+    assert verdicts["coupled"][0] is True
+    assert verdicts["coupled"][1].startswith(("all ", "1 met"))
+    assert verdicts["plant"] == (True, "")
+    only_met = dataclasses.replace(result, requirements=tuple(one for one in result.requirements if one.passed))
+    assert "met, tightest +" in first_screen.section_verdict(only_met.requirements)[0]
+
+
+def test_options_versions_and_job_are_folded(document: Document) -> None:
+    page = page_html(document)
+    assert re.findall(r"<summary>(.*?)</summary>", page) == [
+        "Options and controllers",
+        "Versions",
+        "Job and plant as read",
+    ]
+    assert any(isinstance(one, Fold) for one in document.sections[-1].blocks)
+
+
+def test_a_figure_carries_its_scales_for_the_script() -> None:
+    with style.settings():
+        figure, [[left, right]] = style.panels(1, 2, 2.0)
+        left.plot([1, 2], [3, 4])
+        left.set_xlim(1, 2)
+        left.set_ylim(3, 4)
+        right.loglog([1, 10], [0.1, 100])
+        right.set_xlim(1, 10)
+        right.set_ylim(0.1, 100)
+        drawn = style.svg(figure, "two panels")
+    [scales] = re.findall(r'data-axes="([^"]*)"', drawn)
+    assert "[1,2,0],[3,4,0]]" in scales
+    assert "[1,10,1],[0.1,100,1]]" in scales
