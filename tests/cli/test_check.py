@@ -102,7 +102,7 @@ def test_nothing_is_accepted_where_the_report_cannot_be_written(
     def full(*_: object, **__: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device", "report.html")
 
-    monkeypatch.setattr("platform_ctrl.report.prepared", full)
+    monkeypatch.setattr("platform_ctrl.report.page.job_page.drawn_beside", full)
     before = Path("gyro.json").read_bytes()
     arguments = ["check", "job.toml", "--controllers", "slower/result.json", "--baseline", "gyro.json", "-q"]
     assert "No space left" in refused(capsys, *arguments, "--update-baseline")

@@ -78,7 +78,7 @@ def there(designed: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 @pytest.fixture
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     """Leave out the figures, seconds of work: that they are drawn is seen in `designed` and in the first check."""
-    monkeypatch.setattr("platform_ctrl.report.prepared", lambda result, **about: result)
+    monkeypatch.setattr("platform_ctrl.report.page.job_page.drawn_beside", lambda result, beside, **about: result)
     monkeypatch.setattr("platform_ctrl.report.write_page", lambda result, path: Path(path).touch())
 
 

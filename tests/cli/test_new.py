@@ -20,6 +20,7 @@ from platform_ctrl.cli.starting.loops import RISE, safe_turn
 from platform_ctrl.design.cases import subsystems_over
 from platform_ctrl.job.writing import job_data, toml
 from platform_ctrl.plant.source import platform_source, shipped_models
+from platform_ctrl.report.quantities import simulated_words
 from platform_ctrl.verification.budget import line_of_sight_budget
 from refused_command import refused
 
@@ -127,6 +128,11 @@ def test_the_job_of_a_camera_holds_its_line_of_sight_while_the_vehicle_moves(the
     found = {one.name: one.value for one in result.requirements if one.stage == "simulated"}
     # In the run dry friction acts as it is: what the describing function promised is there.
     assert found["attenuation of base motion"] > loop.limits["attenuation_db_worst_case"]
+    # The verdict of a campaign says what its runs rest on.
+    assert simulated_words(job, job.manoeuvres) == (
+        ", assuming that constant torques of the motors hold the gimbals from the start on and the gimbals start at "
+        "the angles zero"
+    )
     # What the base's motion does to the line of sight is there from the start: `budget` has something to say.
     budget = line_of_sight_budget(job, [outcome.closed.controller for outcome in result.loops])
     assert {"base about axis 2", "base about axis 3"} <= set(budget.names)

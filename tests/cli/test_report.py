@@ -48,14 +48,17 @@ def pages(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
 
 def undrawn(patch: pytest.MonkeyPatch, about: list[dict[str, Any]]) -> None:
     """Write pages without content; the options that they were prepared with go to `about`."""
-    patch.setattr("platform_ctrl.report.prepared", lambda result, **options: about.append(options))
+    drawn = "platform_ctrl.report.page.job_page.drawn_beside"
+    patch.setattr(drawn, lambda result, beside, **options: about.append(options))
     patch.setattr("platform_ctrl.report.write_page", lambda content, path: path.touch())
 
 
 def test_the_page_and_the_pdf_tell_of_the_campaign(there: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["check", "gyro.toml", "--campaign", "campaign", "--pdf"]) == 0
     out, err = capsys.readouterr()
-    assert f"report: {Path('check') / 'report.html'}, {Path('check') / 'report.pdf'}, values: " in out
+    files = ("report: report.html", "report: report.pdf", "values: result.json")
+    told = [f"{word} {Path('check') / name}" for word, name in map(str.split, files)]
+    assert [line for line in out.splitlines() if line in told] == told
     assert "reading the campaign: campaign" in err.splitlines()
     assert sorted(path.name for path in (there / "check").iterdir()) == ["report.html", "report.pdf", "result.json"]
     page = (there / "check" / "report.html").read_text(encoding="utf-8")
