@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tomllib
 from typing import Any
 
 import numpy as np
@@ -9,11 +10,14 @@ import pytest
 
 from driven_gimbal import FRICTION, SECANT, driven_job
 from platform_ctrl import read_job
+from platform_ctrl.campaign.planning import plan
 from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.job.drive import DriveLaw, slide_rates
 from platform_ctrl.job.writing import job_data, toml
 from platform_ctrl.mechanics.kinematics import kinematics
+from platform_ctrl.report.quantities import assumed_words
 
+VARIED = {"parameter": "friction.outer.coulomb", "distribution": "uniform", "low": 0.5, "high": 1.5, "relative": True}
 BOTH = FRICTION | SECANT | {"secant_limit": 3.0}
 
 
@@ -22,7 +26,24 @@ def test_a_job_is_written_with_its_drives() -> None:
     assert job_data(job)["drive"] == [
         {key: item for key, item in BOTH.items() if key != "friction_rate"} | {"sensors": ("base_yaw",)}
     ]
-    assert "[[drive]]" in toml(job_data(job))
+    again = read_job(tomllib.loads(toml(job_data(job))))
+    assert again.drives == job.drives
+    assert again.drive_laws == job.drive_laws
+
+
+def test_all_runs_of_a_job_have_its_drives() -> None:
+    job = read_job(driven_job(BOTH, campaign={"runs": 4, "vary": [VARIED]}))
+    planned = plan(job, [])
+    assert {one.platform.frictions[0].coulomb for one in map(planned.scenario, range(4))} != {(0.02, 0.02)}
+    # What the computer assumes does not vary with the plant.
+    assert all(planned.scenario(k).drives == job.drive_laws for k in range(4))
+
+
+def test_the_verdict_says_that_friction_counts_as_if_nothing_were_fed_forward() -> None:
+    assert "dry friction, nothing of it fed forward, is a describing function" in assumed_words(
+        read_job(driven_job(BOTH))
+    )
+    assert "fed forward" not in assumed_words(read_job(driven_job(SECANT)))
 
 
 @pytest.mark.parametrize("name", ["camera_gimbal", "three_gyro_platform", "seeker_head"])
