@@ -12,12 +12,14 @@ from hypothesis import strategies as st
 import platform_ctrl as pc
 from camera_job import J_AZIMUTH, J_ELEVATION, camera_job, camera_plant
 from platform_ctrl import analysis, design
-from platform_ctrl.analysis.arrays import StateArrays
-from platform_ctrl.analysis.loop_set import LoopSet
+from platform_ctrl.analysis.arrays import StateArrays, state_arrays
+from platform_ctrl.analysis.loop_set import TORQUE_SHARE, LoopSet
 from platform_ctrl.analysis.metrics import torque_noise
-from platform_ctrl.analysis.norms import noise_rms
+from platform_ctrl.analysis.norms import gains, noise_rms
 from platform_ctrl.cli import main
 from platform_ctrl.design.feedforward import rate_feedforward
+from platform_ctrl.design.fixed_structure.loops import ClosedLoops
+from platform_ctrl.design.fixed_structure.maps import torque_per_Omega
 from platform_ctrl.design.jobs import LoopOutcome
 from platform_ctrl.design.loop import LoopDesign, closed_loop_poles
 from platform_ctrl.errors import ArgumentError, InputError
@@ -188,6 +190,21 @@ def test_torque_and_noise_count_the_feedforward(outcome):
     own = np.abs(bare.measures.torque_noise)
     # Two gyros of twice the noise each instead of one.
     assert np.all(indirect.measures.torque_noise > 2.0 * own)
+
+
+@pytest.mark.parametrize("kind", ["direct", "indirect"])
+def test_structured_search_sees_what_the_verdict_sees(outcome, kind):
+    """Torques per platform rate and the noise in readings are those of the metrics, by another route."""
+    one = of(outcome, kind)
+    K = state_arrays(one.own_controller, "controller")
+    search, loops = ClosedLoops(one.plants, K), LoopSet(one.plants, K)
+    w, nominal = 60.0, np.zeros(1, dtype=np.intp)
+    parts = loops.parts([TORQUE_SHARE], 0)
+    for k, part in enumerate(parts):
+        seen = search.edge(torque_per_Omega(k, one.plants), w, nominal).ratio
+        assert seen[0] == pytest.approx(gains(part, np.array([w]))[0], rel=1e-9)
+    if kind == "indirect":
+        np.testing.assert_allclose(search.noise(1.0, nominal).ratio, one.measures.torque_noise, rtol=1e-6)
 
 
 @pytest.mark.parametrize("kind", ["direct", "indirect"])
