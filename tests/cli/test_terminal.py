@@ -132,12 +132,12 @@ def _without_colours(text: str) -> str:
 
 def test_ctrl_c_leaves_what_was_there(there: Path) -> None:
     out = there / "out"
-    before = {path.name: path.read_bytes() for path in out.iterdir()}
+    before = {path.name: path.read_bytes() for path in out.iterdir() if path.is_file()}
     shown = Terminal("design", "gyro.toml", "--pdf", cwd=there).until("reading")
     assert shown.type(b"\x03").end() == 130
     assert _without_colours(shown.shown).splitlines()[-1].endswith("platform-ctrl: interrupted")
     assert "Traceback" not in shown.shown
-    assert {path.name: path.read_bytes() for path in out.iterdir()} == before
+    assert {path.name: path.read_bytes() for path in out.iterdir() if path.is_file()} == before
 
 
 SETTING = """
@@ -156,14 +156,14 @@ sys.exit(main())
 
 def test_ctrl_c_while_the_report_is_set_leaves_what_was_there(there: Path) -> None:
     out = there / "out"
-    before = {path.name: path.read_bytes() for path in out.iterdir()}
+    before = {path.name: path.read_bytes() for path in out.iterdir() if path.is_file()}
     ended = subprocess.run(
         [sys.executable, "-c", SETTING], cwd=there, env=environment(), capture_output=True, text=True, check=False
     )
     assert ended.returncode == 130
     assert ended.stderr.splitlines()[-1].endswith("platform-ctrl: interrupted")
     assert "Traceback" not in ended.stderr
-    assert {path.name: path.read_bytes() for path in out.iterdir()} == before
+    assert {path.name: path.read_bytes() for path in out.iterdir() if path.is_file()} == before
 
 
 ENDING = """
