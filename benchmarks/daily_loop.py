@@ -1,0 +1,96 @@
+"""What an engineer waits for who changes a number of a job and designs again.
+
+    python benchmarks/daily_loop.py [--before CHECKOUT] [--rounds 3]
+
+Runs `platform-ctrl design` on the shipped job in processes of their own: into an empty folder, again without a change,
+after a change of one loop's limit, and with --fresh. With --before the same by the package of another checkout, by
+turns in the same run; there every design is made anew each time. --cold runs each first without anything that is
+compiled, in a copy of the package. CPU time is that of the command and of the processes that it started; medians.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import resource
+import shutil
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+JOB = ROOT / "examples" / "three_gyro_platform.toml"
+# One limit of the second loop, met before and after.
+LIMIT, CHANGED = "Omega_rejection = 0.003\n", "Omega_rejection = 0.0031\n"
+_COMMAND = "import sys; from platform_ctrl.cli import main; sys.exit(main(sys.argv[1:]))"
+
+
+def run(checkout: Path, folder: Path, job: Path, *options: str) -> tuple[float, float]:
+    """Return wall and CPU time of a design, s."""
+    environment = os.environ | {"PYTHONPATH": str(checkout), "OPENBLAS_NUM_THREADS": "1"}
+    before, start = resource.getrusage(resource.RUSAGE_CHILDREN), time.monotonic()
+    command = [sys.executable, "-P", "-c", _COMMAND, "design", str(job), "-q", "-o", str(folder / "out"), *options]
+    subprocess.run(command, env=environment, cwd=folder, check=True, stdout=subprocess.DEVNULL)
+    wall, after = time.monotonic() - start, resource.getrusage(resource.RUSAGE_CHILDREN)
+    return wall, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+
+
+def measured(checkout: Path, folder: Path, *, reuses: bool) -> dict[str, tuple[float, float]]:
+    """Return wall and CPU time of each case, s."""
+    shutil.rmtree(folder / "out", ignore_errors=True)
+    changed = folder / "changed.toml"
+    changed.write_text(JOB.read_text(encoding="utf-8")[::-1].replace(LIMIT[::-1], CHANGED[::-1], 1)[::-1], "utf-8")
+    return {
+        "into an empty folder": run(checkout, folder, JOB),
+        "again, nothing changed": run(checkout, folder, JOB),
+        "one limit of a loop changed": run(checkout, folder, changed),
+        "--fresh": run(checkout, folder, JOB, *(["--fresh"] if reuses else [])),
+    }
+
+
+def cold(checkout: Path, folder: Path) -> tuple[float, float]:
+    """Return wall and CPU time of the first design after an installation, s."""
+    copy = folder / "installed"
+    shutil.rmtree(copy, ignore_errors=True)
+    ignored = shutil.ignore_patterns("__pycache__", ".git", ".venv", "tests", "docs")
+    for name in ("platform_ctrl", "models"):
+        shutil.copytree(checkout / name, copy / name, ignore=ignored)
+    return run(copy, folder, JOB)
+
+
+def main() -> None:
+    """Print a table of medians; with two checkouts also the ratio of the times."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--before", type=Path, help="another checkout of this package")
+    parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--cold", action="store_true")
+    given = parser.parse_args()
+    checkouts = {"now": ROOT} | ({"before": given.before.resolve()} if given.before else {})
+    times: dict[str, dict[str, list[tuple[float, float]]]] = {name: {} for name in checkouts}
+    with tempfile.TemporaryDirectory() as folder:
+        for name, checkout in checkouts.items():
+            if given.cold:
+                times[name]["cold"] = [cold(checkout, Path(folder))]
+            else:
+                run(checkout, Path(folder), JOB)  # what is compiled is there then
+        for _ in range(given.rounds):
+            for name, checkout in checkouts.items():
+                for case, found in measured(checkout, Path(folder), reuses=name == "now").items():
+                    times[name].setdefault(case, []).append(found)
+    print(f"{'':30}{'wall':>9}{'CPU':>9}" + (f"{'before':>9}{'CPU':>9}{'ratio':>9}{'CPU':>9}" if given.before else ""))
+    for case, found in times["now"].items():
+        row = [statistics.median(column) for column in zip(*found, strict=True)]
+        line = f"{case:30}" + "".join(f"{x:7.1f} s" for x in row)
+        if given.before:
+            old = [statistics.median(column) for column in zip(*times["before"][case], strict=True)]
+            line += "".join(f"{x:7.1f} s" for x in old) + "".join(
+                f"{a / b:9.2f}" for a, b in zip(row, old, strict=True)
+            )
+        print(line)
+
+
+if __name__ == "__main__":
+    main()
