@@ -80,7 +80,8 @@ class LoopDesign:
         """The nominal sampled plant, from torques and Omega1 to Omega3 to angles: see `PlantSet.system`.
 
         ``control.interconnect([design.plant, design.controller], inputs=["Omega1", "Omega2", "Omega3"], outputs=...)``
-        closes the loop by the signals' names. None where `plants` is.
+        closes the loop by the signals' names; with `own_controller` where the design has feedforward of the platform's
+        rate, which is a part of its plants. None where `plants` is.
         """
         return None if self.plants is None else self.plants.system()
 
