@@ -10,6 +10,7 @@ from driven_gimbal import FRICTION, INERTIA, RATE_HZ, SECANT, VISCOUS, driven_jo
 from platform_ctrl import read_job
 from platform_ctrl.analysis.arrays import state_arrays
 from platform_ctrl.analysis.response import frequency_response
+from platform_ctrl.design import loops
 from platform_ctrl.design.plants import loop_plants
 from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.verification.coupled import coupled_plant
@@ -70,3 +71,11 @@ def test_what_the_base_shows_changes_no_plant() -> None:
     )
     assert with_drive.labels == without.labels
     np.testing.assert_array_equal(with_drive.A, without.A)
+
+
+@pytest.mark.parametrize(("friction_rate", "stable"), [(0.01, True), (0.001, False)])
+def test_friction_that_is_fed_back_too_steeply_is_judged_unstable(friction_rate: float, stable: bool) -> None:
+    (outcome,) = loops(read_job(driven_job(TACHO | {"friction_rate": friction_rate})))
+    (decay,) = (one for one in outcome.closed.results if one.name == "minimum decay rate, worst case")
+    assert decay.passed is stable
+    assert (decay.value > 0.0) is stable
