@@ -9,7 +9,7 @@ from typing import Any
 
 import typer
 
-from platform_ctrl.cli.job_arguments import Quiet
+from platform_ctrl.cli.job_arguments import Json, Quiet
 
 _LOOP = {"kind": "caging", "limits": {"bandwidth_hz": 15, "disk_margin": 0.2}}
 _CLASSICAL = {"name": "classical", "method": "classical", "crossover_hz": 30, "integral_hz": 2}
@@ -49,7 +49,7 @@ _JOB: dict[str, Any] = {
 }
 
 
-def warm_up(quiet: Quiet = False) -> int:
+def warm_up(as_json: Json = False, quiet: Quiet = False) -> int:
     """Compile what the other commands need, once an installation.
 
     Simulation and analysis have functions that are compiled where they are first used, which takes about a minute in
@@ -57,20 +57,26 @@ def warm_up(quiet: Quiet = False) -> int:
     CI runs its tests, after an update. What is compiled already is not compiled again.
 
     \b
-    RUN pip install platform_ctrl && platform-ctrl warm-up  in a Dockerfile
+    platform-ctrl warm-up         once an installation
+    platform-ctrl warm-up --quiet  in a Dockerfile: RUN platform-ctrl warm-up --quiet
     """  # noqa: D301
     from platform_ctrl.cli.terminal import progress
 
-    start, lines = time.monotonic(), []
-    with progress(quiet, "compiling") as say:
+    start, found = time.monotonic(), []
+    with progress(quiet or as_json, "compiling") as say:
         for name, work in (("simulation", _simulation), ("design, check and serve", _design)):
             say(f"compiling: {name}")
             before = _counts()
             work()
             made, kept = (after - one for after, one in zip(_counts(), before, strict=True))
-            lines.append(f"{name}: {made} compiled, {kept} there already")
-    for line in lines:
-        typer.echo(line)
+            found.append({"for": name, "compiled": made, "there": kept})
+    if as_json:
+        from platform_ctrl.common.json_text import json_text
+
+        typer.echo(json_text({"schema": 1, "compiled": found}))
+        return 0
+    for one in found:
+        typer.echo(f"{one['for']}: {one['compiled']} compiled, {one['there']} there already")
     typer.echo(f"done in {time.monotonic() - start:.0f} s")
     return 0
 
