@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -56,6 +56,9 @@ class LoopResponses:
     frequency: FloatArray  # (N,), rad/s
     designs: tuple[DesignResponses, ...]  # In the job's order
     closed: str  # Name of the design that closes the loop
+    # All designs of the page in their order, the same name once: the place is its colour; True: it closes a loop, and
+    # its line is solid everywhere
+    palette: Mapping[str, bool]
     open_angle_per_rate: FloatArray  # (3, N), open_angle_per_torque : (N,): The same disturbances without a controller
     open_angle_per_torque: FloatArray
 
@@ -63,6 +66,12 @@ class LoopResponses:
     def closed_design(self) -> DesignResponses:
         """The responses of the design that closes the loop."""
         return next(one for one in self.designs if one.design.name == self.closed)
+
+
+def palette_of(loops: Sequence[LoopOutcome]) -> dict[str, bool]:
+    """Return the names of all designs, each with whether it closes one of the loops."""
+    closed = {outcome.use for outcome in loops}
+    return {design.name: design.name in closed for outcome in loops for design in outcome.designs}
 
 
 def peak_metrics() -> dict[str, Peak]:
@@ -74,8 +83,13 @@ def peak_metrics() -> dict[str, Peak]:
     }
 
 
-def loop_responses(model: LinearModel, outcome: LoopOutcome) -> LoopResponses | None:
-    """Return the responses of all designs of `outcome`; None for a loop that is only checked in the coupled system."""
+def loop_responses(
+    model: LinearModel, outcome: LoopOutcome, palette: Mapping[str, bool] | None = None
+) -> LoopResponses | None:
+    """Return the responses of all designs of `outcome`; None for a loop that is only checked in the coupled system.
+
+    `palette` is that of all loops of the page; default: of this one.
+    """
     of_designs = [(design, design.plants) for design in outcome.designs if design.plants is not None]
     if not of_designs:
         return None
@@ -117,6 +131,7 @@ def loop_responses(model: LinearModel, outcome: LoopOutcome) -> LoopResponses | 
             for one in designs
         ),
         closed=outcome.use,
+        palette=palette or palette_of([outcome]),
         open_angle_per_rate=np.linalg.norm(from_rate.get(outcome.use, from_rate[designs[0].name]), axis=1).T,
         open_angle_per_torque=gains(P, frequency),
     )

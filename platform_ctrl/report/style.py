@@ -195,9 +195,10 @@ def signal_style(k: int) -> dict[str, Any]:
     return line_style(k) | {"linewidth": 1.0}
 
 
-def emphasised(k: int, chosen: bool) -> dict[str, Any]:
-    """Return the style of the k-th of several designs: the chosen one is thicker, and above the others."""
-    return line_style(k) | ({"linewidth": 2.1, "zorder": 3} if chosen else {"linewidth": 1.2})
+def design_style(k: int, solid: bool, chosen: bool) -> dict[str, Any]:
+    """Return the style of the k-th design of a page: dashed if it closes no loop, thicker where it does."""
+    dashes = "-" if solid else DASHES[1 + k % 5]
+    return line_style(k) | {"linestyle": dashes, **({"linewidth": 2.1, "zorder": 3} if chosen else {"linewidth": 1.2})}
 
 
 def legend_rows(names: Sequence[str], width: float = FULL_WIDTH) -> int:

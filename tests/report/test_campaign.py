@@ -134,7 +134,7 @@ def test_the_page_needs_nothing_else_and_is_whole(page):
     assert links.open == []
     assert links.loaded == []
     assert all(links.ids.count(target) == 1 for target in links.targets)
-    assert len(links.targets) == 6
+    assert len(links.targets) == 8
     assert not re.search(r"url\((?!#)|@import|https?://(?!www\.w3\.org)", page)
     assert "tolerances &amp; &lt;faults&gt;" in page
 
@@ -341,7 +341,12 @@ def test_a_fault_in_every_violating_run_is_never_among_what_has_no_influence(cap
     assert words.startswith(f"fault: weak Q9: 3 of {cause.present.runs} runs with it violate a limit (")
     assert words.endswith("; every violating run has it")
     drawn = html.unescape(re.sub(r"<[^>]+>", " ", as_html(campaign_document(summary))))
-    assert "in every violating run" in " ".join(drawn.split())
+    shown = " ".join(drawn.split())
+    assert "in every violating run" in shown
+    sections = [section.name for section in campaign_document(summary).sections]
+    assert sections.index("common") < sections.index("probabilities") < sections.index("sensitivity")
+    first = shown[shown.rindex("What violating runs have in common") :]
+    assert first.removeprefix("What violating runs have in common").lstrip().startswith("Fault: weak Q9: 3 of")
     card = drawn[drawn.index("Shares of variance") :]
     card = card[card.index("Largest gimbal angle") : card.index("Largest platform angle")]
     assert "No significant share" in card

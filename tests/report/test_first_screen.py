@@ -12,7 +12,9 @@ from platform_ctrl import report
 from platform_ctrl.analysis.margins import disk_margin
 from platform_ctrl.design.loop import sampled_plant
 from platform_ctrl.report import style
+from platform_ctrl.report.figures.loop import sensitivity_figure
 from platform_ctrl.report.figures.worst_plant import worst_plant, worst_plant_figure
+from platform_ctrl.report.loop_responses import loop_responses
 from platform_ctrl.report.page import first_screen, tables
 from platform_ctrl.report.page.blocks import Columns, Document, Fold
 from platform_ctrl.report.page.job_page import page_html
@@ -131,3 +133,20 @@ def test_a_figure_carries_its_scales_for_the_script() -> None:
     [scales] = re.findall(r'data-axes="([^"]*)"', drawn)
     assert "[1,2,0],[3,4,0]]" in scales
     assert "[1,10,1],[0.1,100,1]]" in scales
+
+
+def test_a_design_has_one_colour_in_all_loops_and_what_closes_a_loop_is_solid(result: JobResult) -> None:
+    [outcome] = result.loops
+    alone = loop_responses(result.model, outcome)
+    assert alone is not None
+    assert alone.palette == {"slow": False, "classical": True}
+    among = dataclasses.replace(alone, palette={"servo": True, "classical": True, "slow": False})
+    with style.settings():
+        for responses, places in ((alone, {"slow": 0, "classical": 1}), (among, {"slow": 2, "classical": 1})):
+            left = sensitivity_figure(responses, outcome.spec).axes[0]
+            for name, place in places.items():
+                own = [
+                    line for line in left.lines if line.get_color() == style.SERIES[place] and len(line.get_xdata()) > 9
+                ]
+                assert own
+                assert {line.get_linestyle() for line in own} == {"-" if name == "classical" else "--"}

@@ -18,7 +18,7 @@ from platform_ctrl.design.loop import LoopDesign, sampled_plant
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.job import LoopSpec
 from platform_ctrl.job.requirements import SCOPE_WORDS, of_readings
-from platform_ctrl.report.loop_responses import LoopResponses, peak_metrics
+from platform_ctrl.report.loop_responses import DesignResponses, LoopResponses, peak_metrics
 from platform_ctrl.report.plots.curves import phase_in_degrees
 from platform_ctrl.report.plots.nichols import nichols
 from platform_ctrl.report.plots.panels import phase_panel
@@ -36,11 +36,10 @@ from platform_ctrl.report.style import (
     MUTED,
     REFERENCE,
     SERIES,
-    emphasised,
+    design_style,
     frequency_axes,
     gain_limits,
     legend,
-    line_style,
     linear_axis,
     panels,
 )
@@ -197,12 +196,19 @@ def sensitivity_figure(responses: LoopResponses, spec: LoopSpec) -> Figure:
         handles = handles or drawn
         gain_limits(axes, curves, low=1e-3, high=1e2)
         axes.set_title(title)
-    for k, one in enumerate(responses.designs):
+    for one in responses.designs:
         if one.design.name == responses.closed or len(responses.designs) <= _ALL_LINES:
-            left.plot(f, one.smallest_sensitivity, **line_style(k) | {"linewidth": 0.7})
+            left.plot(f, one.smallest_sensitivity, **_look(responses, one) | {"linewidth": 0.7})
         if one.design.measures is not None and np.isfinite(one.design.measures.bandwidth):
             at = one.design.measures.bandwidth * HZ
-            left.plot([at], [np.sqrt(0.5)], MARKERS[k % 8], color=SERIES[k % 8], markersize=5, zorder=4)
+            left.plot(
+                [at],
+                [np.sqrt(0.5)],
+                MARKERS[_place(responses, one)],
+                color=_look(responses, one)["color"],
+                markersize=5,
+                zorder=4,
+            )
     left.axhline(np.sqrt(0.5), color=REFERENCE, linewidth=0.8)
     at_end: dict[str, Any] = {"textcoords": "offset points", "color": MUTED, "fontsize": 7, "ha": "right", "va": "top"}
     left.annotate("1/√2", (f[-1], np.sqrt(0.5)), (-3, -2), **at_end)
@@ -229,10 +235,10 @@ def loop_transfer_figure(responses: LoopResponses, spec: LoopSpec, torques: tupl
     figure, rows = panels(2, 1 + len(torques), 1.35, names)
     f, designs = responses.frequency * HZ, responses.designs
     handles = _design_curves(rows[0][0], f, [one.loop_gains[0] for one in designs], responses, label=False)
-    for k, one in enumerate(designs):
+    for one in designs:
         chosen = one.design.name == responses.closed
         for gain in one.loop_gains[1:] if chosen or len(designs) <= _ALL_LINES else ():
-            rows[0][0].plot(f, gain, **emphasised(k, chosen) | {"linewidth": 0.8})
+            rows[0][0].plot(f, gain, **_look(responses, one) | {"linewidth": 0.8})
     _design_curves(rows[1][0], f, [one.controller_gain for one in designs], responses)
     for i, name in enumerate(torques):
         above, below = rows[0][1 + i], rows[1][1 + i]
@@ -345,8 +351,8 @@ def _design_curves(
 ) -> list[Any]:
     """Draw a curve of each design over frequency, the closed one thicker, and return the lines."""
     lines: list[Any] = []
-    for k, (curve, one) in enumerate(zip(curves, responses.designs, strict=True)):
-        lines += axes.plot(f, curve, **emphasised(k, one.design.name == responses.closed))
+    for curve, one in zip(curves, responses.designs, strict=True):
+        lines += axes.plot(f, curve, **_look(responses, one))
     frequency_axes(axes, f[0], f[-1], log_gain=log_gain, label=label)
     return lines
 
@@ -354,6 +360,16 @@ def _design_curves(
 def _disturbance_limits(axes: Axes, closed: Sequence[FloatArray], opened: FloatArray) -> None:
     top = 10.0 * max((float(np.nanmax(curve)) for curve in closed), default=float(np.nanmax(opened)))
     gain_limits(axes, [*closed, opened], low=1e-5 * top, high=top)
+
+
+def _place(responses: LoopResponses, one: DesignResponses) -> int:
+    """Return which colour and marker a design has on the whole page."""
+    return list(responses.palette).index(one.design.name) % len(SERIES)
+
+
+def _look(responses: LoopResponses, one: DesignResponses) -> dict[str, Any]:
+    name = one.design.name
+    return design_style(_place(responses, one), responses.palette[name], name == responses.closed)
 
 
 def design_names(responses: LoopResponses) -> list[str]:
@@ -385,9 +401,10 @@ def pole_figure(responses: LoopResponses, spec: LoopSpec, nutation: float, perio
     handles: list[Any] = []
     for axes in row:
         drawn: list[Any] = []
-        for k, one in enumerate(responses.designs):
+        for one in responses.designs:
             varied, faults, own = (upper_half_plane(s) for s in (one.varied_poles, one.fault_poles, one.poles))
-            style: dict[str, Any] = {"color": SERIES[k % 8], "linestyle": "none", "marker": MARKERS[k % 8]}
+            k = _place(responses, one)
+            style: dict[str, Any] = {"color": SERIES[k], "linestyle": "none", "marker": MARKERS[k]}
             axes.plot(varied.real, varied.imag, **style | {"markersize": 1.8, "alpha": 0.35, "markeredgewidth": 0})
             crossed = {"marker": "x", "markersize": 2.6, "alpha": 0.75, "markeredgewidth": 0.7}
             axes.plot(faults.real, faults.imag, **style | crossed)

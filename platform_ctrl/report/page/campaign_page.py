@@ -186,12 +186,14 @@ def campaign_sections(summary: Summary, again: str) -> list[Section]:
         words=sentence(tables.verdict(summary)),
         lines=tuple(sentence(line) for line in tables.verdict_lines(summary)),
     )
-    first = (
-        banner,
-        probability_table(summary),
-        Paragraph(text=sentences("campaign_bounds", plan=summary.plan), tone="quiet"),
-    )
-    sections = [Section(name="probabilities", title="", blocks=first)]
+    bounds = Paragraph(text=sentences("campaign_bounds", plan=summary.plan), tone="quiet")
+    sections = [Section(name="summary", title="", blocks=(banner,))]
+    common = _contrasts(summary)
+    if common:
+        title = "What violating runs have in common" if summary.statistics.violation.events else "With and without"
+        sections.append(Section(name="common", title=title, blocks=common))
+    shown = (probability_table(summary), bounds)
+    sections.append(Section(name="probabilities", title="Probability of a violation", blocks=shown))
     if summary.rare:
         parts = tuple(rare_part(summary.plan, one) for one in summary.rare)
         sections.append(Section(name="rare", title="Rare events", blocks=parts))
@@ -271,12 +273,11 @@ def campaign_plates(summary: Summary) -> list[Plate]:
 
 def _drivers(summary: Summary) -> tuple[Block, ...]:
     overall = [one for one in summary.sensitivities if one.manoeuvre is None]
-    counted = _contrasts(summary)
     if not overall:
-        return (*counted, Paragraph(text="Too few runs, or all alike: variance cannot be attributed to inputs."))
+        return (Paragraph(text="Too few runs, or all alike: variance cannot be attributed to inputs."),)
     words = sentences("campaign_shares")
     cards = Cards(parts=tuple(_influences(summary, one) for one in overall))
-    blocks: list[Block] = [*counted, Part(title="Shares of variance", blocks=(Paragraph(text=words), cards))]
+    blocks: list[Block] = [Part(title="Shares of variance", blocks=(Paragraph(text=words), cards))]
     within = _within(summary)
     if within is not None:
         blocks.append(Part(title="Within each manoeuvre", blocks=(within,)))
@@ -298,7 +299,9 @@ def _contrasts(summary: Summary) -> tuple[Block, ...]:
     rows = [Group(title=title, rows=tuple(_contrast_rows(found, scale))) for title, found in groups]
     words = sentences("campaign_contrasts")
     found = Table(columns=titles, groups=tuple(rows), form="contrasts")
-    return (Part(title="Violations with and without", blocks=(Paragraph(text=words), found)),)
+    shared = [tables.contrast_words(one) for one in summary.contrasts if tables.shared_by_all(one)]
+    lines = [Paragraph(text=f"{sentence(_tied(line))}.") for line in shared]
+    return (*lines, found, Paragraph(text=words, tone="quiet"))
 
 
 def _contrast_rows(found: list[Contrast], scale: Scale) -> list[Row]:

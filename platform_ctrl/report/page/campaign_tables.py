@@ -205,6 +205,11 @@ def significant(one: Contrast) -> bool:
     return one.driver or one.in_every_violation
 
 
+def shared_by_all(one: Contrast) -> bool:
+    """Return whether every run that violates anything has this value, over all manoeuvres."""
+    return one.requirement == PASSED and one.manoeuvre is None and one.in_every_violation
+
+
 def contrast_groups(summary: Summary) -> list[tuple[str, list[Contrast]]]:
     """Return all contrasts over all manoeuvres, and the significant ones within a manoeuvre, of any requirement."""
     groups: dict[str | None, list[Contrast]] = {}

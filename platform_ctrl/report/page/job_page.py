@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -38,7 +38,7 @@ from platform_ctrl.report.figures.loop import (
     root_locus_plot,
     sensitivity_figure,
 )
-from platform_ctrl.report.loop_responses import LoopResponses, loop_responses
+from platform_ctrl.report.loop_responses import LoopResponses, loop_responses, palette_of
 from platform_ctrl.report.modes import nutates
 from platform_ctrl.report.page import captions, comparison, tables
 from platform_ctrl.report.page.blocks import (
@@ -212,8 +212,8 @@ def _drawn(result: JobResult, beside: SecondProcess | None) -> tuple[tuple[Block
         dataclasses.replace(one, designs=tuple(dataclasses.replace(design, certificates=()) for design in one.designs))
         for one in result.loops
     ]
-    spinning = captions.spins(result.job.platform)
-    tasks: list[Task] = [(_in_style, (_caging_plates, result.model, outcome)) for outcome in bare]
+    spinning, palette = captions.spins(result.job.platform), palette_of(result.loops)
+    tasks: list[Task] = [(_in_style, (_caging_plates, result.model, outcome, palette)) for outcome in bare]
     for run in result.runs:
         caption = captions.run(run, spinning, result.loops) if run.trajectory.t.size else ""
         tasks.append((_in_style, (_run_block, run, result.job.platform, caption)))
@@ -309,8 +309,8 @@ def _unproved(result: JobResult, outcome: LoopOutcome) -> list[str]:
     return lines
 
 
-def _caging_plates(model: LinearModel, outcome: LoopOutcome) -> list[Plate]:
-    responses = loop_responses(model, outcome)
+def _caging_plates(model: LinearModel, outcome: LoopOutcome, palette: Mapping[str, bool]) -> list[Plate]:
+    responses = loop_responses(model, outcome, palette)
     plants = responses.designs[0].design.plants if responses is not None else None
     if responses is None or plants is None:
         return []
