@@ -85,28 +85,28 @@ def kept_or_designed(
     Those that are in the store and proved are taken from there; of the others `beside` makes a part.
     """
     keys = ["" if store is None else _key(problem, rise, inner) for problem, inner in problems]
-    out: dict[int, LoopDesign] = {}
-    for k, (problem, _) in enumerate(problems):
-        taken = _taken(problem, store.find(keys[k])) if store is not None and keys[k] else None
-        if store is not None and taken is not None:
-            out[k] = taken
-            name = f"{problem.spec.name}: {problem.design.name}"
+    names = [f"{problem.spec.name}: {problem.design.name}" for problem, _ in problems]
+    tasks: list[Task] = [
+        (_kept_or_made, (problem, rise, store, key)) for (problem, _), key in zip(problems, keys, strict=True)
+    ]
+    if beside is not None:
+        found = beside.results(tasks, lambda k: problems[k][0].progress(names[k]))
+    else:
+        found = []
+        for (problem, _), name, (function, arguments) in zip(problems, names, tasks, strict=True):
+            problem.progress(name)
+            found.append(function(*arguments))
+    for (problem, _), name, (_, taken) in zip(problems, names, found, strict=True):
+        if store is not None and taken:
             store.taken.append((problem.spec.name, problem.design.name))
             problem.progress(f"{name}: unchanged, taken from {store.folder}, certificates verified")
-    left = [k for k in range(len(problems)) if k not in out]
+    return [design for design, _ in found]
 
-    def begun(k: int) -> None:
-        problem, _ = problems[left[k]]
-        problem.progress(f"{problem.spec.name}: {problem.design.name}")
 
-    tasks: list[Task] = [(_made, (problems[k][0], rise, store, keys[k])) for k in left]
-    if beside is None:
-        for k, (function, arguments) in enumerate(tasks):
-            begun(k)
-            out[left[k]] = function(*arguments)
-    else:
-        out |= zip(left, beside.results(tasks, begun), strict=True)
-    return [out[k] for k in range(len(problems))]
+def _kept_or_made(problem: LoopProblem, rise: float, store: Store | None, key: str) -> tuple[LoopDesign, bool]:
+    """Return the design of a problem, and whether it was taken from the store."""
+    taken = _taken(problem, store.find(key)) if store is not None and key else None
+    return (_made(problem, rise, store, key), False) if taken is None else (taken, True)
 
 
 def _key(problem: LoopProblem, rise: float, inner: LoopDesign | None) -> str:

@@ -8,7 +8,8 @@ import dataclasses
 import hashlib
 import json
 import os
-from collections.abc import Iterator, Mapping
+import pickle
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ import numpy as np
 import pytest
 
 from fuzz_files import HERE
+from platform_ctrl.common.processes import PROCESSES, SecondProcess, Task
 from platform_ctrl.common.store import Store, array_of, array_text, key_of
 from platform_ctrl.design import loops
 from platform_ctrl.design.jobs import LoopOutcome
@@ -320,3 +322,32 @@ def test_arrays_are_kept_to_the_last_bit() -> None:
         assert found is not None
         assert found.shape == array.shape
         assert found.tobytes() == array.tobytes()
+
+
+def test_two_processes_make_the_designs_of_one(
+    kept: tuple[LoopOutcome, dict[str, bytes]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made, _ = kept
+    monkeypatch.setenv(PROCESSES, "2")
+    store = Store(tmp_path / "reuse")
+    with SecondProcess() as beside:
+        for again in (False, True):
+            [found] = loops(JOB, store=store, beside=beside)
+            assert len(store.taken) == (2 if again else 0)
+            for one, two in zip(made.designs, found.designs, strict=True):
+                expect_same(one, two)
+
+
+def test_a_design_and_its_problem_go_to_another_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    sent: list[Task] = []
+
+    def alone(self: SecondProcess, tasks: list[Task], begun: Callable[[int], None]) -> list[Any]:
+        there: list[Task] = pickle.loads(pickle.dumps(tasks))
+        sent.extend(there)
+        return [pickle.loads(pickle.dumps(function(*arguments))) for function, arguments in there]
+
+    monkeypatch.setattr(SecondProcess, "results", alone)
+    with SecondProcess() as beside:
+        [found] = loops(JOB, print, beside=beside)
+    assert [one.name for one in found.designs] == ["classical", "softer"]
+    assert len(sent) == 2
