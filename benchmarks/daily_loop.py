@@ -81,15 +81,17 @@ def main() -> None:
                 for case, found in measured(checkout, Path(folder), reuses=name == "now").items():
                     times[name].setdefault(case, []).append(found)
     print(f"{'':30}{'wall':>9}{'CPU':>9}" + (f"{'before':>9}{'CPU':>9}{'ratio':>9}{'CPU':>9}" if given.before else ""))
-    for case, found in times["now"].items():
-        row = [statistics.median(column) for column in zip(*found, strict=True)]
-        line = f"{case:30}" + "".join(f"{x:7.1f} s" for x in row)
+    for case, rounds in times["now"].items():
+        wall, cpu = _medians(rounds)
+        line = f"{case:30}{wall:7.1f} s{cpu:7.1f} s"
         if given.before:
-            old = [statistics.median(column) for column in zip(*times["before"][case], strict=True)]
-            line += "".join(f"{x:7.1f} s" for x in old) + "".join(
-                f"{a / b:9.2f}" for a, b in zip(row, old, strict=True)
-            )
+            old_wall, old_cpu = _medians(times["before"][case])
+            line += f"{old_wall:7.1f} s{old_cpu:7.1f} s{wall / old_wall:9.2f}{cpu / old_cpu:9.2f}"
         print(line)
+
+
+def _medians(rounds: list[tuple[float, float]]) -> tuple[float, float]:
+    return statistics.median(wall for wall, _ in rounds), statistics.median(cpu for _, cpu in rounds)
 
 
 if __name__ == "__main__":
