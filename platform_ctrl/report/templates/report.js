@@ -68,6 +68,7 @@
     return colour && { svg, text, colour: colour[1], name: text.textContent.replace(/, closed$/, "") };
   }).filter(Boolean));
   for (const one of entries) {
+    one.svg.setAttribute("role", "group");
     one.text.setAttribute("role", "button");
     one.text.setAttribute("tabindex", "0");
     one.text.setAttribute("aria-pressed", "true");
