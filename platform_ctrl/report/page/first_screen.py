@@ -53,12 +53,11 @@ def _verdict(result: JobResult, campaign_line: str) -> Verdict:
     goals = tables.goal_rows(result)
     missed = [row for row in tables.requirement_rows(result) if not row.passed]
     reached = sum(goal.passed for goal in goals)
-    words, _, assumed = tables.verdict(result).partition(", ")
-    asides = [sentence(f"{assumed}.")] if assumed else []
-    asides += [f"{reached} of {count(len(goals), 'goal')} reached; goals are not part of the verdict."] if goals else []
+    asides = [f"{reached} of {count(len(goals), 'goal')} reached; goals are not part of the verdict."] if goals else []
     return Verdict(
         passed=result.passed,
-        words=sentence(words),
+        # With what the verdict assumes: a torquer that a template added belongs beside "met".
+        words=sentence(tables.verdict(result)),
         lines=tuple(f"{row.subject}: {row.requirement} {row.value}, limit {row.limit}" for row in missed),
         aside=" ".join([*asides, campaign_line]).strip(),
     )
