@@ -267,4 +267,4 @@ def test_the_command_writes_statistics_page_and_rare_event(planned, tmp_path, mo
     assert "platform-ctrl campaign job.toml --rare any --controllers mine.json" in page
     printed = capsys.readouterr().out
     assert "rare event: any requirement" in printed
-    assert "page: campaign/campaign.html" in printed
+    assert "page:   campaign/campaign.html" in printed

@@ -177,7 +177,7 @@ def test_pages_are_apart_load_nothing_from_elsewhere_and_leave_nothing(job: Path
     with served(Backend(job), make=make) as server:
         with screen(browser, server.address) as one, screen(browser, server.address, dark=True) as two:
             for shown in (one, two):
-                shown.page.get_by_text("requirements met").first.wait_for()
+                shown.page.get_by_text("limits are met").first.wait_for()
                 shown.page.locator("gimbal-tree .names span").first.wait_for(state="attached")
             assert server.sessions == 2
             for shown in (one, two):
