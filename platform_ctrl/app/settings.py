@@ -296,7 +296,18 @@ def plant_sliders(
         first = start.spins[name]
         low, high = (min(0.0, 1.6 * first), max(0.0, 1.6 * first)) if first else (-1e3, 1e3)
         tip = "speed against its carrier"
-        out.append(slider(f"spin {name}", f"rotor {name}", "rad/s", "rotors", low, high, spin, tip))
+        out.append(
+            slider(
+                f"spin {name}",
+                name if name.startswith("rotor") else f"rotor {name}",
+                "rad/s",
+                "rotors",
+                low,
+                high,
+                spin,
+                tip,
+            )
+        )
     for k, rate_now in enumerate(settings.Omega):
         most = 2.0 * Omega[k] if Omega[k] > 0.0 else 1.0
         tip = "platform rate at which the plants are shown"

@@ -52,8 +52,8 @@ def root_series(axis: int) -> int:
 def signal_series(platform: Platform) -> Mapping[str, int]:
     """Return which colour of the palette, from 0 on, each signal of a plant has in every plot, by its name.
 
-    What belongs to a gimbal shares one: its angle, rate and torque, and what sensors on it read; so does what
-    belongs to a root axis.
+    What belongs to a gimbal shares one: its angle, rate and torque, and what sensors on bodies read that it turns; so
+    does what belongs to a root axis.
     """
     out = {angle: k for k, angle in enumerate(platform.angle_names)}
     for axis in (1, 2, 3):
@@ -61,12 +61,26 @@ def signal_series(platform: Platform) -> Mapping[str, int]:
     rates = {gimbal_rate(angle): k for k, angle in enumerate(platform.angle_names)}
     rates |= {f"theta{axis}": root_series(axis) for axis in (1, 2, 3)}
     for k in range(len(platform.gimbals)):
-        rates |= dict.fromkeys((*body_rates(platform, k + 1), *body_rotations(platform, k + 1)), k)
+        for signals in (body_rates(platform, k + 1), body_rotations(platform, k + 1)):
+            rates |= {name: _turned_by(platform, k, component) for component, name in enumerate(signals)}
     for sensor in platform.sensors:
         out[sensor.name] = (out | rates)[next(iter(sensor.signals(platform)))]
     for part in platform.torquers:
         out[part.name] = platform.gimbal(part.gimbal) if part.gimbal is not None else root_series(part.root_axis or 1)
     return out
+
+
+def _turned_by(platform: Platform, k: int, component: int) -> int:
+    """Return the series of the gimbal that turns the body of gimbal `k` most about one of its axes, at zero angles."""
+    names = list(platform.gimbal_names)
+    best, most = root_series(component + 1), 0.5
+    at: int | None = k
+    while at is not None:
+        gimbal = platform.gimbals[at]
+        if abs(gimbal.axis[component]) > most:
+            best, most = at, float(abs(gimbal.axis[component]))
+        at = names.index(gimbal.parent) if gimbal.parent in names else None
+    return best
 
 
 def handy_unit(unit: str, size: float) -> tuple[float, str]:

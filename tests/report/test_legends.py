@@ -107,3 +107,11 @@ def test_a_recorded_run_has_the_colours_of_its_signals_in_every_panel(platform: 
     }
     assert seen["θ₂"] == seen["Ω₂"] == seen["M2"] == SERIES[series["M2"]]
     assert without_a_curve(drawn) == []
+
+
+def test_a_sensor_on_a_body_has_the_colour_of_the_gimbal_that_turns_it_about_its_axis() -> None:
+    camera = pc.read_platform("camera_gimbal")
+    series = signal_series(camera)
+    assert series["yaw_rate"] == series["azimuth"] != series["elevation"] == series["pitch_rate"]
+    tracker = signal_series(pc.read_platform("seeker_head"))
+    assert tracker["track_pitch"] == tracker["pitch"] != tracker["yaw"] == tracker["gyro_yaw"]

@@ -14,6 +14,7 @@ from platform_ctrl.app.plots.data import FONT, HZ, LIMIT_DASHES, Sources, View, 
 from platform_ctrl.app.plots.handles import PoleHandles
 from platform_ctrl.app.plots.panel import Key, Panel, Theme, limit_key, set_message
 from platform_ctrl.common.values import FloatArray
+from platform_ctrl.report.quantities import plain
 
 DAMPINGS = (0.05, 0.1, 0.2, 0.4, 0.7)
 # Gains along the branches, and poles of other plants, that are drawn.
@@ -248,7 +249,7 @@ class LocusPanel(Panel):
         reach, left = self._reach, _LEFT * self._reach
         rows: list[tuple[float, float, float, float, str, str, str]] = []
         for radius in radii[(radii > 0.12 * reach) & (radii < 0.95 * reach)]:
-            rows.append((0.0, radius, 5.0, 0.0, f"{radius * HZ:.3g} Hz", "left", "middle"))
+            rows.append((0.0, radius, 5.0, 0.0, f"{plain(radius * HZ, 3)} Hz", "left", "middle"))
         last = math.inf
         for damping in reversed(DAMPINGS):
             slope = _slope(damping)
