@@ -158,7 +158,7 @@ def platform_ctrl(
         bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version.")
     ] = False,
 ) -> None:
-    """Design the control loops of gimballed platforms with fast rotors, and check them on the coupled non-linear plant.
+    """Design the control loops of gimballed platforms and check them on the coupled non-linear plant.
 
     \b
     platform-ctrl new gyro                             a plant and a job to start from
