@@ -19,8 +19,7 @@ from platform_ctrl.app.curves import Parts
 from platform_ctrl.app.designs import Designs, never, silent
 from platform_ctrl.app.drags import Drags
 from platform_ctrl.app.job_parts import JobParts, loop_stamp, run_stamp
-from platform_ctrl.app.next_step import NextStep, candidates, next_step
-from platform_ctrl.app.pictures import Drawing, Influence, Measured, Picture
+from platform_ctrl.app.pictures import Drawing, Measured, NextStep, Picture
 from platform_ctrl.app.saving import Saved, controllers_beside, write_job
 from platform_ctrl.app.settings import (
     Choices,
@@ -42,6 +41,7 @@ from platform_ctrl.common.arguments import known_name, whole
 from platform_ctrl.common.progress import Progress
 from platform_ctrl.common.signatures import short
 from platform_ctrl.design.loop import limits_and_goals
+from platform_ctrl.design.option_effects import OptionEffects, OptionValue, best_move, candidates
 from platform_ctrl.errors import ArgumentError, DesignError, PlatformCtrlError
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.judging import CheckResult
@@ -250,14 +250,32 @@ class Backend(Drags):
         drawing = dataclasses.replace(drawing, bode=dataclasses.replace(drawing.bode, overlays=overlays))
         return (drawing, measure), (*notes, *more)
 
-    def next_step(self, settings: Settings, influence: Influence) -> NextStep | None:
+    def next_step(self, settings: Settings, influence: OptionEffects) -> NextStep | None:
         """Return the one move of a slider that helps the tightest requirement most, or None."""
-        tried = candidates(influence, self.sliders(settings))
+        before = self._results(settings)
+        if not before:
+            return None
+        sliders = {slider.name: slider for slider in self.sliders(settings)}
+        free = [
+            OptionValue(name=name, value=one.value, low=one.low, high=one.high)
+            for name, one in sliders.items()
+            if name in influence.options and one.tunable and not one.fixed and one.value
+        ]
+        tightest = max(range(len(before)), key=lambda k: before[k].ratio)
 
-        def settings_with(slider: Slider, after: float) -> Settings:
-            return self.moved(settings, slider.name, after)
+        def results(name: str, after: float) -> tuple[CheckResult, ...]:
+            return self._results(self.moved(settings, name, after))
 
-        return next_step(self._results(settings), tried, settings_with, self._results)
+        move = best_move(before, tightest, candidates(influence, free), results)
+        if move is None:
+            return None
+        return NextStep(
+            slider=sliders[move.option],
+            after=move.after,
+            settings=self.moved(settings, move.option, move.after),
+            gain=move.gain,
+            cost=move.cost,
+        )
 
     def _results(self, settings: Settings) -> tuple[CheckResult, ...]:
         """Return the requirements of a picture without its curves."""
@@ -270,7 +288,7 @@ class Backend(Drags):
             whole, _ = self._loops.stabilised(settings.but(band=False))
             return requirements(whole, self._loops.cached_margins(settings))
 
-    def influence(self, settings: Settings) -> Influence:
+    def influence(self, settings: Settings) -> OptionEffects:
         """Return what each slider does to each requirement."""
         spec, _ = self._loops.design(settings)
         sliders = [slider for slider in self.sliders(settings) if not slider.background]

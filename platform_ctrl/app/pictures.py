@@ -6,8 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from platform_ctrl.analysis.arrays import ComplexArray
-from platform_ctrl.app.settings import Settings
+from platform_ctrl.app.settings import Settings, Slider
 from platform_ctrl.common.values import FloatArray, value
+from platform_ctrl.design.option_effects import ResultChange
 from platform_ctrl.job.judging import CheckResult
 
 BoolArray = NDArray[np.bool_]
@@ -224,15 +225,14 @@ class Picture(Drawing):
 
 
 @value
-class Influence:
-    """The effect of each slider on each requirement.
+class NextStep:
+    """A slider moved to `after`, which gives `settings`; `gain` is of the requirement that is tightest before.
 
-    `ratios` (R,) are those of the requirements, at most 1 where met, in the order of `Picture.requirements`. `change`
-    (R, K) is the change of a ratio for a slider that is 5 % larger: negative is better, inf where the loop becomes
-    unstable, nan where it is already.
+    `cost` is of the requirement that loses most margin, or None.
     """
 
-    sliders: tuple[str, ...]
-    requirements: tuple[str, ...]
-    ratios: FloatArray
-    change: FloatArray
+    slider: Slider
+    after: float
+    settings: Settings
+    gain: ResultChange
+    cost: ResultChange | None

@@ -286,7 +286,7 @@ def test_influence_is_what_the_moved_slider_does(bench: Backend, settings: Setti
     slider = next(k for k in bench.sliders(settings) if k.name == "crossover_hz")
     after = bench.picture(bench.moved(settings, "crossover_hz", 1.05 * slider.value))
     exact = np.array([a.ratio - b.ratio for a, b in zip(after.requirements, picture.requirements, strict=True)])
-    column = found.change[:, found.sliders.index("crossover_hz")]
+    column = found.change[:, found.options.index("crossover_hz")]
     np.testing.assert_allclose(column, exact, atol=0.02)
     assert found.requirements == tuple(r.name for r in picture.requirements)
 

@@ -12,9 +12,9 @@ import pytest
 from app.test_saving import LOOP, TWO
 from platform_ctrl.app.backend import Backend
 from platform_ctrl.app.designs import DesignPending
-from platform_ctrl.app.pictures import Influence
 from platform_ctrl.app.saving import checked_settings, decode_state, encode_state
 from platform_ctrl.app.settings import Settings
+from platform_ctrl.design.option_effects import OptionEffects
 from platform_ctrl.errors import DesignError, InputError
 
 pytestmark = pytest.mark.usefixtures("untraced")
@@ -57,8 +57,8 @@ def designed(bench: Backend, settings: Settings) -> Settings:
     return settings
 
 
-def column(influence: Influence, slider: str) -> Any:
-    return influence.change[:, influence.sliders.index(slider)]
+def column(influence: OptionEffects, slider: str) -> Any:
+    return influence.change[:, influence.options.index(slider)]
 
 
 def values(bench: Backend, settings: Settings) -> list[float]:
@@ -76,7 +76,7 @@ def test_after_a_redesign_and_a_reset_the_page_and_its_arrows_are_those_of_the_s
     back = bench.moved(back, "bandwidth_hz", start.options[LOOP]["lqg"]["bandwidth_hz"])
     assert back.data() == start.data()
     again = bench.influence(back)
-    assert again.sliders == first.sliders
+    assert again.options == first.options
     np.testing.assert_array_equal(again.change, first.change)
     np.testing.assert_array_equal(again.ratios, first.ratios)
 

@@ -9,9 +9,9 @@ from platform_ctrl.common.values import value
 from platform_ctrl.errors import InputError
 
 if TYPE_CHECKING:
-    from platform_ctrl.app.next_step import NextStep
     from platform_ctrl.app.page.messages import Request
     from platform_ctrl.app.page.session import Session
+    from platform_ctrl.app.pictures import NextStep
     from platform_ctrl.app.settings import Settings
     from platform_ctrl.job.judging import CheckResult
 

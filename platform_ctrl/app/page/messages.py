@@ -9,13 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 from platform_ctrl.app.budget import BudgetState
 from platform_ctrl.app.job_parts import ChipState
-from platform_ctrl.app.next_step import MarginChange, NextStep
-from platform_ctrl.app.pictures import Influence, Margins, Picture
+from platform_ctrl.app.pictures import Margins, NextStep, Picture
 from platform_ctrl.app.settings import Choices, Mode, Settings, Slider
-from platform_ctrl.app.slider_effects import SHARE
 from platform_ctrl.common.arguments import known_name, whole
 from platform_ctrl.common.signatures import short
 from platform_ctrl.common.values import value
+from platform_ctrl.design.option_effects import SHARE, OptionEffects, ResultChange
 from platform_ctrl.errors import InputError
 from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.job.methods import METHODS
@@ -268,10 +267,10 @@ def requirement_data(picture: Picture) -> list[dict[str, Any]]:
     return [_row(one) for one in (*picture.requirements, *picture.goals)]
 
 
-def influence_data(influence: Influence) -> dict[str, Any]:
+def influence_data(influence: OptionEffects) -> dict[str, Any]:
     """Return what the sliders do to the requirements."""
     return {
-        "sliders": list(influence.sliders),
+        "sliders": list(influence.options),
         "ratios": [plain_number(float(ratio)) for ratio in influence.ratios],
         "share": SHARE,
         "change": {
@@ -305,8 +304,8 @@ def next_data(step: NextStep | None, picture: Picture) -> dict[str, Any]:
     }
 
 
-def _margins(change: MarginChange) -> str:
-    return f"{change.requirement}: {_percent(change.before)} → {_percent(change.after)}"
+def _margins(change: ResultChange) -> str:
+    return f"{change.before.name}: {_percent(change.before.margin)} → {_percent(change.after.margin)}"
 
 
 def _percent(margin: float) -> str:

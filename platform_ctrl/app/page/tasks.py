@@ -25,8 +25,9 @@ if TYPE_CHECKING:
     from platform_ctrl.app.gimbal_tree import TreeView
     from platform_ctrl.app.page.compared import Compared
     from platform_ctrl.app.page.connection import Connection
-    from platform_ctrl.app.pictures import Influence, Picture
+    from platform_ctrl.app.pictures import Picture
     from platform_ctrl.app.settings import Choices, Settings
+    from platform_ctrl.design.option_effects import OptionEffects
 
 Region = TypeVar("Region")
 
@@ -145,7 +146,7 @@ class PageTasks:
         def is_shown() -> bool:
             return page.picture is not None and page.picture.settings.data() == settings.data()
 
-        def show_influence(influence: Influence) -> None:
+        def show_influence(influence: OptionEffects) -> None:
             if is_shown():
                 self._connection.answer(influence=influence_data(influence))
 
