@@ -336,6 +336,9 @@ class Scenario:
         Stabilised: a torque over time, or None.
     vibrations, sines
         Of the base.
+    fade
+        Time over which these rise from zero by a half-cosine, s; 0: they are there from t = 0 on, as a step of the
+        platform's rate.
     commands
         What loops hold their readings at; others hold them at zero.
     drives
@@ -385,6 +388,7 @@ class Scenario:
     seed: int = 0
     run: int = 0
     settle: float = 0.0
+    fade: float = 0.0
     limits: dict[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

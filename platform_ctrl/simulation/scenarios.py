@@ -34,7 +34,7 @@ def expect_scenario(scenario: object, period: float) -> None:
         raise ArgumentError(f"scenario must be a Scenario, got {short(scenario)}")
     whole("seed", scenario.seed, 0, 2**64 - 1)
     whole("run", scenario.run, 0, 2**64 - 1)
-    for name, most in (("duration", _SAMPLES), ("delay", _PERIODS), ("settle", _SAMPLES)):
+    for name, most in (("duration", _SAMPLES), ("delay", _PERIODS), ("settle", _SAMPLES), ("fade", _SAMPLES)):
         time = positive(name, getattr(scenario, name), zero=True)
         if time > most * period:
             raise ArgumentError(
@@ -228,13 +228,14 @@ def states(scenarios: Sequence[Scenario], packed: Packed) -> FloatArray:
 
 
 def rate(scenario: Scenario) -> list[float]:
-    """The half-cosine's rate vector, its rise and hold; the scale of the time table."""
+    """The half-cosine's rate vector, its rise and hold; the scale of the time table; the time over which lines rise."""
     row = [0.0] * arrays.PROFILE
     if scenario.profile is not None:
         row[scenario.profile.axis - 1] = scenario.profile.rate
         row[arrays.RISE], row[arrays.HOLD] = scenario.profile.rise, scenario.profile.hold
     table = scenario.torque_table if scenario.mode == "stabilised" else scenario.Omega_table
     row[arrays.SCALE] = 1.0 if table is None else table.scale
+    row[arrays.FADE] = scenario.fade
     return row
 
 

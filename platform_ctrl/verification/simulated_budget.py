@@ -1,8 +1,9 @@
 """The line of sight's budget by simulation: runs of the non-linear plant beside the linear value for the same time.
 
 The sources are realised as sums of sines with random phases, the sensors' noise and quantisation as in every run;
-bearings slide and stick. A run that is observed for T shows the rms about its mean, which is what the linear budget has
-as smear and jitter within an exposure T, from the same sources.
+bearings slide and stick, drives feed friction forward. The motion rises from rest, before the run is observed: a base
+that had its rate at once would be a step, which saturates motors. A run that is observed for T shows the rms about its
+mean, which is what the linear budget has as smear and jitter within an exposure T, from the same sources.
 """
 
 from __future__ import annotations
@@ -33,6 +34,8 @@ if TYPE_CHECKING:
 
 # Sines to a density, and points to a decade of its table.
 _LINES, _PER_DECADE = 96, 40
+# Share of the time to settle in which the motion rises.
+_RISING = 0.5
 # Probability of the intervals.
 _CONFIDENCE = 0.95
 _KINDS: dict[str, VibrationKind] = {"base-rate": "rate", "specific-force": "force"}
@@ -95,7 +98,8 @@ def simulated_budget(
     seed
         Of phases and noise.
     time
-        Length over which each run is observed, s; before that it settles for as long. Default: a period of the budget's
+        Length over which each run is observed, s; before that the motion rises
+        and the loop settles for as long. Default: a period of the budget's
         lowest frequency.
     threads
         Number of threads that share the runs.
@@ -132,10 +136,12 @@ def simulated_budget(
             delay=job.sampling.delay,
             vibrations=vibrations,
             sines=tuple(one for source in realised for one in _sines(source, budget, np.random.default_rng([seed, k]))),
+            drives=job.drive_laws,
             start="equilibrium",
             seed=seed,
             run=k,
             settle=length,
+            fade=_RISING * length,
         )
         for k in range(runs)
     ]

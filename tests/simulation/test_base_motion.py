@@ -92,6 +92,21 @@ def test_sines_of_the_base_have_their_frequency_amplitude_and_phase() -> None:
         simulate(begun(sighted(), mode="stabilised", sines=sines), [], period=PERIOD)
 
 
+def test_a_motion_that_fades_in_rises_by_a_half_cosine_to_itself() -> None:
+    sine = Sine(kind="rate", axis=2, frequency_hz=7.0, amplitude=0.3, phase=0.4)
+    shake = Vibration(kind="rate", axis=3, frequencies_hz=[1.0, 50.0], densities=[1e-3, 1e-4], lines=8)
+    full = begun(sighted(), sines=(sine,), vibrations=(shake,), duration=0.2)
+    at_once, half, slow = (simulate(replace(full, fade=fade), [], period=PERIOD) for fade in (0.0, 0.1, 0.15))
+    assert np.abs(at_once.Omega[0]).min(initial=1.0, where=[False, True, True]) > 0.01
+    for run, fade in ((half, 0.1), (slow, 0.15)):
+        share = 0.5 - 0.5 * np.cos(np.pi * np.minimum(run.t / fade, 1.0))
+        np.testing.assert_allclose(run.Omega, share[:, None] * at_once.Omega, rtol=0.0, atol=1e-12)
+    both = simulate_batch([replace(full, fade=fade) for fade in (0.0, 0.1, 0.15)], [], period=PERIOD)
+    np.testing.assert_array_equal(both.gimbal_rate[1:], [np.abs(run.rate).max(axis=0) for run in (half, slow)])
+    with pytest.raises(ArgumentError, match="fade"):
+        simulate(replace(full, fade=-0.1), [], period=PERIOD)
+
+
 def test_a_sine_of_specific_force_turns_an_unbalanced_gimbal() -> None:
     amplitude, moment, J, w = 0.2, 1e-3, 2e-3, 2.0 * np.pi * 10.0
     platform = read_platform(

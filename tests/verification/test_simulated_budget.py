@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 from pathlib import Path
@@ -30,6 +31,18 @@ def test_where_all_is_linear_runs_have_the_rms_of_the_budget(tmp_path: Path) -> 
     # A camera that turns about its pitch axis alone looks nowhere else.
     assert found.rms[1] == pytest.approx(0.0, abs=1e-12)
     assert found.left_out == ("bearing: runs have no torque on a gimbal but that of its motor",)
+
+
+def test_the_motion_rises_from_rest_so_that_no_step_saturates_a_motor(tmp_path: Path) -> None:
+    free = job(tmp_path)
+    assert free.budget is not None
+    free = dataclasses.replace(free, budget=dataclasses.replace(free.budget, sources=free.budget.sources[:1]))
+    # A step of the base's rate, 0.1 rad/s, would ask of the controller for 0.05 N m.
+    (torquer,) = free.platform.torquers
+    weak = dataclasses.replace(torquer, limit=0.02)
+    limited = dataclasses.replace(free, platform=dataclasses.replace(free.platform, torquers=(weak,)))
+    found, expected = (simulated_budget(one, controllers(), 32, time=0.5) for one in (limited, free))
+    np.testing.assert_array_equal(found.rms, expected.rms)
 
 
 @pytest.mark.slow

@@ -63,8 +63,8 @@ SHARE, LAST_SHARE, ROTOR = 3, 4, 5
 # Slots of a line of a vibration: amplitude; cosine and sine of its turn in half a substep of each segment; and of its
 # phase.
 AMPLITUDE, TURN, PHASE, LINE = 0, 1, 5, 7
-# Slots of the platform's commanded rate: half-cosine's rate vector, rise, hold; scale of the time table.
-RISE, HOLD, SCALE, PROFILE = 3, 4, 5, 6
+# Slots of the platform's motion: half-cosine's rate vector, rise, hold; scale of the time table; how long lines rise.
+RISE, HOLD, SCALE, FADE, PROFILE = 3, 4, 5, 6, 7
 
 
 class Shared(NamedTuple):
@@ -100,6 +100,7 @@ class Layout(NamedTuple):
     states: int  # of the controllers
     stops: int  # whether any gimbal has stops
     profile: int  # whether a half-cosine is simulated
+    fade: int  # whether lines rise from zero
     sensors: int  # rows of `Shared.sensors` that are sensors
     commands: int
     drives: int

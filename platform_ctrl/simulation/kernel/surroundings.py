@@ -20,6 +20,7 @@ from platform_ctrl.common.values import FloatArray
 from platform_ctrl.simulation.kernel.arrays import (
     AMPLITUDE,
     BEGIN,
+    FADE,
     FAULT,
     FIRST,
     HOLD,
@@ -74,6 +75,16 @@ def _half_cosine(mem: FloatArray, lane: int, layout: Layout, t: Number) -> Numbe
     slow = rise > 0.0
     part = lesser(greater(inside / choose(slow, rise, zero + 1.0), zero), zero + 1.0)
     part = choose(slow, part, choose(inside >= 0.0, zero + 1.0, zero))
+    c, _ = cosine_and_sine(math.pi * part)
+    return 0.5 - 0.5 * c
+
+
+@inlined
+def _faded(mem: FloatArray, lane: int, layout: Layout, t: Number) -> Number:
+    """How much of the vibrations and sines is there."""
+    fade, zero = load(mem, layout.rate + FADE, lane), 0.0 * t
+    slow = fade > 0.0
+    part = choose(slow, lesser(t / choose(slow, fade, zero + 1.0), zero + 1.0), zero + 1.0)
     c, _ = cosine_and_sine(math.pi * part)
     return 0.5 - 0.5 * c
 
@@ -200,6 +211,9 @@ def surround(
     if shared.lines.shape[0] > 0:
         for i in range(3):
             store(mem, force + i, lane, load(mem, layout.steady + n + 6 + i, lane))
+        there = zero + 1.0
+        if layout.fade != 0:
+            there = _faded(mem, lane, layout, t)
         for j in range(shared.lines.shape[0]):
             slot = layout.line + j * LINE
             c, s = load(mem, slot + PHASE, lane), load(mem, slot + PHASE + 1, lane)
@@ -212,4 +226,4 @@ def surround(
             component = shared.lines[j] % 6
             if component >= 3 or not free:
                 target = Omega + component  # the slots of the specific force follow those of Omega
-                store(mem, target, lane, load(mem, target, lane) + load(mem, slot + AMPLITUDE, lane) * c)
+                store(mem, target, lane, load(mem, target, lane) + there * load(mem, slot + AMPLITUDE, lane) * c)
