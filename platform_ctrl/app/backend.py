@@ -37,13 +37,14 @@ from platform_ctrl.app.slider_effects import (
     stabilised_influence,
 )
 from platform_ctrl.app.stabilised import requirements, stabilised_parts
+from platform_ctrl.app.trade_off import TradeOff
 from platform_ctrl.common.arguments import known_name, whole
 from platform_ctrl.common.progress import Progress
 from platform_ctrl.common.signatures import short
 from platform_ctrl.design.loop import limits_and_goals
 from platform_ctrl.design.option_effects import OptionEffects, OptionValue, best_move, candidates
 from platform_ctrl.errors import ArgumentError, DesignError, PlatformCtrlError
-from platform_ctrl.job.job import Job
+from platform_ctrl.job.job import Job, LoopSpec
 from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.job.methods import METHODS
 from platform_ctrl.job.reading import read_job
@@ -66,18 +67,23 @@ class Backend(Drags):
     controllers
         Path of a ``result.json`` whose designs are shown as they are; default: the file that `save` leaves beside a
         job, if it exists.
+    store
+        Folder in which designs are kept, as by ``platform-ctrl design``; None: they last as long as the backend.
     """
 
-    def __init__(self, job: str | Path | Job, controllers: str | Path | None = None) -> None:
+    def __init__(
+        self, job: str | Path | Job, controllers: str | Path | None = None, store: str | Path | None = None
+    ) -> None:
         self.path = None if isinstance(job, Job) else Path(job)
         self.read = job if isinstance(job, Job) else read_job(job)
         if controllers is None and self.path is not None and controllers_beside(self.path).exists():
             controllers = controllers_beside(self.path)
         self._loops = ClosedLoops(self.read, None if controllers is None else Path(controllers))
         self.read = self._loops.read
-        self._designs = Designs(self._loops)
+        self._designs = Designs(self._loops, None if store is None else Path(store))
         self._simulator = TaskRunner()
         self.job_parts = JobParts(self._loops)
+        self.trade_off = TradeOff(self._loops, self._designs)
 
     def close(self) -> None:
         """End the processes that design and simulate."""
@@ -98,8 +104,15 @@ class Backend(Drags):
         )
 
     def start(self, loop: str | None = None) -> Settings:
-        """Return the settings of the job file, at one of its loops."""
-        return self._loops.start if loop is None else self.chosen(self._loops.start, loop=loop)
+        """Return the settings of the job file, at one of its loops; None: the first that sliders shape at once."""
+        start = self._loops.start
+        if loop is None:
+            loop = next((one.name for one in self.read.loops if self._shaped_at_once(start, one)), start.loop)
+        return start if loop == start.loop else self.chosen(start, loop=loop)
+
+    @staticmethod
+    def _shaped_at_once(settings: Settings, spec: LoopSpec) -> bool:
+        return any(built_directly(one) for one in spec.designs if one.name == settings.closed[spec.name])
 
     def chosen(self, settings: Settings, *, loop: str | None = None, design: str | None = None) -> Settings:
         """Return the settings at another loop, or another design of it."""
@@ -243,6 +256,11 @@ class Backend(Drags):
         else:
             free, notes = self._loops.stabilised(settings)
             drawing, measure = stabilised_parts(free, settings, labels, self._loops.cached_margins(settings))
+        if not any(slider.tunable and not slider.fixed for slider in self.sliders(settings)):
+            # Nothing could follow a drag: none is offered.
+            none = np.zeros_like(drawing.locus.draggable)
+            locus = dataclasses.replace(drawing.locus, draggable=none)
+            drawing = dataclasses.replace(drawing, locus=locus, shapeable=False)
         if not settings.overlays and not ghosts:
             return (drawing, measure), notes
         overlays, more = self._designs.overlays(settings, spec, drawing.bode.frequency)

@@ -7,6 +7,7 @@ import queue
 import threading
 import weakref
 from collections.abc import Callable
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from platform_ctrl.analysis.arrays import StateArrays, state_arrays
@@ -276,19 +277,22 @@ class Made:
 
 @value
 class Designing:
-    """Designs a loop by its method; `job` has the plant, sampling and options of the settings."""
+    """Designs a loop by its method; `job` has the plant, sampling and options of the settings, `store` kept designs."""
 
     job: Job
     loop: str
     design: str
+    store: Path | None = None
 
     def run(self, progress: Progress) -> Made:
         """Return the controller."""
+        from platform_ctrl.common.store import Store
         from platform_ctrl.design.jobs import loops
 
         spec, design = _specs(self.job, self.loop, self.design)
         alone = dataclasses.replace(spec, designs=(design,), use=design.name)
-        [outcome] = loops(dataclasses.replace(self.job, loops=(alone,)), progress)
+        store = None if self.store is None else Store(self.store)
+        [outcome] = loops(dataclasses.replace(self.job, loops=(alone,)), progress, store)
         closed = outcome.closed
         controller = state_arrays(closed.own_controller, closed.name)
         return Made(controller=controller, options=dict(closed.options), claims=dict(closed.claims))

@@ -147,7 +147,7 @@ class ClosedLoops:
             elif not built_directly(known):
                 conditions = self.conditions(start, spec, known)
                 self._given[loop, design, conditions] = made
-                start = _designed_for(start, loop, design, conditions)
+                start = with_conditions(start, loop, design, conditions)
         # Loops are closed as in the job wherever the controller is available.
         closed = {
             spec.name: spec.use if self.is_available(start, spec, spec.use) else start.closed[spec.name]
@@ -198,10 +198,10 @@ class ClosedLoops:
         return dataclasses.replace(self.plants.job(settings), loops=loops)
 
     def _as_set(self, settings: Settings, spec: LoopSpec, design: DesignSpec) -> DesignSpec:
-        if not built_directly(design):
-            return dataclasses.replace(design, options=dict(settings.options[spec.name][design.name]))
         if not self.options.touched(settings, spec.name, design.name):
             return design
+        if not built_directly(design):
+            return dataclasses.replace(design, options=dict(settings.options[spec.name][design.name]))
         return dataclasses.replace(design, options=self.options.used(settings, spec, design), tune=False)
 
     def conditions(self, settings: Settings, spec: LoopSpec, design: DesignSpec) -> Conditions:
@@ -237,12 +237,12 @@ class ClosedLoops:
             first = self.start.designed_for.get(loop, {}).get(name)
             if self.conditions(new, spec, design) == self.conditions(self.start, spec, design):
                 # Back at the start: the conditions of the start.
-                new = _designed_for(new, loop, name, first)
+                new = with_conditions(new, loop, name, first)
                 continue
             conditions = self.target_conditions(old, spec, design)
             known = self.found(loop, name, conditions) is not None
             if known and self.target_conditions(new, spec, design) != conditions:
-                new = _designed_for(new, loop, name, conditions)
+                new = with_conditions(new, loop, name, conditions)
         return new
 
     @staticmethod
@@ -417,7 +417,7 @@ def _content(K: StateArrays) -> tuple[object, ...]:
     return (K.A.shape, *(item.tobytes() for item in K[:4]))
 
 
-def _designed_for(settings: Settings, loop: str, design: str, conditions: Conditions | None) -> Settings:
+def with_conditions(settings: Settings, loop: str, design: str, conditions: Conditions | None) -> Settings:
     """Return the settings with other conditions of a design, or with none."""
     own = {name: one for name, one in settings.designed_for.get(loop, {}).items() if name != design}
     own |= {} if conditions is None else {design: conditions}

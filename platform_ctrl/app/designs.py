@@ -7,6 +7,7 @@ import dataclasses
 import threading
 from collections.abc import Callable, Hashable, Sequence
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 
@@ -60,6 +61,14 @@ class DesignQueue:
                     self._worker = threading.Thread(target=self._work, daemon=True)
                     self._worker.start()
         return f"{design}: is being designed; it is shown as soon as it is available"
+
+    def is_requested(self, loop: str, design: str, key: Hashable) -> bool:
+        """Return whether a request is waiting or being worked on."""
+        return self._requested.get((loop, design), (None,))[0] == key
+
+    def failure(self, loop: str, design: str, key: Hashable) -> str:
+        """Return the line of a request that failed, or an empty text."""
+        return self._failed.found(((loop, design), key)) or ""
 
     def listen(self, listener: Callable[[], None]) -> Callable[[], None]:
         """Call `listener` in a thread after each design; return the function that stops it."""
@@ -133,18 +142,21 @@ class DesignPending(DesignError):
 
 
 class Designs:
-    """The designs of a job's caging loops; safe in several threads."""
+    """The designs of a job's caging loops; safe in several threads.
 
-    def __init__(self, loops: ClosedLoops) -> None:
-        self._loops = loops
+    `store` is a folder that keeps designs for other sessions, as ``platform-ctrl design`` does; None: nothing is kept.
+    """
+
+    def __init__(self, loops: ClosedLoops, store: Path | None = None) -> None:
+        self._loops, self._store = loops, store
         self.queue = DesignQueue()
 
-    def _make(self, settings: Settings, spec: LoopSpec, design: DesignSpec, cancelled: IsCancelled) -> None:
+    def make(self, settings: Settings, spec: LoopSpec, design: DesignSpec, cancelled: IsCancelled) -> None:
         """Make a design in its own process, unless it is available."""
         loops = self._loops
         conditions = loops.conditions(settings, spec, design)
         if loops.found(spec.name, design.name, conditions) is None:
-            task = Designing(job=loops.job(settings), loop=spec.name, design=design.name)
+            task = Designing(job=loops.job(settings), loop=spec.name, design=design.name, store=self._store)
             loops.keep(spec.name, design.name, conditions, run_alone(task, silent, cancelled))
 
     def caged(self, settings: Settings, again: bool = True) -> tuple[CagedLoop, tuple[str, ...]]:
@@ -160,7 +172,7 @@ class Designs:
 
         def requested() -> str:
             there = loops.at(settings, spec, design, conditions)
-            make = partial(self._make, there, spec, design)
+            make = partial(self.make, there, spec, design)
             return self.queue.request(spec.name, design.name, conditions, make)
 
         if seen is None:

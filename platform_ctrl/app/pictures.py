@@ -181,7 +181,8 @@ class Drawing:
 
     `step` is the response to a torque step: caged at the channel's torquer, stabilised on the platform about the axis.
     `Omega_time` is caged the job's manoeuvre about the axis, linear model; stabilised the attitude after a rate step of
-    the platform; `Omega_frequency` the same over frequency. `bandwidth` is the limit, Hz, or None.
+    the platform; `Omega_frequency` the same over frequency. `bandwidth` is the limit, Hz, or None. Of a
+    design that is not `shapeable` no slider follows a drag.
     """
 
     settings: Settings
@@ -195,6 +196,7 @@ class Drawing:
     bandwidth: float | None
     stable: bool
     all_stable: bool
+    shapeable: bool = True
 
     @property
     def crossover(self) -> float | None:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from platform_ctrl.cli.job_arguments import Controllers, JobFile, Json, Quiet, job_of, option
+from platform_ctrl.cli.job_arguments import DESIGNED, Controllers, JobFile, Json, Quiet, job_of, option
 
 if TYPE_CHECKING:
     from platform_ctrl.app.server import PageServer
@@ -76,8 +76,9 @@ def serve(
 
     def backend() -> object:
         from platform_ctrl.app.backend import Backend
+        from platform_ctrl.cli.design_commands import REUSE
 
-        return Backend(job, controllers)
+        return Backend(job, controllers, (DESIGNED if controllers is None else controllers.parent) / REUSE)
 
     AllowedHosts.of(host, allow or ())  # before anything else: no work for what would be refused
     with progress(quiet or as_json, f"reading {job}"):

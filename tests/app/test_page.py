@@ -451,6 +451,11 @@ def test_a_design_that_takes_seconds_is_announced_and_drawn_in_every_plot_once_a
     assert page.locator("#design").input_value() == "H-infinity"
     page.locator('#sliders [data-slider="bandwidth_hz"]').wait_for(state="attached")
     assert page.locator("#design").input_value() == "H-infinity"
+    # Its main control is the trade-off, once there is more than one design to choose from; its options are folded.
+    assert page.locator("#speed-line").text_content() == "1 of 5 designed"
+    assert page.locator("#speed").is_disabled()
+    assert page.locator("#precompute").is_enabled()
+    assert not page.locator('#sliders [data-slider="bandwidth_hz"]').is_visible()
     page.keyboard.press("Control+z")
     shows(page, "crossover_hz", "40")
     page.keyboard.press("c")

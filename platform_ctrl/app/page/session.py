@@ -18,6 +18,7 @@ from platform_ctrl.app.page.tasks import LatestTasks, PageTasks, error_text
 from platform_ctrl.app.plots import Plots
 from platform_ctrl.app.saving import decode_state, encode_state
 from platform_ctrl.app.settings import History
+from platform_ctrl.app.trade_off import chosen_point
 from platform_ctrl.common.arguments import known_name
 from platform_ctrl.common.values import value
 from platform_ctrl.errors import PlatformCtrlError
@@ -206,6 +207,14 @@ class Session:
             self.plots.show(self.picture)
         self.change("view", lambda settings: settings, count=request.count, gesture="ready")
 
+    def _on_precompute(self, request: Request) -> None:
+        self.backend.trade_off.prepare(self.settings)
+        self.change("precompute", lambda settings: settings, count=request.count, gesture="ready")
+
+    def _on_point(self, request: Request) -> None:
+        trade_off, k = self.backend.trade_off, request.more["k"]
+        self.change("point", lambda settings: chosen_point(trade_off.points(settings), k).settings, count=request.count)
+
     def _on_undo(self, request: Request) -> None:
         self._step(request, self.history.undo if self.history.can_undo else None, "There is nothing to undo.")
 
@@ -359,6 +368,7 @@ class Session:
                 "redo": self.history.can_redo,
                 "tunable": any(one["tunable"] and not one["fixed"] for one in sliders),
                 **self.compared.data(settings.loop),
+                "trade_off": messages.trade_off_data(self.backend.trade_off.points(settings), settings),
                 "link": encode_state(self.backend, settings),
                 **self._tasks.data(),
             },

@@ -125,7 +125,7 @@ class BodePanel(Panel):
         self._frequency.fit(None if self.handle.drag.active else extent([f]))
         self._gain.fit(extent([gain, band[1], band[2]]))
         self._phase.fit(extent([phase]))
-        self.handle.show(None if crossover is None else crossover * HZ)
+        self.handle.show(None if crossover is None else crossover * HZ, movable=picture.shapeable)
         self._mark_sliders(picture.settings)
         self.heading(f"L at {bode.channel}, others closed")
         limits = [limit_key("required bandwidth")] if required is not None else []

@@ -131,6 +131,7 @@ class CrossoverHandle:
         self.callbacks: list[Callable[[float], None]] = []
         self._plot = plot
         self._shown: float | None = None
+        self._movable = True
         # Where the server put it last: the browser's news of that comes later, and is no drag.
         self._put: tuple[float, float] | None = None
         self.box: Any = BoxAnnotation(
@@ -148,8 +149,9 @@ class CrossoverHandle:
             self.box.on_change(name, self._moved)
         _on_changes(self._place_at_rest, *(one for one in _zoom(plot) if one[0] is not plot.y_range))
 
-    def show(self, frequency: float | None) -> None:
-        """Mark the crossover, Hz, or nothing; a bar that is being dragged stays under the mouse."""
+    def show(self, frequency: float | None, movable: bool = True) -> None:
+        """Mark the crossover, Hz, or nothing, with a bar where it is movable; one that is dragged stays in place."""
+        self._movable = movable
         self._shown = frequency if frequency is not None and math.isfinite(frequency) and frequency > 0.0 else None
         self.line.location = self._shown
         self._place_at_rest()
@@ -159,7 +161,7 @@ class CrossoverHandle:
             self._place()
 
     def _place(self) -> None:
-        if self._shown is None:
+        if self._shown is None or not self._movable:
             self.box.visible = False
             return
         half = self._half()

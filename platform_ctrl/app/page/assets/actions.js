@@ -125,7 +125,7 @@ const KEYS = [
   ["PgUp PgDn", "move the slider by a tenth"],
   ["Home End", "to the slider's ends"],
   ["Shift", "with the mouse: a drag in a plot may violate limits"],
-  ["G", "go to the sliders", (e) => e.key === "g", () => rows.values().next().value?.range.focus()],
+  ["G", "go to the sliders", (e) => e.key === "g", () => (byId("trade-off").hidden ? rows.values().next().value?.range : byId("speed"))?.focus()],
   ["N", "type the slider's number; Enter takes it", (e) => e.key === "n", () => focusedRow()?.number.focus()],
   ["X", "fix the slider, or free it", (e) => e.key === "x", () => focusedRow()?.pin.click()],
   ["R", "reset the slider to the job's value", (e) => e.key === "r", () => focusedRow()?.reset.click()],

@@ -6,6 +6,7 @@ import "./sliders.js";
 import "./table.js";
 import "./strip.js";
 import "./compared.js";
+import "./trade_off.js";
 import "./budget.js";
 import "./actions.js";
 

@@ -6,7 +6,7 @@ const STEPS = 4000, FINE = 4, COARSE = 20;
 const SERIES = 1500;
 const GROUPS = { gains: "Gains", lead: "Lead and lag", lag: "Lag", notch: "Notch", design: "Design", sampling: "Sampling", rotors: "Rotors", Omega: "Platform rate" };
 export const rows = new Map();
-let structure = "";
+let structure = "", designOpen = false;
 
 const place = (slider, value) => {
   const part = slider.logarithmic
@@ -119,8 +119,10 @@ const build = (sliders, parts) => {
     if (!groups.has(slider.group)) groups.set(slider.group, []);
     groups.get(slider.group).push(row.element);
   }
-  const fieldsets = [...groups].map(([group, elements]) =>
-    made("fieldset", { "data-group": group }, made("legend", {}, GROUPS[group] ?? group), ...elements));
+  // The options of a method that designs are for experts: each move of one is a new design.
+  const fieldsets = [...groups].map(([group, elements]) => made("fieldset", { "data-group": group }, ...(group === "design"
+    ? [made("details", { open: designOpen, ontoggle: (event) => { designOpen = event.target.open; } }, made("summary", {}, "Advanced: options of the method"), ...elements)]
+    : [made("legend", {}, GROUPS[group] ?? group), ...elements])));
   if (parts.length) {
     const boxes = parts.map((part) => {
       const box = made("input", { type: "checkbox", checked: part.on });
