@@ -13,9 +13,8 @@ pytest.importorskip("bokeh", reason="the extra `designer` is not installed")
 from app.test_page import JOB
 from platform_ctrl.app.backend import Backend
 from platform_ctrl.app.background import Made
-from platform_ctrl.app.page.messages import trade_off_data
 from platform_ctrl.app.plots import Plots
-from platform_ctrl.app.trade_off import TradeOffPoint, chosen_point, front
+from platform_ctrl.app.trade_off import TradeOffPoint, chosen_point, front, trade_off_data
 from platform_ctrl.errors import ArgumentError
 
 LOOP = "caging 9-10"

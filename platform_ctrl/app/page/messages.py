@@ -11,7 +11,6 @@ from platform_ctrl.app.budget import BudgetState
 from platform_ctrl.app.job_parts import ChipState
 from platform_ctrl.app.pictures import Margins, NextStep, Picture
 from platform_ctrl.app.settings import Choices, Mode, Settings, Slider
-from platform_ctrl.app.trade_off import TradeOffPoint, front
 from platform_ctrl.common.arguments import known_name, whole
 from platform_ctrl.common.signatures import short
 from platform_ctrl.common.values import value
@@ -281,46 +280,6 @@ def influence_data(influence: OptionEffects) -> dict[str, Any]:
             for name, row in zip(influence.requirements, influence.change, strict=True)
         },
     }
-
-
-def trade_off_data(points: tuple[TradeOffPoint, ...], settings: Settings) -> dict[str, Any] | None:
-    """Return the designs from robust to fast as the page shows them, or None where there is no such choice.
-
-    `stops` are the designs that the slider stops at, `at` which of them is shown or -1, `words` what is shown, `line`
-    what is known of the others.
-    """
-    if not points:
-        return None
-    mine = settings.options[settings.loop][settings.design]
-    own = next((k for k, one in enumerate(points) if one.settings.options[settings.loop][settings.design] == mine), -1)
-    stops = front(points)
-    return {
-        "stops": [{"k": k, "words": _point_words(points[k])} for k in stops],
-        "at": stops.index(own) if own in stops else -1,
-        "words": "other options than those of the trade-off" if own < 0 else _point_words(points[own]),
-        "line": _trade_off_line(points),
-        "missing": any(one.state == "missing" for one in points),
-    }
-
-
-def _point_words(one: TradeOffPoint) -> str:
-    if one.state != "ready":
-        return one.line or "not designed yet"
-    missed = f", {one.missed} missed" if one.missed else ""
-    beaten = "; another one is faster and more robust" if one.dominated else ""
-    return f"{one.bandwidth:.3g} Hz, disk margin {one.disk:.2f}{missed}{beaten}"
-
-
-def _trade_off_line(points: tuple[TradeOffPoint, ...]) -> str:
-    """Return how far the designs from robust to fast have come, and which are left out."""
-    of = {state: [one for one in points if one.state == state] for state in ("ready", "pending", "failed")}
-    ready, pending, failed = of["ready"], of["pending"], of["failed"]
-    left_out = len(ready) - len(front(points))
-    words = [f"{len(ready)} of {len(points)} designed"]
-    words += ["the next is being designed"] if pending else []
-    words += [f"{left_out} left out: slower and less robust than another"] if left_out else []
-    words += [f"{len(failed)} failed: {failed[0].line}"] if failed else []
-    return "; ".join(words)
 
 
 def pinned_data(name: str, design: str, drawn: bool, results: tuple[CheckResult, ...]) -> dict[str, Any]:

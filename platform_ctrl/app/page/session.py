@@ -18,7 +18,7 @@ from platform_ctrl.app.page.tasks import LatestTasks, PageTasks, error_text
 from platform_ctrl.app.plots import Plots
 from platform_ctrl.app.saving import decode_state, encode_state
 from platform_ctrl.app.settings import History
-from platform_ctrl.app.trade_off import chosen_point
+from platform_ctrl.app.trade_off import chosen_point, trade_off_data
 from platform_ctrl.common.arguments import known_name
 from platform_ctrl.common.values import value
 from platform_ctrl.errors import PlatformCtrlError
@@ -368,7 +368,7 @@ class Session:
                 "redo": self.history.can_redo,
                 "tunable": any(one["tunable"] and not one["fixed"] for one in sliders),
                 **self.compared.data(settings.loop),
-                "trade_off": messages.trade_off_data(self.backend.trade_off.points(settings), settings),
+                "trade_off": trade_off_data(self.backend.trade_off.points(settings), settings),
                 "link": encode_state(self.backend, settings),
                 **self._tasks.data(),
             },
