@@ -7,6 +7,7 @@ import json
 import posixpath
 import re
 import tomllib
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -55,11 +56,12 @@ def on_page_markdown(markdown: str, page: Any, config: Any, files: Files) -> str
     for k, picture in enumerate(pictures(markdown)):
         shown = gallery.figure(f"{up}pictures/{_picture(page.file.src_uri, k)}", picture.description, caption=True)
         markdown = markdown.replace(picture.comment, shown, 1)
-    markdown = markdown.replace("<!-- gallery -->", gallery.page())
     markdown = names.MARK.sub(lambda found: names.entries(found[1], found[2]), markdown)
-    markdown = markdown.replace("<!-- all public names -->", names.every())
-    for folder in SHOWN:
-        markdown = markdown.replace(f"<!-- list of {folder} -->", _list(folder))
+    made = {"gallery": gallery.page, "all public names": names.every}
+    made |= {f"list of {folder}": partial(_list, folder) for folder in SHOWN}
+    for mark, make in made.items():
+        if f"<!-- {mark} -->" in markdown:  # no page pays for what another shows
+            markdown = markdown.replace(f"<!-- {mark} -->", make())
     return _LINK.sub(lambda found: f"]({_page_of(found[1], page.file.src_uri, up)})", markdown)
 
 
