@@ -5,13 +5,16 @@ r that is not correlated with v (Booton; Gelb and Vander Velde, Multiple-Input D
 f = F sign(v), b = √(2/π) F/σ and the remainder has 60 % of F: it is no small quantity, and acts like a torque from
 outside (`friction_noise`). How much it is, and for how much of the time the bearing hardly slides, is part of every
 result.
+
+What a drive feeds forward against friction, g(w) of the rate w that it finds, is replaced in the same way by c w and a
+remainder: v and w are Gaussian together, so that both remainders are uncorrelated with all rates of the loop.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -28,6 +31,92 @@ _FAR = 9.0
 _MOST_STICKING = 0.1
 
 
+class DryTorque(Protocol):
+    """A torque that depends on the sign of a rate, smooth about zero."""
+
+    @property
+    def coulomb_rate(self) -> float:
+        """Rate at which it is near its full size, rad/s."""
+
+    @property
+    def stribeck_rate(self) -> float:
+        """Rate over which it falls, rad/s; infinite: it does not."""
+
+    @property
+    def breakaway(self) -> tuple[float, float]:
+        """Size about zero to either side, N m."""
+
+    def dry(self, rate: float) -> float:
+        """Return the torque at a rate, N m."""
+
+
+@value
+class FedFriction:
+    """What a drive feeds forward against a bearing's friction: friction sat(w / friction_rate) of the rate w it finds.
+
+    Attributes
+    ----------
+    friction
+        N m, > 0.
+    friction_rate
+        Rate from which on all of it acts, rad/s, > 0.
+    """
+
+    friction: float
+    friction_rate: float
+
+    @property
+    def coulomb_rate(self) -> float:
+        """As of `Friction`, rad/s."""
+        return self.friction_rate
+
+    @property
+    def stribeck_rate(self) -> float:
+        """As of `Friction`: it does not fall, rad/s."""
+        return math.inf
+
+    @property
+    def breakaway(self) -> tuple[float, float]:
+        """As of `Friction`, N m."""
+        return self.friction, self.friction
+
+    def dry(self, rate: float) -> float:
+        """Return the torque.
+
+        Parameters
+        ----------
+        rate
+            That the drive finds, rad/s.
+
+        Returns
+        -------
+        float
+            N m.
+        """
+        return self.friction * min(max(rate / self.friction_rate, -1.0), 1.0)
+
+    def gain(self, amplitude: float) -> float:
+        """Return the describing function of a sinusoidal rate.
+
+        Parameters
+        ----------
+        amplitude
+            Of the rate that the drive finds, rad/s, > 0.
+
+        Returns
+        -------
+        float
+            N m s: 2 F/(π r) (asin k + k √(1 − k²)) with k = r/amplitude < 1 of the friction_rate r, else F/r.
+
+        References
+        ----------
+        A. Gelb and W. E. Vander Velde, Multiple-Input Describing Functions, 1968, ch. 2.
+        """
+        slope = self.friction / self.friction_rate
+        k = self.friction_rate / amplitude
+        return slope if k >= 1.0 else 2.0 / math.pi * slope * (math.asin(k) + k * math.sqrt(1.0 - k * k))
+
+
 class Describing(NamedTuple):
     """What stands for dry friction: its mean, N m, its viscous equivalent, N m s, and the rms of the rest, N m."""
 
@@ -36,7 +125,7 @@ class Describing(NamedTuple):
     remainder: float
 
 
-def describing_function(friction: Friction, rms: float) -> Describing:
+def describing_function(friction: DryTorque, rms: float) -> Describing:
     """Return what stands for the dry part of a friction at a Gaussian relative rate without mean.
 
     Parameters
@@ -76,29 +165,52 @@ class FrictionBalance:
 
     Attributes
     ----------
+    frictions : J of `Friction`
+        Of the bearings.
+    drives : J of `FedFriction`
+        What is fed forward against each of them, or None.
     rate : (J,)
         rms of the relative rate, rad/s.
+    measured : (J,)
+        rms of the rate that the drive finds, as it acts on the bearing, rad/s; 0 without drive.
     viscous : (J,)
         Equivalent damping of the dry part, N m s.
+    fed : (J,)
+        Equivalent gain of what is fed forward, from the rate that the drive finds to its torque, N m s; 0 without
+        drive.
     remainder : (J,)
-        rms of the friction torque that is not in proportion to the rate, N m.
-    sticking : (J,)
-        Probability that the rate is within ±coulomb_rate: there the bearing hardly slides.
-    valid : (J,)
-        1 where `sticking` is at most 0.1, else 0; dimensionless.
+        rms of the torque that is not in proportion to these rates, what is fed forward taken off the friction, N m.
     iterations
         Loops that were evaluated.
-    statement
-        One sentence for each bearing.
     """
 
+    frictions: tuple[Friction, ...]
+    drives: tuple[FedFriction | None, ...]
     rate: FloatArray
+    measured: FloatArray
     viscous: FloatArray
+    fed: FloatArray
     remainder: FloatArray
-    sticking: FloatArray
-    valid: FloatArray
     iterations: int
-    statement: tuple[str, ...]
+
+    @property
+    def sticking(self) -> FloatArray:
+        """Probability that a rate is within ±coulomb_rate (J,), dimensionless: there the bearing hardly slides."""
+        from scipy.special import erf
+
+        near = np.array([one.coulomb_rate for one in self.frictions])
+        return np.asarray(erf(near / (np.maximum(self.rate, 1e-300) * math.sqrt(2.0))))
+
+    @property
+    def valid(self) -> FloatArray:
+        """1 where `sticking` is at most 0.1, else 0 (J,), dimensionless."""
+        return (self.sticking <= _MOST_STICKING).astype(np.float64)
+
+    @property
+    def statement(self) -> tuple[str, ...]:
+        """One sentence for each bearing."""
+        rows = zip(self.frictions, self.drives, self.rate, self.sticking, self.remainder, strict=True)
+        return tuple(_statement(one, drive, float(v), float(p), float(r)) for one, drive, v, p, r in rows)
 
 
 def friction_balance(
@@ -107,6 +219,7 @@ def friction_balance(
     start: FloatArray | None = None,
     tolerance: float = 1e-8,
     iterations: int = 200,
+    drives: Sequence[FedFriction | None] = (),
 ) -> FrictionBalance:
     """Return the equivalent damping of dry friction at which the linear loop moves as assumed.
 
@@ -115,35 +228,40 @@ def friction_balance(
     frictions
         Of J bearings.
     rate_rms
-        From the equivalent damping of the dry parts (J,), N m s, to the rms of the relative rates (J,), rad/s, that the
-        linear loop with that damping has; the viscous parts are the caller's.
-    start : (J,), optional
+        From the equivalent damping of the dry parts (J,), N m s, and then the equivalent gains of the D drives that
+        there are, to the rms of the relative rates (J,) and of the rates that these drives find (D,), rad/s, that the
+        linear loop with them has; the viscous parts are the caller's.
+    start : (J + D,), optional
         First guess of the rates, rad/s; default ten times coulomb_rate.
     tolerance
         Relative change of the rates at which the iteration ends.
     iterations
         Loops at most.
+    drives
+        What is fed forward against each of the J frictions, or None. Default: nothing.
 
     Returns
     -------
     FrictionBalance
-        Converged.
+        Converged. Its remainder is that of the friction alone: how much of it a drive takes off depends on the spectra
+        of the rates, see `friction_noise`.
 
     Raises
     ------
     NotFoundError
         The iteration did not converge.
     """
-    from scipy.special import erf
-
-    near = np.array([one.coulomb_rate for one in frictions])
+    drives = tuple(drives) or (None,) * len(frictions)
+    driven = [k for k, one in enumerate(drives) if one is not None]
+    torques: list[DryTorque] = [*frictions, *(one for one in drives if one is not None)]
+    near = np.array([one.coulomb_rate for one in torques])
     rate = real_array("friction balance: start", start, (len(near),)) if start is not None else 10.0 * near
     least = 1e-12 * near
     before: tuple[FloatArray, FloatArray] | None = None
     for count in range(1, iterations + 1):  # noqa: B007 - reported after the loop
-        found = [describing_function(one, float(at)) for one, at in zip(frictions, rate, strict=True)]
-        viscous = np.array([one.viscous for one in found])
-        new = np.asarray(rate_rms(viscous), dtype=np.float64)
+        found = [describing_function(one, float(at)) for one, at in zip(torques, rate, strict=True)]
+        gains = np.array([one.viscous for one in found])
+        new = np.asarray(rate_rms(gains), dtype=np.float64)
         if np.all(np.abs(new - rate) <= tolerance * np.maximum(new, 1e-9 * near)):
             break
         # Secants of each bearing in logarithms: rates are positive, and dampings go as their inverse.
@@ -159,26 +277,25 @@ def friction_balance(
             f"friction balance: no rates found in {iterations} loops, the last were {short(rate.tolist())}; "
             "start from other rates, or simulate"
         )
-    sticking = erf(near / (np.maximum(new, 1e-300) * math.sqrt(2.0)))
-    valid = sticking <= _MOST_STICKING
-    remainder = np.array([one.remainder for one in found])
+    J = len(frictions)
+    measured, fed = np.zeros(J), np.zeros(J)
+    measured[driven], fed[driven] = new[J:], gains[J:]
     return FrictionBalance(
-        rate=new,
-        viscous=viscous,
-        remainder=remainder,
-        sticking=sticking,
-        valid=valid.astype(np.float64),
+        frictions=tuple(frictions),
+        drives=drives,
+        rate=new[:J],
+        measured=measured,
+        viscous=gains[:J],
+        fed=fed,
+        remainder=np.array([one.remainder for one in found[:J]]),
         iterations=count,
-        statement=tuple(
-            _statement(one, float(v), float(p), float(r))
-            for one, v, p, r in zip(frictions, new, sticking, remainder, strict=True)
-        ),
     )
 
 
-def _statement(friction: Friction, rate: float, sticking: float, remainder: float) -> str:
+def _statement(friction: Friction, drive: FedFriction | None, rate: float, sticking: float, remainder: float) -> str:
     where = f"friction of gimbal {friction.gimbal}: "
-    left = f"{remainder:.3g} N m rms of its torque are not in proportion to the rate"
+    less = "" if drive is None else f", less the {drive.friction:.3g} N m that are fed forward,"
+    left = f"{remainder:.3g} N m rms of its torque{less} are not in proportion to the rate"
     if sticking <= _MOST_STICKING:
         return f"{where}it slides at {rate:.3g} rad/s rms, {100 * sticking:.2g} % of the time nearly at rest; {left}"
     return (

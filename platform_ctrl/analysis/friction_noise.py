@@ -1,36 +1,80 @@
 """The part of a dry friction's torque that is not in proportion to the rate, as a noise with a spectrum.
 
 A memoryless torque f(v) of a stationary Gaussian rate v is b v + r with r uncorrelated with v at all lags (Bussgang,
-1952). In Hermite polynomials f(σ x) = Σ c_n He_n(x)/√n! the correlation of f is Σ c_n² ρ(τ)^n with ρ that of v (Price,
+1952). In Hermite polynomials f(σ x) = Σ f_n He_n(x)/√n! the correlation of f is Σ f_n² ρ(τ)^n with ρ that of v (Price,
 IRE Trans. Information Theory 4, 1958), and r has the terms but n = 0 and 1: for a sign, (2/π) F² (asin ρ − ρ). In a
 loop r acts like a torque from outside.
+
+Of what a drive feeds forward, g(w) = c w + s, the remainder s follows r as the rate w that the drive finds follows v,
+late and filtered: the correlation of f(v) with g(w) is Σ f_n g_n ρ_vw(τ)^n with that of the rates, and r − s has
+
+    Σ over n ≥ 2 of f_n² ρ_vv(τ)^n + g_n² ρ_ww(τ)^n − f_n g_n (ρ_vw(τ)^n + ρ_vw(−τ)^n).
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
+from platform_ctrl.analysis.arrays import ComplexArray
 from platform_ctrl.analysis.disturbances import Spectrum
-from platform_ctrl.common.values import FloatArray
-from platform_ctrl.plant.force_elements import Friction
+from platform_ctrl.analysis.dry_friction import DryTorque, FedFriction
+from platform_ctrl.common.values import FloatArray, value
 
 # Terms of the series that are computed. Of a step they fall with n to the power -3/2: what is left goes, in that
 # proportion, to groups of terms whose ends grow by a factor.
 _TERMS, _GROWTH, _GROUPS = 60, 1.6, 16
 # Points of the correlation, and points to an octave of the result.
-_POINTS, _PER_OCTAVE = 2**16, 6
-# Highest frequency, in that below which the rate has 99 % of its variance.
-_BEYOND = 32.0
+_POINTS, _PER_OCTAVE = 2**18, 6
+# Highest frequency, in that below which the rate has 99 % of its variance: lags resolve what a drive is late.
+_BEYOND = 128.0
 # The series is summed in this many σ, on so many points.
 _FAR, _QUADRATURE = 9.0, 4001
 
 
+class Remainder(NamedTuple):
+    """The torque that is not in proportion to a rate: rms, N m, and spectrum, (N m)²/Hz."""
+
+    rms: float
+    spectrum: Spectrum
+
+
+@value
+class FoundRate:
+    """The rate w that a drive finds of a bearing that turns with v, as it acts on the bearing; k frequencies.
+
+    Attributes
+    ----------
+    drive
+        What is fed forward by it.
+    rms
+        Of w, rad/s.
+    alone, together, filtered : (k,)
+        Variances of w, of w + v and of w + x up to the frequencies, (rad/s)²; x is v behind a low-pass of first order:
+        the three of them tell the cross spectrum.
+    corner
+        Of the low-pass, rad/s.
+    """
+
+    drive: FedFriction
+    rms: float
+    alone: FloatArray
+    together: FloatArray
+    filtered: FloatArray
+    corner: float
+
+
 def friction_noise(
-    friction: Friction, rms: float, edges: FloatArray, cumulative: FloatArray, lowest: float
-) -> Spectrum | None:
-    """Return the spectrum of the remainder of a dry friction, (N m)²/Hz; None where nothing moves.
+    friction: DryTorque,
+    rms: float,
+    edges: FloatArray,
+    cumulative: FloatArray,
+    lowest: float,
+    found: FoundRate | None = None,
+) -> Remainder | None:
+    """Return the remainder of a dry friction; None where nothing moves.
 
     Parameters
     ----------
@@ -43,12 +87,14 @@ def friction_noise(
     cumulative : (k,)
         Variance of the rate up to these, (rad/s)².
     lowest
-        Below this frequency, rad/s, the result is left out.
+        Below this frequency, rad/s, the spectrum is left out.
+    found
+        What a drive finds of the rate, and feeds forward.
 
     Returns
     -------
-    Spectrum
-        Smooth.
+    Remainder
+        With a smooth spectrum.
 
     References
     ----------
@@ -56,25 +102,64 @@ def friction_noise(
 
     R. Price, IRE Transactions on Information Theory 4, 1958.
     """
-    from scipy.interpolate import PchipInterpolator
-
     total = float(cumulative[-1])
     if not (rms > 0.0 and total > 0.0):
         return None
     # Harmonics of the rate reach well beyond it.
     high = _BEYOND * float(edges[np.searchsorted(cumulative, 0.99 * total)])
-    step, count = high / _POINTS, 2 * _POINTS
-    grid = step * np.arange(_POINTS + 1)
-    bins = np.diff(np.interp(grid, edges, cumulative), prepend=0.0)
-    # Correlations are even: the first half has all of it.
-    half = slice(0, _POINTS + 1)
-    rho = np.clip(np.fft.irfft(0.5 * count * bins, count)[half] / float(bins.sum()), -1.0, 1.0)
-    squares, rest = _hermite_squares(friction, rms)
+    grid: FloatArray = high / _POINTS * np.arange(_POINTS + 1)
+
+    def bins(of: FloatArray) -> FloatArray:
+        return np.diff(np.interp(grid, edges, of), prepend=0.0)
+
+    v = bins(cumulative)
+    x, weight = _points(friction, rms, found)
+    f = _coefficients(friction, rms, x, weight)
+    correlation = _even(_powers(_correlation(v, v), f[0] * f[0], float(weight @ f[1] ** 2)))
+    if found is not None and found.rms > 0.0:
+        w = bins(found.alone)
+        g = _coefficients(found.drive, found.rms, x, weight)
+        cross = _cross(v, w, bins(found.together), bins(found.filtered), grid / found.corner)
+        correlation += _even(_powers(_correlation(w, w), g[0] * g[0], float(weight @ g[1] ** 2)))
+        both = _correlation(v, w, cross)
+        correlation -= 2.0 * _even(_powers(both, f[0] * g[0], float(weight @ (f[1] * g[1]))))
+    return Remainder(math.sqrt(max(correlation[0], 0.0)), _smooth(correlation, grid, lowest))
+
+
+def _cross(v: FloatArray, w: FloatArray, together: FloatArray, filtered: FloatArray, turns: FloatArray) -> ComplexArray:
+    """Return the cross spectrum of v and w by bins, from those of w + v and of w + L v, L = 1/(1 + j turns)."""
+    low = 1.0 / (1.0 + 1j * turns)
+    real = 0.5 * (together - v - w)
+    behind = 0.5 * (filtered - np.abs(low) ** 2 * v - w)  # the real part of L times the cross spectrum
+    imaginary = np.zeros_like(real)
+    imaginary[1:] = (low.real[1:] * real[1:] - behind[1:]) / low.imag[1:]
+    cross = real + 1j * imaginary
+    # No more than Schwarz's inequality allows: rounding is small against large bins alone.
+    size, most = np.abs(cross), np.sqrt(np.maximum(v * w, 0.0))
+    return cross * np.divide(most, size, out=np.ones_like(size), where=size > most)
+
+
+def _correlation(v: FloatArray, w: FloatArray, cross: FloatArray | ComplexArray | None = None) -> FloatArray:
+    """Return the correlation over all lags, 1 where both are the same, of variances and what they have in common."""
+    scale = math.sqrt(float(v.sum()) * float(w.sum()))
+    return np.clip(np.fft.irfft(_POINTS * (v if cross is None else cross), 2 * _POINTS) / scale, -1.0, 1.0)
+
+
+def _even(correlation: FloatArray) -> FloatArray:
+    """Return the even part of a correlation over all lags, from lag zero on."""
+    half = np.arange(_POINTS + 1)
+    out: FloatArray = 0.5 * (correlation[half] + correlation[-half])
+    return out
+
+
+def _powers(rho: FloatArray, products: FloatArray, whole: float) -> FloatArray:
+    """Return Σ products ρ^n without n = 0 and 1; `whole` is the sum of all products, those beyond included."""
     correlation, power = np.zeros_like(rho), rho.copy()
-    for square in squares:
+    for product in products[2:]:
         power = power * rho
-        if square > 1e-20 * sum(squares):
-            correlation += square * power
+        if abs(product) > 1e-20 * abs(whole):
+            correlation += product * power
+    rest = whole - float(products.sum())
     ends = _TERMS * _GROWTH ** np.arange(_GROUPS + 1)
     weights = ends[:-1] ** -0.5 - ends[1:] ** -0.5
     weights[-1] = ends[-2] ** -0.5
@@ -83,8 +168,16 @@ def friction_noise(
     sign, logarithm = np.sign(rho[large]), np.log(np.abs(rho[large]))
     for n, weight in zip(np.sqrt(ends[1:] * ends[:-1]), weights / weights.sum(), strict=True):
         correlation[large] += rest * weight * sign * np.exp(n * logarithm)
+    return correlation
+
+
+def _smooth(correlation: FloatArray, grid: FloatArray, lowest: float) -> Spectrum:
+    """Return the spectrum of a correlation from lag zero on, in the square of its unit per Hz."""
+    from scipy.interpolate import PchipInterpolator
+
+    step, high = float(grid[1]), float(grid[-1])
     # One-sided variance of each bin; all together are the remainder's.
-    share = np.maximum(np.fft.irfft(correlation, count)[half], 0.0) * 2.0
+    share = np.maximum(np.fft.irfft(correlation, 2 * _POINTS)[: _POINTS + 1], 0.0) * 2.0
     sums = np.concatenate([[0.0], np.cumsum(share)])
     first = max(lowest, 2.0 * step)
     knots = first * 2.0 ** (np.arange(math.ceil(_PER_OCTAVE * math.log2(high / first)) + 1) / _PER_OCTAVE)
@@ -98,20 +191,24 @@ def friction_noise(
     return Spectrum(knots=octaves, density=lambda w: np.exp(law(np.log(w))))
 
 
-def _hermite_squares(friction: Friction, rms: float) -> tuple[list[float], float]:
-    """Return the squares of the coefficients n = 2, 3, ..., and what they leave of the variance."""
-    # Midpoints, dense where the torque turns about: the middle of the smoothing lies at zero.
+def _points(friction: DryTorque, rms: float, found: FoundRate | None) -> tuple[FloatArray, FloatArray]:
+    """Return midpoints of a unit Gaussian and their weights, dense where the torques turn about: near zero."""
     near = min(friction.coulomb_rate / rms, 1.0)
+    if found is not None and found.rms > 0.0:
+        near = min(near, found.drive.coulomb_rate / found.rms)
     s = np.linspace(-1.0, 1.0, _QUADRATURE)
     bend = math.asinh(_FAR / near)
     x = near * np.sinh(bend * s)
     weight = near * bend * np.cosh(bend * s) * (s[1] - s[0]) * np.exp(-0.5 * x * x) / math.sqrt(2.0 * math.pi)
-    f = np.array([friction.dry(float(rms * one)) for one in x])
+    return x, weight
+
+
+def _coefficients(torque: DryTorque, rms: float, x: FloatArray, weight: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the Hermite coefficients n = 0, 1, ... of a torque at a Gaussian rate, and the torque at the points."""
+    values = np.array([torque.dry(float(rms * one)) for one in x])
     before, now = np.ones_like(x), x
-    left = float(weight @ f**2) - float(weight @ f) ** 2 - float(weight @ (f * x)) ** 2
-    squares = []
+    out = [float(weight @ values), float(weight @ (values * x))]
     for n in range(2, _TERMS + 1):
         before, now = now, (x * now - math.sqrt(n - 1.0) * before) / math.sqrt(n)
-        squares.append(float(weight @ (f * now)) ** 2)
-        left -= squares[-1]
-    return squares, max(left, 0.0)
+        out.append(float(weight @ (values * now)))
+    return np.array(out), values

@@ -27,11 +27,14 @@ def across(rms: FloatArray) -> float:
     return float(math.hypot(rms[0], rms[1]))
 
 
-def assumption(friction: FrictionBalance | None, where: str, fed: bool = False) -> str:
-    """Return what verdicts rest on, in words; `fed`: whether friction is fed forward, which the budget leaves out."""
+def assumption(friction: FrictionBalance | None, where: str) -> str:
+    """Return what verdicts rest on, in words."""
+    fed = friction is not None and any(one is not None for one in friction.drives)
     valid = () if friction is None else zip(friction.statement, friction.valid, strict=True)
     unsure = [words for words, holds in valid if not holds]
-    out = "linear budget" + (f" at {where}" if where else "") + (" without feedforward of friction" if fed else "")
+    out = (
+        "linear budget" + (f" at {where}" if where else "") + (", dry friction less what is fed forward" if fed else "")
+    )
     return "; ".join([out, *unsure])
 
 

@@ -128,14 +128,16 @@ def _friction(balance: FrictionBalance) -> list[Record]:
         {
             "rate_rms": rate,
             "viscous": viscous,
+            "fed": fed,
             "remainder": left,
             "sticking": sticking,
             "valid": bool(valid),
             "says": says,
         }
-        for rate, viscous, left, sticking, valid, says in zip(
+        for rate, viscous, fed, left, sticking, valid, says in zip(
             balance.rate,
             balance.viscous,
+            balance.fed,
             balance.remainder,
             balance.sticking,
             balance.valid,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 import math
 from collections.abc import Callable
@@ -12,8 +13,8 @@ import pytest
 from scipy.integrate import quad
 from scipy.special import erf
 
-from platform_ctrl.analysis.dry_friction import describing_function, friction_balance
-from platform_ctrl.analysis.friction_noise import friction_noise
+from platform_ctrl.analysis.dry_friction import FedFriction, describing_function, friction_balance
+from platform_ctrl.analysis.friction_noise import FoundRate, friction_noise
 from platform_ctrl.errors import NotFoundError
 from platform_ctrl.plant.force_elements import Friction
 
@@ -61,8 +62,10 @@ def test_what_is_left_of_a_sign_is_a_noise_by_the_arcsine_law() -> None:
     a = 5.0
     edges = np.linspace(0.0, 10.0 * a, 4000)
     cumulative = 0.1**2 * erf(edges / (a * math.sqrt(2.0)))
-    noise = friction_noise(sharp, 0.1, edges, cumulative, 0.05)
-    assert noise is not None
+    remainder = friction_noise(sharp, 0.1, edges, cumulative, 0.05)
+    assert remainder is not None
+    noise = remainder.spectrum
+    assert remainder.rms == pytest.approx(describing_function(sharp, 0.1).remainder, rel=1e-3)
 
     def below(omega: float) -> float:
         def part(tau: float) -> float:
@@ -81,6 +84,77 @@ def test_what_is_left_of_a_sign_is_a_noise_by_the_arcsine_law() -> None:
     whole = between(0.05, float(noise.knots[-1]))
     assert whole == pytest.approx(describing_function(sharp, 0.1).remainder ** 2, rel=0.03)
     assert friction_noise(sharp, 0.0, edges, cumulative, 0.05) is None
+
+
+def test_what_a_late_drive_leaves_of_a_sign_is_its_remainder_less_the_late_one() -> None:
+    """r(t) − k r(t − T): the spectrum of r times |1 − k exp(−jωT)|²."""
+    sharp, share, late, corner, a = (
+        Friction(gimbal="pitch", coulomb=(0.02, 0.02), coulomb_rate=1e-4),
+        0.8,
+        4e-3,
+        8.0,
+        5.0,
+    )
+    drive = FedFriction(friction=share * 0.02, friction_rate=1e-4)
+    edges = np.linspace(0.0, 12.0 * a, 8001)
+    cumulative = 0.1**2 * erf(edges / (a * math.sqrt(2.0)))
+
+    def summed(shape: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+        # Of the rate plus itself behind a transfer function: |shape|² in each interval.
+        middle = 0.5 * (edges[1:] + edges[:-1])
+        return np.concatenate([[0.0], np.cumsum(np.abs(shape(middle)) ** 2 * np.diff(cumulative))])
+
+    found = FoundRate(
+        drive=drive,
+        rms=0.1,
+        alone=cumulative,
+        together=summed(lambda w: 1.0 + np.exp(-1j * w * late)),
+        filtered=summed(lambda w: 1.0 / (1.0 + 1j * w / corner) + np.exp(-1j * w * late)),
+        corner=corner,
+    )
+    alone = friction_noise(sharp, 0.1, edges, cumulative, 0.05)
+    left = friction_noise(sharp, 0.1, edges, cumulative, 0.05, found)
+    assert alone is not None
+    assert left is not None
+    for low, high in pairwise((0.5, 3.0, 10.0, 30.0)):
+        w = np.geomspace(low, high, 401)
+        expected = np.trapezoid(alone.spectrum.at(w) * np.abs(1.0 - share * np.exp(-1j * w * late)) ** 2, w)
+        assert np.trapezoid(left.spectrum.at(w), w) == pytest.approx(expected, rel=0.01)
+    # A drive that finds nothing feeds nothing.
+    still = dataclasses.replace(found, rms=0.0, alone=0.0 * edges, together=cumulative, filtered=0.0 * edges)
+    same = friction_noise(sharp, 0.1, edges, cumulative, 0.05, still)
+    assert same is not None
+    assert same.rms == alone.rms
+
+
+def test_what_is_fed_forward_is_balanced_with_the_friction() -> None:
+    # The rate of the bearing, and what a drive finds of it, of an inertia that white torque moves.
+    drive = FedFriction(friction=0.015, friction_rate=1e-3)
+    q, inertia = 1e-4, 0.5
+
+    def rates(gains: np.ndarray) -> np.ndarray:
+        v = math.sqrt(q / (2.0 * inertia * (gains[0] - 0.5 * gains[1] + 1e-3)))
+        return np.array([v, 0.9 * v])
+
+    found = friction_balance([BEARING], rates, drives=[drive])
+    assert found.measured == pytest.approx(0.9 * found.rate, rel=1e-12)
+    assert found.viscous[0] == pytest.approx(describing_function(BEARING, float(found.rate[0])).viscous, rel=1e-7)
+    # Of a limiter at the Gaussian rate w: F erf(r/(σ √2))/r.
+    closed = 0.015 / 1e-3 * math.erf(1e-3 / (float(found.measured[0]) * math.sqrt(2.0)))
+    assert found.fed[0] == pytest.approx(closed, rel=1e-7)
+    assert "less the 0.015 N m that are fed forward" in found.statement[0]
+
+
+@pytest.mark.parametrize("amplitude", [0.3, 1.0, 1.2, 5.0])
+def test_a_limiter_has_its_describing_function(amplitude: float) -> None:
+    drive = FedFriction(friction=0.4, friction_rate=1.0)
+
+    def moment(x: float) -> float:
+        return drive.dry(amplitude * math.sin(x)) * math.sin(x)
+
+    bend = math.asin(min(1.0, 1.0 / amplitude))
+    seen = quad(moment, 0.0, bend)[0] + quad(moment, bend, math.pi / 2.0)[0]
+    assert drive.gain(amplitude) == pytest.approx(4.0 / math.pi * seen / amplitude, rel=1e-9)
 
 
 def test_the_balance_is_a_fixed_point_of_the_linear_loop() -> None:

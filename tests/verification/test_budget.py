@@ -28,7 +28,7 @@ from platform_ctrl.report.page.job_page import page_html
 from platform_ctrl.simulation.closed_loop import simulate
 from platform_ctrl.verification import check_job
 from platform_ctrl.verification.budget import PreparedBudget, line_of_sight_budget
-from platform_ctrl.verification.budget_limits import is_limited, unstable_results
+from platform_ctrl.verification.budget_limits import assumption, is_limited, unstable_results
 from platform_ctrl.verification.budget_result import Waterfall, rms_ticks, waterfalls
 from platform_ctrl.verification.records import result_record
 
@@ -213,16 +213,21 @@ def simulated(of: pc.Job, rows: np.ndarray, closed: list[control.StateSpace] | N
     table = TimeTable(t=t, values=np.outer(np.minimum(1.0, t) * rate, [0.0, 1.0, 0.0]), smooth=True)
     period = of.sampling.period
     run = Scenario(
-        platform=of.platform, mode="caged", duration=5.0 - period, delay=of.sampling.delay, Omega_table=table
+        platform=of.platform,
+        mode="caged",
+        duration=5.0 - period,
+        delay=of.sampling.delay,
+        Omega_table=table,
+        drives=of.drive_laws,
     )
     found = simulate(run, closed or controllers(), period=period, step=1e-4, noise=False)
     return float(found.line_of_sight[found.t > 3.0 - 1e-9][: round(2.0 / period), 3].std())
 
 
-def shaken(tmp_path: Path, rows: np.ndarray, friction: str = "") -> pc.Job:
+def shaken(tmp_path: Path, rows: np.ndarray, friction: str = "", more: str = "") -> pc.Job:
     """The camera on a base that turns by `rows`, with a gyro that neither steps nor is noisy."""
     source = f'[[budget.source]]\nname = "base"\nkind = "base-rate"\naxis = 2\nsines = {rows.tolist()}\n'
-    text = FILE.format(more=source, friction=friction).replace("noise_rms = 1e-4\nquantisation = 2e-5\n", "")
+    text = FILE.format(more=source + more, friction=friction).replace("noise_rms = 1e-4\nquantisation = 2e-5\n", "")
     (tmp_path / "shaken.toml").write_text(text.replace("from_hz = 0.5", "from_hz = 0.4"), encoding="utf-8")
     return pc.read_job(tmp_path / "shaken.toml")
 
@@ -266,6 +271,51 @@ def test_dry_friction_shakes_as_in_the_non_linear_simulation(tmp_path: Path) -> 
     assert found.total[0] == pytest.approx(expected, rel=0.04)
     # Its equivalent damping alone is less than what shakes.
     assert found.rms[0, 0] < 0.96 * expected
+
+
+DRIVE = """
+[[plant.rate_sensor]]
+name = "base_rate"
+body = "base"
+axis = [0, 1, 0]
+delay = {late}
+
+[[plant.rate_sensor]]
+name = "tacho"
+gimbal = "pitch"
+
+[[drive]]
+torquer = "Qpitch"
+friction = {friction}
+friction_rate = 3e-4
+sensors = ["{sensor}"]
+"""
+
+
+@pytest.mark.parametrize(
+    ("sensor", "friction", "late", "error"),
+    [
+        ("base_rate", 3.2e-4, 0.002, 0.01),
+        ("base_rate", 3.2e-4, 0.03, 0.01),
+        ("tacho", 3.2e-4, 0.002, 0.01),
+        # What is left is small, and less of a Gaussian.
+        ("base_rate", 4e-4, 0.002, 0.05),
+        ("base_rate", 4.8e-4, 0.002, 0.15),
+    ],
+)
+def test_friction_that_is_fed_forward_shakes_by_what_is_left_as_in_the_simulation(
+    tmp_path: Path, sensor: str, friction: float, late: float, error: float
+) -> None:
+    rows = multisine(0.01)
+    drive = DRIVE.format(sensor=sensor, friction=friction, late=late)
+    of = shaken(tmp_path, rows, ", coulomb = 4e-4, coulomb_rate = 3e-4", drive)
+    found, expected = line_of_sight_budget(of, controllers()), simulated(of, rows)
+    assert found.total[0] == pytest.approx(expected, rel=error)
+    # Without the drive: 47 urad.
+    assert found.total[0] < 30e-6
+    assert found.friction is not None
+    assert f"less the {friction:.3g} N m that are fed forward" in found.friction.statement[0]
+    assert assumption(found.friction, "") == "linear budget, dry friction less what is fed forward"
 
 
 LIMITS = "limits = { jitter = 1e-3, jitter_per_axis = 1e-9, windowed_jitter = 1.0, smear = 1e-9 }\n"

@@ -1,0 +1,144 @@
+"""What stands for dry friction in a budget: damping, gain of what drives feed forward, and the noise of the rest.
+
+In the loop that is balanced each drive has a hold of its own, whose output is the rate w that it finds, as it acts on
+the bearing: read, held, late and lagging as its torque is. Times the equivalent gain it is the drive's torque.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from platform_ctrl.analysis.arrays import StateArrays
+from platform_ctrl.analysis.budget_result import Budget as Found
+from platform_ctrl.analysis.disturbances import RandomDisturbance
+from platform_ctrl.analysis.dry_friction import FedFriction, FrictionBalance, friction_balance
+from platform_ctrl.analysis.friction_noise import FoundRate, friction_noise
+from platform_ctrl.analysis.hybrid_plant import HybridPlant
+from platform_ctrl.common.values import FloatArray, replaced
+from platform_ctrl.plant.sensors import LOS_RATES
+from platform_ctrl.verification.budget_loop import BudgetLoop
+
+# Relative errors of variances, and of the rates that friction is balanced with.
+_TOLERANCE, _FRICTION_TOLERANCE = 1e-5, 1e-4
+# Outputs of a drive where spectra are wanted: the rate that it finds, with the bearing's, with that behind a low-pass.
+_WITH_SPECTRA = 3
+
+
+class Balanced(NamedTuple):
+    """Gimbal angles (n,), and what stands for dry friction there: damping, feedforward, and the noise of the rest."""
+
+    q: FloatArray
+    friction: FrictionBalance | None
+    rest: tuple[RandomDisturbance, ...]
+
+    @property
+    def viscous(self) -> FloatArray:
+        """Equivalent damping of the dry parts (J,), N m s."""
+        return np.zeros(0) if self.friction is None else self.friction.viscous
+
+    @property
+    def fed(self) -> FloatArray:
+        """Equivalent gain of what drives feed forward (J,), N m s."""
+        return np.zeros(0) if self.friction is None else self.friction.fed
+
+
+def balanced(loop: BudgetLoop, q: FloatArray, near: FrictionBalance | None = None) -> Balanced:
+    """Return what stands for dry friction at gimbal angles (n,); `near` is the balance at others."""
+    if not loop.dry:
+        return Balanced(q, None, ())
+    bearings = [len(LOS_RATES) + loop.job.platform.gimbal(one.gimbal) for one in loop.dry]
+    driven = [k for k, law in enumerate(loop.laws) if law is not None]
+    first = len(LOS_RATES) + len(loop.job.platform.gimbals)
+    # Between what the budget counts and what the loop samples.
+    corner = 2.0 * math.pi * math.sqrt(loop.budget.from_hz * 0.5 / loop.job.sampling.period)
+    controller = _with_finders(loop)
+
+    def found(gains: FloatArray, spectra: bool) -> Found:
+        plant = _balancing_plant(loop, gains, q, corner if spectra else None)
+        return loop.prepared(plant, loop.together, ()).of(controller, _TOLERANCE, over_frequency=spectra)
+
+    def rates(gains: FloatArray) -> FloatArray:
+        return np.asarray(found(gains, False).total[[*bearings, *range(first, first + len(driven))]])
+
+    drives = tuple(
+        None if law is None else FedFriction(friction=law.friction, friction_rate=law.friction_rate)
+        for law in loop.laws
+    )
+    start = None if near is None else np.concatenate([near.rate, near.measured[driven]])
+    balance = friction_balance(loop.dry, rates, start, _FRICTION_TOLERANCE, drives=drives)
+    moved = found(np.concatenate([balance.viscous, balance.fed[driven]]), True)
+    lowest = 2.0 * math.pi * loop.budget.from_hz
+    left, rest = np.zeros(len(drives)), []
+    for k, (one, drive, at) in enumerate(zip(loop.dry, drives, bearings, strict=True)):
+        of_drive = None
+        if drive is not None:
+            place = first + _WITH_SPECTRA * driven.index(k)
+            spectra = moved.total_cumulative[place : place + _WITH_SPECTRA]
+            of_drive = FoundRate(
+                drive=drive,
+                rms=float(balance.measured[k]),
+                alone=spectra[0],
+                together=spectra[1],
+                filtered=spectra[2],
+                corner=corner,
+            )
+        noise = friction_noise(one, float(balance.rate[k]), moved.edges, moved.total_cumulative[at], lowest, of_drive)
+        if noise is not None:
+            left[k] = noise.rms
+            at_gimbal = (loop.torque_on(one.gimbal),)
+            rest.append(
+                RandomDisturbance(name=f"dry friction of {one.gimbal}", inputs=at_gimbal, spectra=(noise.spectrum,))
+            )
+    return Balanced(q, replaced(balance, {"remainder": left}), tuple(rest))
+
+
+def _with_finders(loop: BudgetLoop) -> StateArrays:
+    """Return the loop's controller with the rates that drives find as its last outputs."""
+    A, B, C, D, dt = loop.controller
+    weights = [loop.weights(law) for law in loop.laws if law is not None]
+    C = np.vstack([C, np.zeros((len(weights), len(A)))])
+    return StateArrays(A, B, C, np.vstack([D, *weights]), dt)
+
+
+def _balancing_plant(loop: BudgetLoop, gains: FloatArray, q: FloatArray, corner: float | None) -> HybridPlant:
+    """Return the model with a further control for each drive, whose input is the rate that it finds.
+
+    `gains` are the damping (J,) in the place of dry friction, then those of the drives. Further outputs: the rate that
+    each drive finds, as it acts on the bearing; with a `corner` also its sums with the bearing's own rate, and with
+    that behind a low-pass.
+    """
+    J = len(loop.dry)
+    base = loop.damped(gains[:J], q)
+    A, B, C, D, _ = base.plant
+    n, m = len(A), base.controls
+    laws = [(law, one) for law, one in zip(loop.laws, loop.dry, strict=True) if law is not None]
+    lags = [base.lag[loop.torquers.index(law.torquer)] for law, _ in laws]
+    columns = [gain * B[:, m + loop.torque_on(one.gimbal)] for gain, (_, one) in zip(gains[J:], laws, strict=True)]
+    B = np.insert(B, m, np.array(columns).reshape(-1, n), axis=1)
+    D = np.insert(D, m, np.zeros((len(laws), len(D))), axis=1)
+    own = np.eye(len(laws), B.shape[1], m)
+    if corner is None:
+        C, D = np.vstack([C, np.zeros((len(laws), n))]), np.vstack([D, own])
+    else:
+        for row, (_, one) in zip(own, laws, strict=True):
+            rate = loop.job.platform.gimbal(one.gimbal)
+            seen, direct = A[rate], B[rate]
+            size = len(A)
+            behind = np.eye(1, size + 1, size)
+            C = np.vstack([np.pad(C, ((0, 0), (0, 1))), np.zeros(size + 1), np.append(seen, 0.0), behind])
+            A = np.vstack([np.pad(A, ((0, 0), (0, 1))), np.append(corner * seen, -corner)])
+            B = np.vstack([B, corner * direct])
+            D = np.vstack([D, row, row + direct, row])
+    return HybridPlant(
+        plant=StateArrays(A, B, C, D),
+        controls=m + len(laws),
+        measured=base.measured,
+        period=base.period,
+        delay=base.delay,
+        lag=np.append(base.lag, lags),
+        reading_delay=base.reading_delay,
+        integrated=(*base.integrated, *(False for _ in range(len(C) - base.measured - base.outputs))),
+    )

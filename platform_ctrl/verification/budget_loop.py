@@ -1,0 +1,300 @@
+"""The loop of a budget: the coupled linear model, its sources and sensors, and its controllers with their drives."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from platform_ctrl.analysis.arrays import StateArrays, selected, state_arrays
+from platform_ctrl.analysis.disturbances import Disturbance, RandomDisturbance, SampleNoise, SineDisturbance, Spectrum
+from platform_ctrl.analysis.hybrid_plant import HybridPlant
+from platform_ctrl.analysis.jitter_budget import JitterBudget
+from platform_ctrl.common.values import FloatArray
+from platform_ctrl.design.cases import secant_gains
+from platform_ctrl.design.plants import forgetting
+from platform_ctrl.errors import ArgumentError
+from platform_ctrl.job.budget import Budget, Source
+from platform_ctrl.job.drive import DriveLaw
+from platform_ctrl.job.job import Job
+from platform_ctrl.mechanics.linearisation import linearise
+from platform_ctrl.mechanics.outputs import observed
+from platform_ctrl.mechanics.state_space import state_space
+from platform_ctrl.plant.platform import FORCE_NAMES, OMEGA_NAMES, Platform
+from platform_ctrl.plant.sensors import LOS_RATES
+from platform_ctrl.verification.coupled import acts_on_root, coupled_plant, drifting_angles, one_controller
+
+if TYPE_CHECKING:
+    import control
+
+# Rate at which free angles decay, 1/s: far below all sources, so that springs and their feedforward count in full.
+_FORGETTING = 2e-3
+# A recorded spectrum has at most so many points to an octave; below, its own.
+_PER_OCTAVE = 24
+
+
+class BudgetLoop:
+    """The loop of a job, for one damping of its bearings after the other."""
+
+    def __init__(self, job: Job, budget: Budget, controllers: Sequence[control.StateSpace]) -> None:
+        self.job, self.budget = job, budget
+        self.free = acts_on_root(job, controllers)
+        self.dry = [one for one in job.platform.frictions if max(*one.coulomb, *one.breakaway) > 0.0]
+        self._seen_by = coupled_plant(job, linearise(job.platform), controllers)
+        K = one_controller(job, controllers, self._seen_by)
+        read = {name for one in controllers for name in one.input_labels}
+        # An angle that no controller reads may drift.
+        self.torquers, self.sensors = list(K.output_labels), [name for name in K.input_labels if name in read]
+        self._set, self._read = len(self.torquers), len(self.sensors)
+        self.laws = self._drives()
+        self.controller = self.controller_of(controllers)
+        self.inputs: list[str] = []
+        columns = [self._input(source) for source in budget.sources]
+        for friction in job.platform.frictions:
+            self.torque_on(friction.gimbal)
+        self.sources, self.rows = self._sources(columns)
+        self.noise = self._noise()
+        # As if all were independent, for what each does; and as they are.
+        self.apart: list[Disturbance] = [*self.sources, *self.noise]
+        self.together = self._joined()
+        self.names = [*(one.name for one in budget.sources), *(one.name for one in self.noise)]
+        self.kinds = [*(one.kind for one in budget.sources), *("sensor" for _ in self.noise)]
+
+    def controller_of(self, controllers: Sequence[control.StateSpace]) -> StateArrays:
+        """Return controllers as one, from the loop's sensors to its torquers."""
+        K = one_controller(self.job, controllers, self._seen_by)
+        own = selected(K, self.torquers[: self._set], self.sensors[: self._read])
+        A, B, C, D, dt = state_arrays(own, "controllers")
+        more, further = len(self.torquers) - self._set, len(self.sensors) - self._read
+        padded = np.pad(B, ((0, 0), (0, further))), np.pad(C, ((0, more), (0, 0))), np.pad(D, ((0, more), (0, further)))
+        return StateArrays(A, *padded, dt)
+
+    def with_drives(self, controller: StateArrays, fed: FloatArray, q: FloatArray) -> StateArrays:
+        """Return the controller with what drives add in proportion to readings, `fed` (J,), N m s, at angles (n,)."""
+        D = controller.D.copy()
+        share = secant_gains(self.job, q, self.torquers)
+        for law, gain in zip(self.laws, fed, strict=True):
+            if law is not None:
+                # The torquer's column has the secant gain, which is not of what the drive adds.
+                row = self.torquers.index(law.torquer)
+                D[row] += gain / share[row] * self.weights(law)
+        return controller._replace(D=D)
+
+    def weights(self, law: DriveLaw) -> FloatArray:
+        """Return the weights of the sensors (p,) in the rate that a drive finds."""
+        return np.array([law.weights.get(name, 0.0) for name in self.sensors])
+
+    def _drives(self) -> list[DriveLaw | None]:
+        """Return what is fed forward against each dry friction; its torquer and sensors join those of the loop."""
+        gimbals = {one.name: one.gimbal for one in self.job.platform.torquers}
+        out: list[DriveLaw | None] = []
+        for one in self.dry:
+            laws = [law for law in self.job.drive_laws if law.friction and gimbals[law.torquer] == one.gimbal]
+            if len(laws) > 1:
+                names = " and ".join(law.torquer for law in laws)
+                raise ArgumentError(
+                    f"budget: {names} both feed friction of gimbal {one.gimbal!r} forward; let one drive do it"
+                )
+            out += laws or [None]
+            for law in laws:
+                self.torquers += [law.torquer] if law.torquer not in self.torquers else []
+                self.sensors += [name for name in law.weights if name not in self.sensors]
+        return out
+
+    def prepared(self, plant: HybridPlant, sources: Sequence[Disturbance], exposures: Sequence[float]) -> JitterBudget:
+        """Return what sources do to a plant, for any controller."""
+        return JitterBudget(plant, sources, exposures, 2.0 * math.pi * self.budget.from_hz)
+
+    def damped(self, viscous: FloatArray, q: FloatArray) -> HybridPlant:
+        """Return the model about gimbal angles with damping (J,) in the place of dry friction."""
+        added = dict(zip((one.gimbal for one in self.dry), map(float, viscous), strict=True))
+        return self.plant(_damped(self.job.platform, added), q)
+
+    def plant(self, platform: Platform, q: FloatArray) -> HybridPlant:
+        """Return the model of a platform about gimbal angles, with the loop's torquers, sensors and sources."""
+        model = linearise(platform, q=q)
+        system = state_space(model, root="free" if self.free else "prescribed", specific_force=True)
+        system = _with_torques(system, model.angle_names)
+        shown = observed(system, platform, [*self.sensors, *LOS_RATES], model.q0, model.Omega0)
+        torquers = {t.name: t for t in platform.torquers}
+        controls = [torquers[name].signal for name in self.torquers]
+        columns = [shown.input_labels.index(name) for name in (*controls, *self.inputs)]
+        A, B, C, D, _ = state_arrays(shown, "budget")
+        gains = np.concatenate([secant_gains(self.job, q, self.torquers), np.ones(len(self.inputs))])
+        # The gimbals' rates: the first states are their angles.
+        rates = len(model.angle_names)
+        C, D = np.vstack([C, A[:rates]]), np.vstack([D, B[:rates]])
+        A = forgetting(A, shown.state_labels, drifting_angles(self.job) - set(self.sensors), _FORGETTING)
+        late = {sensor.name: sensor.periods_late(self.job.sampling.period) for sensor in platform.sensors}
+        return HybridPlant(
+            plant=StateArrays(A, gains * B[:, columns], C, gains * D[:, columns]),
+            controls=len(controls),
+            measured=len(self.sensors),
+            period=self.job.sampling.period,
+            delay=self.job.sampling.delay,
+            lag=np.array([torquers[name].lag for name in self.torquers]),
+            reading_delay=tuple(late[name] for name in self.sensors),
+            integrated=(True,) * len(LOS_RATES) + (False,) * rates,
+        )
+
+    def _input(self, source: Source) -> int:
+        """Return the disturbance input on which a source acts."""
+        if source.kind == "torque":
+            return self.torque_on(source.gimbal or "")
+        name = (OMEGA_NAMES if source.kind == "base-rate" else FORCE_NAMES)[(source.axis or 1) - 1]
+        if source.kind == "base-rate" and self.free:
+            raise ArgumentError(
+                f"source {source.name!r}: a base rate moves a platform that is carried, and here a controller turns "
+                "the root; state torques"
+            )
+        return self._index(name)
+
+    def torque_on(self, gimbal: str) -> int:
+        """Return the disturbance input that is the torque on a gimbal."""
+        return self._index(_torque_on(self.job.platform.gimbals[self.job.platform.gimbal(gimbal)].angle))
+
+    def _index(self, name: str) -> int:
+        if name not in self.inputs:
+            self.inputs.append(name)
+        return self.inputs.index(name)
+
+    def _sources(self, columns: list[int]) -> tuple[list[Disturbance], list[int]]:
+        """Return the job's sources within the band, their sines one by one, and the source of each."""
+        low, high = self.budget.from_hz, self.budget.to_hz
+        out: list[Disturbance] = []
+        rows = []
+        for k, (source, at) in enumerate(zip(self.budget.sources, columns, strict=True)):
+            spectrum = _spectrum(source, low, high)
+            if spectrum is not None:
+                out.append(RandomDisturbance(name=source.name, inputs=(at,), spectra=(spectrum,)))
+                rows.append(k)
+            lines = source.lines
+            for i, (f, a) in enumerate(zip(lines.frequencies_hz, lines.amplitudes, strict=True)):
+                if low <= f <= high:
+                    phase = None if lines.phases is None else lines.phases[i : i + 1]
+                    line = SineDisturbance(
+                        name=f"{source.name}, line {i + 1}",
+                        inputs=(at,),
+                        frequency=2.0 * math.pi * float(f),
+                        amplitude=np.array([a]),
+                        phase=phase,
+                    )
+                    out.append(line)
+                    rows.append(k)
+        return out, rows
+
+    def _noise(self) -> list[SampleNoise]:
+        sensors = {sensor.name: sensor for sensor in self.job.platform.sensors}
+        out = []
+        for k, name in enumerate(self.sensors):
+            sensor = sensors[name]
+            if sensor.noise_rms > 0.0:
+                rms = sensor.sampled_noise(self.job.sampling.period)
+                out.append(SampleNoise(name=f"noise of {name}", measured=k, rms=rms))
+            if sensor.quantisation > 0.0:
+                out.append(
+                    SampleNoise(name=f"quantisation of {name}", measured=k, rms=sensor.quantisation / math.sqrt(12.0))
+                )
+        return out
+
+    def _joined(self) -> list[Disturbance]:
+        """Return the sources with those that are correlated as one."""
+        coherence = self.budget.coherences
+        random = {self.rows[k]: one for k, one in enumerate(self.sources) if isinstance(one, RandomDisturbance)}
+        groups = _connected(coherence, list(random))
+        if all(len(group) == 1 for group in groups):
+            return self.apart
+        out: list[Disturbance] = []
+        for group in groups:
+            out.append(
+                RandomDisturbance(
+                    name=", ".join(random[k].name for k in group),
+                    inputs=tuple(random[k].inputs[0] for k in group),
+                    spectra=tuple(random[k].spectra[0] for k in group),
+                    coherence=coherence[np.ix_(group, group)],
+                )
+            )
+        return [*out, *(one for one in self.sources if isinstance(one, SineDisturbance)), *self.noise]
+
+
+def _connected(coherence: np.ndarray[tuple[int, ...], np.dtype[np.complex128]], of: list[int]) -> list[list[int]]:
+    """Return the groups of sources that are correlated with each other, directly or through others."""
+    left, out = list(of), []
+    while left:
+        group = [left.pop(0)]
+        for one in group:
+            more = [k for k in left if coherence[one, k] != 0.0]
+            group += more
+            left = [k for k in left if k not in more]
+        out.append(sorted(group))
+    return out
+
+
+def _damped(platform: Platform, viscous: dict[str, float]) -> Platform:
+    """Return the platform with viscous friction in the place of dry friction."""
+    if not viscous:
+        return platform
+    frictions = [
+        dataclasses.replace(one, viscous=one.viscous + viscous[one.gimbal], coulomb=(0.0, 0.0), breakaway=(0.0, 0.0))
+        if one.gimbal in viscous
+        else one
+        for one in platform.frictions
+    ]
+    return dataclasses.replace(platform, frictions=tuple(frictions))
+
+
+def _torque_on(angle: str) -> str:
+    return f"torque on {angle}"
+
+
+def _with_torques(system: control.StateSpace, angles: Sequence[str]) -> control.StateSpace:
+    """Return a model with the torque on every gimbal as a further input: it changes the gimbal's momentum."""
+    import control
+
+    states = list(system.state_labels)
+    more = np.zeros((len(states), len(angles)))
+    for k, angle in enumerate(angles):
+        more[states.index(f"p_{angle}"), k] = 1.0
+    return control.StateSpace(
+        system.A,
+        np.hstack([system.B, more]),
+        system.C,
+        np.hstack([system.D, np.zeros((system.noutputs, len(angles)))]),
+        remove_useless_states=False,
+        inputs=[*system.input_labels, *map(_torque_on, angles)],
+        outputs=list(system.output_labels),
+        states=states,
+    )
+
+
+def _spectrum(source: Source, low: float, high: float) -> Spectrum | None:
+    """Return the density of a source within the band, None where there is none."""
+    knots = source.knots_hz
+    if not knots.size or max(low, knots[0]) >= min(high, knots[-1]):
+        return None
+    knots = np.unique(np.clip(knots, low, high))
+    thin = _thinned(knots)
+    if len(thin) == len(knots):
+        return Spectrum(knots=2.0 * math.pi * knots, density=lambda w: source.density(w / (2.0 * math.pi)))
+    # Of a record: the mean density between two knots, so that each keeps its share of the variance.
+    mean = np.array([source.rms(a, b) ** 2 / (b - a) for a, b in pairwise(thin)])
+    turns = 2.0 * math.pi * thin
+    return Spectrum(
+        knots=turns, density=lambda w: mean[np.clip(np.searchsorted(turns, w, side="right") - 1, 0, len(mean) - 1)]
+    )
+
+
+def _thinned(knots: FloatArray) -> FloatArray:
+    """Return knots of a long table without those that are nearer than a 24th of an octave to the one before."""
+    if len(knots) <= 8 * _PER_OCTAVE:
+        return knots
+    kept = [float(knots[0])]
+    for one in knots[1:]:
+        if one >= kept[-1] * 2.0 ** (1.0 / _PER_OCTAVE):
+            kept.append(float(one))
+    kept[-1] = float(knots[-1])
+    return np.array(kept)
