@@ -185,14 +185,7 @@ def evaluated(problem: LoopProblem, found: Designed, known: KnownProofs | None =
     spec, design, plants = problem.spec, problem.design, problem.plant_set
     method = known_method(design.method)
     if plants is not None:
-        sense = problem.channel.sense
-        if sense is not None:
-            K = found.controller
-            found = dataclasses.replace(found, controller=K._replace(B=K.B @ sense, D=K.D @ sense))
-        if design.command is not None:
-            own = found.controller._replace(dt=plants.period)
-            K = shaped(own, design.command, problem.channel, np.eye(len(own.B.T)) if sense is None else sense)
-            found = dataclasses.replace(found, controller=K)
+        found = dataclasses.replace(found, controller=in_signals(problem, found.controller))
         out = certified(spec, design, found, plants, known)
         if method.goals:
             ratios = {"limit_ratio": out.results, "goal_ratio": out.goals}
@@ -208,6 +201,18 @@ def evaluated(problem: LoopProblem, found: Designed, known: KnownProofs | None =
         options=found.options,
         claims=found.claims,
     )
+
+
+def in_signals(problem: LoopProblem, controller: StateArrays) -> StateArrays:
+    """Return what a method made, from the readings of the loop's plants, with the commands that its design shapes."""
+    design, channel = problem.design, problem.channel
+    sense, K = channel.sense, controller
+    if sense is not None:
+        K = K._replace(B=K.B @ sense, D=K.D @ sense)
+    if design.command is not None:
+        own = K._replace(dt=problem.job.sampling.period)
+        K = shaped(own, design.command, channel, np.eye(len(own.B.T)) if sense is None else sense)
+    return K
 
 
 def certified(
@@ -329,6 +334,15 @@ def commanded(design: LoopDesign) -> LoopDesign:
     arrays = with_error_alone(plants.joined(design.controller))
     controller = _delivered(arrays, plants, str(design.controller.name))
     return dataclasses.replace(design, controller=controller)
+
+
+def with_controller(design: LoopDesign, controller: StateArrays) -> LoopDesign:
+    """Return a design with another controller of what its plants measure; nothing of it is measured again."""
+    plants = design.plants
+    assert plants is not None, "the loop has plants"
+    K = _delivered(controller._replace(dt=plants.period), plants, str(design.controller.name))
+    found = dataclasses.replace(design, controller=K)
+    return commanded(found) if set(_commands(plants)) <= set(design.controller.input_labels) else found
 
 
 def closed_loop_poles(plants: PlantSet, controller: control.StateSpace) -> ComplexArray:

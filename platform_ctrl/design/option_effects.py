@@ -14,8 +14,8 @@ from platform_ctrl.job.requirements import LoopRequirement
 
 # Share of its value by which an option is moved to see what it does.
 SHARE = 0.05
-# Relative moves of an option that are considered, and how many options are tried after the estimate.
-_MOVES, _TRIED = (-0.2, -0.1, -0.05, -0.025, 0.025, 0.05, 0.1, 0.2), 4
+# Relative moves of an option that are considered, and how many are tried after the estimate.
+MOVES, _TRIED = (-0.2, -0.1, -0.05, -0.025, 0.025, 0.05, 0.1, 0.2), 4
 # Least reduction of a ratio that is worth a move, and least loss of margin that is called a cost.
 _GAIN, _COST = 2e-3, 1e-3
 
@@ -89,11 +89,15 @@ def largest(ratios: FloatArray) -> float:
 
 
 def candidates(
-    effects: OptionEffects, options: Sequence[OptionValue], score: Score = largest, tried: int = _TRIED
+    effects: OptionEffects,
+    options: Sequence[OptionValue],
+    score: Score = largest,
+    moves: Sequence[float] = MOVES,
+    each: int = 1,
 ) -> list[tuple[str, float]]:
-    """Return the names of the options with their new values, those first that are expected to help most.
+    """Return the names of options with new values, those first that are expected to help most.
 
-    All ratios are taken to be linear in the option; of each option the best move counts.
+    All ratios are taken to be linear in the option; of each option the best `each` of the relative `moves` count.
     """
     column = {name: k for k, name in enumerate(effects.options)}
     found = []
@@ -101,15 +105,17 @@ def candidates(
         slope = effects.change[:, column[option.name]] / SHARE
         if not np.all(np.isfinite(slope)):
             continue
-        for move in _MOVES:
+        for move in moves:
             after = float(f"{option.value * (1.0 + move):.4g}")
-            if option.low <= after <= option.high:
-                found.append((score(effects.ratios + slope * move), option.name, after))
+            expected = score(effects.ratios + slope * move)
+            if option.low <= after <= option.high and np.isfinite(expected):
+                found.append((expected, option.name, after))
     found.sort(key=lambda one: one[0])
-    out: dict[str, tuple[str, float]] = {}
+    out: list[tuple[str, float]] = []
     for _, name, after in found:
-        out.setdefault(name, (name, after))
-    return list(out.values())[:tried]
+        if sum(name == other for other, _ in out) < each:
+            out.append((name, after))
+    return out[:_TRIED]
 
 
 def best_move(

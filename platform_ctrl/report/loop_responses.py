@@ -185,8 +185,9 @@ def _design_responses(
 
 
 def _reading_per_rate(model: LinearModel, spec: LoopSpec, plants: PlantSet, frequency: FloatArray) -> ComplexArray:
-    """Return the response of what a design reads to Omega while its gimbals are uncontrolled, (N, readings, 3)."""
-    if plants.feedforward is not None:
+    """Return the response of what a design reads to Omega while it does nothing, (N, readings, 3)."""
+    # A tracking loop sets no torques: its gimbals are held by the loop that it commands.
+    if plants.feedforward is not None or spec.kind == "tracking":
         fed = StateArrays(plants.A[0], plants.B_Omega[0], plants.C[0], plants.D_Omega[0], plants.period)
         return frequency_response(fed, frequency, -3)
     signals = loop_signals(model.platform, spec)

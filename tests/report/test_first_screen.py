@@ -8,6 +8,7 @@ import re
 import numpy as np
 import pytest
 
+from camera_job import camera_job
 from platform_ctrl import report
 from platform_ctrl.analysis.margins import disk_margin
 from platform_ctrl.design.loop import sampled_plant
@@ -16,9 +17,12 @@ from platform_ctrl.report.figures.loop import sensitivity_figure
 from platform_ctrl.report.figures.worst_plant import worst_plant, worst_plant_figure
 from platform_ctrl.report.loop_responses import loop_responses
 from platform_ctrl.report.page import first_screen, tables
-from platform_ctrl.report.page.blocks import Columns, Document, Fold
+from platform_ctrl.report.page.blocks import Columns, Document, Fold, Part, Table
+from platform_ctrl.report.page.change_table import change_part
 from platform_ctrl.report.page.job_page import page_html
+from platform_ctrl.report.quantities import compared
 from platform_ctrl.verification import JobResult
+from platform_ctrl.verification.changes import changes
 from report_jobs import caging, checked, classical, job, turn
 
 pytestmark = pytest.mark.usefixtures("untraced")
@@ -108,6 +112,51 @@ def test_a_section_shows_its_own_verdict(result: JobResult, document: Document) 
     assert verdicts["plant"] == (True, "")
     only_met = dataclasses.replace(result, requirements=tuple(one for one in result.requirements if one.passed))
     assert "met, tightest +" in first_screen.section_verdict(only_met.requirements)[0]
+
+
+def test_at_most_five_changes_follow_the_first_screen_with_gain_and_conflict(
+    result: JobResult, document: Document
+) -> None:
+    rows = changes(result)
+    assert 1 <= len(rows) <= 5
+    [part] = [one for one in document.sections[0].blocks if isinstance(one, Part)]
+    assert part.title == "What to change"
+    [table] = [one for one in part.blocks if isinstance(one, Table)]
+    [[*shown]] = [group.rows for group in table.groups]
+    assert len(shown) == len(rows)
+    for one, row in zip(rows, shown, strict=True):
+        requirement, change, gain, cost = row.cells
+        assert requirement.text == one.target.before.name
+        assert one.name in change.text
+        assert gain.text.endswith(f"→ {compared(one.target.after)[0]}")
+        if one.violated:
+            assert cost.tone == "bad"
+            assert one.violated[0].after.name in cost.text
+            assert cost.text.endswith(compared(one.violated[0].after)[1])
+        else:
+            assert cost.tone != "bad"
+
+
+def test_a_job_without_requirements_has_nothing_to_change() -> None:
+    found = checked(job(loop=[caging(classical())]))
+    assert change_part(dataclasses.replace(found, requirements=()), ()) == ()
+
+
+def test_a_tracking_loop_around_a_rate_loop_is_reported() -> None:
+    data = camera_job()
+    data["loop"].append(
+        {
+            "name": "track",
+            "kind": "tracking",
+            "around": "rate",
+            "sensors": ["yaw_error", "pitch_error"],
+            "use": "pi",
+            "limits": {"disk_margin": 0.5},
+            "design": [{"name": "pi", "method": "pi", "crossover_hz": 2.0}],
+        }
+    )
+    titles = [section.title for section in report.prepared(checked(data)).sections]
+    assert {"Track", "Rate"} <= set(titles)
 
 
 def test_options_versions_and_job_are_folded(document: Document) -> None:

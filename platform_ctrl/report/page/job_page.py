@@ -58,8 +58,10 @@ from platform_ctrl.report.page.blocks import (
 from platform_ctrl.report.page.budget_page import budget_sections
 from platform_ctrl.report.page.campaign_page import as_section, digests
 from platform_ctrl.report.page.captions import compared_with_alternatives, opening, sentences
+from platform_ctrl.report.page.change_table import change_part
 from platform_ctrl.report.page.first_screen import first_screen, section_verdict
 from platform_ctrl.report.plots.time_run import time_run
+from platform_ctrl.verification.changes import changes
 from platform_ctrl.verification.coupled import ALL_LOOPS
 from platform_ctrl.verification.simulated import Run
 from platform_ctrl.verification.verdict import JobResult
@@ -235,7 +237,7 @@ def _summary(result: JobResult, campaign: Summary | None) -> tuple[Block, ...]:
     first, verdict, *details = opening(result, campaign)
     lead = Paragraph(text=f"{first} {verdict}", tone="lead")
     rest = (Paragraph(text=" ".join(details)),) if details else ()
-    return (*first_screen(result), lead, *rest)
+    return (*first_screen(result), *change_part(result, changes(result)), lead, *rest)
 
 
 def _plant(result: JobResult) -> Section:

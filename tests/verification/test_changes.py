@@ -1,0 +1,176 @@
+"""Every change that is proposed does what a check of the job with that change finds."""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+from typing import Any
+
+import control
+import pytest
+
+from camera_job import camera_job
+from platform_ctrl.design.loop import remeasured
+from platform_ctrl.verification import JobResult
+from platform_ctrl.verification.changes import GAIN, Change, changes
+from platform_ctrl.verification.linear_trials import keyed
+from report_jobs import caging, checked, classical, job, turn
+
+pytestmark = pytest.mark.usefixtures("untraced")
+
+# Reached are 27.7 Hz and 0.337.
+LIMITS = {"bandwidth_hz": 34, "disk_margin_worst_case": 0.4}
+GYRO = job(loop=[caging(classical("slow", 25), classical(), limits=LIMITS)], manoeuvre=[turn()])
+BASE = {
+    "name": "wind",
+    "kind": "torque",
+    "gimbal": "el",
+    "frequencies_hz": [1.0, 10.0, 100.0],
+    "densities": [1e-7, 1e-7, 1e-8],
+}
+TRACK = {
+    "name": "track",
+    "kind": "tracking",
+    "around": "rate",
+    "sensors": ["yaw_error", "pitch_error"],
+    "use": "pi",
+    "limits": {"disk_margin": 1.3},
+    "design": [{"name": "pi", "method": "pi", "crossover_hz": 2.0}],
+}
+
+
+def camera(limits: dict[str, Any], *loops: dict[str, Any], budget: dict[str, float] | None = None) -> dict[str, Any]:
+    data = camera_job()
+    data["loop"][0]["limits"] = limits
+    data["loop"] += loops
+    data["operation"]["Omega"] = [0.0, 0.0, 0.0]
+    if budget is not None:
+        data["plant"]["friction"] = []
+        data["budget"] = {"from_hz": 0.5, "to_hz": 200.0, "limits": budget, "source": [BASE]}
+    return data
+
+
+def changed(data: dict[str, Any], row: Change) -> JobResult:
+    """The job with a change, designed and checked."""
+    new = copy.deepcopy(data)
+    if row.kind == "source":
+        [source] = new["budget"]["source"]
+        source["densities"] = [row.after**2 * x for x in source["densities"]]
+    else:
+        loop = next(one for one in new["loop"] if one["name"] == row.loop)
+        if row.kind == "design":
+            loop["use"] = row.name
+        else:
+            design = next(one for one in loop["design"] if one["name"] == row.design)
+            design |= {row.name: row.after}
+    return checked(new)
+
+
+def promised(rows: tuple[Change, ...], data: dict[str, Any], rel: float = 1e-9) -> None:
+    """Assert that each row is what a check finds."""
+    for row in rows:
+        found = keyed(changed(data, row).requirements)
+        for pair in (row.target, *row.violated, *([row.loss] if row.loss else [])):
+            after = found[pair.after.subject, pair.after.stage, pair.after.name]
+            assert pair.after.value == pytest.approx(after.value, rel=rel), row.name
+            assert pair.after.passed == after.passed
+
+
+def test_a_missed_bandwidth_is_met_by_a_larger_crossover_and_the_row_says_what_that_costs() -> None:
+    result = checked(GYRO)
+    rows = changes(result)
+    assert {row.target.before.name for row in rows} == {one.name for one in result.requirements if not one.passed}
+    faster, *others = rows
+    assert (faster.kind, faster.name, faster.target.before.name) == ("option", "crossover_hz", "bandwidth")
+    assert faster.after > faster.before == 40.0
+    assert faster.target.after.passed
+    # Less damping is more robust, but one axis alone makes the loop slower still.
+    conflict = next(row for row in others if row.name == "damping2_hz")
+    assert conflict.target.before.name == "disk margin, worst case"
+    assert conflict.after < conflict.before
+    [slower] = conflict.violated
+    assert slower.after.name == "bandwidth"
+    assert slower.after.value < slower.before.value
+    promised(rows, GYRO)
+
+
+def test_of_a_job_that_passes_rows_say_what_more_would_cost() -> None:
+    # Each 3 % from what is reached: 42.9 Hz, 0.363, 0.338 and 3.6 mN m.
+    limits = {"bandwidth_hz": 41.6, "disk_margin_worst_case": 0.352, "damping": 0.328, "torque_noise": 3.7e-3}
+    data = job(loop=[caging(classical("fast", 60), limits=limits)])
+    result = checked(data)
+    assert result.passed
+    rows = changes(result)
+    assert 2 <= len(rows) <= 5
+    for row in rows:
+        assert row.target.before.passed
+        assert row.target.after.ratio <= row.target.before.ratio * (1.0 - 0.4 * GAIN)
+        assert all(not one.after.passed for one in row.violated)
+    by_target = {row.target.before.name: row for row in rows}
+    # Speed costs damping of nutation, and robustness.
+    faster = by_target["bandwidth"]
+    assert faster.name == "crossover_hz"
+    assert faster.after > faster.before
+    assert [one.after.name for one in faster.violated] == ["damping", "disk margin, worst case"]
+    assert faster.loss is not None
+    assert faster.loss.after.name == "damping"
+    promised(rows, data)
+
+
+def test_what_a_method_would_have_to_design_again_is_shown_by_its_gain() -> None:
+    data = copy.deepcopy(GYRO)
+    design = {"name": "H-infinity", "method": "hinf", "bandwidth_hz": 20.0}
+    data["loop"] = [caging(design, limits={"bandwidth_hz": 60, "torque_noise": 0.05})]
+    result = checked(data)
+    [row] = [one for one in changes(result) if one.kind == "gain"]
+    closed = result.loops[0].closed
+    assert closed.plants is not None
+    K = closed.controller
+    system = (K.A, K.B, row.after * K.C, row.after * K.D, K.dt)
+    scaled = control.ss(*system, inputs=K.input_labels, outputs=K.output_labels)
+    scaled = remeasured(result.loops[0].spec, "scaled", scaled, closed.plants)
+    found = {one.name: one.value for one in scaled.results}
+    assert row.after > 1.0
+    assert row.target.after.value == pytest.approx(found["bandwidth"], rel=1e-9)
+
+
+def test_the_loop_around_the_one_that_is_changed_is_measured_too() -> None:
+    data = camera({"disk_margin": 1.05, "bandwidth_hz": 10}, TRACK)
+    rows = changes(checked(data))
+    assert {row.loop for row in rows} == {"rate", "track"}
+    promised(rows, data)
+
+
+def test_a_limit_of_the_budget_is_met_by_less_of_its_largest_source() -> None:
+    data = camera({"disk_margin": 0.4}, budget={"jitter": 1e-6})
+    result = checked(data)
+    assert result.budget is not None
+    limit = 0.8 * result.budget.jitter
+    data["budget"]["limits"]["jitter"] = limit
+    rows = changes(checked(data))
+    [source] = [row for row in rows if row.kind == "source"]
+    assert source is rows[0]
+    assert source.name == "wind"
+    assert source.target.after.passed
+    # The wind is nearly all of it, and noise of the sensors the rest. A hundredth more would be too much.
+    assert 0.7 < source.after < 0.8
+    more = changed(data, dataclasses.replace(source, after=source.after + 0.01)).budget
+    assert more is not None
+    assert not more.passed
+    assert any(row.kind == "option" for row in rows)
+    promised(rows, data, rel=2e-4)
+
+
+def test_a_job_whose_runs_alone_fail_has_no_rows() -> None:
+    data = job(loop=[caging(classical(), limits={"disk_margin": 0.1})], manoeuvre=[turn(limits={"angle": 1e-7})])
+    result = checked(data)
+    assert [one.stage for one in result.requirements if not one.passed] == ["simulated"]
+    assert all(row.target.before.passed for row in changes(result))
+
+
+def test_a_limit_out_of_reach_has_no_rows() -> None:
+    data = copy.deepcopy(GYRO)
+    # A disk margin is at most 2.
+    data["loop"] = [caging(classical(), limits={"disk_margin": 1e3})]
+    rows = changes(checked(data))
+    assert not any(row.target.after.passed for row in rows)
