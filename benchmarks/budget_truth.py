@@ -3,8 +3,8 @@
     python benchmarks/budget_truth.py [--runs 10000] [--time 0.5]
 
 Once with everything that is linear: viscous friction, base motion, vibration, noise of the gyros, hold, delay and lag,
-without stops, limits and drives. Once as shipped, with dry friction, which the budget replaces by its describing
-function and a noise, and which a drive feeds forward.
+without stops, limits and drives. Once as shipped, with dry friction, which a drive feeds forward: the budget replaces
+both by describing functions and a noise. Once with the dry friction and without the drive.
 """
 
 from __future__ import annotations
@@ -47,14 +47,15 @@ def made_linear(job: Job) -> Job:
 
 
 def main() -> None:
-    """Print both comparisons."""
+    """Print the comparisons."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--runs", type=int, default=10_000)
     parser.add_argument("--time", type=float, default=0.5, help="s for which a run is observed")
     given = parser.parse_args()
     job = camera()
     controllers = [outcome.closed.controller for outcome in pc.design.loops(job)]
-    for words, one in (("linear plant", made_linear(job)), ("as shipped", job)):
+    jobs = {"linear plant": made_linear(job), "as shipped": job, "without drives": dataclasses.replace(job, drives=())}
+    for words, one in jobs.items():
         began = time.process_time()
         found = simulated_budget(one, controllers, given.runs, time=given.time, threads=os.cpu_count() or 1)
         taken = time.process_time() - began

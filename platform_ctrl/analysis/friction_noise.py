@@ -107,7 +107,7 @@ def friction_noise(
         return None
     # Harmonics of the rate reach well beyond it.
     high = _BEYOND * float(edges[np.searchsorted(cumulative, 0.99 * total)])
-    grid: FloatArray = high / _POINTS * np.arange(_POINTS + 1)
+    grid = high / _POINTS * np.arange(_POINTS + 1, dtype=np.float64)
 
     def bins(of: FloatArray) -> FloatArray:
         return np.diff(np.interp(grid, edges, of), prepend=0.0)
