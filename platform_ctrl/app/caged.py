@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import get_args
 
 import numpy as np
@@ -12,21 +12,24 @@ from numpy.typing import NDArray
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
 from platform_ctrl.analysis.bandwidths import bandwidth_of_response
 from platform_ctrl.analysis.feedback import sensitivity_functions
+from platform_ctrl.analysis.following import commanded_loop, with_error_alone
 from platform_ctrl.analysis.frequency_grids import following_grid
 from platform_ctrl.analysis.loop_metrics import LoopMetrics, measure, measured
 from platform_ctrl.analysis.loop_set import LoopSet
 from platform_ctrl.analysis.measuring import MetricRequest
 from platform_ctrl.analysis.metrics import METRICS
-from platform_ctrl.analysis.plant_set import Group, PlantSet
+from platform_ctrl.analysis.plant_set import COMMAND, Group, PlantSet
 from platform_ctrl.analysis.poles import continuous_poles, minimum_damping
 from platform_ctrl.analysis.resolvent import ON_A_GRID
 from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.app.curves import (
+    ALL,
     EDGE,
     GRID_POINTS,
     Band,
     ChannelMargins,
     Drive,
+    Driven,
     LoopCurves,
     Parts,
     channel_margins,
@@ -37,18 +40,17 @@ from platform_ctrl.app.curves import (
     locus,
     one_of,
     overlay,
-    round_up,
     selected,
     settling,
     step_size,
 )
+from platform_ctrl.app.excitation import caged_excitation
 from platform_ctrl.app.pictures import Drawing, FrequencyGain, Locus, Margins, Measured, Overlay, TimeResponse
 from platform_ctrl.app.settings import Settings
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.loop import limits_and_goals, requirements_of
-from platform_ctrl.job.job import Job, LoopSpec, Manoeuvre, manoeuvre_scenario
+from platform_ctrl.job.job import Job, LoopSpec
 from platform_ctrl.job.requirements import WORST_CASE, of_readings
-from platform_ctrl.job.scenario import HalfCosine
 
 # Groups that a band shows: failed parts are not among them.
 _BAND = WORST_CASE
@@ -136,44 +138,89 @@ class CagedCurves(LoopCurves):
         return channel_response(sensitivity_functions(-K @ P)[0], self.index)
 
     def step(self) -> TimeResponse:
-        """Return the response to a torque step at the channel."""
-        plants = self._loop.plants
+        """Return the response to a torque step at the channel, of a loop around another one to one of its command."""
+        plants, unit = self._loop.plants, self._units[self.channel]
         size = step_size(float(plants.torque_limit[self.index]))
         duration = settling(self.poles, self.shown.plants.nutation, plants.period, self.stable)
-        title = f"{1e3 * size:g} mN m step at {self.channel}"
+        title = f"{1e3 * size:g} m{unit} step at {self.channel}"
         step = drive(title, duration, plants.period, lambda t: np.full(len(t), size))
-        return self._responses(step, lambda loops: loops.own_arrays, self.index)
+        own = not self._sight
+        return self._responses(
+            step, [self._driven(lambda one: one.own_arrays if own else one.arrays, self.index, step.u)]
+        )
 
     def disturbance(self) -> TimeResponse:
         """Return the response to the job's manoeuvre about the axis, linear model."""
-        plants = self._loop.plants
-        title, duration, limit, rate = caged_rate(self.job, self.axis, plants.nutation)
-        turn = drive(title, duration, plants.period, rate, limit)
-        return self._responses(turn, lambda loops: loops.arrays, self.shown.m + self.axis - 1)
+        plants, m = self._loop.plants, self.shown.m
+        given = caged_excitation(self.job, self.axis, plants.angles, plants.nutation)
+        limit = None if self._loop.spec.kind == "rate" else given.limit
+        turn = drive(given.title, given.duration, plants.period, given.rate, limit)
+        parts = [self._driven(lambda one: one.arrays, m + self.axis - 1, turn.u)]
+        commands = given.commands(np.arange(len(turn.u), dtype=np.float64) * plants.period).T
+        for name, course in zip(given.readings, commands, strict=True):
+            parts.append(
+                self._driven(commanded_arrays, m + 3 + plants.angles.index(name), np.asarray(course, dtype=np.float64))
+            )
+        if len(commands) and not turn.u.any():
+            turn = turn._replace(u=commands[0])
+        return self._responses(turn, parts)
 
-    def _responses(self, given: Drive, arrays: Callable[[LoopSet], StateArrays], column: int) -> TimeResponse:
-        m, p, plants = self.shown.m, self.shown.p, self._loop.plants
-        order = [*range(m, m + p), *range(m)]
-        shown = selected(arrays(self.shown), order, [column])
-        band = None if self.band is None else selected(arrays(self.band), order, [column])
-        units = {sensor.name: sensor.unit for sensor in self.job.platform.sensors}
-        signals = {name: units[name] for name in plants.angles} | dict.fromkeys(plants.torques, "N m")
-        return self._time_response(given, signals, shown, band)
+    @property
+    def _sight(self) -> tuple[str, ...]:
+        """Rates across the line of sight where they are shown in place of what a rate loop reads.
+
+        Designs that read other sensors are compared by them. A limit on the readings is shown with the readings.
+        """
+        loop = self._loop
+        read = loop.spec.kind != "rate" or loop.limit("Omega rejection") is not None
+        return () if read else loop.plants.sight
+
+    @property
+    def _units(self) -> dict[str, str]:
+        """Units of what is read, seen and set."""
+        sensors = {sensor.name: sensor.unit for sensor in self.job.platform.sensors}
+        torques = {name: sensors.get(name.removesuffix(COMMAND), "N m") for name in self._loop.plants.torques}
+        return sensors | dict.fromkeys(self._loop.plants.sight, "rad/s") | torques
+
+    def _driven(self, arrays: Callable[[LoopSet], StateArrays], column: int, u: FloatArray) -> Driven:
+        """Return one input of the closed loops with its course."""
+        loops = (self.shown, self.band)
+        shown, band = (None if one is None else selected(arrays(one), ALL, [column]) for one in loops)
+        assert shown is not None, "a plant is shown"
+        return Driven(shown=shown, band=band, u=u)
+
+    def _responses(self, given: Drive, parts: Sequence[Driven]) -> TimeResponse:
+        m, p, names, units = self.shown.m, self.shown.p, self._loop.plants, self._units
+        seen = self._sight or names.angles
+        signals = {name: units[name] for name in (*seen, *names.torques)}
+        # The last outputs are those of the line of sight.
+        at = range(-len(seen), 0) if self._sight else range(m, m + p)
+        return self._time_response(given, signals, [one.outputs([*at, *range(m)]) for one in parts])
 
     def disturbance_gain(self, frequency: FloatArray) -> FrequencyGain:
-        """Return the gain from Omega to the angles at `frequency` (F,), rad/s."""
+        """Return the gain from Omega to what is read, or to the line of sight, at `frequency` (F,), rad/s."""
         m, p, axis, band, metric = self.shown.m, self.shown.p, self.axis - 1, None, METRICS["Omega rejection"]
+        rows = range(-len(self._sight), 0) if self._sight else range(m, m + p)
         if self.band is not None:
-            plants = self.band.plants
-            band = plants.frequency, (self.band.S_output @ plants.Omega_response[..., axis : axis + 1])[..., 0]
+            band = self.band.plants.frequency, self._band_gains(self.band)[..., axis]
+        words = "line of sight" if self._sight else "rates" if self._loop.spec.kind == "rate" else "angles"
         return self._disturbance_gain(
-            f"rate Omega{self.axis} → {'rates' if self._loop.spec.kind == 'rate' else 'angles'}",
+            f"rate Omega{self.axis} → {words}",
             of_readings(metric.unit, self._loop.spec.kind),
             frequency,
-            selected(one_of(self.shown.arrays, 0), range(m, m + p), [m + axis]),
+            selected(one_of(self.shown.arrays, 0), rows, [m + axis]),
             band,
             self._loop.limit("Omega rejection"),
         )
+
+    def _band_gains(self, band: LoopSet) -> ComplexArray:
+        """Return the responses from Omega to what is read, or to the line of sight, (N, F, outputs, 3)."""
+        plants = band.plants
+        read = band.S_output @ plants.Omega_response
+        if not self._sight:
+            return np.asarray(read)
+        torques, Omega = plants.sight_response[..., : band.m], plants.sight_response[..., band.m :]
+        return np.asarray(Omega + torques @ (band.K @ read))
 
     def locus(self) -> Locus:
         """Return the root locus."""
@@ -247,40 +294,10 @@ def caged_overlay(loop: CagedLoop, settings: Settings, method: str, frequency: F
     return overlay(CagedCurves(loop, settings), loop.design, method, frequency)
 
 
-def caged_rate(
-    job: Job, axis: int, nutation: float
-) -> tuple[str, float, float | None, Callable[[FloatArray], FloatArray]]:
-    """Return title, duration, allowed angle and the rate over time of the job's caged manoeuvre about `axis`."""
-    found = next((one for one in job.manoeuvres if one.mode == "caged" and one.axis == axis and _turns(one)), None)
-    if found is None:
-        rate = float(job.Omega[axis - 1]) or 1.0
-        rise = round_up(40.0 / nutation)
-        profile = HalfCosine(axis=axis, rate=rate, rise=rise, hold=2.0 * rise)
-        return f"{rate:g} rad/s about axis {axis}", 5.0 * rise, None, lambda t: half_cosine(profile, t)
-    scenario = manoeuvre_scenario(job, found)
-
-    def rate_over_time(t: FloatArray) -> FloatArray:
-        out = np.zeros(len(t))
-        if scenario.profile is not None:
-            out += half_cosine(scenario.profile, t)
-        if scenario.Omega_table is not None:
-            out += scenario.Omega_table.at(t)[:, axis - 1]
-        return out
-
-    return found.name, found.duration, found.limits.get("angle"), rate_over_time
-
-
-def _turns(manoeuvre: Manoeuvre) -> bool:
-    table = manoeuvre.Omega_table
-    return bool(manoeuvre.rate) or (table is not None and bool(np.any(table.values[:, manoeuvre.axis - 1])))
-
-
-def half_cosine(profile: HalfCosine, t: FloatArray) -> FloatArray:
-    """Return the rate of a profile at times t (N,), rad/s."""
-    end = 2.0 * profile.rise + profile.hold
-    inside = np.minimum(np.minimum(t, end - t), profile.rise)
-    share = np.clip(inside, 0.0, None) / profile.rise if profile.rise > 0.0 else (inside >= 0.0).astype(np.float64)
-    return np.asarray(profile.rate * 0.5 * (1.0 - np.cos(np.pi * share)))
+def commanded_arrays(loops: LoopSet) -> StateArrays:
+    """Return closed loops from torques, Omega and commands to the torques and what the plants show."""
+    K = with_error_alone(loops.controller) if loops.two_degrees is None else loops.two_degrees
+    return commanded_loop(loops.plants.whole, K, range(loops.m), range(loops.p))
 
 
 def _margins(

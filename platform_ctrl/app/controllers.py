@@ -10,6 +10,7 @@ import numpy as np
 
 from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.sampling import from_w_plane, to_w_plane
+from platform_ctrl.app.excitation import first_axis
 from platform_ctrl.app.plants import JobPlants
 from platform_ctrl.app.settings import Settings, lowest_rate
 from platform_ctrl.design.classical.caging import classical_controller, starting_values
@@ -202,7 +203,7 @@ class DesignOptions:
             closed[spec.name] = spec.use if spec.use in there or not there else there[0]
         first = self.read.loops[0]
         return Settings(
-            axis=self._plants.loading_axis(first, 1),
+            axis=self._plants.loading_axis(first, first_axis(self.read)),
             mode="caged" if first.has_plants else "stabilised",
             loop=first.name,
             design=closed[first.name],

@@ -11,7 +11,7 @@ import numpy as np
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
 from platform_ctrl.analysis.feedback import closed_loop
-from platform_ctrl.analysis.plant_set import BoolArray
+from platform_ctrl.analysis.plant_set import COMMAND, BoolArray
 from platform_ctrl.analysis.pole_branches import pole_branches
 from platform_ctrl.analysis.poles import continuous_poles
 from platform_ctrl.analysis.resolvent import ON_A_GRID
@@ -94,6 +94,20 @@ class Drive(NamedTuple):
     u: FloatArray
     every: int
     limit: float | None
+
+
+class Driven(NamedTuple):
+    """Closed loops with one input, of the plant shown and perhaps of the set, stacks, and the input at all samples."""
+
+    shown: StateArrays
+    band: StateArrays | None
+    u: FloatArray
+
+    def outputs(self, chosen: Sequence[int]) -> Driven:
+        """Return them with some of their outputs."""
+        shown, band = (None if one is None else selected(one, chosen, ALL) for one in (self.shown, self.band))
+        assert shown is not None, "a plant is shown"
+        return self._replace(shown=shown, band=band)
 
 
 def drive(
@@ -220,21 +234,20 @@ class LoopCurves(ABC):
     def disturbance_gain(self, frequency: FloatArray) -> FrequencyGain:
         """Return the gain from what disturbs the loop at `frequency` (F,), rad/s."""
 
-    def _time_response(
-        self, drive: Drive, signals: Mapping[str, str], shown: StateArrays, band: StateArrays | None
-    ) -> TimeResponse:
-        """Return the outputs of the plant shown and of the set, stacks with one input; `signals` have their units."""
-        values = sampled_responses(shown, drive.u, drive.every)[0]
+    def _time_response(self, drive: Drive, signals: Mapping[str, str], parts: Sequence[Driven]) -> TimeResponse:
+        """Return the sum of what the inputs do to the outputs; `signals` have their units."""
+        values = np.sum([sampled_responses(one.shown, one.u, drive.every)[0] for one in parts], axis=0)
         low = high = np.zeros((len(values), 0))
-        if band is not None:
-            low, high = around(sampled_responses(band, drive.u, drive.every), values)
+        bands = [sampled_responses(one.band, one.u, drive.every) for one in parts if one.band is not None]
+        if bands:
+            low, high = around(np.sum(bands, axis=0), values)
         colour = signal_series(self.job.platform)
         u = drive.u[:: drive.every]
         return TimeResponse(
             title=drive.title,
             t=drive.t,
             signals=tuple(signals),
-            series=tuple(colour[name] for name in signals),
+            series=tuple(colour[name.removesuffix(COMMAND)] for name in signals),
             units=tuple(signals.values()),
             values=values,
             low=low,

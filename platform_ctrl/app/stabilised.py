@@ -19,6 +19,7 @@ from platform_ctrl.app.curves import (
     ALL,
     Band,
     Drive,
+    Driven,
     Index,
     LoopCurves,
     Parts,
@@ -227,7 +228,7 @@ class StabilisedCurves(LoopCurves):
         shown, band = self._turned(self.loop.shown, order), None
         if self.banded:
             band = self._turned(self.loop.plants, order)
-        return self._time_response(given, signals, shown, band)
+        return self._time_response(given, signals, [Driven(shown=shown, band=band, u=given.u)])
 
     def _turned(self, plants: FreePlants, outputs: Index) -> StateArrays:
         """Return the closed loops from the torque on the platform to torques, sensors and attitude."""

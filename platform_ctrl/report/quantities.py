@@ -65,6 +65,9 @@ def signal_series(platform: Platform) -> Mapping[str, int]:
             rates |= {name: _turned_by(platform, k, component) for component, name in enumerate(signals)}
     for sensor in platform.sensors:
         out[sensor.name] = (out | rates)[next(iter(sensor.signals(platform)))]
+    if platform.line_of_sight is not None:
+        for name, parts in platform.line_of_sight.signals(platform).items():
+            out[name] = (out | rates)[max(parts, key=lambda part: abs(parts[part]))]
     for part in platform.torquers:
         out[part.name] = platform.gimbal(part.gimbal) if part.gimbal is not None else root_series(part.root_axis or 1)
     return out
