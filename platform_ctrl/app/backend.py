@@ -26,6 +26,7 @@ from platform_ctrl.app.settings import (
     Part,
     Settings,
     Slider,
+    main_sliders,
     moved,
     option_sliders,
     plant_sliders,
@@ -69,12 +70,23 @@ class Backend(Drags):
         job, if it exists.
     store
         Folder in which designs are kept, as by ``platform-ctrl design``; None: they last as long as the backend.
+    folder
+        Where jobs are saved; default: beside the job.
+    folded
+        Whether pages begin with the main sliders alone.
     """
 
     def __init__(
-        self, job: str | Path | Job, controllers: str | Path | None = None, store: str | Path | None = None
+        self,
+        job: str | Path | Job,
+        controllers: str | Path | None = None,
+        store: str | Path | None = None,
+        folder: str | Path | None = None,
+        folded: bool = False,
     ) -> None:
         self.path = None if isinstance(job, Job) else Path(job)
+        self.folder = Path(folder) if folder is not None else Path() if self.path is None else self.path.parent
+        self.folded = folded
         self.read = job if isinstance(job, Job) else read_job(job)
         if controllers is None and self.path is not None and controllers_beside(self.path).exists():
             controllers = controllers_beside(self.path)
@@ -153,7 +165,7 @@ class Backend(Drags):
         return self._loops.plants.labels(settings, self._loops.spec(settings.loop))
 
     def sliders(self, settings: Settings) -> tuple[Slider, ...]:
-        """Return all sliders of the settings, those of the design first."""
+        """Return all sliders of the settings: speed and robustness, those of the design, those of the plant."""
         spec, design = self._loops.design(settings)
         options = self._loops.options.offered(settings, spec, design)
         parts = settings.parts_on(spec.name, design.name)
@@ -161,8 +173,10 @@ class Backend(Drags):
         start = self._loops.options.offered(settings.but(options=self._loops.start.options), spec, design)
         own = option_sliders(design.method, options, start, settings.rate_hz, settings.fixed)
         Omega = tuple(map(float, self.read.Omega))
+        shown = [slider for slider in own if not slider.part or slider.part in parts]
         return (
-            *(slider for slider in own if not slider.part or slider.part in parts),
+            *main_sliders(design.method, shown, start),
+            *shown,
             *plant_sliders(
                 settings, self._loops.start, (Omega[0], Omega[1], Omega[2]), self._loops.options.slowest(settings)
             ),
@@ -196,7 +210,8 @@ class Backend(Drags):
 
     def moved(self, settings: Settings, slider: str, number: float) -> Settings:
         """Return the settings with a slider at another number."""
-        new = moved(settings, {one.name: one for one in self.sliders(settings)}, slider, number)
+        start = self._loops.start.options[settings.loop][settings.design]
+        new = moved(settings, {one.name: one for one in self.sliders(settings)}, slider, number, start)
         return self._loops.with_shown_designs_noted(settings, new)
 
     def job(self, settings: Settings) -> Job:

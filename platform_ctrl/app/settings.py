@@ -5,18 +5,20 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import field
 from typing import Any, Literal, NamedTuple
+
+import numpy as np
 
 from platform_ctrl.common.arguments import known_name
 from platform_ctrl.common.signatures import short
 from platform_ctrl.common.values import value
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.job.methods import METHODS
+from platform_ctrl.job.methods import METHODS, Family
 
 Mode = Literal["caged", "stabilised"]
-Group = Literal["gains", "lead", "notch", "lag", "design", "sampling", "rotors", "Omega"]
+Group = Literal["main", "gains", "lead", "notch", "lag", "design", "sampling", "rotors", "Omega"]
 
 # Option → number, in the units of the job file; by design; by loop.
 Options = Mapping[str, float]
@@ -125,7 +127,8 @@ class Slider:
 
     `group` is a heading of the page; ``"design"`` has the options of a method that designs. Dragging and tuning move a
     slider that is `tunable` and not `fixed`. `part` is the optional part that it belongs to, or empty. Moving a slider
-    in the `background` requests a new design, which takes seconds.
+    in the `background` requests a new design, which takes seconds. A ``"main"`` slider moves the options `along`
+    together: by how many per cent each for one per cent.
     """
 
     name: str
@@ -141,6 +144,7 @@ class Slider:
     part: str = ""
     tunable: bool = False
     background: bool = False
+    along: Mapping[str, float] = field(default_factory=dict)
 
 
 @value
@@ -252,6 +256,37 @@ def option_sliders(
     return out
 
 
+def main_sliders(method: str, options: Sequence[Slider], start: Mapping[str, float]) -> list[Slider]:
+    """Return the sliders for speed and robustness of a method that has them, from those of its options.
+
+    They stand where the options, from `start` on, come nearest to being moved by them alone.
+    """
+    families = METHODS[method].families
+    own = {one.name: one.value for one in options}
+    along = {name: {option: x for option, x in family.items() if option in own} for name, family in families.items()}
+    if not along or not all(along.values()):
+        return []
+    names = sorted({option for family in along.values() for option in family})
+    directions = np.array([[family.get(option, 0.0) for family in along.values()] for option in names])
+    ratios = np.log([own[option] / start.get(option, own[option]) for option in names])
+    found = dict(zip(along, np.exp(np.linalg.lstsq(directions, ratios, rcond=None)[0]), strict=True))
+    first = next(iter(along["speed"]))
+    out = []
+    rows: tuple[tuple[Family, str, float, float, str], ...] = (
+        ("speed", "Hz", start.get(first, own[first]), 10.0, "crossover, with all frequencies that go along with it"),
+        ("robustness", "", 1.0, 4.0, "more lead and less integral action: disk margin; 1: as in the job"),
+    )
+    for name, unit, middle, reach, tip in rows:
+        at = float(f"{middle * found[name]:.12g}")
+        low, high = min(middle / reach, at), max(middle * reach, at)
+        out.append(
+            Slider(
+                name=name, label=name, unit=unit, group="main", low=low, high=high, value=at, tip=tip, along=along[name]
+            )
+        )
+    return out
+
+
 def lowest_rate(method: str, options: Mapping[str, float]) -> float:
     """Return the lowest sample rate, Hz, at which a method's `options` are within their sliders; 0 without a limit."""
     kinds = METHODS[method].options
@@ -315,8 +350,10 @@ def plant_sliders(
     return out
 
 
-def moved(settings: Settings, sliders: Mapping[str, Slider], name: str, number: float) -> Settings:
-    """Return the settings with a slider at `number`."""
+def moved(
+    settings: Settings, sliders: Mapping[str, Slider], name: str, number: float, start: Mapping[str, float]
+) -> Settings:
+    """Return the settings with a slider at `number`; `start` are the options of the job."""
     known_name("slider", name, tuple(sliders))
     at = _number(name, number)
     if name == "rate_hz":
@@ -339,6 +376,13 @@ def moved(settings: Settings, sliders: Mapping[str, Slider], name: str, number: 
         rates[int(name[-1]) - 1] = at
         return settings.but(Omega=tuple(rates))
     _expect(name, at, *_OPTION)
+    if sliders[name].along:
+        factor = at / sliders[name].value
+        free = {option: x for option, x in sliders[name].along.items() if option not in settings.fixed}
+        numbers = {option: sliders[option].value * factor**power for option, power in free.items()}
+        # Back at the job's number it is that number, to the last digit.
+        near = {option: x for option, x in start.items() if option in numbers and math.isclose(x, numbers[option])}
+        return with_options(settings, numbers | near)
     whole = any(method.options[name].whole for method in METHODS.values() if name in method.options)
     return with_options(settings, {name: float(round(at)) if whole else at})
 

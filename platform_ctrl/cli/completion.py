@@ -66,6 +66,14 @@ def jobs(ctx: typer.Context, incomplete: str) -> Iterator[Offer]:
 
 
 @_silent
+def jobs_and_plants(ctx: typer.Context, incomplete: str) -> Iterator[Offer]:
+    """Offer job files, plant files and the shipped plants."""
+    yield from _files(incomplete, ".toml", _JOB)
+    yield from _shipped()
+    yield from _files(incomplete, ".toml", _PLANT)
+
+
+@_silent
 def manoeuvres(ctx: typer.Context, incomplete: str) -> Iterator[Offer]:
     """Offer the manoeuvres of the job earlier on the line."""
     # An option that still lacks its value leaves the arguments before it unread.

@@ -100,8 +100,7 @@ def _not_a_job(path: Path) -> str | None:
         there, inside = path.is_file(), path.parent.is_dir() and not os.path.lexists(path)
     except OSError:  # a path that no file can have
         return None
-    tables = _tables(path) if there else {}
-    if "root" in tables and "loop" not in tables:
+    if there and is_plant(path):
         return f"{name}: is a plant, not a job; platform-ctrl new NAME --like {name} writes a job for it"
     if not inside:
         return None
@@ -111,6 +110,20 @@ def _not_a_job(path: Path) -> str | None:
     meant = nearest(path.stem, stems)
     hint = "platform-ctrl new writes one" if meant is None else f"did you mean {path.with_name(stems[meant])}?"
     return f"{name}: there is no such file; {one_line(hint)}"
+
+
+def is_plant(path: Path) -> bool:
+    """Return whether a path means a plant: a file with bodies and without loops, or a shipped name."""
+    from platform_ctrl.plant.source import shipped_models
+
+    try:
+        there = path.is_file()
+    except OSError:
+        return False
+    if not there:
+        return str(path) in shipped_models()
+    tables = _tables(path)
+    return "root" in tables and "loop" not in tables
 
 
 def _tables(path: Path) -> dict[str, Any]:

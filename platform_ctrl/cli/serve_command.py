@@ -5,20 +5,32 @@ from __future__ import annotations
 import json
 import os
 import sys
+import tempfile
 import threading
 import warnings
+from collections.abc import Callable
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from platform_ctrl.cli.job_arguments import DESIGNED, Controllers, JobFile, Json, Quiet, job_of, option
+from platform_ctrl.cli import completion
+from platform_ctrl.cli.job_arguments import DESIGNED, Controllers, Json, Quiet, is_plant, job_of, option
 
 if TYPE_CHECKING:
     from platform_ctrl.app.server import PageServer
 
 
 def serve(
-    job: JobFile,
+    job: Annotated[
+        Path,
+        typer.Argument(
+            metavar="JOB",
+            help="Job file (TOML), or a plant: its file, or the name of a shipped one (see platform-ctrl models).",
+            show_default=False,
+            autocompletion=completion.jobs_and_plants,
+        ),
+    ],
     controllers: Controllers = None,
     host: Annotated[
         str,
@@ -61,10 +73,12 @@ def serve(
     """Shape the loops of a job by hand, on a page in the browser.
 
     Every option of a design has a slider, and Bode, Nichols, root locus, responses, margins and requirements follow.
-    What is saved there is a job that check accepts. Only this machine reaches the page; Ctrl-C ends it. Needs the extra
-    designer.
+    What is saved there is a job that check accepts. Of a plant alone the job is made that new writes for it, and the
+    page begins with two sliders: speed and robustness. Only this machine reaches the page; Ctrl-C ends it. Needs the
+    extra designer.
 
     \b
+    platform-ctrl serve camera_gimbal                       a loop for a plant, from rules of thumb
     platform-ctrl serve job.toml                            opens the page in a browser
     platform-ctrl serve job.toml --controllers result.json  with the controllers of a design to compare with
     platform-ctrl serve job.toml --port 8000 --no-browser   at an address of its own: http://127.0.0.1:8000/
@@ -74,42 +88,68 @@ def serve(
     from platform_ctrl.cli.interrupts import interruptible
     from platform_ctrl.cli.terminal import progress
 
+    AllowedHosts.of(host, allow or ())  # before anything else: no work for what would be refused
+    with tempfile.TemporaryDirectory(prefix="platform-ctrl-") as folder:
+        with progress(quiet or as_json, f"reading {job}") as say:
+            backend, name = _prepared(job, controllers, Path(folder), say)
+            from platform_ctrl.app.server import Building, PageServer, require_bokeh
+
+            require_bokeh()
+            server = PageServer(Building(backend), host=host, allow=allow or (), port=port)
+
+        def ready() -> None:
+            shown = _opens_browser(browser, as_json)
+            _announce(server, name, as_json, port)
+            if shown:
+                _open(server.address)
+
+        # The third Ctrl-C is raised at once, should the server not react.
+        with interruptible(deferred=2) as check, warnings.catch_warnings():
+            warnings.filterwarnings("ignore", module="bokeh")  # about nonsense that others send
+            server.run(ready, check)
+
+
+def _prepared(
+    job: Path, controllers: Path | None, folder: Path, say: Callable[[str], None]
+) -> tuple[Callable[[], object], str]:
+    """Return what makes the backend, and the job's name; the job of a plant alone is written to `folder`."""
+    plant = is_plant(job)
+    file = job
+    if plant:
+        from platform_ctrl.cli.starting.files import job_alone
+
+        file = folder / f"{job.stem}.toml"
+        file.write_text(job_alone(str(job), folder, say), encoding="utf-8")
+    read = job_of(file)
+    if controllers is not None:
+        from platform_ctrl.verification.controllers import read_controllers
+
+        read_controllers(controllers, read)
+
     def backend() -> object:
         from platform_ctrl.app.backend import Backend
         from platform_ctrl.cli.design_commands import REUSE
 
-        return Backend(job, controllers, (DESIGNED if controllers is None else controllers.parent) / REUSE)
+        store = (DESIGNED if controllers is None else controllers.parent) / REUSE
+        # It is saved where the plant is.
+        return Backend(file, controllers, store, folder=job.parent, folded=plant)
 
-    AllowedHosts.of(host, allow or ())  # before anything else: no work for what would be refused
-    with progress(quiet or as_json, f"reading {job}"):
-        read = job_of(job)
-        if controllers is not None:
-            from platform_ctrl.verification.controllers import read_controllers
+    return backend, read.name
 
-            read_controllers(controllers, read)
-        from platform_ctrl.app.server import PORT, Building, PageServer, require_bokeh
 
-        require_bokeh()
-        server = PageServer(Building(backend), host=host, allow=allow or (), port=port)
+def _announce(server: PageServer, name: str, as_json: bool, port: int | None) -> None:
+    """Print where the page is."""
+    from platform_ctrl.app.server import PORT
 
-    def ready() -> None:
-        shown = _opens_browser(browser, as_json)
-        if as_json:
-            typer.echo(json.dumps({"schema": 1, "job": read.name, "address": server.address, "port": server.port}))
-        else:
-            if port is None and server.port != PORT:
-                typer.echo(f"port {PORT} is taken: another one is used", err=True)
-            typer.echo(f"{read.name}: {server.address} (Ctrl-C ends it)")
-        if not server.hosts.local_only:
-            typer.echo(_network_warning(server), err=True)
-        sys.stdout.flush()
-        if shown:
-            _open(server.address)
-
-    # The third Ctrl-C is raised at once, should the server not react.
-    with interruptible(deferred=2) as check, warnings.catch_warnings():
-        warnings.filterwarnings("ignore", module="bokeh")  # about nonsense that others send
-        server.run(ready, check)
+    if as_json:
+        typer.echo(json.dumps({"schema": 1, "job": name, "address": server.address, "port": server.port}))
+    else:
+        if port is None and server.port != PORT:
+            typer.echo(f"port {PORT} is taken: another one is used", err=True)
+        typer.echo(f"{name}: {server.address} (Ctrl-C ends it)")
+    if not server.hosts.local_only:
+        typer.echo(_network_warning(server), err=True)
+    sys.stdout.flush()
 
 
 def _network_warning(server: PageServer) -> str:

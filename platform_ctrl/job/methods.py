@@ -20,6 +20,7 @@ Structure = Literal["cross-axis", "pid", "state-space"]
 LoopKind = Literal["caging", "rate", "pointing", "tracking", "stabilisation"]
 
 OptionGroup = Literal["gains", "lead", "notch", "lag", "design"]
+Family = Literal["speed", "robustness"]
 # A function, or where it is: "module:name" is imported on first use, so that reading a job needs no design.
 Reference = str | Callable[..., Any]
 
@@ -85,6 +86,9 @@ class DesignMethod:
         Whether the app builds it while a slider moves; others are designed in the background.
     parts
         Optional parts of the controller that the app switches on and off: label and tip by name.
+    families
+        Options that the app moves together for speed and for robustness: by how many per cent each for one per cent.
+        The first of a loop's options in ``"speed"`` is shown as its speed.
     """
 
     key: str
@@ -99,6 +103,7 @@ class DesignMethod:
     goals: bool = False
     instant: bool = False
     parts: Mapping[str, tuple[str, str]] = field(default_factory=dict)
+    families: Mapping[Family, Mapping[str, float]] = field(default_factory=dict)
 
 
 def resolved(function: Reference) -> Callable[..., Any]:
@@ -169,6 +174,21 @@ _RATE: dict[str, Option] = {
     ),
     "rolloff_hz": _hz("roll-off", "lead", "pole of the low-pass behind", high=0.45),
     **{name: option for name, option in _CLASSICAL.items() if name.startswith(("notch_", "lag_"))},
+}
+# Rules of thumb keep these frequencies in proportion. More lead and less integral action at one crossover: margin.
+_CLASSICAL_FAMILIES: dict[Family, dict[str, float]] = {
+    "speed": dict.fromkeys(
+        (
+            *("crossover_hz", "inertial_crossover_hz", "integral_hz", "damping_hz", "damping2_hz"),
+            *("lead_hz", "inertial_lead_hz", "lag_hz"),
+        ),
+        1.0,
+    ),
+    "robustness": dict.fromkeys(("integral_hz", "lead_hz", "lag_hz", "inertial_lead_hz"), -1.0),
+}
+_RATE_FAMILIES: dict[Family, dict[str, float]] = {
+    "speed": dict.fromkeys(("crossover_hz", "integral_hz", "double_integral_hz", "lag_hz"), 1.0),
+    "robustness": dict.fromkeys(("integral_hz", "double_integral_hz", "lag_hz"), -1.0),
 }
 _SERVO: dict[str, Option] = {
     "crossover_hz": _hz("crossover", "gains", "where the rate loop of the platform crosses over", high=0.1),
@@ -279,6 +299,7 @@ register_method(
             "notch": ("notch", "takes gain out of the cross-axis path, at nutation as a rule"),
             "spin_notch": ("spin notch", "keeps what an unbalanced rotor shakes from the torquers"),
         },
+        families=_CLASSICAL_FAMILIES,
     )
 )
 register_method(
@@ -297,6 +318,7 @@ register_method(
             "lag": ("lag", "raises the gain at low frequencies"),
             "notch": ("notch", "takes gain out at a resonance"),
         },
+        families=_RATE_FAMILIES,
     )
 )
 register_method(

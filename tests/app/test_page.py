@@ -348,8 +348,10 @@ def test_undo_during_moves_waits_and_takes_all_of_them_back(page: Page) -> None:
 
 def test_everything_works_by_keyboard(page: Page) -> None:
     page.keyboard.press("g")
+    speed = page.locator('#sliders [data-slider="speed"] input[type="range"]')
+    assert speed.evaluate("one => one === document.activeElement")
     slider = page.locator(f'{CROSSOVER} input[type="range"]')
-    assert slider.evaluate("one => one === document.activeElement")
+    slider.focus()
     page.keyboard.press("ArrowRight")
     until(page, lambda: number(page, "crossover_hz").input_value() != "40")
     fine = float(number(page, "crossover_hz").input_value())

@@ -157,7 +157,7 @@ def test_the_page_is_loaded_without_what_compiles_draws_or_solves() -> None:
 def test_a_workbench_that_cannot_be_made_ends_the_command_with_its_line(
     job: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def fails(*args: object) -> None:
+    def fails(*args: object, **more: object) -> None:
         raise InputError("gyro.toml: nothing to design")
 
     monkeypatch.setattr("platform_ctrl.app.backend.Backend", fails)

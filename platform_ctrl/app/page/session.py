@@ -172,7 +172,7 @@ class Session:
         slider, fixed, sliders = request.more["slider"], request.more["fixed"], self.backend.sliders
 
         def change(settings: Settings) -> Settings:
-            known_name("slider", slider, [one.name for one in sliders(settings)])
+            known_name("slider", slider, [one.name for one in sliders(settings) if not one.along])
             return settings.but(fixed=settings.fixed | {slider} if fixed else settings.fixed - {slider})
 
         self.change(f"fix {slider}", change, count=request.count)
@@ -449,7 +449,9 @@ def page(backend: Backend, document: Document) -> None:
     document.config.update(reconnect_session=False, notify_connection_status=False)
     document.template = _template()
     has_budget = backend.read.budget is not None
-    document.template_variables.update(panels=PANELS, budget_panels=BUDGET_PANELS if has_budget else ())
+    document.template_variables.update(
+        panels=PANELS, budget_panels=BUDGET_PANELS if has_budget else (), folded=backend.folded
+    )
 
 
 def _state(document: Document) -> str:

@@ -306,8 +306,7 @@ class PageTasks:
             self._running.cancelled.set()
 
     def _folder(self) -> Path:
-        path = self._backend.path
-        return (Path() if path is None else path.parent).resolve()
+        return self._backend.folder.resolve()
 
     def _do(self, work: Callable[[], Callable[[], None]], failed: Callable[[str], None]) -> None:
         """Do `work` in a thread; what it returns, or `failed` with a line, is then called on the server's loop."""

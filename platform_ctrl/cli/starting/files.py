@@ -96,6 +96,27 @@ def start_like(
     )
 
 
+def job_alone(model: str, folder: Path, say: Callable[[str], None] = lambda line: None) -> str:
+    """Return the job of `start_like` for a file in `folder`: it names the plant, or has it where parts were added."""
+    import os
+
+    import tomlkit
+
+    from platform_ctrl.plant.source import is_shipped_name
+
+    shipped = is_shipped_name(model)
+    name = model if shipped else Path(model).stem
+    plant = model if shipped else Path(os.path.relpath(Path(model).resolve(), folder.resolve())).as_posix()
+    made = start_like(model, name, plant, f"{name}.toml", say)
+    if not made.added:
+        return made.job
+    document = tomlkit.parse(made.job)
+    # At the end: keys of the job after it would belong to the plant.
+    del document["plant"]
+    document.add("plant", tomlkit.item(tomllib.loads(made.plant)))
+    return str(tomlkit.dumps(document))
+
+
 def _text_of(model: str) -> str:
     from platform_ctrl.plant.source import is_shipped_name, platform_source, read_text
 

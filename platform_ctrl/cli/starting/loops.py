@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 # How long the turn's rate rises, s.
 RISE = 0.2
 # Samples in a period of the fastest mode and in the lag of torquers and sensors; slowest and fastest proposed rate, Hz.
-_SAMPLES, _OF_LAG, _SLOWEST, _FASTEST = 12.0, 3.0, 1000.0, 20000.0
+_SAMPLES, _OF_LAG, _SLOWEST, _FASTEST = 20.0, 3.0, 1000.0, 20000.0
 # Fastest turn that is proposed, rad/s; share of the torque limits that it may take; rms of noise in the same share.
 _TURN, _TURN_SHARE, _NOISE_SHARE = 0.1, 0.3, 0.1
 # Rate of the base that shakes a body which is held still, rad/s.

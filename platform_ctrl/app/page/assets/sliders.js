@@ -4,9 +4,9 @@ import { request, byId, icon, made, move, newGesture, on, pending, put, settled,
 const STEPS = 4000, FINE = 4, COARSE = 20;
 // Milliseconds without a key after which the next one begins a series of its own; a key that is held is one series.
 const SERIES = 1500;
-const GROUPS = { gains: "Gains", lead: "Lead and lag", lag: "Lag", notch: "Notch", design: "Design", sampling: "Sampling", rotors: "Rotors", Omega: "Platform rate" };
+const GROUPS = { main: "Speed and robustness", gains: "Gains", lead: "Lead and lag", lag: "Lag", notch: "Notch", design: "Design", sampling: "Sampling", rotors: "Rotors", Omega: "Platform rate" };
 export const rows = new Map();
-let structure = "", designOpen = false;
+let structure = "", designOpen = false, allOpen = !("folded" in byId("sliders").dataset);
 
 const place = (slider, value) => {
   const part = slider.logarithmic
@@ -66,6 +66,8 @@ const makeRow = (slider, k) => {
   range.title = "Shaded: all requirements are met, by their slopes; mark: the job's value";
   const tip = made("span", { hidden: true, id: `${id}-tip` }, slider.tip);
   const element = made("div", { className: "slider", "data-slider": slider.name }, label, range, number, unit, pin, reset, tip);
+  // What moves along is fixed where it is.
+  pin.disabled = slider.group === "main";
   const row = { slider, element, range, number, pin, reset, dragged: null, typing: false, painted: "" };
 
   range.addEventListener("pointerdown", newGesture);
@@ -132,7 +134,11 @@ const build = (sliders, parts) => {
     const at = fieldsets.findIndex((one) => ["sampling", "rotors", "Omega"].includes(one.dataset.group));
     fieldsets.splice(at < 0 ? fieldsets.length : at, 0, made("fieldset", { className: "parts" }, made("legend", {}, "With", ...boxes)));
   }
-  byId("sliders").replaceChildren(...fieldsets);
+  // Who has the two main sliders need not see the others.
+  const main = fieldsets.filter((one) => one.dataset.group === "main");
+  const rest = main.length === 0 ? fieldsets : [...main, made("details", { className: "all", open: allOpen, ontoggle: (event) => { allOpen = event.target.open; } },
+    made("summary", {}, "All options"), ...fieldsets.filter((one) => one.dataset.group !== "main"))];
+  byId("sliders").replaceChildren(...rest);
   if (focused && rows.has(focused)) rows.get(focused).range.focus();
 };
 
