@@ -35,7 +35,7 @@ def budget_sections(result: JobResult) -> list[Section]:
     if found.friction is not None:
         lines = tuple(Paragraph(text=f"{sentence(line)}") for line in found.friction.statement)
         blocks.append(Part(title="Dry friction", blocks=lines))
-    return [Section(name="budget", title="Line of sight", blocks=tuple(blocks))]
+    return [Section(name="budget", title="Line-of-sight budget", blocks=tuple(blocks))]
 
 
 def _plate(title: str, caption: str, figure: Figure) -> Plate:

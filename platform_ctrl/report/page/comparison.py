@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Iterable, Sequence
 
 from platform_ctrl.analysis.loop_metrics import ALWAYS_MEASURED, LoopMetrics
@@ -62,11 +63,17 @@ def option_table(outcome: LoopOutcome) -> Table:
 
 
 def _table_of_designs(outcome: LoopOutcome, sections: dict[str, list[Row]]) -> Table:
-    columns = [Column(title="design"), Column(title="limit", number=True)]
+    limited = any(row.cells[1].text for rows in sections.values() for row in rows)
+    columns = [Column(title="design"), *([Column(title="limit", number=True)] if limited else [])]
     for design in outcome.designs:
         closed = design.name == outcome.use
         tag = f"{design.method}, closed" if closed else design.method
         columns.append(Column(title=design.name, tag=tag, number=True, strong=closed))
+    if not limited:
+        sections = {
+            title: [dataclasses.replace(row, cells=(row.cells[0], *row.cells[2:])) for row in rows]
+            for title, rows in sections.items()
+        }
     groups = tuple(Group(title=title, rows=tuple(rows), quiet=True) for title, rows in sections.items() if rows)
     return Table(columns=tuple(columns), groups=groups, form="designs")
 

@@ -28,7 +28,7 @@ from platform_ctrl.report.page.blocks import (
     sentence,
 )
 from platform_ctrl.report.page.captions import sentences, tightest
-from platform_ctrl.report.quantities import BOUND, DASH, compared, count, listed, percent, plain
+from platform_ctrl.report.quantities import BOUND, DASH, assumed_words, compared, count, listed, percent, plain
 from platform_ctrl.verification.verdict import JobResult
 
 # Of the axis of distances: the part beyond the limit that is shown where nothing is missed; width of a mark.
@@ -53,10 +53,11 @@ def _verdict(result: JobResult, campaign_line: str) -> Verdict:
     goals = tables.goal_rows(result)
     missed = [row for row in tables.requirement_rows(result) if not row.passed]
     reached = sum(goal.passed for goal in goals)
-    asides = [f"{reached} of {count(len(goals), 'goal')} reached; goals are not part of the verdict."] if goals else []
+    assumed = assumed_words(result.job).removeprefix(", ")
+    asides = [sentence(f"{assumed}.")] if assumed else []
+    asides += [f"{reached} of {count(len(goals), 'goal')} reached; goals are not part of the verdict."] if goals else []
     return Verdict(
         passed=result.passed,
-        # With what the verdict assumes: a torquer that a template added belongs beside "met".
         words=sentence(tables.verdict(result)),
         lines=tuple(f"{row.subject}: {row.requirement} {row.value}, limit {row.limit}" for row in missed),
         aside=" ".join([*asides, campaign_line]).strip(),

@@ -278,7 +278,10 @@ def _loop(result: JobResult, outcome: LoopOutcome, number: int, plates: Sequence
     unstable = captions.unstable(outcome.closed)
     compared = [] if unstable else compared_with_alternatives(outcome)
     words = sentences("loop_summary", outcome=outcome, unstable=unstable, comparisons=compared)
-    blocks: list[Block] = [Paragraph(text=words), comparison.design_table(result, outcome)]
+    blocks: list[Block] = [Paragraph(text=words)]
+    designs = comparison.design_table(result, outcome)
+    if designs.groups:
+        blocks.append(designs)
     blocks.append(Fold(title="Options and controllers", blocks=(comparison.option_table(outcome),)))
     blocks += [Paragraph(text=f"Not proved: {line}", tone="bad") for line in _unproved(result, outcome)]
     groups = comparison.group_rows(outcome.closed)

@@ -35,7 +35,6 @@ from platform_ctrl.report.quantities import (
     MET,
     NOT_MET,
     added_words,
-    assumed_words,
     axis_text,
     compared,
     count,
@@ -119,14 +118,14 @@ def requirement_row(one: CheckResult, result: JobResult | None = None) -> Requir
 
 
 def verdict(result: JobResult) -> str:
-    """Return the verdict in a few words."""
+    """Return the verdict in a few words; a torquer that a template added belongs beside "met"."""
     number = len(result.requirements)
     missed = sum(not one.passed for one in result.requirements)
     if missed:
         words = f"{missed} of {count(number, 'requirement')} not met"
     else:
         words = f"all {count(number, 'requirement')} met" if number != 1 else "the one requirement is met"
-    return f"{words}{added_words(result.job.platform)}{assumed_words(result.job)}"
+    return f"{words}{added_words(result.job.platform)}"
 
 
 def by_subject(result: JobResult) -> dict[str, list[RequirementRow]]:
