@@ -387,7 +387,8 @@ def nichols_figure(responses: LoopResponses, spec: LoopSpec, torques: tuple[str,
         for name, channel in zip(torques, responses.closed_design.channels, strict=True)
     }
     metric = METRICS["disk margin"]
-    limit = spec.limits.get(metric.key)
+    # Curves of the nominal plant: its own limit, if there is one.
+    limit = next((spec.limits[key] for key in (metric.key, f"{metric.key}_worst_case") if key in spec.limits), None)
     possible = limit is not None and (metric.best is None or limit < metric.best)
     figure = nichols(loops, disk_margins=(limit,) if possible else ()).figure  # type: ignore[arg-type]
     assert isinstance(figure, Figure)

@@ -36,6 +36,8 @@ _GROUPS: dict[PlantGroup, tuple[str, str]] = {
     "nominal": ("nominal", "the nominal one"),
     "uncertainty": ("parameter uncertainty", "{} of the parameter uncertainty"),
     "Omega": ("platform rates", "{} with a platform rate"),
+    "angles": ("gimbal angles", "{} at other gimbal angles"),
+    "friction": ("dry friction", "{} with dry friction"),
     "faults": ("faults", "{} with a fault"),
 }
 

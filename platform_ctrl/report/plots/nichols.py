@@ -36,8 +36,8 @@ from platform_ctrl.report.style import BAND, DOTTED, FRAME, LIMIT, MUTED, REFERE
 if TYPE_CHECKING:
     import control
 
-# What is shown at most above and below a gain of 1, dB.
-_HIGHEST, _LOWEST = 60.0, -60.0
+# What is shown at most above and below a gain of 1, and from which gain on all phases are shown, dB.
+_HIGHEST, _LOWEST, _NEAR = 40.0, -40.0, -24.0
 _NUMBERED = 6  # curves that carry frequencies
 
 
@@ -148,14 +148,15 @@ def _legend_words(one: Curve, found: Margins) -> str:
 
 
 def _show_loops(panel: Axes, curves: Sequence[Curve]) -> None:
-    """Show gains from −60 to 60 dB where there are any, and the phases that belong to them."""
+    """Show gains from −40 to 40 dB where there are any, and the phases that gains above −24 dB have."""
     low, high, left, right = -20.0, 20.0, -270.0, -90.0
     for one in curves:
         level = gains(one.response, dB=True)
         inside = np.isfinite(level) & (level > _LOWEST) & (level < _HIGHEST)
         if inside.any():
             low, high = min(low, float(level[inside].min())), max(high, float(level[inside].max()))
-            left, right = min(left, float(one.phase[inside].min())), max(right, float(one.phase[inside].max()))
+            phase = one.phase[inside & (level > _NEAR)]
+            left, right = min(left, float(phase.min(initial=left))), max(right, float(phase.max(initial=right)))
     step = 10.0 if high - low <= 80.0 else 20.0
     panel.set_ylim(step * math.floor(low / step), step * math.ceil(high / step))
     panel.yaxis.set_major_locator(MultipleLocator(step))
