@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import product
 
 import numpy as np
 
+from platform_ctrl.analysis.dry_friction import FedFriction
 from platform_ctrl.analysis.plant_set import Group
 from platform_ctrl.common.arguments import known_name
 from platform_ctrl.common.values import FloatArray, value
@@ -95,15 +96,26 @@ def cases(job: Job, gimbals: tuple[str, ...], torquers: Sequence[str] = ()) -> l
     return [*out, *_faults(job, gimbals, torquers)]
 
 
-def with_friction(job: Job, plants: Sequence[Case]) -> list[Case]:
-    """Return plants with dry friction as it acts on gimbals that turn at the largest rate of the platform."""
-    rate = float(np.max(job.Omega))
-    if rate == 0.0 or not any(max(friction.breakaway) > 0.0 for friction in job.platform.frictions):
+def friction_rate(job: Job) -> float:
+    """Return the amplitude of the gimbals' rates for which dry friction counts, rad/s; 0: it does not."""
+    dry = any(max(friction.breakaway) > 0.0 for friction in job.platform.frictions)
+    return float(np.max(job.Omega)) if dry else 0.0
+
+
+def with_friction(job: Job, torquers: Sequence[str], sensors: Sequence[str], plants: Sequence[Case]) -> list[Case]:
+    """Return plants with dry friction as it acts on gimbals that turn at the largest rate of the platform.
+
+    What drives feed forward against it by the rate that `sensors` show acts as at a rate of that amplitude.
+    """
+    rate = friction_rate(job)
+    if rate == 0.0:
         return []
+    gains = _fed(job, torquers, sensors, lambda drive: drive.gain(rate))
     out: list[Case] = []
     for one in plants:
         label = f"dry friction at {rate:g} rad/s" + ("" if one.group == "nominal" else f", {one.label}")
-        out.append(dataclasses.replace(one, label=label, group="friction", rate=rate))
+        feedback = gains if gains.any() else None
+        out.append(dataclasses.replace(one, label=label, group="friction", rate=rate, feedback=feedback))
     return out
 
 
@@ -112,16 +124,23 @@ def with_feedback(job: Job, torquers: Sequence[str], sensors: Sequence[str], pla
 
     friction sat(v / friction_rate) lies between no gain and that at v = 0, the bearing's own friction left out.
     """
-    laws = {law.torquer: law for law in job.drive_laws if law.feedback}
-    gains = np.zeros((len(torquers), len(sensors)))
-    for k, name in enumerate(torquers):
-        if name in laws:
-            slope = laws[name].friction / laws[name].friction_rate
-            gains[k] = [slope * laws[name].weights.get(sensor, 0.0) for sensor in sensors]
+    back = {law.torquer for law in job.drive_laws if law.feedback}
+    steepest = _fed(job, torquers, sensors, lambda drive: drive.friction / drive.friction_rate)
+    gains = np.where(np.isin(torquers, list(back))[:, None], steepest, 0.0)
     out: list[Case] = []
     for one in plants if gains.any() else ():
         label = "friction that is fed forward at rest" + ("" if one.group == "nominal" else f", {one.label}")
         out.append(dataclasses.replace(one, label=label, group="friction", feedback=gains))
+    return out
+
+
+def _fed(job: Job, torquers: Sequence[str], sensors: Sequence[str], gain: Callable[[FedFriction], float]) -> FloatArray:
+    """Return what drives add to torques (m,) per reading (f,), N m s, by the gain of what they feed forward."""
+    out = np.zeros((len(torquers), len(sensors)))
+    for law in job.drive_laws:
+        if law.friction and law.torquer in torquers:
+            size = gain(FedFriction(friction=law.friction, friction_rate=law.friction_rate))
+            out[torquers.index(law.torquer)] = [size * law.weights.get(name, 0.0) for name in sensors]
     return out
 
 

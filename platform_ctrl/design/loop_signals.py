@@ -41,7 +41,8 @@ class LoopSignals:
     held
         Whether all other gimbals are held; else the loop's are whole subsystems.
     fed
-        Sensors of gimbal rates from which drives of its torquers feed friction forward: a feedback.
+        Sensors from which drives of its torquers find the rates by which they feed friction forward: of gimbal rates, a
+        feedback, and where dry friction counts of the root.
     """
 
     gimbals: tuple[str, ...]

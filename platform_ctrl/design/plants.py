@@ -12,7 +12,7 @@ from platform_ctrl.analysis.following import commanded_loop, with_error_alone
 from platform_ctrl.analysis.plant_set import COMMAND, PlantSet, plant_set
 from platform_ctrl.analysis.sampling import held_input, late_outputs, late_states, sampled, sampled_states
 from platform_ctrl.common.values import FloatArray, value
-from platform_ctrl.design.cases import Case, carried, cases, with_feedback, with_friction
+from platform_ctrl.design.cases import Case, carried, cases, friction_rate, with_feedback, with_friction
 from platform_ctrl.design.loop_signals import (
     LoopSignals,
     caging_signals,
@@ -264,7 +264,10 @@ def job_signals(job: Job, loop: LoopSpec | tuple[str, ...]) -> LoopSignals:
     platform = job.platform
     signals = loop_signals(platform, loop) if isinstance(loop, LoopSpec) else caging_signals(platform, loop)
     torquers = {torquer.name for torquer in signals.torquers}
-    read = {name for law in job.drive_laws if law.feedback and law.torquer in torquers for name in law.weights}
+    # What turns with the root feeds nothing back: it takes from what friction brings in.
+    moved = signals.held and friction_rate(job) > 0.0
+    laws = [law for law in job.drive_laws if law.torquer in torquers and (law.feedback or moved)]
+    read = {name for law in laws for name in law.weights}
     return dataclasses.replace(signals, fed=tuple(one for one in platform.sensors if one.name in read))
 
 
@@ -296,11 +299,10 @@ def loop_cases(job: Job, signals: LoopSignals) -> list[Case]:
         # These loops keep a body still while the platform turns about it: its rate is a disturbance, no constant at
         # which the gimbals rest. Friction brings it in.
         plants = [one for one in plants if one.group != "Omega"]
-        plants += with_friction(job, [one for one in plants if one.group in ("nominal", "angles")])
-    if signals.fed:
-        still = [one for one in plants if one.group in ("nominal", "angles")]
-        torquers, fed = ([one.name for one in part] for part in (signals.torquers, signals.fed))
-        plants += with_feedback(job, torquers, fed, still)
+    still = [one for one in plants if one.group in ("nominal", "angles")]
+    torquers, fed = ([one.name for one in part] for part in (signals.torquers, signals.fed))
+    plants += with_friction(job, torquers, fed, still) if signals.held else []
+    plants += with_feedback(job, torquers, fed, still) if signals.fed else []
     return plants
 
 

@@ -259,7 +259,7 @@ def assumed_words(job: Job) -> str:
     words = ["rate loops leave the gimbal angles free"] if "rate" in kinds else []
     rate = float(max(job.Omega))
     if rate > 0.0 and any(max(friction.breakaway) > 0.0 for friction in job.platform.frictions):
-        fed = ", nothing of it fed forward," if any(drive.friction for drive in job.drives) else ""
+        fed = " less what is fed forward" if any(drive.friction for drive in job.drives) else ""
         words.append(f"dry friction{fed} is a describing function at {plain(rate)} rad/s")
     checked = [
         f"{name} = {listed([plain(x) for x in sorted({0.0, *values})])} rad"

@@ -43,10 +43,8 @@ def test_all_runs_of_a_job_have_its_drives() -> None:
         assert [dataclasses.astuple(one) for one in planned.scenario(k).drives] == [dataclasses.astuple(law)]
 
 
-def test_the_verdict_says_that_friction_counts_as_if_nothing_were_fed_forward() -> None:
-    assert "dry friction, nothing of it fed forward, is a describing function" in assumed_words(
-        read_job(driven_job(BOTH))
-    )
+def test_the_verdict_says_that_what_is_fed_forward_is_taken_off_the_friction() -> None:
+    assert "dry friction less what is fed forward is a describing function" in assumed_words(read_job(driven_job(BOTH)))
     assert "fed forward" not in assumed_words(read_job(driven_job(SECANT)))
 
 
