@@ -23,10 +23,10 @@ from platform_ctrl.report.figures.loop import half_plane_axes
 from platform_ctrl.report.modes import nutates
 from platform_ctrl.report.page.captions import bandwidth_hz
 from platform_ctrl.report.plots.campbell import campbell
-from platform_ctrl.report.plots.curves import phase_in_degrees
+from platform_ctrl.report.plots.curves import loop_phase
 from platform_ctrl.report.plots.panels import phase_panel
 from platform_ctrl.report.plots.pole_map import upper_half_plane
-from platform_ctrl.report.quantities import HZ, quantity, root_series, signal_series
+from platform_ctrl.report.quantities import HZ, plain, quantity, root_series, signal_series
 from platform_ctrl.report.style import (
     BAND,
     DOTTED,
@@ -106,16 +106,19 @@ def coupled_pole_figure(result: JobResult) -> Figure:
 
 
 def margin_bars_figure(check: CoupledCheck) -> Figure:
-    """Loop-by-loop disk margins, a pair of bars for each torquer: in its design model and in the coupled system."""
-    names = ["in its design model", "in the coupled system, with the change"]
+    """Loop-by-loop disk margins, a bar for each torquer; of a free platform beside that in its design model."""
+    # A carried platform is what the design models assume: there is nothing to compare.
+    names = ["in its design model", "in the coupled system, with the change"] if check.free else []
     figure, [[axes]] = panels(1, 1, 1.95, names, titles=False)
     x = np.arange(len(check.channels), dtype=np.float64)
     decoupled = np.nan_to_num(check.decoupled, nan=0.0, posinf=0.0)
     coupled = np.nan_to_num(check.coupled, nan=0.0, posinf=0.0)
-    first = axes.bar(x - 0.2, decoupled, 0.36, color=SERIES[5], linewidth=0)
-    second = axes.bar(x + 0.2, coupled, 0.36, color=SERIES[0], linewidth=0)
+    side = 0.2 if check.free else 0.0
+    handles = [axes.bar(x - side, decoupled, 0.36, color=SERIES[5], linewidth=0)] if check.free else []
+    handles.append(axes.bar(x + side, coupled, 0.36, color=SERIES[0], linewidth=0))
     for k, cost in enumerate(check.cost):
-        text = f"{-100.0 * cost:+.1f} %".replace("-", "\u2212") if np.isfinite(cost) else "unstable"
+        change = f"{-100.0 * cost:+.1f} %".replace("-0.0", "0.0").replace("-", "\u2212")
+        text = "unstable" if not np.isfinite(cost) else change if check.free else plain(float(coupled[k]), 3, "down")
         colour = MUTED if np.isfinite(cost) else LIMIT
         top = max(decoupled[k], coupled[k])
         axes.annotate(text, (x[k], top), (0, 3), textcoords="offset points", ha="center", color=colour, fontsize=7)
@@ -127,7 +130,8 @@ def margin_bars_figure(check: CoupledCheck) -> Figure:
     linear_axis(axes.yaxis)
     axes.set_ylabel("disk margin")
     axes.set_xlabel("torquer: its loop broken, all others closed")
-    legend(figure, [first, second], names)
+    if names:
+        legend(figure, handles, names)
     return figure
 
 
@@ -187,7 +191,7 @@ def servo_figure(result: JobResult) -> Figure | None:
         loop, style = 1.0 / S[k, k] - 1.0, line_style(series[check.channels[k]])
         curves.append(np.abs(loop))
         handles += gain.plot(w * HZ, np.abs(loop), **style)
-        phases.append(phase_in_degrees(w, loop))
+        phases.append(loop_phase(w, loop))
         phase.plot(w * HZ, phases[-1], **style)
     frequency_axes(gain, w[0] * HZ, w[-1] * HZ)
     gain_limits(gain, curves, low=1e-3, high=1e4)

@@ -19,7 +19,7 @@ from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.job import LoopSpec
 from platform_ctrl.job.requirements import SCOPE_WORDS, of_readings
 from platform_ctrl.report.loop_responses import DesignResponses, LoopResponses, peak_metrics
-from platform_ctrl.report.plots.curves import phase_in_degrees
+from platform_ctrl.report.plots.curves import loop_phase
 from platform_ctrl.report.plots.nichols import nichols
 from platform_ctrl.report.plots.panels import phase_panel
 from platform_ctrl.report.plots.pole_map import upper_half_plane
@@ -243,7 +243,7 @@ def loop_transfer_figure(responses: LoopResponses, spec: LoopSpec, torques: tupl
     for i, name in enumerate(torques):
         above, below = rows[0][1 + i], rows[1][1 + i]
         _design_curves(above, f, [np.abs(one.channels[i]) for one in designs], responses, label=False)
-        phases = [phase_in_degrees(responses.frequency, one.channels[i]) for one in designs]
+        phases = [loop_phase(responses.frequency, one.channels[i]) for one in designs]
         _design_curves(below, f, phases, responses, log_gain=False)
         phase_panel(below, phases, critical=True)
         gain_limits(above, [np.abs(one.channels[i]) for one in designs], low=1e-3, high=1e4)

@@ -14,7 +14,7 @@ from platform_ctrl.analysis.poles import continuous_poles
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.jobs import LoopOutcome
 from platform_ctrl.design.loop import LoopDesign, closed_loop_poles, sampled_plant
-from platform_ctrl.report.plots.curves import phase_in_degrees
+from platform_ctrl.report.plots.curves import loop_phase
 from platform_ctrl.report.plots.nichols import exclusion
 from platform_ctrl.report.style import BAND, LIMIT, MUTED, REFERENCE, legend, line_style, panels
 
@@ -82,10 +82,4 @@ def _curves(design: LoopDesign, k: int) -> list[tuple[FloatArray, FloatArray]]:
     with np.errstate(all="ignore"):
         found: ComplexArray = 1.0 / np.diagonal(S, axis1=-2, axis2=-1).T - 1.0
         level = 20.0 * np.log10(np.abs(found))
-    out = []
-    for one, gain in zip(found, level, strict=True):
-        phase = phase_in_degrees(frequency, one)
-        # The turn in which the curve comes closest to the critical point.
-        closest = phase[np.nanargmin(np.where(np.isfinite(phase), np.abs(1.0 + one), np.inf))]
-        out.append((phase - 360.0 * np.round((closest + 180.0) / 360.0), gain))
-    return out
+    return [(loop_phase(frequency, one), gain) for one, gain in zip(found, level, strict=True)]

@@ -110,7 +110,7 @@ def _margins(design: LoopDesign) -> list[str]:
     if measures is None:
         return []
     parts = [plain(float(measures.disk_margin[0]), 3, "down")]
-    for groups, where in ((WORST_CASE, "over all uncertain parameters and platform rates"), (FAULTS, "with a fault")):
+    for groups, where in ((WORST_CASE, "in the worst case"), (FAULTS, "with a fault")):
         chosen = measures.of(groups)
         if chosen.sum() > 1:
             parts.append(f"{plain(float(measures.disk_margin[chosen].min()), 3, 'down')} {where}")

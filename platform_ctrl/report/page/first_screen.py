@@ -73,22 +73,21 @@ def chain_table(result: JobResult) -> Table | None:
             continue
         number, limit = compared(nearest)
         where = nearest.evidence.rpartition(";")[0]
-        cells = (
+        cells = [
             Cell(text=outcome.spec.name, note=outcome.use),
             Cell(text=nearest.name, note=f"with {where}" if where else ""),
             Cell(text=percent(nearest.margin), note=f"{number} {BOUND[nearest.sense]} {limit}", tone=_tone(nearest)),
-            Cell(text=_coupling(result, outcome)),
-        )
-        rows.append(Row(cells=cells, missed=not nearest.passed))
+        ]
+        if result.coupled.free:
+            cells.append(Cell(text=_coupling(result, outcome)))
+        rows.append(Row(cells=tuple(cells), missed=not nearest.passed))
     if not rows:
         return None
-    columns = (
-        Column(title="loop"),
-        Column(title="limited by"),
-        Column(title="margin", number=True),
-        Column(title="coupling costs most in"),
-    )
-    return Table(columns=columns, groups=(Group(rows=tuple(rows)),), form="chain")
+    columns = [Column(title="loop"), Column(title="limited by"), Column(title="margin", number=True)]
+    if result.coupled.free:
+        # A carried platform is what the design models assume: coupling costs nothing there.
+        columns.append(Column(title="coupling costs most in"))
+    return Table(columns=tuple(columns), groups=(Group(rows=tuple(rows)),), form="chain")
 
 
 def _tone(one: CheckResult) -> str:

@@ -367,7 +367,7 @@ def _coupled(result: JobResult) -> tuple[Block, ...]:
         _plate(coupled_pole_figure(result), "Poles of the coupled system", sentences("coupled_poles", check=check)),
     ]
     if check.channels:
-        caption = sentences("margin_bars", allowed=result.job.coupled.coupling_cost)
+        caption = sentences("margin_bars", allowed=result.job.coupled.coupling_cost, free=check.free)
         blocks.append(_plate(margin_bars_figure(check), "Disk margins channel by channel", caption))
     if check.stable and check.simultaneous.frequencies.size:
         figure = simultaneous_margin_figure(check, result.job.coupled.disk_margin)

@@ -178,6 +178,15 @@ def _curve(system: DrawnSystem, frequency: FloatArray, response: ComplexArray, l
     )
 
 
+def loop_phase(frequency: FloatArray, loop: ComplexArray) -> FloatArray:
+    """Return the phase of a loop transfer as below, in the turn in which it comes closest to the critical point."""
+    phase = phase_in_degrees(frequency, loop)
+    with np.errstate(all="ignore"):
+        distance = np.where(np.isfinite(phase), np.abs(1.0 + loop), np.inf)
+    closest = phase[np.argmin(distance)]
+    return phase - 360.0 * np.round((closest + 180.0) / 360.0) if np.isfinite(closest) else phase
+
+
 def phase_in_degrees(frequency: FloatArray, response: ComplexArray, *, begun: bool = True) -> FloatArray:
     """Return the phase without jumps, degrees; NaN where the response is 0 or NaN.
 
