@@ -49,6 +49,7 @@ from platform_ctrl.job.job import Job, LoopSpec
 from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.job.methods import METHODS
 from platform_ctrl.job.reading import read_job
+from platform_ctrl.plant.platform import OMEGA_NAMES
 from platform_ctrl.verification.simulated import limit_results
 
 if TYPE_CHECKING:
@@ -155,8 +156,8 @@ class Backend(Drags):
         # Those of other loops and of parts that are off stay fixed.
         methods = sorted({one.method for loop in self.read.loops for one in loop.designs})
         options = (option for method in methods for option in METHODS[method].options)
-        plant = (slider.name for slider in self.sliders(settings) if slider.group in ("sampling", "rotors", "Omega"))
-        sliders = tuple(dict.fromkeys((*options, *plant)))
+        plant = (slider.name for slider in self.sliders(settings) if slider.group in ("sampling", "rotors"))
+        sliders = tuple(dict.fromkeys((*options, *plant, *OMEGA_NAMES)))
         for name in sorted(settings.fixed):
             known_name("fixed", name, sliders)
 
@@ -174,12 +175,14 @@ class Backend(Drags):
         own = option_sliders(design.method, options, start, settings.rate_hz, settings.fixed)
         Omega = tuple(map(float, self.read.Omega))
         shown = [slider for slider in own if not slider.part or slider.part in parts]
+        of_plant = plant_sliders(
+            settings, self._loops.start, (Omega[0], Omega[1], Omega[2]), self._loops.options.slowest(settings)
+        )
+        feels = self._loops.plants.feels_Omega(spec)
         return (
             *main_sliders(design.method, shown, start),
             *shown,
-            *plant_sliders(
-                settings, self._loops.start, (Omega[0], Omega[1], Omega[2]), self._loops.options.slowest(settings)
-            ),
+            *(slider for slider in of_plant if feels or slider.group != "Omega"),
         )
 
     def parts(self, settings: Settings) -> tuple[Part, ...]:
@@ -346,8 +349,14 @@ class Backend(Drags):
         options = self._loops.options.used(settings, spec, design)
         task: Tuning | ServoTuning
         if spec.has_plants:
-            job = self.job(settings)
-            task = Tuning(job=job, loop=spec.name, method=design.method, options=options, movable=free)
+            task = Tuning(
+                spec=spec,
+                design=design,
+                plants=self._loops.plants_of(settings, spec, design)[0],
+                directions=self._loops.directions(settings, spec, design),
+                options=options,
+                movable=free,
+            )
         else:
             others = [one for one in self._loops.controllers(settings) if one.loop != spec.name]
             task = ServoTuning(

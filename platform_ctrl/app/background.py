@@ -10,6 +10,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from platform_ctrl.analysis.arrays import StateArrays, state_arrays
 from platform_ctrl.common.processes import POLL, ProcessTimeout, Started, TaskProcess, next_result, send_early
 from platform_ctrl.common.progress import Progress
@@ -20,6 +22,8 @@ from platform_ctrl.job.job import DesignSpec, Job, LoopSpec
 if TYPE_CHECKING:
     import control
 
+    from platform_ctrl.analysis.plant_set import PlantSet
+    from platform_ctrl.design.partition import Channels
     from platform_ctrl.simulation.closed_loop import Trajectory
 
 IsCancelled = Callable[[], bool]
@@ -141,12 +145,13 @@ def _specs(job: Job, loop: str, design: str) -> tuple[LoopSpec, DesignSpec]:
 class Tuning:
     """Tunes the `movable` options of a classical or PI design until the limits of its loop are met.
 
-    `job` has the plant and sampling of the settings, `options` are all that the design uses.
+    `plants` and `directions` are those of the settings, `options` all that the design uses.
     """
 
-    job: Job
-    loop: str
-    method: str
+    spec: LoopSpec
+    design: DesignSpec
+    plants: PlantSet
+    directions: Channels
     options: dict[str, float]
     movable: tuple[str, ...]
 
@@ -154,23 +159,25 @@ class Tuning:
         """Return the tuned options."""
         from platform_ctrl.app.controllers import direct_arrays
         from platform_ctrl.design.classical import caging, rate
-        from platform_ctrl.design.loop_signals import loop_channels, loop_signals
-        from platform_ctrl.design.plants import loop_plants
+        from platform_ctrl.design.command_shaping import shaped
         from platform_ctrl.design.tuning import tune
         from platform_ctrl.job.requirements import loop_requirements
-        from platform_ctrl.mechanics.linearisation import linearise
 
-        spec = next(one for one in self.job.loops if one.name == self.loop)
-        platform, plants = self.job.platform, loop_plants(self.job, spec)
-        channel = loop_channels(linearise(platform), loop_signals(platform, spec), plants.period)
-        bounds = (rate if self.method == "pi" else caging).upper_bounds(plants.period)
+        plants, channel, design = self.plants, self.directions, self.design
+
+        def controller(trial: dict[str, float]) -> StateArrays:
+            K = direct_arrays(design.method, trial, channel, plants.period)
+            if design.command is None:
+                return K
+            return shaped(K, design.command, channel, np.eye(len(K.B.T)) if channel.sense is None else channel.sense)
+
         return tune(
             self.options,
             self.movable,
-            lambda trial: direct_arrays(self.method, trial, channel, plants.period),
+            controller,
             plants,
-            loop_requirements(spec.limits),
-            upper=bounds,
+            loop_requirements(self.spec.limits),
+            upper=(rate if design.method == "pi" else caging).upper_bounds(plants.period),
             progress=lambda ratio: progress(f"worst requirement at {ratio:.0%} of its limit"),
         )
 
@@ -192,7 +199,6 @@ class ServoTuning:
 
     def run(self, progress: Progress) -> dict[str, float]:
         """Return the tuned options: a simplex search over their logarithms, as `design.tuning.tune` does it."""
-        import numpy as np
         from scipy.optimize import minimize
 
         worst = self.worst_ratio()
@@ -290,10 +296,13 @@ class Designing:
         from platform_ctrl.design.jobs import loops
 
         spec, design = _specs(self.job, self.loop, self.design)
-        alone = dataclasses.replace(spec, designs=(design,), use=design.name)
+        alone = [dataclasses.replace(spec, designs=(design,), use=design.name)]
+        if spec.around is not None:
+            inner = next(one for one in self.job.loops if one.name == spec.around)
+            alone.insert(0, dataclasses.replace(inner, designs=(inner.closed,)))
         store = None if self.store is None else Store(self.store)
-        [outcome] = loops(dataclasses.replace(self.job, loops=(alone,)), progress, store)
-        closed = outcome.closed
+        outcomes = loops(dataclasses.replace(self.job, loops=tuple(alone)), progress, store)
+        closed = next(one.closed for one in outcomes if one.spec.name == spec.name)
         controller = state_arrays(closed.own_controller, closed.name)
         return Made(controller=controller, options=dict(closed.options), claims=dict(closed.claims))
 

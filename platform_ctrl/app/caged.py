@@ -62,8 +62,8 @@ _QUICK = 32
 class CagedLoop:
     """A caging loop: controller u = K y, the whole set of plants, and the plant that is shown alone.
 
-    `job` has the spins, sampling and range of Omega of the settings; `two_degrees` is the controller with its commands
-    where its design says what to do with them.
+    `job` has the spins, sampling and range of Omega of the settings; `shaped` returns a controller with its commands
+    where the design says what to do with them.
     """
 
     job: Job
@@ -72,12 +72,16 @@ class CagedLoop:
     plants: PlantSet
     shown: PlantSet
     controller: StateArrays
-    two_degrees: StateArrays | None = None
+    shaped: Callable[[StateArrays], StateArrays] | None = None
 
     @property
     def delivered(self) -> StateArrays:
         """The controller that is measured, with its commands where it does more with them than to compare."""
-        return self.controller if self.two_degrees is None else self.two_degrees
+        return self.with_commands(self.controller)
+
+    def with_commands(self, K: StateArrays) -> StateArrays:
+        """Return a controller of the loop as it is measured: see `delivered`."""
+        return K if self.shaped is None else self.shaped(K)
 
     @property
     def plant(self) -> StateArrays:

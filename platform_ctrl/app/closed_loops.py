@@ -5,34 +5,32 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Hashable, Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from platform_ctrl.analysis.arrays import StateArrays, named_system, state_arrays
-from platform_ctrl.analysis.following import feedback_part, with_error_alone
+from platform_ctrl.analysis.following import with_error_alone
 from platform_ctrl.analysis.loop_metrics import LoopMetrics
-from platform_ctrl.analysis.plant_set import COMMAND
+from platform_ctrl.analysis.plant_set import COMMAND, PlantSet
 from platform_ctrl.app.background import Made
 from platform_ctrl.app.budget import LineOfSight
 from platform_ctrl.app.caged import CachedMetrics, CagedLoop
 from platform_ctrl.app.controllers import DesignOptions, at_rate, built_directly, direct_arrays
+from platform_ctrl.app.existing_designs import existing_designs, loop_names
 from platform_ctrl.app.free_plants import StabilisedLoop
 from platform_ctrl.app.plants import Bounded, JobPlants
 from platform_ctrl.app.saving import ClosedController
 from platform_ctrl.app.settings import Conditions, Settings
 from platform_ctrl.app.stabilised import CachedMargins
-from platform_ctrl.app.tracking import TrackingLoops, without_tracking
 from platform_ctrl.common.arguments import known_name
 from platform_ctrl.design.command_shaping import shaped
 from platform_ctrl.design.loop import LoopProblem, designed
-from platform_ctrl.design.loop_signals import loop_signals
-from platform_ctrl.errors import DesignError, InputError
+from platform_ctrl.design.partition import Channels
+from platform_ctrl.errors import DesignError
 from platform_ctrl.job.job import DesignSpec, Job, LoopSpec
 from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.job.methods import METHODS
-from platform_ctrl.plant.source import read_json
-from platform_ctrl.verification.controllers import read_controllers
 from platform_ctrl.verification.coupled import CoupledCheck, coupled_check, sensed_rates
 
 if TYPE_CHECKING:
@@ -42,79 +40,15 @@ if TYPE_CHECKING:
 _ROOM = 64
 
 
-def without_feedforward(job: Job) -> tuple[Job, dict[str, str]]:
-    """Return the job without designs that have feedforward or sensors of their own, and a line about them by loop."""
-    loops, lines = [], {}
-    for spec in job.loops:
-        designs = tuple(one for one in spec.designs if one.feedforward is None and not one.sensors)
-        left = [one.name for one in spec.designs if one not in designs]
-        if not designs:
-            raise InputError(
-                f"loop {spec.name!r}: the page shows no designs with feedforward or sensors of their own; add a design "
-                "without them, or use platform-ctrl design and its report"
-            )
-        if left:
-            names = ", ".join(left)
-            lines[spec.name] = (
-                f"{spec.name}: {names}, with feedforward or sensors of their own, are shown in the report"
-            )
-        use = spec.use if spec.use not in left else designs[0].name
-        loops.append(dataclasses.replace(spec, designs=designs, use=use))
-    return dataclasses.replace(job, loops=tuple(loops)), lines
-
-
-def given_designs(path: Path, job: Job) -> list[tuple[str, str, str, Made]]:
-    """Return loop, design, method and controller of each entry of a file that fits the job's caging loops."""
-    out = []
-    _, data = read_json(path, "a JSON file with controllers")
-    for part in ("controllers", "alternatives"):
-        read = read_controllers(path, job, part)
-        entries: list[Any] = list(data.get(part, [])) if isinstance(data, dict) else []
-        for K, entry in zip(read, entries, strict=True):
-            spec = _loop_of(job, set(K.output_labels))
-            if spec is None:
-                continue
-            signals = loop_signals(job.platform, spec)
-            readings, torques = ([one.name for one in part] for part in (signals.sensors, signals.torquers))
-            own = {name for name in K.input_labels if name.removesuffix(COMMAND) not in readings or name in readings}
-            if own != set(readings):
-                continue
-            arrays = state_arrays(K, str(K.name))
-            at = [list(K.input_labels).index(name) for name in readings]
-            of = [list(K.output_labels).index(name) for name in torques]
-            ordered = feedback_part(arrays._replace(C=arrays.C[of], D=arrays.D[of]), at)
-            options = entry.get("options")
-            numbers = {
-                str(name): float(x)
-                for name, x in (options.items() if isinstance(options, dict) else ())
-                if isinstance(x, int | float) and not isinstance(x, bool) and x > 0.0
-            }
-            design, method = entry.get("design"), entry.get("method")
-            made = Made(controller=ordered, options=numbers, claims={})
-            out.append((spec.name, design if isinstance(design, str) and design else "given", str(method), made))
-    return out
-
-
-def _loop_of(job: Job, outputs: set[str]) -> LoopSpec | None:
-    for spec in job.loops:
-        if (
-            spec.has_plants
-            and spec.kind != "tracking"
-            and outputs == {one.name for one in loop_signals(job.platform, spec).torquers}
-        ):
-            return spec
-    return None
-
-
 class ClosedLoops:
-    """The loops of a job, closed as settings say; `read` is the job without the `tracking` loops, which stay fixed."""
+    """The loops of a job, closed as settings say."""
 
     def __init__(self, job: Job, controllers: Path | None) -> None:
-        # By loop a line about designs that the page does not show.
-        whole, self._left_out = without_feedforward(job)
-        self.read = job = without_tracking(whole)
-        self.tracking = TrackingLoops(whole)
+        self.read = job
+        self._around = {spec.around for spec in job.loops}
         self.plants = JobPlants(job)
+        self._tracked: Bounded[tuple[PlantSet, PlantSet]] = Bounded(6)
+        self._directions: Bounded[Channels] = Bounded(12)
         self.options = DesignOptions(self.plants)
         # Controllers by loop, design and conditions: made here, and read from a file, which no method could make again.
         self._made: Bounded[Made] = Bounded(_ROOM)
@@ -125,7 +59,7 @@ class ClosedLoops:
         self._results: Bounded[tuple[CheckResult, ...]] = Bounded(8)
         self._coupled: Bounded[CoupledCheck] = Bounded(4)
         self.sight = LineOfSight(self)
-        self._take([] if controllers is None else given_designs(controllers, whole))
+        self._take([] if controllers is None else existing_designs(controllers, job))
 
     @property
     def start(self) -> Settings:
@@ -260,22 +194,55 @@ class ClosedLoops:
         )
 
     def caged(self, settings: Settings) -> tuple[CagedLoop, tuple[str, ...]]:
-        """Return the selected caging loop, and lines about its controller."""
+        """Return the selected loop with plants of its own, and lines about its controller."""
         spec, design = self.design(settings)
-        job = self.job(settings)
-        plants, shown = self.plants.caged(settings, spec)
+        plants, shown = self.plants_of(settings, spec, design)
         K, note = self.caging(settings, spec, design)
-        delivered = None if design.command is None else self._with_commands(settings, spec, design, K)
+        notes = [] if spec.around is None else [self._closed_design(settings, self.plants.inside(spec))[2]]
         loop = CagedLoop(
-            job=job,
+            job=self.job(settings),
             spec=spec,
             design=design.name,
             plants=plants,
             shown=shown,
             controller=K,
-            two_degrees=delivered,
+            shaped=None if design.command is None else lambda K: self._with_commands(settings, spec, design, K),
         )
-        return loop, tuple(line for line in (note, self._left_out.get(spec.name, "")) if line)
+        return loop, tuple(line for line in (note, *notes) if line)
+
+    def plants_of(self, settings: Settings, spec: LoopSpec, design: DesignSpec) -> tuple[PlantSet, PlantSet]:
+        """Return the plants of a design of a loop, and the one that is shown alone."""
+        if spec.around is None:
+            return self.plants.caged(settings, spec, design)
+        inner, closed, K = self._inside(settings, spec)
+        key = (spec.name, settings.plant, settings.Omega, *self._inside_key(settings, inner, closed, K))
+        read = spec.read_by(design)
+        return self._tracked.get((key, read.sensors), lambda: self.plants.around(settings, read, inner, closed, K))
+
+    def directions(self, settings: Settings, spec: LoopSpec, design: DesignSpec) -> Channels:
+        """Return the directions in which methods see a loop as a design reads it."""
+        read = spec.read_by(design)
+        if spec.around is None:
+            return self.plants.gyros(settings.spins, read, 1.0 / settings.rate_hz)
+        inner, closed, K = self._inside(settings, spec)
+        key = (spec.name, read.sensors, *self._inside_key(settings, inner, closed, K))
+        return self._directions.get(key, lambda: self.plants.directions_around(settings, read, inner, closed, K))
+
+    def _inside(self, settings: Settings, spec: LoopSpec) -> tuple[LoopSpec, DesignSpec, StateArrays]:
+        """Return the rate loop that a tracking loop commands, the design that is closed there, and its controller."""
+        inner = self.plants.inside(spec)
+        design, K, _ = self._closed_design(settings, inner)
+        return inner, design, self._with_commands(settings, inner, design, K)
+
+    def _inside_key(
+        self, settings: Settings, inner: LoopSpec, design: DesignSpec, K: StateArrays
+    ) -> tuple[Hashable, ...]:
+        return self.plants.key(settings), inner.name, design.name, _content(K)
+
+    def plants_key(self, settings: Settings, spec: LoopSpec, design: DesignSpec) -> Hashable:
+        """Return all that the plants of a design of a loop depend on."""
+        inner = None if spec.around is None else self.closed_key(settings, self.plants.inside(spec))
+        return self.plants.key(settings), spec.name, design.name, inner
 
     def stabilised(self, settings: Settings) -> tuple[StabilisedLoop, tuple[str, ...]]:
         """Return all loops closed around the free platform, and lines about their controllers."""
@@ -330,7 +297,8 @@ class ClosedLoops:
 
     def cached_metrics(self, settings: Settings, loop: CagedLoop) -> CachedMetrics:
         """Return the cache of a caging loop's metrics: the result of a drag is drawn next."""
-        key = (loop.spec.name, self.plants.key(settings), _content(loop.delivered))
+        design = self._named_design(loop.spec, loop.design)
+        key = (self.plants_key(settings, loop.spec, design), _content(loop.delivered))
         return lambda make: self._measures.get(key, make)
 
     def cached_results(
@@ -341,34 +309,49 @@ class ClosedLoops:
 
     def controllers(self, settings: Settings, strict: bool = False) -> list[ClosedController]:
         """Return the controller of every loop; with `strict` only those that are named in `closed` will do."""
-        closed = self.closed(settings)
-        found = [self._closed(settings, spec, closed[spec.name], strict) for spec in self.read.loops]
-        return self.tracking.with_them(found, 1.0 / settings.rate_hz)
+        return [self._closed(settings, spec, strict) for spec in self.in_order()]
 
-    def tracking_results(self, settings: Settings, spec: LoopSpec) -> tuple[CheckResult, ...]:
-        """Return the results of a tracking loop around the rate loop as it is set."""
-        return self.tracking.results(self.job(settings), spec, self.controllers(settings))
+    def in_order(self) -> list[LoopSpec]:
+        """Return the loops in the order in which controllers are computed: a tracking loop before the one inside."""
+        out = [spec for spec in self.read.loops if spec.around is None]
+        for spec in self.read.loops:
+            if spec.around is not None:
+                out.insert(out.index(self.plants.inside(spec)), spec)
+        return out
 
-    def _closed(self, settings: Settings, spec: LoopSpec, name: str, strict: bool) -> ClosedController:
-        design, note = self._named_design(spec, name), ""
+    def _closed_design(
+        self, settings: Settings, spec: LoopSpec, strict: bool = False
+    ) -> tuple[DesignSpec, StateArrays, str]:
+        """Return the design that is closed in a loop, its controller of the readings, and a line about it.
+
+        Until it is designed it is another one, unless `strict`.
+        """
+        design, note = self._named_design(spec, self.closed(settings)[spec.name]), ""
+        try:
+            K, note = self.caging(settings, spec, design)
+        except DesignError:
+            other = next((d for d in spec.designs if built_directly(d)), None)
+            if strict or other is None or built_directly(design):
+                raise
+            note = f"{spec.name}: {design.name} is not designed yet; {other.name} is closed instead"
+            design, (K, _) = other, self.caging(settings, spec, other)
+        if strict and note:
+            raise DesignError(f"{spec.name}, {note}")
+        return design, K, note
+
+    def _closed(self, settings: Settings, spec: LoopSpec, strict: bool) -> ClosedController:
         if not spec.has_plants:
+            design, note = self._named_design(spec, self.closed(settings)[spec.name]), ""
             system = self.servo(settings, spec, design)
-            options = dict(settings.options[spec.name][name])
+            options = dict(settings.options[spec.name][design.name])
         else:
-            try:
-                K, note = self.caging(settings, spec, design)
-            except DesignError:
-                other = next((d for d in spec.designs if built_directly(d)), None)
-                if strict or other is None or built_directly(design):
-                    raise
-                note = f"{spec.name}: {design.name} is not designed yet; {other.name} is closed instead"
-                design, (K, _) = other, self.caging(settings, spec, other)
-            if strict and note:
-                raise DesignError(f"{spec.name}, {note}")
-            signals = loop_signals(self.read.platform, spec)
-            inputs, outputs = ([one.name for one in part] for part in (signals.sensors, signals.torquers))
+            design, K, note = self._closed_design(settings, spec, strict)
+            inputs, outputs = loop_names(self.job(settings), spec, design)
             K = self._with_commands(settings, spec, design, K)
             inputs = [*inputs, *(f"{name}{COMMAND}" for name in inputs)][: K.B.shape[1]]
+            fed = self.plants.feedforward(settings, spec, design)
+            if fed is not None:
+                K, inputs = fed.joined_to(K), [*inputs, *fed.sensors]
             system = named_system(K, inputs, outputs, name=f"{spec.name}, {design.name}")
             options = self.options.used(settings, spec, design)
         return ClosedController(
@@ -378,10 +361,10 @@ class ClosedLoops:
     def _with_commands(self, settings: Settings, spec: LoopSpec, design: DesignSpec, K: StateArrays) -> StateArrays:
         """Return a controller with the commands that its design shapes, or that a loop or a manoeuvre gives."""
         if design.command is not None:
-            channel = self.plants.gyros(settings.spins, spec, 1.0 / settings.rate_hz)
+            channel = self.directions(settings, spec, design)
             sense = np.eye(K.B.shape[1]) if channel.sense is None else channel.sense
             return shaped(K._replace(dt=1.0 / settings.rate_hz), design.command, channel, sense)
-        taken = spec.name in self.tracking.around or bool(self.read.commanded & set(spec.sensors))
+        taken = spec.name in self._around or bool(self.read.commanded & set(spec.read_by(design).sensors))
         return with_error_alone(K) if taken else K
 
     def servo(self, settings: Settings, spec: LoopSpec, design: DesignSpec) -> control.StateSpace:
@@ -398,7 +381,7 @@ class ClosedLoops:
         """Return the controller of a caging loop, and a line about it or an empty text."""
         period = 1.0 / settings.rate_hz
         if built_directly(design):
-            channel = self.plants.gyros(settings.spins, spec, period)
+            channel = self.directions(settings, spec, design)
             options = self.options.used(settings, spec, design)
             return direct_arrays(design.method, options, channel, period), ""
         seen = self.available_conditions(settings, spec, design)

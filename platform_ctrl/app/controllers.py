@@ -146,7 +146,7 @@ class DesignOptions:
             return dict(options)
         return acting_options(
             options,
-            self._plants.gyros(settings.spins, spec),
+            self._plants.gyros(settings.spins, spec.read_by(design)),
             lambda: self._plants.nutation(settings, spec),
             1.0 / settings.rate_hz,
         )
@@ -167,7 +167,7 @@ class DesignOptions:
         offered = self.offered(settings, spec, design)
         if not METHODS[design.method].parts:
             return offered
-        channel, period = self._plants.gyros(settings.spins, spec), 1.0 / settings.rate_hz
+        channel, period = self._plants.gyros(settings.spins, spec.read_by(design)), 1.0 / settings.rate_hz
         given = parts_used(offered, settings.parts_on(spec.name, design.name))
         try:
             if design.method == "pi":
@@ -223,8 +223,8 @@ class DesignOptions:
         if not spec.has_plants:
             problem = LoopProblem(job=self.read, spec=spec, design=design, model=self._plants.model(spins))
             return dict(designed(problem).options)
-        channel = self._plants.gyros(spins, spec)
-        nutation = self._plants.quick(spec).nutation(spins, self.read.sampling, np.asarray(self.read.Omega))
+        channel = self._plants.gyros(spins, spec.read_by(design))
+        nutation = self._plants.nutation_at(spins, spec, self.read.sampling, np.asarray(self.read.Omega))
         method = METHODS[design.method]
         if method.parts:
             return full_options(design, design.options, channel, nutation, period)

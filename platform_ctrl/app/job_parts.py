@@ -78,20 +78,10 @@ def _loop_parts(loops: ClosedLoops, settings: Settings) -> Iterable[JobPart]:
         )
 
 
-def _tracking_parts(loops: ClosedLoops, settings: Settings) -> Iterable[JobPart]:
-    """Return the tracking loops, which no slider moves; what they reach depends on the rate loops inside."""
-    for spec in loops.tracking.specs:
-        yield JobPart(
-            chip=Chip(key=f"loop {spec.name}", label=f"{spec.name} (fixed)"),
-            count=sum(one.hard for one in requirements_of(spec)),
-            stamp=("tracking", spec.name, loops.whole_key(settings)),
-            measure=lambda spec=spec: loops.tracking_results(settings, spec),  # type: ignore[misc]
-        )
-
-
 def loop_stamp(loops: ClosedLoops, settings: Settings, spec: LoopSpec) -> Hashable:
     """Return the stamp of a loop with plants of its own."""
-    return ("loop", loops.plants.key(settings), loops.closed_key(settings, spec))
+    design = next(one for one in spec.designs if one.name == loops.closed(settings)[spec.name])
+    return ("loop", loops.plants_key(settings, spec, design), loops.closed_key(settings, spec))
 
 
 def _coupled_parts(loops: ClosedLoops, settings: Settings) -> Iterable[JobPart]:
@@ -142,7 +132,7 @@ def _budget_parts(loops: ClosedLoops, settings: Settings) -> Iterable[JobPart]:
         )
 
 
-PARTS: list[PartsOf] = [_loop_parts, _tracking_parts, _coupled_parts, _budget_parts, _run_parts]
+PARTS: list[PartsOf] = [_loop_parts, _coupled_parts, _budget_parts, _run_parts]
 
 # Results that are kept: a few steps back and forth of a job with many runs.
 _ROOM = 256

@@ -17,22 +17,29 @@ from typing import Any, Generic, TypeVar
 
 import numpy as np
 
-from platform_ctrl.analysis.plant_set import PlantSet
+from platform_ctrl.analysis.arrays import StateArrays
+from platform_ctrl.analysis.feedforward import RateFeedforward
+from platform_ctrl.analysis.plant_set import COMMAND, PlantSet
 from platform_ctrl.app.free_plants import FreePlants, SpinningModels, corners, free_models, free_plants
 from platform_ctrl.app.settings import Settings
 from platform_ctrl.common.values import FloatArray, value
-from platform_ctrl.design.cases import Case, with_spins
-from platform_ctrl.design.loop_signals import loop_channels, loop_signals
+from platform_ctrl.design.cases import Case, with_friction, with_spins
+from platform_ctrl.design.feedforward import rate_feedforward
+from platform_ctrl.design.loop_signals import LoopSignals, loop_channels, loop_signals
 from platform_ctrl.design.partition import Channels
 from platform_ctrl.design.plants import (
     LinearPlants,
+    around,
+    commanded_channels,
     job_signals,
     linear_plants,
     loop_cases,
     loop_reference,
     sampled_plants,
+    tracking_reference,
+    tracking_signals,
 )
-from platform_ctrl.job.job import Job, LoopSpec, Sampling
+from platform_ctrl.job.job import DesignSpec, Job, LoopSpec, Sampling
 from platform_ctrl.mechanics.linearisation import LinearModel, linearise
 from platform_ctrl.mechanics.state_space import named_rows, whole_subsystems
 from platform_ctrl.plant.platform import Platform
@@ -92,9 +99,9 @@ class _Share:
 class QuickPlants:
     """Plants of one loop, or of the caging loop on some gimbals."""
 
-    def __init__(self, job: Job, loop: LoopSpec | tuple[str, ...]) -> None:
+    def __init__(self, job: Job, loop: LoopSpec | LoopSignals | tuple[str, ...]) -> None:
         platform = job.platform
-        self.signals = job_signals(job, loop)
+        self.signals = loop if isinstance(loop, LoopSignals) else job_signals(job, loop)
         self.job, self.gimbals = job, self.signals.gimbals
         self.model = linearise(platform)
         held = self.signals.held
@@ -147,8 +154,13 @@ class QuickPlants:
     ) -> PlantSet:
         every = self._all(Omega)
         case = next((one for one in every if one.label == label), every[0])
-        # Loops that keep a body still are about rest: see `loop_cases`.
-        turned = case if self.signals.held else dataclasses.replace(case, Omega=case.Omega + at)
+        if self.signals.held:
+            # These loops are about rest, see `loop_cases`: the platform's rate is that at which bearings turn.
+            torquers, fed = ([one.name for one in part] for part in (self.signals.torquers, self.signals.fed))
+            job = dataclasses.replace(self.job, Omega=np.abs(at))
+            turned = next(iter(with_friction(job, torquers, fed, [case])), case)
+        else:
+            turned = dataclasses.replace(case, Omega=case.Omega + at)
         return sampled_plants(self._with_spins(linear_plants(self.signals, (turned,)), spins), sampling, Omega)
 
     def _all(self, Omega: FloatArray) -> tuple[Case, ...]:
@@ -256,30 +268,47 @@ class JobPlants:
 
     def __init__(self, job: Job) -> None:
         self.read = job
-        self._quick: dict[str, QuickPlants] = {}
+        self._quick: dict[tuple[str, ...], QuickPlants] = {}
+        self._loops = {spec.name: spec for spec in job.loops}
         self._lock = threading.Lock()
         self._channels: Bounded[Channels] = Bounded(12)
+        self._fed: Bounded[RateFeedforward] = Bounded(12)
+        self._fed_forward: Bounded[PlantSet] = Bounded(6)
         self._models: Bounded[LinearModel] = Bounded(6)
         self._free: Bounded[FreePlants] = Bounded(6)
         self._free_models: Bounded[SpinningModels] = Bounded(4)
         self._corner: Bounded[list[tuple[str, Platform, FloatArray]]] = Bounded(4)
 
-    def quick(self, spec: LoopSpec) -> QuickPlants:
-        """Return what makes the plants of a caging loop."""
+    def quick(self, spec: LoopSpec, around: LoopSpec | None = None) -> QuickPlants:
+        """Return what makes the plants of a loop as a design reads it; of a tracking loop `around` another."""
+        key = (spec.name, *spec.sensors, *(() if around is None else around.sensors))
         with self._lock:
-            if spec.name not in self._quick:
-                self._quick[spec.name] = QuickPlants(self.read, spec)
-            return self._quick[spec.name]
+            if key not in self._quick:
+                loop = spec if around is None else tracking_signals(self.read, spec, around)
+                self._quick[key] = QuickPlants(self.read, loop)
+            return self._quick[key]
+
+    def inside(self, spec: LoopSpec) -> LoopSpec:
+        """Return the rate loop that a tracking loop commands, of other loops the loop itself."""
+        return self._loops[spec.around] if spec.around is not None else spec
 
     def channels_of(self, spec: LoopSpec) -> tuple[str, ...]:
-        """Return the torquers of a loop."""
+        """Return the torquers of a loop, of a tracking loop the commands that it sets."""
+        if spec.around is not None:
+            inner = self.inside(spec)
+            return tuple(f"{name}{COMMAND}" for name in inner.read_by(inner.closed).sensors)
         if spec.has_plants:
             return tuple(torquer.name for torquer in loop_signals(self.read.platform, spec).torquers)
         return tuple(t.name for t in self.read.platform.torquers if t.root_axis is not None)
 
     def loading_axis(self, spec: LoopSpec, axis: int) -> int:
         """Return the axis of Omega to look at: `axis` unless a rate about it does nothing to this loop."""
-        return self.quick(spec).loading_axis(axis) if spec.has_plants else axis
+        return self.quick(self.inside(spec)).loading_axis(axis) if spec.has_plants else axis
+
+    def feels_Omega(self, spec: LoopSpec) -> bool:
+        """Return whether a loop's plants depend on the platform rate; of those that are held only dry friction does."""
+        held = spec.has_plants and self.quick(self.inside(spec)).signals.held
+        return not held or any(max(one.breakaway) > 0.0 for one in self.read.platform.frictions)
 
     def job(self, settings: Settings) -> Job:
         """Return the job with the settings' rotors, sampling and range of Omega; its designs are as they were read."""
@@ -293,13 +322,42 @@ class JobPlants:
     def labels(self, settings: Settings, spec: LoopSpec) -> tuple[str, ...]:
         """Return the labels of a loop's plants that may be shown, the nominal one first."""
         if spec.has_plants:
-            return self.quick(spec).labels(self.range(settings))
+            return self.quick(self.inside(spec)).labels(self.range(settings))
         return tuple(label for label, _, _ in self._corners(settings))
 
-    def caged(self, settings: Settings, spec: LoopSpec) -> tuple[PlantSet, PlantSet]:
-        """Return the plants of a caging loop, and the one that is shown alone."""
-        quick, at = self.quick(spec), np.array(settings.Omega)
-        sampling, widest = self.sampling(settings), self.range(settings)
+    def caged(self, settings: Settings, spec: LoopSpec, design: DesignSpec) -> tuple[PlantSet, PlantSet]:
+        """Return the plants of a design of a loop, its feedforward in them, and the one that is shown alone."""
+        plants, shown = self._plants(settings, self.quick(spec.read_by(design)))
+        fed = self.feedforward(settings, spec, design)
+        if fed is None:
+            return plants, shown
+        key = (spec.name, design.name, self.key(settings))
+        return self._fed_forward.get(key, lambda: plants.fed_forward(fed)), shown.fed_forward(fed)
+
+    def around(
+        self, settings: Settings, spec: LoopSpec, inner: LoopSpec, design: DesignSpec, K: StateArrays
+    ) -> tuple[PlantSet, PlantSet]:
+        """Return the plants of a tracking loop, `K` of the rate loop's `design` closed, and the one shown alone."""
+        job, fed = self.job(settings), self.feedforward(settings, inner, design)
+        plants, shown = self._plants(settings, self.quick(spec, inner.read_by(design)))
+        return around(job, spec, plants, fed, K)[0], around(job, spec, shown, fed, K)[0]
+
+    def directions_around(
+        self, settings: Settings, spec: LoopSpec, inner: LoopSpec, design: DesignSpec, K: StateArrays
+    ) -> Channels:
+        """Return the directions of a tracking loop, which are those of the nominal plant."""
+        plants, _ = self._plants(settings, self.quick(spec, inner.read_by(design)))
+        return around(self.job(settings), spec, plants.only([0]), self.feedforward(settings, inner, design), K)[1]
+
+    def feedforward(self, settings: Settings, spec: LoopSpec, design: DesignSpec) -> RateFeedforward | None:
+        """Return the feedforward of a design, or None."""
+        if design.feedforward is None:
+            return None
+        key = (spec.name, design.name, self.key(settings))
+        return self._fed.get(key, lambda: rate_feedforward(self.job(settings), spec.read_by(design), design))
+
+    def _plants(self, settings: Settings, quick: QuickPlants) -> tuple[PlantSet, PlantSet]:
+        sampling, widest, at = self.sampling(settings), self.range(settings), np.array(settings.Omega)
         plants = quick.plants(settings.spins, sampling, widest)
         if at.any():
             return plants, quick.shown(settings.plant, at, settings.spins, sampling, widest)
@@ -336,18 +394,28 @@ class JobPlants:
         return Sampling(period=1.0 / settings.rate_hz, delay=settings.delay)
 
     def nutation(self, settings: Settings, spec: LoopSpec) -> float:
-        """Return the nutation frequency of a caging loop's nominal plant, rad/s."""
-        return self.quick(spec).nutation(settings.spins, self.sampling(settings), self.range(settings))
+        """Return the nutation frequency of a loop's nominal plant, rad/s."""
+        return self.nutation_at(settings.spins, spec, self.sampling(settings), self.range(settings))
+
+    def nutation_at(self, spins: Mapping[str, float], spec: LoopSpec, sampling: Sampling, Omega: FloatArray) -> float:
+        """Return the nutation frequency of a loop's nominal plant, or the frequency that a tracking loop goes by."""
+        found = self.quick(self.inside(spec)).nutation(spins, sampling, Omega)
+        return found if spec.around is None else tracking_reference(self.read, spec, found, sampling.period)
 
     def gyros(self, spins: Mapping[str, float], spec: LoopSpec, period: float | None = None) -> Channels:
-        """Return the directions in which methods see a loop at these spins; default of `period`: the job's."""
+        """Return the directions in which methods see a loop as a design reads it; default of `period`: the job's.
+
+        Those of a tracking loop are without the combination of its readings, which depends on the loop inside.
+        """
         period = self.read.sampling.period if period is None else period
+        if spec.around is not None:
+            return commanded_channels(len(self.channels_of(spec)))
 
         def made() -> Channels:
             model = self.model(spins)
             return loop_channels(model, loop_signals(model.platform, spec), period)
 
-        return self._channels.get((spec.name, period, tuple(sorted(spins.items()))), made)
+        return self._channels.get((spec.name, spec.sensors, period, tuple(sorted(spins.items()))), made)
 
     def model(self, spins: Mapping[str, float]) -> LinearModel:
         """Return the linear model of the whole platform at rest at these spins."""

@@ -139,16 +139,9 @@ def job_text(
             document["operation"]["Omega"][k] = abs(new)
     for loop in document["loop"]:
         name = str(loop["name"])
-        if name not in settings.closed:  # a tracking loop
-            continue
-        # A design that the page does not show stays the one that is closed, unless another is chosen.
-        left_out = str(loop["use"]) not in settings.options[name] and settings.closed[name] == start.closed[name]
-        if not left_out and loop["use"] != settings.closed[name]:
+        if loop["use"] != settings.closed[name]:
             loop["use"] = settings.closed[name]
         for design in loop["design"]:
-            if str(design["name"]) not in settings.options[name]:
-                # The page does not show it.
-                continue
             numbers = used.get(name, {}).get(str(design["name"]))
             if numbers is not None:
                 _put(design, numbers)

@@ -345,7 +345,7 @@ def plant_sliders(
         )
     for k, rate_now in enumerate(settings.Omega):
         most = 2.0 * Omega[k] if Omega[k] > 0.0 else 1.0
-        tip = "platform rate at which the plants are shown"
+        tip = "platform rate at which the plants are shown; of loops that hold a body, at which dry friction acts"
         out.append(slider(f"Omega{k + 1}", f"Omega {k + 1}", "rad/s", "Omega", -most, most, rate_now, tip))
     return out
 

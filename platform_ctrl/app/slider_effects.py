@@ -92,7 +92,11 @@ def limits_of(loops: ClosedLoops, settings: Settings, parameters: FreeParameters
     first = largest_ratios(whole, met)
 
     def on_a_grid(plants: PlantSet) -> Ratios:
-        return lambda numbers: largest_ratios(measure(plants, parameters.build(numbers), met, exact=False), met)
+        def ratios(numbers: Mapping[str, float]) -> FloatArray:
+            K = loop.with_commands(parameters.build(numbers))
+            return largest_ratios(measure(plants, K, met, exact=False), met)
+
+        return ratios
 
     def corrected(ratios: Ratios) -> Ratios:
         @cache
@@ -158,7 +162,7 @@ def free_parameters(
     else:
         whole, _ = loops.stabilised(settings)
         _, at, torquers = whole.joined(whole.shown)
-        here = whole.controllers[[one.name for one in loops.read.loops].index(spec.name)].name
+        here = whole.controllers[[one.name for one in loops.in_order()].index(spec.name)].name
         A, B, C, D, dt = whole.shown.arrays
         plant = StateArrays(A[0], B[0][:, at], C[0], D[0][:, at], dt)
 

@@ -113,7 +113,9 @@ class TradeOff:
             missed = sum(not one.passed for one in limits)
             return HZ * float(metrics.bandwidth), float(metrics.disk_margin.min()), missed
 
-        return self._measured.get((spec.name, design.name, self._loops.conditions(settings, spec, design)), measured)
+        loops = self._loops
+        key = (loops.plants_key(settings, spec, design), loops.conditions(settings, spec, design))
+        return self._measured.get(key, measured)
 
 
 def _with_dominated(points: Sequence[TradeOffPoint]) -> tuple[TradeOffPoint, ...]:

@@ -8,6 +8,7 @@ from collections.abc import Collection, Sequence
 import numpy as np
 
 from platform_ctrl.analysis.arrays import StateArrays, seen_states
+from platform_ctrl.analysis.feedforward import RateFeedforward
 from platform_ctrl.analysis.following import commanded_loop, with_error_alone
 from platform_ctrl.analysis.plant_set import COMMAND, PlantSet, plant_set
 from platform_ctrl.analysis.sampling import held_input, late_outputs, late_states, sampled, sampled_states
@@ -185,6 +186,12 @@ def sampled_plants(linear: LinearPlants, sampling: Sampling, Omega: FloatArray) 
     )
 
 
+def tracking_signals(job: Job, spec: LoopSpec, inner: LoopSpec) -> LoopSignals:
+    """Return what the rate loop inside a tracking loop turns, reads and sets, and behind it what the latter reads."""
+    sensors, own = {sensor.name: sensor for sensor in job.platform.sensors}, job_signals(job, inner)
+    return dataclasses.replace(own, sensors=(*own.sensors, *(sensors[name] for name in spec.sensors)))
+
+
 def tracking_plants(
     job: Job, spec: LoopSpec, inner: LoopSpec, inside: PlantSet, controller: StateArrays
 ) -> tuple[PlantSet, Channels]:
@@ -193,25 +200,31 @@ def tracking_plants(
     `inside` are the plants of the rate loop's design, its feedforward in them, around each of which its `controller` is
     closed, with its commands behind what it measures where it does more with them than to compare.
     """
-    sensors = {sensor.name: sensor for sensor in job.platform.sensors}
-    own = job_signals(job, dataclasses.replace(inner, sensors=inside.angles))
-    both = dataclasses.replace(own, sensors=(*own.sensors, *(sensors[name] for name in spec.sensors)))
-    plants = _loop_plants(job, both)
-    p, m = len(own.sensors), len(own.torquers)
+    plants = _loop_plants(job, tracking_signals(job, spec, dataclasses.replace(inner, sensors=inside.angles)))
+    return around(job, spec, plants, inside.feedforward, controller)
+
+
+def around(
+    job: Job, spec: LoopSpec, plants: PlantSet, feedforward: RateFeedforward | None, controller: StateArrays
+) -> tuple[PlantSet, Channels]:
+    """Return plants and directions of a tracking loop, of `plants` with the signals of `tracking_signals`.
+
+    Around each of them `controller` and `feedforward` of the rate loop inside are closed.
+    """
+    p, m = len(plants.angles) - len(spec.sensors), len(plants.torques)
     K = controller if controller.D.shape[1] == 2 * p else with_error_alone(controller)
-    whole = plants.whole if inside.feedforward is None else inside.feedforward.taken_up(plants.whole, m, p)
+    whole = plants.whole if feedforward is None else feedforward.taken_up(plants.whole, m, p)
     A, B, C, D, dt = commanded_loop(whole, K, range(m), range(p))
     # Outputs are the torques, then all of the plant's.
     Omega, command = slice(m, m + 3), slice(m + 3, m + 3 + p)
     read, sight = slice(m + p, m + p + len(spec.sensors)), slice(m + p + len(spec.sensors), None)
-    commands = tuple(f"{sensor.name}{COMMAND}" for sensor in own.sensors)
-    late = max(sensors[name].periods_late(dt) for name in spec.sensors)
+    commands = tuple(f"{name}{COMMAND}" for name in plants.angles[:p])
     found = plant_set(
         StateArrays(A, B[..., command], C[..., read, :], D[..., read, command], dt),
         labels=plants.labels,
         torques=commands,
         angles=spec.sensors,
-        nutation=min(0.1 * plants.nutation, _PHASE / ((late + 1) * dt)),
+        nutation=tracking_reference(job, spec, plants.nutation, dt),
         noise=plants.noise[p:],
         groups=plants.groups,
         B_Omega=B[..., Omega],
@@ -229,15 +242,18 @@ def tracking_plants(
             f"loop {spec.name!r}: sensors {', '.join(spec.sensors)} do not show what each of the commands "
             f"{', '.join(commands)} does; add a sensor of an angle, or give the axis a rate loop by itself"
         )
-    channel = Channels(
-        basis=np.eye(p),
-        momenta=np.zeros(0),
-        inertias=np.ones(p),
-        spins=np.zeros(0),
-        order=1,
-        sense=np.linalg.pinv(effect),
-    )
-    return found, channel
+    return found, dataclasses.replace(commanded_channels(p), sense=np.linalg.pinv(effect))
+
+
+def commanded_channels(count: int) -> Channels:
+    """Return the directions of a loop that sets commands of rates: each one by itself, an integrator."""
+    return Channels(basis=np.eye(count), momenta=np.zeros(0), inertias=np.ones(count), spins=np.zeros(0), order=1)
+
+
+def tracking_reference(job: Job, spec: LoopSpec, inside: float, period: float) -> float:
+    """Return the frequency that a tracking loop goes by, rad/s, of that of the rate loop inside and its sensors."""
+    late = max(one.periods_late(period) for one in job.platform.sensors if one.name in spec.sensors)
+    return min(0.1 * inside, _PHASE / ((late + 1) * period))
 
 
 def loop_reference(linear: LinearPlants, period: float) -> float:

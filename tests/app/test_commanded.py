@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,9 @@ import pytest
 from commanded_gimbal import commanded_job
 from platform_ctrl import design, read_job, verification
 from platform_ctrl.app.backend import Backend
+from platform_ctrl.app.background import Tuning
 from platform_ctrl.job.writing import toml
+from platform_ctrl.report.quantities import HZ
 from platform_ctrl.verification.controllers import outcomes_from, read_controllers
 
 pytestmark = pytest.mark.usefixtures("untraced")
@@ -50,29 +53,106 @@ def test_a_design_with_a_filter_is_measured_as_a_whole_and_delivered_with_it() -
     page.close()
 
 
-def test_a_tracking_loop_is_listed_as_fixed_checked_simulated_and_saved(tmp_path: Path) -> None:
+def test_a_tracking_loop_is_shaped_checked_simulated_and_saved(tmp_path: Path) -> None:
     data = job_of(TRACKING, reading="heading")
     path, saved = tmp_path / "job.toml", tmp_path / "saved.toml"
     path.write_text(toml(data), encoding="utf-8")
     page, job = Backend(path), read_job(path)
     found = verification.check_job(job, design.loops(job))
     start = page.start()
-    assert page.choices().loops == ("loop",)
+    assert page.choices().loops == ("loop", "track")
     parts = page.job_parts.parts(start)
     for one in page.job_parts.open(parts):
         page.job_parts.measure(one)
     states = {one.chip.label: one for one in page.job_parts.states(parts)}
-    assert list(states) == ["loop", "track (fixed)", "coupled", "runs"]
+    assert list(states) == ["loop", "track", "coupled", "runs"]
     tracking = found.loops[0].closed
-    worst = states["track (fixed)"].worst
-    assert worst is not None
-    assert worst.value == pytest.approx(next(one.value for one in tracking.results if one.name == worst.name))
+    at = page.chosen(start, loop="track")
+    shown = {one.name: one.value for one in page.picture(at).requirements}
+    for one in tracking.results:
+        assert shown[one.name] == pytest.approx(one.value, rel=1e-6, abs=1e-12)
     whole = page._loops.coupled(start)
     np.testing.assert_allclose(whole.simultaneous.alpha, found.coupled.simultaneous.alpha, rtol=1e-6)
     run = page.simulate(start, "slew")
     np.testing.assert_allclose(run.q, found.runs[0].trajectory.q, rtol=1e-6, atol=1e-12)
-    page.save(start, saved)
+    faster = page.moved(at, "crossover_hz", 1.2 * at.options["track"]["own"]["crossover_hz"])
+    page.save(faster, saved)
     again = outcomes_from(read_job(saved), read_controllers(tmp_path / "saved.controllers.json", read_job(saved)))
     assert [one.spec.name for one in again] == ["track", "loop"]
-    assert Backend(saved).start().loop == "loop"
+    reopened = Backend(saved)
+    assert reopened.start().loop == "loop"
+    crossover = [one.options["track"]["own"]["crossover_hz"] for one in (reopened.start(), faster)]
+    assert crossover[0] == pytest.approx(crossover[1], rel=1e-3)
+    page.close()
+
+
+def test_sliders_of_both_loops_move_a_tracking_loop_to_where_it_is_designed() -> None:
+    """Its crossover follows its own slider, its margins the rate loop inside as well."""
+    data = job_of(TRACKING | {"limits": {"disk_margin": 0.5}}, reading="heading")
+    page = Backend(read_job(data))
+    at = page.chosen(page.start(), loop="track")
+    first = page.picture(at)
+    crossover = at.options["track"]["own"]["crossover_hz"]
+    assert HZ * first.margins.crossover == pytest.approx(crossover, rel=0.1)
+    faster = page.picture(page.moved(at, "crossover_hz", 0.5 * crossover))
+    assert faster.margins.crossover == pytest.approx(0.5 * first.margins.crossover, rel=0.05)
+    slow = page.start()
+    slow = page.chosen(
+        page.moved(slow, "crossover_hz", 0.2 * slow.options["loop"]["own"]["crossover_hz"]), loop="track"
+    )
+    shown = page.picture(slow)
+    made = design.loops(page.job(slow))
+    expected = next(one.closed for one in made if one.spec.name == "track")
+    assert shown.margins.disk == pytest.approx(expected.measures.disk_margin[0], rel=1e-6)
+    assert shown.margins.disk < 0.95 * first.margins.disk
+    assert set(page.influence(at).options) >= {"crossover_hz", "integral_hz"}
+    wanted = 1.1 * first.margins.crossover
+    dragged = page.picture(page.drag_crossover(at, wanted, free=True))
+    assert dragged.margins.crossover == pytest.approx(wanted, rel=1e-2)
+    page.close()
+
+
+def test_a_tracking_loop_around_indirect_stabilisation_behind_a_filter_is_measured_as_designed() -> None:
+    """Commands stand behind what the rate loop reads, the base's rates behind these."""
+    shaped = {"filter_hz": 10.0, "acceleration": True}
+    data = job_of(TRACKING | {"limits": {"disk_margin": 0.3}}, reading="heading", command=shaped)
+    data["plant"]["rate_sensor"] += [{"name": "own", "body": "yaw", "axis": [0, 0, 1], "frame": "parent"}]
+    data["plant"]["rate_sensor"] += [{"root_axis": 3}]
+    fed = {"sensors": ["Omega3"], "into": "reading"}
+    data["loop"][0]["design"][0] |= {"sensors": ["own"], "feedforward": fed}
+    job = read_job(data)
+    tracking, inner = design.loops(job)
+    page = Backend(job)
+    for one, name in ((inner, "loop"), (tracking, "track")):
+        at = page.chosen(page.start(), loop=name)
+        shown = {result.name: result.value for result in page.picture(at).requirements}
+        for result in one.closed.results:
+            assert shown[result.name] == pytest.approx(result.value, rel=1e-6, abs=1e-12), (name, result.name)
+    for made, own in zip(page._loops.controllers(page.start()), (tracking, inner), strict=True):
+        assert made.system.input_labels == own.closed.controller.input_labels
+        assert made.system.output_labels == own.closed.controller.output_labels
+        np.testing.assert_allclose(made.system.D, own.closed.controller.D, rtol=1e-9, atol=1e-12)
+    page.close()
+
+
+def test_tuning_a_design_with_a_filter_sees_the_whole() -> None:
+    """A PI overshoots, behind a filter it does not: nothing is left to tune."""
+    job = job_of(command={"filter_hz": 1.0, "acceleration": True})
+    job["loop"][0]["limits"] = {"overshoot": 0.01, "disk_margin": 0.5}
+    page = Backend(read_job(job))
+    start = page.start()
+    spec, one = page._loops.design(start)
+    plants, _ = page._loops.plants_of(start, spec, one)
+    options = page._loops.options.used(start, spec, one)
+    task = Tuning(
+        spec=spec,
+        design=one,
+        plants=plants,
+        directions=page._loops.directions(start, spec, one),
+        options=options,
+        movable=("crossover_hz", "integral_hz"),
+    )
+    assert task.run(lambda line: None) == options
+    plain = dataclasses.replace(task, design=dataclasses.replace(one, command=None))
+    assert plain.run(lambda line: None) != options
     page.close()

@@ -17,7 +17,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from camera_job import camera_job
 from one_gyro_job import JOB as ONE
 from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.app.backend import Backend
@@ -27,7 +26,6 @@ from platform_ctrl.cli import main
 from platform_ctrl.design.jobs import loops
 from platform_ctrl.errors import DesignError, InputError, OldKeyWarning, PlatformCtrlError
 from platform_ctrl.job.reading import read_job
-from platform_ctrl.job.writing import toml
 from platform_ctrl.plant.source import shipped_models
 
 SHIPPED = Path(__file__).parents[2] / "examples" / "three_gyro_platform.toml"
@@ -435,22 +433,3 @@ def test_every_shipped_plant_has_a_page(model: str, tmp_path: Path) -> None:
         assert np.nanmin(np.abs(there - 1.03 * pole)) < 1e-6 * abs(pole)
     saved = bench.save(settings, tmp_path / "saved.toml")
     assert Backend(saved.job).picture(Backend(saved.job).start(settings.loop)).stable
-
-
-def test_designs_with_feedforward_are_left_out_and_kept_when_saved(tmp_path: Path) -> None:
-    data = camera_job()
-    data["plant"]["rate_sensor"].append({"root_axis": 1})
-    fed = data["loop"][0]["design"][0] | {"name": "fed", "feedforward": {"sensors": ["Omega1"]}}
-    data["loop"][0] |= {"use": "fed", "design": [fed, *data["loop"][0]["design"]]}
-    (tmp_path / "job.toml").write_text(toml(data), encoding="utf-8")
-    bench = Backend(tmp_path / "job.toml")
-    settings = bench.start()
-    assert settings.design == "pi"
-    assert "rate: fed, with feedforward or sensors of their own" in " ".join(bench.picture(settings).notes)
-    saved = read_job(bench.save(bench.moved(settings, "crossover_hz", 25.0), tmp_path / "new.toml").job).loops[0]
-    assert (saved.use, [one.name for one in saved.designs]) == ("fed", ["fed", "pi"])
-    assert saved.designs[0].feedforward is not None
-    assert saved.designs[1].options["crossover_hz"] == 25.0
-    data["loop"][0]["design"] = [fed]
-    with pytest.raises(InputError, match="the page shows no designs with feedforward or sensors of their own"):
-        Backend(read_job(data))

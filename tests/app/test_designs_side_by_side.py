@@ -1,0 +1,99 @@
+"""Designs of a rate loop with sensors and feedforward of their own, beside a plain one: shown, compared and saved."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from camera_job import camera_job, camera_plant
+from platform_ctrl import design, read_job
+from platform_ctrl.app.backend import Backend
+from platform_ctrl.design.jobs import LoopOutcome
+from platform_ctrl.job.writing import toml
+from platform_ctrl.verification.controllers import outcomes_from, read_controllers
+
+pytestmark = pytest.mark.usefixtures("untraced")
+BASE = ["Omega1", "Omega2", "Omega3"]
+PI = {"method": "pi", "crossover_hz": 30, "integral_hz": 3}
+DESIGNS = [
+    PI | {"name": "direct"},
+    PI | {"name": "fed", "feedforward": {"sensors": BASE, "bandwidth_hz": 500}},
+    PI | {"name": "indirect", "sensors": ["rate_az", "rate_el"], "feedforward": {"sensors": BASE, "into": "reading"}},
+]
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    data = camera_job(operation={"Omega": [0.2, 0.2, 0.2], "angles": {"q_el": [0.6]}})
+    relative = [
+        {"name": f"rate_{name}", "body": name, "axis": axis, "frame": "parent"}
+        for name, axis in (("az", [0, 0, 1]), ("el", [0, 1, 0]))
+    ]
+    friction = [{"gimbal": name, "coulomb": 0.01, "viscous": 0.01} for name in ("az", "el")]
+    root = [{"root_axis": axis} for axis in (1, 2, 3)]
+    data["plant"] = camera_plant(friction=friction, rate_sensor=[*data["plant"]["rate_sensor"], *relative, *root])
+    limits = {"disk_margin": 0.5, "torque_noise": 0.5, "attenuation_db": 10, "attenuation_hz": 5}
+    data["loop"][0] |= {"use": "fed", "design": DESIGNS, "limits": limits}
+    path = tmp_path_factory.mktemp("job") / "job.toml"
+    path.write_text(toml(data), encoding="utf-8")
+    return path
+
+
+@pytest.fixture(scope="module")
+def outcome(file: Path) -> LoopOutcome:
+    return design.loops(file)[0]
+
+
+@pytest.fixture
+def page(file: Path) -> Iterator[Backend]:
+    backend = Backend(file)
+    yield backend
+    backend.close()
+
+
+def test_every_design_has_the_values_that_it_was_designed_with(page: Backend, outcome: LoopOutcome) -> None:
+    assert page.start().design == "fed"
+    for one in outcome.designs:
+        shown = {r.name: r.value for r in page.picture(page.chosen(page.start(), design=one.name)).requirements}
+        for result in one.results:
+            assert shown[result.name] == pytest.approx(result.value, rel=1e-3), (one.name, result.name)
+
+
+def test_designs_are_compared_by_the_line_of_sight_that_the_base_turns(page: Backend) -> None:
+    """Whatever a design reads, its overlay has the curves of its own picture."""
+    start = page.chosen(page.start(), design="direct")
+    shown = page.picture(start.but(overlays=("fed", "indirect")))
+    direct = shown.Omega_time
+    assert direct.signals[:2] == ("los_rate1", "los_rate2")
+    for over in shown.bode.overlays:
+        own = page.picture(page.chosen(start, design=over.design))
+        assert over.Omega_step.signals == direct.signals
+        np.testing.assert_allclose(over.Omega_step.values, own.Omega_time.values, rtol=1e-9, atol=1e-12)
+    fed = shown.bode.overlays[0]
+    # What friction brings in is fed forward: poles and loop transfer stay what they are.
+    np.testing.assert_allclose(fed.response, shown.bode.response, rtol=1e-6)
+    assert np.abs(fed.Omega_step.values[:2]).max() < 0.5 * np.abs(direct.values[:2]).max()
+
+
+def test_sliders_move_a_design_with_feedforward_and_it_is_saved_with_it(page: Backend, tmp_path: Path) -> None:
+    start = page.start()
+    moved = page.moved(start, "crossover_hz", 25.0)
+    assert page.picture(moved).margins.crossover < page.picture(start).margins.crossover
+    saved = page.save(moved, tmp_path / "saved.toml").job
+    (again,) = outcomes_from(read_job(saved), read_controllers(tmp_path / "saved.controllers.json", read_job(saved)))
+    assert (again.use, again.closed.controller.input_labels[-3:]) == ("fed", BASE)
+    (designed,) = (one for one in design.loops(saved)[0].designs if one.name == "fed")
+    np.testing.assert_allclose(again.closed.controller.D, designed.controller.D, rtol=1e-9, atol=1e-12)
+
+
+def test_a_platform_rate_is_the_amplitude_at_which_dry_friction_of_a_held_gimbal_acts(page: Backend) -> None:
+    """A bearing that turns at ± its base's rate v has the mean damping 4 F/(π v) of dry friction F."""
+    start = page.start()
+    nominal, turning = (page.picture(one).locus.present for one in (start, start.but(Omega=(0.0, 0.0, 0.2))))
+    (friction,) = (k for k, name in enumerate(page.plants(start)) if name == "dry friction at 0.2 rad/s")
+    as_in_set = page.picture(start.but(plant=page.plants(start)[friction])).locus.present
+    np.testing.assert_allclose(np.sort_complex(turning), np.sort_complex(as_in_set), rtol=1e-6)
+    assert np.abs(np.sort_complex(turning) - np.sort_complex(nominal)).max() > 0.1
