@@ -268,13 +268,21 @@ _OF_RATES = {
     "rad/(N m)": "(rad/s)/(N m)",
     "N m/rad": "N m/(rad/s)",
 }
+# A tracking loop sets commands of rates instead of torques.
+_OF_COMMANDS = {
+    "angle from torque": "angle from commanded rate",
+    "torque noise": "noise of the commanded rate",
+    "rad/(N m)": "rad/(rad/s)",
+    "N m/rad": "(rad/s)/rad",
+    "N m": "rad/s",
+}
 
 
 def of_readings(words: str, kind: str) -> str:
-    """Return name or unit of a metric for a loop of this kind: rate loops read rates, others angles."""
-    for angles, rates in _OF_RATES.items() if kind == "rate" else ():
-        if words.startswith(angles):
-            return words.replace(angles, rates, 1)
+    """Return name or unit of a metric for a loop of this kind: rate loops read rates, tracking loops command them."""
+    for usual, own in {"rate": _OF_RATES, "tracking": _OF_COMMANDS}.get(kind, {}).items():
+        if words.startswith(usual):
+            return words.replace(usual, own, 1)
     return words
 
 

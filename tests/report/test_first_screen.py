@@ -17,7 +17,7 @@ from platform_ctrl.report.figures.loop import sensitivity_figure
 from platform_ctrl.report.figures.worst_plant import worst_plant, worst_plant_figure
 from platform_ctrl.report.loop_responses import loop_responses
 from platform_ctrl.report.page import first_screen, tables
-from platform_ctrl.report.page.blocks import Columns, Document, Fold, Part, Table
+from platform_ctrl.report.page.blocks import Cell, Columns, Document, Fold, Part, Plate, Table
 from platform_ctrl.report.page.change_table import change_part
 from platform_ctrl.report.page.job_page import page_html
 from platform_ctrl.report.quantities import compared
@@ -114,6 +114,10 @@ def test_a_section_shows_its_own_verdict(result: JobResult, document: Document) 
     assert "met, tightest +" in first_screen.section_verdict(only_met.requirements)[0]
 
 
+def cells_of(table: Table) -> list[Cell]:
+    return [cell for group in table.groups for row in group.rows for cell in row.cells]
+
+
 def test_at_most_five_changes_follow_the_first_screen_with_gain_and_conflict(
     result: JobResult, document: Document
 ) -> None:
@@ -142,8 +146,9 @@ def test_a_job_without_requirements_has_nothing_to_change() -> None:
     assert change_part(dataclasses.replace(found, requirements=()), ()) == ()
 
 
-def test_a_tracking_loop_around_a_rate_loop_is_reported() -> None:
+def test_a_tracking_loop_around_a_rate_loop_is_reported_in_its_own_words() -> None:
     data = camera_job()
+    data["loop"][0]["limits"] = {"disk_margin": 0.5, "attenuation_db": 20, "attenuation_hz": 5}
     data["loop"].append(
         {
             "name": "track",
@@ -151,12 +156,24 @@ def test_a_tracking_loop_around_a_rate_loop_is_reported() -> None:
             "around": "rate",
             "sensors": ["yaw_error", "pitch_error"],
             "use": "pi",
-            "limits": {"disk_margin": 0.5},
+            "limits": {"disk_margin": 0.5, "torque_noise": 0.1},
             "design": [{"name": "pi", "method": "pi", "crossover_hz": 2.0}],
         }
     )
-    titles = [section.title for section in report.prepared(checked(data)).sections]
-    assert {"Track", "Rate"} <= set(titles)
+    sections = {one.title: one for one in report.prepared(checked(data)).sections}
+    track, rate = (
+        {one.title: one.caption for one in sections[title].blocks if isinstance(one, Plate)}
+        for title in ("Track", "Rate")
+    )
+    assert "torquer" not in track["Loop transfer"] + track["Nichols plot"] + track["Disturbances"]
+    assert "the loop that each torquer closes" in rate["Loop transfer"]
+    rows = {cell.text for table in sections["Track"].blocks if isinstance(table, Table) for cell in cells_of(table)}
+    assert "noise of the commanded rate, rms" in rows
+    assert "\u2264 0.1 rad/s" in rows
+    # Of a band the caption has the worst inside, which the limit is about, not the peak beyond it.
+    words = re.search(r"([\d.]+) dB with “pi” up to 5 Hz, limit ≥ 20 dB", rate["Other gains with limits"])
+    assert words is not None
+    assert float(words[1]) > 20.0
 
 
 def test_options_versions_and_job_are_folded(document: Document) -> None:

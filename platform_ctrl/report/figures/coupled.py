@@ -146,16 +146,18 @@ def simultaneous_margin_figure(check: CoupledCheck, limit: float | None) -> Figu
     lower, upper = margin.lower_response[kept], margin.upper_response[kept]
     handles = axes.plot(f, lower, **line_style(0))
     handles += axes.plot(f, upper, **line_style(1))
-    frequency_axes(axes, f[0], f[-1])
+    # Slower than a hundred-thousandth of the fastest nothing happens that the picture would show.
+    frequency_axes(axes, max(f[0], 1e-5 * f[-1]), f[-1])
     floor = min(margin.lower, np.inf if limit is None else positive("limit", limit))
     axes.set_ylim(10.0 ** np.floor(np.log10(0.7 * floor)) if floor < 0.15 else 0.1, 10.0)
     if limit is not None:
         handles.append(axes.axhline(limit, color=LIMIT, linestyle=(0, (5, 2)), linewidth=0.9))
     axes.plot([margin.frequency * HZ], [margin.lower], "o", color=SERIES[0], markersize=5)
+    crossed = limit is not None and 0.5 < limit / margin.lower < 1.0
     axes.annotate(
         f"{at_least(margin.lower, 3)} at {margin.frequency * HZ:.3g} Hz",
         (margin.frequency * HZ, margin.lower),
-        (0, -11),
+        (0, 6 if crossed else -11),
         textcoords="offset points",
         ha="center",
         fontsize=7.5,

@@ -266,6 +266,7 @@ def loop_transfer_figure(responses: LoopResponses, spec: LoopSpec, torques: tupl
 def disturbance_figure(responses: LoopResponses, spec: LoopSpec) -> Figure:
     """Gains from platform rate and torque disturbance to what the loop reads, and from the rate to the torque."""
     what, unit = ("rates", "mrad/s") if spec.kind == "rate" else ("angles", "mrad")
+    disturbed, per = ("command", "mrad/s") if spec.kind == "tracking" else ("torque", "mN m")
     designs, f = responses.designs, responses.frequency * HZ
     acting = [a for a in range(3) if np.nanmax(responses.open_angle_per_rate[a], initial=0.0) > 1e-12]
     shares = [one.gains["torque limit"] for one in designs if "torque limit" in one.gains]
@@ -279,14 +280,14 @@ def disturbance_figure(responses: LoopResponses, spec: LoopSpec) -> Figure:
         _disturbance_limits(axes, closed, 1e3 * responses.open_angle_per_rate[a])
         axes.set_title(f"rate Omega{a + 1} → {what}")
         limit_lines(axes, spec, "Omega rejection", scale=1e3)
-    cells[0].set_ylabel(f"{unit} per rad/s" if acting else f"{unit} per mN m")
+    cells[0].set_ylabel(f"{unit} per rad/s" if acting else f"{unit} per {per}")
     axes = cells[len(acting)]
     handles = axes.plot(f, responses.open_angle_per_torque, color=REFERENCE, linewidth=1.1)
     closed = [one.gains["torque rejection"] for one in designs]
     handles += _design_curves(axes, f, closed, responses)
     _disturbance_limits(axes, closed, responses.open_angle_per_torque)
-    axes.set_title(f"torque disturbance → {what}")
-    axes.set_ylabel(f"{unit} per mN m")
+    axes.set_title(f"{disturbed} disturbance → {what}")
+    axes.set_ylabel(f"{unit} per {per}")
     limit_lines(axes, spec, "torque rejection")
     if limited_torque:
         axes = cells[-1]

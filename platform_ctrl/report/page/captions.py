@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from platform_ctrl.analysis.metrics import METRICS
+from platform_ctrl.analysis.measuring import Peak
+from platform_ctrl.analysis.metrics import METRICS, Metric
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.poles import continuous_poles, spectral_abscissa
 from platform_ctrl.campaign.summary import Summary
@@ -128,12 +129,28 @@ def disturbance(outcome: LoopOutcome, responses: LoopResponses) -> str:
 
 def further_gains(outcome: LoopOutcome, responses: LoopResponses, kinds: Sequence[str]) -> str:
     """Gains whose peaks have a limit, beside those of the other plots."""
-    peaks = responses.closed_design.peaks
     limits, goals = (
         any(limited(one, kind, outcome.spec) for kind in kinds) for one in (outcome.spec.limits, outcome.spec.soft)
     )
-    values = [(METRICS[kind], float(METRICS[kind].in_unit(peaks[kind]))) for kind in kinds]
+    values = [(METRICS[kind], *_shown_peak(METRICS[kind], kind, outcome, responses)) for kind in kinds]
     return sentences("further_gains", outcome=outcome, values=values, limits=limits, goals=goals)
+
+
+def _shown_peak(
+    metric: Metric, kind: str, outcome: LoopOutcome, responses: LoopResponses
+) -> tuple[float, float | None]:
+    """Return the worst value on the closed design's curve, and up to which frequency, Hz; None: at all frequencies."""
+    design, spec = responses.closed_design, outcome.spec
+    given = {**spec.soft, **spec.limits}
+    end = given.get(metric.frequency_key) if metric.band == "up to" else None
+    if end is None:
+        return float(metric.in_unit(design.peaks[kind])), None
+    f, lowest = responses.frequency * HZ, given.get(metric.lowest_key, 0.0)
+    inside = (f > lowest) & (f < end)
+    ends = np.interp([max(lowest, f[0]), end], f, design.gains[kind])
+    found = float(np.append(design.gains[kind][inside], ends).max())
+    inverse = isinstance(metric.measure, Peak) and metric.measure.reciprocal
+    return float(metric.in_unit(1.0 / found if inverse else found)), end
 
 
 def poles(outcome: LoopOutcome, plants: PlantSet) -> str:
