@@ -157,6 +157,7 @@ def _foot(platform: Platform, rows: FloatArray, top: float, width: float) -> str
 
 
 _NODE_FONT = 14.0
+_BOLD = 1.12  # width of bold letters over that of others: angles are bold
 _PITCH, _TIGHT = 42.0, 34.0  # from leaf to leaf; where there are many
 _BOX = 25.0  # height of a node
 _STUB = 15.0  # from a node to where its edges part
@@ -217,7 +218,7 @@ def _width(name: str) -> float:
 
 def _edge_width(node: _Node) -> float:
     axis, angle = node.edge
-    text = text_width(axis, _NODE_FONT) + (text_width(angle, _NODE_FONT) + 6.0 if angle else 0.0)
+    text = text_width(axis, _NODE_FONT) + (_BOLD * text_width(angle, _NODE_FONT) + 7.0 if angle else 0.0)
     return max(text + 14.0, 15.0 * len(node.signs) + 10.0)
 
 
