@@ -20,10 +20,10 @@ from platform_ctrl.analysis.measuring import MetricRequest
 from platform_ctrl.analysis.metrics import METRICS
 from platform_ctrl.analysis.plant_set import COMMAND, Group, PlantSet
 from platform_ctrl.analysis.poles import continuous_poles, minimum_damping
-from platform_ctrl.analysis.resolvent import ON_A_GRID
 from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.app.curves import (
     ALL,
+    DRAWN,
     EDGE,
     GRID_POINTS,
     Band,
@@ -137,7 +137,7 @@ class CagedCurves(LoopCurves):
 
     def response(self, frequency: FloatArray) -> ComplexArray:
         """Return the loop transfer of the plant shown at `frequency` (F,), rad/s."""
-        P = frequency_response(self._loop.plant, frequency, -3, ON_A_GRID)
+        P = frequency_response(self._loop.plant, frequency, -3, DRAWN)
         K = frequency_response(self._loop.controller, frequency, -3)
         return channel_response(sensitivity_functions(-K @ P)[0], self.index)
 

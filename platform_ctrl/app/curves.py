@@ -14,7 +14,6 @@ from platform_ctrl.analysis.feedback import closed_loop
 from platform_ctrl.analysis.plant_set import COMMAND, BoolArray
 from platform_ctrl.analysis.pole_branches import pole_branches
 from platform_ctrl.analysis.poles import continuous_poles
-from platform_ctrl.analysis.resolvent import ON_A_GRID
 from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.app.pictures import Bode, Drawing, FrequencyGain, Locus, Measured, Nichols, Overlay, TimeResponse
 from platform_ctrl.common.values import FloatArray
@@ -196,6 +195,8 @@ def selected(stack: StateArrays, outputs: Index, inputs: Index) -> StateArrays:
 
 # Sampled loops are shown up to this share of the Nyquist frequency: at its edge sensitivities have no meaning.
 EDGE = 0.999
+# Error bound of a response above which it is computed with more digits: a curve has three.
+DRAWN = 1e-4
 # Points of a frequency grid besides those at resonances.
 GRID_POINTS = 160
 
@@ -269,7 +270,7 @@ class LoopCurves(ABC):
 
         The set has responses (N, B, k) at frequencies (B,).
         """
-        own = frequency_response(shown, frequency, -3, ON_A_GRID)
+        own = frequency_response(shown, frequency, -3, DRAWN)
         w = low = high = np.zeros(0)
         if band is not None:
             w, gains = band[0], np.linalg.norm(band[1], axis=-1)

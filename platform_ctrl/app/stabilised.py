@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable, Sequence
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,10 +14,10 @@ from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, state_array
 from platform_ctrl.analysis.feedback import closed_loop, sensitivity_functions
 from platform_ctrl.analysis.mu import mu_bounds
 from platform_ctrl.analysis.poles import continuous_poles, minimum_damping, poles, spectral_abscissa
-from platform_ctrl.analysis.resolvent import ON_A_GRID
 from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.app.curves import (
     ALL,
+    DRAWN,
     Band,
     Drive,
     Driven,
@@ -256,7 +257,7 @@ class StabilisedCurves(LoopCurves):
         if self.banded:
             w, whole = self.loop.plants.frequency, self.loop.plants.response
             # The disturbance moves the sensors, these the torques, and both the attitude.
-            K = frequency_response(self.controller, w, -3, ON_A_GRID)
+            K = self._K_of_set
             sensed, driven = whole[..., :p, [column]], whole[..., self.used]
             torque = np.linalg.solve(np.eye(k) - K @ driven[..., :p, :], K @ sensed)
             band = w, (whole[..., p:, [column]] + driven[..., p:, :] @ torque)[..., 0]
@@ -264,6 +265,11 @@ class StabilisedCurves(LoopCurves):
         return self._disturbance_gain(
             f"torque M{self.axis} on the platform → attitude", "rad/(N m)", frequency, shown, band
         )
+
+    @cached_property
+    def _K_of_set(self) -> ComplexArray:
+        """The controllers' response on the grid of the set."""
+        return frequency_response(self.controller, self.loop.plants.frequency, -3, DRAWN)
 
     def set_poles(self) -> ComplexArray:
         """Return the closed-loop poles of the plants of the band, or those of the plant shown, (N, n), rad/s."""
@@ -276,7 +282,7 @@ class StabilisedCurves(LoopCurves):
         """Return the loop transfers of all plants, and the least of their disk margins with its plant."""
         plants = self.loop.plants
         response = plants.response[..., : len(plants.sensors), self.used]
-        S = sensitivity_functions(-frequency_response(self.controller, plants.frequency, -3) @ response)[0]
+        S = sensitivity_functions(-self._K_of_set @ response)[0]
         peaks = np.abs(S[..., self.index, self.index] - 0.5).max(axis=-1)
         k = int(np.argmax(peaks))
         band = Band(plants.labels, plants.frequency, channel_response(S, self.index))
