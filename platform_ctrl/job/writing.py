@@ -17,7 +17,7 @@ from platform_ctrl.job.reading import SCHEMA as JOB_SCHEMA
 from platform_ctrl.job.spectra import LogSpectrum, Spectrum
 from platform_ctrl.plant.force_elements import Friction
 from platform_ctrl.plant.platform import OMEGA_NAMES, ROOT_TORQUE_NAMES, Platform, Rotor
-from platform_ctrl.plant.sensors import Sensor
+from platform_ctrl.plant.sensors import ERRORS, Sensor
 from platform_ctrl.plant.tables import shape
 
 
@@ -214,6 +214,8 @@ def _part(part: Any) -> dict[str, Any]:
         # What says nothing is left out, so that a record stays short.
         apart |= {key for key in ("bias", "scale_error", "delay") if not getattr(part, key)}
         apart |= {"frame"} if getattr(part, "body", "") is None else set()
+        # What it reads comes first, then how well.
+        return dict(sorted(_fields(part, *apart).items(), key=lambda item: item[0] in ERRORS))
     if isinstance(part, Friction) and not math.isfinite(part.stribeck_rate):
         apart |= {"breakaway", "stribeck_rate"}
     return _fields(part, *apart)

@@ -19,7 +19,7 @@ import math
 from collections.abc import Callable, Mapping
 from functools import cache
 from operator import attrgetter
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
 import numpy as np
 
@@ -43,23 +43,11 @@ _DENSITY = Instead(
     NOT_NEGATIVE,
     lambda density, sensor: density * math.sqrt(sensor.get("noise_bandwidth_hz", _BANDWIDTH)),
 )
-Noise = Annotated[fields.NotNegative, _DENSITY]
-# Fields of a sensor that say how well it measures, not what.
-_ERRORS = (
-    "noise_rms",
-    "noise_bandwidth_hz",
-    "quantisation",
-    "bias",
-    "scale_error",
-    "bandwidth_hz",
-    "delay",
-    "rate_hz",
-    "added",
-)
 
 
+@input_value
 class Sensor:
-    """What all kinds of sensors have in common.
+    """What all kinds of sensors have in common: a name, and how well they measure.
 
     Attributes
     ----------
@@ -81,25 +69,26 @@ class Sensor:
         Of the reading.
     """
 
-    __slots__ = ()
+    unit = ""
+    name: str = ""
+    noise_rms: Annotated[fields.NotNegative, _DENSITY] = 0.0
+    noise_bandwidth_hz: fields.Positive = _BANDWIDTH
+    quantisation: fields.NotNegative = 0.0
+    bias: fields.Number = 0.0
+    scale_error: fields.Number = 0.0
+    bandwidth_hz: fields.Positive | None = None
+    delay: fields.NotNegative = 0.0
 
-    unit: ClassVar[str]
-    name: str
-    noise_rms: float
-    noise_bandwidth_hz: float
-    quantisation: float
-    # Of kinds without such fields:
-    bias: float = 0.0
-    scale_error: float = 0.0
-    bandwidth_hz: float | None = None
-    delay: float = 0.0
-    rate_hz: float | None = None
+    @property
+    def rate_hz(self) -> float | None:
+        """Rate of new readings, which are held between, Hz; None: at every sample, as of kinds without such a field."""
+        return None
 
     @property
     def place(self) -> tuple[object, ...]:
         """Kind, name and place: what sensors of plants that differ in numbers alone have in common."""
         kind: type = type(self)
-        lags = (self.bandwidth_hz is not None, self.delay, self.rate_hz)
+        lags = (self.bandwidth_hz is not None, self.delay)
         return (kind, *lags, *(_hashable(item) for item in _placed(kind)(self)))
 
     def signals(self, platform: Platform) -> Mapping[str, float]:
@@ -151,8 +140,39 @@ class Sensor:
         return math.ceil(late - 1e-9)
 
 
+# Fields of a sensor that say how well it measures, not what.
+ERRORS = frozenset(field.name for field in dataclasses.fields(Sensor)) - {"name"}
+
+
 @input_value
-class PickOff(Sensor):
+class _GimbalAngle(Sensor):
+    unit = "rad"
+    gimbal: str
+
+    @check_arguments
+    def signals(self, platform: Platform) -> Mapping[str, float]:
+        """Return the signal that is read, and its weight.
+
+        Parameters
+        ----------
+        platform
+            The platform that has the sensor.
+
+        Returns
+        -------
+        mapping
+            The gimbal's angle, weight 1.
+
+        Raises
+        ------
+        ArgumentError
+            The platform has no such gimbal.
+        """
+        return {platform.angle_names[platform.gimbal(self.gimbal)]: 1.0}
+
+
+@input_value
+class PickOff(_GimbalAngle):
     """A sensor of a gimbal's angle against its parent.
 
     Attributes
@@ -167,42 +187,12 @@ class PickOff(Sensor):
         Whether the device itself does not have it.
     """
 
-    unit = "rad"
-    name: str = ""
     gimbal: Annotated[fields.Text, Refers(once="pick-off")]
-    noise_rms: Noise = 0.0
-    noise_bandwidth_hz: fields.Positive = _BANDWIDTH
-    quantisation: fields.NotNegative = 0.0
-    bias: fields.Number = 0.0
-    scale_error: fields.Number = 0.0
-    bandwidth_hz: fields.Positive | None = None
-    delay: fields.NotNegative = 0.0
     added: fields.Truth = False
-
-    @check_arguments
-    def signals(self, platform: Platform) -> Mapping[str, float]:
-        """Return the signal that is read, and its weight.
-
-        Parameters
-        ----------
-        platform
-            The platform that has the sensor.
-
-        Returns
-        -------
-        mapping
-            The gimbal's angle, weight 1.
-
-        Raises
-        ------
-        ArgumentError
-            The platform has no such gimbal.
-        """
-        return {platform.angle_names[platform.gimbal(self.gimbal)]: 1.0}
 
 
 @input_value
-class AngleSensor(Sensor):
+class AngleSensor(_GimbalAngle):
     """An encoder or resolver: a further sensor of a gimbal's angle against its parent, with a name of its own.
 
     Attributes
@@ -215,37 +205,8 @@ class AngleSensor(Sensor):
         See `Sensor`; rad.
     """
 
-    unit = "rad"
     name: fields.Text
     gimbal: Annotated[fields.Text, Refers()]
-    noise_rms: Noise = 0.0
-    noise_bandwidth_hz: fields.Positive = _BANDWIDTH
-    quantisation: fields.NotNegative = 0.0
-    bias: fields.Number = 0.0
-    scale_error: fields.Number = 0.0
-    bandwidth_hz: fields.Positive | None = None
-    delay: fields.NotNegative = 0.0
-
-    @check_arguments
-    def signals(self, platform: Platform) -> Mapping[str, float]:
-        """Return the signal that is read, and its weight.
-
-        Parameters
-        ----------
-        platform
-            The platform that has the sensor.
-
-        Returns
-        -------
-        mapping
-            The gimbal's angle, weight 1.
-
-        Raises
-        ------
-        ArgumentError
-            The platform has no such gimbal.
-        """
-        return {platform.angle_names[platform.gimbal(self.gimbal)]: 1.0}
 
 
 @input_value
@@ -277,13 +238,6 @@ class RateSensor(Sensor):
     axis: fields.Axis | None = None
     frame: Annotated[Frame, fields.one_of(get_args(Frame))] = "inertial"
     misalignment: fields.Vector | None = None
-    noise_rms: Noise = 0.0
-    noise_bandwidth_hz: fields.Positive = _BANDWIDTH
-    quantisation: fields.NotNegative = 0.0
-    bias: fields.Number = 0.0
-    scale_error: fields.Number = 0.0
-    bandwidth_hz: fields.Positive | None = None
-    delay: fields.NotNegative = 0.0
 
     @check_arguments
     def signals(self, platform: Platform) -> Mapping[str, float]:
@@ -344,13 +298,6 @@ class AttitudeSensor(Sensor):
     body: Annotated[fields.Text, Refers(root=True)]
     axis: fields.Axis
     misalignment: fields.Vector | None = None
-    noise_rms: Noise = 0.0
-    noise_bandwidth_hz: fields.Positive = _BANDWIDTH
-    quantisation: fields.NotNegative = 0.0
-    bias: fields.Number = 0.0
-    scale_error: fields.Number = 0.0
-    bandwidth_hz: fields.Positive | None = None
-    delay: fields.NotNegative = 0.0
     rate_hz: fields.Positive | None = None
 
     @check_arguments
@@ -465,7 +412,7 @@ def body_rotations(platform: Platform, body: int) -> tuple[str, ...]:
 
 @cache
 def _placed(kind: type) -> Callable[[Sensor], tuple[object, ...]]:
-    return attrgetter(*(field.name for field in dataclasses.fields(kind) if field.name not in _ERRORS))
+    return attrgetter(*(field.name for field in dataclasses.fields(kind) if field.name not in ERRORS))
 
 
 def _hashable(item: Any) -> object:
