@@ -137,12 +137,6 @@ class Budget:
         """Variance of each source over that of all (G, q); zero where there is none."""
         return variance_shares(self.rms, self.total)
 
-    @property
-    def reverse_cumulative(self) -> FloatArray:
-        """Variance of all sources above each of the edges (q, E)."""
-        out: FloatArray = self.total_cumulative[:, -1:] - self.total_cumulative
-        return out
-
 
 def assembled(
     plant: HybridPlant,

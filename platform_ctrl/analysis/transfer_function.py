@@ -60,10 +60,9 @@ def is_proper(system: control.TransferFunction, where: str) -> bool:
     return all(len(num) <= len(den) for _, _, num, den in _entries(system, where))
 
 
-def rational_response(
-    system: control.TransferFunction, frequency: FloatArray, where: str = "frequency_response"
-) -> ComplexArray:
+def rational_response(system: control.TransferFunction, frequency: FloatArray) -> ComplexArray:
     """Return the values of a transfer function at `frequency` (N,), rad/s, as (p, m, N); inf at a pole."""
+    where = "frequency_response"
     dt = _period(system, where)
     point = np.exp(1j * frequency * dt) if dt else 1j * frequency
     out = np.zeros((system.noutputs, system.ninputs, len(frequency)), dtype=np.complex128)

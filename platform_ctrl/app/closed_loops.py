@@ -24,8 +24,7 @@ from platform_ctrl.app.saving import ClosedController
 from platform_ctrl.app.settings import Conditions, Settings
 from platform_ctrl.app.stabilised import CachedMargins
 from platform_ctrl.common.arguments import known_name
-from platform_ctrl.design.command_shaping import shaped
-from platform_ctrl.design.loop import LoopProblem, designed
+from platform_ctrl.design.loop import LoopProblem, designed, shaped
 from platform_ctrl.design.partition import Channels
 from platform_ctrl.errors import DesignError
 from platform_ctrl.job.job import DesignSpec, Job, LoopSpec

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from dataclasses import field
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, named_system, state_arrays
 from platform_ctrl.analysis.certificates import Certificate
@@ -16,12 +18,11 @@ from platform_ctrl.analysis.following import with_error_alone
 from platform_ctrl.analysis.loop_metrics import LoopMetrics, measure
 from platform_ctrl.analysis.plant_set import COMMAND, PlantSet
 from platform_ctrl.common.progress import Progress
-from platform_ctrl.common.values import value
-from platform_ctrl.design.command_shaping import shaped
+from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.loop_signals import loop_channels, loop_signals
-from platform_ctrl.design.partition import Channels
+from platform_ctrl.design.partition import Channels, low_pass
 from platform_ctrl.errors import DesignError, NotCertifiedError
-from platform_ctrl.job.job import DesignSpec, Job, LoopSpec
+from platform_ctrl.job.job import CommandShaping, DesignSpec, Job, LoopSpec
 from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.job.methods import known_method, resolved
 from platform_ctrl.job.requirements import LoopRequirement, hard_and_soft, of_readings
@@ -29,6 +30,9 @@ from platform_ctrl.mechanics.linearisation import LinearModel
 
 if TYPE_CHECKING:
     import control
+
+# Of the reference filter: it answers a step without overshoot.
+_DAMPING = 1.0
 
 
 @value
@@ -364,3 +368,24 @@ def completed(method: str, given: dict[str, float], defaults: dict[str, float]) 
     if wrong:
         raise DesignError(f"{method}: {wrong[0]} must be > 0, got {out[wrong[0]]:g}")
     return out
+
+
+def shaped(K: StateArrays, shaping: CommandShaping, directions: Channels, sense: FloatArray) -> StateArrays:
+    """Return the controller of readings and commands behind a reference filter, of K from the readings.
+
+    u = K (y − F r) + J sᵏ F r. F = ω²/(s + ω)² does not overshoot, and J are the inertias that the loop's torquers
+    turn: a torque shows in the derivative k of what is measured, 1 of a rate and 2 of an angle. Both are sampled by
+    Tustin's rule. `sense` (n, p) leads from the readings to the directions, along which the inertias are known.
+    """
+    p, w = len(K.B.T), 2.0 * math.pi * shaping.filter_hz
+    one, derivative = (low_pass(w, _DAMPING, K.dt, order) for order in (0, directions.order))
+    A, B, C, D = (block_diag(*(part,) * p) for part in one[:4])
+    torque = directions.inertias[:, None] * sense if shaping.acceleration else np.zeros_like(sense)
+    C_own, D_own = (block_diag(*(part,) * p) for part in (derivative.C, derivative.D))
+    return StateArrays(
+        np.block([[K.A, -K.B @ C], [np.zeros((len(A), len(K.A))), A]]),
+        np.block([[K.B, -K.B @ D], [np.zeros((len(A), p)), B]]),
+        np.hstack([K.C, torque @ C_own - K.D @ C]),
+        np.hstack([K.D, torque @ D_own - K.D @ D]),
+        K.dt,
+    )

@@ -182,16 +182,10 @@ def notch(frequency: float, depth: float, width: float, period: float) -> StateA
     return _prewarped((1.0, depth * damping, f2), (1.0, damping, f2), frequency, period)
 
 
-def low_pass(frequency: float, damping: float, period: float) -> StateArrays:
-    """Return f²/(s² + 2 damping f s + f²), by Tustin's rule prewarped at f = `frequency`, rad/s."""
+def low_pass(frequency: float, damping: float, period: float, order: int = 0) -> StateArrays:
+    """Return sᵏ f²/(s² + 2 damping f s + f²), k = `order`, by Tustin's rule prewarped at f = `frequency`, rad/s."""
     f2 = frequency**2
-    return _prewarped((0.0, 0.0, f2), (1.0, 2.0 * damping * frequency, f2), frequency, period)
-
-
-def derived_low_pass(frequency: float, damping: float, order: int, period: float) -> StateArrays:
-    """Return sᵏ times `low_pass`, k = 1 or 2, with the same states."""
-    f2 = frequency**2
-    numerator = (0.0, f2, 0.0) if order == 1 else (f2, 0.0, 0.0)
+    numerator = ((0.0, 0.0, f2), (0.0, f2, 0.0), (f2, 0.0, 0.0))[order]
     return _prewarped(numerator, (1.0, 2.0 * damping * frequency, f2), frequency, period)
 
 

@@ -87,7 +87,7 @@ class Sampling:
 
 @input_value
 class CommandShaping:
-    """What a controller does with commands of its readings before it compares them: see `design.command_shaping`.
+    """What a controller does with commands of its readings before it compares them: see `design.loop.shaped`.
 
     Attributes
     ----------

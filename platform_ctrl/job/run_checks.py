@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Collection, Iterator
 from typing import Any
 
 from platform_ctrl.analysis.metrics import RUN_METRICS
-from platform_ctrl.job.command_checks import command_mistakes
 from platform_ctrl.job.faults import FAULT_KINDS, FAULT_NUMBERS, PART_WORDS, PartKind, part_names
 from platform_ctrl.job.job import Campaign
 from platform_ctrl.plant.checks import number_of
@@ -27,6 +27,19 @@ LONGEST_STEP = Campaign().step  # that of manoeuvres, too
 # What may happen to a platform that is not moved: one of these is enough of a manoeuvre.
 EVENTS = ("vibration", "sine", "command", "faults", "initial")
 
+# The keys that make a command: each with what it needs beside it, and what may stand there too.
+_COMMANDS = {"step": (), "ramp": (), "amplitude": ("frequency_hz",), "value": ("t",)}
+_BESIDE = {
+    "at": ("step", "ramp"),
+    "frequency_hz": ("amplitude",),
+    "phase": ("amplitude",),
+    "t": ("value",),
+    "smooth": ("value",),
+}
+# Largest command that can be meant, by the reading's unit: a turn; a hundred radians in a second. An attitude sensor
+# reads the sine of an angle (see `plant.sensors`), 4 % less than this one.
+_LARGEST_COMMAND, _SMALL_COMMAND = {"rad": 2.0 * math.pi, "rad/s": 100.0}, 0.5
+
 
 def run_mistakes(data: Data, platform: Platform | None) -> Iterator[Mistake]:
     """Walk what does not fit together; without a platform, what can be said without it."""
@@ -41,7 +54,7 @@ def run_mistakes(data: Data, platform: Platform | None) -> Iterator[Mistake]:
         yield from _tables(table, path)
         yield from _vibrations(table, path, mode)
         yield from _limits(table, path, mode, platform)
-        yield from command_mistakes(data, table, path, platform)
+        yield from _commands(data, table, path, platform)
         yield from _names_of_faults(table, path, faults)
     for k, table in tables(data, "fault"):
         yield from _fault(table, ("fault", k), platform)
@@ -218,3 +231,79 @@ def _part(part: str, kind: PartKind, path: Path, platform: Platform) -> Iterator
         having = [gimbal.name for gimbal in platform.gimbals if gimbal.stops is not None]
         words = f"part must be a gimbal with stops, got {given(part)}; {suggestion(part, having)}"
         yield Mistake((*path, "part"), words)
+
+
+def _commands(data: Data, manoeuvre: Data, path: Path, platform: Platform | None) -> Iterator[Mistake]:
+    """Walk what is wrong with the commands of a manoeuvre."""
+    for k, command in tables(manoeuvre, "command"):
+        own: Path = (*path, "command", k)
+        yield from _command_parts(command, own)
+        yield from _command_times(data, manoeuvre, command, own)
+        yield from _command_reading(data, command, own, platform)
+
+
+def _command_parts(command: Data, path: Path) -> Iterator[Mistake]:
+    if not any(key in command for key in _COMMANDS):
+        words = "a command needs step, ramp, amplitude with frequency_hz, or value with t"
+        yield Mistake((*path, "step"), f'the key "step" is missing; {words}')
+    for key, beside in _COMMANDS.items():
+        for needed in beside if key in command else ():
+            if needed not in command:
+                yield Mistake((*path, needed), f'the key "{needed}" is missing; {key} has no effect without it')
+    if any(key in command for key in _COMMANDS):
+        for key, of in _BESIDE.items():
+            if key in command and not any(one in command for one in of):
+                words = f"{key} = {given(command[key])} has no effect without {' or '.join(of)}"
+                yield Mistake((*path, key), f"{words}; add it, or leave the key out")
+    t, value = command.get("t"), command.get("value")
+    if isinstance(t, list) and isinstance(value, list) and len(t) != len(value):
+        words = f"value must have as many elements as t, {len(t)}, got {len(value)}"
+        yield Mistake((*path, "value"), words)
+
+
+def _command_times(data: Data, manoeuvre: Data, command: Data, path: Path) -> Iterator[Mistake]:
+    duration, at = number_of(manoeuvre, "duration"), number_of(command, "at")
+    if duration is not None and at is not None and at >= duration > 0.0:
+        words = f"at must be before the end of the run, {duration:.6g} s, got {given(command['at'])}"
+        yield Mistake((*path, "at"), words)
+    sampling = data.get("sampling")
+    rate = number_of(sampling, "rate_hz") if isinstance(sampling, dict) else None
+    frequency = number_of(command, "frequency_hz")
+    if rate is not None and frequency is not None and frequency >= 0.5 * rate > 0.0:
+        words = f"frequency_hz must be below half the sample rate, {0.5 * rate:.6g} Hz, got {given(frequency)}"
+        yield Mistake((*path, "frequency_hz"), words)
+
+
+def _command_reading(data: Data, command: Data, path: Path, platform: Platform | None) -> Iterator[Mistake]:
+    reading = text_of(command, "reading")
+    if reading is None or platform is None:
+        return
+    by_name = {sensor.name: sensor for sensor in platform.sensors}
+    read = [
+        name
+        for _, loop in tables(data, "loop")
+        if loop.get("kind") in ("rate", "pointing", "tracking") and isinstance(loop.get("sensors"), list)
+        for name in loop["sensors"]
+        if isinstance(name, str)
+    ]
+    words = f"reading: {given(reading)} is"
+    if reading not in by_name:
+        yield Mistake((*path, "reading"), f"{words} no sensor of the plant; {suggestion(reading, by_name)}")
+        return
+    if reading not in read:
+        use = suggestion(reading, read) if read else "add a rate or pointing loop that reads it"
+        why = "read by no rate, pointing or tracking loop, and a caging loop holds its gimbals at zero"
+        yield Mistake((*path, "reading"), f"{words} {why}; {use}")
+    unit = by_name[reading].unit
+    attitude = any(sensor.name == reading for sensor in platform.attitude_sensors)
+    most = _SMALL_COMMAND if attitude else _LARGEST_COMMAND[unit]
+    for key in ("step", "amplitude", "value"):
+        values = command.get(key) if key == "value" else [command.get(key)]
+        numbers = (
+            [x for item in values if (x := number_of({"x": item}, "x")) is not None] if isinstance(values, list) else []
+        )
+        worst = max(map(abs, numbers), default=0.0)
+        if worst > most:
+            words = f"{key}: {worst:.6g} {unit} cannot be meant, at most {most:.4g} {unit}"
+            why = "which reads small rotations" if attitude else "not in degrees"
+            yield Mistake((*path, key), f"{words}; commands of {given(reading)} are in {unit}, {why}")

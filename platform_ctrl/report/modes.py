@@ -52,12 +52,6 @@ class Mode:
     growth: float  # Largest real part, 1/s; 0 where nothing grows
 
 
-def gimbal_poles(model: LinearModel, gimbals: tuple[str, ...]) -> ComplexArray:
-    """Return the poles of the uncontrolled gimbals with Omega given, fastest first, rad/s."""
-    s = np.asarray(np.linalg.eigvals(state_space(model, gimbals=gimbals).A), dtype=np.complex128)
-    return s[np.argsort(-np.abs(s), kind="stable")]
-
-
 def modes(model: LinearModel, gimbals: tuple[str, ...]) -> tuple[Mode, ...]:
     """Return the modes of a subsystem at the model's trim, fastest first."""
     s, kinds = poles_and_kinds(model, gimbals)

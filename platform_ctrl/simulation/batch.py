@@ -36,6 +36,8 @@ from platform_ctrl.simulation.scenarios import commanded_readings, expect_severa
 if TYPE_CHECKING:
     import control
 
+_NO_RECORD = np.zeros((0, 0))
+
 
 @value
 class BatchResult:
@@ -265,8 +267,8 @@ def merged_controller(
     return controller_rows(K.A, K.B, K.C, K.D, rates.reshape(len(drives), len(sensors) + len(commands)))
 
 
-def batch_metrics(batched: Batch, threads: int = 1, device: str = "cpu") -> FloatArray:
-    """Return the metrics (N, slots) of a batch."""
+def batch_metrics(batched: Batch, threads: int = 1, device: str = "cpu", record: FloatArray = _NO_RECORD) -> FloatArray:
+    """Return the metrics (N, slots) of a batch; of a single run its samples are written into the rows of `record`."""
     if device == "cuda":
         from platform_ctrl.simulation.device import batch_metrics_on_cuda
 
@@ -306,7 +308,7 @@ def batch_metrics(batched: Batch, threads: int = 1, device: str = "cpu") -> Floa
             plants[part],
             given[part],
             metrics[part],
-            np.zeros((0, 0)),
+            record,
         )
 
     def move_all() -> None:
@@ -328,39 +330,14 @@ def columns_of_record(batched: Batch) -> int:
 
 def recorded(member: Prepared, controller: Controller, period: float, noise: bool) -> tuple[FloatArray, FloatArray]:
     """Simulate one scenario alone; return its record, a row a sample, and its metrics (slots,)."""
-    from platform_ctrl.common.simd import LANES, memory
-    from platform_ctrl.simulation.kernel.loop import simulate_groups
-
-    wait_for_compilation()
-
     batched = batch([member], controller, period, noise)
-    at, layout = batched.packed.at, batched.layout
-    columns = columns_of_record(batched)
+    samples, columns = batched.layout.samples, columns_of_record(batched)
     try:
-        record = np.zeros((layout.samples, columns))
+        record = np.zeros((samples, columns))
     except MemoryError:
-        takes = f"the record of {layout.samples} samples takes {layout.samples * columns * 8 / 1e9:.3g} GB"
+        takes = f"the record of {samples} samples takes {samples * columns * 8 / 1e9:.3g} GB"
         raise SimulationError(f"{takes}, more memory than there is; simulate a shorter run") from None
-    metrics = np.empty((1, layout.end - layout.metrics, LANES))
-    run_interruptibly(
-        lambda: simulate_groups(
-            batched.packed.links,
-            batched.shared,
-            np.repeat(batched.keys[None], LANES, axis=1),
-            memory(layout.end),
-            None,  # type: ignore[arg-type]
-            at,
-            layout,
-            batched.free,
-            0,
-            layout.samples,
-            np.repeat(batched.plants[:, :, None], LANES, axis=2),
-            np.repeat(batched.given[:, :, None], LANES, axis=2),
-            metrics,
-            record,
-        )
-    )
-    return record, metrics[0, :, 0]
+    return record, batch_metrics(batched, record=record)[0]
 
 
 def compile_kernel() -> None:
