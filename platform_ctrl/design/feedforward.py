@@ -15,7 +15,6 @@ the same bodies about the same axes: w = −(T_y W + c_y). Angles get w ∫Omega
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
@@ -24,7 +23,7 @@ from platform_ctrl.analysis.arrays import StateArrays, seen_states, state_arrays
 from platform_ctrl.analysis.feedforward import RateFeedforward
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.sampling import from_w_plane, held_input, late_outputs
-from platform_ctrl.common.values import FloatArray
+from platform_ctrl.common.values import FloatArray, replaced
 from platform_ctrl.design.cases import rows_of
 from platform_ctrl.design.loop_signals import LoopSignals, loop_signals, without_sensors
 from platform_ctrl.design.plants import FORGETTING, plants_of
@@ -96,7 +95,7 @@ def _ideal(sensor: Sensor) -> Sensor:
     """Return a sensor about the axis that it is meant to have."""
     if getattr(sensor, "misalignment", None) is None:
         return sensor
-    return dataclasses.replace(sensor, misalignment=None)  # type: ignore[type-var]
+    return replaced(sensor, {"misalignment": None})
 
 
 def _rates_of(platform: Platform, sensor: Sensor) -> dict[str, float]:
