@@ -159,7 +159,7 @@ class Tuning:
         """Return the tuned options."""
         from platform_ctrl.app.controllers import direct_arrays
         from platform_ctrl.design.classical import caging, rate
-        from platform_ctrl.design.command_shaping import shaped
+        from platform_ctrl.design.loop import shaped
         from platform_ctrl.design.tuning import tune
         from platform_ctrl.job.requirements import loop_requirements
 

@@ -65,11 +65,9 @@ class Sensor:
         Where the sensor, a second-order low-pass of damping 1/sqrt(2), has lost 3 dB, Hz; None: it follows at once.
     delay
         Age of the reading, s; it counts in whole sample periods of the controllers, rounded up.
-    unit
-        Of the reading.
     """
 
-    unit = ""
+    unit = ""  # of the reading
     name: str = ""
     noise_rms: Annotated[fields.NotNegative, _DENSITY] = 0.0
     noise_bandwidth_hz: fields.Positive = _BANDWIDTH
