@@ -49,11 +49,16 @@ from platform_ctrl.app.pictures import Drawing, FrequencyGain, Locus, Margins, M
 from platform_ctrl.app.settings import Settings
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.loop import limits_and_goals, requirements_of
+from platform_ctrl.design.plants import FORGETTING
 from platform_ctrl.job.job import Job, LoopSpec
 from platform_ctrl.job.requirements import WORST_CASE, of_readings
 
 # Groups that a band shows: failed parts are not among them.
 _BAND = WORST_CASE
+# Share of the rate at which plants forget within which a pole is that of an angle they forget.
+_OF_FORGETTING = 0.05
+# Poles of a tracking loop beyond this many times the frequency that it goes by are not looked at first.
+_AROUND = 4.0
 # Largest number of states of a closed loop for which norms are computed while a slider moves.
 _QUICK = 32
 
@@ -145,7 +150,7 @@ class CagedCurves(LoopCurves):
         """Return the response to a torque step at the channel, of a loop around another one to one of its command."""
         plants, unit = self._loop.plants, self._units[self.channel]
         size = step_size(float(plants.torque_limit[self.index]))
-        duration = settling(self.poles, self.shown.plants.nutation, plants.period, self.stable)
+        duration = settling(self._own_poles, self.shown.plants.nutation, plants.period, self.stable)
         title = f"{1e3 * size:g} m{unit} step at {self.channel}"
         step = drive(title, duration, plants.period, lambda t: np.full(len(t), size))
         own = not self._sight
@@ -168,6 +173,13 @@ class CagedCurves(LoopCurves):
         if len(commands) and not turn.u.any():
             turn = turn._replace(u=commands[0])
         return self._responses(turn, parts)
+
+    @property
+    def _own_poles(self) -> ComplexArray:
+        """Poles without those of angles that the plants of a loop forget: they say nothing about the loop."""
+        if self._loop.spec.kind == "caging":
+            return self.poles
+        return self.poles[np.abs(self.poles + FORGETTING) > _OF_FORGETTING * FORGETTING]
 
     @property
     def _sight(self) -> tuple[str, ...]:
@@ -235,6 +247,9 @@ class CagedCurves(LoopCurves):
         # Oscillations, and what is about as fast as nutation: faster poles would squeeze everything else together.
         oscillating = size[(s.imag > 1e-6 * size) & (size < 0.7 * nyquist)]
         nutation = min(loop.shown.nutation, 0.3 * nyquist)
+        if loop.spec.around is not None:
+            # The poles of delayed trackers reach far beyond the loop.
+            oscillating = oscillating[oscillating < _AROUND * nutation]
         reach = min(1.25 * max(oscillating.max(initial=0.0), 1.5 * nutation), nyquist)
         others = np.zeros(0, dtype=np.complex128)
         if self.band is not None:

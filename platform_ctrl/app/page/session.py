@@ -429,11 +429,11 @@ PANELS = (
     ("Omega", "Response to a disturbance"),
 )
 BUDGET_PANELS = (
-    ("cumulative0", "Rms up to a frequency, first axis"),
-    ("cumulative1", "Rms up to a frequency, second axis"),
-    ("waterfall0", "From sources to the total, first axis"),
-    ("waterfall1", "From sources to the total, second axis"),
-    ("waterfall2", "From sources to the total, both axes"),
+    ("cumulative0", "Cumulative rms, first axis"),
+    ("cumulative1", "Cumulative rms, second axis"),
+    ("waterfall0", "Sum of sources, first axis"),
+    ("waterfall1", "Sum of sources, second axis"),
+    ("waterfall2", "Sum of sources, both axes"),
 )
 
 

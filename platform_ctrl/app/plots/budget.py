@@ -22,6 +22,8 @@ _WORDS, _BAR, _TALL = 0.27, 0.76, 0.34
 # Steps for which there is room at least.
 _ROWS = 6
 _LIMIT = "limit"
+# Share of a mean square below which its size is not written.
+_LEAST_SHARE = 1e-4
 
 
 def _rising(low: float, high: float) -> tuple[float, float]:
@@ -32,7 +34,7 @@ class CumulativePanel(Panel):
     """The rms of an axis up to a frequency, of all sources and of the largest."""
 
     def __init__(self, theme: Theme, sources: Sources, budget: Budget, frequency: View, axis: int) -> None:
-        super().__init__(f"cumulative{axis}", "Rms up to a frequency", theme, sources)
+        super().__init__(f"cumulative{axis}", "Cumulative rms", theme, sources)
         self._budget, self._axis, self._source = budget, axis, f"cumulative{axis}"
         self._size = View(0.0, 1.0, _rising)
         plot = self.add(frequency, self._size, "frequency, Hz", "µrad")
@@ -74,7 +76,7 @@ class WaterfallPanel(Panel):
     """How the mean squares of the sources add up to the total, the largest first."""
 
     def __init__(self, theme: Theme, sources: Sources, name: str) -> None:
-        super().__init__(name, "From sources to the total", theme, sources)
+        super().__init__(name, "Sum of sources", theme, sources)
         self._across, self._rows = View(0.0, 1.0, _ends), View(8.0, 0.0, _turned)
         self.plot = plot = self.add(self._across, self._rows, "rms, µrad; lengths are mean squares", "")
         columns = {"y": "bar", "left": "low", "right": "high"}
@@ -100,7 +102,7 @@ class WaterfallPanel(Panel):
         low, high = (MICRO**2 * np.append(one, last) for one, last in ((fall.low, 0.0), (fall.high, fall.total**2)))
         rows = len(low)
         texts = [
-            f"{name}: {plain(MICRO * float(rms), 3)} µrad, {plain(100.0 * float(share), 2)} %"
+            f"{name}: {plain(MICRO * float(rms), 3)} µrad, {_percent(float(share))}"
             for name, rms, share in zip(fall.names, fall.rms, fall.shares, strict=True)
         ]
         texts.append(f"all together: {plain(MICRO * fall.total, 3)} µrad")
@@ -130,6 +132,10 @@ class WaterfallPanel(Panel):
         self.heading(fall.axis)
         words = "" if fall.limit is None else f"limit {plain(MICRO * fall.limit, 3)} µrad"
         self.keys([limit_key(words + ("" if inside else ", beyond the right end"))] if words else [])
+
+
+def _percent(share: float) -> str:
+    return f"{plain(100.0 * share, 2)} %" if not 0.0 < share < _LEAST_SHARE else f"< {100.0 * _LEAST_SHARE:g} %"
 
 
 def _ends(low: float, high: float) -> tuple[float, float]:

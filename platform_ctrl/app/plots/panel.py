@@ -257,6 +257,8 @@ class Panel:
         elif isinstance(axis, LinearAxis):
             axis.ticker.desired_num_ticks = 5
             axis.formatter = BasicTickFormatter(use_scientific=False)
+            # A low figure has more ticks than numbers.
+            axis.major_label_policy = NoOverlap(min_distance=1)
 
     def degrees(self, axis: Any) -> None:
         """Put the ticks of an axis at parts of a turn."""

@@ -33,6 +33,7 @@ const build = (given) => {
     const cells = [cell(), cell(), cell()];
     return { cells, element: made("tr", { title: `${one.full} (${one.method})` }, made("th", { scope: "row" }, one.name), ...cells) };
   });
+  byId("budget-limits").closest("table").hidden = limits.length === 0;
   byId("budget-limits").replaceChildren(...limits.map((one) => one.element));
 };
 
