@@ -256,7 +256,7 @@ def _between_nodes(one: Contribution, turn: float) -> tuple[FloatArray, FloatArr
     P, _, F, G, q = one.density.shape
     ends = np.abs(one.panels[:, None, :] + (np.arange(F) - (F - 1) // 2)[:, None] * turn)
     at = np.concatenate([ends[:, None, :, 0], one.frequency, ends[:, None, :, 1]], axis=1)
-    rising = np.diff(UP_TO, axis=0, prepend=0.0) @ one.density.reshape(P, 21, -1)
+    rising = np.diff(UP_TO, axis=0, prepend=0.0) @ one.density.reshape(P, 21, F * G * q)
     parts = np.maximum(rising, 0.0).reshape(P, 22, F, G, q)
     every = parts.sum(axis=1)
     parts *= np.divide(one.members, every, out=np.zeros_like(every), where=every > 0.0)[:, None]

@@ -37,9 +37,11 @@ _ROUNDING = 1e-12
 
 
 SIMULATE = option(
-    "--simulate", metavar="N", help="Simulate N runs of the non-linear plant beside it, friction and noise included."
+    "--simulate",
+    metavar="N",
+    help="Simulate N runs of the non-linear plant beside it, friction and noise included. Default: runs of [budget].",
 )
-SEED = option("--seed", metavar="N", help="Random seed of these runs. Default: 0.")
+SEED = option("--seed", metavar="N", help="Random seed of these runs. Default: that of the job.")
 
 
 def budget(
@@ -90,7 +92,8 @@ def budget(
 def _simulated(
     job: Job, controllers: Sequence[control.StateSpace], runs: int | None, seed: int | None, say: Callable[[str], None]
 ) -> SimulatedBudget | None:
-    """Return what runs show, None where none are wanted."""
+    """Return what runs show, None where none are wanted; those of the job unless others are."""
+    runs = runs if runs is not None or job.budget is None else job.budget.runs
     if runs is None:
         if seed is not None:
             raise InputError("--seed: it is the seed of simulated runs; give --simulate N as well")
@@ -102,7 +105,9 @@ def _simulated(
     from platform_ctrl.verification.simulated_budget import simulated_budget
 
     say(f"budget: {runs} runs of the non-linear plant")
-    return simulated_budget(job, controllers, runs, seed=seed or 0, threads=os.cpu_count() or 1)
+    return simulated_budget(
+        job, controllers, runs, seed=job.seed if seed is None else seed, threads=os.cpu_count() or 1
+    )
 
 
 def _others(

@@ -210,6 +210,8 @@ class Budget:
         Exposure times for windowed jitter and smear, s.
     spatial_frequencies
         At which the modulation transfer function is wanted, cycles/rad.
+    runs
+        How many runs of the non-linear plant are simulated beside the linear budget; None: none.
     limits
         What the line of sight has to keep.
     sources, correlations
@@ -220,6 +222,7 @@ class Budget:
     to_hz: fields.Positive
     exposure: fields.Positives = ()
     spatial_frequencies: fields.Positives = ()
+    runs: fields.SeveralRuns | None = None
     limits: Annotated[BudgetLimits, TABLE] = field(default_factory=BudgetLimits)
     sources: Annotated[tuple[Source, ...], Array("source", least=1, most=MOST_SOURCES)]
     correlations: Annotated[tuple[Correlation, ...], Array("correlation")] = ()

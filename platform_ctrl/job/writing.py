@@ -143,7 +143,7 @@ def _campaign_data(campaign: Campaign) -> dict[str, Any]:
 def _budget_data(budget: Budget) -> dict[str, Any]:
     own = _fields(budget, "limits", "sources", "correlations")
     return {
-        **{key: item for key, item in own.items() if item != ()},
+        **{key: item for key, item in own.items() if item not in ((), None)},
         "limits": _fields(budget.limits),
         "source": [_fields(one, "spectrum") | _fields(_written(one.spectrum)) for one in budget.sources],
         "correlation": [_fields(one) for one in budget.correlations],

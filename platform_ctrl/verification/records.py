@@ -59,7 +59,7 @@ def result_record(result: JobResult) -> Record:
         "runs": [run_record(job, run) for run in result.runs],
     }
     if result.budget is not None:
-        record["budget"] = budget_record(job, result.budget)
+        record["budget"] = budget_record(job, result.budget, result.simulated_budget)
     out: Record = plain_types(record)
     return out
 

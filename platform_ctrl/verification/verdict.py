@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from html import escape
 from typing import TYPE_CHECKING
@@ -27,6 +28,7 @@ from platform_ctrl.verification.budget_limits import is_limited, unstable_result
 from platform_ctrl.verification.budget_result import LineOfSightBudget
 from platform_ctrl.verification.coupled import ALL_LOOPS, CoupledCheck, coupled_check
 from platform_ctrl.verification.simulated import Run, simulate_manoeuvre
+from platform_ctrl.verification.simulated_budget import SimulatedBudget, simulated_budget
 
 if TYPE_CHECKING:
     import control
@@ -174,7 +176,9 @@ class JobResult:
     requirements
         All results that the verdict rests on: the closed designs', the coupled system's, the budget's, the runs'.
     budget
-        Of the line of sight, where the job limits it.
+        Of the line of sight, where the job limits it or simulates its sources.
+    simulated_budget
+        What runs of the non-linear plant show of it, where the job's budget has `runs`.
     """
 
     job: Job
@@ -186,6 +190,7 @@ class JobResult:
     proofs: dict[tuple[str, str], Proofs]
     requirements: tuple[CheckResult, ...]
     budget: LineOfSightBudget | None = None
+    simulated_budget: SimulatedBudget | None = None
 
     @property
     def passed(self) -> bool:
@@ -249,10 +254,14 @@ def _checked(job: Job, loops: Sequence[LoopOutcome], say: Progress) -> JobResult
     say("certificates: every claim proved in interval arithmetic")
     proofs = {(d.loop, d.name): proofs_of(d) for outcome in loops for d in outcome.designs}
     together = coupled_proofs(coupled, controllers)
-    budget = None
-    if is_limited(job):
+    budget, simulated = None, None
+    shaken = job.budget.runs if job.budget is not None else None
+    if coupled.stable and (is_limited(job) or shaken):
         say("budget: every source through the coupled sampled model")
-        budget = line_of_sight_budget(job, controllers) if coupled.stable else None
+        budget = line_of_sight_budget(job, controllers)
+        if shaken:
+            say(f"budget: {shaken} runs of the non-linear plant")
+            simulated = simulated_budget(job, controllers, shaken, seed=job.seed, threads=os.cpu_count() or 1)
     runs = []
     for manoeuvre in job.manoeuvres:
         say(f"simulated run: {manoeuvre.name}")
@@ -275,4 +284,5 @@ def _checked(job: Job, loops: Sequence[LoopOutcome], say: Progress) -> JobResult
         proofs=proofs | {("", ""): together},
         requirements=tuple(requirements),
         budget=budget,
+        simulated_budget=simulated,
     )

@@ -265,3 +265,13 @@ def test_what_makes_no_sense_is_refused() -> None:
         oscillator(reading_delay=(1, 2))
     with pytest.raises(ArgumentError, match="dt"):
         JitterBudget(oscillator(), []).of(K._replace(dt=1.0))
+
+
+def test_a_narrow_band_within_a_long_exposure_is_summed_over_frequency() -> None:
+    """Every panel in the band has to be halved at once: a round of panels may be left with none that is done."""
+    band = Spectrum(knots=np.array([1.0, 1.1]), density=np.array([1.0, 1.0]))
+    narrow = RandomDisturbance(name="narrow", inputs=(0,), spectra=(band,))
+    found = JitterBudget(oscillator(), [narrow], (2000.0,)).of(K, 1e-8)
+    assert found.cumulative[0, 0, -1] == pytest.approx(found.rms[0, 0] ** 2, rel=1e-6)
+    # What is much faster than the exposure is jitter but for the share 3/(ωT/2)².
+    assert found.windows[0].jitter[0, 0] == pytest.approx(found.rms[0, 0], rel=1e-4)

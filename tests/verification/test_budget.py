@@ -23,6 +23,7 @@ from platform_ctrl.cli import main
 from platform_ctrl.design import loops
 from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.job.scenario import Scenario, TimeTable
+from platform_ctrl.job.writing import job_data
 from platform_ctrl.plant.force_elements import Friction
 from platform_ctrl.report.page.job_page import page_html
 from platform_ctrl.simulation.closed_loop import simulate
@@ -353,6 +354,11 @@ def test_a_limit_is_judged_at_the_gimbal_angles_where_it_is_worst(tmp_path: Path
     assert "q_pitch = 0.5 rad" in worst.evidence
 
 
+def test_one_run_has_no_spread(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="runs must be a whole number from 2"):
+        job(tmp_path, "runs = 1\n")
+
+
 def test_what_has_no_budget_or_no_line_of_sight_is_refused(tmp_path: Path) -> None:
     text = FILE.format(more=ALL, friction="")
     (tmp_path / "blind.toml").write_text(text.replace("line_of_sight", "# line_of_sight"), encoding="utf-8")
@@ -369,7 +375,7 @@ def test_what_has_no_budget_or_no_line_of_sight_is_refused(tmp_path: Path) -> No
 def test_the_verdict_of_a_job_counts_the_limits_and_its_report_has_a_section(tmp_path: Path) -> None:
     loop = '[[loop]]\nname = "rate"\nkind = "rate"\nsensors = ["gyro"]\ngimbals = ["pitch"]\nuse = "PI"\n'
     loop += 'design = [{ name = "PI", method = "pi" }]\n\n[budget]'
-    head, _, rest = FILE.format(more=LIMITS + ALL, friction=", coulomb = 2e-4").partition("[[loop]]")
+    head, _, rest = FILE.format(more="runs = 4\n" + LIMITS + ALL, friction=", coulomb = 2e-4").partition("[[loop]]")
     (tmp_path / "rate.toml").write_text(head + loop + rest.partition("[budget]")[2], encoding="utf-8")
     limited = pc.read_job(tmp_path / "rate.toml")
     result = check_job(limited, loops(limited))
@@ -377,8 +383,17 @@ def test_the_verdict_of_a_job_counts_the_limits_and_its_report_has_a_section(tmp
     assert set(result.budget.results) <= set(result.requirements)
     assert not result.passed
     assert result_record(result)["budget"]["total"]["across"] == pytest.approx(result.budget.jitter)
+    # Its runs stand beside it, also on the page; a job that is written has them.
+    shown = result.simulated_budget
+    assert shown is not None
+    assert result_record(result)["budget"]["simulated"]["rms"] == pytest.approx(list(shown.rms))
+    again = pc.read_job(job_data(limited)).budget
+    assert again is not None
+    assert again.runs == shown.runs == 4
     page = page_html(result)
     for words in (
+        "4 runs of the non-linear plant, of seed 0",
+        "simulated, with its 95 % interval",
         "Within an exposure",
         "all together",
         "vibration",

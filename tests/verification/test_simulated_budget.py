@@ -91,6 +91,11 @@ def test_the_command_prints_what_runs_show_beside_the_budget(
     data = json.loads(capsys.readouterr().out)["simulated"]
     assert (data["runs"], data["seed"]) == (4, 3)
     assert data["ratio"] == pytest.approx(np.hypot(*data["rms"][:2]) / np.hypot(*data["linear"][:2]), rel=1e-12)
+    # The runs of the job where none are asked for.
+    job(tmp_path, "runs = 3\n" + LIMITS)
+    assert main([*given[:-2], "--json"]) == 1
+    assert json.loads(capsys.readouterr().out)["simulated"]["runs"] == 3
+    job(tmp_path, LIMITS)
     assert main([*given[:-1], "1"]) == 2
     assert "at least 2 runs" in capsys.readouterr().err
     assert main([*given[:-2], "--seed", "3"]) == 2

@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from platform_ctrl.job.budget import Budget
+from platform_ctrl.plant.sensors import LOS_ANGLES
 from platform_ctrl.report.quantities import plain
 from platform_ctrl.report.style import (
     DASHED,
@@ -23,6 +24,7 @@ from platform_ctrl.report.style import (
     panels,
 )
 from platform_ctrl.verification.budget_result import LineOfSightBudget, Waterfall, rms_ticks, waterfalls
+from platform_ctrl.verification.simulated_budget import SimulatedBudget
 
 MICRO = 1e6
 # Sources that have a curve of their own.
@@ -53,6 +55,30 @@ def budget_figure(budget: Budget, found: LineOfSightBudget) -> Figure:
         axes.set_title(found.axes[axis])
     first.set_ylabel("rms up to this frequency, µrad")
     legend(figure, handles, names)
+    return figure
+
+
+def simulated_figure(runs: SimulatedBudget) -> Figure:
+    """Draw the rms that runs of the non-linear plant show, with its interval, beside that of the linear budget."""
+    names = ["linear budget", "simulated, with its 95 % interval"]
+    shown, low, high, linear = (MICRO * one[:2] for one in (runs.rms, runs.low, runs.high, runs.linear))
+    figure, [[axes]] = panels(1, 1, _ROW * len(shown), names, titles=False)
+    rows = np.arange(len(shown))
+    bars = axes.barh(rows + _BAR, linear, _TALL, color=REFERENCE, linewidth=0.0)
+    ends = np.abs(np.array([low, high]) - shown)
+    points = axes.errorbar(
+        shown, rows + _BAR, xerr=ends, fmt="o", color=line_style(1)["color"], markersize=4.0, capsize=3.0
+    )
+    for row, axis in zip(rows, LOS_ANGLES, strict=False):
+        words = f"{axis}: {plain(float(shown[row]), 3)} µrad simulated, {plain(float(linear[row]), 3)} µrad linear"
+        axes.text(0.0, row + _WORDS, words, fontsize=7.5, va="center", color=INK)
+    axes.set_yticks([])
+    axes.spines["left"].set_visible(False)
+    axes.set_ylim(len(shown), 0.0)
+    axes.set_xlim(0.0, 1.08 * max(float(high.max()), float(linear.max()), 1e-6))
+    linear_axis(axes.xaxis)
+    axes.set_xlabel("rms about the mean, µrad")
+    legend(figure, [bars, points], names)
     return figure
 
 

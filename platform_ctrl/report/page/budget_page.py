@@ -7,12 +7,14 @@ from collections.abc import Iterable
 import numpy as np
 from matplotlib.figure import Figure
 
+from platform_ctrl.plant.sensors import LOS_ANGLES
 from platform_ctrl.report import style
-from platform_ctrl.report.figures.budget import MICRO, budget_figure, waterfall_figure
+from platform_ctrl.report.figures.budget import MICRO, budget_figure, simulated_figure, waterfall_figure
 from platform_ctrl.report.page.blocks import Block, Paragraph, Part, Plate, Section, Table, sentence, table
 from platform_ctrl.report.page.captions import sentences
 from platform_ctrl.report.quantities import plain, quantity
 from platform_ctrl.verification.budget_result import LineOfSightBudget
+from platform_ctrl.verification.simulated_budget import SimulatedBudget
 from platform_ctrl.verification.verdict import JobResult
 
 # Shares of the mean square that are none.
@@ -32,6 +34,8 @@ def budget_sections(result: JobResult) -> list[Section]:
     ]
     if found.windows:
         blocks.append(Part(title="Within an exposure", blocks=(_windows(found, budget.spatial_frequencies),)))
+    if result.simulated_budget is not None:
+        blocks.append(_simulated(result.simulated_budget))
     if found.friction is not None:
         lines = tuple(Paragraph(text=f"{sentence(line)}") for line in found.friction.statement)
         blocks.append(Part(title="Dry friction", blocks=lines))
@@ -63,6 +67,21 @@ def _windows(found: LineOfSightBudget, spatial_frequencies: Iterable[float]) -> 
     waves = [f"contrast at {nu:g}/rad" for nu in spatial_frequencies]
     numbers = "|".join(["displacement, µrad", "smear, end to end", "jitter", "about the mean", *waves])
     return table(f"exposure|axis|{numbers}", rows, numbers=numbers)
+
+
+def _simulated(runs: SimulatedBudget) -> Part:
+    rows = []
+    for name, *rms, linear in zip(LOS_ANGLES[:2], runs.rms, runs.low, runs.high, runs.linear, strict=False):
+        rows.append((name, *_micro([*rms, linear]), plain(float(rms[0] / linear), 4) if linear > 0.0 else ""))
+    numbers = "simulated, µrad|95 % interval, from|to|linear, µrad|simulated over linear"
+    title = "Line of sight: simulated and linear rms"
+    blocks: tuple[Block, ...] = (
+        Paragraph(text=sentences("simulated_budget", runs=runs)),
+        _plate(title, sentences("simulated_budget_figure"), simulated_figure(runs)),
+        table(f"axis|{numbers}", rows, numbers=numbers),
+        *(Paragraph(text=sentence(f"not simulated: {line}")) for line in runs.left_out),
+    )
+    return Part(title="Simulated runs beside the linear budget", blocks=blocks)
 
 
 def _micro(rms: Iterable[float]) -> list[str]:
