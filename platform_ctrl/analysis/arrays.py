@@ -246,12 +246,12 @@ def scaled(A: FloatArray, B: FloatArray, C: FloatArray) -> tuple[FloatArray, Flo
     return A * s / s[:, None], B / s[:, None], C * s
 
 
-def seen_states(A: FloatArray, C: FloatArray) -> list[int]:
+def seen_states(A: FloatArray, C: FloatArray, rounding: float = _UNSEEN) -> list[int]:
     """Return the states of systems (N, ...) on which an output depends in any of them, by what their matrices show.
 
     The angle of a balanced gimbal whose rate alone is measured is none: it drifts, and nothing follows from it.
     """
-    links = np.abs(A).max(axis=0) > _UNSEEN * np.abs(A).max(initial=0.0)
+    links = np.abs(A).max(axis=0) > rounding * np.abs(A).max(initial=0.0)
     seen = (np.abs(C).max(axis=0) > 0.0).any(axis=0)
     while True:
         wider = seen | links[seen].any(axis=0)

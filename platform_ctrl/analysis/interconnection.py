@@ -57,6 +57,62 @@ def interconnected(
 ) -> StateArrays:
     """Return the matrices of `interconnect_controllers`; python-control refuses systems without inputs."""
     parts = [state_arrays(system, _where(k, system)) for k, system in enumerate(controllers)]
+    for k, (K, system) in enumerate(zip(parts, controllers, strict=True)):
+        if not math.isclose(K.dt, period, rel_tol=1e-9):
+            raise ArgumentError(f"{_where(k, system)}: dt must be the sample period {period:.6g} s, got {system.dt!r}")
+    return _joined(parts, controllers, inputs, outputs, period)
+
+
+def interconnected_by_sample(
+    controllers: Sequence[control.StateSpace], inputs: Sequence[str], outputs: Sequence[str], period: float
+) -> list[StateArrays]:
+    """Return the matrices of `interconnect_controllers` at every sample until they repeat.
+
+    A controller whose dt is n periods is computed at every n-th sample, the first included; its outputs are held in
+    between, in states of their own. The same matrices are the same object.
+    """
+    parts = [state_arrays(system, _where(k, system)) for k, system in enumerate(controllers)]
+    every = [samples_between(K.dt, period, _where(k, controllers[k])) for k, K in enumerate(parts)]
+    if max(every, default=1) == 1:
+        return [interconnected(controllers, inputs, outputs, period)]
+    made: dict[tuple[bool, ...], StateArrays] = {}
+    out = []
+    for sample in range(math.lcm(*every)):
+        due = tuple(sample % n == 0 for n in every)
+        if due not in made:
+            own = [_held(K, now) if n > 1 else K for K, n, now in zip(parts, every, due, strict=True)]
+            made[due] = _joined(own, controllers, inputs, outputs, period)
+        out.append(made[due])
+    return out
+
+
+def samples_between(dt: float, period: float, where: str) -> int:
+    """Return the number of sample periods in a controller's dt; refuse one that is no whole number of them."""
+    n = max(round(dt / period), 1)
+    if not math.isclose(dt, n * period, rel_tol=1e-9):
+        raise ArgumentError(
+            f"{where}: dt must be the sample period {period:.6g} s or a whole number of them, got {dt:.6g} s"
+        )
+    return n
+
+
+def _held(K: StateArrays, due: bool) -> StateArrays:
+    """Return a controller with its last outputs as further states: as it is computed, or holding them."""
+    n, (p, m) = len(K.A), K.D.shape
+    if not due:
+        return StateArrays(np.eye(n + p), np.zeros((n + p, m)), np.eye(n + p)[n:], np.zeros((p, m)), K.dt)
+    A = np.block([[K.A, np.zeros((n, p))], [K.C, np.zeros((p, p))]])
+    return StateArrays(A, np.vstack([K.B, K.D]), np.hstack([K.C, np.zeros((p, p))]), K.D, K.dt)
+
+
+def _joined(
+    parts: Sequence[StateArrays],
+    controllers: Sequence[control.StateSpace],
+    inputs: Sequence[str],
+    outputs: Sequence[str],
+    period: float,
+) -> StateArrays:
+    """Join the matrices of controllers by the names of their signals."""
     states = sum(len(K.A) for K in parts)
     size = states + len(inputs)
     # Every signal is a row over [all controllers' states, what is measured].
@@ -67,8 +123,6 @@ def interconnected(
     place = 0
     for k, (K, system) in enumerate(zip(parts, controllers, strict=True)):
         where = _where(k, system)
-        if not math.isclose(K.dt, period, rel_tol=1e-9):
-            raise ArgumentError(f"{where}: dt must be the sample period {period:.6g} s, got {system.dt!r}")
         unknown = [name for name in system.input_labels if name not in rows]
         # Nobody commands these readings: they are held at zero.
         rows |= {name: np.zeros(size) for name in unknown if name.endswith(COMMAND)}

@@ -212,14 +212,14 @@ def disk_margin(
     s = continuous_poles(poles(disk.A), disk.dt)
     given = None if frequency is None else frequencies(frequency, "disk_margin")
     if spectral_abscissa(s) >= 0.0:
-        return _unstable(skew, np.zeros(0) if given is None else given, s, disk)
+        return no_margin(skew, np.zeros(0) if given is None else given, s, disk)
     own = search_grid(disk, s, 0 if given is None else len(given))
     grid = own if given is None else np.union1d(own, given)
     peak = MuPeak(disk)
     response = peak.response(grid)
     shown = slice(None) if given is None else np.searchsorted(grid, given)
     if not np.all(np.isfinite(response)):  # a pole that is stable by rounding alone
-        return _unstable(skew, grid[shown], s, disk)
+        return no_margin(skew, grid[shown], s, disk)
     bounds, gains = mu_bounds(response), largest_singular_values(response)
     proved = True
     if m == 1:
@@ -235,7 +235,7 @@ def disk_margin(
         peak.climb(grid, bounds.upper)
         proved = peak.prove()
     if not np.all(np.isfinite(peak.M)):
-        return _unstable(skew, grid[shown], s, disk)
+        return no_margin(skew, grid[shown], s, disk)
     return _margin(
         peak,
         norm,
@@ -372,7 +372,8 @@ def _disk_arrays(L: StateArrays, skew: float) -> StateArrays:
     return StateArrays(L.A - L.B @ E @ L.C, L.B @ E, -E @ L.C, E + 0.5 * (skew - 1.0) * eye, L.dt)
 
 
-def _unstable(skew: float, shown: FloatArray, s: ComplexArray, disk: StateArrays) -> DiskMargin:
+def no_margin(skew: float, shown: FloatArray, s: ComplexArray, disk: StateArrays) -> DiskMargin:
+    """Return the margin of a loop that is not stable; `s` are its poles, `disk` the system whose gain counts."""
     nothing = np.zeros(shown.shape)
     worst = s[np.argmax(s.real)]
     rounded = "" if worst.real >= 0.0 else " but for rounding"

@@ -14,7 +14,15 @@ from typing import TYPE_CHECKING, overload
 import numpy as np
 from numpy.typing import ArrayLike
 
-from platform_ctrl.analysis.arrays import StateArrays, named_system, scaled, state_arrays, state_scaling, system_arrays
+from platform_ctrl.analysis.arrays import (
+    StateArrays,
+    named_system,
+    scaled,
+    seen_states,
+    state_arrays,
+    state_scaling,
+    system_arrays,
+)
 from platform_ctrl.common.arguments import not_negative, positive
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
@@ -124,6 +132,32 @@ def _sampled(
     for j in range(1, reach):
         Ad[..., n + j * m : n + (j + 1) * m, n + (j - 1) * m : n + j * m] = np.eye(m)
     return Ad, Bd, Cd, np.zeros((*batch, p, m)), lags
+
+
+def every_nth(system: StateArrays, n: int) -> tuple[StateArrays, list[int]]:
+    """Return a sampled system, which may have batch axes, at every n-th sample, and which of its states that has.
+
+    Its inputs are held in between. States that hold the same input, and states that no output depends on any more, are
+    left out.
+    """
+    A, B, C, D, dt = system
+    power, driven = A, B
+    for _ in range(n - 1):
+        power, driven = A @ power, A @ driven + B
+    C = np.array(C)
+    states = A.shape[-1]
+    rows = np.concatenate([power, driven], axis=-1).reshape(-1, states, states + B.shape[-1])
+    kept, first = list(range(states)), dict[bytes, int]()
+    for k in range(states):
+        if rows[:, k].any() and not rows[:, k, :states].any():
+            same = first.setdefault(rows[:, k].tobytes(), k)
+            if same != k:
+                power[..., :, same] += power[..., :, k]
+                C[..., :, same] += C[..., :, k]
+                kept.remove(k)
+    own = power[..., kept, :][..., kept].reshape(-1, len(kept), len(kept))
+    kept = [kept[k] for k in seen_states(own, C[..., kept].reshape(-1, C.shape[-2], len(kept)), 0.0)]
+    return StateArrays(power[..., kept, :][..., kept], driven[..., kept, :], C[..., kept], D, n * dt), kept
 
 
 def late_outputs(system: StateArrays, periods: Sequence[int]) -> StateArrays:

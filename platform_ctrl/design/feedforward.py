@@ -22,7 +22,7 @@ import numpy as np
 from platform_ctrl.analysis.arrays import StateArrays, seen_states, state_arrays
 from platform_ctrl.analysis.feedforward import RateFeedforward
 from platform_ctrl.analysis.plant_set import PlantSet
-from platform_ctrl.analysis.sampling import from_w_plane, held_input, late_outputs
+from platform_ctrl.analysis.sampling import every_nth, from_w_plane, held_input, late_outputs
 from platform_ctrl.common.values import FloatArray, replaced
 from platform_ctrl.design.cases import rows_of
 from platform_ctrl.design.loop_signals import LoopSignals, loop_signals, without_sensors
@@ -56,7 +56,7 @@ def design_plants(job: Job, spec: LoopSpec, design: DesignSpec, known: PlantSet 
 def rate_feedforward(job: Job, spec: LoopSpec, design: DesignSpec) -> RateFeedforward:
     """Return the feedforward of a design of a loop, sampled."""
     assert design.feedforward is not None, "the design has feedforward"
-    platform, fed, period = job.platform, design.feedforward, job.sampling.period
+    platform, fed, every, period = job.platform, design.feedforward, job.every(spec), job.period_of(spec)
     where = f"loop {spec.name!r}: {design.name}: feedforward"
     model, signals = linearise(platform), loop_signals(platform, spec)
     by_name = {sensor.name: sensor for sensor in platform.sensors}
@@ -86,8 +86,8 @@ def rate_feedforward(job: Job, spec: LoopSpec, design: DesignSpec) -> RateFeedfo
         sensors=tuple(fed.sensors),
         path=path,
         in_plants=in_plants,
-        measured=_measured(model, signals, sensors, scale, period),
-        noise=np.array([sensor.sampled_noise(period) for sensor in sensors]),
+        measured=_measured(model, signals, sensors, scale, job.sampling.period, every),
+        noise=np.array([sensor.sampled_noise(job.sampling.period) for sensor in sensors]),
     )
 
 
@@ -225,7 +225,7 @@ def _worst_scale(
 
 
 def _measured(
-    model: LinearModel, signals: LoopSignals, sensors: Sequence[Sensor], scale: FloatArray, period: float
+    model: LinearModel, signals: LoopSignals, sensors: Sequence[Sensor], scale: FloatArray, period: float, every: int
 ) -> StateArrays:
     """Return the sensors of the platform's rate, which is held between samples: low-passes, scale factors, lateness."""
     bare = state_space(model, gimbals=signals.gimbals, others="held")
@@ -235,4 +235,5 @@ def _measured(
     factor = (scale / np.array([1.0 + sensor.scale_error for sensor in sensors]))[:, None]
     A, B = held_input(A[np.ix_(kept, kept)], B[np.ix_(kept, columns)], period)
     found = StateArrays(A, B, factor * C[:, kept], factor * D[:, columns], period)
-    return late_outputs(found, [sensor.periods_late(period) for sensor in sensors])
+    late = late_outputs(found, [sensor.periods_late(period, every) for sensor in sensors])
+    return every_nth(late, every)[0] if every > 1 else late

@@ -153,7 +153,7 @@ class LoopProblem:
         if self.directions is not None:
             return self.directions
         signals = loop_signals(self.model.platform, self.spec.read_by(self.design))
-        return loop_channels(self.model, signals, self.job.sampling.period)
+        return loop_channels(self.model, signals, self.job.period_of(self.spec))
 
 
 @value

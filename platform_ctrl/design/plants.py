@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from platform_ctrl.analysis.arrays import StateArrays, seen_states
 from platform_ctrl.analysis.feedforward import RateFeedforward
 from platform_ctrl.analysis.following import commanded_loop, with_error_alone
 from platform_ctrl.analysis.plant_set import COMMAND, PlantSet, plant_set
-from platform_ctrl.analysis.sampling import held_input, late_outputs, late_states, sampled, sampled_states
+from platform_ctrl.analysis.sampling import every_nth, held_input, late_outputs, late_states, sampled, sampled_states
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.cases import Case, carried, cases, friction_rate, with_feedback, with_friction
 from platform_ctrl.design.loop_signals import (
@@ -145,12 +145,19 @@ def linear_plants(signals: LoopSignals, plants: Sequence[Case]) -> LinearPlants:
     )
 
 
-def sampled_plants(linear: LinearPlants, sampling: Sampling, Omega: FloatArray) -> PlantSet:
-    """Sample linear plants; `Omega` is the largest platform rate about each axis, rad/s."""
+def sampled_plants(
+    linear: LinearPlants, sampling: Sampling, Omega: FloatArray, every: int = 1, used: Mapping[str, int] | None = None
+) -> PlantSet:
+    """Sample linear plants; `Omega` is the largest platform rate about each axis, rad/s.
+
+    They are those of a loop that is computed at `every` how many samples; `used` says at every how many samples a
+    reading is, where that is not the same.
+    """
     torques, names = (tuple(one.name for one in part) for part in (linear.torquers, linear.sensors))
     A, lags = linear.A, np.array([t.lag for t in linear.torquers])
     p, m = len(names), len(torques)
-    _expect_slow(A, linear.cases, sampling.period)
+    period = every * sampling.period
+    _expect_slow(A, linear.cases, period)
     C, D = (
         np.concatenate([linear.C, linear.C_sight], axis=1),
         np.concatenate([linear.D, linear.D_sight[..., :m]], axis=1),
@@ -160,19 +167,24 @@ def sampled_plants(linear: LinearPlants, sampling: Sampling, Omega: FloatArray) 
     D_Omega = np.concatenate([linear.D_Omega, linear.D_sight[..., m:]], axis=1)
     states = sampled_states(linear.states, torques, lags, arrays.A.shape[-1])
     shown = [*linear.sensors, *(None for _ in linear.signals.sight), *linear.signals.fed]
-    late = [0 if one is None else one.periods_late(sampling.period) for one in shown]
+    # What drives feed back is computed at every sample.
+    often = {one.name: every for one in linear.sensors} | {one.name: 1 for one in linear.signals.fed} | dict(used or {})
+    late = [0 if one is None else one.periods_late(sampling.period, often[one.name]) for one in shown]
     states += late_states(["" if one is None else one.name for one in shown], late)
     whole = late_outputs(
         arrays._replace(B=np.concatenate([arrays.B, B_Omega], axis=-1), D=np.concatenate([arrays.D, D_Omega], axis=-1)),
         late,
     )
     whole = _with_drives(whole, linear)
+    if every > 1:
+        whole, kept = every_nth(whole, every)
+        states = [states[k] for k in kept]
     return plant_set(
-        StateArrays(whole.A, whole.B[..., :m], whole.C[:, :p], whole.D[:, :p, :m], sampling.period),
+        StateArrays(whole.A, whole.B[..., :m], whole.C[:, :p], whole.D[:, :p, :m], period),
         labels=tuple(one.label for one in linear.cases),
         torques=torques,
         angles=names,
-        nutation=loop_reference(linear, sampling.period),
+        nutation=loop_reference(linear, period),
         noise=np.array([s.sampled_noise(sampling.period) for s in linear.sensors]),
         groups=tuple(one.group for one in linear.cases),
         B_Omega=whole.B[..., m:],
@@ -200,7 +212,8 @@ def tracking_plants(
     `inside` are the plants of the rate loop's design, its feedforward in them, around each of which its `controller` is
     closed, with its commands behind what it measures where it does more with them than to compare.
     """
-    plants = _loop_plants(job, tracking_signals(job, spec, dataclasses.replace(inner, sensors=inside.angles)))
+    both = tracking_signals(job, spec, dataclasses.replace(inner, sensors=inside.angles))
+    plants = _loop_plants(job, both, job.every(inner), dict.fromkeys(spec.sensors, job.every(spec)))
     return around(job, spec, plants, inside.feedforward, controller)
 
 
@@ -214,7 +227,9 @@ def around(
     p, m = len(plants.angles) - len(spec.sensors), len(plants.torques)
     K = controller if controller.D.shape[1] == 2 * p else with_error_alone(controller)
     whole = plants.whole if feedforward is None else feedforward.taken_up(plants.whole, m, p)
-    A, B, C, D, dt = commanded_loop(whole, K, range(m), range(p))
+    closed = commanded_loop(whole, K, range(m), range(p))
+    slower = 1 if spec.rate_hz is None else round(job.period_of(spec) / plants.period)
+    A, B, C, D, dt = every_nth(closed, slower)[0] if slower > 1 else closed
     # Outputs are the torques, then all of the plant's.
     Omega, command = slice(m, m + 3), slice(m + 3, m + 3 + p)
     read, sight = slice(m + p, m + p + len(spec.sensors)), slice(m + p + len(spec.sensors), None)
@@ -224,7 +239,7 @@ def around(
         labels=plants.labels,
         torques=commands,
         angles=spec.sensors,
-        nutation=tracking_reference(job, spec, plants.nutation, dt),
+        nutation=tracking_reference(job, spec, plants.nutation, dt / job.every(spec)),
         noise=plants.noise[p:],
         groups=plants.groups,
         B_Omega=B[..., Omega],
@@ -252,8 +267,9 @@ def commanded_channels(count: int) -> Channels:
 
 def tracking_reference(job: Job, spec: LoopSpec, inside: float, period: float) -> float:
     """Return the frequency that a tracking loop goes by, rad/s, of that of the rate loop inside and its sensors."""
-    late = max(one.periods_late(period) for one in job.platform.sensors if one.name in spec.sensors)
-    return min(0.1 * inside, _PHASE / ((late + 1) * period))
+    every = job.every(spec)
+    late = max(one.periods_late(period, every) for one in job.platform.sensors if one.name in spec.sensors)
+    return min(0.1 * inside, _PHASE / ((late + every) * period))
 
 
 def loop_reference(linear: LinearPlants, period: float) -> float:
@@ -269,10 +285,12 @@ def loop_plants(job: Job, loop: LoopSpec | tuple[str, ...]) -> PlantSet:
     """Return the sampled plants of a loop, or of the caging loop on some gimbals, signals in the loop's order."""
     platform = job.platform
     signals = job_signals(job, loop)
+    every = job.every(loop) if isinstance(loop, LoopSpec) else 1
     if signals.held:
-        loop_channels(linearise(platform), signals, job.sampling.period)  # its sensors have to show what they need to
+        # Its sensors have to show what they need to.
+        loop_channels(linearise(platform), signals, every * job.sampling.period)
         expect_no_keyhole(job, signals)
-    return _loop_plants(job, signals)
+    return _loop_plants(job, signals, every)
 
 
 def job_signals(job: Job, loop: LoopSpec | tuple[str, ...]) -> LoopSignals:
@@ -304,8 +322,8 @@ def _with_drives(whole: StateArrays, linear: LinearPlants) -> StateArrays:
     )
 
 
-def _loop_plants(job: Job, signals: LoopSignals) -> PlantSet:
-    return sampled_plants(linear_plants(signals, loop_cases(job, signals)), job.sampling, job.Omega)
+def _loop_plants(job: Job, signals: LoopSignals, every: int, used: Mapping[str, int] | None = None) -> PlantSet:
+    return sampled_plants(linear_plants(signals, loop_cases(job, signals)), job.sampling, job.Omega, every, used)
 
 
 def loop_cases(job: Job, signals: LoopSignals) -> list[Case]:

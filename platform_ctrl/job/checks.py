@@ -136,6 +136,10 @@ def variation_mistakes(job: Job) -> Iterator[Mistake]:
 
 # Sample periods from sample to torque at most: each is a state of every torquer in every plant.
 LONGEST_DELAY = 100
+# Kinds of loops that may be computed at every n-th sample, samples after which all repeats, and how well rates fit.
+_OWN_RATES = ("rate", "pointing", "tracking")
+LONGEST_CYCLE = 100
+_SAME_RATE = 1e-5
 
 
 def job_mistakes(data: Data, platform: Platform | None) -> list[Mistake]:
@@ -260,6 +264,49 @@ def _sampling(data: Data) -> Iterator[Mistake]:
     if not periods <= LONGEST_DELAY:
         words = f"delay must be at most {LONGEST_DELAY} sample periods, got {given(delay)} s, {periods:.4g} of them"
         yield Mistake(("sampling", "delay"), f"{words}; try a lower rate_hz")
+    yield from _rates(data, rate)
+
+
+def _rates(data: Data, rate: float) -> Iterator[Mistake]:
+    """Judge the rates of loops that are not computed at every sample."""
+    every: dict[str, int] = {}
+    cycle = 1
+    for i, loop in tables(data, "loop"):
+        own, kind, path = number_of(loop, "rate_hz"), text_of(loop, "kind"), ("loop", i, "rate_hz")
+        inner = every.get(text_of(loop, "around") or "", 1)
+        if own is None and inner > 1:
+            words = f"the loop inside has {rate / inner:.6g} Hz, and one around it cannot be faster"
+            yield Mistake(path, f'the key "rate_hz" is missing: {words}; give it that rate, or a whole fraction of it')
+        if own is None or own <= 0.0:
+            continue
+        if kind not in _OWN_RATES:
+            words = f"rate_hz = {given(loop['rate_hz'])} has no effect in a {kind} loop; leave it out"
+            yield Mistake(path, f"{words}: {', '.join(_OWN_RATES)} loops alone may be slower than [sampling]")
+            continue
+        n = max(round(rate / own), 1)
+        if abs(rate / own / n - 1.0) > _SAME_RATE:
+            near = sorted({max(math.floor(rate / own), 1), math.ceil(rate / own)})
+            fitting = " or ".join(f"{rate / one:.6g}" for one in near)
+            words = f"rate_hz must be {rate:.6g} Hz, the rate_hz of [sampling], over a whole number"
+            yield Mistake(path, f"{words}, got {given(loop['rate_hz'])}; the nearest: {fitting}")
+            continue
+        if n % inner:
+            words = f"rate_hz must be that of the loop inside, {rate / inner:.6g} Hz, over a whole number"
+            yield Mistake(
+                path, f"{words}, got {given(loop['rate_hz'])}; try {rate / (inner * math.ceil(n / inner)):.6g}"
+            )
+        every[text_of(loop, "name") or ""], cycle = n, math.lcm(cycle, n)
+        if cycle > LONGEST_CYCLE:
+            words = f"rate_hz = {given(loop['rate_hz'])}: the computations of all loops repeat after {cycle} samples"
+            yield Mistake(
+                path,
+                f"{words}, more than {LONGEST_CYCLE}; choose rates that divide one another, or a lower "
+                "rate_hz of [sampling]",
+            )
+            return
+    if cycle > 1 and isinstance(data.get("budget"), dict):
+        words = "[budget] has no numbers yet for loops with a rate_hz of their own, which sample the plant periodically"
+        yield Mistake(("budget",), f"{words}; leave out one of the two, and measure the line of sight in manoeuvres")
 
 
 def _designs(data: Data) -> Iterator[Mistake]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from dataclasses import field
 from itertools import product
 from typing import Annotated, Literal, get_args
@@ -172,6 +173,9 @@ class LoopSpec:
         What a rate, pointing or tracking loop reads and sets; no torquers: the first one on each gimbal.
     around
         The rate loop that a tracking loop commands.
+    rate_hz
+        How often a rate, pointing or tracking loop is computed, Hz: a whole fraction of the sample rate; between, its
+        outputs are held. None: at every sample.
     designs, use
         By which methods, and the name of the design that is closed.
     limits
@@ -188,6 +192,7 @@ class LoopSpec:
     sensors: fields.Names = ()
     torquers: fields.Names = ()
     around: fields.Text | None = None
+    rate_hz: fields.Positive | None = None
     designs: Annotated[tuple[DesignSpec, ...], Array("design", least=1, most=MOST_LOOPS)]
     use: fields.Text
     limits: Annotated[dict[str, float], _LOOP_LIMITS] = field(default_factory=dict)
@@ -410,6 +415,30 @@ class Job:
         names = self.platform.angle_names
         lists = [sorted(set(self.angles.get(name, (0.0,)))) for name in names]
         return (np.zeros(len(names)), *(np.array(q) for q in product(*lists) if any(q)))
+
+    def every(self, spec: LoopSpec) -> int:
+        """Return at every how many samples a loop is computed."""
+        return 1 if spec.rate_hz is None else max(round(1.0 / (spec.rate_hz * self.sampling.period)), 1)
+
+    def period_of(self, spec: LoopSpec) -> float:
+        """Return the time from one computation of a loop to the next, s."""
+        return self.every(spec) * self.sampling.period
+
+    @property
+    def often_read(self) -> dict[str, int]:
+        """At every how many samples the sensors of slower loops are read, by their names: the common divisor."""
+        # Drives are computed at every sample.
+        out = {name: 1 for law in self.drive_laws for name in law.weights}
+        for spec in self.loops:
+            fed = spec.closed.feedforward
+            for name in (*spec.read_by(spec.closed).sensors, *(fed.sensors if fed is not None else ())):
+                out[name] = math.gcd(out.get(name, 0), self.every(spec))
+        return out
+
+    @property
+    def cycle(self) -> int:
+        """Number of samples after which the order of computations of all loops repeats."""
+        return math.lcm(*(self.every(spec) for spec in self.loops))
 
     @property
     def drive_laws(self) -> tuple[DriveLaw, ...]:

@@ -50,7 +50,7 @@ def job_data(job: Job) -> dict[str, Any]:
                 "name": spec.name,
                 "kind": spec.kind,
                 **{key: list(getattr(spec, key)) for key in ("gimbals", "sensors", "torquers") if getattr(spec, key)},
-                **_given({"around": spec.around}),
+                **_given({"around": spec.around, "rate_hz": spec.rate_hz}),
                 "use": spec.use,
                 "limits": dict(spec.limits),
                 **({"soft": soft} if soft else {}),

@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
 import numpy as np
 
+from platform_ctrl.common.arguments import whole
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray, input_value
 from platform_ctrl.errors import ArgumentError
@@ -38,6 +39,8 @@ Frame = Literal["inertial", "parent"]
 _BANDWIDTH = 1000.0
 # Sample periods that a reading may be old in a linear model, which has a state for each.
 _MOST_LATE = 1000
+# How far from a whole number, relative, a ratio of rates may be that counts as one.
+_WHOLE = 1e-6
 _DENSITY = Instead(
     "noise_density",
     NOT_NEGATIVE,
@@ -110,13 +113,15 @@ class Sensor:
         return float(self.noise_rms * np.sqrt(0.5 / period / self.noise_bandwidth_hz))
 
     @check_arguments
-    def periods_late(self, period: float) -> int:
+    def periods_late(self, period: float, every: int = 1) -> int:
         """Return the age of the reading in sample periods, rounded up, with the mean age of readings that are held.
 
         Parameters
         ----------
         period
             Sample period, s.
+        every
+            At every how many samples the reading is used: one that is measured just then is not held at all.
 
         Returns
         -------
@@ -128,8 +133,11 @@ class Sensor:
         ArgumentError
             It is older than linear models with a state for every period can show.
         """
+        every = whole("periods_late: every", every, 1)
         held = 1.0 if self.rate_hz is None else max(1.0, 1.0 / (self.rate_hz * period))
-        late = self.delay / period + 0.5 * (held - 1.0)
+        # Both begin at t = 0: the ages at the samples where it is used are multiples of the common divisor.
+        step = math.gcd(round(held), every) if abs(held - round(held)) < _WHOLE * held else 1
+        late = self.delay / period + 0.5 * max(held - step, 0.0)
         if late > _MOST_LATE:
             raise ArgumentError(
                 f"sensor {self.name!r}: its reading is {late:.4g} sample periods old, more than the {_MOST_LATE} of a "

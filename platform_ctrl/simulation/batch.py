@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from platform_ctrl.analysis.interconnection import interconnected
+from platform_ctrl.analysis.interconnection import interconnected_by_sample
 from platform_ctrl.analysis.plant_set import COMMAND
 from platform_ctrl.common.arguments import whole
 from platform_ctrl.common.signatures import check_arguments
@@ -251,7 +251,7 @@ def merged_controller(
     Where Omega is prescribed controllers that act on the root are left out. Behind it are the rates of drives.
     """
     roots = {t.name for t in platform.torquers if t.root_axis is not None}
-    # What is no controller stays: `interconnected` refuses it.
+    # What is no controller stays: `interconnected_by_sample` refuses it.
     active = [K for K in controllers if mode == "stabilised" or not roots & set(getattr(K, "output_labels", ()))]
     sensors, torquers = [s.name for s in platform.sensors], [t.name for t in platform.torquers]
     commands = [f"{name}{COMMAND}" for name in commanded]
@@ -262,9 +262,9 @@ def merged_controller(
             f"commands: no controller takes a command of {useless[0]!r}; design the loop that reads it again, in a job "
             "whose manoeuvre commands it"
         )
-    K = interconnected(active, [*sensors, *commands], torquers, period)
+    by_sample = interconnected_by_sample(active, [*sensors, *commands], torquers, period)
     rates = np.array([[one.weights.get(name, 0.0) for name in (*sensors, *commands)] for one in drives])
-    return controller_rows(K.A, K.B, K.C, K.D, rates.reshape(len(drives), len(sensors) + len(commands)))
+    return controller_rows(by_sample, rates.reshape(len(drives), len(sensors) + len(commands)))
 
 
 def batch_metrics(batched: Batch, threads: int = 1, device: str = "cpu", record: FloatArray = _NO_RECORD) -> FloatArray:

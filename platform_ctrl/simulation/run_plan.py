@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.job.faults import FAULT_KINDS, Fault
 from platform_ctrl.job.scenario import Scenario
@@ -46,12 +47,18 @@ _STREAM = {arrays.PICKOFF_DROPOUT: 3, arrays.OVERRUN: 4}
 
 
 class Controller(NamedTuple):
-    """All controllers as one state space in the form of rows without zeros: next states, torques, rates of drives."""
+    """All controllers as one state space in the form of rows without zeros: next states, torques, rates of drives.
+
+    `others` are the bounds of the rows of next states and torques at samples at which not all of them are computed, and
+    `cycle` says of each sample until they repeat which of these counts, −1 for `first`.
+    """
 
     states: int
     first: NDArray[np.int64]
     column: NDArray[np.int64]
     number: FloatArray
+    others: NDArray[np.int64]
+    cycle: tuple[int, ...]
 
 
 class Timing(NamedTuple):
@@ -73,12 +80,34 @@ class Prepared(NamedTuple):
     key: tuple[object, ...]
 
 
-def controller_rows(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, rates: FloatArray) -> Controller:
-    """Return a discrete state space, and the weights (drives, inputs) in the rates of drives, in the kernel's form."""
-    rows = np.block([[A, B], [C, D], [np.zeros((len(rates), len(A))), rates]])
-    row, column = np.nonzero(rows)
-    first = np.searchsorted(row, np.arange(len(rows) + 1))
-    return Controller(len(A), first.astype(np.int64), column.astype(np.int64), np.ascontiguousarray(rows[row, column]))
+def controller_rows(by_sample: Sequence[StateArrays], rates: FloatArray) -> Controller:
+    """Return discrete state spaces, and the weights (drives, inputs) in the rates of drives, in the kernel's form.
+
+    There is one of every sample until they repeat; those that are one object are stored once.
+    """
+    kinds = list({id(one): one for one in by_sample}.values())
+    states = len(kinds[0].A)
+    none, parts = np.zeros((len(rates), states)), []
+    for k, (A, B, C, D, _) in enumerate(kinds):
+        rows = np.block([[A, B], [C, D]] + ([] if k else [[none, rates]]))
+        row, column = np.nonzero(rows)
+        parts.append((np.searchsorted(row, np.arange(len(rows) + 1)), column, rows[row, column]))
+    # What `first` bounds comes last: the kernel finds the commands of the samples behind it.
+    (first, *others), columns, numbers = zip(*parts, strict=True)
+    ends = np.cumsum([0, *(len(one) for one in columns[1:])])
+    order = [*range(1, len(kinds)), 0]
+    width = states + len(kinds[0].C) + 1
+    place = {id(one): k - 1 for k, one in enumerate(kinds)}
+    return Controller(
+        states,
+        (first + ends[-1]).astype(np.int64),
+        np.concatenate([columns[k] for k in order]).astype(np.int64),
+        np.ascontiguousarray(np.concatenate([numbers[k] for k in order])),
+        np.array([one + end for one, end in zip(others, ends, strict=False)], dtype=np.int64).reshape(
+            len(others), width
+        ),
+        tuple(place[id(one)] for one in by_sample),
+    )
 
 
 def timing(duration: float, period: float, delay: float, longest: float) -> Timing:
@@ -218,7 +247,7 @@ def _shared(
         faults=np.array(faults, dtype=np.int64).reshape(-1, 3),
         rotors=np.array(rows, dtype=np.int64).reshape(-1, 2),
         lines=np.array(lines, dtype=np.int64),
-        first=np.concatenate([controller.first, np.array(parts, np.int64)]),
+        first=_bounds(controller, np.array(parts, np.int64)),
         column=controller.column,
         number=np.concatenate([controller.number, courses.ravel()]),
         knots=knots,
@@ -226,6 +255,15 @@ def _shared(
         period=period,
     )
     return shared, places
+
+
+def _bounds(controller: Controller, parts: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return `Shared.first`."""
+    if len(controller.cycle) == 1:
+        return np.concatenate([controller.first, parts])
+    behind, width = len(controller.first) + len(parts), controller.others.shape[1]
+    cycle = [0 if k < 0 else behind + k * width for k in controller.cycle]
+    return np.concatenate([controller.first, parts, controller.others.ravel(), np.array(cycle, np.int64)])
 
 
 def _layout(packed: Packed, shared: Shared, one: Prepared, controller: Controller) -> Layout:
@@ -245,6 +283,7 @@ def _layout(packed: Packed, shared: Shared, one: Prepared, controller: Controlle
         before=one.timing.substeps[0],
         after=one.timing.substeps[1],
         states=controller.states,
+        cycle=len(controller.cycle),
         stops=one.skeleton.stops,
         profile=one.scenario.profile is not None,
         fade=one.scenario.fade > 0.0,

@@ -98,11 +98,17 @@ def _controller(entry: JSONTable, job: Job, known: Sequence[str]) -> control.Sta
     for one in outputs:
         if one not in torquers and one not in commands:
             raise entry.mistake(f"outputs: {given(one)} is no torquer of the plant; {suggestion(one, torquers)}")
-    period = job.sampling.period
-    for key, words, expected in (("dt", "sample period", period), ("delay", "delay", job.sampling.delay)):
+    period = next(
+        (job.period_of(spec) for spec in job.loops if set(outputs) == _torques(job, spec)), job.sampling.period
+    )
+    whose = "the job's" if period == job.sampling.period else "the loop's"
+    for key, words, expected in (
+        ("dt", f"{whose} sample period", period),
+        ("delay", "the job's delay", job.sampling.delay),
+    ):
         found = entry.number(key, "a finite number, s")
         if not math.isclose(found, expected, rel_tol=1e-9, abs_tol=0.0 if key == "dt" else 1e-9 * period):
-            raise entry.mistake(f"{key}: {found:g} s is not the job's {words}, {expected:g} s")
+            raise entry.mistake(f"{key}: {found:g} s is not {words}, {expected:g} s")
     arrays = entry.arrays(len(inputs), len(outputs), period)
     design = entry.data.get("design")
     title = f"{name}, {design}" if isinstance(design, str) and design else name

@@ -15,9 +15,10 @@ import numpy as np
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, named_system, seen_states, state_arrays
 from platform_ctrl.analysis.feedback import closed_loop, loop_transfer
-from platform_ctrl.analysis.interconnection import interconnect_controllers
+from platform_ctrl.analysis.interconnection import interconnect_controllers, interconnected_by_sample
 from platform_ctrl.analysis.margins import DiskMargin, disk_margin, loop_margins
 from platform_ctrl.analysis.metrics import COUPLED_METRICS, METRICS
+from platform_ctrl.analysis.periodic import PeriodicLoop
 from platform_ctrl.analysis.poles import continuous_poles, poles, spectral_abscissa
 from platform_ctrl.analysis.sampling import late_outputs, late_states, sampled
 from platform_ctrl.common.signatures import check_arguments
@@ -47,16 +48,18 @@ class CoupledCheck:
     ----------
     plant, controller
         The sampled model that all loops work in (see `coupled_plant`); all controllers as one, from pick-offs
-        and rate sensors to torquers.
+        and rate sensors to torquers; None where some are computed at every n-th sample: they are periodic then.
     poles : complex (n,)
-        Of the closed loop, in z (dimensionless).
+        Of the closed loop, in z (dimensionless), over `period`.
+    period
+        The sample period, or the time after which the order of computations of all controllers repeats, s.
     free
         Whether the platform is free: a controller acts on the root. Otherwise it is carried.
     channels
         Torquer names: one channel each.
     decoupled, coupled : (channels,)
         Loop-by-loop disk margins (one channel broken, all others closed) in the design models and in the coupled one,
-        dimensionless.
+        dimensionless. Of periodic loops they hold against perturbations that change with time too.
     cost : (channels,)
         Relative loss of margin against the decoupled design.
     simultaneous
@@ -74,8 +77,9 @@ class CoupledCheck:
     """
 
     plant: control.StateSpace
-    controller: control.StateSpace
+    controller: control.StateSpace | None
     poles: ComplexArray
+    period: float
     free: bool
     channels: tuple[str, ...]
     decoupled: FloatArray
@@ -107,7 +111,7 @@ def coupled_check(job: Job, model: LinearModel, controllers: Sequence[control.St
     model
         From `linearise`, at rest.
     controllers
-        u = K y in the order in which they are computed, with the job's sample period.
+        u = K y in the order in which they are computed, with the job's sample period or whole numbers of them.
 
     Returns
     -------
@@ -128,22 +132,19 @@ def coupled_check(job: Job, model: LinearModel, controllers: Sequence[control.St
     See docs/job-file.md.
     """
     plant = coupled_plant(job, model, controllers)
-    K = one_controller(job, controllers, plant)
-    loop = closed_loop(plant, K)
-    z = poles(loop.A)
-    channels = tuple(K.output_labels)
-    coupled = loop_margins(plant, K, at="input").alpha
+    together = _Together(job, controllers, plant)
+    channels, coupled = together.channels, together.loop_margins
     decoupled = _decoupled_margins(job, model, controllers, channels)
     # A decoupled loop without a margin has nothing to lose: that is no pass.
     cost = np.where(decoupled > 0.0, 1.0 - coupled / np.maximum(decoupled, np.finfo(float).tiny), np.inf)
-    simultaneous = disk_margin(loop_transfer(plant, K, at="input"))
-    of_torquers = _torquer_metrics(job, loop, len(channels))
-    decay = -float(spectral_abscissa(continuous_poles(z, job.sampling.period)))
+    simultaneous, of_torquers, decay = together.simultaneous, together.of_torquers, together.decay
     worst = _worst_trims(job, controllers, decay, simultaneous)
+    over = "" if together.controller is not None else f", over {job.cycle} samples, without a certificate"
     return CoupledCheck(
         plant=plant,
-        controller=K,
-        poles=z,
+        controller=together.controller,
+        poles=together.poles,
+        period=together.period,
         free=acts_on_root(job, controllers),
         channels=channels,
         decoupled=decoupled,
@@ -158,9 +159,70 @@ def coupled_check(job: Job, model: LinearModel, controllers: Sequence[control.St
             cost,
             (worst.simultaneous.guaranteed, worst.simultaneous.upper),
             of_torquers,
-            at=(worst.decay_at, worst.margin_at),
+            at=(worst.decay_at + over, worst.margin_at),
         ),
     )
+
+
+class _Together:
+    """All controllers closed around a sampled plant, at every sample or each at its own rate."""
+
+    def __init__(self, job: Job, controllers: Sequence[control.StateSpace], plant: control.StateSpace) -> None:
+        self._job, self._plant = job, plant
+        self._seen, torquers = _signals(job, controllers, plant)
+        self.channels = tuple(torquers)
+        self.controller: control.StateSpace | None = None
+        self._periodic: PeriodicLoop | None = None
+        by_sample = interconnected_by_sample(controllers, self._seen, torquers, job.sampling.period)
+        if len(by_sample) == 1:
+            self.controller = one_controller(job, controllers, plant)
+            self._loop = closed_loop(plant, self.controller)
+            self.poles, self.period = poles(self._loop.A), job.sampling.period
+        else:
+            at, seen = (
+                [labels.index(name) for name in names]
+                for labels, names in ((list(plant.input_labels), torquers), (list(plant.output_labels), self._seen))
+            )
+            self._periodic = PeriodicLoop(state_arrays(plant, "coupled plant"), by_sample, at, seen)
+            self.poles, self.period = self._periodic.poles, self._periodic.period
+
+    @property
+    def decay(self) -> float:
+        """The minimum decay rate, 1/s."""
+        return -float(spectral_abscissa(continuous_poles(self.poles, self.period)))
+
+    @property
+    def loop_margins(self) -> FloatArray:
+        """Disk margin of each channel, all others closed."""
+        if self._periodic is not None:
+            return self._periodic.loop_margins()
+        assert self.controller is not None
+        return loop_margins(self._plant, self.controller, at="input").alpha
+
+    @property
+    def simultaneous(self) -> DiskMargin:
+        """Disk margin in all channels at once."""
+        if self._periodic is not None:
+            return self._periodic.disk_margin()
+        assert self.controller is not None
+        return disk_margin(loop_transfer(self._plant, self.controller, at="input"))
+
+    @property
+    def of_torquers(self) -> dict[str, FloatArray]:
+        """Metrics of the torquers; of periodic loops the root mean square over the samples of a period."""
+        sensors = {s.name: s for s in self._job.platform.sensors}
+        rms = np.array([sensors[name].sampled_noise(self._job.sampling.period) for name in self._seen], np.float64)
+        if self._periodic is None:
+            return torquer_metrics(_noise_to_torque(self._loop, len(self.channels)), rms)
+        every = np.tile(rms, self._periodic.samples)
+        found = [torquer_metrics(one, every) for one in self._periodic.noise_to_torque()]
+        return {kind: np.array([np.sqrt(np.mean(one[kind] ** 2)) for one in found]) for kind in found[0]}
+
+
+def _noise_to_torque(loop: control.StateSpace, channels: int) -> StateArrays:
+    A, B, C, D, dt = state_arrays(loop, "coupled loop")
+    noisy = [k for k, name in enumerate(loop.input_labels) if name.startswith("noise_")]
+    return StateArrays(A, B[:, noisy], C[:channels], D[:channels, noisy], dt)
 
 
 # Kinds of loops that hold a body in inertial space where they read no angle of a gimbal.
@@ -180,9 +242,8 @@ def _worst_trims(job: Job, controllers: Sequence[control.StateSpace], decay: flo
     out = _Worst(decay, "", simultaneous, "")
     for q in job.trims[1:]:
         plant = coupled_plant(job, linearise(job.platform, q=q), controllers)
-        K, where = one_controller(job, controllers, plant), f", {at_angles(job.platform, q)}"
-        own = -float(spectral_abscissa(continuous_poles(poles(closed_loop(plant, K).A), job.sampling.period)))
-        margin = disk_margin(loop_transfer(plant, K, at="input"))
+        together, where = _Together(job, controllers, plant), f", {at_angles(job.platform, q)}"
+        own, margin = together.decay, together.simultaneous
         if own < out.decay:
             out = out._replace(decay=own, decay_at=where)
         if margin.guaranteed < out.simultaneous.guaranteed:
@@ -245,7 +306,8 @@ def _drifting_words(job: Job) -> str:
 
 def _read_late(job: Job, plant: control.StateSpace) -> control.StateSpace:
     """Return a sampled plant whose sensors' readings are as late as they are."""
-    late = {sensor.name: sensor.periods_late(job.sampling.period) for sensor in job.platform.sensors}
+    often = job.often_read
+    late = {s.name: s.periods_late(job.sampling.period, often.get(s.name, 1)) for s in job.platform.sensors}
     outputs = list(plant.output_labels)
     periods = [late.get(name, 0) for name in outputs]
     if not any(periods):
@@ -274,10 +336,17 @@ def one_controller(
     job: Job, controllers: Sequence[control.StateSpace], plant: control.StateSpace
 ) -> control.StateSpace:
     """Return all controllers as one, from the sensors that `plant` shows to the torquers that are used."""
+    seen, torquers = _signals(job, controllers, plant)
+    return interconnect_controllers(controllers, seen, torquers, job.sampling.period)
+
+
+def _signals(
+    job: Job, controllers: Sequence[control.StateSpace], plant: control.StateSpace
+) -> tuple[list[str], list[str]]:
+    """Return the sensors that a plant shows, and its torquers that are used."""
     used = {name for K in controllers for name in K.output_labels}
     torquers = [name for name in plant.input_labels if name in used]
-    seen = [s.name for s in job.platform.sensors if s.name in plant.output_labels]
-    return interconnect_controllers(controllers, seen, torquers, job.sampling.period)
+    return [s.name for s in job.platform.sensors if s.name in plant.output_labels], torquers
 
 
 def _decoupled_margins(
@@ -289,13 +358,12 @@ def _decoupled_margins(
     margins: dict[str, float] = {}
     if caging:
         plant = coupled_plant(job, model, caging)
-        K = one_controller(job, caging, plant)
-        margins |= dict(zip(K.output_labels, loop_margins(plant, K, at="input").alpha, strict=True))
+        together = _Together(job, caging, plant)
+        margins |= dict(zip(together.channels, together.loop_margins, strict=True))
     if len(margins) < len(channels):
         plant = one_way_plant(job, model, sensed_rates(job, controllers))
-        K = one_controller(job, controllers, plant)
-        one_way = loop_margins(plant, K, at="input").alpha
-        margins = dict(zip(K.output_labels, one_way, strict=True)) | margins
+        together = _Together(job, controllers, plant)
+        margins = dict(zip(together.channels, together.loop_margins, strict=True)) | margins
     return np.array([margins[name] for name in channels])
 
 
@@ -327,17 +395,6 @@ def torquer_metrics(noise_to_torque: StateArrays, rms: FloatArray) -> dict[str, 
         for kind, metric in METRICS.items()
         if metric.of_torquers is not None
     }
-
-
-def _torquer_metrics(job: Job, loop: control.StateSpace, channels: int) -> dict[str, FloatArray]:
-    arrays = state_arrays(loop, "coupled loop")
-    noisy = [k for k, name in enumerate(loop.input_labels) if name.startswith("noise_")]
-    names = [loop.input_labels[k].removeprefix("noise_") for k in noisy]
-    sensors = {s.name: s for s in job.platform.sensors}
-    rms = [sensors[name].sampled_noise(job.sampling.period) for name in names]
-    A, B, C, D, dt = arrays
-    noise_to_torque = StateArrays(A, B[:, noisy], C[:channels], D[:channels, noisy], dt)
-    return torquer_metrics(noise_to_torque, np.array(rms, dtype=np.float64))
 
 
 def coupled_requirements(job: Job) -> tuple[tuple[str, Requirement], ...]:

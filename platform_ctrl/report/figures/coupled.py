@@ -85,7 +85,7 @@ def nutation_figure(result: JobResult) -> Figure | None:
 
 def coupled_pole_figure(result: JobResult) -> Figure:
     """Poles of the coupled closed loop: all of them, and those around the nutation frequencies and below."""
-    check, period = result.coupled, result.job.sampling.period
+    check, period = result.coupled, result.coupled.period
     figure, [[wide, close]] = panels(1, 2, 2.7)
     s = upper_half_plane(continuous_poles(check.poles, period))
     nyquist = np.pi / period
@@ -169,7 +169,7 @@ def simultaneous_margin_figure(check: CoupledCheck, limit: float | None) -> Figu
 
 def coupled_grid(result: JobResult) -> FloatArray:
     """Return frequencies for the coupled system, rad/s, from below its slowest pole up to the Nyquist frequency."""
-    period = result.job.sampling.period
+    period = result.coupled.period
     s = continuous_poles(result.coupled.poles, period)
     finite = np.abs(s[np.isfinite(s.real) & (np.abs(s) > 0.0)])
     nyquist = np.pi / period
@@ -182,7 +182,7 @@ def servo_figure(result: JobResult) -> Figure | None:
     check = result.coupled
     roots = {t.name for t in result.job.platform.torquers if t.root_axis is not None}
     channels = [k for k, name in enumerate(check.channels) if name in roots]
-    if not channels or not check.stable:
+    if not channels or not check.stable or check.controller is None:
         return None
     w = coupled_grid(result)
     S = gang(check.plant, check.controller, w).S_input
@@ -259,6 +259,7 @@ def platform_compliance(result: JobResult, frequency: FloatArray) -> tuple[Float
         free[outputs, signals], job.sampling.period, job.sampling.delay, [t.lag for t in job.platform.torquers]
     )
     P = _response(driven, frequency)
+    assert check.controller is not None, "no response without periodic loops"
     K = state_arrays(check.controller, "all loops")
     rows = [outputs.index(name) for name in check.controller.input_labels]
     columns = [[t.name for t in job.platform.torquers].index(name) for name in check.controller.output_labels]

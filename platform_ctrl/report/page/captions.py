@@ -165,7 +165,7 @@ def poles(outcome: LoopOutcome, plants: PlantSet) -> str:
 def coupled(result: JobResult) -> str:
     """State of the coupled system in two sentences."""
     check, proofs = result.coupled, result.proofs["", ""]
-    decay = -float(spectral_abscissa(continuous_poles(check.poles, result.job.sampling.period)))
+    decay = -float(spectral_abscissa(continuous_poles(check.poles, check.period)))
     cost = None
     if check.stable and np.isfinite(check.cost).any():
         k = int(np.nanargmax(check.cost))

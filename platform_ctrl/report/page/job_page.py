@@ -373,7 +373,7 @@ def _coupled(result: JobResult) -> tuple[Block, ...]:
         figure = simultaneous_margin_figure(check, result.job.coupled.disk_margin)
         blocks.append(_plate(figure, "Disk margin in all channels at once", sentences("simultaneous", check=check)))
     # A carried platform does not yield to torques.
-    if check.stable and check.free:
+    if check.stable and check.free and check.controller is not None:
         figure = platform_disturbance_figure(result)
         blocks.append(_plate(figure, "Torque on the platform", sentences("platform_disturbance")))
     return tuple(blocks)

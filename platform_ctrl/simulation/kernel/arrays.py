@@ -81,7 +81,8 @@ class Shared(NamedTuple):
     lines: NDArray[np.int64]  # (nl,): component 0 to 2 of Omega, 3 to 5 of the specific force; 6 more: phase is given
     # (nx + nu + nd + 1 + nc + 2 nd,): rows of the controllers [A B; C D] and of the rates of the nd drives, stored
     # without zeros; the sensor of every command; of each drive its torquer, and its sensor of an angle or -1. Columns
-    # of B and D: sensors, then commands.
+    # of B and D: sensors, then commands. Where some controllers are computed at every n-th sample there follow the rows
+    # [A B; C D] of other samples, and of every sample of `Layout.cycle` where its rows begin.
     first: NDArray[np.int64]
     column: NDArray[np.int64]
     number: FloatArray  # then the nc commands of every sample from the first of a call on
@@ -98,6 +99,7 @@ class Layout(NamedTuple):
     before: int  # substeps of a period before and after the command changes
     after: int
     states: int  # of the controllers
+    cycle: int  # samples until they repeat; 1: all are computed at every sample
     stops: int  # whether any gimbal has stops
     profile: int  # whether a half-cosine is simulated
     fade: int  # whether lines rise from zero

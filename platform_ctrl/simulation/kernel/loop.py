@@ -161,9 +161,12 @@ def _control(shared: Shared, keys: Keys, mem: FloatArray, lane: int, at: At, lay
             late = acts(mem, lane, fault, t) & (load(mem, layout.random + 2, lane) < load(mem, fault + FIRST, lane))
             missed = choose(late, zero + 1.0, missed)
     lost = missed > 0.5
+    rows = 0
+    if layout.cycle > 1:
+        rows = shared.first[shared.first.shape[0] - layout.cycle + k % layout.cycle]
     for row in range(nx + nu):
         total = zero
-        for j in range(shared.first[row], shared.first[row + 1]):
+        for j in range(shared.first[rows + row], shared.first[rows + row + 1]):
             column = shared.column[j]
             slot = layout.controller + column if column < nx else layout.sensor + (column - nx) * SENSOR + LAST
             total = total + shared.number[j] * load(mem, slot, lane)
