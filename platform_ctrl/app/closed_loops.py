@@ -26,7 +26,7 @@ from platform_ctrl.app.stabilised import CachedMargins
 from platform_ctrl.common.arguments import known_name
 from platform_ctrl.design.loop import LoopProblem, designed, shaped
 from platform_ctrl.design.partition import Channels
-from platform_ctrl.errors import DesignError
+from platform_ctrl.errors import DesignError, InputError
 from platform_ctrl.job.job import DesignSpec, Job, LoopSpec
 from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.job.methods import METHODS
@@ -43,6 +43,12 @@ class ClosedLoops:
     """The loops of a job, closed as settings say."""
 
     def __init__(self, job: Job, controllers: Path | None) -> None:
+        slow = [spec.name for spec in job.loops if job.every(spec) > 1]
+        if slow:
+            raise InputError(
+                f"loop {slow[0]!r}: the page cannot show loops with a rate_hz of their own; use platform-ctrl design, "
+                "whose report does, or leave the key out for the page"
+            )
         self.read = job
         self._around = {spec.around for spec in job.loops}
         self.plants = JobPlants(job)

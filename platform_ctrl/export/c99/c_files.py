@@ -130,7 +130,7 @@ def write_c(  # noqa: PLR0913 - options by keyword
     for unit in units:
         texts |= {f"{unit.prefix}.h": unit.header(), f"{unit.prefix}.c": unit.source()}
     prefix = prefixes.new(job.name).lower()
-    texts |= job_files(prefix, units, cost=cost_of(schemes), **drive_words(job, units))
+    texts |= job_files(prefix, units, job.sampling.period, cost=cost_of(schemes), **drive_words(job, units))
     notes += drive_notes(job, prefix)
     target = Path(folder)
     try:

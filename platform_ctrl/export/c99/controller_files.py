@@ -6,6 +6,8 @@ a class derived from `ControllerFiles`, for fields and details, and one derived 
 
 from __future__ import annotations
 
+import dataclasses
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, ClassVar
@@ -191,8 +193,21 @@ def _needed(sections: Sequence[Any], outputs: Sequence[str]) -> set[str]:
     return out
 
 
-def job_files(job: str, units: Sequence[ControllerFiles], **words: Any) -> dict[str, str]:
-    """Return the header and the source, by file name, that run all controllers for one sample; `job` is a prefix."""
+def samples_apart(unit: ControllerFiles, period: float) -> int:
+    """Return at every how many samples of a job a controller is computed."""
+    return max(round(unit.scheme.period / period), 1)
+
+
+def result_of(unit: ControllerFiles, number: int, period: float) -> str:
+    """Return the expression for what a controller's last step gave, in the step of the whole job."""
+    return f"out_{number}" if samples_apart(unit, period) == 1 else f"state->{unit.prefix}_last"
+
+
+def job_files(job: str, units: Sequence[ControllerFiles], period: float, **words: Any) -> dict[str, str]:
+    """Return the header and the source, by file name, that run all controllers for one sample.
+
+    `job` is a prefix, `period` that of the samples, s.
+    """
     first, prefixes = units[0], [unit.prefix for unit in units]
     readers: dict[str, ControllerFiles] = {}  # Signals that no earlier controller computes, by their first reader
     made: dict[str, tuple[str, ControllerFiles]] = {}
@@ -204,11 +219,19 @@ def job_files(job: str, units: Sequence[ControllerFiles], **words: Any) -> dict[
                 readers[name], made[name] = unit, (f"in->{unit.signals[name]}", unit)
             taken.append((unit.signals[name], unit.received(*made[name], name)))
         given = [unit.signals[name] for name in unit.scheme.outputs]
-        made |= {name: (f"out_{number}.{unit.signals[name]}_commanded", unit) for name in unit.scheme.outputs}
-        steps.append((unit.prefix, taken, given))
+        result = result_of(unit, number, period)
+        made |= {name: (f"{result}.{unit.signals[name]}_commanded", unit) for name in unit.scheme.outputs}
+        steps.append((unit.prefix, taken, given, samples_apart(unit, period), result))
+    every = {unit.prefix: samples_apart(unit, period) for unit in units}
+    held = [one for one, n in every.items() if n > 1]
+    states = [f"    {one}_state {one};" for one in prefixes]
+    states += [f"    {one}_out {one}_last; /* held */\n    unsigned int {one}_status;" for one in held]
+    states += [f"    unsigned int {job}_sample; /* 0 to {math.lcm(*every.values()) - 1} */"] if held else []
     outputs = [unit.job_field(name, True) for unit in units for name in unit.scheme.outputs]
     words = {"drives": (), "driven": (), "drive_inputs": ()} | words
-    words |= {"p": job, "units": units, "scheme": first.scheme, "prefixes": prefixes, "fixed": first.fixed_point}
+    words |= {"p": job, "units": units, "prefixes": prefixes, "fixed": first.fixed_point}
+    words |= {"scheme": dataclasses.replace(first.scheme, period=period), "every": every}
+    words |= {"held": held, "cycle": math.lcm(*every.values())}
     header = rendered(
         "job.h.j2",
         **words,
@@ -216,7 +239,7 @@ def job_files(job: str, units: Sequence[ControllerFiles], **words: Any) -> dict[
         includes=[f'"{one}.h"' for one in prefixes],
         inputs=[*(unit.job_field(name, False) for name, unit in readers.items()), *words["drive_inputs"]],
         outputs=[*outputs, *(f"    unsigned int {one}_status; /* what {one}_step returned */" for one in prefixes)],
-        states=[f"    {one}_state {one};" for one in prefixes],
+        states=states,
     )
-    conversions = " ".join(expression for _, taken, _ in steps for _, expression in taken)
+    conversions = " ".join(expression for _, taken, *_ in steps for _, expression in taken)
     return {f"{job}.h": header, f"{job}.c": rendered("job.c.j2", **words, steps=steps, conversions=conversions)}

@@ -10,7 +10,7 @@ import numpy as np
 from platform_ctrl.common.values import value
 from platform_ctrl.errors import InputError
 from platform_ctrl.export.c99.c_text import field
-from platform_ctrl.export.c99.controller_files import ControllerFiles
+from platform_ctrl.export.c99.controller_files import ControllerFiles, result_of
 from platform_ctrl.export.c99.floating_files import FloatingFiles, Number, literal
 from platform_ctrl.export.systems import signal_units
 from platform_ctrl.job.drive import DriveLaw
@@ -97,7 +97,7 @@ def _code(job: Job, law: DriveLaw, units: Sequence[FloatingFiles]) -> DriveCode:
     return DriveCode(
         torquer=law.torquer,
         output=unit.signals[law.torquer],
-        command=f"out_{k}.{unit.signals[law.torquer]}_commanded",
+        command=f"{result_of(unit, k, job.sampling.period)}.{unit.signals[law.torquer]}_commanded",
         limit=literal(limit, number) if np.isfinite(limit) else "",
         angle="" if law.secant_of is None else f"in->{unit.signals[law.secant_of]}",
         secant_limit=literal(law.secant_limit, number),

@@ -56,8 +56,9 @@ def scheme_of(job: Job, entry: Entry, **origin: Any) -> Scheme:
             outputs=entry.outputs,
             output_units=tuple(units[name] for name in entry.outputs),
             sections=sections,
-            torque_limits=tuple(limits[name] for name in entry.outputs),
-            period=job.sampling.period,
+            # What commands another loop has no limit.
+            torque_limits=tuple(limits.get(name, np.inf) for name in entry.outputs),
+            period=entry.arrays.dt,
             delay=job.sampling.delay,
             provenance=provenance,
         )

@@ -1,0 +1,398 @@
+"""Loops at rates of their own: the linear numbers, the kernel, the stepped run and the C code do the same.
+
+The oracles step the sampled plant and the controllers one sample at a time, in the words of the job file: at every n-th
+sample a loop is computed, in between its output is held.
+"""
+
+from __future__ import annotations
+
+import copy
+import ctypes
+import math
+from pathlib import Path
+from typing import Any
+
+import control
+import numpy as np
+import pytest
+from scipy.linalg import solve_discrete_lyapunov
+
+from commanded_gimbal import RATE_HZ, commanded_job
+from generated_c import Machine, compiled
+from platform_ctrl import read_job
+from platform_ctrl.analysis.arrays import StateArrays, state_arrays
+from platform_ctrl.analysis.feedback import closed_loop, loop_transfer
+from platform_ctrl.analysis.interconnection import interconnected_by_sample
+from platform_ctrl.analysis.margins import disk_margin, loop_margins
+from platform_ctrl.analysis.periodic import PeriodicLoop
+from platform_ctrl.common.values import FloatArray
+from platform_ctrl.design import loops
+from platform_ctrl.design.jobs import LoopOutcome
+from platform_ctrl.errors import InputError
+from platform_ctrl.export.c99.c_files import write_c
+from platform_ctrl.job.job import Job, manoeuvre_scenario
+from platform_ctrl.job.writing import job_data
+from platform_ctrl.mechanics.linearisation import linearise
+from platform_ctrl.simulation import Simulator, simulate, simulate_batch
+from platform_ctrl.verification.controllers import outcomes_from, read_controllers
+from platform_ctrl.verification.coupled import CoupledCheck, coupled_check
+
+T, SLOW = 1.0 / RATE_HZ, 20
+STEP = [{"reading": "heading", "step": 1e-3, "at": 0.1}]
+
+
+def tracking_job(slow: int | None = SLOW, inner: int = 1, **sensor: Any) -> dict[str, Any]:
+    """A tracking loop at every `slow`-th sample around a rate loop, on one axis; None: without the key."""
+    job = commanded_job(STEP)
+    job["plant"]["attitude_sensor"][0] |= {"delay": 0.004} | sensor
+    tracking = {
+        "name": "track",
+        "kind": "tracking",
+        "around": "loop",
+        "sensors": ["heading"],
+        "use": "own",
+        "limits": {"disk_margin": 0.5},
+        "design": [{"name": "own", "method": "pi", "crossover_hz": 1.0}],
+    }
+    job["loop"].append(tracking | ({} if slow is None else {"rate_hz": RATE_HZ / slow}))
+    job["loop"][0] |= {"rate_hz": RATE_HZ / inner} if inner > 1 else {}
+    return job
+
+
+@pytest.fixture(scope="module")
+def job() -> Job:
+    return read_job(tracking_job())
+
+
+@pytest.fixture(scope="module")
+def made(job: Job) -> tuple[LoopOutcome, ...]:
+    return loops(job)
+
+
+@pytest.fixture(scope="module")
+def controllers(made: tuple[LoopOutcome, ...]) -> list[control.StateSpace]:
+    return [one.closed.controller for one in made]
+
+
+@pytest.fixture(scope="module")
+def check(job: Job, controllers: list[control.StateSpace]) -> CoupledCheck:
+    return coupled_check(job, linearise(job.platform), controllers)
+
+
+class Computer:
+    """Controllers as a computer runs them, in the words of the job file."""
+
+    def __init__(self, controllers: list[control.StateSpace]) -> None:
+        self.parts = [state_arrays(K, "controller") for K in controllers]
+        self.controllers = controllers
+        self.x = [np.zeros(len(K.A)) for K in self.parts]
+        self.u = [np.zeros(len(K.C)) for K in self.parts]
+        self.sample = 0
+
+    def step(self, readings: dict[str, float]) -> dict[str, float]:
+        signals = dict(readings)
+        for k, (K, system) in enumerate(zip(self.parts, self.controllers, strict=True)):
+            if self.sample % round(K.dt / T) == 0:
+                y = np.array([signals.get(name, 0.0) for name in system.input_labels])
+                self.u[k], self.x[k] = K.C @ self.x[k] + K.D @ y, K.A @ self.x[k] + K.B @ y
+            signals |= dict(zip(system.output_labels, self.u[k], strict=True))
+        self.sample += 1
+        return signals
+
+    @property
+    def memory(self) -> FloatArray:
+        return np.concatenate([*self.x, *self.u])
+
+    @memory.setter
+    def memory(self, values: FloatArray) -> None:
+        parts = np.split(values, np.cumsum([len(one) for one in (*self.x, *self.u)])[:-1])
+        self.x, self.u = list(parts[: len(self.x)]), list(parts[len(self.x) :])
+
+
+def over_a_cycle(job: Job, check: CoupledCheck, controllers: list[control.StateSpace], cycle: int) -> FloatArray:
+    """The transition of plant and computer over a cycle, column by column, by stepping."""
+    plant = state_arrays(check.plant, "plant")
+    names, torquers = list(check.plant.output_labels), list(check.plant.input_labels)
+    n, size = len(plant.A), len(plant.A) + len(Computer(controllers).memory)
+    columns = []
+    for k in range(size):
+        state, computer = np.eye(size)[k], Computer(controllers)
+        x, computer.memory = state[:n], state[n:]
+        for _ in range(cycle):
+            made = computer.step(dict(zip(names, plant.C @ x, strict=True)))
+            x = plant.A @ x + plant.B @ np.array([made[name] for name in torquers])
+        columns.append(np.concatenate([x, computer.memory]))
+    return np.array(columns).T
+
+
+def test_the_slow_loop_is_what_the_run_does(made: tuple[LoopOutcome, ...], job: Job) -> None:
+    """Of its plants and controller alone, at every 20th sample, follows what the kernel reads there, step for step."""
+    tracking = made[0].closed
+    assert tracking.plants is not None
+    assert tracking.controller.dt == pytest.approx(SLOW * T)
+    run = simulate(manoeuvre_scenario(job, job.manoeuvres[0]), [one.closed.controller for one in made], period=T)
+    P, K = tracking.plants, state_arrays(tracking.controller, "controller")
+    x, x_K, expected = np.zeros(P.A.shape[-1]), np.zeros(len(K.A)), []
+    for k in range(len(run.t[::SLOW])):
+        y = P.C[0] @ x
+        expected.append(y[0])
+        given = np.array([y[0], 1e-3 if k * SLOW * T >= 0.1 - 1e-9 else 0.0])
+        assert tracking.controller.input_labels == ["heading", "heading_command"]
+        x, x_K = P.A[0] @ x + P.B[0] @ (K.C @ x_K + K.D @ given), K.A @ x_K + K.B @ given
+    heading = run.reading[::SLOW, run.pickoff_names.index("heading")]
+    assert np.abs(heading).max() > 1e-3
+    np.testing.assert_allclose(heading, expected, rtol=0.0, atol=1e-9)
+
+
+def test_a_slow_torque_loop_is_what_the_run_does() -> None:
+    """A pointing loop at 250 Hz with torques that act 1.5 samples late: the plant holds them for four samples."""
+    data = commanded_job(STEP, "pointing") | {"sampling": {"rate_hz": RATE_HZ, "delay": 0.0015}}
+    data["loop"][0] |= {"rate_hz": RATE_HZ / 4, "limits": {"disk_margin": 0.5}}
+    job = read_job(data)
+    (outcome,) = loops(job)
+    P, K = outcome.closed.plants, state_arrays(outcome.closed.controller, "controller")
+    assert P is not None
+    assert P.period == pytest.approx(4 * T)
+    # Angle, momentum and one held torque: none of the samples in between is a state.
+    assert P.A.shape[-1] == 3
+    run = simulate(manoeuvre_scenario(job, job.manoeuvres[0]), [outcome.closed.controller], period=T)
+    x, x_K, expected, torques = np.zeros(3), np.zeros(len(K.A)), [], []
+    for k in range(len(run.t[::4])):
+        y = (P.C[0] @ x)[0]
+        expected.append(y)
+        given = np.array([y, 1e-3 if 4 * k * T >= 0.1 - 1e-9 else 0.0])
+        u = K.C @ x_K + K.D @ given
+        torques.append(u[0])
+        x, x_K = P.A[0] @ x + P.B[0] @ u, K.A @ x_K + K.B @ given
+    heading = run.reading[::4, run.pickoff_names.index("heading")]
+    np.testing.assert_allclose(heading, expected, rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(run.command[:, 0], np.repeat(torques, 4)[: len(run.t)], rtol=0.0, atol=1e-6)
+    assert np.abs(run.command).max() > 1e-3
+
+
+def test_poles_are_those_of_stepping_plant_and_computer_over_a_cycle(
+    job: Job, check: CoupledCheck, controllers: list[control.StateSpace]
+) -> None:
+    assert check.period == pytest.approx(SLOW * T)
+    assert check.controller is None
+    stepped = np.linalg.eigvals(over_a_cycle(job, check, controllers, SLOW))
+
+    def largest(z: Any) -> FloatArray:
+        return np.sort(np.abs(z))[::-1][:6]
+
+    np.testing.assert_allclose(largest(check.poles), largest(stepped), rtol=1e-7, atol=1e-7)
+    assert check.stable
+    assert "over 20 samples" in check.results[0].evidence
+
+
+def test_rates_that_do_not_divide_one_another_repeat_after_their_common_multiple() -> None:
+    """Two controllers at every second and third sample, in an order of their own at each of six samples."""
+    generator = np.random.default_rng(3)
+    parts = []
+    for k, n in enumerate((2, 3)):
+        A, B, C = generator.normal(size=(2, 2)) * 0.3, generator.normal(size=(2, 1)), generator.normal(size=(1, 2))
+        names = {"inputs": [f"y{k + 1}"], "outputs": [f"u{k + 1}"]}
+        parts.append(control.ss(A, B, C, [[0.1]], n * T, **names))
+    by_sample = interconnected_by_sample(parts, ["y1", "y2"], ["u1", "u2"], T)
+    assert len(by_sample) == 6
+    assert len({id(one) for one in by_sample}) == 4
+    computer, x = Computer(parts), np.zeros(len(by_sample[0].A))
+    for k, y in enumerate(generator.normal(size=(30, 2))):
+        expected = computer.step({"y1": y[0], "y2": y[1]})
+        K = by_sample[k % 6]
+        np.testing.assert_allclose(K.C @ x + K.D @ y, [expected["u1"], expected["u2"]], rtol=0.0, atol=1e-12)
+        x = K.A @ x + K.B @ y
+
+
+@pytest.fixture(scope="module")
+def square() -> tuple[StateArrays, StateArrays]:
+    """A sampled plant with two torques and two angles, and a controller that stabilises it."""
+    generator = np.random.default_rng(5)
+    A = np.diag([0.9, 0.8, 0.7, 0.6]) + 0.05 * generator.normal(size=(4, 4))
+    P = StateArrays(A, generator.normal(size=(4, 2)), generator.normal(size=(2, 4)), np.zeros((2, 2)), T)
+    K = StateArrays(0.5 * np.eye(2), 0.05 * np.eye(2), -0.3 * np.eye(2), -0.02 * np.eye(2), T)
+    assert np.abs(np.linalg.eigvals(closed_loop(P, K).A)).max() < 1.0
+    return P, K
+
+
+def test_margins_of_a_loop_that_takes_no_turns_are_the_usual_ones(square: tuple[StateArrays, StateArrays]) -> None:
+    """Its lifted norms are those without lifting: at every image of a frequency the gain is one of the loop's own."""
+    P, K = square
+    plant, controller = (control.ss(*one) for one in square)
+    plant.input_labels = controller.output_labels = ["u1", "u2"]
+    plant.output_labels = controller.input_labels = ["y1", "y2"]
+    loop = PeriodicLoop(P, [K] * 6, range(2), range(2))
+    np.testing.assert_allclose(loop.loop_margins(), loop_margins(plant, controller).alpha, rtol=1e-7)
+    usual, found = disk_margin(loop_transfer(plant, controller)), loop.disk_margin()
+    # One scaling of each channel for all frequencies is no better than one at each.
+    assert usual.unstructured <= found.lower * (1.0 + 1e-6)
+    assert found.lower <= usual.lower * (1.0 + 1e-6)
+    assert found.lower <= found.upper
+    poles = np.sort(np.abs(loop.poles)) ** (1.0 / 6.0)
+    np.testing.assert_allclose(poles, np.sort(np.abs(np.linalg.eigvals(closed_loop(P, K).A))), rtol=1e-9)
+
+
+def test_no_gain_within_the_margin_destabilises(
+    job: Job, check: CoupledCheck, controllers: list[control.StateSpace]
+) -> None:
+    """Gains of the torque's loop that change from sample to sample at random, inside the disk."""
+    plant = state_arrays(check.plant, "plant")
+    seen, torquers = list(check.plant.output_labels), list(check.plant.input_labels)
+    used = [name for name in seen if name in {label for K in controllers for label in K.input_labels}]
+    by_sample = interconnected_by_sample(controllers, seen, torquers, T)
+    assert used
+    alpha = check.simultaneous.guaranteed
+    assert 0.3 < alpha <= check.simultaneous.upper
+    np.testing.assert_allclose(check.coupled, alpha, rtol=2e-4)
+    generator = np.random.default_rng(1)
+    for _ in range(20):
+        factors = (2.0 + alpha * generator.uniform(-1.0, 1.0, SLOW)) / (2.0 - alpha * generator.uniform(-1.0, 1.0))
+        low, high = (2.0 - alpha) / (2.0 + alpha), (2.0 + alpha) / (2.0 - alpha)
+        turn = np.eye(len(plant.A) + len(by_sample[0].A))
+        for K, factor in zip(by_sample, np.clip(factors, low, high), strict=True):
+            turn = closed_loop(plant, K._replace(C=factor * K.C, D=factor * K.D)).A @ turn
+        assert np.abs(np.linalg.eigvals(turn)).max() < 1.0
+
+
+def test_torque_noise_is_the_mean_of_the_periodic_covariance() -> None:
+    data = tracking_job(noise_rms=1e-5, noise_bandwidth_hz=500.0)
+    data["plant"]["rate_sensor"][0] |= {"noise_rms": 1e-4, "noise_bandwidth_hz": 500.0}
+    job = read_job(data)
+    controllers = [one.closed.controller for one in loops(job)]
+    check = coupled_check(job, linearise(job.platform), controllers)
+    plant = state_arrays(check.plant, "plant")
+    seen = list(check.plant.output_labels)
+    sensors = {one.name: one for one in job.platform.sensors}
+    rms = np.array([sensors[name].sampled_noise(T) for name in seen])
+    cycle = [closed_loop(plant, K) for K in interconnected_by_sample(controllers, seen, check.plant.input_labels, T)]
+    m = plant.B.shape[1]
+    turn, driven = np.eye(len(cycle[0].A)), np.zeros_like(cycle[0].A)
+    for one in cycle:
+        B = one.B[:, m:] * rms
+        turn, driven = one.A @ turn, one.A @ driven @ one.A.T + B @ B.T
+    X, squares = solve_discrete_lyapunov(turn, driven), []
+    for one in cycle:
+        B, D = one.B[:, m:] * rms, one.D[:m, m:] * rms
+        squares.append(np.diag(one.C[:m] @ X @ one.C[:m].T + D @ D.T))
+        X = one.A @ X @ one.A.T + B @ B.T
+    np.testing.assert_allclose(check.torque_noise, np.sqrt(np.mean(squares, axis=0)), rtol=1e-7)
+
+
+def test_stepped_and_batched_runs_are_the_whole_run_to_the_bit(job: Job, controllers: list[control.StateSpace]) -> None:
+    scenario = manoeuvre_scenario(job, job.manoeuvres[0])
+    run = simulate(scenario, controllers, period=T)
+    stepper = Simulator(scenario, controllers, period=T)
+    rows = [stepper.now.reading[0], *(stepper.advance(samples=n).reading[-1] for n in (7, 13, 3, 60))]
+    np.testing.assert_array_equal(rows, run.reading[[0, 7, 20, 23, 83]])
+    many = simulate_batch([scenario] * 3, controllers, period=T)
+    np.testing.assert_array_equal(many.angle, np.tile(np.abs(run.q).max(axis=0), (3, 1)))
+    # The rate loop follows at every sample what the tracking loop holds for twenty.
+    at = SLOW * 6
+    assert len(np.unique(run.command[at : at + SLOW, 0])) == SLOW
+
+
+def test_a_loop_at_every_sample_says_so_without_changing_anything(job: Job) -> None:
+    named, plain = (read_job(tracking_job(slow)) for slow in (1, None))
+    for one, other in zip(loops(named), loops(plain), strict=True):
+        for name in "ABCD":
+            np.testing.assert_array_equal(getattr(one.closed.controller, name), getattr(other.closed.controller, name))
+
+
+def test_a_slow_rate_loop_inside_a_slower_tracking_loop() -> None:
+    job = read_job(tracking_job(20, inner=5))
+    made = loops(job)
+    controllers = [one.closed.controller for one in made]
+    assert [K.dt for K in controllers] == pytest.approx([20 * T, 5 * T])
+    check = coupled_check(job, linearise(job.platform), controllers)
+    stepped = np.linalg.eigvals(over_a_cycle(job, check, controllers, SLOW))
+    assert np.abs(check.poles).max() == pytest.approx(np.abs(stepped).max(), rel=1e-7)
+
+
+def test_a_tracker_that_measures_when_it_is_read_is_not_held() -> None:
+    """At the loop's own rate its readings are as old as its delay; twice as fast in a loop at every sample, older."""
+    job = read_job(tracking_job(rate_hz=RATE_HZ / SLOW))
+    sensor = next(one for one in job.platform.sensors if one.name == "heading")
+    assert sensor.periods_late(T, SLOW) == 4
+    assert sensor.periods_late(T, 2 * SLOW) == 4
+    assert sensor.periods_late(T) == 4 + math.ceil((SLOW - 1) / 2)
+    # At half the tracker's period every other reading is ten samples older.
+    assert sensor.periods_late(T, SLOW // 2) == 4 + 5
+    run = simulate(manoeuvre_scenario(job, job.manoeuvres[0]), [one.closed.controller for one in loops(job)], period=T)
+    plain = read_job(tracking_job())
+    other = simulate(
+        manoeuvre_scenario(plain, plain.manoeuvres[0]), [one.closed.controller for one in loops(plain)], period=T
+    )
+    np.testing.assert_allclose(run.command, other.command, rtol=0.0, atol=1e-12)
+
+
+def test_the_generated_code_is_the_simulated_computer(
+    job: Job, controllers: list[control.StateSpace], tmp_path: Path
+) -> None:
+    files = write_c(job, controllers, tmp_path, anti_windup="none").files
+    library = compiled(files, tmp_path / "all.so")
+    inputs = ["heading", "heading_command", "gyro"]
+    outputs = ["gyro_command", "Qyaw"]
+    code = Machine(library, "commanded", inputs, outputs, ctypes.c_double, ["track_status", "loop_status"])
+    run = simulate(manoeuvre_scenario(job, job.manoeuvres[0]), controllers, period=T)
+    readings = np.column_stack([run.reading[:, run.pickoff_names.index(name)] for name in ("heading", "gyro")])
+    made, statuses = code.run(np.insert(readings, 1, run.reading_command[:, 0], axis=1))
+    np.testing.assert_allclose(made[:, 1], run.command[:, 0], rtol=0.0, atol=1e-12 * np.abs(run.command).max())
+    assert set(statuses) == {0}
+    header = (tmp_path / "commanded.h").read_text()
+    assert "1000 Hz (every 0.001 s)" in header
+    assert "track, at one sample in 20" in header
+    assert "50 Hz (every 0.02 s)" in (tmp_path / "track.h").read_text()
+
+
+def test_controllers_of_a_file_are_measured_at_their_own_rates(
+    job: Job, made: tuple[LoopOutcome, ...], controllers: list[control.StateSpace]
+) -> None:
+    entries = [
+        {"name": name, "dt": float(K.dt), "delay": 0.0, "inputs": K.input_labels, "outputs": K.output_labels}
+        | {key: np.asarray(getattr(K, key)).tolist() for key in "ABCD"}
+        for name, K in zip(("track", "loop"), controllers, strict=True)
+    ]
+    again = outcomes_from(job, read_controllers({"schema": 1, "controllers": entries}, job))
+    for one, other in zip(again, made, strict=True):
+        assert one.closed.measures is not None
+        assert other.closed.measures is not None
+        np.testing.assert_allclose(one.closed.measures.disk_margin, other.closed.measures.disk_margin, rtol=1e-9)
+    entries[0]["dt"] = T
+    with pytest.raises(InputError, match=r"dt: 0.001 s is not the loop's sample period, 0.02 s"):
+        read_controllers({"schema": 1, "controllers": entries}, job)
+
+
+def test_the_job_is_written_with_its_rates(job: Job) -> None:
+    again = read_job(job_data(job))
+    assert [again.every(spec) for spec in again.loops] == [1, SLOW]
+    assert again.cycle == SLOW
+
+
+@pytest.mark.parametrize(
+    ("loop", "rate", "words"),
+    [
+        (1, 300.0, r"rate_hz must be 1000 Hz, .* over a whole number, got 300.0; the nearest: 333.333 or 250"),
+        (1, 2000.0, r"the nearest: 1000"),
+        (1, 9.0, r"the nearest: 9.00901 or 8.92857"),
+        (1, 5.0, r"repeat after 200 samples, more than 100"),
+        (0, 10.0, r"rate_hz must be that of the loop inside, 10 Hz, over a whole number, got 50.0; try 10"),
+    ],
+)
+def test_rates_that_do_not_fit_are_one_line(loop: int, rate: float, words: str) -> None:
+    data = tracking_job()
+    data["loop"][loop]["rate_hz"] = rate
+    with pytest.raises(InputError, match=words) as caught:
+        read_job(data)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_loop_around_a_slow_one_needs_a_rate() -> None:
+    with pytest.raises(InputError, match='"rate_hz" is missing: the loop inside has 500 Hz'):
+        read_job(tracking_job(None, inner=2))
+
+
+def test_what_has_no_slow_form_yet_is_refused() -> None:
+    data = copy.deepcopy(tracking_job())
+    data["budget"] = {"source": [{"name": "base", "kind": "rate", "axis": 3, "rms": 0.01, "bandwidth_hz": 10.0}]}
+    with pytest.raises(InputError, match=r"\[budget\] has no numbers yet for loops with a rate_hz of their own"):
+        read_job(data)
