@@ -279,6 +279,8 @@ def _rates(data: Data, rate: float) -> Iterator[Mistake]:
             yield Mistake(path, f'the key "rate_hz" is missing: {words}; give it that rate, or a whole fraction of it')
         if own is None or own <= 0.0:
             continue
+        if kind not in get_args(LoopKind):
+            continue
         if kind not in _OWN_RATES:
             words = f"rate_hz = {given(loop['rate_hz'])} has no effect in a {kind} loop; leave it out"
             yield Mistake(path, f"{words}: {', '.join(_OWN_RATES)} loops alone may be slower than [sampling]")

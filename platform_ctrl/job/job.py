@@ -416,12 +416,36 @@ class Job:
         lists = [sorted(set(self.angles.get(name, (0.0,)))) for name in names]
         return (np.zeros(len(names)), *(np.array(q) for q in product(*lists) if any(q)))
 
+    @check_arguments
     def every(self, spec: LoopSpec) -> int:
-        """Return at every how many samples a loop is computed."""
+        """Return at every how many samples a loop is computed.
+
+        Parameters
+        ----------
+        spec
+            One of the loops.
+
+        Returns
+        -------
+        int
+            1 or more.
+        """
         return 1 if spec.rate_hz is None else max(round(1.0 / (spec.rate_hz * self.sampling.period)), 1)
 
+    @check_arguments
     def period_of(self, spec: LoopSpec) -> float:
-        """Return the time from one computation of a loop to the next, s."""
+        """Return the time from one computation of a loop to the next.
+
+        Parameters
+        ----------
+        spec
+            One of the loops.
+
+        Returns
+        -------
+        float
+            s.
+        """
         return self.every(spec) * self.sampling.period
 
     @property

@@ -136,7 +136,8 @@ def simulate(
     scenario
         The run: plant, mode, duration, delay, motion, faults, initial values, seed.
     controllers
-        Discrete state spaces with dt = `period`. Inputs: angles and rates that sensors measure, commands of readings,
+        Discrete state spaces with dt = `period`, or n periods: computed at every n-th sample, the first included, and
+        held in between. Inputs: angles and rates that sensors measure, commands of readings,
         NAME + ``_command``, zero unless the scenario has them, or outputs of a controller earlier in the list (that
         step's value, before limiting). Outputs: torquers, or signals that a later
         controller takes in. In mode ``"caged"`` those that act on the root are left out.

@@ -437,6 +437,8 @@ def scheduled() -> Scheduled:
 
 
 METHODS: dict[str, dict[str, Callable[[], Any]]] = {
+    "Job.every": {"spec": lambda: asked().loops[0]},
+    "Job.period_of": {"spec": lambda: asked().loops[0]},
     "Friction.dry": of(rate=0.1),
     "parameter_varying.ParameterVaryingModel.at": of(Omega=[0.1, 0.0, 0.0]),
     "parameter_varying.ParameterVaryingModel.forcing": of(Omega=[0.1, 0.0, 0.0]),

@@ -247,6 +247,7 @@ def platform_compliance(result: JobResult, frequency: FloatArray) -> tuple[Float
     """
     job, model = result.job, result.model
     check = result.coupled
+    assert check.controller is not None, "loops at several rates have no frequency response"
     shown = [*model.angle_names, *OMEGA_NAMES]
     outputs = [*shown, *(name for name in check.controller.input_labels if name not in shown)]
     free = observed(linear_state_space(model, root="free"), model.platform, outputs, model.q0, model.Omega0)
@@ -259,7 +260,6 @@ def platform_compliance(result: JobResult, frequency: FloatArray) -> tuple[Float
         free[outputs, signals], job.sampling.period, job.sampling.delay, [t.lag for t in job.platform.torquers]
     )
     P = _response(driven, frequency)
-    assert check.controller is not None, "no response without periodic loops"
     K = state_arrays(check.controller, "all loops")
     rows = [outputs.index(name) for name in check.controller.input_labels]
     columns = [[t.name for t in job.platform.torquers].index(name) for name in check.controller.output_labels]
