@@ -32,6 +32,10 @@ class OptionValue:
     low: float = 0.0
     high: float = np.inf
 
+    def moved(self, after: float, part: float) -> float:
+        """Return the value after a part of the move to `after`."""
+        return float(f"{self.value * (after / self.value) ** part:.3g}")
+
 
 @value
 class OptionEffects:
@@ -89,15 +93,11 @@ def largest(ratios: FloatArray) -> float:
 
 
 def candidates(
-    effects: OptionEffects,
-    options: Sequence[OptionValue],
-    score: Score = largest,
-    moves: Sequence[float] = MOVES,
-    each: int = 1,
+    effects: OptionEffects, options: Sequence[OptionValue], score: Score = largest, moves: Sequence[float] = MOVES
 ) -> list[tuple[str, float]]:
     """Return the names of options with new values, those first that are expected to help most.
 
-    All ratios are taken to be linear in the option; of each option the best `each` of the relative `moves` count.
+    All ratios are taken to be linear in the option; of each option the best of the relative `moves` counts.
     """
     column = {name: k for k, name in enumerate(effects.options)}
     found = []
@@ -111,11 +111,10 @@ def candidates(
             if option.low <= after <= option.high and np.isfinite(expected):
                 found.append((expected, option.name, after))
     found.sort(key=lambda one: one[0])
-    out: list[tuple[str, float]] = []
+    out: dict[str, tuple[str, float]] = {}
     for _, name, after in found:
-        if sum(name == other for other, _ in out) < each:
-            out.append((name, after))
-    return out[:_TRIED]
+        out.setdefault(name, (name, after))
+    return list(out.values())[:_TRIED]
 
 
 def best_move(

@@ -27,8 +27,12 @@ if TYPE_CHECKING:
 _ROWS, _TARGETS = 5, 8
 # Of a requirement that is met the ratio is to fall by this share; one further from its limit than this is no target.
 GAIN, FAR = 0.05, 0.5
+# Ratio that is wanted of a missed requirement: moves are estimated, and not all errors are on one side.
+_MET = 0.99
 # Share of what is wanted that a change has to gain.
 _LEAST = 0.5
+# How much it counts that a missed limit is still missed, beside the share that is left of it.
+_MISSED = 0.5
 # How much lost margin counts beside limits that are violated, and the largest ratio that is told from others.
 _LOSS, _WORST = 0.05, 10.0
 # A limit that is missed already is violated further by more than rounding.
@@ -118,12 +122,12 @@ def _ranked(result: JobResult, trials: LinearTrials, target: Key) -> list[Trial 
     """
     own, keys = trials.before[target], list(trials.before)
     ratios = np.array([one.ratio for one in trials.before.values()])
-    score = _score(keys.index(target), ratios, 1.0 if own.ratio > 1.0 else own.ratio * (1.0 - GAIN))
-    wide = own.subject == ALL_LOOPS or trials.has_no_plants(own.subject)
+    score = _score(keys.index(target), ratios, _MET if own.ratio > 1.0 else own.ratio * (1.0 - GAIN))
+    scope = trials.scope(target)
     scored = []
     for loop in trials.loops_for(target):
-        for one in trials.trials(loop, score, wide):
-            measured = trials.results(one, exact=False, coupled=wide)
+        for one in trials.trials(loop, score, scope):
+            measured = trials.results(one, exact=False, scope=scope)
             if measured is not None:
                 scored.append((score(np.array([measured[key].ratio for key in keys])), one))
     scored = sorted((one for one in scored if math.isfinite(one[0])), key=lambda one: one[0])
@@ -165,14 +169,15 @@ def _score(at: int, before: FloatArray, wanted: float) -> Score:
         allowed = np.maximum(np.delete(known, at), 1.0)
         short = max(ratios[at] - wanted, 0.0) / (size if np.isfinite(size) else 1.0)
         lost = float((others - np.delete(known, at)).max(initial=0.0))
-        return float(short + np.maximum(others - allowed, 0.0).sum() + _LOSS * lost)
+        missed = _MISSED if now[at] > 1.0 else 0.0
+        return float(short + missed + np.maximum(others - allowed, 0.0).sum() + _LOSS * lost)
 
     return of
 
 
 def _measured(trials: LinearTrials, trial: Trial, target: Key) -> Change | None:
     """Return a trial measured as `check_job` does it; None where that finds no gain."""
-    before, after = trials.before, trials.results(trial, exact=True, coupled=True)
+    before, after = trials.before, trials.results(trial, exact=True, scope="all")
     if after is None or not after[target].ratio < before[target].ratio:
         return None
     pairs = [ResultChange(before=before[key], after=after[key]) for key in before if key != target]

@@ -48,9 +48,11 @@ if TYPE_CHECKING:
     from platform_ctrl.verification.verdict import JobResult
 
 # Relative moves of an option: wider than those of a slider, since a missed limit may be far.
-_MOVES = (-0.5, -0.35, -0.2, -0.1, -0.05, 0.05, 0.1, 0.2, 0.35, 0.5, 1.0)
-# Of each option so many are tried.
-_EACH = 2
+_MOVES = (*(-0.05 * k for k in range(10, 0, -1)), *(0.05 * k for k in range(1, 11)), 0.6, 0.8, 1.0)
+# Shares of the move that is expected to be best that are tried: nothing is as linear as expected.
+_PARTS = (0.6, 1.0, 1.4)
+# What is measured beside the changed loop itself.
+Scope = Literal["loop", "budget", "coupled", "all"]
 # What stands for the options of a design that is not built from any.
 GAIN = "gain"
 
@@ -95,16 +97,12 @@ class LinearTrials:
         self._outcomes = {outcome.spec.name: outcome for outcome in result.loops}
         self._inner = {one.spec.around: one for one in result.loops if one.spec.around}
         self._limits_budget = () if result.budget is None else result.budget.results
+        self._coupled = result.coupled.results
         of_loops = tuple(one for outcome in result.loops for one in outcome.closed.results)
-        self.before = keyed((*of_loops, *result.coupled.results, *self._limits_budget))
+        self.before = keyed((*of_loops, *self._coupled, *self._limits_budget))
         self._builders: dict[str, _Builder | None] = {}
-        self._effects: dict[tuple[str, bool], OptionEffects] = {}
-        self._results: dict[tuple[Trial, bool, bool], Results | None] = {}
-
-    def has_no_plants(self, subject: str) -> bool:
-        """Return whether a subject is a loop that is only measured in the coupled system."""
-        outcome = self._outcomes.get(subject)
-        return outcome is not None and outcome.closed.plants is None
+        self._effects: dict[tuple[str, Scope], OptionEffects] = {}
+        self._results: dict[tuple[Trial, bool, Scope], Results | None] = {}
 
     def loops_for(self, key: Key) -> list[str]:
         """Return the loops whose designs a requirement depends on."""
@@ -114,10 +112,16 @@ class LinearTrials:
             return [subject, around] if around else [subject]
         return list(self._outcomes)
 
-    def trials(self, loop: str, score: Score, coupled: bool) -> list[Trial]:
+    def scope(self, key: Key) -> Scope:
+        """Return what has to be measured for a requirement."""
+        if key in keyed(self._limits_budget):
+            return "budget"
+        return "coupled" if key in keyed(self._coupled) else "loop"
+
+    def trials(self, loop: str, score: Score, scope: Scope) -> list[Trial]:
         """Return the other designs of a loop, and the moves of its closed one that are expected to help most.
 
-        With `coupled` moves of gains alone: each costs a coupled check.
+        For the coupled system the best move of a gain alone, as expected: each costs a coupled check.
         """
         outcome = self._outcomes[loop]
         closed = outcome.closed
@@ -125,30 +129,36 @@ class LinearTrials:
         builder = self._builder(loop)
         if builder is None:
             return out
+        coupled = scope == "coupled"
         options = {one.name: one for one in builder.options(coupled)}
-        effects = self._effects_of(loop, tuple(options.values()), coupled)
+        effects = self._effects_of(loop, tuple(options.values()), scope)
+        found = candidates(effects, list(options.values()), score, _MOVES)
+        if coupled:
+            found = found[:1]
+        else:
+            found = [(name, options[name].moved(after, part)) for name, after in found for part in _PARTS]
         kind: Literal["gain", "option"] = "gain" if GAIN in options else "option"
         return out + [
             Trial(kind=kind, loop=loop, design=closed.name, name=name, before=options[name].value, after=after)
-            for name, after in candidates(effects, list(options.values()), score, _MOVES, _EACH)
+            for name, after in found
+            if options[name].low <= after <= options[name].high
         ]
 
-    def results(self, trial: Trial, exact: bool, coupled: bool) -> Results | None:
+    def results(self, trial: Trial, exact: bool, scope: Scope) -> Results | None:
         """Return all requirements with a trial, None where it makes no loop.
 
-        Of the changed loop they are `exact` or those on a grid; those of the coupled system are as before unless
-        `coupled`.
+        Of the changed loop they are `exact` or those on a grid; what is not in the scope is as before.
         """
         # Another design is measured already.
-        key = (trial, exact or trial.kind == "design", coupled)
+        key = (trial, exact or trial.kind == "design", scope)
         if key not in self._results:
             try:
-                self._results[key] = self._measured(trial, exact, coupled)
+                self._results[key] = self._measured(trial, exact, scope)
             except PlatformCtrlError:
                 self._results[key] = None
         return self._results[key]
 
-    def _measured(self, trial: Trial, exact: bool, coupled: bool) -> Results:
+    def _measured(self, trial: Trial, exact: bool, scope: Scope) -> Results:
         outcome = self._outcomes[trial.loop]
         if trial.kind == "design":
             design = next(one for one in outcome.designs if one.name == trial.name)
@@ -165,9 +175,11 @@ class LinearTrials:
             out |= self._own(around, dataclasses.replace(around.closed, plants=plants), exact)
         closed = [design if name == trial.loop else one.closed for name, one in self._outcomes.items()]
         controllers = [one.controller for one in closed]
-        if self._limits_budget:
+        if self._limits_budget and scope in ("budget", "all"):
             out |= keyed(self._budget_of(trial, controllers))
-        return out | keyed(coupled_check(self._job, self._model, controllers).results) if coupled else out
+        if scope in ("coupled", "all"):
+            out |= keyed(coupled_check(self._job, self._model, controllers).results)
+        return out
 
     def _own(self, outcome: LoopOutcome, design: LoopDesign, exact: bool) -> Results:
         plants = design.plants
@@ -194,8 +206,8 @@ class LinearTrials:
             self._builders[loop] = _builder(self._job, self._model, outcome, inner)
         return self._builders[loop]
 
-    def _effects_of(self, loop: str, options: tuple[OptionValue, ...], coupled: bool) -> OptionEffects:
-        if (loop, coupled) not in self._effects:
+    def _effects_of(self, loop: str, options: tuple[OptionValue, ...], scope: Scope) -> OptionEffects:
+        if (loop, scope) not in self._effects:
             closed = self._outcomes[loop].closed
             kind: Literal["gain", "option"] = "gain" if options[0].name == GAIN else "option"
 
@@ -204,7 +216,8 @@ class LinearTrials:
                 one = Trial(
                     kind=kind, loop=loop, design=closed.name, name=option.name, before=option.value, after=after
                 )
-                found = self._measured(one, exact=False, coupled=coupled)
+                # As it is, all beside the loop is known.
+                found = self._measured(one, exact=False, scope=scope if factor != 1.0 else "loop")
                 return np.array([found[key].ratio for key in self.before])
 
             found = option_effects(
@@ -214,8 +227,8 @@ class LinearTrials:
                 [lambda option=option: ratios(option, 1.0 + SHARE) for option in options],  # type: ignore[misc]
             )
             exact = np.array([one.ratio for one in self.before.values()])
-            self._effects[loop, coupled] = dataclasses.replace(found, ratios=exact)
-        return self._effects[loop, coupled]
+            self._effects[loop, scope] = dataclasses.replace(found, ratios=exact)
+        return self._effects[loop, scope]
 
 
 @value

@@ -84,13 +84,17 @@ def test_a_missed_bandwidth_is_met_by_a_larger_crossover_and_the_row_says_what_t
     assert (faster.kind, faster.name, faster.target.before.name) == ("option", "crossover_hz", "bandwidth")
     assert faster.after > faster.before == 40.0
     assert faster.target.after.passed
-    # Less damping is more robust, but one axis alone makes the loop slower still.
-    conflict = next(row for row in others if row.name == "damping2_hz")
-    assert conflict.target.before.name == "disk margin, worst case"
-    assert conflict.after < conflict.before
-    [slower] = conflict.violated
-    assert slower.after.name == "bandwidth"
-    assert slower.after.value < slower.before.value
+    # The gain about one axis alone makes the loop faster or more robust, each at the cost of the other.
+    traded = {row.target.before.name: row for row in others if row.name == "damping2_hz"}
+    for wanted, lost, way in (
+        ("bandwidth", "disk margin, worst case", 1),
+        ("disk margin, worst case", "bandwidth", -1),
+    ):
+        row = traded[wanted]
+        assert way * (row.after - row.before) > 0.0
+        [conflict] = row.violated
+        assert conflict.after.name == lost
+        assert conflict.after.value < conflict.before.value
     promised(rows, GYRO)
 
 
@@ -111,7 +115,7 @@ def test_of_a_job_that_passes_rows_say_what_more_would_cost() -> None:
     faster = by_target["bandwidth"]
     assert faster.name == "crossover_hz"
     assert faster.after > faster.before
-    assert [one.after.name for one in faster.violated] == ["damping", "disk margin, worst case"]
+    assert faster.violated[0].after.name == "damping"
     assert faster.loss is not None
     assert faster.loss.after.name == "damping"
     promised(rows, data)

@@ -68,7 +68,7 @@ def chain_table(result: JobResult) -> Table | None:
     """Return for each loop its tightest requirement, the plant in which it is, and the channel that coupling costs."""
     rows = []
     for outcome in result.loops:
-        nearest = tightest([one for one in result.requirements if one.subject == outcome.spec.name])
+        nearest = tightest(own_results(result, outcome))
         if nearest is None:
             continue
         number, limit = compared(nearest)
@@ -88,6 +88,12 @@ def chain_table(result: JobResult) -> Table | None:
         # A carried platform is what the design models assume: coupling costs nothing there.
         columns.append(Column(title="coupling costs most in"))
     return Table(columns=tuple(columns), groups=(Group(rows=tuple(rows)),), form="chain")
+
+
+def own_results(result: JobResult, outcome: LoopOutcome) -> list[CheckResult]:
+    """Return the requirements of a loop, and of nothing else that has its name."""
+    of_design = outcome.closed.plants is not None
+    return [one for one in result.requirements if one.subject == outcome.spec.name and (one.design or not of_design)]
 
 
 def _tone(one: CheckResult) -> str:

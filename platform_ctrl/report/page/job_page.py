@@ -59,7 +59,7 @@ from platform_ctrl.report.page.budget_page import budget_sections
 from platform_ctrl.report.page.campaign_page import as_section, digests
 from platform_ctrl.report.page.captions import compared_with_alternatives, opening, sentences
 from platform_ctrl.report.page.change_table import change_part
-from platform_ctrl.report.page.first_screen import first_screen, section_verdict
+from platform_ctrl.report.page.first_screen import first_screen, own_results, section_verdict
 from platform_ctrl.report.plots.time_run import time_run
 from platform_ctrl.verification.changes import changes
 from platform_ctrl.verification.coupled import ALL_LOOPS
@@ -180,6 +180,7 @@ def _document(
 ) -> Document:
     job = result.job
     coupled, loops, runs = _drawn(result, beside)
+    together = [one for one in result.requirements if one.subject == ALL_LOOPS]
     with style.settings():
         sections = [
             Section(name="summary", title="", blocks=_summary(result, campaign)),
@@ -191,7 +192,7 @@ def _document(
             ),
             _plant(result),
             *(_loop(result, outcome, k, loops[k - 1]) for k, outcome in enumerate(result.loops, 1)),
-            Section(name="coupled", title="Coupled system", blocks=coupled, **_judged(_of(result, ALL_LOOPS))),
+            Section(name="coupled", title="Coupled system", blocks=coupled, **_judged(together)),
             *budget_sections(result),
             *_runs(result, runs),
             *_campaign(result, campaign, again),
@@ -291,12 +292,8 @@ def _loop(result: JobResult, outcome: LoopOutcome, number: int, plates: Sequence
     blocks += plates
     if outcome.spec.kind == "stabilisation":
         blocks += _servo_plates(result)
-    title, own = sentence(outcome.spec.name), _of(result, outcome.spec.name)
+    title, own = sentence(outcome.spec.name), own_results(result, outcome)
     return Section(name=f"loop-{number}", title=title, blocks=tuple(blocks), **_judged(own))
-
-
-def _of(result: JobResult, *subjects: str) -> list[CheckResult]:
-    return [one for one in result.requirements if one.subject in subjects]
 
 
 def _judged(results: Sequence[CheckResult]) -> dict[str, Any]:

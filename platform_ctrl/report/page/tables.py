@@ -82,12 +82,13 @@ def goal_rows(result: JobResult) -> tuple[RequirementRow, ...]:
 
 
 def _ordered(result: JobResult, results: Sequence[CheckResult]) -> tuple[RequirementRow, ...]:
-    subjects = list(dict.fromkeys(one.subject for one in results))
+    # A loop may have the name of something else that is judged, of which no design is named.
+    subjects = list(dict.fromkeys((one.subject, one.design) for one in results))
 
     def place(one: CheckResult) -> tuple[int, bool, float]:
         # That everything is proved has no margin: it comes last.
         margin = np.inf if one.passed and one.name == PROVED.name else one.margin
-        return subjects.index(one.subject), one.passed, margin
+        return subjects.index((one.subject, one.design)), one.passed, margin
 
     return tuple(requirement_row(one, result) for one in sorted(results, key=place))
 
@@ -128,11 +129,11 @@ def verdict(result: JobResult) -> str:
     return f"{words}{added_words(result.job.platform)}"
 
 
-def by_subject(result: JobResult) -> dict[str, list[RequirementRow]]:
-    """Return `requirement_rows` by loop and manoeuvre."""
-    out: dict[str, list[RequirementRow]] = {}
+def by_subject(result: JobResult) -> dict[tuple[str, str], list[RequirementRow]]:
+    """Return `requirement_rows` by loop with its design, or by manoeuvre and what else is judged."""
+    out: dict[tuple[str, str], list[RequirementRow]] = {}
     for row in requirement_rows(result):
-        out.setdefault(row.subject, []).append(row)
+        out.setdefault((row.subject, row.design), []).append(row)
     return out
 
 
@@ -254,12 +255,12 @@ _BAR = 64.0
 def requirement_table(result: JobResult) -> Table:
     """Return every requirement of a job, loop by loop, and each loop's goals after it."""
     goals, groups, before = goal_rows(result), [], 0
-    for subject, rows in by_subject(result).items():
-        title = f"{subject}, {rows[0].design}" if rows[0].design else subject
+    for (subject, design), rows in by_subject(result).items():
+        title = f"{subject}, {design}" if design else subject
         shown = tuple(_requirement(row, row_name(before + k)) for k, row in enumerate(rows))
         groups.append(Group(title=title, rows=shown))
         before += len(rows)
-        wished = tuple(_requirement(row) for row in goals if row.subject == subject)
+        wished = tuple(_requirement(row) for row in goals if (row.subject, row.design) == (subject, design))
         if wished:
             groups.append(Group(title=f"goals of {subject}, not part of the verdict", rows=wished, quiet=True))
     columns = (
