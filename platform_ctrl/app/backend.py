@@ -100,7 +100,7 @@ class Backend(Drags):
 
     def close(self) -> None:
         """End the processes that design and simulate."""
-        self._designs.queue.end()
+        self._designs.end()
         self._simulator.end()
 
     # Settings and what they may be.

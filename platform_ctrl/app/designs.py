@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from platform_ctrl.app.background import Designing, IsCancelled, run_alone
+from platform_ctrl.app.background import Designing, IsCancelled, TaskRunner
 from platform_ctrl.app.caged import CagedLoop, caged_overlay
 from platform_ctrl.app.closed_loops import ClosedLoops
 from platform_ctrl.app.controllers import built_directly
@@ -150,14 +150,20 @@ class Designs:
     def __init__(self, loops: ClosedLoops, store: Path | None = None) -> None:
         self._loops, self._store = loops, store
         self.queue = DesignQueue()
+        self._runner = TaskRunner()
+
+    def end(self) -> None:
+        """Cancel all requests and end the process that designs."""
+        self.queue.end()
+        self._runner.end()
 
     def make(self, settings: Settings, spec: LoopSpec, design: DesignSpec, cancelled: IsCancelled) -> None:
-        """Make a design in its own process, unless it is available."""
+        """Make a design in another process, unless it is available; the process stays for the next one."""
         loops = self._loops
         conditions = loops.conditions(settings, spec, design)
         if loops.found(spec.name, design.name, conditions) is None:
             task = Designing(job=loops.job(settings), loop=spec.name, design=design.name, store=self._store)
-            loops.keep(spec.name, design.name, conditions, run_alone(task, silent, cancelled))
+            loops.keep(spec.name, design.name, conditions, self._runner.run(task, silent, cancelled))
 
     def caged(self, settings: Settings, again: bool = True) -> tuple[CagedLoop, tuple[str, ...]]:
         """Return the loop with its controller; one that a method has to make is requested, and anew with `again`."""

@@ -26,7 +26,9 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Backend]:
     path = tmp_path_factory.mktemp("designs") / "gyro.toml"
     path.write_text(TWO)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("platform_ctrl.app.designs.run_alone", lambda task, progress, cancelled: task.run(progress))
+        patch.setattr(
+            "platform_ctrl.app.designs.TaskRunner.run", lambda _, task, progress, cancelled: task.run(progress)
+        )
         yield Backend(path)
 
 
