@@ -83,10 +83,10 @@ def job_responses(job: Job, controllers: Sequence[control.StateSpace]) -> tuple[
 
     For every caging loop its sampled plant; every controller; for every caging loop L of each torquer, broken there
     with all other torquers of the loop closed: −K P of a loop with one torquer, −1 the critical point. Then the
-    same of the coupled plant with all loops closed.
+    same of the coupled plant with all loops closed; not where some are computed at rates of their own, so that together
+    they are periodic and have no frequency response.
     """
     units = signal_units(job.platform)
-    frequency = _frequency(job)
     outcomes = outcomes_from(_nominal(job), controllers)
     closed = dict(zip((one.spec.name for one in outcomes), controllers, strict=True))
     # Of the loop itself: without feedforward, which is a part of its plants.
@@ -94,18 +94,20 @@ def job_responses(job: Job, controllers: Sequence[control.StateSpace]) -> tuple[
     out = []
     for name, plant in _loop_plants(job):
         notes = (f"{job.name}: sampled plant of {name}, hold, dead time and torquer lag in it", _units(plant, units))
-        out.append(ResponseTable(name=f"plant {name}", response=response_data(plant, frequency), notes=notes))
+        response = response_data(plant, _frequency(job, plant.dt))
+        out.append(ResponseTable(name=f"plant {name}", response=response, notes=notes))
     for name, K in closed.items():
         notes = (f"{job.name}: controller of {name}, u = K y, its delay not in it", _units(K, units))
-        out.append(ResponseTable(name=f"controller {name}", response=response_data(K, frequency), notes=notes))
+        response = response_data(K, _frequency(job, K.dt))
+        out.append(ResponseTable(name=f"controller {name}", response=response, notes=notes))
     for name, plant in _loop_plants(job):
         what = f"{job.name}: {name} broken at one torquer, its others closed"
-        out += _broken(f"loop {name}", plant, own[name], frequency, what)
-    if len(controllers) > 1:
+        out += _broken(f"loop {name}", plant, own[name], _frequency(job, plant.dt), what)
+    if len(controllers) > 1 and job.cycle == 1:
         plant = coupled_plant(job, linearise(job.platform), controllers)
         K = one_controller(job, controllers, plant)
         what = f"{job.name}: broken at one torquer, everything else closed, on the coupled plant"
-        out += _broken("all loops", plant, K, frequency, what)
+        out += _broken("all loops", plant, K, _frequency(job, plant.dt), what)
     return tuple(out)
 
 
@@ -122,10 +124,10 @@ def _loop_plants(job: Job) -> Iterator[tuple[str, control.StateSpace]]:
             yield spec.name, sampled_plant(plants)
 
 
-def _frequency(job: Job) -> FloatArray:
+def _frequency(job: Job, period: float) -> FloatArray:
     """Return frequencies up to the Nyquist frequency, denser where the gimbals resonate."""
-    nyquist = np.pi / job.sampling.period
-    found = [continuous_poles(poles(plant), job.sampling.period) for _, plant in _loop_plants(job)]
+    nyquist = np.pi / period
+    found = [continuous_poles(poles(plant), plant.dt) for _, plant in _loop_plants(job)]
     return following_grid(np.concatenate([[], *found]), _LOWEST * nyquist, 0.999 * nyquist, _POINTS)
 
 
