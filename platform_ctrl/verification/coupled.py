@@ -139,7 +139,7 @@ def coupled_check(job: Job, model: LinearModel, controllers: Sequence[control.St
     cost = np.where(decoupled > 0.0, 1.0 - coupled / np.maximum(decoupled, np.finfo(float).tiny), np.inf)
     simultaneous, of_torquers, decay = together.simultaneous, together.of_torquers, together.decay
     worst = _worst_trims(job, controllers, decay, simultaneous)
-    over = "" if together.controller is not None else f", over {job.cycle} samples, without a certificate"
+    over = "" if together.controller is not None else f", over {job.cycle} samples"
     return CoupledCheck(
         plant=plant,
         controller=together.controller,

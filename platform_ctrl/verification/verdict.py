@@ -13,6 +13,8 @@ from platform_ctrl.analysis.arrays import StateArrays, state_arrays
 from platform_ctrl.analysis.certificates import Certificate
 from platform_ctrl.analysis.certificates.certificate import Verification
 from platform_ctrl.analysis.certificates.makers import stability_certificate
+from platform_ctrl.analysis.interconnection import interconnected_by_sample
+from platform_ctrl.analysis.periodic import lifted
 from platform_ctrl.common.progress import Progress, shown
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import value
@@ -106,10 +108,8 @@ def coupled_proofs(check: CoupledCheck, controllers: Sequence[control.StateSpace
     """Return the proof that the coupled system is stable with all `controllers`; empty where it is not stable."""
     if not check.stable:
         return _verified((), ())
-    if check.controller is None:
-        # Of loops at several rates no controller is left that stands beside the plant as it is.
-        return _verified((), ())
-    plant, K = _side_by_side(check.plant, controllers)
+    together = _side_by_side if check.controller is not None else _over_a_period
+    plant, K = together(check.plant, controllers)
     try:
         found = stability_certificate(
             plant.A, plant.dt, B=plant.B, C=plant.C, D=plant.D, controller=K, label="all loops closed"
@@ -156,6 +156,15 @@ def _side_by_side(
             D[i, made.index(name)] = 1.0
     A_K, B_K, C_K, D_K = (np.asarray(block_diag(*(part[i] for part in parts)), dtype=np.float64) for i in range(4))
     return StateArrays(P.A, B, C, D, P.dt), StateArrays(A_K, B_K, C_K, D_K, P.dt)
+
+
+def _over_a_period(
+    plant: control.StateSpace, controllers: Sequence[control.StateSpace]
+) -> tuple[StateArrays, StateArrays]:
+    """Return plant and all controllers over the samples after which their order repeats, as one step each."""
+    P = state_arrays(plant, "coupled plant")
+    by_sample = interconnected_by_sample(controllers, plant.output_labels, plant.input_labels, P.dt)
+    return lifted([P] * len(by_sample)), lifted(by_sample)
 
 
 @value

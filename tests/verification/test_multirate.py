@@ -36,6 +36,7 @@ from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.simulation import Simulator, simulate, simulate_batch
 from platform_ctrl.verification.controllers import outcomes_from, read_controllers
 from platform_ctrl.verification.coupled import CoupledCheck, coupled_check
+from platform_ctrl.verification.verdict import coupled_proofs
 
 T, SLOW = 1.0 / RATE_HZ, 20
 STEP = [{"reading": "heading", "step": 1e-3, "at": 0.1}]
@@ -183,6 +184,14 @@ def test_poles_are_those_of_stepping_plant_and_computer_over_a_cycle(
     np.testing.assert_allclose(largest(check.poles), largest(stepped), rtol=1e-7, atol=1e-7)
     assert check.stable
     assert "over 20 samples" in check.results[0].evidence
+
+
+def test_stability_of_the_whole_is_proved(check: CoupledCheck, controllers: list[control.StateSpace]) -> None:
+    proofs = coupled_proofs(check, controllers)
+    assert proofs.proved == proofs.of == 1
+    (proof,) = proofs.certificates
+    assert proof.bound == pytest.approx(-0.99 * np.log(np.abs(check.poles).max()) / check.period, rel=1e-6)
+    assert "of order 11 is stable" in proof.statement
 
 
 def test_rates_that_do_not_divide_one_another_repeat_after_their_common_multiple() -> None:
