@@ -36,6 +36,7 @@ from platform_ctrl.app.slider_effects import (
     caged_influence,
     moved_slider,
     stabilised_influence,
+    with_budget,
 )
 from platform_ctrl.app.stabilised import requirements, stabilised_parts
 from platform_ctrl.app.trade_off import TradeOff
@@ -314,18 +315,24 @@ class Backend(Drags):
         )
 
     def _results(self, settings: Settings) -> tuple[CheckResult, ...]:
-        """Return the requirements of a picture without its curves."""
+        """Return the requirements of a picture without its curves, and behind them the limits of the budget."""
         spec, _ = self._loops.design(settings)
         with np.errstate(all="ignore"):
             if spec.has_plants:
                 loop, _ = self._loops.caged(settings)
                 metrics = self._loops.cached_metrics(settings, loop)(lambda: loop_metrics(loop))
-                return limits_and_goals(spec, loop.design, loop.plants, metrics)[0]
-            whole, _ = self._loops.stabilised(settings.but(band=False))
-            return requirements(whole, self._loops.cached_margins(settings))
+                own = limits_and_goals(spec, loop.design, loop.plants, metrics)[0]
+            else:
+                whole, _ = self._loops.stabilised(settings.but(band=False))
+                own = requirements(whole, self._loops.cached_margins(settings))
+        return (*own, *self.budget_results(settings))
+
+    def budget_results(self, settings: Settings) -> tuple[CheckResult, ...]:
+        """Return the limits of the budget within some milliseconds; none before it was computed once."""
+        return self._loops.sight.quick_results(settings)
 
     def influence(self, settings: Settings) -> OptionEffects:
-        """Return what each slider does to each requirement."""
+        """Return what each slider does to each requirement, those of the budget behind the loop's."""
         spec, _ = self._loops.design(settings)
         sliders = [slider for slider in self.sliders(settings) if not slider.background]
 
@@ -335,8 +342,10 @@ class Backend(Drags):
         with np.errstate(all="ignore"):
             if spec.has_plants:
                 loop, _ = self._loops.caged(settings)
-                return caged_influence(loop, sliders, lambda slider: self._loops.caged(with_slider(slider))[0])
-            return stabilised_influence(self._loops, settings, sliders, with_slider)
+                own = caged_influence(loop, sliders, lambda slider: self._loops.caged(with_slider(slider))[0])
+            else:
+                own = stabilised_influence(self._loops, settings, sliders, with_slider)
+            return with_budget(own, self._loops, settings, sliders, with_slider)
 
     # Sliders moved by tuning.
 

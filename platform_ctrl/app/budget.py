@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Hashable
+from collections.abc import Hashable, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,6 +18,8 @@ from platform_ctrl.verification.budget_limits import unstable_results
 from platform_ctrl.verification.budget_result import LineOfSightBudget
 
 if TYPE_CHECKING:
+    import control
+
     from platform_ctrl.app.closed_loops import ClosedLoops
 
 # Budgets that are kept: a few steps back and forth.
@@ -56,7 +58,7 @@ class LineOfSight:
         with np.errstate(all="ignore"):
             prepared = PreparedBudget(self._loops.job(settings), controllers)
         with self._lock:
-            self._prepared = self._loops.plants.key(settings), prepared
+            self._prepared = self._key(settings, controllers), prepared
         self._exact.put(key, prepared.first)
         return prepared.first
 
@@ -79,9 +81,22 @@ class LineOfSight:
             return BudgetState(found=None, exact=False, line=_WAITING)
         return BudgetState(found=quick, exact=False, line=_QUICK + (_FRICTION if quick.friction is not None else ""))
 
-    def _quick(self, settings: Settings) -> LineOfSightBudget | None:
+    def quick_results(self, settings: Settings, keep: bool = True) -> tuple[CheckResult, ...]:
+        """Return the limits with the budget that is computed within some milliseconds; none before there is one.
+
+        Without `keep` what is prepared for other plants stays as it is.
+        """
+        if self._prepared is None or not self._prepared[1].first.results:
+            return ()
+        try:
+            found = self._quick(settings, keep)
+        except PlatformCtrlError:
+            return unstable_results(self._loops.job(settings))
+        return () if found is None else found.results
+
+    def _quick(self, settings: Settings, keep: bool = True) -> LineOfSightBudget | None:
         controllers = [one.system for one in self._loops.controllers(settings)]
-        key = self._loops.plants.key(settings)
+        key = self._key(settings, controllers)
         with self._lock, np.errstate(all="ignore"):
             if self._prepared is None:
                 return None
@@ -89,5 +104,10 @@ class LineOfSight:
             if known == key:
                 return prepared.of(controllers)
             prepared = PreparedBudget(self._loops.job(settings), controllers, like=prepared)
-            self._prepared = key, prepared
+            if keep:
+                self._prepared = key, prepared
             return prepared.first
+
+    def _key(self, settings: Settings, controllers: Sequence[control.StateSpace]) -> Hashable:
+        """Return the plants and the signals for which a budget is prepared."""
+        return self._loops.plants.key(settings), tuple(tuple(one.input_labels) for one in controllers)

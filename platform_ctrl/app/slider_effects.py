@@ -69,6 +69,37 @@ def stabilised_influence(
     )
 
 
+def with_budget(
+    effects: OptionEffects,
+    loops: ClosedLoops,
+    settings: Settings,
+    sliders: Sequence[Slider],
+    settings_with: Callable[[Slider], Settings],
+) -> OptionEffects:
+    """Return the effects with those on the limits of the job's budget, as far as it is known, behind them."""
+    first = loops.sight.quick_results(settings)
+    if not first:
+        return effects
+
+    def ratios(slider: Slider) -> FloatArray:
+        # The range of Omega moves no spectrum of the budget.
+        found = first if slider.group == "Omega" else loops.sight.quick_results(settings_with(slider), keep=False)
+        return np.array([one.ratio for one in found])
+
+    more = option_effects(
+        effects.options,
+        [one.name for one in first],
+        np.array([one.ratio for one in first]),
+        [lambda slider=slider: ratios(slider) for slider in sliders],  # type: ignore[misc]
+    )
+    return OptionEffects(
+        options=effects.options,
+        requirements=(*effects.requirements, *more.requirements),
+        ratios=np.concatenate([effects.ratios, more.ratios]),
+        change=np.concatenate([effects.change, more.change]),
+    )
+
+
 # By how much less than its limit a ratio has to be that is climbed on a grid.
 _GRID = 2e-3
 # How readily a drag moves each group of sliders.
@@ -78,8 +109,33 @@ _WEIGHTS = {"gains": 1.0, "lead": 0.25, "notch": 0.05, "lag": 0.05}
 def limits_of(loops: ClosedLoops, settings: Settings, parameters: FreeParameters) -> Limits:
     """Return the hard limits that are met with these settings, as the page measures them: a drag must keep them."""
     spec, _ = loops.design(settings)
-    if not spec.has_plants:
-        return _coupled_limits(loops, settings)
+    own = _loop_limits(loops, settings, parameters) if spec.has_plants else _coupled_limits(loops, settings)
+    budget = loops.sight.quick_results(settings)
+    met = [k for k, one in enumerate(budget) if one.passed]
+    if not met:
+        return own
+
+    def exact(numbers: Mapping[str, float]) -> FloatArray:
+        found = loops.sight.quick_results(with_options(settings, numbers))
+        return np.concatenate([own.exact(numbers), [found[k].ratio for k in met]])
+
+    def without(ratios: Ratios) -> Ratios:
+        # The budget stops a drag, but is too slow to be searched along.
+        return lambda numbers: np.concatenate([ratios(numbers), np.zeros(len(met))])
+
+    return dataclasses.replace(
+        own,
+        names=(*own.names, *(budget[k].name for k in met)),
+        bound=np.concatenate([own.bound, np.ones(len(met))]),
+        exact=exact,
+        rough=without(own.rough),
+        near=without(own.near),
+        local=without(own.local),
+    )
+
+
+def _loop_limits(loops: ClosedLoops, settings: Settings, parameters: FreeParameters) -> Limits:
+    spec, _ = loops.design(settings)
     loop, _ = loops.caged(settings)
 
     def exact(K: StateArrays) -> LoopMetrics:

@@ -20,6 +20,7 @@ from bokeh.document import Document
 
 from browser import screen, served
 from camera_job import camera_job
+from platform_ctrl import read_job
 from platform_ctrl.app.backend import Backend
 from platform_ctrl.app.job_parts import BUDGET, ChipState
 from platform_ctrl.app.page.connection import Connection
@@ -190,3 +191,55 @@ def test_the_table_in_a_browser_shows_the_numbers_and_the_limits(backend: Backen
         page.keyboard.press("j")
         assert page.locator("#panel-bode").is_visible()
         assert seen.complaints == []
+
+
+@pytest.fixture(scope="module")
+def tight(backend: Backend) -> Iterator[Backend]:
+    """The same job, whose limit of the jitter is 1 % above what it has."""
+    limit = 1.01 * found(backend, backend.start()).jitter
+    job = camera_job(
+        operation={"Omega": [0.2, 0.2, 0.2], "angles": {"q_el": [0.9]}}, budget=JITTER | {"limits": {"jitter": limit}}
+    )
+    made = Backend(read_job(job))
+    measured(made, made.start())
+    yield made
+    made.close()
+
+
+def test_what_sliders_do_to_the_jitter_counts_among_their_effects(tight: Backend) -> None:
+    """More gain against the base and the friction: less jitter; the arrows say so, and by how much of the limit."""
+    start = tight.start()
+    effects = tight.influence(start)
+    (jitter,) = tight.budget_results(start)
+    assert effects.requirements[-1] == jitter.name
+    assert effects.ratios[-1] == pytest.approx(1.0 / 1.01, rel=2e-3)
+    change = dict(zip(effects.options, effects.change[-1], strict=True))
+    faster = tight.moved(start, "crossover_hz", 1.05 * start.options["rate"]["pi"]["crossover_hz"])
+    measured(tight, faster)
+    expected = found(tight, faster).results[0].ratio - effects.ratios[-1]
+    assert change["crossover_hz"] == pytest.approx(expected, rel=0.05)
+    assert change["crossover_hz"] < -0.01
+    assert change["Omega1"] == 0.0
+
+
+def test_the_next_step_helps_the_jitter_where_it_is_tightest(tight: Backend) -> None:
+    start = tight.start()
+    step = tight.next_step(start, tight.influence(start))
+    assert step is not None
+    assert step.gain.before.name == "line-of-sight jitter"
+    assert step.gain.after.ratio < step.gain.before.ratio
+    (jitter,) = tight.budget_results(step.settings)
+    assert jitter.ratio == pytest.approx(step.gain.after.ratio, rel=1e-9)
+
+
+def test_a_drag_stops_where_the_jitter_reaches_its_limit(tight: Backend) -> None:
+    start, limited = tight.start(), []
+    crossover = tight.picture(start).margins.crossover
+    assert crossover is not None
+    there = tight.drag_crossover(start, 0.7 * crossover, on_limited=limited.append)
+    assert limited == [("line-of-sight jitter",)]
+    measured(tight, there)
+    assert found(tight, there).results[0].ratio <= 1.0 + 2e-3
+    assert there.options["rate"]["pi"]["crossover_hz"] > 0.9 * start.options["rate"]["pi"]["crossover_hz"]
+    free = tight.drag_crossover(start, 0.7 * crossover, free=True)
+    assert free.options["rate"]["pi"]["crossover_hz"] < 0.8 * start.options["rate"]["pi"]["crossover_hz"]

@@ -269,9 +269,10 @@ def requirement_data(picture: Picture) -> list[dict[str, Any]]:
     return [_row(one) for one in (*picture.requirements, *picture.goals)]
 
 
-def influence_data(influence: OptionEffects) -> dict[str, Any]:
-    """Return what the sliders do to the requirements."""
+def influence_data(influence: OptionEffects, budget: Sequence[CheckResult] = ()) -> dict[str, Any]:
+    """Return what the sliders do to the requirements, and the rows of those of the budget."""
     return {
+        "budget": [_row(one) for one in budget],
         "sliders": list(influence.options),
         "ratios": [plain_number(float(ratio)) for ratio in influence.ratios],
         "share": SHARE,

@@ -19,6 +19,7 @@ from platform_ctrl.common.arguments import known_name
 from platform_ctrl.common.signatures import short
 from platform_ctrl.common.values import value
 from platform_ctrl.errors import InputError, PlatformCtrlError
+from platform_ctrl.job.judging import CheckResult
 
 if TYPE_CHECKING:
     from platform_ctrl.app.backend import Backend
@@ -146,18 +147,26 @@ class PageTasks:
         def is_shown() -> bool:
             return page.picture is not None and page.picture.settings.data() == settings.data()
 
-        def show_influence(influence: OptionEffects) -> None:
+        def show_influence(influence: OptionEffects, budget: tuple[CheckResult, ...]) -> None:
             if is_shown():
-                self._connection.answer(influence=influence_data(influence))
+                self._connection.answer(influence=influence_data(influence, budget))
+
+        def effects() -> OptionEffects:
+            influence, budget = self._backend.influence(settings), self._backend.budget_results(settings)
+            self._connection.later(lambda: show_influence(influence, budget))
+            if is_shown():
+                step = self._backend.next_step(settings, influence)
+                self._connection.later(lambda: page.compared.found(step) if is_shown() else None)
+            return influence
 
         def measured() -> Callable[[], None]:
             try:
-                influence = self._backend.influence(settings)
-                self._connection.later(lambda: show_influence(influence))
-                if is_shown():
-                    step = self._backend.next_step(settings, influence)
-                    self._connection.later(lambda: page.compared.found(step) if is_shown() else None)
+                influence = effects()
                 self._measure_parts(settings, is_shown)
+                # The first budget takes long: what sliders do to it is known now.
+                known = {one.name for one in self._backend.budget_results(settings)}
+                if is_shown() and not known <= set(influence.requirements):
+                    effects()
             finally:
                 self._measuring = False
 

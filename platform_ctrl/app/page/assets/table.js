@@ -65,7 +65,7 @@ const buildTable = (requirements, sliders) => {
   table.tBodies[0].replaceChildren(...body.map((row) => row.element));
 };
 
-let requirements = [];
+let own = [], budget = [], requirements = [];
 const paintTable = () => {
   const sliders = [...rows.values()].map((row) => row.slider);
   const now = JSON.stringify([sliders.map((slider) => slider.label), requirements.map((one) => one.full), pinned.map((one) => one.name)]);
@@ -102,11 +102,16 @@ const paintInfluence = () => {
 
 on("state", (given) => { pinned = given.pinned; });
 on("requirements", (given) => {
-  requirements = given;
+  own = given;
+  requirements = [...own, ...budget];
   paintTable();
   byId("requirements").classList.add("stale");
 });
 on("influence", (given) => {
+  // The limits of the budget follow when the sliders rest.
+  budget = given.budget;
+  requirements = [...own, ...budget];
+  paintTable();
   influence = given;
   paintInfluence();
   byId("requirements").classList.remove("stale");
