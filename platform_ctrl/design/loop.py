@@ -214,7 +214,7 @@ def in_signals(problem: LoopProblem, controller: StateArrays) -> StateArrays:
     if sense is not None:
         K = K._replace(B=K.B @ sense, D=K.D @ sense)
     if design.command is not None:
-        own = K._replace(dt=problem.job.sampling.period)
+        own = K._replace(dt=problem.job.period_of(problem.spec))
         K = shaped(own, design.command, channel, np.eye(len(own.B.T)) if sense is None else sense)
     return K
 

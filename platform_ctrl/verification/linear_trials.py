@@ -271,7 +271,7 @@ class _Builder:
 
 def _builder(job: Job, model: LinearModel, outcome: LoopOutcome, inner: LoopOutcome | None) -> _Builder | None:
     """Return what makes the closed design of a loop; None for one without plants and options."""
-    closed, rate_hz = outcome.closed, 1.0 / job.sampling.period
+    closed, rate_hz = outcome.closed, 1.0 / job.period_of(outcome.spec)
     spec = next((one for one in outcome.spec.designs if one.name == closed.name), None)
     method = METHODS.get(closed.method)
     if spec is None or method is None or not method.instant or method.key != spec.method or not closed.options:
