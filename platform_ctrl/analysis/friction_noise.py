@@ -115,12 +115,12 @@ def friction_noise(
     v = bins(cumulative)
     x, weight = _points(friction, rms, found)
     f = _coefficients(friction, rms, x, weight)
-    correlation = _even(_powers(_correlation(v, v), f[0] * f[0], float(weight @ f[1] ** 2)))
+    correlation = _powers(_correlation(v, v)[: _POINTS + 1], f[0] * f[0], float(weight @ f[1] ** 2))
     if found is not None and found.rms > 0.0:
         w = bins(found.alone)
         g = _coefficients(found.drive, found.rms, x, weight)
         cross = _cross(v, w, bins(found.together), bins(found.filtered), grid / found.corner)
-        correlation += _even(_powers(_correlation(w, w), g[0] * g[0], float(weight @ g[1] ** 2)))
+        correlation += _powers(_correlation(w, w)[: _POINTS + 1], g[0] * g[0], float(weight @ g[1] ** 2))
         both = _correlation(v, w, cross)
         correlation -= 2.0 * _even(_powers(both, f[0] * g[0], float(weight @ (f[1] * g[1]))))
     return Remainder(math.sqrt(max(correlation[0], 0.0)), _smooth(correlation, grid, lowest))
@@ -154,11 +154,13 @@ def _even(correlation: FloatArray) -> FloatArray:
 
 def _powers(rho: FloatArray, products: FloatArray, whole: float) -> FloatArray:
     """Return Σ products ρ^n without n = 0 and 1; `whole` is the sum of all products, those beyond included."""
-    correlation, power = np.zeros_like(rho), rho.copy()
-    for product in products[2:]:
-        power = power * rho
-        if abs(product) > 1e-20 * abs(whole):
-            correlation += product * power
+    correlation, power, squared, last = np.zeros_like(rho), rho.copy(), rho * rho, 1
+    for n in (2 + np.flatnonzero(np.abs(products[2:]) > 1e-20 * abs(whole))).tolist():
+        # Torques that are alike to both sides have the odd terms alone.
+        for step in (*[squared] * ((n - last) // 2), *[rho] * ((n - last) % 2)):
+            power *= step
+        correlation += products[n] * power
+        last = n
     rest = whole - float(products.sum())
     ends = _TERMS * _GROWTH ** np.arange(_GROUPS + 1)
     weights = ends[:-1] ** -0.5 - ends[1:] ** -0.5
