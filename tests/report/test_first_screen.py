@@ -77,6 +77,23 @@ def test_the_chain_names_the_tightest_requirement_of_each_loop_and_its_plant(res
     assert row.missed
     assert row.cells[1].text == min(missed, key=lambda one: one.margin).name == "bandwidth"
     assert "nominal plant" in row.cells[1].note
+    # The platform is carried: no other loop can cost this one anything.
+    assert [column.title for column in table.columns] == ["loop", "limited by", "margin"]
+
+
+def test_a_loop_that_is_called_line_of_sight_is_told_from_the_budget() -> None:
+    data = camera_job()
+    data["loop"][0]["name"] = "line of sight"
+    data["plant"]["friction"], data["operation"]["Omega"] = [], [0.0, 0.0, 0.0]
+    wind = {"name": "wind", "kind": "torque", "gimbal": "el", "frequencies_hz": [1.0, 9.0], "densities": [1e-7, 1e-7]}
+    data["budget"] = {"from_hz": 0.5, "to_hz": 200.0, "limits": {"jitter": 1e-9}, "source": [wind]}
+    found = checked(data)
+    assert found.budget is not None
+    own = first_screen.own_results(found, found.loops[0])
+    assert {one.design for one in own} == {"pi"}
+    assert all(one.passed for one in own)
+    titles = [group.title for group in tables.requirement_table(found).groups]
+    assert titles == ["line of sight, pi", "all loops closed", "line of sight"]
 
 
 def test_the_nichols_plot_is_of_the_plant_with_the_least_disk_margin(result: JobResult, document: Document) -> None:

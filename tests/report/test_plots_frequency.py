@@ -13,7 +13,7 @@ import platform_ctrl as pc
 from platform_ctrl import analysis
 from platform_ctrl.analysis.disks import disk_phase, disk_to_gain_phase
 from platform_ctrl.report import figures
-from platform_ctrl.report.plots.curves import channels, curve, margins
+from platform_ctrl.report.plots.curves import channels, curve, loop_phase, margins
 from platform_ctrl.report.plots.nichols import exclusion
 from platform_ctrl.report.plots.systems import drawn_systems, grid, ratio_unit, unit
 
@@ -508,3 +508,15 @@ def test_wrong_input_is_one_line(call, words):
         call()
     assert words in str(told.value)
     assert "\n" not in str(told.value)
+
+
+def test_the_phase_of_a_loop_is_that_next_to_the_critical_point_whatever_turn_it_begins_in() -> None:
+    w = np.geomspace(0.01, 100.0, 400)
+    loop = 1.0 / (1j * w * (1.0 + 0.3j * w))
+    expected = -90.0 - np.degrees(np.arctan(0.3 * w))
+    np.testing.assert_allclose(loop_phase(w, loop), expected, atol=1e-9)
+    # Two more integrators with their leads turn by nothing at the crossover, but by half a turn far below it.
+    more = ((1.0 + 1j * w / 0.05) / (1j * w / 0.05)) ** 2
+    at_crossover = np.interp(1.0, w, loop_phase(w, loop * more))
+    assert at_crossover == pytest.approx(np.interp(1.0, w, expected), abs=7.0)
+    assert loop_phase(w, loop * more)[0] < expected[0] - 150.0
