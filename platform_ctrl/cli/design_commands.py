@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from platform_ctrl.campaign.store import Record
     from platform_ctrl.campaign.summary import Summary
     from platform_ctrl.common.processes import SecondProcess
+    from platform_ctrl.common.store import Store
     from platform_ctrl.job.job import Job
     from platform_ctrl.verification import JobResult
     from platform_ctrl.verification.baselines.comparison import Change, Comparison
@@ -97,7 +98,7 @@ def design(
         store = Store(out / REUSE, fresh=fresh)
         with SecondProcess(*DRAWING) as beside:
             result = check_job(read, loops(read, say, store, beside), say)
-            show = report.write(result, ["design", str(job), "-o", str(out)], say, as_json, beside=beside)
+            show = report.write(result, ["design", str(job), "-o", str(out)], say, as_json, beside=beside, store=store)
         if junit is not None:
             from platform_ctrl.report.failures import write_junit
 
@@ -338,12 +339,13 @@ class Report:
         more: Mapping[str, object] | None = None,
         *,
         beside: SecondProcess,
+        store: Store | None = None,
     ) -> Shown:
         """Write all files or none; return a function that prints the result and returns the exit code.
 
         `command` are the words of the command line without the program's name, the job second; `more` is printed as
-        JSON beside the content of the result's file; the process `beside` draws a part of the figures. A campaign of
-        other controllers is left out, and is an error at the end.
+        JSON beside the content of the result's file; the process `beside` draws a part of the figures
+        that are not in the store. A campaign of other controllers is left out, and is an error at the end.
         """
         from platform_ctrl.cli.atomic_output import written_together
         from platform_ctrl.report import write_page, write_pdf
@@ -364,7 +366,7 @@ class Report:
         say(f"drawing the report: {self.folder / REPORT}")
         with written_together(self.folder) as unfinished:
             write_record(record, unfinished / RESULT)
-            content = drawn_beside(result, beside, command=shlex.join(words), **about)
+            content = drawn_beside(result, beside, store=store, command=shlex.join(words), **about)
             write_page(content, unfinished / REPORT)
             if self.pdf:
                 say(f"setting the report: {self.folder / PDF}")

@@ -29,7 +29,10 @@ from platform_ctrl.errors import InputError
 
 # Bytes that a folder may hold; what was used least recently goes first.
 MOST_BYTES = 64 * 2**20
-_PACKAGES = ("numpy", "scipy", "control", "cvxpy", "clarabel", "numba", "llvmlite", "python-flint", "slycot")
+_PACKAGES = (
+    *("numpy", "scipy", "control", "cvxpy", "clarabel", "numba", "llvmlite", "python-flint", "slycot"),
+    *("matplotlib", "Jinja2"),
+)
 # How many threads BLAS uses decides about last digits.
 _THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 
@@ -41,7 +44,7 @@ def key_of(*items: object) -> str:
     return digest.hexdigest()
 
 
-def _feed(update: Callable[[bytes], object], item: object) -> None:
+def _feed(update: Callable[[bytes], object], item: Any) -> None:
     """Hash a value: its kind, its length, what it holds. A kind that is not known here is a TypeError."""
     kind = type(item)
     if dataclasses.is_dataclass(item) and not isinstance(item, type):
@@ -67,7 +70,14 @@ def _feed(update: Callable[[bytes], object], item: object) -> None:
         text = repr(item).encode()
         update(f"{kind.__name__} {len(text)};".encode() + text)
     elif isinstance(item, float):
-        update(f"float {item.hex()};".encode())
+        update(f"float {float(item).hex()};".encode())
+    elif isinstance(item, complex | np.generic):
+        _feed(update, np.asarray(item))
+    elif kind.__module__ == "control.statesp":
+        # Systems without a name are numbered in the order in which they happen to be made.
+        name = "" if str(item.name).startswith("sys[") else str(item.name)
+        labels = (item.input_labels, item.output_labels, item.state_labels)
+        _feed(update, (item.A, item.B, item.C, item.D, item.dt, name, labels))
     else:
         raise TypeError(f"{kind.__qualname__}: cannot be hashed")
 
@@ -77,7 +87,8 @@ def code_identity() -> str:
     """Return what results depend on beside their inputs: this package's files, libraries, Python and the processor."""
     own = hashlib.sha256()
     package = Path(__file__).parents[1]
-    for file in sorted(package.rglob("*.py")):
+    # Templates too: captions are kept with their figures.
+    for file in sorted(one for one in package.rglob("*.*") if "__pycache__" not in one.parts and one.is_file()):
         own.update(f"{file.relative_to(package)}\n".encode() + hashlib.sha256(file.read_bytes()).digest())
     versions = []
     for name in _PACKAGES:

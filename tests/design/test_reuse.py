@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import base64
-import copy
-import dataclasses
 import hashlib
 import json
 import os
 import pickle
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +15,7 @@ import numpy as np
 import pytest
 
 from fuzz_files import HERE
+from one_change import Place, leaves, mutated
 from platform_ctrl.common.processes import PROCESSES, SecondProcess, Task
 from platform_ctrl.common.store import Store, array_of, array_text, key_of
 from platform_ctrl.design import loops
@@ -25,8 +24,6 @@ from platform_ctrl.design.loop import LoopDesign
 from platform_ctrl.design.reuse import design_job, design_key
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.reading import read_job
-
-Path_ = tuple[str | int, ...]
 
 # What no design may depend on: not in the reduced job.
 REMOVED = {"name", "plant", "coupled", "manoeuvres", "fault_events", "campaign", "budget"}
@@ -53,56 +50,6 @@ JOB: dict[str, Any] = {
 }
 
 
-def leaves(item: Any, path: Path_ = ()) -> Iterator[tuple[Path_, Any]]:
-    """Walk everything that a job consists of: numbers, names, flags, and what is left out."""
-    if dataclasses.is_dataclass(item):
-        for field in dataclasses.fields(item):
-            if field.init:
-                yield from leaves(getattr(item, field.name), (*path, field.name))
-    elif isinstance(item, Mapping):
-        for key, one in item.items():
-            yield from leaves(one, (*path, key))
-    elif isinstance(item, tuple | list):
-        for k, one in enumerate(item):
-            yield from leaves(one, (*path, k))
-    else:
-        yield path, item
-
-
-def other(item: Any) -> Any:
-    """Return another value of the same kind, a number as little away as doubles can be."""
-    match item:
-        case bool():
-            return not item
-        case int():
-            return item + 1
-        case float():
-            return float(np.nextafter(item, 0.0)) if item else 5e-324
-        case str():
-            return item + "'"
-        case None:
-            return 0.5
-        case np.ndarray():
-            out = item.copy()
-            out.flat[-1] = np.nextafter(out.flat[-1], 2.0)
-            return out
-    raise AssertionError(type(item))
-
-
-def mutated(item: Any, path: Path_) -> Any:
-    """Return `item` with another value at a place; whether that makes sense is not judged."""
-    if not path:
-        return other(item)
-    at, rest = path[0], path[1:]
-    if dataclasses.is_dataclass(item):
-        new = copy.copy(item)
-        object.__setattr__(new, str(at), mutated(getattr(item, str(at)), rest))
-        return new
-    if isinstance(item, Mapping):
-        return {key: mutated(one, rest) if key == at else one for key, one in item.items()}
-    return tuple(mutated(one, rest) if k == at else one for k, one in enumerate(item))
-
-
 def keys(job: Job, of_all: bool = True) -> dict[tuple[int, int], str]:
     """Return the keys of all designs, or of the first one alone, by loop and design."""
     return {
@@ -113,7 +60,7 @@ def keys(job: Job, of_all: bool = True) -> dict[tuple[int, int], str]:
     }
 
 
-def expected(job: Job, path: Path_) -> set[tuple[int, int]]:
+def expected(job: Job, path: Place) -> set[tuple[int, int]]:
     """Return the designs that a change at a place of the job concerns, by loop and design."""
     everything = {(i, k) for i, spec in enumerate(job.loops) for k in range(len(spec.designs))}
     if path[0] in REMOVED:

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import dataclasses
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from matplotlib.figure import Figure
 
 from platform_ctrl.common.files import write_whole
-from platform_ctrl.common.processes import SecondProcess, Task
+from platform_ctrl.common.processes import SecondProcess
 from platform_ctrl.common.signatures import check_arguments
+from platform_ctrl.common.store import Store
 from platform_ctrl.design.jobs import LoopOutcome
 from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.mechanics.linearisation import LinearModel
@@ -60,6 +61,7 @@ from platform_ctrl.report.page.campaign_page import as_section, digests
 from platform_ctrl.report.page.captions import compared_with_alternatives, opening, sentences
 from platform_ctrl.report.page.change_table import change_part
 from platform_ctrl.report.page.first_screen import first_screen, own_results, section_verdict
+from platform_ctrl.report.page.kept_blocks import Drawing, kept_or_drawn
 from platform_ctrl.report.plots.time_run import time_run
 from platform_ctrl.verification.changes import changes
 from platform_ctrl.verification.coupled import ALL_LOOPS
@@ -166,34 +168,42 @@ def prepared(
     """
     if isinstance(result, Document):
         return result
-    return _document(result, command, campaign, again, None)
+    return _document(result, command, campaign, again)
 
 
-def drawn_beside(result: JobResult, beside: SecondProcess, **options: Any) -> Document:
-    """Return what `prepared` returns with its `options`; another process draws a part of the figures."""
+def drawn_beside(result: JobResult, beside: SecondProcess, store: Store | None = None, **options: Any) -> Document:
+    """Return what `prepared` returns with its `options`; another process draws a part of what is not in the store."""
     given: dict[str, Any] = {"command": None, "campaign": None, "again": None} | options
-    return _document(result, **given, beside=beside)
+    return _document(result, **given, beside=beside, store=store)
 
 
 def _document(
-    result: JobResult, command: str | None, campaign: Summary | None, again: str | None, beside: SecondProcess | None
+    result: JobResult,
+    command: str | None,
+    campaign: Summary | None,
+    again: str | None,
+    beside: SecondProcess | None = None,
+    store: Store | None = None,
 ) -> Document:
     job = result.job
-    coupled, loops, runs = _drawn(result, beside)
+    drawn = iter(kept_or_drawn(_drawings(result), store, beside))
+    loops = [next(drawn) for _ in result.loops]
+    runs = [next(drawn) for _ in result.runs]
+    plant, servo, budget, first, coupled = drawn
     together = [one for one in result.requirements if one.subject == ALL_LOOPS]
     with style.settings():
         sections = [
-            Section(name="summary", title="", blocks=_summary(result, campaign)),
+            Section(name="summary", title="", blocks=(*first, *_summary(result, campaign))),
             Section(
                 name="requirements",
                 title="Requirements",
                 blocks=(tables.requirement_table(result),),
                 **_judged(result.requirements),
             ),
-            _plant(result),
-            *(_loop(result, outcome, k, loops[k - 1]) for k, outcome in enumerate(result.loops, 1)),
+            _plant(result, *plant),
+            *(_loop(result, outcome, k, loops[k - 1], servo) for k, outcome in enumerate(result.loops, 1)),
             Section(name="coupled", title="Coupled system", blocks=coupled, **_judged(together)),
-            *budget_sections(result),
+            *budget,
             *_runs(result, runs),
             *_campaign(result, campaign, again),
             _again(result, command, campaign),
@@ -208,45 +218,42 @@ def _document(
     )
 
 
-def _drawn(result: JobResult, beside: SecondProcess | None) -> tuple[tuple[Block, ...], list[list[Plate]], list[Block]]:
-    """Return the blocks of the coupled system, the plates of each loop and the blocks of the runs."""
-    # Without certificates, which no figure shows: there are hundreds, and all of it may go to another process.
+def _drawings(result: JobResult) -> list[Drawing]:
+    """Return what draws the plates of each loop, the blocks of each run, and then those of the whole."""
+    # Without certificates, of which figures show nothing: there are hundreds, and all of it may go to another process.
     bare = [
         dataclasses.replace(one, designs=tuple(dataclasses.replace(design, certificates=()) for design in one.designs))
         for one in result.loops
     ]
     spinning, palette = captions.spins(result.job.platform), palette_of(result.loops)
-    tasks: list[Task] = [(_in_style, (_caging_plates, result.model, outcome, palette)) for outcome in bare]
+    drawings = [Drawing(_caging_plates, (result.model, outcome, palette)) for outcome in bare]
     for run in result.runs:
         caption = captions.run(run, spinning, result.loops) if run.trajectory.t.size else ""
-        tasks.append((_in_style, (_run_block, run, result.job.platform, caption)))
-    # Last: this process begins with it, and the whole result goes nowhere.
-    tasks.append((_in_style, (_coupled, result)))
-    if beside is None:
-        *drawn, coupled = [function(*arguments) for function, arguments in tasks]
-    else:
-        *drawn, coupled = beside.results(tasks)
-    return coupled, drawn[: len(bare)], drawn[len(bare) :]
+        drawings.append(Drawing(_run_block, (run, result.job.platform, caption)))
+    proofs = {key: dataclasses.replace(one, certificates=()) for key, one in result.proofs.items()}
+    whole = dataclasses.replace(result, loops=tuple(bare), runs=(), proofs=proofs)
+    # Last: this process begins with the end, and the whole result goes nowhere.
+    of_whole = (_plant_plates, _servo_plates, budget_sections, _first, _coupled)
+    return drawings + [Drawing(draw, (whole,)) for draw in of_whole]
 
 
-def _in_style(draw: Callable[..., Any], *arguments: Any) -> Any:
-    with style.settings():
-        return draw(*arguments)
+def _first(result: JobResult) -> tuple[Block, ...]:
+    return (*first_screen(result), *change_part(result, changes(result)))
 
 
 def _summary(result: JobResult, campaign: Summary | None) -> tuple[Block, ...]:
     first, verdict, *details = opening(result, campaign)
     lead = Paragraph(text=f"{first} {verdict}", tone="lead")
     rest = (Paragraph(text=" ".join(details)),) if details else ()
-    return (*first_screen(result), *change_part(result, changes(result)), lead, *rest)
+    return (lead, *rest)
 
 
-def _plant(result: JobResult) -> Section:
+def _plant(result: JobResult, axes: Plate, *plates: Plate) -> Section:
     gimbals = len(result.job.platform.gimbals)
     changing = coupled_while_changing(result.model)
     blocks: list[Block] = [
         Paragraph(text=sentences("groups", subsystems=result.subsystems, gimbals=gimbals, changing=changing)),
-        _axes_plate(result),
+        axes,
         Part(title="Gimbals", blocks=(tables.gimbal_table(result),)),
     ]
     if result.job.platform.rotors:
@@ -255,27 +262,26 @@ def _plant(result: JobResult) -> Section:
     if elements is not None:
         blocks.append(Part(title="Springs, friction and other elements", blocks=(elements,)))
     blocks.append(Part(title="Modes of the uncontrolled gimbals", blocks=(tables.mode_table(result),)))
-    return Section(name="plant", title="Plant and modes", blocks=(*blocks, *_plant_plates(result)))
+    return Section(name="plant", title="Plant and modes", blocks=(*blocks, *plates))
 
 
 def _plate(figure: Figure, title: str, caption: str, *, small: bool = False) -> Plate:
     return Plate(svg=style.svg(figure, f"{title}. {caption}"), title=title, caption=caption, small=small)
 
 
-def _axes_plate(result: JobResult) -> Plate:
-    caption = "Drawn from the plant file: which body turns about which axis, and how they carry each other."
-    return Plate(svg=axes_picture(result.job.platform, alone=False), title="Axes and bodies", caption=caption)
-
-
 def _plant_plates(result: JobResult) -> list[Plate]:
-    nutation = nutation_figure(result)
+    words = "Drawn from the plant file: which body turns about which axis, and how they carry each other."
+    picture = axes_picture(result.job.platform, alone=False)
+    axes, nutation = Plate(svg=picture, title="Axes and bodies", caption=words), nutation_figure(result)
     if nutation is None:
-        return []
+        return [axes]
     caption = sentences("nutation", uncertainty=result.job.uncertainty.spin)
-    return [_plate(nutation, "Campbell diagram", caption)]
+    return [axes, _plate(nutation, "Campbell diagram", caption)]
 
 
-def _loop(result: JobResult, outcome: LoopOutcome, number: int, plates: Sequence[Plate]) -> Section:
+def _loop(
+    result: JobResult, outcome: LoopOutcome, number: int, plates: Sequence[Plate], servo: Sequence[Plate]
+) -> Section:
     unstable = captions.unstable(outcome.closed)
     compared = [] if unstable else compared_with_alternatives(outcome)
     words = sentences("loop_summary", outcome=outcome, unstable=unstable, comparisons=compared)
@@ -291,7 +297,7 @@ def _loop(result: JobResult, outcome: LoopOutcome, number: int, plates: Sequence
         blocks.append(Part(title=title, blocks=(tables.group_table(groups),)))
     blocks += plates
     if outcome.spec.kind == "stabilisation":
-        blocks += _servo_plates(result)
+        blocks += servo
     title, own = sentence(outcome.spec.name), own_results(result, outcome)
     return Section(name=f"loop-{number}", title=title, blocks=tuple(blocks), **_judged(own))
 
