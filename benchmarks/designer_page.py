@@ -149,6 +149,9 @@ def main() -> None:
             for loop in given.loop or [None]:
                 if loop is not None:
                     page.locator("#loop").select_option(loop)
+                    while not page.evaluate("() => window.page.settled()"):
+                        page.wait_for_timeout(200)
+                    # The other parts of the job are measured then.
                     page.wait_for_timeout(5000)
                 sliders = sliders_timed(page, given.rounds, given.budget)
             rows = []
