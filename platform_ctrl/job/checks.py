@@ -334,6 +334,8 @@ def _design(design: Data, path: Path, kind: str | None) -> Iterator[Mistake]:
     known = ["name", "method", "tune", *DESIGN_SIGNALS, *sorted(method.options), "command"]
     if method.structures:
         known.insert(2, "structure")
+    if method.responses is not None:
+        known.insert(2, "responses")
     yield from (unknown_key((*path, name), item, known) for name, item in design.items() if name not in known)
     yield from _shaping(design.get("command"), (*path, "command"), kind)
     for option in sorted(method.options):

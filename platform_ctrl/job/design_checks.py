@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from pathlib import Path as FilePath
 from typing import Any
 
+from platform_ctrl.common.values import replaced
+from platform_ctrl.errors import ArgumentError, InputError
+from platform_ctrl.job.job import Job
+from platform_ctrl.job.methods import METHODS, resolved
 from platform_ctrl.plant.checks import number_of
-from platform_ctrl.plant.mistakes import Mistake, Path, given, suggestion, tables, text_of
+from platform_ctrl.plant.mistakes import Mistake, Path, given, one_line, suggestion, tables, text_of
 from platform_ctrl.plant.platform import OMEGA_NAMES, Platform
+from platform_ctrl.plant.source import read_text
 
 Data = dict[str, Any]
 
@@ -58,6 +64,31 @@ def design_signal_mistakes(data: Data, platform: Platform | None) -> Iterator[Mi
             fed = design.get("feedforward")
             if isinstance(fed, dict):
                 yield from _feedforward(fed, (*path, "feedforward"), platform, data)
+
+
+def with_responses(job: Job, folder: FilePath) -> tuple[Job, list[Mistake]]:
+    """Return a job with the texts of its files of measured responses, and what is wrong with them.
+
+    What has more than one line is such a text already, as in a job that was written with all its inputs.
+    """
+    mistakes: list[Mistake] = []
+    loops = []
+    for i, spec in enumerate(job.loops):
+        designs = []
+        for k, design in enumerate(spec.designs):
+            given_text, judge = design.responses, METHODS[design.method].responses
+            if given_text is not None and judge is not None:
+                try:
+                    inside = "\n" in given_text
+                    label = "the text" if inside else one_line(str(folder / given_text))
+                    text = given_text if inside else read_text(folder / given_text, "a CSV file")
+                    resolved(judge)(job, spec, design, text, label)
+                    design = replaced(design, {"responses": text})
+                except (InputError, ArgumentError) as error:
+                    mistakes.append(Mistake(("loop", i, "design", k, "responses"), f"responses: {error}"))
+            designs.append(design)
+        loops.append(replaced(spec, {"designs": tuple(designs)}))
+    return replaced(job, {"loops": tuple(loops)}), mistakes
 
 
 def _feedforward(fed: Data, path: Path, platform: Platform | None, data: Data) -> Iterator[Mistake]:

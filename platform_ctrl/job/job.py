@@ -145,6 +145,8 @@ class DesignSpec:
         What this design of a rate or pointing loop reads; none: the loop's.
     feedforward
         Of the platform's rate, or None.
+    responses
+        Text of a file of measured responses of the loop's plant, or None; before the job is read in whole, its path.
     """
 
     name: fields.SystemName
@@ -155,6 +157,7 @@ class DesignSpec:
     command: Annotated[CommandShaping | None, TABLE] = None
     sensors: fields.Names = ()
     feedforward: Annotated[Feedforward | None, TABLE] = None
+    responses: fields.AnyText | None = None
 
 
 @input_value

@@ -84,6 +84,10 @@ class DesignMethod:
         Whether it works on the loop's goals: then its claims are the largest ratios of limits and goals.
     instant
         Whether the app builds it while a slider moves; others are designed in the background.
+    responses
+        Where it works on measured responses, which the key ``responses`` names: (`Job`, `LoopSpec`, `DesignSpec`, the
+        file's text, its name in messages) -> None, an `InputError` where these are none of the loop. None: the key is
+        refused.
     parts
         Optional parts of the controller that the app switches on and off: label and tip by name.
     families
@@ -102,6 +106,7 @@ class DesignMethod:
     tunes: bool = False
     goals: bool = False
     instant: bool = False
+    responses: Reference | None = None
     parts: Mapping[str, tuple[str, str]] = field(default_factory=dict)
     families: Mapping[Family, Mapping[str, float]] = field(default_factory=dict)
 
@@ -247,6 +252,20 @@ _STRUCTURED: dict[str, Option] = {
         label="evaluations", whole=True, group="design", tip="most evaluations of the search", low=10, high=5000
     ),
 }
+_MEASURED: dict[str, Option] = {
+    "rolloff_hz": _hz("roll-off", "design", "where the rate action ends", high=0.45, below_nyquist=True),
+    "sensitivity_peak": Option(
+        label="sensitivity peak", group="design", tip="largest gain of S where no limit is lower", low=1.05, high=20
+    ),
+    "resonance_damping": Option(
+        label="resonance damping",
+        group="design",
+        tip="damping ratio that unresolved resonances get at least",
+        low=1e-3,
+        high=0.7,
+    ),
+    "steps": Option(label="steps", whole=True, group="design", tip="most convex problems", low=5, high=200),
+}
 
 # By key, in the order in which messages and the documentation name them.
 METHODS: dict[str, DesignMethod] = {}
@@ -351,6 +370,17 @@ register_method(
         advice="weaker limits, or another structure",
         structures=("cross-axis", "pid", "state-space"),
         goals=True,
+    )
+)
+register_method(
+    DesignMethod(
+        key="measured",
+        kinds=("caging", "rate", "pointing", "tracking"),
+        design="platform_ctrl.design.measured.of_job:measured_design",
+        options=_MEASURED,
+        defaults="platform_ctrl.design.measured.of_job:default_options",
+        advice="a smaller sensitivity_peak, or responses of the plant as it is",
+        responses="platform_ctrl.design.measured.of_job:expect_fitting",
     )
 )
 register_method(

@@ -13,6 +13,7 @@ from platform_ctrl.common.values import replaced
 from platform_ctrl.errors import InputError, OldKeyWarning
 from platform_ctrl.job.budget_checks import size_mistakes, with_logs
 from platform_ctrl.job.checks import job_mistakes, variation_mistakes
+from platform_ctrl.job.design_checks import with_responses
 from platform_ctrl.job.drive_checks import misplaced_drives
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.old_names import renamed
@@ -82,7 +83,8 @@ def read_job(
         job = replaced(job, {"campaign": replaced(job.campaign, {"seed": job.seed})})
     if mistakes := list(misplaced_drives(job)):
         raise report(document.label, document.data, mistakes)
-    mistakes = list(variation_mistakes(job))
+    job, of_responses = with_responses(job, start or document.folder)
+    mistakes = [*of_responses, *variation_mistakes(job)]
     if job.budget is not None:
         budget, of_logs = with_logs(job.budget, start or document.folder)
         mistakes += of_logs or size_mistakes(budget)

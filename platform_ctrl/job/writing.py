@@ -59,7 +59,7 @@ def job_data(job: Job) -> dict[str, Any]:
                         "name": d.name,
                         "method": d.method,
                         "tune": d.tune,
-                        **_given({"structure": d.structure}),
+                        **_given({"structure": d.structure, "responses": d.responses}),
                         **({} if d.command is None else {"command": _said(d.command)}),
                         **({"sensors": list(d.sensors)} if d.sensors else {}),
                         **({} if d.feedforward is None else {"feedforward": _fields(d.feedforward)}),

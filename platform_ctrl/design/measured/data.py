@@ -202,7 +202,7 @@ def _value(numbers: FloatArray, parts: dict[str, int]) -> ComplexArray:
     return np.asarray(size * np.exp(1j * np.radians(of["phase_deg"])), dtype=np.complex128)
 
 
-_FEWEST_POINTS = 10
+FEWEST_POINTS = 10
 # Determinants of responses in any sensible units stay finite.
 _LARGEST_RESPONSE = 1e50
 
@@ -261,9 +261,9 @@ def measured_plants(
         if T > 0.0:
             inside = w <= np.pi / T * (1.0 + 1e-9)
             w, H = w[inside], H[inside]
-        if len(w) < _FEWEST_POINTS:
+        if len(w) < FEWEST_POINTS:
             raise ArgumentError(
-                f"{where} must have {_FEWEST_POINTS} or more frequencies below half the sample rate, got {len(w)}"
+                f"{where} must have {FEWEST_POINTS} or more frequencies below half the sample rate, got {len(w)}"
             )
         size = np.abs(H).max(axis=(1, 2))
         if not (size.min() > 1.0 / _LARGEST_RESPONSE and size.max() < _LARGEST_RESPONSE):

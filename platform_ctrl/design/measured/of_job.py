@@ -1,0 +1,286 @@
+"""The measured PID as a method of jobs: designed on responses from a file, or on those of the job's own plants."""
+
+from __future__ import annotations
+
+import dataclasses
+import io
+from collections.abc import Sequence
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, state_arrays
+from platform_ctrl.analysis.feedback import sensitivities_of_plants
+from platform_ctrl.analysis.frequency_grids import following_grid
+from platform_ctrl.analysis.loop_metrics import measure
+from platform_ctrl.analysis.plant_set import COMMAND, PlantSet
+from platform_ctrl.analysis.singular_values import largest_singular_values
+from platform_ctrl.common.values import FloatArray, value
+from platform_ctrl.design.loop import Designed, LoopDesign, LoopProblem, completed, requirements_of
+from platform_ctrl.design.loop_signals import loop_signals
+from platform_ctrl.design.measured.contour import contour, unstable_poles
+from platform_ctrl.design.measured.data import FEWEST_POINTS, read_measurement
+from platform_ctrl.design.measured.design import MeasuredDesign, measured_pid
+from platform_ctrl.design.measured.pid import CENTRES
+from platform_ctrl.design.partition import Channels
+from platform_ctrl.design.plants import FORGETTING
+from platform_ctrl.errors import ArgumentError, DesignError, InputError, NotCertifiedError
+from platform_ctrl.job.job import DesignSpec, Job, LoopSpec
+from platform_ctrl.job.judging import CheckResult, Requirement
+from platform_ctrl.job.requirements import LoopRequirement
+from platform_ctrl.plant.mistakes import one_line
+
+if TYPE_CHECKING:
+    import control
+
+# Share by which the limits are kept at the frequencies of the data: between them loops are a little worse.
+_RESERVE = 0.02
+# Plants that join the nominal one, one at a time, where they are the worst.
+_MOST_ADDED = 2
+# Poles this near to z = 1 are integrators, those this far beyond the unit circle unstable; those between are rounding.
+_INTEGRATOR = 1e-5
+# The grid on which plants are described: points beside resonances, and the share of the slowest pole that it begins at.
+_POINTS, _BELOW = 100, 0.05
+_TIME_LIMIT = 300.0
+_HZ = 1.0 / (2.0 * np.pi)
+_ON_DATA = ", measured responses"
+
+
+@value
+class Responses:
+    """Measured responses of the plant of a loop, in the order of its signals.
+
+    Attributes
+    ----------
+    frequency : (F,)
+        rad/s.
+    response : complex (F, p, m)
+        From torques to what the loop reads, as its sampled controller sees them.
+    """
+
+    frequency: FloatArray
+    response: ComplexArray
+
+
+def default_options(design: DesignSpec, channel: Channels, nutation: float, period: float) -> dict[str, float]:
+    """Return all options; those that are not given are the same for every loop, but for the roll-off."""
+    defaults = {"rolloff_hz": 0.4 / period, "sensitivity_peak": 2.0, "resonance_damping": 0.03, "steps": 40.0}
+    out = completed("measured", design.options, defaults)
+    if not out["rolloff_hz"] < 0.5 / period:
+        raise DesignError(
+            f"measured: rolloff_hz must be less than {0.5 / period:g} Hz, half the sample rate, got "
+            f"{out['rolloff_hz']:g}"
+        )
+    if not out["sensitivity_peak"] > 1.0:
+        raise DesignError(f"measured: sensitivity_peak must be more than 1, got {out['sensitivity_peak']:g}")
+    if not out["resonance_damping"] < 1.0:
+        raise DesignError(f"measured: resonance_damping must be less than 1, got {out['resonance_damping']:g}")
+    if not (out["steps"].is_integer() and out["steps"] <= 1000.0):
+        raise DesignError(f"measured: steps must be a whole number from 1 to 1000, got {out['steps']:g}")
+    return out
+
+
+def measured_design(problem: LoopProblem) -> Designed:
+    """Return the PID with the largest integral gain within the loop's limits, on the responses of its plants."""
+    plants, own = problem.plants, problem.plant_set
+    assert own is not None, "the loop has plants"
+    options = default_options(problem.design, problem.channel, plants.nutation, plants.period)
+    if len(plants.torques) != len(plants.angles):
+        raise DesignError(
+            f"measured: a loop must have as many torquers as directions, got {len(plants.torques)} and "
+            f"{len(plants.angles)}; choose another method"
+        )
+    bounds = _bounds(requirements_of(problem.spec))
+    bounds["sensitivity_peak"] = min(bounds.get("sensitivity_peak", np.inf), options["sensitivity_peak"])
+    settings = bounds | {
+        "filter_time": 1.0 / (2.0 * np.pi * options["rolloff_hz"]),
+        "resonance_damping": options["resonance_damping"],
+        "steps": int(options["steps"]),
+    }
+    if problem.design.responses:
+        where = f"responses of {problem.spec.name}, {problem.design.name}"
+        data = read_responses(problem.design.responses, where, own.torques, own.angles, own.period)
+        sense = problem.channel.sense
+        P = data.response if sense is None else np.asarray(sense @ data.response, dtype=np.complex128)
+        found = _pid([_frd(data.frequency, P, plants)], settings, [_unstable(plants.A[0])])
+        view = [0]
+    else:
+        found, view = _of_plants(problem, plants, settings)
+    claims = {
+        "least integral gain": found.objective,
+        "plants": float(len(view)),
+        "steps": float(len(found.history) - 1),
+    }
+    return Designed(controller=state_arrays(found.controller, "measured"), options=options, claims=claims)
+
+
+def _strictest(requirements: Sequence[LoopRequirement]) -> dict[str, LoopRequirement]:
+    """Return the strictest of the limits that can be kept at every frequency, by their keys."""
+    out: dict[str, LoopRequirement] = {}
+    for one in requirements:
+        key = one.metric.key
+        if one.hard and key in CENTRES:
+            stricter = max if one.sense == "at least" else min
+            out[key] = stricter(out.get(key, one), one, key=lambda each: each.limit)
+    return out
+
+
+def _bounds(requirements: Sequence[LoopRequirement]) -> dict[str, float]:
+    """Return these limits with a reserve, by the names of `measured_pid`."""
+    limits = {key: one.limit for key, one in _strictest(requirements).items()}
+    return {
+        key: x * (1.0 + _RESERVE) if key == "disk_margin" else 1.0 + (x - 1.0) * (1.0 - _RESERVE)
+        for key, x in limits.items()
+    }
+
+
+def _of_plants(problem: LoopProblem, plants: PlantSet, settings: dict[str, float]) -> tuple[MeasuredDesign, list[int]]:
+    """Return a design on the nominal plant, and on those that are the worst with it, and the plants' numbers."""
+    requirements = requirements_of(problem.spec)
+    counts = [_unstable(A) for A in plants.A]
+    plants = plants.on(_frequencies(plants))
+    view: list[int] = [0]
+    found = _pid([_frd(plants.frequency, plants.response[0], plants)], settings, counts[:1])
+    while len(view) <= _MOST_ADDED:
+        K = state_arrays(found.controller, "measured")
+        measures = measure(plants, K, requirements)
+        missed = np.where(measures.decay > 0.0, 0.0, 1e6)
+        for one in requirements:
+            if one.metric.key == "disk_margin" and one.hard:
+                chosen = measures.of(one.over)
+                missed[chosen] = np.maximum(missed[chosen], one.limit / np.maximum(measures.disk_margin[chosen], 1e-9))
+        worst = int(missed.argmax())
+        if missed[worst] <= 1.0 or worst in view or counts[worst] != counts[0]:
+            break
+        problem.progress(f"{problem.spec.name}: {problem.design.name}, {plants.labels[worst]} joins the nominal plant")
+        try:
+            wider = [*view, worst]
+            data = [_frd(plants.frequency, plants.response[k], plants) for k in wider]
+            found, view = _pid(data, settings, [counts[k] for k in wider]), wider
+        except DesignError:
+            break  # what has been found is judged with all plants
+    return found, view
+
+
+def _frequencies(plants: PlantSet) -> FloatArray:
+    """Return frequencies that show the nominal plant's poles, from below the slowest of them up to the Nyquist one."""
+    z = np.linalg.eigvals(plants.A[0])
+    s = np.log(z[np.abs(z) > _INTEGRATOR].astype(np.complex128)) / plants.period
+    moving = np.abs(s) * plants.period > _INTEGRATOR
+    # Angles behind a loop of rates forget: a zero there.
+    slowest = float(np.abs(s[moving]).min(initial=FORGETTING))
+    low = min(plants.frequency[0], _BELOW * slowest)
+    return following_grid(s, low, float(plants.frequency[-1]), _POINTS)
+
+
+def _unstable(A: FloatArray) -> int:
+    poles = np.linalg.eigvals(A)
+    return int(np.count_nonzero((np.abs(poles) > 1.0 + _INTEGRATOR) & (np.abs(poles - 1.0) > _INTEGRATOR)))
+
+
+def _frd(frequency: FloatArray, P: ComplexArray, plants: PlantSet) -> control.FRD:
+    """Return responses (F, p, m) with the names of a loop's signals."""
+    names = {"inputs": list(plants.torques), "outputs": list(plants.angles)}
+    FRD = import_module("control").FRD
+    return FRD(np.moveaxis(P, 0, -1), frequency, plants.period, **names)
+
+
+def _pid(data: Sequence[control.FRD], settings: dict[str, float], unstable: Sequence[int]) -> MeasuredDesign:
+    try:
+        return measured_pid(list(data), unstable=max(unstable), time_limit=_TIME_LIMIT, **settings)  # type: ignore[arg-type]
+    except ArgumentError as error:
+        raise DesignError(str(error)) from None
+
+
+def read_responses(text: str, label: str, torques: Sequence[str], readings: Sequence[str], period: float) -> Responses:
+    """Return the responses of a file's text, its signals in the order of a loop's; an InputError says what is wrong."""
+    source = io.StringIO(text)
+    setattr(source, "name", label)  # noqa: B010 - what messages call it
+    data = read_measurement(source, period=period)
+    for what, needed, there in (
+        ("inputs", torques, list(data.input_labels)),
+        ("outputs", readings, list(data.output_labels)),
+    ):
+        if sorted(needed) != sorted(there):
+            raise InputError(
+                f"{label}: must have the {what} {', '.join(needed)} of the loop, got {', '.join(map(str, there))}"
+            )
+    rows = [list(data.output_labels).index(name) for name in readings]
+    columns = [list(data.input_labels).index(name) for name in torques]
+    P = np.moveaxis(np.asarray(data.frdata)[np.ix_(rows, columns)], -1, 0)
+    if len(P) < FEWEST_POINTS:
+        raise InputError(f"{label}: must have {FEWEST_POINTS} or more frequencies, got {len(P)}")
+    if not np.all(np.abs(P).max(axis=(1, 2)) > 0.0):
+        raise InputError(f"{label}: must have a response that is not zero at every frequency")
+    return Responses(frequency=np.asarray(data.omega, dtype=np.float64), response=np.asarray(P, dtype=np.complex128))
+
+
+def expect_fitting(job: Job, spec: LoopSpec, design: DesignSpec, text: str, label: str) -> None:
+    """Raise an InputError where a file's text holds no responses of a loop of the job."""
+    if spec.kind == "tracking":
+        inner = next((one for one in job.loops if one.name == spec.around), None)
+        if inner is None:
+            return
+        torques = [f"{name}{COMMAND}" for name in inner.sensors]
+    else:
+        torques = [one.name for one in loop_signals(job.platform, spec.read_by(design)).torquers]
+    signals = spec.read_by(design)
+    readings = list(signals.sensors) or [one.name for one in loop_signals(job.platform, signals).sensors]
+    read_responses(text, label, torques, readings, job.sampling.period)
+
+
+def on_responses(problem: LoopProblem, design: LoopDesign) -> LoopDesign:
+    """Return a design that is judged on its measured responses too: a plant beside those of the model."""
+    plants = problem.plant_set
+    assert plants is not None, "the loop has plants"
+    assert problem.design.responses is not None, "the design has responses"
+    where = f"responses of {problem.spec.name}, {problem.design.name}"
+    data = read_responses(problem.design.responses, where, plants.torques, plants.angles, plants.period)
+    model = plants.on(data.frequency).response[0]
+    apart = largest_singular_values(data.response - model) / largest_singular_values(model)
+    k = int(apart.argmax())
+    claims = {"responses from model, relative": float(apart[k]), "at, Hz": float(_HZ * data.frequency[k])}
+    results = _judged(problem, design, data, plants)
+    problem.progress(
+        f"{problem.spec.name}: {problem.design.name}, the measured responses are up to {apart[k]:.1%} from the nominal "
+        f"plant's (at {_HZ * data.frequency[k]:.4g} Hz)"
+    )
+    return dataclasses.replace(design, claims=design.claims | claims, results=(*design.results, *results))
+
+
+def _judged(problem: LoopProblem, design: LoopDesign, data: Responses, plants: PlantSet) -> list[CheckResult]:
+    """Return the limits that responses can be held against, and stability, on a file's responses."""
+    K = plants.feedback(plants.joined(design.own_controller))
+    sense = np.eye(len(plants.angles)) if problem.channel.sense is None else problem.channel.sense
+    back = np.linalg.pinv(sense)
+    P_own = np.asarray(sense @ data.response, dtype=np.complex128)
+    evidence = f"measured responses at {len(data.frequency)} frequencies"
+    try:
+        count: float = unstable_poles(
+            contour(data.frequency, P_own), lambda s: _at(K, s) @ back, _unstable(plants.A[0])
+        )
+        why = evidence
+    except NotCertifiedError as error:
+        count, why = np.inf, one_line(str(error))
+    stated = {"subject": problem.spec.name, "design": problem.design.name, "stage": "decoupled"}
+    stable = Requirement(name=f"unstable poles{_ON_DATA}", limit=0.0, unit="", sense="at most")
+    out = [stable.judge(count, evidence=why, **stated)]  # type: ignore[arg-type]
+    S, S_input = sensitivities_of_plants(data.response, _at(K, np.asarray(1j * data.frequency)))
+    for key, one in _strictest(requirements_of(problem.spec)).items():
+        c = CENTRES[key]
+        peaks = [largest_singular_values(part - c * np.eye(part.shape[-1])) for part in (S, S_input)]
+        worst = np.maximum(*peaks)
+        k = int(worst.argmax())
+        reached = float(worst[k]) if count == 0 else np.inf
+        asked = Requirement(name=one.metric.name + _ON_DATA, limit=one.limit, unit=one.unit, sense=one.sense)
+        found = 1.0 / reached if key == "disk_margin" else reached
+        out.append(asked.judge(found, evidence=f"{evidence}, at {_HZ * data.frequency[k]:.4g} Hz", **stated))  # type: ignore[arg-type]
+    return out
+
+
+def _at(K: StateArrays, s: ComplexArray) -> ComplexArray:
+    """Return the response of a sampled controller at points s, complex (F, m, p)."""
+    z = np.exp(s * K.dt)
+    found = K.C @ np.linalg.solve(z[:, None, None] * np.eye(len(K.A)) - K.A, K.B.astype(np.complex128)[None]) + K.D
+    return np.asarray(found, dtype=np.complex128)

@@ -1,0 +1,176 @@
+"""The measured PID as a method of jobs: on the responses of the plants, and on those of a file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from platform_ctrl import design
+from platform_ctrl.analysis.arrays import state_arrays
+from platform_ctrl.analysis.response import frequency_response
+from platform_ctrl.common.store import Store
+from platform_ctrl.design.loop import LoopDesign, LoopProblem
+from platform_ctrl.design.measured.of_job import on_responses
+from platform_ctrl.design.plants import plants_of
+from platform_ctrl.design.reuse import design_job, design_key
+from platform_ctrl.errors import InputError
+from platform_ctrl.job.job import Job
+from platform_ctrl.job.reading import read_job
+from platform_ctrl.job.writing import job_data
+from platform_ctrl.mechanics.linearisation import linearise
+
+MARGIN = 0.4
+
+
+def job(**own: object) -> dict[str, object]:
+    return {
+        "schema": 2,
+        "name": "one gimbal",
+        "plant": {
+            "schema": 1,
+            "name": "gimbal with friction",
+            "source": "assumed",
+            "root": {"name": "case", "inertia": [1.0, 1.0, 1.0]},
+            "gimbal": [{"name": "pitch", "parent": "case", "axis": [0, 1, 0], "inertia": [0.1, 0.1, 0.1]}],
+            "torquer": [{"gimbal": "pitch"}],
+            "pickoff": [{"gimbal": "pitch"}],
+            "friction": [{"gimbal": "pitch", "viscous": 1.0}],
+        },
+        "operation": {"Omega": [0.1, 0.1, 0.1]},
+        "sampling": {"rate_hz": 1000, "delay": 0.001},
+        "loop": [
+            {
+                "name": "pitch",
+                "kind": "caging",
+                "gimbals": ["pitch"],
+                "use": "measured",
+                "limits": {"disk_margin": MARGIN},
+                "design": [{"name": "measured", "method": "measured", "steps": 12, **own}],
+            }
+        ],
+    }
+
+
+def write(path: Path, read: Job, factor: float = 1.0, rows: int = 120) -> str:
+    """Write the responses of the nominal plant times a factor, as a measurement would have them."""
+    plants = plants_of(read, read.loops[0])
+    assert plants is not None
+    w = np.geomspace(0.1, 0.99 * np.pi / plants.period, rows)
+    P = factor * plants.on(w).response[0]
+    signals = f"{plants.angles[0]}/{plants.torques[0]}"
+    lines = [f"frequency_rad_s,{signals} re,{signals} im"]
+    lines += [f"{f!r},{x.real!r},{x.imag!r}" for f, x in zip(w.tolist(), P[:, 0, 0].tolist(), strict=True)]
+    path.write_text("\n".join(lines) + "\n")
+    return path.name
+
+
+@pytest.fixture(scope="module")
+def exact() -> LoopDesign:
+    [outcome] = design.loops(job())
+    return outcome.closed
+
+
+def test_a_design_on_the_responses_of_the_plants_keeps_its_margin_and_integrates(exact: LoopDesign) -> None:
+    assert exact.passed
+    assert exact.measures is not None
+    assert MARGIN <= exact.measures.disk_margin[0] < 1.2 * MARGIN  # the limit is what bounds the integral gain
+    assert np.abs(exact.controller.poles() - 1.0).min() < 1e-9
+    assert exact.certificates
+    assert not exact.unproved
+
+
+@pytest.fixture(scope="module")
+def of_file(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Job, Store, LoopDesign]:
+    """Return a design on a file with the responses of the model, its job, and where it is kept."""
+    folder = tmp_path_factory.mktemp("responses")
+    name = write(folder / "pitch.csv", read_job(job()))
+    found = read_job(job(responses=name), folder=folder)
+    store = Store(folder / "reuse")
+    [outcome] = design.loops(found, store=store)
+    assert not store.taken
+    return folder / name, found, store, outcome.closed
+
+
+OfFile = tuple[Path, Job, Store, LoopDesign]
+
+
+def test_a_file_with_the_responses_of_the_model_is_no_distance_from_it(of_file: OfFile) -> None:
+    path, found, _, closed = of_file
+    on_data = {one.name: one for one in closed.results if "measured responses" in one.name}
+    assert set(on_data) == {"unstable poles, measured responses", "disk margin, measured responses"}
+    assert closed.passed
+    assert closed.claims["responses from model, relative"] < 1e-9
+    # The margin on the data by the formula of one channel, |1/(S − 1/2)| at its least.
+    assert closed.plants is not None
+    w = np.geomspace(0.1, 0.99 * np.pi / found.sampling.period, 120)
+    L = (closed.plants.on(w).response[0] @ frequency_response(state_arrays(closed.controller, "K"), w, -3))[:, 0, 0]
+    expected = np.abs(1.0 / (1.0 / (1.0 - L) - 0.5)).min()
+    assert on_data["disk margin, measured responses"].value == pytest.approx(expected, rel=1e-9)
+    # The job as one text holds the file's content: it needs no other file.
+    again = read_job(job_data(found))
+    assert again.loops[0].designs[0].responses == path.read_text()
+
+
+def test_a_kept_design_is_taken_up_and_judged_on_the_file_until_its_content_changes(
+    of_file: OfFile, tmp_path: Path
+) -> None:
+    _, found, store, closed = of_file
+    [outcome] = design.loops(found, store=store)
+    assert len(store.taken) == 1
+    values = [(one.name, one.value) for one in closed.results if "measured responses" in one.name]
+    assert values == [(one.name, one.value) for one in outcome.closed.results if "measured responses" in one.name]
+    name = write(tmp_path / "pitch.csv", read_job(job()), factor=0.9)
+    other = read_job(job(responses=name), folder=tmp_path)
+    keys = {design_key(design_job(one, one.loops[0], one.loops[0].designs[0]), 0.5) for one in (found, other)}
+    assert len(keys) == 2
+
+
+@pytest.mark.parametrize(("factor", "unstable"), [(1.6, False), (40.0, True)])
+def test_a_limit_that_is_met_on_the_model_and_missed_on_the_data_fails_the_loop(
+    exact: LoopDesign, tmp_path: Path, factor: float, unstable: bool
+) -> None:
+    whole = read_job(job())
+    name = write(tmp_path / "pitch.csv", whole, factor)
+    own = read_job(job(responses=name), folder=tmp_path).loops[0].designs[0]
+    problem = LoopProblem(
+        job=whole, spec=whole.loops[0], design=own, model=linearise(whole.platform), plant_set=exact.plants
+    )
+    judged = on_responses(problem, exact)
+    results = {one.name: one for one in judged.results}
+    assert results["disk margin"].passed
+    assert not results["disk margin, measured responses"].passed
+    assert results["unstable poles, measured responses"].passed is not unstable
+    assert judged.claims["responses from model, relative"] == pytest.approx(factor - 1.0, rel=1e-9)
+    assert not judged.passed
+
+
+@pytest.mark.parametrize(
+    ("lines", "message"),
+    [
+        (None, "there is no such file"),
+        (lambda lines: [lines[0], *(f"{k},nan,0" for k in range(1, 20))], "must be a finite number, got 'nan'"),
+        (lambda lines: [lines[0].replace("/", "/other_"), *lines[1:]], "must have the inputs"),
+        (lambda lines: [lines[0].replace("_rad_s,", "_rad_s,other_"), *lines[1:]], "every pair"),
+        (lambda lines: [*lines, "4000,1,1"], "must not exceed half the sample rate"),
+        (lambda lines: lines[:6], "must have 10 or more frequencies, got 5"),
+    ],
+)
+def test_a_file_that_cannot_be_meant_is_refused_in_one_line(tmp_path: Path, lines: object, message: str) -> None:
+    path = tmp_path / "pitch.csv"
+    if callable(lines):
+        write(path, read_job(job()))
+        path.write_text("\n".join(lines(path.read_text().splitlines())) + "\n")
+    with pytest.raises(InputError) as caught:
+        read_job(job(responses=path.name), folder=tmp_path)
+    assert message.replace("'", '"') in str(caught.value).replace("'", '"')
+    assert "\n" not in str(caught.value)
+    assert "responses" in str(caught.value)
+
+
+def test_the_key_belongs_to_the_method(tmp_path: Path) -> None:
+    wrong = job(responses="a.csv", method="classical")
+    del wrong["loop"][0]["design"][0]["steps"]  # type: ignore[index]
+    with pytest.raises(InputError, match='unknown key "responses"'):
+        read_job(wrong, folder=tmp_path)
