@@ -166,7 +166,7 @@ def _of_plants(problem: LoopProblem, plants: PlantSet, settings: dict[str, float
 def _frequencies(plants: PlantSet) -> FloatArray:
     """Return frequencies that show the nominal plant's poles, from below the slowest of them up to the Nyquist one."""
     z = np.linalg.eigvals(plants.A[0])
-    s = np.log(z[np.abs(z) > _INTEGRATOR].astype(np.complex128)) / plants.period
+    s = np.asarray(np.log(z[np.abs(z) > _INTEGRATOR] + 0j) / plants.period, dtype=np.complex128)
     moving = np.abs(s) * plants.period > _INTEGRATOR
     # Angles behind a loop of rates forget: a zero there.
     slowest = float(np.abs(s[moving]).min(initial=FORGETTING))
@@ -227,7 +227,7 @@ def expect_fitting(job: Job, spec: LoopSpec, design: DesignSpec, text: str, labe
         torques = [one.name for one in loop_signals(job.platform, spec.read_by(design)).torquers]
     signals = spec.read_by(design)
     readings = list(signals.sensors) or [one.name for one in loop_signals(job.platform, signals).sensors]
-    read_responses(text, label, torques, readings, job.sampling.period)
+    read_responses(text, label, torques, readings, job.period_of(spec))
 
 
 def on_responses(problem: LoopProblem, design: LoopDesign) -> LoopDesign:
