@@ -43,6 +43,15 @@ _MANOEUVRE_RANGES = {
     "Omega_scale": ANY,
     "torque_scale": ANY,
 }
+_AT_LEAST_ONE = Range(words="a number >= 1", low=1.0)
+_COMMAND_RANGES = {
+    "step": ANY,
+    "ramp": ANY,
+    "at": NOT_NEGATIVE,
+    "frequency_hz": POSITIVE,
+    "amplitude": ANY,
+    "phase": ANY,
+}
 
 
 @value
@@ -55,8 +64,8 @@ class Parameter:
         What a job file calls it.
     group, index
         Where it is: the plant's array and the index in it, or one of ``"root"``, ``"unbalances"``, ``"sampling"``,
-        ``"initial"``, ``"manoeuvre"``, ``"fault"``, ``"vibration"``; `index` is −1 for an unbalance that the plant
-        lacks.
+        ``"initial"``, ``"manoeuvre"``, ``"commands"``, ``"drives"``, ``"fault"``, ``"vibration"``; `index` is −1 for an
+        unbalance that the plant lacks, and counts the commands of a reading.
     part, key
         Name of the part or fault; the number of it that is meant.
     allowed
@@ -84,6 +93,8 @@ def parameters(scenarios: Sequence[Scenario], faults: Sequence[Fault]) -> dict[s
         Parameter(path="sampling.delay", group="sampling", key="delay", allowed=NOT_NEGATIVE),
         *_initial(scenarios),
         *_of_manoeuvres(scenarios),
+        *_of_drives(scenarios[0]),
+        *_of_commands(scenarios),
         *(
             Parameter(path=f"fault.{f.name}.{key}", group="fault", part=f.name, key=key, allowed=FAULT_NUMBERS[key])
             for f in faults
@@ -179,6 +190,45 @@ def _of_manoeuvres(scenarios: Sequence[Scenario]) -> Iterator[Parameter]:
         yield Parameter(path="vibration.scale", group="vibration", key="scale", allowed=NOT_NEGATIVE, factor=True)
 
 
+def _of_drives(scenario: Scenario) -> Iterator[Parameter]:
+    """Walk the numbers of drives: of friction where some is fed forward, of the gain where it follows an angle."""
+    for k, law in enumerate(scenario.drives):
+        keys = {"friction": NOT_NEGATIVE, "friction_rate": POSITIVE} if law.friction else {}
+        keys |= {"secant_limit": _AT_LEAST_ONE} if law.secant_of is not None else {}
+        for key, allowed in keys.items():
+            yield Parameter(
+                path=f"drive.{law.torquer}.{key}", group="drives", part=law.torquer, key=key, index=k, allowed=allowed
+            )
+
+
+def _of_commands(scenarios: Sequence[Scenario]) -> Iterator[Parameter]:
+    """Walk the numbers of commands, the k-th of its reading in every run that has it."""
+    for reading in dict.fromkeys(one.reading for scenario in scenarios for one in scenario.commands):
+        most = max(len(_commands_of(scenario, reading)) for scenario in scenarios)
+        for k in range(most):
+            title = reading if k == 0 else f"{reading}#{k + 1}"
+            for key, allowed in _COMMAND_RANGES.items():
+                found = Parameter(
+                    path=f"command.{title}.{key}", group="commands", part=reading, key=key, index=k, allowed=allowed
+                )
+                if any(_of_command(found, scenario) is not None for scenario in scenarios):
+                    yield found
+
+
+def _commands_of(scenario: Scenario, reading: str) -> list[int]:
+    return [k for k, one in enumerate(scenario.commands) if one.reading == reading]
+
+
+def _of_command(parameter: Parameter, scenario: Scenario) -> float | None:
+    """Return the number of a command; None where the run has no such command, or the command no such part."""
+    places = _commands_of(scenario, parameter.part)
+    if parameter.index >= len(places):
+        return None
+    one = scenario.commands[places[parameter.index]]
+    there = {"at": one.step or one.ramp, "phase": one.amplitude}.get(parameter.key, getattr(one, parameter.key))
+    return float(getattr(one, parameter.key)) if there else None
+
+
 def unknown_parameter(path: str, known: Iterable[str]) -> str:
     """Return what exists in the place of a path that does not: its nearest relative, or names at the first step."""
     known = list(known)
@@ -212,6 +262,10 @@ def nominal(parameter: Parameter, scenario: Scenario, faults: Sequence[Fault]) -
             return None if key == "Omega" and scenario.mode == "caged" else float(getattr(scenario, key)[k])
         case "manoeuvre":
             return in_manoeuvre(key, scenario)
+        case "commands":
+            return _of_command(parameter, scenario)
+        case "drives":
+            return float(getattr(scenario.drives[k], key))
         case "vibration":
             return 1.0 if scenario.vibrations or scenario.sines else None
         case "fault":
@@ -265,6 +319,8 @@ def varied_scenario(
                 start[k] = number * (getattr(scenario, key)[k] if relative else 1.0)
             case "manoeuvre":
                 own |= _moved(key, number, relative, own, scenario)
+            case "drives" | "commands" as group:
+                own[group] = _with_part(own.get(group, getattr(scenario, group)), parameter, scenario, number, relative)
             case "vibration":
                 own["vibrations"] = tuple(
                     replaced(one, {"densities": one.densities * number**2}) for one in scenario.vibrations
@@ -285,6 +341,20 @@ def varied_scenario(
     if parts or root:
         own["platform"] = _varied_platform(scenario.platform, parts, root)
     return replaced(scenario, own)
+
+
+def _with_part(
+    parts: tuple[Any, ...], parameter: Parameter, scenario: Scenario, number: float, relative: bool
+) -> tuple[Any, ...]:
+    """Return drives or commands with a drawn number in one of them, if the run has it."""
+    k = parameter.index
+    if parameter.group == "commands":
+        if _of_command(parameter, scenario) is None:
+            return parts
+        k = _commands_of(scenario, parameter.part)[k]
+    part = parts[k]
+    changed = replaced(part, {parameter.key: drawn_value(part, parameter.key, number, relative)})
+    return (*parts[:k], changed, *parts[k + 1 :])
 
 
 def _moved(key: str, number: float, relative: bool, own: dict[str, Any], scenario: Scenario) -> dict[str, Any]:
