@@ -264,8 +264,10 @@ def _judged(problem: LoopProblem, design: LoopDesign, data: Responses, plants: P
     except NotCertifiedError as error:
         count, why = np.inf, one_line(str(error))
     stated = {"subject": problem.spec.name, "design": problem.design.name, "stage": "decoupled"}
-    stable = Requirement(name=f"unstable poles{_ON_DATA}", limit=0.0, unit="", sense="at most")
-    out = [stable.judge(count, evidence=why, **stated)]  # type: ignore[arg-type]
+    out: list[CheckResult] = []
+    if count != 0:
+        stable = Requirement(name=f"unstable poles{_ON_DATA}", limit=0.0, unit="", sense="at most")
+        out.append(stable.judge(count, evidence=why, **stated))  # type: ignore[arg-type]
     S, S_input = sensitivities_of_plants(data.response, _at(K, np.asarray(1j * data.frequency)))
     for key, one in _strictest(requirements_of(problem.spec)).items():
         c = CENTRES[key]
