@@ -15,11 +15,12 @@ from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.design.caging_claims import with_caging_claims
 from platform_ctrl.design.feedforward import design_plants
 from platform_ctrl.design.jobs import LoopOutcome, in_order
-from platform_ctrl.design.loop import LoopDesign, remeasured, with_commands
+from platform_ctrl.design.loop import LoopDesign, LoopProblem, remeasured, with_commands
 from platform_ctrl.design.loop_signals import loop_signals
 from platform_ctrl.design.plants import plants_of, tracking_plants
 from platform_ctrl.errors import InputError
 from platform_ctrl.job.job import DesignSpec, Job, LoopSpec
+from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.plant.mistakes import given, suggestion
 from platform_ctrl.plant.platform import is_rate
 from platform_ctrl.plant.source import read_json
@@ -155,10 +156,10 @@ def _outcome(
     others: Sequence[control.StateSpace],
     inner: LoopOutcome | None,
 ) -> LoopOutcome:
-    inside = None
+    inside, directions = None, None
     if inner is not None and inner.closed.plants is not None:
         inner_K = with_commands(inner.closed.plants, inner.closed.controller)
-        inside, _ = tracking_plants(job, spec, inner.spec, inner.closed.plants, inner_K)
+        inside, directions = tracking_plants(job, spec, inner.spec, inner.closed.plants, inner_K)
     bare: dict[tuple[str, ...], PlantSet | None] = {}
     designs: list[LoopDesign] = []
     for K in (closed, *others):
@@ -175,6 +176,15 @@ def _outcome(
             designs.append(LoopDesign(loop=spec.name, name=name, method="given", controller=K))
         else:
             made = remeasured(spec, name, K, plants)
+            for own in spec.designs:
+                if own.name == name and own.responses is not None:
+                    from platform_ctrl.design.measured.of_job import on_responses
+
+                    model = linearise(job.platform)
+                    problem = LoopProblem(
+                        job=job, spec=spec, design=own, model=model, plant_set=plants, directions=directions
+                    )
+                    made = on_responses(problem, made)
             designs.append(with_caging_claims(job, made, closed=not designs) if spec.kind == "caging" else made)
     return LoopOutcome(spec=spec, designs=tuple(designs), use=designs[0].name)
 

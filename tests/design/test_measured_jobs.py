@@ -20,6 +20,7 @@ from platform_ctrl.job.job import Job
 from platform_ctrl.job.reading import read_job
 from platform_ctrl.job.writing import job_data
 from platform_ctrl.mechanics.linearisation import linearise
+from platform_ctrl.verification.controllers import outcomes_from
 
 MARGIN = 0.4
 
@@ -174,3 +175,11 @@ def test_the_key_belongs_to_the_method(tmp_path: Path) -> None:
     del wrong["loop"][0]["design"][0]["steps"]  # type: ignore[index]
     with pytest.raises(InputError, match='unknown key "responses"'):
         read_job(wrong, folder=tmp_path)
+
+
+def test_a_check_of_a_given_controller_is_judged_on_the_file_of_its_design_too(of_file: OfFile) -> None:
+    _, found, _, closed = of_file
+    [outcome] = outcomes_from(found, [closed.controller])
+    wanted = next(one for one in closed.results if "measured responses" in one.name)
+    got = next(one for one in outcome.closed.results if "measured responses" in one.name)
+    assert got.value == pytest.approx(wanted.value, rel=1e-9)

@@ -257,6 +257,8 @@ def _judged(problem: LoopProblem, design: LoopDesign, data: Responses, plants: P
     P_own = np.asarray(sense @ data.response, dtype=np.complex128)
     evidence = f"measured responses at {len(data.frequency)} frequencies"
     try:
+        if np.count_nonzero(np.abs(np.linalg.eigvals(K.A) - 1.0) < _INTEGRATOR) < len(P_own[0]):
+            raise NotCertifiedError("stability from data: the controller must integrate in every direction")
         count: float = unstable_poles(
             contour(data.frequency, P_own), lambda s: _at(K, s) @ back, _unstable(plants.A[0])
         )
