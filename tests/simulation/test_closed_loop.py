@@ -312,8 +312,8 @@ def test_columns_are_named_in_the_plants_order():
 @pytest.mark.parametrize(
     ("bad", "complaint"),
     [
-        ([controller(1.0, dt=0.002)], "dt must be the sample period 0.001 s, got 0.002"),
-        ([controller(1.0, dt=0)], "dt must be the sample period 0.001 s, got 0"),
+        ([controller(1.0, dt=0.0015)], "dt must be the sample period 0.001 s or a whole number of them, got 0.0015"),
+        ([controller(1.0, dt=0)], "dt must be the sample period 0.001 s or a whole number of them, got 0"),
         ([controller(1.0, dt=True)], "without a sample period"),
         ([controller(np.nan)], "not finite"),
         ([controller(1.0, inputs="beta")], "input 'beta' is neither a pick-off nor"),
