@@ -19,7 +19,7 @@ from platform_ctrl.analysis.loop_set import Indices, LoopSet
 from platform_ctrl.analysis.measuring import Bandwidth, ControllerGain, Direct, Loops, Peak, Request
 from platform_ctrl.analysis.norms import h2_norm, noise_rms
 from platform_ctrl.analysis.poles import fastest_pole, minimum_damping, poles
-from platform_ctrl.analysis.step_metrics import of_following
+from platform_ctrl.analysis.step_metrics import of_following, of_steps
 from platform_ctrl.common.values import FloatArray, value
 
 Sense = Literal["at least", "at most"]
@@ -300,7 +300,7 @@ METRICS: dict[str, Metric] = {
         key="overshoot",
         sense="at most",
         meaning="of what is measured, over a step of its reference, u = K (y − reference), relative; worst channel",
-        measure=Direct(function=of_following(step_metrics.overshoot)),
+        measure=Direct(function=of_steps(0)),
         scopes=("", "worst_case"),
     ),
     "settling time": Metric(
@@ -309,7 +309,7 @@ METRICS: dict[str, Metric] = {
         unit="s",
         sense="at most",
         meaning="until what is measured stays within 2 % of a step of its reference; worst channel",
-        measure=Direct(function=of_following(step_metrics.settling_time)),
+        measure=Direct(function=of_steps(1)),
         scopes=("", "worst_case"),
     ),
     "steady-state error": Metric(

@@ -130,10 +130,7 @@ def show_run(run: Run, largest: dict[str, tuple[float, str]]) -> None:
     touched = {name: int(n) for name, n in zip(trajectory.angle_names, trajectory.stop_contacts, strict=True) if n}
     rows = {
         "ended": trajectory.ended,
-        "largest gimbal angle": "{:.4g} rad ({})".format(*largest["angle"]),
-        "largest platform angle": "{:.4g} rad ({})".format(*largest["attitude"]),
-        "largest torque over its limit": "{:.4g} ({})".format(*largest["torque_share"]),
-        **{RUN_METRICS[key].name: _measured(key, *largest[key]) for key in largest if RUN_METRICS[key].on_demand},
+        **{RUN_METRICS[key].name: _measured(key, *found) for key, found in largest.items()},
         "saturated samples": ", ".join(f"{name} {n}" for name, n in saturated.items()) or "none",
         "stops touched": ", ".join(f"{name} {n}" for name, n in touched.items()) or "none",
     }
@@ -143,7 +140,7 @@ def show_run(run: Run, largest: dict[str, tuple[float, str]]) -> None:
 
 
 def _measured(key: str, number: float, signal: str) -> str:
-    return f"{number:.4g} {RUN_METRICS[key].unit} ({signal})"
+    return " ".join(filter(None, (f"{number:.4g}", RUN_METRICS[key].unit, f"({signal})")))
 
 
 def show_inputs(title: str, inputs: Mapping[str, object], unusual: Mapping[str, str]) -> None:

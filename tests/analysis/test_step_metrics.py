@@ -7,7 +7,7 @@ import platform_ctrl as pc
 from camera_job import camera_job, camera_loop
 from platform_ctrl import analysis, design
 from platform_ctrl.analysis.arrays import StateArrays
-from platform_ctrl.analysis.step_metrics import overshoot, ramp_error, settling_time, steady_error
+from platform_ctrl.analysis.step_metrics import overshoot, ramp_error, settling_time, steady_error, step_responses
 from platform_ctrl.job.requirements import requirement
 
 T = 0.01
@@ -19,20 +19,21 @@ def first_order(pole: float, gain: float = 1.0) -> StateArrays:
 
 
 def test_a_first_order_loop_settles_by_its_pole_and_lags_a_ramp_by_its_time_constant():
-    loop, decay = first_order(0.9), -np.log(0.9) / T
+    loop = first_order(0.9)
+    steps = step_responses(loop, -np.log(0.9) / T)
     samples = np.ceil(np.log(0.02) / np.log(0.9))
-    assert settling_time(loop, decay) == pytest.approx([samples * T])
-    assert overshoot(loop, decay) == pytest.approx([0.0], abs=1e-12)
-    assert steady_error(loop, decay) == pytest.approx([0.0])
+    assert settling_time(steps, T) == pytest.approx([samples * T])
+    assert overshoot(steps) == pytest.approx([0.0], abs=1e-12)
+    assert steady_error(loop) == pytest.approx([0.0])
     # The integral of the error over a unit step: T/(1 − pole).
-    assert ramp_error(loop, decay) == pytest.approx([T / 0.1])
+    assert ramp_error(loop) == pytest.approx([T / 0.1])
 
 
 def test_a_loop_that_falls_short_has_a_steady_error_and_never_settles():
-    loop, decay = first_order(0.9, gain=0.95), -np.log(0.9) / T
-    assert steady_error(loop, decay) == pytest.approx([0.05])
-    assert settling_time(loop, decay) == [np.inf]
-    assert ramp_error(loop, decay) == [np.inf]
+    loop = first_order(0.9, gain=0.95)
+    assert steady_error(loop) == pytest.approx([0.05])
+    assert settling_time(step_responses(loop, -np.log(0.9) / T), T) == [np.inf]
+    assert ramp_error(loop) == [np.inf]
 
 
 @pytest.mark.parametrize("damping", [0.2, 0.5])
@@ -45,8 +46,8 @@ def test_a_second_order_loop_overshoots_as_in_the_textbook(damping):
     whole = expm(np.block([[A, np.array([[0.0], [w * w]])], [np.zeros((1, 3))]]) * step)
     loop = StateArrays(whole[:2, :2], whole[:2, 2:], np.array([[1.0, 0.0]]), np.zeros((1, 1)), step)
     expected = np.exp(-np.pi * damping / np.sqrt(1.0 - damping**2))
-    assert overshoot(loop, damping * w) == pytest.approx([expected], rel=1e-5)
-    assert ramp_error(loop, damping * w) == pytest.approx([2.0 * damping / w], abs=step)
+    assert overshoot(step_responses(loop, damping * w)) == pytest.approx([expected], rel=1e-5)
+    assert ramp_error(loop) == pytest.approx([2.0 * damping / w], abs=step)
 
 
 def test_requirements_measure_every_channel_of_a_pointing_loop():

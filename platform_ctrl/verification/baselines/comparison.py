@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 from typing import Literal
 
 from platform_ctrl.common.signatures import check_arguments
@@ -144,42 +145,38 @@ def compare(result: JobResult, baseline: Baseline) -> Comparison:
     measured = figures_of(result)
     changes = [_change(figure, known.get(figure.key), baseline) for figure in measured]
     seen = {figure.key for figure in measured}
-    changes += [_missing(figure) for figure in baseline.figures if figure.key not in seen]
+    changes += [_made(figure, "missing", figure.value, None) for figure in baseline.figures if figure.key not in seen]
     return Comparison(changes=tuple(changes), before=baseline.loops, now=loops_of(result))
 
 
 def _change(figure: Figure, before: AcceptedFigure | None, baseline: Baseline) -> Change:
-    def made(state: State, value: float | None, allowed: float) -> Change:
-        return Change(
-            subject=figure.subject,
-            name=figure.name,
-            unit=figure.unit,
-            sense=figure.sense,
-            before=value,
-            now=figure.value,
-            allowed=allowed,
-            state=state,
-            limit=figure.limit,
-        )
-
+    made = partial(_made, figure, now=figure.value, limit=figure.limit)
     if before is None:
-        return made("new", None, 0.0)
+        return made("new", None)
     tolerance = before.tolerance or baseline.tolerance
     allowed = tolerance.allowed(before.value) if math.isfinite(before.value) else 0.0
-    loss = made("within", before.value, allowed).loss
+    loss = made("within", before.value, allowed=allowed).loss
     # A figure at its tolerance is within it, whatever the last bit says.
     edge = allowed * (1.0 + 1e-9) + 1e-9 * abs(before.value) if math.isfinite(before.value) else 0.0
-    return made("worse" if loss > edge else "better" if loss < -edge else "within", before.value, allowed)
+    return made("worse" if loss > edge else "better" if loss < -edge else "within", before.value, allowed=allowed)
 
 
-def _missing(figure: AcceptedFigure) -> Change:
+def _made(
+    figure: Figure | AcceptedFigure,
+    state: State,
+    before: float | None,
+    now: float | None,
+    allowed: float = 0.0,
+    limit: float | None = None,
+) -> Change:
     return Change(
         subject=figure.subject,
         name=figure.name,
         unit=figure.unit,
         sense=figure.sense,
-        before=figure.value,
-        now=None,
-        allowed=0.0,
-        state="missing",
+        before=before,
+        now=now,
+        allowed=allowed,
+        state=state,
+        limit=limit,
     )
