@@ -113,8 +113,8 @@ class LoopSet:
         # By metric and plant: exact values with their frequencies, rad/s, and values that a plant is no worse than.
         self.exact_values: dict[tuple[object, int], tuple[float, float]] = {}
         self.proved: dict[tuple[object, int], float] = {}
-        # By plant: overshoot and settling time of each channel, (2, p).
-        self.of_steps: dict[int, FloatArray] = {}
+        # By plant: overshoot and settling time of each channel, (p,).
+        self.of_steps: dict[int, tuple[FloatArray, FloatArray]] = {}
 
     @cached_property
     def arrays(self) -> StateArrays:

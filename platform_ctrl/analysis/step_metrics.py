@@ -35,7 +35,7 @@ def of_steps(which: int) -> Callable[[LoopSet, Request], FloatArray]:
     def measured(loops: LoopSet, k: int) -> FloatArray:
         if k not in loops.of_steps:
             steps = step_responses(_following(loops, k), float(loops.decay[k]))
-            loops.of_steps[k] = np.array([overshoot(steps), settling_time(steps, loops.period)])
+            loops.of_steps[k] = overshoot(steps), settling_time(steps, loops.period)
         return loops.of_steps[k][which]
 
     return _worst(measured)

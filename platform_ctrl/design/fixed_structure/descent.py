@@ -26,7 +26,7 @@ from platform_ctrl.design.fixed_structure.maps import largest
 from platform_ctrl.design.fixed_structure.minimax import minimise
 from platform_ctrl.design.fixed_structure.parametrised import Parametrised
 from platform_ctrl.design.fixed_structure.quasi_newton import Stopped
-from platform_ctrl.design.fixed_structure.trust_region import Effort, Objective
+from platform_ctrl.design.fixed_structure.trust_region import Effort, Objective, Region
 from platform_ctrl.job.requirements import LoopRequirement
 
 # What is not stable is worse than anything else.
@@ -361,16 +361,14 @@ class Search:
             excess=0.1 * self._reserve,
             tolerance=1e-5,
             unit=1.0,
-            radius=state.radius,
-            least_radius=1e-7,
-            larger=2.0,  # smaller factors than for norms: fewer of 27 jobs miss their limits
-            smaller=0.4,
-            hessian=state.H,
             penalty=_PENALTY,
+            # Smaller factors than for norms: fewer of 27 jobs miss their limits.
+            region=Region(radius=state.radius, least=1e-7, larger=2.0, smaller=0.4, hessian=state.H),
         )
         if not at(x).stable:
             found = minimise(Objective(soft=growth, owners=growing), x, (lower, upper), effort)
-            x, effort = found.x, dataclasses.replace(effort, radius=found.radius, hessian=found.hessian)
+            region = dataclasses.replace(effort.region, radius=found.radius, hessian=found.hessian)
+            x, effort = found.x, dataclasses.replace(effort, region=region)
         found = minimise(objective, x, (lower, upper), effort)
         assert found.hessian is not None
         met = found.value <= target and found.hard <= 1.0 + effort.excess

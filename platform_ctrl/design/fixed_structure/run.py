@@ -14,7 +14,7 @@ from platform_ctrl.design.fixed_structure.minimax import SETTLING, Minimum, mini
 from platform_ctrl.design.fixed_structure.objective import Parametrisation, Rescaled, WorstNorm, WorstPower, step_sizes
 from platform_ctrl.design.fixed_structure.parametrised import Parametrised
 from platform_ctrl.design.fixed_structure.quasi_newton import Descent, Stopped, descended
-from platform_ctrl.design.fixed_structure.trust_region import Effort, Objective, Pieces
+from platform_ctrl.design.fixed_structure.trust_region import Effort, Objective, Pieces, Region
 from platform_ctrl.design.partition import Partition
 
 # A hard norm that exceeds its limit by no more counts as kept.
@@ -342,7 +342,7 @@ def _minimised(
         descent=200 if curved is None else 0,
         deadline=limits.deadline,
         target=target,
-        radius=radius,
+        region=Region(radius=radius),
     )
     least = minimise(objective, start, bounds, effort)
     return least, bool(np.any(least.x != start))

@@ -73,6 +73,27 @@ class Objective:
 
 
 @value
+class Region:
+    """Trust region of a polish.
+
+    Attributes
+    ----------
+    radius, least
+        The first one, and the one at which the polish ends.
+    larger, smaller
+        Its factors where a step of its length was good, and where a step was refused.
+    hessian
+        Curvature of an earlier search, where none is known in closed form.
+    """
+
+    radius: float = 1.0
+    least: float = 1e-13
+    larger: float = 2.5
+    smaller: float = 0.5
+    hessian: FloatArray | None = None
+
+
+@value
 class Effort:
     """How far a search goes.
 
@@ -88,14 +109,10 @@ class Effort:
         The search ends as soon as the largest soft piece is at most `target` and no hard piece above 1 + `excess`.
     tolerance, unit
         Decrease of a small step, in this unit; without one in units of the value itself.
-    radius, least_radius
-        First trust region of the polish, and the one at which it ends.
-    larger, smaller
-        Factors of the trust region where a step of its length was good, and where a step was refused.
-    hessian
-        Curvature of an earlier search, where none is known in closed form.
     penalty
         Price of the largest excess of a hard piece; without one, ten times the largest soft piece, at least 10.
+    region
+        Of the polish.
     """
 
     evaluations: int = 4000
@@ -106,12 +123,8 @@ class Effort:
     excess: float = 0.0
     tolerance: float = 1e-7
     unit: float | None = None
-    radius: float = 1.0
-    least_radius: float = 1e-13
-    larger: float = 2.5
-    smaller: float = 0.5
-    hessian: FloatArray | None = None
     penalty: float | None = None
+    region: Region = Region()
 
 
 class Run:
@@ -121,7 +134,7 @@ class Run:
         self.objective, self.effort = objective, effort
         self.lower, self.upper = bounds
         self.spent, self.late = 0, False
-        self.radius, self.hessian = effort.radius, effort.hessian
+        self.radius, self.hessian = effort.region.radius, effort.region.hessian
 
     def evaluate(self, function: Pieces, x: FloatArray) -> PieceValues:
         """Return the pieces at x, counted."""
@@ -195,12 +208,12 @@ class Polish:
         if step is None:
             search.radius *= 0.25
             self.weights = None
-            return search.radius < effort.least_radius
+            return search.radius < effort.region.least
         step = self._sharper(step, H, merit)
         move = step.move
         predicted = merit - (step.level + self.penalty * step.violation + 0.5 * float(move @ H @ move))
         small = effort.tolerance * (effort.unit or abs(merit))
-        if predicted <= _PREDICTED * small or search.radius < effort.least_radius:
+        if predicted <= _PREDICTED * small or search.radius < effort.region.least:
             return True
         there = None
         if self.of.stable(here.x + move):
@@ -216,11 +229,11 @@ class Polish:
             self._move_to(there)
             self.small = self.small + 1 if merit - trial < small else 0
             if ratio > _GOOD and length > _GOOD * search.radius:
-                search.radius *= effort.larger
+                search.radius *= effort.region.larger
             elif ratio < _POOR:
                 search.radius = _POORER * length
             return self.small >= _SMALL_STEPS
-        search.radius = effort.smaller * length
+        search.radius = effort.region.smaller * length
         if there is not None and np.isfinite(trial):
             self._refused(there, merit - 0.5 * predicted)
         return False
