@@ -6,7 +6,7 @@ import csv
 import dataclasses
 import io
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -92,22 +92,23 @@ def job_responses(job: Job, controllers: Sequence[control.StateSpace]) -> tuple[
     # Of the loop itself: without feedforward, which is a part of its plants.
     own = {one.spec.name: one.closed.own_controller for one in outcomes}
     out = []
-    for name, plant in _loop_plants(job):
+    plants = dict(_loop_plants(job))
+    for name, plant in plants.items():
         notes = (f"{job.name}: sampled plant of {name}, hold, dead time and torquer lag in it", _units(plant, units))
-        response = response_data(plant, _frequency(job, plant.dt))
+        response = response_data(plant, _frequency(plants.values(), plant.dt))
         out.append(ResponseTable(name=f"plant {name}", response=response, notes=notes))
     for name, K in closed.items():
         notes = (f"{job.name}: controller of {name}, u = K y, its delay not in it", _units(K, units))
-        response = response_data(K, _frequency(job, K.dt))
+        response = response_data(K, _frequency(plants.values(), K.dt))
         out.append(ResponseTable(name=f"controller {name}", response=response, notes=notes))
-    for name, plant in _loop_plants(job):
+    for name, plant in plants.items():
         what = f"{job.name}: {name} broken at one torquer, its others closed"
-        out += _broken(f"loop {name}", plant, own[name], _frequency(job, plant.dt), what)
+        out += _broken(f"loop {name}", plant, own[name], _frequency(plants.values(), plant.dt), what)
     if len(controllers) > 1 and job.cycle == 1:
         plant = coupled_plant(job, linearise(job.platform), controllers)
         K = one_controller(job, controllers, plant)
         what = f"{job.name}: broken at one torquer, everything else closed, on the coupled plant"
-        out += _broken("all loops", plant, K, _frequency(job, plant.dt), what)
+        out += _broken("all loops", plant, K, _frequency(plants.values(), plant.dt), what)
     return tuple(out)
 
 
@@ -124,10 +125,10 @@ def _loop_plants(job: Job) -> Iterator[tuple[str, control.StateSpace]]:
             yield spec.name, sampled_plant(plants)
 
 
-def _frequency(job: Job, period: float) -> FloatArray:
+def _frequency(plants: Iterable[control.StateSpace], period: float) -> FloatArray:
     """Return frequencies up to the Nyquist frequency, denser where the gimbals resonate."""
     nyquist = np.pi / period
-    found = [continuous_poles(poles(plant), plant.dt) for _, plant in _loop_plants(job)]
+    found = [continuous_poles(poles(plant), plant.dt) for plant in plants]
     return following_grid(np.concatenate([[], *found]), _LOWEST * nyquist, 0.999 * nyquist, _POINTS)
 
 
