@@ -135,7 +135,7 @@ def _reason(error: Exception) -> str:
 
 
 # Metrics of another machine's processor or a GPU agree to rounding.
-_ROUNDING = 1e-6
+ROUNDING = 1e-6
 
 Row = dict[str, Any]
 
@@ -210,7 +210,7 @@ def unlike(found: Rerun, row: Row) -> list[str]:
     for name, now in {**found.inputs, **found.metrics}.items():
         before = row.get(name)
         if isinstance(before, float) and isinstance(now, float):
-            same = math.isclose(before, now, rel_tol=_ROUNDING)
+            same = math.isclose(before, now, rel_tol=ROUNDING)
         else:
             same = before == now
         if not same:

@@ -15,6 +15,7 @@ import platform_ctrl as pc
 from platform_ctrl.campaign.planning import plan
 from platform_ctrl.campaign.probability import clopper_pearson
 from platform_ctrl.campaign.rare_events import rare_event
+from platform_ctrl.campaign.single_run import simulate_runs
 from platform_ctrl.campaign.summary import summarise, summary_record
 from platform_ctrl.campaign.table_statistics import statistics
 from platform_ctrl.cli.campaign_command import show_campaign
@@ -134,7 +135,7 @@ def test_the_page_needs_nothing_else_and_is_whole(page):
     assert links.open == []
     assert links.loaded == []
     assert all(links.ids.count(target) == 1 for target in links.targets)
-    assert len(links.targets) == 8
+    assert len(links.targets) == 9
     assert not re.search(r"url\((?!#)|@import|https?://(?!www\.w3\.org)", page)
     assert "tolerances &amp; &lt;faults&gt;" in page
 
@@ -234,6 +235,20 @@ def test_campaign_json_holds_plain_numbers_that_read_back(summary):
     rare = again["rare"][0]
     assert set(rare["violations"][0]["inputs"]) == set(summary.plan.input_names)
     assert rare["low"] <= rare["probability"] <= rare["high"]
+
+
+def test_the_worst_run_is_simulated_again_and_drawn_where_it_is_the_one_of_the_table(made):
+    table = simulate_runs(made, range(4))
+    summary = summarise(made, table)
+    worst = summary.statistics.worst[0]
+    name = f"run {worst.run}, {worst.manoeuvre}"
+    [section] = [one for one in campaign_document(summary).sections if one.name == "trace"]
+    [drawn] = section.blocks
+    assert drawn.title == name
+    assert "gimbal angles" in re.sub(r"<[^>]+>", " ", drawn.svg)
+    other = table | {worst.requirement: table[worst.requirement] * np.where(table["run"] == worst.run, 1.01, 1.0)}
+    [section] = [one for one in campaign_document(summarise(made, other)).sections if one.name == "trace"]
+    assert section.blocks[0].text.startswith(f"{name.capitalize()} is not drawn")
 
 
 def test_one_manoeuvre_has_no_group_of_all(capsys):

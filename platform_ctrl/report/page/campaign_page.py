@@ -12,11 +12,13 @@ from platform_ctrl.campaign.planning import Plan
 from platform_ctrl.campaign.probability import Probability
 from platform_ctrl.campaign.rare_result import RareResult
 from platform_ctrl.campaign.sensitivity import Sensitivity
+from platform_ctrl.campaign.single_run import ROUNDING, rerun
 from platform_ctrl.campaign.summary import Summary
 from platform_ctrl.campaign.table import MANOEUVRE, PASSED
 from platform_ctrl.campaign.table_statistics import Contrast
 from platform_ctrl.common.files import write_whole
 from platform_ctrl.common.values import value
+from platform_ctrl.errors import PlatformCtrlError
 from platform_ctrl.report import style
 from platform_ctrl.report.page import campaign_tables as tables
 from platform_ctrl.report.page.blocks import (
@@ -47,6 +49,7 @@ from platform_ctrl.report.page.blocks import (
 from platform_ctrl.report.page.captions import sentences
 from platform_ctrl.report.page.tables import record_part, versions
 from platform_ctrl.report.plots.campaign import exceedance_figure, histogram_figure
+from platform_ctrl.report.plots.time_run import time_run
 from platform_ctrl.report.quantities import MINUS, listed, plain, power_of_ten
 from platform_ctrl.verification.verdict import JobResult
 
@@ -192,6 +195,7 @@ def campaign_sections(summary: Summary, again: str) -> list[Section]:
     if common:
         title = "What violating runs have in common" if summary.statistics.violation.events else "With and without"
         sections.append(Section(name="common", title=title, blocks=common))
+    sections += _worst_trace(summary)
     shown = (probability_table(summary), bounds)
     sections.append(Section(name="probabilities", title="Probability of a violation", blocks=shown))
     if summary.rare:
@@ -390,6 +394,28 @@ def _worst(summary: Summary, again: str) -> tuple[Block, ...]:
     titles = columns("run|manoeuvre|requirement|value|limit|over limit|inputs that matter|ended", numbers)
     worst = Table(columns=titles, groups=(Group(rows=tuple(rows)),), form="worst")
     return (Paragraph(text=words), Listing(text=f"{again} {found[0][0].run}"), worst)
+
+
+def _worst_trace(summary: Summary) -> list[Section]:
+    """Return the run that comes nearest to its limits or furthest beyond them, simulated again and drawn over time."""
+    if not summary.statistics.worst:
+        return []
+    worst = summary.statistics.worst[0]
+    try:
+        found = rerun(summary.plan, worst.run)
+    except PlatformCtrlError:  # the list of the worst runs says why it was not simulated
+        return []
+    if not found.run.trajectory.t.size:
+        return []
+    name = f"run {worst.run}, {worst.manoeuvre}"
+    if not math.isclose(found.metrics[worst.requirement], worst.value, rel_tol=ROUNDING):
+        words = f"{sentence(name)} is not drawn: simulated again, it gives another value than the table holds."
+        return [Section(name="trace", title="The worst run", blocks=(Paragraph(text=words, tone="bad"),))]
+    [(_, (requirement, number, limit, _, inputs))] = tables.worst_rows(summary, [worst], tables.all_drivers(summary))
+    shown = {"requirement": requirement, "number": number, "limit": limit, "inputs": inputs}
+    caption = sentences("campaign_trace", worst=worst, runs=summary.statistics.simulated, **shown)
+    drawn = style.svg(time_run(found.run, found.job.platform), f"{name}. {caption}")
+    return [Section(name="trace", title="The worst run", blocks=(Plate(svg=drawn, title=name, caption=caption),))]
 
 
 def as_section(summary: Summary, result: JobResult, again: str | None) -> Section:

@@ -154,7 +154,7 @@ def _histogram_panel(axes: Axes, one: RequirementStatistics, name: str) -> None:
     assert limit is not None
     factor, unit = handy_unit(RUN_METRICS[name].unit, limit)
     usual = one.quantiles[0.9]
-    top = min(values.largest, _WILD * max(limit, usual if np.isfinite(usual) else limit))
+    top = min(values.largest, _WILD * max(limit, usual if np.isfinite(usual) else limit)) or limit
     low = values.smallest if np.isfinite(values.smallest) and values.smallest > 0.5 * top else 0.0
     near = _LOW * low <= limit <= _FAR * max(top, 1e-300)
     low, high = 0.98 * (min(low, _BEFORE * limit) if near else low), 1.04 * top
