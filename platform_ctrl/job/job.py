@@ -273,6 +273,8 @@ class Manoeuvre:
         ``"rest"``, or ``"equilibrium"``: constant torques hold the gimbals from t = 0 on (see `Scenario`).
     settle
         Time after which means and rms are taken, s.
+    fade
+        Time over which vibrations and sines rise from zero, s; 0: they begin with a step of the base's rate.
     limits
         By the keys and in the units of `platform_ctrl.analysis.metrics.RUN_METRICS`.
     """
@@ -294,6 +296,7 @@ class Manoeuvre:
     initial: Annotated[dict[str, float], _INITIAL] = field(default_factory=dict)
     start: Annotated[Start, fields.one_of(get_args(Start))] = "rest"
     settle: fields.NotNegative = 0.0
+    fade: fields.NotNegative = 0.0
     limits: Annotated[dict[str, float], _LIMITS] = field(default_factory=dict)
 
 
@@ -525,5 +528,6 @@ def manoeuvre_scenario(job: Job, manoeuvre: Manoeuvre) -> Scenario:
         start=manoeuvre.start,
         seed=job.seed,
         settle=manoeuvre.settle,
+        fade=manoeuvre.fade,
         limits=dict(manoeuvre.limits),
     )

@@ -123,9 +123,14 @@ def of_length(table: Data, key: str, beside: str, path: Path) -> Iterator[Mistak
 
 
 def _limits(table: Data, path: Path, mode: str | None, platform: Platform | None) -> Iterator[Mistake]:
-    duration, settle = number_of(table, "duration"), number_of(table, "settle")
-    if duration is not None and settle is not None and settle >= duration > 0.0:
-        yield Mistake((*path, "settle"), f"settle must be less than duration, {duration:.6g} s, got {given(settle)}")
+    duration = number_of(table, "duration")
+    for key in ("settle", "fade"):
+        time = number_of(table, key)
+        if duration is not None and time is not None and time >= duration > 0.0:
+            yield Mistake((*path, key), f"{key} must be less than duration, {duration:.6g} s, got {given(time)}")
+    if number_of(table, "fade") and not (table.get("vibration") or table.get("sine")):
+        words = "fade is the time over which a vibration or a sine rises, and this manoeuvre has neither: leave it out"
+        yield Mistake((*path, "fade"), words)
     limits = table.get("limits")
     for key in limits if isinstance(limits, dict) else ():
         metric = RUN_METRICS.get(key)

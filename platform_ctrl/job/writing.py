@@ -107,8 +107,7 @@ def _manoeuvre_data(manoeuvre: Manoeuvre) -> dict[str, Any]:
         own["command"] = [_said(one) for one in manoeuvre.commands]
     if manoeuvre.start != "rest":
         own["start"] = manoeuvre.start
-    if manoeuvre.settle:
-        own["settle"] = manoeuvre.settle
+    own |= {key: getattr(manoeuvre, key) for key in ("settle", "fade") if getattr(manoeuvre, key)}
     return own | {"limits": dict(manoeuvre.limits)}
 
 

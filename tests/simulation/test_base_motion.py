@@ -167,6 +167,8 @@ def test_equilibrium_stands_in_the_evidence() -> None:
     ("change", "words"),
     [
         ({"settle": 2.0}, "settle must be less than duration"),
+        ({"fade": 2.0}, "fade must be less than duration"),
+        ({"fade": 0.1, "sine": [], "axis": 1, "rate": 0.1, "rise": 0.1, "hold": 0.0}, "has neither: leave it out"),
         ({"start": "anyhow"}, 'start must be "rest" or "equilibrium"'),
         ({"mode": "stabilised", "sine": [FORCE]}, "attenuation_db is for a caged manoeuvre"),
     ],
@@ -175,6 +177,23 @@ def test_manoeuvres_that_say_nothing_are_refused(change, words) -> None:
     with pytest.raises(InputError) as error:
         read_job(JOB | {"manoeuvre": [JOB["manoeuvre"][0] | change]})
     assert words in str(error.value)
+
+
+def test_a_manoeuvre_with_a_fade_begins_smoothly() -> None:
+    shaken = JOB["manoeuvre"][0]["sine"][0] | {"phase": 1.0}
+    at_once, faded = (
+        manoeuvre_scenario(job, job.manoeuvres[0])
+        for job in (
+            read_job(JOB | {"manoeuvre": [JOB["manoeuvre"][0] | {"sine": [shaken]} | more]})
+            for more in ({}, {"fade": 0.1})
+        )
+    )
+    assert replace(faded, fade=0.0).fade == at_once.fade == 0.0
+    runs = [simulate(replace(one, duration=0.2), [damped()], period=PERIOD / 5) for one in (at_once, faded)]
+    start, smooth = (np.abs(run.Omega).max(axis=1) for run in runs)
+    assert start[0] > 0.01
+    assert smooth[0] == 0.0
+    np.testing.assert_array_equal(smooth[runs[1].t > 0.1], start[runs[0].t > 0.1])
 
 
 def test_a_limit_on_a_line_of_sight_needs_one() -> None:
