@@ -110,7 +110,7 @@ def measure(
         Requirements whose metrics are wanted as well.
     exact
         Take peaks, margins and bandwidths over all frequencies: the worst value of each group of plants is exact (to
-        1e-9, from the worse side), and Hamiltonian eigenvalues show that the other plants of the group are no worse.
+        1e-9, from the worse side), and the other plants of the group are shown to be no worse.
         False, for a search: at the frequencies of the set's grid and of closed-loop poles that are narrower than its
         spacing alone.
     loops

@@ -135,7 +135,7 @@ def peak_gain(
     phase_bound = _phase_bound()
     A, B, C, D, dt = axis.system
     if _is_small(axis.system):
-        found, best, frequency = phase_bound.peak(plain(A), plain(B), plain(C), plain(D), dt, s, tolerance)
+        found, best, frequency = phase_bound.peak(plain(A), plain(B), plain(C), plain(D), dt, s, tolerance, 0.0)
         if found:
             return best, frequency
     phase = phase_bound.all_pass(s, dt)
@@ -387,6 +387,12 @@ def exceeds(system: StateArrays, level: float, s: ComplexArray, band: Band = WHO
 
     The system has no poles in the band; `s` (n,) are its continuous(-equivalent) ones.
     """
+    if band == WHOLE and level > 0.0 and _is_small(system):
+        # A gain as high as the level, of a plant that mirrors the worst one say, is told from a higher one.
+        tolerance = 0.2 * PEAK_TOLERANCE
+        found, norm, _ = _phase_bound().norm_of_few(system, tolerance, True, level * (1.0 - 2.0 * tolerance))
+        if found:
+            return bool(norm * (1.0 + tolerance) > level)
     axis = FrequencyAxis(system)
     crossings = level_frequencies(axis, level)
     if not crossings.size and level > 0.0 and axis.system.A.size:

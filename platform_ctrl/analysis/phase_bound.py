@@ -147,10 +147,11 @@ class Few(NamedTuple):
     edge: float
 
 
-def norm_of_few(system: StateArrays, tolerance: float, unstable: bool) -> tuple[bool, float, float]:
+def norm_of_few(system: StateArrays, tolerance: float, unstable: bool, least: float = 0.0) -> tuple[bool, float, float]:
     """Return whether the H-infinity norm of a system with few states was found, the norm and its frequency.
 
-    It is not found for poles next to the stability boundary, and for unstable systems only if `unstable`.
+    It is not found for poles next to the stability boundary, and for unstable systems only if `unstable`. Of a norm up
+    to `least` only that is found out, and `least` returned.
     """
     A, B, C, D = plain(system.A), plain(system.B), plain(system.C), plain(system.D)
     # LAPACK directly: SciPy's wrappers take longer than small matrices.
@@ -159,7 +160,7 @@ def norm_of_few(system: StateArrays, tolerance: float, unstable: bool) -> tuple[
     real, imaginary, _, _, failed = dgeev(first, compute_vl=0, compute_vr=0)
     if failed:
         return False, 0.0, 0.0
-    return _norm((A, B, C, D), system.dt, (scale, further), (real, imaginary), tolerance, unstable)
+    return _norm((A, B, C, D), system.dt, (scale, further), (real, imaginary), tolerance, unstable, least)
 
 
 # Loops below, not expressions of arrays: numba compiles these five times as long.
@@ -198,6 +199,7 @@ def _norm(
     poles: tuple[FloatArray, FloatArray],
     tolerance: float,
     unstable: bool,
+    least: float,
 ) -> tuple[bool, float, float]:
     """Return what `norm_of_few` does, with states scaled by the product of both `scales`."""
     (A, B, C, D), (real, imaginary) = system, poles
@@ -224,7 +226,7 @@ def _norm(
             return False, 0.0, 0.0
         if dt > 0.0:
             s[k] = _logarithm(s[k]) / dt
-    return peak(A, B, C, D, dt, s, tolerance)
+    return peak(A, B, C, D, dt, s, tolerance, least)
 
 
 @compiled
@@ -239,11 +241,19 @@ def _logarithm(z: complex) -> complex:
 
 @compiled
 def peak(
-    A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, dt: float, s: ComplexArray, tolerance: float
+    A: FloatArray,
+    B: FloatArray,
+    C: FloatArray,
+    D: FloatArray,
+    dt: float,
+    s: ComplexArray,
+    tolerance: float,
+    least: float,
 ) -> tuple[bool, float, float]:
     """Return whether the largest gain was found to `tolerance`, the gain and its frequency.
 
-    The system is balanced, of few states, inputs or outputs; s are its continuous(-equivalent) poles.
+    The system is balanced, of few states, inputs or outputs; s are its continuous(-equivalent) poles. Where no gain is
+    above `least` by more than the tolerance, that is returned in its place.
     """
     few = _prepared(A, B, C, D, dt)
     finite, centre, width = s[np.isfinite(s)], np.zeros(len(s)), np.ones(len(s))
@@ -253,9 +263,9 @@ def peak(
             pole = np.tanh(0.5 * dt * pole) if abs(pole) < math.inf else complex(-1.0, 0.0)
         centre[k], width[k] = pole.imag, abs(pole.real)
     w = _first_look(finite, few.edge)
-    sizes, fine = _gains(few, w, 0.0)
+    sizes, fine = _gains(few, w, least)
     phi = phases(w, centre, width, dt)
-    best, frequency = 0.0, 0.0
+    best, frequency = least, 0.0
     while fine:
         k = int(np.argmax(sizes))
         if sizes[k] == math.inf or len(w) > MOST + MOST_PER_POLE * len(s):

@@ -12,9 +12,11 @@ from scipy.linalg import block_diag
 
 from exact_norm import gain_exceeds
 from platform_ctrl import PlatformCtrlError, analysis
-from platform_ctrl.analysis.arrays import StateArrays
+from platform_ctrl.analysis.arrays import StateArrays, state_arrays
 from platform_ctrl.analysis.certificates.makers import norm_certificate
+from platform_ctrl.analysis.norms import exceeds
 from platform_ctrl.analysis.phase_bound import all_pass, doubtful, middles, phases
+from platform_ctrl.analysis.poles import continuous_poles, poles
 from platform_ctrl.analysis.singular_values import FrequencyAxis, boundary_poles, pencil_crossings
 from platform_ctrl.common.values import FloatArray
 
@@ -102,6 +104,16 @@ def assert_norm(system: control.StateSpace, norm: float, frequency: float) -> No
 def test_hard_systems_have_the_norm_that_exact_arithmetic_proves(kind: str, seed: int) -> None:
     system = HARD[kind](seed)
     assert_norm(system, *analysis.hinf_norm(system))
+
+
+@pytest.mark.parametrize("kind", HARD)
+@pytest.mark.parametrize("seed", range(5))
+def test_a_level_below_the_norm_is_exceeded_and_one_above_it_is_not(kind: str, seed: int) -> None:
+    system = state_arrays(HARD[kind](seed), "system")
+    norm, _ = analysis.hinf_norm(system)
+    s = continuous_poles(poles(system.A), system.dt)
+    for share in (0.1, 1.0 - TOLERANCE, 1.0 + TOLERANCE, 10.0):
+        assert exceeds(system, share * norm, s) == (share < 1.0)
 
 
 @pytest.mark.slow
