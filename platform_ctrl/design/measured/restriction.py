@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from platform_ctrl.analysis.arrays import ComplexArray
 from platform_ctrl.common.values import FloatArray, value
-from platform_ctrl.design.lmi.conic import Solver, cp
+from platform_ctrl.design.lmi.conic import Cones, Solver
 from platform_ctrl.design.measured.pid import CENTRES, OF_ANGLE, Limit, controller_response, ratios
 from platform_ctrl.errors import UnscalableError
 
@@ -62,7 +62,7 @@ class Step:
 
 
 class Restriction:
-    """The convex problem, made once and solved again about each controller.
+    """The convex problem about a controller, in the gains, the least integral gain t, and how far limits are missed.
 
     `free` says which gains are unknowns, (3, n, n) of zeros and ones; `problem` is attached to errors.
     """
@@ -70,30 +70,6 @@ class Restriction:
     def __init__(self, samples: Sequence[Sample], free: FloatArray, problem: object) -> None:
         self.samples, self.problem, self.n = samples, problem, free.shape[-1]
         self.entries, self.shape = np.argwhere(free > 0.0), free.shape
-        v, d = len(self.entries), self.n**2
-        self.x, self.t = cp.Variable(v), cp.Variable()
-        # Violations, that of the sensitivity, which keeps the loop stable, apart. Negative values are a reserve,
-        # without which the problem would have no interior.
-        self.miss, self.near = cp.Variable(), cp.Variable()
-        self.most, self.nearest = cp.Parameter(nonneg=True), cp.Parameter(nonneg=True)
-        self.reward, self.price, self.least, self.growth = (cp.Parameter(nonneg=True) for _ in range(4))
-        every = [limit for sample in samples for limit in sample.limits]
-        rows = d * sum(len(_sides(limit, self.n)) * int(_required(limit).sum()) for limit in every)
-        noise_rows = 2 * d * sum(int(_required(limit).sum()) for limit in every if limit.name == "torque_per_noise")
-        self.slopes, self.offsets = cp.Parameter((rows, v)), cp.Parameter(rows)
-        self.noise_slopes = cp.Parameter((noise_rows, v)) if noise_rows else None
-        self.integral = cp.Parameter((d, v))
-        constraints = [
-            self.near <= self.nearest,
-            self.near <= self.miss,
-            self.miss <= self.most,
-            self.near >= -_LARGEST_RESERVE,
-            self.t >= self.least,
-            self.t <= self.growth,
-            _square(self.integral @ self.x, self.n) - self.t * np.eye(self.n) >> 0,
-            *self._limits(every),
-        ]
-        self.convex = cp.Problem(cp.Maximize(self.reward * self.t - self.price * self.miss), constraints)
 
     def step(self, gains: FloatArray, *, miss: float, time_limit: float) -> Step:
         """Return the best controller in the restriction about `gains`.
@@ -102,71 +78,86 @@ class Restriction:
         """
         scale = np.linalg.norm(gains, axis=(1, 2))
         unit = np.where(scale > 0.0, scale, scale.max())[self.entries[:, 0]]
-        directions = np.zeros((len(unit), *self.shape))
-        directions[np.arange(len(unit)), *self.entries.T] = unit
-        slopes, offsets, noise_slopes = [], [], []
-        distance = np.inf
+        v = len(unit)
+        directions = np.zeros((v, *self.shape))
+        directions[np.arange(v), *self.entries.T] = unit
+        # The least singular value of Ki is that of Uᵀ Ki, at least its symmetric part's eigenvalue.
+        turned = _polar(gains[1]).T @ directions[:, 1] / float(np.linalg.norm(gains[1], 2))
+        integral = _Inequalities(
+            slopes=_hermitian(turned)[None],
+            offsets=np.zeros((1, self.n, self.n), dtype=np.complex128),
+            slack=-np.eye(self.n),
+            of=v,
+        )
+        limits, distance = self._limits(gains, directions)
+        # While the violation is minimised the integral action may become weaker, but not vanish.
+        least = 0.5 / float(np.linalg.cond(gains[1])) if miss else 0.0
+        nearest = 1.0 - _LEAST_DISTANCE * min(1.0, distance)
+        # The violation of the sensitivity, which keeps the loop stable, has a limit of its own. Negative violations
+        # are a reserve, without which the problem would have no interior.
+        t, missed, near = np.eye(v + 3)[v:]
+        rows = np.array([t, -t, missed, near - missed, near, -near])
+        blocks = [integral.cones(v), *(one.cones(v) for one in limits)]
+        A = np.concatenate([rows, *(A for A, _, _ in blocks)])
+        cones = [("NonnegativeConeT", (len(rows),)), *(cone for _, _, own in blocks for cone in own)]
+        reward, price = (_GAIN_WEIGHT, 1.0) if miss else (1.0, 0.0)
+        cure = "give another start or pattern, or looser limits"
+        solver = Solver(where="measured_pid", cure=cure, time_limit=time_limit, P=self.problem)
+        for growth, tolerance in _TRIALS:
+            b = np.concatenate([[growth, -least, miss, 0.0, nearest, _LARGEST_RESERVE], *(b for _, b, _ in blocks)])
+            try:
+                x = solver.minimise(price * missed - reward * t, A, b, cones, "a convex step", tolerance)
+                break
+            except UnscalableError:
+                if (growth, tolerance) == _TRIALS[-1]:
+                    raise
+        return Step(gains=np.einsum("v,vbij->bij", x[:v], directions), miss=float(x[v + 1]))
+
+    def _limits(self, gains: FloatArray, directions: FloatArray) -> tuple[list[_Inequalities], float]:
+        """Return the restricted limits, and the distance of the sensitivity over its limit."""
+        out, distance, n, v = [], np.inf, self.n, len(directions)
         for sample in self.samples:
             K = controller_response(gains, sample.actions)
             dK = np.einsum("kb,vbij->kvij", sample.actions, directions)
             for limit in sample.limits:
                 at = _required(limit)
                 part = Limit(name=limit.name, bound=limit.bound[at])
-                for side in _sides(limit, self.n):
-                    slope, offset, weight, least = _linearised(part, side, sample.P[at], K[at], dK[at])
-                    slopes.append(slope.reshape(-1, len(unit)))
-                    offsets.append(offset.ravel())
-                    distance = min(distance, least)
-                if limit.name == "torque_per_noise":
-                    # [[R, K*], [K, I]] ≥ 0 in other units of the first rows and columns.
-                    size = np.linalg.norm(K[at], 2, axis=(-2, -1)) / np.sqrt(weight)
-                    noise = dK[at] / size[:, None, None, None]
-                    flat = noise.reshape(*noise.shape[:2], -1)
-                    parts = np.concatenate([flat.real, flat.imag], axis=-1)
-                    noise_slopes.append(np.moveaxis(parts, 1, -1).reshape(-1, len(unit)))
-        self.slopes.value, self.offsets.value = np.concatenate(slopes), np.concatenate(offsets)
-        if self.noise_slopes is not None:
-            self.noise_slopes.value = np.concatenate(noise_slopes)
-        # The least singular value of Ki is that of Uᵀ Ki, at least its symmetric part's eigenvalue.
-        turned = _polar(gains[1]).T @ directions[:, 1]
-        symmetric = 0.5 * (turned + turned.swapaxes(-1, -2))
-        self.integral.value = symmetric.reshape(len(symmetric), -1).T / float(np.linalg.norm(gains[1], 2))
-        self.most.value, self.nearest.value = miss, 1.0 - _LEAST_DISTANCE * min(1.0, distance)
-        self.reward.value, self.price.value = (_GAIN_WEIGHT, 1.0) if miss else (1.0, 0.0)
-        # While the violation is minimised the integral action may become weaker, but not vanish.
-        self.least.value = 0.5 / float(np.linalg.cond(gains[1])) if miss else 0.0
-        cure = "give another start or pattern, or looser limits"
-        solver = Solver(where="measured_pid", cure=cure, time_limit=time_limit, P=self.problem)
-        for growth, tolerance in _TRIALS:
-            self.growth.value = growth
-            try:
-                solver.solve(self.convex, (self.x,), "a convex step", tolerance, decompose=False)
-                break
-            except UnscalableError:
-                if (growth, tolerance) == _TRIALS[-1]:
-                    raise
-        return Step(gains=np.einsum("v,vbij->bij", self.x.value, directions), miss=float(self.miss.value))
+                of = v + (2 if limit.name == "sensitivity_peak" else 1)
+                for side in _sides(limit, n):
+                    slopes, offsets, weight, least = _linearised(part, side, sample.P[at], K[at], dK[at])
+                    distance, slack = min(distance, least), np.eye(n)
+                    if limit.name == "torque_per_noise":
+                        # [[R, K*], [K, I]] ≥ 0 in other units of the first rows and columns.
+                        size = np.linalg.norm(K[at], 2, axis=(-2, -1)) / np.sqrt(weight)
+                        noise, none = dK[at] / size[:, None, None, None], np.zeros((n, n))
+                        slopes = _blocks(slopes, _star(noise), noise, np.zeros_like(noise))
+                        slack = _blocks(none, none, none, slack)
+                        offsets = _blocks(offsets, none, none, np.eye(n))
+                    out.append(_Inequalities(slopes=slopes, offsets=offsets, slack=slack, of=of))
+        return out, distance
 
-    def _limits(self, every: list[Limit]) -> list[Any]:
-        """The inequalities, from the independent real parts of all matrices."""
-        n, d = self.n, self.n**2
-        eye, embedding, noise_embedding = np.eye(2 * n), _embedding(n), _noise_embedding(n)
-        hermitian = self.slopes @ self.x + self.offsets
-        noise: Any = None if self.noise_slopes is None else self.noise_slopes @ self.x
-        out = []
-        row = noise_row = 0
-        for limit in every:
-            slack = self.near if limit.name == "sensitivity_peak" else self.miss
-            for _ in range(len(_sides(limit, n)) * int(_required(limit).sum())):
-                matrix = _square(embedding @ hermitian[row : row + d], 2 * n)
-                row += d
-                if limit.name == "torque_per_noise":
-                    K = _square(noise_embedding @ noise[noise_row : noise_row + 2 * d], 2 * n)
-                    noise_row += 2 * d
-                    out.append(cp.bmat([[matrix, K.T], [K, (1.0 + slack) * eye]]) >> 0)
-                else:
-                    out.append(matrix + slack * eye >> 0)
-        return out
+
+@value
+class _Inequalities:
+    """Hermitian matrices that are linear in the gains and have to be positive semidefinite.
+
+    `slopes` (N, v, h, h) and `offsets` (N, h, h), and `slack` (h, h) times the unknown of number `of`.
+    """
+
+    slopes: ComplexArray
+    offsets: ComplexArray
+    slack: FloatArray
+    of: int
+
+    def cones(self, v: int) -> tuple[FloatArray, FloatArray, Cones]:
+        """Return A (r, v + 3), b (r,) and the cones of b − A x."""
+        rows = _triangle(self.slopes)
+        A = np.zeros((len(rows), rows.shape[-1], v + 3))
+        A[:, :, :v] = -rows.swapaxes(-1, -2)
+        A[:, :, self.of] = -_triangle(self.slack)
+        h = len(self.slack)
+        cone: Any = ("NonnegativeConeT", (1,)) if h == 1 else ("PSDTriangleConeT", (2 * h,))
+        return A.reshape(-1, v + 3), _triangle(self.offsets).ravel(), [cone] * len(rows)
 
 
 def _sides(limit: Limit, n: int) -> tuple[str, ...]:
@@ -181,8 +172,8 @@ def _required(limit: Limit) -> NDArray[np.bool_]:
 
 def _linearised(
     limit: Limit, side: str, P: ComplexArray, K: ComplexArray, dK: ComplexArray
-) -> tuple[FloatArray, FloatArray, FloatArray, float]:
-    """Slopes (N, n², v) and offsets (N, n²) of what has to be ≥ 0, their weights (N,); distance of S over its limit."""
+) -> tuple[ComplexArray, ComplexArray, FloatArray, float]:
+    """Slopes (N, v, n, n) and offsets (N, n, n) of what is ≥ 0, their weights (N,); distance of S over its limit."""
     eye = np.eye(P.shape[-1])
     Z = eye - (P @ K if side == "output" else K @ P)
     dZ = -(P[:, None] @ dK if side == "output" else dK @ P[:, None])
@@ -213,8 +204,7 @@ def _linearised(
             offset = offset - _star(P) @ P / np.linalg.norm(P, 2, axis=(-2, -1))[:, None, None] ** 2
         present = unit * (2.0 * _hermitian(_star(V) @ Z) - _star(V) @ V)
         weight = np.minimum(1.0, _FAR_FROM_LIMIT / np.linalg.norm(present, 2, axis=(-2, -1)))
-    slopes, offsets = np.moveaxis(_parts(slope), 1, -1), _parts(offset)
-    return slopes * weight[:, None, None], offsets * weight[:, None], weight, least
+    return slope * weight[:, None, None, None], offset * weight[:, None, None], weight, least
 
 
 def _star(matrices: ComplexArray) -> ComplexArray:
@@ -231,40 +221,17 @@ def _polar(matrices: Any) -> Any:
     return left @ right
 
 
-def _parts(hermitian: ComplexArray) -> FloatArray:
-    """The n² independent real numbers of Hermitian matrices (..., n, n): diagonal, then real and imaginary above it."""
-    i, j = np.triu_indices(hermitian.shape[-1], 1)
-    above = hermitian[..., i, j]
-    diagonal = np.diagonal(hermitian, axis1=-2, axis2=-1).real
-    return np.concatenate([diagonal, above.real, above.imag], axis=-1)
+def _blocks(*parts: Any) -> Any:
+    """Return the matrices [[a, b], [c, d]] of four stacks of matrices (..., n, n)."""
+    a, b, c, d = np.broadcast_arrays(*parts)
+    return np.concatenate([np.concatenate([a, b], axis=-1), np.concatenate([c, d], axis=-1)], axis=-2)
 
 
-def _embedding(n: int) -> FloatArray:
-    """From the parts of a Hermitian matrix to the real symmetric one of twice the size, ((2n)², n²)."""
-    i, j = np.triu_indices(n, 1)
-    out = []
-    entries = [(k, k, 0.5) for k in range(n)] + [(int(row), int(column), 1.0) for row, column in zip(i, j, strict=True)]
-    for row, column, unit in entries:
-        one = np.zeros((n, n), dtype=np.complex128)
-        one[row, column] = unit
-        out.append(_real(one + _star(one)))
-    for row, column, _ in entries[n:]:
-        one = np.zeros((n, n), dtype=np.complex128)
-        one[row, column] = 1j
-        out.append(_real(one + _star(one)))
-    return np.array([matrix.ravel() for matrix in out]).T
-
-
-def _noise_embedding(n: int) -> FloatArray:
-    """From real and imaginary parts of a matrix, row by row, to the real one of twice the size, ((2n)², 2 n²)."""
-    units = [factor * np.eye(1, n * n, k).reshape(n, n) for factor in (1.0, 1j) for k in range(n * n)]
-    return np.array([_real(unit).ravel(order="F") for unit in units]).T
-
-
-def _real(matrices: Any) -> FloatArray:
-    """Complex matrices as real ones of twice the size."""
-    return np.block([[matrices.real, -matrices.imag], [matrices.imag, matrices.real]])
-
-
-def _square(vector: Any, size: int) -> Any:
-    return cp.reshape(vector, (size, size), order="F")
+def _triangle(hermitian: Any) -> FloatArray:
+    """Return Hermitian matrices (..., h, h) as real ones of twice the size, the upper triangle by columns."""
+    H = np.asarray(hermitian, dtype=np.complex128)
+    if H.shape[-1] == 1:
+        return H[..., 0].real
+    real = _blocks(H.real, -H.imag, H.imag, H.real)
+    j, i = np.tril_indices(real.shape[-1])
+    return np.asarray(real[..., i, j] * np.where(i == j, 1.0, np.sqrt(2.0)), dtype=np.float64)
