@@ -82,6 +82,21 @@ def test_a_design_on_the_responses_of_the_plants_keeps_its_margin_and_integrates
     assert not exact.unproved
 
 
+def test_limits_that_no_frequency_decides_alone_are_met_by_smaller_peaks() -> None:
+    noisy = job()
+    noisy["plant"]["pickoff"][0]["noise_rms"] = 1e-6  # type: ignore[index]
+    [loop] = noisy["loop"]  # type: ignore[misc]
+    reached = []
+    for limits in ({"torque_noise": 1e3, "overshoot": 10.0}, {"torque_noise": 0.5, "overshoot": 0.8}):
+        least = {key: x * (reached[0][key] if reached else 1.0) for key, x in limits.items()}
+        loop["limits"] = {"disk_margin": MARGIN, **least}
+        [outcome] = design.loops(noisy)
+        found = {one.name: one.value for one in outcome.closed.results}
+        assert outcome.closed.passed
+        reached.append({"torque_noise": found["torque noise, rms"], "overshoot": found["overshoot"]})
+    assert all(0.3 * free < reached[1][key] < free for key, free in reached[0].items())
+
+
 @pytest.fixture(scope="module")
 def of_file(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Job, Store, LoopDesign]:
     """Return a design on a file with the responses of the model, its job, and where it is kept."""

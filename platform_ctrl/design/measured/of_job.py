@@ -13,7 +13,7 @@ import numpy as np
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, state_arrays
 from platform_ctrl.analysis.feedback import sensitivities_of_plants
 from platform_ctrl.analysis.frequency_grids import following_grid
-from platform_ctrl.analysis.loop_metrics import measure
+from platform_ctrl.analysis.loop_metrics import LoopMetrics, measure
 from platform_ctrl.analysis.plant_set import COMMAND, PlantSet
 from platform_ctrl.analysis.singular_values import largest_singular_values
 from platform_ctrl.common.values import FloatArray, value
@@ -21,7 +21,7 @@ from platform_ctrl.design.loop import Designed, LoopDesign, LoopProblem, complet
 from platform_ctrl.design.loop_signals import loop_signals
 from platform_ctrl.design.measured.contour import contour, unstable_poles
 from platform_ctrl.design.measured.data import FEWEST_POINTS, read_measurement
-from platform_ctrl.design.measured.design import MeasuredDesign, measured_pid
+from platform_ctrl.design.measured.design import ClosedLoopResponse, MeasuredDesign, measured_pid
 from platform_ctrl.design.measured.pid import CENTRES
 from platform_ctrl.design.partition import Channels
 from platform_ctrl.design.plants import FORGETTING
@@ -38,6 +38,10 @@ if TYPE_CHECKING:
 _RESERVE = 0.02
 # Plants that join the nominal one, one at a time, where they are the worst.
 _MOST_ADDED = 2
+# Limits that are met by bounding a peak: the setting that bounds it, what it cannot come below; how often that is done.
+_DEPENDS_ON = {"torque_noise": ("torque_per_noise", 0.0), "overshoot": ("complementary_sensitivity_peak", 1.0)}
+_MOST_BOUNDED = 4
+_LARGEST_MARGIN = 1.9
 # Poles this near to z = 1 are integrators, those this far beyond the unit circle unstable; those between are rounding.
 _INTEGRATOR = 1e-5
 # The grid on which plants are described: points beside resonances, and the share of the slowest pole that it begins at.
@@ -82,9 +86,8 @@ def default_options(design: DesignSpec, channel: Channels, nutation: float, peri
 
 
 def measured_design(problem: LoopProblem) -> Designed:
-    """Return the PID with the largest integral gain within the loop's limits, on the responses of its plants."""
-    plants, own = problem.plants, problem.plant_set
-    assert own is not None, "the loop has plants"
+    """Return the PID with the largest integral gain within the loop's limits, on responses from a file or of plants."""
+    plants = problem.plants
     options = default_options(problem.design, problem.channel, plants.nutation, plants.period)
     if len(plants.torques) != len(plants.angles):
         raise DesignError(
@@ -98,15 +101,7 @@ def measured_design(problem: LoopProblem) -> Designed:
         "resonance_damping": options["resonance_damping"],
         "steps": int(options["steps"]),
     }
-    if problem.design.responses:
-        where = f"responses of {problem.spec.name}, {problem.design.name}"
-        data = read_responses(problem.design.responses, where, own.torques, own.angles, own.period)
-        sense = problem.channel.sense
-        P = data.response if sense is None else np.asarray(sense @ data.response, dtype=np.complex128)
-        found = _pid([_frd(data.frequency, P, plants)], settings, [_unstable(plants.A[0])])
-        view = [0]
-    else:
-        found, view = _of_plants(problem, plants, settings)
+    found, view = _searched(problem, settings)
     claims = {
         "least integral gain": found.objective,
         "plants": float(len(view)),
@@ -135,32 +130,88 @@ def _bounds(requirements: Sequence[LoopRequirement]) -> dict[str, float]:
     }
 
 
-def _of_plants(problem: LoopProblem, plants: PlantSet, settings: dict[str, float]) -> tuple[MeasuredDesign, list[int]]:
-    """Return a design on the nominal plant, and on those that are the worst with it, and the plants' numbers."""
+def _searched(problem: LoopProblem, settings: dict[str, float]) -> tuple[MeasuredDesign, list[int]]:
+    """Return a design on a file's responses or on the nominal plant's, and the numbers of the plants in view.
+
+    It is measured with all plants. Those with which it is the worst join, unless there is a file; where a limit is
+    missed that no frequency decides alone, the peak that it depends on is bounded, in turn.
+    """
+    plants, own = problem.plants, problem.plant_set
+    assert own is not None, "the loop has plants"
     requirements = requirements_of(problem.spec)
     counts = [_unstable(A) for A in plants.A]
     plants = plants.on(_frequencies(plants))
+    of_file = None
+    if problem.design.responses:
+        where = f"responses of {problem.spec.name}, {problem.design.name}"
+        data = read_responses(problem.design.responses, where, own.torques, own.angles, own.period)
+        sense = problem.channel.sense
+        P = data.response if sense is None else np.asarray(sense @ data.response, dtype=np.complex128)
+        of_file = _frd(data.frequency, P, plants)
+
+    def pid(view: list[int], settings: dict[str, float]) -> MeasuredDesign:
+        if of_file is not None:
+            return _pid([of_file], settings, counts[:1])
+        data = [_frd(plants.frequency, plants.response[k], plants) for k in view]
+        return _pid(data, settings, [counts[k] for k in view])
+
     view: list[int] = [0]
-    found = _pid([_frd(plants.frequency, plants.response[0], plants)], settings, counts[:1])
-    while len(view) <= _MOST_ADDED:
-        K = state_arrays(found.controller, "measured")
-        measures = measure(plants, K, requirements)
-        missed = np.where(measures.decay > 0.0, 0.0, 1e6)
-        for one in requirements:
-            if one.metric.key == "disk_margin" and one.hard:
-                chosen = measures.of(one.over)
-                missed[chosen] = np.maximum(missed[chosen], one.limit / np.maximum(measures.disk_margin[chosen], 1e-9))
-        worst = int(missed.argmax())
-        if missed[worst] <= 1.0 or worst in view or counts[worst] != counts[0]:
+    found = pid(view, settings)
+    for _ in range(_MOST_ADDED + _MOST_BOUNDED):
+        measures = measure(plants, state_arrays(found.controller, "measured"), requirements)
+        wider, tighter = _widened(view, measures, requirements, counts), settings
+        if of_file is not None or wider == view:
+            wider, tighter = view, settings | _bounded(found, measures, requirements, settings)
+        if wider == view and tighter == settings:
             break
-        problem.progress(f"{problem.spec.name}: {problem.design.name}, {plants.labels[worst]} joins the nominal plant")
+        added = f"{plants.labels[wider[-1]]} joins the nominal plant"
+        bounds = ", ".join(f"{name} {x:.3g}" for name, x in tighter.items() if x != settings.get(name))
+        problem.progress(f"{problem.spec.name}: {problem.design.name}, {bounds or added}")
         try:
-            wider = [*view, worst]
-            data = [_frd(plants.frequency, plants.response[k], plants) for k in wider]
-            found, view = _pid(data, settings, [counts[k] for k in wider]), wider
+            found, view, settings = pid(wider, tighter), wider, tighter
         except DesignError:
             break  # what has been found is judged with all plants
     return found, view
+
+
+def _widened(
+    view: list[int], measures: LoopMetrics, requirements: Sequence[LoopRequirement], counts: list[int]
+) -> list[int]:
+    """Return the plants in view with the worst one, where it misses stability or the disk margin."""
+    missed = np.where(measures.decay > 0.0, 0.0, 1e6)
+    for one in requirements:
+        if one.metric.key == "disk_margin" and one.hard:
+            chosen = measures.of(one.over)
+            missed[chosen] = np.maximum(missed[chosen], one.limit / np.maximum(measures.disk_margin[chosen], 1e-9))
+    worst = int(missed.argmax())
+    full = len(view) > _MOST_ADDED or missed[worst] <= 1.0 or worst in view or counts[worst] != counts[0]
+    return view if full else [*view, worst]
+
+
+def _bounded(
+    found: MeasuredDesign, measures: LoopMetrics, requirements: Sequence[LoopRequirement], settings: dict[str, float]
+) -> dict[str, float]:
+    """Return stricter settings for the limits that are missed: the disk margin, and peaks of K S and T."""
+    out: dict[str, float] = {}
+    for one in requirements:
+        key = one.metric.key
+        if not one.hard or key not in ("disk_margin", *_DEPENDS_ON) or not np.all(measures.decay > 0.0):
+            continue
+        excess = float(one.ratios(measures).max())
+        if not (np.isfinite(excess) and excess > 1.0):
+            continue
+        if key == "disk_margin":
+            out[key] = max(out.get(key, 0.0), min(settings[key] * excess, _LARGEST_MARGIN))
+        else:
+            name, floor = _DEPENDS_ON[key]
+            peak = max(float(largest_singular_values(_peak_of(name, response)).max()) for response in found.responses)
+            bound = floor + (peak - floor) * (1.0 - _RESERVE) / excess
+            out[name] = min(out.get(name, np.inf), bound)
+    return out
+
+
+def _peak_of(name: str, response: ClosedLoopResponse) -> ComplexArray:
+    return response.torque_per_noise if name == "torque_per_noise" else response.T
 
 
 def _frequencies(plants: PlantSet) -> FloatArray:
