@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Sequence
 from typing import Any
 
 from platform_ctrl.analysis.metrics import RUN_METRICS
+from platform_ctrl.job.budget import SOURCE_KINDS
 from platform_ctrl.job.faults import FAULT_KINDS, FAULT_NUMBERS, PART_WORDS, PartKind, part_names
 from platform_ctrl.job.job import Campaign
 from platform_ctrl.plant.checks import number_of
@@ -43,6 +44,9 @@ _LARGEST_COMMAND, _SMALL_COMMAND = {"rad": 2.0 * math.pi, "rad/s": 100.0}, 0.5
 
 def run_mistakes(data: Data, platform: Platform | None) -> Iterator[Mistake]:
     """Walk what does not fit together; without a platform, what can be said without it."""
+    operation = data.get("operation")
+    if isinstance(operation, dict):
+        yield from _sizes(operation, ("Omega",), "base-rate", ("operation",))
     faults = dict.fromkeys(name for _, table in tables(data, "fault") if (name := text_of(table, "name")) is not None)
     for k, table in tables(data, "manoeuvre"):
         path: Path = ("manoeuvre", k)
@@ -50,6 +54,7 @@ def run_mistakes(data: Data, platform: Platform | None) -> Iterator[Mistake]:
         if mode in MOTION:
             yield from _motion(table, path, mode)
             yield from _initial(table, path, mode, platform)
+        yield from _sizes(table, ("rate",), "base-rate", path)
         yield from _length(table, path, data)
         yield from _tables(table, path)
         yield from _vibrations(table, path, mode)
@@ -84,6 +89,18 @@ def _motion(table: Data, path: Path, mode: str) -> Iterator[Mistake]:
             yield Mistake((*path, "duration"), words)
 
 
+def _sizes(table: Data, keys: Sequence[str], kind: str, path: Path) -> Iterator[Mistake]:
+    """Walk numbers of a kind of base motion that are larger than can be meant."""
+    most, unit = SOURCE_KINDS[kind].largest_rms, next(iter(SOURCE_KINDS[kind].units))
+    for key in keys:
+        given_values = table.get(key)
+        values = given_values if isinstance(given_values, list) else [given_values]
+        worst = max((abs(x) for item in values if (x := number_of({key: item}, key)) is not None), default=0.0)
+        if worst > most:
+            words = f"{key}: {worst:.6g} {unit} cannot be meant, at most {most:g}; write it in {unit}"
+            yield Mistake((*path, key), words)
+
+
 def _length(table: Data, path: Path, data: Data) -> Iterator[Mistake]:
     duration, sampling, campaign = number_of(table, "duration"), data.get("sampling"), data.get("campaign")
     if duration is None:
@@ -112,6 +129,8 @@ def _tables(table: Data, path: Path) -> Iterator[Mistake]:
             yield Mistake((*path, key, first), words)
         for column in columns:
             yield from of_length(over_time, column, "t", (*path, key))
+        if columns is OMEGA_NAMES:
+            yield from _sizes(over_time, columns, "base-rate", (*path, key))
 
 
 def of_length(table: Data, key: str, beside: str, path: Path) -> Iterator[Mistake]:
@@ -161,6 +180,9 @@ def _vibrations(table: Data, path: Path, mode: str | None) -> Iterator[Mistake]:
                 'kind must be "force" with mode = "stabilised", got "rate": only a caged platform has a prescribed rate'
             )
             yield Mistake((*own, "kind"), words)
+        of_kind = {"rate": "base-rate", "force": "specific-force"}.get(text_of(vibration, "kind") or "")
+        if of_kind is not None:
+            yield from _sizes(vibration, ("amplitude",), of_kind, own)
         yield from of_length(vibration, "densities", "frequencies_hz", own)
 
 
@@ -193,6 +215,8 @@ def _initial(table: Data, path: Path, mode: str, platform: Platform | None) -> I
             yield Mistake(own, f'{words}; use Omega_table, or mode = "stabilised"')
         elif key not in known:
             yield Mistake(own, f"unknown key {given(key)}; {suggestion(key, known)}")
+        elif key in OMEGA_NAMES:
+            yield from _sizes(initial, (key,), "base-rate", (*path, "initial"))
         elif (bounds := stops.get(key)) is not None and number is not None and not bounds[0] <= number <= bounds[1]:
             words = f"{key} must be between the stops of the gimbal, {bounds[0]:.6g} to {bounds[1]:.6g} rad"
             yield Mistake(own, f"{words}, got {given(number)}")

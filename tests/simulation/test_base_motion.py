@@ -169,6 +169,14 @@ def test_equilibrium_stands_in_the_evidence() -> None:
         ({"settle": 2.0}, "settle must be less than duration"),
         ({"fade": 2.0}, "fade must be less than duration"),
         ({"fade": 0.1, "sine": [], "axis": 1, "rate": 0.1, "rise": 0.1, "hold": 0.0}, "has neither: leave it out"),
+        (
+            {"sine": [FORCE | {"amplitude": 2000.0}]},
+            "amplitude: 2000 m/s2 cannot be meant, at most 1000; write it in m/s2",
+        ),
+        (
+            {"Omega_table": {"t": [0, 1], "Omega2": [0, -300]}},
+            "Omega2: 300 rad/s cannot be meant, at most 200; write it in rad/s",
+        ),
         ({"start": "anyhow"}, 'start must be "rest" or "equilibrium"'),
         ({"mode": "stabilised", "sine": [FORCE]}, "attenuation_db is for a caged manoeuvre"),
     ],
@@ -177,6 +185,11 @@ def test_manoeuvres_that_say_nothing_are_refused(change, words) -> None:
     with pytest.raises(InputError) as error:
         read_job(JOB | {"manoeuvre": [JOB["manoeuvre"][0] | change]})
     assert words in str(error.value)
+
+
+def test_a_rate_of_the_platform_that_must_be_in_degrees_is_refused() -> None:
+    with pytest.raises(InputError, match=r"operation.*Omega: 1000 rad/s cannot be meant"):
+        read_job(JOB | {"operation": {"Omega": [1000, 0.1, 0.1]}})
 
 
 def test_a_manoeuvre_with_a_fade_begins_smoothly() -> None:
