@@ -18,11 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dgebal, dgeev
 
-from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
+from platform_ctrl.analysis.arrays import MANY_STATES, ComplexArray, StateArrays
 from platform_ctrl.analysis.hessenberg_form import reduce
 from platform_ctrl.analysis.hessenberg_recurrence import quick
 from platform_ctrl.analysis.kernels import largest_of_columns
-from platform_ctrl.analysis.resolvent import TOLERATED, plain
+from platform_ctrl.analysis.resolvent import AVERAGED, ON_A_GRID, TOLERATED, plain
 from platform_ctrl.analysis.singular_values import DOUBTFUL, EPSILON
 from platform_ctrl.common.simd import LANES, compiled, internal
 from platform_ctrl.common.values import FloatArray
@@ -141,6 +141,7 @@ class Few(NamedTuple):
     norms: FloatArray
     D: FloatArray  # (p, m): the direct term
     work: FloatArray  # work array of `resolvent.quick`
+    tolerated: float  # error bound of a response, relative
     # size, dt, edge: 1 + p + n; sample period, s; end of the axis, rad/s
     size: int
     dt: float
@@ -306,7 +307,8 @@ def _prepared(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, dt: fl
     rows, lasts, norms = np.empty((m + 1) * size * size), np.empty(m + 1, dtype=np.int64), np.empty(p + 1)
     reduce(first, driven, seen, np.empty((size * size, LANES)), np.empty((n, LANES)), rows, lasts, norms)
     work = np.zeros((4 * (size + p * m + 1) + 2 * (m + 1), LANES))
-    return Few(rows, lasts, norms, direct, work, size, dt, math.inf if dt == 0.0 else math.pi / dt)
+    tolerated = TOLERATED * (AVERAGED * n if n >= MANY_STATES else 1.0)
+    return Few(rows, lasts, norms, direct, work, tolerated, size, dt, math.inf if dt == 0.0 else math.pi / dt)
 
 
 @internal
@@ -357,7 +359,7 @@ def _gains(few: Few, w: FloatArray, best: float) -> tuple[FloatArray, bool]:
             z[k] = complex(-tangent * imaginary, imaginary)
     H, poor, out = np.empty((p * m, N), dtype=np.complex128), np.empty(N, dtype=np.int64), np.empty(N)
     rows, lasts, norms, D, size, work = few.rows, few.lasts, few.norms, few.D, few.size, few.work
-    count = quick(z, rows, lasts, norms, D, H, size, m, 1, TOLERATED, best, poor, work)
+    count = quick(z, rows, lasts, norms, D, H, size, m, 1, few.tolerated, best, poor, work)
     for k in range(N):
         if w[k] == 0.0 or w[k] == few.edge:
             for i in range(p * m):
@@ -365,10 +367,20 @@ def _gains(few: Few, w: FloatArray, best: float) -> tuple[FloatArray, bool]:
     largest_of_columns(H, p, m, out)
     if count > 0:
         best = max(best, out.max())
-        count = quick(z, rows, lasts, norms, D, H, size, m, 1, TOLERATED, best, poor, work)
+        count = quick(z, rows, lasts, norms, D, H, size, m, 1, few.tolerated, best, poor, work)
+    if count == 0:
+        return out, True
+    # Below the best gain few digits do where the gain is taken as larger by their error.
+    inexact = poor[:count].copy()
+    count = quick(z, rows, lasts, norms, D, H, size, m, 1, ON_A_GRID, best, poor, work)
     for k in poor[:count]:
         if w[k] != math.inf:
             return out, False
+    for k in inexact:
+        if w[k] != math.inf:
+            out[k] += p * m * ON_A_GRID * best
+            if out[k] > best:
+                return out, False
     return out, True
 
 
