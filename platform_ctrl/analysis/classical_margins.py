@@ -22,14 +22,9 @@ _AT = 1e-3
 
 
 def margins_of_channel(sensitivity: StateArrays) -> tuple[float, float]:
-    """Return the gain margin, a factor > 1, and the phase margin, rad, of one stable sampled loop.
+    """Return the gain margin, a factor > 1, and the phase margin, rad, of a stable sampled loop, from its S_i.
 
     The gain margin is the least factor by which the gain may be raised or lowered, infinite where none ends stability.
-
-    Parameters
-    ----------
-    sensitivity
-        S_i, one input and one output, of a stable loop.
     """
     L = _loop_transfer(sensitivity)
     gain = phase = np.inf

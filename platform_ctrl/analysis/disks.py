@@ -21,24 +21,8 @@ if TYPE_CHECKING:
 def disk_to_gain_phase(alpha: float, skew: float = 0.0) -> tuple[float, float, float]:
     """Return the lowest and highest gain factor and the phase in rad that a disk of size `alpha` contains.
 
-    The highest factor is infinite and the phase pi where the disk does not bound them.
-
-    Parameters
-    ----------
-    alpha
-        Size of the disk, dimensionless; 0 is no margin.
-    skew
-        Skew of the disk, dimensionless.
-
-    Returns
-    -------
-    lowest, highest, phase
-        Two gain factors and a phase in rad. The highest factor is infinite and the phase π where the disk does not
-        bound them.
-
-    References
-    ----------
-    P. Seiler, A. Packard, P. Gahinet, IEEE Control Systems Magazine 40(5), 2020.
+    The highest factor is infinite and the phase pi where the disk does not bound them (Seiler, Packard and Gahinet
+    2020).
     """
     alpha = positive("disk_to_gain_phase: alpha", alpha, zero=True)
     skew = number("disk_to_gain_phase: skew", skew)
@@ -54,35 +38,11 @@ def disk_to_gain_phase(alpha: float, skew: float = 0.0) -> tuple[float, float, f
 
 @check_arguments
 def disk_phase(gain: ArrayLike, alpha: float, skew: float = 0.0) -> FloatArray:
-    """Return the phase up to which a loop may turn while its gain changes by a factor: both inside the same disk.
+    """Return the phase, rad, up to which a loop may turn while its gain changes by a factor, both inside one disk.
 
     Factors f = gain exp(±j phase) with |f - 1| < alpha/2 |1 - skew + (1 + skew) f| make up the disk. With skew 0 its
     edge is at cos phase = (gain + 1/gain)/2 (4 - alpha²)/(4 + alpha²): the highest and lowest gain leave no phase, and
-    the largest phase of all is that at gain 1.
-
-    Parameters
-    ----------
-    gain : (...)
-        Gain factors, > 0, dimensionless.
-    alpha
-        Size of the disk, dimensionless: a disk margin.
-    skew
-        Skew of the disk, dimensionless.
-
-    Returns
-    -------
-    (...)
-        rad, 0 to π; NaN where the gain alone leaves the disk.
-
-    References
-    ----------
-    P. Seiler, A. Packard, P. Gahinet, IEEE Control Systems Magazine 40(5), 2020.
-
-    Examples
-    --------
-    >>> from platform_ctrl import analysis
-    >>> analysis.disk_phase([0.6, 1.0, 1.3, 1.7], 0.5).round(3)  # 1.7 is too much by itself
-    array([0.  , 0.49, 0.42,  nan])
+    the largest phase of all is that at gain 1. NaN where the gain alone leaves the disk.
     """
     gain, alpha = real_numbers("disk_phase: gain", gain), min(alpha, 1e9)
     a, b = 0.5 * alpha * (1.0 - skew), 0.5 * alpha * (1.0 + skew)

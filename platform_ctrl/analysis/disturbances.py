@@ -14,20 +14,14 @@ from platform_ctrl.errors import ArgumentError
 
 @value
 class Spectrum:
-    """A one-sided power spectral density: its integral over frequency in hertz is the variance.
+    """A one-sided power spectral density: its integral over frequency in hertz is the variance."""
 
-    Attributes
-    ----------
-    knots : (n,)
-        Frequencies, rad/s, >= 0, rising: where the density changes its law. It is zero below the first and above the
-        last.
-    density : (n,) or callable
-        In the square of the signal's unit per Hz. Numbers: the values at the knots, > 0, joined by straight lines in
-        double-logarithmic scales. Or a function of frequencies (N,), rad/s, that returns densities (N,), smooth between
-        the knots.
-    """
-
+    # (n,): frequencies, rad/s, >= 0, rising: where the density changes its law. It is zero below the first and above
+    # the last.
     knots: FloatArray
+    # (n,) or callable: in the square of the signal's unit per Hz. Numbers: the values at the knots, > 0, joined by
+    # straight lines in double-logarithmic scales. Or a function of frequencies (N,), rad/s, that returns densities
+    # (N,), smooth between the knots.
     density: FloatArray | Callable[[FloatArray], FloatArray]
 
     def __post_init__(self) -> None:
@@ -61,24 +55,13 @@ class Spectrum:
 
 @value
 class RandomDisturbance:
-    """A stationary random disturbance on one input or, correlated, on several.
+    """A stationary random disturbance on one input or, correlated, on several."""
 
-    Attributes
-    ----------
-    name
-        Of the source.
-    inputs
-        Indices among the disturbance inputs.
-    spectra
-        One for each of them.
-    coherence : complex (n, n)
-        Hermitian, positive semidefinite, ones on the diagonal: the cross spectral density of inputs i and j is
-        coherence[i, j] √(S_i S_j). Default: uncorrelated.
-    """
-
-    name: str
-    inputs: tuple[int, ...]
-    spectra: tuple[Spectrum, ...]
+    name: str  # of the source
+    inputs: tuple[int, ...]  # indices among the disturbance inputs
+    spectra: tuple[Spectrum, ...]  # one for each of them
+    # complex (n, n): Hermitian, positive semidefinite, ones on the diagonal: the cross spectral density of inputs i and
+    # j is coherence[i, j] √(S_i S_j). Default: uncorrelated.
     coherence: ComplexArray | None = None
 
     def __post_init__(self) -> None:
@@ -118,27 +101,14 @@ class RandomDisturbance:
 
 @value
 class SineDisturbance:
-    """A sine amplitude · sin(frequency · t + phase) on one or several inputs.
+    """A sine amplitude · sin(frequency · t + phase) on one or several inputs."""
 
-    Attributes
-    ----------
-    name
-        Of the source.
-    inputs
-        Indices among the disturbance inputs.
-    frequency
-        rad/s, > 0.
-    amplitude : (n,)
-        Of each input, in its unit.
-    phase : (n,), optional
-        rad. Sines of one frequency whose phases are given add as they come; without a phase a sine is independent of
-        all others, and its inputs are in phase.
-    """
-
-    name: str
-    inputs: tuple[int, ...]
-    frequency: float
-    amplitude: FloatArray
+    name: str  # of the source
+    inputs: tuple[int, ...]  # indices among the disturbance inputs
+    frequency: float  # rad/s, > 0
+    amplitude: FloatArray  # (n,): of each input, in its unit
+    # (n,), optional: rad. Sines of one frequency whose phases are given add as they come; without a phase a sine is
+    # independent of all others, and its inputs are in phase.
     phase: FloatArray | None = None
 
     def __post_init__(self) -> None:
@@ -162,21 +132,11 @@ class SineDisturbance:
 
 @value
 class SampleNoise:
-    """White noise that every sample of a measured output adds: of the sensor, its quantisation (step/√12), its bits.
+    """White noise that every sample of a measured output adds: of the sensor, its quantisation (step/√12), its bits."""
 
-    Attributes
-    ----------
-    name
-        Of the source.
-    measured
-        Index of the measured output.
-    rms
-        Standard deviation of a sample, in the output's unit.
-    """
-
-    name: str
-    measured: int
-    rms: float
+    name: str  # of the source
+    measured: int  # index of the measured output
+    rms: float  # standard deviation of a sample, in the output's unit
 
     def __post_init__(self) -> None:
         """Judge the rms."""

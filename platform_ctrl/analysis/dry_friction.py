@@ -126,19 +126,10 @@ class Describing(NamedTuple):
 
 
 def describing_function(friction: DryTorque, rms: float) -> Describing:
-    """Return what stands for the dry part of a friction at a Gaussian relative rate without mean.
+    """Return what stands for the dry part of a friction at a Gaussian relative rate, of `rms` rad/s, without mean.
 
-    Parameters
-    ----------
-    friction
-        Its viscous part is linear and not included.
-    rms
-        Of the rate, rad/s, >= 0; at 0 the slope at rest.
-
-    Returns
-    -------
-    Describing
-        Smoothing by tanh and the Stribeck curve taken into account by quadrature, right to about 1e-12.
+    Smoothing by tanh and the Stribeck curve are taken into account by quadrature, right to about 1e-12; at rms 0 it is
+    the slope at rest.
     """
     rms = positive("describing function: rms", rms, zero=True)
     near = friction.coulomb_rate
@@ -221,35 +212,16 @@ def friction_balance(
     iterations: int = 200,
     drives: Sequence[FedFriction | None] = (),
 ) -> FrictionBalance:
-    """Return the equivalent damping of dry friction at which the linear loop moves as assumed.
+    """Return the equivalent damping of J dry frictions at which the linear loop moves as assumed.
 
-    Parameters
-    ----------
-    frictions
-        Of J bearings.
-    rate_rms
-        From the equivalent damping of the dry parts (J,), N m s, and then the equivalent gains of the D drives that
-        there are, to the rms of the relative rates (J,) and of the rates that these drives find (D,), rad/s, that the
-        linear loop with them has; the viscous parts are the caller's.
-    start : (J + D,), optional
-        First guess of the rates, rad/s; default ten times coulomb_rate.
-    tolerance
-        Relative change of the rates at which the iteration ends.
-    iterations
-        Loops at most.
-    drives
-        What is fed forward against each of the J frictions, or None. Default: nothing.
+    `rate_rms` gives, from the equivalent damping of the dry parts (J,), N m s, and the equivalent gains of the D drives
+    that there are, the rms of the relative rates (J,) and of the rates that these drives find (D,), rad/s, of the
+    linear loop with them; the viscous parts are the caller's. `start` (J + D,) are first guesses of the rates, by
+    default ten times coulomb_rate; `drives` is what is fed forward against each friction, or None.
 
-    Returns
-    -------
-    FrictionBalance
-        Converged. Its remainder is that of the friction alone: how much of it a drive takes off depends on the spectra
-        of the rates, see `friction_noise`.
-
-    Raises
-    ------
-    NotFoundError
-        The iteration did not converge.
+    The remainder is that of the friction alone: how much of it a drive takes off depends on the spectra of the rates,
+    see `friction_noise`. Raises `NotFoundError` where the rates still change by more than `tolerance`, relative, after
+    so many `iterations`.
     """
     drives = tuple(drives) or (None,) * len(frictions)
     driven = [k for k, one in enumerate(drives) if one is not None]

@@ -332,19 +332,10 @@ def _matched(
 
 
 def sensitivity_functions(loop: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
-    """Return S = (I + L)^-1 and T = I - S for given responses of the loop.
+    """Return S = (I + L)^-1 and T = I - S for given responses L (..., m, m) of the loop.
 
-    For a tuner that keeps the plant's response and changes the controller only: L = -K P by `numpy.matmul`.
-
-    Parameters
-    ----------
-    loop : complex (..., m, m)
-        L = -K P (broken at the input) or -P K (at the output), dimensionless.
-
-    Returns
-    -------
-    S, T : complex (..., m, m)
-        Dimensionless; inf in a matrix where I + L is singular or not a number.
+    For a tuner that keeps the plant's response and changes the controller only: L = -K P (broken at the input) or -P K
+    (at the output) by `numpy.matmul`. inf in a matrix where I + L is singular or not a number.
     """
     from platform_ctrl.analysis.kernels import invert
 

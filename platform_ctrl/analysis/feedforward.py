@@ -23,31 +23,17 @@ Into = Literal["torque", "reading"]
 
 @value
 class RateFeedforward:
-    """Feedforward of the platform's rate in a sampled loop.
+    """Feedforward of the platform's rate in a sampled loop."""
 
-    Attributes
-    ----------
-    into
-        What it adds to: the controller's ``"torque"``, or what the controller reads.
-    sensors
-        Names of the k sensors of the platform's rate that the controller reads.
-    path
-        F, from their readings, rad/s, to the m torques, N m, or to the p readings; sampled.
-    in_plants
-        F as the plants take it up: where they forget angles that are free, the integral of a rate forgets by as much
-        more as the plants do, so that what it leaves of a spring's torque is what it leaves where nothing is forgotten.
-    measured
-        G, from the platform's rate (Omega1 to Omega3, rad/s) to the readings of the sensors, rad/s; sampled.
-    noise : (k,)
-        Rms of one sample of each sensor, rad/s.
-    """
-
-    into: Into
-    sensors: tuple[str, ...]
-    path: StateArrays
+    into: Into  # what it adds to: the controller's ``"torque"``, or what the controller reads
+    sensors: tuple[str, ...]  # names of the k sensors of the platform's rate that the controller reads
+    path: StateArrays  # F, from their readings, rad/s, to the m torques, N m, or to the p readings; sampled
+    # F as the plants take it up: where they forget angles that are free, the integral of a rate forgets by as much more
+    # as the plants do, so that what it leaves of a spring's torque is what it leaves where nothing is forgotten.
     in_plants: StateArrays
+    # G, from the platform's rate (Omega1 to Omega3, rad/s) to the readings of the sensors, rad/s; sampled.
     measured: StateArrays
-    noise: FloatArray
+    noise: FloatArray  # (k,): rms of one sample of each sensor, rad/s
 
     @property
     def from_rate(self) -> StateArrays:

@@ -43,27 +43,16 @@ class Remainder(NamedTuple):
 
 @value
 class FoundRate:
-    """The rate w that a drive finds of a bearing that turns with v, as it acts on the bearing; k frequencies.
+    """The rate w that a drive finds of a bearing that turns with v, as it acts on the bearing; k frequencies."""
 
-    Attributes
-    ----------
-    drive
-        What is fed forward by it.
-    rms
-        Of w, rad/s.
-    alone, together, filtered : (k,)
-        Variances of w, of w + v and of w + x up to the frequencies, (rad/s)²; x is v behind a low-pass of first order:
-        the three of them tell the cross spectrum.
-    corner
-        Of the low-pass, rad/s.
-    """
-
-    drive: FedFriction
-    rms: float
+    drive: FedFriction  # what is fed forward by it
+    rms: float  # of w, rad/s
+    # alone, together, filtered: (k,): variances of w, of w + v and of w + x up to the frequencies, (rad/s)²; x is v
+    # behind a low-pass of first order: the three of them tell the cross spectrum.
     alone: FloatArray
     together: FloatArray
     filtered: FloatArray
-    corner: float
+    corner: float  # of the low-pass, rad/s
 
 
 def friction_noise(
@@ -74,33 +63,11 @@ def friction_noise(
     lowest: float,
     found: FoundRate | None = None,
 ) -> Remainder | None:
-    """Return the remainder of a dry friction; None where nothing moves.
+    """Return the remainder of a dry friction, with a smooth spectrum; None where nothing moves.
 
-    Parameters
-    ----------
-    friction
-        Its viscous part does not count.
-    rms
-        Of the rate, rad/s.
-    edges : (k,)
-        Frequencies, rad/s, rising.
-    cumulative : (k,)
-        Variance of the rate up to these, (rad/s)².
-    lowest
-        Below this frequency, rad/s, the spectrum is left out.
-    found
-        What a drive finds of the rate, and feeds forward.
-
-    Returns
-    -------
-    Remainder
-        With a smooth spectrum.
-
-    References
-    ----------
-    J. J. Bussgang, MIT RLE Report 216, 1952.
-
-    R. Price, IRE Transactions on Information Theory 4, 1958.
+    `rms` is of the rate, rad/s, `cumulative` (k,) its variance, (rad/s)², up to the frequencies `edges`, rad/s, rising;
+    below `lowest` the spectrum is left out. `found` is what a drive finds of the rate, and feeds forward. Sources: J.
+    J. Bussgang, MIT RLE Report 216, 1952; R. Price, IRE Transactions on Information Theory 4, 1958.
     """
     total = float(cumulative[-1])
     if not (rms > 0.0 and total > 0.0):

@@ -43,35 +43,21 @@ _ROUNDING = 1e-13
 
 @value
 class HybridPlant:
-    """A continuous plant with inputs [u, w] and outputs [y, z], and what stands between y and u beside the controller.
+    """A continuous plant, inputs [u, w] and outputs [y, z], and what stands between y and u beside the controller."""
 
-    Attributes
-    ----------
-    plant
-        Continuous arrays; inputs: m controls u, then k disturbances w; outputs: p measured y, then q performance
-        outputs z, in SI units. y may have a direct path from w.
-    controls, measured
-        m and p.
-    period
-        Sample period, s.
-    delay
-        From the sample to the time at which the hold's output acts, s; any number >= 0.
-    lag : (m,)
-        Time constant of the first-order lag behind each hold, s; 0 for none.
-    reading_delay : (p,)
-        Whole periods by which each measured output arrives late.
-    integrated : (q,)
-        Whether the performance output's integral is meant: an angle, of which the plant has the rate. So the pole at
-        zero of an inertial angle never enters the loop.
-    """
-
+    # Continuous arrays; inputs: m controls u, then k disturbances w; outputs: p measured y, then q performance outputs
+    # z, in SI units. y may have a direct path from w.
     plant: StateArrays
+    # controls, measured: m and p.
     controls: int
     measured: int
-    period: float
-    delay: float = 0.0
+    period: float  # sample period, s
+    delay: float = 0.0  # from the sample to the time at which the hold's output acts, s; any number >= 0
+    # (m,): time constant of the first-order lag behind each hold, s; 0 for none.
     lag: FloatArray = dataclasses.field(default_factory=lambda: np.zeros(()))
-    reading_delay: tuple[int, ...] = ()
+    reading_delay: tuple[int, ...] = ()  # (p,): whole periods by which each measured output arrives late
+    # (q,): whether the performance output's integral is meant: an angle, of which the plant has the rate. So the pole
+    # at zero of an inertial angle never enters the loop.
     integrated: tuple[bool, ...] = ()
 
     def __post_init__(self) -> None:
@@ -115,30 +101,14 @@ class HybridPlant:
 
 
 class Family(NamedTuple):
-    """Responses at N frequencies ω and at their F images ω + n ω_s.
+    """Responses at N frequencies ω and at their F images ω + n ω_s."""
 
-    Attributes
-    ----------
-    frequency : (N, F)
-        With its sign, rad/s.
-    held : complex (N, F, q, m)
-        From the control of a sample to z before integration: P_zu H.
-    direct : complex (N, F, q, k)
-        From w to z before integration.
-    integral : complex (N, F, q, 1)
-        1/(jω) where z is integrated, 1 elsewhere.
-    measured : complex (N, F, p, k)
-        From w to y.
-    sampled : complex (N, p, m)
-        P_d.
-    """
-
-    frequency: FloatArray
-    held: ComplexArray
-    direct: ComplexArray
-    integral: ComplexArray
-    measured: ComplexArray
-    sampled: ComplexArray
+    frequency: FloatArray  # (N, F): with its sign, rad/s
+    held: ComplexArray  # complex (N, F, q, m): from the control of a sample to z before integration: P_zu H
+    direct: ComplexArray  # complex (N, F, q, k): from w to z before integration
+    integral: ComplexArray  # complex (N, F, q, 1): 1/(jω) where z is integrated, 1 elsewhere
+    measured: ComplexArray  # complex (N, F, p, k): from w to y
+    sampled: ComplexArray  # complex (N, p, m): P_d
 
 
 class OpenLoop:

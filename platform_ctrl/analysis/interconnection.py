@@ -25,27 +25,10 @@ def interconnect_controllers(
 ) -> control.StateSpace:
     """Return one controller from `inputs` (pick-offs, rate sensors) to `outputs` (torquers).
 
-    Parameters
-    ----------
-    controllers
-        In the order in which they are computed. Inputs: names among `inputs`, or outputs of an earlier controller
-        (that step's value), or NAME + ``_command`` of a reading, zero where nothing gives it. Outputs: names among
-        `outputs`, or inputs of a later controller; no name twice, but a command that is among `inputs` adds to what an
-        outer loop commands.
-    inputs, outputs
-        Signals of the result; an output that no controller sets is zero.
-    period
-        Sample period of all of them, s.
-
-    Returns
-    -------
-    control.StateSpace
-        u = K y with the states of all controllers.
-
-    Raises
-    ------
-    ArgumentError
-        A signal that nothing gives, an output that two give, or another sample period.
+    All have the same period; the controllers come in the order in which they are computed. Their inputs are names among
+    `inputs`, outputs of an earlier controller (that step's value), or NAME + ``_command`` of a reading, zero where
+    nothing gives it. Their outputs are names among `outputs` or inputs of a later controller; no name twice, but a
+    command that is among `inputs` adds to what an outer loop commands. An output that no controller sets is zero.
     """
     arrays = interconnected(controllers, inputs, outputs, period)
     names = [name for K in controllers for name in K.state_labels]

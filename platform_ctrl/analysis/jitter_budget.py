@@ -119,26 +119,11 @@ class JitterBudget:
         self._base = self._edges()
 
     def of(self, controller: StateArrays, tolerance: float = 1e-6, *, over_frequency: bool = True) -> Budget:
-        """Return the budget with a controller.
+        """Return the budget with a discrete controller u = K y, of the plant's sample period.
 
-        Parameters
-        ----------
-        controller
-            Discrete, u = K y, with the plant's sample period.
-        tolerance
-            Bound on the relative error of each variance.
-        over_frequency
-            Whether densities and cumulative variances are wanted; without them it is faster, and there are none.
-
-        Returns
-        -------
-        Budget
-            By source and performance output.
-
-        Raises
-        ------
-        ArgumentError
-            The loop is not stable, or an angle drifts without bound.
+        `tolerance` bounds the relative error of each variance. Without densities and cumulative variances,
+        `over_frequency`, it is faster. Raises `ArgumentError` where the loop is not stable, or an angle drifts without
+        bound.
         """
         tolerance = within("jitter budget: tolerance", tolerance, 1e-11, 0.1)
         z = self.open_loop.closed_poles(controller)

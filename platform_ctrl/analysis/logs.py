@@ -31,58 +31,32 @@ SEGMENTS, LONGEST_SEGMENT = 8, 2**20
 
 @value
 class Log:
-    """Signals over time, as they were recorded.
+    """Signals over time, as they were recorded."""
 
-    Attributes
-    ----------
-    label
-        The file, as messages say it.
-    time : (N,)
-        Increasing, s.
-    signals
-        By the names of the columns, (N,) each, in units of the file.
-    """
-
-    label: str
-    time: FloatArray
-    signals: Mapping[str, FloatArray]
+    label: str  # the file, as messages say it
+    time: FloatArray  # (N,): increasing, s
+    signals: Mapping[str, FloatArray]  # by the names of the columns, (N,) each, in units of the file
 
 
 @value
 class LogDensity:
-    """The power spectral density of a recorded signal x about its mean, and what is known of the record.
+    """The power spectral density of a recorded signal x about its mean, and what is known of the record."""
 
-    Attributes
-    ----------
-    frequencies_hz : (k,)
-        From 0 to half of the sample rate: in equal steps, the resolution, as long as these are more than 1 % of the
-        frequency, then the middles of bands of 1 %, Hz.
-    densities : (k,)
-        One-sided, units of x squared per Hz, means over the bands; the integral by trapezoids is the variance.
-    mean, variance
-        Of what was used of x, units of x, and squared.
-    segments
-        How many segments were averaged: the relative standard error of a density is about 1/sqrt(segments).
-    sample_rate
-        Mean rate without the gaps, Hz.
-    clock_jitter
-        Standard deviation of the steps of the clock within pieces, s.
-    interpolation_error
-        Bound on the rms error of putting x on a uniform clock, units of x: that of straight lines between the samples
-        of a smooth curve. The cubic spline that was used is closer. 0: the clock was uniform.
-    lost
-        Share of the recorded time that was not used: gaps, and pieces shorter than a segment.
-    """
-
+    # (k,): from 0 to half of the sample rate: in equal steps, the resolution, as long as these are more than 1 % of the
+    # frequency, then the middles of bands of 1 %, Hz.
     frequencies_hz: FloatArray
+    # (k,): one-sided, units of x squared per Hz, means over the bands; the integral by trapezoids is the variance.
     densities: FloatArray
+    # mean, variance: of what was used of x, units of x, and squared.
     mean: float
     variance: float
-    segments: int
-    sample_rate: float
-    clock_jitter: float
+    segments: int  # how many segments were averaged: the relative standard error of a density is about 1/sqrt(segments)
+    sample_rate: float  # mean rate without the gaps, Hz
+    clock_jitter: float  # standard deviation of the steps of the clock within pieces, s
+    # Bound on the rms error of putting x on a uniform clock, units of x: that of straight lines between the samples of
+    # a smooth curve. The cubic spline that was used is closer. 0: the clock was uniform.
     interpolation_error: float
-    lost: float
+    lost: float  # share of the recorded time that was not used: gaps, and pieces shorter than a segment
 
 
 def read_log(path: Path, columns: Sequence[str], time: str = "time") -> Log:

@@ -96,35 +96,13 @@ def measure(
     exact: bool = True,
     loops: LoopSet | None = None,
 ) -> LoopMetrics:
-    """Measure `controller` (u = K y, same period) on every plant.
+    """Measure a controller, u = K y in the set's order of angles and torques, with its sample period, on every plant.
 
-    What `LoopMetrics` names is always measured, other metrics where `requests` (requirements) name them.
-
-    Parameters
-    ----------
-    plants
-        The plants that the controller has to work with.
-    controller
-        u = K y in the set's order of angles and torques, with its sample period (see `PlantSet.joined`).
-    requests
-        Requirements whose metrics are wanted as well.
-    exact
-        Take peaks, margins and bandwidths over all frequencies: the worst value of each group of plants is exact (to
-        1e-9, from the worse side), and the other plants of the group are shown to be no worse.
-        False, for a search: at the frequencies of the set's grid and of closed-loop poles that are narrower than its
-        spacing alone.
-    loops
-        The closed loops of this controller and these plants, where they exist already.
-
-    Returns
-    -------
-    LoopMetrics
-        Metrics of each plant of the set.
-
-    Raises
-    ------
-    ArgumentError
-        The controller closes an algebraic loop that cannot be solved.
+    What `LoopMetrics` names is always measured, other metrics where `requests` (requirements) name them. `exact`:
+    peaks, margins and bandwidths are taken over all frequencies; the worst value of each group of plants is exact (to
+    1e-9, from the worse side), and the other plants of the group are shown to be no worse. Else, for a search: at the
+    frequencies of the set's grid and of closed-loop poles that are narrower than its spacing alone. `loops` are the
+    closed loops of this controller and these plants, where they exist already.
     """
     loops = LoopSet(plants, controller) if loops is None else loops
     every = get_args(Group)

@@ -94,16 +94,8 @@ FAN = np.linspace(0.0, 1.0, 13)
 class MuPeak:
     """The largest mu of a square system over frequency: climbed, then proved.
 
-    Attributes
-    ----------
-    mu, frequency
-        Upper bound of mu at the highest frequency that was evaluated.
-    D, Q : (m,)
-        The scalings of that bound, and the phases that reach the lower one.
-    M : complex (m, m)
-        The response there.
-    lower
-        Lower bound of mu there.
+    `mu` is its upper bound at `frequency`, the highest that was evaluated, with the scalings D (m,), and `lower` its
+    lower bound there, which the phases Q (m,) reach; M (m, m) is the response there.
     """
 
     def __init__(self, system: StateArrays) -> None:

@@ -41,12 +41,7 @@ def lifted(systems: Sequence[StateArrays]) -> StateArrays:
 class PeriodicLoop:
     """A sampled plant closed by a controller whose matrices take turns: u = K y, `at` and `seen` what it uses of it.
 
-    Attributes
-    ----------
-    poles : complex (n,)
-        Of the transition over `period`, in z (dimensionless).
-    period
-        Time after which all repeats, s.
+    All repeats after `period`, s; `poles` (n,) are those of the transition over it, in z.
     """
 
     def __init__(

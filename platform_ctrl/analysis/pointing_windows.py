@@ -48,20 +48,10 @@ class WindowShares(NamedTuple):
 
 
 def window_shares(frequency: ArrayLike, exposure: float) -> WindowShares:
-    """Return what of a component's mean square is displacement, smear and jitter in a window.
+    """Return what of a component's mean square is displacement, smear and jitter in a window of length `exposure`, s.
 
-    Parameters
-    ----------
-    frequency
-        rad/s, any shape.
-    exposure
-        Length T of the window, s.
-
-    Returns
-    -------
-    WindowShares
-        Dimensionless, right to rounding of each share. The smear is the mean square of the fitted line about its
-        middle: a line of extent E, end to end, has E²/12.
+    At frequencies in rad/s, of any shape; each share is right to rounding. The smear is the mean square of the fitted
+    line about its middle: a line of extent E, end to end, has E²/12.
     """
     from scipy.special import spherical_jn
 
@@ -82,30 +72,13 @@ def window_shares(frequency: ArrayLike, exposure: float) -> WindowShares:
 def motion_transfer(
     spatial_frequency: ArrayLike, jitter: float, smear: float = 0.0, kind: str = "random"
 ) -> FloatArray:
-    """Return the modulation transfer function of image motion along one axis.
+    """Return the modulation transfer function of image motion along one axis; 1 at ν = 0.
 
-    Parameters
-    ----------
-    spatial_frequency
-        ν, cycles per radian, any shape.
-    jitter
-        rms σ of the jitter, rad; Gaussian: the factor exp(−2 π² σ² ν²).
-    smear
-        With `kind` "random" the rms of the fitted line within the window, rad: its extent E is Gaussian with the
-        standard deviation √12 `smear`, and the mean factor over many exposures is
-        E[sin(πνE)/(πνE)] = √(2π)/k erf(k/√8), k = 2 πν √12 `smear`. With "known" the extent E itself, rad: the factor
-        |sin(πνE)/(πνE)|.
-    kind
-        "random" or "known".
-
-    Returns
-    -------
-    (...)
-        1 at ν = 0.
-
-    References
-    ----------
-    M. E. Pittelkau, W. G. McKinley, Optical Engineering 55, 2016.
+    `spatial_frequency` ν is in cycles per radian, of any shape. Gaussian jitter of rms σ, rad: the factor exp(−2 π² σ²
+    ν²). With `kind` "known" `smear` is the extent E of a line, rad: the factor |sin(πνE)/(πνE)|. With "random" it is
+    the rms of the fitted line within the window, rad: its extent is Gaussian with the standard deviation √12 `smear`,
+    and the mean factor over many exposures is E[sin(πνE)/(πνE)] = √(2π)/k erf(k/√8), k = 2 πν √12 `smear` (Pittelkau
+    and McKinley, Optical Engineering 55, 2016).
     """
     from scipy.special import erf
 

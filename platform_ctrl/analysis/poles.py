@@ -40,23 +40,9 @@ class Damping:
 
 
 def poles(system: StateSystem | ArrayLike) -> ComplexArray:
-    """Return the poles of `system` in its own plane (s or z).
+    """Return the poles (..., n) of a system in its own plane (s, rad/s, or z), or of a stack of state matrices A.
 
-    Parameters
-    ----------
-    system
-        Continuous or discrete, SI; or a state matrix A, or a stack of them, (..., n, n). The poles of a system are
-        computed in balanced states, the eigenvalues of a matrix as it is.
-
-    Returns
-    -------
-    complex (..., n)
-        Of a continuous system in rad/s; those of a discrete one (z) are dimensionless.
-
-    Raises
-    ------
-    ArgumentError
-        `system` is not a `control.StateSpace` or proper `TransferFunction` of finite numbers, nor a square matrix.
+    The poles of a system are computed in balanced states, the eigenvalues of a matrix as it is.
     """
     if isinstance(system, np.ndarray | list):
         A = real_numbers("poles: A", system)
@@ -158,20 +144,7 @@ def spectral_abscissa(poles: ComplexArray) -> FloatArray:
 
 
 def is_stable(system: StateSystem, margin: float = 0.0) -> bool:
-    """Whether every pole lies strictly inside the stability region.
-
-    Parameters
-    ----------
-    system
-        Continuous or discrete.
-    margin
-        Decay rate in 1/s that every pole must exceed.
-
-    Returns
-    -------
-    bool
-        True if all poles do.
-    """
+    """Whether every pole lies strictly inside the stability region, by a decay rate of `margin`, 1/s."""
     dt = linear_arrays(system, "is_stable").dt
     return bool(spectral_abscissa(continuous_poles(poles(system), dt)) < -number("is_stable: margin", margin))
 

@@ -99,22 +99,15 @@ def _caged(platform: Platform, controller: control.StateSpace) -> tuple[list[Tor
 
 @value
 class IntersampleGains:
-    """Largest gains of a caging loop in continuous time, L2 to L2, with their frequencies.
+    """Largest gains of a caging loop in continuous time, L2 to L2, with their frequencies."""
 
-    Attributes
-    ----------
-    torque_rejection
-        From disturbing torques at the gimbals to the angles, rad/(N m). At the gimbals: not through hold, delay and
-        lag as the torques of the controller.
-    torque_frequency, Omega_frequency
-        Where the peaks are, rad/s, up to π/T; None where the peak belongs to no frequency.
-    Omega_rejection
-        From Omega to the angles, rad/(rad/s).
-    """
-
+    # From disturbing torques at the gimbals to the angles, rad/(N m). At the gimbals: not through hold, delay and lag
+    # as the torques of the controller.
     torque_rejection: float
+    # torque_frequency, Omega_frequency: where the peaks are, rad/s, up to π/T; None where the peak belongs to no
+    # frequency.
     torque_frequency: float | None
-    Omega_rejection: float
+    Omega_rejection: float  # from Omega to the angles, rad/(rad/s)
     Omega_frequency: float | None
 
 

@@ -110,29 +110,17 @@ def sampled_plant(plants: PlantSet, k: int = 0) -> control.StateSpace:
 
 @value
 class LoopProblem:
-    """What a design method is given.
+    """What a design method is given."""
 
-    Attributes
-    ----------
-    job, spec, design
-        The job, one of its loops, and one of that loop's designs.
-    model
-        The platform linearised at rest.
-    plant_set
-        The plants of the loop, the nominal one first; None for a stabilisation loop.
-    directions
-        Those that `channel` has, where they are known already, as those of a loop around another one have to be.
-    progress
-        Called with a line during long work.
-    """
-
+    # job, spec, design: the job, one of its loops, and one of that loop's designs.
     job: Job
     spec: LoopSpec
     design: DesignSpec
-    model: LinearModel
-    plant_set: PlantSet | None = None
+    model: LinearModel  # the platform linearised at rest
+    plant_set: PlantSet | None = None  # the plants of the loop, the nominal one first; None for a stabilisation loop
+    # Those that `channel` has, where they are known already, as those of a loop around another one have to be.
     directions: Channels | None = None
-    progress: Progress = lambda line: None
+    progress: Progress = lambda line: None  # called with a line during long work
 
     @property
     def plants(self) -> PlantSet:
@@ -158,23 +146,12 @@ class LoopProblem:
 
 @value
 class Designed:
-    """What a design method returns; `designed` measures the closed loop and does not rely on the claims.
+    """What a design method returns; `designed` measures the closed loop and does not rely on the claims."""
 
-    Attributes
-    ----------
-    controller
-        u = K y, sampled with the job's period or a static gain.
-    options
-        The method's numbers as finally used, in the units of the job file.
-    claims
-        What the method claims, by name, in SI units.
-    inputs, outputs
-        Names of the signals; by default the pick-offs and the torquers of the loop's plants.
-    """
-
-    controller: StateArrays
-    options: dict[str, float]
-    claims: dict[str, float] = field(default_factory=dict)
+    controller: StateArrays  # u = K y, sampled with the job's period or a static gain
+    options: dict[str, float]  # the method's numbers as finally used, in the units of the job file
+    claims: dict[str, float] = field(default_factory=dict)  # what the method claims, by name, in SI units
+    # inputs, outputs: names of the signals; by default the pick-offs and the torquers of the loop's plants.
     inputs: tuple[str, ...] = ()
     outputs: tuple[str, ...] = ()
 

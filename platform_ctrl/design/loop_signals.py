@@ -28,28 +28,16 @@ _MOVES = 1e-6
 
 @value
 class LoopSignals:
-    """What a loop turns, reads and sets.
+    """What a loop turns, reads and sets."""
 
-    Attributes
-    ----------
-    gimbals
-        Names, in the loop's order.
-    torquers, sensors
-        Of the loop.
-    sight
-        Outputs of the line of sight that its torquers move.
-    held
-        Whether all other gimbals are held; else the loop's are whole subsystems.
-    fed
-        Sensors from which drives of its torquers find the rates by which they feed friction forward: of gimbal rates, a
-        feedback, and where dry friction counts of the root.
-    """
-
-    gimbals: tuple[str, ...]
+    gimbals: tuple[str, ...]  # names, in the loop's order
+    # torquers, sensors: of the loop.
     torquers: tuple[Torquer, ...]
     sensors: tuple[Sensor, ...]
-    sight: tuple[str, ...] = ()
-    held: bool = False
+    sight: tuple[str, ...] = ()  # outputs of the line of sight that its torquers move
+    held: bool = False  # whether all other gimbals are held; else the loop's are whole subsystems
+    # Sensors from which drives of its torquers find the rates by which they feed friction forward: of gimbal rates, a
+    # feedback, and where dry friction counts of the root.
     fed: tuple[Sensor, ...] = ()
 
     @property

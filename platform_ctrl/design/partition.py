@@ -234,30 +234,16 @@ _NO_GYRO = 1e-9
 
 @value
 class Channels:
-    """Gyroscopic pairs and inertial directions of some gimbals.
+    """Gyroscopic pairs and inertial directions of some gimbals."""
 
-    Attributes
-    ----------
-    basis : (n, n)
-        Orthogonal; rows are directions: y = basis @ q. First the pairs, then the inertial directions.
-    momenta : (pairs,)
-        h of each pair, N m s.
-    inertias : (n,)
-        Inertia in each direction, kg m².
-    spins : (rotors,)
-        Spin of the rotors that the gimbals carry, rad/s, without those that stand still.
-    order
-        2 where the inertial directions measure angles, 1 where rates: a torque shows in that derivative.
-    sense : (n, p)
-        Of loops that read other sensors than pick-offs: from their readings to the directions. Design methods then
-        get plants whose outputs are the directions already; None: they take the gimbals' angles there by `basis`.
-    """
-
+    # (n, n): orthogonal; rows are directions: y = basis @ q. First the pairs, then the inertial directions.
     basis: FloatArray
-    momenta: FloatArray
-    inertias: FloatArray
-    spins: FloatArray
-    order: int = 2
+    momenta: FloatArray  # (pairs,): h of each pair, N m s
+    inertias: FloatArray  # (n,): inertia in each direction, kg m²
+    spins: FloatArray  # (rotors,): spin of the rotors that the gimbals carry, rad/s, without those that stand still
+    order: int = 2  # 2 where the inertial directions measure angles, 1 where rates: a torque shows in that derivative
+    # (n, p): of loops that read other sensors than pick-offs: from their readings to the directions. Design methods
+    # then get plants whose outputs are the directions already; None: they take the gimbals' angles there by `basis`.
     sense: FloatArray | None = None
 
     @property

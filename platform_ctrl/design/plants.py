@@ -67,33 +67,22 @@ def forgetting(A: FloatArray, states: Sequence[str], angles: Collection[str], ra
 
 @value
 class LinearPlants:
-    """The plants of a loop before they are sampled: torques and platform rate → angles.
+    """The plants of a loop before they are sampled: torques and platform rate → angles."""
 
-    Attributes
-    ----------
-    cases
-        What each of them is, the nominal plant first.
-    signals
-        What the loop turns, reads and sets.
-    A, B, C, D, B_Omega, D_Omega
-        Continuous; shapes (N, n, n), (N, n, m), (N, p, n), (N, p, m), (N, n, 3), (N, p, 3).
-    C_sight, D_sight
-        Of the line of sight, (N, q, n) and, from torques and Omega, (N, q, m + 3); then of `signals.fed`.
-    states
-        Names of the n states.
-    """
-
-    cases: tuple[Case, ...]
-    signals: LoopSignals
+    cases: tuple[Case, ...]  # what each of them is, the nominal plant first
+    signals: LoopSignals  # what the loop turns, reads and sets
+    # A, B, C, D, B_Omega, D_Omega: continuous; shapes (N, n, n), (N, n, m), (N, p, n), (N, p, m), (N, n, 3), (N, p, 3).
     A: FloatArray
     B: FloatArray
     C: FloatArray
     D: FloatArray
     B_Omega: FloatArray
     D_Omega: FloatArray
+    # C_sight, D_sight: of the line of sight, (N, q, n) and, from torques and Omega, (N, q, m + 3); then of
+    # `signals.fed`.
     C_sight: FloatArray
     D_sight: FloatArray
-    states: tuple[str, ...]
+    states: tuple[str, ...]  # names of the n states
 
     @property
     def torquers(self) -> tuple[Torquer, ...]:

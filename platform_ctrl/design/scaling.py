@@ -40,35 +40,17 @@ REMEDIES = 'give method="lmi", which needs none of this, or regularise=1e-3'
 
 @value
 class ScaledPlant:
-    """A plant in units where its matrices are near one, and the units.
+    """A plant in units where its matrices are near one, and the units."""
 
-    Attributes
-    ----------
-    plant
-        The scaled plant; its D22 is zero, its D12 (D21) has orthonormal columns (rows) where it has full rank.
-    state : (n,)
-        x = diag(state) x_scaled.
-    rate
-        Unit of frequency, rad/s.
-    control : (nu, nu)
-        u = control @ u_scaled.
-    measurement : (ny, ny)
-        y_scaled = measurement @ (y − D22 u).
-    gain
-        gamma = gain * gamma_scaled.
-    D22 : (ny, nu)
-        The part of the plant that is undone by a loop shift.
-    control_rank, measurement_rank
-        Ranks of D12 and D21.
-    """
-
+    # The scaled plant; its D22 is zero, its D12 (D21) has orthonormal columns (rows) where it has full rank.
     plant: Partition
-    state: FloatArray
-    rate: float
-    control: FloatArray
-    measurement: FloatArray
-    gain: float
-    D22: FloatArray
+    state: FloatArray  # (n,): x = diag(state) x_scaled
+    rate: float  # unit of frequency, rad/s
+    control: FloatArray  # (nu, nu): u = control @ u_scaled
+    measurement: FloatArray  # (ny, ny): y_scaled = measurement @ (y − D22 u)
+    gain: float  # gamma = gain * gamma_scaled
+    D22: FloatArray  # (ny, nu): the part of the plant that is undone by a loop shift
+    # control_rank, measurement_rank: ranks of D12 and D21.
     control_rank: int
     measurement_rank: int
 

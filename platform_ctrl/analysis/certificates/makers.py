@@ -74,45 +74,11 @@ def stability_certificate(
 ) -> Certificate:
     """Return a proved certificate that a system, or a plant closed by a controller, is stable.
 
-    Parameters
-    ----------
-    A : (n, n)
-        x' = A x, or x(k+1) = A x(k), in the system's units.
-    dt
-        Sample period, s; 0: continuous.
-    decay
-        Rate, 1/s, that is claimed; default 99 % of the slowest pole's, or less where that cannot be proved.
-    B, C, D
-        With a controller u = K y: A, B, C, D are the plant from u to y, in its units. Shapes (n, m), (p, n), (p, m).
-    controller
-        K.
-    label
-        What it is.
-
-    Returns
-    -------
-    Certificate
-        Verified.
-
-    Raises
-    ------
-    ArgumentError
-        Matrices that do not fit together.
-    NotCertifiedError
-        The system is not stable, does not decay at `decay`, or no proof was found.
-
-    References
-    ----------
-    S. Boyd, L. El Ghaoui, E. Feron, V. Balakrishnan, Linear Matrix Inequalities in System and Control Theory, 1994.
-
-    See docs/certificates.md.
-
-    Examples
-    --------
-    >>> from platform_ctrl.analysis import certificates
-    >>> proof = certificates.stability_certificate([[-1.0, 2.0], [0.0, -3.0]])
-    >>> proof.verify().proved
-    True
+    x' = A x, or x(k+1) = A x(k) with a sample period dt > 0, s. With a controller u = K y the matrices are those of the
+    plant from u to y. `decay`, 1/s, is what is claimed; default 99 % of that of the slowest pole, or less where that
+    cannot be proved. Raises `ArgumentError` where matrices do not fit together, `NotCertifiedError` where no proof was
+    found. See docs/certificates.md; Boyd, El Ghaoui, Feron, Balakrishnan, Linear Matrix Inequalities in System and
+    Control Theory, 1994.
     """
     loop = closed(matrices_of(A, B, C, D, dt, "stability_certificate"), controller, label, "stability_certificate")
     system = _rounded(loop, "stability_certificate")
@@ -153,35 +119,9 @@ def norm_certificate(  # noqa: PLR0913 - the matrices of a loop and the claim
 ) -> Certificate:
     """Return a proved certificate that a system is stable and its H-infinity norm below `gamma`.
 
-    Parameters
-    ----------
-    A, B, C, D
-        The system in its units; with a controller the plant with inputs [w, u] and outputs [z, y]. Shapes (n, n), (n,
-        m), (p, n), (p, m).
-    dt
-        As in `stability_certificate`, s.
-    gamma
-        The bound that is claimed, in units of z per w; default the norm and as little above it as can be proved.
-    controller
-        As in `stability_certificate`.
-    norm
-        The norm, in the same units, where it is known already: it is not computed again.
-    label
-        As in `stability_certificate`.
-
-    Returns
-    -------
-    Certificate
-        Verified.
-
-    Raises
-    ------
-    NotCertifiedError
-        The system is not stable, its norm is not below `gamma`, or no proof was found.
-
-    References
-    ----------
-    See docs/certificates.md.
+    With a controller the matrices are those of the plant from [w, u] to [z, y]. `gamma`, in units of z per w, is by
+    default the `norm` (where it is known already it is not computed again) and as little above it as can be proved.
+    Otherwise as `stability_certificate`.
     """
     where = "norm_certificate"
     loop, system = _stable_loop(matrices_of(A, B, C, D, dt, where), controller, label, where)
@@ -204,31 +144,8 @@ def h2_certificate(
 ) -> Certificate:
     """Return a proved certificate that a system is stable and its H2 norm below `bound`.
 
-    Parameters
-    ----------
-    A, B, C, D
-        As in `norm_certificate`; D zero if continuous.
-    dt
-        As in `stability_certificate`, s.
-    bound
-        What is claimed, in units of z per w (continuous: times s^-1/2); default the norm and as little above it as can
-        be proved.
-    controller, label
-        As in `stability_certificate`.
-
-    Returns
-    -------
-    Certificate
-        Verified.
-
-    Raises
-    ------
-    NotCertifiedError
-        The system is not stable, its norm is not below `bound`, or no proof was found.
-
-    References
-    ----------
-    See docs/certificates.md.
+    D is zero if the system is continuous; the unit is then that of z per w times s^-1/2. Otherwise as
+    `norm_certificate`.
     """
     where = "h2_certificate"
     loop, system = _stable_loop(matrices_of(A, B, C, D, dt, where), controller, label, where)

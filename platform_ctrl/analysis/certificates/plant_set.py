@@ -20,21 +20,11 @@ from platform_ctrl.errors import ArgumentError, NotCertifiedError
 
 @value
 class Evidence:
-    """What proves a claim about a loop that is known otherwise.
+    """What proves a claim about a loop that is known otherwise."""
 
-    Attributes
-    ----------
-    bound
-        As of a `Certificate`.
-    X : (n, n)
-        As of a `Certificate`.
-    coordinates : (n, n), optional
-        As of a `Certificate`.
-    """
-
-    bound: float
-    X: FloatArray
-    coordinates: FloatArray | None = None
+    bound: float  # as of a `Certificate`
+    X: FloatArray  # (n, n): as of a `Certificate`
+    coordinates: FloatArray | None = None  # (n, n), optional: as of a `Certificate`
 
 
 # By the kind of the claim and the label of its loop.
@@ -195,36 +185,11 @@ def region_certificate(  # noqa: PLR0913 - the matrices of a loop and of a regio
 ) -> Certificate:
     """Return a proved certificate that every pole lies in the region {s : L + s M + s* M' < 0}.
 
-    X is the identity in the coordinates of the modes, which proves whatever is true of every pole alone.
+    L (symmetric) and M are (k, k), s is in rad/s. Damping above cos θ: L = 0, M = [[sin θ, cos θ], [−cos θ, sin θ]].
+    With a sample period `dt` > 0 the region is one of the w-plane, w = (2/dt) (z − 1)/(z + 1).
 
-    Parameters
-    ----------
-    A
-        As in `stability_certificate`.
-    L, M : (k, k)
-        The region, L symmetric, s in rad/s. Damping above cos θ: L = 0, M = [[sin θ, cos θ], [−cos θ, sin θ]].
-    dt
-        Sample period, s; > 0: the region is one of the w-plane, w = (2/dt) (z − 1)/(z + 1).
-    B, C, D, controller, label
-        As in `stability_certificate`.
-
-    Returns
-    -------
-    Certificate
-        Verified.
-
-    Raises
-    ------
-    ArgumentError
-        Matrices that do not fit together.
-    NotCertifiedError
-        A pole lies outside, or poles are so nearly multiple that the modes do not show it.
-
-    References
-    ----------
-    M. Chilali, P. Gahinet, IEEE Trans. Automatic Control 41, 1996.
-
-    See docs/certificates.md.
+    X is the identity in the coordinates of the modes, which proves whatever is true of every pole alone (Chilali and
+    Gahinet 1996); where poles are nearly multiple the modes do not show it. Otherwise as `stability_certificate`.
     """
     where = "region_certificate"
     loop = closed(matrices_of(A, B, C, D, dt, where), controller, label, where)

@@ -192,25 +192,7 @@ def complex_plant(
 
 @check_arguments
 def complex_response(system: ComplexSystem, frequency: ArrayLike) -> ComplexArray:
-    """Return the response at positive and negative frequencies.
-
-    Parameters
-    ----------
-    system
-        Continuous or sampled.
-    frequency : (N,)
-        rad/s, of either sign. Not at a pole.
-
-    Returns
-    -------
-    complex (N,)
-        In the units of the complex coordinates.
-
-    Raises
-    ------
-    ArgumentError
-        Not a vector of finite numbers.
-    """
+    """Return the response at positive and negative frequencies (N,), rad/s, none of them at a pole."""
     w = np.atleast_1d(real_numbers("complex_response: frequency", frequency))
     if w.ndim != 1 or not np.all(np.isfinite(w)):
         raise ArgumentError(f"complex_response: frequency must be a vector of finite numbers, got shape {w.shape}")

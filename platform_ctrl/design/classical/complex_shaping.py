@@ -227,22 +227,8 @@ def two_sided_nyquist(
 ) -> TwoSidedNyquist:
     """Return the loop transfer over positive and negative frequencies, with encirclements and margins.
 
-    Parameters
-    ----------
-    plant, controller
-        u = K z, the same `dt`.
-    frequency : (N,), optional
-        Rising, rad/s; default logarithmic on both sides, denser at poles. Counts and margins do not depend on it.
-
-    Returns
-    -------
-    TwoSidedNyquist
-        The curve with what it tells.
-
-    Raises
-    ------
-    ArgumentError
-        Different sample periods, or frequencies that do not rise.
+    u = K z, plant and controller with the same `dt`. `frequency` (N,), rad/s, rises; by default it is logarithmic on
+    both sides, denser at poles. Counts and margins do not depend on it.
     """
     if plant.dt != controller.dt:
         raise ArgumentError(

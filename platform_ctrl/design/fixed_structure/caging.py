@@ -114,23 +114,11 @@ def tuned_controller(
 ) -> Designed:
     """Return a controller of the given structure that meets the requirements, or comes nearest.
 
-    Parameters
-    ----------
-    options
-        Complete (see `default_options`). ``order``: states of "state-space" beside the integrators; ``integral_hz``:
-        of the PI, kept; ``rolloff_hz``: where the PID's filter starts; ``starts``: how many starting points there are.
-    structure
-        ``"cross-axis"``, ``"pid"`` or ``"state-space"``.
-    cross_axis
-        The classical loop, where every search starts.
-    channel, plants
-        Directions and plants, the nominal one first.
-    requirements
-        Limits and goals.
-    others
-        Further starting points, tried in turn where ``starts`` asks for more than one.
-    progress
-        Called with the largest ratio of a limit and of a goal; infinite where a loop is not stable yet.
+    `options` are complete (see `default_options`). ``order``: states of "state-space" beside the integrators;
+    ``integral_hz``: of the PI, kept; ``rolloff_hz``: where the PID's filter starts; ``starts``: how many starting
+    points there are. Every search starts at the classical loop `cross_axis`; `others` are tried in turn where
+    ``starts`` asks for more. `progress` is called with the largest ratio of a limit and of a goal; infinite where a
+    loop is not stable yet.
     """
     integral = 2.0 * np.pi * options["integral_hz"]
     # A rate loop against a spring has a slow mode that integrals do not move: the angle gives way by and by.
@@ -216,16 +204,10 @@ def _named(
 def pid_structure(
     like: StateArrays, channel: Channels, period: float, nutation: float, integral: float, rolloff: float
 ) -> Parametrised:
-    """Return a matrix PID with a second-order low-pass in every channel, in the channels of the gyros.
+    """Return a matrix PID with a second-order low-pass, at first at `rolloff`, in every channel of the gyros.
 
-    Parameters
-    ----------
-    like
-        Controller whose response the start resembles, between a tenth of the nutation and a fifth of the sample rate.
-    channel, period, nutation
-        Directions; s; rad/s.
-    integral, rolloff
-        rad/s: of the PI of `like`, and the start of the filter.
+    The start resembles the response of `like`, which has a PI with `integral`, between a tenth of the nutation and a
+    fifth of the sample rate. Frequencies and rates are in rad/s.
     """
     n = len(channel.basis)
     K_P, K_I, K_D = _fitted(like, channel, period, nutation, rolloff)
@@ -263,14 +245,8 @@ def free_structure(
 ) -> Parametrised:
     """Return a controller of fixed order behind a PI, 1 + integral/s, in every channel: so integral action stays.
 
-    Parameters
-    ----------
-    inner
-        What is behind the PI, sampled, in the channels of the gyros (see `without_integrators`).
-    channel, period, nutation
-        Directions; s; rad/s, the unit of rates.
-    integral
-        rad/s.
+    `inner` is what is behind the PI, sampled, in the channels of the gyros (see `without_integrators`). The unit of
+    rates is the nutation frequency; it and `integral` are in rad/s.
     """
     n, rate = len(channel.basis), nutation
     A, B, C, D, _ = inner
@@ -310,16 +286,9 @@ def without_integrators(
 
 
 def of_order(system: StateArrays, order: int, rate: float) -> StateArrays:
-    """Return a stable system with `order` states: balanced truncation, or with faint modes of its own added.
+    """Return a stable sampled system with `order` states: balanced truncation, or with faint modes of its own added.
 
-    Parameters
-    ----------
-    system
-        Stable, sampled.
-    order
-        Number of states.
-    rate
-        Nutation frequency times period: added modes lie there, well damped.
+    These lie, well damped, at `rate`, the nutation frequency times the period.
     """
     less = balanced_truncation(system, order)
     A, B, C, D, period = less

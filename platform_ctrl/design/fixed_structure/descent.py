@@ -55,22 +55,14 @@ _TENTH = 0.15
 
 @value
 class Found:
-    """Where a search ended.
+    """Where a search ended."""
 
-    Attributes
-    ----------
-    x : (d,)
-        Parameters.
-    hard, soft
-        Largest hard piece over all plants, at most 1 where every requirement is met; largest soft ratio, 0 without any.
-    evaluations
-        How often pieces were worked out.
-    """
-
-    x: FloatArray
+    x: FloatArray  # (d,): parameters
+    # hard, soft: largest hard piece over all plants, at most 1 where every requirement is met; largest soft ratio, 0
+    # without any.
     hard: float
     soft: float
-    evaluations: int
+    evaluations: int  # how often pieces were worked out
 
     def better_than(self, other: Found | None, reserve: float) -> bool:
         """Whether this one meets more, or the same with smaller soft ratios."""
@@ -105,20 +97,11 @@ class _State:
 
 
 class Search:
-    """One search.
+    """One search among plants, the nominal one first.
 
-    Parameters
-    ----------
-    plants
-        The nominal plant first.
-    requirements
-        Hard and soft. Without a soft one the largest hard piece is made small.
-    reserve
-        Hard pieces end below 1 − reserve; the search ends when the soft ones are met too.
-    evaluations
-        Most evaluations in all.
-    progress
-        Called with the largest hard piece and the largest soft ratio; infinite where a loop is not stable yet.
+    Without a soft requirement the largest hard piece is made small. Hard pieces end below 1 − reserve; the search ends
+    when the soft ones are met too, or after so many `evaluations`. `progress` is called with the largest hard piece and
+    the largest soft ratio; infinite where a loop is not stable yet.
     """
 
     def __init__(

@@ -35,17 +35,9 @@ from platform_ctrl.job.requirements import LoopRequirement
 def pieces(loops: ClosedLoops, requirement: LoopRequirement, floor: float = 0.8) -> Pieces:
     """Return the pieces of a requirement whose ratio is at least `floor`, and the worst.
 
-    A requirement is met where all its pieces are at most 1. Most are its ratios; "bandwidth" requires S at most 1/√2
-    up to its limit, "stability" counts decay rates in a share of the nutation frequency.
-
-    Parameters
-    ----------
-    loops
-        The controller closed around the plants.
-    requirement
-        On any metric; those without a gradient, and norms between named signals, have no pieces.
-    floor
-        Ratio below which a piece is of no interest.
+    A requirement is met where all its pieces are at most 1. Most are its ratios; "bandwidth" requires S at most 1/√2 up
+    to its limit, "stability" counts decay rates in a share of the nutation frequency. Metrics without a gradient, and
+    norms between named signals, have no pieces.
     """
     plants, metric = loops.plants, requirement.metric
     limit, measure = metric.in_SI(requirement.limit), metric.measure

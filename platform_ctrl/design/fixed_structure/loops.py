@@ -59,21 +59,11 @@ _HIDDEN = 0.02
 
 @value
 class Pieces:
-    """Smooth pieces.
+    """Smooth pieces."""
 
-    Attributes
-    ----------
-    ratio : (k,)
-        Values; as ratios of a requirement at most 1 when it is met.
-    gradient : (k, n_K + m, n_K + p)
-        With respect to [[A_K, B_K], [C_K, D_K]].
-    plant : (k,)
-        Number of the plant in the set.
-    """
-
-    ratio: FloatArray
-    gradient: FloatArray
-    plant: Numbers
+    ratio: FloatArray  # (k,): values; as ratios of a requirement at most 1 when it is met
+    gradient: FloatArray  # (k, n_K + m, n_K + p): with respect to [[A_K, B_K], [C_K, D_K]]
+    plant: Numbers  # (k,): number of the plant in the set
 
     def times(self, factor: float) -> Pieces:
         """Return the pieces in another unit."""
@@ -143,15 +133,7 @@ class Singular(NamedTuple):
 
 
 class ClosedLoops:
-    """A controller closed around every plant of a set: what pieces have in common, worked out once.
-
-    Parameters
-    ----------
-    plants
-        The nominal plant first.
-    controller
-        Sampled, u = K y.
-    """
+    """A sampled controller, u = K y, closed around every plant of a set: what pieces have in common."""
 
     def __init__(self, plants: PlantSet, controller: StateArrays) -> None:
         self.plants, self.whole = plants, plants.whole

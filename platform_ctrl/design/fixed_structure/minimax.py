@@ -24,35 +24,16 @@ SETTLING = 400
 
 @value
 class Minimum:
-    """Where the search ended.
+    """Where the search ended."""
 
-    Attributes
-    ----------
-    x : (n,)
-        Parameters, within the bounds.
-    value
-        Largest piece; inf where x is not stable.
-    hard
-        Largest hard piece; −inf without any.
-    stability
-        Largest stability piece, negative where x is stable; −inf without any.
-    evaluations
-        How often pieces were requested.
-    finished
-        Whether it ended by itself and not by its evaluations, its steps or its deadline.
-    late
-        Whether the deadline ended it.
-    radius, hessian
-        Trust region and curvature of the polish, to go on with; the first ones where there was none.
-    """
-
-    x: FloatArray
-    value: float
-    hard: float
-    stability: float
-    evaluations: int
-    finished: bool
-    late: bool
+    x: FloatArray  # (n,): parameters, within the bounds
+    value: float  # largest piece; inf where x is not stable
+    hard: float  # largest hard piece; −inf without any
+    stability: float  # largest stability piece, negative where x is stable; −inf without any
+    evaluations: int  # how often pieces were requested
+    finished: bool  # whether it ended by itself and not by its evaluations, its steps or its deadline
+    late: bool  # whether the deadline ended it
+    # radius, hessian: trust region and curvature of the polish, to go on with; the first ones where there was none.
     radius: float
     hessian: FloatArray | None
 
@@ -121,21 +102,8 @@ def minimise(
 ) -> Minimum:
     """Minimise the largest soft piece where every `stability` piece is negative and every `hard` piece at most one.
 
-    Parameters
-    ----------
-    objective
-        The pieces.
-    x0 : (n,)
-        Start, in units where a change of one is large.
-    bounds : (lower, upper), each (n,), optional
-        Of x.
-    effort
-        How far the search goes.
-
-    Returns
-    -------
-    Minimum
-        The best point found, also where limits ended the search; `Minimum.stable` says whether it is usable.
+    It starts at `x0` (n,), in units where a change of one is large, and ends at the best point found, also where limits
+    ended the search; `Minimum.stable` says whether it is usable.
     """
     effort = effort or Effort()
     n = len(x0)

@@ -34,24 +34,12 @@ _DIP = 1e-6
 
 @value
 class Peaks:
-    """Singular values at and near the peaks of a closed loop.
+    """Singular values at and near the peaks of a closed loop."""
 
-    Attributes
-    ----------
-    frequency : (k,)
-        rad/s; inf for the direct term.
-    values : (k,)
-        Singular values, the largest first.
-    index : (k,)
-        Which singular value at that frequency.
-    gradients : (k, rows, columns)
-        With respect to M.
-    """
-
-    frequency: FloatArray
-    values: FloatArray
-    index: NDArray[np.intp]
-    gradients: FloatArray
+    frequency: FloatArray  # (k,): rad/s; inf for the direct term
+    values: FloatArray  # (k,): singular values, the largest first
+    index: NDArray[np.intp]  # (k,): which singular value at that frequency
+    gradients: FloatArray  # (k, rows, columns): with respect to M
 
 
 class ClosedLoop:
@@ -123,12 +111,7 @@ class ClosedLoop:
     def top(self, memory: FloatArray, enough: float) -> tuple[float, float]:
         """Return the norm and its frequency, inf for the direct term (Bruinsma and Steinbuch 1990).
 
-        Parameters
-        ----------
-        memory
-            Frequencies to begin with.
-        enough
-            Above it any value that the loop has somewhere serves.
+        The frequencies in `memory` are looked at first; above `enough` any value that the loop has somewhere serves.
         """
         direct = float(np.linalg.norm(self.D, 2)) if np.any(self.D) else 0.0
         best, frequency = direct, np.inf
@@ -193,12 +176,7 @@ class ClosedLoop:
     def peak_frequencies(self, window: float, memory: FloatArray) -> tuple[FloatArray, float]:
         """Return the frequencies of the local maxima above (1 − window) of the highest, and the highest.
 
-        Parameters
-        ----------
-        window
-            Relative depth.
-        memory
-            Frequencies that are looked at in any case.
+        Those in `memory` are looked at in any case.
         """
         poles = self.poles
         direct = float(np.linalg.norm(self.D, 2)) if self.D.size else 0.0
@@ -412,24 +390,11 @@ def _between(crossed: FloatArray) -> FloatArray:
 def second_order(
     c: ComplexArray, d: ComplexArray, S: FloatArray, height: float, apart: NDArray[np.bool_]
 ) -> FloatArray:
-    """Second-order perturbation of a singular value, a sum over the other eigenpairs of [0, T; T', 0].
+    """Second-order perturbation (n, n) of a singular value, a sum over the other eigenpairs of [0, T; T', 0].
 
-    Parameters
-    ----------
-    c
-        u_k' dT v for all left vectors k, (rows, n).
-    d
-        v_k' dT' u for all right vectors k, likewise.
-    S
-        All singular values, (r,).
-    height
-        The one whose vectors are u and v.
-    apart : (r,)
-        Which of the others are distinct from it: those that nearly coincide have no derivatives of their own.
-
-    Returns
-    -------
-    (n, n)
+    `height` is the value, of the vectors u and v, among all of them S (r,). c (rows, n) holds u_k' dT v for all left
+    vectors k, d v_k' dT' u for all right ones. `apart` (r,) says which of the others are distinct from it: those that
+    nearly coincide have no derivatives of their own.
     """
     r = len(S)
     plus, minus = 0.5 * (c[:r] + d[:r]), 0.5 * (c[:r] - d[:r])

@@ -60,10 +60,7 @@ class _Point:
 class WorstNorm:
     """The H-infinity norms of all plants as pieces for `minimax.minimise`.
 
-    Attributes
-    ----------
-    window
-        How far below the highest peak a peak still counts, relative.
+    Peaks down to a share `window` below the highest count.
     """
 
     def __init__(

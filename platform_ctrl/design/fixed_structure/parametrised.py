@@ -20,14 +20,8 @@ _STEP = 1e-4
 class Parametrised:
     """The matrix M = [A_K, B_K; C_K, D_K] of a structure over its free numbers x.
 
-    Attributes
-    ----------
-    names
-        All parameters, the fixed ones among them.
-    start, lower, upper : (n,)
-        Starting point and bounds in search coordinates.
-    positive : (n,)
-        Which coordinates are logarithms; M is affine in each of the others.
+    `names` are those of all parameters, the fixed ones among them. `start`, `lower` and `upper` (n,) are in search
+    coordinates; those that are `positive` (n,) are logarithms, and M is affine in each of the others.
     """
 
     def __init__(self, structure: Structure, nmeas: int, ncon: int, units: Units) -> None:

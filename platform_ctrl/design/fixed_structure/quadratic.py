@@ -11,24 +11,13 @@ from platform_ctrl.common.values import FloatArray, value
 
 @value
 class Step:
-    """Minimiser of the model.
+    """Minimiser of the model."""
 
-    Attributes
-    ----------
-    move : (n,)
-        The step d.
-    level
-        The largest soft piece of the model at d, without the curvature.
-    violation
-        By how much the model's hard pieces still exceed one.
-    weights, hard_weights, wall_weights
-        Multipliers of the soft pieces, the hard pieces and the walls, not negative; those of the soft ones add up to
-        one.
-    """
-
-    move: FloatArray
-    level: float
-    violation: float
+    move: FloatArray  # (n,): the step d
+    level: float  # the largest soft piece of the model at d, without the curvature
+    violation: float  # by how much the model's hard pieces still exceed one
+    # weights, hard_weights, wall_weights: multipliers of the soft pieces, the hard pieces and the walls, not negative;
+    # those of the soft ones add up to one.
     weights: FloatArray
     hard_weights: FloatArray
     wall_weights: FloatArray
@@ -44,25 +33,9 @@ def least_maximum(  # noqa: PLR0915 - one active-set method
 ) -> Step | None:
     """Minimise max(values + gradients d) + penalty max(0, hard values + hard gradients d − 1) + d'Hd/2 over the box.
 
-    Parameters
-    ----------
-    soft : (k,), (k, n)
-        Values and gradients of the pieces at d = 0.
-    H : (n, n)
-        Positive semidefinite.
-    box : (n,), (n,)
-        Lower and upper bounds of d, around zero.
-    hard : (m,), (m, n), optional
-        Pieces that must not exceed one.
-    penalty
-        Price of the largest excess.
-    walls : (r, n), (r,), optional
-        Rows and limits: rows @ d <= limits.
-
-    Returns
-    -------
-    Step or None
-        None where the solver found no solution.
+    `soft` and `hard` are values (k,) and gradients (k, n) at d = 0; `penalty` is the price of the largest excess of a
+    hard piece over one. The box (lower, upper) holds zero, `walls` are rows (r, n) and limits (r,), rows @ d <= limits.
+    None where the solver found no solution.
     """
     import clarabel
 

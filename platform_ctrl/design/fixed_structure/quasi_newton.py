@@ -30,22 +30,13 @@ class Stopped(Exception):
 
 @value
 class Descent:
-    """Where a descent ended.
+    """Where a descent ended."""
 
-    Attributes
-    ----------
-    x, level
-        The best point within the bounds, and its value.
-    inverse : (n, n) or None
-        Inverse Hessian there; None before the first step.
-    finished
-        Whether it ended by itself.
-    """
-
+    # x, level: the best point within the bounds, and its value.
     x: FloatArray
     level: float
-    inverse: FloatArray | None
-    finished: bool
+    inverse: FloatArray | None  # (n, n) or None: inverse Hessian there; None before the first step
+    finished: bool  # whether it ended by itself
 
 
 class _Bounded:
@@ -75,22 +66,11 @@ def descended(
     progress: float = _PROGRESS,
     inverse: FloatArray | None = None,
 ) -> Descent:
-    """Return what a descent from x finds.
+    """Return what a descent from x finds within bounds (n,).
 
-    Parameters
-    ----------
-    function
-        What is made small; it raises `Stopped` where the search has to end.
-    x, low, high : (n,)
-        Start and bounds.
-    target
-        Value that is enough.
-    iterations
-        Most of them.
-    progress
-        Relative decrease over some tens of iterations below which the search ends.
-    inverse
-        Of an earlier descent that ended at x.
+    It ends at the value `target`, or where the `function`, which is made small, raises `Stopped`, or where some tens of
+    iterations together decrease the value by no more than `progress`, relative. `inverse` is of an earlier descent that
+    ended at x.
     """
     bounded = _Bounded(function, low, high)
     best, lowest = np.clip(x, low, high), np.inf

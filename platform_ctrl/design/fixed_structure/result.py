@@ -162,24 +162,13 @@ _BACKOFFS = (0.1, 0.5, 2.0)
 
 @value
 class Bound:
-    """What is known of controllers of full order for one plant.
+    """What is known of controllers of full order for one plant."""
 
-    Attributes
-    ----------
-    gamma
-        What no controller of any order can undercut; 0 where nothing is shown.
-    source
-        How it was found.
-    controllers
-        Some near it and some far from it, in the w-plane where the plant is sampled; none where none are fitted.
-    cut
-        Whether the time limit ended a computation.
-    """
-
-    gamma: float
-    source: str
+    gamma: float  # what no controller of any order can undercut; 0 where nothing is shown
+    source: str  # how it was found
+    # Some near it and some far from it, in the w-plane where the plant is sampled; none where none are fitted.
     controllers: tuple[StateArrays, ...]
-    cut: bool = False
+    cut: bool = False  # whether the time limit ended a computation
 
 
 def least_norm(plant: Partition, power: bool) -> float:

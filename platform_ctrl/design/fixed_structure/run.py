@@ -40,103 +40,59 @@ _EVALUATIONS = 1200
 
 @value
 class Goal:
-    """A norm of every plant, in units of its limit.
+    """A norm of every plant, in units of its limit."""
 
-    Attributes
-    ----------
-    plants
-        Augmented, with the goal's own w and z.
-    h2
-        Whether it is the H2 norm.
-    """
-
-    plants: tuple[Partition, ...]
-    h2: bool = False
+    plants: tuple[Partition, ...]  # augmented, with the goal's own w and z
+    h2: bool = False  # whether it is the H2 norm
 
 
 @value
 class Problem:
-    """What is searched for.
+    """What is searched for."""
 
-    Attributes
-    ----------
-    plants
-        Augmented by the controller's integrators; their poles have to be stable.
-    soft, hard
-        Norms to be minimised, and norms that must not exceed one.
-    decay
-        Least distance of every pole from the axis, rad/s.
-    units : (left, right)
-        M = left · M_scaled · right, for controllers without a pattern.
-    order
-        States of the controller, the first rows and columns of M.
-    structured
-        The pattern; None: every entry of M is free.
-    """
-
-    plants: tuple[Partition, ...]
+    plants: tuple[Partition, ...]  # augmented by the controller's integrators; their poles have to be stable
+    # soft, hard: norms to be minimised, and norms that must not exceed one.
     soft: tuple[Goal, ...]
     hard: tuple[Goal, ...]
-    decay: float
+    decay: float  # least distance of every pole from the axis, rad/s
+    # (left, right): M = left · M_scaled · right, for controllers without a pattern.
     units: tuple[FloatArray, FloatArray]
-    order: int
-    structured: Parametrised | None
+    order: int  # states of the controller, the first rows and columns of M
+    structured: Parametrised | None  # the pattern; None: every entry of M is free
 
 
 @value
 class Limits:
-    """How far a search goes.
+    """How far a search goes."""
 
-    Attributes
-    ----------
-    evaluations
-        Most evaluations of the closed loops: one counts a norm with its slope, `POLISH_COST` all its peaks with
-        their curvature and a quadratic program.
-    deadline
-        Time by `time.monotonic`, s.
-    least
-        Value that no controller undercuts: what reaches it, to `REACHED`, ends the search.
-    """
-
+    # Most evaluations of the closed loops: one counts a norm with its slope, `POLISH_COST` all its peaks with their
+    # curvature and a quadratic program.
     evaluations: int
-    deadline: float = np.inf
-    least: float = 0.0
+    deadline: float = np.inf  # time by `time.monotonic`, s
+    least: float = 0.0  # value that no controller undercuts: what reaches it, to `REACHED`, ends the search
 
 
 @value
 class Outcome:
-    """What a search has reached.
+    """What a search has reached."""
 
-    Attributes
-    ----------
-    x
-        Search coordinates; where there is no pattern the entries of M in their units, row by row.
-    M
-        [A_K, B_K; C_K, D_K].
-    value, hard
-        As in `minimax.Minimum`.
-    stable, abscissa
-        Whether every loop is stable by the decay requested, and the largest real part of their poles, rad/s.
-    evaluations, seconds, finished, late
-        What was spent, whether the search ended by itself, and whether the deadline ended it.
-    at_limit
-        Whether the largest gain that the search allows keeps the controller where it is.
-    inverse
-        What a descent has learnt, to go on with.
-    """
-
-    x: FloatArray
-    M: FloatArray
+    x: FloatArray  # search coordinates; where there is no pattern the entries of M in their units, row by row
+    M: FloatArray  # [A_K, B_K; C_K, D_K]
+    # value, hard: as in `minimax.Minimum`.
     value: float
     hard: float
+    # stable, abscissa: whether every loop is stable by the decay requested, and the largest real part of their poles,
+    # rad/s.
     stable: bool
     abscissa: float
+    # evaluations, seconds, finished, late: what was spent, whether the search ended by itself, and whether the deadline
+    # ended it.
     evaluations: int
     seconds: float
     finished: bool
     late: bool
-    at_limit: bool = False
-    inverse: FloatArray | None = None
+    at_limit: bool = False  # whether the largest gain that the search allows keeps the controller where it is
+    inverse: FloatArray | None = None  # what a descent has learnt, to go on with
 
     @property
     def rank(self) -> tuple[float, float]:
@@ -155,16 +111,8 @@ class Outcome:
 def searched(problem: Problem, start: FloatArray | Outcome, limits: Limits, polish: bool = False) -> Outcome:
     """Return what a search finds that begins at `start`, or goes on from there.
 
-    Parameters
-    ----------
-    problem
-        What is requested.
-    start
-        Search coordinates, M where there is no pattern, or what an earlier part of the search found.
-    limits
-        For this part.
-    polish
-        Whether to work with all peaks and their curvature, which is dear and ends at a minimum, or to descend.
+    `start`: search coordinates, M where there is no pattern, or what an earlier part of the search found. With `polish`
+    it works with all peaks and their curvature, which is dear and ends at a minimum; else it descends.
     """
     began = time.monotonic()
     if isinstance(start, Outcome):

@@ -148,24 +148,13 @@ _STEP = 1e-5
 
 @value
 class Sampled(Structure):
-    """A sampled structure in other directions: u = basisᵀ K basis y.
+    """A sampled structure in other directions: u = basisᵀ K basis y."""
 
-    Attributes
-    ----------
-    inner
-        In the w-plane or in (z − 1)/period, in the directions that the rows of `basis` are.
-    period
-        s.
-    basis : (n, n)
-        Orthogonal.
-    forward
-        Whether s is (z − 1)/period, and not Tustin's rule: then the sampled matrices are affine in those of
-        `inner`. Tustin's states are those of the trapezium rule.
-    """
-
-    inner: Structure
-    period: float
-    basis: FloatArray
+    inner: Structure  # in the w-plane or in (z − 1)/period, in the directions that the rows of `basis` are
+    period: float  # s
+    basis: FloatArray  # (n, n): orthogonal
+    # Whether s is (z − 1)/period, and not Tustin's rule: then the sampled matrices are affine in those of `inner`.
+    # Tustin's states are those of the trapezium rule.
     forward: bool = False
 
     @property
@@ -191,21 +180,11 @@ class Sampled(Structure):
 
 @value
 class Named(Structure):
-    """A controller that a function builds from positive numbers with names, as the classical design does.
+    """A controller that a function builds from positive numbers with names, as the classical design does."""
 
-    Attributes
-    ----------
-    build
-        Numbers by name → A, B, C, D; real numbers alone, smooth in them.
-    values
-        All numbers. Those in `fixed` do not change.
-    largest
-        Upper bounds of some.
-    """
-
-    build: Callable[[dict[str, float]], StateArrays]
-    values: Mapping[str, float]
-    largest: Mapping[str, float]
+    build: Callable[[dict[str, float]], StateArrays]  # numbers by name → A, B, C, D; real numbers alone, smooth in them
+    values: Mapping[str, float]  # all numbers; those in `fixed` do not change
+    largest: Mapping[str, float]  # upper bounds of some
 
     def parameters(self, nmeas: int, ncon: int, units: Units) -> tuple[Parameter, ...]:
         """Return the numbers."""

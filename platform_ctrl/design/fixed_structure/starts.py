@@ -32,14 +32,7 @@ _NEGLIGIBLE = 1e-7
 def balanced_truncation(system: StateArrays, order: int, negligible: float = _NEGLIGIBLE) -> StateArrays:
     """Return the balanced truncation of a stable system, by square roots (Tombs and Postlethwaite 1987).
 
-    Parameters
-    ----------
-    system
-        Stable.
-    order
-        Most states that are kept: fewer where the others are negligible.
-    negligible
-        Share of the largest Hankel singular value below which a state is left out.
+    Fewer than `order` states are kept where Hankel singular values are below the share `negligible` of the largest.
     """
     A, B, C, D, dt = system
     if not len(A):
@@ -201,25 +194,11 @@ class Reached:
 
 
 class Orders:
-    """Controllers of every order for one set of plants.
+    """Controllers of every order for one set of plants, continuous or in the w-plane.
 
-    Parameters
-    ----------
-    plants
-        Continuous, or in the w-plane.
-    decay
-        That every pole is to keep, rad/s.
-    units
-        Of gains and rates.
-    rng
-        Of the random starts.
-    limits
-        Of all orders together; where they end the search, the nearest so far is the answer.
-
-    Attributes
-    ----------
-    spent
-        Evaluations of the loops' poles.
+    Every pole is to keep `decay`, rad/s. `units` are of gains and rates, `rng` draws the random starts; `limits` are of
+    all orders together: where they end the search, the nearest so far is the answer. `spent` counts the evaluations of
+    the loops' poles.
     """
 
     def __init__(

@@ -74,57 +74,36 @@ class Objective:
 
 @value
 class Region:
-    """Trust region of a polish.
+    """Trust region of a polish."""
 
-    Attributes
-    ----------
-    radius, least
-        The first one, and the one at which the polish ends.
-    larger, smaller
-        Its factors where a step of its length was good, and where a step was refused.
-    hessian
-        Curvature of an earlier search, where none is known in closed form.
-    """
-
+    # radius, least: the first one, and the one at which the polish ends.
     radius: float = 1.0
     least: float = 1e-13
+    # larger, smaller: its factors where a step of its length was good, and where a step was refused.
     larger: float = 2.5
     smaller: float = 0.5
-    hessian: FloatArray | None = None
+    hessian: FloatArray | None = None  # curvature of an earlier search, where none is known in closed form
 
 
 @value
 class Effort:
-    """How far a search goes.
+    """How far a search goes."""
 
-    Attributes
-    ----------
-    evaluations
-        Most evaluations of pieces in all.
-    descent, steps
-        Most iterations of the descents on hard and soft pieces, and most steps of the polish.
-    deadline
-        Time by `time.monotonic`, s, at which the search ends in any case.
-    target, excess
-        The search ends as soon as the largest soft piece is at most `target` and no hard piece above 1 + `excess`.
-    tolerance, unit
-        Decrease of a small step, in this unit; without one in units of the value itself.
-    penalty
-        Price of the largest excess of a hard piece; without one, ten times the largest soft piece, at least 10.
-    region
-        Of the polish.
-    """
-
-    evaluations: int = 4000
+    evaluations: int = 4000  # most evaluations of pieces in all
+    # descent, steps: most iterations of the descents on hard and soft pieces, and most steps of the polish.
     descent: int = 400
     steps: int = 10**6
-    deadline: float = np.inf
+    deadline: float = np.inf  # time by `time.monotonic`, s, at which the search ends in any case
+    # target, excess: the search ends as soon as the largest soft piece is at most `target` and no hard piece above 1 +
+    # `excess`.
     target: float = -np.inf
     excess: float = 0.0
+    # tolerance, unit: decrease of a small step, in this unit; without one in units of the value itself.
     tolerance: float = 1e-7
     unit: float | None = None
+    # Price of the largest excess of a hard piece; without one, ten times the largest soft piece, at least 10.
     penalty: float | None = None
-    region: Region = Region()
+    region: Region = Region()  # of the polish
 
 
 class Run:

@@ -35,22 +35,13 @@ ATTEMPTS = 2
 
 @value
 class Solver:
-    """How the problems of one synthesis are solved.
+    """How the problems of one synthesis are solved."""
 
-    Attributes
-    ----------
-    where, cure
-        Method, and what to try next, for messages.
-    time_limit
-        Longest time of one solution, s, without the start of the solver.
-    P
-        Attached to errors as the problem.
-    """
-
+    # where, cure: method, and what to try next, for messages.
     where: str
     cure: str
-    time_limit: float
-    P: Any
+    time_limit: float  # longest time of one solution, s, without the start of the solver
+    P: Any  # attached to errors as the problem
 
     def solve(
         self, problem: Any, variables: tuple[Any, ...], step: str, tolerance: float = 1e-8, decompose: bool = True

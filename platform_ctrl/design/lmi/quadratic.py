@@ -52,23 +52,14 @@ LEAST_ROOM = 10.0
 
 
 class Round(NamedTuple):
-    """How the second step is tried.
+    """How the second step is tried."""
 
-    Attributes
-    ----------
-    strictness
-        Distance of the inequalities from zero, relative to gamma and the back-off.
-    reward
-        Weight of the mean eigenvalues of X and Y. The separation is that of one direction; where X and Y are small in
-        the others, I − X Y is near singular and the controller has poles ten to a hundred times faster than that of the
-        Riccati route, but large ones hide violations from the solver.
-    tolerance
-        The solver's.
-    """
-
-    strictness: float
+    strictness: float  # distance of the inequalities from zero, relative to gamma and the back-off
+    # Weight of the mean eigenvalues of X and Y. The separation is that of one direction; where X and Y are small in the
+    # others, I − X Y is near singular and the controller has poles ten to a hundred times faster than that of the
+    # Riccati route, but large ones hide violations from the solver.
     reward: float
-    tolerance: float
+    tolerance: float  # the solver's
 
 
 # Until everything holds.
@@ -80,25 +71,14 @@ ROUGH, FINE = 1e-4, 1e-7
 
 @value
 class Quadratic:
-    """Controllers of the vertices, in the units of the plants, with what they have in common.
+    """Controllers of the vertices, in the units of the plants, with what they have in common."""
 
-    Attributes
-    ----------
-    controllers
-        One for each plant, in common states.
-    least
-        The least gamma.
-    lyapunov : (2n, 2n)
-        V > 0 such that d/dt x'V x + (z'z − g² w'w)/g < 0 for [x, xK] in the plants' units, every vertex and every
-        convex combination, g = (1 + backoff) least.
-    residual
-        How well the inequalities hold (scaled).
-    """
-
-    controllers: tuple[StateArrays, ...]
-    least: float
+    controllers: tuple[StateArrays, ...]  # one for each plant, in common states
+    least: float  # the least gamma
+    # (2n, 2n): V > 0 such that d/dt x'V x + (z'z − g² w'w)/g < 0 for [x, xK] in the plants' units, every vertex and
+    # every convex combination, g = (1 + backoff) least.
     lyapunov: FloatArray
-    residual: dict[str, float]
+    residual: dict[str, float]  # how well the inequalities hold (scaled)
 
 
 def quadratic_hinf(

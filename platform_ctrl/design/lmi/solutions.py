@@ -105,12 +105,8 @@ def _matrix(
 class KnownMatrix:
     """Plants (scaled) and the unknown controller for a known V (2n, 2n) of the states [x, xK]; D is the unknown D_K.
 
-    Attributes
-    ----------
-    loops
-        A closed loop for each plant, linear in the `unknowns`, which are variables of the problem.
-    A_K
-        The controller's state matrix in states `own` xK, an expression; `own` is (n, n).
+    `loops` has a closed loop for each plant, linear in the `unknowns`, which are variables of the problem; `A_K` is the
+    expression of the controller's state matrix in states `own` xK, `own` (n, n).
     """
 
     def __init__(self, plants: Sequence[Partition], V: FloatArray, D: Any) -> None:

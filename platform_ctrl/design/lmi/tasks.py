@@ -53,23 +53,15 @@ class NormTask:
 
 @value
 class Tasks:
-    """The requirements, sorted.
+    """The requirements, sorted."""
 
-    Attributes
-    ----------
-    plant
-        The plant, in the w-plane if it is sampled, extended by the channels' weights: its w and z are those of the
-        channels, one after the other.
-    norms, regions
-        The norms and pole regions.
-    controller
-        Bounds on the modulus of the controller's poles.
-    """
-
+    # The plant, in the w-plane if it is sampled, extended by the channels' weights: its w and z are those of the
+    # channels, one after the other.
     plant: Partition
+    # norms, regions: the norms and pole regions.
     norms: tuple[NormTask, ...]
     regions: tuple[LoopRequirement, ...]
-    controller: tuple[LoopRequirement, ...]
+    controller: tuple[LoopRequirement, ...]  # bounds on the modulus of the controller's poles
 
 
 def tasks(P: StateSpace, plant: Partition, requirements: Sequence[LoopRequirement], where: str) -> Tasks:

@@ -31,20 +31,11 @@ _RESIDUE_NOISE = 0.2
 
 @value
 class Contour:
-    """Points along the contour, upwards, and the response there.
+    """Points along the contour, upwards, and the response there."""
 
-    Attributes
-    ----------
-    s : complex (N,)
-        1/s; on the axis, and to the right of it round poles.
-    P : complex (N, n, n)
-        Response at s.
-    residue : (N,)
-        Size of the residue of the pole that a point was put there for; 0 at measured frequencies.
-    """
-
-    s: ComplexArray
-    P: ComplexArray
+    s: ComplexArray  # complex (N,): 1/s; on the axis, and to the right of it round poles
+    P: ComplexArray  # complex (N, n, n): response at s
+    # (N,): size of the residue of the pole that a point was put there for; 0 at measured frequencies.
     residue: FloatArray
 
     @property

@@ -209,25 +209,14 @@ _LARGEST_RESPONSE = 1e50
 
 @value
 class Measured:
-    """Frequency responses of one plant, or of several that one controller has to serve.
+    """Frequency responses of one plant, or of several that one controller has to serve."""
 
-    Attributes
-    ----------
-    frequency : tuple of (N_k,)
-        rad/s, rising, of every plant.
-    response : tuple of complex (N_k, n, n)
-        Torques to angles, dead time and hold included.
-    torques, angles
-        Names of the signals.
-    period
-        Of the controller, s; 0 for a continuous one.
-    """
-
-    frequency: tuple[FloatArray, ...]
-    response: tuple[ComplexArray, ...]
+    frequency: tuple[FloatArray, ...]  # tuple of (N_k,): rad/s, rising, of every plant
+    response: tuple[ComplexArray, ...]  # tuple of complex (N_k, n, n): torques to angles, dead time and hold included
+    # torques, angles: names of the signals.
     torques: tuple[str, ...]
     angles: tuple[str, ...]
-    period: float
+    period: float  # of the controller, s; 0 for a continuous one
 
 
 def measured_plants(

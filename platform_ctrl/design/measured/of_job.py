@@ -53,17 +53,10 @@ _ON_DATA = ", measured responses"
 
 @value
 class Responses:
-    """Measured responses of the plant of a loop, in the order of its signals.
+    """Measured responses of the plant of a loop, in the order of its signals."""
 
-    Attributes
-    ----------
-    frequency : (F,)
-        rad/s.
-    response : complex (F, p, m)
-        From torques to what the loop reads, as its sampled controller sees them.
-    """
-
-    frequency: FloatArray
+    frequency: FloatArray  # (F,): rad/s
+    # complex (F, p, m): from torques to what the loop reads, as its sampled controller sees them.
     response: ComplexArray
 
 

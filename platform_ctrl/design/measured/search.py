@@ -34,23 +34,14 @@ _INTEGRAL = 0.1
 
 @value
 class Mechanics:
-    """M q̈ + G q̇ + K q = Q delayed by `dead_time`, fitted.
+    """M q̈ + G q̇ + K q = Q delayed by `dead_time`, fitted."""
 
-    Attributes
-    ----------
-    M, G, K : (n, n)
-        Inertia, gyroscopic action with friction, stiffness.
-    dead_time
-        s.
-    error
-        Rms of P P_fit⁻¹ − I.
-    """
-
+    # M, G, K: (n, n): inertia, gyroscopic action with friction, stiffness.
     M: FloatArray
     G: FloatArray
     K: FloatArray
-    dead_time: float
-    error: float
+    dead_time: float  # s
+    error: float  # rms of P P_fit⁻¹ − I
 
 
 def fitted_mechanics(frequency: FloatArray, P: ComplexArray) -> Mechanics:

@@ -141,26 +141,17 @@ def _sides(p: Partition) -> tuple[Side, Side]:
 
 
 class Trial(NamedTuple):
-    """What one gamma gives: the solutions, or why there are none.
-
-    Attributes
-    ----------
-    solution
-        The stabilising X and Y of the two Riccati equations at t = gamma⁻².
-    slack
-        1/rho(X Y) − gamma⁻²: positive where gamma can be reached, negative where the coupling forbids it; None where
-        X or Y does not exist or is not positive semidefinite.
-    room
-        1/lambda_max of X and of Y, or 1/lambda_min where that is negative: zero at the gamma where they become
-        infinite.
-    axis
-        Which side has eigenvalues on the imaginary axis (0 for X, 1 for Y), and their frequencies; else None.
-    """
+    """What one gamma gives: the solutions, or why there are none."""
 
     t: float
+    # The stabilising X and Y of the two Riccati equations at t = gamma⁻².
     solution: tuple[FloatArray, FloatArray] | None = None
+    # 1/rho(X Y) − gamma⁻²: positive where gamma can be reached, negative where the coupling forbids it; None where X or
+    # Y does not exist or is not positive semidefinite.
     slack: float | None = None
+    # 1/lambda_max of X and of Y, or 1/lambda_min where that is negative: zero at the gamma where they become infinite.
     room: tuple[float, ...] = ()
+    # Which side has eigenvalues on the imaginary axis (0 for X, 1 for Y), and their frequencies; else None.
     axis: tuple[int, FloatArray] | None = None
     distance: float = 0.0
 

@@ -41,25 +41,14 @@ from platform_ctrl.job.job import DesignSpec
 
 @value
 class WeightedPlant:
-    """The plant of the synthesis and what leads back.
+    """The plant of the synthesis and what leads back."""
 
-    Attributes
-    ----------
-    arrays
-        w-plane arrays with inputs [n, d, u] and outputs [z1, z2, z3, measurement].
-    size
-        Number of channels.
-    weight_gain, weight_rate : (size,)
-        W_e = weight_gain + weight_rate/s, channel by channel.
-    torque_unit : (size,)
-        N m.
-    """
-
-    arrays: StateArrays
-    size: int
+    arrays: StateArrays  # w-plane arrays with inputs [n, d, u] and outputs [z1, z2, z3, measurement]
+    size: int  # number of channels
+    # weight_gain, weight_rate: (size,): W_e = weight_gain + weight_rate/s, channel by channel.
     weight_gain: FloatArray
     weight_rate: FloatArray
-    torque_unit: FloatArray
+    torque_unit: FloatArray  # (size,): N m
 
     def weight(self) -> StateArrays:
         """Return W_e in the w-plane. Its integrator belongs to the controller: W_e is in series before K."""
