@@ -17,8 +17,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import platform_ctrl as pc
-from generated_c import LANGUAGES, WARNINGS, classical_entry, compiled, compiler, flat, pair
-from generated_c import Machine as CompiledMachine
+from generated_c import LANGUAGES, WARNINGS, Machine, classical_entry, compiled, compiler, flat, pair
+from integer_machine import IntegerMachine
 from platform_ctrl.analysis.certificates.intervals import balls
 from platform_ctrl.common.text import at_most
 from platform_ctrl.design.plants import loop_plants
@@ -31,7 +31,7 @@ from platform_ctrl.export.c99.windup import back_calculation
 from platform_ctrl.export.fixed_point.bounds import gains
 from platform_ctrl.export.fixed_point.integer_files import IntegerFiles
 from platform_ctrl.export.fixed_point.lowering import fixed_point
-from platform_ctrl.export.fixed_point.model import FixedPoint, Machine
+from platform_ctrl.export.fixed_point.model import FixedPoint
 from platform_ctrl.export.fixed_point.splitting import input_ranges
 from platform_ctrl.job.job import Job
 from platform_ctrl.simulation.closed_loop import Trajectory
@@ -226,7 +226,7 @@ def test_the_compiled_code_is_the_model_bit_for_bit(
         for k in range(2400)
     ]
     counts = [[min(max(count, -full), full - 1) for count in row] for row in counts]
-    machine = Machine(fixed)
+    machine = IntegerMachine(fixed)
     wanted = [count for row in counts for count in machine.step(row)]
     assert run(runner, f"{kind}_{number}", [count for row in counts for count in row]) == wanted
     assert len(set(wanted)) > 100
@@ -262,7 +262,7 @@ def test_the_worst_input_comes_near_the_bound_and_needs_every_bit_of_the_format(
 ) -> None:
     fixed = fixed_point(resonance(radius, angle), {"y": 1.0}, number=number, accuracy=1.0)
     form = fixed.formats["Q"]
-    machine, reached = Machine(fixed), 0
+    machine, reached = IntegerMachine(fixed), 0
     for count in worst_case(fixed, "Q", 1500):
         reached = max(reached, abs(machine.step([count])[0]))
     assert 0.98 * form.largest < reached <= form.largest < 2 ** (form.bits - 1)
@@ -277,7 +277,7 @@ def test_the_worst_input_comes_near_the_bound_and_needs_every_bit_of_the_format(
 def test_the_model_raises_at_an_overflow_where_a_word_is_too_short() -> None:
     fixed = fixed_point(resonance(0.98, 0.5), {"y": 1.0}, number="q31")
     narrow = dataclasses.replace(fixed.formats["Q"], bits=31)
-    machine = Machine(dataclasses.replace(fixed, formats=fixed.formats | {"Q": narrow}))
+    machine = IntegerMachine(dataclasses.replace(fixed, formats=fixed.formats | {"Q": narrow}))
 
     def run_worst_case() -> None:
         for count in worst_case(fixed, "Q", 1500):
@@ -291,7 +291,7 @@ def in_real_arithmetic(
     fixed: FixedPoint, counts: Iterator[Sequence[int]]
 ) -> Iterator[tuple[dict[str, float], dict[str, int]]]:
     """Run in doubles and in integers with the same inputs and equal integrals; yield values and counts."""
-    machine, made = Machine(fixed), fixed.scheme
+    machine, made = IntegerMachine(fixed), fixed.scheme
     x = dict.fromkeys(made.states, 0.0)
     for row in counts:
         for name, shift in machine.integrals.items():
@@ -333,7 +333,7 @@ def test_the_classical_loop_in_integers_is_that_in_doubles(
     push = np.array([0.05, -0.03])  # N m, on the gimbals from the first sample on
     limit = np.array(classical.torque_limits)
     bits = [fixed.formats[name].bit for name in (*classical.inputs, *classical.outputs)]
-    machine = Machine(fixed)
+    machine = IntegerMachine(fixed)
     plant = [np.zeros(len(A)), np.zeros(len(A))]
     x = np.zeros(len(K.A))
     difference, torque = 0.0, np.zeros(2)
@@ -367,7 +367,7 @@ def test_the_generated_job_commands_what_the_simulated_controllers_do(
     done = write_c(job, entries, tmp_path, number=number, accuracy=0.05)  # type: ignore[arg-type]
     names = [file.stem for file in done.files[:-2:2]]
     library = compiled(done.files, tmp_path / "job.so")
-    machine = CompiledMachine(library, "three_gyro_platform", recorded.pickoff_names, torquers, kind, names)
+    machine = Machine(library, "three_gyro_platform", recorded.pickoff_names, torquers, kind, names)
     bits = 2.0**-37 if number == "q31" else 2.0**-21
     out, status = machine.run(np.rint(recorded.reading / bits).astype(np.int64))
     assert set(status) == {0}
@@ -389,8 +389,8 @@ def test_commands_are_converted_to_the_format_of_the_next_controller(
     inputs, outputs = job.platform.angle_names, ["Q4", "Q5", "Q7", *first.scheme.outputs, *second.scheme.outputs]
     library = compiled(done.files, tmp_path / "job.so")
     prefixes = ["caging_4_5_7", "caging_9_10", "stabilisation"]
-    run = CompiledMachine(library, "three_gyro_platform", inputs, outputs, ctypes.c_int32, prefixes)
-    one, other = Machine(first), Machine(second)
+    run = Machine(library, "three_gyro_platform", inputs, outputs, ctypes.c_int32, prefixes)
+    one, other = IntegerMachine(first), IntegerMachine(second)
     for angles in np.random.default_rng(1).integers(-(2**24), 2**24, (50, 2)).tolist():
         counts = dict(zip(first.scheme.outputs, one.step(angles), strict=True)) | {"Q5": 0, "Q7": 0}
         for name in first.scheme.outputs:
@@ -484,9 +484,9 @@ def test_names_that_the_code_itself_has_are_no_obstacle(tmp_path: Path) -> None:
     files = pair(unit, tmp_path)
     compiled(files, tmp_path / "cpp.so", "g++")
     library = compiled(files, tmp_path / "c.so")
-    machine = Machine(fixed)
+    machine = IntegerMachine(fixed)
     # The command before its limit stands behind Q, as wide as it may be.
-    run = CompiledMachine(library, "names", [signals[name] for name in names], ["Q", "a", "b", "c"], ctypes.c_int32)
+    run = Machine(library, "names", [signals[name] for name in names], ["Q", "a", "b", "c"], ctypes.c_int32)
     for _ in range(3):
         out, _ = run.step([2**28 + 1] * len(names))
         assert tuple(out[:1]) == machine.step([2**28 + 1] * len(names))
@@ -494,7 +494,7 @@ def test_names_that_the_code_itself_has_are_no_obstacle(tmp_path: Path) -> None:
 
 def test_beyond_its_range_an_input_counts_as_the_end_of_the_range(programmes: dict[str, FixedPoint]) -> None:
     for fixed in programmes.values():
-        one, other = Machine(fixed), Machine(fixed)
+        one, other = IntegerMachine(fixed), IntegerMachine(fixed)
         end = [fixed.formats[name].largest for name in fixed.scheme.inputs]
         for _ in range(20):
             assert one.step([2**62 for _ in end]) == other.step(end)
@@ -503,7 +503,7 @@ def test_beyond_its_range_an_input_counts_as_the_end_of_the_range(programmes: di
 @pytest.mark.parametrize("number", NUMBERS)
 def test_an_integral_loses_nothing_however_little_it_gains(number: str) -> None:
     fixed = fixed_point(integrator(1e-4), {"y": 1.0}, number=number)
-    machine = Machine(fixed)
+    machine = IntegerMachine(fixed)
     samples = 20000 if number == "q15" else 3000
     for _ in range(samples):
         machine.step([1])
@@ -516,7 +516,7 @@ def test_an_integral_ends_at_its_limit_and_anti_windup_brings_it_back() -> None:
     unwound = fixed_point(integrator(1e-2, excess=0.05), {"y": 1.0})
     ends = {}
     for name, fixed in (("saturated", saturated), ("unwound", unwound)):
-        machine, form = Machine(fixed), fixed.formats["x"]
+        machine, form = IntegerMachine(fixed), fixed.formats["x"]
         for _ in range(1000):
             machine.step([fixed.formats["y"].largest])
         ends[name] = machine.counts["x"] * form.bit
@@ -577,7 +577,7 @@ def test_what_cannot_be_counted_is_refused(made: Scheme, error: type[Exception],
 @pytest.mark.parametrize("number", NUMBERS)
 def test_zeros_and_limits_out_of_reach_are_no_obstacle(number: str) -> None:
     nothing = Section(name="none", kind="mix", signals=(Row(target="Q", terms=()),))
-    assert Machine(fixed_point(scheme(nothing), {"y": 1.0}, number=number)).step([5]) == (0,)
+    assert IntegerMachine(fixed_point(scheme(nothing), {"y": 1.0}, number=number)).step([5]) == (0,)
     # The format follows from what is reached, not from the limit.
     free = fixed_point(scheme(lag(0.5), limit=1e9), {"y": 1.0}, number=number)
     assert free.formats["Q"].range < 1.01
