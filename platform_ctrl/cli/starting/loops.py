@@ -10,8 +10,11 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from platform_ctrl.analysis.arrays import StateArrays
+from platform_ctrl.analysis.loop_metrics import measure
+from platform_ctrl.analysis.measuring import MetricRequest
 from platform_ctrl.cli.starting.purpose import PlannedLoop, disturbing_axes
 from platform_ctrl.common.values import value
+from platform_ctrl.job.requirements import WORST_CASE, loop_requirements
 
 if TYPE_CHECKING:
     from platform_ctrl.analysis.plant_set import PlantSet
@@ -43,6 +46,14 @@ _SERVO, _POSITION = 0.1, 0.3
 # Angle by which a torque pushes the platform, rad, and the factor from the angle that the linear model gives to the
 # limit of the run.
 _PUSHED, _SPARE = 0.005, 2.0
+# Of the motion of the base: the attenuation is that at this share of the crossover and below; slowest in a run, Hz: it
+# has to last for periods.
+_LOW, _SLOWEST_MOTION = 0.1, 0.5
+# What a job asks for is so much less than the linear model gives, dB: of a loop, and of a run, in which friction is no
+# describing function. Factor from the angles that the linear model gives to the limit of a run.
+_LINEAR_SPARE, _RUN_SPARE, _ANGLE_SPARE = 1.0, 6.0, 2.0
+# Least attenuation that is worth a limit, dB.
+_LEAST_ATTENUATION = 3.0
 
 
 @value
@@ -216,7 +227,6 @@ def _started(
     """Return a loop with its starting values, and the run that excites what it holds: none of caged gyros."""
     from platform_ctrl.design.loop_signals import loop_channels, loop_signals
     from platform_ctrl.design.plants import plants_of
-    from platform_ctrl.job.requirements import loop_requirements
 
     plants = plants_of(job, spec)
     assert plants is not None, "a loop that is designed by itself has plants"
@@ -240,8 +250,6 @@ def _started(
     )
     if plan.kind == "caging":
         return loop, None
-    from platform_ctrl.cli.starting.motion import motion_of_the_base
-
     return motion_of_the_base(job, loop, plants, controller, disturbing_axes(job.platform, plan))
 
 
@@ -336,3 +344,57 @@ def rounded(number: float, *, up: bool) -> float:
     steps, slack = [step * decade for step in (0.5, 1.0, 2.0, 5.0, 10.0)], 1e-9 * number
     chosen = min(x for x in steps if x >= number - slack) if up else max(x for x in steps if x <= number + slack)
     return float(f"{chosen:.1g}")
+
+
+def motion_of_the_base(
+    job: Job, loop: StartingLoop, plants: PlantSet, controller: StateArrays, axes: tuple[int, ...]
+) -> tuple[StartingLoop, StartingRun]:
+    """Return a loop with limits on what the motion of the base does to it, and the run that shows it.
+
+    `plants` are those of `controller`, `axes` the root axes about which the base moves.
+    """
+    crossover = min(x for name, x in loop.options.items() if name.endswith("crossover_hz"))
+    low = float(f"{_LOW * crossover:.2g}")
+    limits: dict[str, float] = {}
+    allowed: dict[str, float] = {}
+    frequency = max(rounded(low, up=False), _SLOWEST_MOTION)
+    if loop.plan.still and plants.sight:
+        reached = _attenuation(plants, controller, low) - _LINEAR_SPARE
+        if reached >= _LEAST_ATTENUATION:
+            limits = {"attenuation_db_worst_case": float(math.floor(reached)), "attenuation_hz": low}
+        reached = _attenuation(plants, controller, frequency) - _RUN_SPARE
+        allowed = {"attenuation_db": float(math.floor(reached))} if reached >= _LEAST_ATTENUATION else {}
+    else:
+        bandwidth = _value(plants, controller, "bandwidth", ("nominal",)) / (2.0 * math.pi)
+        limits = {"bandwidth_hz": rounded(bandwidth, up=False)}
+        dry = {one.gimbal for one in job.platform.frictions if max(one.breakaway) > 0.0}
+        if not loop.plan.still and dry.isdisjoint(loop.plan.gimbals):
+            gain = _value(plants, controller, "Omega rejection", ("nominal",))
+            angle = _ANGLE_SPARE * gain * float(np.max(job.Omega)) * math.sqrt(len(axes))
+            allowed = {"angle": rounded(angle, up=True)}
+    balanced = not job.platform.unbalances or not np.any(job.platform.specific_force)
+    run = StartingRun(
+        name="motion of the base",
+        form="motion",
+        axes=axes,
+        size=float(np.max(job.Omega)),
+        frequency_hz=frequency,
+        balanced=balanced,
+        limits=allowed | {"torque_share": 1.0},
+    )
+    return replace(loop, limits=loop.limits | limits), run
+
+
+def _attenuation(plants: PlantSet, controller: StateArrays, hz: float) -> float:
+    """Return the attenuation up to a frequency, dB, dry friction and all angles included."""
+    return 20.0 * math.log10(max(_value(plants, controller, "attenuation", WORST_CASE, 2.0 * math.pi * hz), 1e-3))
+
+
+def _value(
+    plants: PlantSet, controller: StateArrays, kind: str, over: tuple[str, ...], frequency: float | None = None
+) -> float:
+    """Return the worst value of a metric, in SI units: exact, since a limit is put right below it."""
+    request = MetricRequest(kind=kind, over=over, frequency=frequency)
+    metrics = measure(plants, controller._replace(dt=plants.period), [request], exact=True)
+    values = metrics.values(request)
+    return float(values.max() if kind == "Omega rejection" else values.min())
