@@ -18,7 +18,7 @@ from platform_ctrl.job.profiles import PROFILES
 from platform_ctrl.job.run_checks import of_length
 from platform_ctrl.job.spectra import SPECTRA, LogSpectrum
 from platform_ctrl.plant.checks import number_of
-from platform_ctrl.plant.mistakes import Mistake, Path, given, suggestion, tables, text_of, unique_names
+from platform_ctrl.plant.mistakes import Mistake, Path, given, tables, text_of, unique_names
 from platform_ctrl.plant.platform import Platform
 
 Data = dict[str, Any]
@@ -34,8 +34,7 @@ def budget_mistakes(data: Data, platform: Platform | None) -> Iterator[Mistake]:
     path: Path = ("budget",)
     low, high = number_of(budget, "from_hz"), number_of(budget, "to_hz")
     if low is not None and high is not None and not low < high:
-        words = f"to_hz must be above from_hz = {given(budget['from_hz'])}, got {given(budget['to_hz'])}"
-        yield Mistake((*path, "to_hz"), words)
+        yield Mistake.wrong(budget, path, "to_hz", f"above from_hz = {given(budget['from_hz'])}")
     limits = budget.get("limits")
     for key in ("windowed_jitter", "smear"):
         if isinstance(limits, dict) and key in limits and not budget.get("exposure"):
@@ -59,17 +58,15 @@ def _source(source: Data, path: Path, platform: Platform | None) -> Iterator[Mis
     kind = SOURCE_KINDS[name]
     for key, words in (("axis", "the root axis, 1 to 3"), ("gimbal", "the name of the gimbal")):
         if key == kind.place and key not in source:
-            yield Mistake((*path, key), f'the key "{key}" is missing; kind = {given(name)} needs {words}')
+            yield Mistake.missing(path, key, f"kind = {given(name)} needs {words}")
         elif key != kind.place and key in source:
-            words = f"{key} = {given(source[key])} has no effect with kind = {given(name)}, which takes {kind.place}"
-            yield Mistake((*path, key), words)
+            yield Mistake.useless(source, path, key, f"with kind = {given(name)}, which takes {kind.place}")
     gimbal, unit = text_of(source, "gimbal"), text_of(source, "unit")
     if gimbal is not None and platform is not None and gimbal not in platform.gimbal_names:
-        words = f"gimbal: {given(gimbal)} is no gimbal of the plant; {suggestion(gimbal, platform.gimbal_names)}"
-        yield Mistake((*path, "gimbal"), words)
+        yield Mistake.unknown_name(path, "gimbal", gimbal, "gimbal of the plant", platform.gimbal_names)
     if unit is not None and unit not in kind.units:
         known = " or ".join(f'"{unit}"' for unit in kind.units)
-        yield Mistake((*path, "unit"), f"unit must be {known} with kind = {given(name)}, got {given(unit)}")
+        yield Mistake.wrong(source, path, "unit", f"{known} with kind = {given(name)}")
     if name == "specific-force" and platform is not None and not platform.unbalances:
         words = "a specific force moves the line of sight by unbalance, and the plant has none; add [[unbalance]] to it"
         yield Mistake((*path, "kind"), f"kind: {words}")
@@ -80,8 +77,7 @@ def _source(source: Data, path: Path, platform: Platform | None) -> Iterator[Mis
             fitting = ", ".join(given(one.name) for one in PROFILES.values() if one.kind == name) or "none"
             yield Mistake((*path, "profile"), f"{words}; profiles of this kind: {fitting}")
         if unit is not None:
-            words = f"unit = {given(unit)} has no effect with a profile, which is in SI units; use scale"
-            yield Mistake((*path, "unit"), words)
+            yield Mistake.useless(source, path, "unit", "with a profile, which is in SI units; use scale")
     if "harmonics" in source and name != "torque":
         yield Mistake((*path, "harmonics"), 'harmonics: a turning motor is a torque: kind = "torque" and a gimbal')
     yield from of_length(source, "densities", "frequencies_hz", path)
@@ -90,20 +86,19 @@ def _source(source: Data, path: Path, platform: Platform | None) -> Iterator[Mis
 def _correlations(budget: Data, path: Path, names: list[str]) -> Iterator[Mistake]:
     taken: dict[frozenset[str], int] = {}
     for k, correlation in tables(budget, "correlation"):
-        between, own = correlation.get("between"), (*path, "correlation", k, "between")
+        between, own = correlation.get("between"), (*path, "correlation", k)
         if not isinstance(between, list) or not all(isinstance(name, str) for name in between):
             continue
         pair = frozenset(between)
         unknown = next((name for name in between if name not in names), None)
         if len(between) != 2 or len(pair) != 2:
-            yield Mistake(own, f"between must be the names of two sources, got {given(between)}")
+            yield Mistake.wrong(correlation, own, "between", "the names of two sources")
         elif unknown is not None:
-            words = f"between: {given(unknown)} is no [[budget.source]] of the job; {suggestion(unknown, names)}"
-            yield Mistake(own, words)
+            yield Mistake.unknown_name(own, "between", unknown, "[[budget.source]] of the job", names)
         elif pair in taken:
             first = taken[pair] + 1
             words = f"between: these two are in [[budget.correlation]] {first} already; leave one of them out"
-            yield Mistake(own, words)
+            yield Mistake((*own, "between"), words)
         taken.setdefault(pair, k)
 
 

@@ -17,7 +17,7 @@ from platform_ctrl.job.job import Job, manoeuvre_scenario
 from platform_ctrl.job.methods import METHODS, LoopKind
 from platform_ctrl.job.parameter_limits import misfits
 from platform_ctrl.job.requirements import SCOPES, limit_keys
-from platform_ctrl.job.run_checks import run_mistakes
+from platform_ctrl.job.run_checks import of_length, run_mistakes
 from platform_ctrl.job.variation import CENTRES, DISTRIBUTION_NUMBERS
 from platform_ctrl.plant.checks import number_of
 from platform_ctrl.plant.mistakes import Mistake, Path, given, one_line, suggestion, tables, text_of, unique_names
@@ -49,15 +49,13 @@ def campaign_mistakes(data: Data) -> Iterator[Mistake]:
             name = text_of(table, key)
             if name is None:
                 continue
-            path: Path = ("campaign", kind, k, key)
+            path: Path = ("campaign", kind, k)
             if name not in known:
-                yield Mistake(
-                    path,
-                    f"{key} must be the name of a [[{of}]] of the job, got {given(name)}; {suggestion(name, known)}",
-                )
+                words = f"the name of a [[{of}]] of the job"
+                yield Mistake.wrong(table, path, key, words, f"; {suggestion(name, known)}")
             elif name in taken:
                 words = f"{given(name)} is in [[campaign.{kind}]] {taken[name] + 1} already; leave one of them out"
-                yield Mistake(path, f"{key}: {words}")
+                yield Mistake((*path, key), f"{key}: {words}")
             taken.setdefault(name, k)
     for k, table in tables(campaign, "vary"):
         yield from _distribution(table, ("campaign", "vary", k))
@@ -74,13 +72,11 @@ def _distribution(table: Data, path: Path) -> Iterator[Mistake]:
     factor = table.get("relative") is True or not isinstance(table.get("relative", False), bool) or set(table) - _KEYS
     for key in needed:
         if key not in table and not (key in CENTRES and factor):
-            words = f'the key "{key}" is missing; distribution = {given(name)} needs {", ".join(needed)}'
-            yield Mistake((*path, key), words)
+            yield Mistake.missing(path, key, f"distribution = {given(name)} needs {', '.join(needed)}")
     for key in (*_NUMBERS, "values", "weights"):
         if key in table and key not in (("values", "weights") if choice else keys):
-            words = f"{key} = {given(table[key])} has no effect with distribution = {given(name)}"
             takes = ", ".join((*needed, *(("weights",) if choice else ())))
-            yield Mistake((*path, key), f"{words}, which takes {takes}")
+            yield Mistake.useless(table, path, key, f"with distribution = {given(name)}, which takes {takes}")
     if choice:
         yield from _weights(table, path)
         return
@@ -88,27 +84,24 @@ def _distribution(table: Data, path: Path) -> Iterator[Mistake]:
     if "mean" not in n and "mean" in keys:
         n["mean"] = 1.0
     if name == "log-normal" and n.get("deviation", 0.0) > WIDEST:
-        words = f"deviation must be at most {WIDEST:g}, got {given(table['deviation'])}"
-        far = f"one number in six would be e^{n['deviation']:.6g} times the median or more"
-        yield Mistake((*path, "deviation"), f"{words}: {far}")
+        far = f": one number in six would be e^{n['deviation']:.6g} times the median or more"
+        yield Mistake.wrong(table, path, "deviation", f"at most {WIDEST:g}", far)
     low, high = n.get("low"), n.get("high")
     if low is None or high is None:
         return
     if not low < high:
-        yield Mistake(
-            (*path, "high"),
-            f"high must be above low = {given(table['low'])}, got {given(table['high'])}",
-        )
+        yield Mistake.wrong(table, path, "high", f"above low = {given(table['low'])}")
     elif name == "log-uniform" and low <= 0.0:
-        yield Mistake((*path, "low"), f"low must be a number > 0, which has a logarithm, got {given(table['low'])}")
+        yield Mistake.wrong(table, path, "low", "a number > 0, which has a logarithm")
     elif name == "triangular" and not low <= n.get("peak", 1.0) <= high:
         words = f"peak must be from low, {low:.6g}, to high, {high:.6g}, got {given(n.get('peak', 1.0))}"
         yield Mistake((*path, "peak"), words)
     elif name == "truncated-normal" and n.get("deviation", 0.0) > 0.0:
         nearest = max(low - n["mean"], n["mean"] - high)
         if nearest > FARTHEST * n["deviation"]:
-            words = f"mean must be at most {FARTHEST:g} deviations outside low and high, got {given(n['mean'])}"
-            yield Mistake((*path, "mean"), f"{words}, {nearest / n['deviation']:.4g} deviations outside")
+            words = f"at most {FARTHEST:g} deviations outside low and high"
+            far = f", {nearest / n['deviation']:.4g} deviations outside"
+            yield Mistake.wrong(n, path, "mean", words, far)
 
 
 def _weights(table: Data, path: Path) -> Iterator[Mistake]:
@@ -117,12 +110,11 @@ def _weights(table: Data, path: Path) -> Iterator[Mistake]:
         return
     numbers = [number_of({"weight": weight}, "weight") for weight in weights]
     if len(values) != len(weights):
-        words = f"weights must have as many elements as values, {len(values)}, got {len(weights)}"
-        yield Mistake((*path, "weights"), words)
+        yield from of_length(table, "weights", "values", path)
     elif all(number is not None for number in numbers):
         found = [number for number in numbers if number is not None]
         if min(found, default=0.0) < 0.0 or not any(found):
-            yield Mistake((*path, "weights"), f"weights must be numbers >= 0, not all of them 0, got {given(weights)}")
+            yield Mistake.wrong(table, path, "weights", "numbers >= 0, not all of them 0")
 
 
 def variation_mistakes(job: Job) -> Iterator[Mistake]:
@@ -171,8 +163,7 @@ def _sets(data: Data) -> Iterator[Mistake]:
         and samples
         and not any(number_of(uncertainty, key) for key in ("inertia", "spin"))
     ):
-        words = f"samples = {given(uncertainty['samples'])} has no effect without inertia or spin > 0"
-        yield Mistake(("uncertainty", "samples"), words)
+        yield Mistake.useless(uncertainty, ("uncertainty",), "samples", "without inertia or spin > 0")
     faults = data.get("faults")
     for i, loop in tables(data, "loop"):
         for table in ("limits", "soft"):
@@ -240,14 +231,13 @@ def _limits(limits: Data, path: Path, faults: bool) -> Iterator[Mistake]:
         keys = [key for key, (kind, scope) in known.items() if METRICS[kind] is metric and scope in SCOPES]
         of = [key for key in keys if key in limits]
         if edge and edge in limits and not of:
-            words = f'the key "{metric.key}" is missing; {edge} has no effect without it'
-            yield Mistake((*path, metric.key), words)
+            yield Mistake.missing(path, metric.key, f"{edge} has no effect without it")
         elif of and metric.needs_frequency and edge not in limits:
-            yield Mistake((*path, edge), f'the key "{edge}" is missing; {of[0]} has no effect without it')
+            yield Mistake.missing(path, edge, f"{of[0]} has no effect without it")
         low, high = number_of(limits, metric.lowest_key), number_of(limits, edge)
         if low is not None and high is not None and 0.0 < high <= low:
-            words = f"{metric.lowest_key} must be below {edge} = {given(limits[edge])}, got {given(low)}"
-            yield Mistake((*path, metric.lowest_key), f"{words}; the band begins there")
+            words = f"below {edge} = {given(limits[edge])}"
+            yield Mistake.wrong(limits, path, metric.lowest_key, words, "; the band begins there")
         elif low is not None and edge not in limits:
             words = f"{metric.lowest_key} has no effect without {edge}, where the band ends; add it, or leave this out"
             yield Mistake((*path, metric.lowest_key), words)
@@ -262,8 +252,8 @@ def _sampling(data: Data) -> Iterator[Mistake]:
         return
     periods = rate * delay
     if not periods <= LONGEST_DELAY:
-        words = f"delay must be at most {LONGEST_DELAY} sample periods, got {given(delay)} s, {periods:.4g} of them"
-        yield Mistake(("sampling", "delay"), f"{words}; try a lower rate_hz")
+        more = f" s, {periods:.4g} of them; try a lower rate_hz"
+        yield Mistake.wrong(table, ("sampling",), "delay", f"at most {LONGEST_DELAY} sample periods", more)
     yield from _rates(data, rate)
 
 
@@ -272,39 +262,34 @@ def _rates(data: Data, rate: float) -> Iterator[Mistake]:
     every: dict[str, int] = {}
     cycle = 1
     for i, loop in tables(data, "loop"):
-        own, kind, path = number_of(loop, "rate_hz"), text_of(loop, "kind"), ("loop", i, "rate_hz")
+        own, kind, path = number_of(loop, "rate_hz"), text_of(loop, "kind"), ("loop", i)
         inner = every.get(text_of(loop, "around") or "", 1)
         if own is None and inner > 1:
             words = f"the loop inside has {rate / inner:.6g} Hz, and one around it cannot be faster"
-            yield Mistake(path, f'the key "rate_hz" is missing: {words}; give it that rate, or a whole fraction of it')
+            yield Mistake.missing(path, "rate_hz", f"{words}; give it that rate, or a whole fraction of it")
         if own is None or own <= 0.0:
             continue
         if kind not in get_args(LoopKind):
             continue
         if kind not in _OWN_RATES:
-            words = f"rate_hz = {given(loop['rate_hz'])} has no effect in a {kind} loop; leave it out"
-            yield Mistake(path, f"{words}: {', '.join(_OWN_RATES)} loops alone may be slower than [sampling]")
+            slower = f"{', '.join(_OWN_RATES)} loops alone may be slower than [sampling]"
+            yield Mistake.useless(loop, path, "rate_hz", f"in a {kind} loop; leave it out: {slower}")
             continue
         n = max(round(rate / own), 1)
         if abs(rate / own / n - 1.0) > _SAME_RATE:
             near = sorted({max(math.floor(rate / own), 1), math.ceil(rate / own)})
             fitting = " or ".join(f"{rate / one:.6g}" for one in near)
-            words = f"rate_hz must be {rate:.6g} Hz, the rate_hz of [sampling], over a whole number"
-            yield Mistake(path, f"{words}, got {given(loop['rate_hz'])}; the nearest: {fitting}")
+            words = f"{rate:.6g} Hz, the rate_hz of [sampling], over a whole number"
+            yield Mistake.wrong(loop, path, "rate_hz", words, f"; the nearest: {fitting}")
             continue
         if n % inner:
-            words = f"rate_hz must be that of the loop inside, {rate / inner:.6g} Hz, over a whole number"
-            yield Mistake(
-                path, f"{words}, got {given(loop['rate_hz'])}; try {rate / (inner * math.ceil(n / inner)):.6g}"
-            )
+            words = f"that of the loop inside, {rate / inner:.6g} Hz, over a whole number"
+            yield Mistake.wrong(loop, path, "rate_hz", words, f"; try {rate / (inner * math.ceil(n / inner)):.6g}")
         every[text_of(loop, "name") or ""], cycle = n, math.lcm(cycle, n)
         if cycle > LONGEST_CYCLE:
             words = f"rate_hz = {given(loop['rate_hz'])}: the computations of all loops repeat after {cycle} samples"
-            yield Mistake(
-                path,
-                f"{words}, more than {LONGEST_CYCLE}; choose rates that divide one another, or a lower "
-                "rate_hz of [sampling]",
-            )
+            cure = "choose rates that divide one another, or a lower rate_hz of [sampling]"
+            yield Mistake((*path, "rate_hz"), f"{words}, more than {LONGEST_CYCLE}; {cure}")
             return
     if cycle > 1 and isinstance(data.get("budget"), dict):
         words = "[budget] has no numbers yet for loops with a rate_hz of their own, which sample the plant periodically"
@@ -322,8 +307,7 @@ def _designs(data: Data) -> Iterator[Mistake]:
         use = text_of(loop, "use")
         known = [name for name in names if name is not None]
         if use is not None and known and len(known) == len(names) and use not in known:
-            words = f"use must be the name of a design of this loop, got {given(use)}; {suggestion(use, known)}"
-            yield Mistake((*path, "use"), words)
+            yield Mistake.wrong(loop, path, "use", "the name of a design of this loop", f"; {suggestion(use, known)}")
 
 
 def _design(design: Data, path: Path, kind: str | None) -> Iterator[Mistake]:
@@ -341,7 +325,7 @@ def _design(design: Data, path: Path, kind: str | None) -> Iterator[Mistake]:
     for option in sorted(method.options):
         number = number_of(design, option)
         if number is not None and not number > 0:
-            yield Mistake((*path, option), f"{option} must be a number > 0, got {given(number)}")
+            yield Mistake.wrong(design, path, option, "a number > 0")
     if design.get("tune") is True and not method.tunes:
         tuned = ", ".join(given(name) for name in sorted(METHODS) if METHODS[name].tunes)
         yield Mistake(
@@ -349,7 +333,7 @@ def _design(design: Data, path: Path, kind: str | None) -> Iterator[Mistake]:
         )
     if kind in get_args(LoopKind) and kind not in method.kinds:
         expected = " or ".join(given(name) for name, one in METHODS.items() if kind in one.kinds)
-        yield Mistake((*path, "method"), f"method must be one for a {kind} loop, {expected}, got {given(key)}")
+        yield Mistake.wrong(design, path, "method", f"one for a {kind} loop, {expected}")
 
 
 def _shaping(command: object, path: Path, kind: str | None) -> Iterator[Mistake]:
@@ -380,12 +364,7 @@ def _loops(data: Data, platform: Platform | None) -> Iterator[Mistake]:
                 yield from _useless(loop, path, "tracking", ("gimbals", "torquers"))
                 yield from _tracking(data, loop, path, i, platform)
             case "stabilisation":
-                if "gimbals" in loop:
-                    words = (
-                        f"gimbals = {given(loop['gimbals'])} has no effect in a stabilisation loop; leave the key out"
-                    )
-                    yield Mistake((*path, "gimbals"), words)
-                yield from _useless(loop, path, "stabilisation", ("sensors", "torquers", "around"))
+                yield from _useless(loop, path, "stabilisation", ("gimbals", "sensors", "torquers", "around"))
                 limits = loop.get("limits")
                 known = limit_keys()
                 fitting = ", ".join(sorted(key for key, (metric, _) in known.items() if METRICS[metric].of_torquers))
@@ -409,7 +388,7 @@ def _loops(data: Data, platform: Platform | None) -> Iterator[Mistake]:
 def _useless(loop: Data, path: Path, kind: str, keys: tuple[str, ...]) -> Iterator[Mistake]:
     for key in keys:
         if key in loop:
-            yield Mistake((*path, key), f"{key} = {given(loop[key])} has no effect in a {kind} loop; leave the key out")
+            yield Mistake.useless(loop, path, key, f"in a {kind} loop; leave the key out")
 
 
 def _signals_of(loop: Data, path: Path, kind: str, platform: Platform | None) -> Iterator[Mistake]:
@@ -422,16 +401,14 @@ def _signals_of(loop: Data, path: Path, kind: str, platform: Platform | None) ->
     torquers = {t.name: t.gimbal for t in platform.torquers if t.gimbal is not None}
     for name in names_of(loop, "gimbals"):
         if name not in platform.gimbal_names:
-            words = f"gimbals: {given(name)} is no gimbal of the plant; {suggestion(name, platform.gimbal_names)}"
-            yield Mistake((*path, "gimbals"), words)
+            yield Mistake.unknown_name(path, "gimbals", name, "gimbal of the plant", platform.gimbal_names)
         elif "torquers" not in loop and name not in torquers.values():
             yield Mistake((*path, "gimbals"), f"gimbals: {given(name)} has no torquer in the plant; add a [[torquer]]")
     yield from sensor_mistakes(loop, path, kind, platform)
     turned = names_of(loop, "gimbals")
     for name in names_of(loop, "torquers") if turned == loop.get("gimbals") else ():
         if torquers.get(name) not in turned:
-            words = f"torquers: {given(name)} is no torquer on a gimbal of the loop; {suggestion(name, torquers)}"
-            yield Mistake((*path, "torquers"), words)
+            yield Mistake.unknown_name(path, "torquers", name, "torquer on a gimbal of the loop", torquers)
 
 
 def _tracking(data: Data, loop: Data, path: Path, number: int, platform: Platform | None) -> Iterator[Mistake]:
@@ -442,13 +419,12 @@ def _tracking(data: Data, loop: Data, path: Path, number: int, platform: Platfor
         fitting = [sensor.name for sensor in platform.sensors if sensor.unit == "rad"]
         for name in names_of(loop, "sensors"):
             if name not in fitting:
-                words = f"sensors: {given(name)} is no sensor of an angle; {suggestion(name, fitting)}"
-                yield Mistake((*path, "sensors"), words)
+                yield Mistake.unknown_name(path, "sensors", name, "sensor of an angle", fitting)
     inner = [text_of(one, "name") or "" for k, one in tables(data, "loop") if k < number and one.get("kind") == "rate"]
     around = text_of(loop, "around")
     if around not in inner:
-        words = f"around must be the name of a rate loop before this one, got {given(loop.get('around'))}"
-        yield Mistake((*path, "around"), f"{words}; {suggestion(around or '', inner)}")
+        words, more = "the name of a rate loop before this one", f"; {suggestion(around or '', inner)}"
+        yield Mistake.wrong(loop, path, "around", words, more)
 
 
 def _caged_gimbals(

@@ -95,14 +95,12 @@ def _feedforward(fed: Data, path: Path, platform: Platform | None, data: Data) -
     if "sensors" in fed and not names_of(fed, "sensors"):
         yield Mistake((*path, "sensors"), "sensors must be a list of names, rate sensors of the root")
     if text_of(fed, "into") == "reading" and "bandwidth_hz" in fed:
-        words = f'bandwidth_hz = {given(fed["bandwidth_hz"])} has no effect with into = "reading"; leave the key out'
-        yield Mistake((*path, "bandwidth_hz"), words)
+        yield Mistake.useless(fed, path, "bandwidth_hz", 'with into = "reading"; leave the key out')
     sampling = data.get("sampling")
     rate = number_of(sampling, "rate_hz") if isinstance(sampling, dict) else None
     bandwidth = number_of(fed, "bandwidth_hz")
     if rate is not None and bandwidth is not None and bandwidth >= 0.5 * rate > 0.0:
-        words = f"bandwidth_hz must be below half the sample rate, {0.5 * rate:g} Hz, got {given(fed['bandwidth_hz'])}"
-        yield Mistake((*path, "bandwidth_hz"), words)
+        yield Mistake.wrong(fed, path, "bandwidth_hz", f"below half the sample rate, {0.5 * rate:g} Hz")
     if platform is None:
         return
     sensors = {sensor.name: sensor for sensor in platform.sensors}
@@ -114,8 +112,7 @@ def _feedforward(fed: Data, path: Path, platform: Platform | None, data: Data) -
     names = names_of(fed, "sensors")
     for k, name in enumerate(names):
         if name not in sensors:
-            words = f"sensors: {given(name)} is no sensor of the plant; {suggestion(name, fitting)}"
-            yield Mistake((*path, "sensors"), words)
+            yield Mistake.unknown_name(path, "sensors", name, "sensor of the plant", fitting)
         elif name not in fitting:
             words = f"sensors: {given(name)} does not measure a rate of the root alone: torquers move what it reads"
             yield Mistake((*path, "sensors"), f"{words}; {suggestion(name, fitting)}")

@@ -25,16 +25,14 @@ def drive_mistakes(data: Data) -> Iterator[Mistake]:
     for k, drive in tables(data, "drive"):
         path: Path = ("drive", k)
         if not any(key in drive for key in _WITH):
-            words = "a drive needs friction with sensors, secant_of, or both"
-            yield Mistake((*path, "friction"), f'the key "friction" is missing; {words}')
+            yield Mistake.missing(path, "friction", "a drive needs friction with sensors, secant_of, or both")
         for key, others in _WITH.items():
             for other in others:
                 if key not in drive and other in drive and any(one in drive for one in _WITH):
-                    words = f"{other} = {given(drive[other])} has no effect without {key}; add it, or leave the key out"
-                    yield Mistake((*path, other), words)
+                    yield Mistake.useless(drive, path, other, f"without {key}; add it, or leave the key out")
         if drive.get("friction") and not drive.get("sensors"):
             words = "friction is fed forward by the rate that rate sensors of the base or the gimbal show"
-            yield Mistake((*path, "sensors"), f'the key "sensors" is missing; {words}')
+            yield Mistake.missing(path, "sensors", words)
         name = text_of(drive, "torquer")
         if name is not None and name in taken:
             words = f"torquer: {given(name)} has [[drive]] {taken[name] + 1} already; write both in one table"

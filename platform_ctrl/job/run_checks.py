@@ -71,9 +71,9 @@ def _motion(table: Data, path: Path, mode: str) -> Iterator[Mistake]:
     if any(key in table for key in keys):
         for key in (*keys, "axis"):
             if key not in table:
-                yield Mistake((*path, key), f'the key "{key}" is missing; {needed}')
+                yield Mistake.missing(path, key, needed)
     elif not any(table.get(key) for key in (instead, *EVENTS)):
-        yield Mistake((*path, keys[0]), f'the key "{keys[0]}" is missing; {needed}')
+        yield Mistake.missing(path, keys[0], needed)
     for other in MOTION:
         for key in (*MOTION[other], MOTION_TABLE[other]):
             if other != mode and key in table:
@@ -85,8 +85,7 @@ def _motion(table: Data, path: Path, mode: str) -> Iterator[Mistake]:
     if mode == "caged" and duration is not None and rise is not None and hold is not None:
         least = 2 * rise + hold
         if rise > 0 and hold >= 0 and 0 < duration < least * (1 - ROUNDING):
-            words = f"duration must be at least 2 rise + hold, {least:.6g} s, got {given(duration)}"
-            yield Mistake((*path, "duration"), words)
+            yield Mistake.wrong(table, path, "duration", f"at least 2 rise + hold, {least:.6g} s")
 
 
 def _sizes(table: Data, keys: Sequence[str], kind: str, path: Path) -> Iterator[Mistake]:
@@ -125,8 +124,7 @@ def _tables(table: Data, path: Path) -> Iterator[Mistake]:
             continue
         if not any(column in over_time for column in columns):
             first, second, third = columns
-            words = f'the key "{first}" is missing; the table needs {first}, {second} or {third} beside the times'
-            yield Mistake((*path, key, first), words)
+            yield Mistake.missing((*path, key), first, f"the table needs {first}, {second} or {third} beside the times")
         for column in columns:
             yield from of_length(over_time, column, "t", (*path, key))
         if columns is OMEGA_NAMES:
@@ -146,7 +144,7 @@ def _limits(table: Data, path: Path, mode: str | None, platform: Platform | None
     for key in ("settle", "fade"):
         time = number_of(table, key)
         if duration is not None and time is not None and time >= duration > 0.0:
-            yield Mistake((*path, key), f"{key} must be less than duration, {duration:.6g} s, got {given(time)}")
+            yield Mistake.wrong(table, path, key, f"less than duration, {duration:.6g} s")
     if number_of(table, "fade") and not (table.get("vibration") or table.get("sine")):
         words = "fade is the time over which a vibration or a sine rises, and this manoeuvre has neither: leave it out"
         yield Mistake((*path, "fade"), words)
@@ -194,11 +192,10 @@ def _names_of_faults(table: Data, path: Path, known: Collection[str]) -> Iterato
     for name in taken:
         if name in known and taken[name] == 1:
             continue
-        wrong = f"faults: {given(name)}"
         if name not in known:
-            yield Mistake((*path, "faults"), f"{wrong} is no [[fault]] of the job; {suggestion(name, known)}")
+            yield Mistake.unknown_name(path, "faults", name, "[[fault]] of the job", known)
         else:
-            yield Mistake((*path, "faults"), f"{wrong} is listed twice; leave one of them out")
+            yield Mistake((*path, "faults"), f"faults: {given(name)} is listed twice; leave one of them out")
         return
 
 
@@ -225,28 +222,25 @@ def _initial(table: Data, path: Path, mode: str, platform: Platform | None) -> I
 def _fault(table: Data, path: Path, platform: Platform | None) -> Iterator[Mistake]:
     at, until = number_of(table, "at"), number_of(table, "until")
     if at is not None and until is not None and at >= until > 0:
-        yield Mistake((*path, "until"), f"until must be after at = {given(at)}, got {given(until)}")
+        yield Mistake.wrong(table, path, "until", f"after at = {given(at)}")
     kind = text_of(table, "kind")
     if kind not in FAULT_KINDS:
         return
     keys = FAULT_KINDS[kind]
     for key in keys.needed:
         if key not in table:
-            needed = ", ".join(keys.needed)
-            yield Mistake((*path, key), f'the key "{key}" is missing; kind = {given(kind)} needs {needed}')
+            yield Mistake.missing(path, key, f"kind = {given(kind)} needs {', '.join(keys.needed)}")
     for key in sorted(FAULT_NUMBERS.keys() - {"at", *keys.keys}):
         if key in table:
             allowed = ", ".join(keys.keys) or "at alone"
-            words = f"{key} = {given(table[key])} has no effect with kind = {given(kind)}, which takes {allowed}"
-            yield Mistake((*path, key), words)
+            yield Mistake.useless(table, path, key, f"with kind = {given(kind)}, which takes {allowed}")
     part = text_of(table, "part")
     if keys.part is None:
         if "part" in table:
             words = f"part = {given(table['part'])} has no effect: kind = {given(kind)} is of all controllers"
             yield Mistake((*path, "part"), f"{words}; leave the key out")
     elif "part" not in table:
-        words = f'the key "part" is missing; kind = {given(kind)} needs the name of {PART_WORDS[keys.part]}'
-        yield Mistake((*path, "part"), words)
+        yield Mistake.missing(path, "part", f"kind = {given(kind)} needs the name of {PART_WORDS[keys.part]}")
     elif part is not None and platform is not None:
         yield from _part(part, keys.part, path, platform)
 
@@ -273,34 +267,27 @@ def _commands(data: Data, manoeuvre: Data, path: Path, platform: Platform | None
 
 def _command_parts(command: Data, path: Path) -> Iterator[Mistake]:
     if not any(key in command for key in _COMMANDS):
-        words = "a command needs step, ramp, amplitude with frequency_hz, or value with t"
-        yield Mistake((*path, "step"), f'the key "step" is missing; {words}')
+        yield Mistake.missing(path, "step", "a command needs step, ramp, amplitude with frequency_hz, or value with t")
     for key, beside in _COMMANDS.items():
         for needed in beside if key in command else ():
             if needed not in command:
-                yield Mistake((*path, needed), f'the key "{needed}" is missing; {key} has no effect without it')
+                yield Mistake.missing(path, needed, f"{key} has no effect without it")
     if any(key in command for key in _COMMANDS):
         for key, of in _BESIDE.items():
             if key in command and not any(one in command for one in of):
-                words = f"{key} = {given(command[key])} has no effect without {' or '.join(of)}"
-                yield Mistake((*path, key), f"{words}; add it, or leave the key out")
-    t, value = command.get("t"), command.get("value")
-    if isinstance(t, list) and isinstance(value, list) and len(t) != len(value):
-        words = f"value must have as many elements as t, {len(t)}, got {len(value)}"
-        yield Mistake((*path, "value"), words)
+                yield Mistake.useless(command, path, key, f"without {' or '.join(of)}; add it, or leave the key out")
+    yield from of_length(command, "value", "t", path)
 
 
 def _command_times(data: Data, manoeuvre: Data, command: Data, path: Path) -> Iterator[Mistake]:
     duration, at = number_of(manoeuvre, "duration"), number_of(command, "at")
     if duration is not None and at is not None and at >= duration > 0.0:
-        words = f"at must be before the end of the run, {duration:.6g} s, got {given(command['at'])}"
-        yield Mistake((*path, "at"), words)
+        yield Mistake.wrong(command, path, "at", f"before the end of the run, {duration:.6g} s")
     sampling = data.get("sampling")
     rate = number_of(sampling, "rate_hz") if isinstance(sampling, dict) else None
     frequency = number_of(command, "frequency_hz")
     if rate is not None and frequency is not None and frequency >= 0.5 * rate > 0.0:
-        words = f"frequency_hz must be below half the sample rate, {0.5 * rate:.6g} Hz, got {given(frequency)}"
-        yield Mistake((*path, "frequency_hz"), words)
+        yield Mistake.wrong(command, path, "frequency_hz", f"below half the sample rate, {0.5 * rate:.6g} Hz")
 
 
 def _command_reading(data: Data, command: Data, path: Path, platform: Platform | None) -> Iterator[Mistake]:
@@ -315,14 +302,13 @@ def _command_reading(data: Data, command: Data, path: Path, platform: Platform |
         for name in loop["sensors"]
         if isinstance(name, str)
     ]
-    words = f"reading: {given(reading)} is"
     if reading not in by_name:
-        yield Mistake((*path, "reading"), f"{words} no sensor of the plant; {suggestion(reading, by_name)}")
+        yield Mistake.unknown_name(path, "reading", reading, "sensor of the plant", by_name)
         return
     if reading not in read:
         use = suggestion(reading, read) if read else "add a rate or pointing loop that reads it"
         why = "read by no rate, pointing or tracking loop, and a caging loop holds its gimbals at zero"
-        yield Mistake((*path, "reading"), f"{words} {why}; {use}")
+        yield Mistake((*path, "reading"), f"reading: {given(reading)} is {why}; {use}")
     unit = by_name[reading].unit
     attitude = any(sensor.name == reading for sensor in platform.attitude_sensors)
     most = _SMALL_COMMAND if attitude else _LARGEST_COMMAND[unit]

@@ -27,17 +27,14 @@ def _friction(data: Data) -> Iterator[Mistake]:
     for k, table in tables(data, "friction"):
         for key, other in (("breakaway", "stribeck_rate"), ("stribeck_rate", "breakaway")):
             if key in table and other not in table:
-                yield Mistake(
-                    ("friction", k, key), f'{key} = {given(table[key])} has no effect without "{other}"; give both'
-                )
+                yield Mistake.useless(table, ("friction", k), key, f'without "{other}"; give both')
         try:
             breakaway, dry = coulomb(table["breakaway"]), coulomb(table.get("coulomb", 0.0))
         except (KeyError, Unfit):
             continue
         if breakaway[0] < dry[0] or breakaway[1] < dry[1]:
-            least = given(table.get("coulomb", 0.0))
-            words = f"breakaway must be at least coulomb, {least}, to either side, got {given(table['breakaway'])}"
-            yield Mistake(("friction", k, "breakaway"), words)
+            words = f"at least coulomb, {given(table.get('coulomb', 0.0))}, to either side"
+            yield Mistake.wrong(table, ("friction", k), "breakaway", words)
 
 
 def _servo(data: Data) -> Iterator[Mistake]:
@@ -47,7 +44,7 @@ def _servo(data: Data) -> Iterator[Mistake]:
             yield Mistake(("rotor", k, "control"), 'control = "servo" needs "speed_gain", N m s')
         for key in _SERVO_KEYS:
             if key in table and not servo:
-                yield Mistake(("rotor", k, key), f'{key} = {given(table[key])} has no effect without control = "servo"')
+                yield Mistake.useless(table, ("rotor", k), key, 'without control = "servo"')
 
 
 # Which signal of its own each table names.
@@ -126,8 +123,8 @@ def _references(data: Data) -> Iterator[Mistake]:
                     continue
                 if name not in known:
                     hint = f" ({refers.hint})" if refers.hint and name == root else ""
-                    words = f"{key} must be the name of {what}{hint}, got {given(name)}; {suggestion(name, known)}"
-                    yield Mistake((kind, k, key), words)
+                    words, more = f"the name of {what}{hint}", f"; {suggestion(name, known)}"
+                    yield Mistake.wrong(table, (kind, k), key, words, more)
                 elif refers.once and name in seen:
                     words = f"{given(name)} has a {refers.once} already, [[{kind}]] {seen[name] + 1}"
                     yield Mistake((kind, k, key), f"{key}: {words}; leave one of them out")
@@ -163,8 +160,7 @@ def _alternatives(data: Data) -> Iterator[Mistake]:
     yield from _rate_sensors(data)
     for k, table in tables(data, "gimbal"):
         if "restitution" in table and "stops" not in table and "stops_deg" not in table:
-            words = f'restitution = {given(table["restitution"])} has no effect without "stops" or "stops_deg"'
-            yield Mistake(("gimbal", k, "restitution"), words)
+            yield Mistake.useless(table, ("gimbal", k), "restitution", 'without "stops" or "stops_deg"')
 
 
 def _rate_sensors(data: Data) -> Iterator[Mistake]:
@@ -178,10 +174,10 @@ def _rate_sensors(data: Data) -> Iterator[Mistake]:
             yield Mistake(path, f'give one of "gimbal", "root_axis" and "body", {which}')
             continue
         if places == ["body"] and "axis" not in table:
-            yield Mistake((*path, "axis"), 'the key "axis" is missing; it must be the sensing axis in the body\'s axes')
+            yield Mistake.missing(path, "axis", "it must be the sensing axis in the body's axes")
         for key in ("axis", "frame", "misalignment") if places != ["body"] else ():
             if key in table:
-                yield Mistake((*path, key), f'{key} = {given(table[key])} has no effect without "body"')
+                yield Mistake.useless(table, path, key, 'without "body"')
         if places != ["body"] or table.get("frame") != "parent":
             continue
         gimbal = next((g for _, g in tables(data, "gimbal") if g.get("name") == table["body"]), None)
@@ -219,8 +215,8 @@ def _line_of_sight(data: Data) -> Iterator[Mistake]:
         return
     body = text_of(table, "body")
     if body is not None and body not in (root, *gimbals):
-        words = f"body must be the name of the root or a gimbal, got {given(body)}"
-        yield Mistake(("line_of_sight", "body"), f"{words}; {suggestion(body, [root, *gimbals])}")
+        more = f"; {suggestion(body, [root, *gimbals])}"
+        yield Mistake.wrong(table, ("line_of_sight",), "body", "the name of the root or a gimbal", more)
         return
     by_name = {text_of(gimbal, "name"): gimbal for _, gimbal in reversed([*tables(data, "gimbal")])}
     direction, turning, seen = _unit(table.get("direction")), [], set()
@@ -259,10 +255,8 @@ def _rotor_inertias(data: Data) -> Iterator[Mistake]:
         if axial is None or axial <= 0:
             continue
         if transverse is not None and 0 < transverse < axial / 2 * (1 - ROUNDING):
-            yield Mistake(
-                ("rotor", k, "transverse_inertia"),
-                f"transverse_inertia must be at least half of axial_inertia = {given(axial)}, got {given(transverse)}",
-            )
+            words = f"at least half of axial_inertia = {given(axial)}"
+            yield Mistake.wrong(table, ("rotor", k), "transverse_inertia", words)
 
 
 def _one_sensor_about_an_axis(data: Data) -> Iterator[Mistake]:

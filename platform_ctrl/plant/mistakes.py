@@ -33,6 +33,26 @@ class Mistake:
         """The text, found."""
         return self.text if isinstance(self.text, str) else self.text()
 
+    @classmethod
+    def missing(cls, path: Path, key: str, words: str) -> Mistake:
+        """Return that the table at `path` lacks a key, and what needs it."""
+        return cls((*path, key), f'the key "{key}" is missing; {words}')
+
+    @classmethod
+    def useless(cls, table: Mapping[str, Any], path: Path, key: str, words: str) -> Mistake:
+        """Return that a key of the table at `path` has no effect, and with or without what."""
+        return cls((*path, key), f"{key} = {given(table[key])} has no effect {words}")
+
+    @classmethod
+    def wrong(cls, table: Mapping[str, Any], path: Path, key: str, words: str, more: str = "") -> Mistake:
+        """Return what the key of the table at `path` must be."""
+        return cls((*path, key), f"{key} must be {words}, got {given(table.get(key))}{more}")
+
+    @classmethod
+    def unknown_name(cls, path: Path, key: str, name: str, what: str, known: Iterable[str]) -> Mistake:
+        """Return that a name under a key of the table at `path` is no `what`."""
+        return cls((*path, key), f"{key}: {given(name)} is no {what}; {suggestion(name, known)}")
+
 
 def given(item: object, depth: int = 0) -> str:
     """Show a value as it would stand in a TOML file, shortened."""

@@ -231,7 +231,7 @@ MISTAKES: dict[str, tuple[Change, list[str]]] = {
     ),
     "option negative": (
         put(-4, "loop", 0, "design", 0, "integral_hz"),
-        [HAND, "integral_hz must be a number > 0, got -4.0", "> 0"],
+        [HAND, "integral_hz must be a number > 0, got -4", "> 0"],
     ),
     "tune a number": (
         put(1, "loop", 0, "design", 0, "tune"),
