@@ -15,9 +15,9 @@ from platform_ctrl.common.arguments import known_name, one_of, positive, whole
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray, read_only, value
 from platform_ctrl.errors import ArgumentError
+from platform_ctrl.job.campaign_checks import misfits
 from platform_ctrl.job.faults import Fault
 from platform_ctrl.job.job import Campaign, Job, Points, manoeuvre_scenario
-from platform_ctrl.job.parameter_limits import misfits
 from platform_ctrl.job.parameters import Parameter, parameters, varied_scenario
 from platform_ctrl.job.scenario import Scenario
 from platform_ctrl.job.variation import Vary

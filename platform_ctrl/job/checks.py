@@ -11,120 +11,17 @@ from typing import Any, get_args
 
 from platform_ctrl.analysis.metrics import METRICS
 from platform_ctrl.job.budget_checks import budget_mistakes
-from platform_ctrl.job.design_checks import DESIGN_SIGNALS, design_signal_mistakes, names_of, sensor_mistakes
+from platform_ctrl.job.campaign_checks import campaign_mistakes
 from platform_ctrl.job.drive_checks import drive_mistakes
-from platform_ctrl.job.job import Job, manoeuvre_scenario
 from platform_ctrl.job.methods import METHODS, LoopKind
-from platform_ctrl.job.parameter_limits import misfits
 from platform_ctrl.job.requirements import SCOPES, limit_keys
-from platform_ctrl.job.run_checks import of_length, run_mistakes
-from platform_ctrl.job.variation import CENTRES, DISTRIBUTION_NUMBERS
+from platform_ctrl.job.run_checks import run_mistakes
 from platform_ctrl.plant.checks import number_of
-from platform_ctrl.plant.mistakes import Mistake, Path, given, one_line, suggestion, tables, text_of, unique_names
-from platform_ctrl.plant.platform import ROOT_TORQUE_NAMES, Platform
+from platform_ctrl.plant.mistakes import Mistake, Path, given, suggestion, tables, text_of, unique_names
+from platform_ctrl.plant.platform import OMEGA_NAMES, ROOT_TORQUE_NAMES, Platform
 from platform_ctrl.plant.tables import unknown_key
 
 Data = dict[str, Any]
-
-_NUMBERS = sorted({key for keys in DISTRIBUTION_NUMBERS.values() for key in keys})
-_KEYS = {"parameter", "distribution", "relative", "values", "weights", *_NUMBERS}
-# Standard deviations from the mean at which a truncated normal distribution has to start at the latest: beyond, there
-# is less than 1e-15 of it, and its quantiles are rounding.
-FARTHEST = 8.0
-# Standard deviation of a natural logarithm at most: of numbers that lie further apart, some are none any more.
-WIDEST = 10.0
-
-
-def campaign_mistakes(data: Data) -> Iterator[Mistake]:
-    """Walk what can be said of the plain data."""
-    campaign = data.get("campaign")
-    if not isinstance(campaign, dict):
-        return
-    if not data.get("manoeuvre"):
-        yield Mistake(("campaign",), "[campaign] has no manoeuvre to simulate; add a [[manoeuvre]] to the job")
-    for kind, key, of in (("manoeuvre", "name", "manoeuvre"), ("fault", "fault", "fault")):
-        known = [name for _, table in tables(data, of) if (name := text_of(table, "name")) is not None]
-        taken: dict[str, int] = {}
-        for k, table in tables(campaign, kind):
-            name = text_of(table, key)
-            if name is None:
-                continue
-            path: Path = ("campaign", kind, k)
-            if name not in known:
-                words = f"the name of a [[{of}]] of the job"
-                yield Mistake.wrong(table, path, key, words, f"; {suggestion(name, known)}")
-            elif name in taken:
-                words = f"{given(name)} is in [[campaign.{kind}]] {taken[name] + 1} already; leave one of them out"
-                yield Mistake((*path, key), f"{key}: {words}")
-            taken.setdefault(name, k)
-    for k, table in tables(campaign, "vary"):
-        yield from _distribution(table, ("campaign", "vary", k))
-
-
-def _distribution(table: Data, path: Path) -> Iterator[Mistake]:
-    name = text_of(table, "distribution")
-    keys = next((keys for known, keys in DISTRIBUTION_NUMBERS.items() if known == name), None)
-    if keys is None:
-        return
-    choice = name == "choice"
-    needed = ("values",) if choice else keys
-    # A factor lies about 1 unless it is said otherwise; whether it is one is not known where that is written wrongly.
-    factor = table.get("relative") is True or not isinstance(table.get("relative", False), bool) or set(table) - _KEYS
-    for key in needed:
-        if key not in table and not (key in CENTRES and factor):
-            yield Mistake.missing(path, key, f"distribution = {given(name)} needs {', '.join(needed)}")
-    for key in (*_NUMBERS, "values", "weights"):
-        if key in table and key not in (("values", "weights") if choice else keys):
-            takes = ", ".join((*needed, *(("weights",) if choice else ())))
-            yield Mistake.useless(table, path, key, f"with distribution = {given(name)}, which takes {takes}")
-    if choice:
-        yield from _weights(table, path)
-        return
-    n = {key: number for key in keys if (number := number_of(table, key)) is not None}
-    if "mean" not in n and "mean" in keys:
-        n["mean"] = 1.0
-    if name == "log-normal" and n.get("deviation", 0.0) > WIDEST:
-        far = f": one number in six would be e^{n['deviation']:.6g} times the median or more"
-        yield Mistake.wrong(table, path, "deviation", f"at most {WIDEST:g}", far)
-    low, high = n.get("low"), n.get("high")
-    if low is None or high is None:
-        return
-    if not low < high:
-        yield Mistake.wrong(table, path, "high", f"above low = {given(table['low'])}")
-    elif name == "log-uniform" and low <= 0.0:
-        yield Mistake.wrong(table, path, "low", "a number > 0, which has a logarithm")
-    elif name == "triangular" and not low <= n.get("peak", 1.0) <= high:
-        words = f"peak must be from low, {low:.6g}, to high, {high:.6g}, got {given(n.get('peak', 1.0))}"
-        yield Mistake((*path, "peak"), words)
-    elif name == "truncated-normal" and n.get("deviation", 0.0) > 0.0:
-        nearest = max(low - n["mean"], n["mean"] - high)
-        if nearest > FARTHEST * n["deviation"]:
-            words = f"at most {FARTHEST:g} deviations outside low and high"
-            far = f", {nearest / n['deviation']:.4g} deviations outside"
-            yield Mistake.wrong(n, path, "mean", words, far)
-
-
-def _weights(table: Data, path: Path) -> Iterator[Mistake]:
-    values, weights = table.get("values"), table.get("weights")
-    if not isinstance(values, list) or not isinstance(weights, list):
-        return
-    numbers = [number_of({"weight": weight}, "weight") for weight in weights]
-    if len(values) != len(weights):
-        yield from of_length(table, "weights", "values", path)
-    elif all(number is not None for number in numbers):
-        found = [number for number in numbers if number is not None]
-        if min(found, default=0.0) < 0.0 or not any(found):
-            yield Mistake.wrong(table, path, "weights", "numbers >= 0, not all of them 0")
-
-
-def variation_mistakes(job: Job) -> Iterator[Mistake]:
-    """Walk what a campaign varies although the job has no such number, or would not accept what may be drawn."""
-    if job.campaign is None:
-        return
-    scenarios = [manoeuvre_scenario(job, manoeuvre) for manoeuvre, _ in job.campaign_manoeuvres]
-    for k, key, line in misfits(job.campaign.vary, scenarios, job.fault_events):
-        yield Mistake(("campaign", "vary", k, key), one_line(line))
-
 
 # Sample periods from sample to torque at most: each is a state of every torquer in every plant.
 LONGEST_DELAY = 100
@@ -132,6 +29,9 @@ LONGEST_DELAY = 100
 _OWN_RATES = ("rate", "pointing", "tracking")
 LONGEST_CYCLE = 100
 _SAME_RATE = 1e-5
+# Keys of a design that are about signals, and the loops whose designs have them.
+_DESIGN_SIGNALS = ("sensors", "feedforward")
+_WITH_SIGNALS = ("rate", "pointing")
 
 
 def job_mistakes(data: Data, platform: Platform | None) -> list[Mistake]:
@@ -144,8 +44,7 @@ def job_mistakes(data: Data, platform: Platform | None) -> list[Mistake]:
         *_sets(data),
         *_trims(data, platform),
         *_sight(data, platform),
-        *_designs(data),
-        *design_signal_mistakes(data, platform),
+        *_designs(data, platform),
         *_loops(data, platform),
         *run_mistakes(data, platform),
         *campaign_mistakes(data),
@@ -296,7 +195,7 @@ def _rates(data: Data, rate: float) -> Iterator[Mistake]:
         yield Mistake(("budget",), f"{words}; leave out one of the two, and measure the line of sight in manoeuvres")
 
 
-def _designs(data: Data) -> Iterator[Mistake]:
+def _designs(data: Data, platform: Platform | None) -> Iterator[Mistake]:
     for i, loop in tables(data, "loop"):
         path: Path = ("loop", i)
         yield from unique_names(loop, path, "design")
@@ -304,6 +203,7 @@ def _designs(data: Data) -> Iterator[Mistake]:
         for k, design in tables(loop, "design"):
             names.append(text_of(design, "name"))
             yield from _design(design, (*path, "design", k), text_of(loop, "kind"))
+            yield from _design_signals(design, (*path, "design", k), text_of(loop, "kind"), platform, data)
         use = text_of(loop, "use")
         known = [name for name in names if name is not None]
         if use is not None and known and len(known) == len(names) and use not in known:
@@ -315,7 +215,7 @@ def _design(design: Data, path: Path, kind: str | None) -> Iterator[Mistake]:
     if key is None or key not in METHODS:
         return
     method = METHODS[key]
-    known = ["name", "method", "tune", *DESIGN_SIGNALS, *sorted(method.options), "command"]
+    known = ["name", "method", "tune", *_DESIGN_SIGNALS, *sorted(method.options), "command"]
     if method.structures:
         known.insert(2, "structure")
     if method.responses is not None:
@@ -394,30 +294,30 @@ def _useless(loop: Data, path: Path, kind: str, keys: tuple[str, ...]) -> Iterat
 def _signals_of(loop: Data, path: Path, kind: str, platform: Platform | None) -> Iterator[Mistake]:
     """Judge what a rate or pointing loop turns, reads and sets."""
     for key, words in (("gimbals", "the gimbals that the loop turns"), ("sensors", "what the loop reads")):
-        if not names_of(loop, key):
+        if not _names_of(loop, key):
             yield Mistake((*path, key), f"{key} must be a list of names, {words}")
     if platform is None:
         return
     torquers = {t.name: t.gimbal for t in platform.torquers if t.gimbal is not None}
-    for name in names_of(loop, "gimbals"):
+    for name in _names_of(loop, "gimbals"):
         if name not in platform.gimbal_names:
             yield Mistake.unknown_name(path, "gimbals", name, "gimbal of the plant", platform.gimbal_names)
         elif "torquers" not in loop and name not in torquers.values():
             yield Mistake((*path, "gimbals"), f"gimbals: {given(name)} has no torquer in the plant; add a [[torquer]]")
-    yield from sensor_mistakes(loop, path, kind, platform)
-    turned = names_of(loop, "gimbals")
-    for name in names_of(loop, "torquers") if turned == loop.get("gimbals") else ():
+    yield from _sensors(loop, path, kind, platform)
+    turned = _names_of(loop, "gimbals")
+    for name in _names_of(loop, "torquers") if turned == loop.get("gimbals") else ():
         if torquers.get(name) not in turned:
             yield Mistake.unknown_name(path, "torquers", name, "torquer on a gimbal of the loop", torquers)
 
 
 def _tracking(data: Data, loop: Data, path: Path, number: int, platform: Platform | None) -> Iterator[Mistake]:
     """Judge a tracking loop: what it reads, and the rate loop that it commands."""
-    if not names_of(loop, "sensors"):
+    if not _names_of(loop, "sensors"):
         yield Mistake((*path, "sensors"), "sensors must be a list of names, what the loop reads")
     if platform is not None:
         fitting = [sensor.name for sensor in platform.sensors if sensor.unit == "rad"]
-        for name in names_of(loop, "sensors"):
+        for name in _names_of(loop, "sensors"):
             if name not in fitting:
                 yield Mistake.unknown_name(path, "sensors", name, "sensor of an angle", fitting)
     inner = [text_of(one, "name") or "" for k, one in tables(data, "loop") if k < number and one.get("kind") == "rate"]
@@ -461,3 +361,72 @@ def _root_torquers(path: Path, platform: Platform | None) -> Iterator[Mistake]:
     if lacking:
         words = f'kind = "stabilisation" needs root torquers; the plant has no {", ".join(lacking)}'
         yield Mistake(path, f"{words}; add [[torquer]] with root_axis 1, 2 and 3")
+
+
+def _names_of(table: Data, key: str) -> list[str]:
+    """Return the names that stand under a key, as far as they are text."""
+    names = table.get(key, [])
+    return [name for name in names if isinstance(name, str)] if isinstance(names, list) else []
+
+
+def _sensors(table: Data, path: Path, kind: str, platform: Platform) -> Iterator[Mistake]:
+    """Judge the sensors that a rate or pointing loop, or one of its designs, reads."""
+    unit = "rad/s" if kind == "rate" else "rad"
+    fitting = [sensor.name for sensor in platform.sensors if sensor.unit == unit]
+    every = [sensor.name for sensor in platform.sensors]
+    for name in _names_of(table, "sensors"):
+        if name in fitting:
+            continue
+        what = (
+            f"measures {'an angle' if unit == 'rad/s' else 'a rate'}" if name in every else "is no sensor of the plant"
+        )
+        wanted = f"a {kind} loop reads sensors of {'rates' if unit == 'rad/s' else 'angles'}"
+        yield Mistake((*path, "sensors"), f"sensors: {given(name)} {what}; {wanted}; {suggestion(name, fitting)}")
+
+
+def _design_signals(
+    design: Data, path: Path, kind: str | None, platform: Platform | None, data: Data
+) -> Iterator[Mistake]:
+    """Judge the signals of a design of a loop of this kind."""
+    if kind is None:
+        return
+    if kind not in _WITH_SIGNALS:
+        for key in _DESIGN_SIGNALS:
+            if key in design:
+                words = f"{key} belongs to designs of rate and pointing loops alone; leave it out of this {kind} loop"
+                yield Mistake((*path, key), words)
+        return
+    if platform is not None:
+        yield from _sensors(design, path, kind, platform)
+    fed = design.get("feedforward")
+    if isinstance(fed, dict):
+        yield from _feedforward(fed, (*path, "feedforward"), platform, data)
+
+
+def _feedforward(fed: Data, path: Path, platform: Platform | None, data: Data) -> Iterator[Mistake]:
+    if "sensors" in fed and not _names_of(fed, "sensors"):
+        yield Mistake((*path, "sensors"), "sensors must be a list of names, rate sensors of the root")
+    if text_of(fed, "into") == "reading" and "bandwidth_hz" in fed:
+        yield Mistake.useless(fed, path, "bandwidth_hz", 'with into = "reading"; leave the key out')
+    sampling = data.get("sampling")
+    rate = number_of(sampling, "rate_hz") if isinstance(sampling, dict) else None
+    bandwidth = number_of(fed, "bandwidth_hz")
+    if rate is not None and bandwidth is not None and bandwidth >= 0.5 * rate > 0.0:
+        yield Mistake.wrong(fed, path, "bandwidth_hz", f"below half the sample rate, {0.5 * rate:g} Hz")
+    if platform is None:
+        return
+    sensors = {sensor.name: sensor for sensor in platform.sensors}
+    fitting = [
+        sensor.name
+        for sensor in platform.sensors
+        if sensor.unit == "rad/s" and set(sensor.signals(platform)) <= set(OMEGA_NAMES)
+    ]
+    names = _names_of(fed, "sensors")
+    for k, name in enumerate(names):
+        if name not in sensors:
+            yield Mistake.unknown_name(path, "sensors", name, "sensor of the plant", fitting)
+        elif name not in fitting:
+            words = f"sensors: {given(name)} does not measure a rate of the root alone: torquers move what it reads"
+            yield Mistake((*path, "sensors"), f"{words}; {suggestion(name, fitting)}")
+        elif name in names[:k]:
+            yield Mistake((*path, "sensors"), f"sensors: {given(name)} is in the list twice; leave one of them out")

@@ -10,18 +10,19 @@ from pathlib import Path
 from typing import Any
 
 from platform_ctrl.common.values import replaced
-from platform_ctrl.errors import InputError, OldKeyWarning
+from platform_ctrl.errors import ArgumentError, InputError, OldKeyWarning
 from platform_ctrl.job.budget_checks import size_mistakes, with_logs
-from platform_ctrl.job.checks import job_mistakes, variation_mistakes
-from platform_ctrl.job.design_checks import with_responses
+from platform_ctrl.job.campaign_checks import variation_mistakes
+from platform_ctrl.job.checks import job_mistakes
 from platform_ctrl.job.drive_checks import misplaced_drives
 from platform_ctrl.job.job import Job
+from platform_ctrl.job.methods import METHODS, resolved
 from platform_ctrl.job.old_names import renamed
 from platform_ctrl.plant.fields import PLANT, Expected, integer
-from platform_ctrl.plant.mistakes import Mistake, report
+from platform_ctrl.plant.mistakes import Mistake, one_line, report
 from platform_ctrl.plant.platform import Platform
 from platform_ctrl.plant.reading import judge_plant, open_plant
-from platform_ctrl.plant.source import Document, open_file, open_mapping, path_of
+from platform_ctrl.plant.source import Document, open_file, open_mapping, path_of, read_text
 from platform_ctrl.plant.tables import Key, made, overfull, read_table, shape
 
 SCHEMA = 2
@@ -83,7 +84,7 @@ def read_job(
         job = replaced(job, {"campaign": replaced(job.campaign, {"seed": job.seed})})
     if mistakes := list(misplaced_drives(job)):
         raise report(document.label, document.data, mistakes)
-    job, of_responses = with_responses(job, start or document.folder)
+    job, of_responses = _with_responses(job, start or document.folder)
     mistakes = [*of_responses, *variation_mistakes(job)]
     if job.budget is not None:
         budget, of_logs = with_logs(job.budget, start or document.folder)
@@ -115,3 +116,28 @@ def _plant(document: Document, folder: Path) -> tuple[Platform | None, list[Mist
     except InputError as error:
         return None, [Mistake(("plant",), f"plant: {error}")]
     return platform, []
+
+
+def _with_responses(job: Job, folder: Path) -> tuple[Job, list[Mistake]]:
+    """Return a job with the texts of its files of measured responses, and what is wrong with them.
+
+    What has more than one line is such a text already, as in a job that was written with all its inputs.
+    """
+    mistakes: list[Mistake] = []
+    loops = []
+    for i, spec in enumerate(job.loops):
+        designs = []
+        for k, design in enumerate(spec.designs):
+            given_text, judge = design.responses, METHODS[design.method].responses
+            if given_text is not None and judge is not None:
+                try:
+                    inside = "\n" in given_text
+                    label = "the text" if inside else one_line(str(folder / given_text))
+                    text = given_text if inside else read_text(folder / given_text, "a CSV file")
+                    resolved(judge)(job, spec, design, text, label)
+                    design = replaced(design, {"responses": text})
+                except (InputError, ArgumentError) as error:
+                    mistakes.append(Mistake(("loop", i, "design", k, "responses"), f"responses: {error}"))
+            designs.append(design)
+        loops.append(replaced(spec, {"designs": tuple(designs)}))
+    return replaced(job, {"loops": tuple(loops)}), mistakes

@@ -7,8 +7,8 @@ import control
 from platform_ctrl.campaign.planning import plan
 from platform_ctrl.campaign.single_run import simulate_runs
 from platform_ctrl.common.values import replaced
+from platform_ctrl.job.campaign_checks import misfits
 from platform_ctrl.job.job import Job, manoeuvre_scenario
-from platform_ctrl.job.parameter_limits import misfits
 from platform_ctrl.job.parameters import parameters
 from platform_ctrl.job.reading import read_job
 from platform_ctrl.job.variation import Vary

@@ -1,15 +1,121 @@
-"""What cannot be drawn: numbers that a plant or job file would refuse are refused before any run is simulated."""
+"""What must fit together in a campaign: its tables, its distributions, and the numbers that can be drawn from them."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from typing import Any
 
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.job.faults import Fault
+from platform_ctrl.job.job import Job, manoeuvre_scenario
 from platform_ctrl.job.parameters import Parameter, drawn_value, nominal, parameters, unknown_parameter
+from platform_ctrl.job.run_checks import of_length
 from platform_ctrl.job.scenario import Scenario
-from platform_ctrl.job.variation import Vary
+from platform_ctrl.job.variation import CENTRES, DISTRIBUTION_NUMBERS, Vary
+from platform_ctrl.plant.checks import number_of
+from platform_ctrl.plant.mistakes import Mistake, Path, given, one_line, suggestion, tables, text_of
+
+Data = dict[str, Any]
+
+_NUMBERS = sorted({key for keys in DISTRIBUTION_NUMBERS.values() for key in keys})
+_KEYS = {"parameter", "distribution", "relative", "values", "weights", *_NUMBERS}
+# Standard deviations from the mean at which a truncated normal distribution has to start at the latest: beyond, there
+# is less than 1e-15 of it, and its quantiles are rounding.
+FARTHEST = 8.0
+# Standard deviation of a natural logarithm at most: of numbers that lie further apart, some are none any more.
+WIDEST = 10.0
+
+
+def campaign_mistakes(data: Data) -> Iterator[Mistake]:
+    """Walk what can be said of the plain data."""
+    campaign = data.get("campaign")
+    if not isinstance(campaign, dict):
+        return
+    if not data.get("manoeuvre"):
+        yield Mistake(("campaign",), "[campaign] has no manoeuvre to simulate; add a [[manoeuvre]] to the job")
+    for kind, key, of in (("manoeuvre", "name", "manoeuvre"), ("fault", "fault", "fault")):
+        known = [name for _, table in tables(data, of) if (name := text_of(table, "name")) is not None]
+        taken: dict[str, int] = {}
+        for k, table in tables(campaign, kind):
+            name = text_of(table, key)
+            if name is None:
+                continue
+            path: Path = ("campaign", kind, k)
+            if name not in known:
+                words = f"the name of a [[{of}]] of the job"
+                yield Mistake.wrong(table, path, key, words, f"; {suggestion(name, known)}")
+            elif name in taken:
+                words = f"{given(name)} is in [[campaign.{kind}]] {taken[name] + 1} already; leave one of them out"
+                yield Mistake((*path, key), f"{key}: {words}")
+            taken.setdefault(name, k)
+    for k, table in tables(campaign, "vary"):
+        yield from _distribution(table, ("campaign", "vary", k))
+
+
+def _distribution(table: Data, path: Path) -> Iterator[Mistake]:
+    name = text_of(table, "distribution")
+    keys = next((keys for known, keys in DISTRIBUTION_NUMBERS.items() if known == name), None)
+    if keys is None:
+        return
+    choice = name == "choice"
+    needed = ("values",) if choice else keys
+    # A factor lies about 1 unless it is said otherwise; whether it is one is not known where that is written wrongly.
+    factor = table.get("relative") is True or not isinstance(table.get("relative", False), bool) or set(table) - _KEYS
+    for key in needed:
+        if key not in table and not (key in CENTRES and factor):
+            yield Mistake.missing(path, key, f"distribution = {given(name)} needs {', '.join(needed)}")
+    for key in (*_NUMBERS, "values", "weights"):
+        if key in table and key not in (("values", "weights") if choice else keys):
+            takes = ", ".join((*needed, *(("weights",) if choice else ())))
+            yield Mistake.useless(table, path, key, f"with distribution = {given(name)}, which takes {takes}")
+    if choice:
+        yield from _weights(table, path)
+        return
+    n = {key: number for key in keys if (number := number_of(table, key)) is not None}
+    if "mean" not in n and "mean" in keys:
+        n["mean"] = 1.0
+    if name == "log-normal" and n.get("deviation", 0.0) > WIDEST:
+        far = f": one number in six would be e^{n['deviation']:.6g} times the median or more"
+        yield Mistake.wrong(table, path, "deviation", f"at most {WIDEST:g}", far)
+    low, high = n.get("low"), n.get("high")
+    if low is None or high is None:
+        return
+    if not low < high:
+        yield Mistake.wrong(table, path, "high", f"above low = {given(table['low'])}")
+    elif name == "log-uniform" and low <= 0.0:
+        yield Mistake.wrong(table, path, "low", "a number > 0, which has a logarithm")
+    elif name == "triangular" and not low <= n.get("peak", 1.0) <= high:
+        words = f"peak must be from low, {low:.6g}, to high, {high:.6g}, got {given(n.get('peak', 1.0))}"
+        yield Mistake((*path, "peak"), words)
+    elif name == "truncated-normal" and n.get("deviation", 0.0) > 0.0:
+        nearest = max(low - n["mean"], n["mean"] - high)
+        if nearest > FARTHEST * n["deviation"]:
+            words = f"at most {FARTHEST:g} deviations outside low and high"
+            far = f", {nearest / n['deviation']:.4g} deviations outside"
+            yield Mistake.wrong(n, path, "mean", words, far)
+
+
+def _weights(table: Data, path: Path) -> Iterator[Mistake]:
+    values, weights = table.get("values"), table.get("weights")
+    if not isinstance(values, list) or not isinstance(weights, list):
+        return
+    numbers = [number_of({"weight": weight}, "weight") for weight in weights]
+    if len(values) != len(weights):
+        yield from of_length(table, "weights", "values", path)
+    elif all(number is not None for number in numbers):
+        found = [number for number in numbers if number is not None]
+        if min(found, default=0.0) < 0.0 or not any(found):
+            yield Mistake.wrong(table, path, "weights", "numbers >= 0, not all of them 0")
+
+
+def variation_mistakes(job: Job) -> Iterator[Mistake]:
+    """Walk what a campaign varies although the job has no such number, or would not accept what may be drawn."""
+    if job.campaign is None:
+        return
+    scenarios = [manoeuvre_scenario(job, manoeuvre) for manoeuvre, _ in job.campaign_manoeuvres]
+    for k, key, line in misfits(job.campaign.vary, scenarios, job.fault_events):
+        yield Mistake(("campaign", "vary", k, key), one_line(line))
 
 
 @check_arguments
