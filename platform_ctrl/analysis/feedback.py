@@ -9,7 +9,8 @@
       +---------------- controller K <-----------+
 
 Sensitivities are written for the negative-feedback loop transfer L = -K P (broken at the plant's input) or
-L = -P K (at its output), so that S = (I + L)^-1 and T = L S as in the books.
+L = -P K (at its output), so that S = (I + L)^-1 and T = L S as in the books. A controller of two degrees of freedom,
+u = K y + H r, is one system of what is measured, y, and of its commands r.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from platform_ctrl.analysis.arrays import (
     batch_shape,
     frequencies,
     named_system,
+    seen_states,
     square_responses,
     system_arrays,
 )
@@ -359,3 +361,43 @@ def sensitivities_of_plants(P: ComplexArray, K: ComplexArray) -> tuple[ComplexAr
     S_output, S_input = (np.empty((len(plants), F, size, size), dtype=np.complex128) for size in (p, m))
     close(plants, np.array(K, dtype=np.complex128, order="C"), S_output, S_input)
     return S_output.reshape(*batch, F, p, p), S_input.reshape(*batch, F, m, m)
+
+
+def feedback_part(controller: StateArrays, measured: Sequence[int]) -> StateArrays:
+    """Return K from some of a controller's inputs, without the states that only the other inputs reach."""
+    A, B, C, D, dt = controller
+    others = [k for k in range(B.shape[1]) if k not in measured]
+    # What an input reaches is what is seen of the transposed system.
+    reached, else_reached = (set(seen_states(A.T[None], B[:, at].T[None], 0.0)) for at in (measured, others))
+    kept = [k for k in range(len(A)) if k in reached or k not in else_reached]
+    return StateArrays(A[np.ix_(kept, kept)], B[kept][:, measured], C[:, kept], D[:, measured], dt)
+
+
+def with_error_alone(controller: StateArrays) -> StateArrays:
+    """Return u = K (y − r) of u = K y: inputs y, then r."""
+    A, B, C, D, dt = controller
+    return StateArrays(A, np.hstack([B, -B]), C, np.hstack([D, -D]), dt)
+
+
+def commanded_loop(
+    plants: StateArrays, controller: StateArrays, torques: Sequence[int], angles: Sequence[int]
+) -> StateArrays:
+    """Return plants (N, ...) with u = K y + H r closed: inputs the plants', then r; outputs u, then the plants'."""
+    A, B, C, D, dt = plants
+    p, inputs, outputs = len(angles), B.shape[-1], C.shape[-2]
+    many = A.shape[:-2]
+    # The commands go through the plant as what is measured without noise.
+    through = np.zeros((*many, outputs + p, inputs + p))
+    through[..., :outputs, :inputs] = D
+    through[..., outputs:, inputs:] = np.eye(p)
+    whole = StateArrays(
+        A,
+        np.concatenate([B, np.zeros((*B.shape[:-1], p))], axis=-1),
+        np.concatenate([C, np.zeros((*many, p, C.shape[-1]))], axis=-2),
+        through,
+        dt,
+    )
+    found = closed_loop(whole, controller, torques=torques, angles=[*angles, *range(outputs, outputs + p)])
+    m, kept = len(torques), inputs + p
+    rows = m + outputs
+    return found._replace(B=found.B[..., :kept], C=found.C[..., :rows, :], D=found.D[..., :rows, :kept])

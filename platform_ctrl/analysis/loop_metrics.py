@@ -10,9 +10,10 @@ import numpy as np
 
 from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.channel import Channel
-from platform_ctrl.analysis.loop_set import LoopSet
-from platform_ctrl.analysis.measuring import MetricRequest, Request
-from platform_ctrl.analysis.metrics import METRICS, exact_value, torque_noise, worst_exact
+from platform_ctrl.analysis.direct_metrics import torque_noise
+from platform_ctrl.analysis.loop_set import Indices, LoopSet
+from platform_ctrl.analysis.measuring import Direct, Loops, MetricRequest, Request
+from platform_ctrl.analysis.metrics import METRICS
 from platform_ctrl.analysis.plant_set import BoolArray, Group, PlantSet, members
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray, value
@@ -148,3 +149,57 @@ def _key(request: Request) -> Key:
 def _is_of_nominal(request: Request) -> bool:
     """Return whether `LoopMetrics` keeps it for the nominal plant alone, and it is about that plant alone."""
     return request.kind in _OF_NOMINAL and tuple(request.over) == ("nominal",)
+
+
+def exact_value(loops: Loops, request: Request, k: int = 0) -> float:
+    """Return the value of plant `k` over all frequencies, to 1e-9 from the worse side, in SI units."""
+    measure = METRICS[request.kind].measure
+    if isinstance(measure, Direct):
+        return float(measure.values(loops, request, np.array([k]))[0])
+    place = (_place(request), k)
+    if place not in loops.exact_values:
+        loops.exact_values[place] = measure.exact(loops, request, k)  # type: ignore[arg-type]
+    return loops.exact_values[place][0]
+
+
+def worst_exact(loops: LoopSet, request: Request, values: FloatArray, members: Indices) -> FloatArray:
+    """Return values on the grid (k,) with the worst of them exact: none of the plants is worse than that.
+
+    The plant that is worst on the grid gets its exact value. Every other one is shown to be no worse, or gets its own.
+    """
+    out = values.copy()
+    metric = METRICS[request.kind]
+    if not metric.searched:
+        return out
+    if metric.of == "controller":
+        out[0] = exact_value(loops, request)
+        return out
+    if not np.all(loops.decay[members] > 0.0):
+        # Nothing is worse than a loop that is not stable.
+        return out
+    at_least = metric.sense == "at least"
+    level: float | None = None
+    for i in map(int, np.argsort(values if at_least else -values, kind="stable")):
+        if level is None or not _no_worse(loops, request, int(members[i]), level):
+            out[i] = exact_value(loops, request, int(members[i]))
+            level = out[i] if level is None else (min if at_least else max)(level, out[i])
+    return out
+
+
+def _no_worse(loops: LoopSet, request: Request, k: int, bound: float) -> bool:
+    metric, place = METRICS[request.kind], (_place(request), k)
+    at_least = metric.sense == "at least"
+    if at_least and bound <= 0.0:
+        return True
+    shown = loops.proved.get(place)
+    if shown is not None and (shown >= bound if at_least else shown <= bound):
+        return True
+    if not metric.measure.holds(loops, request, k, bound):  # type: ignore[union-attr]
+        return False
+    loops.proved[place] = bound
+    return True
+
+
+def _place(request: Request) -> tuple[str, float, float | None, Channel | None]:
+    """Return the key of a value: its request without the plants."""
+    return request.kind, request.lowest, request.frequency, request.channel

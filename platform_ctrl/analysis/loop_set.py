@@ -23,8 +23,7 @@ from numpy.typing import NDArray
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
 from platform_ctrl.analysis.channel import Channel
-from platform_ctrl.analysis.feedback import closed_loop, sensitivities_of_plants
-from platform_ctrl.analysis.following import commanded_loop
+from platform_ctrl.analysis.feedback import closed_loop, commanded_loop, sensitivities_of_plants
 from platform_ctrl.analysis.norms import Band, gains
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.poles import continuous_poles, poles, spectral_abscissa

@@ -11,15 +11,20 @@ from typing import Literal
 
 import numpy as np
 
-from platform_ctrl.analysis import loop_set, step_metrics
+from platform_ctrl.analysis import loop_set
 from platform_ctrl.analysis.arrays import StateArrays
-from platform_ctrl.analysis.channel import Channel
-from platform_ctrl.analysis.classical_margins import margins_of_channel
-from platform_ctrl.analysis.loop_set import Indices, LoopSet
-from platform_ctrl.analysis.measuring import Bandwidth, ControllerGain, Direct, Loops, Peak, Request
-from platform_ctrl.analysis.norms import h2_norm, noise_rms
+from platform_ctrl.analysis.direct_metrics import (
+    channel_h2_norm,
+    of_following,
+    of_margins,
+    of_steps,
+    ramp_error,
+    steady_error,
+    torque_noise,
+)
+from platform_ctrl.analysis.measuring import Bandwidth, ControllerGain, Direct, Peak
+from platform_ctrl.analysis.norms import noise_rms
 from platform_ctrl.analysis.poles import fastest_pole, minimum_damping, poles
-from platform_ctrl.analysis.step_metrics import of_following, of_steps
 from platform_ctrl.common.values import FloatArray, value
 
 Sense = Literal["at least", "at most"]
@@ -94,102 +99,6 @@ class Metric(Quantity):
         return f"{self.frequency_key.removesuffix('_hz')}_from_hz" if self.frequency_key else ""
 
 
-def exact_value(loops: Loops, request: Request, k: int = 0) -> float:
-    """Return the value of plant `k` over all frequencies, to 1e-9 from the worse side, in SI units."""
-    measure = METRICS[request.kind].measure
-    if isinstance(measure, Direct):
-        return float(measure.values(loops, request, np.array([k]))[0])
-    place = (_key(request), k)
-    if place not in loops.exact_values:
-        loops.exact_values[place] = measure.exact(loops, request, k)  # type: ignore[arg-type]
-    return loops.exact_values[place][0]
-
-
-def worst_exact(loops: LoopSet, request: Request, values: FloatArray, members: Indices) -> FloatArray:
-    """Return values on the grid (k,) with the worst of them exact: none of the plants is worse than that.
-
-    The plant that is worst on the grid gets its exact value. Every other one is shown to be no worse, or gets its own.
-    """
-    out = values.copy()
-    metric = METRICS[request.kind]
-    if not metric.searched:
-        return out
-    if metric.of == "controller":
-        out[0] = exact_value(loops, request)
-        return out
-    if not np.all(loops.decay[members] > 0.0):
-        # Nothing is worse than a loop that is not stable.
-        return out
-    at_least = metric.sense == "at least"
-    level: float | None = None
-    for i in map(int, np.argsort(values if at_least else -values, kind="stable")):
-        if level is None or not _no_worse(loops, request, int(members[i]), level):
-            out[i] = exact_value(loops, request, int(members[i]))
-            level = out[i] if level is None else (min if at_least else max)(level, out[i])
-    return out
-
-
-def _no_worse(loops: LoopSet, request: Request, k: int, bound: float) -> bool:
-    metric, place = METRICS[request.kind], (_key(request), k)
-    at_least = metric.sense == "at least"
-    if at_least and bound <= 0.0:
-        return True
-    shown = loops.proved.get(place)
-    if shown is not None and (shown >= bound if at_least else shown <= bound):
-        return True
-    if not metric.measure.holds(loops, request, k, bound):  # type: ignore[union-attr]
-        return False
-    loops.proved[place] = bound
-    return True
-
-
-def _key(request: Request) -> tuple[str, float, float | None, Channel | None]:
-    """Return the key of a value: its request without the plants."""
-    return request.kind, request.lowest, request.frequency, request.channel
-
-
-def torque_noise(loops: LoopSet, plants: slice = slice(None)) -> FloatArray:
-    """Return the rms of every torque from the noise of the sensors, N m, (k, m); infinite of an unstable loop."""
-    A, B, C, D, dt = loops.own_arrays
-    m = loops.m
-    to_torque = StateArrays(A[plants], B[plants], C[plants, :m], D[plants, :m], dt)
-    of_readings = to_torque._replace(B=to_torque.B[..., m:], D=to_torque.D[..., m:])
-    out = noise_rms(of_readings, loops.plants.noise, allow_unstable=True)
-    fed = loops.plants.feedforward
-    if fed is not None:
-        out = np.hypot(out, noise_rms(fed.noise_of_torques(to_torque), np.ones(len(fed.sensors)), allow_unstable=True))
-    return out
-
-
-def _classical_margin(which: int) -> Callable[[LoopSet, Request], FloatArray]:
-    """Return the measure of the gain margin, a factor (0), or of the phase margin, rad (1), of the worst channel."""
-
-    def measured(loops: LoopSet, request: Request) -> FloatArray:
-        out = np.full(len(loops.plants.labels), 1.0 - which)
-        for k in np.flatnonzero(loops.decay > 0.0):
-            A, B, C, D, dt = loops.own_arrays
-            out[k] = min(
-                margins_of_channel(StateArrays(A[k], B[k, :, [i]].T, C[k, [i]], D[k, [[i]], [i]] + 1.0, dt))[which]
-                for i in range(loops.m)
-            )
-        return out
-
-    return measured
-
-
-def _h2_norm(loops: Loops, request: Request) -> FloatArray:
-    A, B, C, D, dt = loops.channel(request.channel)
-    if dt > 0.0:
-        rms = noise_rms(StateArrays(A, B, C, D, dt), np.ones(B.shape[-1]), allow_unstable=True)
-        with np.errstate(over="ignore"):
-            return np.asarray(np.sqrt(np.sum(rms * rms, axis=-1)), dtype=np.float64)
-    if np.any(D) or not loops.decay[0] > 0.0:
-        return np.array([np.inf])
-    import control
-
-    return np.array([h2_norm(control.StateSpace(A[0], B[0], C[0], D[0], dt, remove_useless_states=False))])
-
-
 METRICS: dict[str, Metric] = {
     "stability": Metric(
         name="minimum decay rate",
@@ -228,7 +137,7 @@ METRICS: dict[str, Metric] = {
         decibels=True,
         sense="at least",
         meaning="least change of the gain of one torquer, up or down, that ends stability, all others closed",
-        measure=Direct(function=_classical_margin(0)),
+        measure=Direct(function=of_margins(0)),
         scopes=("", "worst_case"),
     ),
     "phase margin": Metric(
@@ -238,7 +147,7 @@ METRICS: dict[str, Metric] = {
         scale=np.pi / 180.0,
         sense="at least",
         meaning="least lag of one torquer that ends stability where its loop's gain is 1, all others closed",
-        measure=Direct(function=_classical_margin(1)),
+        measure=Direct(function=of_margins(1)),
         scopes=("", "worst_case"),
         best=180.0,
     ),
@@ -317,7 +226,7 @@ METRICS: dict[str, Metric] = {
         key="steady_error",
         sense="at most",
         meaning="share of a step of the reference that remains as error; worst channel",
-        measure=Direct(function=of_following(step_metrics.steady_error)),
+        measure=Direct(function=of_following(steady_error)),
         scopes=("", "worst_case"),
     ),
     "ramp error": Metric(
@@ -326,7 +235,7 @@ METRICS: dict[str, Metric] = {
         unit="s",
         sense="at most",
         meaning="error behind a ramp of the reference over the slope of the ramp; worst channel",
-        measure=Direct(function=of_following(step_metrics.ramp_error)),
+        measure=Direct(function=of_following(ramp_error)),
         scopes=("", "worst_case"),
     ),
     "Omega rejection": Metric(
@@ -411,7 +320,7 @@ METRICS: dict[str, Metric] = {
         name="H2 norm",
         sense="at most",
         meaning="H2 norm between named signals",
-        measure=Direct(function=_h2_norm),
+        measure=Direct(function=channel_h2_norm),
         of="closed loop",
         has_channel=True,
     ),
@@ -434,93 +343,6 @@ COUPLED_METRICS: dict[str, Quantity] = {
 }
 
 
-@value
-class RunMetric(Quantity):
-    """A metric of a simulated run; the limits are in ``[manoeuvre.limits]``."""
-
-    on_demand: bool = False  # whether it is shown only where a manoeuvre limits it
-    sight: bool = False  # whether the plant needs a line of sight
-    commanded: bool = False  # whether the run needs a command in its unit
-
-
-RUN_METRICS: dict[str, RunMetric] = {
-    one.key: one
-    for one in (
-        RunMetric(
-            name="largest gimbal angle",
-            key="angle",
-            unit="rad",
-            sense="at most",
-            meaning="largest magnitude of a gimbal's angle",
-        ),
-        RunMetric(
-            name="largest platform angle",
-            key="attitude",
-            unit="rad",
-            sense="at most",
-            meaning="largest component of the platform's rotation vector",
-        ),
-        RunMetric(
-            name="largest torque over its limit",
-            key="torque_share",
-            sense="at most",
-            meaning="largest commanded torque over its torquer's limit",
-        ),
-        RunMetric(
-            name="largest gimbal rate",
-            key="gimbal_rate",
-            unit="rad/s",
-            sense="at most",
-            meaning="largest magnitude of a gimbal's rate",
-            on_demand=True,
-        ),
-        RunMetric(
-            name="largest error behind a commanded angle",
-            key="angle_following_error",
-            unit="rad",
-            sense="at most",
-            meaning="largest magnitude of a reading of an angle less its command after `settle`",
-            on_demand=True,
-            commanded=True,
-        ),
-        RunMetric(
-            name="largest error behind a commanded rate",
-            key="rate_following_error",
-            unit="rad/s",
-            sense="at most",
-            meaning="largest magnitude of a reading of a rate less its command after `settle`",
-            on_demand=True,
-            commanded=True,
-        ),
-        RunMetric(
-            name="line-of-sight angle, rms",
-            key="los_angle_rms",
-            unit="rad",
-            sense="at most",
-            meaning="rms of `los_angle1` or `los_angle2` about its mean after `settle`, the larger",
-            on_demand=True,
-            sight=True,
-        ),
-        RunMetric(
-            name="line-of-sight rate, rms",
-            key="los_rate_rms",
-            unit="rad/s",
-            sense="at most",
-            meaning="rms of `los_rate1` or `los_rate2` about its mean after `settle`, the larger",
-            on_demand=True,
-            sight=True,
-        ),
-        RunMetric(
-            name="attenuation of base motion",
-            key="attenuation_db",
-            unit="dB",
-            sense="at least",
-            meaning="rms of the platform rate over `los_rate_rms`, in dB, caged",
-            on_demand=True,
-            sight=True,
-        ),
-    )
-}
 # Of the line of sight; the limits are in ``[budget.limits]`` and, of one source, in ``[[budget.source]]``.
 BUDGET_METRICS: dict[str, Quantity] = {
     one.key: one

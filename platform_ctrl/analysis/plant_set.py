@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, named_system, state_arrays
+from platform_ctrl.analysis.feedback import feedback_part
 from platform_ctrl.analysis.feedforward import RateFeedforward
-from platform_ctrl.analysis.following import feedback_part
 from platform_ctrl.analysis.frequency_grids import tuning_grid
 from platform_ctrl.analysis.resolvent import ON_A_GRID
 from platform_ctrl.analysis.response import frequency_response

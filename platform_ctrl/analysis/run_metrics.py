@@ -1,4 +1,4 @@
-"""What the metrics of simulated runs are, and how they compare with limits; their table is `RUN_METRICS`."""
+"""The table of the metrics of simulated runs, and how they compare with limits."""
 
 from __future__ import annotations
 
@@ -6,9 +6,97 @@ from collections.abc import Iterable, Mapping
 
 import numpy as np
 
-from platform_ctrl.analysis.metrics import RUN_METRICS
-from platform_ctrl.common.values import FloatArray
+from platform_ctrl.analysis.metrics import Quantity
+from platform_ctrl.common.values import FloatArray, value
 
+
+@value
+class RunMetric(Quantity):
+    """A metric of a simulated run; the limits are in ``[manoeuvre.limits]``."""
+
+    on_demand: bool = False  # whether it is shown only where a manoeuvre limits it
+    sight: bool = False  # whether the plant needs a line of sight
+    commanded: bool = False  # whether the run needs a command in its unit
+
+
+RUN_METRICS: dict[str, RunMetric] = {
+    one.key: one
+    for one in (
+        RunMetric(
+            name="largest gimbal angle",
+            key="angle",
+            unit="rad",
+            sense="at most",
+            meaning="largest magnitude of a gimbal's angle",
+        ),
+        RunMetric(
+            name="largest platform angle",
+            key="attitude",
+            unit="rad",
+            sense="at most",
+            meaning="largest component of the platform's rotation vector",
+        ),
+        RunMetric(
+            name="largest torque over its limit",
+            key="torque_share",
+            sense="at most",
+            meaning="largest commanded torque over its torquer's limit",
+        ),
+        RunMetric(
+            name="largest gimbal rate",
+            key="gimbal_rate",
+            unit="rad/s",
+            sense="at most",
+            meaning="largest magnitude of a gimbal's rate",
+            on_demand=True,
+        ),
+        RunMetric(
+            name="largest error behind a commanded angle",
+            key="angle_following_error",
+            unit="rad",
+            sense="at most",
+            meaning="largest magnitude of a reading of an angle less its command after `settle`",
+            on_demand=True,
+            commanded=True,
+        ),
+        RunMetric(
+            name="largest error behind a commanded rate",
+            key="rate_following_error",
+            unit="rad/s",
+            sense="at most",
+            meaning="largest magnitude of a reading of a rate less its command after `settle`",
+            on_demand=True,
+            commanded=True,
+        ),
+        RunMetric(
+            name="line-of-sight angle, rms",
+            key="los_angle_rms",
+            unit="rad",
+            sense="at most",
+            meaning="rms of `los_angle1` or `los_angle2` about its mean after `settle`, the larger",
+            on_demand=True,
+            sight=True,
+        ),
+        RunMetric(
+            name="line-of-sight rate, rms",
+            key="los_rate_rms",
+            unit="rad/s",
+            sense="at most",
+            meaning="rms of `los_rate1` or `los_rate2` about its mean after `settle`, the larger",
+            on_demand=True,
+            sight=True,
+        ),
+        RunMetric(
+            name="attenuation of base motion",
+            key="attenuation_db",
+            unit="dB",
+            sense="at least",
+            meaning="rms of the platform rate over `los_rate_rms`, in dB, caged",
+            on_demand=True,
+            sight=True,
+        ),
+    )
+}
 # Beyond this ratio, 400 dB, what is left is rounding.
 _NOTHING_LEFT = 1e20
 

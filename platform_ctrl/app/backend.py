@@ -44,7 +44,7 @@ from platform_ctrl.common.arguments import known_name, whole
 from platform_ctrl.common.progress import Progress
 from platform_ctrl.common.signatures import short
 from platform_ctrl.design.loop import limits_and_goals
-from platform_ctrl.design.option_effects import OptionEffects, OptionValue, best_move, candidates
+from platform_ctrl.design.tuning import OptionEffects, OptionValue, best_move, candidates
 from platform_ctrl.errors import ArgumentError, DesignError, PlatformCtrlError
 from platform_ctrl.job.job import Job, LoopSpec
 from platform_ctrl.job.judging import CheckResult

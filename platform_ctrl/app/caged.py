@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
 from platform_ctrl.analysis.bandwidths import bandwidth_of_response
-from platform_ctrl.analysis.feedback import sensitivity_functions
-from platform_ctrl.analysis.following import commanded_loop, with_error_alone
+from platform_ctrl.analysis.feedback import commanded_loop, sensitivity_functions, with_error_alone
 from platform_ctrl.analysis.frequency_grids import following_grid
 from platform_ctrl.analysis.loop_metrics import LoopMetrics, measure, measured
 from platform_ctrl.analysis.loop_set import LoopSet

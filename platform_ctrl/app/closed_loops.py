@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from platform_ctrl.analysis.arrays import StateArrays, named_system, state_arrays
-from platform_ctrl.analysis.following import with_error_alone
+from platform_ctrl.analysis.feedback import with_error_alone
 from platform_ctrl.analysis.loop_metrics import LoopMetrics
 from platform_ctrl.analysis.plant_set import COMMAND, PlantSet
 from platform_ctrl.app.background import Made

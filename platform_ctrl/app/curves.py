@@ -12,8 +12,7 @@ import numpy as np
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
 from platform_ctrl.analysis.feedback import closed_loop
 from platform_ctrl.analysis.plant_set import COMMAND, BoolArray
-from platform_ctrl.analysis.pole_branches import pole_branches
-from platform_ctrl.analysis.poles import continuous_poles
+from platform_ctrl.analysis.poles import continuous_poles, pole_branches
 from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.app.pictures import Bode, Drawing, FrequencyGain, Locus, Measured, Nichols, Overlay, TimeResponse
 from platform_ctrl.common.values import FloatArray

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from platform_ctrl.analysis.arrays import state_arrays
-from platform_ctrl.analysis.following import feedback_part
+from platform_ctrl.analysis.feedback import feedback_part
 from platform_ctrl.analysis.plant_set import COMMAND
 from platform_ctrl.app.background import Made
 from platform_ctrl.design.feedforward import rate_feedforward

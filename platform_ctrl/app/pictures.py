@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from platform_ctrl.analysis.arrays import ComplexArray
 from platform_ctrl.app.settings import Settings, Slider
 from platform_ctrl.common.values import FloatArray, value
-from platform_ctrl.design.option_effects import ResultChange
+from platform_ctrl.design.tuning import ResultChange
 from platform_ctrl.job.judging import CheckResult
 
 BoolArray = NDArray[np.bool_]

@@ -18,7 +18,7 @@ from platform_ctrl.app.settings import Settings, Slider, with_options
 from platform_ctrl.app.stabilised import requirements
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.loop import requirements_of
-from platform_ctrl.design.option_effects import SHARE, OptionEffects, deciding, largest_ratios, option_effects
+from platform_ctrl.design.tuning import SHARE, OptionEffects, deciding, largest_ratios, option_effects
 from platform_ctrl.job.judging import CheckResult
 
 

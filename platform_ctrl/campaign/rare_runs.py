@@ -7,8 +7,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from platform_ctrl.analysis.metrics import RUN_METRICS
-from platform_ctrl.analysis.run_metrics import over_limit
+from platform_ctrl.analysis.run_metrics import RUN_METRICS, over_limit
 from platform_ctrl.campaign.planning import Plan
 from platform_ctrl.campaign.probability import CONFIDENCE
 from platform_ctrl.campaign.rare_events import RunNumbers, rare_event

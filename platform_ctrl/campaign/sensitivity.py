@@ -7,8 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from platform_ctrl.analysis.metrics import RUN_METRICS
-from platform_ctrl.analysis.run_metrics import over_limit
+from platform_ctrl.analysis.run_metrics import RUN_METRICS, over_limit
 from platform_ctrl.campaign.probability import SIGNIFICANCE, holm
 from platform_ctrl.campaign.table import (
     ENDED,

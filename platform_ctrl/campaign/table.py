@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from platform_ctrl.analysis.metrics import RUN_METRICS
+from platform_ctrl.analysis.run_metrics import RUN_METRICS
 from platform_ctrl.common.signatures import short
 from platform_ctrl.errors import ArgumentError, InputError
 

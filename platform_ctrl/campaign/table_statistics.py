@@ -13,8 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from platform_ctrl.analysis.metrics import RUN_METRICS
-from platform_ctrl.analysis.run_metrics import over_limit, worst_value
+from platform_ctrl.analysis.run_metrics import RUN_METRICS, over_limit, worst_value
 from platform_ctrl.campaign.probability import (
     CONFIDENCE,
     SIGNIFICANCE,

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING
 
-from platform_ctrl.analysis.metrics import RUN_METRICS
+from platform_ctrl.analysis.run_metrics import RUN_METRICS
 from platform_ctrl.cli.interrupts import interruptible
 from platform_ctrl.common.progress import spinner
 from platform_ctrl.job.judging import CheckResult

@@ -13,8 +13,7 @@ from scipy.linalg import block_diag
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, named_system, state_arrays
 from platform_ctrl.analysis.certificates import Certificate
 from platform_ctrl.analysis.certificates.plant_set import KnownProofs, plant_set_certificates
-from platform_ctrl.analysis.feedback import closed_loop
-from platform_ctrl.analysis.following import with_error_alone
+from platform_ctrl.analysis.feedback import closed_loop, with_error_alone
 from platform_ctrl.analysis.loop_metrics import LoopMetrics, measure
 from platform_ctrl.analysis.plant_set import COMMAND, PlantSet
 from platform_ctrl.common.progress import Progress

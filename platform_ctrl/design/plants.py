@@ -8,8 +8,8 @@ from collections.abc import Collection, Mapping, Sequence
 import numpy as np
 
 from platform_ctrl.analysis.arrays import StateArrays, seen_states
+from platform_ctrl.analysis.feedback import commanded_loop, with_error_alone
 from platform_ctrl.analysis.feedforward import RateFeedforward
-from platform_ctrl.analysis.following import commanded_loop, with_error_alone
 from platform_ctrl.analysis.plant_set import COMMAND, PlantSet, plant_set
 from platform_ctrl.analysis.sampling import every_nth, held_input, late_outputs, late_states, sampled, sampled_states
 from platform_ctrl.common.values import FloatArray, value

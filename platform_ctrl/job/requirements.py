@@ -15,9 +15,9 @@ import numpy as np
 
 from platform_ctrl.analysis.arrays import StateArrays, state_arrays
 from platform_ctrl.analysis.channel import Channel
-from platform_ctrl.analysis.loop_metrics import LoopMetrics, measured
+from platform_ctrl.analysis.loop_metrics import LoopMetrics, exact_value, measured
 from platform_ctrl.analysis.loop_set import LoopSet, SingleLoop
-from platform_ctrl.analysis.metrics import METRICS, Metric, exact_value
+from platform_ctrl.analysis.metrics import METRICS, Metric
 from platform_ctrl.analysis.plant_set import Group, PlantSet
 from platform_ctrl.common.arguments import known_name, one_of, positive
 from platform_ctrl.common.signatures import check_arguments

@@ -10,9 +10,10 @@ import numpy as np
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, state_arrays
 from platform_ctrl.analysis.feedback import gang
 from platform_ctrl.analysis.frequency_grids import following_grid
+from platform_ctrl.analysis.loop_metrics import exact_value
 from platform_ctrl.analysis.loop_set import LoopSet
 from platform_ctrl.analysis.measuring import MetricRequest, Peak
-from platform_ctrl.analysis.metrics import METRICS, exact_value
+from platform_ctrl.analysis.metrics import METRICS
 from platform_ctrl.analysis.norms import gains
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.poles import continuous_poles

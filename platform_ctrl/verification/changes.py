@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from platform_ctrl.common.values import FloatArray, value
-from platform_ctrl.design.option_effects import ResultChange, Score, largest_loss
+from platform_ctrl.design.tuning import ResultChange, Score, largest_loss
 from platform_ctrl.job.judging import STABLE, CheckResult
 from platform_ctrl.verification.budget_limits import LINE_OF_SIGHT, reduced_source
 from platform_ctrl.verification.coupled import ALL_LOOPS

@@ -23,7 +23,10 @@ from platform_ctrl.design.loop import (
     with_commands,
     with_controller,
 )
-from platform_ctrl.design.option_effects import (
+from platform_ctrl.design.partition import Channels
+from platform_ctrl.design.plants import tracking_plants
+from platform_ctrl.design.reuse import design_job, plant_job
+from platform_ctrl.design.tuning import (
     SHARE,
     OptionEffects,
     OptionValue,
@@ -31,9 +34,6 @@ from platform_ctrl.design.option_effects import (
     candidates,
     option_effects,
 )
-from platform_ctrl.design.partition import Channels
-from platform_ctrl.design.plants import tracking_plants
-from platform_ctrl.design.reuse import design_job, plant_job
 from platform_ctrl.errors import PlatformCtrlError
 from platform_ctrl.job.job import DesignSpec, Job
 from platform_ctrl.job.judging import CheckResult

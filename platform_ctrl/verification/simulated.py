@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from platform_ctrl.analysis.metrics import RUN_METRICS
-from platform_ctrl.analysis.run_metrics import attenuation_db, run_metrics, worst_value
+from platform_ctrl.analysis.run_metrics import RUN_METRICS, attenuation_db, run_metrics, worst_value
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.job.job import Job, Manoeuvre, manoeuvre_scenario

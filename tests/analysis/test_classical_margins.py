@@ -10,7 +10,7 @@ import platform_ctrl as pc
 from camera_job import camera_job, camera_loop
 from platform_ctrl import analysis, design
 from platform_ctrl.analysis.arrays import StateArrays, state_arrays
-from platform_ctrl.analysis.classical_margins import margins_of_channel
+from platform_ctrl.analysis.direct_metrics import margins_of_channel
 from platform_ctrl.job.requirements import requirement
 
 

@@ -7,7 +7,7 @@ import platform_ctrl as pc
 from camera_job import camera_job, camera_loop
 from platform_ctrl import analysis, design
 from platform_ctrl.analysis.arrays import StateArrays
-from platform_ctrl.analysis.step_metrics import overshoot, ramp_error, settling_time, steady_error, step_responses
+from platform_ctrl.analysis.direct_metrics import overshoot, ramp_error, settling_time, steady_error, step_responses
 from platform_ctrl.job.requirements import requirement
 
 T = 0.01

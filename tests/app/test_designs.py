@@ -14,7 +14,7 @@ from platform_ctrl.app.backend import Backend
 from platform_ctrl.app.designs import DesignPending
 from platform_ctrl.app.saving import checked_settings, decode_state, encode_state
 from platform_ctrl.app.settings import Settings
-from platform_ctrl.design.option_effects import OptionEffects
+from platform_ctrl.design.tuning import OptionEffects
 from platform_ctrl.errors import DesignError, InputError
 
 pytestmark = pytest.mark.usefixtures("untraced")

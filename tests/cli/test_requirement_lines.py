@@ -8,7 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from platform_ctrl.analysis.metrics import METRICS, RUN_METRICS
+from platform_ctrl.analysis.metrics import METRICS
+from platform_ctrl.analysis.run_metrics import RUN_METRICS
 from platform_ctrl.cli.requirement_lines import Line, requirement_lines, severity, subject_of, summary_words
 from platform_ctrl.cli.terminal import screen, show_pairs, show_requirements, show_words
 from platform_ctrl.job.judging import CheckResult, Requirement

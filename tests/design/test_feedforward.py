@@ -13,8 +13,8 @@ import platform_ctrl as pc
 from camera_job import J_AZIMUTH, J_ELEVATION, camera_job, camera_plant
 from platform_ctrl import analysis, design
 from platform_ctrl.analysis.arrays import StateArrays, state_arrays
+from platform_ctrl.analysis.direct_metrics import torque_noise
 from platform_ctrl.analysis.loop_set import TORQUE_SHARE, LoopSet
-from platform_ctrl.analysis.metrics import torque_noise
 from platform_ctrl.analysis.norms import gains, noise_rms
 from platform_ctrl.cli import main
 from platform_ctrl.design.feedforward import rate_feedforward

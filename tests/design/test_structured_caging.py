@@ -20,8 +20,7 @@ from platform_ctrl.design.fixed_structure.caging import (
     pid_structure,
     without_integrators,
 )
-from platform_ctrl.design.fixed_structure.descent import finer
-from platform_ctrl.design.fixed_structure.goals import pieces
+from platform_ctrl.design.fixed_structure.descent import finer, pieces
 from platform_ctrl.design.fixed_structure.loops import ClosedLoops, at_least
 from platform_ctrl.design.fixed_structure.maps import (
     CONTROLLER,

@@ -15,8 +15,7 @@ from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.design.cases import rows_of
 from platform_ctrl.design.classical.caging import classical_controller, starting_values
 from platform_ctrl.design.fixed_structure.caging import pid_structure
-from platform_ctrl.design.fixed_structure.descent import Search
-from platform_ctrl.design.fixed_structure.goals import pieces
+from platform_ctrl.design.fixed_structure.descent import Search, pieces
 from platform_ctrl.design.fixed_structure.loops import ClosedLoops
 from platform_ctrl.design.fixed_structure.parametrised import Parametrised
 from platform_ctrl.design.partition import channels

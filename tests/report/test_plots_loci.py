@@ -10,8 +10,7 @@ import pytest
 
 import platform_ctrl as pc
 import report_jobs
-from platform_ctrl.analysis.pole_branches import pole_branches
-from platform_ctrl.analysis.poles import continuous_poles, is_stable, spectral_radius
+from platform_ctrl.analysis.poles import continuous_poles, is_stable, pole_branches, spectral_radius
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.report import figures
 from platform_ctrl.report.style import LIMIT

@@ -14,7 +14,7 @@ from platform_ctrl.app.settings import Choices, Mode, Settings, Slider
 from platform_ctrl.common.arguments import known_name, whole
 from platform_ctrl.common.signatures import short
 from platform_ctrl.common.values import value
-from platform_ctrl.design.option_effects import SHARE, OptionEffects, ResultChange
+from platform_ctrl.design.tuning import SHARE, OptionEffects, ResultChange
 from platform_ctrl.errors import InputError
 from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.job.methods import METHODS

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from platform_ctrl.app.page.connection import Connection
     from platform_ctrl.app.pictures import Picture
     from platform_ctrl.app.settings import Choices, Settings
-    from platform_ctrl.design.option_effects import OptionEffects
+    from platform_ctrl.design.tuning import OptionEffects
 
 Region = TypeVar("Region")
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from platform_ctrl.analysis.metrics import RUN_METRICS
+from platform_ctrl.analysis.run_metrics import RUN_METRICS
 from platform_ctrl.cli.testing.assertions import assert_baseline, assert_met
 from platform_ctrl.design import loops
 from platform_ctrl.errors import PlatformCtrlError

@@ -1,8 +1,22 @@
 """Moving a controller's parameters until the hard requirements hold and the soft ones are as small as they can be.
 
-The requirements as pieces (see `goals`) are what `minimax.minimise` minimises by its trust-region steps: hard ones are
-its limits, and only pieces of one requirement and plant continue each other. A bandwidth is one more variable,
-log ω_b, with S at most 1/√2 up to ω_b.
+The largest ratio of a requirement over plants, frequencies and poles has kinks; each candidate by itself is smooth in
+the controller. So a requirement is taken apart into pieces, only those near the worst are worked out, and the
+optimiser sees several at once. With everything of the controller in one matrix
+
+    M = [[A_K, B_K], [C_K, D_K]]
+
+every piece f has a gradient of the form ∂f/∂M = Σ Re(a bᵀ):
+
+* a singular value of S, T, (S − T)/2, P S or K with singular vectors u, v: dS_output = S_output P dK S_output,
+  dS_input = S_input dK P S_input, dK = [C_K R, I] dM [R B_K; I] with R = (zI − A_K)⁻¹;
+* a pole λ with eigenvectors y, x (yᴴx = 1): dλ = yᴴ dA x of the closed loop;
+* the variance of a torque: X = A X Aᵀ + B Bᵀ and its adjoint.
+
+A peak between grid points is followed to its top. `minimax.minimise` minimises the pieces by its trust-region steps:
+hard ones are its limits, and only pieces of one requirement and plant continue each other. The bandwidth has no smooth
+pieces of its own where S lies along the level; so the question is turned round: S is at most 1/√2 up to ω_b, and
+log ω_b is one more variable.
 
 The nominal plant and the worst few of the set are in view; all are looked at again after each search.
 """
@@ -10,23 +24,23 @@ The nominal plant and the worst few of the set are in view; all are looked at ag
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from platform_ctrl.analysis.bandwidths import LEVEL
 from platform_ctrl.analysis.frequency_grids import tuning_grid
 from platform_ctrl.analysis.loop_metrics import measure
-from platform_ctrl.analysis.loop_set import LoopSet
+from platform_ctrl.analysis.loop_set import LoopSet, Transfer
+from platform_ctrl.analysis.measuring import ControllerGain, Peak
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.common.values import FloatArray, value
-from platform_ctrl.design.fixed_structure.goals import pieces
-from platform_ctrl.design.fixed_structure.loops import ClosedLoops, Numbers
-from platform_ctrl.design.fixed_structure.maps import largest
-from platform_ctrl.design.fixed_structure.minimax import minimise
+from platform_ctrl.design.fixed_structure.loops import ClosedLoops, Numbers, Pieces, joined
+from platform_ctrl.design.fixed_structure.maps import CONTROLLER, Map, largest, map_of, torque_per_Omega
+from platform_ctrl.design.fixed_structure.minimax import Effort, Objective, Region, minimise
 from platform_ctrl.design.fixed_structure.parametrised import Parametrised
 from platform_ctrl.design.fixed_structure.quasi_newton import Stopped
-from platform_ctrl.design.fixed_structure.trust_region import Effort, Objective, Region
 from platform_ctrl.job.requirements import LoopRequirement
 
 # What is not stable is worse than anything else.
@@ -371,3 +385,45 @@ def _ranked(by_plant: FloatArray) -> list[int]:
 def finer(plants: PlantSet) -> PlantSet:
     """Return the set on a grid on which no resonance of its closed loops hides between two points."""
     return plants.on(tuning_grid(plants.nutation, plants.period, fine=True))
+
+
+def pieces(loops: ClosedLoops, requirement: LoopRequirement, floor: float = 0.8) -> Pieces:
+    """Return the pieces of a requirement whose ratio is at least `floor`, and the worst.
+
+    A requirement is met where all its pieces are at most 1. Most are its ratios; "bandwidth" requires S at most 1/√2 up
+    to its limit, "stability" counts decay rates in a share of the nutation frequency. Metrics without a gradient, and
+    norms between named signals, have no pieces.
+    """
+    plants, metric = loops.plants, requirement.metric
+    limit, measure = metric.in_SI(requirement.limit), metric.measure
+    members = members_of(plants, requirement)
+    if not len(members):
+        return loops.none()
+    if isinstance(measure, Peak):
+        below, factor = (floor / limit, limit) if measure.reciprocal else (floor * limit, 1.0 / limit)
+        edges = [w for w in (requirement.lowest, requirement.frequency) if w]
+        band = (requirement.lowest, requirement.frequency or np.inf)
+        maps = [of for transfer in measure.transfers for of in _maps(transfer, plants)]
+        found = [loops.peaks(of, below, members, band) for of in maps]
+        found += [loops.edge(of, edge, members) for of in maps for edge in edges]
+        return joined([loops.none(), *found]).times(factor)
+    if isinstance(measure, ControllerGain):
+        nominal = np.zeros(1, dtype=np.intp)
+        low = 0.1 * plants.nutation if requirement.frequency is None else requirement.frequency
+        inside = loops.peaks(CONTROLLER, floor * limit, nominal, (low, np.inf))
+        return joined([inside, loops.edge(CONTROLLER, low, nominal)]).times(1.0 / limit)
+    found_pieces: Pieces = loops.none() if measure.gradient is None else measure.gradient(loops, limit, floor, members)
+    return found_pieces
+
+
+def _maps(transfer: Transfer, plants: PlantSet) -> Iterator[Map]:
+    if not transfer.of_limit:
+        yield map_of(transfer)
+        return
+    for k in np.flatnonzero(np.isfinite(plants.torque_limit)):
+        yield torque_per_Omega(int(k), plants)
+
+
+def members_of(plants: PlantSet, requirement: LoopRequirement) -> NDArray[np.intp]:
+    """Return the numbers of the plants that a requirement is about."""
+    return np.flatnonzero([group in requirement.over for group in plants.groups])

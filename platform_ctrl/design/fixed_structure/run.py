@@ -9,12 +9,10 @@ from typing import Any
 import numpy as np
 
 from platform_ctrl.common.values import FloatArray, value
-from platform_ctrl.design.fixed_structure.charts import Chart, Entries
-from platform_ctrl.design.fixed_structure.minimax import SETTLING, Minimum, minimise
+from platform_ctrl.design.fixed_structure.minimax import SETTLING, Effort, Minimum, Objective, Pieces, Region, minimise
 from platform_ctrl.design.fixed_structure.objective import Parametrisation, Rescaled, WorstNorm, WorstPower, step_sizes
-from platform_ctrl.design.fixed_structure.parametrised import Parametrised
+from platform_ctrl.design.fixed_structure.parametrised import Chart, Entries, Parametrised
 from platform_ctrl.design.fixed_structure.quasi_newton import Descent, Stopped, descended
-from platform_ctrl.design.fixed_structure.trust_region import Effort, Objective, Pieces, Region
 from platform_ctrl.design.partition import Partition
 
 # A hard norm that exceeds its limit by no more counts as kept.

@@ -6,7 +6,7 @@ import math
 import os
 from pathlib import Path
 
-from platform_ctrl.analysis.metrics import RUN_METRICS
+from platform_ctrl.analysis.run_metrics import RUN_METRICS
 from platform_ctrl.campaign.identity import digest, identity
 from platform_ctrl.campaign.planning import Plan
 from platform_ctrl.campaign.probability import Probability

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from platform_ctrl.analysis.metrics import RUN_METRICS
+from platform_ctrl.analysis.run_metrics import RUN_METRICS
 from platform_ctrl.campaign.planning import Plan
 from platform_ctrl.campaign.probability import Probability
 from platform_ctrl.campaign.rare_result import RareResult

@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from platform_ctrl.analysis.metrics import RUN_METRICS
+from platform_ctrl.analysis.run_metrics import RUN_METRICS
 from platform_ctrl.campaign.engine import CampaignResult
 from platform_ctrl.campaign.probability import Distribution
 from platform_ctrl.campaign.store import TABLE, read_record

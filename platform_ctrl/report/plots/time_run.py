@@ -12,7 +12,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from platform_ctrl.analysis.metrics import RUN_METRICS
+from platform_ctrl.analysis.run_metrics import RUN_METRICS
 from platform_ctrl.common.arguments import known_name, positive
 from platform_ctrl.common.files import write_whole
 from platform_ctrl.common.signatures import check_arguments, short

@@ -11,7 +11,8 @@ import numpy as np
 from platform_ctrl.analysis.arrays import StateArrays, state_arrays
 from platform_ctrl.analysis.loop_metrics import ALWAYS_MEASURED
 from platform_ctrl.analysis.measuring import MetricRequest
-from platform_ctrl.analysis.metrics import COUPLED_METRICS, METRICS, RUN_METRICS, Quantity
+from platform_ctrl.analysis.metrics import COUPLED_METRICS, METRICS, Quantity
+from platform_ctrl.analysis.run_metrics import RUN_METRICS
 from platform_ctrl.common.arguments import positive
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import input_value, value

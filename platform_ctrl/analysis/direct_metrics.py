@@ -1,0 +1,220 @@
+"""Metrics of a sampled loop that are measured in one step: margins of a channel, following of commands, noise.
+
+Gain and phase margins are of one channel broken at the plant's input, all others closed. With S_i, the entry (i, i) of
+the sensitivity at the input, the loop transfer of channel i is L_i = 1/S_i − 1. On the unit circle L(1/z) is the
+conjugate of L(z), so that L is real where L(z) − L(1/z) has a zero and |L| = 1 where L(z) L(1/z) − 1 has one:
+generalised eigenvalues, which no grid of frequencies can miss. Overshoot, settling and errors behind commands are of
+the samples.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, named_system
+from platform_ctrl.analysis.loop_set import LoopSet
+from platform_ctrl.analysis.measuring import Loops, Request
+from platform_ctrl.analysis.norms import h2_norm, noise_rms
+from platform_ctrl.analysis.response import frequency_response
+from platform_ctrl.analysis.time_responses import time_response
+from platform_ctrl.common.values import FloatArray
+
+# Distance from the unit circle within which an eigenvalue may lie on it; L itself tells which does.
+_ON_CIRCLE = 1e-4
+# Distance from 0 and from the Nyquist frequency, where L is real, relative to the latter: L has poles there.
+_END = 1e-8
+# How far |L| may be from 1, and its angle from ±180°, at such a frequency, relative.
+_AT = 1e-3
+
+
+def margins_of_channel(sensitivity: StateArrays) -> tuple[float, float]:
+    """Return the gain margin, a factor > 1, and the phase margin, rad, of a stable sampled loop, from its S_i.
+
+    The gain margin is the least factor by which the gain may be raised or lowered, infinite where none ends stability.
+    """
+    L = _loop_transfer(sensitivity)
+    gain = phase = np.inf
+    w = _frequencies(_real_pencil(L), L.dt)
+    values = frequency_response(L, w)[0, 0] if w.size else np.zeros(0, dtype=np.complex128)
+    real = (values.real < 0.0) & (np.abs(values.imag) < _AT * np.abs(values.real))
+    if real.any():
+        gain = float(np.exp(np.abs(np.log(-values.real[real])).min()))
+    w = _frequencies(_unit_pencil(L), L.dt)
+    values = frequency_response(L, w)[0, 0] if w.size else np.zeros(0, dtype=np.complex128)
+    unit = np.abs(np.abs(values) - 1.0) < _AT
+    if unit.any():
+        phase = float((np.pi - np.abs(np.angle(values[unit]))).min())
+    return gain, phase
+
+
+def _loop_transfer(S: StateArrays) -> StateArrays:
+    """Return 1/S − 1."""
+    A, B, C, D, dt = S
+    inverse = 1.0 / D[0, 0]
+    return StateArrays(A - inverse * (B @ C), inverse * B, -inverse * C, np.array([[inverse - 1.0]]), dt)
+
+
+def _real_pencil(L: StateArrays) -> tuple[FloatArray, FloatArray]:
+    """Return F, E with z E v = F v where L(z) = L(1/z); v = [x, adjoint, u]."""
+    A, B, C, _, _ = L
+    n = len(A)
+    E, F = np.zeros((2 * n + 1, 2 * n + 1)), np.zeros((2 * n + 1, 2 * n + 1))
+    E[:n, :n], E[n : 2 * n, n : 2 * n], E[n : 2 * n, 2 * n :] = np.eye(n), A.T, C.T
+    F[:n, :n], F[:n, 2 * n :], F[n : 2 * n, n : 2 * n] = A, B, np.eye(n)
+    F[2 * n :, :n], F[2 * n :, n : 2 * n] = C, -B.T
+    return F, E
+
+
+def _unit_pencil(L: StateArrays) -> tuple[FloatArray, FloatArray]:
+    """Return F, E with z E v = F v where L(z) L(1/z) = 1; v = [x, adjoint, u]."""
+    A, B, C, D, _ = L
+    n, d = len(A), D[0, 0]
+    E, F = np.zeros((2 * n + 1, 2 * n + 1)), np.zeros((2 * n + 1, 2 * n + 1))
+    E[:n, :n] = np.eye(n)
+    E[n : 2 * n, :n], E[n : 2 * n, n : 2 * n], E[n : 2 * n, 2 * n :] = C.T @ C, A.T, d * C.T
+    F[:n, :n], F[:n, 2 * n :], F[n : 2 * n, n : 2 * n] = A, B, np.eye(n)
+    F[2 * n :, :n], F[2 * n :, n : 2 * n], F[2 * n :, 2 * n :] = d * C, B.T, d * d - 1.0
+    return F, E
+
+
+def _frequencies(pencil: tuple[FloatArray, FloatArray], period: float) -> FloatArray:
+    """Return the frequencies, rad/s, of the eigenvalues on the unit circle, and almost 0 and almost Nyquist's."""
+    from scipy.linalg import eigvals
+
+    with np.errstate(all="ignore"):
+        z: ComplexArray = np.asarray(eigvals(*pencil), dtype=np.complex128)
+        z = z[np.isfinite(z)]
+        near = z[np.abs(np.abs(z) - 1.0) < _ON_CIRCLE]
+    angles = np.angle(near)
+    inside = angles[(angles > 0.0) & (angles < np.pi)]
+    return np.concatenate([inside, [_END * np.pi, (1.0 - _END) * np.pi]]) / period
+
+
+# Band about the final value that a response has to stay in.
+SETTLED = 0.02
+# Decay times of the slowest pole over which a response is followed, and samples at most.
+_DECAYS, _MOST = 12.0, 300_000
+# An error below this share of a step is rounding.
+_NO_ERROR = 1e-8
+
+
+# Returns a value of each channel, (p,), of a loop from commands to what is measured.
+Measure = Callable[[StateArrays], FloatArray]
+
+
+def of_following(function: Measure) -> Callable[[LoopSet, Request], FloatArray]:
+    """Return the measure of the worst channel of each plant; infinite of an unstable loop."""
+    return _worst(lambda loops, k: function(_following(loops, k)))
+
+
+def of_steps(which: int) -> Callable[[LoopSet, Request], FloatArray]:
+    """Return the same of the overshoot (0) or the settling time (1): steps are computed once for both."""
+
+    def measured(loops: LoopSet, k: int) -> FloatArray:
+        if k not in loops.of_steps:
+            steps = step_responses(_following(loops, k), float(loops.decay[k]))
+            loops.of_steps[k] = overshoot(steps), settling_time(steps, loops.period)
+        return loops.of_steps[k][which]
+
+    return _worst(measured)
+
+
+def _worst(measured: Callable[[LoopSet, int], FloatArray]) -> Callable[[LoopSet, Request], FloatArray]:
+    def worst(loops: LoopSet, request: Request) -> FloatArray:
+        out = np.full(len(loops.plants.labels), np.inf)
+        for k in np.flatnonzero(loops.decay > 0.0):
+            out[k] = float(measured(loops, int(k)).max(initial=0.0))
+        return out
+
+    return worst
+
+
+def _following(loops: LoopSet, k: int) -> StateArrays:
+    A, B, C, D, dt = loops.following
+    return StateArrays(A[k], B[k], C[k], D[k], dt)
+
+
+def overshoot(steps: FloatArray) -> FloatArray:
+    """Return by how much the step response of each channel exceeds its step, relative."""
+    return np.asarray(np.maximum(steps.max(axis=1) - 1.0, 0.0))
+
+
+def settling_time(steps: FloatArray, period: float) -> FloatArray:
+    """Return after which time each channel's step response stays within 2 % of the step, s; infinite: never."""
+    outside = np.abs(steps - 1.0) > SETTLED
+    last = outside.shape[1] - np.argmax(outside[:, ::-1], axis=1)
+    time = np.where(outside.any(axis=1), last, 0) * period
+    return np.where(outside[:, -1], np.inf, time)
+
+
+def steady_error(loop: StateArrays) -> FloatArray:
+    """Return the error of each channel that a step leaves, relative."""
+    A, B, C, D, _ = loop
+    left = np.abs(1.0 - np.diag(D + C @ np.linalg.solve(np.eye(len(A)) - A, B)))
+    return np.where(left > _NO_ERROR, left, 0.0)
+
+
+def ramp_error(loop: StateArrays) -> FloatArray:
+    """Return the error of each channel behind a ramp, over its slope, s; infinite where it grows."""
+    A, B, C, _, dt = loop
+    inverse = np.linalg.inv(np.eye(len(A)) - A)
+    # With y = G(z) r the error behind r = k dt tends to dt G'(1), G' = −C (zI − A)⁻² B, where G(1) = 1.
+    behind = dt * np.abs(np.diag(C @ inverse @ inverse @ B))
+    return np.where(steady_error(loop) > 0.0, np.inf, behind)
+
+
+def step_responses(loop: StateArrays, decay: float) -> FloatArray:
+    """Return the response of each channel to a step of its own reference, (p, N); `decay`: of the slowest pole, 1/s."""
+    A, B, C, D, dt = loop
+    count = int(np.clip(np.ceil(_DECAYS / (decay * dt)), 100, _MOST))
+    time, step = dt * np.arange(count), np.ones((1, count))
+    out = []
+    for i in range(len(C)):
+        channel = named_system(StateArrays(A, B[:, [i]], C[[i]], D[[i]][:, [i]], dt), ["reference"], ["measured"])
+        out.append(time_response(channel, time, step, squeeze=False)[0])
+    return np.array(out)
+
+
+def torque_noise(loops: LoopSet, plants: slice = slice(None)) -> FloatArray:
+    """Return the rms of every torque from the noise of the sensors, N m, (k, m); infinite of an unstable loop."""
+    A, B, C, D, dt = loops.own_arrays
+    m = loops.m
+    to_torque = StateArrays(A[plants], B[plants], C[plants, :m], D[plants, :m], dt)
+    of_readings = to_torque._replace(B=to_torque.B[..., m:], D=to_torque.D[..., m:])
+    out = noise_rms(of_readings, loops.plants.noise, allow_unstable=True)
+    fed = loops.plants.feedforward
+    if fed is not None:
+        out = np.hypot(out, noise_rms(fed.noise_of_torques(to_torque), np.ones(len(fed.sensors)), allow_unstable=True))
+    return out
+
+
+def of_margins(which: int) -> Callable[[LoopSet, Request], FloatArray]:
+    """Return the measure of the gain margin, a factor (0), or of the phase margin, rad (1), of the worst channel."""
+
+    def measured(loops: LoopSet, request: Request) -> FloatArray:
+        out = np.full(len(loops.plants.labels), 1.0 - which)
+        for k in np.flatnonzero(loops.decay > 0.0):
+            A, B, C, D, dt = loops.own_arrays
+            out[k] = min(
+                margins_of_channel(StateArrays(A[k], B[k, :, [i]].T, C[k, [i]], D[k, [[i]], [i]] + 1.0, dt))[which]
+                for i in range(loops.m)
+            )
+        return out
+
+    return measured
+
+
+def channel_h2_norm(loops: Loops, request: Request) -> FloatArray:
+    """Return the H2 norm between the signals of the request's channel, of each plant."""
+    A, B, C, D, dt = loops.channel(request.channel)
+    if dt > 0.0:
+        rms = noise_rms(StateArrays(A, B, C, D, dt), np.ones(B.shape[-1]), allow_unstable=True)
+        with np.errstate(over="ignore"):
+            return np.asarray(np.sqrt(np.sum(rms * rms, axis=-1)), dtype=np.float64)
+    if np.any(D) or not loops.decay[0] > 0.0:
+        return np.array([np.inf])
+    import control
+
+    return np.array([h2_norm(control.StateSpace(A[0], B[0], C[0], D[0], dt, remove_useless_states=False))])
