@@ -12,11 +12,15 @@ from collections.abc import Sequence
 from importlib import resources
 from pathlib import Path
 from types import ModuleType
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from platform_ctrl.common.values import value
 from platform_ctrl.errors import InputError, PlatformCtrlError
+from platform_ctrl.report import style
 from platform_ctrl.report.axes.picture import theme_colours
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 # What XML 1.0 cannot hold, and other control characters: nothing that can be set.
 _UNSETTABLE = re.compile("[\x00-\x08\x0b-\x1f\x7f\ud800-\udfff\ufffe\uffff]")
@@ -258,6 +262,11 @@ def table(titles: str, rows: Sequence[Sequence[str]], *, numbers: str = "", form
     """Return a plain table: columns as `columns`, a text for each cell, and the form of `Table`."""
     body = tuple(Row(cells=cells(*row)) for row in rows)
     return Table(columns=columns(titles, numbers), groups=(Group(rows=body),), form=form)
+
+
+def plate(figure: Figure, title: str, caption: str, *, small: bool = False) -> Plate:
+    """Return a figure with its title and caption, which describe it too where it cannot be seen."""
+    return Plate(svg=style.svg(figure, f"{title}. {caption}"), title=title, caption=caption, small=small)
 
 
 def html(document: Document) -> str:

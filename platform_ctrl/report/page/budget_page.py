@@ -5,12 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from platform_ctrl.plant.sensors import LOS_ANGLES
-from platform_ctrl.report import style
 from platform_ctrl.report.figures.budget import MICRO, budget_figure, simulated_figure, waterfall_figure
-from platform_ctrl.report.page.blocks import Block, Paragraph, Part, Plate, Section, Table, sentence, table
+from platform_ctrl.report.page.blocks import Block, Paragraph, Part, Section, Table, plate, sentence, table
 from platform_ctrl.report.page.captions import sentences
 from platform_ctrl.report.quantities import plain, quantity
 from platform_ctrl.verification.budget_result import LineOfSightBudget
@@ -28,8 +26,8 @@ def budget_sections(result: JobResult) -> list[Section]:
         return []
     blocks: list[Block] = [
         Paragraph(text=sentences("budget", found=found, budget=budget)),
-        _plate("Line of sight: rms up to a frequency", sentences("budget_figure"), budget_figure(budget, found)),
-        _plate("Line of sight: from sources to the total", sentences("waterfall"), waterfall_figure(budget, found)),
+        plate(budget_figure(budget, found), "Line of sight: rms up to a frequency", sentences("budget_figure")),
+        plate(waterfall_figure(budget, found), "Line of sight: from sources to the total", sentences("waterfall")),
         _sources(found),
     ]
     if found.windows:
@@ -40,10 +38,6 @@ def budget_sections(result: JobResult) -> list[Section]:
         lines = tuple(Paragraph(text=f"{sentence(line)}") for line in found.friction.statement)
         blocks.append(Part(title="Dry friction", blocks=lines))
     return [Section(name="budget", title="Line-of-sight budget", blocks=tuple(blocks))]
-
-
-def _plate(title: str, caption: str, figure: Figure) -> Plate:
-    return Plate(svg=style.svg(figure, f"{title}. {caption}"), title=title, caption=caption)
 
 
 def _sources(found: LineOfSightBudget) -> Table:
@@ -77,7 +71,7 @@ def _simulated(runs: SimulatedBudget) -> Part:
     title = "Line of sight: simulated and linear rms"
     blocks: tuple[Block, ...] = (
         Paragraph(text=sentences("simulated_budget", runs=runs)),
-        _plate(title, sentences("simulated_budget_figure"), simulated_figure(runs)),
+        plate(simulated_figure(runs), title, sentences("simulated_budget_figure")),
         table(f"axis|{numbers}", rows, numbers=numbers),
         *(Paragraph(text=sentence(f"not simulated: {line}")) for line in runs.left_out),
     )

@@ -43,6 +43,7 @@ from platform_ctrl.report.page.blocks import (
     cells,
     columns,
     html,
+    plate,
     sentence,
     table,
 )
@@ -270,9 +271,7 @@ def campaign_plates(summary: Summary) -> list[Plate]:
         (histogram_figure(found, name), RUN_METRICS[name].name.capitalize(), sentences("campaign_histogram"))
         for name in names
     ]
-    return [
-        Plate(svg=style.svg(one, f"{title}. {caption}"), title=title, caption=caption) for one, title, caption in drawn
-    ]
+    return [plate(*one) for one in drawn]
 
 
 def _drivers(summary: Summary) -> tuple[Block, ...]:
@@ -414,8 +413,8 @@ def _worst_trace(summary: Summary) -> list[Section]:
     [(_, (requirement, number, limit, _, inputs))] = tables.worst_rows(summary, [worst], tables.all_drivers(summary))
     shown = {"requirement": requirement, "number": number, "limit": limit, "inputs": inputs}
     caption = sentences("campaign_trace", worst=worst, runs=summary.statistics.simulated, **shown)
-    drawn = style.svg(time_run(found.run, found.job.platform), f"{name}. {caption}")
-    return [Section(name="trace", title="The worst run", blocks=(Plate(svg=drawn, title=name, caption=caption),))]
+    drawn = plate(time_run(found.run, found.job.platform), name, caption)
+    return [Section(name="trace", title="The worst run", blocks=(drawn,))]
 
 
 def as_section(summary: Summary, result: JobResult, again: str | None) -> Section:

@@ -1,4 +1,4 @@
-"""The first screen of the report: the verdict, what limits each loop, and how far requirements are from it."""
+"""The first screen of the report: the verdict, what limits each loop, how far that is, and what to change."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from platform_ctrl.design.jobs import LoopOutcome
 from platform_ctrl.job.judging import CheckResult
-from platform_ctrl.report import style
+from platform_ctrl.job.methods import METHODS
 from platform_ctrl.report.figures.worst_plant import worst_plant, worst_plant_figure
 from platform_ctrl.report.page import tables
 from platform_ctrl.report.page.blocks import (
@@ -21,14 +21,17 @@ from platform_ctrl.report.page.blocks import (
     Distances,
     Group,
     Paragraph,
+    Part,
     Plate,
     Row,
     Table,
     Verdict,
+    plate,
     sentence,
 )
 from platform_ctrl.report.page.captions import sentences, tightest
 from platform_ctrl.report.quantities import BOUND, DASH, assumed_words, compared, count, listed, percent, plain
+from platform_ctrl.verification.changes import FAR, GAIN, Change
 from platform_ctrl.verification.verdict import JobResult
 
 # Of the axis of distances: the part beyond the limit that is shown where nothing is missed; width of a mark.
@@ -45,8 +48,8 @@ def first_screen(result: JobResult, campaign_line: str = "") -> tuple[Block, ...
     shown = distances(result)
     if shown is not None:
         left += [Paragraph(text=sentences("distances"), tone="quiet"), shown]
-    plate = _nichols(result)
-    return tuple(left) if plate is None else (Columns(left=tuple(left), right=(plate,)),)
+    picture = _nichols(result)
+    return tuple(left) if picture is None else (Columns(left=tuple(left), right=(picture,)),)
 
 
 def _verdict(result: JobResult, campaign_line: str) -> Verdict:
@@ -72,11 +75,11 @@ def chain_table(result: JobResult) -> Table | None:
         if nearest is None:
             continue
         number, limit = compared(nearest)
-        where = nearest.evidence.rpartition(";")[0]
+        where, tone = nearest.evidence.rpartition(";")[0], "" if nearest.passed else "bad"
         cells = [
             Cell(text=outcome.spec.name, note=outcome.use),
             Cell(text=nearest.name, note=f"with {where}" if where else ""),
-            Cell(text=percent(nearest.margin), note=f"{number} {BOUND[nearest.sense]} {limit}", tone=_tone(nearest)),
+            Cell(text=percent(nearest.margin), note=f"{number} {BOUND[nearest.sense]} {limit}", tone=tone),
         ]
         if result.coupled.free:
             cells.append(Cell(text=_coupling(result, outcome)))
@@ -94,10 +97,6 @@ def own_results(result: JobResult, outcome: LoopOutcome) -> list[CheckResult]:
     """Return the requirements of a loop, and of nothing else that has its name."""
     of_design = outcome.closed.plants is not None
     return [one for one in result.requirements if one.subject == outcome.spec.name and (one.design or not of_design)]
-
-
-def _tone(one: CheckResult) -> str:
-    return "" if one.passed else "bad"
 
 
 def _coupling(result: JobResult, outcome: LoopOutcome) -> str:
@@ -189,8 +188,7 @@ def _nichols(result: JobResult) -> Plate | None:
         margin=margin,
         stable=bool(np.all(design.measures.decay[k] > 0.0)),
     )
-    figure, title = worst_plant_figure(outcome, k), "Tightest loop, worst plant"
-    return Plate(svg=style.svg(figure, f"{title}. {caption}"), title=title, caption=caption)
+    return plate(worst_plant_figure(outcome, k), "Tightest loop, worst plant", caption)
 
 
 def section_verdict(results: Sequence[CheckResult]) -> tuple[str, bool]:
@@ -204,3 +202,89 @@ def section_verdict(results: Sequence[CheckResult]) -> tuple[str, bool]:
     nearest = tightest(hard)
     least = "" if nearest is None else f", tightest {percent(nearest.margin)}"
     return f"{'all ' if len(hard) > 1 else ''}{len(hard)} met{least}", True
+
+
+def change_part(result: JobResult, rows: tuple[Change, ...]) -> tuple[Block, ...]:
+    """Return the rows under their heading; nothing for a job without requirements."""
+    if not result.requirements:
+        return ()
+    missed = [one for one in result.requirements if not one.passed]
+    tuned = {(spec.name, one.name) for spec in result.job.loops for one in spec.designs if one.tune}
+    words = sentences("what_to_change", rows=rows, missed=len(missed), gain=GAIN, far=FAR)
+    more = sentences(
+        "changes_measured",
+        rows=rows,
+        runs=sum(one.stage == "simulated" for one in missed),
+        scaled=any(one.kind == "gain" for one in rows),
+        tuned=any((one.loop, one.design) in tuned for one in rows if one.kind == "option"),
+    )
+    first, notes = (Paragraph(text=text, tone="quiet") for text in (words, more))
+    blocks: list[Block] = [first, _change_table(rows)] if rows else [first]
+    if notes.text:
+        blocks.append(notes)
+    return (Part(title="What to change", blocks=tuple(blocks)),)
+
+
+def _change_table(rows: tuple[Change, ...]) -> Table:
+    columns = tuple(Column(title=title) for title in ("requirement", "change", "gain", "cost"))
+    body = tuple(
+        Row(
+            cells=(
+                Cell(text=one.target.before.name, note=one.target.before.subject),
+                _change(one),
+                Cell(
+                    text=_moved(one.target.before, one.target.after),
+                    note=_margins(one.target.before, one.target.after),
+                    tone="good" if one.target.after.passed and not one.target.before.passed else "",
+                ),
+                _cost(one),
+            ),
+            missed=not one.target.before.passed,
+        )
+        for one in rows
+    )
+    return Table(columns=columns, groups=(Group(rows=body),), form="changes")
+
+
+def _change(one: Change) -> Cell:
+    if one.kind == "design":
+        return Cell(text=f"close “{one.name}”", note=f"{one.loop}: a design of this job")
+    if one.kind == "source":
+        return Cell(text=f"{one.name} at {plain(100.0 * one.after, 3)} %", note="amplitude of a source of the budget")
+    where = f"{one.loop}, {one.design}"
+    if one.kind == "gain":
+        return Cell(text=f"gain × {plain(one.after, 3)}", note=where)
+    method = next((kind for kind in METHODS.values() if kind.instant and one.name in kind.options), None)
+    unit = "" if method is None else f" {method.options[one.name].unit}"
+    return Cell(text=f"{one.name} {plain(one.before)} → {plain(one.after)}{unit}".rstrip(), note=where)
+
+
+def _cost(one: Change) -> Cell:
+    if one.violated:
+        worst = one.violated[0]
+        number, limit = compared(worst.after)
+        way = "below" if worst.after.sense == "at least" else "above"
+        others = len(one.violated) - 1
+        more = f"; {others} more violated" if others else ""
+        return Cell(
+            text=f"{worst.after.name} {compared(worst.before)[0]} → {number}: {way} {limit}",
+            note=f"{_other_loop(one, worst.after)}{_margins(worst.before, worst.after)}{more}",
+            tone="bad",
+        )
+    if one.loss is None:
+        return Cell(text="none", tone="quiet")
+    before, after = one.loss.before, one.loss.after
+    note = f"{_other_loop(one, after)}{_margins(before, after)}: within its limit"
+    return Cell(text=f"{after.name} {_moved(before, after)}", note=note)
+
+
+def _other_loop(one: Change, result: CheckResult) -> str:
+    return "" if result.subject == one.target.before.subject else f"{result.subject}: "
+
+
+def _moved(before: CheckResult, after: CheckResult) -> str:
+    return f"{compared(before)[0]} → {compared(after)[0]}"
+
+
+def _margins(before: CheckResult, after: CheckResult) -> str:
+    return f"margin {percent(before.margin)} → {percent(after.margin)}"

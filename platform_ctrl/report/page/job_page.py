@@ -8,8 +8,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from matplotlib.figure import Figure
-
 from platform_ctrl.common.files import write_whole
 from platform_ctrl.common.processes import SecondProcess
 from platform_ctrl.common.signatures import check_arguments
@@ -54,13 +52,13 @@ from platform_ctrl.report.page.blocks import (
     Section,
     html,
     pdf,
+    plate,
     sentence,
 )
 from platform_ctrl.report.page.budget_page import budget_sections
 from platform_ctrl.report.page.campaign_page import as_section, digests
 from platform_ctrl.report.page.captions import compared_with_alternatives, opening, sentences
-from platform_ctrl.report.page.change_table import change_part
-from platform_ctrl.report.page.first_screen import first_screen, own_results, section_verdict
+from platform_ctrl.report.page.first_screen import change_part, first_screen, own_results, section_verdict
 from platform_ctrl.report.page.kept_blocks import Drawing, kept_or_drawn
 from platform_ctrl.report.plots.time_run import time_run
 from platform_ctrl.verification.changes import changes
@@ -265,10 +263,6 @@ def _plant(result: JobResult, axes: Plate, *plates: Plate) -> Section:
     return Section(name="plant", title="Plant and modes", blocks=(*blocks, *plates))
 
 
-def _plate(figure: Figure, title: str, caption: str, *, small: bool = False) -> Plate:
-    return Plate(svg=style.svg(figure, f"{title}. {caption}"), title=title, caption=caption, small=small)
-
-
 def _plant_plates(result: JobResult) -> list[Plate]:
     words = "Drawn from the plant file: which body turns about which axis, and how they carry each other."
     picture = axes_picture(result.job.platform, alone=False)
@@ -276,7 +270,7 @@ def _plant_plates(result: JobResult) -> list[Plate]:
     if nutation is None:
         return [axes]
     caption = sentences("nutation", uncertainty=result.job.uncertainty.spin)
-    return [axes, _plate(nutation, "Campbell diagram", caption)]
+    return [axes, plate(nutation, "Campbell diagram", caption)]
 
 
 def _loop(
@@ -324,8 +318,8 @@ def _caging_plates(model: LinearModel, outcome: LoopOutcome, palette: Mapping[st
         return []
     spec = outcome.spec
     plates = [
-        _plate(sensitivity_figure(responses, spec), "Sensitivities", captions.sensitivity(outcome, responses)),
-        _plate(
+        plate(sensitivity_figure(responses, spec), "Sensitivities", captions.sensitivity(outcome, responses)),
+        plate(
             loop_transfer_figure(responses, spec, plants.torques, plants.nutation),
             "Loop transfer",
             sentences("loop_transfer", outcome=outcome, nutates=nutates(model, [spec.gimbals])),
@@ -333,11 +327,11 @@ def _caging_plates(model: LinearModel, outcome: LoopOutcome, palette: Mapping[st
     ]
     if not captions.unstable(outcome.closed):
         figure = nichols_figure(responses, spec, plants.torques)
-        plates.append(_plate(figure, "Nichols plot", sentences("nichols", outcome=outcome), small=True))
+        plates.append(plate(figure, "Nichols plot", sentences("nichols", outcome=outcome), small=True))
     plates += [
-        _plate(disturbance_figure(responses, spec), "Disturbances", captions.disturbance(outcome, responses)),
+        plate(disturbance_figure(responses, spec), "Disturbances", captions.disturbance(outcome, responses)),
         *_further_plates(responses, outcome),
-        _plate(
+        plate(
             pole_figure(responses, spec, plants.nutation, plants.period),
             "Closed-loop poles",
             captions.poles(outcome, plants),
@@ -346,7 +340,7 @@ def _caging_plates(model: LinearModel, outcome: LoopOutcome, palette: Mapping[st
     if outcome.closed.plants is not None:
         plot = root_locus_plot(outcome.closed, spec)
         caption = sentences("root_locus", name=outcome.closed.name, locus=plot.locus)
-        plates.append(_plate(plot.figure, "Root locus over the loop gain", caption))
+        plates.append(plate(plot.figure, "Root locus over the loop gain", caption))
     return plates
 
 
@@ -355,30 +349,30 @@ def _further_plates(responses: LoopResponses, outcome: LoopOutcome) -> list[Plat
     if not kinds:
         return []
     figure = further_gains_figure(responses, outcome.spec, kinds)
-    return [_plate(figure, "Other gains with limits", captions.further_gains(outcome, responses, kinds))]
+    return [plate(figure, "Other gains with limits", captions.further_gains(outcome, responses, kinds))]
 
 
 def _servo_plates(result: JobResult) -> list[Plate]:
     figure = servo_figure(result)
-    return [] if figure is None else [_plate(figure, "The servo's loops in the coupled system", sentences("servo"))]
+    return [] if figure is None else [plate(figure, "The servo's loops in the coupled system", sentences("servo"))]
 
 
 def _coupled(result: JobResult) -> tuple[Block, ...]:
     check = result.coupled
     blocks: list[Block] = [
         Paragraph(text=captions.coupled(result)),
-        _plate(coupled_pole_figure(result), "Poles of the coupled system", sentences("coupled_poles", check=check)),
+        plate(coupled_pole_figure(result), "Poles of the coupled system", sentences("coupled_poles", check=check)),
     ]
     if check.channels:
         caption = sentences("margin_bars", allowed=result.job.coupled.coupling_cost, free=check.free)
-        blocks.append(_plate(margin_bars_figure(check), "Disk margins channel by channel", caption))
+        blocks.append(plate(margin_bars_figure(check), "Disk margins channel by channel", caption))
     if check.stable and check.simultaneous.frequencies.size:
         figure = simultaneous_margin_figure(check, result.job.coupled.disk_margin)
-        blocks.append(_plate(figure, "Disk margin in all channels at once", sentences("simultaneous", check=check)))
+        blocks.append(plate(figure, "Disk margin in all channels at once", sentences("simultaneous", check=check)))
     # A carried platform does not yield to torques.
     if check.stable and check.free and check.controller is not None:
         figure = platform_disturbance_figure(result)
-        blocks.append(_plate(figure, "Torque on the platform", sentences("platform_disturbance")))
+        blocks.append(plate(figure, "Torque on the platform", sentences("platform_disturbance")))
     return tuple(blocks)
 
 
@@ -393,7 +387,7 @@ def _runs(result: JobResult, blocks: Sequence[Block]) -> list[Section]:
 def _run_block(run: Run, platform: Platform, caption: str) -> Block:
     name = run.manoeuvre.name
     if run.trajectory.t.size:
-        return _plate(time_run(run, platform), name, caption)
+        return plate(time_run(run, platform), name, caption)
     nothing = Paragraph(text=f"The run {run.trajectory.ended}: nothing was recorded.")
     return Part(title=name, blocks=(nothing,))
 

@@ -174,22 +174,6 @@ def _mark(part: Torquer | PickOff) -> str:
     return ", added" if part.added else ""
 
 
-def rotor_rows(result: JobResult) -> list[tuple[str, ...]]:
-    """Return rotor, carrier, spin axis, L, C, spin and speed control of each rotor."""
-    return [
-        (
-            rotor.name,
-            rotor.carrier,
-            axis_text(rotor.axis),
-            f"{plain(rotor.angular_momentum)} N m s",
-            f"{plain(rotor.axial_inertia)} kg m²",
-            f"{plain(rotor.spin)} rad/s",
-            rotor.control,
-        )
-        for rotor in result.job.platform.rotors
-    ]
-
-
 def element_rows(result: JobResult) -> list[tuple[str, str, str]]:
     """Return kind, place and values of specific force, springs, friction and other elements."""
     platform = result.job.platform
@@ -226,16 +210,6 @@ _KIND = {
     "pendulum": "pendulum oscillation",
     "divergence": "divergence",
 }
-
-
-def mode_rows(result: JobResult) -> list[tuple[str, ...]]:
-    """Return subsystem, kind, poles and frequency at rest and at the largest rate of the job."""
-    rows = [(*_mode_cells(mode), "at rest") for mode in modes_at(result, (0.0, 0.0, 0.0))]
-    if np.any(result.job.Omega > 0.0):
-        rate = f"Ω = ({', '.join(plain(float(x), 3) for x in result.job.Omega)}) rad/s"
-        rows += [(*_mode_cells(mode), rate) for mode in modes_at(result, result.job.Omega)]
-    order = list(dict.fromkeys(row[0] for row in rows))
-    return sorted(rows, key=lambda row: order.index(row[0]))
 
 
 def _mode_cells(mode: Mode) -> tuple[str, str, str, str]:
@@ -323,7 +297,19 @@ def gimbal_table(result: JobResult) -> Table:
 
 def rotor_table(result: JobResult) -> Table:
     """Return the rotors."""
-    return table("rotor|carried by|spin axis|L|C|spin|speed", rotor_rows(result), numbers="L|C|spin")
+    rows = [
+        (
+            rotor.name,
+            rotor.carrier,
+            axis_text(rotor.axis),
+            f"{plain(rotor.angular_momentum)} N m s",
+            f"{plain(rotor.axial_inertia)} kg m²",
+            f"{plain(rotor.spin)} rad/s",
+            rotor.control,
+        )
+        for rotor in result.job.platform.rotors
+    ]
+    return table("rotor|carried by|spin axis|L|C|spin|speed", rows, numbers="L|C|spin")
 
 
 def element_table(result: JobResult) -> Table | None:
@@ -333,11 +319,15 @@ def element_table(result: JobResult) -> Table | None:
 
 
 def mode_table(result: JobResult) -> Table:
-    """Return the modes of the uncontrolled gimbals; a group is named once."""
-    rows, last = [], None
-    for group, motion, poles, frequency, rate in mode_rows(result):
-        rows.append(("" if group == last else group, rate, motion, poles, frequency))
-        last = group
+    """Return the modes of the uncontrolled gimbals at rest and at the job's largest rate; a group is named once."""
+    found = [("at rest", *_mode_cells(mode)) for mode in modes_at(result, (0.0, 0.0, 0.0))]
+    if np.any(result.job.Omega > 0.0):
+        rate = f"Ω = ({', '.join(plain(float(x), 3) for x in result.job.Omega)}) rad/s"
+        found += [(rate, *_mode_cells(mode)) for mode in modes_at(result, result.job.Omega)]
+    groups: dict[str, list[tuple[str, ...]]] = {}
+    for rate, group, *cells in found:
+        groups.setdefault(group, []).append((rate, *cells))
+    rows = [(group if k == 0 else "", *row) for group, own in groups.items() for k, row in enumerate(own)]
     return table("group|platform rate|motion|poles|frequency", rows, numbers="poles|frequency")
 
 
