@@ -217,9 +217,9 @@ def claimed(name: str, number: float) -> tuple[str, str]:
     return words, percent(number) if name == "price" else quantity(number, unit, rounding=rounding)
 
 
-def count(number: int, noun: str, plural: str = "") -> str:
+def count(number: int, noun: str) -> str:
     """Return ``1 loop``, ``2 loops``."""
-    return f"{number} {noun if number == 1 else plural or noun + 's'}"
+    return f"{number} {noun if number == 1 else noun + 's'}"
 
 
 def listed(words: list[str] | tuple[str, ...]) -> str:

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import flint
 import numpy as np
 
-from platform_ctrl.common.arguments import known_name, positive
+from platform_ctrl.common.arguments import known_name, known_names, positive
 from platform_ctrl.errors import InfeasibleError, UnscalableError
 from platform_ctrl.export.c99.scheme import Rows, Scheme, Sum, excess_of
 from platform_ctrl.export.fixed_point.bounds import BITS, Responses, SlowError, responses
@@ -44,7 +44,7 @@ from platform_ctrl.export.fixed_point.model import (
     Role,
     proof_lines,
 )
-from platform_ctrl.export.fixed_point.splitting import Parts, check_names, integral_limits, split_scheme
+from platform_ctrl.export.fixed_point.splitting import Parts, integral_limits, split_scheme
 
 # Bits of inputs, signals and outputs, of states, and significant bits of coefficients.
 WIDTHS = {"q31": (32, 32, 31), "q15": (16, 32, 15)}
@@ -86,7 +86,7 @@ class Task(NamedTuple):
         return InfeasibleError(f"fixed point, {self.number}: {where}: {what}; {more}{cure}", self.scheme)
 
 
-def formats_for(task: Task, bounds: Mapping[str, float], given: Mapping[str, int]) -> dict[str, Format]:
+def formats_for(task: Task, bounds: Mapping[str, float]) -> dict[str, Format]:
     """Return the format of everything that is stored, for bounds in units of the scheme."""
     scheme, (signal_bits, state_bits, _) = task.scheme, WIDTHS[task.number]
     units = dict(zip((*scheme.inputs, *scheme.outputs), (*scheme.input_units, *scheme.output_units), strict=True))
@@ -95,7 +95,7 @@ def formats_for(task: Task, bounds: Mapping[str, float], given: Mapping[str, int
 
     def place(name: str, role: Role, bits: int, bound: float, saturates: float | None = None) -> None:
         usable = math.isfinite(bound)
-        fraction = given.get(name, fraction_for(bound, bits)) if usable else 0
+        fraction = fraction_for(bound, bits) if usable else 0
         if not usable or abs(fraction) > _FRACTIONS:
             raise UnscalableError(
                 f"fixed point: {name!r} has the bound {bound:.3g}, too small or large for a format; change its unit",
@@ -166,7 +166,6 @@ def fixed_point(
     number: Number = "q31",
     limits: Mapping[str, float] | None = None,
     accuracy: float = ACCURACY,
-    fractions: Mapping[str, int] | None = None,
 ) -> FixedPoint:
     """Return a controller in integers that provably never overflows.
 
@@ -183,12 +182,10 @@ def fixed_point(
         Where integrals stop, by state, in its unit; default twice what they need for all torques within the limits.
     accuracy
         Largest bound of the error as a share of an output's limit.
-    fractions
-        Digits behind the point of some inputs, signals or states, where they are not to follow from the bounds.
     """
     known_name("number", number, tuple(WIDTHS))
     accuracy = positive("accuracy", accuracy)
-    check_names("ranges", ranges, scheme.inputs)
+    known_names("ranges", list(ranges), scheme.inputs)
     known = {}
     for name in scheme.inputs:
         known_name("ranges", name, tuple(ranges))
@@ -196,20 +193,18 @@ def fixed_point(
     # Overflow of doubles is an error of the bounds.
     with flint.ctx.workprec(BITS), np.errstate(all="ignore"):
         parts = split_scheme(scheme)
-        every = (*scheme.inputs, *parts.rows.signals, *parts.rows.states, *parts.integrals)
-        check_names("fractions", fractions or {}, every)
         task = Task(scheme, parts, number, known, integral_limits(scheme, parts, limits))
-        return _lowered(task, accuracy, dict(fractions or {}))
+        return _lowered(task, accuracy)
 
 
-def _lowered(task: Task, accuracy: float, given: Mapping[str, int]) -> FixedPoint:
+def _lowered(task: Task, accuracy: float) -> FixedPoint:
     parts, rows = task.parts, task.parts.rows
     real = _responses(task, exact_system(rows, task.free, parts.states))
     bounds = real.bounds(task.sizes, {})
     # The excess that enters stable states is limited to its largest value without anti-windup.
     cut = {name: max(bounds[name] - task.torque_limits[name], 0.0) for name in parts.limited}
     bounds = real.bounds(task.sizes | {excess_of(name): size for name, size in cut.items()}, {})
-    formats = formats_for(task, bounds, given)
+    formats = formats_for(task, bounds)
     excesses: dict[str, int] = {}
     for _ in range(_ROUNDS):
         excesses = {name: count_of(size, formats[name].fraction) for name, size in cut.items()}
@@ -226,8 +221,6 @@ def _lowered(task: Task, accuracy: float, given: Mapping[str, int]) -> FixedPoin
         if not tight:
             break
         for name in tight:
-            if name in given:
-                raise task.refused(name, f"{name!r} overflows with {given[name]} digits behind the point")
             formats[name] = dataclasses.replace(formats[name], fraction=formats[name].fraction - 1)
     else:
         raise task.refused(tight[0], f"what the roundings add to {tight[0]!r} fits no format")

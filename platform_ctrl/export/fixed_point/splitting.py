@@ -7,9 +7,9 @@ from collections.abc import Iterable, Mapping
 import flint
 import numpy as np
 
-from platform_ctrl.common.arguments import positive
+from platform_ctrl.common.arguments import known_names, positive
 from platform_ctrl.common.values import value
-from platform_ctrl.errors import ArgumentError, InfeasibleError, InputError
+from platform_ctrl.errors import InfeasibleError, InputError
 from platform_ctrl.export.c99.scheme import (
     Rows,
     Scheme,
@@ -153,14 +153,12 @@ def _increment(name: str, row: Sum, signals: Mapping[str, Sum], shown: Mapping[s
         )
 
 
-def input_ranges(
-    inputs: tuple[str, ...], job: Job, ranges: Mapping[str, float] | None = None, margin: float = _MARGIN
-) -> dict[str, float]:
+def input_ranges(inputs: tuple[str, ...], job: Job, ranges: Mapping[str, float] | None = None) -> dict[str, float]:
     """Return the largest magnitude of every input: `ranges` as they are, else that of plant and job with a margin.
 
     An angle reaches its stops, a torque of another controller its torquer's limit, Omega the job's operating range.
     """
-    given, margin = dict(ranges or {}), positive("margin", margin, zero=True)
+    given = dict(ranges or {})
     known = _known(job.platform) | {
         name: float(rate) for name, rate in zip(OMEGA_NAMES, job.Omega, strict=True) if rate > 0.0
     }
@@ -169,20 +167,13 @@ def input_ranges(
         if name in given:
             out[name] = positive(f"ranges[{name!r}]", given[name])
         elif name in known:
-            out[name] = (1.0 + margin) * known[name]
+            out[name] = (1.0 + _MARGIN) * known[name]
         else:
             raise InputError(
                 f"fixed point: no range is known for {name!r}; add stops of its gimbal or a limit of its torquer to "
                 f"the plant file, or give its largest magnitude (ranges; on the command line --range {name}=NUMBER)"
             )
     return out
-
-
-def check_names(what: str, given: Mapping[str, float], known: tuple[str, ...]) -> None:
-    """Refuse a name that nothing has."""
-    for name in given:
-        if name not in known:
-            raise ArgumentError(f"{what}: {name!r} is unknown here; it must be one of {', '.join(known) or 'none'}")
 
 
 def _known(platform: Platform) -> dict[str, float]:
@@ -199,7 +190,7 @@ def integral_limits(scheme: Scheme, parts: Parts, given: Mapping[str, float] | N
     """Return where each integral stops: twice what it needs for any torques within the limits, unless given."""
     given = dict(given or {})
     names = tuple(parts.integrals)
-    check_names("limits", given, names)
+    known_names("limits", list(given), names)
     out = {name: positive(f"limits[{name!r}]", number) for name, number in given.items()}
     if all(name in out for name in names):
         return out

@@ -29,8 +29,8 @@ from platform_ctrl.report.quantities import (
 )
 
 ALL_MANOEUVRES = "all manoeuvres, values relative to their limits"
-# Inputs that a table names for a requirement.
-_MOST_DRIVERS = 8
+# Inputs that a table names for a requirement, and a line.
+_MOST_DRIVERS, _STRONGEST = 8, 3
 
 
 @value
@@ -246,14 +246,14 @@ def causes(summary: Summary, figure: str = PASSED) -> list[Contrast]:
     return [one for one in summary.contrasts if one.requirement == figure and one.manoeuvre is None and one.driver]
 
 
-def short_drivers(one: Sensitivity, most: int = 3) -> str:
+def short_drivers(one: Sensitivity) -> str:
     """Return the strongest drivers in a line."""
-    return _strongest(one.influences, most) or "no significant input"
+    return _strongest(one.influences) or "no significant input"
 
 
-def violation_drivers(one: Sensitivity, most: int = 3) -> str:
+def violation_drivers(one: Sensitivity) -> str:
     """Return the strongest drivers of a limit's violations in a line; empty where they are not known."""
-    return _strongest(one.violations, most)
+    return _strongest(one.violations)
 
 
 def drivers_of(one: Sensitivity) -> list[str]:
@@ -261,8 +261,8 @@ def drivers_of(one: Sensitivity) -> list[str]:
     return [single.parameter for single in _driving(one.influences)]
 
 
-def _strongest(found: Sequence[Influence], most: int) -> str:
-    return ", ".join(f"{single.parameter} {share(single.index)}" for single in _driving(found)[:most])
+def _strongest(found: Sequence[Influence]) -> str:
+    return ", ".join(f"{single.parameter} {share(single.index)}" for single in _driving(found)[:_STRONGEST])
 
 
 def _driving(found: Sequence[Influence]) -> list[Influence]:

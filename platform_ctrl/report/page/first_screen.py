@@ -39,9 +39,9 @@ _BEYOND, _MARK = 0.15, 0.0225
 _TICKS = (-1.0, -0.25, -0.05, 0.05, 0.25, 1.0)
 
 
-def first_screen(result: JobResult, campaign_line: str = "") -> tuple[Block, ...]:
+def first_screen(result: JobResult) -> tuple[Block, ...]:
     """Return verdict, chain and distances, beside the Nichols plot of the tightest loop where there is one."""
-    left: list[Block] = [_verdict(result, campaign_line)]
+    left: list[Block] = [_verdict(result)]
     chain = chain_table(result)
     if chain is not None:
         left.append(chain)
@@ -52,7 +52,7 @@ def first_screen(result: JobResult, campaign_line: str = "") -> tuple[Block, ...
     return tuple(left) if picture is None else (Columns(left=tuple(left), right=(picture,)),)
 
 
-def _verdict(result: JobResult, campaign_line: str) -> Verdict:
+def _verdict(result: JobResult) -> Verdict:
     goals = tables.goal_rows(result)
     missed = [row for row in tables.requirement_rows(result) if not row.passed]
     reached = sum(goal.passed for goal in goals)
@@ -63,7 +63,7 @@ def _verdict(result: JobResult, campaign_line: str) -> Verdict:
         passed=result.passed,
         words=sentence(tables.verdict(result)),
         lines=tuple(f"{row.subject}: {row.requirement} {row.value}, limit {row.limit}" for row in missed),
-        aside=" ".join([*asides, campaign_line]).strip(),
+        aside=" ".join(asides),
     )
 
 

@@ -228,7 +228,7 @@ def _begin(angle: float, target: float) -> float:
     return min(nearest, other, key=lambda phase: abs(phase) + (60.0 if phase > 0.0 else 0.0))
 
 
-def margins(one: Curve, *, disk: bool = True, skew: float = 0.0) -> Margins:
+def margins(one: Curve, *, skew: float = 0.0) -> Margins:
     """Return the margins of a loop at the crossovers that are drawn; between points of the grid they are sought."""
     gain = np.abs(one.response)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -245,7 +245,7 @@ def margins(one: Curve, *, disk: bool = True, skew: float = 0.0) -> Margins:
     # Not where the phase jumps at an undamped pole or zero: there is no crossing at a finite gain.
     passing &= np.abs(np.diff(turned)) < _JUMP / 360.0
     w_phase, h_phase = _roots(one, np.flatnonzero(passing), lambda h: np.angle(-h), of_gain=False)
-    stable, own = _disk(one.system, skew) if disk else (None, None)
+    stable, own = _disk(one.system, skew)
     phases = np.degrees(np.angle(-h_gain))
     with np.errstate(divide="ignore"):
         factors = 1.0 / np.abs(h_phase)

@@ -315,12 +315,12 @@ def checked_skew(name: str, skew: object) -> None:
         raise ArgumentError(f"{name}: skew must be a finite number, got {skew!r}")
 
 
-def exclusion(alpha: float, skew: float, points: int = 721) -> ComplexArray:
+def exclusion(alpha: float, skew: float) -> ComplexArray:
     """Return the rim of the values of L that a disk margin keeps free: there |S + (skew − 1)/2| is 1/alpha.
 
     `alpha` is below 2/(1 + |skew|), so that the region holds neither 0 nor infinity.
     """
-    delta = np.exp(2j * np.pi * np.linspace(0.0, 1.0, points))
+    delta = np.exp(2j * np.pi * np.linspace(0.0, 1.0, 721))
     return np.asarray(
         -(1.0 - 0.5 * alpha * (1.0 + skew) * delta) / (1.0 + 0.5 * alpha * (1.0 - skew) * delta), dtype=np.complex128
     )

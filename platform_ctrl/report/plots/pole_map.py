@@ -59,9 +59,9 @@ class View:
     stretch: float = 1.0  # How much longer a real part is drawn than an imaginary one
 
 
-def round_steps(top: float, number: int = 6) -> FloatArray:
-    """Return at most `number` round numbers up to `top`, equally spaced, without 0."""
-    steps = np.asarray(MaxNLocator(number, steps=[1, 2, 2.5, 5, 10]).tick_values(0.0, top))
+def round_steps(top: float) -> FloatArray:
+    """Return at most six round numbers up to `top`, equally spaced, without 0."""
+    steps = np.asarray(MaxNLocator(6, steps=[1, 2, 2.5, 5, 10]).tick_values(0.0, top))
     return steps[(steps > 0.0) & (steps <= top * (1.0 + 1e-9))]
 
 
