@@ -14,6 +14,9 @@ from bokeh.core.property.descriptors import UnsetValueError
 from bokeh.models import ColumnDataSource, Range1d
 from numpy.typing import NDArray
 
+from platform_ctrl.analysis.arrays import ComplexArray
+from platform_ctrl.common.values import FloatArray
+
 HZ = 1.0 / (2.0 * math.pi)
 # Dashes of the k-th design in pixels; empty is a solid line.
 DASHES: tuple[tuple[int, ...], ...] = ((), (8, 3), (2, 3), (9, 3, 2, 3), (9, 3, 2, 3, 2, 3), (5, 2), (14, 4), (4, 4))
@@ -41,6 +44,13 @@ def series(k: int) -> str:
 def dashes(k: int) -> tuple[int, ...]:
     """Return the dashes of the k-th of several designs, pixels."""
     return DASHES[k % len(DASHES)]
+
+
+def assign(model: Any, **values: Any) -> None:
+    """Set the properties of a model that differ: to Bokeh one that stays is as much work as one that changes."""
+    for name, new in values.items():
+        if getattr(model, name) != new:
+            setattr(model, name, new)
 
 
 class Sources:
@@ -95,11 +105,30 @@ def decibels(gain: Any) -> Column:
         return column(20.0 * np.log10(np.asarray(gain, dtype=np.float64)))
 
 
-def joined_curves(rows: Any) -> Column:
-    """Return the rows of an array (N, F) one after the other with a gap after each: many curves as one line."""
+def joined_curves(rows: Any, kept: NDArray[np.bool_] | None = None) -> Column:
+    """Return the rows of an array (N, F) one after the other with a gap after each: many curves as one line.
+
+    Of each row the points that are `kept` (N, F), default all.
+    """
     out = column(rows)
     out = out.reshape(len(out), -1) if out.size else np.zeros((0, 0), np.float32)
-    return np.hstack([out, np.full((len(out), 1), np.nan, np.float32)]).ravel()
+    joined = np.hstack([out, np.full((len(out), 1), np.nan, np.float32)])
+    return joined.ravel() if kept is None else joined[np.hstack([kept, np.ones((len(kept), 1), np.bool_)])]
+
+
+def spaced(rows: ComplexArray, distance: FloatArray) -> NDArray[np.bool_]:
+    """Return which points of curves in the plane (N, F) are drawn: both ends, and others about `distance` (N,) apart.
+
+    What is not finite is kept: it is a gap.
+    """
+    fine = np.isfinite(rows)
+    steps = np.abs(np.diff(np.where(fine, rows, 0.0), axis=1))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        passed = np.floor(np.nan_to_num(np.cumsum(steps, axis=1) / distance[:, None]))
+    kept = ~fine
+    kept[:, 1:] |= np.diff(passed, axis=1, prepend=0.0) > 0.0
+    kept[:, :1] = kept[:, -1:] = True
+    return kept
 
 
 def finite(*columns: Column) -> tuple[Column, ...]:

@@ -16,6 +16,7 @@ from platform_ctrl.app.plots.data import (
     Column,
     Sources,
     View,
+    assign,
     column,
     decibels,
     extent,
@@ -118,9 +119,9 @@ class BodePanel(Panel):
             phase_words=["" if math.isnan(to) else f"{abs(to - at):.1f}°" for at, to in marks[:, 3:]],
         )
         for span in self._nyquist:
-            span.location = float(bode.nyquist * HZ) if math.isfinite(bode.nyquist) else None
+            assign(span, location=float(bode.nyquist * HZ) if math.isfinite(bode.nyquist) else None)
         for span in self._required:
-            span.location = required
+            assign(span, location=required)
         # An axis that moves would move the crossover under the mouse.
         self._frequency.fit(None if self.handle.drag.active else extent([f]))
         self._gain.fit(extent([gain, band[1], band[2]]))

@@ -13,7 +13,7 @@ from bokeh.models.annotations.geometry import BoxAnnotation, Span
 from bokeh.models.annotations.labels import Label
 
 from platform_ctrl.app.pictures import Locus
-from platform_ctrl.app.plots.data import FONT, HZ, Sources, column, inner_size
+from platform_ctrl.app.plots.data import FONT, HZ, Sources, assign, column, inner_size
 from platform_ctrl.app.plots.panel import Theme
 
 Place = TypeVar("Place")
@@ -153,7 +153,7 @@ class CrossoverHandle:
         """Mark the crossover, Hz, or nothing, with a bar where it is movable; one that is dragged stays in place."""
         self._movable = movable
         self._shown = frequency if frequency is not None and math.isfinite(frequency) and frequency > 0.0 else None
-        self.line.location = self._shown
+        assign(self.line, location=self._shown)
         self._place_at_rest()
 
     def _place_at_rest(self) -> None:
@@ -162,11 +162,11 @@ class CrossoverHandle:
 
     def _place(self) -> None:
         if self._shown is None or not self._movable:
-            self.box.visible = False
+            assign(self.box, visible=False)
             return
         half = self._half()
         left, right = self._put = self._shown / half, self._shown * half
-        self.box.update(left=left, right=right, visible=True)
+        assign(self.box, left=left, right=right, visible=True)
 
     def _end(self) -> None:
         self._place()
@@ -212,7 +212,7 @@ class SliderHandle(CrossoverHandle):
         """Stand for a slider at a frequency, Hz, or for none."""
         self.slider = slider
         self.show(frequency)
-        self.label.update(x=frequency or 1.0, text=words, visible=frequency is not None)
+        assign(self.label, x=frequency or 1.0, text=words, visible=frequency is not None)
 
 
 # Most poles with a handle, and half the handle's size, pixels.
@@ -290,12 +290,12 @@ class PoleHandles:
             if self._caught is not None and self._caught[0] == k:
                 continue
             if k not in self._poles:
-                box.visible = False
+                assign(box, visible=False)
                 continue
             x, y = self._poles[k].real, self._poles[k].imag
             left, right, bottom, top = self._put[k] = [x - wide, x + wide, y - high, y + high]
             self._putting = True
-            box.update(left=left, right=right, bottom=bottom, top=top, visible=True)
+            assign(box, left=left, right=right, bottom=bottom, top=top, visible=True)
             self._putting = False
 
     def _half_sizes(self) -> tuple[float, float]:

@@ -10,7 +10,18 @@ from bokeh.core.properties import value
 
 from platform_ctrl.analysis.arrays import ComplexArray
 from platform_ctrl.app.pictures import Drawing, Locus
-from platform_ctrl.app.plots.data import FONT, HZ, LIMIT_DASHES, Sources, View, column, joined_curves, series, thinned
+from platform_ctrl.app.plots.data import (
+    FONT,
+    HZ,
+    LIMIT_DASHES,
+    Sources,
+    View,
+    column,
+    joined_curves,
+    series,
+    spaced,
+    thinned,
+)
 from platform_ctrl.app.plots.handles import PoleHandles
 from platform_ctrl.app.plots.panel import Key, Panel, Theme, limit_key, set_message
 from platform_ctrl.common.values import FloatArray
@@ -28,6 +39,9 @@ _APART = 0.17
 _ROUND = np.array([1.0, 2.0, 5.0])
 # Points that are added between two gains where a pair of poles turns, and the imaginary part that counts as zero.
 _ADDED, _REAL = 9, 1e-9
+# Distance of points along a branch, as a share of its farthest point or of the view.
+_SPACING = 2e-3
+_BRANCH = ("re", "im", "gain")
 
 
 def refined(gains: FloatArray, branches: ComplexArray) -> tuple[FloatArray, ComplexArray]:
@@ -145,7 +159,7 @@ class LocusPanel(Panel):
         others = new("other_poles", "re", "im")
         cloud: dict[str, Any] = {"marker": "dot", "size": 8, "line_alpha": 0.0, "fill_alpha": 0.35}
         draw(plot.scatter, "re", "im", source=others, fill="series-1", **cloud)
-        branches = new("branches", "re", "im", "gain")
+        branches = new("branches", *_BRANCH)
         branch = draw(plot.line, "re", "im", source=branches, line="series-3", line_width=1.2, line_alpha=0.75)
         starts = new("open_poles", "re", "im")
         draw(plot.scatter, "re", "im", source=starts, line="series-3", fill="page", marker="circle", size=4)
@@ -174,8 +188,10 @@ class LocusPanel(Panel):
         at = thinned(len(locus.gains), _GAINS)
         factors, rows = refined(locus.gains[at], locus.branches[at])
         branches = rows.T
-        gains = joined_curves(np.broadcast_to(factors, branches.shape))
-        put("branches", re=joined_curves(branches.real), im=joined_curves(branches.imag), gain=gains)
+        size = np.abs(branches).max(axis=1, where=np.isfinite(branches), initial=0.0)
+        kept = spaced(branches, _SPACING * np.minimum(size, locus.reach))
+        columns = branches.real, branches.imag, np.broadcast_to(factors, branches.shape)
+        put("branches", **{name: joined_curves(one, kept) for name, one in zip(_BRANCH, columns, strict=True)})
         first = branches[:, 0] if branches.size else np.zeros(0, np.complex128)
         others = locus.others[thinned(len(locus.others), _OTHERS)]
         for name, poles in (("open_poles", first), ("other_poles", others)):

@@ -42,6 +42,7 @@ from platform_ctrl.app.plots.data import (
     SMALL,
     Sources,
     View,
+    assign,
     colours,
     column,
     dashes,
@@ -270,14 +271,13 @@ class Panel:
 
     def label_ticks(self, plot: Any, shown: bool, label: str = "") -> None:
         """Write numbers and a label below a figure, or leave them to the figure under it."""
-        axis = plot.xaxis[0]
         # The exponents of powers of ten need a size above 0.
-        axis.major_label_text_font_size, axis.major_label_text_alpha = (SMALL, 1.0) if shown else ("1px", 0.0)
-        axis.axis_label = label if shown else ""
-        axis.major_tick_out = 4 if shown else 0
-        axis.minor_tick_out = 2 if shown else 0
+        size, alpha, major, minor = (SMALL, 1.0, 4, 2) if shown else ("1px", 0.0, 0, 0)
+        ticks: dict[str, Any] = {"major_tick_out": major, "minor_tick_out": minor}
+        numbers: dict[str, Any] = {"major_label_text_font_size": size, "major_label_text_alpha": alpha}
+        assign(plot.xaxis[0], **ticks, **numbers, axis_label=label if shown else "")
         # Room for half a number of the vertical axis.
-        plot.min_border_bottom = 0 if shown else 8
+        assign(plot, min_border_bottom=0 if shown else 8)
 
     # What is drawn.
 
@@ -338,10 +338,11 @@ class Panel:
 
     def heading(self, detail: str) -> None:
         """Write a detail beside the title."""
-        self._head.text = (
+        text = (
             f'<div class="line" title="{escape(detail)}"><span class="title" role="heading" aria-level="2">'
             f'{escape(self._title)}</span><span class="detail">{escape(detail)}</span></div>'
         )
+        assign(self._head, text=text)
 
     def keys(self, entries: Sequence[Key]) -> None:
         """Write what each curve is.
@@ -358,14 +359,13 @@ class Panel:
                 f'stroke="{self.theme.colours[role]}" stroke-width="{width:g}"{dashing}/></svg>{written}</span>'
             )
         every = escape(", ".join(words for words, _, _, _ in entries))
-        self._keys.text = (
-            f'<curve-keys class="line keys{" many" if many else ""}" title="{every}">{"".join(parts)}</curve-keys>'
-        )
+        text = f'<curve-keys class="line keys{" many" if many else ""}" title="{every}">{"".join(parts)}</curve-keys>'
+        assign(self._keys, text=text)
 
 
 def set_message(label: Any, text: str) -> None:
     """Write a message into a figure; an empty one hides it."""
-    label.update(text=text, visible=bool(text))
+    assign(label, text=text, visible=bool(text))
 
 
 def _tooltip(rows: Sequence[tuple[str, str]]) -> str:

@@ -15,6 +15,7 @@ from platform_ctrl.app.plots.data import (
     Sources,
     Unit,
     View,
+    assign,
     column,
     dashes,
     extent,
@@ -121,7 +122,7 @@ class _TimeFigure:
         self._sources.put(f"{self._name}_drive", t=t if varies else column([]), share=drive)
         if seen is not None:
             self._size.fit((scale * seen[0], scale * seen[1]))
-        self.plot.yaxis[0].axis_label = unit
+        assign(self.plot.yaxis[0], axis_label=unit)
         self._show_limit(None if limit is None else scale * limit)
         trouble = "" if picture.stable or self._last else "closed loop not stable"
         lost = bool(rows) and not np.isfinite(column(values)).any()
@@ -135,10 +136,12 @@ class _TimeFigure:
     def _show_limit(self, limit: float | None) -> None:
         above, below = self._beyond
         if limit is not None:
-            above.bottom, below.top = limit, -limit
-        above.visible = below.visible = limit is not None
+            assign(above, bottom=limit)
+            assign(below, top=-limit)
+        for one in self._beyond:
+            assign(one, visible=limit is not None)
         for sign, line in zip((1.0, -1.0), self._edges, strict=True):
-            line.location = None if limit is None else sign * limit
+            assign(line, location=None if limit is None else sign * limit)
 
 
 def _signals(response: TimeResponse) -> tuple[tuple[str, ...], tuple[str, ...]]:
@@ -218,8 +221,8 @@ class TimePanel(Panel):
 
     def _arrange(self) -> None:
         first, second = self._figures_over_time
-        first.plot.visible = self._visible
-        second.plot.visible = self._visible and second.used
+        assign(first.plot, visible=self._visible)
+        assign(second.plot, visible=self._visible and second.used)
         # Times are written once, below the lower figure.
         self.label_ticks(first.plot, not second.used, "time, s")
 
