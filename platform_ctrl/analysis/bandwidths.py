@@ -60,10 +60,15 @@ def bandwidth_of_sensitivity(S: StateArrays) -> float:
         return 0.0
     axis = FrequencyAxis(S)
     w = _grid(axis, s)
+
+    def gains(w: FloatArray) -> FloatArray:
+        # Far below the level, where S nearly vanishes, digits beyond the level's say nothing.
+        return axis.gains(w, least=LEVEL)
+
     sizes, first = np.zeros(0), w.size
     while sizes.size < w.size and first == w.size:
         # A part at a time: the first that is reached is looked for.
-        sizes = np.append(sizes, axis.gains(w[sizes.size : sizes.size + _PART]))
+        sizes = np.append(sizes, gains(w[sizes.size : sizes.size + _PART]))
         above = np.flatnonzero(sizes >= LEVEL)
         first = int(above[0]) if above.size else w.size
     if first == w.size:
@@ -74,7 +79,7 @@ def bandwidth_of_sensitivity(S: StateArrays) -> float:
         return float(w[first])
 
     def beyond(x: float) -> float:
-        return math.log(axis.gains(np.array([math.exp(x)]))[0] / LEVEL)
+        return math.log(gains(np.array([math.exp(x)]))[0] / LEVEL)
 
     low, high = math.log(w[first - 1]), math.log(w[first])
     # Where an end is a crossing itself, rounding decides on which side of it exp(log(w)) lies.

@@ -11,6 +11,7 @@ Where it holds between no two neighbours, no gain exceeds the level. No eigenval
 
 from __future__ import annotations
 
+import functools
 import math
 from typing import NamedTuple
 
@@ -155,13 +156,26 @@ def norm_of_few(system: StateArrays, tolerance: float, unstable: bool, least: fl
     to `least` only that is found out, and `least` returned.
     """
     A, B, C, D = plain(system.A), plain(system.B), plain(system.C), plain(system.D)
-    # LAPACK directly: SciPy's wrappers take longer than small matrices.
-    first, _, _, scale, _ = dgebal(A, scale=1, permute=0)
-    further = dgebal(_bordered(A, B, C, scale), scale=1, permute=0)[3]
-    real, imaginary, _, _, failed = dgeev(first, compute_vl=0, compute_vr=0)
-    if failed:
+    poles = _balanced_poles(A.tobytes())
+    if poles is None:
         return False, 0.0, 0.0
+    scale, real, imaginary = poles
+    further = dgebal(_bordered(A, B, C, scale), scale=1, permute=0)[3]
     return _norm((A, B, C, D), system.dt, (scale, further), (real, imaginary), tolerance, unstable, least)
+
+
+@functools.lru_cache(maxsize=8)
+def _balanced_poles(A: bytes) -> tuple[FloatArray, FloatArray, FloatArray] | None:
+    """Return the scale of each state of a matrix and the parts of its eigenvalues; None where these are not found.
+
+    Kept, because it is asked for norms of several parts of one closed loop, one after another.
+    """
+    matrix = np.frombuffer(A)
+    n = math.isqrt(len(matrix))
+    # LAPACK directly: SciPy's wrappers take longer than small matrices.
+    first, _, _, scale, _ = dgebal(matrix.reshape(n, n), scale=1, permute=0)
+    real, imaginary, _, _, failed = dgeev(first, compute_vl=0, compute_vr=0)
+    return None if failed else (scale, real, imaginary)
 
 
 # Loops below, not expressions of arrays: numba compiles these five times as long.
