@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     import control
 
 ComplexArray = NDArray[np.complex128]
+# Which systems of a stack, or which inputs or outputs.
+Index = Sequence[int] | NDArray[np.intp] | np.integer[Any] | slice | int | None
 
 # From so many states on, LAPACK reduces a matrix faster than our compiled code, and a narrow band is looked for first.
 MANY_STATES = 48
@@ -43,6 +45,15 @@ class StateArrays(NamedTuple):
     C: FloatArray
     D: FloatArray
     dt: float = 0.0
+
+    def at(self, index: Index) -> StateArrays:
+        """Return a system of a stack, or a stack of some of its systems."""
+        return StateArrays(self.A[index], self.B[index], self.C[index], self.D[index], self.dt)
+
+    def part(self, outputs: Index, inputs: Index) -> StateArrays:
+        """Return the systems from some inputs to some outputs, with all states."""
+        D = self.D[..., outputs, :][..., inputs]
+        return StateArrays(self.A, self.B[..., inputs], self.C[..., outputs, :], D, self.dt)
 
 
 def state_arrays(system: control.StateSpace, where: str) -> StateArrays:
@@ -163,9 +174,9 @@ def selected(system: control.StateSpace, outputs: Sequence[str], inputs: Sequenc
     """Return `system` from some inputs to some outputs; with the names of its states, which ``system[...]`` loses."""
     rows = [list(system.output_labels).index(name) for name in outputs]
     columns = [list(system.input_labels).index(name) for name in inputs]
-    A, B, C, D, dt = state_arrays(system, "selected")
-    arrays = StateArrays(A, B[:, columns], C[rows], D[np.ix_(rows, columns)], dt)
-    return named_system(arrays, inputs, outputs, list(system.state_labels))
+    return named_system(
+        state_arrays(system, "selected").part(rows, columns), inputs, outputs, list(system.state_labels)
+    )
 
 
 def _distinct(names: Sequence[str]) -> list[str]:

@@ -62,13 +62,14 @@ class Channel:
         """
         columns = [known_name("inputs", name, inputs) for name in self.inputs] or list(range(len(inputs)))
         rows = [known_name("outputs", name, outputs) for name in self.outputs] or list(range(len(outputs)))
-        A, B, C, D, dt = system_arrays("Channel.of", *system)
+        whole = system_arrays("Channel.of", *system)
+        D, dt = whole.D, whole.dt
         if (len(outputs), len(inputs)) != D.shape[-2:]:
             raise ArgumentError(
                 f"Channel.of: the system has {D.shape[-1]} inputs and {D.shape[-2]} outputs, "
                 f"got {len(inputs)} and {len(outputs)} names"
             )
-        out = StateArrays(A, B[..., columns], C[..., rows, :], D[..., rows, :][..., columns], dt)
+        out = whole.part(rows, columns)
         if self.input_weight is not None:
             weight = weight_arrays(self.input_weight, len(columns), dt, "input_weight")
             if weight.D.shape[0] != len(columns):

@@ -106,7 +106,7 @@ Measure = Callable[[StateArrays], FloatArray]
 
 def of_following(function: Measure) -> Callable[[LoopSet, Request], FloatArray]:
     """Return the measure of the worst channel of each plant; infinite of an unstable loop."""
-    return _worst(lambda loops, k: function(_following(loops, k)))
+    return _worst(lambda loops, k: function(loops.following.at(k)))
 
 
 def of_steps(which: int) -> Callable[[LoopSet, Request], FloatArray]:
@@ -114,7 +114,7 @@ def of_steps(which: int) -> Callable[[LoopSet, Request], FloatArray]:
 
     def measured(loops: LoopSet, k: int) -> FloatArray:
         if k not in loops.of_steps:
-            steps = step_responses(_following(loops, k), float(loops.decay[k]))
+            steps = step_responses(loops.following.at(k), float(loops.decay[k]))
             loops.of_steps[k] = overshoot(steps), settling_time(steps, loops.period)
         return loops.of_steps[k][which]
 
@@ -129,11 +129,6 @@ def _worst(measured: Callable[[LoopSet, int], FloatArray]) -> Callable[[LoopSet,
         return out
 
     return worst
-
-
-def _following(loops: LoopSet, k: int) -> StateArrays:
-    A, B, C, D, dt = loops.following
-    return StateArrays(A[k], B[k], C[k], D[k], dt)
 
 
 def overshoot(steps: FloatArray) -> FloatArray:
@@ -167,23 +162,20 @@ def ramp_error(loop: StateArrays) -> FloatArray:
 
 def step_responses(loop: StateArrays, decay: float) -> FloatArray:
     """Return the response of each channel to a step of its own reference, (p, N); `decay`: of the slowest pole, 1/s."""
-    A, B, C, D, dt = loop
-    count = int(np.clip(np.ceil(_DECAYS / (decay * dt)), 100, _MOST))
-    time, step = dt * np.arange(count), np.ones((1, count))
+    count = int(np.clip(np.ceil(_DECAYS / (decay * loop.dt)), 100, _MOST))
+    time, step = loop.dt * np.arange(count), np.ones((1, count))
     out = []
-    for i in range(len(C)):
-        channel = named_system(StateArrays(A, B[:, [i]], C[[i]], D[[i]][:, [i]], dt), ["reference"], ["measured"])
+    for i in range(len(loop.C)):
+        channel = named_system(loop.part([i], [i]), ["reference"], ["measured"])
         out.append(time_response(channel, time, step, squeeze=False)[0])
     return np.array(out)
 
 
 def torque_noise(loops: LoopSet, plants: slice = slice(None)) -> FloatArray:
     """Return the rms of every torque from the noise of the sensors, N m, (k, m); infinite of an unstable loop."""
-    A, B, C, D, dt = loops.own_arrays
-    m = loops.m
-    to_torque = StateArrays(A[plants], B[plants], C[plants, :m], D[plants, :m], dt)
-    of_readings = to_torque._replace(B=to_torque.B[..., m:], D=to_torque.D[..., m:])
-    out = noise_rms(of_readings, loops.plants.noise, allow_unstable=True)
+    m, everything = loops.m, slice(None)
+    to_torque = loops.own_arrays.at(plants).part(slice(m), everything)
+    out = noise_rms(to_torque.part(everything, slice(m, None)), loops.plants.noise, allow_unstable=True)
     fed = loops.plants.feedforward
     if fed is not None:
         out = np.hypot(out, noise_rms(fed.noise_of_torques(to_torque), np.ones(len(fed.sensors)), allow_unstable=True))
@@ -196,11 +188,8 @@ def of_margins(which: int) -> Callable[[LoopSet, Request], FloatArray]:
     def measured(loops: LoopSet, request: Request) -> FloatArray:
         out = np.full(len(loops.plants.labels), 1.0 - which)
         for k in np.flatnonzero(loops.decay > 0.0):
-            A, B, C, D, dt = loops.own_arrays
-            out[k] = min(
-                margins_of_channel(StateArrays(A[k], B[k, :, [i]].T, C[k, [i]], D[k, [[i]], [i]] + 1.0, dt))[which]
-                for i in range(loops.m)
-            )
+            alone = [loops.own_arrays.at(k).part([i], [i]) for i in range(loops.m)]
+            out[k] = min(margins_of_channel(one._replace(D=one.D + 1.0))[which] for one in alone)
         return out
 
     return measured
@@ -208,13 +197,11 @@ def of_margins(which: int) -> Callable[[LoopSet, Request], FloatArray]:
 
 def channel_h2_norm(loops: Loops, request: Request) -> FloatArray:
     """Return the H2 norm between the signals of the request's channel, of each plant."""
-    A, B, C, D, dt = loops.channel(request.channel)
-    if dt > 0.0:
-        rms = noise_rms(StateArrays(A, B, C, D, dt), np.ones(B.shape[-1]), allow_unstable=True)
+    part = loops.channel(request.channel)
+    if part.dt > 0.0:
+        rms = noise_rms(part, np.ones(part.B.shape[-1]), allow_unstable=True)
         with np.errstate(over="ignore"):
             return np.asarray(np.sqrt(np.sum(rms * rms, axis=-1)), dtype=np.float64)
-    if np.any(D) or not loops.decay[0] > 0.0:
+    if np.any(part.D) or not loops.decay[0] > 0.0:
         return np.array([np.inf])
-    import control
-
-    return np.array([h2_norm(control.StateSpace(A[0], B[0], C[0], D[0], dt, remove_useless_states=False))])
+    return np.array([h2_norm(part.at(0))])

@@ -91,7 +91,7 @@ def loop_transfer(plant: NamedSystem, controller: NamedSystem, at: At = "input")
         Square: as many channels as the controller has outputs (or inputs).
     """
     P, K, torques, angles = _matched(plant, controller, "loop_transfer")
-    P = StateArrays(P.A, P.B[:, torques], P.C[angles], P.D[np.ix_(angles, torques)], P.dt)
+    P = P.part(angles, torques)
     if _checked(at) == "input":
         first, second, names = P, K, list(controller.output_labels)
     else:
@@ -185,7 +185,7 @@ def gang(plant: NamedSystem, controller: NamedSystem, frequency: ArrayLike) -> G
     """
     P, K, torques, angles = _matched(plant, controller, "gang")
     w = frequencies(frequency, "gang")
-    P = StateArrays(P.A, P.B[:, torques], P.C[angles], P.D[np.ix_(angles, torques)], P.dt)
+    P = P.part(angles, torques)
     m = len(torques)
     H = frequency_response(closed_loop(P, K), w)
     T_input, T_output = -H[:m, :m], -H[m:, m:]
@@ -203,12 +203,12 @@ def gang(plant: NamedSystem, controller: NamedSystem, frequency: ArrayLike) -> G
 def closed_loop_with_sensitivity(plant: NamedSystem, controller: NamedSystem, at: At) -> StateArrays:
     """Return the arrays of S at the plant's input or output, with every state of plant and controller."""
     P, K, torques, angles = _matched(plant, controller, "sensitivity")
-    P = StateArrays(P.A, P.B[:, torques], P.C[angles], P.D[np.ix_(angles, torques)], P.dt)
-    A, B, C, D, _ = closed_loop(P, K)
+    P = P.part(angles, torques)
     m = len(torques)
     # S = I - T, and the closed loop from d to u (from n to y) is -T.
     part = slice(0, m) if _checked(at) == "input" else slice(m, None)
-    return StateArrays(A, B[:, part], C[part], D[part, part] + np.eye(D[part, part].shape[0]), P.dt)
+    loop = closed_loop(P, K).part(part, part)
+    return loop._replace(D=loop.D + np.eye(len(loop.D)))
 
 
 @check_arguments
@@ -280,9 +280,8 @@ def performance_loop(plant: StateArrays, controller: StateArrays) -> StateArrays
     """Return the loop from w to z of a plant with inputs [w, u] and outputs [z, y] closed by u = K y."""
     ncon, nmeas = controller.D.shape
     nz, nw = plant.D.shape[0] - nmeas, plant.D.shape[1] - ncon
-    A, B, C, D, dt = closed_loop(plant, controller, range(nw, nw + ncon), range(nz, nz + nmeas))
-    z = slice(ncon, ncon + nz)
-    return StateArrays(A, B[:, :nw], C[z], D[z, :nw], dt)
+    loop = closed_loop(plant, controller, range(nw, nw + ncon), range(nz, nz + nmeas))
+    return loop.part(slice(ncon, ncon + nz), slice(nw))
 
 
 def _solve_algebraic_loop(matrix: FloatArray, right: FloatArray) -> FloatArray:
@@ -365,12 +364,13 @@ def sensitivities_of_plants(P: ComplexArray, K: ComplexArray) -> tuple[ComplexAr
 
 def feedback_part(controller: StateArrays, measured: Sequence[int]) -> StateArrays:
     """Return K from some of a controller's inputs, without the states that only the other inputs reach."""
-    A, B, C, D, dt = controller
+    A, B = controller.A, controller.B
     others = [k for k in range(B.shape[1]) if k not in measured]
     # What an input reaches is what is seen of the transposed system.
     reached, else_reached = (set(seen_states(A.T[None], B[:, at].T[None], 0.0)) for at in (measured, others))
     kept = [k for k in range(len(A)) if k in reached or k not in else_reached]
-    return StateArrays(A[np.ix_(kept, kept)], B[kept][:, measured], C[:, kept], D[:, measured], dt)
+    own = controller.part(slice(None), measured)
+    return own._replace(A=A[np.ix_(kept, kept)], B=own.B[kept], C=own.C[:, kept])
 
 
 def with_error_alone(controller: StateArrays) -> StateArrays:
@@ -398,6 +398,4 @@ def commanded_loop(
         dt,
     )
     found = closed_loop(whole, controller, torques=torques, angles=[*angles, *range(outputs, outputs + p)])
-    m, kept = len(torques), inputs + p
-    rows = m + outputs
-    return found._replace(B=found.B[..., :kept], C=found.C[..., :rows, :], D=found.D[..., :rows, :kept])
+    return found.part(slice(len(torques) + outputs), slice(inputs + p))

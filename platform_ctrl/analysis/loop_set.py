@@ -87,14 +87,13 @@ class SingleLoop:
 
     def channel(self, channel: Channel | None) -> StateArrays:
         """Return the weighted part of the system between named signals, as a stack of one."""
-        A, B, C, D, dt = (channel or Channel()).of(self.arrays, self.inputs, self.outputs)
-        return StateArrays(A[None], B[None], C[None], D[None], dt)
+        return (channel or Channel()).of(self.arrays, self.inputs, self.outputs).at(None)
 
     def parts(self, parts: Parts, k: int) -> list[StateArrays]:
         """Return the systems whose gains count."""
         if not isinstance(parts, Channel):
             raise TypeError("a single loop has no torques and angles")
-        return [_one(self.channel(parts), k)]
+        return [self.channel(parts).at(k)]
 
 
 class LoopSet:
@@ -139,19 +138,16 @@ class LoopSet:
     @cached_property
     def own_arrays(self) -> StateArrays:
         """Closed loops (N, ...) without Omega: inputs torque disturbance and noise; outputs torques and angles."""
-        plants = self.plants
-        return closed_loop(StateArrays(plants.A, plants.B, plants.C, plants.D, plants.period), self.controller)
+        return closed_loop(self.plants.arrays, self.controller)
 
     @cached_property
     def following(self) -> StateArrays:
         """Closed loops (N, ...) from commands to what is measured."""
-        A, B, C, D, dt = self.own_arrays
-        m, p = self.m, self.p
+        behind = slice(self.m, None)
         if self.two_degrees is None:
-            return StateArrays(A, -B[..., m:], C[..., m:, :], -D[..., m:, m:], dt)
-        own = StateArrays(self.plants.A, self.plants.B, self.plants.C, self.plants.D, dt)
-        A, B, C, D, _ = commanded_loop(own, self.two_degrees, range(m), range(p))
-        return StateArrays(A, B[..., m:], C[..., m:, :], D[..., m:, m:], dt)
+            from_noise = self.own_arrays.part(behind, behind)
+            return from_noise._replace(B=-from_noise.B, D=-from_noise.D)
+        return commanded_loop(self.plants.arrays, self.two_degrees, range(self.m), range(self.p)).part(behind, behind)
 
     @property
     def inputs(self) -> list[str]:
@@ -200,7 +196,7 @@ class LoopSet:
         out = LoopSet(self.plants.only(chosen), self.two_degrees or self.controller)
         out.K, out.poles, out.decay = self.K, self.poles[index], self.decay[index]
         out.S_output, out.S_input = self.S_output[index], self.S_input[index]
-        out.arrays, out.own_arrays = _some(self.arrays, index), _some(self.own_arrays, index)
+        out.arrays, out.own_arrays = self.arrays.at(index), self.own_arrays.at(index)
         return out
 
     @property
@@ -216,21 +212,20 @@ class LoopSet:
     def parts(self, parts: Parts, k: int) -> list[StateArrays]:
         """Return the systems of plant `k` whose gains count."""
         if isinstance(parts, Channel):
-            return [_one(self.channel(parts), k)]
+            return [self.channel(parts).at(k)]
         return [system for transfer in parts for system in self._systems(transfer, k)]
 
     def _systems(self, transfer: Transfer, k: int) -> list[StateArrays]:
         self._expect_sight(transfer)
         if transfer.source == "command":
-            loop = _one(self.following, k)
+            loop = self.following.at(k)
             return [loop._replace(C=-loop.C, D=transfer.direct * np.eye(self.p) - loop.D)]
-        A, B, C, D, dt = _one(self.arrays, k)
         m, p = self.m, self.p
         columns = {"torque": slice(0, m), "Omega": slice(m, m + 3), "noise": slice(m + 3, m + 3 + p)}[transfer.source]
         rows = {"torque": slice(0, m), "angle": slice(m, m + p), "sight": slice(m + 2 * p, None)}[transfer.target]
-        B, C, D = B[:, columns], C[rows], D[rows, columns]
+        A, B, C, D, dt = found = self.arrays.at(k).part(rows, columns)
         if not transfer.of_limit:
-            return [StateArrays(A, B, C, D + transfer.direct * np.eye(*D.shape), dt)]
+            return [found._replace(D=D + transfer.direct * np.eye(*D.shape))]
         return [
             StateArrays(A, B * share, C[j : j + 1], D[j : j + 1] * share, dt) for j, share in enumerate(self._shares)
         ]
@@ -276,7 +271,7 @@ class LoopSet:
         """Return the largest gain of the parts of some plants within `band`, (k,); infinite of an unstable loop."""
         grid = self.plants.frequency
         if isinstance(parts, Channel):
-            responses = [frequency_response(_some(self.channel(parts), members), grid, -3)]
+            responses = [frequency_response(self.channel(parts).at(members), grid, -3)]
         else:
             responses = [response for transfer in parts for response in self._responses(transfer, members)]
         inside = (grid >= band[0]) & (grid <= band[1])
@@ -302,16 +297,6 @@ class LoopSet:
         spacing = np.where(centre < grid[0], centre, grid[place] - grid[place - 1])
         narrow = (centre > 0.0) & (-s.real < _NARROW * spacing) & (self.decay > 0.0)[:, None]
         return {int(k): np.unique(np.abs(s[k, narrow[k]].imag)) for k in np.flatnonzero(narrow.any(axis=1))}
-
-
-def _some(stack: StateArrays, index: Indices) -> StateArrays:
-    A, B, C, D, dt = stack
-    return StateArrays(A[index], B[index], C[index], D[index], dt)
-
-
-def _one(stack: StateArrays, k: int) -> StateArrays:
-    A, B, C, D, dt = stack
-    return StateArrays(A[k], B[k], C[k], D[k], dt)
 
 
 def _highest(matrices: ComplexArray) -> FloatArray:

@@ -344,12 +344,8 @@ def loop_margins(plant: NamedSystem, controller: NamedSystem, at: At = "input", 
     if spectral_abscissa(continuous_poles(poles(S.A), S.dt)) >= 0.0:
         return LoopMargins(channels=names, alpha=np.zeros(len(names)), frequency=np.zeros(len(names)))
     # With the others closed, channel i's own sensitivity is the i-th diagonal entry of S.
-    peaks = [
-        hinf_norm(
-            StateArrays(S.A, S.B[:, [i]], S.C[[i]], S.D[[i]][:, [i]] + 0.5 * (skew - 1.0), S.dt), allow_unstable=True
-        )
-        for i in range(len(names))
-    ]
+    alone = [S.part([i], [i]) for i in range(len(names))]
+    peaks = [hinf_norm(one._replace(D=one.D + 0.5 * (skew - 1.0)), allow_unstable=True) for one in alone]
     return LoopMargins(
         channels=names,
         alpha=np.array([_inverse(norm) for norm, _ in peaks]),

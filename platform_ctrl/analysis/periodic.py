@@ -48,19 +48,16 @@ class PeriodicLoop:
         self, plant: StateArrays, by_sample: Sequence[StateArrays], at: Sequence[int], seen: Sequence[int]
     ) -> None:
         m = len(at)
-        own = StateArrays(plant.A, plant.B[:, at], plant.C[seen], plant.D[np.ix_(seen, at)], plant.dt)
+        own = plant.part(seen, at)
         # From disturbances of the torques, then noise of what is measured, to the torques.
         closed = {id(K): closed_loop(own, K) for K in by_sample}
-        self._loops = [StateArrays(A, B, C[:m], D[:m], dt) for A, B, C, D, dt in (closed[id(K)] for K in by_sample)]
+        self._loops = [closed[id(K)].part(slice(m), slice(None)) for K in by_sample]
         self.samples, self.channels = len(by_sample), m
         self.period = self.samples * plant.dt
         self.poles: ComplexArray = poles(self._lifted([], []).A)
 
     def _lifted(self, outputs: Sequence[int], inputs: Sequence[int]) -> StateArrays:
-        parts = [
-            StateArrays(A, B[:, inputs], C[outputs], D[np.ix_(outputs, inputs)], dt) for A, B, C, D, dt in self._loops
-        ]
-        return lifted(parts)
+        return lifted([loop.part(outputs, inputs) for loop in self._loops])
 
     def _disk(self, channels: Sequence[int]) -> StateArrays:
         """Return S − I/2 at the torques of some channels, lifted."""

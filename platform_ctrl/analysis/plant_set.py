@@ -108,6 +108,11 @@ class PlantSet:
     feedforward: RateFeedforward | None = None
 
     @property
+    def arrays(self) -> StateArrays:
+        """All plants, (N, ...), from torques to what is measured."""
+        return StateArrays(self.A, self.B, self.C, self.D, self.period)
+
+    @property
     def whole(self) -> StateArrays:
         """All plants, (N, ...), from torques and Omega to what is measured and the outputs of the line of sight."""
         return StateArrays(
@@ -186,7 +191,7 @@ class PlantSet:
         """
         k = whole("PlantSet.system: k", k, 0, len(self.labels) - 1)
         B, D = np.hstack([self.B[k], self.B_Omega[k]]), np.hstack([self.D[k], self.D_Omega[k]])
-        arrays = StateArrays(self.A[k], B, self.C[k], D, self.period)
+        arrays = self.arrays.at(k)._replace(B=B, D=D)
         return named_system(arrays, [*self.torques, *OMEGA_NAMES], self.angles, self.states)
 
     def joined(self, controller: control.StateSpace | StateArrays) -> StateArrays:
@@ -209,7 +214,7 @@ class PlantSet:
                 )
             own, names = self.without_feedforward(controller)
             at, of = [names.index(name) for name in self.angles], [rows.index(name) for name in self.torques]
-            K = feedback_part(StateArrays(own.A, own.B, own.C[of], own.D[of], own.dt), at)
+            K = feedback_part(own.part(of, slice(None)), at)
         else:
             K = self.feedback(K)
         if K.D.shape != (len(self.torques), len(self.angles)):
@@ -228,9 +233,10 @@ class PlantSet:
         own, n = [*self.angles, *others], len(K.A) - len(fed.path.A)
         every = [names.index(name) for name in (*own, *fed.sensors)]
         of = [list(controller.output_labels).index(name) for name in self.torques]
-        inner = StateArrays(K.A[:n, :n], K.B[:n, every[: len(own)]], K.C[:, :n], K.D[:, every[: len(own)]], K.dt)
-        made = fed.joined_to(StateArrays(inner.A, inner.B, inner.C[of], inner.D[of], K.dt))
-        if not _alike(StateArrays(K.A, K.B[:, every], K.C[of], K.D[np.ix_(of, every)], K.dt), made):
+        inner = K.part(slice(None), every[: len(own)])
+        inner = inner._replace(A=K.A[:n, :n], B=inner.B[:n], C=K.C[:, :n])
+        made = fed.joined_to(inner.part(of, slice(None)))
+        if not _alike(K.part(of, every), made):
             raise ArgumentError(
                 f"controller: its feedforward from {', '.join(fed.sensors)} is not the one that follows from the "
                 "plant; design it again"

@@ -37,9 +37,7 @@ from platform_ctrl.app.curves import (
     frequency_parts,
     gain_locus,
     locus,
-    one_of,
     overlay,
-    selected,
     settling,
     step_size,
 )
@@ -90,8 +88,7 @@ class CagedLoop:
     @property
     def plant(self) -> StateArrays:
         """The plant shown."""
-        one = self.shown
-        return StateArrays(one.A[0], one.B[0], one.C[0], one.D[0], one.period)
+        return self.shown.arrays.at(0)
 
     @property
     def exact(self) -> bool:
@@ -200,7 +197,7 @@ class CagedCurves(LoopCurves):
     def _driven(self, arrays: Callable[[LoopSet], StateArrays], column: int, u: FloatArray) -> Driven:
         """Return one input of the closed loops with its course."""
         loops = (self.shown, self.band)
-        shown, band = (None if one is None else selected(arrays(one), ALL, [column]) for one in loops)
+        shown, band = (None if one is None else arrays(one).part(ALL, [column]) for one in loops)
         assert shown is not None, "a plant is shown"
         return Driven(shown=shown, band=band, u=u)
 
@@ -223,7 +220,7 @@ class CagedCurves(LoopCurves):
             f"rate Omega{self.axis} → {words}",
             of_readings(metric.unit, self._loop.spec.kind),
             frequency,
-            selected(one_of(self.shown.arrays, 0), rows, [m + axis]),
+            self.shown.arrays.at(0).part(rows, [m + axis]),
             band,
             self._loop.limit("Omega rejection"),
         )

@@ -103,7 +103,7 @@ class Driven(NamedTuple):
 
     def outputs(self, chosen: Sequence[int]) -> Driven:
         """Return them with some of their outputs."""
-        shown, band = (None if one is None else selected(one, chosen, ALL) for one in (self.shown, self.band))
+        shown, band = (None if one is None else one.part(chosen, ALL) for one in (self.shown, self.band))
         assert shown is not None, "a plant is shown"
         return self._replace(shown=shown, band=band)
 
@@ -181,17 +181,6 @@ def moved_by_gain(gains: FloatArray, branches: ComplexArray, present: ComplexArr
         return np.asarray(speed[nearest] > 0.01 * np.abs(present))
 
 
-def one_of(stack: StateArrays, k: int) -> StateArrays:
-    """Return one system of a stack."""
-    return StateArrays(stack.A[k], stack.B[k], stack.C[k], stack.D[k], stack.dt)
-
-
-def selected(stack: StateArrays, outputs: Index, inputs: Index) -> StateArrays:
-    """Return systems with some of their outputs and inputs."""
-    A, B, C, D, dt = stack
-    return StateArrays(A, B[..., inputs], C[..., outputs, :], D[..., outputs, :][..., inputs], dt)
-
-
 # Sampled loops are shown up to this share of the Nyquist frequency: at its edge sensitivities have no meaning.
 EDGE = 0.999
 # Error bound of a response above which it is computed with more digits: a curve has three.
@@ -199,7 +188,6 @@ DRAWN = 1e-4
 # Points of a frequency grid besides those at resonances.
 GRID_POINTS = 160
 
-Index = slice | Sequence[int]
 ALL = slice(None)
 # Curves to draw, and the function that measures the same loop.
 Parts = tuple[Drawing, Callable[[], Measured]]

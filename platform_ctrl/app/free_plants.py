@@ -19,7 +19,7 @@ from platform_ctrl.analysis.poles import continuous_poles, poles
 from platform_ctrl.analysis.resolvent import AxisResponse
 from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.analysis.sampling import held_input, sampled
-from platform_ctrl.app.curves import DRAWN, EDGE, GRID_POINTS, selected
+from platform_ctrl.app.curves import DRAWN, EDGE, GRID_POINTS
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.cases import changed
 from platform_ctrl.job.job import Job, LoopSpec, Sampling
@@ -58,10 +58,7 @@ class FreePlants:
     def only(self, k: int) -> FreePlants:
         """Return one of the plants alone, without a band."""
         part = slice(k, k + 1)
-        arrays, turned = (
-            StateArrays(stack.A[part], stack.B[part], stack.C[part], stack.D[part], stack.dt)
-            for stack in (self.arrays, self.turned)
-        )
+        arrays, turned = self.arrays.at(part), self.turned.at(part)
         return dataclasses.replace(
             self,
             labels=self.labels[part],
@@ -276,5 +273,5 @@ def disk_margins(P: StateArrays, K: StateArrays, channels: Sequence[int]) -> Flo
     """Return 1/max |S_ii - 1/2| over all frequencies of channels of a stable loop, broken one at a time."""
     # From a torque disturbance to the torque the closed loop is S - 1.
     closed = closed_loop(P, K)
-    parts = [selected(closed, [i], [i]) for i in channels]
+    parts = [closed.part([i], [i]) for i in channels]
     return np.array([1.0 / peak(part._replace(D=part.D + 0.5))[0] for part in parts])

@@ -213,14 +213,13 @@ def free_parameters(
     if spec.has_plants:
         loop, _ = loops.caged(settings)
         P = loop.shown
-        plant = StateArrays(P.A[0], P.B[0], P.C[0], P.D[0], P.period)
+        plant = P.arrays.at(0)
         torquers: Sequence[str] = P.torques
     else:
         whole, _ = loops.stabilised(settings)
         _, at, torquers = whole.joined(whole.shown)
         here = whole.controllers[[one.name for one in loops.in_order()].index(spec.name)].name
-        A, B, C, D, dt = whole.shown.arrays
-        plant = StateArrays(A[0], B[0][:, at], C[0], D[0][:, at], dt)
+        plant = whole.shown.arrays.at(0).part(slice(None), at)
 
     def build(numbers: Mapping[str, float]) -> StateArrays:
         new = with_options(settings, numbers)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, state_arrays
+from platform_ctrl.analysis.arrays import ComplexArray, Index, StateArrays, state_arrays
 from platform_ctrl.analysis.feedback import closed_loop, sensitivity_functions
 from platform_ctrl.analysis.mu import mu_bounds
 from platform_ctrl.analysis.poles import continuous_poles, minimum_damping, poles, spectral_abscissa
@@ -21,7 +21,6 @@ from platform_ctrl.app.curves import (
     Band,
     Drive,
     Driven,
-    Index,
     LoopCurves,
     Parts,
     channel_margins,
@@ -31,9 +30,7 @@ from platform_ctrl.app.curves import (
     gain_locus,
     locus,
     moved_by_gain,
-    one_of,
     overlay,
-    selected,
     settling,
     step_size,
 )
@@ -86,20 +83,20 @@ def requirements(
     """
     job, model, controllers = loop.job, loop.model, loop.controllers
     K, at, torquers = loop.joined(loop.plants)
-    P = selected(one_of(loop.plants.arrays, 0), ALL, at)
+    P = loop.plants.arrays.at(0).part(ALL, at)
     loops = closed_loop(P, K)
     s = continuous_poles(poles(loops.A), P.dt) if known is None else known[0]
     decay = -float(spectral_abscissa(s))
     m = len(torquers)
     sensors = {one.name: one for one in job.platform.sensors}
     rms = np.array([sensors[name].sampled_noise(P.dt) for name in loop.plants.sensors])
-    of_torquers = torquer_metrics(selected(loops, range(m), slice(m, None)), rms)
+    of_torquers = torquer_metrics(loops.part(range(m), slice(m, None)), rms)
     coupled, simultaneous = np.zeros(m), (0.0, 0.0)
     if decay > 0.0:
         grid, sensitivity = (loop_grid(P, s), Sensitivity(P, K)) if known is None else known[1:3]
         S = sensitivity.at(grid) if known is None else known[3]
         coupled = disk_margins(P, K, range(m))
-        closed = selected(loops, range(m), range(m))
+        closed = loops.part(range(m), range(m))
         closed = closed._replace(D=closed.D + 0.5 * np.eye(m))
         simultaneous = _simultaneous(sensitivity, grid, S, closed, s)
     decoupled = _decoupled(job, model, controllers, cached)
@@ -132,7 +129,7 @@ def _margins_of(
     names = list(K.output_labels)
     at = [plant.input_labels.index(name) for name in names]
     seen = [plant.output_labels.index(name) for name in K.input_labels]
-    P, k = selected(state_arrays(plant, "plant"), seen, at), state_arrays(K, "controller")
+    P, k = state_arrays(plant, "plant").part(seen, at), state_arrays(K, "controller")
     s = continuous_poles(poles(closed_loop(P, k).A), P.dt)
     if not spectral_abscissa(s) < 0.0:
         return dict.fromkeys(names, 0.0)
@@ -188,7 +185,7 @@ class StabilisedCurves(LoopCurves):
             raise DesignError(f"{loop.spec.name}: no controller sets a torque on the platform; add a servo to the job")
         self.channel = settings.channel if settings.channel in self.roots else self.roots[0]
         self.index = self.torquers.index(self.channel)
-        self.plant = selected(one_of(loop.shown.arrays, 0), ALL, self.used)
+        self.plant = loop.shown.arrays.at(0).part(ALL, self.used)
         self.z_poles = poles(closed_loop(self.plant, self.controller).A)
         self.poles = continuous_poles(self.z_poles, self.plant.dt)
         self.stable = bool(spectral_abscissa(self.poles) < 0.0)
@@ -235,7 +232,7 @@ class StabilisedCurves(LoopCurves):
         """Return the closed loops from the torque on the platform to torques, sensors and attitude."""
         sensors = list(range(len(plants.sensors)))
         whole = closed_loop(plants.turned, self.controller, torques=self.used, angles=sensors)
-        return selected(whole, outputs, [self._torque_column])
+        return whole.part(outputs, [self._torque_column])
 
     @property
     def _torque_column(self) -> int:
@@ -261,7 +258,7 @@ class StabilisedCurves(LoopCurves):
             sensed, driven = whole[..., :p, [column]], whole[..., self.used]
             torque = np.linalg.solve(np.eye(k) - K @ driven[..., :p, :], K @ sensed)
             band = w, (whole[..., p:, [column]] + driven[..., p:, :] @ torque)[..., 0]
-        shown = one_of(self._turned(self.loop.shown, slice(k + p, None)), 0)
+        shown = self._turned(self.loop.shown, slice(k + p, None)).at(0)
         return self._disturbance_gain(
             f"torque M{self.axis} on the platform → attitude", "rad/(N m)", frequency, shown, band
         )
@@ -275,7 +272,7 @@ class StabilisedCurves(LoopCurves):
         """Return the closed-loop poles of the plants of the band, or those of the plant shown, (N, n), rad/s."""
         if not self.banded:
             return self.poles[None]
-        plants = selected(self.loop.plants.arrays, ALL, self.used)
+        plants = self.loop.plants.arrays.part(ALL, self.used)
         return continuous_poles(poles(closed_loop(plants, self.controller).A), plants.dt)
 
     def band(self) -> tuple[Band, float, str]:

@@ -103,8 +103,7 @@ class LoopDesign:
 
 def sampled_plant(plants: PlantSet, k: int = 0) -> control.StateSpace:
     """Return the nominal sampled plant (or plant `k` of the set) with its signal names."""
-    arrays = StateArrays(plants.A[k], plants.B[k], plants.C[k], plants.D[k], plants.period)
-    return named_system(arrays, plants.torques, plants.angles, plants.states)
+    return named_system(plants.arrays.at(k), plants.torques, plants.angles, plants.states)
 
 
 @value
@@ -297,13 +296,13 @@ def _delivered(K: StateArrays, plants: PlantSet, name: str) -> control.StateSpac
 def with_commands(plants: PlantSet, controller: control.StateSpace) -> StateArrays:
     """Return a controller of what the plants measure and, if it takes their commands, of these behind it."""
     own = plants.joined(controller)
-    (A, B, C, D, dt), names = plants.without_feedforward(controller)
+    given, names = plants.without_feedforward(controller)
     commands = _commands(plants)
     if not set(commands) <= set(names):
         return own
     at = [names.index(name) for name in (*plants.angles, *commands)]
     of = [controller.output_labels.index(name) for name in plants.torques]
-    p, K = len(plants.angles), StateArrays(A, B[:, at], C[of], D[np.ix_(of, at)], dt)
+    p, K = len(plants.angles), given.part(of, at)
     # What compares readings and commands alone is measured as what it is, K.
     error = np.array_equal(K.B[:, :p], -K.B[:, p:]) and np.array_equal(K.D[:, :p], -K.D[:, p:])
     return own if error else K
@@ -332,7 +331,7 @@ def with_controller(design: LoopDesign, controller: StateArrays) -> LoopDesign:
 def closed_loop_poles(plants: PlantSet, controller: control.StateSpace) -> ComplexArray:
     """Return the poles of every plant's closed loop, complex (N, poles), in z."""
     K = state_arrays(controller, "closed_loop_poles")
-    A = closed_loop(StateArrays(plants.A, plants.B, plants.C, plants.D, K.dt), K).A
+    A = closed_loop(plants.arrays._replace(dt=K.dt), K).A
     return np.asarray(np.linalg.eigvals(A), dtype=np.complex128)
 
 

@@ -220,9 +220,8 @@ class _Together:
 
 
 def _noise_to_torque(loop: control.StateSpace, channels: int) -> StateArrays:
-    A, B, C, D, dt = state_arrays(loop, "coupled loop")
     noisy = [k for k, name in enumerate(loop.input_labels) if name.startswith("noise_")]
-    return StateArrays(A, B[:, noisy], C[:channels], D[:channels, noisy], dt)
+    return state_arrays(loop, "coupled loop").part(slice(channels), noisy)
 
 
 # Kinds of loops that hold a body in inertial space where they read no angle of a gimbal.

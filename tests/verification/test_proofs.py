@@ -174,7 +174,7 @@ def test_sensitivity_plants_close_to_s_minus_half(small: tuple[Any, tuple[LoopOu
     k = pc.analysis.frequency_response(design.controller, [100.0])[..., 0]
     eye = np.eye(2)
     S = np.linalg.inv(eye - k @ P), np.linalg.inv(eye - P @ k)
-    for system, expected in zip(sensitivity_plants(design.plants), S, strict=True):
+    for system, expected in zip(sensitivity_plants(design.plants.arrays.at(0)), S, strict=True):
         A, B, C, D, dt = closed(system, K).rounded()
         z = np.exp(100.0j * dt)
         found = C @ np.linalg.solve(z * np.eye(len(A)) - A, B) + D

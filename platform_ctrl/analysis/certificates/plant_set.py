@@ -89,14 +89,13 @@ def plant_set_certificates(
 
 def _claims(plants: PlantSet, decay: FloatArray, margin: FloatArray, required: FloatArray) -> Iterator[_Claimed]:
     for k in np.flatnonzero(decay > 0.0):
-        plant = StateArrays(plants.A[k], plants.B[k], plants.C[k], plants.D[k], plants.period)
-        yield _Claimed("stability", plant, plants.labels[k])
+        yield _Claimed("stability", plants.arrays.at(k), plants.labels[k])
     for k in np.flatnonzero((decay > 0.0) & ((required < margin) & (required > 0.0) | (np.arange(len(decay)) == 0))):
         # With the nominal plant the norm itself; with the others the required bound. Of these the norm is known, or,
         # where another plant is the worst, known from below.
         gamma = None if k == 0 else 1.0 / float(required[k])
         norm = None if k == 0 else 1.0 / float(margin[k])
-        for system, where in zip(sensitivity_plants(plants, int(k)), ("torques", "pick-offs"), strict=True):
+        for system, where in zip(sensitivity_plants(plants.arrays.at(k)), ("torques", "pick-offs"), strict=True):
             yield _Claimed("norm", system, f"{plants.labels[k]}, (S − T)/2 at the {where}", gamma, norm)
 
 
@@ -132,7 +131,7 @@ def margin_certificates(plant: StateArrays, controller: StateArrays) -> tuple[Ce
     `NotCertifiedError`.
     """
     A, B, C, D, dt = plant
-    torque, pickoff = _sensitivity_plants(plant)
+    torque, pickoff = sensitivity_plants(plant)
     return (
         stability_certificate(A, dt, B=B, C=C, D=D, controller=controller),
         norm_certificate(*torque, controller=controller, label="(S − T)/2 at the torques"),
@@ -140,16 +139,12 @@ def margin_certificates(plant: StateArrays, controller: StateArrays) -> tuple[Ce
     )
 
 
-def sensitivity_plants(plants: PlantSet, k: int = 0) -> tuple[StateArrays, StateArrays]:
-    """Return plant `k` with inputs [w, u] and outputs [z, y] such that u = K y leaves z = (S − T)/2 w.
+def sensitivity_plants(plant: StateArrays) -> tuple[StateArrays, StateArrays]:
+    """Return a plant with inputs [w, u] and outputs [z, y] such that u = K y leaves z = (S − T)/2 w.
 
     First at the torques: z = u + w/2, where w adds to the torque; then at the pick-offs: z = y − w/2, where w adds to
     what they measure. (S − T)/2 = S − I/2, and nothing is rounded on the way.
     """
-    return _sensitivity_plants(StateArrays(plants.A[k], plants.B[k], plants.C[k], plants.D[k], plants.period))
-
-
-def _sensitivity_plants(plant: StateArrays) -> tuple[StateArrays, StateArrays]:
     A, B, C, D, dt = plant
     (p, m), n = D.shape, len(A)
     torque = StateArrays(

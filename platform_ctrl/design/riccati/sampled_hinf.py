@@ -255,9 +255,8 @@ def _least_level(P: StateSpace, plant: SampledPlant, designed: Callable[[float],
 
 def _from_controls(plant: SampledPlant) -> StateArrays:
     """Return the sampled plant from u to y: the lifted one at an infinite level; at the loop's own its A is another."""
-    A, B, C, D, dt = lifted_plant(plant, np.inf)
     m, p = plant.B2.shape[1], len(plant.C2)
-    return StateArrays(A, B[:, -m:], C[-p:], D[-p:, -m:], dt)
+    return lifted_plant(plant, np.inf).part(slice(-p, None), slice(-m, None))
 
 
 def _named(P: StateSpace, plant: SampledPlant, level: float) -> StateSpace:

@@ -124,7 +124,7 @@ def _entry(system: DrawnSystem, i: int, j: int) -> DrawnSystem:
         return system
     arrays = system.arrays
     if arrays is not None:
-        arrays = StateArrays(arrays.A, arrays.B[:, [j]], arrays.C[[i]], arrays.D[np.ix_([i], [j])], arrays.dt)
+        arrays = arrays.part([i], [j])
     return _part(system, i, j, arrays, system.source[i, j] if arrays is None else None, own_features=False)
 
 

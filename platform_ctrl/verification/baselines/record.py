@@ -304,7 +304,7 @@ def loops_of(result: JobResult) -> tuple[LoopMatrices, ...]:
             plant, arrays = None, state_arrays(K, "controller")
             inputs, outputs = tuple(K.input_labels), tuple(K.output_labels)
         else:
-            plant = StateArrays(plants.A[0], plants.B[0], plants.C[0], plants.D[0], plants.period)
+            plant = plants.arrays.at(0)
             arrays, inputs, outputs = plants.joined(K), plants.angles, plants.torques
         out.append(
             LoopMatrices(
