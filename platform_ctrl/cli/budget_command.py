@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -21,7 +22,7 @@ from platform_ctrl.cli.job_arguments import (
 from platform_ctrl.errors import InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
     import control
 
@@ -161,17 +162,21 @@ def budget_lines(
     yield f"{job.name}: line of sight, {job.budget.from_hz:g} to {job.budget.to_hz:g} Hz, µrad rms and share"
     yield ""
     yield f"{'source':{_NAME}}{'kind':{_KIND}}" + "".join(f"{name:>14}" for name in found.axes)
+    micro = _column(max(found.total, default=0.0))
     for name, kind, rms, shares in zip(found.names, found.kinds, found.rms, found.shares, strict=True):
         # Rounding shows in axes on which a source does not act.
         pairs = [(x if s > _ROUNDING else 0.0, s) for x, s in zip(rms, shares, strict=True)]
-        numbers = "".join(f"{_micro(x):>9}{_percent(s):>5}" for x, s in pairs)
-        yield f"{_short(name, _NAME - 1):{_NAME}}{kind:{_KIND}}{numbers}".rstrip()
-    total = "".join(f"{_micro(x):>9}{'':5}" for x in found.total)
-    yield f"{'all together':{_NAME + _KIND}}{total}".rstrip()
-    yield f"{'both axes across':{_NAME + _KIND}}{_micro(found.jitter):>9}"
+        numbers = "".join(f"{micro(x):>8}{_percent(s):>6}" for x, s in pairs)
+        # A long name that says the kind stands alone.
+        alone = len(name) >= _NAME and kind in name
+        label = _short(name, _NAME + _KIND - 1) if alone else f"{_short(name, _NAME - 1):{_NAME}}{kind}"
+        yield f"{label:{_NAME + _KIND}}{numbers}".rstrip()
+    yield _row("all together", map(micro, found.total))
+    yield _row("both axes across", [micro(found.jitter)])
     for name, other in (others or {}).items():
-        numbers = "not stable" if other is None else "".join(f"{_micro(x):>9}{'':5}" for x in other.total)
-        yield f"{_short(f'with {name}', _NAME + _KIND - 1):{_NAME + _KIND}}{numbers}".rstrip()
+        yield _row(
+            _short(f"with {name}", _NAME + _KIND - 1), ["not stable"] if other is None else map(micro, other.total)
+        )
     for window in found.windows:
         yield ""
         yield from _window(job, window)
@@ -185,11 +190,12 @@ def budget_lines(
 
 
 def _runs(runs: SimulatedBudget) -> Iterator[str]:
+    micro = _column(max(runs.linear, default=0.0))
     yield f"simulated, {runs.runs} runs of seed {runs.seed}: µrad rms about the mean of {runs.time:g} s"
-    yield _row("non-linear plant", [_micro(x) for x in runs.rms])
-    yield _row("its 95 % interval, from", [_micro(x) for x in runs.low])
-    yield _row("to", [_micro(x) for x in runs.high])
-    yield _row("linear budget of the same", [_micro(x) for x in runs.linear])
+    yield _row("  non-linear plant", map(micro, runs.rms))
+    yield _row("  its 95 % interval, from", map(micro, runs.low))
+    yield _row("  to", map(micro, runs.high))
+    yield _row("  linear budget of the same", map(micro, runs.linear))
     yield from _wrapped(f"both axes across: simulated over linear {runs.ratio:.3f}")
     for line in runs.left_out:
         yield from _wrapped(f"not simulated: {line}")
@@ -198,24 +204,32 @@ def _runs(runs: SimulatedBudget) -> Iterator[str]:
 def _window(job: Job, window: WindowBudget) -> Iterator[str]:
     assert job.budget is not None
     yield f"within {1e3 * window.exposure:g} ms, µrad rms"
+    micro = _column(max(window.displacement, default=0.0))
     for words, rms in (
         ("displacement: the mean", window.displacement),
         ("smear: the line's extent, end to end", window.smear),
         ("jitter about the line", window.jitter),
         ("about the mean, smear included", window.about_mean),
     ):
-        yield _row(words, [_micro(x) for x in rms])
+        yield _row(f"  {words}", map(micro, rms))
     for k, nu in enumerate(job.budget.spatial_frequencies):
-        words = f"contrast at {nu:g} cycles/rad"
-        yield _row(words, [f"{x:.4f}" for x in window.contrast[:, k]])
+        yield _row(f"  contrast at {nu:g} cycles/rad", [f"{x:.4f}" for x in window.contrast[:, k]])
 
 
-def _row(words: str, numbers: list[str]) -> str:
-    return f"  {words:{_NAME + _KIND - 2}}{''.join(f'{number:>9}     ' for number in numbers)}".rstrip()
+def _row(words: str, numbers: Iterable[str]) -> str:
+    return f"{words:{_NAME + _KIND}}{''.join(f'{number:>8}      ' for number in numbers)}".rstrip()
 
 
-def _micro(rad: float) -> str:
-    return f"{_MICRO * rad:.4g}"
+def _column(largest: float) -> Callable[[float], str]:
+    """Return what writes angles, rad, in µrad, all with as many decimals as show the largest to four digits."""
+    decimals = max(3 - math.floor(math.log10(_MICRO * largest)), 0) if 0.0 < largest < math.inf else 0
+    least = 10.0**-decimals
+
+    def micro(rad: float) -> str:
+        small = 0.0 < _MICRO * rad < 0.5 * least
+        return f"< {least:.{decimals}f}" if small else f"{_MICRO * rad:.{decimals}f}" if rad else "0"
+
+    return micro
 
 
 def _percent(share: float) -> str:
