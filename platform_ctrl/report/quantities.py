@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from platform_ctrl.job.judging import CheckResult
     from platform_ctrl.plant.platform import Platform
 
-# Units of small torques and angles: a thousandth.
-_SMALL = {"N m": "mN m", "rad": "mrad"}
+# Units of small torques and angles: thousandths, and millionths.
+_SMALL = {"N m": ("mN m", "µN m"), "rad": ("mrad", "µrad")}
 
 # Factors from rad/s to Hz and rpm.
 HZ = 1.0 / (2.0 * math.pi)
@@ -88,9 +88,10 @@ def _turned_by(platform: Platform, k: int, component: int) -> int:
 
 def handy_unit(unit: str, size: float) -> tuple[float, str]:
     """Return the factor and the unit in which a number of magnitude `size` (in `unit`) reads well."""
-    if unit in _SMALL and (not math.isfinite(size) or abs(size) < 1.0):
-        return 1e3, _SMALL[unit]
-    return 1.0, unit
+    if unit not in _SMALL or (math.isfinite(size) and abs(size) >= 1.0):
+        return 1.0, unit
+    milli, micro = _SMALL[unit]
+    return (1e6, micro) if 0.0 < abs(size) < 1e-3 else (1e3, milli)
 
 
 def plain(number: float, digits: int = 4, rounding: Rounding = "nearest") -> str:

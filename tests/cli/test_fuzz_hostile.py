@@ -139,7 +139,7 @@ def simulated(job: dict[str, Any], which: str = "--manoeuvre", number: str = "1"
 
 
 def test_a_run_that_diverges_at_a_stop_counts_its_contacts() -> None:
-    record = simulated(put(EVERY_JOB_KEY.data, ("manoeuvre", 0, "rate"), 1e12))
+    record = simulated(put(EVERY_JOB_KEY.data, ("manoeuvre", 0, "initial", "q_inner_rate"), 1e12))
     assert record["ended"].startswith("diverged")
     assert all(0 <= contacts <= 2 for contacts in record["stop_contacts"].values())
 

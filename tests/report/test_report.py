@@ -630,11 +630,11 @@ def test_springs_friction_and_other_elements_are_on_the_page(lone_loop: JobResul
     assert rows == [
         ("specific force", "platform", "(0, 0, 9.81) m/s²"),
         ("spring", "9", "0.02 N m/rad, relaxed at 1 mrad"),
-        ("friction", "10", "viscous 1·10⁻⁵ N m s, dry 0.1 mN m and 0.2 mN m"),
-        ("friction", "9", "dry 0.1 mN m, breakaway 0.3 mN m and 0.2 mN m up to about 0.05 rad/s"),
+        ("friction", "10", "viscous 1·10⁻⁵ N m s, dry 100 µN m and 200 µN m"),
+        ("friction", "9", "dry 100 µN m, breakaway 300 µN m and 200 µN m up to about 0.05 rad/s"),
         ("cage", "4", "50 N m/rad, 0.1 N m s, play ±2 mrad"),
         ("unbalance", "10", "(0, 1·10⁻⁶, 0) kg m"),
-        ("erection", "9", "1 mN m × tilt of +1 of 10, at most 0.5 mN m"),
+        ("erection", "9", "1 mN m × tilt of +1 of 10, at most 500 µN m"),
     ]
     shown = Cells(page_html(loaded)).rows
     for row in rows:
@@ -691,7 +691,7 @@ def test_a_judged_value_is_never_printed_better_than_it_is(value: float, limit: 
     for text in (compared(one)[0], value_and_limit(one)[0]):
         words, _, shown_unit = text.partition(" ")
         shown = number_in(words)
-        exact = Fraction(repr(value)) * (1000 if shown_unit == "mrad" else 1)
+        exact = Fraction(repr(value)) * {"mrad": 1000, "µrad": 1_000_000}.get(shown_unit, 1)
         assert shown <= exact if sense == "at least" else shown >= exact
         assert shown == pytest.approx(float(exact), rel=1e-3)
 

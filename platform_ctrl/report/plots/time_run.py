@@ -43,7 +43,7 @@ from platform_ctrl.verification.simulated import Run
 _FAR = 3.7
 # A trace beyond so many times its limit is cut off.
 _WILD = 5.0
-# Angles below this are drawn in μrad, rad.
+# Angles below this are drawn in µrad, rad.
 _TINY = 1e-5
 
 
@@ -195,9 +195,9 @@ def _commanded(row: Sequence[Axes], t: Trajectory) -> list[Axes]:
 def _angles(
     axes: Axes, t: FloatArray, y: FloatArray, names: Mapping[str, int], limit: float | None, title: str
 ) -> None:
-    """Draw angles in mrad, or in μrad if they are tiny and have no limit."""
+    """Draw angles in mrad, or in µrad if they are tiny and have no limit."""
     small = limit is None and 0.0 < float(np.nanmax(np.abs(y), initial=0.0)) < _TINY
-    factor, unit = (1e6, "μrad") if small else (1e3, "mrad")
+    factor, unit = (1e6, "µrad") if small else (1e3, "mrad")
     _traces(axes, t, factor * y, names, None if limit is None else factor * limit, title, unit)
 
 
