@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from platform_ctrl.analysis.disturbances import Disturbance, RandomDisturbance, SampleNoise
+from platform_ctrl.analysis.frequency_grids import UP_TO
 from platform_ctrl.analysis.hybrid_plant import HybridPlant
-from platform_ctrl.analysis.panels import UP_TO
 from platform_ctrl.common.values import FloatArray, value
 
 

@@ -31,8 +31,7 @@ from platform_ctrl.analysis.arrays import (
     square_responses,
     system_arrays,
 )
-from platform_ctrl.analysis.response import frequency_response
-from platform_ctrl.analysis.transfer_function import NamedSystem, linear_arrays
+from platform_ctrl.analysis.response import NamedSystem, frequency_response, linear_arrays
 from platform_ctrl.common.arguments import indices, number, one_of
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray, value

@@ -22,8 +22,8 @@ import numpy as np
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
 from platform_ctrl.analysis.budget_result import Budget, Contribution, assembled
 from platform_ctrl.analysis.disturbances import Disturbance, RandomDisturbance, SampleNoise, SineDisturbance
+from platform_ctrl.analysis.frequency_grids import GAUSS, KRONROD, Panel, between, halves, nodes
 from platform_ctrl.analysis.hybrid_plant import HybridPlant, OpenLoop
-from platform_ctrl.analysis.panels import GAUSS, KRONROD, Panel, between, halves, nodes
 from platform_ctrl.analysis.pointing_windows import window_shares
 from platform_ctrl.analysis.poles import continuous_poles, poles
 from platform_ctrl.common.arguments import positive, whole, within

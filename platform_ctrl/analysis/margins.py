@@ -20,8 +20,8 @@ from platform_ctrl.analysis.feedback import At, closed_loop_with_sensitivity
 from platform_ctrl.analysis.mu import SLACK, MuPeak, mu_bounds, perturbation, search_grid
 from platform_ctrl.analysis.norms import hinf_norm, peak_gain
 from platform_ctrl.analysis.poles import continuous_poles, poles, spectral_abscissa
+from platform_ctrl.analysis.response import LinearSystem, NamedSystem, linear_arrays
 from platform_ctrl.analysis.singular_values import largest_singular_values
-from platform_ctrl.analysis.transfer_function import LinearSystem, NamedSystem, linear_arrays
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError

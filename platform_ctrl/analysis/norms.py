@@ -21,9 +21,8 @@ from numpy.typing import ArrayLike
 from platform_ctrl.analysis.arrays import MANY_STATES, ComplexArray, StateArrays, scaled
 from platform_ctrl.analysis.poles import continuous_poles, poles, spectral_abscissa, spectral_radius
 from platform_ctrl.analysis.resolvent import ON_A_GRID, plain
-from platform_ctrl.analysis.response import frequency_response
+from platform_ctrl.analysis.response import StateSystem, frequency_response, linear_arrays
 from platform_ctrl.analysis.singular_values import PORTS, FrequencyAxis, boundary_poles, largest_singular_values
-from platform_ctrl.analysis.transfer_function import StateSystem, linear_arrays
 from platform_ctrl.common.arguments import not_negative
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray

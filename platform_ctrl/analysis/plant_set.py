@@ -36,6 +36,11 @@ COMMAND = "_command"
 Group = Literal["nominal", "uncertainty", "Omega", "angles", "friction", "faults"]
 
 
+# Fields with an entry for each plant, beside what it is called.
+_MATRICES = ("A", "B", "C", "D", "B_Omega", "D_Omega", "C_sight", "D_sight")
+_OF_EACH = (*_MATRICES, "response", "Omega_response", "sight_response")
+
+
 @value
 class PlantSet:
     """Sampled plants of one loop: the nominal one first, then the others that the controller must stabilise.
@@ -132,19 +137,8 @@ class PlantSet:
         m, p = len(self.torques), len(self.angles)
         whole = feedforward.taken_up(self.whole, m, p)
         added = whole.A.shape[-1] - len(self.states)
-        out = dataclasses.replace(
-            self,
-            A=whole.A,
-            B=whole.B[..., :m],
-            C=whole.C[:, :p],
-            D=whole.D[:, :p, :m],
-            B_Omega=whole.B[..., m:],
-            D_Omega=whole.D[:, :p, m:],
-            C_sight=whole.C[:, p:],
-            D_sight=whole.D[:, p:],
-            states=(*self.states, *(f"feedforward_{k + 1}" for k in range(added))),
-            feedforward=feedforward,
-        )
+        states = (*self.states, *(f"feedforward_{k + 1}" for k in range(added)))
+        out = dataclasses.replace(self, **_matrices(whole, m, p), states=states, feedforward=feedforward)
         return out.on(self.frequency)
 
     @property
@@ -286,19 +280,9 @@ class PlantSet:
         index = np.asarray(chosen, dtype=np.intp)
         return dataclasses.replace(
             self,
-            A=self.A[index],
-            B=self.B[index],
-            C=self.C[index],
-            D=self.D[index],
             labels=tuple(self.labels[k] for k in index),
             groups=tuple(self.groups[k] for k in index),
-            B_Omega=self.B_Omega[index],
-            response=self.response[index],
-            Omega_response=self.Omega_response[index],
-            D_Omega=self.D_Omega[index],
-            C_sight=self.C_sight[index],
-            D_sight=self.D_sight[index],
-            sight_response=self.sight_response[index],
+            **{name: getattr(self, name)[index] for name in _OF_EACH},
         )
 
 
@@ -315,55 +299,45 @@ def members(groups: Sequence[str], of: Sequence[str]) -> BoolArray:
     return np.array([group in of for group in groups], dtype=np.bool_)
 
 
-def plant_set(  # noqa: PLR0913 - options by keyword
-    plants: StateArrays,
+def plant_set(  # noqa: PLR0913 - what a set is made of, by keyword
+    whole: StateArrays,
+    *,
     labels: tuple[str, ...],
+    groups: tuple[Group, ...],
     torques: tuple[str, ...],
     angles: tuple[str, ...],
+    sight: tuple[str, ...],
+    states: Sequence[str],
+    Omega: FloatArray,
+    torque_limit: FloatArray,
     nutation: float,
     noise: FloatArray,
-    *,
-    groups: tuple[Group, ...] | None = None,
-    B_Omega: FloatArray | None = None,
-    Omega: FloatArray | None = None,
-    torque_limit: FloatArray | None = None,
-    states: Sequence[str] | None = None,
-    D_Omega: FloatArray | None = None,
-    sight: tuple[str, ...] = (),
-    C_sight: FloatArray | None = None,
-    D_sight: FloatArray | None = None,
 ) -> PlantSet:
-    """Return the set, its responses computed once on `tuning_grid`.
-
-    Without `groups` the first plant is the nominal one and the others have uncertain parameters; without the rest the
-    platform does not turn and the torquers have no limits.
-    """
-    (N, n), m, p = plants.A.shape[:2], plants.B.shape[-1], plants.C.shape[-2]
-    others: list[Group] = ["uncertainty" for _ in labels[1:]]
-    none = np.zeros((N, 0, 0, 0), dtype=np.complex128)
+    """Return the set of the plants `whole`, as `PlantSet.whole` has them, its responses computed on `tuning_grid`."""
+    none = np.zeros((len(labels), 0, 0, 0), dtype=np.complex128)
     out = PlantSet(
-        A=plants.A,
-        B=plants.B,
-        C=plants.C,
-        D=plants.D,
-        period=plants.dt,
+        **_matrices(whole, len(torques), len(angles)),
+        period=whole.dt,
         labels=labels,
-        groups=("nominal", *others) if groups is None else groups,
+        groups=groups,
         torques=torques,
         angles=angles,
-        B_Omega=np.zeros((N, n, 3)) if B_Omega is None else B_Omega,
-        Omega=np.zeros(3) if Omega is None else Omega,
-        torque_limit=np.full(len(torques), np.inf) if torque_limit is None else torque_limit,
+        Omega=Omega,
+        torque_limit=torque_limit,
         nutation=nutation,
         noise=noise,
         frequency=np.zeros(0),
         response=none,
         Omega_response=none,
-        states=tuple(f"x{k}" for k in range(n)) if states is None else tuple(states),
-        D_Omega=np.zeros((N, p, 3)) if D_Omega is None else D_Omega,
+        states=tuple(states),
         sight=sight,
-        C_sight=np.zeros((N, 0, n)) if C_sight is None else C_sight,
-        D_sight=np.zeros((N, 0, m + 3)) if D_sight is None else D_sight,
         sight_response=none,
     )
-    return out.on(tuning_grid(nutation, plants.dt))
+    return out.on(tuning_grid(nutation, whole.dt))
+
+
+def _matrices(whole: StateArrays, m: int, p: int) -> dict[str, Any]:
+    """Return the matrices of plants with m torques and p measured outputs by the names of the fields."""
+    A, B, C, D, _ = whole
+    parts = A, B[..., :m], C[:, :p], D[:, :p, :m], B[..., m:], D[:, :p, m:], C[:, p:], D[:, p:]
+    return dict(zip(_MATRICES, parts, strict=True))

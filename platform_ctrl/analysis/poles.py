@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.arrays import ComplexArray, all_finite, scaled
-from platform_ctrl.analysis.transfer_function import StateSystem, linear_arrays
+from platform_ctrl.analysis.response import StateSystem, linear_arrays
 from platform_ctrl.common.arguments import complex_numbers, number, positive, real_numbers
 from platform_ctrl.common.signatures import short
 from platform_ctrl.common.values import FloatArray, value

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.arrays import StateArrays, all_finite, state_scaling
-from platform_ctrl.analysis.transfer_function import StateSystem, is_rational, linear_arrays
+from platform_ctrl.analysis.response import StateSystem, is_rational, linear_arrays
 from platform_ctrl.common.arguments import one_of, real_numbers
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray

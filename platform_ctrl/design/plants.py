@@ -144,7 +144,7 @@ def sampled_plants(
     """
     torques, names = (tuple(one.name for one in part) for part in (linear.torquers, linear.sensors))
     A, lags = linear.A, np.array([t.lag for t in linear.torquers])
-    p, m = len(names), len(torques)
+    m = len(torques)
     period = every * sampling.period
     _expect_slow(A, linear.cases, period)
     C, D = (
@@ -169,21 +169,17 @@ def sampled_plants(
         whole, kept = every_nth(whole, every)
         states = [states[k] for k in kept]
     return plant_set(
-        StateArrays(whole.A, whole.B[..., :m], whole.C[:, :p], whole.D[:, :p, :m], period),
+        whole._replace(dt=period),
         labels=tuple(one.label for one in linear.cases),
         torques=torques,
         angles=names,
         nutation=loop_reference(linear, period),
         noise=np.array([s.sampled_noise(sampling.period) for s in linear.sensors]),
         groups=tuple(one.group for one in linear.cases),
-        B_Omega=whole.B[..., m:],
         Omega=Omega,
         torque_limit=np.array([np.inf if t.limit is None else t.limit for t in linear.torquers]),
         states=states,
-        D_Omega=whole.D[:, :p, m:],
         sight=linear.signals.sight,
-        C_sight=whole.C[:, p:],
-        D_sight=whole.D[:, p:],
     )
 
 
@@ -218,27 +214,24 @@ def around(
     whole = plants.whole if feedforward is None else feedforward.taken_up(plants.whole, m, p)
     closed = commanded_loop(whole, K, range(m), range(p))
     slower = 1 if spec.rate_hz is None else round(job.period_of(spec) / plants.period)
-    A, B, C, D, dt = every_nth(closed, slower)[0] if slower > 1 else closed
-    # Outputs are the torques, then all of the plant's.
-    Omega, command = slice(m, m + 3), slice(m + 3, m + 3 + p)
-    read, sight = slice(m + p, m + p + len(spec.sensors)), slice(m + p + len(spec.sensors), None)
+    closed = every_nth(closed, slower)[0] if slower > 1 else closed
+    # Inputs are the torques, Omega, the commands; outputs are the torques, then all of the plant's.
+    inner = closed.part(slice(m + p, None), [*range(m + 3, m + 3 + p), *range(m, m + 3)])
     commands = tuple(f"{name}{COMMAND}" for name in plants.angles[:p])
     found = plant_set(
-        StateArrays(A, B[..., command], C[..., read, :], D[..., read, command], dt),
+        inner,
         labels=plants.labels,
         torques=commands,
         angles=spec.sensors,
-        nutation=tracking_reference(job, spec, plants.nutation, dt / job.every(spec)),
+        nutation=tracking_reference(job, spec, plants.nutation, inner.dt / job.every(spec)),
         noise=plants.noise[p:],
         groups=plants.groups,
-        B_Omega=B[..., Omega],
         Omega=job.Omega,
-        D_Omega=D[..., read, Omega],
+        torque_limit=np.full(p, np.inf),
         sight=plants.sight,
-        C_sight=C[..., sight, :],
-        D_sight=np.concatenate([D[..., sight, command], D[..., sight, Omega]], axis=-1),
+        states=[f"x{k}" for k in range(inner.A.shape[-1])],
     )
-    z = np.exp(1j * (w := 0.1 * found.nutation) * dt)
+    z = np.exp(1j * (w := 0.1 * found.nutation) * inner.dt)
     seen = np.linalg.solve(z * np.eye(found.A.shape[-1]) - found.A[0], found.B[0])
     effect = np.real(1j * w * (found.C[0] @ seen + found.D[0]))
     if not shows_each(effect):

@@ -7,7 +7,6 @@ import pytest
 
 from platform_ctrl.analysis import frequency_response, sampled
 from platform_ctrl.analysis.arrays import StateArrays, state_arrays
-from platform_ctrl.analysis.plant_set import plant_set
 from platform_ctrl.design.cases import cases
 from platform_ctrl.design.plants import loop_plants
 from platform_ctrl.errors import ArgumentError
@@ -166,17 +165,6 @@ def test_a_choice_of_plants_keeps_what_they_stand_for(full):
     np.testing.assert_array_equal(part.B_Omega, full.B_Omega[chosen])
     np.testing.assert_array_equal(part.Omega_response, full.Omega_response[chosen])
     assert part.torque_limit is full.torque_limit
-
-
-def test_plants_that_nothing_else_is_said_of_do_not_turn_and_know_no_torque_limit():
-    A = np.array([[[0.5]], [[0.6]]])
-    one = np.ones((2, 1, 1))
-    plants = plant_set(
-        StateArrays(A, one, one, 0.0 * one, 1.0), ("a", "b"), ("Q",), ("angle",), nutation=1.0, noise=np.zeros(1)
-    )
-    assert plants.groups == ("nominal", "uncertainty")
-    assert not np.any(plants.Omega_response)
-    assert np.all(np.isinf(plants.torque_limit))
 
 
 def test_a_controller_is_joined_by_the_names_of_its_signals(job):

@@ -8,7 +8,7 @@ import pytest
 
 from platform_ctrl import analysis
 from platform_ctrl.analysis.poles import is_stable, poles
-from platform_ctrl.analysis.transfer_function import linear_arrays
+from platform_ctrl.analysis.response import linear_arrays
 from platform_ctrl.errors import ArgumentError
 
 s = control.tf("s")

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import ArrayLike
 
-from platform_ctrl.analysis.transfer_function import LinearSystem
+from platform_ctrl.analysis.response import LinearSystem
 from platform_ctrl.common.arguments import known_name
 from platform_ctrl.common.signatures import check_arguments, short
 from platform_ctrl.common.text import greek

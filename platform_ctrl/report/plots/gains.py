@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from platform_ctrl.analysis.arrays import ComplexArray, named_system
 from platform_ctrl.analysis.feedback import Gang, closed_loop, gang
 from platform_ctrl.analysis.poles import is_stable
-from platform_ctrl.analysis.transfer_function import LinearSystem
+from platform_ctrl.analysis.response import LinearSystem
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.text import greek
 from platform_ctrl.common.values import FloatArray, value

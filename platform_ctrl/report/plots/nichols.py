@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 from platform_ctrl.analysis.arrays import ComplexArray
 from platform_ctrl.analysis.disks import disk_phase, disk_to_gain_phase
 from platform_ctrl.analysis.margins import DiskMargin, disk_margin
-from platform_ctrl.analysis.transfer_function import LinearSystem
+from platform_ctrl.analysis.response import LinearSystem
 from platform_ctrl.common.arguments import positive
 from platform_ctrl.common.signatures import check_arguments, short
 from platform_ctrl.common.text import at_least, at_most, greek

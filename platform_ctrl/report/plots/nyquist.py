@@ -17,8 +17,8 @@ from numpy.typing import ArrayLike, NDArray
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, named_system, scaled
 from platform_ctrl.analysis.margins import disk_margin
 from platform_ctrl.analysis.poles import poles
+from platform_ctrl.analysis.response import LinearSystem
 from platform_ctrl.analysis.singular_values import boundary_poles
-from platform_ctrl.analysis.transfer_function import LinearSystem
 from platform_ctrl.common.arguments import positive
 from platform_ctrl.common.signatures import short
 from platform_ctrl.common.text import at_least

@@ -12,8 +12,8 @@ from matplotlib.ticker import MaxNLocator
 
 from platform_ctrl.analysis.arrays import ComplexArray, scaled
 from platform_ctrl.analysis.poles import damping_ratio
+from platform_ctrl.analysis.response import LinearSystem
 from platform_ctrl.analysis.singular_values import boundary_poles
-from platform_ctrl.analysis.transfer_function import LinearSystem
 from platform_ctrl.common.arguments import one_of, positive
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray, value

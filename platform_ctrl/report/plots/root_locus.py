@@ -15,8 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, scaled, state_arrays
 from platform_ctrl.analysis.feedback import closed_loop, loop_transfer
 from platform_ctrl.analysis.poles import Poles, continuous_poles, damping_ratio, pole_branches, refined_values
+from platform_ctrl.analysis.response import LinearSystem
 from platform_ctrl.analysis.sampling import sampled, with_lag
-from platform_ctrl.analysis.transfer_function import LinearSystem
 from platform_ctrl.common.arguments import known_names, one_of, positive, real_numbers
 from platform_ctrl.common.signatures import check_arguments, short
 from platform_ctrl.common.values import FloatArray, value

@@ -9,9 +9,9 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from platform_ctrl.analysis.arrays import named_system, scaled
+from platform_ctrl.analysis.response import LinearSystem
 from platform_ctrl.analysis.singular_values import boundary_poles
 from platform_ctrl.analysis.time_responses import time_response
-from platform_ctrl.analysis.transfer_function import LinearSystem
 from platform_ctrl.common.arguments import positive
 from platform_ctrl.common.text import greek
 from platform_ctrl.common.values import FloatArray

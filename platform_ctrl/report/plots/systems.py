@@ -18,15 +18,15 @@ from numpy.typing import ArrayLike, NDArray
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, frequencies, scaled
 from platform_ctrl.analysis.frequency_grids import around_resonances
 from platform_ctrl.analysis.poles import continuous_poles, poles
-from platform_ctrl.analysis.response import frequency_response
-from platform_ctrl.analysis.singular_values import boundary_poles
-from platform_ctrl.analysis.transfer_function import (
+from platform_ctrl.analysis.response import (
     LinearSystem,
+    frequency_response,
     is_proper,
     is_rational,
     linear_arrays,
     rational_response,
 )
+from platform_ctrl.analysis.singular_values import boundary_poles
 from platform_ctrl.common.signatures import short
 from platform_ctrl.common.text import LETTERS
 from platform_ctrl.common.values import FloatArray, value
