@@ -6,7 +6,7 @@ import dataclasses
 import math
 from dataclasses import field
 from itertools import product
-from typing import Annotated, Literal, get_args
+from typing import Annotated, Any, Literal, get_args
 
 import numpy as np
 
@@ -30,7 +30,7 @@ from platform_ctrl.plant.tables import TABLE, Array, At, Collected, Instead, Key
 Points = Literal["sobol", "latin-hypercube", "random"]
 
 MOST_LOOPS, MOST_DRIVES, MOST_VIBRATIONS, MOST_SINES, MOST_COMMANDS = 100, 100, 20, 100, 100
-_RATE_HZ = Instead("rate_hz", fields.FREQUENCY, lambda rate, _: 1.0 / rate)
+_RATE_HZ = Instead("rate_hz", fields.FREQUENCY, lambda rate, _: 1.0 / rate, lambda period: 1.0 / period)
 _LIMITS = Shape(dict, {name: Key(fields.POSITIVE, name) for name in RUN_METRICS})
 _LOOP_LIMITS = Shape(dict, {}, others=("", fields.POSITIVE))  # which keys there are, METRICS says: see job.checks
 _ANGLES = Shape(dict, {}, others=("", fields.NUMBERS))
@@ -240,7 +240,12 @@ def _time_table(columns: tuple[str, ...]) -> Shape:
         return TimeTable(t=np.array(t), values=values, smooth=smooth)
 
     keys = {"t": Key(fields.TIMES, "t", needed=True)} | {column: Key(fields.NUMBERS, column) for column in columns}
-    return Shape(made, keys | {"smooth": Key(fields.TRUTH, "smooth")})
+
+    def back(table: TimeTable) -> dict[str, Any]:
+        values = dict(zip(columns, table.values.T.tolist(), strict=True))
+        return {"t": table.t.tolist(), **values, "smooth": table.smooth}
+
+    return Shape(made, keys | {"smooth": Key(fields.TRUTH, "smooth")}, back=back)
 
 
 @input_value

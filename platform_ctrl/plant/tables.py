@@ -1,4 +1,4 @@
-"""Tables of an input file, read as the records that they become.
+"""Tables of an input file, read as the records that they become, and records written as these tables.
 
 A record says itself how it is read: each field that is a key of the file is annotated with what is expected of it
 (`fields.Positive`, ...) or with one of the marks below. A field without a mark is no key of the file.
@@ -12,6 +12,8 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from typing import Annotated, Any, Union, get_args, get_origin, get_type_hints
+
+import numpy as np
 
 from platform_ctrl.common.arguments import nearest
 from platform_ctrl.plant.fields import Expected, Refers, Unfit
@@ -40,11 +42,15 @@ class At:
 
 @dataclass(frozen=True, eq=False)
 class Instead:
-    """Mark of a field that another key may stand for: `value` makes it of that key's value and of the other fields."""
+    """Mark of a field that another key may stand for: `value` makes it of that key's value and of the other fields.
+
+    A field that is no key itself is written by `back`.
+    """
 
     key: str
     expected: Expected
     value: Callable[[Any, Mapping[str, Any]], Any]
+    back: Callable[[Any], Any] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,6 +87,8 @@ class Key:
 class Shape:
     """Which keys a table has, and what it becomes: with no `make`, fields of the table around it.
 
+    `back` returns the table of what it has become, where that is neither a record nor a dictionary.
+
     Of each pair of `alternatives` one may be given and, where it is needed (True), has to be.
     """
 
@@ -90,6 +98,7 @@ class Shape:
     # Of any other key: the field that is a dictionary of them ("": the table is one itself), and what is expected.
     others: tuple[str, Expected] | None = None
     one_of: OneOf | None = None
+    back: Callable[[Any], dict[str, Any]] | None = None
 
 
 # Mark of a field that is a record, in a table of the field's name.
@@ -205,6 +214,57 @@ def made(arguments: dict[str, Any]) -> dict[str, Any]:
         else:
             out[name] = item.instead.value(item.item, arguments) if isinstance(item, _Other) else item
     return out
+
+
+def written(record: Any) -> dict[str, Any]:
+    """Return the table that a record is read from, the needed keys first, without what it has by default."""
+    table = shape(type(record))
+    out = _written(table, record)
+    collected = [key.field for key in table.keys.values() if key.collected]
+    for name in dict.fromkeys([*collected, *(table.others or ())[:1]]):
+        part = getattr(record, name)
+        out |= _plain(part) if isinstance(part, Mapping) else written(part)
+    return out
+
+
+def _written(table: Shape, record: Any) -> dict[str, Any]:
+    out: dict[str, Any] = {}
+    fields = {one.name: one for one in dataclasses.fields(record)}
+    double = {other for _, other, _ in table.alternatives}
+    for name, key in sorted(table.keys.items(), key=lambda pair: not pair[1].needed):
+        if name in double or key.collected:
+            continue
+        if isinstance(key.holds, Shape) and key.holds.make is None:
+            item: Any = _written(key.holds, record)
+            default: Any = {}
+        else:
+            one = fields[key.field]
+            default = one.default if one.default_factory is dataclasses.MISSING else one.default_factory()
+            item, default = (_item_of(key, item) for item in (getattr(record, key.field), default))
+        if item != default:
+            out[name] = item
+    return out
+
+
+def _item_of(key: Key, item: Any) -> Any:
+    """Return what stands under a key for a field's value."""
+    if item is None or item is dataclasses.MISSING:
+        return item
+    if key.instead is not None and key.instead.back is not None:
+        return key.instead.back(item)
+    if not isinstance(key.holds, Shape) or isinstance(item, Mapping):
+        return _plain(item)
+    if key.array is not None:
+        return [written(one) for one in item]
+    return written(item) if key.holds.back is None else key.holds.back(item)
+
+
+def _plain(item: Any) -> Any:
+    if isinstance(item, np.ndarray | np.generic):
+        return item.tolist()
+    if isinstance(item, Mapping):
+        return {name: _plain(one) for name, one in item.items()}
+    return [_plain(one) for one in item] if isinstance(item, tuple | list) else item
 
 
 def _read(table: Shape, data: dict[str, Any], path: Path, mistakes: list[Mistake]) -> dict[str, Any]:

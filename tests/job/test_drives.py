@@ -24,9 +24,7 @@ BOTH = FRICTION | SECANT | {"secant_limit": 3.0}
 
 def test_a_job_is_written_with_its_drives() -> None:
     job = read_job(driven_job(BOTH))
-    assert job_data(job)["drive"] == [
-        {key: item for key, item in BOTH.items() if key != "friction_rate"} | {"sensors": ("base_yaw",)}
-    ]
+    assert job_data(job)["drive"] == [{key: item for key, item in BOTH.items() if key != "friction_rate"}]
     again = read_job(tomllib.loads(toml(job_data(job))))
     assert [dataclasses.astuple(law) for law in again.drive_laws] == [
         dataclasses.astuple(law) for law in job.drive_laws

@@ -6,6 +6,7 @@ import copy
 import math
 import pickle
 import random
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -14,14 +15,18 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from fuzz_files import EVERY_JOB_KEY, HERE
 from plant.test_reading_plant import JUNK, Change, add, both, drop, mutate, outcome, plant, put, refusal, toml_file
 from platform_ctrl.cli import main as command
+from platform_ctrl.common.store import key_of
+from platform_ctrl.common.values import replaced
 from platform_ctrl.errors import OldKeyWarning
 from platform_ctrl.job.methods import METHODS
 from platform_ctrl.job.reading import read_job
 from platform_ctrl.job.requirements import limit_keys
-from platform_ctrl.job.writing import plant_data
+from platform_ctrl.job.writing import job_data, plant_data, toml
 from platform_ctrl.plant.reading import read_platform
+from platform_ctrl.plant.source import shipped_models
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "three_gyro_platform.toml"
 
@@ -652,9 +657,21 @@ def test_every_limit_can_be_a_goal() -> None:
     assert (loop.limits, loop.soft) == (limits, soft)
 
 
-def test_a_job_is_written_and_read_back_whole() -> None:
-    from platform_ctrl.job.writing import job_data
+def test_every_key_of_a_job_file_and_its_plant_is_written() -> None:
+    """To the last bit, defaults included; the plant's name, and logs, which become spectra, aside."""
+    read = read_job(EVERY_JOB_KEY.data, folder=HERE)
+    again = read_job(tomllib.loads(toml(job_data(read))))
+    bare = {"plant": "", "budget": None}
+    assert key_of(replaced(again, bare)) == key_of(replaced(read, bare))
 
+
+@pytest.mark.parametrize("name", shipped_models())
+def test_every_number_of_a_shipped_plant_is_written(name: str) -> None:
+    platform = read_platform(name)
+    assert key_of(read_platform(tomllib.loads(toml(plant_data(platform))))) == key_of(platform)
+
+
+def test_a_job_is_written_and_read_back_whole() -> None:
     # Those of the line of sight belong to rate and pointing loops.
     names = [key for key in limit_keys() if not key.startswith("attenuation")]
     data = job() | {"faults": {"slow_rotor": 0.5}}

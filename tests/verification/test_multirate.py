@@ -396,7 +396,7 @@ def test_rates_that_do_not_fit_are_one_line(loop: int, rate: float, words: str) 
 
 
 def test_a_loop_around_a_slow_one_needs_a_rate() -> None:
-    with pytest.raises(InputError, match='"rate_hz" is missing: the loop inside has 500 Hz'):
+    with pytest.raises(InputError, match='"rate_hz" is missing; the loop inside has 500 Hz'):
         read_job(tracking_job(None, inner=2))
 
 

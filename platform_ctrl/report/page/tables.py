@@ -333,7 +333,10 @@ def mode_table(result: JobResult) -> Table:
 
 def record_part(job: Job) -> Fold:
     """Return the job with its plant as a listing to be copied."""
-    words = f"All numbers to their last digit, in SI units, with the plant (“{job.plant}” in the job)."
+    words = (
+        f"All numbers to their last digit, in SI units, with the plant (“{job.plant}” in the job); what is left out "
+        "has its default value."
+    )
     return Fold(
         title="Job and plant as read",
         blocks=(Paragraph(text=words), Listing(text=toml(job_data(job)), file="job.toml")),
