@@ -237,7 +237,6 @@ class CagedCurves(LoopCurves):
     def locus(self) -> Locus:
         """Return the root locus."""
         loop, s = self._loop, self.poles
-        branches = gain_locus(self._loop.plant, loop.controller, points=110 if loop.exact else 40)
         nyquist = math.pi / loop.shown.period
         size = np.where(np.isfinite(s), np.abs(s), np.inf)
         # Oscillations, and what is about as fast as nutation: faster poles would squeeze everything else together.
@@ -247,6 +246,7 @@ class CagedCurves(LoopCurves):
             # The poles of delayed trackers reach far beyond the loop.
             oscillating = oscillating[oscillating < _AROUND * nutation]
         reach = min(1.25 * max(oscillating.max(initial=0.0), 1.5 * nutation), nyquist)
+        branches = gain_locus(self._loop.plant, loop.controller, reach)
         others = np.zeros(0, dtype=np.complex128)
         if self.band is not None:
             others = continuous_poles(self.band.poles, loop.shown.period).ravel()

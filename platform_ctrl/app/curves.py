@@ -21,6 +21,9 @@ from platform_ctrl.report.quantities import signal_series
 
 # Values beyond this are of a loop that diverges: no page has to draw them.
 _FARTHEST = 1e12
+# Distance of poles from one factor of the root locus to the next, as a share of what is shown, above which a factor is
+# put between, and how often.
+_STEP, _HALVINGS = 0.07, 2
 # Points of a response over time.
 POINTS = 240
 
@@ -148,10 +151,10 @@ def sampled_responses(systems: StateArrays, inputs: FloatArray, every: int) -> F
     )
 
 
-def gain_locus(plant: StateArrays, controller: StateArrays, points: int) -> tuple[FloatArray, ComplexArray]:
+def gain_locus(plant: StateArrays, controller: StateArrays, reach: float) -> tuple[FloatArray, ComplexArray]:
     """Return factors on all of a controller from 0 to 2.5, 1 among them, and the closed-loop poles (G, n) in s.
 
-    Columns are continuous branches; s = ln(z)/T.
+    Columns are continuous branches; s = ln(z)/T. There are more factors where poles within `reach`, rad/s, move far.
     """
     A, B, C, D, period = plant
 
@@ -164,9 +167,20 @@ def gain_locus(plant: StateArrays, controller: StateArrays, points: int) -> tupl
         return np.asarray(np.linalg.eigvals(closed), dtype=np.complex128)
 
     # From 0 on poles move as the root of the factor: closer steps there.
-    half = points // 2
-    gains = np.concatenate([np.linspace(0.0, 1.0, half + 1) ** 1.5, np.linspace(1.0, 2.5, half)[1:]])
-    return gains, continuous_poles(pole_branches(poles(gains)), period)
+    gains = np.concatenate([np.linspace(0.0, 1.0, 9) ** 1.5, np.linspace(1.0, 2.5, 6)[1:]])
+    z = poles(gains)
+    for _ in range(_HALVINGS):
+        far = np.flatnonzero(_steps(continuous_poles(z, period), 1.5 * reach) > _STEP * reach)
+        between = 0.5 * (gains[far] + gains[far + 1])
+        gains, z = np.insert(gains, far + 1, between), np.insert(z, far + 1, poles(between), axis=0)
+    return gains, continuous_poles(pole_branches(z), period)
+
+
+def _steps(s: ComplexArray, reach: float) -> FloatArray:
+    """Return how far a pole (G, n) within `reach` has at most to the nearest one at the next factor, (G - 1,)."""
+    with np.errstate(invalid="ignore"):
+        nearest = np.nan_to_num(np.abs(s[:-1, :, None] - s[1:, None, :]), nan=np.inf).min(axis=2)
+    return np.where(np.abs(s[:-1]) < reach, nearest, 0.0).max(axis=1, initial=0.0)
 
 
 def moved_by_gain(gains: FloatArray, branches: ComplexArray, present: ComplexArray) -> BoolArray:

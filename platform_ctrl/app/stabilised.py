@@ -288,10 +288,12 @@ class StabilisedCurves(LoopCurves):
     def locus(self, others: ComplexArray, crossover: float) -> Locus:
         """Return the root locus for the servo's gain on all axes; the caging loops stay closed as they are."""
         P, K = self.plant, self.controller
+        nyquist = math.pi / P.dt
+        reach = min(8.0 * crossover, nyquist)
         moving = np.array([name in self.roots for name in self.torquers])
         m = len(moving)
         if P.D.any():
-            branches = gain_locus(P, K, points=32)
+            branches = gain_locus(P, K, reach)
         else:
             inner = StateArrays(
                 K.A, K.B, np.where(moving[:, None], 0.0, K.C), np.where(moving[:, None], 0.0, K.D), K.dt
@@ -301,9 +303,8 @@ class StabilisedCurves(LoopCurves):
             feedback = np.hstack([K.D @ P.C, K.C]) * moving[:, None]
             closed = StateArrays(A, B[:, :m], feedback, np.zeros((m, m)), P.dt)
             static = StateArrays(np.zeros((0, 0)), np.zeros((0, m)), np.zeros((m, 0)), np.eye(m), P.dt)
-            branches = gain_locus(closed, static, points=32)
-        nyquist = math.pi / P.dt
-        found = locus(branches, self.poles, others.ravel(), min(8.0 * crossover, nyquist), nyquist, None)
+            branches = gain_locus(closed, static, reach)
+        found = locus(branches, self.poles, others.ravel(), reach, nyquist, None)
         return dataclasses.replace(found, draggable=found.draggable & moved_by_gain(*branches, self.poles))
 
 
