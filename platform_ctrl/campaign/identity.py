@@ -43,6 +43,8 @@ def identity(plan: Plan, device: str = "cpu") -> Identity:
         "step": float(plan.step),
         "device": device,
     }
+    if job.drives:
+        out["drives"] = digest(job.drives)
     if plan.sampling == "latin-hypercube":
         out["runs"] = int(plan.runs)  # one more run moves all the others
     return out

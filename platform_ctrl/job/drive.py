@@ -50,12 +50,12 @@ class Drive:
 
 
 @input_value
-class DriveLaw:
+class DriveLaw(Drive):
     """A drive with the weights of its sensors: what a computer needs to know, whatever the plant is like.
 
     Attributes
     ----------
-    torquer, friction, friction_rate, secant_of, secant_limit
+    torquer, friction, friction_rate, sensors, secant_of, secant_limit
         As of `Drive`.
     weights
         Of the sensors' readings in v, by their names; dimensionless.
@@ -63,13 +63,8 @@ class DriveLaw:
         Whether v is the gimbal's own rate, which the torque changes.
     """
 
-    torquer: str
-    friction: float = 0.0
-    friction_rate: float = 0.01
     weights: dict[str, float] = dataclasses.field(default_factory=dict)
     feedback: bool = False
-    secant_of: str | None = None
-    secant_limit: float = 5.0
 
     def __post_init__(self) -> None:
         """Judge the numbers."""
@@ -154,15 +149,8 @@ def drive_law(platform: Platform, drive: Drive) -> DriveLaw:
     if drive.friction:
         gimbal = next(one.gimbal for one in platform.torquers if one.name == drive.torquer)
         weights, feedback = _weights(platform, platform.gimbal(str(gimbal)), drive.sensors)
-    return DriveLaw(
-        torquer=drive.torquer,
-        friction=drive.friction,
-        friction_rate=drive.friction_rate,
-        weights=weights,
-        feedback=feedback,
-        secant_of=drive.secant_of,
-        secant_limit=drive.secant_limit,
-    )
+    own = {one.name: getattr(drive, one.name) for one in dataclasses.fields(drive)}
+    return DriveLaw(**own, weights=weights, feedback=feedback)
 
 
 def _weights(platform: Platform, gimbal: int, names: tuple[str, ...]) -> tuple[dict[str, float], bool]:

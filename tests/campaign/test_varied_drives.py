@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import control
 
+from platform_ctrl.campaign.identity import identity
 from platform_ctrl.campaign.planning import plan
 from platform_ctrl.campaign.single_run import simulate_runs
 from platform_ctrl.common.values import replaced
@@ -13,6 +14,8 @@ from platform_ctrl.job.parameters import parameters
 from platform_ctrl.job.reading import read_job
 from platform_ctrl.job.variation import Vary
 from platform_ctrl.simulation import simulate_batch
+
+K = control.ss([], [], [], [[-2.0, 2.0]], 0.001, inputs=["rate", "rate_command"], outputs=["Qpitch"], name="K")
 
 
 def job(friction: float = 0.05, step: float = 0.2) -> Job:
@@ -76,7 +79,6 @@ def job(friction: float = 0.05, step: float = 0.2) -> Job:
 
 
 def test_a_campaign_with_varied_friction_fed_forward_is_separate_runs_bit_for_bit() -> None:
-    K = control.ss([], [], [], [[-2.0, 2.0]], 0.001, inputs=["rate", "rate_command"], outputs=["Qpitch"], name="K")
     made = plan(job(), [K])
     columns = simulate_runs(made, range(4))
     factors, steps = columns["drive.Qpitch.friction"], columns["command.rate.step"]
@@ -91,6 +93,12 @@ def test_a_campaign_with_varied_friction_fed_forward_is_separate_runs_bit_for_bi
             drawn.drives[0].friction,
             drawn.commands[0].step,
         )
+
+
+def test_runs_with_other_drives_are_another_campaign() -> None:
+    """Kept runs are continued only by runs that follow from the same: what drives feed forward moves the gimbals."""
+    one, other = (identity(plan(job(friction=friction), [K])) for friction in (0.05, 0.04))
+    assert {key for key in one if one[key] != other[key]} == {"drives"}
 
 
 def test_numbers_that_no_drive_and_no_command_has_do_not_exist() -> None:
