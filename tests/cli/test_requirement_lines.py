@@ -10,8 +10,17 @@ from hypothesis import strategies as st
 
 from platform_ctrl.analysis.metrics import METRICS
 from platform_ctrl.analysis.run_metrics import RUN_METRICS
-from platform_ctrl.cli.requirement_lines import Line, requirement_lines, severity, subject_of, summary_words
-from platform_ctrl.cli.terminal import screen, show_pairs, show_requirements, show_words
+from platform_ctrl.cli.terminal import (
+    Line,
+    requirement_lines,
+    screen,
+    severity,
+    show_pairs,
+    show_requirements,
+    show_words,
+    subject_of,
+    summary_words,
+)
 from platform_ctrl.job.judging import CheckResult, Requirement
 
 KINDS = [METRICS[kind] for kind in ("stability", "bandwidth", "disk margin", "attenuation", "torque noise", "tracking")]

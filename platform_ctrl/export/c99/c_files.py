@@ -17,9 +17,8 @@ from platform_ctrl.common.values import value
 from platform_ctrl.errors import InputError
 from platform_ctrl.export.c99.c_text import FILES, Names, field_names
 from platform_ctrl.export.c99.controller_files import ControllerFiles, job_files
-from platform_ctrl.export.c99.drives import drive_inputs, drive_notes, drive_words
 from platform_ctrl.export.c99.float_error import NOTED, float_error
-from platform_ctrl.export.c99.floating_files import FloatingFiles, cost_of
+from platform_ctrl.export.c99.floating_files import FloatingFiles, cost_of, drive_inputs, drive_notes, drive_words
 from platform_ctrl.export.c99.from_design import entries_of, scheme_of, with_excess
 from platform_ctrl.export.c99.scheme import Entry, Scheme, excess_gain
 from platform_ctrl.export.c99.windup import Windup, back_calculation, proved

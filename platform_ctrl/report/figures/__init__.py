@@ -1,4 +1,4 @@
-"""Plots for scripts by name, and, in the modules of this package, the figures of a job's report.
+"""Plots for scripts by name, and, in the modules of this package, the figures of loops in a job's report.
 
 Plots take plain values (systems, platforms, runs) and return a `control.ControlPlot` or a `matplotlib.figure.Figure`
 with the report's look: `show` opens windows for them, `.figure.savefig` writes a file; pyplot knows nothing of them

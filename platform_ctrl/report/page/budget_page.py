@@ -1,22 +1,42 @@
-"""The report's section about the line of sight: what each source does to it."""
+"""The report's section about the line of sight: what each source does to it, in tables and plots."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
+from platform_ctrl.job.budget import Budget
 from platform_ctrl.plant.sensors import LOS_ANGLES
-from platform_ctrl.report.figures.budget import MICRO, budget_figure, simulated_figure, waterfall_figure
 from platform_ctrl.report.page.blocks import Block, Paragraph, Part, Section, Table, plate, sentence, table
 from platform_ctrl.report.page.captions import sentences
 from platform_ctrl.report.quantities import plain, quantity
-from platform_ctrl.verification.budget_result import LineOfSightBudget
+from platform_ctrl.report.style import (
+    DASHED,
+    INK,
+    LIMIT,
+    REFERENCE,
+    frequency_axes,
+    legend,
+    line_style,
+    linear_axis,
+    panels,
+)
+from platform_ctrl.verification.budget_result import LineOfSightBudget, Waterfall, rms_ticks, waterfalls
 from platform_ctrl.verification.simulated_budget import SimulatedBudget
 from platform_ctrl.verification.verdict import JobResult
 
 # Shares of the mean square that are none.
 _ROUNDING = 1e-12
+_MICRO = 1e6
+# Sources that have a curve of their own.
+_CURVES = 5
+# Height of a step of a waterfall, inches; in this height: middle of its words, of its bar, and the bar's height. A bar
+# is at least this share of the width.
+_ROW, _WORDS, _BAR, _TALL, _THIN = 0.3, 0.27, 0.67, 0.36, 0.006
 
 
 def budget_sections(result: JobResult) -> list[Section]:
@@ -79,8 +99,102 @@ def _simulated(runs: SimulatedBudget) -> Part:
 
 
 def _micro(rms: Iterable[float]) -> list[str]:
-    return [plain(MICRO * float(x), 4) for x in rms]
+    return [plain(_MICRO * float(x), 4) for x in rms]
 
 
 def _percent(share: float) -> str:
     return f"{plain(100.0 * share, 3)} %" if share > _ROUNDING else ""
+
+
+def budget_figure(budget: Budget, found: LineOfSightBudget) -> Figure:
+    """Draw the rms of both axes across the line of sight up to a frequency: all sources, and the largest ones."""
+    largest = found.ranking[:_CURVES]
+    names = ["all sources", *(found.names[k] for k in largest)]
+    figure, [[first, second]] = panels(1, 2, 2.0, names)
+    handles: list[Line2D] = []
+    inside = (found.frequencies_hz >= budget.from_hz) & (found.frequencies_hz <= budget.to_hz)
+    f = found.frequencies_hz[inside]
+    for axis, axes in enumerate((first, second)):
+        curves = [found.total_cumulative[axis], *(found.cumulative[k, axis] for k in largest)]
+        drawn = []
+        for k, curve in enumerate(curves):
+            rms = _MICRO * np.sqrt(curve[inside])
+            drawn += axes.plot(f, rms, **line_style(k))
+        handles = handles or drawn
+        frequency_axes(axes, budget.from_hz, budget.to_hz, log_gain=False)
+        axes.set_ylim(0.0, 1.08 * _MICRO * max(float(found.total[axis]), 1e-12))
+        linear_axis(axes.yaxis)
+        axes.set_title(found.axes[axis])
+    first.set_ylabel("rms up to this frequency, µrad")
+    legend(figure, handles, names)
+    return figure
+
+
+def simulated_figure(runs: SimulatedBudget) -> Figure:
+    """Draw the rms that runs of the non-linear plant show, with its interval, beside that of the linear budget."""
+    names = ["linear budget", "simulated, with its 95 % interval"]
+    shown, low, high, linear = (_MICRO * one[:2] for one in (runs.rms, runs.low, runs.high, runs.linear))
+    figure, [[axes]] = panels(1, 1, _ROW * len(shown), names, titles=False)
+    rows = np.arange(len(shown))
+    bars = axes.barh(rows + _BAR, linear, _TALL, color=REFERENCE, linewidth=0.0)
+    ends = np.abs(np.array([low, high]) - shown)
+    points = axes.errorbar(
+        shown, rows + _BAR, xerr=ends, fmt="o", color=line_style(1)["color"], markersize=4.0, capsize=3.0
+    )
+    for row, axis in zip(rows, LOS_ANGLES, strict=False):
+        words = f"{axis}: {plain(float(shown[row]), 3)} µrad simulated, {plain(float(linear[row]), 3)} µrad linear"
+        axes.text(0.0, row + _WORDS, words, fontsize=7.5, va="center", color=INK)
+    axes.set_yticks([])
+    axes.spines["left"].set_visible(False)
+    axes.set_ylim(len(shown), 0.0)
+    axes.set_xlim(0.0, 1.08 * max(float(high.max()), float(linear.max()), 1e-6))
+    linear_axis(axes.xaxis)
+    axes.set_xlabel("rms about the mean, µrad")
+    legend(figure, [bars, points], names)
+    return figure
+
+
+def waterfall_figure(budget: Budget, found: LineOfSightBudget) -> Figure:
+    """Draw how the mean squares of the sources add up to the total, the largest first: by axis, and both together."""
+    falls = waterfalls(budget, found)
+    rows = 1 + max(len(fall.names) for fall in falls)
+    figure, [every] = panels(1, len(falls), _ROW * rows)
+    for axes, fall in zip(every, falls, strict=True):
+        axes.set_title(fall.axis)
+        axes.set_xlim(0.0, fall.end)
+        axes.set_ylim(rows, 0.0)
+        axes.set_yticks([])
+        axes.spines["left"].set_visible(False)
+        ticks = rms_ticks(fall.end)
+        axes.set_xticks(ticks**2, [plain(_MICRO * float(one), 3) for one in ticks])
+        axes.set_xlabel("rms, µrad; lengths are mean squares")
+        _steps(axes, fall, found.ranking)
+        if fall.limit is not None:
+            where = "" if fall.limit_inside else " →"
+            words = f"limit {plain(_MICRO * fall.limit, 3)} µrad{where}"
+            axes.set_title(words, loc="right", color=LIMIT, fontweight="normal", fontsize=7.5)
+            if fall.limit_inside:
+                axes.axvline(fall.limit**2, color=LIMIT, linestyle=DASHED, linewidth=1.2)
+    return figure
+
+
+def _steps(axes: Axes, fall: Waterfall, ranking: Sequence[int]) -> None:
+    """Draw a bar with its words above for each step, and one for all together."""
+    last = len(fall.names)
+    bars = [
+        *zip(fall.low, fall.high, [_curve_of(ranking, place) for place in fall.places], strict=True),
+        (0.0, fall.total**2, 0),
+    ]
+    words = [*zip(fall.names, fall.rms, fall.shares, strict=True), ("all together", fall.total, 1.0)]
+    for k, ((low, high, curve), (name, rms, share)) in enumerate(zip(bars, words, strict=True)):
+        colour = REFERENCE if curve is None else line_style(curve)["color"]
+        left = min(low, high)
+        axes.barh(k + _BAR, max(abs(high - low), _THIN * fall.end), _TALL, left, color=colour, linewidth=0.0)
+        value = f"{plain(_MICRO * rms, 3)} µrad" + ("" if k == last else f", {plain(100.0 * share, 2)} %")
+        axes.text(0.0, k + _WORDS, f"{name}: {value}", fontsize=7.5, va="center", color=INK)
+
+
+def _curve_of(ranking: Sequence[int], place: int | None) -> int | None:
+    """Return which curve of the plot up to a frequency a source is, 0 being all; None where it has none of its own."""
+    rank = ranking.index(place) if place is not None else _CURVES
+    return 1 + rank if rank < _CURVES else None
