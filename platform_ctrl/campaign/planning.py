@@ -17,10 +17,10 @@ from platform_ctrl.common.values import FloatArray, read_only, value
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.campaign_checks import misfits
 from platform_ctrl.job.faults import Fault
-from platform_ctrl.job.job import Campaign, Job, Points, manoeuvre_scenario
+from platform_ctrl.job.job import Job, manoeuvre_scenario
 from platform_ctrl.job.parameters import Parameter, parameters, varied_scenario
 from platform_ctrl.job.scenario import Scenario
-from platform_ctrl.job.variation import Vary
+from platform_ctrl.job.variation import Campaign, Points, Vary
 
 if TYPE_CHECKING:
     import control
@@ -134,7 +134,7 @@ class Plan:
     job, controllers
         What is simulated: the job with its `Job.campaign`, and the controllers that are closed together.
     runs, seed, sampling, step
-        As in `platform_ctrl.job.job.Campaign`; the step in s.
+        As in `platform_ctrl.job.variation.Campaign`; the step in s.
     nominal, weights
         The manoeuvres that are simulated, on the nominal plant, and how often each, relative to one another.
     varied

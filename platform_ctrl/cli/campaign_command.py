@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from platform_ctrl.campaign.rare_result import RareMethod, RareResult
     from platform_ctrl.campaign.store import Record
     from platform_ctrl.campaign.summary import Summary
-    from platform_ctrl.job.job import Points
+    from platform_ctrl.job.variation import Points
     from platform_ctrl.report.page.campaign_tables import ProbabilityRow
 
 PAGE = "campaign.html"

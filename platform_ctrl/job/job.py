@@ -6,7 +6,7 @@ import dataclasses
 import math
 from dataclasses import field
 from itertools import product
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Any, get_args
 
 import numpy as np
 
@@ -22,12 +22,10 @@ from platform_ctrl.job.methods import LoopKind as LoopKind
 from platform_ctrl.job.methods import Structure as Structure
 from platform_ctrl.job.scenario import Command, HalfCosine, Scenario, Sine, Start, TimeTable, Vibration
 from platform_ctrl.job.scenario import Mode as Mode
-from platform_ctrl.job.variation import Vary
+from platform_ctrl.job.variation import Campaign
 from platform_ctrl.plant import fields
 from platform_ctrl.plant.platform import OMEGA_NAMES, ROOT_TORQUE_NAMES, Platform
 from platform_ctrl.plant.tables import TABLE, Array, At, Collected, Instead, Key, Shape
-
-Points = Literal["sobol", "latin-hypercube", "random"]
 
 MOST_LOOPS, MOST_DRIVES, MOST_VIBRATIONS, MOST_SINES, MOST_COMMANDS = 100, 100, 20, 100, 100
 _RATE_HZ = Instead("rate_hz", fields.FREQUENCY, lambda rate, _: 1.0 / rate, lambda period: 1.0 / period)
@@ -303,65 +301,6 @@ class Manoeuvre:
     settle: fields.NotNegative = 0.0
     fade: fields.NotNegative = 0.0
     limits: Annotated[dict[str, float], _LIMITS] = field(default_factory=dict)
-
-
-@input_value
-class CampaignManoeuvre:
-    """A manoeuvre of a campaign.
-
-    Attributes
-    ----------
-    name
-        Of a manoeuvre of the job.
-    weight
-        How often it is simulated, relative to the others.
-    """
-
-    name: fields.Text
-    weight: fields.Positive = 1.0
-
-
-@input_value
-class CampaignFault:
-    """A fault of the job that happens in some runs.
-
-    Attributes
-    ----------
-    fault
-        Its name.
-    probability
-        That it happens in a run: probability from 0 to 1.
-    """
-
-    fault: fields.Text
-    probability: fields.Part
-
-
-@input_value
-class Campaign:
-    """Many runs that differ.
-
-    Attributes
-    ----------
-    runs, seed
-        How many; what everything random is drawn from.
-    sampling
-        How the runs fill the space of what varies.
-    step
-        Longest integration step, s.
-    manoeuvres
-        Which are simulated; none: all of the job's, equally often.
-    vary, faults
-        What differs from run to run, and what may fail.
-    """
-
-    runs: fields.Runs = 1000
-    seed: fields.Seed = 0
-    sampling: Annotated[Points, fields.one_of(get_args(Points))] = "sobol"
-    step: fields.Positive = 1e-4
-    manoeuvres: Annotated[tuple[CampaignManoeuvre, ...], Array("manoeuvre")] = ()
-    vary: Annotated[tuple[Vary, ...], Array("vary")] = ()
-    faults: Annotated[tuple[CampaignFault, ...], Array("fault")] = ()
 
 
 @input_value

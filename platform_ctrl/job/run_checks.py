@@ -10,7 +10,7 @@ from typing import Any
 from platform_ctrl.analysis.run_metrics import RUN_METRICS
 from platform_ctrl.job.budget import SOURCE_KINDS
 from platform_ctrl.job.faults import FAULT_KINDS, FAULT_NUMBERS, PART_WORDS, PartKind, part_names
-from platform_ctrl.job.job import Campaign
+from platform_ctrl.job.variation import Campaign
 from platform_ctrl.plant.checks import number_of
 from platform_ctrl.plant.fields import ROUNDING
 from platform_ctrl.plant.mistakes import Mistake, Path, given, suggestion, tables, text_of

@@ -1,4 +1,4 @@
-"""How a number is drawn from run to run: distributions as values. What they reach is known without drawing."""
+"""Campaigns: what differs from run to run, and how numbers are drawn; what they reach is known without drawing."""
 
 from __future__ import annotations
 
@@ -9,8 +9,9 @@ from typing import Annotated, Literal, get_args
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import input_value, value
 from platform_ctrl.plant import fields
-from platform_ctrl.plant.tables import Collected
+from platform_ctrl.plant.tables import Array, Collected
 
+Points = Literal["sobol", "latin-hypercube", "random"]
 Distribution = Literal["uniform", "normal", "truncated-normal", "log-uniform", "log-normal", "triangular", "choice"]
 
 # The numbers that each distribution is made of.
@@ -129,3 +130,62 @@ ANY = Range(words="any number")
 POSITIVE = Range(words="a number > 0", low=0.0, low_itself=False)
 NOT_NEGATIVE = Range(words="a number >= 0", low=0.0)
 SHARE = Range(words="a number from 0 to 1", low=0.0, high=1.0)
+
+
+@input_value
+class CampaignManoeuvre:
+    """A manoeuvre of a campaign.
+
+    Attributes
+    ----------
+    name
+        Of a manoeuvre of the job.
+    weight
+        How often it is simulated, relative to the others.
+    """
+
+    name: fields.Text
+    weight: fields.Positive = 1.0
+
+
+@input_value
+class CampaignFault:
+    """A fault of the job that happens in some runs.
+
+    Attributes
+    ----------
+    fault
+        Its name.
+    probability
+        That it happens in a run: probability from 0 to 1.
+    """
+
+    fault: fields.Text
+    probability: fields.Part
+
+
+@input_value
+class Campaign:
+    """Many runs that differ.
+
+    Attributes
+    ----------
+    runs, seed
+        How many; what everything random is drawn from.
+    sampling
+        How the runs fill the space of what varies.
+    step
+        Longest integration step, s.
+    manoeuvres
+        Which are simulated; none: all of the job's, equally often.
+    vary, faults
+        What differs from run to run, and what may fail.
+    """
+
+    runs: fields.Runs = 1000
+    seed: fields.Seed = 0
+    sampling: Annotated[Points, fields.one_of(get_args(Points))] = "sobol"
+    step: fields.Positive = 1e-4
+    manoeuvres: Annotated[tuple[CampaignManoeuvre, ...], Array("manoeuvre")] = ()
+    vary: Annotated[tuple[Vary, ...], Array("vary")] = ()
+    faults: Annotated[tuple[CampaignFault, ...], Array("fault")] = ()

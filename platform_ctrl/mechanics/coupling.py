@@ -15,19 +15,10 @@ _ROUNDING = 256 * np.finfo(float).eps
 
 def connected(coupled: ArrayLike) -> list[list[int]]:
     """Return the indices, sorted, of each group that the entries of a square bool matrix connect."""
-    either = np.asarray(coupled, dtype=bool)
-    either = either | either.T
-    groups: list[list[int]] = []
-    left = list(range(len(either)))
-    while left:
-        group, frontier = {left[0]}, [left[0]]
-        while frontier:
-            new = set(np.flatnonzero(either[frontier.pop()]).tolist()) - group
-            group |= new
-            frontier += new
-        groups.append(sorted(group))
-        left = [k for k in left if k not in group]
-    return groups
+    from scipy.sparse.csgraph import connected_components
+
+    number, group = connected_components(np.asarray(coupled, dtype=bool), directed=False)
+    return [np.flatnonzero(group == k).tolist() for k in range(number)]
 
 
 def inertia_rounding(tree: Topology) -> FloatArray:

@@ -21,6 +21,7 @@ from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.budget import Budget, Source
 from platform_ctrl.job.drive import DriveLaw
 from platform_ctrl.job.job import Job
+from platform_ctrl.mechanics.coupling import connected
 from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.mechanics.outputs import observed
 from platform_ctrl.mechanics.state_space import state_space
@@ -205,7 +206,8 @@ class BudgetLoop:
         """Return the sources with those that are correlated as one."""
         coherence = self.budget.coherences
         random = {self.rows[k]: one for k, one in enumerate(self.sources) if isinstance(one, RandomDisturbance)}
-        groups = _connected(coherence, list(random))
+        rows = list(random)
+        groups = [sorted(rows[k] for k in group) for group in connected(coherence[np.ix_(rows, rows)] != 0.0)]
         if all(len(group) == 1 for group in groups):
             return self.apart
         out: list[Disturbance] = []
@@ -219,19 +221,6 @@ class BudgetLoop:
                 )
             )
         return [*out, *(one for one in self.sources if isinstance(one, SineDisturbance)), *self.noise]
-
-
-def _connected(coherence: np.ndarray[tuple[int, ...], np.dtype[np.complex128]], of: list[int]) -> list[list[int]]:
-    """Return the groups of sources that are correlated with each other, directly or through others."""
-    left, out = list(of), []
-    while left:
-        group = [left.pop(0)]
-        for one in group:
-            more = [k for k in left if coherence[one, k] != 0.0]
-            group += more
-            left = [k for k in left if k not in more]
-        out.append(sorted(group))
-    return out
 
 
 def _damped(platform: Platform, viscous: dict[str, float]) -> Platform:
