@@ -35,9 +35,10 @@ from platform_ctrl.analysis.loop_metrics import measure
 from platform_ctrl.analysis.loop_set import LoopSet, Transfer
 from platform_ctrl.analysis.measuring import ControllerGain, Peak
 from platform_ctrl.analysis.plant_set import PlantSet
+from platform_ctrl.analysis.singular_values import largest_singular_values
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.fixed_structure.loops import ClosedLoops, Numbers, Pieces, joined
-from platform_ctrl.design.fixed_structure.maps import CONTROLLER, Map, largest, map_of, torque_per_Omega
+from platform_ctrl.design.fixed_structure.maps import CONTROLLER, Map, map_of, torque_per_Omega
 from platform_ctrl.design.fixed_structure.minimax import Effort, Objective, Region, minimise
 from platform_ctrl.design.fixed_structure.parametrised import Parametrised
 from platform_ctrl.design.fixed_structure.quasi_newton import Stopped
@@ -221,7 +222,7 @@ class Search:
     def _bandwidth(self, family: Parametrised, x: FloatArray) -> float:
         """Return the bandwidth in Hz, roughly, as a start for the wanted one."""
         loops = ClosedLoops(self._plants.only([0]), family.block(x[: len(family.start)]))
-        sizes = np.maximum(largest(loops.S_output[0]), largest(loops.S_input[0]))
+        sizes = np.maximum(*(largest_singular_values(S[0]) for S in (loops.S_output, loops.S_input)))
         above = np.flatnonzero(sizes >= LEVEL)
         k = int(above[0]) if above.size else len(sizes) - 1
         return float(self._plants.frequency[max(k - 1, 0)]) / (2.0 * np.pi)

@@ -13,19 +13,19 @@ from numpy.typing import NDArray
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
 from platform_ctrl.analysis.bandwidths import LEVEL
+from platform_ctrl.analysis.feedback import sensitivities_of_plants
 from platform_ctrl.analysis.norms import stationary_covariance
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.poles import continuous_poles
 from platform_ctrl.analysis.response import frequency_response
+from platform_ctrl.analysis.singular_values import largest_singular_values
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.fixed_structure.maps import (
     S_INPUT,
     S_OUTPUT,
     Map,
     Responses,
-    both_sensitivities,
     column_of,
-    largest,
     row_of,
 )
 
@@ -91,7 +91,7 @@ class Points:
         found = np.asarray(whole.C[plant] @ inner + whole.D[plant], dtype=np.complex128)
         K, self._left, self._right = loops.controller_response(z)
         P, to_Omega, sight = (np.ascontiguousarray(part) for part in (found[:, :p, :m], found[:, :p, m:], found[:, p:]))
-        self.responses = Responses(P, K, *both_sensitivities(P, K), to_Omega, sight, loops.fed(frequency))
+        self.responses = Responses(P, K, *sensitivities_of_plants(P, K), to_Omega, sight, loops.fed(frequency))
 
     def singular(self, of: Map, only: int | None = None) -> Singular:
         """Return the largest singular value of a map at every point as smooth pieces.
@@ -142,7 +142,7 @@ class ClosedLoops:
         self.order = len(self.A_K)
         self.p, self.m = plants.C.shape[-2], plants.B.shape[-1]
         self.K = self.controller_response(np.exp(1j * plants.frequency * plants.period))[0]
-        self.S_output, self.S_input = both_sensitivities(plants.response, self.K)
+        self.S_output, self.S_input = sensitivities_of_plants(plants.response, self.K)
         self._poles: Poles | None = None
 
     def controller_response(self, z: ComplexArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
@@ -189,7 +189,7 @@ class ClosedLoops:
             self.plants.sight_response[members, cut],
             np.broadcast_to(self.fed(w[cut]), (len(members), len(inside), self.m, 3)),
         )
-        sizes = largest(of.response(response))
+        sizes = largest_singular_values(of.response(response))
         padded = np.pad(sizes, ((0, 0), (1, 1)), constant_values=-np.inf if ends else np.inf)
         chosen = (sizes >= padded[:, :-2]) & (sizes > padded[:, 2:]) & (sizes >= floor)
         if ends:

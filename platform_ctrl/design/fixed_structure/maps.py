@@ -11,7 +11,6 @@ from platform_ctrl.analysis import loop_set
 from platform_ctrl.analysis.arrays import ComplexArray
 from platform_ctrl.analysis.loop_set import Transfer
 from platform_ctrl.analysis.plant_set import PlantSet
-from platform_ctrl.common.values import FloatArray
 
 
 class Responses(NamedTuple):
@@ -117,38 +116,3 @@ def torque_per_Omega(k: int, plants: PlantSet) -> Map:
         return u * r.S_input[:, k, :], column_of(r.S_output, r.P_Omega, weight * v)
 
     return Map(lambda r: _torque_per_Omega(r)[..., k : k + 1, :] * weight, differential)
-
-
-def both_sensitivities(P: ComplexArray, K: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
-    """Return S at the output, (I − P K)⁻¹, and at the input, (I − K P)⁻¹ = I + K S P."""
-    S = inverse(np.eye(P.shape[-2]) - P @ K)
-    return S, np.eye(P.shape[-1]) + K @ S @ P
-
-
-def inverse(X: ComplexArray) -> ComplexArray:
-    """Return the inverses of a stack of matrices; by hand where they are small."""
-    if X.shape[-1] == 1:
-        return np.asarray(1.0 / X)
-    if X.shape[-1] == 2:
-        a, b, c, d = X[..., 0, 0], X[..., 0, 1], X[..., 1, 0], X[..., 1, 1]
-        out = np.empty_like(X)
-        out[..., 0, 0], out[..., 0, 1], out[..., 1, 0], out[..., 1, 1] = d, -b, -c, a
-        return np.asarray(out / (a * d - b * c)[..., None, None])
-    return np.asarray(np.linalg.inv(X), dtype=np.complex128)
-
-
-def largest(X: ComplexArray) -> FloatArray:
-    """Return the largest singular values of a stack of matrices; beyond 2 x 2 a bound a few per cent above."""
-    if X.shape[-1] == 1 or X.shape[-2] == 1:
-        return np.asarray(np.sqrt(np.sum(np.abs(X) ** 2, axis=(-2, -1))))
-    if X.shape[-2:] == (2, 2):
-        square = np.sum(np.abs(X) ** 2, axis=(-2, -1))
-        det = np.abs(X[..., 0, 0] * X[..., 1, 1] - X[..., 0, 1] * X[..., 1, 0])
-        return np.asarray(np.sqrt(0.5 * (square + np.sqrt(np.maximum(square**2 - 4.0 * det**2, 0.0)))))
-    gram = X.conj().swapaxes(-1, -2) @ X if X.shape[-1] <= X.shape[-2] else X @ X.conj().swapaxes(-1, -2)
-    # Schatten norm of order 16: (Σ σ¹⁶)^(1/16).
-    size = np.real(np.trace(gram, axis1=-2, axis2=-1))
-    power = gram / np.maximum(size, 1e-300)[..., None, None]
-    for _ in range(2):
-        power = power @ power
-    return np.asarray(np.sqrt(size) * np.sum(np.abs(power) ** 2, axis=(-2, -1)) ** (1.0 / 16.0))
