@@ -152,28 +152,18 @@ class BaselineOptions:
         """Compare and plot changes beside the file, or update the file."""
         if self.file is None:
             return Outcome()
-        from platform_ctrl.verification.baselines import compare, update_baseline
-        from platform_ctrl.verification.baselines.file import plot_beside, remove_plot
+        from platform_ctrl.report.failures import against_baseline, moved_text
+        from platform_ctrl.verification.baselines.file import Update, plot_beside
 
-        plot = plot_beside(self.file)
-        if self.update or self.baseline is None:
-            made = update_baseline(result, self.file)
-            remove_plot(plot)
-            before = made.comparison.changes if made.comparison is not None else ()
-            record = _record(self.file, before, passed=True, updated=made.written)
-            return Outcome(None, f"baseline: {made.summary}", record)
-        comparison = compare(result, self.baseline)
-        from platform_ctrl.report.failures import failure_text, moved_text
-
-        if comparison.passed:
-            remove_plot(plot)
-            record = _record(self.file, comparison.changes, passed=True, updated=False)
-            return Outcome(comparison, f"baseline {moved_text(comparison, str(self.file))}", record)
-        accept = "the same command with --update-baseline"
-        words, drawn = failure_text(comparison, result.job.name, self.file, plot, accept)
+        accept, update = "the same command with --update-baseline", self.update or self.baseline is None
+        found, text, drawn = against_baseline(result, self.file, plot_beside(self.file), accept, update=update)
+        if isinstance(found, Update):
+            before = found.comparison.changes if found.comparison is not None else ()
+            record = _record(self.file, before, passed=True, updated=found.written)
+            return Outcome(None, f"baseline: {found.summary}", record)
         shown = None if drawn is None else str(drawn)
-        record = _record(self.file, comparison.changes, passed=False, updated=False, plot=shown)
-        return Outcome(comparison, f"baseline {words}", record)
+        record = _record(self.file, found.changes, passed=found.passed, updated=False, plot=shown)
+        return Outcome(found, f"baseline {text or moved_text(found, str(self.file))}", record)
 
 
 def _record(

@@ -24,7 +24,9 @@ from platform_ctrl.report.quantities import (
     pessimistic_rounding,
     times,
 )
+from platform_ctrl.verification.baselines import compare, read_baseline, update_baseline
 from platform_ctrl.verification.baselines.comparison import Change, Comparison
+from platform_ctrl.verification.baselines.file import Update, remove_plot
 from platform_ctrl.verification.baselines.record import LoopMatrices
 
 if TYPE_CHECKING:
@@ -103,6 +105,20 @@ def failure_text(comparison: Comparison, job: str, file: Path, plot: Path, accep
     except PlatformCtrlError as error:
         place = f"none ({error})"
     return f"{moved_text(comparison, str(file))}\n  plot: {place}\n  to accept this: {accept}", drawn
+
+
+def against_baseline(
+    result: JobResult, file: Path, plot: Path, accept: str, *, update: bool
+) -> tuple[Comparison | Update, str, Path | None]:
+    """Compare a result with a baseline, or update the file; return that, the text of a failure and where it is drawn.
+
+    Without a failure the text is empty, and the plot of an earlier one is removed.
+    """
+    found = update_baseline(result, file) if update else compare(result, read_baseline(file))
+    if isinstance(found, Update) or found.passed:
+        remove_plot(plot)
+        return found, "", None
+    return found, *failure_text(found, result.job.name, file, plot, accept)
 
 
 def change_text(change: Change) -> str:

@@ -8,11 +8,10 @@ from pathlib import Path
 from platform_ctrl.common.signatures import check_arguments, short
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.judging import CheckResult
-from platform_ctrl.report.failures import failure_text, missed_text, requirement_text
+from platform_ctrl.report.failures import against_baseline, missed_text, requirement_text
 from platform_ctrl.verification import JobResult
-from platform_ctrl.verification.baselines import compare, read_baseline, update_baseline
 from platform_ctrl.verification.baselines.comparison import Comparison
-from platform_ctrl.verification.baselines.file import Update, plot_beside, remove_plot
+from platform_ctrl.verification.baselines.file import Update, plot_beside
 
 
 @check_arguments
@@ -92,18 +91,13 @@ def assert_baseline(
     """
     __tracebackhide__ = True
     path = baseline_path(file)
-    plot = plot_beside(path, plots)
-    if update:
-        written = update_baseline(result, path)
-        remove_plot(plot)
-        return written
-    if not path.exists():
-        raise AssertionError(f"{path}: there is no such file; pytest --update-baselines writes it")
-    comparison = compare(result, read_baseline(path))
-    if comparison.passed:
-        remove_plot(plot)
-        return comparison
-    raise AssertionError(failure_text(comparison, result.job.name, path, plot, "pytest --update-baselines")[0])
+    accept = "pytest --update-baselines"
+    if not update and not path.exists():
+        raise AssertionError(f"{path}: there is no such file; {accept} writes it")
+    found, text, _ = against_baseline(result, path, plot_beside(path, plots), accept, update=update)
+    if text:
+        raise AssertionError(text)
+    return found
 
 
 def baseline_path(file: object) -> Path:
