@@ -180,7 +180,7 @@ def _steps(s: ComplexArray, reach: float) -> FloatArray:
     """Return how far a pole (G, n) within `reach` has at most to the nearest one at the next factor, (G - 1,)."""
     with np.errstate(invalid="ignore"):
         nearest = np.nan_to_num(np.abs(s[:-1, :, None] - s[1:, None, :]), nan=np.inf).min(axis=2)
-    return np.where(np.abs(s[:-1]) < reach, nearest, 0.0).max(axis=1, initial=0.0)
+    return np.asarray(np.where(np.abs(s[:-1]) < reach, nearest, 0.0).max(axis=1, initial=0.0), dtype=np.float64)
 
 
 def moved_by_gain(gains: FloatArray, branches: ComplexArray, present: ComplexArray) -> BoolArray:
