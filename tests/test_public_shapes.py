@@ -15,7 +15,7 @@ from numpydoc.docscrape import NumpyDocString, Parameter
 import platform_ctrl as pc
 from platform_ctrl import analysis, campaign, design, simulation
 from platform_ctrl.analysis.certificates.makers import stability_certificate
-from platform_ctrl.campaign.rare_result import RareResult
+from platform_ctrl.campaign.probability import RareResult
 from platform_ctrl.design.antiwindup.loop import LimitedLoop
 from platform_ctrl.design.classical.complex_coordinates import ComplexSystem, complex_response
 from platform_ctrl.design.classical.complex_shaping import ComplexLoop

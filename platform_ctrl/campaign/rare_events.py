@@ -19,8 +19,14 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from platform_ctrl.campaign.probability import CONFIDENCE, clopper_pearson
-from platform_ctrl.campaign.rare_result import RareMethod, RarePoint, RareResult, Repetition
+from platform_ctrl.campaign.probability import (
+    CONFIDENCE,
+    RareMethod,
+    RarePoint,
+    RareResult,
+    Repetition,
+    clopper_pearson,
+)
 from platform_ctrl.common.arguments import one_of
 from platform_ctrl.common.signatures import check_arguments, short
 from platform_ctrl.common.values import FloatArray, value

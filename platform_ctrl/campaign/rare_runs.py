@@ -9,9 +9,8 @@ import numpy as np
 
 from platform_ctrl.analysis.run_metrics import RUN_METRICS, over_limit
 from platform_ctrl.campaign.planning import Plan
-from platform_ctrl.campaign.probability import CONFIDENCE
+from platform_ctrl.campaign.probability import CONFIDENCE, RareMethod, RareResult
 from platform_ctrl.campaign.rare_events import RunNumbers, rare_event
-from platform_ctrl.campaign.rare_result import RareMethod, RareResult
 from platform_ctrl.campaign.single_run import metric_of, metrics_of
 from platform_ctrl.common.arguments import known_name
 from platform_ctrl.common.signatures import check_arguments

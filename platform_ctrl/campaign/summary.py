@@ -5,18 +5,12 @@ from __future__ import annotations
 import dataclasses
 from typing import Any
 
+from platform_ctrl.campaign.contrasts import Contrast, contrasts
 from platform_ctrl.campaign.planning import Plan
-from platform_ctrl.campaign.probability import CONFIDENCE, Probability
-from platform_ctrl.campaign.rare_result import RareResult
+from platform_ctrl.campaign.probability import CONFIDENCE, Probability, RareResult
 from platform_ctrl.campaign.sensitivity import Sensitivity, sensitivities
 from platform_ctrl.campaign.table import Table
-from platform_ctrl.campaign.table_statistics import (
-    CampaignStatistics,
-    Contrast,
-    RequirementStatistics,
-    contrasts,
-    statistics,
-)
+from platform_ctrl.campaign.table_statistics import CampaignStatistics, RequirementStatistics, statistics
 from platform_ctrl.common.json_text import plain_types
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import value

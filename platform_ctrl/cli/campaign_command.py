@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
     from platform_ctrl.campaign.engine import CampaignResult
     from platform_ctrl.campaign.planning import Plan
-    from platform_ctrl.campaign.rare_result import RareMethod, RareResult
+    from platform_ctrl.campaign.probability import RareMethod, RareResult
     from platform_ctrl.campaign.store import Record
     from platform_ctrl.campaign.summary import Summary
     from platform_ctrl.job.variation import Points

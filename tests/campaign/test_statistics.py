@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from platform_ctrl.campaign.contrasts import contrasts
 from platform_ctrl.campaign.probability import RESOLUTION, Distribution, clopper_pearson
 from platform_ctrl.campaign.sensitivity import influences, sensitivities
 from platform_ctrl.campaign.table import batches, input_names
-from platform_ctrl.campaign.table_statistics import contrasts, statistics
+from platform_ctrl.campaign.table_statistics import statistics
 from platform_ctrl.errors import ArgumentError, InputError
 
 LIMITS = {"turn": {"angle": 0.003, "torque_share": 1.0}, "push": {"angle": 0.002, "attitude": 0.01}}

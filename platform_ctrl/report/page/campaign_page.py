@@ -7,15 +7,14 @@ import os
 from pathlib import Path
 
 from platform_ctrl.analysis.run_metrics import RUN_METRICS
+from platform_ctrl.campaign.contrasts import Contrast
 from platform_ctrl.campaign.identity import digest, identity
 from platform_ctrl.campaign.planning import Plan
-from platform_ctrl.campaign.probability import Probability
-from platform_ctrl.campaign.rare_result import RareResult
+from platform_ctrl.campaign.probability import Probability, RareResult
 from platform_ctrl.campaign.sensitivity import Sensitivity
 from platform_ctrl.campaign.single_run import ROUNDING, rerun
 from platform_ctrl.campaign.summary import Summary
 from platform_ctrl.campaign.table import MANOEUVRE, PASSED
-from platform_ctrl.campaign.table_statistics import Contrast
 from platform_ctrl.common.files import write_whole
 from platform_ctrl.common.values import value
 from platform_ctrl.errors import PlatformCtrlError

@@ -6,13 +6,13 @@ import math
 from collections.abc import Sequence
 
 from platform_ctrl.analysis.run_metrics import RUN_METRICS
+from platform_ctrl.campaign.contrasts import Contrast
 from platform_ctrl.campaign.planning import Plan
-from platform_ctrl.campaign.probability import Probability
-from platform_ctrl.campaign.rare_result import RareResult
+from platform_ctrl.campaign.probability import Probability, RareResult
 from platform_ctrl.campaign.sensitivity import Influence, Sensitivity
 from platform_ctrl.campaign.summary import Summary
 from platform_ctrl.campaign.table import DIVERGED, MANOEUVRE, PASSED
-from platform_ctrl.campaign.table_statistics import Contrast, RequirementStatistics, WorstRun
+from platform_ctrl.campaign.table_statistics import RequirementStatistics, WorstRun
 from platform_ctrl.common.text import Rounding, rounded
 from platform_ctrl.common.values import value
 from platform_ctrl.job.variation import Vary
