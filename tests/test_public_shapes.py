@@ -17,7 +17,7 @@ from platform_ctrl import analysis, campaign, design, simulation
 from platform_ctrl.analysis.certificates.makers import stability_certificate
 from platform_ctrl.campaign.probability import RareResult
 from platform_ctrl.design.antiwindup.loop import LimitedLoop
-from platform_ctrl.design.classical.complex_coordinates import ComplexSystem, complex_response
+from platform_ctrl.design.classical.complex_coordinates import ComplexSystem
 from platform_ctrl.design.classical.complex_shaping import ComplexLoop
 from platform_ctrl.mechanics.parameter_varying import ParameterVaryingModel
 from platform_ctrl.simulation.batch import BatchResult
@@ -132,7 +132,6 @@ CALLS: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
         ("error", pc.precession(MODEL, gimbals=("9", "10")).error, {"frequency": [1.0, 2.0, 3.0]}),
         ("state", varying().state, {"q": [0.0, 0.1], "rates": [0.0, 0.0], "Omega": [0.0, 0.0, 1.0]}),
         ("rhs", varying().rhs, {"t": 0.0, "x": np.zeros(4), "Omega": np.zeros(3), "Q": np.zeros(2)}),
-        ("complex_response", complex_response, {"system": coordinates(), "frequency": [-1.0, 1.0, 2.0]}),
     )
 }
 
