@@ -57,7 +57,7 @@ _OF_FORGETTING = 0.05
 # Poles of a tracking loop beyond this many times the frequency that it goes by are not looked at first.
 _AROUND = 4.0
 # Largest number of states of a closed loop for which norms are computed while a slider moves.
-_QUICK = 32
+_QUICK = 48
 
 
 @value

@@ -143,9 +143,15 @@ def distinguishing_digits(one: CheckResult) -> int:
     return digits
 
 
+# Values below this in the unit of their limit are shown in their own, with the limit: 3.6 µrad, not 0.0036 mrad.
+_TOO_SMALL = 0.01
+
+
 def compared(one: CheckResult) -> tuple[str, str]:
     """Return value and limit of a requirement in the same unit, with digits enough to tell them apart."""
     factor, name = handy_unit(one.unit, one.limit)
+    if 0.0 < abs(one.value) * factor < _TOO_SMALL:
+        factor, name = handy_unit(one.unit, one.value)
     shown_limit = f"{plain(times(factor, one.limit), 6)} {name}".rstrip()
     if not math.isfinite(one.value):
         return "unstable", shown_limit

@@ -21,6 +21,7 @@ from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.poles import continuous_poles
 from platform_ctrl.app.backend import Backend
 from platform_ctrl.app.closed_loops import ClosedLoops
+from platform_ctrl.app.curves import gain_locus
 from platform_ctrl.app.pictures import Picture
 from platform_ctrl.app.plants import QuickPlants
 from platform_ctrl.app.settings import History, Settings
@@ -121,6 +122,21 @@ def test_poles_and_requirements_are_those_of_the_certified_design(
     at_one = int(np.argmin(np.abs(picture.locus.gains - 1.0)))
     assert picture.locus.gains[at_one] == 1.0
     assert job.sampling.period == pytest.approx(1.0 / 2100.0)
+
+
+def test_the_root_locus_has_factors_where_poles_in_view_move() -> None:
+    # An integrator with a gain of k: z = 1 - f k T, about s = -f k.
+    period, k = 1e-3, 10.0
+    one = np.ones((1, 1))
+    integrator = StateArrays(one, period * one, one, 0.0 * one, period)
+    gain = StateArrays(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), -k * one, period)
+    far, _ = gain_locus(integrator, gain, 100.0 * k)
+    near, branches = gain_locus(integrator, gain, k)
+    assert len(far) < len(near) < 60
+    np.testing.assert_allclose(branches[:, 0], np.log(1.0 - near * k * period) / period, rtol=1e-9)
+    steps = np.abs(np.diff(branches[:, 0]))
+    assert steps[np.abs(branches[:-1, 0]) < k].max() < 0.08 * k
+    assert {0.0, 1.0, 2.5} <= set(near)
 
 
 def test_time_responses_are_those_of_the_closed_loop_sample_by_sample(

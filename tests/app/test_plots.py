@@ -21,7 +21,7 @@ from bokeh.protocol import Protocol
 from designer_pictures import DAMPING, broken, empty, picture
 from platform_ctrl.app.pictures import Picture
 from platform_ctrl.app.plots import Plots
-from platform_ctrl.app.plots.data import Unit, View, colours, quantity, round_bounds
+from platform_ctrl.app.plots.data import Unit, View, colours, quantity, round_bounds, spaced
 from platform_ctrl.app.plots.locus import refined
 
 HZ = 1.0 / (2.0 * np.pi)
@@ -198,6 +198,18 @@ def test_an_infinitely_fast_pole_does_not_keep_the_others_from_turning() -> None
     assert len(factors) > 15
     assert np.all(np.diff(factors) > 0.0)
     assert np.abs(rows[:, :2] ** 2 + DAMPING * rows[:, :2] + factors[:, None]).max() < 1e-9
+
+
+def test_branches_have_points_where_they_move_and_both_ends() -> None:
+    still, straight = np.full(101, -5.0 + 1j), np.linspace(0.0, -10.0, 101) + 0j
+    leaves = np.where(np.arange(101) < 60, straight, -np.inf)
+    kept = spaced(np.array([still, straight, leaves]), np.full(3, 1.0))
+    assert np.flatnonzero(kept[0]).tolist() == [0, 100]
+    distances = np.diff(straight[kept[1]].real)
+    assert np.abs(distances + 1.0).max() < 0.11
+    # What is not finite stays, as a gap.
+    assert np.all(kept[2, 60:])
+    assert kept[2, :60].sum() < 8
 
 
 def test_rays_have_their_damping(plots: Plots) -> None:

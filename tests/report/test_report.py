@@ -683,6 +683,11 @@ def test_value_and_limit_that_differ_are_printed_differently() -> None:
     assert compared(asked(0.0045, 0.005, "N m")) == ("4.5 mN m", "5 mN m")
 
 
+def test_a_value_far_below_its_limit_is_in_a_unit_of_its_own_with_the_limit() -> None:
+    assert compared(asked(3.6e-6, 2e-3, "rad")) == ("3.6 µrad", "2000 µrad")
+    assert compared(asked(0.0, 2e-3, "rad")) == ("0 mrad", "2 mrad")
+
+
 @given(
     st.floats(1e-9, 1e9), st.floats(1e-9, 1e9), st.sampled_from(["at least", "at most"]), st.sampled_from(["", "rad"])
 )

@@ -64,6 +64,8 @@ _APART = 2
 # Height of the numbers and the label below a figure, pixels.
 _BELOW = 28
 _LEFT, _RIGHT, _TOP = 54, 12, 7
+# Height of a frame, pixels, below which a unit has to be written smaller.
+_LOW = 50.0
 
 _HEADING = f"""
 .line {{ display: flex; gap: 10px; white-space: nowrap; overflow: hidden; font: {NORMAL}/18px {FONT};
@@ -228,6 +230,9 @@ class Panel:
     def _ticks(self, plot: Any) -> None:
         """Let a figure have as many ticks as there is room for on the screen."""
         width, height = inner_size(plot)
+        for axis in plot.yaxis:
+            # The unit of a low figure is longer than its axis.
+            assign(axis, axis_label_text_font_size=SMALL if height >= _LOW else "9px")
         for axes, pixels, each in ((plot.xaxis, width, 58.0), (plot.yaxis, height, 24.0)):
             for axis in axes:
                 if isinstance(axis, LinearAxis):

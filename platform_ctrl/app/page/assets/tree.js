@@ -9,6 +9,8 @@ const SPEEDS = [0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 1
 const LEAST = 100, MOST = 1e5, SEEN = 0.35;
 // Half turns a second at which the fastest rotor is shown, and seconds that a run is shown for at first.
 const SHOWN_SPIN = Math.PI, SHOWN_TIME = 8;
+// Height of the view, pixels, from which bodies have their names.
+const NAMED = 150;
 // Radians that a platform may turn before the view makes room for it, and between two poses in which it is looked at;
 // the least and the largest number of these.
 const STILL = 0.02, TURN = 0.1, POSES = 24, MANY = 240;
@@ -337,10 +339,14 @@ class GimbalTree extends HTMLElement {
       if (!box[0]) return;
       const x = Math.min(Math.max((0.5 + 0.5 * place.x) * width + shift - box[0] / 2, 2), width - box[0] - 2);
       let y = (0.5 - 0.5 * place.y) * height - box[1] / 2;
-      for (const [ax, ay, aw] of taken) if (Math.abs(ay - y) < box[1] - 3 && x < ax + aw && ax < x + box[0]) y = ay + box[1] - 2;
+      const over = () => taken.find(([ax, ay, aw]) => Math.abs(ay - y) < box[1] - 3 && x < ax + aw && ax < x + box[0]);
+      for (let other = over(); other; other = over()) y = other[1] + box[1] - 2;
       taken.push([x, y, box[0]]);
       name.style.transform = `translate(${x.toFixed(1)}px, ${y.toFixed(1)}px)`;
     };
+    // In a thumbnail names would hide the bodies.
+    const named = height >= NAMED;
+    for (const name of this.names) if (name.hidden === named) name.hidden = !named;
     this.names.forEach((name, k) => put(name, this.bodies.groups[k], this.bodies.nodes[k].tip, 0));
     const arrows = this.bodies.nodes[0].pieces.filter((piece) => piece.looks.startsWith("axis "));
     arrows.forEach((piece, k) => put(this.thirds[k], this.bodies.root, piece.points[1].map((x) => 1.03 * x), 0));
