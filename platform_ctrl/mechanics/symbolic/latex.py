@@ -5,18 +5,17 @@ from __future__ import annotations
 import re
 from typing import Any
 
-import numpy as np
-
 from platform_ctrl.mechanics.symbolic.names import text_in_latex
 from platform_ctrl.mechanics.symbolic.notation import (
     LATEX,
     MatrixSection,
     Notation,
-    matrix_of,
+    cells_of,
+    entries_of,
+    gimbal_equations,
     matrix_sections,
     number_text,
     row_sections,
-    sides,
 )
 from platform_ctrl.mechanics.symbolic.result import Equations
 
@@ -58,17 +57,14 @@ def _printed(written: str) -> int:
 
 
 def _matrix(equations: Equations, section: MatrixSection, write: Notation) -> list[str]:
-    matrix = matrix_of(equations, section)
-    if section.rows == "root":
-        matrix = matrix[:3, :3]
-    cells = [[write(matrix[i, j]) for j in range(matrix.cols)] for i in range(matrix.rows)]
+    cells = cells_of(equations, section, write)
     number = section.number.strip("()")
     tag = rf" \tag{{{number}}}" if number else ""
-    if all(cell == "0" for row in cells for cell in row):
+    if not entries_of(section, cells):
         return [r"\begin{align*}", rf"{section.latex} &= 0{tag}", r"\end{align*}"]
     columns = [max(map(_printed, column)) for column in zip(*cells, strict=True)]
     across = sum(columns) + 2 * len(columns)
-    if matrix.cols > _MOST_COLUMNS or across > _SMALL:
+    if len(columns) > _MOST_COLUMNS or across > _SMALL:
         return _entries(section, cells, tag)
     body = " \\\\\n".join("  " + " & ".join(row) for row in cells)
     block = " (root block)" if section.rows == "root" else ""
@@ -80,13 +76,8 @@ def _matrix(equations: Equations, section: MatrixSection, write: Notation) -> li
 def _entries(section: MatrixSection, cells: list[list[str]], tag: str) -> list[str]:
     """List what is not zero by row and column from 1; of a symmetric or skew matrix one half."""
     name = f"({section.latex})"
-    listed = [
-        (f"{name}_{{{i + 1},{j + 1}}}", cells[i][j])
-        for i, j in np.ndindex(len(cells), len(cells[0]))
-        if cells[i][j] != "0" and (not section.symmetry or j >= i)
-    ]
     mirrored = rf", and ${name}_{{ji}} = {'-' * (section.symmetry == 'skew')}{name}_{{ij}}$" * bool(section.symmetry)
-    lines = [rf"{left} &= {_broken(right)}" for left, right in listed]
+    lines = [rf"{name}_{{{i + 1},{j + 1}}} &= {_broken(cell)}" for i, j, cell in entries_of(section, cells)]
     lines[0] += tag
     start = rf"\par\noindent Entries of ${section.latex}$ that are not zero{mirrored}:"
     return [start, r"\begin{align*}", " \\\\\n".join(lines), r"\end{align*}"]
@@ -97,8 +88,7 @@ def _rows(equations: Equations, key: str, number: str, write: Notation) -> list[
     if not names:
         return []
     lines = []
-    for name, terms, torque in zip(names, equations.rows[key], list(equations.forces)[3:], strict=True):
-        left, right = sides(terms, torque, write)
+    for name, left, right in gimbal_equations(equations, key, write):
         lines.append(rf"\text{{{text_in_latex(name)}:}}\quad & {_broken(f'{left} = {right}')}")
     lines[0] += rf" \tag{{{number.strip('()')}}}"
     return [r"\begin{align*}", " \\\\\n".join(lines), r"\end{align*}"]

@@ -6,7 +6,7 @@ and take many times as long on long sums.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, NamedTuple
 
 import sympy
@@ -285,12 +285,31 @@ def number_text(number: float | None) -> str:
     return "" if number is None else f"{number:.6g}"
 
 
-def matrix_of(equations: Equations, section: MatrixSection) -> Any:
-    """Return the SymPy matrix of a section."""
-    return getattr(equations, section.key)
+def cells_of(equations: Equations, section: MatrixSection, write: Notation) -> list[list[str]]:
+    """Return the written elements of a section's matrix, row by row; of one about the root its block alone."""
+    matrix = getattr(equations, section.key)
+    matrix = matrix[:3, :3] if section.rows == "root" else matrix
+    return [[write(matrix[i, j]) for j in range(matrix.cols)] for i in range(matrix.rows)]
 
 
-def sides(terms: RowTerms, torque: Any, write: Notation) -> tuple[str, str]:
+def entries_of(section: MatrixSection, cells: list[list[str]]) -> list[tuple[int, int, str]]:
+    """Return row, column and text of what is not zero; of a symmetric or skew matrix one half."""
+    return [
+        (i, j, cell)
+        for i, row in enumerate(cells)
+        for j, cell in enumerate(row)
+        if cell != "0" and (not section.symmetry or j >= i)
+    ]
+
+
+def gimbal_equations(equations: Equations, key: str, write: Notation) -> Iterator[tuple[str, str, str]]:
+    """Walk the gimbals' names with both sides of their equations."""
+    torques = list(equations.forces)[3:]
+    for name, terms, torque in zip(equations.platform.gimbal_names, equations.rows[key], torques, strict=True):
+        yield name, *_sides(terms, torque, write)
+
+
+def _sides(terms: RowTerms, torque: Any, write: Notation) -> tuple[str, str]:
     """Return both sides of a gimbal equation: coordinates on the left, Q and what the root does on the right."""
     left = write.signed_sum([write.times(c, v) for c, v in terms if v != 1]) or "0"
     constants = [term for c, v in terms if v == 1 for term in write.terms(c, positive_first=False)]

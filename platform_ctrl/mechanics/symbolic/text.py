@@ -7,8 +7,6 @@ import textwrap
 from itertools import chain
 from typing import Any
 
-import numpy as np
-
 from platform_ctrl.common.text import padded, width
 from platform_ctrl.mechanics.symbolic.names import NamedSymbol
 from platform_ctrl.mechanics.symbolic.notation import (
@@ -16,11 +14,12 @@ from platform_ctrl.mechanics.symbolic.notation import (
     TEXT,
     MatrixSection,
     Notation,
-    matrix_of,
+    cells_of,
+    entries_of,
+    gimbal_equations,
     matrix_sections,
     number_text,
     row_sections,
-    sides,
 )
 from platform_ctrl.mechanics.symbolic.result import Equations
 
@@ -73,10 +72,9 @@ def _labels(equations: Equations, section: MatrixSection, write: Notation) -> tu
 
 
 def _matrix(equations: Equations, section: MatrixSection, write: Notation) -> list[str]:
-    matrix = matrix_of(equations, section)
     rows, columns = _labels(equations, section, write)
-    cells = [[write(matrix[i, j]) for j in range(len(columns))] for i in range(len(rows))]
-    if all(cell == "0" for row in cells for cell in row):
+    cells = cells_of(equations, section, write)
+    if not entries_of(section, cells):
         return ["    zero"]
     widths = [
         max(width(t) for t in (label, *column)) for label, column in zip(columns, zip(*cells, strict=True), strict=True)
@@ -99,11 +97,7 @@ def _entries(section: MatrixSection, rows: list[str], columns: list[str], cells:
     kept = {"symmetric": "on and above the diagonal, symmetric", "skew": "above the diagonal, skew"}
     halves = section.symmetry
     out = [f"    entries that are not zero{', ' + kept[halves] if halves else ''}:"]
-    listed = [
-        (f"({rows[i]}, {columns[j]})", cells[i][j])
-        for i, j in np.ndindex(len(rows), len(columns))
-        if cells[i][j] != "0" and (not halves or j >= i)
-    ]
+    listed = [(f"({rows[i]}, {columns[j]})", cell) for i, j, cell in entries_of(section, cells)]
     first = max(width(place) for place, _ in listed)
     for place, cell in listed:
         out += _wrapped(f"    {padded(place, first)}  ", cell)
@@ -116,8 +110,7 @@ def _rows(equations: Equations, key: str, write: Notation) -> list[str]:
         return ["    there are no gimbals"]
     first = max(width(name) for name in names) + 1
     out = []
-    for name, terms, torque in zip(names, equations.rows[key], list(equations.forces)[3:], strict=True):
-        left, right = sides(terms, torque, write)
+    for name, left, right in gimbal_equations(equations, key, write):
         out += _wrapped(f"    {padded(name + ':', first)}  ", f"{left} = {right}")
     return out
 
@@ -156,12 +149,12 @@ _MATRICES = ("B0", "B_A", "A_R", "A", "BtA_RB", "A_star", "G_A", "G_R", "G_root"
 def record_of(equations: Equations) -> dict[str, Any]:
     """Return the record."""
     write = Notation(equations.symbols, CODE)
-    torques = list(equations.forces)[3:]
 
     def rows(key: str) -> list[dict[str, Any]]:
         out = []
-        for gimbal, terms, torque in zip(equations.platform.gimbal_names, equations.rows[key], torques, strict=True):
-            left, right = sides(terms, torque, write)
+        for terms, (gimbal, left, right) in zip(
+            equations.rows[key], gimbal_equations(equations, key, write), strict=True
+        ):
             listed = [{"coefficient": write(c), "variable": write(v)} for c, v in terms]
             out.append({"gimbal": gimbal, "left": left, "right": right, "terms": listed})
         return out
