@@ -15,34 +15,17 @@ from platform_ctrl.common.values import FloatArray, value
 
 @value
 class Contribution:
-    """Integrals over P panels for G sources, q outputs and W weights, or the lines of sines.
+    """Integrals over P panels for G sources, q outputs and W weights, or the lines of sines."""
 
-    Attributes
-    ----------
-    panels : (P, 2)
-        Ends, rad/s.
-    variance, error : (P, W, G, q)
-        Integrals over all images that are kept, and bounds on their errors.
-    members : (P, F, G, q)
-        Those of the first weight for each image.
-    remaining : (P, G, q)
-        Of the images that are not kept, before integration of an output.
-    frequency : (P, K, F)
-        Of the nodes, rad/s.
-    density : (P, K, F, G, q)
-        One-sided, per Hz.
-    sines
-        Names of the sines whose lines these are; the last of the G sources is their sum.
-    """
-
-    panels: FloatArray
+    panels: FloatArray  # (P, 2): ends, rad/s
+    # variance, error: (P, W, G, q): integrals over all images that are kept, and bounds on their errors.
     variance: FloatArray
     error: FloatArray
-    members: FloatArray
-    remaining: FloatArray
-    frequency: FloatArray
-    density: FloatArray
-    sines: tuple[str, ...] = ()
+    members: FloatArray  # (P, F, G, q): those of the first weight for each image
+    remaining: FloatArray  # (P, G, q): of the images that are not kept, before integration of an output
+    frequency: FloatArray  # (P, K, F): of the nodes, rad/s
+    density: FloatArray  # (P, K, F, G, q): one-sided, per Hz
+    sines: tuple[str, ...] = ()  # names of the sines whose lines these are; the last of the G sources is their sum
 
     def chosen(self, good: NDArray[np.bool_]) -> Contribution:
         """Return those of some panels."""
@@ -65,22 +48,14 @@ def variance_shares(rms: FloatArray, total: FloatArray) -> FloatArray:
 
 @value
 class Window:
-    """Displacement, smear and jitter within an exposure; root mean squares over its instants and over exposures.
+    """Displacement, smear and jitter within an exposure; root mean squares over its instants and over exposures."""
 
-    Attributes
-    ----------
-    exposure
-        s.
-    displacement, smear, jitter : (G, q)
-        Of each source, in the outputs' units.
-    total_displacement, total_smear, total_jitter : (q,)
-        Of all sources.
-    """
-
-    exposure: float
+    exposure: float  # s
+    # displacement, smear, jitter: (G, q): of each source, in the outputs' units.
     displacement: FloatArray
     smear: FloatArray
     jitter: FloatArray
+    # total_displacement, total_smear, total_jitter: (q,): of all sources.
     total_displacement: FloatArray
     total_smear: FloatArray
     total_jitter: FloatArray
@@ -88,48 +63,21 @@ class Window:
 
 @value
 class Budget:
-    """What each of G sources does to each of q outputs.
+    """What each of G sources does to each of q outputs."""
 
-    Attributes
-    ----------
-    names
-        Of the sources.
-    rms : (G, q)
-        In the outputs' units.
-    total : (q,)
-        Of all sources together; sines that add coherently are not the root of the sum of squares.
-    lowest
-        Motion below this frequency, rad/s, does not count in `rms`, `total` and displacements.
-    windows
-        One for each exposure.
-    frequency : (K,)
-        rad/s, rising.
-    density : (G, q, K)
-        One-sided densities of the outputs, per Hz, without the lines of sines.
-    edges : (E,)
-        Frequencies, rad/s, rising, up to which `cumulative` sums.
-    cumulative : (G, q, E)
-        Variance of each source up to the edges, sines included.
-    total_cumulative : (q, E)
-        The same of all sources.
-    error
-        Bound on the error of integration, the largest relative to a variance.
-    remaining
-        Bound on the share of an integrated output's variance that images beyond those kept would add; what they add to
-        other outputs is included.
-    """
-
-    names: tuple[str, ...]
-    rms: FloatArray
-    total: FloatArray
-    lowest: float
-    windows: tuple[Window, ...]
-    frequency: FloatArray
-    density: FloatArray
-    edges: FloatArray
-    cumulative: FloatArray
-    total_cumulative: FloatArray
-    error: float
+    names: tuple[str, ...]  # of the sources
+    rms: FloatArray  # (G, q): in the outputs' units
+    total: FloatArray  # (q,): of all sources together; sines that add coherently are not the root of the sum of squares
+    lowest: float  # motion below this frequency, rad/s, does not count in `rms`, `total` and displacements
+    windows: tuple[Window, ...]  # one for each exposure
+    frequency: FloatArray  # (K,): rad/s, rising
+    density: FloatArray  # (G, q, K): one-sided densities of the outputs, per Hz, without the lines of sines
+    edges: FloatArray  # (E,): frequencies, rad/s, rising, up to which `cumulative` sums
+    cumulative: FloatArray  # (G, q, E): variance of each source up to the edges, sines included
+    total_cumulative: FloatArray  # (q, E): the same of all sources
+    error: float  # bound on the error of integration, the largest relative to a variance
+    # Bound on the share of an integrated output's variance that images beyond those kept would add; what they add to
+    # other outputs is included.
     remaining: float
 
     @property

@@ -81,18 +81,7 @@ class FedFriction:
         return self.friction, self.friction
 
     def dry(self, rate: float) -> float:
-        """Return the torque.
-
-        Parameters
-        ----------
-        rate
-            That the drive finds, rad/s.
-
-        Returns
-        -------
-        float
-            N m.
-        """
+        """Return the torque, N m, at a rate that the drive finds, rad/s."""
         return self.friction * min(max(rate / self.friction_rate, -1.0), 1.0)
 
     def gain(self, amplitude: float) -> float:

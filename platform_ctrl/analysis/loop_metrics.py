@@ -32,39 +32,24 @@ Key = tuple[str, tuple[str, ...], float, float | None, Channel | None]
 
 @value
 class LoopMetrics:
-    """What a controller does to a plant set, in SI units.
+    """What a controller does to a plant set, in SI units."""
 
-    Attributes
-    ----------
-    bandwidth
-        Nominal: lowest frequency at which the largest singular value of S, at the input or the output, reaches
-        1/sqrt(2), rad/s.
-    disk_margin : (N,)
-        1/‖(S − T)/2‖, all channels at once, the smaller of input and output, dimensionless; 0 where the loop is
-        unstable.
-    damping : (N,)
-        Smallest damping ratio of the closed-loop poles above a tenth of the nutation frequency.
-    decay : (N,)
-        Decay rate of the slowest closed-loop pole, 1/s; negative where the loop is unstable.
-    torque_noise : (m,)
-        Nominal rms of the torques from pick-off noise, N m; infinite where the loop is unstable.
-    groups
-        What each plant represents, as in `PlantSet`.
-    exact
-        Whether peaks, bandwidths and margins are taken over all frequencies: the worst of every group of plants that
-        a request is about is then exact, and the others are no worse than it. Else they are the largest at the
-        frequencies of a grid.
-    requested
-        Other metrics that were requested, by request: arrays (k,) in SI units, see `values`.
-    """
-
+    # Nominal: lowest frequency at which the largest singular value of S, at the input or the output, reaches 1/sqrt(2),
+    # rad/s.
     bandwidth: float
+    # (N,): 1/‖(S − T)/2‖, all channels at once, the smaller of input and output, dimensionless; 0 where the loop is
+    # unstable.
     disk_margin: FloatArray
-    damping: FloatArray
-    decay: FloatArray
+    damping: FloatArray  # (N,): smallest damping ratio of the closed-loop poles above a tenth of the nutation frequency
+    decay: FloatArray  # (N,): decay rate of the slowest closed-loop pole, 1/s; negative where the loop is unstable
+    # (m,): nominal rms of the torques from pick-off noise, N m; infinite where the loop is unstable.
     torque_noise: FloatArray
-    groups: tuple[Group, ...]
+    groups: tuple[Group, ...]  # what each plant represents, as in `PlantSet`
+    # Whether peaks, bandwidths and margins are taken over all frequencies: the worst of every group of plants that a
+    # request is about is then exact, and the others are no worse than it. Else they are the largest at the frequencies
+    # of a grid.
     exact: bool = False
+    # Other metrics that were requested, by request: arrays (k,) in SI units, see `values`.
     requested: dict[Key, FloatArray] = field(default_factory=dict)
 
     @check_arguments

@@ -43,73 +43,43 @@ _OF_EACH = (*_MATRICES, "response", "Omega_response", "sight_response")
 
 @value
 class PlantSet:
-    """Sampled plants of one loop: the nominal one first, then the others that the controller must stabilise.
+    """Sampled plants of one loop: the nominal one first, then the others that the controller must stabilise."""
 
-    Attributes
-    ----------
-    A, B, C, D
-        State equations, torques in N m → what is measured: angles in rad, of rate loops rates in rad/s. Shapes
-        (N, n, n), (N, n, m), (N, p, n), (N, p, m).
-    period
-        Of the samples, s.
-    labels, groups
-        What each plant is, and what it represents: ``"nominal"``, ``"uncertainty"``, ``"Omega"``, ``"angles"``,
-        ``"friction"`` or ``"faults"``.
-    torques, angles
-        Names of the m inputs and p measured outputs.
-    B_Omega, D_Omega
-        Input of the platform's rate in rad/s, held between samples and not delayed, (N, n, 3) in units of the states;
-        and how it is measured at once, (N, p, 3): by a gyro that turns with the platform.
-    Omega : (3,)
-        Largest platform rate about each axis, rad/s.
-    torque_limit : (m,)
-        Of each torquer, N m; infinite for one without a limit.
-    nutation
-        Nutation frequency of the nominal plant, rad/s: its fastest open-loop motion without torquers. Where it hardly
-        moves by itself, the frequency that is used instead.
-    noise : (p,)
-        Rms of one sample of each pick-off, rad.
-    frequency : (F,)
-        The grid that a tuner measures on, rad/s, up to the Nyquist frequency.
-    response : complex (N, F, p, m)
-        Of the plants on `frequency`, torques → angles, rad/(N m).
-    Omega_response : complex (N, F, p, 3)
-        Of the plants on `frequency`, platform rate → angles, s.
-    states
-        Names of the n states.
-    sight
-        Names of the q outputs of the line of sight, rad/s.
-    C_sight, D_sight
-        Of these outputs: (N, q, n), and directly from torques and Omega, (N, q, m + 3).
-    sight_response : complex (N, F, q, m + 3)
-        Of the plants on `frequency`, torques and platform rate → outputs of the line of sight.
-    feedforward
-        Feedforward of the platform's rate that the plants have: see `fed_forward`; None where there is none.
-    """
-
+    # A, B, C, D: state equations, torques in N m → what is measured: angles in rad, of rate loops rates in rad/s.
+    # Shapes (N, n, n), (N, n, m), (N, p, n), (N, p, m).
     A: FloatArray
     B: FloatArray
     C: FloatArray
     D: FloatArray
-    period: float
+    period: float  # of the samples, s
+    # labels, groups: what each plant is, and what it represents: ``"nominal"``, ``"uncertainty"``, ``"Omega"``,
+    # ``"angles"``, ``"friction"`` or ``"faults"``.
     labels: tuple[str, ...]
     groups: tuple[Group, ...]
+    # torques, angles: names of the m inputs and p measured outputs.
     torques: tuple[str, ...]
     angles: tuple[str, ...]
+    # B_Omega, D_Omega: input of the platform's rate in rad/s, held between samples and not delayed, (N, n, 3) in units
+    # of the states; and how it is measured at once, (N, p, 3): by a gyro that turns with the platform.
     B_Omega: FloatArray
-    Omega: FloatArray
-    torque_limit: FloatArray
+    Omega: FloatArray  # (3,): largest platform rate about each axis, rad/s
+    torque_limit: FloatArray  # (m,): of each torquer, N m; infinite for one without a limit
+    # Nutation frequency of the nominal plant, rad/s: its fastest open-loop motion without torquers. Where it hardly
+    # moves by itself, the frequency that is used instead.
     nutation: float
-    noise: FloatArray
-    frequency: FloatArray
-    response: ComplexArray
-    Omega_response: ComplexArray
-    states: tuple[str, ...]
+    noise: FloatArray  # (p,): rms of one sample of each pick-off, rad
+    frequency: FloatArray  # (F,): the grid that a tuner measures on, rad/s, up to the Nyquist frequency
+    response: ComplexArray  # complex (N, F, p, m): of the plants on `frequency`, torques → angles, rad/(N m)
+    Omega_response: ComplexArray  # complex (N, F, p, 3): of the plants on `frequency`, platform rate → angles, s
+    states: tuple[str, ...]  # names of the n states
     D_Omega: FloatArray
-    sight: tuple[str, ...]
+    sight: tuple[str, ...]  # names of the q outputs of the line of sight, rad/s
+    # C_sight, D_sight: of these outputs: (N, q, n), and directly from torques and Omega, (N, q, m + 3).
     C_sight: FloatArray
     D_sight: FloatArray
+    # complex (N, F, q, m + 3): of the plants on `frequency`, torques and platform rate → outputs of the line of sight.
     sight_response: ComplexArray
+    # Feedforward of the platform's rate that the plants have: see `fed_forward`; None where there is none.
     feedforward: RateFeedforward | None = None
 
     @property

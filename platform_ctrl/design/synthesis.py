@@ -111,12 +111,7 @@ class Synthesis:
     def certificate(self) -> Certificate:
         """Proof of stability and norm in interval arithmetic, of plant and controller as given; `certificate.verify()`.
 
-        Made at the first use: that takes longer than the synthesis.
-
-        Raises
-        ------
-        NotCertifiedError
-            No proof was found.
+        Made at the first use, which takes longer than the synthesis; a `NotCertifiedError` where none is found.
         """
         if not self._made:
             self._made.append(_certificate(self))

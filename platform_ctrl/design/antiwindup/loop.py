@@ -91,23 +91,7 @@ class LimitedLoop:
 
     @check_arguments
     def impulse(self, control: str) -> FloatArray:
-        """Return the state after a unit torque impulse where a control acts, behind its lag.
-
-        Parameters
-        ----------
-        control
-            Name of the control.
-
-        Returns
-        -------
-        (n,)
-            In units of the states, for 1 N m s.
-
-        Raises
-        ------
-        ArgumentError
-            No such control.
-        """
+        """Return the state (n,) after an impulse of 1 N m s where a control acts, behind its lag."""
         return np.asarray(self.impulses[:, known_name("control", control, self.controls)])
 
 

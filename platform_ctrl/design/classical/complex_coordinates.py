@@ -85,15 +85,8 @@ class ComplexSystem:
     def real_system(self) -> control.StateSpace:
         """Return the real system with two inputs and two outputs, in SI units.
 
-        Returns
-        -------
-        control.StateSpace
-            With the names of `inputs` and `outputs`, of a plant also of the states.
-
-        Raises
-        ------
-        ArgumentError
-            A dead time: no finite number of states has it.
+        It has the names of `inputs` and `outputs`, of a plant also of the states. An `ArgumentError` with a dead time:
+        no finite number of states has it.
         """
         if self.delay:
             raise ArgumentError("real_system: the system must be sampled or without dead time")

@@ -102,15 +102,10 @@ class ComplexLoop:
 
     @property
     def real_plant(self) -> control.StateSpace:
-        """The plant in SI units, from torques and Omega1 to Omega3 to angles.
+        """The plant in SI units, from torques and Omega1 to Omega3 to angles; a continuous one without dead time.
 
         ``control.interconnect([loop.real_plant, loop.real_controller], inputs=["Omega1", "Omega2", "Omega3"],
         outputs=...)`` closes the loop by the signals' names.
-
-        Raises
-        ------
-        ArgumentError
-            A continuous plant with a dead time.
         """
         acting = self.plant.real_system()
         A, B, C, D, dt = state_arrays(acting, "real_plant")
@@ -121,10 +116,7 @@ class ComplexLoop:
     def certificate(self) -> Certificate:
         """Proof that the loop is stable, of plant and controller as complex matrices; made at each use.
 
-        Raises
-        ------
-        NotCertifiedError
-            No proof was found, or a continuous plant has dead time: no matrices close such a loop.
+        A `NotCertifiedError` where none is found, or a continuous plant has dead time: no matrices close such a loop.
         """
         if self.plant.delay:
             raise NotCertifiedError(

@@ -68,12 +68,7 @@ class CrossoverDesign:
     def certificates(self) -> tuple[Certificate, Certificate, Certificate]:
         """Proofs of stability, and of (S − T)/2 at torques and pick-offs: the larger norm is 1/disk margin.
 
-        Made at each use.
-
-        Raises
-        ------
-        NotCertifiedError
-            One was not found.
+        Made at each use; a `NotCertifiedError` where one is not found.
         """
         acting = selected(self.plant, self.controller.input_labels, self.controller.output_labels)
         return margin_certificates(state_arrays(acting, "plant"), state_arrays(self.controller, "controller"))

@@ -127,12 +127,7 @@ class StructuredDesign:
     def certificates(self) -> tuple[Certificate, ...]:
         """Proofs in interval arithmetic, one a plant: stable, and the norm of w to z bounded; made at the first use.
 
-        With requirements the proof is of stability.
-
-        Raises
-        ------
-        NotCertifiedError
-            No proof was found.
+        With requirements the proof is of stability. A `NotCertifiedError` where none is found.
         """
         if not self._made:
             for k, P in enumerate(self.plants):

@@ -80,22 +80,9 @@ class ScheduledCaging:
         return self.scheduled.gamma_optimal / self.frozen - 1.0
 
     def controller(self, Omega: ArrayLike) -> StateSpace:
-        """Return the controller at a rate of the platform: torques from angles, u = K y, integral action included.
+        """Return the controller at a rate of the platform (3,), rad/s, within the limits, integral action included.
 
-        Parameters
-        ----------
-        Omega : (3,)
-            rad/s.
-
-        Returns
-        -------
-        control.StateSpace
-            Inputs `angles`, rad, outputs `torques`, N m.
-
-        Raises
-        ------
-        ArgumentError
-            The rate lies outside the limits.
+        u = K y: inputs `angles`, rad, outputs `torques`, N m.
         """
         rate = real_array("Omega", Omega, (3,))
         if np.any(np.abs(rate) > self.Omega_max * (1 + 1e-9)):

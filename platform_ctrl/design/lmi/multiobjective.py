@@ -88,12 +88,8 @@ class Multiobjective:
     def certificates(self) -> tuple[Certificate, ...]:
         """Proofs in interval arithmetic: stability, then one for each requirement, of `closed_loop` as it is.
 
-        Norms are proved just above what they are, pole regions as requested.
-
-        Raises
-        ------
-        NotCertifiedError
-            A claim was not proved; the message says which.
+        Norms are proved just above what they are, pole regions as requested. A `NotCertifiedError` says which claim is
+        not proved.
         """
         return proofs(self.requirements, self.closed_loop, self.controller)
 

@@ -207,63 +207,21 @@ class Scheduled:
         return self.certificate.X
 
     def at(self, parameters: ArrayLike) -> StateSpace:
-        """Return the controller at values of the parameters; its states keep their meaning while these change.
+        """Return the controller, u = K y, frozen at values (p,) of the parameters, inside the box, in its units.
 
-        Parameters
-        ----------
-        parameters : (p,)
-            Inside the box, in its units.
-
-        Returns
-        -------
-        control.StateSpace
-            u = K y, frozen there.
-
-        Raises
-        ------
-        ArgumentError
-            The point lies outside the box.
+        Its states keep their meaning while these change. An `ArgumentError` outside the box.
         """
         return _combined(self.controllers, self.box.shares(parameters))
 
     def controller(self, Omega: ArrayLike) -> StateSpace:
-        """Return the controller at a platform rate, where the parameters are monomials of Omega.
+        """Return the controller, u = K y, frozen at a platform rate (3,), rad/s.
 
-        Parameters
-        ----------
-        Omega : (3,)
-            rad/s.
-
-        Returns
-        -------
-        control.StateSpace
-            u = K y, frozen there.
-
-        Raises
-        ------
-        ArgumentError
-            Outside the range, or a parameter that is no monomial of Omega.
+        The parameters are then monomials of Omega; else, or outside the range, it is an `ArgumentError`.
         """
         return self.at(monomial_values(self.box.names, Omega))
 
     def plant(self, parameters: ArrayLike) -> StateSpace:
-        """Return the plant at values of the parameters.
-
-        Parameters
-        ----------
-        parameters : (p,)
-            Inside the box, in its units.
-
-        Returns
-        -------
-        control.StateSpace
-            Inputs [w, u] and outputs [z, y], frozen there.
-
-        Raises
-        ------
-        ArgumentError
-            The point lies outside the box.
-        """
+        """Return the plant frozen at values (p,) of the parameters, inside the box, in its units."""
         return _combined(self.plants, self.box.shares(parameters))
 
 

@@ -68,13 +68,7 @@ class StateFeedback:
 
     @property
     def certificate(self) -> Certificate:
-        """Proof that plant and integrals are stable with this gain, made at each use.
-
-        Raises
-        ------
-        NotCertifiedError
-            No proof was found.
-        """
+        """Proof that plant and integrals are stable with this gain, made at each use; or a `NotCertifiedError`."""
         arrays = state_arrays(self.system, "lqr")
         A, B = _integrated(arrays, self.integrals)
         gain = static_gain(-self.state_gain, arrays.dt)
@@ -111,13 +105,7 @@ class Estimator:
 
     @property
     def certificate(self) -> Certificate:
-        """Proof that the estimation error decays, made at each use.
-
-        Raises
-        ------
-        NotCertifiedError
-            No proof was found.
-        """
+        """Proof that the estimation error decays, made at each use; a `NotCertifiedError` where none is found."""
         A, _, C, _, dt = state_arrays(self.system, "lqe")
         gain = static_gain(-self.observer_gain, dt)
         return stability_certificate(A, dt, B=np.eye(len(A)), C=C, controller=gain, label="estimation error")

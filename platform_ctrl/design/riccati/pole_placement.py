@@ -68,13 +68,7 @@ class PolePlacement:
 
     @property
     def certificate(self) -> Certificate:
-        """Proof that A − B K is stable, made at each use.
-
-        Raises
-        ------
-        NotCertifiedError
-            No proof was found, or it was not requested stable.
-        """
+        """Proof that A − B K is stable, made at each use; a `NotCertifiedError` where none is found."""
         A, B, _, _, dt = state_arrays(self.system, "pole_placement")
         names = list(self.system.input_labels)
         columns, gain = [names.index(name) for name in self.inputs], static_gain(-self.state_gain, dt)

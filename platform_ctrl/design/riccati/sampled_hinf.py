@@ -94,12 +94,8 @@ class SampledSynthesis:
     def certificates(self) -> tuple[Certificate, Certificate]:
         """Proofs that the sampled loop is stable, and of the norm of `equivalent`: below one, the level is kept.
 
-        They start at the sampled and at the lifted plant, which are worked out in floating point. Made at each use.
-
-        Raises
-        ------
-        NotCertifiedError
-            One was not found.
+        They start at the sampled and at the lifted plant, which are worked out in floating point. Made at each use; a
+        `NotCertifiedError` where one is not found.
         """
         plant = sampled_plant(self.plant, self.nmeas, self.ncon, self.period, self.delay, "sampled_hinf")
         A, B, C, D, dt = _from_controls(plant)
