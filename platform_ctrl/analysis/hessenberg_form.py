@@ -137,7 +137,8 @@ def reduce(
 @internal
 def _reflect(M: FloatArray, size: int, first: int, v: FloatArray) -> None:
     """Reflect the states from `first` on so that the column before them ends there."""
-    zero = 0.0 * load(M, 0, None)
+    # Of an entry that is set: the others hold what was in memory before, NaN perhaps.
+    zero = 0.0 * load(M, first * size + first - 1, None)
     largest, square = zero, zero
     for k in range(first, size):
         entry = load(M, k * size + first - 1, None)

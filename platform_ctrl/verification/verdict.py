@@ -87,17 +87,22 @@ class Proofs:
 
 def proofs_of(design: LoopDesign) -> Proofs:
     """Return what becomes of the certificates that `design` carries; those of other loops prove nothing of it."""
-    own = [one for one in design.certificates if _is_of(one, design)]
-    others = [f"{one.statement}: of another loop" for one in design.certificates if not _is_of(one, design)]
+    K = state_arrays(design.own_controller, "controller")
+    own: list[Certificate] = []
+    others: list[str] = []
+    for one in design.certificates:
+        if _is_of(one, design, K):
+            own.append(one)
+        else:
+            others.append(f"{one.statement}: of another loop")
     return _verified(own, [*design.unproved, *others])
 
 
-def _is_of(certificate: Certificate, design: LoopDesign) -> bool:
-    """Return whether every loop of `certificate` is a plant of `design` with its controller, to the last bit."""
-    K = state_arrays(design.own_controller, "controller")[:4]
+def _is_of(certificate: Certificate, design: LoopDesign, controller: StateArrays) -> bool:
+    """Return whether every loop of `certificate` is a plant of `design` with its own controller, to the last bit."""
     return design.plants is not None and all(
         loop.controller is not None
-        and all(np.array_equal(*pair) for pair in zip(loop.controller, K, strict=True))
+        and all(np.array_equal(*pair) for pair in zip(loop.controller, controller[:4], strict=True))
         and loop.dt == design.plants.period
         and any(np.array_equal(loop.A, A) for A in design.plants.A)
         for loop in certificate.loops

@@ -9,9 +9,10 @@ import pytest
 
 from platform_ctrl import PlatformCtrlError, analysis
 from platform_ctrl.analysis.arrays import ComplexArray
-from platform_ctrl.analysis.hessenberg_form import chains
+from platform_ctrl.analysis.hessenberg_form import chains, reduce
 from platform_ctrl.analysis.hessenberg_recurrence import respond
 from platform_ctrl.analysis.refinement import band
+from platform_ctrl.common.simd import LANES
 from platform_ctrl.common.values import FloatArray
 
 
@@ -268,3 +269,18 @@ def test_a_body_that_is_free_has_an_infinite_response_at_rest_however_many_state
     H = analysis.frequency_response(system_of(A, 1, 1, rng), [0.0, 1e-3])[0, 0]
     assert np.isinf(H[0])
     assert np.isfinite(H[1])
+
+
+def test_chains_do_not_depend_on_what_their_memory_held_before() -> None:
+    rng = np.random.default_rng(0)
+    n, m, p = 6, 2, 3
+    A, B, C = rng.normal(size=(n, n)), rng.normal(size=(n, m)), rng.normal(size=(p, n))
+    size, found = p + 1 + n, []
+    for held in (0.0, np.nan):
+        rows, lasts, norms = np.zeros((m + 1) * size * size), np.zeros(m + 1, dtype=np.int64), np.zeros(p + 1)
+        reduce(A, B, C, np.full((size * size, LANES), held), np.full((n, LANES), held), rows, lasts, norms)
+        matrices = rows.reshape(m + 1, size, size)
+        found.append((matrices[:, :p, p + 1 :], matrices[:, p + 1 :, p:], lasts, norms))
+    for of_zeros, of_nan in zip(*found, strict=True):
+        assert np.isfinite(of_zeros).all()
+        np.testing.assert_array_equal(of_nan, of_zeros)
