@@ -69,6 +69,12 @@ class Gang:
     angle_per_torque: ComplexArray
     torque_per_noise: ComplexArray
 
+    @property
+    def channels(self) -> ComplexArray:
+        """L at each of the plant's inputs with all others closed, 1/S_ii − 1, (m, N), dimensionless; −1 is critical."""
+        with np.errstate(all="ignore"):
+            return np.asarray(1.0 / np.diagonal(self.S_input).T - 1.0)
+
 
 def loop_transfer(plant: NamedSystem, controller: NamedSystem, at: At = "input") -> control.StateSpace:
     """Return L = -K P (``at="input"``) or -P K (``at="output"``): S = (I + L)^-1.

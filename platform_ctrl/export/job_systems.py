@@ -136,10 +136,7 @@ def _broken(
     name: str, plant: control.StateSpace, K: control.StateSpace, frequency: FloatArray, what: str
 ) -> Iterator[ResponseTable]:
     """Go through the torquers: L = 1/S - 1 at each, -K P where it is the only one."""
-    S = gang(plant, K, frequency).S_input
-    for k, torquer in enumerate(K.output_labels):
-        with np.errstate(divide="ignore", invalid="ignore"):
-            L = 1.0 / S[k, k] - 1.0
+    for L, torquer in zip(gang(plant, K, frequency).channels, K.output_labels, strict=True):
         response = import_module("control").FRD(
             L[None, None], frequency, K.dt, inputs=[torquer], outputs=[f"L({torquer})"]
         )

@@ -159,11 +159,9 @@ def _design_responses(
     assert design.plants is not None
     responses = gang(sampled_plant(design.plants), design.own_controller, frequency)
     S_in, S_out, T_in = (np.moveaxis(H, -1, 0) for H in (responses.S_input, responses.S_output, responses.T_input))
-    own = np.moveaxis(np.diagonal(S_in, axis1=-2, axis2=-1), -1, 0)
     with np.errstate(all="ignore"):
         # L = S⁻¹ T: never the product of two integrators' infinities.
         loop_transfer = np.linalg.solve(S_in, T_in)
-        channels = 1.0 / own - 1.0
     poles = continuous_poles(closed_loop_poles(design.plants, design.own_controller), design.plants.period)
     faults = design.plants.of(("faults",))
     metrics = peak_metrics()
@@ -176,7 +174,7 @@ def _design_responses(
         peaks=peaks,
         smallest_sensitivity=np.asarray(np.linalg.svd(S_in, compute_uv=False)[:, -1], dtype=np.float64),
         loop_gains=np.asarray(np.linalg.svd(loop_transfer, compute_uv=False).T, dtype=np.float64),
-        channels=channels,
+        channels=responses.channels,
         controller_gain=largest_singular_values(frequency_response(loop.controller, frequency, -3)),
         angle_per_rate=np.linalg.norm(S_out @ from_rate, axis=1).T,
         poles=poles[0],

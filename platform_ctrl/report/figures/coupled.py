@@ -185,12 +185,12 @@ def servo_figure(result: JobResult) -> Figure | None:
     if not channels or not check.stable or check.controller is None:
         return None
     w = coupled_grid(result)
-    S = gang(check.plant, check.controller, w).S_input
+    loops = gang(check.plant, check.controller, w).channels
     figure, [[gain, phase]] = panels(1, 2, 2.0, [check.channels[k] for k in channels])
     curves, phases, handles = [], [], []
     series = signal_series(result.job.platform)
     for k in channels:
-        loop, style = 1.0 / S[k, k] - 1.0, line_style(series[check.channels[k]])
+        loop, style = loops[k], line_style(series[check.channels[k]])
         curves.append(np.abs(loop))
         handles += gain.plot(w * HZ, np.abs(loop), **style)
         phases.append(loop_phase(w, loop))

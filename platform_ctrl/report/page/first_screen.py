@@ -9,7 +9,6 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import MultipleLocator
 
-from platform_ctrl.analysis.arrays import ComplexArray
 from platform_ctrl.analysis.feedback import gang
 from platform_ctrl.analysis.frequency_grids import following_grid
 from platform_ctrl.analysis.metrics import METRICS
@@ -40,6 +39,7 @@ from platform_ctrl.report.page.blocks import (
 from platform_ctrl.report.page.captions import sentences, tightest
 from platform_ctrl.report.plots.curves import loop_phase
 from platform_ctrl.report.plots.nichols import exclusion
+from platform_ctrl.report.plots.panels import gains
 from platform_ctrl.report.quantities import BOUND, DASH, assumed_words, compared, count, listed, percent, plain
 from platform_ctrl.report.style import BAND, LIMIT, MUTED, REFERENCE, legend, line_style, panels
 from platform_ctrl.verification.changes import FAR, GAIN, Change
@@ -260,11 +260,8 @@ def _curves(design: LoopDesign, k: int) -> list[tuple[FloatArray, FloatArray]]:
     nyquist = np.pi / plants.period
     low = max(min(2e-3 * plants.nutation, 0.05 * nyquist), 1e-4 * nyquist)
     frequency = following_grid(poles, low, 0.999 * nyquist)
-    S = np.moveaxis(gang(sampled_plant(plants), design.own_controller, frequency).S_input, -1, 0)
-    with np.errstate(all="ignore"):
-        found: ComplexArray = 1.0 / np.diagonal(S, axis1=-2, axis2=-1).T - 1.0
-        level = 20.0 * np.log10(np.abs(found))
-    return [(loop_phase(frequency, one), gain) for one, gain in zip(found, level, strict=True)]
+    found = gang(sampled_plant(plants), design.own_controller, frequency).channels
+    return [(loop_phase(frequency, one), gains(one, dB=True)) for one in found]
 
 
 def section_verdict(results: Sequence[CheckResult]) -> tuple[str, bool]:
