@@ -12,6 +12,9 @@ from platform_ctrl.analysis.frequency_grids import UP_TO
 from platform_ctrl.analysis.hybrid_plant import HybridPlant
 from platform_ctrl.common.values import FloatArray, value
 
+# Edges of cumulative variances that are nearer to each other than this, relative, are one where there are many images.
+_NEAR = 1e-3
+
 
 @value
 class Contribution:
@@ -115,7 +118,8 @@ def assembled(
         # What the sum of the lines has beyond the sum of their squares.
         coherent += one.variance[0, :, -1] - one.variance[0, :, :-1].sum(axis=1)
         more += one.remaining[0, -1] - one.remaining[0, :-1].sum(axis=0)
-    beyond = (0.5 + _kept(found, lines)) * plant.sample_frequency if found or lines else 1.0
+    highest = max([0.5 * plant.turn, *(float(one.panels[0, 0]) for one in lines)])
+    beyond = (1.0 + _kept(found, lines)) * plant.turn - highest if found or lines else 1.0
     bound = np.where(integrated, rest / beyond**2, 0.0)
     added, joint = np.where(integrated, 0.0, rest), np.where(integrated, 0.0, more)
     # All that is beyond is jitter.
@@ -181,7 +185,7 @@ def _cumulated(
     G, q = len(names), plant.outputs
     upper, steps, together = [np.zeros(1)], [np.zeros((1, G, q))], [np.zeros((1, q))]
     for one in found:
-        ends, parts = _between_nodes(one, plant.sample_frequency)
+        ends, parts = _between_nodes(one, plant.turn)
         step = np.zeros((len(ends), G, q))
         step[:, order] = parts
         upper.append(ends)
@@ -195,8 +199,15 @@ def _cumulated(
         together.append(one.members[0, :, -1])
     edges = np.concatenate(upper)
     rising = np.argsort(edges, kind="stable")
+    edges = edges[rising]
     cumulative = np.cumsum(np.concatenate(steps)[rising], axis=0).transpose(1, 2, 0)
-    return edges[rising], cumulative, np.cumsum(np.concatenate(together)[rising], axis=0).T
+    of_all = np.cumsum(np.concatenate(together)[rising], axis=0).T
+    if plant.cycle > 1:
+        # Every image has the nodes that any of them needs: of near ones the last.
+        near = np.floor(np.log(np.maximum(edges, 1e-12 * plant.turn)) / _NEAR)
+        kept = np.append(near[1:] > near[:-1], True)
+        return edges[kept], cumulative[..., kept], of_all[:, kept]
+    return edges, cumulative, of_all
 
 
 def _between_nodes(one: Contribution, turn: float) -> tuple[FloatArray, FloatArray]:

@@ -1,8 +1,10 @@
 """The budget of a sampled loop: what each disturbance does to each performance output, in continuous time.
 
 The frequencies between zero and half the sample frequency are divided into panels; a panel stands for itself and for
-all its images. Averaged over the instant within the period, the density of an output at an image is that of the same
-frequency of the disturbance, and what the sampler brings there from all others:
+all its images. Where a controller repeats itself after a cycle of N samples only, all this holds of the N-th part of
+the sample frequency, and M below is of the components that its images belong to (`hybrid_plant`). Averaged over the
+instant within the period, the density of an output at an image is that of the same frequency of the disturbance, and
+what the sampler brings there from all others:
 
     S_z(ω_n) = |G₀(ω_n)|² S_w(ω_n) + Σ_{k ≠ n} |P_zu H(ω_n) M P_yw(ω_k)|² S_w(ω_k),        ω_n = θ + n ω_s.
 
@@ -40,13 +42,17 @@ _ADDING = 30.0
 _SHARP, _WIDE = 0.1, 30.0
 # A source counts in the error at least as much as this share of all sources.
 _SMALL = 1e-6
+# Complex numbers of a modulator at once.
+_MOST_ENTRIES = 4_000_000
+# Frequencies that differ by less, relative, are the same.
+_SAME = 1e-12
 
 
 class _Prepared(NamedTuple):
     """Responses at the nodes of some panels, weighted by the roots of the densities; images with sources are `inside`.
 
     theta (N,), frequency (N, F), direct (N, I, q, c), measured (N, I, p, c), held (N, I, q, m), outer (N, F, q, m²),
-    rest (N, q, m²), sampled (N, p, m), weights (W, N, F).
+    rest (N, R, q, m²), sampled (N, R, p, m), weights (W, N, F); R: samples of a cycle.
     """
 
     theta: FloatArray
@@ -105,13 +111,15 @@ class JitterBudget:
         self._random = [one for one in self.sources if isinstance(one, RandomDisturbance)]
         self._noise = [one for one in self.sources if isinstance(one, SampleNoise)]
         self._sines = [one for one in self.sources if isinstance(one, SineDisturbance)]
-        highest = max((s.knots[-1] for one in self._random for s in one.spectra), default=0.0)
-        # Every frequency of a source is the image of one below half the sample frequency.
-        self._images = max(_IMAGES, math.ceil(highest / plant.sample_frequency))
+        self._starts = np.cumsum([0, *(len(one.inputs) for one in self._random)])[:-1]
+        ends = [s.knots[-1] for one in self._random for s in one.spectra]
+        highest = max([*ends, *(one.frequency for one in self._sines)], default=0.0)
+        # Every frequency of a source is the image of one below half of what the controller takes for one.
+        self._images = max(_IMAGES, plant.cycle, math.ceil(highest / plant.turn))
         if self._images > _MOST_OF_SOURCES:
             raise ArgumentError(
-                f"jitter budget: a spectrum reaches {highest / plant.sample_frequency:.3g} times the sample frequency, "
-                f"at most {_MOST_OF_SOURCES} times are possible; end it earlier"
+                f"jitter budget: a source reaches {highest / plant.sample_frequency:.3g} times the sample frequency, "
+                f"at most {_MOST_OF_SOURCES / plant.cycle:.4g} times are possible; end it earlier"
             )
         self._known: dict[Panel, int] = {}
         self._blocks: list[_Prepared] = []
@@ -119,7 +127,7 @@ class JitterBudget:
         self._base = self._edges()
 
     def of(self, controller: StateArrays, tolerance: float = 1e-6, *, over_frequency: bool = True) -> Budget:
-        """Return the budget with a discrete controller u = K y, of the plant's sample period.
+        """Return the budget with a discrete controller u = K y, of the plant's sample period; `lifted` over a cycle.
 
         `tolerance` bounds the relative error of each variance. Without densities and cumulative variances,
         `over_frequency`, it is faster. Raises `ArgumentError` where the loop is not stable, or an angle drifts without
@@ -141,7 +149,7 @@ class JitterBudget:
 
     def _edges(self) -> FloatArray:
         """Return the edges of panels that no controller changes."""
-        plant, turn = self.plant, self.plant.sample_frequency
+        plant, turn = self.plant, self.plant.turn
         knots = [self.lowest, *(k for one in self._random for s in one.spectra for k in s.knots)]
         own = poles(plant.plant.A)
         found = np.concatenate([np.array(knots), _around(own)])
@@ -153,8 +161,8 @@ class JitterBudget:
 
     def _integrated(self, controller: StateArrays, z: ComplexArray, tolerance: float) -> list[Contribution]:
         """Return the integrals over all panels, halved until their errors are below the tolerance."""
-        s = continuous_poles(z[np.abs(z) > 0.0], self.plant.period)
-        half = 0.5 * self.plant.sample_frequency
+        half = 0.5 * self.plant.turn
+        s = continuous_poles(z[np.abs(z) > 0.0], math.pi / half)
         base = between(self._base, 0.0, half)
         # What a slider hardly moves stays within the panels that are there: their responses are known.
         ends = np.array([high for _, high in base])
@@ -179,7 +187,13 @@ class JitterBudget:
 
     def _contributions(self, panels: tuple[Panel, ...], controller: StateArrays) -> Contribution:
         prepared = self._prepared(panels)
-        density, rest = self._densities(prepared, controller)
+        # The modulator of a long cycle is large: some nodes after the other.
+        step = max(1, _MOST_ENTRIES // (self.plant.cycle**2 * self.plant.controls * self.plant.measured))
+        pieces = [slice(k, k + step) for k in range(0, len(prepared.theta), step)]
+        density, rest = (
+            np.concatenate(one)
+            for one in zip(*(self._densities(_cut(prepared, rows), controller) for rows in pieces), strict=True)
+        )
         _, half = nodes(list(panels))
         P, (W, _, F) = len(panels), prepared.weights.shape
         by_panel = density.reshape(P, 21, F, *density.shape[2:])
@@ -261,34 +275,47 @@ class JitterBudget:
         """Return one-sided densities of the outputs (N, F, G, q) and what the images beyond add (N, G, q)."""
         M = self.open_loop.modulator(controller, at.theta, at.sampled)
         N, F, q, packed = at.outer.shape
-        m, inside, images = self.plant.controls, at.inside, len(at.inside)
-        count = len(self._random)
-        density = np.zeros((N, F, count + len(self._noise), q))
-        R = np.zeros((N, packed, count + len(self._noise)))
-        if count and images:
-            columns = at.direct.shape[-1]
-            V = (M @ at.measured.swapaxes(1, 2).reshape(N, self.plant.measured, -1)).reshape(N, m, images, columns)
-            own = at.direct.copy()
-            for r in range(m):
-                own += at.held[..., r, None] * V[:, r, :, None, :]
-            starts = np.cumsum([0, *(len(one.inputs) for one in self._random)])[:-1]
-            power = np.add.reduceat(own.real**2 + own.imag**2, starts, axis=-1)
-            density[:, list(inside), :count] = power.swapaxes(-1, -2)
-            each = np.add.reduceat(_packed_product(V), starts, axis=-1)
-            R[:, :, :count] = each.sum(axis=2)
-        for j, one in enumerate(self._noise):
-            column = M[:, :, one.measured]
-            R[:, :, count + j] = (
-                2.0 * self.plant.period * one.rms**2 * _packed_product(column[:, :, None, None])[..., 0, 0]
-            )
-        aliased = (at.outer.reshape(N, F * q, packed) @ R).reshape(N, F, q, -1).swapaxes(-1, -2)
-        if count and images:
-            # Sums over the others, not the whole less its own: what feedback cancels would leave rounding.
-            before = np.cumsum(each, axis=2) - each if images == 1 else _exclusive(each)
-            for k, n in enumerate(inside):
-                aliased[:, n, :count] = (at.outer[:, n] @ before[:, :, k]).swapaxes(-1, -2)
-        density += aliased
-        return density, (at.rest @ R).swapaxes(-1, -2)
+        count, sources = len(self._random), len(self._random) + len(self._noise)
+        density, rest = np.zeros((N, F, sources, q)), np.zeros((N, sources, q))
+        places = self._by_component(at)
+        read = [at.measured[:, some].swapaxes(1, 2).reshape(N, self.plant.measured, -1) for some in places]
+        for r, some in enumerate(places):
+            # What moves one component of the controls, and all its images.
+            R = np.zeros((N, packed, sources))
+            images = self.open_loop.of_component(r, F // 2)
+            if count and at.inside:
+                m, columns = self.plant.controls, at.direct.shape[-1]
+                V = np.zeros((N, m, len(at.inside), columns), dtype=np.complex128)
+                for s, y in enumerate(read):
+                    V[:, :, places[s]] = (M[:, r, :, s] @ y).reshape(N, m, len(places[s]), columns)
+                each = np.add.reduceat(_packed_product(V), self._starts, axis=-1)
+                R[:, :, :count] = each.sum(axis=2)
+            for j, one in enumerate(self._noise):
+                column = _packed_product(M[:, r, :, :, one.measured, None])
+                R[:, :, count + j] = 2.0 * self.plant.period * one.rms**2 * column.sum(axis=2)[..., 0]
+            aliased = at.outer[:, images].reshape(N, -1, packed) @ R
+            density[:, images] = aliased.reshape(N, -1, q, sources).swapaxes(-1, -2)
+            rest += (at.rest[:, r] @ R).swapaxes(-1, -2)
+            if count and some:
+                density[:, [at.inside[k] for k in some], :count] = self._where_sources_are(at, some, V, each)
+        return density, rest
+
+    def _by_component(self, at: _Prepared) -> list[list[int]]:
+        """Return the places, among the images with sources, of those that belong to each component."""
+        F = at.frequency.shape[1]
+        images = [range(F)[self.open_loop.of_component(r, F // 2)] for r in range(self.plant.cycle)]
+        return [[k for k, n in enumerate(at.inside) if n in own] for own in images]
+
+    def _where_sources_are(self, at: _Prepared, some: list[int], V: ComplexArray, each: FloatArray) -> FloatArray:
+        """Return the densities (N, len(some), sources, q) at images of one component that have sources of their own."""
+        own, held, moved = at.direct[:, some], at.held[:, some], V[:, :, some]
+        for r in range(self.plant.controls):
+            own += held[..., r, None] * moved[:, r, :, None, :]
+        power = np.add.reduceat(own.real**2 + own.imag**2, self._starts, axis=-1)
+        # Sums over the others, not the whole less its own: what feedback cancels would leave rounding.
+        others = np.delete(each, some, axis=2).sum(axis=2, keepdims=True) + _exclusive(each[:, :, some])
+        aliased = at.outer[:, [at.inside[k] for k in some]] @ others.transpose(0, 2, 1, 3)
+        return np.asarray((power + aliased).swapaxes(-1, -2))
 
     # Sines.
 
@@ -305,27 +332,31 @@ class JitterBudget:
         if not groups:
             return []
         plant, omega = self.plant, np.array([group[0].frequency for group in groups])
+        # One at a multiple of what the controller takes for zero has an image there, to the last bit.
+        still = plant.turn * np.round(omega / plant.turn)
+        omega = np.where(np.abs(omega - still) <= _SAME * omega, still, omega)
         family = self.open_loop.family(omega, np.arange(-self._images, self._images + 1))
         M = self.open_loop.modulator(controller, omega, family.sampled)
         weights = self._weights(family.frequency)
         rest = self.open_loop.remaining_images(omega, family.held)
         hidden = (family.frequency == 0.0) & (self.lowest > 0.0)
+        of_image = np.arange(-self._images, self._images + 1) % plant.cycle
         out = []
         for k, sines in enumerate(groups):
             amplitude = np.stack([one.vector(plant.disturbances) for one in sines], axis=-1)
-            u = M[k] @ family.measured[k, self._images] @ amplitude
+            u = M[k, :, :, 0] @ family.measured[k, self._images] @ amplitude
             with np.errstate(invalid="ignore"):
-                z = family.held[k] @ u
+                z = family.held[k] @ u[of_image]
                 z[self._images] += family.direct[k, self._images] @ amplitude
                 z = np.where(hidden[k, :, None, None], 0.0, z * family.integral[k])
             if not np.isfinite(z).all():
                 raise ArgumentError(
-                    f"source {sines[0].name}: a sine at a multiple of the sample frequency makes an angle drift "
+                    f"source {sines[0].name}: a sine at a multiple of a loop's sample frequency makes an angle drift "
                     "without bound; give the lowest frequency that counts"
                 )
             z, u = (np.concatenate([one, one.sum(axis=-1, keepdims=True)], axis=-1) for one in (z, u))
             power = 0.5 * np.abs(z.swapaxes(-1, -2)) ** 2
-            remaining = 0.5 * np.einsum("rg,irs,sg->gi", u.conj(), rest[k], u).real
+            remaining = 0.5 * np.einsum("crg,cirs,csg->gi", u.conj(), rest[k], u).real
             variance = np.einsum("wf,fgi->wgi", weights[:, k], power)
             out.append(
                 Contribution(

@@ -87,7 +87,7 @@ def rate_feedforward(job: Job, spec: LoopSpec, design: DesignSpec) -> RateFeedfo
         path=path,
         in_plants=in_plants,
         measured=_measured(model, signals, sensors, scale, job.sampling.period, every),
-        noise=np.array([sensor.sampled_noise(job.sampling.period) for sensor in sensors]),
+        noise=np.array([sensor.sampled_noise(job.sampling.period, every) for sensor in sensors]),
     )
 
 

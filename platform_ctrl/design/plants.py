@@ -174,7 +174,7 @@ def sampled_plants(
         torques=torques,
         angles=names,
         nutation=loop_reference(linear, period),
-        noise=np.array([s.sampled_noise(sampling.period) for s in linear.sensors]),
+        noise=np.array([s.sampled_noise(sampling.period, often[s.name]) for s in linear.sensors]),
         groups=tuple(one.group for one in linear.cases),
         Omega=Omega,
         torque_limit=np.array([np.inf if t.limit is None else t.limit for t in linear.torquers]),

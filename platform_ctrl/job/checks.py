@@ -190,9 +190,6 @@ def _rates(data: Data, rate: float) -> Iterator[Mistake]:
             cure = "choose rates that divide one another, or a lower rate_hz of [sampling]"
             yield Mistake((*path, "rate_hz"), f"{words}, more than {LONGEST_CYCLE}; {cure}")
             return
-    if cycle > 1 and isinstance(data.get("budget"), dict):
-        words = "[budget] has no numbers yet for loops with a rate_hz of their own, which sample the plant periodically"
-        yield Mistake(("budget",), f"{words}; leave out one of the two, and measure the line of sight in manoeuvres")
 
 
 def _designs(data: Data, platform: Platform | None) -> Iterator[Mistake]:

@@ -97,20 +97,28 @@ class Sensor:
         raise NotImplementedError
 
     @check_arguments
-    def sampled_noise(self, period: float) -> float:
+    def sampled_noise(self, period: float, every: int = 1) -> float:
         """Return the rms of one sample behind a filter at the Nyquist frequency.
 
         Parameters
         ----------
         period
             Sample period, s.
+        every
+            At every how many samples the reading is used. A sensor with samples of its own is filtered for these;
+            where it is used more often, the rms is that of independent samples with the density of the readings held.
 
         Returns
         -------
         float
             In the unit of the reading: rad or rad/s.
         """
-        return float(self.noise_rms * np.sqrt(0.5 / period / self.noise_bandwidth_hz))
+        own = period * min(self._held(period), whole("sampled_noise: every", every, 1))
+        return float(self.noise_rms * np.sqrt(0.5 / own / self.noise_bandwidth_hz))
+
+    def _held(self, period: float) -> float:
+        """Return the number of sample periods for which a reading is held."""
+        return 1.0 if self.rate_hz is None else max(1.0, 1.0 / (self.rate_hz * period))
 
     @check_arguments
     def periods_late(self, period: float, every: int = 1) -> int:
@@ -134,7 +142,7 @@ class Sensor:
             It is older than linear models with a state for every period can show.
         """
         every = whole("periods_late: every", every, 1)
-        held = 1.0 if self.rate_hz is None else max(1.0, 1.0 / (self.rate_hz * period))
+        held = self._held(period)
         # Both begin at t = 0: the ages at the samples where it is used are multiples of the common divisor.
         step = math.gcd(round(held), every) if abs(held - round(held)) < _WHOLE * held else 1
         late = self.delay / period + 0.5 * max(held - step, 0.0)

@@ -17,6 +17,7 @@ from platform_ctrl.analysis.disturbances import RandomDisturbance
 from platform_ctrl.analysis.dry_friction import FedFriction, FrictionBalance, friction_balance
 from platform_ctrl.analysis.friction_noise import FoundRate, friction_noise
 from platform_ctrl.analysis.hybrid_plant import HybridPlant
+from platform_ctrl.analysis.periodic import lifted
 from platform_ctrl.common.values import FloatArray, replaced
 from platform_ctrl.plant.sensors import LOS_RATES
 from platform_ctrl.verification.budget_loop import BudgetLoop
@@ -96,11 +97,14 @@ def balanced(loop: BudgetLoop, q: FloatArray, near: FrictionBalance | None = Non
 
 
 def _with_finders(loop: BudgetLoop) -> StateArrays:
-    """Return the loop's controller with the rates that drives find as its last outputs."""
-    A, B, C, D, dt = loop.controller
+    """Return the loop's controllers, lifted, with the rates that drives find as the last outputs of each sample."""
     weights = [loop.weights(law) for law in loop.laws if law is not None]
-    C = np.vstack([C, np.zeros((len(weights), len(A)))])
-    return StateArrays(A, B, C, np.vstack([D, *weights]), dt)
+    return lifted(
+        [
+            StateArrays(A, B, np.vstack([C, np.zeros((len(weights), len(A)))]), np.vstack([D, *weights]), dt)
+            for A, B, C, D, dt in loop.by_sample
+        ]
+    )
 
 
 def _balancing_plant(loop: BudgetLoop, gains: FloatArray, q: FloatArray, corner: float | None) -> HybridPlant:
@@ -141,4 +145,5 @@ def _balancing_plant(loop: BudgetLoop, gains: FloatArray, q: FloatArray, corner:
         lag=np.append(base.lag, lags),
         reading_delay=base.reading_delay,
         integrated=(*base.integrated, *(False for _ in range(len(C) - base.measured - base.outputs))),
+        cycle=base.cycle,
     )

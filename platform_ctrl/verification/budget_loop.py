@@ -10,10 +10,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import StateArrays, selected, state_arrays
+from platform_ctrl.analysis.arrays import StateArrays, state_arrays
 from platform_ctrl.analysis.disturbances import Disturbance, RandomDisturbance, SampleNoise, SineDisturbance, Spectrum
 from platform_ctrl.analysis.hybrid_plant import HybridPlant
+from platform_ctrl.analysis.interconnection import interconnected_by_sample
 from platform_ctrl.analysis.jitter_budget import JitterBudget
+from platform_ctrl.analysis.periodic import lifted
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.cases import secant_gains
 from platform_ctrl.design.plants import forgetting
@@ -27,7 +29,7 @@ from platform_ctrl.mechanics.outputs import observed
 from platform_ctrl.mechanics.state_space import state_space
 from platform_ctrl.plant.platform import FORCE_NAMES, OMEGA_NAMES, Platform
 from platform_ctrl.plant.sensors import LOS_RATES
-from platform_ctrl.verification.coupled import acts_on_root, coupled_plant, drifting_angles, one_controller
+from platform_ctrl.verification.coupled import acts_on_root, coupled_plant, drifting_angles, used_signals
 
 if TYPE_CHECKING:
     import control
@@ -45,14 +47,12 @@ class BudgetLoop:
         self.job, self.budget = job, budget
         self.free = acts_on_root(job, controllers)
         self.dry = [one for one in job.platform.frictions if max(*one.coulomb, *one.breakaway) > 0.0]
-        self._seen_by = coupled_plant(job, linearise(job.platform), controllers)
-        K = one_controller(job, controllers, self._seen_by)
+        seen, self.torquers = used_signals(job, controllers, coupled_plant(job, linearise(job.platform), controllers))
         read = {name for one in controllers for name in one.input_labels}
         # An angle that no controller reads may drift.
-        self.torquers, self.sensors = list(K.output_labels), [name for name in K.input_labels if name in read]
-        self._set, self._read = len(self.torquers), len(self.sensors)
+        self.sensors = [name for name in seen if name in read]
         self.laws = self._drives()
-        self.controller = self.controller_of(controllers)
+        self.by_sample = self.controllers_of(controllers)
         self.inputs: list[str] = []
         columns = [self._input(source) for source in budget.sources]
         for friction in job.platform.frictions:
@@ -65,25 +65,20 @@ class BudgetLoop:
         self.names = [*(one.name for one in budget.sources), *(one.name for one in self.noise)]
         self.kinds = [*(one.kind for one in budget.sources), *("sensor" for _ in self.noise)]
 
-    def controller_of(self, controllers: Sequence[control.StateSpace]) -> StateArrays:
-        """Return controllers as one, from the loop's sensors to its torquers."""
-        K = one_controller(self.job, controllers, self._seen_by)
-        own = selected(K, self.torquers[: self._set], self.sensors[: self._read])
-        A, B, C, D, dt = state_arrays(own, "controllers")
-        more, further = len(self.torquers) - self._set, len(self.sensors) - self._read
-        padded = np.pad(B, ((0, 0), (0, further))), np.pad(C, ((0, more), (0, 0))), np.pad(D, ((0, more), (0, further)))
-        return StateArrays(A, *padded, dt)
+    def controllers_of(self, controllers: Sequence[control.StateSpace]) -> list[StateArrays]:
+        """Return controllers as one, from the loop's sensors to its torquers, at every sample until they repeat."""
+        return interconnected_by_sample(controllers, self.sensors, self.torquers, self.job.sampling.period)
 
-    def with_drives(self, controller: StateArrays, fed: FloatArray, q: FloatArray) -> StateArrays:
-        """Return the controller with what drives add in proportion to readings, `fed` (J,), N m s, at angles (n,)."""
-        D = controller.D.copy()
+    def with_drives(self, by_sample: Sequence[StateArrays], fed: FloatArray, q: FloatArray) -> StateArrays:
+        """Return controllers, lifted, with what drives add in proportion to readings, `fed` (J,), N m s, at angles."""
+        added = np.zeros((len(self.torquers), len(self.sensors)))
         share = secant_gains(self.job, q, self.torquers)
         for law, gain in zip(self.laws, fed, strict=True):
             if law is not None:
                 # The torquer's column has the secant gain, which is not of what the drive adds.
                 row = self.torquers.index(law.torquer)
-                D[row] += gain / share[row] * self.weights(law)
-        return controller._replace(D=D)
+                added[row] += gain / share[row] * self.weights(law)
+        return lifted([K._replace(D=K.D + added) for K in by_sample])
 
     def weights(self, law: DriveLaw) -> FloatArray:
         """Return the weights of the sensors (p,) in the rate that a drive finds."""
@@ -130,16 +125,18 @@ class BudgetLoop:
         rates = len(model.angle_names)
         C, D = np.vstack([C, A[:rates]]), np.vstack([D, B[:rates]])
         A = forgetting(A, shown.state_labels, drifting_angles(self.job) - set(self.sensors), _FORGETTING)
-        late = {sensor.name: sensor.periods_late(self.job.sampling.period) for sensor in platform.sensors}
+        period, often = self.job.sampling.period, self.job.often_read
+        late = {one.name: one.periods_late(period, often.get(one.name, 1)) for one in platform.sensors}
         return HybridPlant(
             plant=StateArrays(A, gains * B[:, columns], C, gains * D[:, columns]),
             controls=len(controls),
             measured=len(self.sensors),
-            period=self.job.sampling.period,
+            period=period,
             delay=self.job.sampling.delay,
             lag=np.array([torquers[name].lag for name in self.torquers]),
             reading_delay=tuple(late[name] for name in self.sensors),
             integrated=(True,) * len(LOS_RATES) + (False,) * rates,
+            cycle=len(self.by_sample),
         )
 
     def _input(self, source: Source) -> int:
@@ -194,7 +191,7 @@ class BudgetLoop:
         for k, name in enumerate(self.sensors):
             sensor = sensors[name]
             if sensor.noise_rms > 0.0:
-                rms = sensor.sampled_noise(self.job.sampling.period)
+                rms = sensor.sampled_noise(self.job.sampling.period, self.job.often_read.get(name, 1))
                 out.append(SampleNoise(name=f"noise of {name}", measured=k, rms=rms))
             if sensor.quantisation > 0.0:
                 out.append(

@@ -169,7 +169,7 @@ class _Together:
 
     def __init__(self, job: Job, controllers: Sequence[control.StateSpace], plant: control.StateSpace) -> None:
         self._job, self._plant = job, plant
-        self._seen, torquers = _signals(job, controllers, plant)
+        self._seen, torquers = used_signals(job, controllers, plant)
         self.channels = tuple(torquers)
         self.controller: control.StateSpace | None = None
         self._periodic: PeriodicLoop | None = None
@@ -211,7 +211,8 @@ class _Together:
     def of_torquers(self) -> dict[str, FloatArray]:
         """Metrics of the torquers; of periodic loops the root mean square over the samples of a period."""
         sensors = {s.name: s for s in self._job.platform.sensors}
-        rms = np.array([sensors[name].sampled_noise(self._job.sampling.period) for name in self._seen], np.float64)
+        period, often = self._job.sampling.period, self._job.often_read
+        rms = np.array([sensors[name].sampled_noise(period, often.get(name, 1)) for name in self._seen], np.float64)
         if self._periodic is None:
             return torquer_metrics(_noise_to_torque(self._loop, len(self.channels)), rms)
         every = np.tile(rms, self._periodic.samples)
@@ -335,11 +336,11 @@ def one_controller(
     job: Job, controllers: Sequence[control.StateSpace], plant: control.StateSpace
 ) -> control.StateSpace:
     """Return all controllers as one, from the sensors that `plant` shows to the torquers that are used."""
-    seen, torquers = _signals(job, controllers, plant)
+    seen, torquers = used_signals(job, controllers, plant)
     return interconnect_controllers(controllers, seen, torquers, job.sampling.period)
 
 
-def _signals(
+def used_signals(
     job: Job, controllers: Sequence[control.StateSpace], plant: control.StateSpace
 ) -> tuple[list[str], list[str]]:
     """Return the sensors that a plant shows, and its torquers that are used."""

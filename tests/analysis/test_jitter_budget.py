@@ -8,14 +8,17 @@ import math
 import control
 import numpy as np
 import pytest
+from scipy.linalg import expm, solve_discrete_lyapunov
 
 from platform_ctrl import analysis
 from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.budget_result import Budget
 from platform_ctrl.analysis.disturbances import RandomDisturbance, SampleNoise, SineDisturbance, Spectrum
 from platform_ctrl.analysis.hybrid_plant import HybridPlant
+from platform_ctrl.analysis.interconnection import interconnected_by_sample
 from platform_ctrl.analysis.jitter_budget import JitterBudget
 from platform_ctrl.analysis.norms import stationary_covariance
+from platform_ctrl.analysis.periodic import lifted
 from platform_ctrl.analysis.sampling import held_input, sampled, with_lag
 from platform_ctrl.errors import ArgumentError
 
@@ -275,3 +278,168 @@ def test_a_narrow_band_within_a_long_exposure_is_summed_over_frequency() -> None
     assert found.cumulative[0, 0, -1] == pytest.approx(found.rms[0, 0] ** 2, rel=1e-6)
     # What is much faster than the exposure is jitter but for the share 3/(ωT/2)².
     assert found.windows[0].jitter[0, 0] == pytest.approx(found.rms[0, 0], rel=1e-4)
+
+
+def taking_turns(*controllers: control.StateSpace) -> tuple[list[StateArrays], StateArrays]:
+    """Controllers from position and rate to the control at every sample of their cycle, and lifted."""
+    by_sample = interconnected_by_sample(controllers, ["position", "rate"], ["u"], PERIOD)
+    return by_sample, lifted(by_sample)
+
+
+# A loop on the position, with an integrator, at every third sample around one on the rate at every sample.
+OUTER = control.ss(1.0, 1.0, -0.04, -0.1, 3 * PERIOD, inputs=["position"], outputs=["rate_command"])
+INNER = control.ss(
+    0.3, [[0.2, -0.2]], 0.5, [[-0.4, 0.4]], PERIOD, inputs=["rate", "rate_command"], outputs=["u"]
+)  # fmt: skip
+
+
+def cascaded(**changes: object) -> HybridPlant:
+    """The oscillator with both position, one sample late, and rate measured."""
+    A, B, C, D, _ = oscillator().plant
+    rows = [0, 2, 1, 2]
+    given = {"plant": StateArrays(A, B, C[rows], D[rows]), "measured": 2, "reading_delay": (1, 0), "cycle": 3}
+    return oscillator(**(given | changes))
+
+
+class Stepped:
+    """The cascade with a source behind the disturbance, ẋ = F x + G n, w = H x, stepped sample by sample by hand."""
+
+    def __init__(self, F: np.ndarray, G: np.ndarray, H: np.ndarray) -> None:
+        by_sample, _ = taking_turns(OUTER, INNER)
+        A, B, C, D, _ = cascaded().plant
+        f, k = len(F), len(by_sample[0].A)
+        self.x, self.held, self.late, self.size = 3 + f, 3 + f, 4 + f, 5 + f + k
+        self.A = np.block([[A, B[:, 1:2] @ H], [np.zeros((f, 3)), F]])
+        self.B, self.noise = np.vstack([B[:, :1], np.zeros((f, 1))]), np.vstack([np.zeros((3, G.shape[1])), G])
+        self.C = np.hstack([C, D[:, 1:2] @ H])
+        self.controllers = by_sample
+        # Of every sample: the state at its beginning to the control, and to the next beginning.
+        self.u, self.steps, self.added = [], [], []
+        for K in by_sample:
+            seen = np.zeros((2, self.size))
+            seen[0, self.late], seen[1, : self.x] = 1.0, self.C[1]
+            u = K.D @ seen
+            u[:, self.late + 1 :] += K.C
+            step = np.zeros((self.size, self.size))
+            step[: self.x] = self.between(1.0, u)[0]
+            step[self.held], step[self.late, : self.x] = u[0], self.C[0]
+            step[self.late + 1 :] = K.B @ seen
+            step[self.late + 1 :, self.late + 1 :] += K.A
+            # What the noise of both readings adds.
+            added = np.zeros((self.size, 2))
+            added[: self.x] = held_input(self.A, self.B, 0.75 * PERIOD)[1] @ K.D
+            added[self.held], added[self.late + 1 :] = K.D[0], K.B
+            self.added.append(added)
+            self.u.append(u)
+            self.steps.append(step)
+
+    def between(self, part: float, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The plant's state, and what noise has added, after a part of a period; the control acts after a quarter."""
+        before = np.eye(1, self.size, self.held)
+        phi, gain = held_input(self.A, self.B, min(part, 0.25) * PERIOD)
+        x = phi @ np.eye(self.x, self.size) + gain @ before
+        if part > 0.25:
+            phi, gain = held_input(self.A, self.B, (part - 0.25) * PERIOD)
+            x = phi @ x + gain @ u
+        n = self.x
+        pair = np.block([[-self.A, self.noise @ self.noise.T], [np.zeros((n, n)), self.A.T]])
+        power = expm(pair * part * PERIOD)
+        return x, power[n:, n:].T @ power[:n, n:]
+
+    def covariances(self, driven: list[np.ndarray]) -> list[np.ndarray]:
+        """The periodic covariance at the beginning of each sample, of what each adds until its end."""
+        turn, whole = np.eye(self.size), np.zeros((self.size, self.size))
+        for step, own in zip(self.steps, driven, strict=True):
+            turn, whole = step @ turn, step @ whole @ step.T + own
+        out = [solve_discrete_lyapunov(turn, whole)]
+        for step, own in zip(self.steps[:-1], driven[:-1], strict=True):
+            out.append(step @ out[-1] @ step.T + own)
+        return out
+
+    def instants(self) -> list[tuple[int, float, np.ndarray, np.ndarray, np.ndarray]]:
+        """Of instants over the cycle: the sample and a weight; z from the state there, its variance by the source's
+        noise since, and z from the noise of both readings.
+        """
+        point, weight = np.polynomial.legendre.leggauss(20)
+        out = []
+        for k, u in enumerate(self.u):
+            for low, high in ((0.0, 0.25), (0.25, 1.0)):
+                for t, w in zip(low + 0.5 * (high - low) * (1.0 + point), 0.5 * (high - low) * weight, strict=True):
+                    x, noise = self.between(float(t), u)
+                    struck = held_input(self.A, self.B, max(float(t) - 0.25, 0.0) * PERIOD)[1] @ self.controllers[k].D
+                    z = self.C[2:]
+                    out.append((k, w / 3.0, z @ x, np.diag(z @ noise @ z.T), z @ struck))
+        return out
+
+
+def test_loops_that_take_turns_have_the_variance_of_the_covariance_over_their_cycle() -> None:
+    shape = control.ss(SHAPE)
+    stepped = Stepped(shape.A, shape.B, shape.C)
+    driven = np.zeros((stepped.size, stepped.size))
+    driven[: stepped.x, : stepped.x] = stepped.between(1.0, stepped.u[0])[1]
+    X = stepped.covariances([driven] * 3)
+    expected = sum(w * (np.einsum("ij,jk,ik->i", z, X[k], z) + more) for k, w, z, more, _ in stepped.instants())
+    _, K_cycle = taking_turns(OUTER, INNER)
+    found = JitterBudget(cascaded(), [noise()], (0.4, 3.0)).of(K_cycle, 1e-9)
+    assert found.rms[0] ** 2 == pytest.approx(expected, rel=1e-8)
+    assert found.cumulative[0, :, -1] == pytest.approx(expected, rel=1e-4)
+    # The integral of the rate is the position.
+    integral = JitterBudget(cascaded(integrated=(False, True)), [noise()]).of(K_cycle, 1e-8)
+    assert integral.rms[0, 1] == pytest.approx(found.rms[0, 0], rel=1e-7)
+
+
+@pytest.mark.parametrize("omega", [0.9, 4.1, 2.0 * math.pi / (3 * PERIOD), 31.0])
+def test_a_sine_in_loops_that_take_turns_has_the_mean_square_of_the_exact_steady_state(omega: float) -> None:
+    stepped = Stepped(np.array([[0.0, omega], [-omega, 0.0]]), np.zeros((2, 1)), np.array([[1.0, 0.0]]))
+    rest = [k for k in range(stepped.size) if k not in (3, 4)]
+    turn = np.linalg.multi_dot(stepped.steps[::-1])
+    v = np.zeros(stepped.size, dtype=complex)
+    v[3:5] = [1.0, 1j]
+    back = np.exp(3j * omega * PERIOD) * np.eye(len(rest)) - turn[np.ix_(rest, rest)]
+    v[rest] = np.linalg.solve(back, turn[np.ix_(rest, [3, 4])] @ v[3:5])
+    at = [v, stepped.steps[0] @ v, stepped.steps[1] @ stepped.steps[0] @ v]
+    expected = sum(w * 0.5 * np.abs(z @ at[k]) ** 2 for k, w, z, *_ in stepped.instants())
+    sine = SineDisturbance(name="motor", inputs=(0,), frequency=omega, amplitude=np.array([1.0]))
+    found = JitterBudget(cascaded(), [sine]).of(taking_turns(OUTER, INNER)[1])
+    assert found.rms[0] ** 2 == pytest.approx(expected, rel=1e-9)
+
+
+def test_noise_of_samples_in_loops_that_take_turns_is_the_mean_over_their_cycle() -> None:
+    stepped = Stepped(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)))
+    found = JitterBudget(cascaded(), [SampleNoise(name=f"{k}", measured=k, rms=0.3) for k in range(2)])
+    rms = found.of(taking_turns(OUTER, INNER)[1], 1e-9).rms
+    for k in range(2):
+        added = [one[:, k : k + 1] for one in stepped.added]
+        X = stepped.covariances([one @ one.T for one in added])
+        expected = sum(
+            w * (np.einsum("ij,jk,ik->i", z, X[at], z) + direct[:, k] ** 2)
+            for at, w, z, _, direct in stepped.instants()
+        )
+        assert rms[k] == pytest.approx(0.3 * np.sqrt(expected), rel=1e-8)
+
+
+def test_a_slow_controller_alone_is_one_of_a_longer_period() -> None:
+    """A cycle of three samples of which one is used, and one period of the three together: the same to the last."""
+    sources = [noise(), noise("base", 1), SampleNoise(name="gyro", measured=0, rms=0.1)]
+    sine = SineDisturbance(name="motor", inputs=(0,), frequency=6.0, amplitude=np.array([0.3]))
+    whole = JitterBudget(oscillator(), [*sources, sine], (0.4, 3.0)).of(K, 1e-9)
+    slow = control.ss(*K, inputs=["y"], outputs=["u"])
+    turns = lifted(interconnected_by_sample([slow], ["y"], ["u"], PERIOD / 3))
+    again = JitterBudget(oscillator(period=PERIOD / 3, cycle=3), [*sources, sine], (0.4, 3.0)).of(turns, 1e-9)
+    assert again.rms == pytest.approx(whole.rms, rel=1e-8)
+    assert again.total == pytest.approx(whole.total, rel=1e-8)
+    for one, other in zip(again.windows, whole.windows, strict=True):
+        assert one.smear == pytest.approx(other.smear, rel=1e-6)
+        assert one.total_jitter == pytest.approx(other.total_jitter, rel=1e-6)
+    at = np.array([0.3, 1.0, 3.0, 8.0, 20.0])
+    for k in range(2):
+        curves = [np.interp(at, one.edges, one.total_cumulative[k]) for one in (again, whole)]
+        assert curves[0] == pytest.approx(curves[1], rel=1e-3)
+
+
+def test_the_same_controller_at_every_sample_takes_no_turns(budget: Budget) -> None:
+    sources = [noise(), noise("base", 1), SampleNoise(name="gyro", measured=0, rms=0.1)]
+    sine = SineDisturbance(name="motor", inputs=(0,), frequency=6.0, amplitude=np.array([0.3]))
+    found = JitterBudget(oscillator(cycle=4), [*sources, sine], (0.4, 3.0)).of(lifted([K] * 4), 1e-8)
+    assert found.rms == pytest.approx(budget.rms, rel=1e-8)
+    assert found.windows[1].smear == pytest.approx(budget.windows[1].smear, rel=1e-6)

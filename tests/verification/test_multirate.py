@@ -6,7 +6,6 @@ sample a loop is computed, in between its output is held.
 
 from __future__ import annotations
 
-import copy
 import ctypes
 import math
 from pathlib import Path
@@ -34,8 +33,10 @@ from platform_ctrl.job.job import Job, manoeuvre_scenario
 from platform_ctrl.job.writing import job_data
 from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.simulation import Simulator, simulate, simulate_batch
+from platform_ctrl.verification.budget import line_of_sight_budget
 from platform_ctrl.verification.controllers import outcomes_from, read_controllers
 from platform_ctrl.verification.coupled import CoupledCheck, coupled_check
+from platform_ctrl.verification.simulated_budget import simulated_budget
 from platform_ctrl.verification.verdict import coupled_proofs
 
 T, SLOW = 1.0 / RATE_HZ, 20
@@ -400,8 +401,46 @@ def test_a_loop_around_a_slow_one_needs_a_rate() -> None:
         read_job(tracking_job(None, inner=2))
 
 
-def test_what_has_no_slow_form_yet_is_refused() -> None:
-    data = copy.deepcopy(tracking_job())
-    data["budget"] = {"source": [{"name": "base", "kind": "rate", "axis": 3, "rms": 0.01, "bandwidth_hz": 10.0}]}
-    with pytest.raises(InputError, match=r"\[budget\] has no numbers yet for loops with a rate_hz of their own"):
-        read_job(data)
+def shaken_job(slow: int) -> Job:
+    """The base turns under a bearing with viscous friction; the tracker takes a noisy picture whenever it is read."""
+    data = tracking_job(slow, noise_rms=1e-4, noise_bandwidth_hz=20.0, rate_hz=RATE_HZ / slow)
+    data["plant"]["rate_sensor"][0] |= {"noise_rms": 1e-3, "noise_bandwidth_hz": 500.0}
+    data["plant"]["friction"] = [{"gimbal": "yaw", "viscous": 0.1}]
+    data["budget"] = {
+        "from_hz": 1.0,
+        "to_hz": 200.0,
+        "exposure": [0.02],
+        "limits": {"jitter": 1.0},
+        "source": [
+            {"name": "base", "kind": "base-rate", "axis": 3, "frequencies_hz": [1.0, 90.0], "densities": [1e-5] * 2}
+        ],
+    }
+    return read_job(data)
+
+
+def test_runs_have_the_rms_of_the_budget() -> None:
+    """Hold and aliasing of the tracking loop at 50 Hz included: its pictures are most of what shakes."""
+    job = shaken_job(SLOW)
+    controllers = [one.closed.controller for one in loops(job)]
+    found = simulated_budget(job, controllers, 96, time=1.0)
+    spread = (found.high[1] - found.low[1]) / (2.0 * found.rms[1])
+    assert spread < 0.07
+    # Four standard errors; the interval has two.
+    assert found.rms[1] == pytest.approx(found.linear[1], rel=2.0 * spread)
+    budget = line_of_sight_budget(job, controllers)
+    assert budget.names == ("base", "noise of gyro", "noise of heading")
+    assert budget.rms[2, 1] > 0.6 * budget.total[1]
+    np.testing.assert_allclose(np.sqrt(np.sum(budget.rms**2, axis=0)), budget.total, rtol=1e-9)
+    (limit,) = budget.results
+    assert limit.value == pytest.approx(np.hypot(*budget.total[:2]))
+
+
+def test_a_picture_that_is_read_just_when_it_is_taken_has_the_noise_of_its_own_rate() -> None:
+    (sensor,) = (one for one in shaken_job(SLOW).platform.sensors if one.name == "heading")
+    own = sensor.sampled_noise(SLOW * T)
+    assert sensor.sampled_noise(T, SLOW) == sensor.sampled_noise(T, 3 * SLOW) == pytest.approx(own)
+    # Read more often it is the same picture again: independent readings of the same density have more noise.
+    assert sensor.sampled_noise(T, SLOW // 4) == pytest.approx(2.0 * own)
+    assert sensor.sampled_noise(T) == pytest.approx(math.sqrt(SLOW) * own)
+    (gyro,) = (one for one in shaken_job(SLOW).platform.sensors if one.name == "gyro")
+    assert gyro.sampled_noise(T, SLOW) == gyro.sampled_noise(T)
