@@ -33,7 +33,8 @@ from platform_ctrl.analysis.feedback import closed_loop
 from platform_ctrl.analysis.lifting import SampledPlant, lifted_plant
 from platform_ctrl.analysis.periodic import lifted
 from platform_ctrl.analysis.poles import poles
-from platform_ctrl.analysis.response import TOLERATED, frequency_response
+from platform_ctrl.analysis.resolvent import TOLERATED
+from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.analysis.sampling import late_outputs, sampled, split_delay, with_lag
 from platform_ctrl.common.arguments import not_negative, whole
 from platform_ctrl.common.values import FloatArray, value
