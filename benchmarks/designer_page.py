@@ -2,7 +2,8 @@
 
     python benchmarks/designer_page.py [--rounds 100] [--moves 3000] [--job JOB.toml] [--loop NAME ...] [--budget]
 
-Two times each: until the loop's curves and bands are painted, and until it is measured and that is painted as well.
+Two times each: until the loop's curves and bands are painted, and until it is measured and that is painted as well;
+beside them the processor time of the server for each move, which other processes on the machine change less.
 With --budget the page shows the budget of the line of sight (examples/camera_gimbal.toml unless another job is given):
 the time until it is painted stands beside the time until the loop is measured as well.
 A real Chromium without a window, drawing by software; the server in a process of its own. Needs the extra `test`.
@@ -81,6 +82,16 @@ def server_memory(process: subprocess.Popen[str]) -> float:
     return int(text.split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
+def server_time(process: subprocess.Popen[str]) -> float:
+    """Return the processor time that the server has taken, ms; nan where the system does not tell."""
+    try:
+        text = Path(f"/proc/{process.pid}/stat").read_text(encoding="ascii")
+    except OSError:
+        return float("nan")
+    ticks = text.rpartition(")")[2].split()[11:13]
+    return 1e3 * sum(map(int, ticks)) / os.sysconf("SC_CLK_TCK")
+
+
 def page_memory(talk: Any) -> float:
     """Return what the page's JavaScript holds after its rubbish was collected, MB."""
     talk.send("HeapProfiler.collectGarbage")
@@ -94,20 +105,21 @@ def quantiles(times: list[float | None]) -> tuple[float, float]:
     return (statistics.median(known), known[int(0.95 * (len(known) - 1))]) if known else (math.nan, math.nan)
 
 
-def sliders_timed(page: Any, rounds: int, budget: bool) -> list[str]:
+def sliders_timed(page: Any, process: subprocess.Popen[str], rounds: int, budget: bool) -> list[str]:
     """Print the times of each slider of the loop that is shown, and return the sliders."""
     print(f"{page.locator('#loop').input_value()}, allowed {ALLOWED:g} ms")
-    print(f"{'slider':<14} {'painted':>8} {'95 %':>8} {'measured':>9} {'95 %':>8} {'picture':>8}   painted, measured")
+    heads = "".join(f"{word:>9}" for word in ("painted", "95 %", "measured", "95 %", "picture", "server"))
+    print(f"{'slider':<14}{heads}   painted, measured")
     sliders = [one for one in SLIDERS if page.locator(f'#sliders [data-slider="{one}"]').count()]
     for name in sliders:
         page.evaluate(MOVE, [name, 10, True])
+        begun = server_time(process)
         times = page.evaluate(MOVE, [name, rounds, True])
+        busy = (server_time(process) - begun) / rounds
         (curves, curves_late), (whole, late) = (quantiles([one[k] for one in times]) for k in (3, 0))
         picture = statistics.median(one[1] for one in times)
-        words = (
-            f"{name:<14} {curves:5.0f} ms {curves_late:5.0f} ms {whole:6.0f} ms {late:5.0f} ms {picture:5.0f} ms   "
-            f"{curves / ALLOWED:5.2f} {whole / ALLOWED:5.2f}"
-        )
+        columns = "".join(f"{one:6.0f} ms" for one in (curves, curves_late, whole, late, picture, busy))
+        words = f"{name:<14}{columns}   {curves / ALLOWED:5.2f} {whole / ALLOWED:5.2f}"
         if budget:
             painted = statistics.median(one[2] for one in times)
             words += f"   budget painted {painted:4.0f} ms, {painted / ALLOWED:5.2f}"
@@ -153,7 +165,7 @@ def main() -> None:
                         page.wait_for_timeout(200)
                     # The other parts of the job are measured then.
                     page.wait_for_timeout(5000)
-                sliders = sliders_timed(page, given.rounds, given.budget)
+                sliders = sliders_timed(page, process, given.rounds, given.budget)
             rows = []
             for part in range(4):
                 if part:
