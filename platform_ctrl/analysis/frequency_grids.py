@@ -120,6 +120,8 @@ _INTEGRALS = np.polynomial.legendre.legvander(np.append(NODES, 1.0), len(NODES))
 UP_TO = np.linalg.solve(_DEGREES.T, _INTEGRALS.T).T
 
 Panel = tuple[float, float]
+# Relative distance of edges of panels below which they are one.
+_SAME = 1e-9
 
 
 def nodes(panels: list[Panel]) -> tuple[FloatArray, FloatArray]:
@@ -129,12 +131,12 @@ def nodes(panels: list[Panel]) -> tuple[FloatArray, FloatArray]:
     return ends[:, :1] + half[:, None] * (1.0 + NODES), half
 
 
-def between(edges: FloatArray, low: float, high: float, resolution: float = 1e-9) -> list[Panel]:
+def between(edges: FloatArray, low: float, high: float) -> list[Panel]:
     """Return the panels between `low`, the `edges` inside, and `high`; edges that hardly differ are one."""
     inside = np.unique(edges[(edges > low) & (edges < high)])
     kept = [low]
     for one in inside:
-        if one - kept[-1] > resolution * one and high - one > resolution * high:
+        if one - kept[-1] > _SAME * one and high - one > _SAME * high:
             kept.append(float(one))
     return list(zip(kept, [*kept[1:], high], strict=True))
 

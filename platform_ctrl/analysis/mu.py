@@ -120,12 +120,12 @@ class MuPeak:
         """Return the response, (N, m, m); at infinite frequency the direct term."""
         return self.axis.response(frequency)
 
-    def climb(self, grid: FloatArray, mu: FloatArray, count: int = 3) -> None:
-        """Refine the highest local maxima of `mu` on `grid` side by side, the highest of them to the end."""
+    def climb(self, grid: FloatArray, mu: FloatArray) -> None:
+        """Refine the three highest local maxima of `mu` on `grid` side by side, the highest of them to the end."""
         padded = np.concatenate([[-np.inf], mu, [-np.inf]])
         tops = np.flatnonzero((padded[1:-1] >= padded[:-2]) & (padded[1:-1] >= padded[2:]))
         tops = tops[mu[tops] >= 0.7 * mu.max()]
-        tops = tops[np.argsort(-mu[tops])][:count]
+        tops = tops[np.argsort(-mu[tops])][:3]
         left, right = grid[np.maximum(tops - 1, 0)], grid[np.minimum(tops + 1, len(grid) - 1)]
         for step in range(6):
             fan = left[:, None] + (right - left)[:, None] * FAN

@@ -121,11 +121,11 @@ class PlantSet:
         static = fed is not None and fed.into == "reading" and not len(fed.path.A)
         return np.hstack([own, fed.path.D * fed.noise]) if fed is not None and static else own
 
-    def of_torques(self, k: int = 0) -> StateArrays:
-        """Return plant `k` from its torques to what is measured, without states that no torque changes."""
+    def of_torques(self) -> StateArrays:
+        """Return the nominal plant from its torques to what is measured, without states that no torque changes."""
         added = 0 if self.feedforward is None else len(self.feedforward.from_rate.A)
         n = self.A.shape[-1] - added
-        return StateArrays(self.A[k, :n, :n], self.B[k, :n], self.C[k, :, :n], self.D[k], self.period)
+        return StateArrays(self.A[0, :n, :n], self.B[0, :n], self.C[0, :, :n], self.D[0], self.period)
 
     def named_inputs(self, commands: Sequence[str] = ()) -> list[str]:
         """Return the names of what a delivered controller reads: the angles, commands, sensors of feedforward."""

@@ -23,6 +23,8 @@ from platform_ctrl.errors import IllPosedError, NotStabilisableError
 if TYPE_CHECKING:
     from control import StateSpace
 
+# Sweeps over all states that balance a plant, at most.
+MOST_SWEEPS = 50
 # Singular values below this share of the largest (of unit columns or rows) count as zero.
 RANK_TOLERANCE = 1e-8
 # A unit of the norm within so many powers of two is left as it is.
@@ -115,7 +117,7 @@ def autoscaled_with_gain(plant: Partition) -> ScaledPlant:
     return scaled if abs(power) < NEAR_UNITS else autoscale(plant, 2.0**power)
 
 
-def balance(A: FloatArray, B: FloatArray, C: FloatArray, sweeps: int = 50) -> FloatArray:
+def balance(A: FloatArray, B: FloatArray, C: FloatArray) -> FloatArray:
     """Return powers of two d, (n,), such that row i of [D⁻¹AD, D⁻¹B] and column i of [D⁻¹AD; CD] are of similar length.
 
     D = diag(d). Osborne's iteration, inputs and outputs fixed. A state without inputs or outputs keeps its unit.
@@ -125,7 +127,7 @@ def balance(A: FloatArray, B: FloatArray, C: FloatArray, sweeps: int = 50) -> Fl
     d = np.ones(n)
     square = (A - np.diag(np.diag(A))) ** 2
     rows, columns = np.sum(B**2, axis=1), np.sum(C**2, axis=0)
-    for _ in range(sweeps):
+    for _ in range(MOST_SWEEPS):
         moved = False
         for i in range(n):
             row = (square[i] @ d**2 + rows[i]) / d[i] ** 2

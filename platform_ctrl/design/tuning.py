@@ -289,16 +289,15 @@ def best_move(
     target: int,
     tried: Sequence[tuple[str, float]],
     results: Callable[[str, float], Sequence[CheckResult]],
-    score: Score = largest,
 ) -> OptionMove | None:
     """Return the best of the moves that are `tried`, measured by `results`; None where none helps the `target`."""
-    best, step = _score(before, score) - _GAIN * before[target].ratio, None
+    best, step = max(one.ratio for one in before) - _GAIN * before[target].ratio, None
     for name, after in tried:
         try:
             found = results(name, after)
         except PlatformCtrlError:
             continue
-        reached = _score(found, score)
+        reached = max(one.ratio for one in found)
         if reached >= best:
             continue
         best = reached
@@ -307,10 +306,6 @@ def best_move(
             option=name, after=after, gain=ResultChange(before=before[target], after=found[target]), cost=cost
         )
     return step
-
-
-def _score(results: Sequence[CheckResult], score: Score) -> float:
-    return score(np.array([one.ratio for one in results]))
 
 
 def largest_loss(before: Sequence[CheckResult], after: Sequence[CheckResult]) -> ResultChange | None:

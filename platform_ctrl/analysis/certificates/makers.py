@@ -65,7 +65,6 @@ def stability_certificate(
     A: ArrayLike,
     dt: float = 0.0,
     *,
-    decay: float | None = None,
     B: ArrayLike | None = None,
     C: ArrayLike | None = None,
     D: ArrayLike | None = None,
@@ -75,30 +74,20 @@ def stability_certificate(
     """Return a proved certificate that a system, or a plant closed by a controller, is stable.
 
     x' = A x, or x(k+1) = A x(k) with a sample period dt > 0, s. With a controller u = K y the matrices are those of the
-    plant from u to y. `decay`, 1/s, is what is claimed; default 99 % of that of the slowest pole, or less where that
-    cannot be proved. Raises `ArgumentError` where matrices do not fit together, `NotCertifiedError` where no proof was
-    found. See docs/certificates.md; Boyd, El Ghaoui, Feron, Balakrishnan, Linear Matrix Inequalities in System and
-    Control Theory, 1994.
+    plant from u to y. The decay that is claimed is 99 % of that of the slowest pole, or less where that cannot be
+    proved. Raises `ArgumentError` where matrices do not fit together, `NotCertifiedError` where no proof was found. See
+    docs/certificates.md; Boyd, El Ghaoui, Feron, Balakrishnan, Linear Matrix Inequalities in System and Control Theory,
+    1994.
     """
-    loop = closed(matrices_of(A, B, C, D, dt, "stability_certificate"), controller, label, "stability_certificate")
-    system = _rounded(loop, "stability_certificate")
-    rate = -float(spectral_abscissa(continuous_poles(poles(system.A), loop.dt))) if len(system.A) else np.inf
-    if not rate > 0.0:
-        raise NotCertifiedError(
-            f"stability_certificate: the slowest pole{_of(label)} grows at {-rate:.3g} 1/s, "
-            "so the closed loop is not stable; try another controller",
-            loop,
-        )
-    if decay is not None:
-        claimed = [float(decay)]
-    else:
-        claimed = [share * rate for share in _SHARES] + [0.0] if np.isfinite(rate) else [0.0]
-    made = _first_proved("stability", [one for one in claimed if one < rate], loop, system, _lyapunov)
+    where = "stability_certificate"
+    loop, system, decay = _stable_loop(matrices_of(A, B, C, D, dt, where), controller, label, where)
+    claimed = [share * decay for share in _SHARES] + [0.0] if np.isfinite(decay) else [0.0]
+    made = _first_proved("stability", claimed, loop, system, _lyapunov)
     if made is not None:
         return made
     raise NotCertifiedError(
-        f"stability_certificate: no proof that the closed loop{_of(label)} decays at {claimed[0]:.6g} 1/s or faster "
-        f"(its slowest pole decays at {rate:.6g} 1/s); try a smaller decay",
+        f"{where}: no proof that the closed loop{_of(label)} is stable (its slowest pole decays at {decay:.6g} 1/s); "
+        "try other units of the states",
         loop,
     )
 
@@ -124,7 +113,7 @@ def norm_certificate(  # noqa: PLR0913 - the matrices of a loop and the claim
     Otherwise as `stability_certificate`.
     """
     where = "norm_certificate"
-    loop, system = _stable_loop(matrices_of(A, B, C, D, dt, where), controller, label, where)
+    loop, system, _ = _stable_loop(matrices_of(A, B, C, D, dt, where), controller, label, where)
     norm = _hinf(*system) if norm is None else float(norm)
     return _norm_proved("norm", norm, gamma, loop, system, _bounded_real)
 
@@ -137,18 +126,17 @@ def h2_certificate(
     C: ArrayLike,
     D: ArrayLike | None = None,
     dt: float = 0.0,
-    bound: float | None = None,
     *,
     controller: StateArrays | None = None,
     label: str = "",
 ) -> Certificate:
-    """Return a proved certificate that a system is stable and its H2 norm below `bound`.
+    """Return a proved certificate that a system is stable, with a bound as little above its H2 norm as can be proved.
 
     D is zero if the system is continuous; the unit is then that of z per w times s^-1/2. Otherwise as
     `norm_certificate`.
     """
     where = "h2_certificate"
-    loop, system = _stable_loop(matrices_of(A, B, C, D, dt, where), controller, label, where)
+    loop, system, _ = _stable_loop(matrices_of(A, B, C, D, dt, where), controller, label, where)
     if dt == 0 and np.any(system.D):
         raise NotCertifiedError(
             f"{where}: the H2 norm of a continuous system with D ≠ 0 is infinite; remove the direct term", loop
@@ -157,7 +145,7 @@ def h2_certificate(
     balanced = _in_coordinates(system, np.diag(1.0 / s), np.diag(s))
     X = _gramian(balanced.A, balanced.C.T @ balanced.C, dt)
     norm = float(np.sqrt(max(np.trace(balanced.B.T @ X @ balanced.B) + np.sum(system.D**2), 0.0)))
-    return _norm_proved("h2", norm, bound, loop, system, _observability)
+    return _norm_proved("h2", norm, None, loop, system, _observability)
 
 
 def _hinf(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, dt: float) -> float:
@@ -186,25 +174,20 @@ def _rounded(loop: ClosedLoop, where: str) -> StateArrays:
         ) from None
 
 
-def _require_stable(system: StateArrays, where: str, loop: ClosedLoop) -> None:
-    if len(system.A) == 0:
-        return
-    growth = float(spectral_abscissa(continuous_poles(poles(system.A), system.dt)))
+def _stable_loop(
+    plant: StateArrays, controller: StateArrays | None, label: str, where: str
+) -> tuple[ClosedLoop, StateArrays, float]:
+    """Return the closed loop, its matrices rounded, and the decay rate of its slowest pole, 1/s."""
+    loop = closed(plant, controller, label, where)
+    system = _rounded(loop, where)
+    growth = float(spectral_abscissa(continuous_poles(poles(system.A), system.dt))) if len(system.A) else -np.inf
     if not growth < 0.0:
         raise NotCertifiedError(
-            f"{where}: the slowest pole{_of(loop.label)} grows at {growth:.3g} 1/s, so the closed loop is not stable; "
+            f"{where}: the slowest pole{_of(label)} grows at {growth:.3g} 1/s, so the closed loop is not stable; "
             "try another controller",
             loop,
         )
-
-
-def _stable_loop(
-    plant: StateArrays, controller: StateArrays | None, label: str, where: str
-) -> tuple[ClosedLoop, StateArrays]:
-    loop = closed(plant, controller, label, where)
-    system = _rounded(loop, where)
-    _require_stable(system, where, loop)
-    return loop, system
+    return loop, system, -growth
 
 
 def _norm_proved(

@@ -166,28 +166,17 @@ def sensitivity_plants(plant: StateArrays) -> tuple[StateArrays, StateArrays]:
 
 @check_arguments
 @found_in_doubles
-def region_certificate(  # noqa: PLR0913 - the matrices of a loop and of a region
-    A: ArrayLike,
-    L: ArrayLike,
-    M: ArrayLike,
-    dt: float = 0.0,
-    *,
-    B: ArrayLike | None = None,
-    C: ArrayLike | None = None,
-    D: ArrayLike | None = None,
-    controller: StateArrays | None = None,
-    label: str = "",
-) -> Certificate:
-    """Return a proved certificate that every pole lies in the region {s : L + s M + s* M' < 0}.
+def region_certificate(A: ArrayLike, L: ArrayLike, M: ArrayLike, dt: float = 0.0, label: str = "") -> Certificate:
+    """Return a proved certificate that every pole of A lies in the region {s : L + s M + s* M' < 0}.
 
     L (symmetric) and M are (k, k), s is in rad/s. Damping above cos θ: L = 0, M = [[sin θ, cos θ], [−cos θ, sin θ]].
     With a sample period `dt` > 0 the region is one of the w-plane, w = (2/dt) (z − 1)/(z + 1).
 
     X is the identity in the coordinates of the modes, which proves whatever is true of every pole alone (Chilali and
-    Gahinet 1996); where poles are nearly multiple the modes do not show it. Otherwise as `stability_certificate`.
+    Gahinet 1996); where poles are nearly multiple the modes do not show it.
     """
     where = "region_certificate"
-    loop = closed(matrices_of(A, B, C, D, dt, where), controller, label, where)
+    loop = closed(matrices_of(A, None, None, None, dt, where), None, label, where)
     try:
         L, M = np.array(L, dtype=np.float64), np.array(M, dtype=np.float64)
     except (TypeError, ValueError):

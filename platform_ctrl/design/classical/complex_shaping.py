@@ -176,7 +176,7 @@ def complex_loop(  # noqa: PLR0913 - options by keyword
     J, h = plant.inertia, plant.momentum
     if not J > 0.0:
         raise ArgumentError("complex_loop: the plant has no inertia; make it with complex_plant")
-    cross = _block(1.0, rad["integral_hz"], 1.0, 0.0, plant.dt)
+    cross = _block(rad["integral_hz"], 1.0, 0.0, plant.dt)
     if notch_hz is not None:
         centre = 2.0 * np.pi * notch_hz
         if not np.isfinite(centre) or centre == 0.0 or (plant.dt and abs(centre) >= np.pi / plant.dt):
@@ -188,8 +188,8 @@ def complex_loop(  # noqa: PLR0913 - options by keyword
             # Tustin's rule bends frequencies: prewarped at the centre.
             bend = 2.0 / plant.dt * np.tan(0.5 * centre * plant.dt) / centre
             centre, width = centre * bend, width * bend
-        cross = _series(cross, _block(1.0, notch_depth * width - 1j * centre, 1.0, width - 1j * centre, plant.dt))
-    lead = _block(1.0, rad["lead_hz"], 1.0 / rad["rolloff_hz"], 1.0, plant.dt)
+        cross = _series(cross, _block(notch_depth * width - 1j * centre, 1.0, width - 1j * centre, plant.dt))
+    lead = _block(rad["lead_hz"], 1.0 / rad["rolloff_hz"], 1.0, plant.dt)
     A, B, C, D = _sum(_scaled(1j * h * rad["crossover_hz"], cross), _scaled(-J * rad["damping_hz"], lead))
     controller = ComplexSystem(
         A=A,
@@ -348,8 +348,9 @@ def _crossings(loop: Callable[[ComplexArray], ComplexArray], w: FloatArray) -> F
 Parts = tuple[ComplexArray, ComplexArray, ComplexArray, ComplexArray]
 
 
-def _block(b1: complex, b0: complex, a1: complex, a0: complex, dt: float) -> Parts:
-    """(b1 s + b0)/(a1 s + a0), by Tustin's rule where there is a sample period."""
+def _block(b0: complex, a1: complex, a0: complex, dt: float) -> Parts:
+    """(s + b0)/(a1 s + a0), by Tustin's rule where there is a sample period."""
+    b1: complex = 1.0
     if dt:
         two = 2.0 / dt
         b1, b0, a1, a0 = b1 * two + b0, b0 - b1 * two, a1 * two + a0, a0 - a1 * two
