@@ -28,6 +28,7 @@ from numba.core.typing.templates import AbstractTemplate, infer_global, signatur
 from numba.extending import intrinsic, models, overload, register_model
 from numpy.typing import NDArray
 
+from platform_ctrl.common import parts
 from platform_ctrl.common.values import FloatArray
 
 LANES = 8
@@ -66,8 +67,8 @@ class _LaneMaskModel(models.PrimitiveModel):
 
 
 def _stamp(source: str) -> tuple[float, int]:
-    """Newest change and total size of the files beside a source file, and of this one."""
-    files = [path.stat() for path in (Path(__file__), *sorted(Path(source).parent.glob("*.py")))]
+    """Newest change and total size of the files beside a source file, and of those that say how it is compiled."""
+    files = [path.stat() for path in (Path(__file__), Path(parts.__file__), *sorted(Path(source).parent.glob("*.py")))]
     return max(file.st_mtime for file in files), sum(file.st_size for file in files)
 
 
@@ -75,6 +76,14 @@ _njit: Any = numba.njit  # its types know nothing of the switches for wrappers
 
 # error_model="numpy": a vanishing pivot becomes inf or NaN instead of an exception in the middle of a run.
 _OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": {"contract"}}
+
+
+# Without wrappers for Python and C, which take as long as a small function.
+_PART: dict[str, Any] = _OPTIONS | {
+    "no_cpython_wrapper": True,
+    "no_cfunc_wrapper": True,
+    "pipeline_class": parts.PartCompiler,
+}
 
 
 def compiled(function: F) -> F:
@@ -87,7 +96,7 @@ def compiled(function: F) -> F:
 
 
 def kept(dispatcher: Any) -> Any:
-    """A function that is cached, with all files beside its own, and this one, deciding whether that is old."""
+    """A function that is cached, with all files that it is made of deciding whether that is old."""
     if hasattr(dispatcher, "_cache"):  # not with NUMBA_DISABLE_JIT, where it is the plain function
         # What was compiled by another "version" is not even unpickled: its types may have been in another module.
         dispatcher._cache._cache_file._version += f" {_stamp(dispatcher.py_func.__code__.co_filename)}"
@@ -95,17 +104,13 @@ def kept(dispatcher: Any) -> Any:
 
 
 def internal(function: F) -> F:
-    """Compile for callers in the kernel alone.
-
-    Without wrappers for Python and C, which take as long as a small function, and without a cache of its own: it is
-    kept within what its callers keep.
-    """
-    return cast(F, _njit(no_cpython_wrapper=True, no_cfunc_wrapper=True, **_OPTIONS)(function))
+    """Compile for compiled callers alone, within which it is kept."""
+    return cast(F, _njit(**_PART)(function))
 
 
 def inlined(function: F) -> F:
     """Compile into every caller."""
-    return cast(F, _njit(no_cpython_wrapper=True, no_cfunc_wrapper=True, forceinline=True, **_OPTIONS)(function))
+    return cast(F, _njit(forceinline=True, **_PART)(function))
 
 
 # Said of functions below, which compiled ones alone call: a wrapper for C takes longer than what is in it.

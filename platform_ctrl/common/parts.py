@@ -1,0 +1,54 @@
+"""How numba compiles functions that compiled ones alone call: as parts of these, once.
+
+By itself it optimises every function together with all that it calls, and makes machine code of them: what lies n calls
+deep n times. A part is typed and translated alone; the costly optimisations and machine code are for what Python calls.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from numba.core.codegen import JITCodeLibrary
+from numba.core.compiler import Compiler
+
+
+class _NoMachineCode:
+    """What numba asks to prepare machine code for its environment, where there is none."""
+
+    @staticmethod
+    def set_env(name: str, env: object) -> None:
+        """Set nothing."""
+
+
+class _Part(JITCodeLibrary):
+    """A function to be linked into its callers; of its own methods numba calls these."""
+
+    def _optimize_final_module(self) -> None:
+        """Do the cheap half, which inlines what is to be; the rest is left to the callers."""
+        passes, builder = self._codegen._module_pass_manager(
+            loop_vectorize=False, slp_vectorize=False, opt=0, cost="cheap"
+        )
+        passes.run(self._final_module, builder)
+
+    def _finalize_final_module(self) -> None:
+        self._finalize_dynamic_globals()
+        self._finalized = True
+
+    def get_pointer_to_function(self, name: str) -> int:
+        """Return 0: no such machine code."""
+        self._ensure_finalized()
+        return 0
+
+    @property
+    def codegen(self) -> Any:
+        """What prepares machine code."""
+        return _NoMachineCode
+
+
+class PartCompiler(Compiler):
+    """numba's compiler, for parts."""
+
+    def define_pipelines(self) -> Any:
+        """Return numba's own steps, which put what they make into a part."""
+        self.state.library = _Part(self.state.targetctx.codegen(), self.state.func_id.func_qualname)
+        return super().define_pipelines()
