@@ -7,7 +7,7 @@ import shlex
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from platform_ctrl.common.processes import SecondProcess
     from platform_ctrl.common.store import Store
     from platform_ctrl.job.job import Job
+    from platform_ctrl.report.page.kept_blocks import Ahead
     from platform_ctrl.verification import JobResult
     from platform_ctrl.verification.baselines.comparison import Change, Comparison
     from platform_ctrl.verification.baselines.record import Baseline
@@ -97,8 +98,12 @@ def design(
             start_compilation()
         store = Store(out / REUSE, fresh=fresh)
         with SecondProcess(*DRAWING) as beside:
-            result = check_job(read, loops(read, say, store, beside), say)
-            show = report.write(result, ["design", str(job), "-o", str(out)], say, as_json, beside=beside, store=store)
+            outcomes = loops(read, say, store, beside)
+            from platform_ctrl.report.page.job_page import loops_ahead
+
+            drawing = Drawing(beside, store, loops_ahead(read, outcomes, beside, store))
+            result = check_job(read, outcomes, say)
+            show = report.write(result, ["design", str(job), "-o", str(out)], say, as_json, drawing)
         if junit is not None:
             from platform_ctrl.report.failures import write_junit
 
@@ -227,6 +232,7 @@ def check(
         report = Report(folder, pdf, campaign)
         report.expect_possible(read)
         from platform_ctrl.common.processes import SecondProcess
+        from platform_ctrl.common.store import Store
         from platform_ctrl.verification import check_job
         from platform_ctrl.verification.controllers import outcomes_from, read_controllers
         from platform_ctrl.verification.records import unconfirmed
@@ -238,11 +244,15 @@ def check(
         report.prepare(junit, [job, *plant_file(job, read), file, baseline])
         say(f"controllers: {file}")
         with SecondProcess(*DRAWING) as beside:
-            result = check_job(read, outcomes_from(read, closed, others), say)
+            outcomes, store = outcomes_from(read, closed, others), Store(folder / REUSE)
+            from platform_ctrl.report.page.job_page import loops_ahead
+
+            drawing = Drawing(beside, store, loops_ahead(read, outcomes, beside, store))
+            result = check_job(read, outcomes, say)
             notes = unconfirmed(file, result)
             command = ["check", str(job), "--controllers", str(file), "-o", str(folder)]
             compared: dict[str, Any] = {}
-            show = report.write(result, command, say, as_json, compared, beside=beside)
+            show = report.write(result, command, say, as_json, drawing, compared)
         outcome = comparison.outcome(result)  # last: nothing is accepted of which there is no report
         compared |= outcome.record or {}
         if junit is not None:
@@ -292,6 +302,14 @@ def campaign_summary(job: Job, controllers: Sequence[control.StateSpace], folder
 Shown = Callable[[], int]
 
 
+class Drawing(NamedTuple):
+    """Where figures are drawn and kept, and those that were begun before the check of the whole."""
+
+    beside: SecondProcess
+    store: Store
+    ahead: Ahead
+
+
 @dataclass(frozen=True)
 class Report:
     """The result's file and the report in a folder: with a PDF, and with a section about the campaign in a folder."""
@@ -326,16 +344,14 @@ class Report:
         command: list[str],
         say: Callable[[str], None],
         as_json: bool,
+        drawing: Drawing,
         more: Mapping[str, object] | None = None,
-        *,
-        beside: SecondProcess,
-        store: Store | None = None,
     ) -> Shown:
         """Write all files or none; return a function that prints the result and returns the exit code.
 
         `command` are the words of the command line without the program's name, the job second; `more` is printed as
-        JSON beside the content of the result's file; the process `beside` draws a part of the figures
-        that are not in the store. A campaign of other controllers is left out, and is an error at the end.
+        JSON beside the content of the result's file. A campaign of other controllers is left out, and is an error at
+        the end.
         """
         from platform_ctrl.cli.atomic_output import written_together
         from platform_ctrl.report import write_page, write_pdf
@@ -356,7 +372,8 @@ class Report:
         say(f"drawing the report: {self.folder / REPORT}")
         with written_together(self.folder) as unfinished:
             write_record(record, unfinished / RESULT)
-            content = drawn_beside(result, beside, store=store, command=shlex.join(words), **about)
+            kept: dict[str, Any] = {"store": drawing.store, "ahead": drawing.ahead}
+            content = drawn_beside(result, drawing.beside, **kept, command=shlex.join(words), **about)
             write_page(content, unfinished / REPORT)
             if self.pdf:
                 say(f"setting the report: {self.folder / PDF}")

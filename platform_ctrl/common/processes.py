@@ -164,6 +164,16 @@ class _Module:
         return importlib.import_module, (self.name,)
 
 
+class Begun:
+    """Tasks of which those at the front of the list may be done by another process."""
+
+    def __init__(self, tasks: Sequence[Task]) -> None:
+        self.tasks = tasks
+        self.left = deque(range(len(tasks)))
+        self.done: dict[int, tuple[bool, Any]] = {}
+        self.feeding: threading.Thread | None = None
+
+
 class SecondProcess:
     """A process that takes tasks from the front of a list while this one works from its end.
 
@@ -177,6 +187,7 @@ class SecondProcess:
 
     def __init__(self, *modules: str) -> None:
         self._process: TaskProcess | None = None
+        self._last: threading.Thread | None = None
         # Without another core the two would only wait for each other.
         if _cores() > 1:
             # A system that starts no process works with this one.
@@ -201,20 +212,30 @@ class SecondProcess:
         `begun` is called with the number of each task that this process begins. Of several errors the first in the
         order of the tasks is raised.
         """
-        left, done = deque(range(len(tasks))), dict[int, tuple[bool, Any]]()
-        feeding = threading.Thread(target=self._feed, args=(tasks, left, done), daemon=True)
-        if self._process is not None and len(tasks) > 1:
-            feeding.start()
+        # A single one is done here at once.
+        return self.finished(self.begin(tasks) if len(tasks) > 1 else Begun(tasks), begun)
+
+    def begin(self, tasks: Sequence[Task]) -> Begun:
+        """Let the process work on `tasks`, after those begun before, while this one goes on; for `finished`."""
+        out = Begun(tasks)
+        if self._process is not None and tasks:
+            self._last = out.feeding = threading.Thread(target=self._feed, args=(out, self._last), daemon=True)
+            out.feeding.start()
+        return out
+
+    def finished(self, work: Begun, begun: Callable[[int], None] = lambda k: None) -> list[Any]:
+        """Return the results of tasks; this process does those that the other has not come to, as in `results`."""
+        tasks, done = work.tasks, work.done
         errors: dict[int, Exception] = {}
-        while (k := _popped(left.pop)) is not None:
+        while (k := _popped(work.left.pop)) is not None:
             begun(k)
             function, arguments = tasks[k]
             try:
                 done[k] = True, function(*arguments)
             except Exception as error:
                 errors[k] = error
-        while feeding.is_alive():
-            feeding.join(POLL)  # with a limit: an interrupt is noticed
+        while work.feeding is not None and work.feeding.is_alive():
+            work.feeding.join(POLL)  # with a limit: an interrupt is noticed
         for k, (function, arguments) in enumerate(tasks):
             if k in errors:
                 raise errors[k]
@@ -223,10 +244,12 @@ class SecondProcess:
                 done[k] = True, function(*arguments)
         return [done[k][1] for k in range(len(tasks))]
 
-    def _feed(self, tasks: Sequence[Task], left: deque[int], done: dict[int, tuple[bool, Any]]) -> None:
-        while self._process is not None and (k := _popped(left.popleft)) is not None:
+    def _feed(self, work: Begun, before: threading.Thread | None) -> None:
+        if before is not None:
+            before.join()
+        while self._process is not None and (k := _popped(work.left.popleft)) is not None:
             try:
-                done[k] = self._process.ask(tasks[k], float("inf"))
+                work.done[k] = self._process.ask(work.tasks[k], float("inf"))
             except Exception:
                 # A task that cannot be pickled, or a process that has died: this process does the rest.
                 self.end()

@@ -60,7 +60,8 @@ def test_the_page_and_the_pdf_tell_of_the_campaign(there: Path, capsys: pytest.C
     told = [f"{word} {Path('check') / name}" for word, name in map(str.split, files)]
     assert [line for line in out.splitlines() if line in told] == told
     assert "reading the campaign: campaign" in err.splitlines()
-    assert sorted(path.name for path in (there / "check").iterdir()) == ["report.html", "report.pdf", "result.json"]
+    made = sorted(path.name for path in (there / "check").iterdir())
+    assert made == ["report.html", "report.pdf", "result.json", "reuse"]
     page = (there / "check" / "report.html").read_text(encoding="utf-8")
     assert "None of 12 runs violates a requirement" in page
     assert "platform-ctrl check gyro.toml" in page

@@ -82,6 +82,18 @@ def test_both_processes_work_at_once(two: SecondProcess, tmp_path: Path) -> None
     assert here == os.getpid() != there
 
 
+def test_tasks_that_are_begun_are_done_while_this_process_goes_on_and_before_those_begun_later(
+    two: SecondProcess, tmp_path: Path
+) -> None:
+    first = two.begin([(process_number_in, (tmp_path / "a",)), (process_number_in, (tmp_path / "b",))])
+    second = two.begin([(process_number_after, (tmp_path / "b",))])
+    assert process_number_after(tmp_path / "b") == os.getpid()
+    first_done, second_done = two.finished(first), two.finished(second)
+    assert len(first_done) == 2
+    assert os.getpid() not in first_done
+    assert len(second_done) == 1
+
+
 def test_the_first_error_in_the_order_of_the_tasks_is_raised_as_in_one_process(two: SecondProcess) -> None:
     for tasks in ([1, 2, 3, 4, 3, 5], [3, 1], [1, 3]):
         with pytest.raises(ZeroDivisionError):

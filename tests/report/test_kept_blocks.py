@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from one_change import leaves, mutated
+from platform_ctrl.common.processes import SecondProcess
 from platform_ctrl.common.store import Store, key_of
 from platform_ctrl.report import style
 from platform_ctrl.report.page import job_page, kept_blocks
@@ -46,6 +47,21 @@ def test_the_second_page_is_the_first_and_nothing_is_drawn_for_it(
     assert html(job_page._document(result, None, None, None, store=store)) == first
     with pytest.raises(AssertionError, match="a figure is drawn"):
         job_page._document(result, None, None, None, store=Store(store.folder, fresh=True))
+
+
+def test_figures_of_loops_drawn_ahead_are_those_of_the_page_and_are_not_drawn_again(
+    result: JobResult, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    page = html(job_page._document(result, None, None, None))
+    store = Store(tmp_path / "reuse", fresh=True)
+    with SecondProcess() as beside:
+        ahead = job_page.loops_ahead(result.job, result.loops, beside, store)
+        assert len(ahead.keys) == len(result.loops)
+        beside.finished(ahead.work)
+        monkeypatch.setattr(job_page, "loop_responses", None)  # figures of loops cannot be drawn here any more
+        assert html(job_page.drawn_beside(result, beside, store, ahead)) == page
+        kept = Store(store.folder)
+        assert job_page.loops_ahead(result.job, result.loops, beside, kept).keys == []
 
 
 def test_each_value_that_a_drawing_is_given_is_in_its_key(drawings: list[Drawing]) -> None:

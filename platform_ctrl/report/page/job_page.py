@@ -13,8 +13,9 @@ from platform_ctrl.common.processes import SecondProcess
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.store import Store
 from platform_ctrl.design.jobs import LoopOutcome
+from platform_ctrl.job.job import Job
 from platform_ctrl.job.judging import CheckResult
-from platform_ctrl.mechanics.linearisation import LinearModel
+from platform_ctrl.mechanics.linearisation import LinearModel, linearise
 from platform_ctrl.mechanics.state_space import coupled_while_changing
 from platform_ctrl.plant.platform import Platform
 from platform_ctrl.report import style
@@ -59,7 +60,7 @@ from platform_ctrl.report.page.budget_page import budget_sections
 from platform_ctrl.report.page.campaign_page import as_section, digests
 from platform_ctrl.report.page.captions import compared_with_alternatives, opening, sentences
 from platform_ctrl.report.page.first_screen import change_part, first_screen, own_results, section_verdict
-from platform_ctrl.report.page.kept_blocks import Drawing, kept_or_drawn
+from platform_ctrl.report.page.kept_blocks import Ahead, Drawing, drawn_ahead, kept_or_drawn
 from platform_ctrl.report.plots.time_run import time_run
 from platform_ctrl.verification.changes import changes
 from platform_ctrl.verification.coupled import ALL_LOOPS
@@ -169,10 +170,20 @@ def prepared(
     return _document(result, command, campaign, again)
 
 
-def drawn_beside(result: JobResult, beside: SecondProcess, store: Store | None = None, **options: Any) -> Document:
-    """Return what `prepared` returns with its `options`; another process draws a part of what is not in the store."""
+def drawn_beside(
+    result: JobResult, beside: SecondProcess, store: Store | None = None, ahead: Ahead | None = None, **options: Any
+) -> Document:
+    """Return what `prepared` returns with its `options`; another process draws a part of what is not in the store.
+
+    `ahead` is from `loops_ahead`.
+    """
     given: dict[str, Any] = {"command": None, "campaign": None, "again": None} | options
-    return _document(result, **given, beside=beside, store=store)
+    return _document(result, **given, beside=beside, store=store, ahead=ahead)
+
+
+def loops_ahead(job: Job, loops: Sequence[LoopOutcome], beside: SecondProcess, store: Store) -> Ahead:
+    """Let another process begin with the figures of loops, which the check of the whole adds nothing to."""
+    return drawn_ahead(_loop_drawings(linearise(job.platform), _bare(loops)), store, beside)
 
 
 def _document(
@@ -182,9 +193,10 @@ def _document(
     again: str | None,
     beside: SecondProcess | None = None,
     store: Store | None = None,
+    ahead: Ahead | None = None,
 ) -> Document:
     job = result.job
-    drawn = iter(kept_or_drawn(_drawings(result), store, beside))
+    drawn = iter(kept_or_drawn(_drawings(result), store, beside, ahead))
     loops = [next(drawn) for _ in result.loops]
     runs = [next(drawn) for _ in result.runs]
     plant, servo, budget, first, coupled = drawn
@@ -218,21 +230,29 @@ def _document(
 
 def _drawings(result: JobResult) -> list[Drawing]:
     """Return what draws the plates of each loop, the blocks of each run, and then those of the whole."""
-    # Without certificates, of which figures show nothing: there are hundreds, and all of it may go to another process.
-    bare = [
-        dataclasses.replace(one, designs=tuple(dataclasses.replace(design, certificates=()) for design in one.designs))
-        for one in result.loops
-    ]
-    spinning, palette = captions.spins(result.job.platform), palette_of(result.loops)
-    drawings = [Drawing(_caging_plates, (result.model, outcome, palette)) for outcome in bare]
+    bare, spinning = _bare(result.loops), captions.spins(result.job.platform)
+    drawings = _loop_drawings(result.model, bare)
     for run in result.runs:
         caption = captions.run(run, spinning, result.loops) if run.trajectory.t.size else ""
         drawings.append(Drawing(_run_block, (run, result.job.platform, caption)))
     proofs = {key: dataclasses.replace(one, certificates=()) for key, one in result.proofs.items()}
-    whole = dataclasses.replace(result, loops=tuple(bare), runs=(), proofs=proofs)
+    whole = dataclasses.replace(result, loops=bare, runs=(), proofs=proofs)
     # Last: this process begins with the end, and the whole result goes nowhere.
     of_whole = (_plant_plates, _servo_plates, budget_sections, _first, _coupled)
     return drawings + [Drawing(draw, (whole,)) for draw in of_whole]
+
+
+def _bare(loops: Sequence[LoopOutcome]) -> tuple[LoopOutcome, ...]:
+    # Without certificates, of which figures show nothing: there are hundreds, and all of it may go to another process.
+    return tuple(
+        dataclasses.replace(one, designs=tuple(dataclasses.replace(design, certificates=()) for design in one.designs))
+        for one in loops
+    )
+
+
+def _loop_drawings(model: LinearModel, bare: Sequence[LoopOutcome]) -> list[Drawing]:
+    palette = palette_of(bare)
+    return [Drawing(_caging_plates, (model, outcome, palette)) for outcome in bare]
 
 
 def _first(result: JobResult) -> tuple[Block, ...]:

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import matplotlib as mpl
 from matplotlib import font_manager, ft2font
 
-from platform_ctrl.common.processes import SecondProcess, Task
+from platform_ctrl.common.processes import Begun, SecondProcess, Task
 from platform_ctrl.common.store import Store, key_of
 from platform_ctrl.report import style
 from platform_ctrl.report.page import blocks
@@ -33,19 +33,50 @@ class Drawing(NamedTuple):
     arguments: tuple[Any, ...]
 
 
-def kept_or_drawn(drawings: list[Drawing], store: Store | None, beside: SecondProcess | None) -> list[Any]:
-    """Return what each function returns; what is not in the store is drawn, a part of it by another process."""
+class Ahead(NamedTuple):
+    """Drawings that another process has begun, by their keys."""
+
+    keys: list[str]
+    work: Begun
+
+
+def drawn_ahead(drawings: list[Drawing], store: Store, beside: SecondProcess) -> Ahead:
+    """Let another process draw what is not in the store, for `kept_or_drawn`, while this one goes on."""
+    keys = keys_of(drawings)
+    missing = [k for k, key in enumerate(keys) if key and _taken(store, key) is None]
+    return Ahead([keys[k] for k in missing], beside.begin([_task(drawings[k]) for k in missing]))
+
+
+def kept_or_drawn(
+    drawings: list[Drawing], store: Store | None, beside: SecondProcess | None, ahead: Ahead | None = None
+) -> list[Any]:
+    """Return what each function returns; what is not in the store is drawn, a part of it by another process.
+
+    What was begun `ahead` under the same key is not drawn again.
+    """
     keys = [""] * len(drawings) if store is None else keys_of(drawings)
-    found = [_taken(store, key) for key in keys]
-    missing = [k for k, one in enumerate(found) if one is None]
-    tasks: list[Task] = [(_in_style, (drawings[k],)) for k in missing]
-    made = [_in_style(drawings[k]) for k in missing] if beside is None else beside.results(tasks)
-    for k, one in zip(missing, made, strict=True):
+    begun = {} if ahead is None else {key: k for k, key in enumerate(ahead.keys)}
+    found = [None if key in begun else _taken(store, key) for key in keys]
+    missing = [k for k, one in enumerate(found) if one is None and keys[k] not in begun]
+    made = (
+        [_in_style(drawings[k]) for k in missing]
+        if beside is None
+        else beside.results([_task(drawings[k]) for k in missing])
+    )
+    drawn = dict(zip(missing, made, strict=True))
+    if ahead is not None and beside is not None:
+        early = beside.finished(ahead.work)
+        drawn |= {k: early[begun[key]] for k, key in enumerate(keys) if key in begun}
+    for k, one in drawn.items():
         found[k] = one
         if store is not None and keys[k]:
             packed = zlib.compress(json.dumps(_written(one)).encode(), 1)
             store.keep(keys[k], base64.b64encode(packed).decode())
     return found
+
+
+def _task(drawing: Drawing) -> Task:
+    return _in_style, (drawing,)
 
 
 def keys_of(drawings: list[Drawing]) -> list[str]:
