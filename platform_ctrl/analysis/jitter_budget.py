@@ -68,24 +68,11 @@ class _Prepared(NamedTuple):
 
 
 class JitterBudget:
-    """A plant and its disturbances prepared for budgets with one controller after the other.
+    """A plant with sampler and hold and its disturbances, prepared for budgets with one controller after the other.
 
-    Parameters
-    ----------
-    plant
-        With sampler and hold.
-    sources
-        Disturbances, with names that differ.
-    exposures
-        Lengths of windows, s, for displacement, smear and jitter.
-    lowest
-        Motion of the outputs below this frequency, rad/s, is left out of the rms and the displacement (not of smear and
-        jitter, to which it hardly contributes): an angle held by a noisy gyro drifts without bound.
-
-    Raises
-    ------
-    ArgumentError
-        A source names an input or output that the plant does not have, or numbers make no sense.
+    `exposures` are lengths of windows, s, for displacement, smear and jitter. Motion of the outputs below the frequency
+    `lowest`, rad/s, is left out of the rms and the displacement (not of smear and jitter, to which it hardly
+    contributes): an angle held by a noisy gyro drifts without bound.
     """
 
     def __init__(

@@ -52,21 +52,18 @@ def with_spins(platform: Platform, spins: Mapping[str, float]) -> Platform:
 
 @value
 class Case:
-    """A plant of the set: what it is and stands for, the rate (3,) and angles (n,) at which it is linearised.
+    """A plant of the set, linearised at a platform rate and at angles of the gimbals."""
 
-    `torque`, (m,), is the share of its command that each torquer of the loop gives: what a fault leaves, times the
-    secant gain of its drive; no angles: zero. `rate` is the amplitude of the gimbals' rates, rad/s, for which dry
-    friction is replaced by its describing function; None: without dry friction. `feedback`, (m, f), N m s, is what
-    drives add in proportion to the f readings of gimbal rates from which they feed friction forward; None: nothing.
-    """
-
-    label: str
-    group: Group
+    label: str  # what it is
+    group: Group  # what it stands for
     platform: Platform
-    Omega: FloatArray
+    Omega: FloatArray  # (3,): rad/s
+    # (m,): share of its command that each torquer gives: what a fault leaves, times the secant gain of its drive.
     torque: FloatArray
-    q: FloatArray | None = None
-    rate: float | None = None
+    q: FloatArray | None = None  # (n,): rad; None: zero
+    rate: float | None = None  # amplitude of the gimbals' rates for dry friction, rad/s; None: without dry friction
+    # (m, f): what drives add in proportion to the f readings of gimbal rates from which they feed friction forward,
+    # N m s; None: nothing.
     feedback: FloatArray | None = None
 
 
