@@ -60,7 +60,7 @@ def all_pass(s: ComplexArray, dt: float) -> AllPass:
     return AllPass(np.ascontiguousarray(s.imag), np.abs(s.real), dt)
 
 
-@compiled
+@internal
 def _mapped(w: float, dt: float) -> float:
     if dt == 0.0:
         return w
@@ -244,7 +244,7 @@ def _norm(
     return peak(A, B, C, D, dt, s, tolerance, least)
 
 
-@compiled
+@internal
 def _logarithm(z: complex) -> complex:
     if z == 0.0:
         return complex(-math.inf, 0.0)

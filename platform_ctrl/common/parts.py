@@ -1,4 +1,4 @@
-"""How numba compiles functions that compiled ones alone call: as parts of these, once.
+"""What numba compiles once: functions that compiled ones alone call, as parts of these; any function, in one process.
 
 By itself it optimises every function together with all that it calls, and makes machine code of them: what lies n calls
 deep n times. A part is typed and translated alone; the costly optimisations and machine code are for what Python calls.
@@ -6,10 +6,14 @@ deep n times. A part is typed and translated alone; the costly optimisations and
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
+from numba.core.compiler_lock import global_compiler_lock
 
 
 class _NoMachineCode:
@@ -52,3 +56,38 @@ class PartCompiler(Compiler):
         """Return numba's own steps, which put what they make into a part."""
         self.state.library = _Part(self.state.targetctx.codegen(), self.state.func_id.func_qualname)
         return super().define_pipelines()
+
+
+def compile_in_one_process(dispatcher: Any) -> None:
+    """Let other processes that need a cached function wait for the first, and take what that keeps."""
+    compile_or_load, held = dispatcher.compile, False
+
+    def compiled(signature: Any) -> Any:
+        nonlocal held
+        # numba's lock first: a thread must not wait for it with a file that the one which has it may need.
+        with global_compiler_lock:
+            if held or signature in dispatcher.overloads:
+                return compile_or_load(signature)
+            held = True
+            try:
+                with _alone(Path(dispatcher.stats.cache_path), dispatcher.py_func):
+                    return compile_or_load(signature)
+            finally:
+                held = False
+
+    dispatcher.compile = compiled
+
+
+@contextlib.contextmanager
+def _alone(folder: Path, function: Any) -> Iterator[None]:
+    """Wait until no other process has the lock of a function; one that ends without a word loses it."""
+    with contextlib.ExitStack() as stack:
+        # Without such locks, or with nowhere to put the file, both compile.
+        with contextlib.suppress(ImportError, OSError):
+            import fcntl
+
+            folder.mkdir(parents=True, exist_ok=True)
+            name = f"{function.__module__}.{function.__qualname__}.lock"
+            file = stack.enter_context((folder / name).open("ab"))
+            fcntl.flock(file, fcntl.LOCK_EX)
+        yield

@@ -92,6 +92,8 @@ def compiled(function: F) -> F:
         dispatcher = _njit(cache=True, **_OPTIONS)(function)
     except RuntimeError:  # nowhere to keep a cache: compile in every process
         return cast(F, _njit(**_OPTIONS)(function))
+    if hasattr(dispatcher, "_cache"):
+        parts.compile_in_one_process(dispatcher)
     return cast(F, kept(dispatcher))
 
 

@@ -1,8 +1,12 @@
-"""What compiled functions call is compiled into them: there is no machine code of it alone."""
+"""What compiled functions call is compiled into them, without machine code of it alone; processes compile once."""
 
 from __future__ import annotations
 
 import math
+import os
+import subprocess
+import sys
+from pathlib import Path
 from typing import Any
 
 import numba
@@ -41,3 +45,22 @@ def test_a_function_computes_what_its_parts_do(part: Any) -> None:
 
     assert both(2.0, 3.0) == pytest.approx(math.pi * 4.0 * 4.0)
     assert both(1.0, 0.0) == pytest.approx(math.pi)
+
+
+COMPILED = """
+from platform_ctrl.common.simd import compiled
+
+@compiled
+def square(x):
+    return x * x
+"""
+CALLED = "from squares import square; square(2.0); print(sum(square.stats.cache_misses.values()))"
+
+
+def test_of_two_processes_that_need_a_function_one_compiles_it(tmp_path: Path) -> None:
+    pytest.importorskip("fcntl", reason="locks of files are those of POSIX")
+    (tmp_path / "squares.py").write_text(COMPILED)
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "cache"), "PYTHONPATH": str(tmp_path)}
+    command = [sys.executable, "-c", CALLED]
+    processes = [subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True) for _ in range(2)]
+    assert sorted(process.communicate()[0].strip() for process in processes) == ["0", "1"]
