@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import inspect
 import re
 from collections.abc import Callable, Iterator, Sequence
@@ -13,54 +14,29 @@ import pytest
 from numpydoc.docscrape import NumpyDocString, Parameter
 
 import platform_ctrl as pc
+from contract_cases import PERIOD, coordinates, crossover, general, model, pair, platform, shaped, varying
 from platform_ctrl import analysis, campaign, design, simulation
 from platform_ctrl.analysis.certificates.makers import stability_certificate
 from platform_ctrl.campaign.probability import RareResult
 from platform_ctrl.design.antiwindup.loop import LimitedLoop
-from platform_ctrl.design.classical.complex_coordinates import ComplexSystem
-from platform_ctrl.design.classical.complex_shaping import ComplexLoop
-from platform_ctrl.mechanics.parameter_varying import ParameterVaryingModel
 from platform_ctrl.simulation.batch import BatchResult
 from platform_ctrl.simulation.closed_loop import Trajectory
 from platform_ctrl.simulation.free_motion import Rollout
 
-PLATFORM = pc.read_platform("three_gyro_platform")
-MODEL = pc.linearise(PLATFORM)
-PAIR = pc.state_space(MODEL, gimbals=("9", "10"))
-PERIOD = 0.0005
-
-
-def plant() -> control.StateSpace:
-    """Return a plant w, u -> z, y that every synthesis takes: two states, one control, one measurement."""
-    A, B1, B2 = [[0.0, 1.0], [-1.0, -0.2]], [[0.0, 0.0], [1.0, 0.0]], [[0.0], [1.0]]
-    C = [[1.0, 0.0], [0.0, 0.0], [1.0, 0.0]]
-    D = [[0.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]]
-    return control.ss(A, np.hstack([B1, B2]), C, D)
+PLATFORM = platform()
+MODEL = model()
+PAIR = pair()
 
 
 def gyro() -> tuple[control.StateSpace, control.StateSpace]:
     """Return the sampled pair of gimbals 9 and 10 from torques to angles, and a controller for it."""
-    made = design.from_crossover_and_margin(MODEL, ("9", "10"), crossover_hz=8.0, disk_margin=0.5, period=PERIOD)
+    made = crossover()
     return made.plant, made.controller
 
 
+@functools.cache
 def limited() -> LimitedLoop:
-    whole = pc.state_space(MODEL, gimbals=("9", "10"))
-    return design.limited_loop(whole, gyro()[1], "Omega1", limits=0.5, rise=0.5)
-
-
-def varying() -> ParameterVaryingModel:
-    return pc.parameter_varying(PLATFORM, gimbals=("9", "10"))
-
-
-def coordinates() -> ComplexSystem:
-    return design.complex_plant(MODEL, ("9", "10"), balance=True)
-
-
-def shaped() -> ComplexLoop:
-    return design.complex_loop(
-        coordinates(), crossover_hz=8.0, integral_hz=1.0, damping_hz=30.0, lead_hz=20.0, rolloff_hz=2000.0
-    )
+    return design.limited_loop(PAIR, gyro()[1], "Omega1", limits=0.5, rise=0.5)
 
 
 def trajectory() -> Trajectory:
@@ -100,9 +76,9 @@ VALUES: dict[str, Callable[[], Any]] = {
     "Gang": lambda: analysis.gang(*gyro(), [1.0, 10.0, 100.0]),
     "DiskMargin": lambda: analysis.disk_margin(analysis.loop_transfer(*gyro())),
     "LoopMargins": lambda: analysis.loop_margins(*gyro()),
-    "Synthesis": lambda: design.hinf(plant(), 1, 1, method="riccati"),
-    "StateFeedback": lambda: design.lqr(plant(), np.eye(2), np.eye(3)),
-    "Estimator": lambda: design.lqe(plant(), np.eye(2), np.eye(3)),
+    "Synthesis": lambda: design.hinf(general(), 1, 1, method="riccati"),
+    "StateFeedback": lambda: design.lqr(general(), np.eye(2), np.eye(3)),
+    "Estimator": lambda: design.lqe(general(), np.eye(2), np.eye(3)),
     "PolePlacement": lambda: design.pole_placement(control.ss([[0, 1], [0, 0]], [[0], [1]], np.eye(2), 0), [-1, -2]),
     "ComplexSystem": coordinates,
     "TwoSidedNyquist": lambda: shaped().nyquist,

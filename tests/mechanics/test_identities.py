@@ -11,22 +11,16 @@ from platform_ctrl.mechanics.kinematics import kinematics
 from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.mechanics.matrices import derivatives, matrices
 from platform_ctrl.plant.platform import Gimbal, Platform
-from tree_cases import platforms
+from tree_cases import platforms, state
 
 seeds = st.integers(0, 2**32 - 1)
 quick = settings(max_examples=40, deadline=None)
 
 
-def state_of(platform, seed):
-    rng = np.random.default_rng(seed)
-    n = len(platform.gimbals)
-    return rng.uniform(-3, 3, n), rng.normal(size=3 + n), rng.normal(size=3 + n)
-
-
 @quick
 @given(platforms(), seeds)
 def test_matrix_form_equals_the_moment_recursion(platform, seed):
-    q, u, u_dot = state_of(platform, seed)
+    q, u, u_dot = state(platform, seed)
     m = matrices(platform, q, u)
     ours = m.A_star @ u_dot + (m.G_A + m.G_R + m.G_root) @ u
     recursion = inverse_dynamics(platform, q, u, u_dot)
@@ -36,7 +30,7 @@ def test_matrix_form_equals_the_moment_recursion(platform, seed):
 @quick
 @given(platforms(), seeds)
 def test_gyroscopic_matrix_is_skew_and_mass_matrix_positive_definite(platform, seed):
-    q, u, _ = state_of(platform, seed)
+    q, u, _ = state(platform, seed)
     m = matrices(platform, q, u)
     np.testing.assert_array_equal(m.G_R, -m.G_R.T)
     np.testing.assert_allclose(m.A_star, m.A_star.T)
@@ -48,7 +42,7 @@ def test_gyroscopic_matrix_is_skew_and_mass_matrix_positive_definite(platform, s
 @quick
 @given(platforms(), seeds)
 def test_derivatives_agree_with_central_differences(platform, seed):
-    q, _, _ = state_of(platform, seed)
+    q, _, _ = state(platform, seed)
     change = derivatives(kinematics(platform, q))
     h = 1e-5
     for j in range(len(q)):
@@ -62,7 +56,7 @@ def test_derivatives_agree_with_central_differences(platform, seed):
 @given(platforms(), seeds)
 def test_torque_free_motion_changes_neither_energy_nor_momentum(platform, seed):
     """T2 and the root rows' angular momentum in inertial axes: their rates of change are zero."""
-    q, u, _ = state_of(platform, seed)
+    q, u, _ = state(platform, seed)
     u_dot = forward_dynamics(platform, q, u, np.zeros(len(u)))
     m = matrices(platform, q, u)
     change = derivatives(kinematics(platform, q))
@@ -79,7 +73,7 @@ def test_torque_free_motion_changes_neither_energy_nor_momentum(platform, seed):
 @quick
 @given(platforms(), seeds)
 def test_forward_undoes_inverse_dynamics(platform, seed):
-    q, u, u_dot = state_of(platform, seed)
+    q, u, u_dot = state(platform, seed)
     tau = inverse_dynamics(platform, q, u, u_dot)
     again = inverse_dynamics(platform, q, u, forward_dynamics(platform, q, u, tau))
     np.testing.assert_allclose(again, tau, atol=1e-9 * (1 + np.abs(tau).max()))
@@ -89,7 +83,7 @@ def test_forward_undoes_inverse_dynamics(platform, seed):
 @given(platforms(), seeds)
 def test_exact_linear_form_is_the_tangent_of_the_non_linear_equations(platform, seed):
     """At any trim angles: central differences of inverse dynamics give M, G, K, M_Omega and G_Omega."""
-    q, u, _ = state_of(platform, seed)
+    q, u, _ = state(platform, seed)
     n, rate = len(q), u[:3]
     model = linearise(platform, Omega=rate, q=q)
     trim = np.concatenate([rate, np.zeros(n)])

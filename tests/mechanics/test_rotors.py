@@ -17,16 +17,10 @@ from platform_ctrl.mechanics.rotors import (
     with_rotors_as_gimbals,
 )
 from platform_ctrl.plant.reading import read_platform
-from tree_cases import platforms
+from tree_cases import platforms, state
 
 quick = settings(max_examples=40, deadline=None)
 seeds = st.integers(0, 2**32 - 1)
-
-
-def state(platform, seed):
-    rng = np.random.default_rng(seed)
-    n = len(platform.gimbals)
-    return rng.uniform(-3, 3, n), rng.normal(size=3 + n), rng.normal(size=3 + n)
 
 
 def drives(platform):

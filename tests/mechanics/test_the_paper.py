@@ -39,17 +39,11 @@ from three_gyro_energy import (
     root_rows,
     times,
 )
-from tree_cases import platforms
+from tree_cases import platforms, state
 
 quick = settings(max_examples=25, deadline=None)
 seeds = st.integers(0, 2**32 - 1)
 H = 1e-6
-
-
-def state(platform, seed):
-    rng = np.random.default_rng(seed)
-    n = len(platform.gimbals)
-    return rng.uniform(-3, 3, n), rng.normal(size=3 + n), rng.normal(size=3 + n)
 
 
 def slope(function, at):

@@ -88,3 +88,10 @@ def with_torquers(platform):
     """Return the platform with a torquer on every gimbal."""
     torquers = tuple(Torquer(name=f"Q{g.name}", gimbal=g.name) for g in platform.gimbals)
     return dataclasses.replace(platform, torquers=torquers)
+
+
+def state(platform, seed):
+    """Return angles, velocity and acceleration of a platform, drawn at random."""
+    rng = np.random.default_rng(seed)
+    n = len(platform.gimbals)
+    return rng.uniform(-3, 3, n), rng.normal(size=3 + n), rng.normal(size=3 + n)
