@@ -1,4 +1,4 @@
-"""The kernel is compiled once an installation, which takes a while: beside other work, in a process of its own."""
+"""What a job needs is compiled once an installation: this takes a while, beside other work in its own process."""
 
 from __future__ import annotations
 
@@ -12,18 +12,33 @@ _compiling: list[subprocess.Popen[bytes]] = []
 
 
 def start_compilation() -> None:
-    """Begin to compile the kernel, unless it has been or is being compiled.
+    """Begin to compile what designs, runs and the coupled check need, unless the kernel has been or is being compiled.
 
     The other process keeps what it has compiled where this one will look for it. If it fails, nothing is lost but time.
     """
     if _compiling or is_compiled():
         return
-    command = [sys.executable, "-c", "from platform_ctrl.simulation.batch import compile_kernel; compile_kernel()"]
+    command = [sys.executable, "-c", f"from {__name__} import compile_ahead; compile_ahead()"]
     quiet = subprocess.DEVNULL
     try:
         _compiling.append(subprocess.Popen(command, stdin=quiet, stdout=quiet, stderr=quiet))
     except OSError:
         return
+
+
+def compile_ahead() -> None:
+    """Compile the largest functions in the order in which they are needed; those in use elsewhere are waited for."""
+    import numpy as np
+
+    from platform_ctrl.analysis.arrays import StateArrays
+    from platform_ctrl.analysis.mu import mu_bounds
+    from platform_ctrl.analysis.phase_bound import norm_of_few
+    from platform_ctrl.simulation.batch import compile_kernel
+
+    one = np.ones((1, 1))
+    norm_of_few(StateArrays(-one, one, one, 0.0 * one, 0.0), 1e-3, False)
+    compile_kernel()
+    mu_bounds(np.ones((1, 1, 1), dtype=np.complex128))
 
 
 def is_compiled() -> bool:
