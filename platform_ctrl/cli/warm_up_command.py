@@ -52,7 +52,7 @@ _JOB: dict[str, Any] = {
 def warm_up(as_json: Json = False, quiet: Quiet = False) -> int:
     """Compile what the other commands need, once an installation.
 
-    Simulation and analysis have functions that are compiled where they are first used, which takes about half a minute
+    Simulation and analysis have functions that are compiled where they are first used, which takes about a minute
     in all, and are kept beside the installed package. This compiles them before anybody waits for it: in an image,
     before CI runs its tests, after an update. What is compiled already is not compiled again.
 
