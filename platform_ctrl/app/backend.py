@@ -173,17 +173,22 @@ class Backend(Drags):
         parts = settings.parts_on(spec.name, design.name)
         # Options that are needed only since rotors were started or stopped start from rules of thumb.
         start = self._loops.options.offered(settings.but(options=self._loops.start.options), spec, design)
-        own = option_sliders(design.method, options, start, settings.rate_hz, settings.fixed)
+        own = option_sliders(
+            design.method, options, start, 1.0 / self._loops.plants.period(settings, spec), settings.fixed
+        )
         Omega = tuple(map(float, self.read.Omega))
         shown = [slider for slider in own if not slider.part or slider.part in parts]
         of_plant = plant_sliders(
             settings, self._loops.start, (Omega[0], Omega[1], Omega[2]), self._loops.options.slowest(settings)
         )
-        feels = self._loops.plants.feels_Omega(spec)
+        # Loops at rates of their own stay at these: the rate that they are fractions of has no slider.
+        left_out = {"rate_hz"} if self.read.cycle > 1 else set()
+        if not self._loops.plants.feels_Omega(spec):
+            left_out |= {slider.name for slider in of_plant if slider.group == "Omega"}
         return (
             *main_sliders(design.method, shown, start),
             *shown,
-            *(slider for slider in of_plant if feels or slider.group != "Omega"),
+            *(slider for slider in of_plant if slider.name not in left_out),
         )
 
     def parts(self, settings: Settings) -> tuple[Part, ...]:

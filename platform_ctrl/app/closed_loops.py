@@ -44,10 +44,10 @@ class ClosedLoops:
 
     def __init__(self, job: Job, controllers: Path | None) -> None:
         slow = [spec.name for spec in job.loops if job.every(spec) > 1]
-        if slow:
+        if slow and not all(spec.has_plants for spec in job.loops):
             raise InputError(
-                f"loop {slow[0]!r}: the page cannot show loops with a rate_hz of their own; use platform-ctrl design, "
-                "whose report does, or leave the key out for the page"
+                f"loop {slow[0]!r}: beside a stabilisation loop the page cannot show a loop with a rate_hz of its own; "
+                "use platform-ctrl design, whose report does, or leave the key out for the page"
             )
         self.read = job
         self._around = {spec.around for spec in job.loops}
@@ -228,7 +228,7 @@ class ClosedLoops:
         """Return the directions in which methods see a loop as a design reads it."""
         read = spec.read_by(design)
         if spec.around is None:
-            return self.plants.gyros(settings.spins, read, 1.0 / settings.rate_hz)
+            return self.plants.gyros(settings.spins, read, self.plants.period(settings, spec))
         inner, closed, K = self._inside(settings, spec)
         key = (spec.name, read.sensors, *self._inside_key(settings, inner, closed, K))
         return self._directions.get(key, lambda: self.plants.directions_around(settings, read, inner, closed, K))
@@ -368,7 +368,7 @@ class ClosedLoops:
         if design.command is not None:
             channel = self.directions(settings, spec, design)
             sense = np.eye(K.B.shape[1]) if channel.sense is None else channel.sense
-            return shaped(K._replace(dt=1.0 / settings.rate_hz), design.command, channel, sense)
+            return shaped(K._replace(dt=self.plants.period(settings, spec)), design.command, channel, sense)
         taken = spec.name in self._around or bool(self.read.commanded & set(spec.read_by(design).sensors))
         return with_error_alone(K) if taken else K
 
@@ -384,7 +384,7 @@ class ClosedLoops:
 
     def caging(self, settings: Settings, spec: LoopSpec, design: DesignSpec) -> tuple[StateArrays, str]:
         """Return the controller of a caging loop, and a line about it or an empty text."""
-        period = 1.0 / settings.rate_hz
+        period = self.plants.period(settings, spec)
         if built_directly(design):
             channel = self.directions(settings, spec, design)
             options = self.options.used(settings, spec, design)

@@ -148,7 +148,7 @@ class DesignOptions:
             options,
             self._plants.gyros(settings.spins, spec.read_by(design)),
             lambda: self._plants.nutation(settings, spec),
-            1.0 / settings.rate_hz,
+            self._plants.period(settings, spec),
         )
 
     def slowest(self, settings: Settings) -> float:
@@ -167,7 +167,8 @@ class DesignOptions:
         offered = self.offered(settings, spec, design)
         if not METHODS[design.method].parts:
             return offered
-        channel, period = self._plants.gyros(settings.spins, spec.read_by(design)), 1.0 / settings.rate_hz
+        channel = self._plants.gyros(settings.spins, spec.read_by(design))
+        period = self._plants.period(settings, spec)
         given = parts_used(offered, settings.parts_on(spec.name, design.name))
         try:
             if design.method == "pi":
@@ -219,7 +220,7 @@ class DesignOptions:
 
     def _options(self, spec: LoopSpec, design: DesignSpec, spins: dict[str, float]) -> dict[str, float]:
         """Return all options of a design, complete, so that they stay while the plant is moved."""
-        period = self.read.sampling.period
+        period = self.read.period_of(spec)
         if not spec.has_plants:
             problem = LoopProblem(job=self.read, spec=spec, design=design, model=self._plants.model(spins))
             return dict(designed(problem).options)

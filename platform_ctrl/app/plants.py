@@ -97,10 +97,20 @@ class _Share:
 
 
 class QuickPlants:
-    """Plants of one loop, or of the caging loop on some gimbals."""
+    """Plants of one loop, or of the caging loop on some gimbals.
 
-    def __init__(self, job: Job, loop: LoopSpec | LoopSignals | tuple[str, ...]) -> None:
+    The loop is computed at `every` how many samples; `used` says so of readings for which it is not the same.
+    """
+
+    def __init__(
+        self,
+        job: Job,
+        loop: LoopSpec | LoopSignals | tuple[str, ...],
+        every: int = 1,
+        used: Mapping[str, int] | None = None,
+    ) -> None:
         platform = job.platform
+        self.every, self.used = every, used
         self.signals = loop if isinstance(loop, LoopSignals) else job_signals(job, loop)
         self.job, self.gimbals = job, self.signals.gimbals
         self.model = linearise(platform)
@@ -117,7 +127,7 @@ class QuickPlants:
     def plants(self, spins: Mapping[str, float], sampling: Sampling, Omega: FloatArray) -> PlantSet:
         """Return the set of plants: `loop_plants` of the job with these spins, sampling and largest platform rate."""
         key = (*self._key(spins), sampling.period, sampling.delay, *map(float, Omega))
-        return self._sets.get(key, lambda: sampled_plants(self.linear(spins, Omega), sampling, Omega))
+        return self._sets.get(key, lambda: self._sampled(self.linear(spins, Omega), sampling, Omega))
 
     def shown(
         self, label: str, at: FloatArray, spins: Mapping[str, float], sampling: Sampling, Omega: FloatArray
@@ -132,7 +142,7 @@ class QuickPlants:
 
     def nutation(self, spins: Mapping[str, float], sampling: Sampling, Omega: FloatArray) -> float:
         """Return the nutation frequency of the nominal plant, rad/s, as the set has it."""
-        return loop_reference(self.linear(spins, Omega), sampling.period)
+        return loop_reference(self.linear(spins, Omega), self.every * sampling.period)
 
     def loading_axis(self, axis: int) -> int:
         """Return the axis about which a turn loads these gimbals: `axis` where it does, else that of most.
@@ -161,7 +171,10 @@ class QuickPlants:
             turned = next(iter(with_friction(job, torquers, fed, [case])), case)
         else:
             turned = dataclasses.replace(case, Omega=case.Omega + at)
-        return sampled_plants(self._with_spins(linear_plants(self.signals, (turned,)), spins), sampling, Omega)
+        return self._sampled(self._with_spins(linear_plants(self.signals, (turned,)), spins), sampling, Omega)
+
+    def _sampled(self, linear: LinearPlants, sampling: Sampling, Omega: FloatArray) -> PlantSet:
+        return sampled_plants(linear, sampling, Omega, self.every, self.used)
 
     def _all(self, Omega: FloatArray) -> tuple[Case, ...]:
         key = tuple(map(float, Omega))
@@ -284,8 +297,12 @@ class JobPlants:
         key = (spec.name, *spec.sensors, *(() if around is None else around.sensors))
         with self._lock:
             if key not in self._quick:
-                loop = spec if around is None else tracking_signals(self.read, spec, around)
-                self._quick[key] = QuickPlants(self.read, loop)
+                if around is None:
+                    self._quick[key] = QuickPlants(self.read, spec, self.read.every(spec))
+                else:
+                    used = dict.fromkeys(spec.sensors, self.read.every(spec))
+                    both = tracking_signals(self.read, spec, around)
+                    self._quick[key] = QuickPlants(self.read, both, self.read.every(around), used)
             return self._quick[key]
 
     def inside(self, spec: LoopSpec) -> LoopSpec:
@@ -393,6 +410,10 @@ class JobPlants:
         """Return the sampling of the settings."""
         return Sampling(period=1.0 / settings.rate_hz, delay=settings.delay)
 
+    def period(self, settings: Settings, spec: LoopSpec) -> float:
+        """Return the period at which a loop is computed, s."""
+        return self.read.every(spec) / settings.rate_hz
+
     def nutation(self, settings: Settings, spec: LoopSpec) -> float:
         """Return the nutation frequency of a loop's nominal plant, rad/s."""
         return self.nutation_at(settings.spins, spec, self.sampling(settings), self.range(settings))
@@ -407,7 +428,7 @@ class JobPlants:
 
         Those of a tracking loop are without the combination of its readings, which depends on the loop inside.
         """
-        period = self.read.sampling.period if period is None else period
+        period = self.read.period_of(spec) if period is None else period
         if spec.around is not None:
             return commanded_channels(len(self.channels_of(spec)))
 

@@ -105,7 +105,7 @@ def write_job(
         read_job(data, folder=path.parent)
     except InputError as error:
         raise InputError(str(error).replace("job given as a dict", str(path))) from None
-    record = {"schema": SCHEMA, "controllers": [_entry(one, job) for one in controllers]}
+    record = {"schema": SCHEMA, "controllers": [_entry(one, job.sampling.delay) for one in controllers]}
     before = beside.read_bytes() if beside.exists() else None
     write_record(record, beside)
     try:
@@ -185,16 +185,16 @@ def _plant(document: TOMLDocument, old: Path, new: Path, settings: Settings, sta
             document["plant"] = Path(os.path.relpath((old / file).resolve(), new.resolve())).as_posix()
 
 
-def _entry(one: ClosedController, job: Job) -> dict[str, Any]:
+def _entry(one: ClosedController, delay: float) -> dict[str, Any]:
     return {
         "name": one.loop,
         "design": one.design,
         "method": one.method,
-        "dt": job.sampling.period,
+        "dt": one.system.dt,
         **{name: np.asarray(getattr(one.system, name), dtype=np.float64) for name in "ABCD"},
         "inputs": list(one.system.input_labels),
         "outputs": list(one.system.output_labels),
-        "delay": job.sampling.delay,
+        "delay": delay,
         "options": one.options,
     }
 
@@ -287,7 +287,8 @@ def checked_settings(backend: Backend, changed: object) -> Settings:
         settings = backend.chosen(settings, design=design)
         # Checked as a slider's number would be; the rate first, against which the delay is checked.
         for name in ("rate_hz", "delay"):
-            settings = backend.moved(settings, name, _number(name, given[name]))
+            if (number := _number(name, given[name])) != getattr(settings, name):
+                settings = backend.moved(settings, name, number)
         backend.check_names(settings)
     except PlatformCtrlError as error:
         raise InputError(f"state: {error}") from None

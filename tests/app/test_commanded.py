@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from commanded_gimbal import commanded_job
+from commanded_gimbal import RATE_HZ, commanded_job
 from platform_ctrl import design, read_job, verification
 from platform_ctrl.app.backend import Backend
 from platform_ctrl.app.background import Tuning
@@ -53,8 +53,9 @@ def test_a_design_with_a_filter_is_measured_as_a_whole_and_delivered_with_it() -
     page.close()
 
 
-def test_a_tracking_loop_is_shaped_checked_simulated_and_saved(tmp_path: Path) -> None:
-    data = job_of(TRACKING, reading="heading")
+@pytest.mark.parametrize("every", [1, 20], ids=["at every sample", "at every 20th sample"])
+def test_a_tracking_loop_is_shaped_checked_simulated_and_saved(tmp_path: Path, every: int) -> None:
+    data = job_of(TRACKING | ({"rate_hz": RATE_HZ / every} if every > 1 else {}), reading="heading")
     path, saved = tmp_path / "job.toml", tmp_path / "saved.toml"
     path.write_text(toml(data), encoding="utf-8")
     page, job = Backend(path), read_job(path)
@@ -66,11 +67,14 @@ def test_a_tracking_loop_is_shaped_checked_simulated_and_saved(tmp_path: Path) -
         page.job_parts.measure(one)
     states = {one.chip.label: one for one in page.job_parts.states(parts)}
     assert list(states) == ["loop", "track", "coupled", "runs"]
-    tracking = found.loops[0].closed
+    for outcome in found.loops:
+        at = page.chosen(start, loop=outcome.spec.name)
+        shown = {one.name: one.value for one in page.picture(at).requirements}
+        for one in outcome.closed.results:
+            assert shown[one.name] == pytest.approx(one.value, rel=1e-6, abs=1e-12)
+        # The rate of all samples stays where a loop runs at a fraction of it.
+        assert ("rate_hz" in {slider.name for slider in page.sliders(at)}) == (every == 1)
     at = page.chosen(start, loop="track")
-    shown = {one.name: one.value for one in page.picture(at).requirements}
-    for one in tracking.results:
-        assert shown[one.name] == pytest.approx(one.value, rel=1e-6, abs=1e-12)
     whole = page._loops.coupled(start)
     np.testing.assert_allclose(whole.simultaneous.alpha, found.coupled.simultaneous.alpha, rtol=1e-6)
     run = page.simulate(start, "slew")
