@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import os
+import signal
 import sys
 from collections.abc import Iterator
 
@@ -15,6 +16,10 @@ from hypothesis import settings
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 # The tests themselves use all cores: a second process of each command would only start and wait.
 os.environ.setdefault("PLATFORM_CTRL_PROCESSES", "1")
+
+# A shell lets what it starts in the background ignore Ctrl-C, and children inherit that.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # A change is judged by the same cases everywhere; new ones are sought by `pytest --hypothesis-profile=others`.
 settings.register_profile("same", derandomize=True)

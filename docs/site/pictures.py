@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import re
 import tempfile
 from contextlib import chdir, redirect_stderr, redirect_stdout
 from io import StringIO
@@ -13,6 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from blocks import Picture, commands, pictures, pieces
+
+from platform_ctrl.common.palette import PALETTE, declarations, figure_variables
 
 ROOT = Path(__file__).parents[2]
 KEPT = ROOT / "build" / "site-pictures"
@@ -29,13 +30,8 @@ def package_digest() -> str:
 
 
 def themes() -> dict[str, str]:
-    """Return the report's colours in light and dark, as declarations of CSS variables."""
-    sheet = (ROOT / "platform_ctrl" / "report" / "templates" / "report.css").read_text(encoding="utf-8")
-    rules = re.findall(r"--(?:ink|muted|grid|frame|limit|beyond|band|reference|series-\d): *#[0-9a-f]+", sheet)
-    light, dark = rules[: len(rules) // 2], rules[len(rules) // 2 :]
-    if [rule.partition(":")[0] for rule in light] != [rule.partition(":")[0] for rule in dark]:
-        raise ValueError("report.css: expected the variables of figures once for light, once for dark")
-    return {"light": ";".join(light), "dark": ";".join(dark)}
+    """Return the colours of figures in light and dark, as declarations of CSS variables."""
+    return {str(theme): declarations(figure_variables(theme)) for theme in PALETTE}
 
 
 def as_file(svg: str, theme: str) -> str:

@@ -17,7 +17,7 @@ from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.app.pictures import Bode, Drawing, FrequencyGain, Locus, Measured, Nichols, Overlay, TimeResponse
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.job.job import Job
-from platform_ctrl.report.quantities import signal_series
+from platform_ctrl.plant.drawing import signal_series
 
 # Values beyond this are of a loop that diverges: no page has to draw them.
 _FARTHEST = 1e12

@@ -12,8 +12,8 @@ from bokeh.models.widgets import Div
 from platform_ctrl.common.text import greek
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.mechanics.kinematics import topology
+from platform_ctrl.plant.drawing import Shape, bodies, camera, levels
 from platform_ctrl.plant.platform import Platform
-from platform_ctrl.report.axes.bodies import Shape, bodies, camera, levels
 from platform_ctrl.simulation.closed_loop import Trajectory
 
 # Radii, in those of a rotor's disc.

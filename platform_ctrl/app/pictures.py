@@ -20,7 +20,7 @@ class TimeResponse:
 
     `title` names the input: ``"1 mN m step at Q9"``. `values` (k, T) are those of the plant shown, `low` and `high` the
     extremes over the set, (k, 0) without a band; `t` in s. `series` is the index of each signal's colour,
-    from 0 (`report.quantities.signal_series`), `drive` (T,) the input over its largest value, and `limit` the job's
+    from 0 (`plant.drawing.signal_series`), `drive` (T,) the input over its largest value, and `limit` the job's
     limit in the first unit, or None.
     """
 

@@ -18,7 +18,7 @@ from platform_ctrl.app.settings import Conditions, Settings, with_options
 from platform_ctrl.common.values import value
 from platform_ctrl.design.loop import limits_and_goals
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.report.quantities import HZ
+from platform_ctrl.job.quantities import HZ
 
 # The bandwidths of the weights over those of the job; the reserve with which limits are met: from robust to fast.
 _BANDWIDTHS, _RESERVES = (0.6, 0.77, 1.0, 1.3, 1.7), (0.3, 0.2, 0.1, 0.05)

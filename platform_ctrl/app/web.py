@@ -31,6 +31,8 @@ from tornado import httputil, iostream
 from tornado.httpserver import HTTPServer
 from tornado.web import OutputTransform, RequestHandler
 
+from platform_ctrl.common.palette import PALETTE, declarations
+
 if TYPE_CHECKING:
     from platform_ctrl.app.server import AllowedHosts
 
@@ -88,7 +90,7 @@ class PageApplication(BokehTornado):
         # Columns go to a browser on this machine, as a rule: packing them takes longer than sending them.
         settings.compression_level = 0
         self.hosts = hosts
-        self.files: dict[str, bytes] = {}
+        self.files = {"palette.css": _palette_sheet()}
 
     @property
     def sessions(self) -> list[Any]:
@@ -166,6 +168,11 @@ class PageApplication(BokehTornado):
             except OSError:
                 return None
         return self.files[name]
+
+
+def _palette_sheet() -> bytes:
+    light, dark = declarations(PALETTE["light"]), declarations(PALETTE["dark"])
+    return f':root{{{light}}}\n:root[data-theme="dark"]{{{dark}}}\n'.encode()
 
 
 class Together(ServerConnection):

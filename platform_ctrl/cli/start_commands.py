@@ -119,8 +119,8 @@ def models(as_json: Json = False) -> None:
 
     from platform_ctrl.cli.terminal import screen, show_pairs
     from platform_ctrl.common.json_text import json_text
+    from platform_ctrl.job.quantities import count
     from platform_ctrl.plant.source import platform_source, shipped_models
-    from platform_ctrl.report.quantities import count
 
     listed = []
     for name in shipped_models():

@@ -124,7 +124,7 @@ def screen() -> Console:
 
 def show_result(result: JobResult) -> None:
     """Print all requirements, the worst first, and the verdict."""
-    from platform_ctrl.report.quantities import added_words, assumed_words
+    from platform_ctrl.job.quantities import added_words, assumed_words
 
     console = screen()
     console.print(result.job.name, style="bold", markup=False)
@@ -401,7 +401,7 @@ def tells_nothing(one: CheckResult) -> bool:
 
 def summary_words(results: Sequence[CheckResult], more: str = "") -> str:
     """Return how many requirements are met, `more`, and which one is the worst or the tightest."""
-    from platform_ctrl.report.quantities import percent
+    from platform_ctrl.job.quantities import percent
 
     missed = sum(not one.passed for one in results)
     words = f"{missed} of {len(results)} requirements not met" if missed else f"all {len(results)} requirements met"

@@ -14,7 +14,7 @@ from platform_ctrl.common.files import write_whole
 from platform_ctrl.common.text import rounded
 from platform_ctrl.errors import PlatformCtrlError
 from platform_ctrl.job.judging import CheckResult
-from platform_ctrl.report.quantities import (
+from platform_ctrl.job.quantities import (
     UNSTABLE,
     count,
     distinguishing_digits,

@@ -22,15 +22,17 @@ from matplotlib.legend_handler import HandlerTuple
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter, NullLocator
 from numpy.typing import NDArray
 
+from platform_ctrl.common.palette import figure_variables
 from platform_ctrl.common.text import text_width
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.report.quantities import power_of_ten
+from platform_ctrl.job.quantities import power_of_ten
 
 P = ParamSpec("P")
 Drawn = TypeVar("Drawn")
 
-# Okabe and Ito's colours, yellow left out: it vanishes on white. Line styles and markers differ as well.
-SERIES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7a7a00", "#6a5acd")
+_VARIABLES = {colour: role for role, colour in figure_variables("light").items()}
+SERIES = tuple(colour for colour, role in _VARIABLES.items() if role.startswith("series-"))
+# Line styles and markers differ as well.
 DASHES: tuple[Any, ...] = (
     "-",
     (0, (5, 2)),
@@ -43,20 +45,7 @@ DASHES: tuple[Any, ...] = (
 )
 DASHED, DOTTED, DASH_DOTTED = DASHES[1], DASHES[2], DASHES[3]
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
-INK, MUTED, GRID, FRAME = "#1b2430", "#5c6675", "#e4e7ec", "#b9c0ca"
-LIMIT, BEYOND = "#b3261e", "#fbebe9"
-BAND, REFERENCE = "#dfe7f1", "#8a93a0"
-
-_VARIABLES = {
-    INK: "ink",
-    MUTED: "muted",
-    GRID: "grid",
-    FRAME: "frame",
-    LIMIT: "limit",
-    BEYOND: "beyond",
-    BAND: "band",
-    REFERENCE: "reference",
-} | {colour: f"series-{k + 1}" for k, colour in enumerate(SERIES)}
+INK, MUTED, GRID, FRAME, LIMIT, BEYOND, BAND, REFERENCE = tuple(_VARIABLES)[:8]
 
 # Pixels an inch of a figure in a page.
 _PAGE_DPI = 96

@@ -13,7 +13,7 @@ import platform_ctrl as pc
 from platform_ctrl import analysis
 from platform_ctrl.analysis.disks import disk_phase, disk_to_gain_phase
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.report.quantities import disk_words
+from platform_ctrl.job.quantities import disk_words
 from random_loops import stable_loop
 
 ROOT = Path(__file__).parents[2]

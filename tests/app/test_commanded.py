@@ -13,8 +13,8 @@ from commanded_gimbal import RATE_HZ, commanded_job
 from platform_ctrl import design, read_job, verification
 from platform_ctrl.app.backend import Backend
 from platform_ctrl.app.background import Tuning
+from platform_ctrl.job.quantities import HZ
 from platform_ctrl.job.writing import toml
-from platform_ctrl.report.quantities import HZ
 from platform_ctrl.verification.controllers import outcomes_from, read_controllers
 
 pytestmark = pytest.mark.usefixtures("untraced")

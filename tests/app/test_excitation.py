@@ -11,7 +11,7 @@ from camera_job import camera_job
 from commanded_gimbal import commanded_job
 from platform_ctrl import read_job
 from platform_ctrl.app.backend import Backend
-from platform_ctrl.report.quantities import HZ
+from platform_ctrl.job.quantities import HZ
 
 pytestmark = pytest.mark.usefixtures("untraced")
 AMPLITUDE, SINE_HZ = 0.1, 5.0

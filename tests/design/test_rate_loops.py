@@ -8,8 +8,8 @@ from camera_job import FRICTION, J_AZIMUTH, J_ELEVATION, camera_job, camera_loop
 from platform_ctrl import analysis, design
 from platform_ctrl.analysis.loop_metrics import measure
 from platform_ctrl.errors import InputError, NotCertifiedError
+from platform_ctrl.job.quantities import assumed_words
 from platform_ctrl.job.requirements import requirement
-from platform_ctrl.report.quantities import assumed_words
 from platform_ctrl.verification.controllers import outcomes_from, read_controllers
 from platform_ctrl.verification.records import result_record
 from platform_ctrl.verification.verdict import check_job

@@ -207,7 +207,8 @@ def test_no_semidefinite_weight_of_any_size_is_refused(discrete: bool) -> None:
         example = Example("", A, B, C.T @ C, np.eye(m), np.zeros((n, m)), None, discrete)
         found = lqr(plant(example), example.Q, example.R)
         assert (np.abs(found.poles).max() < 1.0) if discrete else (found.poles.real.max() < 0.0)
-        assert np.linalg.eigvalsh(found.X)[0] >= -1e-12 * np.abs(found.X).max()
+        # Without a weight X is zero, and what a doubling iteration leaves of it may have either sign.
+        assert np.linalg.eigvalsh(found.X)[0] >= -1e-12 * np.abs(found.X).max() - 1e-100
 
 
 def test_what_a_schur_form_cannot_part_is_found_in_many_digits() -> None:

@@ -14,9 +14,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from platform_ctrl import read_platform
+from platform_ctrl.common.palette import PALETTE
 from platform_ctrl.common.text import greek, text_width
 from platform_ctrl.plant.source import shipped_models
-from platform_ctrl.report.axes.picture import axes_picture, theme_colours
+from platform_ctrl.report.axes.picture import axes_picture
 from platform_ctrl.report.axes.view import direction_text
 from tree_cases import platforms
 
@@ -309,7 +310,7 @@ def test_a_separate_picture_has_all_its_colours_for_both_themes():
     used = set(re.findall(r"var\(--([\w-]+)\)", text))
     for defined in re.findall(r"svg:root\{(.*?)\}", text):
         assert set(re.findall(r"--([\w-]+):#", defined)) == used
-    light, dark = theme_colours("light"), theme_colours("dark")
+    light, dark = PALETTE["light"], PALETTE["dark"]
     assert used <= set(light) == set(dark)
     assert (light["page"], dark["page"]) == ("#ffffff", "#14181e")
 

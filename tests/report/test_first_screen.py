@@ -12,6 +12,7 @@ from camera_job import camera_job
 from platform_ctrl import report
 from platform_ctrl.analysis.margins import disk_margin
 from platform_ctrl.design.loop import sampled_plant
+from platform_ctrl.job.quantities import compared
 from platform_ctrl.report import style
 from platform_ctrl.report.figures.loop import sensitivity_figure
 from platform_ctrl.report.loop_responses import loop_responses
@@ -19,7 +20,6 @@ from platform_ctrl.report.page import first_screen, tables
 from platform_ctrl.report.page.blocks import Cell, Columns, Document, Fold, Part, Plate, Table
 from platform_ctrl.report.page.first_screen import change_part, worst_plant, worst_plant_figure
 from platform_ctrl.report.page.job_page import page_html
-from platform_ctrl.report.quantities import compared
 from platform_ctrl.verification import JobResult
 from platform_ctrl.verification.changes import changes
 from report_jobs import caging, checked, classical, job, turn

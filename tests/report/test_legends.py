@@ -12,9 +12,9 @@ from matplotlib.figure import Figure
 
 import platform_ctrl as pc
 from legend_entries import without_a_curve
+from platform_ctrl.plant.drawing import signal_series
 from platform_ctrl.plant.platform import Platform
 from platform_ctrl.report import figures
-from platform_ctrl.report.quantities import signal_series
 from platform_ctrl.report.style import SERIES
 from single_runs import simulated
 

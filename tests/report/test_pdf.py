@@ -17,10 +17,10 @@ import pytest
 
 import platform_ctrl as pc
 from platform_ctrl import report
+from platform_ctrl.common.palette import PALETTE
 from platform_ctrl.errors import InputError, PlatformCtrlError
 from platform_ctrl.job.writing import job_data
 from platform_ctrl.report import style
-from platform_ctrl.report.axes.picture import theme_colours
 from platform_ctrl.report.page import blocks, job_page, tables
 from platform_ctrl.report.page.job_page import page_html, pdf_bytes
 from platform_ctrl.report.page.tables import versions
@@ -170,7 +170,7 @@ def test_nothing_in_a_pdf_is_loaded_from_elsewhere(made: bytes) -> None:
 
 
 def test_pictures_lose_no_colour_and_have_their_font(prepared: blocks.Document) -> None:
-    colours = theme_colours("light")
+    colours = PALETTE["light"]
     assert colours["ink"] == style.INK
     assert [colours[f"series-{k + 1}"] for k in range(len(style.SERIES))] == list(style.SERIES)
     for section in prepared.sections:

@@ -34,6 +34,7 @@ from platform_ctrl.design import loops
 from platform_ctrl.design.loop import closed_loop_poles, remeasured
 from platform_ctrl.errors import InputError
 from platform_ctrl.job.judging import Sense
+from platform_ctrl.job.quantities import claimed, compared, percent, plain, quantity
 from platform_ctrl.job.requirements import CheckResult, Requirement, requirement
 from platform_ctrl.job.writing import job_data
 from platform_ctrl.mechanics.linearisation import linearise
@@ -55,7 +56,6 @@ from platform_ctrl.report.page import blocks, captions, comparison, tables
 from platform_ctrl.report.page import job_page as document
 from platform_ctrl.report.page.campaign_tables import chances
 from platform_ctrl.report.page.job_page import page_html
-from platform_ctrl.report.quantities import claimed, compared, percent, plain, quantity
 from platform_ctrl.verification import JobResult, check_job
 from report_jobs import caging, checked, classical, job, turn
 

@@ -12,12 +12,12 @@ import pytest
 
 from platform_ctrl.campaign.planning import Plan, plan
 from platform_ctrl.campaign.summary import Summary, summarise
+from platform_ctrl.job.quantities import disk_words
 from platform_ctrl.report.page import blocks, campaign_tables, job_page
 from platform_ctrl.report.page.blocks import html as as_html
 from platform_ctrl.report.page.campaign_page import as_section, campaign_document, differences
 from platform_ctrl.report.page.captions import opening, tightest
 from platform_ctrl.report.page.job_page import page_html
-from platform_ctrl.report.quantities import disk_words
 from platform_ctrl.verification import JobResult
 from report_jobs import caging, checked, classical, job, turn
 

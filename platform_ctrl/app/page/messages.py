@@ -18,7 +18,7 @@ from platform_ctrl.design.tuning import SHARE, OptionEffects, ResultChange
 from platform_ctrl.errors import InputError
 from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.job.methods import METHODS
-from platform_ctrl.report.quantities import BOUND, HZ, compared
+from platform_ctrl.job.quantities import BOUND, HZ, compared
 
 if TYPE_CHECKING:
     from platform_ctrl.app.backend import Backend

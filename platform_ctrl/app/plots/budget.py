@@ -10,7 +10,7 @@ from platform_ctrl.app.plots.data import DASHES, FONT, SMALL, Column, Sources, V
 from platform_ctrl.app.plots.panel import Panel, Theme, limit_key
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.job.budget import Budget
-from platform_ctrl.report.quantities import plain
+from platform_ctrl.job.quantities import plain
 from platform_ctrl.verification.budget_result import LineOfSightBudget, Waterfall, rms_ticks, waterfalls
 
 MICRO = 1e6

@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import math
-import re
-from collections.abc import Callable, Sequence
-from functools import cache
-from importlib import resources
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -15,6 +12,7 @@ from bokeh.models import ColumnDataSource, Range1d
 from numpy.typing import NDArray
 
 from platform_ctrl.analysis.arrays import ComplexArray
+from platform_ctrl.common.palette import PALETTE
 from platform_ctrl.common.values import FloatArray
 
 HZ = 1.0 / (2.0 * math.pi)
@@ -25,15 +23,10 @@ LIMIT_DASHES = (6, 3)
 FONT = 'system-ui, -apple-system, "Segoe UI", "Helvetica Neue", "Noto Sans", "Liberation Sans", Arial, sans-serif'
 SMALL, NORMAL = "11px", "12px"
 
-_BLOCK = re.compile(r":root\s*\{([^}]*)\}")
-_VARIABLE = re.compile(r"--([\w-]+):\s*(#[0-9a-fA-F]{6})\s*;")
 
-
-@cache
-def colours(dark: bool) -> dict[str, str]:
+def colours(dark: bool) -> Mapping[str, str]:
     """Return the colours of a theme by role: ``ink``, ``muted``, ``grid``, ``limit``, ``series-1``, ..."""
-    text = resources.files("platform_ctrl.report").joinpath("templates/report.css").read_text(encoding="utf-8")
-    return dict(_VARIABLE.findall(_BLOCK.findall(text)[int(dark)]))
+    return PALETTE["dark" if dark else "light"]
 
 
 def series(k: int) -> str:

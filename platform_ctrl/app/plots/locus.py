@@ -25,7 +25,7 @@ from platform_ctrl.app.plots.data import (
 from platform_ctrl.app.plots.handles import PoleHandles
 from platform_ctrl.app.plots.panel import Key, Panel, Theme, limit_key, set_message
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.report.quantities import plain
+from platform_ctrl.job.quantities import plain
 
 DAMPINGS = (0.05, 0.1, 0.2, 0.4, 0.7)
 # Gains along the branches, and poles of other plants, that are drawn.

@@ -260,7 +260,7 @@ def _meaning(key: str, number: float, weakest: float | None) -> str:
 
 def _allowed(margin: float) -> str:
     """Say what a disk margin allows in every channel, in ASCII."""
-    from platform_ctrl.report.quantities import disk_words
+    from platform_ctrl.job.quantities import disk_words
 
     return disk_words(margin).replace("×", "x").replace("±", "+-").replace("°", " degrees")
 

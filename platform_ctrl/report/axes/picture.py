@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import re
 from importlib import resources
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
+from platform_ctrl.common.palette import PALETTE, Theme
 from platform_ctrl.common.text import greek, text_width
 from platform_ctrl.common.values import FloatArray
+from platform_ctrl.job.quantities import count, listed
+from platform_ctrl.plant.drawing import camera, signs, spin_direction
 from platform_ctrl.plant.platform import Gimbal, Platform, Rotor
-from platform_ctrl.report.axes.bodies import camera, signs, spin_direction
 from platform_ctrl.report.axes.view import (
     SIGNS,
     arrow_head,
@@ -26,7 +28,6 @@ from platform_ctrl.report.axes.view import (
     triad,
     words,
 )
-from platform_ctrl.report.quantities import count, listed
 
 WIDTH = 1000.0
 _MARGIN, _HEAD, _FOOT = 24.0, 58.0, 124.0
@@ -38,14 +39,6 @@ _TEMPLATES = resources.files("platform_ctrl.report") / "templates"
 def style_rules() -> str:
     """Return the style rules of the picture, without the colours."""
     return _TEMPLATES.joinpath("axes.css").read_text(encoding="utf-8").strip()
-
-
-def theme_colours(theme: Literal["light", "dark"]) -> dict[str, str]:
-    """Return the colours of the report's page by their names."""
-    sheet = _TEMPLATES.joinpath("report.css").read_text(encoding="utf-8")
-    found = re.findall(r"--([a-z0-9-]+): (#[0-9a-f]{6})", sheet)
-    # The light colours are the first definitions of their names, the dark ones the last.
-    return dict(found) if theme == "dark" else dict(found) | dict(reversed(found))
 
 
 def axes_picture(platform: Platform, alone: bool = True) -> str:
@@ -112,8 +105,8 @@ def description(platform: Platform) -> str:
     return " ".join(sentences)
 
 
-def _variables(theme: Literal["light", "dark"], rules: str) -> str:
-    colours = theme_colours(theme)
+def _variables(theme: Theme, rules: str) -> str:
+    colours = PALETTE[theme]
     used = sorted(set(re.findall(r"var\(--([\w-]+)\)", rules)), key=list(colours).index)
     return "".join(f"--{name}:{colours[name]};" for name in used)
 

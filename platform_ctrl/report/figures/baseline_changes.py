@@ -19,7 +19,7 @@ from platform_ctrl.common.files import write_whole
 from platform_ctrl.common.text import text_width
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.report.quantities import HZ, in_one_unit
+from platform_ctrl.job.quantities import HZ, in_one_unit
 from platform_ctrl.report.style import (
     BAND,
     FULL_WIDTH,

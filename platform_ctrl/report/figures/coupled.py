@@ -16,8 +16,10 @@ from platform_ctrl.analysis.sampling import sampled
 from platform_ctrl.common.arguments import positive
 from platform_ctrl.common.text import at_least
 from platform_ctrl.common.values import FloatArray
+from platform_ctrl.job.quantities import HZ, plain, quantity
 from platform_ctrl.mechanics.outputs import observed
 from platform_ctrl.mechanics.state_space import state_space as linear_state_space
+from platform_ctrl.plant.drawing import root_series, signal_series
 from platform_ctrl.plant.platform import OMEGA_NAMES, ROOT_TORQUE_NAMES
 from platform_ctrl.report.figures.loop import half_plane_axes
 from platform_ctrl.report.modes import nutates
@@ -26,7 +28,6 @@ from platform_ctrl.report.plots.campbell import campbell
 from platform_ctrl.report.plots.curves import loop_phase
 from platform_ctrl.report.plots.panels import phase_panel
 from platform_ctrl.report.plots.pole_map import upper_half_plane
-from platform_ctrl.report.quantities import HZ, plain, quantity, root_series, signal_series
 from platform_ctrl.report.style import (
     BAND,
     DOTTED,

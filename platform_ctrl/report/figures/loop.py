@@ -17,6 +17,7 @@ from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.loop import LoopDesign, sampled_plant
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.job import LoopSpec
+from platform_ctrl.job.quantities import HZ
 from platform_ctrl.job.requirements import SCOPE_WORDS, of_readings
 from platform_ctrl.report.loop_responses import DesignResponses, LoopResponses, peak_metrics
 from platform_ctrl.report.plots.curves import loop_phase
@@ -24,7 +25,6 @@ from platform_ctrl.report.plots.nichols import nichols
 from platform_ctrl.report.plots.panels import phase_panel
 from platform_ctrl.report.plots.pole_map import upper_half_plane
 from platform_ctrl.report.plots.root_locus import root_locus
-from platform_ctrl.report.quantities import HZ
 from platform_ctrl.report.style import (
     BAND,
     BEYOND,

@@ -14,10 +14,10 @@ from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, ClassVar
 
+from platform_ctrl.common.palette import PALETTE, declarations
 from platform_ctrl.common.values import value
 from platform_ctrl.errors import InputError, PlatformCtrlError
 from platform_ctrl.report import style
-from platform_ctrl.report.axes.picture import theme_colours
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -280,7 +280,9 @@ def html(document: Document) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    return environment.get_template("page.html").render(document=document)
+    return environment.get_template("page.html").render(
+        document=document, palette={theme: declarations(colours) for theme, colours in PALETTE.items()}
+    )
 
 
 def typesetter() -> ModuleType:
@@ -299,7 +301,7 @@ def pdf(document: Document) -> bytes:
     typst = typesetter()
 
     templates = resources.files("platform_ctrl.report") / "templates"
-    colours = theme_colours("light")
+    colours = dict(PALETTE["light"])
     data = plain_data(document, colours) | {"colours": colours}
     inputs = {"document": json.dumps(data, ensure_ascii=False)}
     fonts = [str(Path(mpl.get_data_path()) / "fonts" / "ttf")]

@@ -10,10 +10,10 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from platform_ctrl.job.budget import Budget
+from platform_ctrl.job.quantities import plain, quantity
 from platform_ctrl.plant.sensors import LOS_ANGLES
 from platform_ctrl.report.page.blocks import Block, Paragraph, Part, Section, Table, plate, sentence, table
 from platform_ctrl.report.page.captions import sentences
-from platform_ctrl.report.quantities import plain, quantity
 from platform_ctrl.report.style import (
     DASHED,
     INK,

@@ -18,6 +18,7 @@ from platform_ctrl.campaign.table import MANOEUVRE, PASSED
 from platform_ctrl.common.files import write_whole
 from platform_ctrl.common.values import value
 from platform_ctrl.errors import PlatformCtrlError
+from platform_ctrl.job.quantities import MINUS, listed, plain, power_of_ten
 from platform_ctrl.report import style
 from platform_ctrl.report.page import campaign_tables as tables
 from platform_ctrl.report.page.blocks import (
@@ -50,7 +51,6 @@ from platform_ctrl.report.page.captions import sentences
 from platform_ctrl.report.page.tables import record_part, versions
 from platform_ctrl.report.plots.campaign import exceedance_figure, histogram_figure
 from platform_ctrl.report.plots.time_run import time_run
-from platform_ctrl.report.quantities import MINUS, listed, plain, power_of_ten
 from platform_ctrl.verification.verdict import JobResult
 
 RERUN_COMMAND = "platform-ctrl simulate job.toml --run"

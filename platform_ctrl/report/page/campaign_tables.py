@@ -15,8 +15,7 @@ from platform_ctrl.campaign.table import DIVERGED, MANOEUVRE, PASSED
 from platform_ctrl.campaign.table_statistics import RequirementStatistics, WorstRun
 from platform_ctrl.common.text import Rounding, rounded
 from platform_ctrl.common.values import value
-from platform_ctrl.job.variation import Vary
-from platform_ctrl.report.quantities import (
+from platform_ctrl.job.quantities import (
     BOUND,
     DASH,
     MINUS,
@@ -27,6 +26,7 @@ from platform_ctrl.report.quantities import (
     simulated_words,
     times,
 )
+from platform_ctrl.job.variation import Vary
 
 ALL_MANOEUVRES = "all manoeuvres, values relative to their limits"
 # Inputs that a table names for a requirement, and a line.

@@ -23,6 +23,7 @@ from platform_ctrl.design.caging_claims import largest_Omega_name
 from platform_ctrl.design.jobs import LoopOutcome
 from platform_ctrl.design.loop import LoopDesign
 from platform_ctrl.job.judging import STABLE, CheckResult
+from platform_ctrl.job.quantities import BOUND, HZ, compared, count, disk_words, listed, percent, plain, quantity
 from platform_ctrl.job.requirements import FAULTS, WORST_CASE, of_readings
 from platform_ctrl.plant.platform import Platform
 from platform_ctrl.report.figures.loop import SENSITIVITIES, damping_rays, limited
@@ -31,7 +32,6 @@ from platform_ctrl.report.page import campaign_tables
 from platform_ctrl.report.page.campaign_tables import causes, contrast_name, drivers_of
 from platform_ctrl.report.page.comparison import plants_in_words
 from platform_ctrl.report.page.tables import verdict
-from platform_ctrl.report.quantities import BOUND, HZ, compared, count, disk_words, listed, percent, plain, quantity
 from platform_ctrl.verification.simulated import Run
 from platform_ctrl.verification.verdict import PROVED, JobResult
 

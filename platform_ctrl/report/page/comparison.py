@@ -13,9 +13,7 @@ from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.design.jobs import LoopOutcome
 from platform_ctrl.design.loop import LoopDesign
 from platform_ctrl.job.judging import CheckResult
-from platform_ctrl.job.requirements import SCOPE_WORDS, SCOPES, of_readings, requirement
-from platform_ctrl.report.page.blocks import Cell, Column, Group, Row, Table, cells
-from platform_ctrl.report.quantities import (
+from platform_ctrl.job.quantities import (
     BOUND,
     DASH,
     MET,
@@ -28,6 +26,8 @@ from platform_ctrl.report.quantities import (
     plain,
     quantity,
 )
+from platform_ctrl.job.requirements import SCOPE_WORDS, SCOPES, of_readings, requirement
+from platform_ctrl.report.page.blocks import Cell, Column, Group, Row, Table, cells
 from platform_ctrl.verification.verdict import JobResult, Proofs
 
 GOAL = "goal: "

@@ -18,6 +18,7 @@ from platform_ctrl.design.jobs import LoopOutcome
 from platform_ctrl.design.loop import LoopDesign, closed_loop_poles, sampled_plant
 from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.job.methods import METHODS
+from platform_ctrl.job.quantities import BOUND, DASH, assumed_words, compared, count, listed, percent, plain
 from platform_ctrl.report.page import tables
 from platform_ctrl.report.page.blocks import (
     Block,
@@ -40,7 +41,6 @@ from platform_ctrl.report.page.captions import sentences, tightest
 from platform_ctrl.report.plots.curves import loop_phase
 from platform_ctrl.report.plots.nichols import exclusion
 from platform_ctrl.report.plots.panels import gains
-from platform_ctrl.report.quantities import BOUND, DASH, assumed_words, compared, count, listed, percent, plain
 from platform_ctrl.report.style import BAND, LIMIT, MUTED, REFERENCE, legend, line_style, panels
 from platform_ctrl.verification.changes import FAR, GAIN, Change
 from platform_ctrl.verification.verdict import JobResult

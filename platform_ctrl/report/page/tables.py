@@ -11,6 +11,19 @@ from platform_ctrl.analysis.metrics import METRICS
 from platform_ctrl.common.values import value
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.judging import CheckResult
+from platform_ctrl.job.quantities import (
+    BOUND,
+    DASH,
+    MET,
+    NOT_MET,
+    added_words,
+    axis_text,
+    compared,
+    count,
+    percent,
+    plain,
+    quantity,
+)
 from platform_ctrl.job.writing import job_data, toml
 from platform_ctrl.plant.platform import Torquer
 from platform_ctrl.plant.sensors import PickOff
@@ -28,19 +41,6 @@ from platform_ctrl.report.page.blocks import (
     Strip,
     Table,
     table,
-)
-from platform_ctrl.report.quantities import (
-    BOUND,
-    DASH,
-    MET,
-    NOT_MET,
-    added_words,
-    axis_text,
-    compared,
-    count,
-    percent,
-    plain,
-    quantity,
 )
 from platform_ctrl.verification import records
 from platform_ctrl.verification.verdict import PROVED, JobResult

@@ -15,6 +15,7 @@ from platform_ctrl.common.signatures import check_arguments, short
 from platform_ctrl.common.text import greek
 from platform_ctrl.common.values import value
 from platform_ctrl.errors import ArgumentError
+from platform_ctrl.job.quantities import HZ, plain
 from platform_ctrl.report.plots.curves import Curve, Margins, channels, curve, entry_curves
 from platform_ctrl.report.plots.curves import margins as margins_of
 from platform_ctrl.report.plots.label_placement import LabelPlacer
@@ -27,7 +28,6 @@ from platform_ctrl.report.plots.panels import (
     phase_panel,
 )
 from platform_ctrl.report.plots.systems import DrawnSystem, drawable, drawn_systems, grid, shared_unit, unit_of_gain
-from platform_ctrl.report.quantities import HZ, plain
 from platform_ctrl.report.style import SERIES, panels, standalone
 
 if TYPE_CHECKING:

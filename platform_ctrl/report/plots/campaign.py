@@ -22,7 +22,7 @@ from platform_ctrl.common.arguments import one_of
 from platform_ctrl.common.signatures import short
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError, InputError
-from platform_ctrl.report.quantities import handy_unit, plain
+from platform_ctrl.job.quantities import handy_unit, plain
 from platform_ctrl.report.style import (
     BEYOND,
     DASHED,

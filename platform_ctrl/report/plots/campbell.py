@@ -15,6 +15,8 @@ from platform_ctrl.common.arguments import known_name, real_numbers
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
+from platform_ctrl.job.quantities import HZ, RPM
+from platform_ctrl.job.quantities import plain as number
 from platform_ctrl.mechanics.linearisation import LinearModel, linearise
 from platform_ctrl.mechanics.state_space import state_space, subsystems, whole_subsystems
 from platform_ctrl.plant.platform import Platform
@@ -22,8 +24,6 @@ from platform_ctrl.report.modes import poles_and_kinds
 from platform_ctrl.report.plots.label_placement import LabelPlacer
 from platform_ctrl.report.plots.root_locus import increasing, with_rotors_at_rest
 from platform_ctrl.report.plots.systems import drawable
-from platform_ctrl.report.quantities import HZ, RPM
-from platform_ctrl.report.quantities import plain as number
 from platform_ctrl.report.style import (
     LIMIT,
     MARKERS,

@@ -20,6 +20,7 @@ from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.text import greek
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
+from platform_ctrl.job.quantities import HZ, plain
 from platform_ctrl.plant.platform import OMEGA_NAMES, is_rate
 from platform_ctrl.report.plots.bode import chosen
 from platform_ctrl.report.plots.curves import entry_curves
@@ -44,7 +45,6 @@ from platform_ctrl.report.plots.systems import (
     shared_unit,
     unit,
 )
-from platform_ctrl.report.quantities import HZ, plain
 from platform_ctrl.report.style import REFERENCE, panels, standalone
 
 if TYPE_CHECKING:

@@ -15,12 +15,12 @@ from matplotlib.path import Path
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.text import greek, text_width
 from platform_ctrl.common.values import FloatArray
+from platform_ctrl.job.quantities import RPM
+from platform_ctrl.job.quantities import plain as number
+from platform_ctrl.plant.drawing import camera, signs, spin_direction
 from platform_ctrl.plant.platform import Gimbal, Platform, Rotor
-from platform_ctrl.report.axes.bodies import camera, signs, spin_direction
 from platform_ctrl.report.axes.view import SIGNS, direction_text
 from platform_ctrl.report.plots.systems import drawable
-from platform_ctrl.report.quantities import RPM
-from platform_ctrl.report.quantities import plain as number
 from platform_ctrl.report.style import BAND, FRAME, INK, MUTED, REFERENCE, SERIES, standalone
 
 HEIGHT = 58.0

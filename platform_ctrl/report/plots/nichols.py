@@ -26,11 +26,11 @@ from platform_ctrl.common.signatures import check_arguments, short
 from platform_ctrl.common.text import at_least, at_most, greek
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
+from platform_ctrl.job.quantities import HZ, disk_gain_or_phase, plain
 from platform_ctrl.report.plots.curves import Curve, Margins, channels, curve, margins
 from platform_ctrl.report.plots.label_placement import LabelPlacer
 from platform_ctrl.report.plots.panels import control_plot, curve_style, gains
 from platform_ctrl.report.plots.systems import DrawnSystem, as_state_space, drawable, drawn_systems, gaps, grid, listed
-from platform_ctrl.report.quantities import HZ, disk_gain_or_phase, plain
 from platform_ctrl.report.style import BAND, DOTTED, FRAME, LIMIT, MUTED, REFERENCE, panels, standalone
 
 if TYPE_CHECKING:

@@ -25,12 +25,12 @@ from platform_ctrl.common.text import at_least
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.classical.complex_shaping import ComplexLoop, TwoSidedNyquist
 from platform_ctrl.errors import ArgumentError
+from platform_ctrl.job.quantities import HZ, count, disk_gain_or_phase
+from platform_ctrl.job.quantities import plain as number
 from platform_ctrl.report.plots.curves import channels
 from platform_ctrl.report.plots.label_placement import LabelPlacer
 from platform_ctrl.report.plots.panels import control_plot
 from platform_ctrl.report.plots.systems import DrawnSystem, drawable, drawn_systems, grid
-from platform_ctrl.report.quantities import HZ, count, disk_gain_or_phase
-from platform_ctrl.report.quantities import plain as number
 from platform_ctrl.report.style import (
     BAND,
     DASHES,

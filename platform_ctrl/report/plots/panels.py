@@ -22,8 +22,8 @@ from platform_ctrl.common.arguments import real_numbers
 from platform_ctrl.common.signatures import short
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
+from platform_ctrl.job.quantities import HZ, plain
 from platform_ctrl.report.plots.systems import DrawnSystem, near
-from platform_ctrl.report.quantities import HZ, plain
 from platform_ctrl.report.style import (
     BEYOND,
     DASHED,

@@ -18,11 +18,11 @@ from platform_ctrl.common.arguments import one_of, positive
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
+from platform_ctrl.job.quantities import HZ, count
+from platform_ctrl.job.quantities import plain as number
 from platform_ctrl.report.plots.label_placement import LabelPlacer
 from platform_ctrl.report.plots.panels import control_plot
 from platform_ctrl.report.plots.systems import DrawnSystem, drawn_systems, transmission_zeros
-from platform_ctrl.report.quantities import HZ, count
-from platform_ctrl.report.quantities import plain as number
 from platform_ctrl.report.style import (
     BAND,
     FRAME,

@@ -22,6 +22,8 @@ from platform_ctrl.common.signatures import check_arguments, short
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.cases import changed
 from platform_ctrl.errors import ArgumentError
+from platform_ctrl.job.quantities import listed
+from platform_ctrl.job.quantities import plain as number
 from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.mechanics.state_space import state_space
 from platform_ctrl.plant.platform import Platform
@@ -29,8 +31,6 @@ from platform_ctrl.report.plots.label_placement import LabelPlacer
 from platform_ctrl.report.plots.panels import control_plot
 from platform_ctrl.report.plots.pole_map import View, s_plane, upper_half_plane, view_of, z_plane
 from platform_ctrl.report.plots.systems import as_state_space, drawn_systems
-from platform_ctrl.report.quantities import listed
-from platform_ctrl.report.quantities import plain as number
 from platform_ctrl.report.style import INK, LIMIT, SERIES, panels, standalone
 
 if TYPE_CHECKING:

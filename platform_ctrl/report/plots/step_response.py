@@ -16,9 +16,9 @@ from platform_ctrl.common.arguments import positive
 from platform_ctrl.common.text import greek
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
+from platform_ctrl.job.quantities import power_of_ten
 from platform_ctrl.report.plots.panels import control_plot
 from platform_ctrl.report.plots.systems import DrawnSystem, drawable, drawn_systems, ratio_unit, unit
-from platform_ctrl.report.quantities import power_of_ten
 from platform_ctrl.report.style import (
     REFERENCE,
     envelope,

@@ -18,9 +18,9 @@ from platform_ctrl.common.files import write_whole
 from platform_ctrl.common.signatures import check_arguments, short
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
+from platform_ctrl.plant.drawing import root_series, signal_series
 from platform_ctrl.plant.platform import ROOT_TORQUE_NAMES, Platform, Torquer
 from platform_ctrl.plant.sensors import LOS_ANGLES, LOS_RATES
-from platform_ctrl.report.quantities import root_series, signal_series
 from platform_ctrl.report.style import (
     BEYOND,
     DASHED,

@@ -1,4 +1,4 @@
-"""Frames, discs and axes in space: what the view of a platform's axes is made of, before it is looked at.
+"""What drawings of a platform share: its bodies as frames, discs and axes in space, and the colours of its signals.
 
 Lengths are in radii of a rotor's disc. In the model all axes go through one point; here every body keeps its axis's
 direction and is moved apart from its neighbours, which no equation notices.
@@ -8,12 +8,14 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
 
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.plant.platform import Gimbal, Platform, Rotor
+from platform_ctrl.plant.sensors import body_rates, body_rotations, gimbal_rate
 
 HALF_THICKNESS = 0.16  # of a disc
 _PIN = 0.8  # between a frame and its bearings: room for the turn arrow on one side, torquer and pick-off on the other
@@ -277,3 +279,49 @@ def _reach(shapes: list[Shape], d: FloatArray) -> float:
 def disc_axis(shape: Shape) -> FloatArray:
     """Return the unit vector from the back face of a disc to its front face, the direction of L."""
     return np.asarray((shape.points[1] - shape.points[0]) / (2.0 * HALF_THICKNESS))
+
+
+# The first gimbals have the first five colours of the palette, the root axes the last three.
+_ROOT_SERIES = 5
+
+
+def root_series(axis: int) -> int:
+    """Return which colour of the palette, from 0 on, whatever belongs to root axis 1, 2 or 3 has in every plot."""
+    return _ROOT_SERIES + axis - 1
+
+
+def signal_series(platform: Platform) -> Mapping[str, int]:
+    """Return which colour of the palette, from 0 on, each signal of a plant has in every plot, by its name.
+
+    What belongs to a gimbal shares one: its angle, rate and torque, and what sensors on bodies read that it turns; so
+    does what belongs to a root axis.
+    """
+    out = {angle: k for k, angle in enumerate(platform.angle_names)}
+    for axis in (1, 2, 3):
+        out |= dict.fromkeys((f"Omega{axis}", f"M{axis}", f"attitude{axis}"), root_series(axis))
+    rates = {gimbal_rate(angle): k for k, angle in enumerate(platform.angle_names)}
+    rates |= {f"theta{axis}": root_series(axis) for axis in (1, 2, 3)}
+    for k in range(len(platform.gimbals)):
+        for signals in (body_rates(platform, k + 1), body_rotations(platform, k + 1)):
+            rates |= {name: _turned_by(platform, k, component) for component, name in enumerate(signals)}
+    for sensor in platform.sensors:
+        out[sensor.name] = (out | rates)[next(iter(sensor.signals(platform)))]
+    if platform.line_of_sight is not None:
+        for name, parts in platform.line_of_sight.signals(platform).items():
+            out[name] = (out | rates)[max(parts, key=lambda part: abs(parts[part]))]
+    for part in platform.torquers:
+        out[part.name] = platform.gimbal(part.gimbal) if part.gimbal is not None else root_series(part.root_axis or 1)
+    return out
+
+
+def _turned_by(platform: Platform, k: int, component: int) -> int:
+    """Return the series of the gimbal that turns the body of gimbal `k` most about one of its axes, at zero angles."""
+    names = list(platform.gimbal_names)
+    best, most = root_series(component + 1), 0.5
+    at: int | None = k
+    while at is not None:
+        gimbal = platform.gimbals[at]
+        if abs(gimbal.axis[component]) > most:
+            best, most = at, float(abs(gimbal.axis[component]))
+        at = names.index(gimbal.parent) if gimbal.parent in names else None
+    return best
