@@ -19,8 +19,6 @@ import contract_calls
 import platform_ctrl
 from contract_calls import FAST, SHAPES, Outcome, cases
 
-pytestmark = pytest.mark.usefixtures("untraced")
-
 # More calls than a case has.
 ALL = 10**6
 # The long sweeps go by packages; "others" are all that are not named before.

@@ -26,8 +26,6 @@ from platform_ctrl.plant.tables import Shape
 from platform_ctrl.plant.tables import tables as tables_within
 from public_modules import names
 
-pytestmark = pytest.mark.usefixtures("untraced")
-
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 FORMATS = {"plant-file.md": PLANT_FILE, "job-file.md": JOB_FILE}

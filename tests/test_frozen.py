@@ -7,8 +7,6 @@ import pytest
 
 import frozen
 
-pytestmark = pytest.mark.usefixtures("untraced")
-
 NAMES = [pytest.param(name, marks=[pytest.mark.slow] * part.slow) for name, part in frozen.PARTS.items()]
 
 

@@ -20,8 +20,6 @@ from platform_ctrl.analysis.poles import continuous_poles, poles
 from platform_ctrl.analysis.singular_values import FrequencyAxis, boundary_poles, pencil_crossings
 from platform_ctrl.common.values import FloatArray
 
-pytestmark = pytest.mark.usefixtures("untraced")
-
 TOLERANCE = 1e-8
 
 

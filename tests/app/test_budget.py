@@ -32,8 +32,6 @@ from platform_ctrl.verification.budget_result import LineOfSightBudget
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
 
-pytestmark = pytest.mark.usefixtures("untraced")
-
 SPECTRUM = {"kind": "base-rate", "frequencies_hz": [0.5, 100.0], "densities": [1e-4, 1e-8]}
 SOURCES = [{"name": f"base {axis}", "axis": axis, **SPECTRUM} for axis in (2, 3)]
 JITTER = {"from_hz": 0.5, "to_hz": 200.0, "exposure": [0.01], "limits": {"jitter": 1e-3}, "source": SOURCES}

@@ -17,7 +17,6 @@ from platform_ctrl.job.quantities import HZ
 from platform_ctrl.job.writing import toml
 from platform_ctrl.verification.controllers import outcomes_from, read_controllers
 
-pytestmark = pytest.mark.usefixtures("untraced")
 RATE_LIMITS = {"overshoot": 0.5, "settling_time": 9.0}
 TRACKING = {
     "name": "track",

@@ -34,8 +34,6 @@ from platform_ctrl.job.reading import read_job
 from platform_ctrl.mechanics.linearisation import LinearModel, linearise
 from platform_ctrl.verification.coupled import coupled_check
 
-pytestmark = pytest.mark.usefixtures("untraced")
-
 JOB = Path(__file__).parents[2] / "examples" / "three_gyro_platform.toml"
 LOOP = "caging 9-10"
 

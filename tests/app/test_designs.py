@@ -17,8 +17,6 @@ from platform_ctrl.app.settings import Settings
 from platform_ctrl.design.tuning import OptionEffects
 from platform_ctrl.errors import DesignError, InputError
 
-pytestmark = pytest.mark.usefixtures("untraced")
-
 
 @pytest.fixture(scope="module")
 def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Backend]:

@@ -15,7 +15,6 @@ from platform_ctrl.design.jobs import LoopOutcome
 from platform_ctrl.job.writing import toml
 from platform_ctrl.verification.controllers import outcomes_from, read_controllers
 
-pytestmark = pytest.mark.usefixtures("untraced")
 BASE = ["Omega1", "Omega2", "Omega3"]
 PI = {"method": "pi", "crossover_hz": 30, "integral_hz": 3}
 DESIGNS = [

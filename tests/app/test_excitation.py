@@ -13,7 +13,6 @@ from platform_ctrl import read_job
 from platform_ctrl.app.backend import Backend
 from platform_ctrl.job.quantities import HZ
 
-pytestmark = pytest.mark.usefixtures("untraced")
 AMPLITUDE, SINE_HZ = 0.1, 5.0
 
 

@@ -20,8 +20,6 @@ from platform_ctrl.cli import main
 from platform_ctrl.errors import DesignError
 from platform_ctrl.job.reading import read_job
 
-pytestmark = pytest.mark.usefixtures("untraced")
-
 JOB = Path(__file__).parents[2] / "examples" / "three_gyro_platform.toml"
 PAIR, THREE, SERVO = "caging 9-10", "caging 4-5-7", "stabilisation"
 

@@ -17,8 +17,6 @@ from app.test_session import Driven
 from platform_ctrl.app.backend import Backend
 from platform_ctrl.app.page.session import Session
 
-pytestmark = pytest.mark.usefixtures("untraced")
-
 JOB = Path(__file__).parents[2] / "examples" / "three_gyro_platform.toml"
 THREE = "caging 4-5-7"
 

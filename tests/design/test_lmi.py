@@ -25,8 +25,6 @@ from platform_ctrl.design.partition import closed_loop, partition
 from platform_ctrl.errors import ArgumentError, IllPosedError, InfeasibleError, TimeLimitError, UnscalableError
 from platform_ctrl.job.requirements import requirement
 
-pytestmark = pytest.mark.usefixtures("untraced")
-
 
 def lyapunov_problem(n=4, sign=1.0):
     A = np.random.default_rng(n).normal(size=(n, n)) - 4 * np.eye(n)

@@ -38,8 +38,6 @@ from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.plant.reading import read_platform
 from platform_ctrl.plant.source import platform_source
 
-pytestmark = pytest.mark.usefixtures("untraced")
-
 EXAMPLE = Path(__file__).parents[2] / "examples" / "three_gyro_platform.toml"
 LOOPS = ("caging 4-5-7", "caging 9-10")
 

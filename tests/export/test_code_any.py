@@ -26,8 +26,6 @@ from platform_ctrl.export.c99.scheme import Entry, Provenance, Row, Scheme, Sect
 from platform_ctrl.export.c99.windup import back_calculation, integrating
 from platform_ctrl.job.job import Job
 
-pytestmark = pytest.mark.usefixtures("untraced")
-
 PERIOD = 0.0005
 
 

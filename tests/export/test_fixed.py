@@ -36,8 +36,6 @@ from platform_ctrl.export.fixed_point.splitting import input_ranges
 from platform_ctrl.job.job import Job
 from platform_ctrl.simulation.closed_loop import Trajectory
 
-pytestmark = pytest.mark.usefixtures("untraced")
-
 NUMBERS = ("q31", "q15")
 CLASSICAL = {"name": "classical", "method": "classical"}
 LOOP = {"name": "caging 9-10", "kind": "caging", "gimbals": ["9", "10"], "use": "classical", "design": [CLASSICAL]}

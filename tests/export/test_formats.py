@@ -255,7 +255,6 @@ def test_names_with_commas_and_quotes_survive_csv(tmp_path: Path) -> None:
     assert next(csv.reader(io.StringIO((tmp_path / "r.csv").read_text())))[1] == 'α; 9/Q "9", left re'
 
 
-@pytest.mark.usefixtures("untraced")
 def test_mangled_files_are_read_or_refused_in_one_line(systems: tuple[SystemRecord, ...], tmp_path: Path) -> None:
     path, dice = tmp_path / "f", random.Random(5)
     export.write_mat(systems[:1], path)

@@ -484,7 +484,6 @@ def test_a_model_that_is_no_platform_is_one_line(
     assert str(caught.value).startswith(f"{path}: ")
 
 
-@pytest.mark.usefixtures("untraced")
 def test_mangled_models_are_read_or_refused_in_one_line(tmp_path: Path) -> None:
     dice, path, refused = random.Random(3), tmp_path / "m.xml", 0
     write_mjcf(pc.read_platform("rate_gyro"), path)

@@ -33,8 +33,6 @@ from fuzz_rules import judged_as_the_page_says, known_and_needed, rule_at, rules
 from fuzz_run import cases, chances, ended
 from platform_ctrl import read_job
 
-pytestmark = pytest.mark.usefixtures("untraced")
-
 RULES = rules("job-file.md")
 MEANT = {job.name: meaning(read_job(job.data, folder=HERE)) for job in JOBS}
 PLACES = [(job, place) for job in JOBS for place in places(job.data)]

@@ -18,8 +18,6 @@ from platform_ctrl.plant.reading import read_platform
 from platform_ctrl.simulation import rollout
 from tree_cases import platforms, with_torquers
 
-pytestmark = pytest.mark.usefixtures("untraced")
-
 quick = settings(max_examples=30, deadline=None)
 seeds = st.integers(0, 2**32 - 1)
 

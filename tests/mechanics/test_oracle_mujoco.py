@@ -32,8 +32,6 @@ from platform_ctrl.mechanics.matrices import matrices
 from platform_ctrl.mechanics.rotors import rotor_momenta
 from platform_ctrl.plant.platform import Platform
 
-pytestmark = pytest.mark.usefixtures("untraced")
-
 mujoco = pytest.importorskip("mujoco", reason="MuJoCo (package mujoco) is not installed")
 
 # Roundings in a row. More than with Pinocchio: MuJoCo turns by quaternions, and sums up in the world's axes.

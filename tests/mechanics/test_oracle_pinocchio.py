@@ -33,8 +33,6 @@ from platform_ctrl.mechanics.matrices import matrices
 from platform_ctrl.mechanics.rotors import rotor_momenta, with_rotors_as_gimbals
 from platform_ctrl.plant.platform import Gimbal, Platform
 
-pytestmark = pytest.mark.usefixtures("untraced")
-
 pin = pytest.importorskip("pinocchio", reason="Pinocchio (package pin) is not installed")
 
 # Roundings in a row: a few for each joint between root and body.

@@ -27,8 +27,6 @@ from platform_ctrl.plant.source import shipped_models
 from three_gyro_paper import C6, C8, C11, J4, J5, J7, J9, J10, L6, L8, L11
 from tree_cases import platforms
 
-pytestmark = pytest.mark.usefixtures("untraced")
-
 quick = settings(max_examples=8, deadline=None)
 GYROS = read_platform("three_gyro_platform")
 

@@ -11,8 +11,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-pytestmark = pytest.mark.usefixtures("untraced")
-
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 MODELS = sorted(file.stem for file in (EXAMPLES.parent / "models").glob("*.toml"))
 

@@ -13,8 +13,6 @@ from platform_ctrl.plant.source import platform_source
 from platform_ctrl.report.page.job_page import page_html
 from platform_ctrl.simulation import rollout
 
-pytestmark = pytest.mark.usefixtures("untraced")
-
 X, Y, Z = np.eye(3)
 
 

@@ -29,8 +29,6 @@ from fuzz_rules import judged_as_the_page_says, known_and_needed, rules
 from fuzz_run import cases, chances, ended
 from platform_ctrl import read_platform
 
-pytestmark = pytest.mark.usefixtures("untraced")
-
 # A job whose last line is wrong: a plant that is refused is told first, one that is accepted leaves that line to blame.
 JOB = """
 schema = 2

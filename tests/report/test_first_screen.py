@@ -24,8 +24,6 @@ from platform_ctrl.verification import JobResult
 from platform_ctrl.verification.changes import changes
 from report_jobs import caging, checked, classical, job, turn
 
-pytestmark = pytest.mark.usefixtures("untraced")
-
 
 @pytest.fixture(scope="module")
 def result() -> JobResult:

@@ -15,8 +15,6 @@ from platform_ctrl.errors import ArgumentError
 from platform_ctrl.report import figures
 from platform_ctrl.report.style import LIMIT
 
-pytestmark = pytest.mark.usefixtures("untraced")
-
 PERIOD, DELAY = 0.0005, 0.0005
 NUMBERS = {"crossover_hz": 70, "integral_hz": 2, "damping_hz": 78, "damping2_hz": 92, "lead_hz": 7, "rolloff_hz": 900}
 ANGLES, TORQUES = ["alpha9", "beta10"], ["Q9", "Q10"]

@@ -59,8 +59,6 @@ from platform_ctrl.report.page.job_page import page_html
 from platform_ctrl.verification import JobResult, check_job
 from report_jobs import caging, checked, classical, job, turn
 
-pytestmark = pytest.mark.usefixtures("untraced")
-
 CAGING = caging(
     classical("slow & <plain>", 30),
     classical(),

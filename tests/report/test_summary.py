@@ -21,8 +21,6 @@ from platform_ctrl.report.page.job_page import page_html
 from platform_ctrl.verification import JobResult
 from report_jobs import caging, checked, classical, job, turn
 
-pytestmark = pytest.mark.usefixtures("untraced")
-
 LIMITS = {"bandwidth_hz": 15, "disk_margin": 0.3, "torque_noise": 0.009}
 JOB = job(
     name="one gyro & <two> gimbals",

@@ -15,8 +15,6 @@ from hypothesis import strategies as st
 from fuzz_files import EVERY_JOB_KEY, EVERY_PLANT_KEY, HERE, Place, at, places, put, written
 from fuzz_run import PREFIX, cases, chances, ended
 
-pytestmark = pytest.mark.usefixtures("untraced")
-
 # From next to nothing to more than anything, and what people write.
 NUMBERS = [
     0,

@@ -20,8 +20,6 @@ from platform_ctrl.simulation.packing import pack
 from simulation.test_forces import a_state, along_coordinates, furnished
 from tree_cases import platforms
 
-pytestmark = pytest.mark.usefixtures("untraced")
-
 
 @numba.njit
 def _each(x, lane, y):

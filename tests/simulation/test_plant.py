@@ -16,8 +16,6 @@ from platform_ctrl.mechanics.matrices import matrices
 from platform_ctrl.plant.platform import Gimbal, Platform, Rotor
 from platform_ctrl.simulation import rollout
 
-pytestmark = pytest.mark.usefixtures("untraced")
-
 CASES = json.loads((Path(__file__).parents[1] / "data" / "dynamics-cases.json").read_text())["groups"]
 
 

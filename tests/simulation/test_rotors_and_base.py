@@ -16,8 +16,6 @@ from platform_ctrl.job.faults import Fault
 from platform_ctrl.job.scenario import HalfCosine, Scenario, TimeTable, Vibration
 from platform_ctrl.plant.platform import Platform
 
-pytestmark = pytest.mark.usefixtures("untraced")
-
 # Momenta change evenly during a step: what comes out is within the square of the step.
 PERIOD = 1e-3
 END = 0.1

@@ -16,8 +16,6 @@ from platform_ctrl.verification.changes import GAIN, Change, changes
 from platform_ctrl.verification.linear_trials import keyed
 from report_jobs import caging, checked, classical, job, turn
 
-pytestmark = pytest.mark.usefixtures("untraced")
-
 # Reached are 27.7 Hz and 0.337.
 LIMITS = {"bandwidth_hz": 34, "disk_margin_worst_case": 0.4}
 GYRO = job(loop=[caging(classical("slow", 25), classical(), limits=LIMITS)], manoeuvre=[turn()])

@@ -15,8 +15,6 @@ from platform_ctrl.verification.coupled import coupled_check, coupled_plant
 from platform_ctrl.verification.simulated import largest, simulate_manoeuvre
 from single_runs import simulated
 
-pytestmark = pytest.mark.usefixtures("untraced")
-
 
 @pytest.fixture(scope="module")
 def job():

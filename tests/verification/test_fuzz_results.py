@@ -18,8 +18,6 @@ from fuzz_bytes import mangled
 from fuzz_files import HERE, NEVER_RIGHT, SOMETIMES_RIGHT, Place, at, key_of, places, put
 from fuzz_run import cases, chances, ended
 
-pytestmark = pytest.mark.usefixtures("untraced")
-
 TEXT = (HERE / "controllers.json").read_text(encoding="utf-8")
 DATA: dict[str, Any] = json.loads(TEXT)
 PLACES = list(places(DATA))

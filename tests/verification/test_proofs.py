@@ -26,8 +26,6 @@ from platform_ctrl.verification import check_job
 from platform_ctrl.verification.records import result_record, unconfirmed
 from platform_ctrl.verification.verdict import coupled_proofs
 
-pytestmark = pytest.mark.usefixtures("untraced")
-
 
 @pytest.fixture(scope="module")
 def small() -> tuple[Any, tuple[LoopOutcome, ...]]:
