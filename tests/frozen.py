@@ -473,7 +473,7 @@ PARTS = {
     "export": Part(export),
     "flights": Part(flights),
     "static-quick": Part(partial(static_gains, 2, 1000, ("AC15", "NN2", "NN8")), **GAINS),
-    "small-quick": Part(partial(small_jobs, CHEAP), DESIGNED),
+    "small-quick": Part(partial(small_jobs, CHEAP), DESIGNED, slow=True),
     "check": Part(checked, MEASURED, slow=True),
     "static": Part(
         partial(static_gains, 8, 10000, ("AC2", "AC3", "AC17", "HE2", "REA2", "PSM", "NN16")), **GAINS, slow=True

@@ -35,7 +35,7 @@ def test_a_loop_that_may_lose_gain_has_a_margin_downwards():
         assert found == pytest.approx(margin, rel=1e-5)
 
 
-@pytest.mark.parametrize("name", ["camera", "three gyros"])
+@pytest.mark.parametrize("name", ["camera", pytest.param("three gyros", marks=pytest.mark.slow)])
 def test_a_grid_finds_nothing_worse(name):
     loops = camera_loop(use="one", design=[{"name": "one", "method": "hinf"}])
     job = pc.read_job(camera_job(loop=loops)) if name == "camera" else pc.read_job("examples/three_gyro_platform.toml")

@@ -247,6 +247,7 @@ def test_words_and_faults_are_inputs_like_numbers():
     assert found["f"].rank_correlation > 0.2
 
 
+@pytest.mark.slow
 def test_noise_is_not_called_a_driver():
     rng = np.random.default_rng(8)
     wrongly = 0
@@ -416,6 +417,7 @@ def test_what_is_counted_with_and_without_is_what_the_table_holds():
         )
 
 
+@pytest.mark.slow
 def test_values_without_influence_are_seldom_called_causes():
     wrongly = 0
     for seed in range(100):

@@ -63,7 +63,7 @@ def test_the_design_that_is_commented_out_can_be_switched_on(there: Path) -> Non
 
 
 # Eight gimbals in one loop: what it claims takes ten seconds to measure.
-LONG = {"suspended_platform"}
+LONG = {"multirotor_gimbal", "suspended_platform"}
 # What the loops of the shipped plants are for; of the others gyros are caged.
 PURPOSES = {
     "camera_gimbal": ["rate"],

@@ -313,6 +313,7 @@ def test_the_search_ends_with_the_start_that_comes_to_the_full_order_bound(monke
     assert [s.value for s in both.searches] == [s.value for s in one.searches]
 
 
+@pytest.mark.slow
 def test_hard_limits_are_met_and_the_soft_norm_pays_for_them() -> None:
     noise, disturbance = (
         Channel(inputs=("n1", "n2"), outputs=("q1", "q2")),
@@ -418,6 +419,7 @@ def poles_of_two_masses(k: float, K: control.StateSpace) -> np.ndarray[Any, Any]
 STIFFNESS = (0.5, 0.75, 1.0, 1.5, 2.0)
 
 
+@pytest.mark.slow
 def test_two_masses_with_uncertain_spring_decay_by_a_strictly_proper_controller_of_order_four() -> None:
     plants = [two_masses(k) for k in STIFFNESS]
     required = [requirement("stability", 0.25), requirement("H-infinity norm", 1.0, hard=False)]

@@ -266,6 +266,7 @@ def hertz(found):
     return found.measures.bandwidth / (2 * np.pi)
 
 
+@pytest.mark.slow
 def test_five_numbers_do_as_well_as_any_search_and_sixteen_far_better(alone):
     few, _ = alone("cross-axis")
     many, said = alone("pid")
@@ -359,7 +360,8 @@ def test_a_single_gimbal_is_caged_too(structure):
     assert outcome.closed.controller.ninputs == 1
 
 
-@pytest.mark.parametrize("change", [{"uncertainty": 0.3}, pytest.param({"rate_hz": 1000}, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("change", [{"uncertainty": 0.3}, {"rate_hz": 1000}])
 def test_a_start_that_is_not_stable_is_brought_there_first(change):
     """The classical rules of thumb fail with some plants of a wide spread, and with all of them at a low rate."""
     data = tomllib.loads(EXAMPLE.read_text(encoding="utf-8"))

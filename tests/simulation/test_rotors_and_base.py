@@ -87,6 +87,7 @@ COURSES: dict[str, tuple[Fault, Course]] = {
         ),
     ),
 }
+KINDS = [pytest.param(kind, marks=[pytest.mark.slow] * (kind == "ripple")) for kind in COURSES]
 
 
 def with_momentum(platform: Platform, factor: float, control: str) -> Platform:
@@ -106,7 +107,7 @@ def in_pieces(slope: Callable[[float, np.ndarray], np.ndarray], y: np.ndarray) -
 
 
 @pytest.mark.parametrize("control", ["regulated", "free"])
-@pytest.mark.parametrize("kind", COURSES)
+@pytest.mark.parametrize("kind", KINDS)
 def test_a_rotor_that_changes_speed_turns_a_free_platform_by_its_reaction(kind: str, control: str) -> None:
     fault, (share, slope_of_share) = COURSES[kind]
     platform = with_momentum(GYRO, 1.0, control)
@@ -127,7 +128,7 @@ def test_a_rotor_that_changes_speed_turns_a_free_platform_by_its_reaction(kind: 
     np.testing.assert_allclose(np.concatenate([out.Omega[-1], out.rate[-1]]), expected[2:], rtol=0, atol=2e-5)
 
 
-@pytest.mark.parametrize("kind", COURSES)
+@pytest.mark.parametrize("kind", KINDS)
 def test_a_rotor_that_changes_speed_turns_gimbals_on_a_base_that_is_turned(kind: str) -> None:
     fault, (share, slope_of_share) = COURSES[kind]
     table = TimeTable(

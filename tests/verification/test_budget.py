@@ -240,6 +240,7 @@ def test_the_budget_is_the_rms_of_the_non_linear_simulation(tmp_path: Path) -> N
     assert line_of_sight_budget(of, controllers()).total[0] == pytest.approx(simulated(of, rows), rel=1e-4)
 
 
+@pytest.mark.slow
 def test_the_budget_of_a_tracker_around_a_rate_loop_is_that_of_the_simulation() -> None:
     plant, rows = (
         camera_plant(friction=[{"gimbal": "az", "viscous": 0.02}, {"gimbal": "el", "viscous": 0.02}]),
