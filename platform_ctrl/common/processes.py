@@ -167,9 +167,11 @@ class _Module:
 class Begun:
     """Tasks of which those at the front of the list may be done by another process."""
 
-    def __init__(self, tasks: Sequence[Task]) -> None:
+    def __init__(self, tasks: Sequence[Task], long: Sequence[int] = ()) -> None:
         self.tasks = tasks
-        self.left = deque(range(len(tasks)))
+        short = [k for k in range(len(tasks)) if k not in long]
+        # Long ones at both ends, where the processes begin: one of them at the end of all would be waited for.
+        self.left = deque([*long[1::2], *short, *long[::2][::-1]])
         self.done: dict[int, tuple[bool, Any]] = {}
         self.feeding: threading.Thread | None = None
 
@@ -206,18 +208,20 @@ class SecondProcess:
         if process is not None:
             process.end()
 
-    def results(self, tasks: Sequence[Task], begun: Callable[[int], None] = lambda k: None) -> list[Any]:
+    def results(
+        self, tasks: Sequence[Task], begun: Callable[[int], None] = lambda k: None, long: Sequence[int] = ()
+    ) -> list[Any]:
         """Return what the functions of `tasks` return for their arguments, in their order.
 
-        `begun` is called with the number of each task that this process begins. Of several errors the first in the
-        order of the tasks is raised.
+        `begun` is called with the number of each task that this process begins; the numbers in `long` are those of
+        tasks to begin with. Of several errors the first in the order of the tasks is raised.
         """
         # A single one is done here at once.
-        return self.finished(self.begin(tasks) if len(tasks) > 1 else Begun(tasks), begun)
+        return self.finished(self.begin(tasks, long) if len(tasks) > 1 else Begun(tasks), begun)
 
-    def begin(self, tasks: Sequence[Task]) -> Begun:
+    def begin(self, tasks: Sequence[Task], long: Sequence[int] = ()) -> Begun:
         """Let the process work on `tasks`, after those begun before, while this one goes on; for `finished`."""
-        out = Begun(tasks)
+        out = Begun(tasks, long)
         if self._process is not None and tasks:
             self._last = out.feeding = threading.Thread(target=self._feed, args=(out, self._last), daemon=True)
             out.feeding.start()

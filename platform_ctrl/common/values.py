@@ -33,7 +33,7 @@ def read_only(array: object) -> FloatArray:
 
 
 def _freeze_arrays(self: Any) -> None:
-    for name in self.__dataclass_fields__:
+    for name in self._fields:
         item = getattr(self, name)
         if isinstance(item, np.ndarray) and (item.flags.writeable or item.base is not None):
             frozen = item.copy()
@@ -54,7 +54,7 @@ def _freeze_within(item: Any) -> None:
 
 
 def _set_state(self: Any, state: list[Any]) -> None:
-    for name, item in zip(self.__dataclass_fields__, state, strict=True):
+    for name, item in zip(self._fields, state, strict=True):
         object.__setattr__(self, name, item)
     # Unpickled arrays come back writeable: freeze them again.
     _freeze_arrays(self)
@@ -62,7 +62,7 @@ def _set_state(self: Any, state: list[Any]) -> None:
 
 
 def _get_state(self: Any) -> list[Any]:
-    state = [getattr(self, name) for name in self.__dataclass_fields__]
+    state = [getattr(self, name) for name in self._fields]
     for item in state:
         portable(item)
     return state
@@ -160,7 +160,7 @@ def _cut(line: str) -> str:
 def replaced(item: T, changes: Mapping[str, Any]) -> T:
     """Return a value with other items under the names of fields: `dataclasses.replace`, faster, kinds unjudged."""
     new = object.__new__(type(item))
-    for name in item.__dataclass_fields__:  # type: ignore[attr-defined]  # of `value`, which makes a dataclass
+    for name in item._fields:  # type: ignore[attr-defined]
         object.__setattr__(new, name, changes[name] if name in changes else getattr(item, name))
     new._settled()  # type: ignore[attr-defined]
     return new
@@ -186,6 +186,8 @@ def value(cls: type[T]) -> type[T]:
     if "_repr_html_" not in cls.__dict__:
         cls._repr_html_ = _html  # type: ignore[attr-defined]
     made = dataclasses.dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)(cls)
+    # Not `__dataclass_fields__`, which lists class variables as well.
+    made._fields = tuple(field.name for field in dataclasses.fields(made))  # type: ignore[attr-defined,arg-type]
     made._settled = settled  # type: ignore[attr-defined]
     made.__setstate__ = _set_state  # type: ignore[attr-defined]
     made.__getstate__ = _get_state  # type: ignore[method-assign]

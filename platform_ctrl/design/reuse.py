@@ -90,7 +90,8 @@ def kept_or_designed(
         (_kept_or_made, (problem, rise, store, key)) for (problem, _), key in zip(problems, keys, strict=True)
     ]
     if beside is not None:
-        found = beside.results(tasks, lambda k: problems[k][0].progress(names[k]))
+        searches = [k for k, (problem, _) in enumerate(problems) if known_method(problem.design.method).goals]
+        found = beside.results(tasks, lambda k: problems[k][0].progress(names[k]), searches)
     else:
         found = []
         for (problem, _), name, (function, arguments) in zip(problems, names, tasks, strict=True):

@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from platform_ctrl.common.processes import PROCESSES, ProcessDied, ProcessTimeout, SecondProcess, TaskProcess
+from platform_ctrl.common.processes import PROCESSES, ProcessDied, ProcessTimeout, SecondProcess, Task, TaskProcess
 
 
 def test_tasks_are_answered_one_after_another() -> None:
@@ -80,6 +80,16 @@ def test_results_come_in_the_order_of_the_tasks_whichever_process_has_them(two: 
 def test_both_processes_work_at_once(two: SecondProcess, tmp_path: Path) -> None:
     there, here = two.results([(process_number_in, (tmp_path / "a",)), (process_number_after, (tmp_path / "a",))])
     assert here == os.getpid() != there
+
+
+def test_each_process_begins_with_a_long_task(two: SecondProcess, tmp_path: Path) -> None:
+    tasks: list[Task] = [(process_number, (0,)) for _ in range(6)]
+    # The other process is the first to end the second long task, and waits for nothing.
+    tasks[2], tasks[3] = (process_number_after, (tmp_path / "a",)), (process_number_in, (tmp_path / "a",))
+    begun: list[int] = []
+    found = two.results(tasks, begun.append, long=[2, 3])
+    assert begun[0] == 2
+    assert found[2] == os.getpid() != found[3]
 
 
 def test_tasks_that_are_begun_are_done_while_this_process_goes_on_and_before_those_begun_later(

@@ -288,7 +288,7 @@ def test_two_processes_make_the_designs_of_one(
 def test_a_design_and_its_problem_go_to_another_process(monkeypatch: pytest.MonkeyPatch) -> None:
     sent: list[Task] = []
 
-    def alone(self: SecondProcess, tasks: list[Task], begun: Callable[[int], None]) -> list[Any]:
+    def alone(self: SecondProcess, tasks: list[Task], begun: Callable[[int], None], long: list[int]) -> list[Any]:
         there: list[Task] = pickle.loads(pickle.dumps(tasks))
         sent.extend(there)
         return [pickle.loads(pickle.dumps(function(*arguments))) for function, arguments in there]

@@ -54,10 +54,12 @@ def test_figures_of_loops_drawn_ahead_are_those_of_the_page_and_are_not_drawn_ag
 ) -> None:
     page = html(job_page._document(result, None, None, None))
     store = Store(tmp_path / "reuse", fresh=True)
+    monkeypatch.setenv("PLATFORM_CTRL_PROCESSES", "2")
     with SecondProcess() as beside:
         ahead = job_page.loops_ahead(result.job, result.loops, beside, store)
         assert len(ahead.keys) == len(result.loops)
         beside.finished(ahead.work)
+        assert beside._process is not None  # it did not die of them
         monkeypatch.setattr(job_page, "loop_responses", None)  # figures of loops cannot be drawn here any more
         assert html(job_page.drawn_beside(result, beside, store, ahead)) == page
         kept = Store(store.folder)
