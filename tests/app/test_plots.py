@@ -402,12 +402,15 @@ def test_where_the_user_has_zoomed_the_view_stays_until_it_is_reset(fresh: Plots
     plots = fresh
     plots.show(picture())
     y = figure(plots, "nichols").y_range
+    button = plots.layout["nichols"].select_one({"name": "nichols-reset"})
+    assert not button.visible
     y.update(start=-5.0, end=5.0)
     other = picture(4e5)
     plots.show(other)
     assert (y.start, y.end) == (-5.0, 5.0)
-    button = plots.layout["nichols"].select_one({"name": "nichols-reset"})
+    assert button.visible
     click(button)
+    assert not button.visible
     assert (y.start, y.end) == (y.reset_start, y.reset_end)
     assert y.end > 20.0
 

@@ -232,7 +232,7 @@ class View:
         self.range = Range1d(start=low, end=high, reset_start=low, reset_end=high)
         self.rest = (low, high)
         self._bounds, self.logarithmic = bounds, logarithmic
-        self._zoomed = self._setting = self._fitted = False
+        self.zoomed = self._setting = self._fitted = False
         for name in ("start", "end"):
             self.range.on_change(name, self._changed)
 
@@ -240,7 +240,7 @@ class View:
         if not self._setting:
             tolerance = 1e-6 * (self.rest[1] - self.rest[0])
             ends = zip((self.range.start, self.range.end), self.rest, strict=True)
-            self._zoomed = not all(isinstance(a, int | float) and abs(a - b) <= tolerance for a, b in ends)
+            self.zoomed = not all(isinstance(a, int | float) and abs(a - b) <= tolerance for a, b in ends)
 
     def fit(self, data: tuple[float, float] | None) -> None:
         """Show `data`, the smallest and the largest number; None leaves the view as it is.
@@ -267,12 +267,12 @@ class View:
         """Set the bounds without zoom; a zoomed view changes only when it is reset."""
         if (low, high) != self.rest:
             self.rest = (low, high)
-            self._set(reset_start=low, reset_end=high, **({} if self._zoomed else {"start": low, "end": high}))
+            self._set(reset_start=low, reset_end=high, **({} if self.zoomed else {"start": low, "end": high}))
 
     def reset(self) -> None:
         """Undo the user's zoom."""
+        self.zoomed = False
         self._set(start=self.rest[0], end=self.rest[1])
-        self._zoomed = False
 
     def _set(self, **ends: float) -> None:
         self._setting = True

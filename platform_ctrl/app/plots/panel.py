@@ -156,6 +156,7 @@ class Panel:
         }
         self._head, self._keys = Div(height=18, **common), Div(height=16, **common)
         self._reset = self.button("reset", f"{name}-reset")
+        self._reset.update(visible=False)
         self._reset.on_click(self.reset)
         self.row: Any = Row(
             children=[self._head, self._reset], sizing_mode="stretch_width", margin=(0, 20, 0, 0), spacing=4
@@ -179,6 +180,10 @@ class Panel:
         """Show everything again."""
         for view in self.views:
             view.reset()
+
+    def _offer_reset(self, name: str, old: object, new: object) -> None:
+        # Only where there is something to undo: a narrow panel needs the room for its heading.
+        self._reset.update(visible=any(view.zoomed for view in self.views))
 
     def button(self, label: str, name: str) -> Button:
         """Return a small button in the page's style."""
@@ -213,7 +218,11 @@ class Panel:
         pan, wheel = PanTool(), WheelZoomTool(zoom_on_axis=True)
         out.add_tools(pan, wheel, ResetTool())
         out.toolbar.active_drag, out.toolbar.active_scroll = pan, wheel
-        self.views += [view for view in (x, y) if view not in self.views]
+        for view in (x, y):
+            if view not in self.views:
+                self.views.append(view)
+                view.range.on_change("start", self._offer_reset)
+                view.range.on_change("end", self._offer_reset)
         out.on_event(DoubleTap, lambda event: self.reset())
         # The page shows through: half of the outermost pixels would keep the colour of the theme before.
         out.background_fill_color = out.border_fill_color = out.outline_line_color = None
