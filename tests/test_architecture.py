@@ -1,4 +1,4 @@
-"""The house itself: linters, import contract, import cost, public names, the README's commands."""
+"""The package as a whole: linters, imports, import time, public names, the README's commands."""
 
 from __future__ import annotations
 
@@ -13,12 +13,16 @@ import sys
 import sysconfig
 from pathlib import Path
 
+import grimp
+import numpy as np
 import pytest
+from scipy.sparse import lil_array
+from scipy.sparse.csgraph import connected_components
 
 import platform_ctrl as pc
 from public_modules import names
 
-HOUSE = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parent.parent
 HEAVY = {"clarabel", "control", "cvxpy", "jinja2", "matplotlib", "numba", "rich", "scipy", "sympy", "typer"}
 
 TOOLS = {
@@ -30,16 +34,27 @@ TOOLS = {
 
 def python(code: str) -> str:
     """Run `code` in a fresh interpreter and return what it prints."""
-    done = subprocess.run([sys.executable, "-c", code], cwd=HOUSE, capture_output=True, text=True, check=False)
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     return done.stdout
 
 
 @pytest.mark.parametrize("tool", TOOLS)
-def test_is_content(tool: str) -> None:
+def test_finds_nothing_wrong(tool: str) -> None:
     environment = os.environ | {"NO_COLOR": "1", "COLUMNS": "200", "PYTHONIOENCODING": "utf-8"}
-    done = subprocess.run(TOOLS[tool], cwd=HOUSE, capture_output=True, encoding="utf-8", env=environment, check=False)
+    done = subprocess.run(TOOLS[tool], cwd=ROOT, capture_output=True, encoding="utf-8", env=environment, check=False)
     assert done.returncode == 0, f"{tool}:\n{done.stdout}\n{done.stderr}"
+
+
+def test_no_module_imports_itself_through_others() -> None:
+    graph = grimp.build_graph("platform_ctrl", exclude_type_checking_imports=True)
+    modules = sorted(graph.modules)
+    links = lil_array((len(modules), len(modules)))
+    for k, name in enumerate(modules):
+        links[k, [modules.index(other) for other in graph.find_modules_directly_imported_by(name)]] = 1
+    _, group = connected_components(links, connection="strong")
+    together = [name for name, k in zip(modules, group, strict=True) if np.count_nonzero(group == k) > 1]
+    assert together == []
 
 
 def test_importing_the_package_loads_nothing_heavy_and_none_of_its_modules() -> None:
@@ -75,16 +90,16 @@ def test_a_name_that_does_not_exist_is_an_attribute_error() -> None:
 
 
 def test_the_readme_gives_two_commands_and_the_verdict_runs_the_second() -> None:
-    readme = (HOUSE / "README.md").read_text(encoding="utf-8")
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
     commands = [line.strip() for line in readme.splitlines() if line.strip().startswith("python3 -m venv .venv && ")]
     assert len(commands) == 2
     assert "platform-ctrl design examples/three_gyro_platform.toml" in commands[0]
     assert commands[1].endswith("pytest --cov")
-    assert commands[1] in (HOUSE / ".ci" / "run").read_text(encoding="utf-8").splitlines()
+    assert commands[1] in (ROOT / ".ci" / "run").read_text(encoding="utf-8").splitlines()
 
 
 def test_the_readme_names_files_that_exist() -> None:
-    readme = (HOUSE / "README.md").read_text(encoding="utf-8")
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
     named = set(re.findall(r"\b(?:examples|models|benchmarks|tests)/[\w/]+\.\w+", readme))
     assert named
-    assert [name for name in sorted(named) if not (HOUSE / name).is_file()] == []
+    assert [name for name in sorted(named) if not (ROOT / name).is_file()] == []

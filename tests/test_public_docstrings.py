@@ -21,7 +21,7 @@ from numpydoc.docscrape import NumpyDocString, Parameter
 from platform_ctrl import errors
 from public_modules import described, methods, public
 
-HOUSE = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parent.parent
 
 # How a source is written; nothing else may stand under References, so that one source has one name everywhere.
 SOURCES = (
@@ -208,7 +208,7 @@ def test_a_source_is_written_as_everywhere(name: str) -> None:
         assert source.startswith(SOURCES), f"source: {source!r}"
         assert source.endswith("."), f"source: {source!r}"
         for page in re.findall(r"docs/\S+\.md", source):
-            assert (HOUSE / page).is_file(), page
+            assert (ROOT / page).is_file(), page
 
 
 def test_the_reference_pages_generator_reads_every_docstring_without_a_warning(

@@ -14,7 +14,7 @@ import pytest
 
 import platform_ctrl as pc
 
-HOUSE = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parent.parent
 SHIPPED = (".py", ".pyi", ".typed", ".toml", ".html", ".css", ".j2", ".typ", ".js", ".txt")
 
 
@@ -31,9 +31,9 @@ def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Copy the sources: a build folder left over in the checkout must not get into the wheel."""
     source = tmp_path_factory.mktemp("source")
     for name in ("pyproject.toml", "setup.py", "README.md", "LICENSE"):
-        shutil.copy2(HOUSE / name, source)
+        shutil.copy2(ROOT / name, source)
     for name in ("platform_ctrl", "models"):
-        shutil.copytree(HOUSE / name, source / name, ignore=shutil.ignore_patterns("__pycache__"))
+        shutil.copytree(ROOT / name, source / name, ignore=shutil.ignore_patterns("__pycache__"))
     return source
 
 
@@ -55,9 +55,9 @@ def site(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_the_wheel_holds_every_file_of_the_package_and_of_models_and_no_other(wheel: Path) -> None:
     expected = {
-        f"{inside}/{path.relative_to(HOUSE / folder).as_posix()}"
+        f"{inside}/{path.relative_to(ROOT / folder).as_posix()}"
         for folder, inside in (("platform_ctrl", "platform_ctrl"), ("models", "platform_ctrl/models"))
-        for path in (HOUSE / folder).rglob("*")
+        for path in (ROOT / folder).rglob("*")
         if path.suffix in SHIPPED or path.name == "py.typed"
     }
     with zipfile.ZipFile(wheel) as archive:
@@ -86,7 +86,7 @@ def test_the_installed_package_is_complete_and_finds_its_models(site: Path, tmp_
     seen = json.loads(run(sys.executable, "-c", code, site, cwd=tmp_path, PYTHONPATH=str(site)))
     assert Path(seen["file"]).is_relative_to(site)
     assert seen["typed"]
-    assert seen["models"] == sorted(path.name for path in (HOUSE / "models").glob("*.toml"))
+    assert seen["models"] == sorted(path.name for path in (ROOT / "models").glob("*.toml"))
     assert seen["angles"] == ["alpha4", "beta5", "beta7", "alpha9", "beta10"]
     assert seen["commands"] == ["platform-ctrl"]
     assert seen["version"] == pc.__version__
@@ -96,7 +96,7 @@ def test_the_installed_package_is_complete_and_finds_its_models(site: Path, tmp_
 def test_the_installed_command_lists_the_shipped_models(site: Path, tmp_path: Path) -> None:
     printed = run(sys.executable, "-m", "platform_ctrl", "models", cwd=tmp_path, PYTHONPATH=str(site))
     assert "three_gyro_platform" in printed
-    assert len(printed.splitlines()) >= len(list((HOUSE / "models").glob("*.toml")))
+    assert len(printed.splitlines()) >= len(list((ROOT / "models").glob("*.toml")))
 
 
 def test_type_checkers_follow_an_editable_install(source: Path, tmp_path: Path) -> None:

@@ -170,10 +170,8 @@ def evaluated(problem: LoopProblem, found: Designed, known: KnownProofs | None =
             ratios = {"limit_ratio": out.results, "goal_ratio": out.goals}
             largest = {name: max(result.ratio for result in results) for name, results in ratios.items() if results}
             out = dataclasses.replace(out, claims=out.claims | largest)
-        if design.responses is not None:
-            from platform_ctrl.design.measured.of_job import on_responses
-
-            out = on_responses(problem, out)
+        if design.responses is not None and method.on_responses is not None:
+            out = resolved(method.on_responses)(problem, out)
         return out
     K = found.controller._replace(dt=problem.job.sampling.period)
     return LoopDesign(

@@ -88,6 +88,8 @@ class DesignMethod:
         Where it works on measured responses, which the key ``responses`` names: (`Job`, `LoopSpec`, `DesignSpec`, the
         file's text, its name in messages) -> None, an `InputError` where these are none of the loop. None: the key is
         refused.
+    on_responses
+        (`design.loop.LoopProblem`, `design.loop.LoopDesign`) -> the design, judged on its measured responses too.
     parts
         Optional parts of the controller that the app switches on and off: label and tip by name.
     families
@@ -107,6 +109,7 @@ class DesignMethod:
     goals: bool = False
     instant: bool = False
     responses: Reference | None = None
+    on_responses: Reference | None = None
     parts: Mapping[str, tuple[str, str]] = field(default_factory=dict)
     families: Mapping[Family, Mapping[str, float]] = field(default_factory=dict)
 
@@ -381,6 +384,7 @@ register_method(
         defaults="platform_ctrl.design.measured.of_job:default_options",
         advice="a smaller sensitivity_peak, or responses of the plant as it is",
         responses="platform_ctrl.design.measured.of_job:expect_fitting",
+        on_responses="platform_ctrl.design.measured.of_job:on_responses",
     )
 )
 register_method(

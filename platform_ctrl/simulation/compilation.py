@@ -18,27 +18,12 @@ def start_compilation() -> None:
     """
     if _compiling or is_compiled():
         return
-    command = [sys.executable, "-c", f"from {__name__} import compile_ahead; compile_ahead()"]
+    command = [sys.executable, "-c", "from platform_ctrl.simulation.batch import compile_ahead; compile_ahead()"]
     quiet = subprocess.DEVNULL
     try:
         _compiling.append(subprocess.Popen(command, stdin=quiet, stdout=quiet, stderr=quiet))
     except OSError:
         return
-
-
-def compile_ahead() -> None:
-    """Compile the largest functions in the order in which they are needed; those in use elsewhere are waited for."""
-    import numpy as np
-
-    from platform_ctrl.analysis.arrays import StateArrays
-    from platform_ctrl.analysis.mu import mu_bounds
-    from platform_ctrl.analysis.phase_bound import norm_of_few
-    from platform_ctrl.simulation.batch import compile_kernel
-
-    one = np.ones((1, 1))
-    norm_of_few(StateArrays(-one, one, one, 0.0 * one, 0.0), 1e-3, False)
-    compile_kernel()
-    mu_bounds(np.ones((1, 1, 1), dtype=np.complex128))
 
 
 def is_compiled() -> bool:

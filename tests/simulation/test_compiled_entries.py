@@ -18,8 +18,8 @@ from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.feedback import sensitivity_functions, series
 from platform_ctrl.analysis.phase_bound import _norm, norm_of_few
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.simulation.batch import compile_kernel
-from platform_ctrl.simulation.compilation import compile_ahead, is_compiled
+from platform_ctrl.simulation.batch import compile_ahead, compile_kernel
+from platform_ctrl.simulation.compilation import is_compiled
 
 W = np.array([1.0, 2.0])
 SHAPES: tuple[tuple[int, ...], ...] = ((2, 2), (2, 1), (1, 2), (1, 1))
