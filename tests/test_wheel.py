@@ -99,6 +99,7 @@ def test_the_installed_command_lists_the_shipped_models(site: Path, tmp_path: Pa
     assert len(printed.splitlines()) >= len(list((ROOT / "models").glob("*.toml")))
 
 
+@pytest.mark.slow
 def test_type_checkers_follow_an_editable_install(source: Path, tmp_path: Path) -> None:
     """An import hook alone they could not follow: a file outside the checkout would see Any everywhere."""
     build = "import sys; from setuptools.build_meta import build_editable; build_editable(sys.argv[1])"

@@ -101,6 +101,7 @@ def test_every_shipped_plant_has_a_job_that_passes(model: str, there: Path) -> N
     assert max(map(len, text.splitlines())) <= 120
 
 
+@pytest.mark.slow
 def test_every_kind_takes_the_job_of_its_plant(there: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for kind, one in KINDS.items():
         given = ["--like", one.plant] if one.plant is not None else []

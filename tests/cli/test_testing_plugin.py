@@ -399,6 +399,7 @@ def test_accepted_controllers_are_held_against_a_plant_that_has_changed(runs: py
     done.stdout.fnmatch_lines(["E*caging 9-10: changed since the baseline: its plant*"])
 
 
+@pytest.mark.slow
 def test_with_xdist_the_process_that_sums_up_tells_what_its_workers_wrote(runs: pytest.Pytester) -> None:
     done = process(runs, "-n", "1", "--dist", "loadfile", "--update-baselines", "gyro.toml")
     done.assert_outcomes(passed=ITEMS + 1)

@@ -333,6 +333,7 @@ def test_mistakes_are_named(fed, more, words):
     assert words.replace("'", '"') in mistakes(fed, **more).replace("'", '"')
 
 
+@pytest.mark.slow
 def test_a_tracker_commands_a_rate_loop_that_stabilises_indirectly():
     """Commands stand behind the readings, the base's rates behind these; a file with them is measured as the design."""
     data = job_data(job([INDIRECT | {"command": {"filter_hz": 10.0, "acceleration": True}}], errors=True))

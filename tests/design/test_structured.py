@@ -211,6 +211,7 @@ def test_a_richer_structure_costs_less(best: Synthesis) -> None:
     assert four.gamma_optimal == pytest.approx(best.gamma_optimal, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_one_controller_serves_several_plants_and_is_worst_at_one_of_them() -> None:
     plants = [gyro(w) for w in (1.0, 1.2)]
     together = design.structured(plants, 2, 2, structure=design.StateSpaceOrder(states=2), starts=2, processes=1)

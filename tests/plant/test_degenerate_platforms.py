@@ -140,6 +140,7 @@ def test_without_gimbals_the_root_is_a_rigid_gyrostat(rotors):
     np.testing.assert_allclose(np.linalg.norm(spin, axis=1), np.linalg.norm(H), rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_twenty_gimbals_are_twenty_gimbals():
     rng = np.random.default_rng(20)
     axes = rng.normal(size=(20, 3))

@@ -260,7 +260,10 @@ def three_loops() -> tuple[Job, list[control.StateSpace]]:
     return job, [one.designs[0].controller for one in design.loops(dataclasses.replace(job, loops=loops))]
 
 
-@pytest.mark.parametrize(("centre_hz", "depth", "width"), [(30.0, 0.3, 1e-4), (60.0, 0.3, 3e-4), (60.0, 3.0, 3e-4)])
+@pytest.mark.parametrize(
+    ("centre_hz", "depth", "width"),
+    [pytest.param(30.0, 0.3, 1e-4, marks=pytest.mark.slow), (60.0, 0.3, 3e-4), (60.0, 3.0, 3e-4)],
+)
 def test_the_page_sees_a_narrow_resonance_of_the_coupled_loop(
     centre_hz: float, depth: float, width: float, three_loops: tuple[Job, list[control.StateSpace]]
 ) -> None:
