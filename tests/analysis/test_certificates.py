@@ -18,9 +18,9 @@ from scipy.linalg import expm, solve_continuous_are, solve_discrete_are
 from platform_ctrl import analysis
 from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.certificates import Certificate
-from platform_ctrl.analysis.certificates.certificate import proved
+from platform_ctrl.analysis.certificates.certificate import inequality, proved
 from platform_ctrl.analysis.certificates.closed_loop import closed, stabilising
-from platform_ctrl.analysis.certificates.intervals import balls, positive_definite
+from platform_ctrl.analysis.certificates.intervals import balls, positive_definite, rounded
 from platform_ctrl.analysis.certificates.makers import h2_certificate, norm_certificate, stability_certificate
 from platform_ctrl.analysis.certificates.plant_set import region_certificate
 from platform_ctrl.analysis.feedback import closed_loop
@@ -323,6 +323,8 @@ def test_the_bits_of_a_proof_are_asked_for_in_plain_numbers_and_reported_as_trie
     for precision in (0, -1, 2.5, None):
         with pytest.raises(ArgumentError, match="precision"):
             good.verify(precision)  # type: ignore[arg-type]
+    assert good.verify().precision == 53
+    assert good.verify(100).precision == 100
     singular = dataclasses.replace(good, coordinates=np.zeros((2, 2))).verify(16)
     assert not singular.proved
     assert singular.precision == 128
@@ -417,11 +419,38 @@ def test_definiteness_is_that_of_exact_rational_arithmetic(seed: int, n: int, sp
     with flint.ctx.workprec(256):
         definite, margin = positive_definite(balls(M))
     assert definite is exact
+    # Doubles decide in one direction alone, and where there is room for their rounding.
+    in_doubles, bound = positive_definite(rounded(M))
+    assert in_doubles is None or exact
+    assert in_doubles is not None or not (exact and smallest >= 1e-9)
     if exact:
         d = np.sqrt(np.diag(M))
-        assert 0 < margin <= np.linalg.eigvalsh(M / d / d[:, None])[0] + 1e-14
+        for low in [margin] if in_doubles is None else [margin, bound]:
+            assert 0 < low <= np.linalg.eigvalsh(M / d / d[:, None])[0] + 1e-14
     else:
         assert margin == 0.0
+
+
+@settings(deadline=None, max_examples=60)
+@given(seed=st.integers(0, 10**6), spread=st.floats(0, 300), kind=st.sampled_from(["stability", "norm", "h2"]))
+def test_what_is_rounded_lies_within_its_bound(seed: int, spread: float, kind: Any) -> None:
+    """The matrices of a claim, in doubles and with 2000 bits, also where products underflow."""
+    rng = np.random.default_rng(seed)
+
+    def matrix(*shape: int) -> np.ndarray[Any, Any]:
+        return rng.standard_normal(shape) * 10.0 ** rng.uniform(-spread, 0, shape) * rng.integers(0, 2, shape)
+
+    P, K = (StateArrays(matrix(3, 3), matrix(3, 2), matrix(2, 3), matrix(2, 2), 0.01 * (seed % 2)) for _ in range(2))
+    P.D[1:, 1:] = 0.0
+    K = StateArrays(K.A, K.B[:, :1], K.C[:1], K.D[:1, :1], K.dt)
+    loop, X = closed(P, K), matrix(6, 6)
+    X += X.T
+    found = inequality(kind, loop.enclosed(rounded), rounded(X), 1.7, P.dt, rounded)
+    with flint.ctx.workprec(2000):
+        exact = inequality(kind, loop.enclosed(), balls(X), 1.7, P.dt)
+        for i, j in np.ndindex(found.middle.shape):
+            assert abs(exact[i, j] - flint.arb(found.middle[i, j])) <= flint.arb(found.radius[i, j])
+            assert found.radius[i, j] <= 1e-12
 
 
 def test_balls_too_wide_to_tell_are_undecided() -> None:

@@ -25,7 +25,15 @@ import flint
 import numpy as np
 
 from platform_ctrl.analysis.certificates.closed_loop import BallSystem, ClosedLoop, is_matrix
-from platform_ctrl.analysis.certificates.intervals import Ball, Balls, balls, blocks, identity, positive_definite
+from platform_ctrl.analysis.certificates.intervals import (
+    Ball,
+    Balls,
+    Enclosure,
+    balls,
+    blocks,
+    positive_definite,
+    rounded,
+)
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.text import at_least, at_most
 from platform_ctrl.common.values import FloatArray, value
@@ -33,7 +41,8 @@ from platform_ctrl.errors import ArgumentError, NotCertifiedError
 
 Claim = Literal["stability", "norm", "h2", "region"]
 
-# Bits at which a proof is tried; each doubling takes about twice the time.
+# Bits at which a proof is tried: first those of doubles, then of balls; each doubling takes about twice the time.
+_OF_DOUBLES, _OF_BALLS = 53, 128
 _DOUBLINGS = 3
 
 _LARGEST = int(np.finfo(np.float64).max)
@@ -129,7 +138,7 @@ class Certificate:
         return f"{where}{f' ({label})' if label else ''} of order {order} is {text}"
 
     @check_arguments
-    def verify(self, precision: int = 128) -> Verification:
+    def verify(self, precision: int = _OF_DOUBLES) -> Verification:
         """Prove the claim in ball arithmetic, or say what fails; a false or a senseless certificate never raises.
 
         Done once for each precision: a certificate does not change.
@@ -137,7 +146,8 @@ class Certificate:
         Parameters
         ----------
         precision
-            Bits to begin with; doubled up to three times where the balls are too wide to tell.
+            Bits to begin with. 53 are those of doubles, with bounds of their rounding, and 128 are next; more bits are
+            doubled up to three times where the balls are too wide to tell.
 
         Returns
         -------
@@ -160,10 +170,12 @@ class Certificate:
         if wrong:
             statement = "the certificate makes sense"
             return Verification(proved=False, statement=statement, reason=wrong, margin=0.0, precision=bits)
-        for doubled in range(_DOUBLINGS + 1):
-            bits = precision << doubled
-            with flint.ctx.workprec(bits):
-                shown, wrong, margin = self._tried()
+        tried = [precision << doubled for doubled in range(_DOUBLINGS + 1)]
+        if precision == _OF_DOUBLES:
+            tried = [precision, *(_OF_BALLS << doubled for doubled in range(_DOUBLINGS + 1))]
+        for bits in tried:
+            with flint.ctx.workprec(bits), np.errstate(all="ignore"):
+                shown, wrong, margin = self._tried(rounded if bits == _OF_DOUBLES else balls)
             if shown:
                 reason = f"X and {self._inequality} are positive definite ({bits} bits)"
                 return Verification(proved=True, statement=self.statement, reason=reason, margin=margin, precision=bits)
@@ -210,11 +222,11 @@ class Certificate:
                 return "a matrix is not finite"
         return "" if np.array_equal(self.X, self.X.T) else "X is not symmetric"
 
-    def _tried(self) -> tuple[bool, str, float]:
+    def _tried(self, enclosure: Enclosure) -> tuple[bool, str, float]:
         """Return whether all is shown, else what fails ("undecided ..." if more bits may help), and the margin."""
-        X, margin = balls(self.X), 1.0
+        margin = 1.0
         try:
-            for matrix, name in self._matrices(X):
+            for matrix, name in self._matrices(enclosure):
                 definite, found = positive_definite(matrix)
                 if definite is None:
                     return False, f"undecided: {name} cannot be distinguished from a singular matrix", 0.0
@@ -227,34 +239,40 @@ class Certificate:
             return False, str(refuted), 0.0
         return True, "", margin
 
-    def _matrices(self, X: Balls) -> Iterator[tuple[Balls, str]]:
+    def _matrices(self, enclosure: Enclosure) -> Iterator[tuple[Balls, str]]:
         """Yield every matrix that has to be positive definite, with its name."""
+        X, dt = enclosure(self.X), self.loops[0].dt
         yield X, "X"
-        if self.claim == "region" and len(self.loops) > 1 and self.loops[0].dt > 0:
+        region = None if self.L is None or self.M is None else (enclosure(self.L), enclosure(self.M))
+        if self.claim == "region" and len(self.loops) > 1 and dt > 0 and region is not None:
             # s of a vertex is no linear function of A: without this the inequality need not hold between them.
-            yield _curvature(self.L, self.M, self.loops[0].dt), "L + (2/dt) (M + M') for what lies between vertices"
-        inverse = None if self.coordinates is None else balls(self.coordinates).inv()
+            L, M = region
+            yield L + 2 / flint.arb(dt) * (M + M.transpose()), "L + (2/dt) (M + M') for what lies between vertices"
+        coordinates = None if self.coordinates is None else enclosure(self.coordinates)
+        inverse = None if coordinates is None else coordinates.inv()
         for number, loop in enumerate(self.loops, 1):
-            system = loop.enclosed()
-            if inverse is not None:
-                T = balls(self.coordinates)  # type: ignore[arg-type]
-                system = BallSystem(T * system.A * inverse, T * system.B, system.C * inverse, system.D)
+            system = loop.enclosed(enclosure)
+            if coordinates is not None:
+                moved = coordinates * system.A * inverse
+                system = BallSystem(moved, coordinates * system.B, system.C * inverse, system.D)
             label = f", {loop.label}" if loop.label else f", loop {number}" if len(self.loops) > 1 else ""
             if self.L is not None and self.M is not None and self.claim == "region":
-                matrix = _region(system, X, self.L, self.M, loop.dt)
+                matrix = _region(system, X, self.L, self.M, dt, enclosure)
             else:
-                matrix = inequality(self.claim, system, X, self.bound, loop.dt)
+                matrix = inequality(self.claim, system, X, self.bound, dt, enclosure)
             yield matrix, f"{self._inequality}{label}"
             if self.claim == "h2":
-                yield _energy_left(system, X, self.bound, loop.dt), f"bound² − trace(B'XB + D'D){label}"
+                yield _energy_left(system, X, self.bound, dt), f"bound² − trace(B'XB + D'D){label}"
 
 
 class _Refuted(Exception):
     """The claim is false for a reason other than a matrix."""
 
 
-def inequality(claim: Claim, system: BallSystem, X: Balls, bound: float, dt: float) -> Balls:
-    """Return the matrix that has to be positive definite besides X."""
+def inequality(
+    claim: Claim, system: BallSystem, X: Balls, bound: float, dt: float, enclosure: Enclosure = balls
+) -> Balls:
+    """Return the matrix that has to be positive definite besides X, from balls made by `enclosure`."""
     A, B, C, D = system
     if claim == "stability":
         rate = flint.arb(bound)
@@ -266,7 +284,7 @@ def inequality(claim: Claim, system: BallSystem, X: Balls, bound: float, dt: flo
     if claim == "h2":
         return rest
     gamma = flint.arb(bound)
-    corner = gamma * gamma * identity(D.ncols()) - D.transpose() * D
+    corner = gamma * gamma * enclosure(np.eye(D.ncols())) - D.transpose() * D
     if dt > 0:
         cross = -1 * (A.transpose() * X * B + C.transpose() * D)
         corner = corner - B.transpose() * X * B
@@ -283,17 +301,9 @@ def _is_region(L: FloatArray | None, M: FloatArray | None) -> bool:
     return bool(np.all(np.isfinite(L)) and np.all(np.isfinite(M)) and np.array_equal(L, L.T))
 
 
-def _curvature(L: FloatArray | None, M: FloatArray | None, dt: float) -> Balls:
-    """Return L + (2/dt) (M + M'), which multiplies A'XA in the inequality of a sampled region."""
-    assert L is not None
-    assert M is not None
-    turned = balls(M)
-    return balls(L) + (2 / flint.arb(dt)) * (turned + turned.transpose())
-
-
-def _region(system: BallSystem, X: Balls, L: FloatArray, M: FloatArray, dt: float) -> Balls:
+def _region(system: BallSystem, X: Balls, L: FloatArray, M: FloatArray, dt: float, enclosure: Enclosure) -> Balls:
     """Return −(L ⊗ E'XE + M ⊗ E'XF + M' ⊗ F'XE): s E x = F x, F E^-1 is A, or A in the w-plane."""
-    E = identity(X.nrows())
+    E = enclosure(np.eye(X.nrows()))
     F = system.A
     if dt > 0:
         E, F = system.A + E, (2 / flint.arb(dt)) * (system.A - E)

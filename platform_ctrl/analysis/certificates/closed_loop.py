@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.arrays import StateArrays, state_scaling
-from platform_ctrl.analysis.certificates.intervals import Balls, balls, blocks, identity
+from platform_ctrl.analysis.certificates.intervals import Balls, Enclosure, balls, blocks, identity
 from platform_ctrl.analysis.feedback import performance_loop
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray, value
@@ -105,8 +105,13 @@ class ClosedLoop:
         plant = StateArrays(self.A, self.B, self.C, self.D, self.dt)
         return performance_loop(plant, StateArrays(*self.controller, self.dt))
 
-    def enclosed(self) -> BallSystem:
+    def enclosed(self, enclosure: Enclosure = balls) -> BallSystem:
         """Return balls that contain the exact closed loop, at the present working precision.
+
+        Parameters
+        ----------
+        enclosure
+            `balls`, or `rounded` for double precision.
 
         Returns
         -------
@@ -115,19 +120,19 @@ class ClosedLoop:
             `ZeroDivisionError`.
         """
         if self.controller is None:
-            return BallSystem(*(balls(part) for part in (self.A, self.B, self.C, self.D)))
+            return BallSystem(*(enclosure(part) for part in (self.A, self.B, self.C, self.D)))
         A_K, B_K, C_K, D_K = self.controller
         q, p = D_K.shape
         m, r = self.B.shape[1] - q, self.C.shape[0] - p
-        A, K, DK = balls(self.A), balls(A_K), balls(D_K)
-        B1, B2, C1, C2 = (balls(x) for x in (self.B[:, :m], self.B[:, m:], self.C[:r], self.C[r:]))
-        D11, D12 = balls(self.D[:r, :m]), balls(self.D[:r, m:])
-        D21, D22 = balls(self.D[r:, :m]), balls(self.D[r:, m:])
-        Fx, Fk, Fw = DK * C2, balls(C_K), DK * D21
+        A, K, DK = enclosure(self.A), enclosure(A_K), enclosure(D_K)
+        B1, B2, C1, C2 = (enclosure(x) for x in (self.B[:, :m], self.B[:, m:], self.C[:r], self.C[r:]))
+        D11, D12 = enclosure(self.D[:r, :m]), enclosure(self.D[:r, m:])
+        D21, D22 = enclosure(self.D[r:, :m]), enclosure(self.D[r:, m:])
+        Fx, Fk, Fw = DK * C2, enclosure(C_K), DK * D21
         if np.any(self.D[r:, m:]) and np.any(D_K):
-            E = (identity(q) - DK * D22).inv()
+            E = (enclosure(np.eye(q)) - DK * D22).inv()
             Fx, Fk, Fw = E * Fx, E * Fk, E * Fw
-        BK = balls(B_K)
+        BK = enclosure(B_K)
         return BallSystem(
             blocks([[A + B2 * Fx, B2 * Fk], [BK * (C2 + D22 * Fx), K + BK * D22 * Fk]]),
             blocks([[B1 + B2 * Fw], [BK * (D21 + D22 * Fw)]]),
