@@ -79,17 +79,26 @@ def _compile_analysis() -> None:
     analysis.frequency_response(almost_undamped, [1.0])
 
 
-@pytest.fixture(scope="session", autouse=True)
-def compiled_once(worker_id: str, tmp_path_factory: pytest.TempPathFactory) -> None:
-    """Compile in one worker what others would compile too, on a fresh checkout; these wait and find it cached."""
-    if worker_id == "master":
-        return
-    groups = [_compile_kernel, _compile_analysis]
-    number = int(worker_id.removeprefix("gw"))
-    for k in range(len(groups)):
-        group = groups[(number + k) % len(groups)]
-        with FileLock(tmp_path_factory.getbasetemp().parent / f"{group.__name__}.lock"):
-            group()
+def pytest_xdist_auto_num_workers() -> int:
+    """One process more than there are processors: some tests wait, for a browser or another process."""
+    return (os.cpu_count() or 1) + 1
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection(session: pytest.Session) -> Iterator[None]:
+    """Let one worker of a fresh checkout compile what all of them load; the others compile the kernels meanwhile."""
+    worker = getattr(session.config, "workerinput", None)
+    if worker is None:
+        return (yield)
+    number = int(worker["workerid"].removeprefix("gw"))
+    first = FileLock(Path(session.config.getoption("basetemp")).parent / "collection.lock")
+    if number == 0:
+        with first:
+            return (yield)
+    (_compile_kernel, _compile_analysis)[number % 2]()
+    with first:
+        pass
+    return (yield)
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -19,7 +19,7 @@ from platform_ctrl import analysis
 from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.certificates import Certificate
 from platform_ctrl.analysis.certificates.certificate import inequality, proved
-from platform_ctrl.analysis.certificates.closed_loop import closed, stabilising
+from platform_ctrl.analysis.certificates.closed_loop import closed, enclosed_by, stabilising
 from platform_ctrl.analysis.certificates.intervals import balls, positive_definite, rounded
 from platform_ctrl.analysis.certificates.makers import h2_certificate, norm_certificate, stability_certificate
 from platform_ctrl.analysis.certificates.plant_set import region_certificate
@@ -445,7 +445,7 @@ def test_what_is_rounded_lies_within_its_bound(seed: int, spread: float, kind: A
     K = StateArrays(K.A, K.B[:, :1], K.C[:1], K.D[:1, :1], K.dt)
     loop, X = closed(P, K), matrix(6, 6)
     X += X.T
-    found = inequality(kind, loop.enclosed(rounded), rounded(X), 1.7, P.dt, rounded)
+    found = inequality(kind, enclosed_by(rounded, loop), rounded(X), 1.7, P.dt, rounded)
     with flint.ctx.workprec(2000):
         exact = inequality(kind, loop.enclosed(), balls(X), 1.7, P.dt)
         for i, j in np.ndindex(found.middle.shape):

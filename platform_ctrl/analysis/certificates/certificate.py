@@ -24,7 +24,7 @@ from typing import Literal
 import flint
 import numpy as np
 
-from platform_ctrl.analysis.certificates.closed_loop import BallSystem, ClosedLoop, is_matrix
+from platform_ctrl.analysis.certificates.closed_loop import BallSystem, ClosedLoop, enclosed_by, is_matrix
 from platform_ctrl.analysis.certificates.intervals import (
     Ball,
     Balls,
@@ -251,7 +251,7 @@ class Certificate:
         coordinates = None if self.coordinates is None else enclosure(self.coordinates)
         inverse = None if coordinates is None else coordinates.inv()
         for number, loop in enumerate(self.loops, 1):
-            system = loop.enclosed(enclosure)
+            system = enclosed_by(enclosure, loop)
             if coordinates is not None:
                 moved = coordinates * system.A * inverse
                 system = BallSystem(moved, coordinates * system.B, system.C * inverse, system.D)

@@ -105,13 +105,8 @@ class ClosedLoop:
         plant = StateArrays(self.A, self.B, self.C, self.D, self.dt)
         return performance_loop(plant, StateArrays(*self.controller, self.dt))
 
-    def enclosed(self, enclosure: Enclosure = balls) -> BallSystem:
+    def enclosed(self) -> BallSystem:
         """Return balls that contain the exact closed loop, at the present working precision.
-
-        Parameters
-        ----------
-        enclosure
-            `balls`, or `rounded` for double precision.
 
         Returns
         -------
@@ -119,26 +114,31 @@ class ClosedLoop:
             From w to z; a loop that is not well posed, or that the precision cannot tell from one, is a
             `ZeroDivisionError`.
         """
-        if self.controller is None:
-            return BallSystem(*(enclosure(part) for part in (self.A, self.B, self.C, self.D)))
-        A_K, B_K, C_K, D_K = self.controller
-        q, p = D_K.shape
-        m, r = self.B.shape[1] - q, self.C.shape[0] - p
-        A, K, DK = enclosure(self.A), enclosure(A_K), enclosure(D_K)
-        B1, B2, C1, C2 = (enclosure(x) for x in (self.B[:, :m], self.B[:, m:], self.C[:r], self.C[r:]))
-        D11, D12 = enclosure(self.D[:r, :m]), enclosure(self.D[:r, m:])
-        D21, D22 = enclosure(self.D[r:, :m]), enclosure(self.D[r:, m:])
-        Fx, Fk, Fw = DK * C2, enclosure(C_K), DK * D21
-        if np.any(self.D[r:, m:]) and np.any(D_K):
-            E = (enclosure(np.eye(q)) - DK * D22).inv()
-            Fx, Fk, Fw = E * Fx, E * Fk, E * Fw
-        BK = enclosure(B_K)
-        return BallSystem(
-            blocks([[A + B2 * Fx, B2 * Fk], [BK * (C2 + D22 * Fx), K + BK * D22 * Fk]]),
-            blocks([[B1 + B2 * Fw], [BK * (D21 + D22 * Fw)]]),
-            blocks([[C1 + D12 * Fx, D12 * Fk]]),
-            D11 + D12 * Fw,
-        )
+        return enclosed_by(balls, self)
+
+
+def enclosed_by(enclosure: Enclosure, loop: ClosedLoop) -> BallSystem:
+    """Return what contains the exact closed loop: `balls`, or `rounded` for double precision."""
+    if loop.controller is None:
+        return BallSystem(*(enclosure(part) for part in (loop.A, loop.B, loop.C, loop.D)))
+    A_K, B_K, C_K, D_K = loop.controller
+    q, p = D_K.shape
+    m, r = loop.B.shape[1] - q, loop.C.shape[0] - p
+    A, K, DK = enclosure(loop.A), enclosure(A_K), enclosure(D_K)
+    B1, B2, C1, C2 = (enclosure(x) for x in (loop.B[:, :m], loop.B[:, m:], loop.C[:r], loop.C[r:]))
+    D11, D12 = enclosure(loop.D[:r, :m]), enclosure(loop.D[:r, m:])
+    D21, D22 = enclosure(loop.D[r:, :m]), enclosure(loop.D[r:, m:])
+    Fx, Fk, Fw = DK * C2, enclosure(C_K), DK * D21
+    if np.any(loop.D[r:, m:]) and np.any(D_K):
+        E = (enclosure(np.eye(q)) - DK * D22).inv()
+        Fx, Fk, Fw = E * Fx, E * Fk, E * Fw
+    BK = enclosure(B_K)
+    return BallSystem(
+        blocks([[A + B2 * Fx, B2 * Fk], [BK * (C2 + D22 * Fx), K + BK * D22 * Fk]]),
+        blocks([[B1 + B2 * Fw], [BK * (D21 + D22 * Fw)]]),
+        blocks([[C1 + D12 * Fx, D12 * Fk]]),
+        D11 + D12 * Fw,
+    )
 
 
 def is_matrix(item: object) -> TypeGuard[FloatArray]:

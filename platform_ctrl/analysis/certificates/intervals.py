@@ -51,7 +51,7 @@ class Rounded(NamedTuple):
 
     def ncols(self) -> int:
         """Return the number of columns."""
-        return self.middle.shape[1]
+        return int(self.middle.shape[1])
 
     def transpose(self) -> Rounded:
         """Return the transposed matrix."""
@@ -82,7 +82,7 @@ class Rounded(NamedTuple):
         radius = (k + 2) * _UNIT * (size @ rest) + size @ other.radius + self.radius @ (rest + other.radius)
         return Rounded(middle, radius * (1.0 + (4 * k + 16) * _UNIT) + _UNDERFLOW)
 
-    def __rmul__(self, factor: int | Ball) -> Rounded:  # type: ignore[override]
+    def __rmul__(self, factor: int | Ball) -> Rounded:
         if isinstance(factor, int) and abs(factor) == 1:
             return Rounded(factor * self.middle, self.radius)
         ball = flint.arb(factor)
