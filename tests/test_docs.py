@@ -29,7 +29,13 @@ from public_modules import names
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 FORMATS = {"plant-file.md": PLANT_FILE, "job-file.md": JOB_FILE}
-PAGE = pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
+
+
+def named(page: Path) -> str:
+    return page.relative_to(ROOT).as_posix()
+
+
+PAGE = pytest.mark.parametrize("page", PAGES, ids=named)
 # Commands of a page's console that are not ours: they install, or stay until they are stopped.
 NOT_RUN = ("python3 -m venv", ".venv/bin/pip install", "pip install", "dask ", "marimo ", "mkdocs ", "pytest")
 
@@ -79,7 +85,11 @@ def run_console(block: Any) -> None:
         assert not line.startswith("$ ") or line[2:].startswith(("platform-ctrl ", *NOT_RUN)), line
 
 
-@PAGE
+@pytest.mark.parametrize(
+    "page",
+    # What the commands of cluster.md do is in tests/campaign.
+    [pytest.param(page, marks=[pytest.mark.slow] * (page.name == "cluster.md"), id=named(page)) for page in PAGES],
+)
 def test_code_on_a_page_runs_and_prints_what_the_page_says(
     page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -15,6 +15,11 @@ from platform_ctrl.job.reading import read_job
 
 MAIN = Path("examples/three_gyro_platform.toml")
 SHIPPED = sorted(Path("examples").glob("*.toml"))
+# The page on the camera's gimbal designs its job in any case.
+LONG = ("camera_gimbal",)
+EACH = pytest.mark.parametrize(
+    "path", [pytest.param(path, marks=[pytest.mark.slow] * (path.stem in LONG), id=path.stem) for path in SHIPPED]
+)
 
 
 @cache
@@ -124,11 +129,7 @@ def test_a_loop_that_cuts_through_a_subsystem_is_refused_before_any_design():
     assert said == []
 
 
-@pytest.mark.parametrize(
-    "path",
-    # The page on the camera's gimbal designs its job in any case.
-    [pytest.param(path, marks=[pytest.mark.slow] * (path.stem == "camera_gimbal"), id=path.stem) for path in SHIPPED],
-)
+@EACH
 def test_every_claim_of_every_shipped_design_is_proved(path):
     result, said = shipped(path)
     for outcome in result.loops:
@@ -148,7 +149,7 @@ def test_every_claim_of_every_shipped_design_is_proved(path):
     assert any("certificates" in line for line in said)
 
 
-@pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
+@EACH
 def test_what_is_proved_is_what_is_claimed(path):
     result, _ = shipped(path)
     for made in [d for outcome in result.loops for d in outcome.designs if d.measures is not None]:

@@ -53,6 +53,7 @@ def undrawn(patch: pytest.MonkeyPatch, about: list[dict[str, Any]]) -> None:
     patch.setattr("platform_ctrl.report.write_page", lambda content, path: path.touch())
 
 
+@pytest.mark.slow  # as tests/report/test_campaign.py and test_pdf.py without the command
 def test_the_page_and_the_pdf_tell_of_the_campaign(there: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["check", "gyro.toml", "--campaign", "campaign", "--pdf"]) == 0
     out, err = capsys.readouterr()

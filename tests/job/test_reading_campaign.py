@@ -497,7 +497,7 @@ def test_a_job_with_everything_is_written_and_read_back_whole() -> None:
     assert job_data(read_job(job_data(read))) == job_data(read)
 
 
-@settings(max_examples=200, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=80, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(junk=st.lists(JUNK, min_size=1, max_size=4), chance=st.randoms(use_true_random=False))
 def test_whatever_is_changed_a_job_is_read_or_refused_in_one_line(junk: list[Any], chance: random.Random) -> None:
     data = flown_job()

@@ -761,7 +761,7 @@ def test_every_listed_option_is_read(method: str) -> None:
     assert design.options == dict.fromkeys(METHODS[method].options, 0.5)
 
 
-@settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(
     junk=st.lists(JUNK, min_size=1, max_size=4),
     chance=st.randoms(use_true_random=False),

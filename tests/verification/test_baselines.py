@@ -425,7 +425,7 @@ _JSON = strategies.recursive(
 )
 
 
-@settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(strategies.data())
 def test_a_file_in_which_anything_is_changed_is_read_or_refused_in_one_line(
     result: JobResult, tmp_path: Path, data: strategies.DataObject
