@@ -38,11 +38,12 @@ def run(checkout: Path, folder: Path, job: Path, *options: str) -> tuple[float, 
     return wall, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 
 
-def measured(checkout: Path, folder: Path, *, reuses: bool) -> dict[str, tuple[float, float]]:
+def measured(checkout: Path, folder: Path) -> dict[str, tuple[float, float]]:
     """Return wall and CPU time of each case, s."""
     shutil.rmtree(folder / "out", ignore_errors=True)
     changed = folder / "changed.toml"
     changed.write_text(JOB.read_text(encoding="utf-8")[::-1].replace(LIMIT[::-1], CHANGED[::-1], 1)[::-1], "utf-8")
+    reuses = (checkout / "platform_ctrl" / "design" / "reuse.py").exists()
     return {
         "into an empty folder": run(checkout, folder, JOB),
         "again, nothing changed": run(checkout, folder, JOB),
@@ -78,7 +79,7 @@ def main() -> None:
                 run(checkout, Path(folder), JOB)  # what is compiled is there then
         for _ in range(given.rounds):
             for name, checkout in checkouts.items():
-                for case, found in measured(checkout, Path(folder), reuses=name == "now").items():
+                for case, found in measured(checkout, Path(folder)).items():
                     times[name].setdefault(case, []).append(found)
     print(f"{'':30}{'wall':>9}{'CPU':>9}" + (f"{'before':>9}{'CPU':>9}{'ratio':>9}{'CPU':>9}" if given.before else ""))
     for case, rounds in times["now"].items():

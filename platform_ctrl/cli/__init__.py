@@ -16,6 +16,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from platform_ctrl.cli.interrupts import INTERRUPTED, INTERRUPTED_LINE, ProcessEnd, exit_interrupted, interruptible
+from platform_ctrl.common.processes import collect_seldom
 from platform_ctrl.errors import DesignError, OldKeyWarning, PlatformCtrlError, SimulationError
 
 __all__ = ["main"]
@@ -28,6 +29,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if code == INTERRUPTED:
             print(INTERRUPTED_LINE, file=sys.stderr, flush=True)
         return code
+    collect_seldom()
     try:
         end = ProcessEnd()
         with interruptible() as check:
