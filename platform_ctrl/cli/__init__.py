@@ -16,7 +16,6 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from platform_ctrl.cli.interrupts import INTERRUPTED, INTERRUPTED_LINE, ProcessEnd, exit_interrupted, interruptible
-from platform_ctrl.common.processes import collect_seldom
 from platform_ctrl.errors import DesignError, OldKeyWarning, PlatformCtrlError, SimulationError
 
 __all__ = ["main"]
@@ -29,6 +28,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if code == INTERRUPTED:
             print(INTERRUPTED_LINE, file=sys.stderr, flush=True)
         return code
+    from platform_ctrl.common.processes import collect_seldom
+
     collect_seldom()
     try:
         end = ProcessEnd()

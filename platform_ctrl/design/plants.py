@@ -26,8 +26,8 @@ from platform_ctrl.design.partition import Channels
 from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.job.job import Job, LoopSpec, Sampling
 from platform_ctrl.mechanics.linearisation import linearise
-from platform_ctrl.mechanics.outputs import observed
-from platform_ctrl.mechanics.state_space import state_space
+from platform_ctrl.mechanics.outputs import observed_system
+from platform_ctrl.mechanics.state_space import linear_system
 from platform_ctrl.plant.platform import OMEGA_NAMES, Torquer
 from platform_ctrl.plant.sensors import Sensor
 
@@ -104,8 +104,8 @@ def linear_plants(signals: LoopSignals, plants: Sequence[Case]) -> LinearPlants:
     for one in plants:
         rates = None if one.rate is None else np.full(len(one.platform.gimbals), one.rate)
         model = linearise(one.platform, Omega=one.Omega, q=one.q, rate_amplitude=rates)
-        bare = state_space(model, gimbals=signals.gimbals, others="held" if signals.held else "coupled")
-        systems.append(observed(bare, one.platform, list(dict.fromkeys(outputs)), model.q0, model.Omega0))
+        bare = linear_system(model, gimbals=signals.gimbals, others="held" if signals.held else "coupled")
+        systems.append(observed_system(bare, one.platform, list(dict.fromkeys(outputs)), model.q0, model.Omega0))
     columns = [systems[0].input_labels.index(name) for name in inputs]
     rows = [systems[0].output_labels.index(name) for name in outputs]
     A, C = np.array([system.A for system in systems]), np.array([system.C[rows] for system in systems])

@@ -16,9 +16,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from platform_ctrl.common.arguments import distinct, real_array
-from platform_ctrl.common.values import FloatArray, portable
+from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.mechanics.kinematics import Kinematics, configuration, topology
+from platform_ctrl.mechanics.state_space import NamedMatrices
 from platform_ctrl.plant.platform import OMEGA_NAMES, Platform
 from platform_ctrl.plant.sensors import Sensor, body_rates, body_rotations, gimbal_rate
 
@@ -63,6 +64,17 @@ def observed(
     ArgumentError
         There is no such output, or a rotation against inertial space is observed at a rate Omega other than zero.
     """
+    return observed_system(system, platform, names, q, Omega).state_space()
+
+
+def observed_system(
+    system: control.StateSpace | NamedMatrices,
+    platform: Platform,
+    names: Sequence[str],
+    q: ArrayLike | None = None,
+    Omega: ArrayLike | None = None,
+) -> NamedMatrices:
+    """Return what `observed` does."""
     angles = real_array("q", q, (len(platform.gimbals),), 0.0)
     model = _Signals(system, platform, angles, real_array("Omega", Omega, (3,), 0.0))
     outputs = platform.outputs
@@ -83,7 +95,9 @@ def observed(
 class _Signals:
     """Rows [C, D] of a linear model's signals, (states + inputs,) each, by name."""
 
-    def __init__(self, system: control.StateSpace, platform: Platform, q: FloatArray, Omega: FloatArray) -> None:
+    def __init__(
+        self, system: control.StateSpace | NamedMatrices, platform: Platform, q: FloatArray, Omega: FloatArray
+    ) -> None:
         self.system, self.platform, self.Omega = system, platform, Omega
         n, m = system.nstates, system.ninputs
         whole, inputs = np.hstack([system.A, system.B]), system.input_labels
@@ -141,15 +155,13 @@ class _Signals:
 
 
 def _with_filters(
-    system: control.StateSpace,
+    system: control.StateSpace | NamedMatrices,
     rows: FloatArray,
     integrals: FloatArray,
     sensors: Sequence[Sensor | None],
     names: Sequence[str],
-) -> control.StateSpace:
+) -> NamedMatrices:
     """Return the model with integrals and low-passes as states, and with the outputs' rows."""
-    import control
-
     n, m, k = system.nstates, system.ninputs, len(integrals)
     slow = [i for i, sensor in enumerate(sensors) if sensor is not None and sensor.bandwidth_hz is not None]
     size = n + k + 2 * len(slow)
@@ -169,5 +181,4 @@ def _with_filters(
         states += [f"{names[i]}_filtered", f"{names[i]}_filter_rate"]
     scale = np.array([1.0 if sensor is None else 1.0 + sensor.scale_error for sensor in sensors])
     C, D = scale[:, None] * C, scale[:, None] * D
-    signals = {"inputs": list(system.input_labels), "outputs": distinct("outputs", list(names)), "states": states}
-    return portable(control.StateSpace(A, B, C, D, remove_useless_states=False, **signals))
+    return NamedMatrices(A, B, C, D, list(system.input_labels), distinct("outputs", list(names)), states)

@@ -1,4 +1,4 @@
-"""Linear models as control.StateSpace with momentum states: exact and proper, without the derivative of Omega.
+"""Linear models in state space with momentum states: exact and proper, without the derivative of Omega.
 
 With p = M q̇ + M_Omega ω the gimbal rows become
 
@@ -10,7 +10,7 @@ With a free root the momenta of the root rows, P = J ω + M_Omegaᵀ q̇, are st
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +29,36 @@ if TYPE_CHECKING:
     import control
 
 __all__ = ["state_space", "subsystems"]
+
+
+class NamedMatrices(NamedTuple):
+    """A continuous system with named signals; not yet a `control.StateSpace`: python-control takes a second to load."""
+
+    A: FloatArray
+    B: FloatArray
+    C: FloatArray
+    D: FloatArray
+    input_labels: list[str]
+    output_labels: list[str]
+    state_labels: list[str]
+
+    @property
+    def nstates(self) -> int:
+        """The number of states."""
+        return len(self.state_labels)
+
+    @property
+    def ninputs(self) -> int:
+        """The number of inputs."""
+        return len(self.input_labels)
+
+    def state_space(self) -> control.StateSpace:
+        """Return the system as users have it."""
+        import control
+
+        A, B, C, D, inputs, outputs, states = self
+        names = {"inputs": inputs, "outputs": outputs, "states": states}
+        return portable(control.StateSpace(A, B, C, D, remove_useless_states=False, **names))
 
 
 @check_arguments
@@ -152,7 +182,17 @@ def state_space(
     if root == "free":
         if gimbals is not None:
             raise ArgumentError("gimbals: given with root='free'; a free platform couples them all: leave it out")
-        return _free(model, specific_force)
+        return _free(model, specific_force).state_space()
+    return linear_system(model, gimbals, specific_force, others).state_space()
+
+
+def linear_system(
+    model: LinearModel,
+    gimbals: Sequence[str] | None = None,
+    specific_force: bool = False,
+    others: Literal["coupled", "held"] = "coupled",
+) -> NamedMatrices:
+    """Return what `state_space` does with a prescribed root."""
     rows = whole_subsystems(model, gimbals) if others == "coupled" else named_rows(model, gimbals)
     names = [model.angle_names[k] for k in rows]
     chosen = [model.gimbal_names[k] for k in rows]
@@ -174,7 +214,7 @@ def state_space(
     return _named(A, B, C, inputs, names, [*names, *(f"p_{name}" for name in names)], specific_force)
 
 
-def _free(model: LinearModel, specific_force: bool) -> control.StateSpace:
+def _free(model: LinearModel, specific_force: bool) -> NamedMatrices:
     n = len(model.gimbal_names)
     names = list(model.angle_names)
     torquers, torque_map = gimbal_torquers(model, list(model.gimbal_names))
@@ -250,16 +290,11 @@ def _named(
     outputs: list[str],
     states: list[str],
     specific_force: bool,
-) -> control.StateSpace:
+) -> NamedMatrices:
     """Put names to a system whose last three inputs are the specific force, wanted or not."""
-    import control
-
     if not specific_force:
         B, inputs = B[:, :-3], inputs[:-3]
     D = np.zeros((len(C), B.shape[1]))
-    names = {
-        "inputs": distinct("inputs", inputs),
-        "outputs": distinct("outputs", outputs),
-        "states": distinct("states", states),
-    }
-    return portable(control.StateSpace(A, B, C, D, remove_useless_states=False, **names))
+    return NamedMatrices(
+        A, B, C, D, distinct("inputs", inputs), distinct("outputs", outputs), distinct("states", states)
+    )

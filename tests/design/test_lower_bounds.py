@@ -85,7 +85,7 @@ def test_measured_states_without_noise_have_the_norms_of_state_feedback():
     assert h2_lower_bound(partition(P, 4, 1)) == pytest.approx(np.sqrt(np.trace(B1.T @ X @ B1)), rel=1e-9)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(powers=st.lists(st.floats(-5, 5), min_size=4, max_size=4), a=st.floats(-3, 3))
 def test_a_single_state_has_the_h2_norm_of_its_two_quadratic_equations_however_cheap_the_control(powers, a):
     """z = [c x; r u], y = x + n v: norm² = w² X + r² F² Y, in fifty digits."""
@@ -129,7 +129,7 @@ def test_a_direct_path_that_no_controller_sees_stays():
     assert hinf_lower_bound(partition(P, 1, 1)) >= 0.5 * (1 - 1e-10)
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(seed=st.integers(0, 10_000), n=st.integers(2, 7), lost=st.sets(st.sampled_from(["D12", "D21"])))
 def test_bounds_do_not_depend_on_the_units(seed, n, lost):
     rng = np.random.default_rng(seed)
@@ -147,7 +147,7 @@ def test_bounds_do_not_depend_on_the_units(seed, n, lost):
         assert lower(there) == pytest.approx(unit * lower(here), rel=1e-9)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(seed=st.integers(0, 10_000), ports=st.tuples(*[st.integers(1, 4)] * 5), dt=st.sampled_from([0.0, 0.1]))
 def test_whatever_the_plant_the_bound_is_a_number(seed, ports, dt):
     """Zero, rounded, huge and tiny matrices: at worst nothing is shown."""
@@ -166,7 +166,7 @@ def test_whatever_the_plant_the_bound_is_a_number(seed, ports, dt):
         assert 0.0 <= lower(plant) < np.inf
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(
     seed=st.integers(0, 10_000),
     n=st.integers(1, 7),
@@ -187,7 +187,7 @@ def test_where_the_assumptions_hold_the_h_infinity_bound_is_the_riccati_infimum(
     assert reached < 1e-3 or bound >= reached * (1 - 1e-6)
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(seed=st.integers(0, 10_000), n=st.integers(1, 6), dt=st.sampled_from([0.0, 0.1]), direct=st.booleans())
 def test_where_the_assumptions_hold_the_h2_bound_is_the_norm_of_the_optimal_loop(seed, n, dt, direct):
     plain = random_plant(seed, n, 3, 3, 1, 2)
@@ -203,7 +203,7 @@ def test_where_the_assumptions_hold_the_h2_bound_is_the_norm_of_the_optimal_loop
     assert made.gamma * (1 - 1e-6) <= bound <= made.gamma * (1 + 1e-12)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(
     seed=st.integers(0, 10_000),
     n=st.integers(1, 5),
