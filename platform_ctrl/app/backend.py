@@ -16,7 +16,7 @@ from platform_ctrl.app.caged import caged_parts, loop_metrics
 from platform_ctrl.app.closed_loops import ClosedLoops
 from platform_ctrl.app.controllers import built_directly, part_of
 from platform_ctrl.app.curves import Parts
-from platform_ctrl.app.designs import Designs, never, silent
+from platform_ctrl.app.designs import Designs, never, nothing, silent
 from platform_ctrl.app.drags import Drags
 from platform_ctrl.app.job_parts import JobParts, loop_stamp, run_stamp
 from platform_ctrl.app.pictures import Drawing, Measured, NextStep, Picture
@@ -292,8 +292,13 @@ class Backend(Drags):
         drawing = dataclasses.replace(drawing, bode=dataclasses.replace(drawing.bode, overlays=overlays))
         return (drawing, measure), (*notes, *more)
 
-    def next_step(self, settings: Settings, influence: OptionEffects) -> NextStep | None:
-        """Return the one move of a slider that helps the tightest requirement most, or None."""
+    def next_step(
+        self, settings: Settings, influence: OptionEffects, before_each: Callable[[], None] = nothing
+    ) -> NextStep | None:
+        """Return the one move of a slider that helps the tightest requirement most, or None.
+
+        `before_each` is called before each move that is tried; what it raises ends the search.
+        """
         before = self._results(settings)
         if not before:
             return None
@@ -306,6 +311,7 @@ class Backend(Drags):
         tightest = max(range(len(before)), key=lambda k: before[k].ratio)
 
         def results(name: str, after: float) -> tuple[CheckResult, ...]:
+            before_each()
             return self._results(self.moved(settings, name, after))
 
         move = best_move(before, tightest, candidates(influence, free), results)
@@ -336,12 +342,16 @@ class Backend(Drags):
         """Return the limits of the budget within some milliseconds; none before it was computed once."""
         return self._loops.sight.quick_results(settings)
 
-    def influence(self, settings: Settings) -> OptionEffects:
-        """Return what each slider does to each requirement, those of the budget behind the loop's."""
+    def influence(self, settings: Settings, before_each: Callable[[], None] = nothing) -> OptionEffects:
+        """Return what each slider does to each requirement, those of the budget behind the loop's.
+
+        `before_each` is called before each slider; what it raises ends the computation.
+        """
         spec, _ = self._loops.design(settings)
         sliders = [slider for slider in self.sliders(settings) if not slider.background]
 
         def with_slider(slider: Slider) -> Settings:
+            before_each()
             return self.moved(settings, slider.name, moved_slider(slider))
 
         with np.errstate(all="ignore"):

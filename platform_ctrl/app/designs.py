@@ -132,6 +132,10 @@ def never() -> bool:
     return False
 
 
+def nothing() -> None:
+    """Do nothing."""
+
+
 def silent(line: str) -> None:
     """Ignore a line."""
     del line

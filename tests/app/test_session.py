@@ -153,6 +153,51 @@ def test_every_request_is_answered_when_results_come_faster_than_they_are_shown(
     assert driven.answered == driven.count
 
 
+def test_what_sliders_do_is_given_up_when_one_moves_and_computed_at_the_next_rest(
+    driven: Driven, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    at_rest: list[Callable[[], None]] = []
+    monkeypatch.setattr(Document, "add_timeout_callback", lambda document, act, wait: at_rest.append(act) or act)
+    monkeypatch.setattr(
+        Document, "remove_timeout_callback", lambda document, act: at_rest.remove(act) if act in at_rest else None
+    )
+    axes, go, given_up = [], threading.Event(), threading.Event()
+
+    def influence(settings: Any, before_each: Callable[[], None]) -> Any:
+        axes.append(settings.axis)
+        assert go.wait(10.0)
+        try:
+            before_each()
+        finally:
+            given_up.set()
+        raise DesignError("only whether it goes on matters")
+
+    monkeypatch.setattr(driven.backend, "influence", influence)
+
+    def rested() -> None:
+        at_rest.pop()()
+        assert not at_rest
+
+    def loop_runs_until(met: Callable[[], bool]) -> None:
+        _until(lambda: driven.run_loop() or met())
+
+    driven.request("set", name="axis", value=2)
+    driven.settle()
+    rested()
+    _until(lambda: axes == [2])
+    driven.request("set", name="axis", value=3)
+    driven.settle()
+    rested()
+    assert axes == [2], "one at a time"
+    go.set()
+    loop_runs_until(lambda: bool(at_rest))
+    assert given_up.is_set()
+    assert axes == [2], "not while something moves"
+    rested()
+    _until(lambda: axes == [2, 3])
+    loop_runs_until(lambda: all(thread.name != "page task" for thread in threading.enumerate()))
+
+
 def _idle(queue: DesignQueue) -> Callable[[], int]:
     """Return a function that counts the notifications of a queue."""
     notified: list[int] = []

@@ -131,6 +131,11 @@ class Session:
             gesture = object()
         self._changes.add(key, Task(count=count, change=change, gesture=gesture))
 
+    def shows(self, settings: Settings) -> bool:
+        """Return whether the page shows these settings, and no change of them is being computed."""
+        shown = self.picture
+        return not self._changes.working and shown is not None and shown.settings.data() == settings.data()
+
     def redraw(self, count: int) -> None:
         """Draw the same settings again: something is compared with them, or no longer."""
         self._changes.add("again", Task(count=count, change=lambda settings: settings, gesture="ready"))
@@ -335,14 +340,14 @@ class Session:
             self._remember(out.settings, out.gesture)
             self.picture = out.picture
             data |= self._picture_data(out.picture)
-            self._rest()
+            self.rest()
         elif self.picture is not None and out.awaits:
             # The sliders stay those of the picture; the lists keep the choice.
             data |= self._slider_rows(self.picture.settings)
         elif self.picture is not None:
             # Everything returns to the last picture.
             data |= self._picture_data(self.picture)
-            self._rest()
+            self.rest()
             if out.drawn:
                 self.plots.show(self.picture)
         self.connection.answer(out.count, **data)
@@ -400,7 +405,7 @@ class Session:
         there = first.but(loop=settings.loop, design=settings.design, optional=settings.optional)
         return {one.name: one.value for one in self.backend.sliders(there)}
 
-    def _rest(self) -> None:
+    def rest(self) -> None:
         """Compute what each slider does, and the other parts of the job, once nothing has changed for a while."""
         document = self.connection.document
         if document is None:

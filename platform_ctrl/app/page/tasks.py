@@ -86,6 +86,12 @@ class Page(Protocol):
     def parts_measured(self) -> None:
         """Show what has become known of the parts of the job."""
 
+    def shows(self, settings: Settings) -> bool:
+        """Return whether the page shows these settings, and no change of them is being computed."""
+
+    def rest(self) -> None:
+        """Have what is shown measured further once nothing has changed for a while."""
+
     def change(self, key: str, change: Callable[[Settings], Settings]) -> None:
         """Have the settings changed and shown."""
 
@@ -96,6 +102,10 @@ _CANCELLED = {
     "tune": "Tuning was cancelled; nothing was changed.",
     "simulate": "The simulation was cancelled.",
 }
+
+
+class _Superseded(Exception):
+    """The page no longer shows what is being measured."""
 
 
 @value
@@ -144,46 +154,43 @@ class PageTasks:
             return
         self._measuring = True
 
-        def is_shown() -> bool:
-            return page.picture is not None and page.picture.settings.data() == settings.data()
+        def expect_shown() -> None:
+            if not page.shows(settings):
+                raise _Superseded
 
         def show_influence(influence: OptionEffects, budget: tuple[CheckResult, ...]) -> None:
-            if is_shown():
+            if page.shows(settings):
                 self._connection.answer(influence=influence_data(influence, budget))
 
         def effects() -> OptionEffects:
-            influence, budget = self._backend.influence(settings), self._backend.budget_results(settings)
+            influence = self._backend.influence(settings, expect_shown)
+            budget = self._backend.budget_results(settings)
             self._connection.later(lambda: show_influence(influence, budget))
-            if is_shown():
-                step = self._backend.next_step(settings, influence)
-                self._connection.later(lambda: page.compared.found(step) if is_shown() else None)
+            step = self._backend.next_step(settings, influence, expect_shown)
+            self._connection.later(lambda: page.compared.found(step) if page.shows(settings) else None)
             return influence
 
         def measured() -> Callable[[], None]:
             try:
                 influence = effects()
-                self._measure_parts(settings, is_shown)
+                self._measure_parts(settings, expect_shown)
                 # The first budget takes long: what sliders do to it is known now.
                 known = {one.name for one in self._backend.budget_results(settings)}
-                if is_shown() and not known <= set(influence.requirements):
+                if not known <= set(influence.requirements):
                     effects()
+            except _Superseded:
+                pass
             finally:
                 self._measuring = False
-
-            def show() -> None:
-                if page.picture is not None and not is_shown():
-                    self.measure(page.picture.settings)
-
-            return show
+            return lambda: None if page.shows(settings) else page.rest()
 
         self._do(measured, lambda line: None)
 
-    def _measure_parts(self, settings: Settings, is_shown: Callable[[], bool]) -> None:
-        """Measure the parts of the job that are not known for these settings, as long as the page shows them."""
+    def _measure_parts(self, settings: Settings, before_each: Callable[[], None]) -> None:
+        """Measure the parts of the job that are not known for these settings."""
         parts, page = self._backend.job_parts, self._page
         for one in parts.open(parts.parts(settings)):
-            if not is_shown():
-                return
+            before_each()
             parts.measure(one)
             self._connection.later(page.parts_measured)
 
@@ -359,6 +366,11 @@ class LatestTasks(Generic[T]):
                 return
             self._working = True
         threading.Thread(target=self._run, name="page", daemon=True).start()
+
+    @property
+    def working(self) -> bool:
+        """Whether a task is being done or waits."""
+        return self._working
 
     def close(self) -> None:
         """Drop what waits; nothing more is taken."""
