@@ -64,8 +64,9 @@ _APART = 2
 # Height of the numbers and the label below a figure, pixels.
 _BELOW = 28
 _LEFT, _RIGHT, _TOP = 54, 12, 7
-# Height of a frame, pixels, below which a unit has to be written smaller.
-_LOW = 50.0
+# Height of a frame, pixels, below which a unit has to be written smaller: early enough that it never reaches the edge
+# of the canvas, where Bokeh leaves the last half of a pixel.
+_LOW = 64.0
 
 _HEADING = f"""
 .line {{ display: flex; gap: 10px; white-space: nowrap; overflow: hidden; font: {NORMAL}/18px {FONT};

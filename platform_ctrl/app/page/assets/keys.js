@@ -1,5 +1,6 @@
 // <curve-keys>: what each curve of a plot is, in one line. Keys that have no room are counted instead: "+3".
 const ROOM = 26; // pixels for the count
+const ROUNDING = 1; // sizes are told in whole pixels, each rounded by itself
 
 class CurveKeys extends HTMLElement {
   connectedCallback() {
@@ -14,7 +15,7 @@ class CurveKeys extends HTMLElement {
     this.more ??= Object.assign(document.createElement("span"), { className: "more" });
     const keys = [...this.children].filter((key) => key !== this.more), width = this.clientWidth;
     const ends = keys.map((key) => key.offsetLeft + key.offsetWidth);
-    const all = keys.length === 0 || ends.at(-1) <= width;
+    const all = keys.length === 0 || ends.at(-1) <= width + ROUNDING;
     const few = all ? keys.length : ends.filter((end) => end + ROOM <= width).length;
     keys.forEach((key, k) => { key.style.visibility = k < few ? "" : "hidden"; });
     this.more.remove();
