@@ -30,6 +30,7 @@ from platform_ctrl.app.curves import (
     Drive,
     Driven,
     LoopCurves,
+    LoopTransfers,
     Parts,
     channel_margins,
     channel_response,
@@ -136,11 +137,16 @@ class CagedCurves(LoopCurves):
         # With the frequencies of the band, whose phases are those of this curve and a difference.
         return np.union1d(grid, plant.frequency)
 
-    def response(self, frequency: FloatArray) -> ComplexArray:
-        """Return the loop transfer of the plant shown at `frequency` (F,), rad/s."""
+    def transfers(self, frequency: FloatArray) -> LoopTransfers:
+        """Return what the loop of the plant shown consists of at `frequency` (F,), rad/s."""
         P = frequency_response(self._loop.plant, frequency, -3, DRAWN)
         K = frequency_response(self._loop.controller, frequency, -3)
-        return channel_response(sensitivity_functions(-K @ P)[0], self.index)
+        return LoopTransfers(P, K, sensitivity_functions(-K @ P)[0])
+
+    def readings(self) -> tuple[list[str], str]:
+        """Return the units of what the controller reads, and of what it sets at the channel."""
+        units = self._units
+        return [units[name] for name in self._loop.plants.angles], units[self.channel]
 
     def step(self) -> TimeResponse:
         """Return the response to a torque step at the channel, of a loop around another one to one of its command."""
@@ -263,7 +269,8 @@ def caged_parts(loop: CagedLoop, settings: Settings, labels: tuple[str, ...], ca
         band = whole if len(inside) == len(plants.labels) else whole.only(inside.tolist())
     curves = CagedCurves(loop, settings, band)
     grid = curves.grid()
-    response = curves.response(grid)
+    transfers = curves.transfers(grid)
+    response = channel_response(transfers.S, curves.index)
     bode, nichols = frequency_parts(
         curves.channel,
         grid,
@@ -292,6 +299,7 @@ def caged_parts(loop: CagedLoop, settings: Settings, labels: tuple[str, ...], ca
         settings=settings,
         plants=labels,
         bode=bode,
+        closed=curves.closed_loop(transfers),
         nichols=nichols,
         locus=curves.locus(),
         step=curves.step(),

@@ -14,7 +14,17 @@ from platform_ctrl.analysis.feedback import closed_loop
 from platform_ctrl.analysis.plant_set import COMMAND, BoolArray
 from platform_ctrl.analysis.poles import continuous_poles, pole_branches
 from platform_ctrl.analysis.response import frequency_response
-from platform_ctrl.app.pictures import Bode, Drawing, FrequencyGain, Locus, Measured, Nichols, Overlay, TimeResponse
+from platform_ctrl.app.pictures import (
+    Bode,
+    ClosedLoop,
+    Drawing,
+    FrequencyGain,
+    Locus,
+    Measured,
+    Nichols,
+    Overlay,
+    TimeResponse,
+)
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.job.job import Job
 from platform_ctrl.plant.drawing import signal_series
@@ -207,22 +217,52 @@ ALL = slice(None)
 Parts = tuple[Drawing, Callable[[], Measured]]
 
 
+class LoopTransfers(NamedTuple):
+    """Plant, controller, and the sensitivity at the plant's input of u = K y over frequency, complex (F, ...)."""
+
+    P: ComplexArray
+    K: ComplexArray
+    S: ComplexArray
+
+
 class LoopCurves(ABC):
     """The curves of a closed loop in one mode, shown broken at one torquer; with a band those of the whole set too.
 
-    A subclass sets `job`, `axis`, `channel`, the torquer's name, and `poles` (n,), rad/s, and `stable` of the plant
-    shown.
+    A subclass sets `job`, `axis`, `channel`, the torquer's name, its `index`, and `poles` (n,), rad/s, and `stable` of
+    the plant shown.
     """
 
     job: Job
     axis: int
     channel: str
+    index: int
     poles: ComplexArray
     stable: bool
 
     @abstractmethod
+    def transfers(self, frequency: FloatArray) -> LoopTransfers:
+        """Return what the loop of the plant shown consists of at `frequency` (F,), rad/s."""
+
+    @abstractmethod
+    def readings(self) -> tuple[list[str], str]:
+        """Return the units of what the controller reads, and of what it sets at the channel."""
+
     def response(self, frequency: FloatArray) -> ComplexArray:
         """Return the loop transfer of the plant shown at `frequency` (F,), rad/s."""
+        return channel_response(self.transfers(frequency).S, self.index)
+
+    def closed_loop(self, loop: LoopTransfers) -> ClosedLoop:
+        """Return what noise and loads come to at the channel."""
+        units, torque = self.readings()
+        rows = [k for k, unit in enumerate(units) if unit == units[0]]
+        with np.errstate(all="ignore"):
+            KS = (loop.S[:, [self.index]] @ loop.K[..., rows])[:, 0]
+            PS = (loop.P[:, rows] @ loop.S[..., [self.index]])[..., 0]
+        return ClosedLoop(
+            KS=np.asarray(np.linalg.norm(KS, axis=-1)),
+            PS=np.asarray(np.linalg.norm(PS, axis=-1)),
+            units=(_per(torque, units[0]), _per(units[0], torque)),
+        )
 
     @abstractmethod
     def step(self) -> TimeResponse:
@@ -286,6 +326,11 @@ class LoopCurves(ABC):
             high=high,
             limit=limit,
         )
+
+
+def _per(unit: str, other: str) -> str:
+    above = f"({unit})" if "/" in unit else unit
+    return f"{above}/({other})" if set(other) & set(" /") else f"{above}/{other}"
 
 
 def overlay(curves: LoopCurves, design: str, method: str, frequency: FloatArray) -> Overlay:

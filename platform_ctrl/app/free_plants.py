@@ -19,7 +19,7 @@ from platform_ctrl.analysis.poles import continuous_poles, poles
 from platform_ctrl.analysis.resolvent import AxisResponse
 from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.analysis.sampling import held_input, sampled
-from platform_ctrl.app.curves import DRAWN, EDGE, GRID_POINTS
+from platform_ctrl.app.curves import DRAWN, EDGE, GRID_POINTS, LoopTransfers
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.cases import changed
 from platform_ctrl.job.job import Job, LoopSpec, Sampling
@@ -264,9 +264,14 @@ class Sensitivity:
     def __init__(self, P: StateArrays, K: StateArrays) -> None:
         self._P, self._K = AxisResponse(P, DRAWN), AxisResponse(K, DRAWN)
 
+    def transfers(self, w: FloatArray) -> LoopTransfers:
+        """Return what the loop consists of at `w` (F,), rad/s."""
+        P, K = self._P.at(w), self._K.at(w)
+        return LoopTransfers(P, K, sensitivity_functions(-K @ P)[0])
+
     def at(self, w: FloatArray) -> ComplexArray:
         """Return S at `w` (F,), rad/s, complex (F, m, m)."""
-        return sensitivity_functions(-self._K.at(w) @ self._P.at(w))[0]
+        return self.transfers(w).S
 
 
 def disk_margins(P: StateArrays, K: StateArrays, channels: Sequence[int]) -> FloatArray:

@@ -80,6 +80,19 @@ class Bode:
 
 
 @value
+class ClosedLoop:
+    """What noise and loads come to in the closed loop at the torquer of the Bode diagram, at its frequencies (F,).
+
+    `KS` is the gain from noise of the readings to its torque, `PS` from a torque beside it to the readings: norms over
+    all readings in the unit of the first. `units` are those of both.
+    """
+
+    KS: FloatArray
+    PS: FloatArray
+    units: tuple[str, str]
+
+
+@value
 class Nichols:
     """The Nichols plot of the same loop for all plants of the set, the plant shown first.
 
@@ -188,6 +201,7 @@ class Drawing:
     settings: Settings
     plants: tuple[str, ...]
     bode: Bode
+    closed: ClosedLoop
     nichols: Nichols
     locus: Locus
     step: TimeResponse

@@ -22,6 +22,7 @@ from platform_ctrl.app.curves import (
     Drive,
     Driven,
     LoopCurves,
+    LoopTransfers,
     Parts,
     channel_margins,
     channel_response,
@@ -192,9 +193,14 @@ class StabilisedCurves(LoopCurves):
         self.sensitivity = Sensitivity(self.plant, self.controller)
         self.banded = banded
 
-    def response(self, frequency: FloatArray) -> ComplexArray:
-        """Return the loop transfer of the plant shown at `frequency` (F,), rad/s."""
-        return channel_response(self.sensitivity.at(frequency), self.index)
+    def transfers(self, frequency: FloatArray) -> LoopTransfers:
+        """Return what the loop of the plant shown consists of at `frequency` (F,), rad/s."""
+        return self.sensitivity.transfers(frequency)
+
+    def readings(self) -> tuple[list[str], str]:
+        """Return the units of what the controllers read, and of what they set at the channel."""
+        units = {sensor.name: sensor.unit for sensor in self.job.platform.sensors}
+        return [units[name] for name in self.loop.shown.sensors], "N m"
 
     def step(self) -> TimeResponse:
         """Return the response to a step of torque on the platform about the axis."""
@@ -313,7 +319,8 @@ def stabilised_parts(loop: StabilisedLoop, settings: Settings, labels: tuple[str
     curves = StabilisedCurves(loop, settings, bool(settings.band and len(loop.plants.labels) > 1))
     P, s, stable, channel = curves.plant, curves.poles, curves.stable, curves.index
     grid = np.union1d(loop_grid(P, s), loop.plants.frequency)
-    S = curves.sensitivity.at(grid)
+    transfers = curves.transfers(grid)
+    S = transfers.S
     response = channel_response(S, channel)
     every = curves.set_poles()
     own_margins = channel_margins(grid, response, stable)
@@ -345,6 +352,7 @@ def stabilised_parts(loop: StabilisedLoop, settings: Settings, labels: tuple[str
         settings=settings,
         plants=labels,
         bode=bode,
+        closed=curves.closed_loop(transfers),
         nichols=nichols,
         locus=curves.locus(every, reference),
         step=curves.step(),

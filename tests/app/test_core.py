@@ -9,6 +9,7 @@ from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+import control
 import numpy as np
 import pytest
 
@@ -102,6 +103,21 @@ def test_bode_is_the_loop_broken_at_one_torquer_with_the_others_closed(
         np.abs(np.exp(1j * np.radians(picture.bode.phase)) * picture.bode.magnitude - direct).max()
         < 1e-6 * np.abs(direct).max()
     )
+
+
+def test_what_noise_and_loads_come_to_is_what_python_control_closes(
+    bench: Backend, settings: Settings, picture: Picture
+) -> None:
+    _, _, plants, K = _closed(bench, settings)
+    P, K = sampled_plant(plants), named_system(K, plants.angles, plants.torques)
+    P, K = (control.ss(one.A, one.B, one.C, one.D, plants.period) for one in (P, K))
+    # u = K y: positive feedback; a torque beside the controller's, and noise on all readings.
+    loads, noise = control.feedback(P, K, sign=1), control.feedback(K, P, sign=1)
+    j, w = plants.torques.index(settings.channel), picture.bode.frequency
+    PS, KS = (one.frequency_response(w).complex for one in (loads, noise))
+    np.testing.assert_allclose(picture.closed.PS, np.linalg.norm(PS[:, j], axis=0), rtol=1e-6)
+    np.testing.assert_allclose(picture.closed.KS, np.linalg.norm(KS[j], axis=0), rtol=1e-6)
+    assert picture.closed.units == ("N m/rad", "rad/(N m)")
 
 
 def test_poles_and_requirements_are_those_of_the_certified_design(

@@ -308,6 +308,47 @@ def test_the_response_to_omega_is_shown_over_time_or_over_frequency(fresh: Plots
     assert "rate Omega1" in heading(plots, "Omega")
 
 
+def test_the_closed_loop_takes_the_place_of_the_open_one(fresh: Plots) -> None:
+    plots, shown = fresh, picture(overlays=("other",))
+    plots.show(shown)
+    visible = lambda: [figure(plots, "bode", k).visible for k in range(5)]  # noqa: E731
+    assert visible() == [True, True, False, False, False]
+    click(plots.layout["bode"].select_one({"name": "bode-toggle"}))
+    assert visible() == [False, False, True, True, True]
+    S = 1.0 / (1.0 + shown.bode.response)
+    curves = plots.sources["closed_loop"].data
+    np.testing.assert_allclose(curves["S"], 20.0 * np.log10(np.abs(S)), atol=1e-4)
+    np.testing.assert_allclose(curves["T"], 20.0 * np.log10(np.abs(1.0 - S)), atol=1e-4)
+    np.testing.assert_allclose(plots.sources["KS"].data["gain"], shown.closed.KS, rtol=1e-6)
+    assert len(plots.sources["closed_loop_overlays"].data["ys"]) == 2
+    assert {figure(plots, "bode", k).x_range for k in range(5)} == {figure(plots, "Omega", 2).x_range}
+    band = plots.sources["closed_loop_band"].data
+    inside = np.interp(band["frequency"], curves["frequency"], curves["S"])
+    assert np.all(band["S_low"] <= inside + 1e-3)
+    assert np.all(inside - 1e-3 <= band["S_high"])
+    click(plots.layout["bode"].select_one({"name": "bode-toggle"}))
+    assert visible() == [True, True, False, False, False]
+    assert "others closed" in heading(plots, "bode")
+
+
+@pytest.mark.parametrize("alpha", [0.3, 0.5, 1.5])
+def test_no_loop_with_a_disk_margin_reaches_the_region_that_it_closes_to_the_sensitivities(
+    fresh: Plots, alpha: float
+) -> None:
+    shown = picture()
+    angle = np.linspace(0.0, 2.0 * np.pi, len(shown.bode.frequency))
+    # |S - 1/2| = 1/alpha: loops that have just this margin at every frequency.
+    S = 0.5 + np.exp(1j * angle) / alpha
+    bode = dataclasses.replace(shown.bode, response=1.0 / S - 1.0)
+    nichols = dataclasses.replace(shown.nichols, disk_margin=alpha)
+    click(fresh.layout["bode"].select_one({"name": "bode-toggle"}))
+    fresh.show(dataclasses.replace(shown, bode=bode, nichols=nichols))
+    curves = fresh.sources["closed_loop"].data
+    bounds = [one for one in figure(fresh, "bode", 2).select({"type": BoxAnnotation}) if one.visible]
+    highest = max(np.nanmax(curves["S"]), np.nanmax(curves["T"]))
+    assert [one.bottom for one in bounds] == [pytest.approx(highest, abs=1e-2)]
+
+
 def click(button: Any) -> None:
     button._trigger_event(ButtonClick(button))
 

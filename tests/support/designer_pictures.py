@@ -7,7 +7,17 @@ from typing import Any
 
 import numpy as np
 
-from platform_ctrl.app.pictures import Bode, FrequencyGain, Locus, Margins, Nichols, Overlay, Picture, TimeResponse
+from platform_ctrl.app.pictures import (
+    Bode,
+    ClosedLoop,
+    FrequencyGain,
+    Locus,
+    Margins,
+    Nichols,
+    Overlay,
+    Picture,
+    TimeResponse,
+)
 from platform_ctrl.app.settings import Settings
 from platform_ctrl.job.judging import CheckResult
 
@@ -115,6 +125,7 @@ def picture(gain: float = 4000.0, *, overlays: tuple[str, ...] = (), plants: int
             nyquist=2000.0 * np.pi,
             overlays=over,
         ),
+        closed=ClosedLoop(KS=3.0 * size[0], PS=0.01 / size[0], units=("N m/rad", "rad/(N m)")),
         nichols=Nichols(
             labels=tuple(f"plant {k}" for k in range(len(spread))),
             phase=phase,

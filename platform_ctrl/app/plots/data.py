@@ -98,6 +98,12 @@ def decibels(gain: Any) -> Column:
         return column(20.0 * np.log10(np.asarray(gain, dtype=np.float64)))
 
 
+def positive(gain: FloatArray) -> FloatArray:
+    """Return gains with gaps where they are not positive."""
+    with np.errstate(invalid="ignore"):
+        return np.asarray(np.where(gain > 0.0, gain, np.nan))
+
+
 def joined_curves(rows: Any, kept: NDArray[np.bool_] | None = None) -> Column:
     """Return the rows of an array (N, F) one after the other with a gap after each: many curves as one line.
 
@@ -220,6 +226,12 @@ def stepped(step: float, least: float, most: float) -> Bounds:
         return bottom, max(top, bottom + step)
 
     return bounds
+
+
+def decades(low: float, high: float) -> tuple[float, float]:
+    """Return bounds at whole powers of ten."""
+    bottom, top = math.floor(math.log10(low) + 1e-9), math.ceil(math.log10(high) - 1e-9)
+    return 10.0**bottom, 10.0 ** max(top, bottom + 1)
 
 
 class View:

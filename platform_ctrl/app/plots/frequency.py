@@ -10,6 +10,7 @@ from bokeh.core.properties import value
 from bokeh.models.annotations.geometry import BoxAnnotation
 
 from platform_ctrl.app.pictures import Bode, Drawing, Nichols
+from platform_ctrl.app.plots.closed_loop import ClosedLoopFigures
 from platform_ctrl.app.plots.data import (
     FONT,
     HZ,
@@ -31,6 +32,8 @@ from platform_ctrl.app.plots.panel import OverlayCurves, Panel, Theme, limit_key
 from platform_ctrl.app.settings import Settings
 from platform_ctrl.common.values import FloatArray
 
+# Words of the button while the open loop is shown, and while the closed one is.
+_TOGGLE = {False: "S, T, KS, PS", True: "loop L"}
 _BAND = ("frequency", "gain_low", "gain_high", "phase_low", "phase_high")
 # Sliders that are dragged in the diagram: their words, and the optional part that they belong to.
 _SLIDERS = {"lead_hz": ("lead zero", ""), "inertial_lead_hz": ("inertial zero", ""), "notch_hz": ("notch", "notch")}
@@ -39,7 +42,10 @@ _MARKS = ("frequency", "gain0", "gain1", "phase0", "phase1")
 
 
 class BodePanel(Panel):
-    """The Bode diagram."""
+    """The Bode diagram, or what the loop that it shows is when it is closed."""
+
+    _is_closed = False
+    _picture: Drawing | None = None
 
     def __init__(self, theme: Theme, sources: Sources, frequency: View) -> None:
         super().__init__("bode", "Bode", theme, sources)
@@ -83,6 +89,18 @@ class BodePanel(Panel):
         self.handle = CrossoverHandle(above, theme, lambda: self._reach.update(visible=False))
         self.sliders = [SliderHandle(above, theme) for _ in range(len(_SLIDERS))]
         self._message = self.message(above)
+        self._open, self._closed = (above, below), ClosedLoopFigures(self, frequency)
+        self._toggle = self.toggle(_TOGGLE[False], lambda: self.choose(not self._is_closed))
+
+    def choose(self, closed: bool) -> None:
+        """Show the closed loop, or the open one."""
+        self._is_closed = closed
+        self._toggle.label = _TOGGLE[closed]
+        for plot in self._open:
+            plot.visible = not closed
+        self._closed.choose(closed)
+        if self._picture is not None:
+            self.show(self._picture)
 
     def _mark_sliders(self, settings: Settings) -> None:
         """Mark the lead zeros and the notch of a design that is shaped by sliders."""
@@ -99,6 +117,7 @@ class BodePanel(Panel):
 
     def show(self, picture: Drawing) -> None:
         """Follow a picture."""
+        self._picture = picture
         bode, crossover, required = picture.bode, picture.crossover, picture.bandwidth
         f, gain, phase = column(bode.frequency * HZ), decibels(bode.magnitude), column(bode.phase)
         self.sources.put("loop", frequency=f, gain=gain, phase=phase)
@@ -128,9 +147,13 @@ class BodePanel(Panel):
         self._phase.fit(extent([phase]))
         self.handle.show(None if crossover is None else crossover * HZ, movable=picture.shapeable)
         self._mark_sliders(picture.settings)
-        self.heading(f"L at {bode.channel}, others closed")
-        limits = [limit_key("required bandwidth")] if required is not None else []
-        self.keys([(picture.settings.design or "L", "series-1", (), 2.2), *overlay_keys(bode.overlays), *limits])
+        if self._is_closed:
+            self.heading(f"closed loop at {bode.channel}")
+            self.keys(self._closed.show(picture))
+        else:
+            self.heading(f"L at {bode.channel}, others closed")
+            limits = [limit_key("required bandwidth")] if required is not None else []
+            self.keys([(picture.settings.design or "L", "series-1", (), 2.2), *overlay_keys(bode.overlays), *limits])
         empty = not (np.isfinite(gain).any() and np.isfinite(phase).any())
         set_message(self._message, "no finite response of this loop" if empty else _trouble(picture))
 

@@ -190,6 +190,14 @@ class Panel:
         """Return a small button in the page's style."""
         return Button(label=label, name=name, margin=0, height=18, stylesheets=[self.theme.sheet(_BUTTON)])
 
+    def toggle(self, label: str, clicked: Callable[[], None]) -> Button:
+        """Return a button beside the heading, by which the panel shows something else."""
+        out = self.button(label, f"{self.name}-toggle")
+        out.on_click(clicked)
+        heading, *others = self.row.children
+        self.row.children = [heading, out, *others]
+        return out
+
     def add(self, x: View, y: View, x_label: str, y_label: str) -> Any:
         """Return a new figure below the others, styled, with zoom, pan and reset but without a tool bar."""
         out = figure(

@@ -18,8 +18,10 @@ from platform_ctrl.app.plots.data import (
     assign,
     column,
     dashes,
+    decades,
     extent,
     finite,
+    positive,
     quantity,
     series,
     thinned,
@@ -238,17 +240,12 @@ class StepPanel(TimePanel):
         self.show_response(picture, picture.step, "step")
 
 
-def _decades(low: float, high: float) -> tuple[float, float]:
-    bottom, top = math.floor(math.log10(low) + 1e-9), math.ceil(math.log10(high) - 1e-9)
-    return 10.0**bottom, 10.0 ** max(top, bottom + 1)
-
-
 class RatePanel(TimePanel):
     """Response to Omega, or of the free platform to a torque on it, over time or over frequency."""
 
     def __init__(self, theme: Theme, sources: Sources, frequency: View) -> None:
         super().__init__("Omega", "Disturbance", theme, sources, "Omega_time")
-        self._gain = View(1e-3, 1.0, _decades, logarithmic=True)
+        self._gain = View(1e-3, 1.0, decades, logarithmic=True)
         self._plot = plot = self.add(frequency, self._gain, "frequency, Hz", "")
         lines = sources.new("Omega_gain", "frequency", "gain")
         band = sources.new("Omega_gain_band", "frequency", "low", "high")
@@ -264,9 +261,7 @@ class RatePanel(TimePanel):
         self._message = self.message(plot)
         self._unit = Unit()
         self._over_frequency = False
-        self._toggle = self.button("frequency", "Omega-toggle")
-        self._toggle.on_click(lambda: self.choose(not self._over_frequency))
-        self.row.children = [self.row.children[0], self._toggle, *self.row.children[1:]]
+        self._toggle = self.toggle("frequency", lambda: self.choose(not self._over_frequency))
         plot.visible = False
         self._picture: Drawing | None = None
 
@@ -289,7 +284,7 @@ class RatePanel(TimePanel):
 
     def _show_gain(self, picture: Drawing) -> None:
         response, overlays, put = picture.Omega_frequency, picture.bode.overlays, self.sources.put
-        gain = _positive(response.gain)
+        gain = positive(response.gain)
         top = extent([gain])
         size = top[1] if top is not None else math.nan
         limit = response.limit if response.limit is not None and 0.0 < response.limit < math.inf else None
@@ -306,7 +301,7 @@ class RatePanel(TimePanel):
         put(
             "Omega_gain_overlays",
             xs=[frequency] * len(own),
-            ys=[column(_positive(one.Omega_gain), scale) for _, one in own],
+            ys=[column(positive(one.Omega_gain), scale) for _, one in own],
             name=[one.design for _, one in own],
             colour=[self.theme.colours[series(1 + k)] for k, _ in own],
             dash=[list(dashes(1 + k)) for k, _ in own],
@@ -325,9 +320,3 @@ class RatePanel(TimePanel):
         self.heading(response.title)
         limits = [] if limit is None else [limit_key(f"limit {quantity(limit, response.unit)}")]
         self.keys([(picture.settings.design, "series-1", (), 2.2), *overlay_keys(overlays), *limits])
-
-
-def _positive(gain: FloatArray) -> FloatArray:
-    """Return gains with gaps where they are not positive."""
-    with np.errstate(invalid="ignore"):
-        return np.asarray(np.where(gain > 0.0, gain, np.nan))
