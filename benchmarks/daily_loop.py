@@ -3,7 +3,8 @@
     python benchmarks/daily_loop.py [--before CHECKOUT] [--rounds 3]
 
 Runs `platform-ctrl design` on the shipped job in processes of their own: into an empty folder, again without a change,
-after a change of one loop's limit, and with --fresh. With --before the same by the package of another checkout, by
+after a change of one loop's limit, with --fresh, and from the save of that change to the report where `design --watch`
+runs (wall time alone). With --before the same by the package of another checkout, by
 turns in the same run; there every design is made anew each time. --cold runs each first without anything that is
 compiled, in a copy of the package. CPU time is that of the command and of the processes that it started; medians.
 """
@@ -11,6 +12,7 @@ compiled, in a copy of the package. CPU time is that of the command and of the p
 from __future__ import annotations
 
 import argparse
+import math
 import os
 import resource
 import shutil
@@ -20,36 +22,67 @@ import sys
 import tempfile
 import time
 from pathlib import Path
+from typing import IO, Any
 
 ROOT = Path(__file__).resolve().parents[1]
 JOB = ROOT / "examples" / "three_gyro_platform.toml"
 # One limit of the second loop, met before and after.
-LIMIT, CHANGED = "Omega_rejection = 0.003\n", "Omega_rejection = 0.0031\n"
+LIMIT, CHANGED, AGAIN = (f"Omega_rejection = {limit}\n" for limit in ("0.003", "0.0031", "0.0032"))
 _COMMAND = "import sys; from platform_ctrl.cli import main; sys.exit(main(sys.argv[1:]))"
+
+
+def started(checkout: Path, folder: Path, job: Path, *options: str, **streams: Any) -> subprocess.Popen[str]:
+    """Return a process that designs a job."""
+    environment = os.environ | {"PYTHONPATH": str(checkout), "OPENBLAS_NUM_THREADS": "1"}
+    command = [sys.executable, "-P", "-c", _COMMAND, "design", str(job), "-o", str(folder / "out"), *options]
+    return subprocess.Popen(command, env=environment, cwd=folder, text=True, stdout=subprocess.DEVNULL, **streams)
 
 
 def run(checkout: Path, folder: Path, job: Path, *options: str) -> tuple[float, float]:
     """Return wall and CPU time of a design, s."""
-    environment = os.environ | {"PYTHONPATH": str(checkout), "OPENBLAS_NUM_THREADS": "1"}
     before, start = resource.getrusage(resource.RUSAGE_CHILDREN), time.monotonic()
-    command = [sys.executable, "-P", "-c", _COMMAND, "design", str(job), "-q", "-o", str(folder / "out"), *options]
-    subprocess.run(command, env=environment, cwd=folder, check=True, stdout=subprocess.DEVNULL)
+    if started(checkout, folder, job, "-q", *options).wait() != 0:
+        raise SystemExit(f"{checkout}: design failed")
     wall, after = time.monotonic() - start, resource.getrusage(resource.RUSAGE_CHILDREN)
     return wall, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+
+
+def watched(checkout: Path, folder: Path, job: Path, changed: str) -> tuple[float, float]:
+    """Return the wall time from a save of the job to the next report, s."""
+    with started(checkout, folder, job, "--watch", stderr=subprocess.PIPE) as process:
+        assert process.stderr is not None
+        _until_it_waits(process.stderr)
+        start = time.monotonic()
+        job.write_text(changed, encoding="utf-8")
+        _until_it_waits(process.stderr)
+        wall = time.monotonic() - start
+        process.kill()
+    return wall, math.nan
+
+
+def _until_it_waits(lines: IO[str]) -> None:
+    for line in lines:
+        if line.startswith("waiting"):
+            return
+    raise SystemExit("design --watch has ended")
 
 
 def measured(checkout: Path, folder: Path) -> dict[str, tuple[float, float]]:
     """Return wall and CPU time of each case, s."""
     shutil.rmtree(folder / "out", ignore_errors=True)
     changed = folder / "changed.toml"
-    changed.write_text(JOB.read_text(encoding="utf-8")[::-1].replace(LIMIT[::-1], CHANGED[::-1], 1)[::-1], "utf-8")
+    first, _, last = JOB.read_text(encoding="utf-8").rpartition(LIMIT)
+    changed.write_text(first + CHANGED + last, encoding="utf-8")
     reuses = (checkout / "platform_ctrl" / "design" / "reuse.py").exists()
-    return {
+    times = {
         "into an empty folder": run(checkout, folder, JOB),
         "again, nothing changed": run(checkout, folder, JOB),
         "one limit of a loop changed": run(checkout, folder, changed),
         "--fresh": run(checkout, folder, JOB, *(["--fresh"] if reuses else [])),
     }
+    if (checkout / "platform_ctrl" / "cli" / "watching.py").exists():
+        times["one limit changed, --watch"] = watched(checkout, folder, changed, first + AGAIN + last)
+    return times
 
 
 def cold(checkout: Path, folder: Path) -> tuple[float, float]:
@@ -84,8 +117,8 @@ def main() -> None:
     print(f"{'':30}{'wall':>9}{'CPU':>9}" + (f"{'before':>9}{'CPU':>9}{'ratio':>9}{'CPU':>9}" if given.before else ""))
     for case, rounds in times["now"].items():
         wall, cpu = _medians(rounds)
-        line = f"{case:30}{wall:7.1f} s{cpu:7.1f} s"
-        if given.before:
+        line = f"{case:30}{wall:7.1f} s" + ("" if math.isnan(cpu) else f"{cpu:7.1f} s")
+        if case in times.get("before", {}):
             old_wall, old_cpu = _medians(times["before"][case])
             line += f"{old_wall:7.1f} s{old_cpu:7.1f} s{wall / old_wall:9.2f}{cpu / old_cpu:9.2f}"
         print(line)

@@ -8,15 +8,14 @@ from __future__ import annotations
 
 import errno
 import os
-import shutil
 import sys
-import textwrap
 import warnings
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from platform_ctrl.cli.error_lines import began_with_interrupt, failed, reported
 from platform_ctrl.cli.interrupts import INTERRUPTED, INTERRUPTED_LINE, ProcessEnd, exit_interrupted, interruptible
-from platform_ctrl.errors import DesignError, OldKeyWarning, PlatformCtrlError, SimulationError
+from platform_ctrl.errors import OldKeyWarning, PlatformCtrlError
 
 __all__ = ["main"]
 
@@ -64,9 +63,9 @@ def _guarded(arguments: list[str]) -> int:
             raise
         # A full disk behind standard output; errors of files are messages of their own.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        code = _failed(f"standard output: {error.strerror or error}", 1)
+        code = failed(f"standard output: {error.strerror or error}", 1)
     except BaseException as error:
-        if not _began_with_interrupt(error):
+        if not began_with_interrupt(error):
             raise
         code = INTERRUPTED
     return code
@@ -94,13 +93,6 @@ def _shown(otherwise: Callable[..., None]) -> Callable[..., None]:
     return show
 
 
-def _began_with_interrupt(error: BaseException | None) -> bool:
-    """Return whether Ctrl-C caused an error: libraries that are interrupted may raise their own."""
-    while error is not None and not isinstance(error, KeyboardInterrupt):
-        error = error.__cause__ or error.__context__
-    return error is not None
-
-
 def _run(arguments: list[str]) -> int:
     import typer
 
@@ -112,14 +104,14 @@ def _run(arguments: list[str]) -> int:
     except typer.Abort:
         return INTERRUPTED
     except PlatformCtrlError as error:
-        if _began_with_interrupt(error):
+        if began_with_interrupt(error):
             return INTERRUPTED
-        return _failed(str(error), 1 if isinstance(error, DesignError | SimulationError) else 2)
+        return reported(error)
     except Exception as error:
         # What typer raises for a wrong command line: its class has moved between modules, this method has not.
         if not hasattr(error, "format_message"):
             raise
-        return _failed(_usage_message(error), 2)
+        return failed(_usage_message(error), 2)
 
 
 def _with_help(arguments: list[str]) -> list[str]:
@@ -137,13 +129,3 @@ def _usage_message(error: Any) -> str:
     if message.startswith("Missing") and meaning:
         message = f"{message.rstrip('.')}: {meaning}"
     return f"{message} (see {getattr(context, 'command_path', 'platform-ctrl')} --help)"
-
-
-def _failed(message: str, code: int) -> int:
-    line = f"platform-ctrl: error: {' '.join(message.split())}"
-    if sys.stderr.isatty():
-        # A terminal would break the one line within words.
-        width = shutil.get_terminal_size().columns
-        line = textwrap.fill(line, width, break_long_words=False, break_on_hyphens=False)
-    print(line, file=sys.stderr)
-    return code

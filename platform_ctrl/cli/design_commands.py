@@ -62,6 +62,10 @@ def design(
     fresh: Annotated[
         bool, option("--fresh", help=f"Design everything anew: ignore what {REUSE} in the folder holds.", default=True)
     ] = False,
+    watch: Annotated[
+        bool,
+        option("--watch", help="Go on: design again whenever JOB or a file that it names is saved.", default=True),
+    ] = False,
     campaign: CampaignFolder = None,
     junit: Junit = None,
     as_json: Json = False,
@@ -76,19 +80,38 @@ def design(
     \b
     platform-ctrl design job.toml                            report: out/report.html
     platform-ctrl design job.toml -o run7 --pdf              run7/report.html and run7/report.pdf
+    platform-ctrl design job.toml --watch                    again after each change, until Ctrl-C
     platform-ctrl design job.toml --campaign campaign --pdf  with a section about a campaign
     platform-ctrl design job.toml --json | jq .requirements  the verdicts, to compute with
 
     Exit code 1 if a requirement is not met, or if a method finds no controller (named on standard error).
     """  # noqa: D301
+    from platform_ctrl.common.processes import SecondProcess
+
+    report = Report(out, pdf, campaign)
+    # Started first: it loads what draws while this one reads the job.
+    with SecondProcess(*DRAWING) as beside:
+
+        def once(fresh: bool = False) -> int:
+            return _designed(job, report, junit, beside, fresh=fresh, as_json=as_json, quiet=quiet)
+
+        if watch:
+            from platform_ctrl.cli.watching import whenever_saved
+
+            whenever_saved(job, once, fresh, quiet=quiet or as_json)
+        return once(fresh)
+
+
+def _designed(
+    job: Path, report: Report, junit: Path | None, beside: SecondProcess, *, fresh: bool, as_json: bool, quiet: bool
+) -> int:
+    """Design a job once; return the exit code."""
     from platform_ctrl.cli.terminal import progress
 
     with progress(quiet or as_json, f"reading {job}") as say:
         read = job_of(job)
-        report = Report(out, pdf, campaign)
         report.expect_possible(read)
         report.prepare(junit, [job, *plant_file(job, read)])
-        from platform_ctrl.common.processes import SecondProcess
         from platform_ctrl.common.store import Store
         from platform_ctrl.design import loops
         from platform_ctrl.simulation.compilation import start_compilation
@@ -96,14 +119,13 @@ def design(
 
         if read.manoeuvres:
             start_compilation()
-        store = Store(out / REUSE, fresh=fresh)
-        with SecondProcess(*DRAWING) as beside:
-            outcomes = loops(read, say, store, beside)
-            from platform_ctrl.report.page.job_page import loops_ahead
+        store = Store(report.folder / REUSE, fresh=fresh)
+        outcomes = loops(read, say, store, beside)
+        from platform_ctrl.report.page.job_page import loops_ahead
 
-            drawing = Drawing(beside, store, loops_ahead(read, outcomes, beside, store))
-            result = check_job(read, outcomes, say)
-            show = report.write(result, ["design", str(job), "-o", str(out)], say, as_json, drawing)
+        drawing = Drawing(beside, store, loops_ahead(read, outcomes, beside, store))
+        result = check_job(read, outcomes, say)
+        show = report.write(result, ["design", str(job), "-o", str(report.folder)], say, as_json, drawing)
         if junit is not None:
             from platform_ctrl.report.failures import write_junit
 
@@ -223,15 +245,15 @@ def check(
     platform-ctrl check job.toml --quiet && deploy                        go on only if all is met
     """  # noqa: D301
     from platform_ctrl.cli.terminal import progress
+    from platform_ctrl.common.processes import SecondProcess
 
     folder = out or CHECKED
-    with progress(quiet or as_json, f"reading {job}") as say:
+    with SecondProcess(*DRAWING) as beside, progress(quiet or as_json, f"reading {job}") as say:
         read = job_of(job)
         file = controller_file(controllers, out, job)
         comparison = BaselineOptions.given(baseline, update_baseline)
         report = Report(folder, pdf, campaign)
         report.expect_possible(read)
-        from platform_ctrl.common.processes import SecondProcess
         from platform_ctrl.common.store import Store
         from platform_ctrl.verification import check_job
         from platform_ctrl.verification.controllers import outcomes_from, read_controllers
@@ -243,16 +265,15 @@ def check(
             campaign_summary(read, closed, campaign)  # before the work on what would be refused
         report.prepare(junit, [job, *plant_file(job, read), file, baseline])
         say(f"controllers: {file}")
-        with SecondProcess(*DRAWING) as beside:
-            outcomes, store = outcomes_from(read, closed, others), Store(folder / REUSE)
-            from platform_ctrl.report.page.job_page import loops_ahead
+        outcomes, store = outcomes_from(read, closed, others, beside), Store(folder / REUSE)
+        from platform_ctrl.report.page.job_page import loops_ahead
 
-            drawing = Drawing(beside, store, loops_ahead(read, outcomes, beside, store))
-            result = check_job(read, outcomes, say)
-            notes = unconfirmed(file, result)
-            command = ["check", str(job), "--controllers", str(file), "-o", str(folder)]
-            compared: dict[str, Any] = {}
-            show = report.write(result, command, say, as_json, drawing, compared)
+        drawing = Drawing(beside, store, loops_ahead(read, outcomes, beside, store))
+        result = check_job(read, outcomes, say)
+        notes = unconfirmed(file, result)
+        command = ["check", str(job), "--controllers", str(file), "-o", str(folder)]
+        compared: dict[str, Any] = {}
+        show = report.write(result, command, say, as_json, drawing, compared)
         outcome = comparison.outcome(result)  # last: nothing is accepted of which there is no report
         compared |= outcome.record or {}
         if junit is not None:

@@ -171,6 +171,18 @@ def plant_file(path: Path, job: Job) -> list[Path]:
     return [file] if file.is_file() else []
 
 
+def files_read(job: Path) -> list[Path]:
+    """Return a job's file and all that its texts may name beside it: a plant, measured responses, logs."""
+    tables: list[Any] = [_tables(job)]
+    texts: dict[str, None] = {}
+    for item in tables:  # it grows
+        if isinstance(item, str):
+            texts[item] = None
+        elif isinstance(item, dict | list):
+            tables.extend(item.values() if isinstance(item, dict) else item)
+    return [job, *(job.parent / text for text in texts)]
+
+
 def prepare_folder(folder: Path, files: Sequence[str] = ()) -> None:
     """Make the folder and try to write there: before the work, not after it."""
     try:

@@ -7,16 +7,18 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from platform_ctrl.analysis.plant_set import COMMAND, PlantSet
+from platform_ctrl.common.processes import SecondProcess, Task
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.design.caging_claims import with_caging_claims
 from platform_ctrl.design.feedforward import design_plants
 from platform_ctrl.design.jobs import LoopOutcome, in_order
 from platform_ctrl.design.loop import LoopDesign, LoopProblem, remeasured, with_commands
 from platform_ctrl.design.loop_signals import loop_signals
+from platform_ctrl.design.partition import Channels
 from platform_ctrl.design.plants import plants_of, tracking_plants
 from platform_ctrl.errors import InputError
 from platform_ctrl.job.job import DesignSpec, Job, LoopSpec
@@ -118,9 +120,12 @@ def _controller(entry: JSONTable, job: Job, known: Sequence[str]) -> control.Sta
 
 @check_arguments
 def outcomes_from(
-    job: Job, controllers: Sequence[control.StateSpace], alternatives: Sequence[control.StateSpace] = ()
+    job: Job,
+    controllers: Sequence[control.StateSpace],
+    alternatives: Sequence[control.StateSpace] = (),
+    beside: SecondProcess | None = None,
 ) -> tuple[LoopOutcome, ...]:
-    """Return existing controllers as the outcome of the job's loops, measured again."""
+    """Return existing controllers as the outcome of the job's loops, measured again; `beside` measures a part."""
     placed: dict[str, control.StateSpace] = {}
     for K in controllers:
         spec = _loop_of(job, K)
@@ -140,30 +145,33 @@ def outcomes_from(
     others: dict[str, list[control.StateSpace]] = {name: [] for name in placed}
     for K in alternatives:
         others[_loop_of(job, K).name].append(K)
-    # The plants of a tracking loop have the rate loop inside them.
-    first = sorted(placed, key=lambda name: specs[name].kind == "tracking")
     made: dict[str, LoopOutcome] = {}
-    for name in first:
-        inner = made.get(specs[name].around or "")
-        made[name] = _outcome(job, specs[name], placed[name], others[name], inner)
-    return in_order(job, [made[name] for name in first])
+    # The plants of a tracking loop have the rate loop inside them.
+    for tracking in (False, True):
+        tasks: list[Task] = []
+        for name, closed in placed.items():
+            if (specs[name].kind == "tracking") is tracking:
+                inner = made.get(specs[name].around or "")
+                tasks += _tasks(job, specs[name], (closed, *others[name]), inner)
+        found = [function(*given) for function, given in tasks] if beside is None else beside.results(tasks)
+        for name in dict.fromkeys(one.loop for one in found):
+            designs = tuple(one for one in found if one.loop == name)
+            made[name] = LoopOutcome(spec=specs[name], designs=designs, use=designs[0].name)
+    return in_order(job, list(made.values()))
 
 
-def _outcome(
-    job: Job,
-    spec: LoopSpec,
-    closed: control.StateSpace,
-    others: Sequence[control.StateSpace],
-    inner: LoopOutcome | None,
-) -> LoopOutcome:
+def _tasks(
+    job: Job, spec: LoopSpec, controllers: Sequence[control.StateSpace], inner: LoopOutcome | None
+) -> Iterator[Task]:
+    """Return the tasks to measure the controllers of a loop again, the closed one first."""
     inside, directions = None, None
     if inner is not None and inner.closed.plants is not None:
         inner_K = with_commands(inner.closed.plants, inner.closed.controller)
         inside, directions = tracking_plants(job, spec, inner.spec, inner.closed.plants, inner_K)
     bare: dict[tuple[str, ...], PlantSet | None] = {}
-    designs: list[LoopDesign] = []
-    for K in (closed, *others):
-        name = _free_name(str(K.name).removeprefix(f"{spec.name}, "), [design.name for design in designs])
+    names: list[str] = []
+    for K in controllers:
+        name = _free_name(str(K.name).removeprefix(f"{spec.name}, "), names)
         if inside is not None or not spec.has_plants:
             plants = inside
         else:
@@ -172,21 +180,31 @@ def _outcome(
             if read.sensors not in bare:
                 bare[read.sensors] = plants_of(job, read)
             plants = design_plants(job, spec, of, bare[read.sensors])
-        if plants is None:
-            designs.append(LoopDesign(loop=spec.name, name=name, method="given", controller=K))
-        else:
-            made = remeasured(spec, name, K, plants)
-            for own in spec.designs:
-                if own.name == name and own.responses is not None:
-                    from platform_ctrl.design.measured.of_job import on_responses
+        yield _measured, (job, spec, name, K, plants, directions, not names)
+        names.append(name)
 
-                    model = linearise(job.platform)
-                    problem = LoopProblem(
-                        job=job, spec=spec, design=own, model=model, plant_set=plants, directions=directions
-                    )
-                    made = on_responses(problem, made)
-            designs.append(with_caging_claims(job, made, closed=not designs) if spec.kind == "caging" else made)
-    return LoopOutcome(spec=spec, designs=tuple(designs), use=designs[0].name)
+
+def _measured(
+    job: Job,
+    spec: LoopSpec,
+    name: str,
+    K: control.StateSpace,
+    plants: PlantSet | None,
+    directions: Channels | None,
+    closed: bool,
+) -> LoopDesign:
+    """Return a controller as a design of a loop, measured again."""
+    if plants is None:
+        return LoopDesign(loop=spec.name, name=name, method="given", controller=K)
+    made = remeasured(spec, name, K, plants)
+    for own in spec.designs:
+        if own.name == name and own.responses is not None:
+            from platform_ctrl.design.measured.of_job import on_responses
+
+            model = linearise(job.platform)
+            problem = LoopProblem(job=job, spec=spec, design=own, model=model, plant_set=plants, directions=directions)
+            made = on_responses(problem, made)
+    return with_caging_claims(job, made, closed=closed) if spec.kind == "caging" else made
 
 
 def _free_name(name: str, taken: Sequence[str]) -> str:

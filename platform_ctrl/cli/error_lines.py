@@ -1,0 +1,32 @@
+"""What a command says of an error, on standard error, and with which code it ends."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+import textwrap
+
+from platform_ctrl.errors import DesignError, PlatformCtrlError, SimulationError
+
+
+def began_with_interrupt(error: BaseException | None) -> bool:
+    """Return whether Ctrl-C caused an error: libraries that are interrupted may raise their own."""
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__cause__ or error.__context__
+    return error is not None
+
+
+def reported(error: PlatformCtrlError) -> int:
+    """Print an error; return the exit code."""
+    return failed(str(error), 1 if isinstance(error, DesignError | SimulationError) else 2)
+
+
+def failed(message: str, code: int) -> int:
+    """Print a message as one line; return the exit code."""
+    line = f"platform-ctrl: error: {' '.join(message.split())}"
+    if sys.stderr.isatty():
+        # A terminal would break the one line within words.
+        width = shutil.get_terminal_size().columns
+        line = textwrap.fill(line, width, break_long_words=False, break_on_hyphens=False)
+    print(line, file=sys.stderr)
+    return code

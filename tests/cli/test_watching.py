@@ -1,0 +1,139 @@
+"""`design --watch`: every save of a file that the job names leads to another design, and no mistake ends it."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from cli.test_cli import process_environment
+from one_gyro_job import JOB, TOO_MUCH
+from platform_ctrl.cli.watching import whenever_saved
+from platform_ctrl.errors import DesignError, InputError
+
+NAMES = 'plant = "plant.toml"\nloop = [{ name = "out", responses = "measured.csv" }]\n'
+
+
+def runs(job: Path, *saves: Callable[[], object], error: Exception | None = None) -> list[bool]:
+    """Return what each run was told; during each run one save is made, and Ctrl-C is pressed in the last."""
+    told: list[bool] = []
+
+    def run(fresh: bool) -> int:
+        told.append(fresh)
+        if len(told) > len(saves):
+            raise KeyboardInterrupt
+        saves[len(told) - 1]()
+        if error is not None:
+            raise error
+        return 1
+
+    with pytest.raises(KeyboardInterrupt):
+        whenever_saved(job, run, True, quiet=True)
+    return told
+
+
+@pytest.fixture
+def job(tmp_path: Path) -> Path:
+    (tmp_path / "out").mkdir()
+    (tmp_path / "job.toml").write_text(NAMES)
+    (tmp_path / "measured.csv").write_text("1")
+    return tmp_path / "job.toml"
+
+
+def test_the_job_its_plant_and_its_data_are_watched_and_the_first_run_alone_is_fresh(job: Path) -> None:
+    saves = (
+        lambda: job.write_text(f"{NAMES}# one\n"),
+        lambda: job.with_name("plant.toml").write_text("made"),
+        lambda: job.with_name("measured.csv").write_text("1, 2"),
+        lambda: job.with_name("plant.toml").unlink(),
+    )
+    assert runs(job, *saves) == [True, False, False, False, False]
+
+
+def test_neither_a_folder_called_like_a_loop_nor_a_file_that_is_not_named_is_watched(
+    job: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def run(fresh: bool) -> int:
+        (job.parent / "out" / "result.json").write_text("{}")
+        job.with_name("notes.txt").write_text("not named")
+        return 0
+
+    waited: list[float] = []
+
+    def asleep(seconds: float) -> None:
+        waited.append(seconds)
+        if len(waited) == 3:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr("time.sleep", asleep)
+    with pytest.raises(KeyboardInterrupt):
+        whenever_saved(job, run, False, quiet=True)
+    assert len(set(waited)) == 1
+
+
+@pytest.mark.parametrize("error", [InputError("job.toml: no such key"), DesignError("no controller")])
+def test_a_message_is_printed_and_does_not_end_it(
+    error: Exception, job: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert runs(job, lambda: job.write_text("no TOML"), lambda: job.write_text(NAMES), error=error) == [
+        *(True, False, False)
+    ]
+    assert capsys.readouterr().err == f"platform-ctrl: error: {error}\n" * 2
+
+
+def test_an_error_that_ctrl_c_caused_ends_it(job: Path) -> None:
+    def interrupted(fresh: bool) -> int:
+        try:
+            raise KeyboardInterrupt
+        except KeyboardInterrupt:
+            raise DesignError("no luck") from None
+
+    with pytest.raises(DesignError):
+        whenever_saved(job, interrupted, False, quiet=True)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="SIGINT as a terminal sends it")
+def test_the_command_designs_again_after_each_save_until_ctrl_c(tmp_path: Path) -> None:
+    job = tmp_path / "gyro.toml"
+    job.write_text(JOB, encoding="utf-8")
+    process = subprocess.Popen(
+        [sys.executable, "-m", "platform_ctrl", "design", "gyro.toml", "--watch"],
+        cwd=tmp_path,
+        env=process_environment(),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+    assert process.stdout is not None
+
+    def until_it_waits() -> str:
+        assert process.stdout is not None
+        lines: list[str] = []
+        while not (lines and lines[-1].startswith("waiting until gyro.toml")):
+            lines.append(process.stdout.readline())
+            assert lines[-1], "".join(lines)
+        return "".join(lines)
+
+    try:
+        assert "PASSED" in until_it_waits()
+        job.write_text(TOO_MUCH, encoding="utf-8")
+        assert "FAILED" in until_it_waits()
+        job.write_text(JOB + "[[loop", encoding="utf-8")
+        assert "platform-ctrl: error: gyro.toml: is not TOML" in until_it_waits()
+        job.write_text(JOB, encoding="utf-8")
+        again = until_it_waits()
+        assert "PASSED" in again
+        assert "certificates verified: caging 9-10 (" in again
+        assert json.loads((tmp_path / "out" / "result.json").read_text(encoding="utf-8"))["passed"] is True
+        process.send_signal(signal.SIGINT)
+        assert process.stdout.read() == "platform-ctrl: interrupted\n"
+        assert process.wait() == 130
+    finally:
+        process.kill()
+        process.stdout.close()
