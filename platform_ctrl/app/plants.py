@@ -290,7 +290,7 @@ class JobPlants:
         self._models: Bounded[LinearModel] = Bounded(6)
         self._free: Bounded[FreePlants] = Bounded(6)
         self._free_models: Bounded[SpinningModels] = Bounded(4)
-        self._corner: Bounded[list[tuple[str, Platform, FloatArray]]] = Bounded(4)
+        self._corner_labels: Bounded[tuple[str, ...]] = Bounded(4)
 
     def quick(self, spec: LoopSpec, around: LoopSpec | None = None) -> QuickPlants:
         """Return what makes the plants of a loop as a design reads it; of a tracking loop `around` another."""
@@ -340,7 +340,9 @@ class JobPlants:
         """Return the labels of a loop's plants that may be shown, the nominal one first."""
         if spec.has_plants:
             return self.quick(self.inside(spec)).labels(self.range(settings))
-        return tuple(label for label, _, _ in self._corners(settings))
+        # They are the same at all spins.
+        of = tuple(map(float, self.range(settings)))
+        return self._corner_labels.get(of, lambda: tuple(label for label, _, _ in corners(self.job(settings))))
 
     def caged(self, settings: Settings, spec: LoopSpec, design: DesignSpec) -> tuple[PlantSet, PlantSet]:
         """Return the plants of a design of a loop, its feedforward in them, and the one that is shown alone."""
@@ -394,10 +396,10 @@ class JobPlants:
             key,
             lambda: free_plants(self._free_models.get(base, models).at(settings.spins), sampling, settings.band),
         )
-        every = self._corners(settings)
         label, at = settings.plant, np.array(settings.Omega)
         if not at.any() and label in plants.labels:
             return plants, plants.only(plants.labels.index(label))
+        every = corners(self.job(settings))
         case = next((one for one in every if one[0] == label), every[0])
         turned = (case[0], case[1], case[2] + at)
         shown = self._free.get(
@@ -455,7 +457,3 @@ class JobPlants:
             tuple(sorted(settings.spins.items())),
             tuple(map(float, self.range(settings))),
         )
-
-    def _corners(self, settings: Settings) -> list[tuple[str, Platform, FloatArray]]:
-        key = (tuple(sorted(settings.spins.items())), *map(float, self.range(settings)))
-        return self._corner.get(key, lambda: corners(self.job(settings)))

@@ -12,7 +12,7 @@ import numpy as np
 from platform_ctrl.analysis.dry_friction import FedFriction
 from platform_ctrl.analysis.plant_set import Group
 from platform_ctrl.common.arguments import known_name
-from platform_ctrl.common.values import FloatArray, value
+from platform_ctrl.common.values import FloatArray, replaced, value
 from platform_ctrl.job.job import Job
 from platform_ctrl.mechanics.linearisation import LinearModel, linearise
 from platform_ctrl.mechanics.matrices import matrices
@@ -29,25 +29,27 @@ def changed(platform: Platform, inertia: dict[str, float], spin: dict[str, float
     """
     J = np.diag(matrices(platform).A_star)[3:]
     gimbals = tuple(
-        dataclasses.replace(g, inertia=g.inertia + inertia.get(g.name, 0.0) * J[k] * np.outer(g.axis, g.axis))
+        replaced(g, {"inertia": g.inertia + inertia[g.name] * J[k] * np.outer(g.axis, g.axis)})
+        if inertia.get(g.name)
+        else g
         for k, g in enumerate(platform.gimbals)
     )
     rotors = tuple(
-        dataclasses.replace(r, angular_momentum=r.angular_momentum * (1.0 + spin.get(r.name, 0.0)))
+        replaced(r, {"angular_momentum": r.angular_momentum * (1.0 + spin[r.name])}) if spin.get(r.name) else r
         for r in platform.rotors
     )
-    return dataclasses.replace(platform, gimbals=gimbals, rotors=rotors)
+    return replaced(platform, {"gimbals": gimbals, "rotors": rotors})
 
 
 def with_spins(platform: Platform, spins: Mapping[str, float]) -> Platform:
     """Return the platform with other spins of its rotors, rad/s; those that are not named stay."""
     rotors = tuple(
-        dataclasses.replace(r, angular_momentum=r.axial_inertia * spins[r.name])
+        replaced(r, {"angular_momentum": r.axial_inertia * spins[r.name]})
         if r.name in spins and spins[r.name] != r.spin
         else r
         for r in platform.rotors
     )
-    return dataclasses.replace(platform, rotors=rotors)
+    return replaced(platform, {"rotors": rotors})
 
 
 @value
