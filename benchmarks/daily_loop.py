@@ -28,7 +28,7 @@ ROOT = Path(__file__).resolve().parents[1]
 JOB = ROOT / "examples" / "three_gyro_platform.toml"
 # One limit of the second loop, met before and after.
 LIMIT, CHANGED, AGAIN = (f"Omega_rejection = {limit}\n" for limit in ("0.003", "0.0031", "0.0032"))
-_COMMAND = "import sys; from platform_ctrl.cli import main; sys.exit(main(sys.argv[1:]))"
+_COMMAND = "import sys; from platform_ctrl.cli import main; sys.exit(main())"  # as the installed command does
 
 
 def started(checkout: Path, folder: Path, job: Path, *options: str, **streams: Any) -> subprocess.Popen[str]:

@@ -18,7 +18,9 @@ def start_compilation() -> None:
     """
     if _compiling or is_compiled():
         return
-    command = [sys.executable, "-c", "from platform_ctrl.simulation.batch import compile_ahead; compile_ahead()"]
+    # By the paths of this process: there may be another checkout in the working directory.
+    source = f"import sys; sys.path[:] = {sys.path!r}; from platform_ctrl.simulation.batch import compile_ahead"
+    command = [sys.executable, "-P", "-c", f"{source}; compile_ahead()"]
     quiet = subprocess.DEVNULL
     try:
         _compiling.append(subprocess.Popen(command, stdin=quiet, stdout=quiet, stderr=quiet))
