@@ -8,6 +8,16 @@ import threading
 from collections.abc import Callable
 from pathlib import Path
 
+# By the paths of this process, for there may be another checkout in the working directory; it ends without clearing up.
+_SOURCE = """
+import os, sys
+sys.path[:] = {paths!r}
+from platform_ctrl.common.processes import collect_seldom
+collect_seldom()
+from platform_ctrl.simulation.batch import compile_ahead
+compile_ahead()
+os._exit(0)
+"""
 _compiling: list[subprocess.Popen[bytes]] = []
 
 
@@ -18,9 +28,7 @@ def start_compilation() -> None:
     """
     if _compiling or is_compiled():
         return
-    # By the paths of this process: there may be another checkout in the working directory.
-    source = f"import sys; sys.path[:] = {sys.path!r}; from platform_ctrl.simulation.batch import compile_ahead"
-    command = [sys.executable, "-P", "-c", f"{source}; compile_ahead()"]
+    command = [sys.executable, "-P", "-c", _SOURCE.format(paths=sys.path)]
     quiet = subprocess.DEVNULL
     try:
         _compiling.append(subprocess.Popen(command, stdin=quiet, stdout=quiet, stderr=quiet))
