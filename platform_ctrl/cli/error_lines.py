@@ -23,10 +23,13 @@ def reported(error: PlatformCtrlError) -> int:
 
 def failed(message: str, code: int) -> int:
     """Print a message as one line; return the exit code."""
-    line = f"platform-ctrl: error: {' '.join(message.split())}"
+    noted(f"platform-ctrl: error: {' '.join(message.split())}")
+    return code
+
+
+def noted(line: str) -> None:
+    """Print a line on standard error; a terminal would break it within words."""
     if sys.stderr.isatty():
-        # A terminal would break the one line within words.
         width = shutil.get_terminal_size().columns
         line = textwrap.fill(line, width, break_long_words=False, break_on_hyphens=False)
-    print(line, file=sys.stderr)
-    return code
+    print(line, file=sys.stderr, flush=True)

@@ -10,7 +10,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import NoReturn
 
-from platform_ctrl.cli.error_lines import began_with_interrupt, reported
+from platform_ctrl.cli.error_lines import began_with_interrupt, noted, reported
 from platform_ctrl.cli.job_arguments import files_read
 from platform_ctrl.errors import PlatformCtrlError
 
@@ -38,7 +38,7 @@ def whenever_saved(job: Path, run: Callable[[bool], int], first: bool, *, quiet:
         first = False
         sys.stdout.flush()
         if not quiet:
-            print(f"waiting until {job} or a file that it names is saved; Ctrl-C ends", file=sys.stderr, flush=True)
+            noted(f"waiting until {job} or a file that it names is saved; Ctrl-C ends")
         while seen == (now := _state(files)):
             time.sleep(_PAUSE)
         while now != (later := _state(files)):  # it is still being written
