@@ -193,7 +193,7 @@ with ThreadPoolExecutor(4) as pool:
 
 @pytest.mark.parametrize(
     ("python", "more"),
-    [((), ()), (("-O",), ()), pytest.param((), ("no cache",), marks=pytest.mark.slow)],
+    [((), ()), *(pytest.param(*case, marks=pytest.mark.slow) for case in ((("-O",), ()), ((), ("no cache",))))],
     ids=["plain", "-O", "package not writable"],
 )
 def test_threads_agree_where_nothing_can_be_written(python: tuple[str, ...], more: tuple[str, ...]) -> None:

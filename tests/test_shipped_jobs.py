@@ -188,7 +188,7 @@ def attenuation(job, controllers, axis, hz, rate, share=1.0, elevation=0.0):
     return 20.0 * np.log10(rate / np.sqrt(2.0) / np.linalg.norm(found.line_of_sight_rms[0, :2]))
 
 
-@pytest.mark.parametrize("axis", [2, 3])
+@pytest.mark.parametrize("axis", [pytest.param(2, marks=pytest.mark.slow), 3])
 def test_the_camera_stands_still_on_a_vehicle_that_pitches_and_yaws_with_all_its_dry_friction(axis):
     """40 dB from 1 to 10 Hz at 0.3 rad/s; what friction does does not grow with the motion, so it weighs less there."""
     result, _ = shipped(Path("examples/camera_gimbal.toml"))
