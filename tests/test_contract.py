@@ -193,8 +193,11 @@ with ThreadPoolExecutor(4) as pool:
 
 @pytest.mark.parametrize(
     ("python", "more"),
-    [((), ()), *(pytest.param(*case, marks=pytest.mark.slow) for case in ((("-O",), ()), ((), ("no cache",))))],
-    ids=["plain", "-O", "package not writable"],
+    [
+        pytest.param((), (), id="plain"),
+        pytest.param(("-O",), (), id="-O", marks=pytest.mark.slow),
+        pytest.param((), ("no cache",), id="package not writable", marks=pytest.mark.slow),
+    ],
 )
 def test_threads_agree_where_nothing_can_be_written(python: tuple[str, ...], more: tuple[str, ...]) -> None:
     nowhere = dict.fromkeys(("HOME", "MPLCONFIGDIR", "XDG_CACHE_HOME"), f"{os.devnull}/none")

@@ -13,7 +13,7 @@ import warnings
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from platform_ctrl.cli.error_lines import began_with_interrupt, failed, reported
+from platform_ctrl.cli.error_lines import began_with_interrupt, failed, noted, reported
 from platform_ctrl.cli.interrupts import INTERRUPTED, INTERRUPTED_LINE, ProcessEnd, exit_interrupted, interruptible
 from platform_ctrl.errors import OldKeyWarning, PlatformCtrlError
 
@@ -86,7 +86,7 @@ def _shown(otherwise: Callable[..., None]) -> Callable[..., None]:
 
     def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
         if issubclass(category, OldKeyWarning):
-            print(f"platform-ctrl: warning: {message}", file=sys.stderr)
+            noted(f"platform-ctrl: warning: {message}")
         else:
             otherwise(message, category, *where, **more)
 

@@ -1,4 +1,4 @@
-"""What a command says of an error, on standard error, and with which code it ends."""
+"""What a command says on standard error: notes, and errors with the code that it ends with."""
 
 from __future__ import annotations
 

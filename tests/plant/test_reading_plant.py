@@ -16,9 +16,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from fuzz_run import cases
 from platform_ctrl.campaign.identity import digest
 from platform_ctrl.errors import InputError
 from platform_ctrl.plant.reading import read_platform
@@ -888,7 +889,7 @@ def mutate(data: Any, chance: random.Random, junk: Any) -> None:
         return
 
 
-@settings(max_examples=120, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@cases(600)
 @given(junk=st.lists(JUNK, min_size=1, max_size=4), chance=st.randoms(use_true_random=False))
 def test_whatever_is_changed_a_plant_is_read_or_refused_in_one_line(junk: list[Any], chance: random.Random) -> None:
     data = plant()
