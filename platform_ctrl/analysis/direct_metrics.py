@@ -13,7 +13,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, named_system
+from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, state_scaling
+from platform_ctrl.analysis.drift import drifting_rms
+from platform_ctrl.analysis.feedback import loop_of_sensitivity
 from platform_ctrl.analysis.loop_set import LoopSet
 from platform_ctrl.analysis.measuring import Loops, Request
 from platform_ctrl.analysis.norms import h2_norm, noise_rms
@@ -34,7 +36,7 @@ def margins_of_channel(sensitivity: StateArrays) -> tuple[float, float]:
 
     The gain margin is the least factor by which the gain may be raised or lowered, infinite where none ends stability.
     """
-    L = _loop_transfer(sensitivity)
+    L = loop_of_sensitivity(sensitivity)
     gain = phase = np.inf
     w = _frequencies(_real_pencil(L), L.dt)
     values = frequency_response(L, w)[0, 0] if w.size else np.zeros(0, dtype=np.complex128)
@@ -47,13 +49,6 @@ def margins_of_channel(sensitivity: StateArrays) -> tuple[float, float]:
     if unit.any():
         phase = float((np.pi - np.abs(np.angle(values[unit]))).min())
     return gain, phase
-
-
-def _loop_transfer(S: StateArrays) -> StateArrays:
-    """Return 1/S − 1."""
-    A, B, C, D, dt = S
-    inverse = 1.0 / D[0, 0]
-    return StateArrays(A - inverse * (B @ C), inverse * B, -inverse * C, np.array([[inverse - 1.0]]), dt)
 
 
 def _real_pencil(L: StateArrays) -> tuple[FloatArray, FloatArray]:
@@ -96,6 +91,9 @@ def _frequencies(pencil: tuple[FloatArray, FloatArray], period: float) -> FloatA
 SETTLED = 0.02
 # Decay times of the slowest pole over which a response is followed, and samples at most.
 _DECAYS, _MOST = 12.0, 300_000
+_NO_INSTANTS = np.zeros(0)
+# Time after which the noise of a loop that drifts counts, s: a random walk has no rms.
+DRIFT_TIME = 3600.0
 # An error below this share of a step is rounding.
 _NO_ERROR = 1e-8
 
@@ -106,7 +104,7 @@ Measure = Callable[[StateArrays], FloatArray]
 
 def of_following(function: Measure) -> Callable[[LoopSet, Request], FloatArray]:
     """Return the measure of the worst channel of each plant; infinite of an unstable loop."""
-    return _worst(lambda loops, k: function(loops.following.at(k)))
+    return _worst(lambda loops, k: function(loops.settled(loops.following.at(k).part(slice(loops.p), slice(None)))))
 
 
 def of_steps(which: int) -> Callable[[LoopSet, Request], FloatArray]:
@@ -114,8 +112,10 @@ def of_steps(which: int) -> Callable[[LoopSet, Request], FloatArray]:
 
     def measured(loops: LoopSet, k: int) -> FloatArray:
         if k not in loops.of_steps:
-            steps = step_responses(loops.following.at(k), float(loops.decay[k]))
-            loops.of_steps[k] = overshoot(steps), settling_time(steps, loops.period)
+            time, steps = step_responses(
+                loops.settled(loops.following.at(k)), float(loops.decay[k]), loops.plants.between
+            )
+            loops.of_steps[k] = overshoot(time, steps), settling_time(time, steps)
         return loops.of_steps[k][which]
 
     return _worst(measured)
@@ -131,55 +131,91 @@ def _worst(measured: Callable[[LoopSet, int], FloatArray]) -> Callable[[LoopSet,
     return worst
 
 
-def overshoot(steps: FloatArray) -> FloatArray:
-    """Return by how much the step response of each channel exceeds its step, relative."""
-    return np.asarray(np.maximum(steps.max(axis=1) - 1.0, 0.0))
+def overshoot(time: FloatArray, steps: FloatArray) -> FloatArray:
+    """Return by how much the step response of each channel exceeds its step, relative: between samples by parabolas."""
+    out = []
+    for one in steps:
+        k = int(np.clip(one.argmax(), 1, len(one) - 2))
+        x, y = time[k - 1 : k + 2] - time[k], one[k - 1 : k + 2]
+        bend, slope, _ = np.polyfit(x, y, 2)
+        top = -0.5 * slope / bend if bend < 0.0 else np.inf
+        out.append(max(float(y.max()), float(y[1] + 0.5 * slope * top) if x[0] < top < x[2] else 0.0))
+    return np.maximum(np.array(out) - 1.0, 0.0)
 
 
-def settling_time(steps: FloatArray, period: float) -> FloatArray:
+def settling_time(time: FloatArray, steps: FloatArray) -> FloatArray:
     """Return after which time each channel's step response stays within 2 % of the step, s; infinite: never."""
-    outside = np.abs(steps - 1.0) > SETTLED
-    last = outside.shape[1] - np.argmax(outside[:, ::-1], axis=1)
-    time = np.where(outside.any(axis=1), last, 0) * period
-    return np.where(outside[:, -1], np.inf, time)
+    error = np.abs(steps - 1.0)
+    outside = error > SETTLED
+    last = outside.shape[1] - 1 - np.argmax(outside[:, ::-1], axis=1)
+    out = []
+    for one, i, moved in zip(error, last, np.any(outside, axis=1), strict=True):
+        if not moved:
+            out.append(0.0)
+        elif i == len(time) - 1:
+            out.append(np.inf)
+        else:
+            share = (one[i] - SETTLED) / (one[i] - one[i + 1])
+            out.append(float(time[i] + share * (time[i + 1] - time[i])))
+    return np.array(out)
 
 
 def steady_error(loop: StateArrays) -> FloatArray:
     """Return the error of each channel that a step leaves, relative."""
     A, B, C, D, _ = loop
-    left = np.abs(1.0 - np.diag(D + C @ np.linalg.solve(np.eye(len(A)) - A, B)))
+    left = np.abs(1.0 - np.diag(D + C @ _solved(A, B)))
     return np.where(left > _NO_ERROR, left, 0.0)
 
 
 def ramp_error(loop: StateArrays) -> FloatArray:
     """Return the error of each channel behind a ramp, over its slope, s; infinite where it grows."""
     A, B, C, _, dt = loop
-    inverse = np.linalg.inv(np.eye(len(A)) - A)
     # With y = G(z) r the error behind r = k dt tends to dt G'(1), G' = −C (zI − A)⁻² B, where G(1) = 1.
-    behind = dt * np.abs(np.diag(C @ inverse @ inverse @ B))
+    behind = dt * np.abs(np.diag(C @ _solved(A, _solved(A, B))))
     return np.where(steady_error(loop) > 0.0, np.inf, behind)
 
 
-def step_responses(loop: StateArrays, decay: float) -> FloatArray:
-    """Return the response of each channel to a step of its own reference, (p, N); `decay`: of the slowest pole, 1/s."""
+def _solved(A: FloatArray, B: FloatArray) -> FloatArray:
+    """Return (I − A)⁻¹ B, in balanced states."""
+    s = state_scaling(A, B, np.zeros((0, len(A))))
+    return np.asarray(np.linalg.solve(np.eye(len(A)) - A * s / s[:, None], B / s[:, None]) * s[:, None])
+
+
+def step_responses(
+    loop: StateArrays, decay: float, between: FloatArray = _NO_INSTANTS
+) -> tuple[FloatArray, FloatArray]:
+    """Return the times (N,), s, and the response (p, N) of each channel to a step of its own reference.
+
+    `decay`: of the slowest pole, 1/s. The loop's outputs are p signals at the samples, then, if there are some, at
+    instants `between` (k,), s, after them; the first of these is the sample itself.
+    """
     count = int(np.clip(np.ceil(_DECAYS / (decay * loop.dt)), 100, _MOST))
     time, step = loop.dt * np.arange(count), np.ones((1, count))
+    p = loop.B.shape[-1]
     out = []
-    for i in range(len(loop.C)):
-        channel = named_system(loop.part([i], [i]), ["reference"], ["measured"])
-        out.append(time_response(channel, time, step, squeeze=False)[0])
-    return np.array(out)
+    for i in range(p):
+        rows = [i] if not len(between) else [p + k * p + i for k in range(len(between))]
+        found = time_response(loop.part(rows, [i]), time, step, squeeze=False)
+        out.append(found.T.ravel())
+    return np.add.outer(time, between if len(between) else np.zeros(1)).ravel(), np.array(out)
 
 
 def torque_noise(loops: LoopSet, plants: slice = slice(None)) -> FloatArray:
     """Return the rms of every torque from the noise of the sensors, N m, (k, m); infinite of an unstable loop."""
     m, everything = loops.m, slice(None)
     to_torque = loops.own_arrays.at(plants).part(slice(m), everything)
-    out = noise_rms(to_torque.part(everything, slice(m, None)), loops.plants.noise, allow_unstable=True)
+    out = _rms(loops, to_torque.part(everything, slice(m, None)), loops.plants.noise)
     fed = loops.plants.feedforward
     if fed is not None:
-        out = np.hypot(out, noise_rms(fed.noise_of_torques(to_torque), np.ones(len(fed.sensors)), allow_unstable=True))
+        out = np.hypot(out, _rms(loops, fed.noise_of_torques(to_torque), np.ones(len(fed.sensors))))
     return out
+
+
+def _rms(loops: LoopSet, systems: StateArrays, rms: FloatArray) -> FloatArray:
+    """Return the rms (k, m) of outputs from white samples, of a loop that drifts after an hour."""
+    if not loops.plants.drifting:
+        return noise_rms(systems, rms, allow_unstable=True)
+    return np.array([drifting_rms(systems.at(k), rms, DRIFT_TIME) for k in range(len(systems.A))])
 
 
 def of_margins(which: int) -> Callable[[LoopSet, Request], FloatArray]:
@@ -188,7 +224,7 @@ def of_margins(which: int) -> Callable[[LoopSet, Request], FloatArray]:
     def measured(loops: LoopSet, request: Request) -> FloatArray:
         out = np.full(len(loops.plants.labels), 1.0 - which)
         for k in np.flatnonzero(loops.decay > 0.0):
-            alone = [loops.own_arrays.at(k).part([i], [i]) for i in range(loops.m)]
+            alone = [loops.settled(loops.own_arrays.at(k).part([i], [i])) for i in range(loops.m)]
             out[k] = min(margins_of_channel(one._replace(D=one.D + 1.0))[which] for one in alone)
         return out
 

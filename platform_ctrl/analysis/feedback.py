@@ -216,6 +216,13 @@ def closed_loop_with_sensitivity(plant: NamedSystem, controller: NamedSystem, at
     return loop._replace(D=loop.D + np.eye(len(loop.D)))
 
 
+def loop_of_sensitivity(S: StateArrays) -> StateArrays:
+    """Return L = S^-1 - I of S = (I + L)^-1."""
+    A, B, C, D, dt = S
+    inverse = np.linalg.inv(D)
+    return StateArrays(A - B @ inverse @ C, B @ inverse, -inverse @ C, inverse - np.eye(len(D)), dt)
+
+
 @check_arguments
 def series(first: StateArrays, second: StateArrays, sign: float = 1.0) -> StateArrays:
     """Return `sign` times the second system after the first; the sample period is that of the first that has one."""

@@ -14,7 +14,8 @@ from typing import Literal
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import StateArrays
+from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
+from platform_ctrl.analysis.between_samples import FedResponses, LoopResponses, added_response
 from platform_ctrl.analysis.feedback import series
 from platform_ctrl.common.values import FloatArray, value
 
@@ -28,29 +29,33 @@ class RateFeedforward:
     into: Into  # what it adds to: the controller's ``"torque"``, or what the controller reads
     sensors: tuple[str, ...]  # names of the k sensors of the platform's rate that the controller reads
     path: StateArrays  # F, from their readings, rad/s, to the m torques, N m, or to the p readings; sampled
-    # F as the plants take it up: where they forget angles that are free, the integral of a rate forgets by as much more
-    # as the plants do, so that what it leaves of a spring's torque is what it leaves where nothing is forgotten.
-    in_plants: StateArrays
-    # G, from the platform's rate (Omega1 to Omega3, rad/s) to the readings of the sensors, rad/s; sampled.
+    # G, from the platform's rate (Omega1 to Omega3, rad/s) to the readings of the sensors, rad/s: with the rate held
+    # between samples, and continuous, without the times `late` (k,), s, by which readings come late.
     measured: StateArrays
+    smooth: StateArrays
+    late: FloatArray
     noise: FloatArray  # (k,): rms of one sample of each sensor, rad/s
 
     @property
     def from_rate(self) -> StateArrays:
-        """F G, from the platform's rate to torques or readings."""
-        return series(self.measured, self.in_plants)
+        """F G, from the platform's rate, held between samples, to torques or readings."""
+        return series(self.measured, self.path)
 
-    @property
-    def torque(self) -> StateArrays | None:
-        """F G where it adds to the torques."""
-        return self.from_rate if self.into == "torque" else None
+    def responses(self, plain: LoopResponses) -> FedResponses:
+        """Return what disturbances do to plants with it, of what they do without."""
+        return FedResponses(
+            plain=plain, path=self.path, sensors=self.smooth, late=self.late, into_readings=self.into == "reading"
+        )
+
+    def torque_response(self, frequency: FloatArray) -> ComplexArray:
+        """Return F G at frequencies (F,), rad/s, of the continuous platform rate: (F, m, 3)."""
+        return added_response(self.path, self.smooth, self.late, frequency)
 
     def in_directions(self, sense: FloatArray) -> RateFeedforward:
         """Return it for combinations of the loop's readings, the rows of `sense` (k, p)."""
         if self.into == "torque":
             return self
-        path, in_plants = (one._replace(C=sense @ one.C, D=sense @ one.D) for one in (self.path, self.in_plants))
-        return dataclasses.replace(self, path=path, in_plants=in_plants)
+        return dataclasses.replace(self, path=self.path._replace(C=sense @ self.path.C, D=sense @ self.path.D))
 
     def joined_to(self, controller: StateArrays) -> StateArrays:
         """Return K (or K with commands) together with F: inputs of K, then the sensors; states of K, then of F."""

@@ -247,6 +247,8 @@ class OpenLoop:
                 f"dt = {period:g} s, got {inputs}, {outputs} and {controller.dt:g}"
             )
         A, B, C, *_ = closed_loop(lifted([late_outputs(self.sampled, plant.reading_delay)] * R), controller)
+        # Equilibria that neither sensors nor outputs see; the torques that hold them against springs do.
+        C = C[R * plant.controls :]
         z = poles(A)
         for one in z[np.abs(z) >= 1.0 - _BOUNDARY]:
             if self._counts(A, B, C, complex(one)):
@@ -257,7 +259,7 @@ class OpenLoop:
         return z
 
     def _counts(self, A: FloatArray, B: FloatArray, C: FloatArray, z: complex) -> bool:
-        """Return whether a pole is seen from y, u or z and reached from u or w."""
+        """Return whether a pole is seen from y or z and reached from u or w."""
         n = len(A)
         continuous, m, p = self._continuous, self.plant.controls, self.plant.measured
         states = len(continuous.A)

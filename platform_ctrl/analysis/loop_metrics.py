@@ -49,6 +49,8 @@ class LoopMetrics:
     # request is about is then exact, and the others are no worse than it. Else they are the largest at the frequencies
     # of a grid.
     exact: bool = False
+    # Names of the angles that nothing holds: a loop is in balance wherever they are.
+    free_angles: tuple[str, ...] = ()
     # Other metrics that were requested, by request: arrays (k,) in SI units, see `values`.
     requested: dict[Key, FloatArray] = field(default_factory=dict)
 
@@ -112,6 +114,7 @@ def measure(
         torque_noise=torque_noise(loops, slice(1))[0],
         groups=plants.groups,
         exact=exact,
+        free_angles=loops.free_angles,
         requested=requested,
     )
 

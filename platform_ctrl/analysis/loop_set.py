@@ -22,14 +22,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
+from platform_ctrl.analysis.between_samples import Disturbed
 from platform_ctrl.analysis.channel import Channel
-from platform_ctrl.analysis.feedback import closed_loop, commanded_loop, sensitivities_of_plants
+from platform_ctrl.analysis.drift import Drift, unseen_equilibria, without_drift
+from platform_ctrl.analysis.feedback import (
+    closed_loop,
+    commanded_loop,
+    sensitivities_of_plants,
+    with_error_alone,
+)
 from platform_ctrl.analysis.norms import Band, gains
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.poles import continuous_poles, poles, spectral_abscissa
 from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.analysis.singular_values import largest_singular_values
-from platform_ctrl.common.values import FloatArray
+from platform_ctrl.common.values import FloatArray, replaced
 from platform_ctrl.errors import ArgumentError
 
 # Half-width of a resonance over the grid's spacing, up to which it may hide between two points of the grid.
@@ -118,22 +125,25 @@ class LoopSet:
     def arrays(self) -> StateArrays:
         """Closed loops (N, ...): inputs torque disturbance, Omega, noise; outputs torques, angles, readings, sight."""
         m, p = self.m, self.p
-        A, B, C, D, _ = closed_loop(self.plants.whole, self.controller, torques=range(m), angles=range(p))
+        whole = self.plants.whole.part(slice(p + len(self.plants.sight)), slice(None))
+        A, B, C, D, _ = closed_loop(whole, self.controller, torques=range(m), angles=range(p))
         C_read, D_read = C[..., m : m + p, :], D[..., m : m + p, :].copy()
         D_read[..., m + 3 :] += np.eye(p)
         C = np.concatenate([C[..., : m + p, :], C_read, C[..., m + p :, :]], axis=-2)
         D = np.concatenate([D[..., : m + p, :], D_read, D[..., m + p :, :]], axis=-2)
-        if (fed := self.fed_torque) is not None:
+        if self._feeds_torque:
             # The torque is what the controller sets and what feedforward adds, whose states are the plants' last.
+            assert self.plants.feedforward is not None
+            fed = self.plants.feedforward.from_rate
             n, f = self.plants.A.shape[-1], len(fed.A)
             C[..., :m, n - f : n] += fed.C
             D[..., :m, m : m + 3] += fed.D
         return StateArrays(A, B, C, D, self.plants.period)
 
     @property
-    def fed_torque(self) -> StateArrays | None:
-        """From the platform's rate to the torques that feedforward adds to the controller's; None: nothing."""
-        return None if self.plants.feedforward is None else self.plants.feedforward.torque
+    def _feeds_torque(self) -> bool:
+        """Whether feedforward adds to the controller's torques."""
+        return self.plants.feedforward is not None and self.plants.feedforward.into == "torque"
 
     @cached_property
     def own_arrays(self) -> StateArrays:
@@ -141,13 +151,40 @@ class LoopSet:
         return closed_loop(self.plants.arrays, self.controller)
 
     @cached_property
+    def drifts(self) -> tuple[Drift, ...]:
+        """Of each plant the closed loop without the equilibria that its sensors do not see, and these."""
+        if not self.plants.drifting:
+            return ()
+        A, B, C, D, dt = self.own_arrays
+        read = slice(self.m, None)
+        every = range(len(A))
+        return tuple(unseen_equilibria(StateArrays(A[k], B[k], C[k, read], D[k, read], dt)) for k in every)
+
+    @property
+    def free_angles(self) -> tuple[str, ...]:
+        """Names of the angles at which a loop is in balance wherever they are, with any of the plants."""
+        if not self.drifts:
+            return ()
+        moved = np.max([np.abs(one.equilibria).max(axis=1, initial=0.0) for one in self.drifts], axis=0)
+        return tuple(
+            name for name, at in zip(self.plants.states, moved, strict=False) if at and name in self.plants.drifting
+        )
+
+    def settled(self, system: StateArrays) -> StateArrays:
+        """Return one of the closed loops, or part of it, without poles of equilibria that its response does not have."""
+        return without_drift(system) if self.plants.drifting else system
+
+    @cached_property
     def following(self) -> StateArrays:
-        """Closed loops (N, ...) from commands to what is measured."""
-        behind = slice(self.m, None)
-        if self.two_degrees is None:
-            from_noise = self.own_arrays.part(behind, behind)
-            return from_noise._replace(B=-from_noise.B, D=-from_noise.D)
-        return commanded_loop(self.plants.arrays, self.two_degrees, range(self.m), range(self.p)).part(behind, behind)
+        """Closed loops (N, ...) from commands to what is measured, at the samples, then at the instants between."""
+        plants, m, p = self.plants, self.m, self.p
+        arrays = plants.arrays
+        seen = arrays._replace(
+            C=np.concatenate([arrays.C, plants.C_between], axis=-2),
+            D=np.concatenate([arrays.D, plants.D_between[..., :m]], axis=-2),
+        )
+        K = with_error_alone(self.controller) if self.two_degrees is None else self.two_degrees
+        return commanded_loop(seen, K, range(m), range(p)).part(slice(m, None), slice(m, None))
 
     @property
     def inputs(self) -> list[str]:
@@ -164,7 +201,7 @@ class LoopSet:
     @cached_property
     def poles(self) -> ComplexArray:
         """Poles of the closed loops in z, (N, poles)."""
-        return poles(self.own_arrays.A)
+        return poles(np.array([one.system.A for one in self.drifts]) if self.drifts else self.own_arrays.A)
 
     @cached_property
     def decay(self) -> FloatArray:
@@ -212,23 +249,26 @@ class LoopSet:
     def parts(self, parts: Parts, k: int) -> list[StateArrays]:
         """Return the systems of plant `k` whose gains count."""
         if isinstance(parts, Channel):
-            return [self.channel(parts).at(k)]
-        return [system for transfer in parts for system in self._systems(transfer, k)]
+            return [self.settled(self.channel(parts).at(k))]
+        return [self.settled(self._system(transfer, k)) for transfer in parts]
 
-    def _systems(self, transfer: Transfer, k: int) -> list[StateArrays]:
-        self._expect_sight(transfer)
+    def _system(self, transfer: Transfer, k: int) -> StateArrays:
         if transfer.source == "command":
-            loop = self.following.at(k)
-            return [loop._replace(C=-loop.C, D=transfer.direct * np.eye(self.p) - loop.D)]
+            loop = self.following.at(k).part(slice(self.p), slice(None))
+            return loop._replace(C=-loop.C, D=transfer.direct * np.eye(self.p) - loop.D)
         m, p = self.m, self.p
-        columns = {"torque": slice(0, m), "Omega": slice(m, m + 3), "noise": slice(m + 3, m + 3 + p)}[transfer.source]
-        rows = {"torque": slice(0, m), "angle": slice(m, m + p), "sight": slice(m + 2 * p, None)}[transfer.target]
-        A, B, C, D, dt = found = self.arrays.at(k).part(rows, columns)
-        if not transfer.of_limit:
-            return [found._replace(D=D + transfer.direct * np.eye(*D.shape))]
-        return [
-            StateArrays(A, B * share, C[j : j + 1], D[j : j + 1] * share, dt) for j, share in enumerate(self._shares)
-        ]
+        assert not self.between(transfer), "what continuous disturbances do is not rational in z: see `gain_at`"
+        columns = slice(0, m) if transfer.source == "torque" else slice(m, m + p)
+        rows = slice(0, m) if transfer.target == "torque" else slice(m, m + p)
+        found = self.own_arrays.at(k).part(rows, columns)
+        return found._replace(D=found.D + transfer.direct * np.eye(*found.D.shape))
+
+    def between(self, transfer: Transfer) -> bool:
+        """Return whether a part is from a continuous disturbance: between samples, not rational in z."""
+        if transfer.source == "torque" and transfer.target != "torque":
+            # Commands of another loop in place of torques are sampled.
+            return bool(self._disturbed.read.shape[-1] == 2 * self.m + 3)
+        return transfer.source == "Omega"
 
     def _expect_sight(self, transfer: Transfer) -> None:
         if transfer.target == "sight" and not self.plants.sight:
@@ -236,12 +276,31 @@ class LoopSet:
                 "attenuation: the loop moves no line of sight; give the plant a [line_of_sight] that the loop turns"
             )
 
+    @cached_property
+    def _disturbed(self) -> Disturbed:
+        return self.plants.disturbed_on_grid()
+
     @property
     def _shares(self) -> FloatArray:
         return np.asarray(self.plants.Omega / self.plants.torque_limit[:, None])
 
-    def _responses(self, transfer: Transfer, members: Indices) -> list[ComplexArray]:
-        """Return responses of some plants on the grid, (k, F, ...)."""
+    def gain_at(self, parts: Parts, frequency: FloatArray, k: int = 0) -> FloatArray:
+        """Return the largest gain (F,) of parts of the closed loop with plant `k` at any frequencies (F,), rad/s."""
+        continuous = () if isinstance(parts, Channel) else [one for one in parts if self.between(one)]
+        sampled = parts if isinstance(parts, Channel) else [one for one in parts if not self.between(one)]
+        found = [gains(one, frequency) for one in (self.parts(sampled, k) if sampled else ())]
+        if continuous:
+            alone = LoopSet(replaced(self.plants.only([k]), {"disturbed": None}).on(frequency), self._given)
+            first = np.zeros(1, dtype=np.intp)
+            found += [largest_singular_values(one[0]) for part in continuous for one in alone.responses(part, first)]
+        return np.asarray(np.max(found, axis=0))
+
+    @property
+    def _given(self) -> StateArrays:
+        return self.controller if self.two_degrees is None else self.two_degrees
+
+    def responses(self, transfer: Transfer, members: Indices) -> list[ComplexArray]:
+        """Return the responses of a part of some closed loops on the grid, (k, F, ...), which may be several."""
         self._expect_sight(transfer)
         plants, S = self.plants, self.S_output[members]
         if transfer.source == "command" and self.two_degrees is not None:
@@ -252,20 +311,24 @@ class LoopSet:
         if (transfer.source, transfer.target) in (("noise", "angle"), ("torque", "torque")):
             S = S if transfer.source == "noise" else self.S_input[members]
             return [S - (1.0 - transfer.direct) * np.eye(S.shape[-1])]
-        response = S if transfer.target == "angle" else self.K @ S
-        if transfer.source != "noise":
-            response = response @ (plants.Omega_response if transfer.source == "Omega" else plants.response)[members]
-        if transfer.target == "sight":
-            sight = plants.sight_response[members]
-            response = sight[..., : self.m] @ response
-            if transfer.source != "noise":
-                response += sight[..., self.m :] if transfer.source == "Omega" else sight[..., : self.m]
-        if transfer.target == "torque" and transfer.source == "Omega" and (fed := self.fed_torque) is not None:
-            response = response + frequency_response(fed, plants.frequency, -3)
+        if transfer.source == "noise":
+            return [self.K @ S]
+        if not self.between(transfer):
+            return [S @ plants.response[members]]
+        m = self.m
+        columns = slice(-3, None) if transfer.source == "Omega" else slice(m, 2 * m)
+        read, angle, sight = (one[members] for one in self._disturbed)
+        torque = self.K @ S @ read[..., columns]
+        if transfer.target != "torque":
+            seen = angle if transfer.target == "angle" else sight
+            return [seen[..., columns] + seen[..., :m] @ torque]
+        if self._feeds_torque:
+            assert plants.feedforward is not None
+            torque = torque + plants.feedforward.torque_response(plants.frequency)
         if not transfer.of_limit:
-            return [response]
-        torque = response * self._shares
-        return [torque[..., j : j + 1, :] for j in range(self.m)]
+            return [torque]
+        share = torque * self._shares
+        return [share[..., j : j + 1, :] for j in range(m)]
 
     def grid_peaks(self, parts: Parts, band: Band, members: Indices) -> FloatArray:
         """Return the largest gain of the parts of some plants within `band`, (k,); infinite of an unstable loop."""
@@ -273,7 +336,7 @@ class LoopSet:
         if isinstance(parts, Channel):
             responses = [frequency_response(self.channel(parts).at(members), grid, -3)]
         else:
-            responses = [response for transfer in parts for response in self._responses(transfer, members)]
+            responses = [response for transfer in parts for response in self.responses(transfer, members)]
         inside = (grid >= band[0]) & (grid <= band[1])
         if not inside.any():
             # A band beside the grid, or between two of its points.
@@ -282,8 +345,9 @@ class LoopSet:
         for i, k in enumerate(members):
             w = self.narrow.get(int(k), np.zeros(0))
             w = w[(w >= band[0]) & (w <= band[1])]
-            if w.size:
-                peaks[i] = max([peaks[i], *(gains(part, w).max(initial=0.0) for part in self.parts(parts, int(k)))])
+            if not w.size:
+                continue
+            peaks[i] = max(peaks[i], float(self.gain_at(parts, w, int(k)).max()))
         return np.where(self.decay[members] > 0.0, peaks, np.inf)
 
     @cached_property

@@ -15,12 +15,16 @@ import numpy as np
 from platform_ctrl.analysis.bandwidths import LEVEL, bandwidth_of_response, bandwidth_of_sensitivity
 from platform_ctrl.analysis.channel import Channel
 from platform_ctrl.analysis.loop_set import S_INPUT, S_OUTPUT, Indices, LoopSet, SingleLoop, Transfer
-from platform_ctrl.analysis.norms import PEAK_TOLERANCE, WHOLE, Band, exceeds, gains, peak, resonances
+from platform_ctrl.analysis.norms import PEAK_TOLERANCE, WHOLE, Band, exceeds, gains, peak, refined_peak, resonances
 from platform_ctrl.analysis.poles import continuous_poles, poles
 from platform_ctrl.common.values import FloatArray, value
 
 Loops = LoopSet | SingleLoop
 
+# Share of the slowest pole's frequency at which a response is at its limit for zero frequency.
+_LIMIT = 1e-2
+# A gain that is larger by this factor at a tenth of that grows without bound towards zero.
+_GROWING = 5.0
 # Relative distance above a bandwidth at which S is seen to reach its level.
 _ABOVE = 1e-7
 _SENSITIVITIES = (S_OUTPUT, S_INPUT)
@@ -97,12 +101,21 @@ class Peak:
         """Return the value of plant `k`, to 1e-9 from the worse side, and its frequency, rad/s."""
         if not loops.decay[k] > 0.0:
             return float(self._of_peak(np.array([np.inf]))[0]), 0.0
-        found, at = max(peak(part, self._band(request)) for part in loops.parts(self._parts(request), k))
+        if isinstance(loops, LoopSet) and self.refined(loops):
+            found, at = _refined(loops, self.transfers, k, self._band(request))
+        else:
+            found, at = max(peak(part, self._band(request)) for part in loops.parts(self._parts(request), k))
         return float(self._of_peak(np.array([found]))[0]), at
+
+    def refined(self, loops: LoopSet) -> bool:
+        """Return whether the value is from continuous disturbances: of a grid that is refined, not exact."""
+        return any(loops.between(one) for one in self.transfers)
 
     def holds(self, loops: LoopSet, request: Request, k: int, bound: float) -> bool:
         """Return whether the value of the stable plant `k` is shown to be no worse than `bound`."""
         level = 1.0 / bound if self.reciprocal else bound
+        if self.refined(loops):
+            return _refined(loops, self.transfers, k, self._band(request))[0] <= level
         return _below(loops, self._parts(request), k, level, self._band(request))
 
     def _parts(self, request: Request) -> Sequence[Transfer] | Channel:
@@ -164,6 +177,33 @@ class ControllerGain:
     def exact(self, loops: Loops, request: Request, k: int) -> tuple[float, float]:
         """Return the value, to 1e-9 from above, and its frequency, rad/s."""
         return peak(loops.controller, (_start(loops, request), np.inf))
+
+
+def _refined(loops: LoopSet, parts: Sequence[Transfer], k: int, band: Band) -> tuple[float, float]:
+    """Return the largest gain of parts of a loop from continuous disturbances, and its frequency, rad/s.
+
+    Infinite where it grows without bound towards zero frequency.
+    """
+    period, grid = loops.period, loops.plants.frequency
+    s = continuous_poles(loops.poles[k], period)
+    own = resonances(s[np.isfinite(s)])
+    slowest = np.abs(s[np.isfinite(s) & (s != 0.0)]).min(initial=grid[0])
+    low = min(_LIMIT * float(slowest), grid[0])
+    w = np.concatenate([np.geomspace(low, grid[0], 20), grid, own[own >= low]])
+    sampling = 2.0 * np.pi / period
+    # A disturbance may be faster than what is sampled.
+    w = np.concatenate([w, *(abs(n * sampling + sign * w) for n in (1, 2) for sign in (-1.0, 1.0))])
+    edges = [edge for edge in band if 0.0 < edge < np.inf]
+    w = np.unique(np.concatenate([w[(w >= band[0]) & (w <= band[1]) & (w > 0.0)], edges]))
+
+    def gain(at: FloatArray) -> FloatArray:
+        return loops.gain_at(parts, at, k)
+
+    if band[0] == 0.0:
+        slow, slower = gain(w[0] * np.array([1.0, 0.1]))
+        if slower > _GROWING * slow:
+            return np.inf, 0.0
+    return refined_peak(gain, w)
 
 
 def _start(loops: Loops, request: Request) -> float:

@@ -14,6 +14,7 @@ import numpy as np
 from platform_ctrl.analysis import loop_set
 from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.direct_metrics import (
+    DRIFT_TIME,
     channel_h2_norm,
     of_following,
     of_margins,
@@ -22,8 +23,8 @@ from platform_ctrl.analysis.direct_metrics import (
     steady_error,
     torque_noise,
 )
+from platform_ctrl.analysis.drift import drifting_rms
 from platform_ctrl.analysis.measuring import Bandwidth, ControllerGain, Direct, Peak
-from platform_ctrl.analysis.norms import noise_rms
 from platform_ctrl.analysis.poles import fastest_pole, minimum_damping, poles
 from platform_ctrl.common.values import FloatArray, value
 
@@ -82,6 +83,12 @@ class Metric(Quantity):
         if isinstance(self.measure, ControllerGain):
             return "from"
         return "up to" if isinstance(self.measure, Peak) and self.measure.banded else ""
+
+    @property
+    def of_disturbances(self) -> bool:
+        """Whether it is about what continuous disturbances do, between samples too."""
+        parts = self.measure.transfers if isinstance(self.measure, Peak) else ()
+        return any(one.source == "Omega" or (one.source, one.target) == ("torque", "angle") for one in parts)
 
     @property
     def searched(self) -> bool:
@@ -276,7 +283,7 @@ METRICS: dict[str, Metric] = {
             function=lambda loops, request: torque_noise(loops).max(axis=-1, initial=0.0),
             gradient=lambda loops, limit, floor, members: loops.noise(limit, members),
         ),
-        of_torquers=lambda loop, rms: noise_rms(loop, rms, allow_unstable=True),
+        of_torquers=lambda loop, rms: drifting_rms(loop, rms, DRIFT_TIME),
     ),
     "torque limit": Metric(
         name="torque at full Omega over its limit",

@@ -14,6 +14,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
+from platform_ctrl.analysis.drift import unseen_equilibria, without_drift
 from platform_ctrl.analysis.feedback import closed_loop
 from platform_ctrl.analysis.margins import DiskMargin, no_margin
 from platform_ctrl.analysis.mu import search_grid
@@ -49,12 +50,14 @@ class PeriodicLoop:
     ) -> None:
         m = len(at)
         own = plant.part(seen, at)
-        # From disturbances of the torques, then noise of what is measured, to the torques.
+        # From disturbances of the torques, then noise of what is measured, to the torques, then to what is measured.
         closed = {id(K): closed_loop(own, K) for K in by_sample}
-        self._loops = [closed[id(K)].part(slice(m), slice(None)) for K in by_sample]
+        self._loops = [closed[id(K)] for K in by_sample]
         self.samples, self.channels = len(by_sample), m
         self.period = self.samples * plant.dt
-        self.poles: ComplexArray = poles(self._lifted([], []).A)
+        # Without the equilibria that no sensor sees.
+        self.drift = unseen_equilibria(self._lifted(range(m, m + len(seen)), []))
+        self.poles: ComplexArray = poles(self.drift.system.A)
 
     def _lifted(self, outputs: Sequence[int], inputs: Sequence[int]) -> StateArrays:
         return lifted([loop.part(outputs, inputs) for loop in self._loops])
@@ -62,7 +65,7 @@ class PeriodicLoop:
     def _disk(self, channels: Sequence[int]) -> StateArrays:
         """Return S − I/2 at the torques of some channels, lifted."""
         A, B, C, D, dt = self._lifted(channels, channels)
-        return StateArrays(A, B, C, D + 0.5 * np.eye(len(D)), dt)
+        return without_drift(StateArrays(A, B, C, D + 0.5 * np.eye(len(D)), dt))
 
     @property
     def decay(self) -> float:

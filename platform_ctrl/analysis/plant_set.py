@@ -10,6 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, named_system, state_arrays
+from platform_ctrl.analysis.between_samples import (
+    CombinedResponses,
+    Disturbed,
+    LoopResponses,
+    disturbed,
+    response_at,
+)
 from platform_ctrl.analysis.feedback import feedback_part
 from platform_ctrl.analysis.feedforward import RateFeedforward
 from platform_ctrl.analysis.frequency_grids import tuning_grid
@@ -17,7 +24,7 @@ from platform_ctrl.analysis.resolvent import ON_A_GRID
 from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.common.arguments import whole
 from platform_ctrl.common.signatures import check_arguments
-from platform_ctrl.common.values import FloatArray, value
+from platform_ctrl.common.values import FloatArray, replaced, value
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.plant.platform import OMEGA_NAMES
 
@@ -28,6 +35,9 @@ BoolArray = NDArray[np.bool_]
 
 # Matrices that differ by less than this share of their largest entry are the same.
 _ALIKE = 1e-9
+# Rate at which drifting angles decay in plants for a synthesis, 1/s: slow beside any loop.
+_REGULAR = 5e-3
+_NO_INSTANTS = np.zeros(0)
 # Ending of the name of a command: what a loop holds a reading at.
 COMMAND = "_command"
 
@@ -37,8 +47,8 @@ Group = Literal["nominal", "uncertainty", "Omega", "angles", "friction", "faults
 
 
 # Fields with an entry for each plant, beside what it is called.
-_MATRICES = ("A", "B", "C", "D", "B_Omega", "D_Omega", "C_sight", "D_sight")
-_OF_EACH = (*_MATRICES, "response", "Omega_response", "sight_response")
+_MATRICES = ("A", "B", "C", "D", "B_Omega", "D_Omega", "C_sight", "D_sight", "C_between", "D_between")
+_OF_EACH = (*_MATRICES, "response")
 
 
 @value
@@ -70,15 +80,26 @@ class PlantSet:
     noise: FloatArray  # (p,): rms of one sample of each pick-off, rad
     frequency: FloatArray  # (F,): the grid that a tuner measures on, rad/s, up to the Nyquist frequency
     response: ComplexArray  # complex (N, F, p, m): of the plants on `frequency`, torques → angles, rad/(N m)
-    Omega_response: ComplexArray  # complex (N, F, p, 3): of the plants on `frequency`, platform rate → angles, s
     states: tuple[str, ...]  # names of the n states
     D_Omega: FloatArray
     sight: tuple[str, ...]  # names of the q outputs of the line of sight, rad/s
     # C_sight, D_sight: of these outputs: (N, q, n), and directly from torques and Omega, (N, q, m + 3).
     C_sight: FloatArray
     D_sight: FloatArray
-    # complex (N, F, q, m + 3): of the plants on `frequency`, torques and platform rate → outputs of the line of sight.
-    sight_response: ComplexArray
+    # C_between, D_between: of the measured signals at instants after a sample, (N, k p, n), (N, k p, m + 3), one instant
+    # after another; `between`: these instants, s, (k,).
+    C_between: FloatArray
+    D_between: FloatArray
+    between: FloatArray
+    # What continuous disturbances do; None: the platform's rate and torques that add are held like the torquers'.
+    disturbances: LoopResponses | None = None
+    # The same on `frequency`; None: not computed yet.
+    disturbed: Disturbed | None = None
+    # Angles that the loop does not read and on which something depends: the loop may be in balance at any of them.
+    drifting: tuple[str, ...] = ()
+    # held: names of gimbals that other loops turn and that are held here; dry_friction: whether the plant has any.
+    held: tuple[str, ...] = ()
+    dry_friction: bool = False
     # Feedforward of the platform's rate that the plants have: see `fed_forward`; None where there is none.
     feedforward: RateFeedforward | None = None
 
@@ -89,12 +110,12 @@ class PlantSet:
 
     @property
     def whole(self) -> StateArrays:
-        """All plants, (N, ...), from torques and Omega to what is measured and the outputs of the line of sight."""
+        """All plants, (N, ...), from torques and Omega to what is measured, the line of sight and `between`."""
         return StateArrays(
             self.A,
             np.concatenate([self.B, self.B_Omega], axis=-1),
-            np.concatenate([self.C, self.C_sight], axis=-2),
-            np.concatenate([np.concatenate([self.D, self.D_Omega], axis=-1), self.D_sight], axis=-2),
+            np.concatenate([self.C, self.C_sight, self.C_between], axis=-2),
+            np.concatenate([np.concatenate([self.D, self.D_Omega], axis=-1), self.D_sight, self.D_between], axis=-2),
             self.period,
         )
 
@@ -108,8 +129,14 @@ class PlantSet:
         whole = feedforward.taken_up(self.whole, m, p)
         added = whole.A.shape[-1] - len(self.states)
         states = (*self.states, *(f"feedforward_{k + 1}" for k in range(added)))
-        out = dataclasses.replace(self, **_matrices(whole, m, p), states=states, feedforward=feedforward)
-        return out.on(self.frequency)
+        return dataclasses.replace(
+            self,
+            **_matrices(whole, m, p, len(self.sight)),
+            states=states,
+            feedforward=feedforward,
+            disturbances=None if self.disturbances is None else feedforward.responses(self.disturbances),
+            disturbed=None,
+        )
 
     @property
     def noise_input(self) -> FloatArray:
@@ -133,18 +160,48 @@ class PlantSet:
 
     def on(self, frequency: FloatArray) -> PlantSet:
         """Return the set on another grid of frequencies (F,), rad/s."""
-        return dataclasses.replace(self, frequency=frequency, **self._responses(frequency))
+        known = None if self.disturbed is None else self._disturbed_at(frequency)
+        return dataclasses.replace(
+            self,
+            frequency=frequency,
+            response=frequency_response(self.arrays, frequency, -3, ON_A_GRID),
+            disturbed=known,
+        )
 
-    def _responses(self, frequency: FloatArray) -> dict[str, Any]:
-        # All together: what depends on the plant and on its outputs alone is then computed once.
-        found = frequency_response(self.whole, frequency, -3, ON_A_GRID)
+    def with_disturbances(self) -> PlantSet:
+        """Return the set with what disturbances do on its grid, for those that ask for it again and again."""
+        return self if self.disturbed is not None else replaced(self, {"disturbed": self._disturbed_at(self.frequency)})
+
+    def disturbed_on_grid(self) -> Disturbed:
+        """Return what disturbances do on the set's grid."""
+        return self._disturbed_at(self.frequency) if self.disturbed is None else self.disturbed
+
+    def _disturbed_at(self, frequency: FloatArray) -> Disturbed:
+        if self.disturbances is not None:
+            return disturbed(self.disturbances.at(frequency), len(self.angles))
+        p, q = len(self.angles), len(self.sight)
+        found = frequency_response(self.whole.part(slice(p + q), slice(None)), frequency, -3, ON_A_GRID)
+        return self._held(found)
+
+    def disturbed_at(self, plant: NDArray[np.intp], frequency: FloatArray) -> Disturbed:
+        """Return what disturbances do with some plants (k,), each at its own frequency (k,), rad/s: (k, ...)."""
+        if self.disturbances is not None:
+            return disturbed(self.disturbances.at(frequency, plant), len(self.angles))
+        return self._held(response_at(self.whole, frequency, plant)[:, : len(self.angles) + len(self.sight)])
+
+    def _held(self, found: ComplexArray) -> Disturbed:
+        """Return what disturbances do that are held between samples; columns of `found` are torques and Omega."""
         m, p = len(self.torques), len(self.angles)
-        parts = {
-            "response": found[..., :p, :m],
-            "Omega_response": found[..., :p, m:],
-            "sight_response": found[..., p:, :],
-        }
-        return {name: np.ascontiguousarray(part) for name, part in parts.items()}
+        twice = np.concatenate([found[..., :m], found], axis=-1)
+        return Disturbed(twice[..., :p, :], twice[..., :p, :], twice[..., p:, :])
+
+    def regular(self) -> PlantSet:
+        """Return the set for a synthesis: angles that drift decay slowly, else nothing would hold the loop together."""
+        if not self.drifting:
+            return self
+        decay = np.where(np.isin(self.states, self.drifting), np.exp(-_REGULAR * self.period), 1.0)[:, None]
+        out = replaced(self, {"A": decay * self.A, "B": decay * self.B, "drifting": ()})
+        return out.on(self.frequency)
 
     def system(self, k: int = 0) -> control.StateSpace:
         """Return plant `k` with its signals by name; 0 is the nominal one.
@@ -214,15 +271,21 @@ class PlantSet:
 
     def in_directions(self, sense: FloatArray) -> PlantSet:
         """Return the set with combinations of its measured outputs, the rows of `sense` (k, p), in their place."""
+        k = len(self.between)
+        seen = np.kron(np.eye(k), sense)
+        responses = self.disturbances
         return dataclasses.replace(
             self,
             C=sense @ self.C,
             D=sense @ self.D,
             D_Omega=sense @ self.D_Omega,
+            C_between=seen @ self.C_between,
+            D_between=seen @ self.D_between,
             angles=tuple(f"direction_{k + 1}" for k in range(len(sense))),
             noise=np.sqrt(sense**2 @ self.noise**2),
             response=sense @ self.response,
-            Omega_response=sense @ self.Omega_response,
+            disturbances=None if responses is None else CombinedResponses(plain=responses, sense=sense),
+            disturbed=None,
             feedforward=None if self.feedforward is None else self.feedforward.in_directions(sense),
         )
 
@@ -238,11 +301,17 @@ class PlantSet:
         if not len(new):
             return self
         order = np.argsort(np.concatenate([self.frequency, new]), kind="stable")
-        found = self._responses(new)
-        parts: dict[str, Any] = {
-            name: np.concatenate([getattr(self, name), part], axis=1)[:, order] for name, part in found.items()
-        }
-        return dataclasses.replace(self, frequency=np.concatenate([self.frequency, new])[order], **parts)
+        found = frequency_response(self.arrays, new, -3, ON_A_GRID)
+        more = None
+        if self.disturbed is not None:
+            pairs = zip(self.disturbed, self._disturbed_at(new), strict=True)
+            more = Disturbed(*(np.concatenate(pair, axis=1)[:, order] for pair in pairs))
+        return dataclasses.replace(
+            self,
+            frequency=np.concatenate([self.frequency, new])[order],
+            response=np.concatenate([self.response, found], axis=1)[:, order],
+            disturbed=more,
+        )
 
     @check_arguments
     def only(self, chosen: Sequence[int]) -> PlantSet:
@@ -252,6 +321,8 @@ class PlantSet:
             self,
             labels=tuple(self.labels[k] for k in index),
             groups=tuple(self.groups[k] for k in index),
+            disturbances=None if self.disturbances is None else self.disturbances.only(index),
+            disturbed=None if self.disturbed is None else Disturbed(*(one[index] for one in self.disturbed)),
             **{name: getattr(self, name)[index] for name in _OF_EACH},
         )
 
@@ -282,11 +353,15 @@ def plant_set(  # noqa: PLR0913 - what a set is made of, by keyword
     torque_limit: FloatArray,
     nutation: float,
     noise: FloatArray,
+    between: FloatArray = _NO_INSTANTS,
+    disturbances: LoopResponses | None = None,
+    drifting: tuple[str, ...] = (),
+    held: tuple[str, ...] = (),
+    dry_friction: bool = False,
 ) -> PlantSet:
     """Return the set of the plants `whole`, as `PlantSet.whole` has them, its responses computed on `tuning_grid`."""
-    none = np.zeros((len(labels), 0, 0, 0), dtype=np.complex128)
     out = PlantSet(
-        **_matrices(whole, len(torques), len(angles)),
+        **_matrices(whole, len(torques), len(angles), len(sight)),
         period=whole.dt,
         labels=labels,
         groups=groups,
@@ -297,17 +372,21 @@ def plant_set(  # noqa: PLR0913 - what a set is made of, by keyword
         nutation=nutation,
         noise=noise,
         frequency=np.zeros(0),
-        response=none,
-        Omega_response=none,
+        response=np.zeros((len(labels), 0, 0, 0), dtype=np.complex128),
         states=tuple(states),
         sight=sight,
-        sight_response=none,
+        between=between,
+        disturbances=disturbances,
+        drifting=drifting,
+        held=held,
+        dry_friction=dry_friction,
     )
     return out.on(tuning_grid(nutation, whole.dt))
 
 
-def _matrices(whole: StateArrays, m: int, p: int) -> dict[str, Any]:
-    """Return the matrices of plants with m torques and p measured outputs by the names of the fields."""
+def _matrices(whole: StateArrays, m: int, p: int, q: int) -> dict[str, Any]:
+    """Return the matrices of plants with m torques, p measured outputs and q of the line of sight by field."""
     A, B, C, D, _ = whole
-    parts = A, B[..., :m], C[:, :p], D[:, :p, :m], B[..., m:], D[:, :p, m:], C[:, p:], D[:, p:]
+    at, of = slice(p, p + q), slice(p + q, None)
+    parts = A, B[..., :m], C[:, :p], D[:, :p, :m], B[..., m:], D[:, :p, m:], C[:, at], D[:, at], C[:, of], D[:, of]
     return dict(zip(_MATRICES, parts, strict=True))

@@ -134,23 +134,27 @@ def _sampled(
     return Ad, Bd, Cd, np.zeros((*batch, p, m)), lags
 
 
-def every_nth(system: StateArrays, n: int) -> tuple[StateArrays, list[int]]:
+def every_nth(system: StateArrays, n: int, once: int | None = None) -> tuple[StateArrays, list[int]]:
     """Return a sampled system, which may have batch axes, at every n-th sample, and which of its states that has.
 
-    Its inputs are held in between. States that hold the same input, and states that no output depends on any more, are
-    left out.
+    Its inputs are held in between. The outputs behind the first `once` are taken at all n samples, one after another.
+    States that hold the same input, and states that no output depends on any more, are left out.
     """
     A, B, C, D, dt = system
-    power, driven = A, B
-    for _ in range(n - 1):
+    first, often = slice(once), slice(C.shape[-2] if once is None else once, None)
+    rows, direct = [C[..., first, :]], [D[..., first, :]]
+    power, driven = np.broadcast_to(np.eye(A.shape[-1]), A.shape), np.zeros_like(B)
+    for _ in range(n):
+        rows.append(C[..., often, :] @ power)
+        direct.append(C[..., often, :] @ driven + D[..., often, :])
         power, driven = A @ power, A @ driven + B
-    C = np.array(C)
+    C, D = np.concatenate(rows, axis=-2), np.concatenate(direct, axis=-2)
     states = A.shape[-1]
-    rows = np.concatenate([power, driven], axis=-1).reshape(-1, states, states + B.shape[-1])
-    kept, first = list(range(states)), dict[bytes, int]()
+    moved = np.concatenate([power, driven], axis=-1).reshape(-1, states, states + B.shape[-1])
+    kept, known = list(range(states)), dict[bytes, int]()
     for k in range(states):
-        if rows[:, k].any() and not rows[:, k, :states].any():
-            same = first.setdefault(rows[:, k].tobytes(), k)
+        if moved[:, k].any() and not moved[:, k, :states].any():
+            same = known.setdefault(moved[:, k].tobytes(), k)
             if same != k:
                 power[..., :, same] += power[..., :, k]
                 C[..., :, same] += C[..., :, k]

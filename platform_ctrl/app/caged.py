@@ -9,12 +9,12 @@ from typing import get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
+from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.bandwidths import bandwidth_of_response
 from platform_ctrl.analysis.feedback import commanded_loop, sensitivity_functions, with_error_alone
 from platform_ctrl.analysis.frequency_grids import following_grid
 from platform_ctrl.analysis.loop_metrics import LoopMetrics, measure, measured
-from platform_ctrl.analysis.loop_set import LoopSet
+from platform_ctrl.analysis.loop_set import LoopSet, Transfer
 from platform_ctrl.analysis.measuring import MetricRequest
 from platform_ctrl.analysis.metrics import METRICS
 from platform_ctrl.analysis.plant_set import COMMAND, Group, PlantSet
@@ -47,14 +47,11 @@ from platform_ctrl.app.pictures import Drawing, FrequencyGain, Locus, Margins, M
 from platform_ctrl.app.settings import Settings
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.loop import limits_and_goals, requirements_of
-from platform_ctrl.design.plants import FORGETTING
 from platform_ctrl.job.job import Job, LoopSpec
 from platform_ctrl.job.requirements import WORST_CASE, of_readings
 
 # Groups that a band shows: failed parts are not among them.
 _BAND = WORST_CASE
-# Share of the rate at which plants forget within which a pole is that of an angle they forget.
-_OF_FORGETTING = 0.05
 # Poles of a tracking loop beyond this many times the frequency that it goes by are not looked at first.
 _AROUND = 4.0
 # Largest number of states of a closed loop for which norms are computed while a slider moves.
@@ -152,7 +149,7 @@ class CagedCurves(LoopCurves):
         """Return the response to a torque step at the channel, of a loop around another one to one of its command."""
         plants, unit = self._loop.plants, self._units[self.channel]
         size = step_size(float(plants.torque_limit[self.index]))
-        duration = settling(self._own_poles, self.shown.plants.nutation, plants.period, self.stable)
+        duration = settling(self.poles, self.shown.plants.nutation, plants.period, self.stable)
         title = f"{1e3 * size:g} m{unit} step at {self.channel}"
         step = drive(title, duration, plants.period, lambda t: np.full(len(t), size))
         own = not self._sight
@@ -175,13 +172,6 @@ class CagedCurves(LoopCurves):
         if len(commands) and not turn.u.any():
             turn = turn._replace(u=commands[0])
         return self._responses(turn, parts)
-
-    @property
-    def _own_poles(self) -> ComplexArray:
-        """Poles without those of angles that the plants of a loop forget: they say nothing about the loop."""
-        if self._loop.spec.kind == "caging":
-            return self.poles
-        return self.poles[np.abs(self.poles + FORGETTING) > _OF_FORGETTING * FORGETTING]
 
     @property
     def _sight(self) -> tuple[str, ...]:
@@ -217,28 +207,21 @@ class CagedCurves(LoopCurves):
 
     def disturbance_gain(self, frequency: FloatArray) -> FrequencyGain:
         """Return the gain from Omega to what is read, or to the line of sight, at `frequency` (F,), rad/s."""
-        m, p, axis, band, metric = self.shown.m, self.shown.p, self.axis - 1, None, METRICS["Omega rejection"]
-        rows = range(-len(self._sight), 0) if self._sight else range(m, m + p)
+        axis, band, metric = self.axis - 1, None, METRICS["Omega rejection"]
+        part = Transfer("Omega", "sight" if self._sight else "angle")
         if self.band is not None:
-            band = self.band.plants.frequency, self._band_gains(self.band)[..., axis]
+            every = np.arange(len(self.band.plants.labels))
+            band = self.band.plants.frequency, self.band.responses(part, every)[0][..., axis]
         words = "line of sight" if self._sight else "rates" if self._loop.spec.kind == "rate" else "angles"
+        shown = LoopSet(self.shown.plants.on(frequency), self._loop.controller)
         return self._disturbance_gain(
             f"rate Omega{self.axis} → {words}",
             of_readings(metric.unit, self._loop.spec.kind),
             frequency,
-            self.shown.arrays.at(0).part(rows, [m + axis]),
+            shown.responses(part, np.zeros(1, dtype=np.intp))[0][0, ..., axis],
             band,
             self._loop.limit("Omega rejection"),
         )
-
-    def _band_gains(self, band: LoopSet) -> ComplexArray:
-        """Return the responses from Omega to what is read, or to the line of sight, (N, F, outputs, 3)."""
-        plants = band.plants
-        read = band.S_output @ plants.Omega_response
-        if not self._sight:
-            return np.asarray(read)
-        torques, Omega = plants.sight_response[..., : band.m], plants.sight_response[..., band.m :]
-        return np.asarray(Omega + torques @ (band.K @ read))
 
     def locus(self) -> Locus:
         """Return the root locus."""

@@ -13,7 +13,6 @@ from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
 from platform_ctrl.analysis.feedback import closed_loop
 from platform_ctrl.analysis.plant_set import COMMAND, BoolArray
 from platform_ctrl.analysis.poles import continuous_poles, pole_branches
-from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.app.pictures import (
     Bode,
     ClosedLoop,
@@ -303,15 +302,14 @@ class LoopCurves(ABC):
         title: str,
         unit: str,
         frequency: FloatArray,
-        shown: StateArrays,
+        shown: ComplexArray,
         band: tuple[FloatArray, ComplexArray] | None,
         limit: float | None = None,
     ) -> FrequencyGain:
-        """Return the gain of the plant shown, with one input, and its extremes over the set.
+        """Return the gain of the plant shown, with responses (F, k), and its extremes over the set.
 
         The set has responses (N, B, k) at frequencies (B,).
         """
-        own = frequency_response(shown, frequency, -3, DRAWN)
         w = low = high = np.zeros(0)
         if band is not None:
             w, gains = band[0], np.linalg.norm(band[1], axis=-1)
@@ -320,7 +318,7 @@ class LoopCurves(ABC):
             title=title,
             unit=unit,
             frequency=frequency,
-            gain=np.asarray(np.linalg.norm(own[..., 0], axis=-1)),
+            gain=np.asarray(np.linalg.norm(shown, axis=-1)),
             band_frequency=w,
             low=low,
             high=high,

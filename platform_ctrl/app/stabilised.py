@@ -113,10 +113,12 @@ def _decoupled(
     caging = [K for K in controllers if set(K.output_labels) <= gimbal]
 
     def of_caging() -> dict[str, float]:
-        return _margins_of(coupled_plant(job, model, caging), caging, job, set()) if caging else {}
+        return _margins_of(coupled_plant(job, model, caging).system, caging, job, set()) if caging else {}
 
     def of_servo() -> dict[str, float]:
-        return _margins_of(one_way_plant(job, model, sensed_rates(job, controllers)), controllers, job, set(inner))
+        return _margins_of(
+            one_way_plant(job, model, sensed_rates(job, controllers)).system, controllers, job, set(inner)
+        )
 
     inner = cached("caging", of_caging)
     return of_servo() | inner
@@ -265,8 +267,9 @@ class StabilisedCurves(LoopCurves):
             torque = np.linalg.solve(np.eye(k) - K @ driven[..., :p, :], K @ sensed)
             band = w, (whole[..., p:, [column]] + driven[..., p:, :] @ torque)[..., 0]
         shown = self._turned(self.loop.shown, slice(k + p, None)).at(0)
+        own = frequency_response(shown, frequency, -3, DRAWN)[..., 0]
         return self._disturbance_gain(
-            f"torque M{self.axis} on the platform → attitude", "rad/(N m)", frequency, shown, band
+            f"torque M{self.axis} on the platform → attitude", "rad/(N m)", frequency, own, band
         )
 
     @cached_property

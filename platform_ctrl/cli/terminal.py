@@ -124,14 +124,14 @@ def screen() -> Console:
 
 def show_result(result: JobResult) -> None:
     """Print all requirements, the worst first, and the verdict."""
-    from platform_ctrl.job.quantities import added_words, assumed_words
+    from platform_ctrl.job.quantities import added_words
 
     console = screen()
     console.print(result.job.name, style="bold", markup=False)
     goals = [goal for outcome in result.loops for goal in outcome.closed.goals]
     show_requirements(console, [*result.requirements, *goals], result)
     _show_alternatives(console, result)
-    _show_verdict(console, result.requirements, added_words(result.job.platform) + assumed_words(result.job))
+    _show_verdict(console, result.requirements, added_words(result.job.platform) + result.assumptions)
 
 
 def show_run(run: Run, largest: dict[str, tuple[float, str]]) -> None:

@@ -6,8 +6,8 @@ Into the torque: with W in the equations M q̈ + D q̇ + K q + M_Omega Omega' + 
 
     Q = (M W + M_Omega) Omega' + (D W + G_Omega) Omega + K W ∫Omega dt,
 
-for the inertia that couples, viscous friction and rotors, and the springs. Omega' is filtered, the integral forgets as
-the angles of the loop's plants do.
+for the inertia that couples, viscous friction and rotors, and the springs. Omega' is filtered, the integral decays
+slowly, so that what the sensors' bias adds up to stays bounded.
 
 Into the readings y = T_y q̇ + c_y Omega: y + w Omega is zero at q̇ = W Omega, where W is that of the inertial rates of
 the same bodies about the same axes: w = −(T_y W + c_y). Angles get w ∫Omega dt.
@@ -26,7 +26,7 @@ from platform_ctrl.analysis.sampling import every_nth, from_w_plane, held_input,
 from platform_ctrl.common.values import FloatArray, replaced
 from platform_ctrl.design.cases import rows_of
 from platform_ctrl.design.loop_signals import LoopSignals, loop_signals, without_sensors
-from platform_ctrl.design.plants import FORGETTING, plants_of
+from platform_ctrl.design.plants import plants_of
 from platform_ctrl.errors import InputError
 from platform_ctrl.job.job import DesignSpec, Feedforward, Job, LoopSpec
 from platform_ctrl.mechanics.linearisation import LinearModel, linearise
@@ -37,6 +37,8 @@ from platform_ctrl.plant.sensors import Sensor, body_rates, body_rotations, comp
 
 # Bandwidth of the filtered derivative over the sample rate, where none is given.
 _DERIVATIVE = 0.1
+# Rate at which integrals of the platform's rate decay in feedforward, 1/s.
+_LEAK = 0.2
 # A share of the largest that is rounding.
 _ROUNDING = 1e-9
 
@@ -64,29 +66,27 @@ def rate_feedforward(job: Job, spec: LoopSpec, design: DesignSpec) -> RateFeedfo
     seen = np.array([[_ideal(s).signals(platform).get(name, 0.0) for name in OMEGA_NAMES] for s in sensors])
     scale = np.array([1.0 + sensor.scale_error for sensor in sensors])
     if fed.into == "torque":
-        read = {name for sensor in signals.sensors for name in sensor.signals(platform)}
-        free = not {platform.gimbals[row].angle for row in rows_of(model, signals.gimbals)} <= read
-        path, in_plants = (
-            _torque(model, signals, fed, seen, period, rate)
-            for rate in (FORGETTING, FORGETTING + (FORGETTING if free else 0.0))
-        )
+        path = _torque(model, signals, fed, seen, period)
     else:
         weights = _weights(model, signals)
         w = weights @ np.linalg.pinv(seen)
         _expect_whole(where, weights, w @ seen, signals)
-        path = in_plants = _reading(w, signals.order, period)
+        path = _reading(w, signals.order, period)
         scale = _worst_scale(w, weights, seen, sensors, signals.sensors)
     if not path.D.any():
         raise InputError(
             f"{where}: with into = {fed.into!r} the rates {', '.join(fed.sensors)} add nothing to this loop; "
             "leave it out, or choose other sensors"
         )
+    late = [sensor.periods_late(job.sampling.period, every) for sensor in sensors]
+    smooth = _measured(model, signals, sensors, scale)
     return RateFeedforward(
         into=fed.into,
         sensors=tuple(fed.sensors),
         path=path,
-        in_plants=in_plants,
-        measured=_measured(model, signals, sensors, scale, job.sampling.period, every),
+        measured=_held(smooth, late, job.sampling.period, every),
+        smooth=smooth,
+        late=job.sampling.period * np.array(late),
         noise=np.array([sensor.sampled_noise(job.sampling.period, every) for sensor in sensors]),
     )
 
@@ -134,13 +134,8 @@ def _shown(model: LinearModel, signals: LoopSignals, sums: Sequence[dict[str, fl
     return T[:, [in_file.index(row) for row in rows]], c
 
 
-def _torque(
-    model: LinearModel, signals: LoopSignals, fed: Feedforward, seen: FloatArray, period: float, forgetting: float
-) -> StateArrays:
-    """Return F from the sensors' rates to the torques that keep what the loop reads at zero.
-
-    The integral decays at the rate `forgetting`, 1/s.
-    """
+def _torque(model: LinearModel, signals: LoopSignals, fed: Feedforward, seen: FloatArray, period: float) -> StateArrays:
+    """Return F from the sensors' rates to the torques that keep what the loop reads at zero."""
     T, c = _shown(model, signals, [_rates_of(model.platform, sensor) for sensor in signals.sensors])
     W = -np.linalg.pinv(T) @ c
     rows = rows_of(model, signals.gimbals)
@@ -157,7 +152,7 @@ def _torque(
         )
     )
     # s/(1 + s/rate) = rate − rate²/(s + rate)
-    return _filtered(of_rate + rate * of_change, [(-(rate**2) * of_change, rate), (of_angle, forgetting)], period)
+    return _filtered(of_rate + rate * of_change, [(-(rate**2) * of_change, rate), (of_angle, _LEAK)], period)
 
 
 def _without_rounding(matrix: FloatArray, scale: FloatArray) -> FloatArray:
@@ -208,7 +203,7 @@ def _reading(w: FloatArray, order: int, period: float) -> StateArrays:
     """Return F from the sensors' rates to what they add to rates (order 1) or angles (order 2) that are read."""
     if order == 1:
         return _filtered(w, [], period)
-    return _filtered(np.zeros_like(w), [(w, FORGETTING)], period)
+    return _filtered(np.zeros_like(w), [(w, _LEAK)], period)
 
 
 def _worst_scale(
@@ -224,16 +219,18 @@ def _worst_scale(
     return 1.0 + sign * np.abs([sensor.scale_error for sensor in sensors])
 
 
-def _measured(
-    model: LinearModel, signals: LoopSignals, sensors: Sequence[Sensor], scale: FloatArray, period: float, every: int
-) -> StateArrays:
-    """Return the sensors of the platform's rate, which is held between samples: low-passes, scale factors, lateness."""
+def _measured(model: LinearModel, signals: LoopSignals, sensors: Sequence[Sensor], scale: FloatArray) -> StateArrays:
+    """Return the sensors of the platform's rate, not late: low-passes and scale factors; continuous."""
     bare = state_space(model, gimbals=signals.gimbals, others="held")
     shown = observed(bare, model.platform, [sensor.name for sensor in sensors], model.q0, model.Omega0)
     A, B, C, D, _ = state_arrays(shown, "feedforward")
     kept, columns = seen_states(A[None], C[None]), [shown.input_labels.index(name) for name in OMEGA_NAMES]
     factor = (scale / np.array([1.0 + sensor.scale_error for sensor in sensors]))[:, None]
-    A, B = held_input(A[np.ix_(kept, kept)], B[np.ix_(kept, columns)], period)
-    found = StateArrays(A, B, factor * C[:, kept], factor * D[:, columns], period)
-    late = late_outputs(found, [sensor.periods_late(period, every) for sensor in sensors])
-    return every_nth(late, every)[0] if every > 1 else late
+    return StateArrays(A[np.ix_(kept, kept)], B[np.ix_(kept, columns)], factor * C[:, kept], factor * D[:, columns])
+
+
+def _held(sensors: StateArrays, late: Sequence[int], period: float, every: int) -> StateArrays:
+    """Return sensors of a rate that is held between samples, late by whole periods, at every n-th sample."""
+    A, B = held_input(sensors.A, sensors.B, period)
+    found = late_outputs(StateArrays(A, B, sensors.C, sensors.D, period), late)
+    return every_nth(found, every)[0] if every > 1 else found

@@ -239,7 +239,12 @@ def limits_and_goals(
 def _proofs(
     spec: LoopSpec, plants: PlantSet, controller: StateArrays, measures: LoopMetrics, known: KnownProofs | None
 ) -> tuple[tuple[Certificate, ...], tuple[str, ...]]:
-    """Return the certificates of stability and of the disk margins of `spec`, and what is left unproved."""
+    """Return the certificates of stability and of the disk margins of `spec`, and what is left unproved.
+
+    Of a loop in which nothing holds an angle there are none: its equilibria are no numbers that intervals decide.
+    """
+    if measures.free_angles:
+        return (), ()
     requested = np.zeros(len(plants.labels))
     for requirement in requirements_of(spec):
         if requirement.kind == "disk margin" and requirement.hard:

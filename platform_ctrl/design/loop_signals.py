@@ -35,7 +35,10 @@ class LoopSignals:
     torquers: tuple[Torquer, ...]
     sensors: tuple[Sensor, ...]
     sight: tuple[str, ...] = ()  # outputs of the line of sight that its torquers move
-    held: bool = False  # whether all other gimbals are held; else the loop's are whole subsystems
+    # held: whether gimbals that other loops turn are held; else the loop's are whole subsystems, perhaps with others
+    # that no loop turns. passive: names of gimbals that no loop turns and that take part.
+    held: bool = False
+    passive: tuple[str, ...] = ()
     # Sensors from which drives of its torquers find the rates by which they feed friction forward: of gimbal rates, a
     # feedback, and where dry friction counts of the root.
     fed: tuple[Sensor, ...] = ()

@@ -3,17 +3,34 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from platform_ctrl.analysis.arrays import StateArrays, seen_states
+from platform_ctrl.analysis.between_samples import (
+    ClosedResponses,
+    LoopResponses,
+    PlantResponses,
+    SlowerResponses,
+    instants,
+    rows_between,
+)
+from platform_ctrl.analysis.drift import without_drift
 from platform_ctrl.analysis.feedback import commanded_loop, with_error_alone
 from platform_ctrl.analysis.feedforward import RateFeedforward
 from platform_ctrl.analysis.plant_set import COMMAND, PlantSet, plant_set
 from platform_ctrl.analysis.sampling import every_nth, held_input, late_outputs, late_states, sampled, sampled_states
 from platform_ctrl.common.values import FloatArray, value
-from platform_ctrl.design.cases import Case, carried, cases, friction_rate, with_feedback, with_friction
+from platform_ctrl.design.cases import (
+    Case,
+    carried,
+    cases,
+    friction_rate,
+    subsystems_over,
+    with_feedback,
+    with_friction,
+)
 from platform_ctrl.design.loop_signals import (
     LoopSignals,
     caging_signals,
@@ -35,8 +52,8 @@ from platform_ctrl.plant.sensors import Sensor
 _SLOW_MOTION = 1e-3
 # Phase that a tracker's delay takes at the frequency that its loop goes by, rad.
 _PHASE = 0.5
-# Rate at which angles that a rate loop leaves free decay in its plants, 1/s: four times what every pole has to.
-FORGETTING = 0.2
+# A loop that is slower by this factor is seen at its samples and at those of the fast loop alone, not between these.
+_SLOW_LOOP = 8
 # Largest angle of a motion in a sample period, rad: beyond it a sampled plant has lost all digits.
 _LARGEST_ANGLE = 1e6
 
@@ -49,20 +66,6 @@ def plants_of(job: Job, spec: LoopSpec) -> PlantSet | None:
         return loop_plants(job, spec)
     except ArgumentError as error:
         raise InputError(f"loop {spec.name!r}: {error}") from None
-
-
-def forgetting(A: FloatArray, states: Sequence[str], angles: Collection[str], rate: float = FORGETTING) -> FloatArray:
-    """Return A (..., n, n) with those of its states that are `angles` decaying at a `rate`, 1/s.
-
-    A loop that holds a body is in balance at any angle: it holds against a cable or a weight that pulls at it. So
-    each of its angles is a closed-loop pole at zero, which says nothing about the loop, but which no verdict and no
-    certificate could tell from one that grows. Far above the rate of the decay nothing changes.
-    """
-    out = A.copy()
-    for k, name in enumerate(states):
-        if name in angles:
-            out[..., k, k] -= rate
-    return out
 
 
 @value
@@ -83,6 +86,9 @@ class LinearPlants:
     C_sight: FloatArray
     D_sight: FloatArray
     states: tuple[str, ...]  # names of the n states
+    # drifting, held: angles among them that the loop does not read; gimbals that are held.
+    drifting: tuple[str, ...]
+    held: tuple[str, ...]
 
     @property
     def torquers(self) -> tuple[Torquer, ...]:
@@ -99,12 +105,13 @@ def linear_plants(signals: LoopSignals, plants: Sequence[Case]) -> LinearPlants:
     """Linearise `plants`, and keep what a loop sets, reads and shows."""
     torques, sensors = [t.name for t in signals.torquers], [s.name for s in signals.sensors]
     inputs, p, m = [*torques, *OMEGA_NAMES], len(sensors), len(torques)
+    gimbals = [*signals.gimbals, *signals.passive]
     outputs = [*sensors, *signals.sight, *(sensor.name for sensor in signals.fed)]
     systems = []
     for one in plants:
         rates = None if one.rate is None else np.full(len(one.platform.gimbals), one.rate)
         model = linearise(one.platform, Omega=one.Omega, q=one.q, rate_amplitude=rates)
-        bare = linear_system(model, gimbals=signals.gimbals, others="held" if signals.held else "coupled")
+        bare = linear_system(model, gimbals=gimbals, others="held" if signals.held else "coupled")
         systems.append(observed_system(bare, one.platform, list(dict.fromkeys(outputs)), model.q0, model.Omega0))
     columns = [systems[0].input_labels.index(name) for name in inputs]
     rows = [systems[0].output_labels.index(name) for name in outputs]
@@ -112,12 +119,14 @@ def linear_plants(signals: LoopSignals, plants: Sequence[Case]) -> LinearPlants:
     B = np.array([system.B[:, columns] for system in systems])
     D = np.array([system.D[np.ix_(rows, columns)] for system in systems])
     states = list(systems[0].state_labels)
+    drifting: tuple[str, ...] = ()
     if signals.held:
+        # Nothing depends on the angle of a balanced gimbal whose rate alone is read.
         kept = seen_states(A, C)
         A, B, C, states = A[:, kept][:, :, kept], B[:, kept], C[:, :, kept], [states[k] for k in kept]
         platform = plants[0].platform
         read = {signal for sensor in signals.sensors for signal in sensor.signals(platform)}
-        A = forgetting(A, states, set(platform.angle_names) - read)
+        drifting = tuple(name for name in states if name in set(platform.angle_names) - read)
     torque = np.array([one.torque for one in plants])[:, None, :]
     return LinearPlants(
         cases=tuple(plants),
@@ -131,6 +140,8 @@ def linear_plants(signals: LoopSignals, plants: Sequence[Case]) -> LinearPlants:
         C_sight=C[:, p:],
         D_sight=np.concatenate([D[:, p:, :m] * torque, D[:, p:, m:]], axis=-1),
         states=tuple(states),
+        drifting=drifting,
+        held=tuple(name for name in plants[0].platform.gimbal_names if signals.held and name not in gimbals),
     )
 
 
@@ -144,14 +155,17 @@ def sampled_plants(
     """
     torques, names = (tuple(one.name for one in part) for part in (linear.torquers, linear.sensors))
     A, lags = linear.A, np.array([t.lag for t in linear.torquers])
-    m = len(torques)
+    m, p, q = len(torques), len(names), len(linear.signals.sight)
     period = every * sampling.period
     _expect_slow(A, linear.cases, period)
-    C, D = (
+    continuous = StateArrays(
+        A,
+        linear.B,
         np.concatenate([linear.C, linear.C_sight], axis=1),
         np.concatenate([linear.D, linear.D_sight[..., :m]], axis=1),
+        0.0,
     )
-    arrays = sampled(StateArrays(A, linear.B, C, D, 0.0), sampling.period, sampling.delay, lags)
+    arrays = sampled(continuous, sampling.period, sampling.delay, lags)
     B_Omega = held_rate(A, linear.B_Omega, sampling.period, arrays.A.shape[-1])
     D_Omega = np.concatenate([linear.D_Omega, linear.D_sight[..., m:]], axis=1)
     states = sampled_states(linear.states, torques, lags, arrays.A.shape[-1])
@@ -160,14 +174,28 @@ def sampled_plants(
     often = {one.name: every for one in linear.sensors} | {one.name: 1 for one in linear.signals.fed} | dict(used or {})
     late = [0 if one is None else one.periods_late(sampling.period, often[one.name]) for one in shown]
     states += late_states(["" if one is None else one.name for one in shown], late)
+    responses: LoopResponses = _responses(linear, continuous, arrays, late, lags, sampling)
+    # Readings, line of sight, the readings' signals between samples, and last what drives feed back.
+    times = np.append(0.0, instants(sampling.period, sampling.delay).times)[: None if every < _SLOW_LOOP else 1]
+    C_seen, D_seen = rows_between(continuous.part(slice(p), slice(None)), sampling.period, sampling.delay, lags, times)
+    D = np.concatenate([arrays.D, D_Omega], axis=-1)
+    D_seen = np.concatenate([D_seen, np.tile(D_Omega[:, :p], (1, len(times), 1))], axis=-1)
     whole = late_outputs(
-        arrays._replace(B=np.concatenate([arrays.B, B_Omega], axis=-1), D=np.concatenate([arrays.D, D_Omega], axis=-1)),
-        late,
+        StateArrays(
+            arrays.A,
+            np.concatenate([arrays.B, B_Omega], axis=-1),
+            np.concatenate([arrays.C[:, : p + q], C_seen, arrays.C[:, p + q :]], axis=-2),
+            np.concatenate([D[:, : p + q], D_seen, D[:, p + q :]], axis=-2),
+            sampling.period,
+        ),
+        [*late[: p + q], *([0] * len(times) * p), *late[p + q :]],
     )
     whole = _with_drives(whole, linear)
     if every > 1:
-        whole, kept = every_nth(whole, every)
+        whole, kept = every_nth(whole, every, p + q)
+        times = np.add.outer(sampling.period * np.arange(every), times).ravel()
         states = [states[k] for k in kept]
+        responses = SlowerResponses(fast=responses, every=every)
     return plant_set(
         whole._replace(dt=period),
         labels=tuple(one.label for one in linear.cases),
@@ -180,6 +208,46 @@ def sampled_plants(
         torque_limit=np.array([np.inf if t.limit is None else t.limit for t in linear.torquers]),
         states=states,
         sight=linear.signals.sight,
+        between=times,
+        disturbances=responses,
+        drifting=linear.drifting,
+        held=linear.held,
+        dry_friction=any(max(one.breakaway) > 0.0 for one in linear.cases[0].platform.frictions),
+    )
+
+
+def _responses(
+    linear: LinearPlants,
+    continuous: StateArrays,
+    arrays: StateArrays,
+    late: Sequence[int],
+    lags: FloatArray,
+    sampling: Sampling,
+) -> PlantResponses:
+    """Return what continuous disturbances do to plants that are set at every sample; `arrays` are `continuous` sampled."""
+    m, p, q = len(linear.torquers), len(linear.sensors), len(linear.signals.sight)
+    shares = np.array([one.torque for one in linear.cases])[:, None, :]
+    shares = np.where(shares > 0.0, shares, 1.0)
+    at = instants(sampling.period, sampling.delay)
+    of_rows = continuous.part(slice(p + q), slice(None))
+    C, D = rows_between(of_rows, sampling.period, sampling.delay, lags, at.times)
+    D_rate = np.concatenate([linear.D_Omega, linear.D_sight[..., m:]], axis=1)
+    return PlantResponses(
+        # Torques that add are not those of torquers, which may be weak.
+        smooth=StateArrays(
+            linear.A,
+            np.concatenate([linear.B / shares, linear.B_Omega], axis=-1),
+            continuous.C,
+            np.concatenate([continuous.D / shares, D_rate], axis=-1),
+        ),
+        stepped=late_outputs(
+            arrays._replace(C=np.concatenate([arrays.C, C], axis=-2), D=np.concatenate([arrays.D, D], axis=-2)),
+            [*late, *([0] * len(at.times) * (p + q))],
+        ),
+        late=tuple(late),
+        instants=at,
+        drives=_drive_gains(linear) if linear.signals.fed else None,
+        readings=p,
     )
 
 
@@ -214,9 +282,22 @@ def around(
     whole = plants.whole if feedforward is None else feedforward.taken_up(plants.whole, m, p)
     closed = commanded_loop(whole, K, range(m), range(p))
     slower = 1 if spec.rate_hz is None else round(job.period_of(spec) / plants.period)
-    closed = every_nth(closed, slower)[0] if slower > 1 else closed
-    # Inputs are the torques, Omega, the commands; outputs are the torques, then all of the plant's.
-    inner = closed.part(slice(m + p, None), [*range(m + 3, m + 3 + p), *range(m, m + 3)])
+    # Inputs are the torques, Omega, the commands; outputs are the torques, then all of the plant's: all readings, the
+    # line of sight, all readings between samples. Of these only the tracking loop's own are kept.
+    every, q = len(plants.angles), len(plants.sight)
+    times = plants.between[: None if slower < _SLOW_LOOP else 1]
+    seen = [m + every + q + k * every + j for k in range(len(times)) for j in range(p, every)]
+    inputs = [*range(m + 3, m + 3 + p), *range(m, m + 3)]
+    inner = closed.part([*range(m + p, m + every + q), *seen], inputs)
+    own = plants.disturbances
+    assert own is not None, "plants of a job have them"
+    own = own if feedforward is None else feedforward.responses(own)
+    responses: LoopResponses = ClosedResponses(open=own, controller=K._replace(dt=plants.period))
+    if slower > 1:
+        inner = every_nth(inner, slower, len(spec.sensors) + q)[0]
+        times = np.add.outer(plants.period * np.arange(slower), times).ravel()
+        responses = SlowerResponses(fast=responses, every=slower)
+    inner = without_drift(inner)
     commands = tuple(f"{name}{COMMAND}" for name in plants.angles[:p])
     found = plant_set(
         inner,
@@ -230,10 +311,14 @@ def around(
         torque_limit=np.full(p, np.inf),
         sight=plants.sight,
         states=[f"x{k}" for k in range(inner.A.shape[-1])],
+        between=times,
+        disturbances=responses,
+        held=plants.held,
+        dry_friction=plants.dry_friction,
     )
     z = np.exp(1j * (w := 0.1 * found.nutation) * inner.dt)
-    seen = np.linalg.solve(z * np.eye(found.A.shape[-1]) - found.A[0], found.B[0])
-    effect = np.real(1j * w * (found.C[0] @ seen + found.D[0]))
+    states = np.linalg.solve(z * np.eye(found.A.shape[-1]) - found.A[0], found.B[0])
+    effect = np.real(1j * w * (found.C[0] @ states + found.D[0]))
     if not shows_each(effect):
         raise InputError(
             f"loop {spec.name!r}: sensors {', '.join(spec.sensors)} do not show what each of the commands "
@@ -280,11 +365,19 @@ def job_signals(job: Job, loop: LoopSpec | tuple[str, ...]) -> LoopSignals:
     platform = job.platform
     signals = loop_signals(platform, loop) if isinstance(loop, LoopSpec) else caging_signals(platform, loop)
     torquers = {torquer.name for torquer in signals.torquers}
+    if signals.held:
+        passive = job.passive_gimbals
+    else:
+        free = job.passive_gimbals
+        groups = subsystems_over(platform, job.Omega, job.Omega_grid) if free else ()
+        own = {name for group in groups if set(group) & set(signals.gimbals) for name in group}
+        passive = tuple(name for name in free if name in own)
     # What turns with the root feeds nothing back: it takes from what friction brings in.
     moved = signals.held and friction_rate(job) > 0.0
     laws = [law for law in job.drive_laws if law.torquer in torquers and (law.feedback or moved)]
     read = {name for law in laws for name in law.weights}
-    return dataclasses.replace(signals, fed=tuple(one for one in platform.sensors if one.name in read))
+    fed = tuple(one for one in platform.sensors if one.name in read)
+    return dataclasses.replace(signals, fed=fed, passive=passive)
 
 
 def _with_drives(whole: StateArrays, linear: LinearPlants) -> StateArrays:
@@ -293,15 +386,19 @@ def _with_drives(whole: StateArrays, linear: LinearPlants) -> StateArrays:
     if not count:
         return whole
     A, B, C, D, dt = whole
-    none = np.zeros((m, count))
-    # A torquer's column has the share of its command, which is not that of what the drive adds.
-    gains = [none if one.feedback is None else one.feedback / one.torque[:, None] for one in linear.cases]
-    back = np.array(gains) @ np.concatenate([C[:, -count:], D[:, -count:]], axis=-1)
+    back = _drive_gains(linear) @ np.concatenate([C[:, -count:], D[:, -count:]], axis=-1)
     n = A.shape[-1]
     moved, shown = B[..., :m] @ back, D[:, :-count, :m] @ back
     return StateArrays(
         A + moved[..., :n], B + moved[..., n:], C[:, :-count] + shown[..., :n], D[:, :-count] + shown[..., n:], dt
     )
+
+
+def _drive_gains(linear: LinearPlants) -> FloatArray:
+    """Return what drives add to commands in proportion to their readings (N, m, f)."""
+    none = np.zeros((len(linear.torquers), len(linear.signals.fed)))
+    # A torquer's column has the share of its command, which is not that of what the drive adds.
+    return np.array([none if one.feedback is None else one.feedback / one.torque[:, None] for one in linear.cases])
 
 
 def _loop_plants(job: Job, signals: LoopSignals, every: int, used: Mapping[str, int] | None = None) -> PlantSet:

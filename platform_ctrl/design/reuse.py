@@ -37,6 +37,7 @@ _REMOVED: dict[str, Any] = {
 }
 # Of a loop whose plants alone count.
 _BARE: dict[str, Any] = {"designs": (), "use": "", "limits": {}, "soft": {}}
+_TURNS: dict[str, Any] = _BARE | {"name": "", "kind": "rate", "sensors": (), "around": None, "rate_hz": None}
 
 
 def plant_job(job: Job, *loops: LoopSpec) -> Job:
@@ -60,7 +61,10 @@ def design_job(job: Job, spec: LoopSpec, design: DesignSpec) -> Job:
 
 
 def _with_loops(job: Job, loops: tuple[LoopSpec, ...]) -> Job:
-    return replaced(job, _REMOVED | {"loops": loops})
+    """Return a job with these loops; of the others with no more than what they turn: that is not passive."""
+    own = {spec.name for spec in loops}
+    others = (replaced(one, _TURNS) for one in job.loops if one.name not in own and (one.gimbals or one.torquers))
+    return replaced(job, _REMOVED | {"loops": (*others, *loops)})
 
 
 def design_key(job: Job, rise: float, inner: LoopDesign | None = None) -> str:

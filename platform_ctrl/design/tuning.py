@@ -105,6 +105,8 @@ def tune(  # noqa: PLR0913, PLR0915 - the parts of one search
     def ratio(x: FloatArray, on: PlantSet) -> float:
         return worst_ratio(build(options(x)), on, requirements) + beyond(x)
 
+    if any(one.metric.of_disturbances for one in requirements):
+        plants = plants.with_disturbances()
     target = 1.0 - reserve
     view = [0]
     left = evaluations

@@ -105,7 +105,7 @@ def job_responses(job: Job, controllers: Sequence[control.StateSpace]) -> tuple[
         what = f"{job.name}: {name} broken at one torquer, its others closed"
         out += _broken(f"loop {name}", plant, own[name], _frequency(plants.values(), plant.dt), what)
     if len(controllers) > 1 and job.cycle == 1:
-        plant = coupled_plant(job, linearise(job.platform), controllers)
+        plant = coupled_plant(job, linearise(job.platform), controllers).system
         K = one_controller(job, controllers, plant)
         what = f"{job.name}: broken at one torquer, everything else closed, on the coupled plant"
         out += _broken("all loops", plant, K, _frequency(plants.values(), plant.dt), what)

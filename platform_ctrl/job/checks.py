@@ -72,6 +72,30 @@ def _sets(data: Data) -> Iterator[Mistake]:
             yield from _limits(limits, ("loop", i, table), isinstance(faults, dict) and bool(faults))
 
 
+def locked_names(data: Data) -> list[str]:
+    """Return the names of the gimbals that a job locks, as far as they are text."""
+    operation = data.get("operation")
+    return _names_of(operation, "locked") if isinstance(operation, dict) else []
+
+
+def locked_mistakes(data: Data, platform: Platform) -> Iterator[Mistake]:
+    """Walk gimbals that cannot be locked, and what is asked of locked ones; `platform` still has them."""
+    path: Path = ("operation", "locked")
+    names = locked_names(data)
+    for k, name in enumerate(names):
+        if name not in platform.gimbal_names:
+            yield Mistake(
+                path, f"locked: {given(name)} is no gimbal of the plant; {suggestion(name, platform.gimbal_names)}"
+            )
+        elif name in names[:k]:
+            yield Mistake(path, f"locked: {given(name)} is in the list twice; leave one of them out")
+    for i, loop in tables(data, "loop"):
+        for name in _names_of(loop, "gimbals"):
+            if name in names:
+                words = f"gimbals: {given(name)} is locked in [operation]; leave it out here, or do not lock it"
+                yield Mistake(("loop", i, "gimbals"), words)
+
+
 # Combinations of gimbal angles at most: each is a plant for every corner of the uncertainty.
 MOST_TRIMS = 200
 

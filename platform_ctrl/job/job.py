@@ -335,6 +335,8 @@ class Job:
     angles
         Gimbal angles at which the loops have to work, rad, by the names of the angles; angles that are not named stay
         at zero. With several, every combination counts.
+    locked
+        Names of gimbals that are locked at the angle zero: `platform` does not have them any more.
     campaign
         Many runs, or None.
     budget
@@ -348,6 +350,7 @@ class Job:
     Omega_grid: Annotated[fields.GridPoints, At("operation", "Omega_grid")] = 2
     seed: Annotated[fields.Seed, At("operation", "seed")] = 0
     angles: Annotated[dict[str, tuple[float, ...]], At("operation", "angles"), _ANGLES] = field(default_factory=dict)
+    locked: Annotated[fields.Names, At("operation", "locked")] = ()
     uncertainty: Annotated[Uncertainty, TABLE] = field(default_factory=Uncertainty)
     faults: Annotated[Faults, TABLE] = field(default_factory=Faults)
     sampling: Annotated[Sampling, TABLE]
@@ -404,10 +407,19 @@ class Job:
         # Drives are computed at every sample.
         out = {name: 1 for law in self.drive_laws for name in law.weights}
         for spec in self.loops:
+            if not spec.designs:
+                continue  # a loop of which no more than what it turns is known
             fed = spec.closed.feedforward
             for name in (*spec.read_by(spec.closed).sensors, *(fed.sensors if fed is not None else ())):
                 out[name] = math.gcd(out.get(name, 0), self.every(spec))
         return out
+
+    @property
+    def passive_gimbals(self) -> tuple[str, ...]:
+        """Names of the gimbals that no loop turns, in the file's order: they move as they are driven."""
+        on = {torquer.name: torquer.gimbal for torquer in self.platform.torquers}
+        turned = {name for spec in self.loops for name in (*spec.gimbals, *(on.get(t) for t in spec.torquers))}
+        return tuple(name for name in self.platform.gimbal_names if name not in turned)
 
     @property
     def cycle(self) -> int:

@@ -212,16 +212,26 @@ def added_words(platform: Platform) -> str:
     return f", with {listed(named)} added that the device does not have" if named else ""
 
 
-def assumed_words(job: Job) -> str:
-    """Return what the verdict on loops that hold a body rests on, to go with it; nothing for other loops."""
-    kinds = {spec.kind for spec in job.loops}
-    if not kinds & {"rate", "pointing"}:
-        return ""
-    words = ["rate loops leave the gimbal angles free"] if "rate" in kinds else []
+def assumed_words(job: Job, free_angles: tuple[str, ...] = (), uncontrolled: tuple[str, ...] = ()) -> str:
+    """Return what the verdict rests on, to go with it; nothing where that is nothing.
+
+    `free_angles` are the angles that nothing holds, `uncontrolled` the gimbals on which no loop acts or depends.
+    """
+    words = [f"{listed(job.locked)} {'is' if len(job.locked) == 1 else 'are'} locked"] if job.locked else []
+    if free_angles:
+        one = len(free_angles) == 1
+        words.append(
+            f"nothing holds the angle{'' if one else 's'} {listed(free_angles)}, which drift{'s' if one else ''}"
+        )
+    if uncontrolled:
+        words.append(f"no loop acts on gimbal{'' if len(uncontrolled) == 1 else 's'} {listed(uncontrolled)}")
+    if not {spec.kind for spec in job.loops} & {"rate", "pointing"}:
+        return f", assuming that {listed(words)}" if words else ""
     rate = float(max(job.Omega))
-    if rate > 0.0 and any(max(friction.breakaway) > 0.0 for friction in job.platform.frictions):
+    if any(max(friction.breakaway) > 0.0 for friction in job.platform.frictions):
         fed = " less what is fed forward" if any(drive.friction for drive in job.drives) else ""
-        words.append(f"dry friction{fed} is a describing function at {plain(rate)} rad/s")
+        what = f"is a describing function at {plain(rate)} rad/s" if rate > 0.0 else "is left out, as Omega is zero"
+        words.append(f"dry friction{fed} {what}")
     checked = [
         f"{name} = {listed([plain(x) for x in sorted({0.0, *values})])} rad"
         for name, values in job.angles.items()

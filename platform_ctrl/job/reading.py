@@ -13,12 +13,13 @@ from platform_ctrl.common.values import replaced
 from platform_ctrl.errors import ArgumentError, InputError, OldKeyWarning
 from platform_ctrl.job.budget_checks import size_mistakes, with_logs
 from platform_ctrl.job.campaign_checks import variation_mistakes
-from platform_ctrl.job.checks import job_mistakes
+from platform_ctrl.job.checks import job_mistakes, locked_mistakes, locked_names
 from platform_ctrl.job.drive_checks import misplaced_drives
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.methods import METHODS, resolved
 from platform_ctrl.job.old_names import renamed
 from platform_ctrl.plant.fields import PLANT, Expected, integer
+from platform_ctrl.plant.locking import with_locked
 from platform_ctrl.plant.mistakes import Mistake, one_line, report
 from platform_ctrl.plant.platform import Platform
 from platform_ctrl.plant.reading import judge_plant, open_plant
@@ -72,6 +73,9 @@ def read_job(
         raise report(document.label, document.data, crowd)
     old_keys, old_wrong = renamed(document.data)
     platform, plant_wrong = _plant(document, start or document.folder)
+    if platform is not None:
+        plant_wrong += (of_locks := list(locked_mistakes(document.data, platform)))
+        platform = platform if of_locks else with_locked(platform, locked_names(document.data))
     read, wrong = read_table(JOB_FILE, document.data)
     mistakes = [*document.mistakes, *old_wrong, *plant_wrong, *job_mistakes(document.data, platform), *wrong]
     if mistakes or platform is None:

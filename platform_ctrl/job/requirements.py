@@ -8,7 +8,7 @@ required is `platform_ctrl.analysis.metrics.METRICS`.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, get_args
 
 import numpy as np
@@ -23,13 +23,15 @@ from platform_ctrl.common.arguments import known_name, one_of, positive
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray, input_value
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.job.judging import STABLE, CheckResult, Requirement
+from platform_ctrl.job.judging import STABLE, CheckResult, Method, Requirement
 
 if TYPE_CHECKING:
     import control
 
 __all__ = ["requirement"]
 
+# Metrics of steps: what is measured counts between samples as well.
+BETWEEN_SAMPLES = ("overshoot", "settling time")
 NOMINAL: tuple[Group, ...] = ("nominal",)
 WORST_CASE: tuple[Group, ...] = ("nominal", "uncertainty", "Omega", "angles", "friction")
 FAULTS: tuple[Group, ...] = ("nominal", "faults")
@@ -139,9 +141,17 @@ class LoopRequirement(Requirement):
         ArgumentError
             `metrics` were measured without this requirement.
         """
-        return self._worst(plants, self.values(metrics), subject, design, metrics.exact)
+        return self._worst(plants, self.values(metrics), subject, design, metrics.exact, metrics.free_angles)
 
-    def _worst(self, plants: PlantSet, values: FloatArray, subject: str, design: str, exact: bool) -> CheckResult:
+    def _worst(
+        self,
+        plants: PlantSet,
+        values: FloatArray,
+        subject: str,
+        design: str,
+        exact: bool,
+        free: Sequence[str] = (),
+    ) -> CheckResult:
         worst = int(values.argmax() if self.sense == "at most" else values.argmin())
         if self.metric.of == "controller":
             where = "controller"
@@ -158,9 +168,42 @@ class LoopRequirement(Requirement):
             subject=subject,
             design=design,
             stage="decoupled",
-            evidence=f"{where}; {number} plant{'' if number == 1 else 's'}, sampled with delay and torquer lag",
-            method="exact" if exact or not self.metric.searched else "sampled",
+            evidence=f"{where}; {number} plant{'' if number == 1 else 's'}, sampled with delay and torquer lag"
+            + self._conditions(plants, free)
+            + self._unbounded(float(values[worst])),
+            method=self._method(exact),
         )
+
+    def _method(self, exact: bool) -> Method:
+        """Return how a value was found."""
+        if self.kind in BETWEEN_SAMPLES or self.metric.of_disturbances:
+            return "refined" if exact else "sampled"
+        return "exact" if exact or not self.metric.searched else "sampled"
+
+    def _unbounded(self, value: float) -> str:
+        """Return what a value without bound means that is no sign of instability."""
+        if not (np.isinf(value) and self.metric.of_disturbances and self.lowest == 0.0):
+            return ""
+        key = self.metric.lowest_key
+        cure = f"; where that is meant, say from which frequency on: {key}" if key else ""
+        return f"; infinite where the loop is not stable, or grows without bound towards zero frequency{cure}"
+
+    def _conditions(self, plants: PlantSet, free: Sequence[str]) -> str:
+        """Return what else a value rests on: what is held, what nothing holds, dry friction, what is between samples."""
+        words = []
+        if self.kind in BETWEEN_SAMPLES or self.metric.of_disturbances:
+            words.append("between samples, by a grid refined to 0.1 %")
+        if self.metric.of != "controller":
+            if plants.held:
+                words.append(f"held: {', '.join(plants.held)}")
+            if self.kind == "stability":
+                words += [f"nothing holds the angle {name}: it drifts" for name in free]
+            if self.kind == "torque noise" and free:
+                words.append("with an hour of that drift")
+            if plants.dry_friction:
+                has = np.any(plants.of(self.over) & plants.of(("friction",)))
+                words.append("with dry friction" if has else "without dry friction")
+        return "".join(f"; {one}" for one in words)
 
     @check_arguments
     def check(
@@ -194,8 +237,9 @@ class LoopRequirement(Requirement):
                 f"{self.name} is about {', '.join(self.over)}; the set of plants must have such ones, here "
                 f"{', '.join(dict.fromkeys(plants.groups))}"
             )
-        values = self.metric.in_unit(measured(LoopSet(plants, K), self, exact=True))
-        return self._worst(plants, values, subject, design, True)
+        loops = LoopSet(plants, K)
+        values = self.metric.in_unit(measured(loops, self, exact=True))
+        return self._worst(plants, values, subject, design, True, loops.free_angles)
 
     @check_arguments
     def check_closed_loop(

@@ -28,6 +28,8 @@ _BESIDE = (
 def job_data(job: Job) -> dict[str, Any]:
     """Return the job as a dict of the job file's structure, with the plant as a table, without default values."""
     data = {"schema": JOB_SCHEMA} | written(job) | {"plant": plant_data(job.platform)}
+    # The plant has no gimbal any more that is locked.
+    data["operation"] = {key: item for key, item in data["operation"].items() if key != "locked"}
     for own, manoeuvre in zip(data.get("manoeuvre", ()), job.manoeuvres, strict=True):
         # The keys of a motion stand in the file together or not at all.
         keys = MOTION[manoeuvre.mode]

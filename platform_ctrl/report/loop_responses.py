@@ -167,10 +167,7 @@ def _design_responses(
     metrics = peak_metrics()
     return DesignResponses(
         design=design,
-        gains={
-            kind: np.max([gains(part, frequency) for part in of.parts(metrics[kind].transfers, 0)], axis=0)
-            for kind, of in shown.items()
-        },
+        gains={kind: of.gain_at(metrics[kind].transfers, frequency) for kind, of in shown.items()},
         peaks=peaks,
         smallest_sensitivity=np.asarray(np.linalg.svd(S_in, compute_uv=False)[:, -1], dtype=np.float64),
         loop_gains=np.asarray(np.linalg.svd(loop_transfer, compute_uv=False).T, dtype=np.float64),

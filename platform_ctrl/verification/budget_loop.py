@@ -18,7 +18,6 @@ from platform_ctrl.analysis.jitter_budget import JitterBudget
 from platform_ctrl.analysis.periodic import lifted
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.cases import secant_gains
-from platform_ctrl.design.plants import forgetting
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.budget import Budget, Source
 from platform_ctrl.job.drive import DriveLaw
@@ -29,13 +28,11 @@ from platform_ctrl.mechanics.outputs import observed
 from platform_ctrl.mechanics.state_space import state_space
 from platform_ctrl.plant.platform import FORCE_NAMES, OMEGA_NAMES, Platform
 from platform_ctrl.plant.sensors import LOS_RATES
-from platform_ctrl.verification.coupled import acts_on_root, coupled_plant, drifting_angles, used_signals
+from platform_ctrl.verification.coupled import acts_on_root, coupled_plant, used_signals
 
 if TYPE_CHECKING:
     import control
 
-# Rate at which free angles decay, 1/s: far below all sources, so that springs and their feedforward count in full.
-_FORGETTING = 2e-3
 # A recorded spectrum has at most so many points to an octave; below, its own.
 _PER_OCTAVE = 24
 
@@ -47,7 +44,9 @@ class BudgetLoop:
         self.job, self.budget = job, budget
         self.free = acts_on_root(job, controllers)
         self.dry = [one for one in job.platform.frictions if max(*one.coulomb, *one.breakaway) > 0.0]
-        seen, self.torquers = used_signals(job, controllers, coupled_plant(job, linearise(job.platform), controllers))
+        seen, self.torquers = used_signals(
+            job, controllers, coupled_plant(job, linearise(job.platform), controllers).system
+        )
         read = {name for one in controllers for name in one.input_labels}
         # An angle that no controller reads may drift.
         self.sensors = [name for name in seen if name in read]
@@ -124,7 +123,6 @@ class BudgetLoop:
         # The gimbals' rates: the first states are their angles.
         rates = len(model.angle_names)
         C, D = np.vstack([C, A[:rates]]), np.vstack([D, B[:rates]])
-        A = forgetting(A, shown.state_labels, drifting_angles(self.job) - set(self.sensors), _FORGETTING)
         period, often = self.job.sampling.period, self.job.often_read
         late = {one.name: one.periods_late(period, often.get(one.name, 1)) for one in platform.sensors}
         return HybridPlant(

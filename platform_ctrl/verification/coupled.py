@@ -1,5 +1,8 @@
 """All loops closed on the coupled sampled model: poles, margins, and what the coupling costs.
 
+Every gimbal takes part, those too that no loop turns. What no controller sees and that does not act on what it sees
+cannot be stabilised by one: it must not grow by itself.
+
 The design models are decoupled: for the caging loops Omega is given; for the platform servo the platform turns under
 the torques M alone and the gyros, caged, only measure. In the coupled model the platform feels the gyros' reactions.
 In a job without a loop on the root the vehicle carries the platform: a sensor of its rate measures the given Omega, to
@@ -14,10 +17,12 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, named_system, seen_states, state_arrays
-from platform_ctrl.analysis.feedback import closed_loop, loop_transfer
+from platform_ctrl.analysis.drift import unseen_equilibria, without_drift
+from platform_ctrl.analysis.feedback import closed_loop, loop_of_sensitivity
 from platform_ctrl.analysis.interconnection import interconnect_controllers, interconnected_by_sample
-from platform_ctrl.analysis.margins import DiskMargin, disk_margin, loop_margins
+from platform_ctrl.analysis.margins import DiskMargin, disk_margin
 from platform_ctrl.analysis.metrics import COUPLED_METRICS, METRICS
+from platform_ctrl.analysis.norms import hinf_norm
 from platform_ctrl.analysis.periodic import PeriodicLoop
 from platform_ctrl.analysis.poles import continuous_poles, poles, spectral_abscissa
 from platform_ctrl.analysis.sampling import late_outputs, late_states, sampled
@@ -25,13 +30,12 @@ from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.text import at_most
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.cases import at_angles, secant_gains
-from platform_ctrl.design.plants import forgetting
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.judging import STABLE, CheckResult, Method, Requirement
 from platform_ctrl.job.requirements import loop_requirements
 from platform_ctrl.mechanics.linearisation import LinearModel, linearise
 from platform_ctrl.mechanics.outputs import observed
-from platform_ctrl.mechanics.state_space import state_space, subsystems
+from platform_ctrl.mechanics.state_space import state_space
 from platform_ctrl.plant.platform import OMEGA_NAMES
 
 if TYPE_CHECKING:
@@ -50,7 +54,13 @@ class CoupledCheck:
         The sampled model that all loops work in (see `coupled_plant`); all controllers as one, from pick-offs
         and rate sensors to torquers; None where some are computed at every n-th sample: they are periodic then.
     poles : complex (n,)
-        Of the closed loop, in z (dimensionless), over `period`.
+        Of the closed loop, in z (dimensionless), over `period`; 0 for equilibria that no sensor sees.
+    free_angles
+        Names of the angles that nothing holds: all loops are in balance wherever they are.
+    uncontrolled
+        Names of gimbals that no loop turns and on which nothing depends that a loop reads.
+    growing
+        Whether these move away by themselves.
     period
         The sample period, or the time after which the order of computations of all controllers repeats, s.
     free
@@ -81,6 +91,9 @@ class CoupledCheck:
     poles: ComplexArray
     period: float
     free: bool
+    free_angles: tuple[str, ...]
+    uncontrolled: tuple[str, ...]
+    growing: bool
     channels: tuple[str, ...]
     decoupled: FloatArray
     coupled: FloatArray
@@ -91,8 +104,8 @@ class CoupledCheck:
 
     @property
     def stable(self) -> bool:
-        """Whether every pole lies inside the unit circle."""
-        return bool(np.abs(self.poles).max(initial=0.0) < 1.0)
+        """Whether every pole lies inside the unit circle, and nothing that no loop acts on moves away by itself."""
+        return bool(np.abs(self.poles).max(initial=0.0) < 1.0) and not self.growing
 
     @property
     def torque_noise(self) -> FloatArray:
@@ -137,15 +150,19 @@ def coupled_check(job: Job, model: LinearModel, controllers: Sequence[control.St
     decoupled = _decoupled_margins(job, model, controllers, channels)
     # A decoupled loop without a margin has nothing to lose: that is no pass.
     cost = np.where(decoupled > 0.0, 1.0 - coupled / np.maximum(decoupled, np.finfo(float).tiny), np.inf)
-    simultaneous, of_torquers, decay = together.simultaneous, together.of_torquers, together.decay
-    worst = _worst_trims(job, controllers, decay, simultaneous)
+    simultaneous, of_torquers = together.simultaneous, together.of_torquers
+    worst = _worst_trims(job, controllers, together)
     over = "" if together.controller is not None else f", over {job.cycle} samples"
+    conditions = _conditions(job, together, worst.growing)
     return CoupledCheck(
-        plant=plant,
+        plant=plant.system,
         controller=together.controller,
         poles=together.poles,
         period=together.period,
         free=acts_on_root(job, controllers),
+        free_angles=together.free_angles,
+        uncontrolled=together.uncontrolled,
+        growing=bool(together.growing),
         channels=channels,
         decoupled=decoupled,
         coupled=coupled,
@@ -159,53 +176,101 @@ def coupled_check(job: Job, model: LinearModel, controllers: Sequence[control.St
             cost,
             (worst.simultaneous.guaranteed, worst.simultaneous.upper),
             of_torquers,
-            at=(worst.decay_at + over, worst.margin_at),
+            at=(worst.decay_at + over + conditions, worst.margin_at + _dry(job)),
         ),
     )
+
+
+def _conditions(job: Job, together: _Together, growing: str) -> str:
+    """Return what the stability of all loops rests on, in words."""
+    words = [f"no loop acts on {growing}: it moves away by itself"] if growing else []
+    words += [f"nothing holds the angle {name}: it drifts" for name in together.free_angles]
+    if together.uncontrolled and not growing:
+        words.append(f"no loop acts on {', '.join(together.uncontrolled)}, which no loop depends on")
+    return "".join(f"; {one}" for one in words) + _dry(job)
+
+
+def _dry(job: Job) -> str:
+    return "; without dry friction" if any(max(one.breakaway) > 0.0 for one in job.platform.frictions) else ""
+
+
+class CoupledPlant(NamedTuple):
+    """The sampled model that all controllers work in, and what it leaves out.
+
+    `left_out`: angles on which nothing depends. `uncontrolled`: gimbals on which nothing depends that a controller
+    reads; they grow at `growth`, 1/s.
+    """
+
+    system: control.StateSpace
+    left_out: tuple[str, ...]
+    uncontrolled: tuple[str, ...]
+    growth: float
 
 
 class _Together:
     """All controllers closed around a sampled plant, at every sample or each at its own rate."""
 
-    def __init__(self, job: Job, controllers: Sequence[control.StateSpace], plant: control.StateSpace) -> None:
-        self._job, self._plant = job, plant
+    def __init__(self, job: Job, controllers: Sequence[control.StateSpace], whole: CoupledPlant) -> None:
+        self._job, self._whole = job, whole
+        plant = self._plant = whole.system
         self._seen, torquers = used_signals(job, controllers, plant)
-        self.channels = tuple(torquers)
+        self.channels, self.uncontrolled = tuple(torquers), whole.uncontrolled
         self.controller: control.StateSpace | None = None
         self._periodic: PeriodicLoop | None = None
         by_sample = interconnected_by_sample(controllers, self._seen, torquers, job.sampling.period)
+        at, seen = (
+            [labels.index(name) for name in names]
+            for labels, names in ((list(plant.input_labels), torquers), (list(plant.output_labels), self._seen))
+        )
+        read = [k for k, name in enumerate(self._seen) if any(name in K.input_labels for K in controllers)]
+        arrays = state_arrays(plant, "coupled plant")
         if len(by_sample) == 1:
             self.controller = one_controller(job, controllers, plant)
-            self._loop = closed_loop(plant, self.controller)
-            self.poles, self.period = poles(self._loop.A), job.sampling.period
+            own = closed_loop(arrays.part(seen, at), by_sample[0])
+            outputs = [len(at) + k for k in read]
+            drift = unseen_equilibria(own.part(outputs, slice(None)))
+            self._raw, self._own = own, own._replace(A=drift.system.A)
+            self.poles, self.period = poles(drift.system.A), job.sampling.period
         else:
-            at, seen = (
-                [labels.index(name) for name in names]
-                for labels, names in ((list(plant.input_labels), torquers), (list(plant.output_labels), self._seen))
-            )
-            self._periodic = PeriodicLoop(state_arrays(plant, "coupled plant"), by_sample, at, seen)
+            self._periodic = PeriodicLoop(arrays, by_sample, at, seen)
+            drift = self._periodic.drift
             self.poles, self.period = self._periodic.poles, self._periodic.period
+        names, moved = list(plant.state_labels), np.abs(drift.equilibria).max(axis=1, initial=0.0)
+        angles = set(job.platform.angle_names)
+        drifting = [name for name, one in zip(names, moved, strict=False) if one > 0.0 and name in angles]
+        self.free_angles = tuple(n for n in job.platform.angle_names if n in (*whole.left_out, *drifting))
+
+    @property
+    def growing(self) -> str:
+        """Names of gimbals that no loop acts on and that move away by themselves."""
+        return ", ".join(self.uncontrolled) if self._whole.growth > 0.0 else ""
 
     @property
     def decay(self) -> float:
         """The minimum decay rate, 1/s."""
-        return -float(spectral_abscissa(continuous_poles(self.poles, self.period)))
+        own = -float(spectral_abscissa(continuous_poles(self.poles, self.period)))
+        return own if self._whole.growth <= 0.0 else min(own, -self._whole.growth)
 
     @property
     def loop_margins(self) -> FloatArray:
         """Disk margin of each channel, all others closed."""
         if self._periodic is not None:
             return self._periodic.loop_margins()
-        assert self.controller is not None
-        return loop_margins(self._plant, self.controller, at="input").alpha
+        # S of each channel; with the others closed its margin is that of S − 1/2.
+        if not self.decay > 0.0:
+            return np.zeros(len(self.channels))
+        alone = [without_drift(self._own.part([k], [k])) for k in range(len(self.channels))]
+        norms = [hinf_norm(one._replace(D=one.D + 0.5), allow_unstable=True)[0] for one in alone]
+        return np.array([1.0 / norm if norm > 0.0 else np.inf for norm in norms])
 
     @property
     def simultaneous(self) -> DiskMargin:
         """Disk margin in all channels at once."""
         if self._periodic is not None:
             return self._periodic.disk_margin()
-        assert self.controller is not None
-        return disk_margin(loop_transfer(self._plant, self.controller, at="input"))
+        m = len(self.channels)
+        S = without_drift(self._own.part(slice(m), slice(m)))
+        return disk_margin(loop_of_sensitivity(S._replace(D=S.D + np.eye(m))))
 
     @property
     def of_torquers(self) -> dict[str, FloatArray]:
@@ -213,95 +278,83 @@ class _Together:
         sensors = {s.name: s for s in self._job.platform.sensors}
         period, often = self._job.sampling.period, self._job.often_read
         rms = np.array([sensors[name].sampled_noise(period, often.get(name, 1)) for name in self._seen], np.float64)
+        m = len(self.channels)
         if self._periodic is None:
-            return torquer_metrics(_noise_to_torque(self._loop, len(self.channels)), rms)
+            return torquer_metrics(self._raw.part(slice(m), slice(m, None)), rms)
         every = np.tile(rms, self._periodic.samples)
         found = [torquer_metrics(one, every) for one in self._periodic.noise_to_torque()]
         return {kind: np.array([np.sqrt(np.mean(one[kind] ** 2)) for one in found]) for kind in found[0]}
 
 
-def _noise_to_torque(loop: control.StateSpace, channels: int) -> StateArrays:
-    noisy = [k for k, name in enumerate(loop.input_labels) if name.startswith("noise_")]
-    return state_arrays(loop, "coupled loop").part(slice(channels), noisy)
-
-
-# Kinds of loops that hold a body in inertial space where they read no angle of a gimbal.
-_HOLD_BODIES = ("rate", "pointing")
+# A gimbal that no loop acts on grows by itself from this share of its fastest motion on; below it is rounding of poles
+# that coincide, as those of a body that turns freely.
+_GROWS = 1e-6
 
 
 class _Worst(NamedTuple):
-    """The slowest decay and the least simultaneous margin over the job's gimbal angles, and where they are."""
+    """The slowest decay and the least simultaneous margin over the job's gimbal angles, and where they are.
+
+    `growing`: gimbals that no loop acts on and that move away by themselves, where that is slowest.
+    """
 
     decay: float
     decay_at: str
     simultaneous: DiskMargin
     margin_at: str
+    growing: str = ""
 
 
-def _worst_trims(job: Job, controllers: Sequence[control.StateSpace], decay: float, simultaneous: DiskMargin) -> _Worst:
-    out = _Worst(decay, "", simultaneous, "")
+def _worst_trims(job: Job, controllers: Sequence[control.StateSpace], first: _Together) -> _Worst:
+    out = _Worst(first.decay, "", first.simultaneous, "", first.growing)
     for q in job.trims[1:]:
         plant = coupled_plant(job, linearise(job.platform, q=q), controllers)
         together, where = _Together(job, controllers, plant), f", {at_angles(job.platform, q)}"
         own, margin = together.decay, together.simultaneous
         if own < out.decay:
-            out = out._replace(decay=own, decay_at=where)
+            out = out._replace(decay=own, decay_at=where, growing=together.growing)
         if margin.guaranteed < out.simultaneous.guaranteed:
             out = out._replace(simultaneous=margin, margin_at=where)
     return out
 
 
-def coupled_plant(job: Job, model: LinearModel, controllers: Sequence[control.StateSpace]) -> control.StateSpace:
-    """Return the sampled model in which all `controllers` work, from torquers (in the file's order) to angles.
+def coupled_plant(job: Job, model: LinearModel, controllers: Sequence[control.StateSpace]) -> CoupledPlant:
+    """Return the sampled model in which all `controllers` work, from torquers (in the file's order) to what they read.
 
-    Outputs are besides the angles the rates that the controllers take in and a sensor of the plant measures.
     With a controller that acts on the root the platform is free and reacts. Without one nothing would hold it: it
-    counts as carried by the vehicle, Omega given, and only the subsystems that a controller acts on are closed.
+    counts as carried by the vehicle, Omega given.
     """
-    if acts_on_root(job, controllers):
-        system = state_space(model, root="free")
-        torquers, angles = list(job.platform.torquers), list(model.angle_names)
-    else:
-        used = {name for K in controllers for name in K.output_labels}
-        driven = {t.gimbal for t in job.platform.torquers if t.name in used}
-        gimbals = [name for group in subsystems(model) if driven & set(group) for name in group]
-        system = state_space(model, gimbals=gimbals)
-        torquers = [t for t in job.platform.torquers if t.gimbal in gimbals]
-        angles = [g.angle for g in job.platform.gimbals if g.name in gimbals]
+    platform, free = job.platform, acts_on_root(job, controllers)
+    system = state_space(model, root="free" if free else "prescribed")
+    torquers = [t for t in platform.torquers if free or t.gimbal is not None]
     read = {name for K in controllers for name in K.input_labels}
-    drifting = drifting_angles(job)
-    angles = [name for name in angles if name in read or name not in drifting]
-    outputs = [*angles, *sensed_rates(job, controllers)]
-    whole = observed(system, job.platform, outputs, model.q0, model.Omega0)
-    columns = [whole.input_labels.index(t.signal) for t in torquers]
-    kept = seen_states(whole.A[None], whole.C[None]) if drifting else range(whole.nstates)
-    A = forgetting(whole.A, whole.state_labels, drifting)
+    outputs = [*(name for name in model.angle_names if name in read), *sensed_rates(job, controllers)]
+    whole = observed(system, platform, outputs, model.q0, model.Omega0)
+    states, columns = list(whole.state_labels), [whole.input_labels.index(t.signal) for t in torquers]
+    seen = seen_states(whole.A[None], whole.C[None])
+    kept, growth = list(range(whole.nstates)), 0.0
+    uncontrolled: tuple[str, ...] = ()
+    if not free and len(seen) < whole.nstates:
+        # What is not seen does not act on what is: it is judged by itself.
+        kept = seen
+        rest = [k for k in range(whole.nstates) if k not in seen]
+        s = np.linalg.eigvals(whole.A[np.ix_(rest, rest)])
+        growth = float(s.real.max(initial=0.0))
+        growth = growth if growth > _GROWS * np.abs(s).max(initial=0.0) else 0.0
+        momenta = {states[k].removeprefix("p_") for k in rest if states[k].startswith("p_")}
+        uncontrolled = tuple(g.name for g in platform.gimbals if g.angle in momenta)
     names = [t.name for t in torquers]
     gains = secant_gains(job, model.q0, names)
     arrays = StateArrays(
-        A[np.ix_(kept, kept)],
+        whole.A[np.ix_(kept, kept)],
         gains * whole.B[np.ix_(kept, columns)],
         whole.C[:, kept],
         gains * whole.D[:, columns],
         0.0,
     )
-    named = named_system(arrays, names, outputs, [whole.state_labels[k] for k in kept])
-    return _read_late(job, sampled(named, job.sampling.period, job.sampling.delay, [t.lag for t in torquers]))
-
-
-def drifting_angles(job: Job) -> set[str]:
-    """Return the angles of gimbals that rate and pointing loops turn, and that no loop reads: they hold a body."""
-    turned = {name for spec in job.loops if spec.kind in _HOLD_BODIES for name in spec.gimbals}
-    used = {name for spec in job.loops for name in spec.read_by(spec.closed).sensors}
-    read = {signal for sensor in job.platform.sensors if sensor.name in used for signal in sensor.signals(job.platform)}
-    return {gimbal.angle for gimbal in job.platform.gimbals if gimbal.name in turned} - read
-
-
-def _drifting_words(job: Job) -> str:
-    if not drifting_angles(job):
-        return ""
-    kinds = dict.fromkeys(spec.kind for spec in job.loops if spec.kind in _HOLD_BODIES)
-    return f"; angles that {' and '.join(kinds)} loops leave free do not count"
+    named = named_system(arrays, names, outputs, [states[k] for k in kept])
+    at_samples = sampled(named, job.sampling.period, job.sampling.delay, [t.lag for t in torquers])
+    left_out = tuple(name for name in model.angle_names if states.index(name) not in kept)
+    return CoupledPlant(_read_late(job, at_samples), left_out, uncontrolled, growth)
 
 
 def _read_late(job: Job, plant: control.StateSpace) -> control.StateSpace:
@@ -367,7 +420,7 @@ def _decoupled_margins(
     return np.array([margins[name] for name in channels])
 
 
-def one_way_plant(job: Job, model: LinearModel, rates: Sequence[str]) -> control.StateSpace:
+def one_way_plant(job: Job, model: LinearModel, rates: Sequence[str]) -> CoupledPlant:
     """The platform turns under M alone, J ω' = M, and the gimbals see its rate: no reaction."""
     system = state_space(model)
     n, torquers = system.nstates, job.platform.torquers
@@ -385,7 +438,8 @@ def one_way_plant(job: Job, model: LinearModel, rates: Sequence[str]) -> control
     states = [*system.state_labels, *OMEGA_NAMES]
     named = named_system(arrays, [t.name for t in torquers], [*model.angle_names, *OMEGA_NAMES], states)
     named = observed(named, job.platform, [*model.angle_names, *rates], model.q0, model.Omega0)
-    return _read_late(job, sampled(named, job.sampling.period, job.sampling.delay, [t.lag for t in torquers]))
+    at_samples = sampled(named, job.sampling.period, job.sampling.delay, [t.lag for t in torquers])
+    return CoupledPlant(_read_late(job, at_samples), (), (), 0.0)
 
 
 def torquer_metrics(noise_to_torque: StateArrays, rms: FloatArray) -> dict[str, FloatArray]:
@@ -430,7 +484,7 @@ def coupled_results(
     scaling = f"{len(channels)} torquers, guaranteed by diagonal scaling; at most {at_most(simultaneous[1], 4)}{at[1]}"
     costliest = int(np.argmax(cost))
     measured: dict[str, tuple[float, str, Method]] = {
-        STABLE.name: (decay, f"poles of the coupled sampled closed loop{at[0]}{_drifting_words(job)}", "exact"),
+        STABLE.name: (decay, f"poles of the coupled sampled closed loop{at[0]}", "exact"),
         COUPLED_METRICS["simultaneous disk margin"].name: (simultaneous[0], scaling, "bound" if proved else "sampled"),
         COUPLED_METRICS["coupling cost"].name: (
             float(cost[costliest]),

@@ -24,6 +24,7 @@ from platform_ctrl.design.loop import LoopDesign
 from platform_ctrl.errors import NotCertifiedError
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.judging import CheckResult, Requirement, Stage
+from platform_ctrl.job.quantities import assumed_words
 from platform_ctrl.mechanics.linearisation import LinearModel, linearise
 from platform_ctrl.verification.budget import line_of_sight_budget
 from platform_ctrl.verification.budget_limits import is_limited, unstable_results
@@ -111,7 +112,8 @@ def _is_of(certificate: Certificate, design: LoopDesign, controller: StateArrays
 
 def coupled_proofs(check: CoupledCheck, controllers: Sequence[control.StateSpace]) -> Proofs:
     """Return the proof that the coupled system is stable with all `controllers`; empty where it is not stable."""
-    if not check.stable:
+    if not check.stable or set(check.free_angles) & set(check.plant.state_labels):
+        # An equilibrium that nothing holds is a pole at z = 1, which no interval shows to be stable.
         return _verified((), ())
     together = _side_by_side if check.controller is not None else _over_a_period
     plant, K = together(check.plant, controllers)
@@ -213,6 +215,11 @@ class JobResult:
     def passed(self) -> bool:
         """Whether every requirement is met; goals do not count."""
         return all(result.passed or not result.hard for result in self.requirements)
+
+    @property
+    def assumptions(self) -> str:
+        """What the verdict rests on, in words that go with it; empty where that is nothing."""
+        return assumed_words(self.job, self.coupled.free_angles, self.coupled.uncontrolled)
 
     def _repr_html_(self) -> str:
         """Return the verdict and all requirements, the tightest first: what notebooks show."""

@@ -128,8 +128,9 @@ def test_a_weak_torquer_scales_its_own_column_alone(full):
         scale = np.where(np.arange(2) == k, 0.25, 1.0)
         size = np.abs(full.response[0]).max(axis=(-2, -1), keepdims=True)
         assert np.all(np.abs(full.response[weak] - full.response[0] * scale) < 1e-9 * size)
-        turned = full.Omega_response[0]
-        np.testing.assert_allclose(full.Omega_response[weak], turned, rtol=1e-9, atol=1e-12 * np.abs(turned).max())
+        of_rate = full.disturbed_on_grid().read[..., -3:]
+        size = np.abs(of_rate[0]).max()
+        np.testing.assert_allclose(of_rate[weak], of_rate[0], rtol=1e-9, atol=1e-12 * size)
 
 
 def test_every_rotor_and_every_torquer_of_the_loop_fails_in_turn(job):
@@ -144,18 +145,22 @@ def test_every_rotor_and_every_torquer_of_the_loop_fails_in_turn(job):
 
 
 @pytest.mark.parametrize("gimbals", [("9", "10"), ("10", "9"), ("4", "5", "7")])
-def test_Omega_acts_without_delay_and_lag_as_on_the_plant_sampled_by_itself(job, gimbals):
+def test_Omega_acts_without_delay_and_lag_held_in_state_space_and_continuous_in_responses(job, gimbals):
     plants = loop_plants(job, gimbals)
     alone = state_space(linearise(job.platform), gimbals=gimbals)[list(plants.angles), list(OMEGA_NAMES)]
+    held = state_arrays(plants.system()[:, list(OMEGA_NAMES)], "test")
     expected = frequency_response(state_arrays(sampled(alone, PERIOD, 0.0), "test"), plants.frequency, -3)
-    np.testing.assert_allclose(plants.Omega_response[0], expected, rtol=1e-8, atol=1e-12)
+    np.testing.assert_allclose(frequency_response(held, plants.frequency, -3), expected, rtol=1e-8, atol=1e-12)
+    continuous = frequency_response(state_arrays(alone, "test"), plants.frequency, -3)
+    np.testing.assert_allclose(plants.disturbed_on_grid().read[0, ..., -3:], continuous, rtol=1e-8, atol=1e-12)
 
 
 def test_one_gimbal_that_holds_still_turns_against_a_slow_platform_rate(job):
     """Free of torque a gyro keeps its direction in space: the gimbal angle is minus the integral of Omega."""
     plants = loop_plants(job, ("9", "10"))
     w = plants.frequency[:5]
-    np.testing.assert_allclose(np.abs(plants.Omega_response[0, :5]).max(axis=(-2, -1)), 1.0 / w, rtol=1e-3)
+    found = plants.disturbed_on_grid().read[0, :5, :, -3:]
+    np.testing.assert_allclose(np.abs(found).max(axis=(-2, -1)), 1.0 / w, rtol=1e-3)
 
 
 def test_a_choice_of_plants_keeps_what_they_stand_for(full):
@@ -163,7 +168,8 @@ def test_a_choice_of_plants_keeps_what_they_stand_for(full):
     part = full.only(chosen)
     assert part.groups == ("nominal", "Omega", "faults")
     np.testing.assert_array_equal(part.B_Omega, full.B_Omega[chosen])
-    np.testing.assert_array_equal(part.Omega_response, full.Omega_response[chosen])
+    for own, every in zip(part.disturbed_on_grid(), full.disturbed_on_grid(), strict=True):
+        np.testing.assert_allclose(own, every[chosen], rtol=1e-9, atol=1e-12)
     assert part.torque_limit is full.torque_limit
 
 

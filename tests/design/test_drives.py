@@ -44,7 +44,7 @@ def test_the_coupled_check_has_the_secant_gain() -> None:
     w = np.array([1.0, 30.0, 300.0])
     zero, moved = (
         frequency_response(
-            state_arrays(coupled_plant(job, linearise(job.platform, q=np.array([0.0, q])), [K]), ""), w, -3
+            state_arrays(coupled_plant(job, linearise(job.platform, q=np.array([0.0, q])), [K]).system, ""), w, -3
         )
         for q in (0.0, 1.0)
     )

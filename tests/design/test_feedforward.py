@@ -15,7 +15,7 @@ from platform_ctrl import analysis, design
 from platform_ctrl.analysis.arrays import StateArrays, state_arrays
 from platform_ctrl.analysis.direct_metrics import torque_noise
 from platform_ctrl.analysis.loop_set import TORQUE_SHARE, LoopSet
-from platform_ctrl.analysis.norms import gains, noise_rms
+from platform_ctrl.analysis.norms import noise_rms
 from platform_ctrl.cli import main
 from platform_ctrl.design.feedforward import rate_feedforward
 from platform_ctrl.design.fixed_structure.loops import ClosedLoops
@@ -199,10 +199,8 @@ def test_structured_search_sees_what_the_verdict_sees(outcome, kind):
     K = state_arrays(one.own_controller, "controller")
     search, loops = ClosedLoops(one.plants, K), LoopSet(one.plants, K)
     w, nominal = 60.0, np.zeros(1, dtype=np.intp)
-    parts = loops.parts([TORQUE_SHARE], 0)
-    for k, part in enumerate(parts):
-        seen = search.edge(torque_per_Omega(k, one.plants), w, nominal).ratio
-        assert seen[0] == pytest.approx(gains(part, np.array([w]))[0], rel=1e-9)
+    seen = [search.edge(torque_per_Omega(k, one.plants), w, nominal).ratio[0] for k in range(2)]
+    assert max(seen) == pytest.approx(loops.gain_at([TORQUE_SHARE], np.array([w]))[0], rel=1e-9)
     if kind == "indirect":
         np.testing.assert_allclose(search.noise(1.0, nominal).ratio, one.measures.torque_noise, rtol=1e-6)
 
@@ -231,7 +229,8 @@ def test_a_job_with_feedforward_is_checked_and_read_back(outcome):
     for name in ("direct", "indirect"):
         used = replace(data, loops=(replace(data.loops[0], use=name),))
         result = check_job(used, design.loops(used))
-        assert result.passed, [str(one) for one in result.results if not one.passed]
+        # A base that keeps turning winds up the cable: its torque grows without bound towards zero frequency.
+        assert [one.name for one in result.requirements if not one.passed] == ["torque at full Omega over its limit"]
         record = result_record(result)
         K, others = (read_controllers(record, used, key) for key in ("controllers", "alternatives"))
         again = outcomes_from(used, K, others)[0]

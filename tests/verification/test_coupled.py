@@ -92,7 +92,7 @@ def test_the_whole_meets_its_requirements(result):
 
 
 def test_coupled_poles_are_python_controls(job, controllers, result):
-    plant = coupled_plant(job, linearise(job.platform), controllers)
+    plant = coupled_plant(job, linearise(job.platform), controllers).system
     loop = control.feedback(plant, result.coupled.controller, sign=1)
     ours, theirs = np.sort(np.abs(result.coupled.poles)), np.sort(np.abs(control.poles(loop)))
     np.testing.assert_allclose(ours[-6:], theirs[-6:], atol=1e-7)
@@ -134,7 +134,7 @@ def test_the_platform_turns_the_gyros_reactions_into_little(result):
 
 def test_small_non_linear_motion_is_the_linear_coupled_motion(job, controllers):
     """From a small tilt of gimbal 9 all loops bring the angles back as the sampled linear model says."""
-    plant = coupled_plant(job, linearise(job.platform), controllers)
+    plant = coupled_plant(job, linearise(job.platform), controllers).system
     K = interconnect_controllers(
         controllers, [s.name for s in job.platform.pickoffs], list(plant.input_labels), job.sampling.period
     )

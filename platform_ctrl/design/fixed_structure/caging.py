@@ -57,7 +57,8 @@ _SHARES = {"cross-axis": 0.2, "pid": 0.3, "state-space": 0.5}
 
 def structured_design(problem: LoopProblem) -> Designed:
     """Return the structured loop of a job: its limits as constraints, its goals minimised."""
-    spec, design, channel, plants = problem.spec, problem.design, problem.channel, problem.plants
+    spec, design, channel = problem.spec, problem.design, problem.channel
+    plants = problem.plants.regular()
     structure = design.structure or _DEFAULT
     options = default_options(design, channel, plants.nutation, plants.period)
     kept = {"integral_hz": options["integral_hz"]}
@@ -121,7 +122,7 @@ def tuned_controller(
     loop is not stable yet.
     """
     integral = 2.0 * np.pi * options["integral_hz"]
-    # A rate loop against a spring has a slow mode that integrals do not move: the angle gives way by and by.
+    # A rate loop against a spring leaves the angle free, which integrals do not change.
     kept = _INTEGRAL_KEPT * integral if channel.order == 2 else STABLE.limit
     requested = [dataclasses.replace(r, limit=max(r.limit, kept)) if r.kind == "stability" else r for r in requirements]
     if not any(r.kind == "stability" for r in requested):

@@ -129,7 +129,7 @@ class Search:
     ) -> None:
         # Where nothing is required of a plant, not even stability, it is of no interest.
         requested = [k for k, group in enumerate(plants.groups) if k == 0 or any(group in r.over for r in requirements)]
-        self._plants = finer(plants.only(requested))
+        self._plants = finer(with_disturbances(plants.only(requested), requirements))
         self._limits = [r for r in requirements if r.hard]
         bands = [r for r in requirements if r.kind == "bandwidth"]
         self._limit = max((r.limit for r in bands if r.hard), default=None)
@@ -381,6 +381,11 @@ def _ratio(value: float) -> float:
 
 def _ranked(by_plant: FloatArray) -> list[int]:
     return [int(k) for k in np.argsort(-by_plant, kind="stable")]
+
+
+def with_disturbances(plants: PlantSet, requirements: Sequence[LoopRequirement]) -> PlantSet:
+    """Return the set with what disturbances do, where a requirement is about that."""
+    return plants.with_disturbances() if any(one.metric.of_disturbances for one in requirements) else plants
 
 
 def finer(plants: PlantSet) -> PlantSet:

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
 from platform_ctrl.analysis.bandwidths import LEVEL
+from platform_ctrl.analysis.between_samples import Disturbed, response_at
 from platform_ctrl.analysis.feedback import sensitivities_of_plants
 from platform_ctrl.analysis.norms import stationary_covariance
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.poles import continuous_poles
-from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.analysis.singular_values import largest_singular_values
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.fixed_structure.maps import (
@@ -53,6 +53,7 @@ _LEAST = 0.01
 _SLOPE_STEP = 1e-4
 # A gain below this is none: a balanced gimbal without friction transmits nothing.
 _NOTHING = 1e-200
+_UNDISTURBED = Disturbed(*(np.zeros((0, 0, 0), dtype=np.complex128),) * 3)
 # Resonances of less damping may hide between two points of the grid.
 _HIDDEN = 0.02
 
@@ -82,16 +83,13 @@ def joined(parts: Sequence[Pieces]) -> Pieces:
 class Points:
     """A loop at single frequencies (k,) of single plants (k,)."""
 
-    def __init__(self, loops: ClosedLoops, plant: Numbers, frequency: FloatArray) -> None:
+    def __init__(self, loops: ClosedLoops, plant: Numbers, frequency: FloatArray, disturbed: bool = False) -> None:
         plants = loops.plants
         z = np.exp(1j * frequency * plants.period)
-        pencil = z[:, None, None] * np.eye(plants.A.shape[-1]) - plants.A[plant]
-        whole, m, p = loops.whole, loops.m, loops.p
-        inner = np.linalg.solve(pencil, whole.B[plant].astype(complex))
-        found = np.asarray(whole.C[plant] @ inner + whole.D[plant], dtype=np.complex128)
+        P = response_at(plants.arrays, frequency, plant)
         K, self._left, self._right = loops.controller_response(z)
-        P, to_Omega, sight = (np.ascontiguousarray(part) for part in (found[:, :p, :m], found[:, :p, m:], found[:, p:]))
-        self.responses = Responses(P, K, *sensitivities_of_plants(P, K), to_Omega, sight, loops.fed(frequency))
+        found = plants.disturbed_at(plant, frequency) if disturbed else _UNDISTURBED
+        self.responses = Responses(P, K, *sensitivities_of_plants(P, K), loops.fed(frequency), *found)
 
     def singular(self, of: Map, only: int | None = None) -> Singular:
         """Return the largest singular value of a map at every point as smooth pieces.
@@ -115,7 +113,7 @@ class Points:
 
     def differential(self, of: Map, found: Singular) -> FloatArray:
         """Return the gradients of `found`."""
-        responses = Responses(*(item[found.at] for item in self.responses))
+        responses = Responses(*(item[found.at] if len(item) else item for item in self.responses))
         a, b = of.differential(responses, found.u, found.v)
         row = np.concatenate([row_of(a, self._left[found.at]), a], axis=1)
         column = np.concatenate([column_of(self._right[found.at], b), b], axis=1)
@@ -136,7 +134,7 @@ class ClosedLoops:
     """A sampled controller, u = K y, closed around every plant of a set: what pieces have in common."""
 
     def __init__(self, plants: PlantSet, controller: StateArrays) -> None:
-        self.plants, self.whole = plants, plants.whole
+        self.plants = plants
         self.A_K, self.B_K, self.C_K, self.D_K, _ = controller
         self.M = np.block([[self.A_K, self.B_K], [self.C_K, self.D_K]])
         self.order = len(self.A_K)
@@ -153,10 +151,10 @@ class ClosedLoops:
 
     def fed(self, frequency: FloatArray) -> ComplexArray:
         """Return what feedforward adds to the torques per platform rate, (k, m, 3), at frequencies (k,), rad/s."""
-        fed = None if self.plants.feedforward is None else self.plants.feedforward.torque
-        if fed is None:
+        fed = self.plants.feedforward
+        if fed is None or fed.into != "torque":
             return np.zeros((len(frequency), self.m, 3), dtype=np.complex128)
-        return frequency_response(fed, frequency, -3)
+        return fed.torque_response(frequency)
 
     def none(self) -> Pieces:
         """Return no pieces."""
@@ -185,9 +183,8 @@ class ClosedLoops:
             np.broadcast_to(self.K[cut], (len(members), len(inside), self.m, self.p)),
             self.S_output[members, cut],
             self.S_input[members, cut],
-            self.plants.Omega_response[members, cut],
-            self.plants.sight_response[members, cut],
             np.broadcast_to(self.fed(w[cut]), (len(members), len(inside), self.m, 3)),
+            *((one[members, cut] for one in self.plants.disturbed_on_grid()) if of.disturbed else _UNDISTURBED),
         )
         sizes = largest_singular_values(of.response(response))
         padded = np.pad(sizes, ((0, 0), (1, 1)), constant_values=-np.inf if ends else np.inf)
@@ -201,7 +198,7 @@ class ClosedLoops:
         x, step = _tops(np.log(w[cut]), np.log(np.maximum(sizes, _NOTHING)), row, k)
         # Once more, from three points close to the top.
         close = x + np.multiply.outer(np.array([-_CLOSER, 0.0, _CLOSER]), step)
-        near = Points(self, np.tile(members[row], 3), np.exp(close.ravel()))
+        near = Points(self, np.tile(members[row], 3), np.exp(close.ravel()), of.disturbed)
         left, middle, right = np.linalg.svd(of.response(near.responses), compute_uv=False)[:, 0].reshape(3, -1)
         fall, rise = left - middle, right - middle
         bend = np.where(fall + rise < 0.0, fall + rise, -np.inf)
@@ -229,7 +226,7 @@ class ClosedLoops:
         return Pieces(ratio=found.ratio[high], gradient=found.gradient[high], plant=found.plant[high])
 
     def _pieces(self, of: Map, plant: Numbers, frequency: FloatArray) -> Pieces:
-        at = Points(self, plant, frequency)
+        at = Points(self, plant, frequency, of.disturbed)
         found = at.singular(of)
         return Pieces(ratio=found.size, gradient=at.differential(of, found), plant=plant[found.at])
 

@@ -14,18 +14,25 @@ from platform_ctrl.analysis.plant_set import PlantSet
 
 
 class Responses(NamedTuple):
-    """Plant, controller, sensitivities, platform rate → what is measured, and torques and platform rate → sight.
+    """Plant, controller, sensitivities, and what disturbances do to what is measured, to it and the sight between.
 
-    Each complex (..., rows, columns). `fed`: platform rate → torques that feedforward adds, where it does.
+    Each complex (..., rows, columns); the last three as in `between_samples.Disturbed`. `fed`: platform rate → torques
+    that feedforward adds, where it does.
     """
 
     P: ComplexArray
     K: ComplexArray
     S_output: ComplexArray
     S_input: ComplexArray
-    P_Omega: ComplexArray
-    sight: ComplexArray
     fed: ComplexArray
+    read: ComplexArray
+    angle: ComplexArray
+    sight: ComplexArray
+
+    def columns(self, source: str) -> slice:
+        """Return the columns of a continuous disturbance."""
+        m = self.P.shape[-1]
+        return slice(-3, None) if source == "Omega" else slice(m, 2 * m)
 
 
 # Singular vectors u, v → a (k, m), b (k, p) with d(uᴴ X v) = a dK b.
@@ -33,10 +40,11 @@ Differential = Callable[[Responses, ComplexArray, ComplexArray], tuple[ComplexAr
 
 
 class Map(NamedTuple):
-    """A map of the closed loop: its response and its differential."""
+    """A map of the closed loop: its response, its differential, and whether it is from a continuous disturbance."""
 
     response: Callable[[Responses], ComplexArray]
     differential: Differential
+    disturbed: bool = False
 
 
 def row_of(left: ComplexArray, *factors: ComplexArray) -> ComplexArray:
@@ -78,31 +86,43 @@ def map_of(transfer: Transfer) -> Map:
             return Map(lambda r: _plus(r.S_output, direct - 1.0), _at_output)
         case "torque", "torque":
             return Map(lambda r: _plus(r.S_input, direct - 1.0), _at_input)
-        case "torque", "angle":
-            return Map(lambda r: r.P @ r.S_input, lambda r, u, v: _at_input(r, row_of(u, r.P), v))
-        case "Omega", "angle":
-            return Map(lambda r: r.S_output @ r.P_Omega, lambda r, u, v: _at_output(r, u, column_of(r.P_Omega, v)))
         case "noise", "torque":
             return Map(lambda r: r.K @ r.S_output, lambda r, u, v: (row_of(u, r.S_input), column_of(r.S_output, v)))
         case "Omega", "torque":
             return Map(
                 _torque_per_Omega,
-                lambda r, u, v: (row_of(u, r.S_input), column_of(r.S_output, r.P_Omega, v)),
+                lambda r, u, v: (row_of(u, r.S_input), column_of(r.S_output, r.read[..., -3:], v)),
+                True,
             )
-    return Map(_sight_per_Omega, _at_sight)
+    return _between(transfer.source, transfer.target)
 
 
 def _torque_per_Omega(r: Responses) -> ComplexArray:
-    return r.K @ r.S_output @ r.P_Omega + r.fed
+    return r.K @ r.S_output @ r.read[..., -3:] + r.fed
 
 
-def _sight_per_Omega(r: Responses) -> ComplexArray:
-    m = r.P.shape[-1]
-    return r.sight[..., m:] + r.sight[..., :m] @ (r.K @ r.S_output @ r.P_Omega)
+def _between(source: str, target: str) -> Map:
+    """Return the map from a continuous disturbance to what is measured or to the line of sight, between samples.
 
+    Of commands in place of torques at the samples.
+    """
 
-def _at_sight(r: Responses, u: ComplexArray, v: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
-    return row_of(u, r.sight[..., : r.P.shape[-1]], r.S_input), column_of(r.S_output, r.P_Omega, v)
+    def sampled(r: Responses) -> bool:
+        return source == "torque" and r.read.shape[-1] != 2 * r.P.shape[-1] + 3
+
+    def response(r: Responses) -> ComplexArray:
+        if sampled(r):
+            return r.P @ r.S_input
+        at, seen, m = r.columns(source), getattr(r, target), r.P.shape[-1]
+        return np.asarray(seen[..., at] + seen[..., :m] @ (r.K @ r.S_output @ r.read[..., at]))
+
+    def differential(r: Responses, u: ComplexArray, v: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+        if sampled(r):
+            return _at_input(r, row_of(u, r.P), v)
+        at, seen, m = r.columns(source), getattr(r, target), r.P.shape[-1]
+        return row_of(u, seen[..., :m], r.S_input), column_of(r.S_output, r.read[..., at], v)
+
+    return Map(response, differential, True)
 
 
 S_OUTPUT, S_INPUT = map_of(loop_set.S_OUTPUT), map_of(loop_set.S_INPUT)
@@ -113,6 +133,6 @@ def torque_per_Omega(k: int, plants: PlantSet) -> Map:
     weight = plants.Omega / plants.torque_limit[k]
 
     def differential(r: Responses, u: ComplexArray, v: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
-        return u * r.S_input[:, k, :], column_of(r.S_output, r.P_Omega, weight * v)
+        return u * r.S_input[:, k, :], column_of(r.S_output, r.read[..., -3:], weight * v)
 
-    return Map(lambda r: _torque_per_Omega(r)[..., k : k + 1, :] * weight, differential)
+    return Map(lambda r: _torque_per_Omega(r)[..., k : k + 1, :] * weight, differential, True)

@@ -24,7 +24,6 @@ from platform_ctrl.design.measured.data import FEWEST_POINTS, read_measurement
 from platform_ctrl.design.measured.design import ClosedLoopResponse, MeasuredDesign, measured_pid
 from platform_ctrl.design.measured.pid import CENTRES
 from platform_ctrl.design.partition import Channels
-from platform_ctrl.design.plants import FORGETTING
 from platform_ctrl.errors import ArgumentError, DesignError, InputError, NotCertifiedError
 from platform_ctrl.job.job import DesignSpec, Job, LoopSpec
 from platform_ctrl.job.judging import CheckResult, Requirement
@@ -44,6 +43,8 @@ _MOST_BOUNDED = 4
 _LARGEST_MARGIN = 1.9
 # Poles this near to z = 1 are integrators, those this far beyond the unit circle unstable; those between are rounding.
 _INTEGRATOR = 1e-5
+# Motion slower than this need not be seen, rad/s.
+_SLOW = 0.2
 # The grid on which plants are described: points beside resonances, and the share of the slowest pole that it begins at.
 _POINTS, _BELOW = 100, 0.05
 _TIME_LIMIT = 300.0
@@ -80,7 +81,7 @@ def default_options(design: DesignSpec, channel: Channels, nutation: float, peri
 
 def measured_design(problem: LoopProblem) -> Designed:
     """Return the PID with the largest integral gain within the loop's limits, on responses from a file or of plants."""
-    plants = problem.plants
+    plants = problem.plants.regular()
     options = default_options(problem.design, problem.channel, plants.nutation, plants.period)
     if len(plants.torques) != len(plants.angles):
         raise DesignError(
@@ -129,7 +130,7 @@ def _searched(problem: LoopProblem, settings: dict[str, float]) -> tuple[Measure
     It is measured with all plants. Those with which it is the worst join, unless there is a file; where a limit is
     missed that no frequency decides alone, the peak that it depends on is bounded, in turn.
     """
-    plants, own = problem.plants, problem.plant_set
+    plants, own = problem.plants.regular(), problem.plant_set
     assert own is not None, "the loop has plants"
     requirements = requirements_of(problem.spec)
     counts = [_unstable(A) for A in plants.A]
@@ -212,8 +213,7 @@ def _frequencies(plants: PlantSet) -> FloatArray:
     z = np.linalg.eigvals(plants.A[0])
     s = np.asarray(np.log(z[np.abs(z) > _INTEGRATOR] + 0j) / plants.period, dtype=np.complex128)
     moving = np.abs(s) * plants.period > _INTEGRATOR
-    # Angles behind a loop of rates forget: a zero there.
-    slowest = float(np.abs(s[moving]).min(initial=FORGETTING))
+    slowest = float(np.abs(s[moving]).min(initial=_SLOW))
     low = min(plants.frequency[0], _BELOW * slowest)
     return following_grid(s, low, float(plants.frequency[-1]), _POINTS)
 

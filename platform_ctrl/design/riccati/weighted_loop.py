@@ -148,7 +148,7 @@ def lqg_options(design: DesignSpec, channel: Channels, nutation: float, period: 
 
 def hinf_design(problem: LoopProblem, method: HinfMethod | None = None) -> Designed:
     """Return the H-infinity loop; `method` as for `design.hinf`. Claims: ``gamma`` and ``gamma_optimal``."""
-    channel, plants = problem.channel, problem.plants
+    channel, plants = problem.channel, problem.plants.regular()
     options = hinf_options(problem.design, channel, plants.nutation, plants.period)
     weighted = weighted_plant(options, channel, plants)
     P = named_system(weighted.arrays, *signal_names(weighted.size))
@@ -160,7 +160,7 @@ def hinf_design(problem: LoopProblem, method: HinfMethod | None = None) -> Desig
 
 def lqg_design(problem: LoopProblem) -> Designed:
     """Return the LQG loop. Claims: ``gamma`` and ``gamma_optimal``."""
-    channel, plants = problem.channel, problem.plants
+    channel, plants = problem.channel, problem.plants.regular()
     options = lqg_options(problem.design, channel, plants.nutation, plants.period)
     weighted = weighted_plant(options, channel, plants)
     size, period = weighted.size, plants.period

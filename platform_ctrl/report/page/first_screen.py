@@ -18,7 +18,7 @@ from platform_ctrl.design.jobs import LoopOutcome
 from platform_ctrl.design.loop import LoopDesign, closed_loop_poles, sampled_plant
 from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.job.methods import METHODS
-from platform_ctrl.job.quantities import BOUND, DASH, assumed_words, compared, count, listed, percent, plain
+from platform_ctrl.job.quantities import BOUND, DASH, compared, count, listed, percent, plain
 from platform_ctrl.report.page import tables
 from platform_ctrl.report.page.blocks import (
     Block,
@@ -70,7 +70,7 @@ def _verdict(result: JobResult) -> Verdict:
     goals = tables.goal_rows(result)
     missed = [row for row in tables.requirement_rows(result) if not row.passed]
     reached = sum(goal.passed for goal in goals)
-    assumed = assumed_words(result.job).removeprefix(", ")
+    assumed = result.assumptions.removeprefix(", ")
     asides = [sentence(f"{assumed}.")] if assumed else []
     asides += [f"{reached} of {count(len(goals), 'goal')} reached; goals are not part of the verdict."] if goals else []
     return Verdict(

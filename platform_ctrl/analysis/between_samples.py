@@ -1,0 +1,371 @@
+"""What continuous disturbances do to sampled loops: responses at the samples and between them.
+
+The platform's rate and torques that act on gimbals are continuous; only the controller is sampled. A component
+w exp(jωt) moves the plant alone by G(jω) w exp(jωt), and the samples of that are readings like any others. All that a
+controller does about it is a sequence of held torques u exp(jωkT). With P the exactly sampled plant,
+
+    y = P u + E G_y(jω) w,        z(t) = exp(jωt) [G_z(jω) w + L(ω, τ) u],        τ = t − kT,
+
+where E delays readings and L is what a torque sequence makes of z at the instant τ of a period. The mean square of z
+is an integral over τ: Gauss's rule on both sides of the instant at which the delayed torque changes. By Parseval's
+theorem that is the sum over ω and all its images ω + 2πn/T (Chen and Francis, Optimal Sampled-Data Control Systems,
+1995, ch. 3).
+
+Rows of z are weighted by the roots of the rule, so that the largest singular value of [rows] is the largest root mean
+square of z over the amplitude of w. Where a loop is computed at every n-th sample, its torques are held meanwhile: a
+component of a slow sequence is a sum of n components of the fast one, 2π/(nT) apart, whose squares add.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
+from platform_ctrl.analysis.resolvent import ON_A_GRID
+from platform_ctrl.analysis.response import frequency_response
+from platform_ctrl.analysis.sampling import held_input, split_delay, with_lag
+from platform_ctrl.common.values import FloatArray, value
+
+# Points of Gauss's rule on each part of a period. The plant's own motions are slow against half a period, torquers
+# may settle within it.
+_POINTS = 6
+# A part of the delay below this share of a period is none.
+_SHORT = 1e-6
+# Components of a slow sequence that are followed: a hold passes of the others less than 1 % each.
+_MOST_COMPONENTS = 64
+
+Chosen = NDArray[np.intp] | None
+
+
+class Responses(NamedTuple):
+    """Responses at some frequencies; columns are m inputs of the loop, then disturbances: torques, Omega1 to Omega3.
+
+    `read` (..., p, m + d): to what is read, at the samples. `seen` (..., k, s, m + d): to the readings' own signals and
+    the rates of the line of sight, each at k instants or components, weighted.
+    """
+
+    read: ComplexArray
+    seen: ComplexArray
+
+
+class LoopResponses(Protocol):
+    """Gives the responses of the plants of a loop."""
+
+    @property
+    def inputs(self) -> int:
+        """m."""
+
+    @property
+    def period(self) -> float:
+        """The sample period of these inputs, s."""
+
+    def at(self, w: FloatArray, of: Chosen = None) -> Responses:
+        """Return responses of all plants at all frequencies w (F,), (N, F, ...), or of plants `of` (F,), (F, ...)."""
+
+    def only(self, index: NDArray[np.intp]) -> LoopResponses:
+        """Return those of some of the plants."""
+
+
+def _response(system: StateArrays, w: FloatArray, of: Chosen) -> ComplexArray:
+    return frequency_response(system, w, -3, ON_A_GRID) if of is None else response_at(system, w, of)
+
+
+def response_at(system: StateArrays, w: FloatArray, of: NDArray[np.intp]) -> ComplexArray:
+    """Return the responses (F, p, m) of systems `of` (F,) of a stack (N, ...), each at its frequency w (F,), rad/s."""
+    A, B, C, D, dt = system
+    z = np.exp(1j * w * dt) if dt else 1j * w
+    x = np.linalg.solve(z[:, None, None] * np.eye(A.shape[-1]) - A[of], B[of].astype(np.complex128))
+    return np.asarray(C[of] @ x + D[of], dtype=np.complex128)
+
+
+@value
+class Instants:
+    """Instants within a period, s, at which signals are seen, and the roots of their weights in a mean square."""
+
+    times: FloatArray
+    weights: FloatArray
+
+
+def instants(period: float, delay: float) -> Instants:
+    """Return the instants of Gauss's rule between samples, before and after a delayed torque changes."""
+    _, _, part = split_delay("instants", period, delay, 1)
+    edges = [0.0, *([part] if _SHORT < part < 1.0 - _SHORT else []), 1.0]
+    x, weights = np.polynomial.legendre.leggauss(_POINTS)
+    halves = [(0.5 * (high - low), low) for low, high in zip(edges, edges[1:], strict=False)]
+    return Instants(
+        times=period * np.concatenate([low + half * (x + 1.0) for half, low in halves]),
+        weights=np.sqrt(np.concatenate([half * weights for half, _ in halves])),
+    )
+
+
+def rows_between(
+    plants: StateArrays, period: float, delay: float, lags: FloatArray, times: Sequence[float] | FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return C and D of the outputs of sampled plants (`sampling.sampled`) at instants after a sample.
+
+    `plants` (N, ...) are continuous, with p outputs; C is (N, k p, n), D (N, k p, m) for k instants, one after another.
+    """
+    A, B, C, D, _ = with_lag(plants, lags)
+    N, n, m = len(A), A.shape[-1], B.shape[-1]
+    period, whole, part = split_delay("rows_between", period, delay, m)
+    reach = whole + (1 if part > 0.0 else 0)
+    old, new = (slice(n + m * (j - 1), n + m * j) if j else slice(n + m * reach, None) for j in (whole + 1, whole))
+    found = []
+    for tau in times:
+        # Over [x, held torques, torque]: the state at the instant, then the torque that acts there.
+        x, acting = np.zeros((N, n, n + m * (reach + 1))), new
+        x[..., :n] = np.eye(n)
+        for start, end, torque in ((0.0, part * period, old), (part * period, period, new)):
+            if tau > start and end > start:
+                phi, driven = held_input(A, B, min(tau, end) - start)
+                x = phi @ x
+                x[..., torque] += driven
+                acting = torque
+        row = C @ x
+        row[..., acting] += D
+        found.append(row)
+    rows = np.concatenate(found, axis=-2) if found else np.zeros((N, 0, n + m * (reach + 1)))
+    return rows[..., : n + m * reach], rows[..., n + m * reach :]
+
+
+@value
+class PlantResponses:
+    """Those of plants whose torques are set at every sample, perhaps with a gain from readings that drives have.
+
+    Outputs are p readings, s signals of the line of sight and f readings of drives, in this order.
+    """
+
+    # (N, ...): continuous, from disturbances to these outputs.
+    smooth: StateArrays
+    # (N, ...): sampled, from torques to these outputs, late, and to readings' signals and line of sight at instants.
+    stepped: StateArrays
+    late: tuple[int, ...]  # (p + s + f,): whole periods by which these outputs are late
+    instants: Instants
+    drives: FloatArray | None = None  # (N, m, f): what drives add to the torques in proportion to their readings
+    readings: int  # p
+
+    @property
+    def inputs(self) -> int:
+        """m."""
+        return int(self.stepped.B.shape[-1])
+
+    @property
+    def period(self) -> float:
+        """The sample period, s."""
+        return self.stepped.dt
+
+    def at(self, w: FloatArray, of: Chosen = None) -> Responses:
+        """Return the responses; see `LoopResponses`."""
+        p, outputs, m = self.readings, len(self.late), self.stepped.B.shape[-1]
+        f = 0 if self.drives is None else self.drives.shape[-1]
+        shown = outputs - f
+        G, H = _response(self.smooth, w, of), _response(self.stepped, w, of)
+        late = np.exp(-1j * self.period * w[:, None] * np.array(self.late, dtype=np.float64))[..., None]
+        read = np.concatenate([H[..., :outputs, :], late * G], axis=-1)
+        k = len(self.instants.times)
+        turned = self.instants.weights * np.exp(-1j * w[:, None] * self.instants.times)
+        moved = H[..., outputs:, :].reshape(*H.shape[:-2], k, shown, m) * turned[..., None, None]
+        still = self.instants.weights[:, None, None] * G[..., None, :shown, :]
+        seen = np.concatenate([moved, still], axis=-1)
+        if self.drives is not None:
+            gains = self.drives[:, None] if of is None else self.drives[of]
+            fed = read[..., shown:, :]
+            into = np.linalg.inv(np.eye(m) - gains @ fed[..., :m])
+            torques = into @ np.concatenate(
+                [np.broadcast_to(np.eye(m), (*read.shape[:-2], m, m)), gains @ fed[..., m:]], axis=-1
+            )
+            read, seen = _with_inputs(Responses(read, seen), torques, m, read.shape[-1] - m)
+        return Responses(read[..., :p, :], seen)
+
+    def only(self, index: NDArray[np.intp]) -> PlantResponses:
+        """Return those of some of the plants."""
+        drives = None if self.drives is None else self.drives[index]
+        return dataclasses.replace(self, smooth=self.smooth.at(index), stepped=self.stepped.at(index), drives=drives)
+
+
+@value
+class SlowerResponses:
+    """Those of plants whose inputs are set at every n-th sample only, and held meanwhile."""
+
+    fast: LoopResponses
+    every: int
+
+    @property
+    def inputs(self) -> int:
+        """m."""
+        return self.fast.inputs
+
+    @property
+    def period(self) -> float:
+        """The slower sample period, s."""
+        return self.every * self.fast.period
+
+    def at(self, w: FloatArray, of: Chosen = None) -> Responses:
+        """Return the responses; see `LoopResponses`."""
+        m, span = self.inputs, min(self.every, _MOST_COMPONENTS)
+        shifts = (np.arange(span) - span // 2) * 2.0 * np.pi / self.period
+        parts = []
+        for shift in shifts:
+            at = w + shift
+            read, seen = self.fast.at(np.abs(at), of)
+            # A response at a negative frequency is the conjugate one.
+            back = (at < 0.0)[:, None, None]
+            read, seen = np.where(back, read.conj(), read), np.where(back[..., None], seen.conj(), seen)
+            held = np.exp(-1j * np.outer(at * self.fast.period, np.arange(self.every))).mean(axis=1)[:, None, None]
+            read[..., :m] *= held
+            seen[..., :m] *= held[..., None]
+            if shift:
+                read[..., m:], seen[..., m:] = 0.0, 0.0
+            parts.append(Responses(read, seen))
+        read = np.sum([one.read for one in parts], axis=0)
+        return Responses(read, np.concatenate([one.seen for one in parts], axis=-3))
+
+    def only(self, index: NDArray[np.intp]) -> SlowerResponses:
+        """Return those of some of the plants."""
+        return dataclasses.replace(self, fast=self.fast.only(index))
+
+
+def added_response(path: StateArrays, sensors: StateArrays, late: FloatArray, w: FloatArray) -> ComplexArray:
+    """Return the response (F, m, 3) of a sampled path behind continuous sensors of the platform's rate."""
+    shown = frequency_response(sensors, w, -3) * np.exp(-1j * w[:, None] * late)[..., None]
+    return np.asarray(frequency_response(path, w, -3) @ shown)
+
+
+@value
+class FedResponses:
+    """Those of plants with feedforward F of the platform's rate: its sensors' readings through F add to the inputs.
+
+    Or to what is read.
+    """
+
+    plain: LoopResponses
+    path: StateArrays  # F, sampled, from the sensors' readings
+    sensors: StateArrays  # continuous, from Omega1 to Omega3 to the sensors' readings
+    late: FloatArray  # (k,): by how much these are late, s
+    into_readings: bool
+
+    @property
+    def inputs(self) -> int:
+        """m."""
+        return self.plain.inputs
+
+    @property
+    def period(self) -> float:
+        """The sample period, s."""
+        return self.plain.period
+
+    def at(self, w: FloatArray, of: Chosen = None) -> Responses:
+        """Return the responses; see `LoopResponses`."""
+        read, seen = self.plain.at(w, of)
+        added = added_response(self.path, self.sensors, self.late, w)
+        if self.into_readings:
+            read[..., -3:] += added
+            return Responses(read, seen)
+        m = self.inputs
+        read[..., -3:] += read[..., :m] @ added
+        seen[..., -3:] += seen[..., :m] @ added[..., None, :, :]
+        return Responses(read, seen)
+
+    def only(self, index: NDArray[np.intp]) -> FedResponses:
+        """Return those of some of the plants."""
+        return dataclasses.replace(self, plain=self.plain.only(index))
+
+
+@value
+class ClosedResponses:
+    """Those of plants around which a loop is closed: inputs are its commands, outputs what it does not read.
+
+    Of disturbances Omega1 to Omega3 alone.
+    """
+
+    open: LoopResponses
+    controller: StateArrays  # u = K y + H r, from the first p readings and their p commands
+
+    @property
+    def inputs(self) -> int:
+        """The number of commands, p."""
+        return int(self.controller.D.shape[1]) // 2
+
+    @property
+    def period(self) -> float:
+        """The sample period, s."""
+        return self.open.period
+
+    def at(self, w: FloatArray, of: Chosen = None) -> Responses:
+        """Return the responses; see `LoopResponses`."""
+        found, p, m = self.open.at(w, of), self.inputs, self.open.inputs
+        KH = frequency_response(self.controller, w, -3)
+        K, H = KH[..., :p], KH[..., p:]
+        own = found.read[..., :p, :]
+        into = np.linalg.inv(np.eye(m) - K @ own[..., :m])
+        inputs = into @ np.concatenate([np.broadcast_to(H, (*own.shape[:-2], m, p)), K @ own[..., -3:]], axis=-1)
+        read, seen = _with_inputs(found, inputs, m, 3)
+        return Responses(read[..., p:, :], seen[..., p:, :])
+
+    def only(self, index: NDArray[np.intp]) -> ClosedResponses:
+        """Return those of some of the plants."""
+        return dataclasses.replace(self, open=self.open.only(index))
+
+
+@value
+class CombinedResponses:
+    """Those of plants of which combinations of their readings are read."""
+
+    plain: LoopResponses
+    sense: FloatArray  # (q, p)
+
+    @property
+    def inputs(self) -> int:
+        """m."""
+        return self.plain.inputs
+
+    @property
+    def period(self) -> float:
+        """The sample period, s."""
+        return self.plain.period
+
+    def at(self, w: FloatArray, of: Chosen = None) -> Responses:
+        """Return the responses; see `LoopResponses`."""
+        read, seen = self.plain.at(w, of)
+        p = self.sense.shape[1]
+        return Responses(self.sense @ read, np.concatenate([self.sense @ seen[..., :p, :], seen[..., p:, :]], axis=-2))
+
+    def only(self, index: NDArray[np.intp]) -> CombinedResponses:
+        """Return those of some of the plants."""
+        return dataclasses.replace(self, plain=self.plain.only(index))
+
+
+def _with_inputs(found: Responses, inputs: ComplexArray, m: int, d: int) -> Responses:
+    """Return responses whose m inputs are set by others and by the last d disturbances, `inputs` (..., m, m' + d)."""
+    read, seen = found.read[..., :m] @ inputs, found.seen[..., :m] @ inputs[..., None, :, :]
+    read[..., -d:] += found.read[..., -d:]
+    seen[..., -d:] += found.seen[..., -d:]
+    return Responses(read, seen)
+
+
+class Disturbed(NamedTuple):
+    """What disturbances do, with as few rows as possible: columns as in `Responses`.
+
+    `read` (..., p, m + d); `angle` and `sight` (..., rows, m + d): the readings' own signals and the rates of the line
+    of sight between samples.
+    """
+
+    read: ComplexArray
+    angle: ComplexArray
+    sight: ComplexArray
+
+
+def disturbed(found: Responses, readings: int) -> Disturbed:
+    """Return responses with the rows of all instants as few that have the same gains."""
+    return Disturbed(found.read, *(_fewer(part) for part in np.split(found.seen, [readings], axis=-2)))
+
+
+def _fewer(seen: ComplexArray) -> ComplexArray:
+    *batch, k, s, columns = seen.shape
+    rows = seen.reshape(*batch, k * s, columns)
+    return rows if k * s <= columns else np.asarray(np.linalg.qr(rows, mode="r"))
