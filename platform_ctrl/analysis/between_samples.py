@@ -20,6 +20,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -58,7 +59,7 @@ class LoopResponses(Protocol):
 
     @property
     def inputs(self) -> int:
-        """m."""
+        """The number of inputs, m."""
 
     @property
     def period(self) -> float:
@@ -96,7 +97,7 @@ def instants(period: float, delay: float) -> Instants:
     _, _, part = split_delay("instants", period, delay, 1)
     edges = [0.0, *([part] if _SHORT < part < 1.0 - _SHORT else []), 1.0]
     x, weights = np.polynomial.legendre.leggauss(_POINTS)
-    halves = [(0.5 * (high - low), low) for low, high in zip(edges, edges[1:], strict=False)]
+    halves = [(0.5 * (high - low), low) for low, high in pairwise(edges)]
     return Instants(
         times=period * np.concatenate([low + half * (x + 1.0) for half, low in halves]),
         weights=np.sqrt(np.concatenate([half * weights for half, _ in halves])),
@@ -151,7 +152,7 @@ class PlantResponses:
 
     @property
     def inputs(self) -> int:
-        """m."""
+        """The number of inputs, m."""
         return int(self.stepped.B.shape[-1])
 
     @property
@@ -197,7 +198,7 @@ class SlowerResponses:
 
     @property
     def inputs(self) -> int:
-        """m."""
+        """The number of inputs, m."""
         return self.fast.inputs
 
     @property
@@ -251,7 +252,7 @@ class FedResponses:
 
     @property
     def inputs(self) -> int:
-        """m."""
+        """The number of inputs, m."""
         return self.plain.inputs
 
     @property
@@ -321,7 +322,7 @@ class CombinedResponses:
 
     @property
     def inputs(self) -> int:
-        """m."""
+        """The number of inputs, m."""
         return self.plain.inputs
 
     @property

@@ -1,7 +1,7 @@
 """Equilibria of a sampled loop that nothing holds: a body that stands still in inertial space at any angle.
 
-A rate loop whose integrals carry the torque of a spring is in balance wherever the gimbal happens to be. The closed loop
-then has a pole at exactly z = 1, whose vector v is an equilibrium, A v = v, that no sensor sees, C v = 0. It is no
+A rate loop whose integrals carry the torque of a spring is in balance wherever the gimbal happens to be. The closed
+loop then has a pole at exactly z = 1, whose vector v is an equilibrium, A v = v, that no sensor sees, C v = 0. It is no
 motion and no instability: with v as a coordinate of its own, nothing else depends on it. What is left is judged; no
 pole is moved. A pole that only lies near z = 1, or that a sensor sees, stays.
 """

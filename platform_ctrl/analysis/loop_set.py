@@ -171,7 +171,7 @@ class LoopSet:
         )
 
     def settled(self, system: StateArrays) -> StateArrays:
-        """Return one of the closed loops, or part of it, without poles of equilibria that its response does not have."""
+        """Return one of the closed loops, or a part, without poles of equilibria that its response does not have."""
         return without_drift(system) if self.plants.drifting else system
 
     @cached_property

@@ -86,8 +86,8 @@ class PlantSet:
     # C_sight, D_sight: of these outputs: (N, q, n), and directly from torques and Omega, (N, q, m + 3).
     C_sight: FloatArray
     D_sight: FloatArray
-    # C_between, D_between: of the measured signals at instants after a sample, (N, k p, n), (N, k p, m + 3), one instant
-    # after another; `between`: these instants, s, (k,).
+    # C_between, D_between: of the measured signals at instants after a sample, one after another, (N, k p, n) and
+    # (N, k p, m + 3); `between`: these instants, s, (k,).
     C_between: FloatArray
     D_between: FloatArray
     between: FloatArray

@@ -224,7 +224,7 @@ def _responses(
     lags: FloatArray,
     sampling: Sampling,
 ) -> PlantResponses:
-    """Return what continuous disturbances do to plants that are set at every sample; `arrays` are `continuous` sampled."""
+    """Return what disturbances do to plants that are set at every sample; `arrays` are `continuous` sampled."""
     m, p, q = len(linear.torquers), len(linear.sensors), len(linear.signals.sight)
     shares = np.array([one.torque for one in linear.cases])[:, None, :]
     shares = np.where(shares > 0.0, shares, 1.0)

@@ -189,7 +189,7 @@ class LoopRequirement(Requirement):
         return f"; infinite where the loop is not stable, or grows without bound towards zero frequency{cure}"
 
     def _conditions(self, plants: PlantSet, free: Sequence[str]) -> str:
-        """Return what else a value rests on: what is held, what nothing holds, dry friction, what is between samples."""
+        """Return what else a value rests on: what is held, what nothing holds, dry friction, times between samples."""
         words = []
         if self.kind in BETWEEN_SAMPLES or self.metric.of_disturbances:
             words.append("between samples, by a grid refined to 0.1 %")

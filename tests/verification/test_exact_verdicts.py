@@ -193,7 +193,7 @@ def test_the_coupled_check_sees_what_a_grid_misses(kind: str, plants: PlantSet, 
     """Margins of channels alone and of both at once: by brute force over frequency, and over the scaling d."""
     (tmp_path / "job.toml").write_text(f"{JOB}\n[coupled]\ndisk_margin = 0.1\n", encoding="utf-8")
     job = read_job(tmp_path / "job.toml")
-    K = narrow_loops.controller(np.array(FOUND[kind][1]))
+    K = narrow_loops.controller(np.array((FOUND | DISTURBED)[kind][1]))
     found = coupled_check(job, linearise(job.platform), [named_system(K, ("alpha9", "beta10"), ("Q9", "Q10"))])
     loop = dense_peak.closed(plants, 0, K)
     w = dense_peak.around_poles(loop.A, PERIOD)
