@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
+import re
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -112,6 +114,21 @@ def test_the_cross_density_is_that_of_signals_with_this_coherence_and_phase() ->
 def test_a_profile_has_the_rms_that_its_standard_states(profile: Any) -> None:
     table = ProfileSpectrum(profile=profile.name)
     assert math.sqrt(table.mean_square(0.0, 1e4)) == pytest.approx(profile.stated_rms, rel=6e-3)
+
+
+def test_a_profile_has_the_rms_of_angle_that_its_title_states() -> None:
+    stated = {}
+    for profile in PROFILES.values():
+        for number, unit in re.findall(r"([\d.]+) ?(°|µrad|mrad|rad) rms", profile.title):
+            spectrum, edges = ProfileSpectrum(profile=profile.name), profile.points[:, 0]
+            squares = [
+                integrate.quad(lambda f, s=spectrum: float(s.density(f)) / (2.0 * np.pi * f) ** 2, low, high)[0]
+                for low, high in itertools.pairwise(edges)
+            ]
+            angle = math.sqrt(sum(squares)) / {"°": math.pi / 180.0, "µrad": 1e-6, "mrad": 1e-3, "rad": 1.0}[unit]
+            stated[profile.name] = angle
+            assert f"{angle:.2g}" == f"{float(number):.2g}", profile.title
+    assert set(stated) == {"olympus-satellite", "ship-roll"}
 
 
 def test_the_micro_vibration_of_olympus_is_16_microradians_of_angle() -> None:
