@@ -6,6 +6,7 @@ import dataclasses
 import random
 import sys
 import tempfile
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from hypothesis import strategies as st
 
 import platform_ctrl as pc
 from fuzz_bytes import mangled
+from fuzz_files import meaning
 from oracle_trees import for_all, sprung, unbalanced
 from oracle_trees import motions as motions_drawn
 from platform_ctrl import design, simulation
@@ -436,6 +438,7 @@ def test_a_model_that_somebody_else_made_is_read(tmp_path: Path) -> None:
     [arm], [wheel] = platform.gimbals, platform.rotors
     mass = 1000.0 * np.pi * 0.05**2 * 0.02
     assert (arm.parent, arm.angle, wheel.carrier) == ("frame", "swing", "arm")
+    assert meaning(pc.read_platform(tomllib.loads(platform.to_toml()))) == meaning(platform)
     assert np.allclose(arm.axis, [0.0, 1.0, 0.0])  # turned by 90 degrees against the frame
     assert wheel.axial_inertia == pytest.approx(0.5 * mass * 0.05**2)
     assert (wheel.control, wheel.spin) == ("free", pytest.approx(300.0))

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import copy
+import dataclasses
 import json
 import math
 import os
 import pickle
 import random
 import sys
+import tomllib
 from collections.abc import Callable
 from decimal import Decimal
 from pathlib import Path
@@ -19,10 +21,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import platform_ctrl as pc
+from fuzz_files import EVERY_PLANT_KEY, meaning
 from fuzz_run import cases
+from oracle_trees import Motion, motions
 from platform_ctrl.campaign.identity import digest
-from platform_ctrl.errors import InputError
+from platform_ctrl.errors import ArgumentError, InputError
+from platform_ctrl.plant.force_elements import Friction, Unbalance
+from platform_ctrl.plant.platform import Gimbal, Platform, Torquer
 from platform_ctrl.plant.reading import read_platform
+from platform_ctrl.plant.sensors import PickOff, RateSensor
 from platform_ctrl.plant.source import platform_source, shipped_models
 
 Change = Callable[[dict[str, Any]], object]
@@ -938,3 +946,72 @@ def test_a_sensor_about_all_axes_is_one_about_each_axis_of_its_body() -> None:
         read_platform(short | {"rate_sensor": [gyro | {"axis": "all", "body": "no_such_body"}]})
     with pytest.raises(InputError, match="three numbers"):
         read_platform(base | {"rate_sensor": [gyro | {"axis": "both"}]})
+
+
+def read_back(platform: Platform) -> Platform:
+    return read_platform(tomllib.loads(platform.to_toml()))
+
+
+@pytest.mark.parametrize("name", shipped_models())
+def test_the_text_of_a_shipped_plant_is_that_plant_to_the_last_bit(name: str) -> None:
+    platform = read_platform(name)
+    assert meaning(read_back(platform)) == meaning(platform)
+
+
+def test_the_text_of_a_plant_with_every_key_is_that_plant_to_the_last_bit() -> None:
+    platform = read_platform(EVERY_PLANT_KEY.data)
+    assert meaning(read_back(platform)) == meaning(platform)
+    assert meaning(read_platform(platform)) == meaning(platform)
+
+
+@settings(max_examples=30, deadline=None)
+@given(motions())
+def test_the_text_of_a_random_plant_is_that_plant(motion: Motion) -> None:
+    back = read_back(motion.platform)
+    assert meaning(back) == meaning(read_platform(motion.platform))
+    q, velocity = motion.q, motion.velocity
+    ours, theirs = pc.matrices(back, q, velocity), pc.matrices(motion.platform, q, velocity)
+    np.testing.assert_allclose(ours.A, theirs.A, rtol=1e-14, atol=1e-14 * np.abs(theirs.A).max())
+
+
+def in_python() -> Platform:
+    """Return a plant that was made in Python: names with spaces, an axis of length 2, a limit that is none."""
+    return Platform(
+        name="made \x7f in \u00e9 Python",
+        root_name="the base",
+        root_inertia=np.diag([1.0, 2.0, 2.5]),
+        gimbals=(
+            Gimbal(name="outer ring", parent="the base", axis=[0, 0, 2.0], inertia=0.1 * np.eye(3), stops=(-1, 1)),
+            Gimbal(name="inner", parent="outer ring", axis=[0.6, 0.8, 0.0], inertia=[[1, 0, 0], [0, 1, 0], [0, 0, 1]]),
+        ),
+        torquers=(Torquer(gimbal="outer ring", limit=math.inf), Torquer(gimbal="inner", limit=0.1, lag=0.0)),
+        pickoffs=(PickOff(gimbal="outer ring"), PickOff(gimbal="inner", noise_rms=1 / 3e6)),
+        rate_sensors=(
+            RateSensor(body="inner", axis=[0, 1, 1], misalignment=[0.0, 0.0, 1e-3]),
+            RateSensor(gimbal="inner"),
+        ),
+        frictions=(Friction(gimbal="inner", coulomb=(0.01, 0.02)), Friction(gimbal="outer ring", viscous=0.1 + 0.2)),
+        unbalances=(Unbalance(body="the base", moment=(0.0, 1e-20, -3.0)),),
+        source='"quoted"\nand\ttwo lines \\',
+    )
+
+
+def test_a_plant_that_was_made_in_python_is_written_and_read_back() -> None:
+    platform = in_python()
+    with pytest.raises(InputError, match=r'platform "made .*": name must be a line of text .* cannot be printed'):
+        read_platform(platform)
+    platform = dataclasses.replace(platform, name="made in \u00e9 Python")
+    back = read_back(platform)
+    assert meaning(back) == meaning(read_platform(platform)) == meaning(read_back(back))
+    assert back.torquers[0].limit is None
+    assert back.gimbals[0].axis.tolist() == [0.0, 0.0, 1.0]
+    assert (back.source, back.gimbal_names) == (platform.source, ("outer ring", "inner"))
+    assert meaning((back.frictions, back.unbalances, back.pickoffs, back.rate_sensors[1])) == meaning(
+        (platform.frictions, platform.unbalances, platform.pickoffs, platform.rate_sensors[1])
+    )
+
+
+def test_what_no_plant_file_can_say_is_refused() -> None:
+    platform = dataclasses.replace(in_python(), pickoffs=(PickOff(name="resolver", gimbal="inner"),))
+    with pytest.raises(ArgumentError, match="pick-off 'resolver' must be called 'q_inner', as its angle"):
+        platform.to_toml()
