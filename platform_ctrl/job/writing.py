@@ -32,6 +32,11 @@ def job_data(job: Job) -> dict[str, Any]:
 
 
 def _without_log(source: Source) -> Source:
-    """Return a source with a log as its spectrum, so that the job needs no other file."""
+    """Return a source with a log as its spectrum, so that the job needs no other file; in SI where a column is not."""
     spectrum = source.spectrum
-    return replaced(source, {"spectrum": spectrum.table}) if isinstance(spectrum, LogSpectrum) else source
+    if not isinstance(spectrum, LogSpectrum):
+        return source
+    table = spectrum.table
+    if source.stated_unit is not None:
+        table = replaced(table, {"densities": source.factor**2 * table.densities})
+    return replaced(source, {"spectrum": table})
