@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from platform_ctrl.errors import ArgumentError
+from platform_ctrl.plant.fields import stops_written
 from platform_ctrl.plant.tables import written
 
 if TYPE_CHECKING:
@@ -31,9 +32,11 @@ def plant_data(platform: Platform) -> dict[str, Any]:
             words = f"pick-off {pickoff.name!r} must be called {angle!r}, as its angle, to stand in a plant file"
             raise ArgumentError(f"{words}; leave its name out, or make it an AngleSensor")
     data = {"schema": 1} | written(platform)
+    for gimbal in data.get("gimbal", ()):
+        gimbal |= stops_written(gimbal.pop("stops")) if "stops" in gimbal else {}
     for table, beside, keys in _BESIDE:
         for own in data.get(table, ()):
-            for key in keys if beside not in own else ():
+            for key in keys if not {beside, f"{beside}_deg"} & own.keys() else ():
                 own.pop(key, None)
     return data
 

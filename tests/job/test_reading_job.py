@@ -162,8 +162,8 @@ MISTAKES: dict[str, tuple[Change, list[str]]] = {
         put({"rate_hz": 1e6, "delay": 1e-3}, "sampling"),
         [
             "[sampling]",
-            "delay must be at most 100 sample periods, got 0.001 s, 1000 of them; try a lower rate_hz",
-            "delay must be at most 100 sample periods, got 0.001 s, 1000 of them; try a lower rate_hz",
+            "delay must be at most 100 sample periods, got 0.001 s, 1000 of them; give a shorter delay, in s: ",
+            "0.001 ms is 1e-06",
         ],
     ),
     "delay missing": (drop("sampling", "delay"), ["[sampling]", 'the key "delay" is missing']),
@@ -246,19 +246,30 @@ MISTAKES: dict[str, tuple[Change, list[str]]] = {
     ),
     "no gimbals": (
         drop("loop", 0, "gimbals"),
-        [CAGING, "gimbals must be the names of the gimbals that the loop cages"],
+        [CAGING, "gimbals must be the names of the gimbals that the loop cages", 'known: "4", "5", "7", "9", "10"'],
     ),
     "empty gimbals": (
         put([], "loop", 0, "gimbals"),
-        [CAGING, "gimbals must be the names of the gimbals that the loop cages"],
+        [CAGING, "gimbals must be the names of the gimbals that the loop cages", 'known: "4", "5", "7", "9", "10"'],
     ),
     "gimbals a text": (
         put("9", "loop", 0, "gimbals"),
-        [CAGING, 'gimbals must be a list of names, got "9"', "a list of names"],
+        [CAGING, 'gimbals must be a list of names, got "9"; known: "4", "5", "7", "9", "10"', "a list of names"],
     ),
     "gimbals numbers": (
         put([9, 10], "loop", 0, "gimbals"),
-        [CAGING, "gimbals must be", "got [9, 10]", "a list of names"],
+        [CAGING, "gimbals must be", "got [9, 10]", "a list of names", 'known: "4", "5", "7", "9", "10"'],
+    ),
+    "faults a text": (
+        both(
+            put([{"name": "deaf", "kind": "pick-off dead", "part": "alpha9", "at": 1}], "fault"),
+            put("deaf", "manoeuvre", 0, "faults"),
+        ),
+        [TURN, 'faults must be a list of names, got "deaf"; known: "deaf"'],
+    ),
+    "an angle in degrees": (
+        put({"alpha9": [-30]}, "operation", "angles"),
+        ["[operation.angles]", "alpha9: -30 rad is outside the stops", "-30 degrees are -0.5236"],
     ),
     "gimbal unknown": (
         put(["9", "100"], "loop", 0, "gimbals"),
@@ -500,7 +511,7 @@ def test_the_first_mistake_in_the_files_order_is_named_wherever_it_was_found() -
     data["loop"][0]["gimbals"] = ["9", "11"]
     data["manoeuvre"][0]["axis"] = 0
     assert "delay must be a number >= 0, got -1" in refusal(read_job, data)
-    assert refusal(read_job, data).endswith(" (and 2 more)")
+    assert refusal(read_job, data).endswith(' (and 2 more: [[loop]] 1 "caging": gimbals, [[manoeuvre]] 1 "turn": axis)')
     assert "axis must be 1, 2 or 3, got 0" in refusal(read_job, dict(reversed(data.items())))
 
 

@@ -441,6 +441,11 @@ MISTAKES: dict[str, tuple[Change, list[str]]] = {
         put([-2, -1], "gimbal", 0, "stops_deg"),
         [GIMBAL_4, "stops_deg must be [lower, upper] with 0 between them, got [-2, -1] (0 is not between the"],
     ),
+    "stops of 40 rad": (
+        put([-40, 40], "gimbal", 1, "stops"),
+        [GIMBAL_5, "[-40, 40] rad is more than a turn; is it in degrees? then write stops_deg", "[-2291.831181, "],
+    ),
+    "one stop of 30 rad": (put([-0.1, 30.0], "gimbal", 1, "stops"), [GIMBAL_5, "is it in degrees?"]),
     "stops twice": (
         put([-1, 1], "gimbal", 1, "stops_deg"),
         [GIMBAL_5, 'give either "stops" or "stops_deg", not both', '"stops" or "stops_deg"'],
@@ -624,10 +629,45 @@ TOML_MISTAKES = {
     "not UTF-8": (b'name = "\xff"', ["is not UTF-8 text", "byte 8"]),
     "a date": (
         b"schema = 1\nname = 2020-01-01\n[root]\n",
-        ["name must be a line of text that is not empty, got an object of type date", "(and 2 more)"],
+        ["name must be a line of text that is not empty, got an object of type date", "(and 2 more: "],
     ),
-    "empty": (b"", ['the key "schema" is missing', "(and 2 more)"]),
+    "empty": (b"", ['the key "schema" is missing', "(and 2 more: name, root)"]),
 }
+
+
+@pytest.mark.parametrize(
+    ("word", "meant"),
+    [
+        ("motor", "torquer"),
+        ("Motor", "torquer"),
+        ("actuator", "torquer"),
+        ("gyro", "rate_sensor"),
+        ("tracker", "attitude_sensor"),
+        ("flywheel", "rotor"),
+        ("frame", "gimbal"),
+        ("bearing", "friction"),
+        ("cable", "spring"),
+        ("camera", "line_of_sight"),
+        ("rotro", "rotor"),
+        ("frictoin", "friction"),
+        ("servo", None),
+    ],
+)
+def test_another_word_for_a_table_is_no_misspelling(word: str, meant: str | None) -> None:
+    message = refusal(read_platform, plant() | {word: [{"gimbal": "4"}]})
+    assert (f'did you mean "{meant}"?' in message) == (meant is not None)
+    assert ("known: " in message) == (meant is None)
+
+
+def test_stops_beyond_a_turn_are_read_in_degrees_and_written_so() -> None:
+    data = plant()
+    data["gimbal"][1]["stops"] = [-2.0 * math.pi, 6.2]
+    read_platform(data)
+    del data["gimbal"][1]["stops"]
+    data["gimbal"][1]["stops_deg"] = [-720, 540.1]
+    platform = read_platform(data)
+    assert platform.gimbals[1].stops == (math.radians(-720), math.radians(540.1))
+    assert read_back(platform).gimbals[1].stops == platform.gimbals[1].stops
 
 
 @pytest.mark.parametrize(("content", "fragments"), TOML_MISTAKES.values(), ids=TOML_MISTAKES.keys())
@@ -682,7 +722,7 @@ def test_an_unknown_shipped_name_gets_the_nearest_one(tmp_path: Path, monkeypatc
     assert read_platform(Path("zzz")).name == "two gimbals"
 
 
-def test_of_several_mistakes_the_first_in_the_files_order_is_named_and_the_others_counted() -> None:
+def test_of_several_mistakes_the_first_in_the_files_order_is_told_and_the_others_placed() -> None:
     data = plant()
     put(-1, "torquer", 0, "limit")(data)
     put("nobody", "rotor", 0, "carrier")(data)
@@ -692,20 +732,24 @@ def test_of_several_mistakes_the_first_in_the_files_order_is_named_and_the_other
         (
             ("gimbal", 0, "parent"),
             'parent must be the name of the root or a gimbal, got "platfrom"; did you mean "platform"',
-            " (and 3 more)",
+            ' (and 3 more: [[gimbal]] 2 "5": axis, [[rotor]] 1 "6": carrier, [[torquer]] 1 (gimbal "4"): limit)',
         ),
-        (("gimbal", 1, "axis"), "of length zero", " (and 2 more)"),
+        (
+            ("gimbal", 1, "axis"),
+            "of length zero",
+            ' (and 2 more: [[rotor]] 1 "6": carrier, [[torquer]] 1 (gimbal "4"): limit)',
+        ),
         (
             ("rotor", 0, "carrier"),
             'carrier must be the name of the root or a gimbal, got "nobody"; known: "platform", "4", ',
-            " (and 1 more)",
+            ' (and 1 more: [[torquer]] 1 (gimbal "4"): limit)',
         ),
         (("torquer", 0, "limit"), "limit must be a number > 0, got -1", ""),
     ):
         message = refusal(read_platform, data)
         assert fragment in message
         assert message.endswith(more)
-        assert ("more)" in message) == bool(more)
+        assert ("more: " in message) == bool(more)
         put(enter(plant(), path) if path != ("rotor", 0, "carrier") else "5", *path)(data)
     read_platform(data)
 
