@@ -108,7 +108,8 @@ def _length(table: Data, path: Path, data: Data) -> Iterator[Mistake]:
     step = number_of(campaign, "step") if isinstance(campaign, dict) and "step" in campaign else LONGEST_STEP
     if rate is not None and rate > 0.0 and duration * rate > MOST_SAMPLES:
         words = f"duration must be at most {MOST_SAMPLES:.0e} sample periods, got {given(duration)} s"
-        yield Mistake((*path, "duration"), f"{words}, {duration * rate:.4g} of them; give at most {MOST_SAMPLES / rate:.6g} s")
+        cure = f"give at most {MOST_SAMPLES / rate:.6g} s"
+        yield Mistake((*path, "duration"), f"{words}, {duration * rate:.4g} of them; {cure}")
     elif duration / LONGEST_STEP > MOST_STEPS:
         words = f"duration must be at most {MOST_STEPS:.0e} integration steps, got {given(duration)} s"
         cure = f"give at most {MOST_STEPS * LONGEST_STEP:.6g} s"

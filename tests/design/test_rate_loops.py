@@ -226,7 +226,7 @@ def test_an_option_of_gyroscopic_loops_leads_to_the_one_that_this_loop_takes(met
 def test_a_reading_that_is_too_old_asks_for_a_shorter_delay():
     data = camera_job(loop=camera_loop())
     data["plant"]["rate_sensor"][0]["delay"] = 2.0
-    with pytest.raises(PlatformCtrlError, match="pitch_gyro.* 4000 sample periods old.*give it a shorter delay than 2 s"):
+    with pytest.raises(PlatformCtrlError, match=r"pitch_gyro.* 4000 sample periods old.*a shorter delay than 2 s"):
         design.loops(pc.read_job(data))
 
 
