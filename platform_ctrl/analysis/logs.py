@@ -5,10 +5,12 @@ from __future__ import annotations
 import contextlib
 import csv
 from collections.abc import Mapping, Sequence
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
 
+from platform_ctrl.common.units import SUFFIXES, Unit, column_unit
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.plant.fields import LARGEST
@@ -21,8 +23,11 @@ GAP_PERIODS = 3.0
 ALIKE = 1e-6
 LEAST_SAMPLES = 16
 _CSV = "give a header and lines of numbers with commas between them"
-# Steps of a clock that no logger has, s: the time is in another unit.
-SHORTEST_STEP = 1e-9
+# Mean steps of a clock that no record of motion has, s: the time is in another unit. A clock whose column does not
+# state its unit is doubted earlier: 1 is the step of a 1 kHz log in ms, and of a counter of samples.
+SHORTEST_STEP, LONGEST_STEP, LONGEST_UNSTATED = 4e-6, 60.0, 1.0
+# Slowest logger whose clock is proposed for a column of another unit, s.
+_USUAL_STEP = 0.1
 # Relative width of the bands over which the density is averaged; below, bins are wider than that.
 BAND = 0.01
 # Segments that half overlap and are averaged, if the resolution allows as many, and samples of one at most.
@@ -35,7 +40,7 @@ class Log:
 
     label: str  # the file, as messages say it
     time: FloatArray  # (N,): increasing, s
-    signals: Mapping[str, FloatArray]  # by the names of the columns, (N,) each, in units of the file
+    signals: Mapping[str, FloatArray]  # by the names of the columns, (N,) each, in units of the file: see `column_unit`
 
 
 @value
@@ -60,11 +65,16 @@ class LogDensity:
 
 
 def read_log(path: Path, columns: Sequence[str], time: str = "time") -> Log:
-    """Return columns of a CSV or Parquet file, each checked; `InputError` says which line is wrong and what to do."""
+    """Return columns of a CSV or Parquet file, each checked; `InputError` says which line is wrong and what to do.
+
+    The time is in s unless the name of its column states another unit: `time_us`, `t_ms`. Where there is no column
+    `time`, that is the one column of this name with a unit.
+    """
     label = one_line(str(path))
     wanted = list(dict.fromkeys([time, *columns]))
     parquet = path.suffix.lower() in (".parquet", ".pq")
     values, lines = (_parquet if parquet else _csv)(path, label, wanted)
+    time = wanted[0]
     row = "row" if parquet else "line"
     if len(values) < LEAST_SAMPLES:
         raise InputError(f"{label}: has {len(values)} samples; at least {LEAST_SAMPLES} are needed")
@@ -79,7 +89,28 @@ def read_log(path: Path, columns: Sequence[str], time: str = "time") -> Log:
             words = f"{time} = {t[k + 1]:.12g} is before the {t[k]:.12g} of {row} {lines[k]}"
             words += "; sort the lines by time, or cut the log where its clock was set"
         raise InputError(f"{label}: {row} {lines[k + 1]}: {words}")
+    unit = column_unit(time)[1]
+    unit = unit if unit is not None and unit.quantity == "time" else None
+    if words := _doubtful_clock(time, unit, t):
+        raise InputError(f"{label}: {words}")
+    t = t if unit is None else unit.factor * t
     return Log(label=label, time=t, signals={name: values[:, wanted.index(name)] for name in columns})
+
+
+def _doubtful_clock(name: str, unit: Unit | None, t: FloatArray) -> str:
+    """Return in words why a clock cannot be in the unit that its name states, or in s; empty where it may be."""
+    own = SUFFIXES["s"] if unit is None else unit
+    step = float(np.median(np.diff(t)))
+    seconds = own.factor * step
+    if SHORTEST_STEP <= seconds < (LONGEST_UNSTATED * (1.0 - 1e-9) if unit is None else LONGEST_STEP):
+        return ""
+    base = name if unit is None else column_unit(name)[0]
+    others = {end: one for end, one in SUFFIXES.items() if one.quantity == "time" and one != own}
+    near = (end for end, one in others.items() if SHORTEST_STEP <= one.factor * step <= _USUAL_STEP)
+    ends = [*islice(near, 1), *(["s"] if unit is None and SHORTEST_STEP <= seconds < LONGEST_STEP else [])]
+    words = f"{name}: steps of {seconds:.4g} s, {seconds * float(t[-1] - t[0]) / step:.4g} s in all, cannot be meant"
+    proposed = " or ".join(f'"{base}_{end}" if it is in {SUFFIXES[end].name}' for end in ends)
+    return f"{words}; {f'call the column {proposed}' if proposed else 'the time must be in s'}"
 
 
 def _csv(path: Path, label: str, wanted: list[str]) -> tuple[FloatArray, Sequence[int]]:
@@ -89,6 +120,7 @@ def _csv(path: Path, label: str, wanted: list[str]) -> tuple[FloatArray, Sequenc
         header = [name.strip() for name in next(csv.reader(text[:1]), [])]
     except csv.Error as error:
         raise InputError(f"{label}: is not CSV: {one_line(str(error))}; {_CSV}") from None
+    wanted[0] = _clock(header, wanted[0])
     places = [_place(label, header, name) for name in wanted]
     lines = [k for k, line in enumerate(text, 1) if k > 1 and line.strip()]
     rows = [text[k - 1] for k in lines]
@@ -126,6 +158,7 @@ def _parquet(path: Path, label: str, wanted: list[str]) -> tuple[FloatArray, Seq
         raise InputError(f"{label}: {words}") from None
     try:
         file = pyarrow.parquet.ParquetFile(path)
+        wanted[0] = _clock(file.schema_arrow.names, wanted[0])
         for name in wanted:
             _place(label, file.schema_arrow.names, name)
         table = file.read(columns=wanted)
@@ -140,6 +173,15 @@ def _parquet(path: Path, label: str, wanted: list[str]) -> tuple[FloatArray, Seq
             raise InputError(f"{label}: the column {given(name)} must hold {words}, got the type {kind}")
     columns = [table[name].to_numpy().astype(np.float64) for name in wanted]  # what is null becomes NaN
     return np.stack(columns, axis=1), range(1, table.num_rows + 1)
+
+
+def _clock(header: list[str], time: str) -> str:
+    """Return the column of the time: `time`, or the one column of that name with a unit of time."""
+    if time in header:
+        return time
+    stated = ((name, *column_unit(name)) for name in header)
+    found = [name for name, base, unit in stated if unit and unit.quantity == "time" and base.lower() == time.lower()]
+    return found[0] if len(found) == 1 else time
 
 
 def _place(label: str, header: list[str], name: str) -> int:
@@ -213,7 +255,7 @@ def _segment(period: float, lengths: list[int], resolution_hz: float) -> int:
     if period < SHORTEST_STEP or 0.5 / period < resolution_hz:
         words = f"the mean step of the clock, {period:.4g} s, is too"
         words += " short" if period < SHORTEST_STEP else f" long for {resolution_hz:.4g} Hz"
-        raise ArgumentError(f"{words}; the time must be in s")
+        raise ArgumentError(f"{words}; the time must be in s, or its column state the unit, as time_us does")
     least = int(np.ceil((1.0 - 1e-9) / (period * resolution_hz)))
     if least > min(max(lengths), LONGEST_SEGMENT):
         longest, most = max(lengths) * period, LONGEST_SEGMENT * period

@@ -215,8 +215,9 @@ class History:
 
 # Range of a slider to both sides of its start, as a factor.
 _REACH = 20.0
-# Typed numbers may lie beyond the slider, but not beyond these: options, sample rate, spins and rates in their units.
-_OPTION, _RATE, _SPIN, _OMEGA = (1e-9, 1e7), (1e-2, 1e7), 1e6, 1e4
+# Typed numbers may lie beyond the slider, options by this factor, but not beyond these: sample rate, Hz, spins and
+# platform rates, rad/s.
+_BEYOND, _RATE, _SPIN, _OMEGA = 100.0, (0.1, 500_000.0), 100_000.0, 200.0
 _LONGEST_DELAY = 100.0
 
 
@@ -357,7 +358,7 @@ def moved(
     known_name("slider", name, tuple(sliders))
     at = _number(name, number)
     if name == "rate_hz":
-        _expect(name, at, *_RATE)
+        _expect(name, at, *_RATE, "Hz")
     if name in ("rate_hz", "delay"):
         new = settings.but(**{name: at})
         longest = _LONGEST_DELAY / new.rate_hz
@@ -368,14 +369,14 @@ def moved(
             )
         return new
     if name.startswith("spin ") and sliders[name].group == "rotors":
-        _expect(name, at, -_SPIN, _SPIN)
+        _expect(name, at, -_SPIN, _SPIN, "rad/s")
         return dataclasses.replace(settings, spins={**settings.spins, name.removeprefix("spin "): at})
     if sliders[name].group == "Omega":
-        _expect(name, at, -_OMEGA, _OMEGA)
+        _expect(name, at, -_OMEGA, _OMEGA, "rad/s")
         rates = list(settings.Omega)
         rates[int(name[-1]) - 1] = at
         return settings.but(Omega=tuple(rates))
-    _expect(name, at, *_OPTION)
+    _expect_option(sliders[name], at, settings.rate_hz)
     if sliders[name].along:
         factor = at / sliders[name].value
         free = {option: x for option, x in sliders[name].along.items() if option not in settings.fixed}
@@ -404,6 +405,14 @@ def _number(name: str, given: float) -> float:
     return out
 
 
-def _expect(name: str, at: float, low: float, high: float) -> None:
+def _expect_option(slider: Slider, at: float, rate_hz: float) -> None:
+    """Judge an option: frequencies up to half the sample rate, whole numbers on their slider."""
+    low, high = (slider.low / _BEYOND, slider.high * _BEYOND)
+    if slider.unit == "Hz":
+        high = max(min(high, 0.5 * rate_hz), slider.high)
+    _expect(slider.name, at, float(f"{low:.1g}"), high, slider.unit)
+
+
+def _expect(name: str, at: float, low: float, high: float, unit: str = "") -> None:
     if not low <= at <= high:
-        raise ArgumentError(f"{name} must be from {low:g} to {high:g}, got {at:g}")
+        raise ArgumentError(f"{name} must be from {low:.6g} to {high:.6g}{f' {unit}' if unit else ''}, got {at:g}")

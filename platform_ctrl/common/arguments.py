@@ -152,11 +152,39 @@ def distinct(kind: str, names: Sequence[str]) -> list[str]:
     return list(names)
 
 
+# Other words for what plants, jobs and their keys are made of.
+_MEANT = {
+    **dict.fromkeys(("motor", "actuator", "torque_motor"), "torquer"),
+    **dict.fromkeys(("gyro", "rate_gyro", "gyroscope", "tachometer", "imu"), "rate_sensor"),
+    **dict.fromkeys(("encoder", "resolver", "potentiometer"), "angle_sensor"),
+    **dict.fromkeys(("tracker", "star_sensor", "star_tracker"), "attitude_sensor"),
+    **dict.fromkeys(("wheel", "flywheel", "reaction_wheel"), "rotor"),
+    **dict.fromkeys(("joint", "hinge", "frame", "ring", "link", "body"), "gimbal"),
+    **dict.fromkeys(("bearing", "damper", "damping"), "friction"),
+    **dict.fromkeys(("cable", "stiffness"), "spring"),
+    **dict.fromkeys(("imbalance", "mass", "weight"), "unbalance"),
+    **dict.fromkeys(("camera", "los", "boresight"), "line_of_sight"),
+    **dict.fromkeys(("base", "platform"), "root"),
+    **dict.fromkeys(("run", "scenario", "simulation"), "manoeuvre"),
+    **dict.fromkeys(("controller", "controllers"), "loop"),
+    "monte_carlo": "campaign",
+    **dict.fromkeys(("disturbance", "disturbances"), "budget"),
+}
+# Least likeness of a word to the one that was meant, and of long words, which are alike by chance.
+_ALIKE, _ALIKE_IF_LONG, _LONG = 0.6, 0.7, 5
+
+
 def nearest(word: str, known: Iterable[str]) -> str | None:
     """Return the known word that `word` was probably meant to be, or None."""
     by_lower = {name.lower(): name for name in known}
-    begun = [name for name in by_lower if len(word) > 2 and name.startswith(word.lower()[:LONGEST])]
+    given = word.lower()[:LONGEST]
+    begun = [name for name in by_lower if len(given) > 2 and name.startswith(given)]
+    parts = [name for name in by_lower if name.endswith(f"_{given}") or given.endswith(f"_{name}")]
     if begun:
         return by_lower[begun[0]]
-    close = difflib.get_close_matches(word.lower()[:LONGEST], by_lower, n=1)
+    if len(given) > 2 and len(parts) == 1:
+        return by_lower[parts[0]]
+    if _MEANT.get(given) in by_lower:
+        return by_lower[_MEANT[given]]
+    close = difflib.get_close_matches(given, by_lower, n=1, cutoff=_ALIKE if len(given) < _LONG else _ALIKE_IF_LONG)
     return by_lower[close[0]] if close else None

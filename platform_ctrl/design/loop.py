@@ -16,6 +16,7 @@ from platform_ctrl.analysis.certificates.plant_set import KnownProofs, plant_set
 from platform_ctrl.analysis.feedback import closed_loop, with_error_alone
 from platform_ctrl.analysis.loop_metrics import LoopMetrics, measure
 from platform_ctrl.analysis.plant_set import COMMAND, PlantSet
+from platform_ctrl.common.arguments import nearest
 from platform_ctrl.common.progress import Progress
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.loop_signals import loop_channels, loop_signals
@@ -342,8 +343,10 @@ def completed(method: str, given: dict[str, float], defaults: dict[str, float]) 
     """Return `defaults` with the `given` numbers in place."""
     unused = sorted(set(given) - set(defaults))
     if unused:
+        close = nearest(unused[0], defaults)
+        hint = "" if close is None else f"did you mean {close!r}? "
         raise DesignError(
-            f"{method}: option {unused[0]!r} has no meaning for this loop; its options are {', '.join(defaults)}"
+            f"{method}: option {unused[0]!r} has no meaning for this loop; {hint}its options are {', '.join(defaults)}"
         )
     out = defaults | given
     wrong = [name for name, x in out.items() if not x > 0.0]

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -99,9 +101,13 @@ def loop_channels(model: LinearModel, signals: LoopSignals, period: float) -> Ch
     own = np.array([signals.gimbals.index(str(torquer.gimbal)) for torquer in signals.torquers])
     mobility = np.diag(inverse_inertia(model.M[np.ix_(rows, rows)], signals.gimbals))[own]
     if not shows_each(effect):
+        names = [sensor.name for sensor in signals.sensors]
+        axes = [model.platform.gimbals[model.platform.gimbal(name)].axis for name in signals.gimbals]
+        why = parallel("gimbals", signals.gimbals, axes, "turn about")
+        why = why or unseen(model.platform, signals.sensors, effect)
         raise ArgumentError(
-            f"sensors: {', '.join(sensor.name for sensor in signals.sensors)} do not show what each of the torquers "
-            f"{', '.join(torquer.name for torquer in signals.torquers)} does; add a sensor, or leave out a torquer"
+            f"sensors: {', '.join(names)} do not show what each of the torquers "
+            f"{', '.join(torquer.name for torquer in signals.torquers)} does{why}; add a sensor, or leave out a torquer"
         )
     carried = [r for r in model.platform.rotors if r.carrier in signals.gimbals and r.spin != 0.0]
     return Channels(
@@ -137,6 +143,36 @@ def shows_each(effect: FloatArray) -> bool:
     """Return whether readings (p) show what each of the inputs (m) does, by its effect (p, m) on them."""
     sizes = np.linalg.svd(effect, compute_uv=False)
     return len(effect) >= effect.shape[1] and bool(sizes[-1] > _SEEN * sizes[0])
+
+
+def unseen(platform: Platform, sensors: Sequence[Sensor], effect: FloatArray) -> str:
+    """Return in words why readings, rows of `effect`, do not show what each input does; empty where it is not plain."""
+    sizes = np.linalg.norm(effect, axis=1)
+    still = [one.name for one, size in zip(sensors, sizes, strict=True) if size <= _SEEN * sizes.max(initial=0.0)]
+    if still:
+        do = "measures" if len(still) == 1 else "measure"
+        return f": {', '.join(still)} {do} about an axis that none of them turns"
+    axes = [_sensing_axis(platform, one) for one in sensors]
+    return parallel("sensors", [one.name for one in sensors], axes, "measure about")
+
+
+def _sensing_axis(platform: Platform, sensor: Sensor) -> FloatArray:
+    """Return the axis about which a sensor measures, at the angles zero; zero where it has none."""
+    gimbal, axis, root_axis = (getattr(sensor, key, None) for key in ("gimbal", "axis", "root_axis"))
+    if gimbal is not None:
+        return platform.gimbals[platform.gimbal(gimbal)].axis
+    if root_axis is not None:
+        return np.asarray(np.eye(3)[root_axis - 1])
+    return np.zeros(3) if axis is None else np.asarray(axis)
+
+
+def parallel(what: str, names: Sequence[str], axes: Sequence[FloatArray], do: str) -> str:
+    """Return in words which two of some axes, of any length, are parallel; empty where no two are."""
+    for k, j in itertools.combinations(range(len(names)), 2):
+        lengths = float(np.linalg.norm(axes[k]) * np.linalg.norm(axes[j]))
+        if np.linalg.norm(np.cross(axes[k], axes[j])) < _SEEN * lengths:
+            return f": the {what} {names[k]} and {names[j]} {do} parallel axes"
+    return ""
 
 
 def expect_no_keyhole(job: Job, signals: LoopSignals) -> None:

@@ -38,6 +38,7 @@ from platform_ctrl.design.loop_signals import (
     loop_channels,
     loop_signals,
     shows_each,
+    unseen,
 )
 from platform_ctrl.design.partition import Channels
 from platform_ctrl.errors import ArgumentError, InputError
@@ -320,9 +321,11 @@ def around(
     states = np.linalg.solve(z * np.eye(found.A.shape[-1]) - found.A[0], found.B[0])
     effect = np.real(1j * w * (found.C[0] @ states + found.D[0]))
     if not shows_each(effect):
+        by_name = {sensor.name: sensor for sensor in job.platform.sensors}
+        why = unseen(job.platform, [by_name[name] for name in spec.sensors], effect)
         raise InputError(
             f"loop {spec.name!r}: sensors {', '.join(spec.sensors)} do not show what each of the commands "
-            f"{', '.join(commands)} does; add a sensor of an angle, or give the axis a rate loop by itself"
+            f"{', '.join(commands)} does{why}; add a sensor of an angle, or give the axis a rate loop by itself"
         )
     return found, dataclasses.replace(commanded_channels(p), sense=np.linalg.pinv(effect))
 

@@ -12,10 +12,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from platform_ctrl.common.arguments import real_numbers
 from platform_ctrl.common.signatures import check_arguments
+from platform_ctrl.common.units import G, Quantity, Unit, column_unit
 from platform_ctrl.common.values import FloatArray, input_value, value
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.job.profiles import G
-from platform_ctrl.job.spectra import SPECTRA, Lines, Spectrum
+from platform_ctrl.job.spectra import SPECTRA, Lines, LogSpectrum, Spectrum
 from platform_ctrl.plant import fields
 from platform_ctrl.plant.fields import Expected, Unfit
 from platform_ctrl.plant.tables import TABLE, Array, OneOf
@@ -29,6 +29,8 @@ class SourceKind:
 
     Attributes
     ----------
+    quantity
+        What it is, as units of columns say it.
     units
         Units in which a file may give it, with their factors to SI; the first is the SI unit.
     place
@@ -37,6 +39,7 @@ class SourceKind:
         More than this cannot be meant, SI units.
     """
 
+    quantity: Quantity
     units: Mapping[str, float]
     place: str
     largest_rms: float = math.inf
@@ -44,9 +47,13 @@ class SourceKind:
 
 SOURCE_KINDS: dict[str, SourceKind] = {
     # 200 rad/s is 32 turns a second, more than projectiles that carry a seeker have; 1000 m/s² is 100 g.
-    "base-rate": SourceKind(units={"rad/s": 1.0, "deg/s": math.pi / 180.0}, place="axis", largest_rms=200.0),
-    "specific-force": SourceKind(units={"m/s2": 1.0, "g": G}, place="axis", largest_rms=1000.0),
-    "torque": SourceKind(units={"N m": 1.0, "mN m": 1e-3}, place="gimbal"),
+    "base-rate": SourceKind(
+        quantity="rate", units={"rad/s": 1.0, "deg/s": math.pi / 180.0}, place="axis", largest_rms=200.0
+    ),
+    "specific-force": SourceKind(
+        quantity="acceleration", units={"m/s2": 1.0, "g": G}, place="axis", largest_rms=1000.0
+    ),
+    "torque": SourceKind(quantity="torque", units={"N m": 1.0, "mN m": 1e-3}, place="gimbal"),
 }
 UNITS = tuple(unit for kind in SOURCE_KINDS.values() for unit in kind.units)
 # What disturbs as well and is written elsewhere, by a word of its name.
@@ -69,6 +76,22 @@ def _source_kind(item: object) -> str:
 
 
 _KIND = Expected(lambda: " or ".join(f'"{name}"' for name in SOURCE_KINDS), _source_kind)
+
+
+def unit_mistake(kind: str, unit: str | None, column: str | None) -> str:
+    """Return in words how the unit that the name of a log's column states contradicts kind or unit of a source."""
+    stated = None if column is None else column_unit(column)[1]
+    if stated is None or stated.quantity == "time":  # a signal is no time: its name ends in s
+        return ""
+    own = SOURCE_KINDS[kind]
+    words = f'column "{column}" is in {stated.name} by its name'
+    if stated.quantity != own.quantity:
+        known = " or ".join(f'"{one}"' for one in own.units)
+        wanted = f'kind = "{kind}" needs {own.quantity}; name another column, or state unit = {known}'
+        return "" if unit is not None else f"{words}, and {wanted}"
+    if unit is not None and not math.isclose(own.units[unit], stated.factor, rel_tol=1e-9):
+        return f'{words}, and unit = "{unit}" contradicts it; leave unit out, or rename the column'
+    return ""
 
 
 @input_value
@@ -104,7 +127,7 @@ class Source:
     axis, gimbal
         Root axis, 1 to 3, of a base rate or specific force; name of the gimbal of a torque.
     unit
-        Of what `spectrum` says; None: SI.
+        Of what `spectrum` says; None: SI, but of a log the unit that the name of its column states.
     limit
         Largest rms of the line of sight from this source alone, rad; None: no requirement.
     spectrum
@@ -129,11 +152,23 @@ class Source:
         if self.unit is not None and self.unit not in kind.units:
             known = ", ".join(kind.units)
             raise ArgumentError(f"source {self.name!r}: unit must be one of {known}, got {self.unit!r}")
+        if words := unit_mistake(self.kind, self.unit, getattr(self.spectrum, "column", None)):
+            raise ArgumentError(f"source {self.name!r}: {words}")
 
     @property
     def factor(self) -> float:
         """SI units in a unit of `spectrum`, dimensionless."""
-        return 1.0 if self.unit is None else SOURCE_KINDS[self.kind].units[self.unit]
+        if self.unit is not None:
+            return SOURCE_KINDS[self.kind].units[self.unit]
+        return 1.0 if self.stated_unit is None else self.stated_unit.factor
+
+    @property
+    def stated_unit(self) -> Unit | None:
+        """The unit that the name of a log's column states, where `unit` does not say it; None: none."""
+        if self.unit is not None or not isinstance(self.spectrum, LogSpectrum):
+            return None
+        stated = column_unit(self.spectrum.column)[1]
+        return stated if stated is not None and stated.quantity == SOURCE_KINDS[self.kind].quantity else None
 
     @property
     def knots_hz(self) -> FloatArray:

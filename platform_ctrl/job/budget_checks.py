@@ -13,7 +13,7 @@ import numpy as np
 from platform_ctrl.analysis.logs import Log, read_log
 from platform_ctrl.common.values import replaced
 from platform_ctrl.errors import InputError
-from platform_ctrl.job.budget import SOURCE_KINDS, Budget, Source
+from platform_ctrl.job.budget import SOURCE_KINDS, Budget, Source, unit_mistake
 from platform_ctrl.job.profiles import PROFILES
 from platform_ctrl.job.run_checks import of_length
 from platform_ctrl.job.spectra import SPECTRA, LogSpectrum
@@ -67,6 +67,8 @@ def _source(source: Data, path: Path, platform: Platform | None) -> Iterator[Mis
     if unit is not None and unit not in kind.units:
         known = " or ".join(f'"{unit}"' for unit in kind.units)
         yield Mistake.wrong(source, path, "unit", f"{known} with kind = {given(name)}")
+    elif words := unit_mistake(name, unit, text_of(source, "column")):
+        yield Mistake((*path, "column"), f"column: {words.removeprefix('column ')}")
     if name == "specific-force" and platform is not None and not platform.unbalances:
         words = "a specific force moves the line of sight by unbalance, and the plant has none; add [[unbalance]] to it"
         yield Mistake((*path, "kind"), f"kind: {words}")
@@ -143,7 +145,8 @@ def _units_of_log(source: Source, spectrum: LogSpectrum) -> str:
     whole = source.factor * math.hypot(mean, math.sqrt(spectrum.estimate.variance))
     if whole > kind.largest_rms:
         return too_large(source, whole)
-    if source.kind == "specific-force" and source.unit is None and abs(abs(mean) - 1.0) < NEAR_ONE:
+    unstated = source.unit is None and source.stated_unit is None
+    if source.kind == "specific-force" and unstated and abs(abs(mean) - 1.0) < NEAR_ONE:
         words = f"unit: the mean of {given(spectrum.column)} is {mean:.4g}, which looks like gravity in g"
         return f'{words}; write unit = "g", or unit = "m/s2" if it is meant'
     return ""
@@ -171,7 +174,7 @@ def too_large(source: Source, rms: float) -> str:
     """Return the words about a size that cannot be meant."""
     kind = SOURCE_KINDS[source.kind]
     si = next(iter(kind.units))
-    named = source.unit or si
+    named = source.unit or (source.stated_unit.name if source.stated_unit else si)
     others = ", ".join(given(unit) for unit in kind.units if unit != named)
     most = f"an rms of {rms:.4g} {si} cannot be meant, at most {kind.largest_rms:g} {si}"
     return f'{most}, with unit = "{named}"; other units: {others}'

@@ -17,7 +17,8 @@ from platform_ctrl.job.methods import METHODS, LoopKind
 from platform_ctrl.job.requirements import SCOPES, limit_keys
 from platform_ctrl.job.run_checks import run_mistakes
 from platform_ctrl.plant.checks import number_of
-from platform_ctrl.plant.mistakes import Mistake, Path, given, suggestion, tables, text_of, unique_names
+from platform_ctrl.plant.fields import TURN
+from platform_ctrl.plant.mistakes import Mistake, Path, given, listed, suggestion, tables, text_of, unique_names
 from platform_ctrl.plant.platform import OMEGA_NAMES, ROOT_TORQUE_NAMES, Platform
 from platform_ctrl.plant.tables import unknown_key
 
@@ -46,6 +47,7 @@ def job_mistakes(data: Data, platform: Platform | None) -> list[Mistake]:
         *_sight(data, platform),
         *_designs(data, platform),
         *_loops(data, platform),
+        *_lists_of_names(data, platform),
         *run_mistakes(data, platform),
         *campaign_mistakes(data),
         *drive_mistakes(data),
@@ -113,15 +115,22 @@ def _trims(data: Data, platform: Platform | None) -> Iterator[Mistake]:
             yield Mistake(path, f"{name} is no angle of the plant; {suggestion(name, platform.angle_names)}")
             continue
         numbers = [number_of({"x": x}, "x") for x in values] if isinstance(values, list) else []
-        stops = platform.gimbals[platform.angle_names.index(name)].stops or (-math.inf, math.inf)
+        stops = platform.gimbals[platform.angle_names.index(name)].stops or (-TURN, TURN)
         outside = [x for x in numbers if x is not None and not stops[0] <= x <= stops[1]]
         if outside:
             words = f"{name}: {outside[0]:g} rad is outside the stops, {stops[0]:.6g} to {stops[1]:.6g} rad"
-            yield Mistake(path, f"{words}; choose angles between them")
+            if stops[1] == TURN:
+                words = f"{name}: {outside[0]:g} rad is more than a turn"
+            yield Mistake(path, f"{words}; {_in_rad(outside[0]) or 'choose angles between them'}")
         count *= max(len(set(numbers)), 1)
     if count > MOST_TRIMS:
         words = f"angles: {count} combinations of gimbal angles are more than {MOST_TRIMS}; give fewer angles"
         yield Mistake(("operation", "angles"), words)
+
+
+def _in_rad(angle: float) -> str:
+    """Return in words what an angle is in rad if it is beyond a turn, and so may be in degrees."""
+    return f"angles are in rad: {angle:g} degrees are {math.radians(angle):.4g}" if abs(angle) > TURN else ""
 
 
 def _sight(data: Data, platform: Platform | None) -> Iterator[Mistake]:
@@ -175,7 +184,8 @@ def _sampling(data: Data) -> Iterator[Mistake]:
         return
     periods = rate * delay
     if not periods <= LONGEST_DELAY:
-        more = f" s, {periods:.4g} of them; try a lower rate_hz"
+        unit, scale = ("ms", 1e-3) if periods * 1e-3 <= LONGEST_DELAY else ("µs", 1e-6)
+        more = f" s, {periods:.4g} of them; give a shorter delay, in s: {delay:g} {unit} is {delay * scale:g}"
         yield Mistake.wrong(table, ("sampling",), "delay", f"at most {LONGEST_DELAY} sample periods", more)
     yield from _rates(data, rate)
 
@@ -271,7 +281,9 @@ def _loops(data: Data, platform: Platform | None) -> Iterator[Mistake]:
         path: Path = ("loop", i)
         match text_of(loop, "kind"):
             case "caging" if "gimbals" not in loop or loop["gimbals"] == []:
-                yield Mistake((*path, "gimbals"), "gimbals must be the names of the gimbals that the loop cages")
+                words = "gimbals must be the names of the gimbals that the loop cages"
+                more = "" if platform is None else f"; {listed(platform.gimbal_names)}"
+                yield Mistake((*path, "gimbals"), f"{words}{more}")
             case "caging":
                 if stabilisation is not None:
                     words = f"a caging loop must be before the stabilisation loop, [[loop]] {stabilisation + 1}"
@@ -315,8 +327,7 @@ def _useless(loop: Data, path: Path, kind: str, keys: tuple[str, ...]) -> Iterat
 def _signals_of(loop: Data, path: Path, kind: str, platform: Platform | None) -> Iterator[Mistake]:
     """Judge what a rate or pointing loop turns, reads and sets."""
     for key, words in (("gimbals", "the gimbals that the loop turns"), ("sensors", "what the loop reads")):
-        if not _names_of(loop, key):
-            yield Mistake((*path, key), f"{key} must be a list of names, {words}")
+        yield from _no_names(loop, key, path, words, _known_names(kind, platform)[key])
     if platform is None:
         return
     torquers = {t.name: t.gimbal for t in platform.torquers if t.gimbal is not None}
@@ -334,10 +345,9 @@ def _signals_of(loop: Data, path: Path, kind: str, platform: Platform | None) ->
 
 def _tracking(data: Data, loop: Data, path: Path, number: int, platform: Platform | None) -> Iterator[Mistake]:
     """Judge a tracking loop: what it reads, and the rate loop that it commands."""
-    if not _names_of(loop, "sensors"):
-        yield Mistake((*path, "sensors"), "sensors must be a list of names, what the loop reads")
+    fitting = _known_names("tracking", platform)["sensors"]
+    yield from _no_names(loop, "sensors", path, "what the loop reads", fitting)
     if platform is not None:
-        fitting = [sensor.name for sensor in platform.sensors if sensor.unit == "rad"]
         for name in _names_of(loop, "sensors"):
             if name not in fitting:
                 yield Mistake.unknown_name(path, "sensors", name, "sensor of an angle", fitting)
@@ -384,6 +394,66 @@ def _root_torquers(path: Path, platform: Platform | None) -> Iterator[Mistake]:
         yield Mistake(path, f"{words}; add [[torquer]] with root_axis 1, 2 and 3")
 
 
+def _unit_of(kind: str) -> str:
+    """Return the unit of what a loop of this kind reads."""
+    return "rad/s" if kind == "rate" else "rad"
+
+
+def _known_names(kind: str, platform: Platform | None) -> dict[str, list[str]]:
+    """Return what may stand in the lists of names of a loop of this kind, by their keys."""
+    if platform is None:
+        return {"gimbals": [], "sensors": [], "torquers": []}
+    return {
+        "gimbals": list(platform.gimbal_names),
+        "sensors": [sensor.name for sensor in platform.sensors if sensor.unit == _unit_of(kind)],
+        "torquers": [torquer.name for torquer in platform.torquers if torquer.gimbal is not None],
+    }
+
+
+def _rates_of_the_root(platform: Platform | None) -> list[str]:
+    """Return the rate sensors of the root, which no torquer on a gimbal moves."""
+    sensors = () if platform is None else platform.sensors
+    rates = (sensor for sensor in sensors if sensor.unit == "rad/s")
+    return [one.name for one in rates if platform and set(one.signals(platform)) <= set(OMEGA_NAMES)]
+
+
+def _lists_of_names(data: Data, platform: Platform | None) -> Iterator[Mistake]:
+    """Walk what stands in place of a list of names; without a platform, only what needs none."""
+    for i, loop in tables(data, "loop"):
+        kind = text_of(loop, "kind") or ""
+        of_loop = _known_names(kind, platform)
+        for key, known in of_loop.items():
+            yield from _no_list(loop, key, ("loop", i), known)
+        for k, design in tables(loop, "design"):
+            path: Path = ("loop", i, "design", k)
+            yield from _no_list(design, "sensors", path, of_loop["sensors"])
+            fed = design.get("feedforward")
+            if isinstance(fed, dict):
+                yield from _no_list(fed, "sensors", (*path, "feedforward"), _rates_of_the_root(platform))
+    for k, drive in tables(data, "drive"):
+        yield from _no_list(drive, "sensors", ("drive", k), _known_names("rate", platform)["sensors"])
+    for k, manoeuvre in tables(data, "manoeuvre"):
+        faults = [name for _, fault in tables(data, "fault") if (name := text_of(fault, "name")) is not None]
+        yield from _no_list(manoeuvre, "faults", ("manoeuvre", k), faults)
+    budget = data.get("budget")
+    for k, correlation in tables(budget, "correlation") if isinstance(budget, dict) else ():
+        sources = [name for _, source in tables(budget, "source") if (name := text_of(source, "name")) is not None]
+        yield from _no_list(correlation, "between", ("budget", "correlation", k), sources)
+
+
+def _no_list(table: Data, key: str, path: Path, known: list[str]) -> Iterator[Mistake]:
+    names = table.get(key, [])
+    if known and not (isinstance(names, list) and all(isinstance(name, str) for name in names)):
+        yield Mistake.wrong(table, path, key, "a list of names", f"; {listed(known)}")
+
+
+def _no_names(table: Data, key: str, path: Path, words: str, known: list[str]) -> Iterator[Mistake]:
+    """Judge a list of names that is needed: whether there is one."""
+    if table.get(key, []) == []:
+        more = f"; {listed(known)}" if known else ""
+        yield Mistake((*path, key), f"{key} must be a list of names, {words}{more}")
+
+
 def _names_of(table: Data, key: str) -> list[str]:
     """Return the names that stand under a key, as far as they are text."""
     names = table.get(key, [])
@@ -392,8 +462,8 @@ def _names_of(table: Data, key: str) -> list[str]:
 
 def _sensors(table: Data, path: Path, kind: str, platform: Platform) -> Iterator[Mistake]:
     """Judge the sensors that a rate or pointing loop, or one of its designs, reads."""
-    unit = "rad/s" if kind == "rate" else "rad"
-    fitting = [sensor.name for sensor in platform.sensors if sensor.unit == unit]
+    unit = _unit_of(kind)
+    fitting = _known_names(kind, platform)["sensors"]
     every = [sensor.name for sensor in platform.sensors]
     for name in _names_of(table, "sensors"):
         if name in fitting:
@@ -425,8 +495,9 @@ def _design_signals(
 
 
 def _feedforward(fed: Data, path: Path, platform: Platform | None, data: Data) -> Iterator[Mistake]:
-    if "sensors" in fed and not _names_of(fed, "sensors"):
-        yield Mistake((*path, "sensors"), "sensors must be a list of names, rate sensors of the root")
+    fitting = _rates_of_the_root(platform)
+    if "sensors" in fed:
+        yield from _no_names(fed, "sensors", path, "rate sensors of the root", fitting)
     if text_of(fed, "into") == "reading" and "bandwidth_hz" in fed:
         yield Mistake.useless(fed, path, "bandwidth_hz", 'with into = "reading"; leave the key out')
     sampling = data.get("sampling")
@@ -437,11 +508,6 @@ def _feedforward(fed: Data, path: Path, platform: Platform | None, data: Data) -
     if platform is None:
         return
     sensors = {sensor.name: sensor for sensor in platform.sensors}
-    fitting = [
-        sensor.name
-        for sensor in platform.sensors
-        if sensor.unit == "rad/s" and set(sensor.signals(platform)) <= set(OMEGA_NAMES)
-    ]
     names = _names_of(fed, "sensors")
     for k, name in enumerate(names):
         if name not in sensors:

@@ -10,9 +10,9 @@ from typing import Literal
 
 import numpy as np
 
+from platform_ctrl.common.units import G
 from platform_ctrl.common.values import FloatArray, value
 
-G = 9.80665  # m/s², standard gravity
 _PER_DECADE = 40  # points of a formula's table: between them it is off by less than 0.05 %
 
 
@@ -139,7 +139,7 @@ PROFILES: dict[str, Profile] = {
         Profile(
             name="ship-roll",
             kind="base-rate",
-            title="roll of a ship of frigate size in a beam sea: natural period 10 s, 2.5° rms",
+            title="roll of a ship of frigate size in a beam sea: natural period 10 s, 2.8° rms",
             source="assumed, typical of sea state 5",
             status="assumed",
             points=np.array([(0.02, 1e-5), (0.07, 5e-3), (0.1, 2e-2), (0.13, 5e-3), (0.3, 1e-4), (1.0, 1e-6)]),

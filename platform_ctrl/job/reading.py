@@ -47,7 +47,7 @@ def read_job(
         The path of a TOML file, or a dict of the same structure.
     folder
         Where a relative path of the plant starts: by default the folder of the job file, for a dict the
-        current one. The plant may also be a shipped name, or a table with the plant itself.
+        current one. The plant may also be a shipped name, or a table with the plant itself; in a dict, a `Platform`.
 
     Returns
     -------
@@ -107,8 +107,11 @@ def read_job(
 def _plant(document: Document, folder: Path) -> tuple[Platform | None, list[Mistake]]:
     """Return the platform of a job, or None and what is wrong with it, by its place in the job."""
     plant = document.data.get("plant")
+    kind: type[Platform] = type(plant) if isinstance(plant, Platform) else Platform
+    if isinstance(plant, Platform):
+        plant = document.data["plant"] = open_plant(plant, folder).data
     if isinstance(plant, dict):
-        platform, mistakes = judge_plant(Document(document.label, plant, [], folder))
+        platform, mistakes = judge_plant(Document(document.label, plant, [], folder), kind)
         return platform, [Mistake(("plant", *mistake.path), mistake.text) for mistake in mistakes]
     if not isinstance(plant, str) or not plant.strip():
         return None, []

@@ -12,7 +12,7 @@ from platform_ctrl.job.budget import SOURCE_KINDS
 from platform_ctrl.job.faults import FAULT_KINDS, FAULT_NUMBERS, PART_WORDS, PartKind, part_names
 from platform_ctrl.job.variation import Campaign
 from platform_ctrl.plant.checks import number_of
-from platform_ctrl.plant.fields import ROUNDING
+from platform_ctrl.plant.fields import ROUNDING, TURN
 from platform_ctrl.plant.mistakes import Mistake, Path, given, suggestion, tables, text_of
 from platform_ctrl.plant.platform import OMEGA_NAMES, Platform
 
@@ -108,10 +108,12 @@ def _length(table: Data, path: Path, data: Data) -> Iterator[Mistake]:
     step = number_of(campaign, "step") if isinstance(campaign, dict) and "step" in campaign else LONGEST_STEP
     if rate is not None and rate > 0.0 and duration * rate > MOST_SAMPLES:
         words = f"duration must be at most {MOST_SAMPLES:.0e} sample periods, got {given(duration)} s"
-        yield Mistake((*path, "duration"), f"{words}, {duration * rate:.4g} of them; try a lower rate_hz")
+        cure = f"give at most {MOST_SAMPLES / rate:.6g} s"
+        yield Mistake((*path, "duration"), f"{words}, {duration * rate:.4g} of them; {cure}")
     elif duration / LONGEST_STEP > MOST_STEPS:
         words = f"duration must be at most {MOST_STEPS:.0e} integration steps, got {given(duration)} s"
-        yield Mistake((*path, "duration"), f"{words}, {duration / LONGEST_STEP:.4g} of them")
+        cure = f"give at most {MOST_STEPS * LONGEST_STEP:.6g} s"
+        yield Mistake((*path, "duration"), f"{words}, {duration / LONGEST_STEP:.4g} of them; {cure}")
     elif step is not None and step > 0.0 and duration / step > MOST_STEPS:
         words = f"step must leave [[manoeuvre]] {int(path[1]) + 1} at most {MOST_STEPS:.0e} steps, got {given(step)} s"
         yield Mistake(("campaign", "step"), f"{words}, {duration / step:.4g} steps")
@@ -214,6 +216,9 @@ def _initial(table: Data, path: Path, mode: str, platform: Platform | None) -> I
             yield Mistake(own, f"unknown key {given(key)}; {suggestion(key, known)}")
         elif key in OMEGA_NAMES:
             yield from _sizes(initial, (key,), "base-rate", (*path, "initial"))
+        elif key in stops and stops[key] is None and number is not None and abs(number) > TURN:
+            words = f"{key}: {number:g} rad is more than a turn"
+            yield Mistake(own, f"{words}; angles are in rad: {number:g} degrees are {math.radians(number):.4g}")
         elif (bounds := stops.get(key)) is not None and number is not None and not bounds[0] <= number <= bounds[1]:
             words = f"{key} must be between the stops of the gimbal, {bounds[0]:.6g} to {bounds[1]:.6g} rad"
             yield Mistake(own, f"{words}, got {given(number)}")

@@ -14,12 +14,14 @@ from numpy.typing import ArrayLike
 from platform_ctrl.analysis.logs import pieces, read_log
 from platform_ctrl.common.arguments import number, positive, real_array, real_numbers, whole
 from platform_ctrl.common.signatures import check_arguments, short
+from platform_ctrl.common.units import column_unit
 from platform_ctrl.common.values import FloatArray, input_value, read_only
 from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.job.drive import DriveLaw
 from platform_ctrl.job.faults import Fault
 from platform_ctrl.job.spectra import interpolated
 from platform_ctrl.plant import fields
+from platform_ctrl.plant.mistakes import given
 from platform_ctrl.plant.platform import Platform
 from platform_ctrl.plant.source import path_of
 
@@ -55,6 +57,27 @@ class HalfCosine:
         number("HalfCosine: rate", self.rate)
         positive("HalfCosine: rise", self.rise, zero=True)
         positive("HalfCosine: hold", self.hold, zero=True)
+
+
+def _scales(label: str, columns: Sequence[str | None], factor: float | None) -> dict[str, float]:
+    """Return SI units in a unit of each column of rates or torques, by the names of the columns or by `factor`."""
+    out, quantities = {}, {}
+    for name in filter(None, columns):
+        unit = column_unit(name)[1]
+        if unit is None or unit.quantity == "time":  # which no signal is: its name ends in s
+            out[name] = 1.0 if factor is None else factor
+            continue
+        words = f"column {given(name)} is in {unit.name} by its name"
+        if unit.quantity not in ("rate", "torque"):
+            if factor is None:
+                raise InputError(f"{label}: {words}; name a column of a rate or a torque, or give factor")
+        elif factor is not None and not math.isclose(abs(factor), unit.factor, rel_tol=1e-6):
+            words = f"{words}, and factor = {factor:.6g} contradicts it"
+            raise ArgumentError(f"TimeTable.from_log: {words}; leave factor out, or rename the column")
+        out[name], quantities[unit.quantity] = unit.factor if factor is None else factor, words
+    if factor is None and len(quantities) > 1:
+        raise InputError(f"{label}: {' and '.join(quantities.values())}; name columns of rates, or of torques")
+    return out
 
 
 @input_value
@@ -97,7 +120,7 @@ class TimeTable:
         columns: Sequence[str | None],
         *,
         time: str = "time",
-        factor: float = 1.0,
+        factor: float | None = None,
         smooth: bool = False,
     ) -> TimeTable:
         """Return a recorded log as a table that begins at t = 0.
@@ -109,9 +132,10 @@ class TimeTable:
         columns
             Names of the three columns; None: zero.
         time
-            Name of the column with the time, s.
+            Name of the column with the time: in s, or in the unit that it states (``time_us``). Where there is no
+            column ``time``, the one column of this name with a unit.
         factor
-            SI units in a unit of the log.
+            SI units in a unit of the log; None: 1, or as the names of the columns state (``gyro_z_dps``).
         smooth
             As in `TimeTable`.
 
@@ -123,9 +147,10 @@ class TimeTable:
         Raises
         ------
         InputError
-            A line makes no sense, or the log has a gap.
+            A line makes no sense, the clock cannot be in its unit, the columns are in units of different quantities,
+            or the log has a gap.
         ArgumentError
-            The columns are not three.
+            The columns are not three, or `factor` contradicts the unit that one of them states.
         """
         if len(columns) != 3 or not any(columns):
             raise ArgumentError(
@@ -135,11 +160,10 @@ class TimeTable:
         if len(parts := pieces(log.time)) > 1:
             words = f"{log.label}: has a gap from {log.time[parts[0].stop - 1]:.6g} to {log.time[parts[1].start]:.6g} s"
             raise InputError(f"{words}; give a part of the log without gaps")
+        scales = _scales(log.label, columns, None if factor is None else number("TimeTable.from_log: factor", factor))
         zero = np.zeros(len(log.time))
-        values = np.stack([zero if name is None else log.signals[name] for name in columns], axis=1)
-        return cls(
-            t=log.time - log.time[0], values=number("TimeTable.from_log: factor", factor) * values, smooth=smooth
-        )
+        values = [zero if name is None else scales[name] * log.signals[name] for name in columns]
+        return cls(t=log.time - log.time[0], values=np.stack(values, axis=1), smooth=smooth)
 
     @property
     def pieces(self) -> FloatArray:

@@ -1,12 +1,8 @@
-"""The job with its plant as one TOML text: the exact inputs, which `read_job` reads back to the last bit."""
+"""The job with its plant as the data of one job file: the exact inputs, which `read_job` reads back to the last bit."""
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping, Sequence
 from typing import Any
-
-import numpy as np
 
 from platform_ctrl.common.values import replaced
 from platform_ctrl.job.budget import Source
@@ -14,15 +10,8 @@ from platform_ctrl.job.job import Job
 from platform_ctrl.job.reading import SCHEMA as JOB_SCHEMA
 from platform_ctrl.job.run_checks import MOTION
 from platform_ctrl.job.spectra import LogSpectrum
-from platform_ctrl.plant.platform import Platform
 from platform_ctrl.plant.tables import written
-
-# Keys of a plant's parts that a file has beside another one alone: the table, that key, these.
-_BESIDE = (
-    ("gimbal", "stops", ("restitution",)),
-    ("friction", "stribeck_rate", ("breakaway",)),
-    ("rotor", "speed_gain", ("speed_integral", "torque_limit")),
-)
+from platform_ctrl.plant.writing import plant_data
 
 
 def job_data(job: Job) -> dict[str, Any]:
@@ -45,41 +34,11 @@ def job_data(job: Job) -> dict[str, Any]:
 
 
 def _without_log(source: Source) -> Source:
-    """Return a source with a log as its spectrum, so that the job needs no other file."""
+    """Return a source with a log as its spectrum, so that the job needs no other file; in SI where a column is not."""
     spectrum = source.spectrum
-    return replaced(source, {"spectrum": spectrum.table}) if isinstance(spectrum, LogSpectrum) else source
-
-
-def plant_data(platform: Platform) -> dict[str, Any]:
-    """Return the plant as a dict of the plant file's structure, without default values."""
-    data = {"schema": 1} | written(platform)
-    for table, beside, keys in _BESIDE:
-        for own in data.get(table, ()):
-            for key in keys if beside not in own else ():
-                own.pop(key, None)
-    return data
-
-
-def toml(data: Mapping[str, Any], header: str = "") -> str:
-    """Return `data` as TOML: plain values first, then tables, then arrays of tables, every number exact."""
-    lines, tables = [], []
-    for key, item in data.items():
-        path = f"{header}.{key}" if header else key
-        if isinstance(item, Mapping):
-            tables.append(f"\n[{path}]\n{toml(item, path)}" if item else "")
-        elif isinstance(item, Sequence) and item and isinstance(item[0], Mapping):
-            tables += [f"\n[[{path}]]\n{toml(one, path)}" for one in item]
-        elif not (isinstance(item, Sequence) and not isinstance(item, str) and not item):
-            lines.append(f"{key} = {_literal(item)}\n")
-    return "".join(lines + tables)
-
-
-def _literal(item: Any) -> str:
-    if isinstance(item, bool):
-        return "true" if item else "false"
-    if isinstance(item, str):
-        # JSON's escapes are TOML's.
-        return json.dumps(item, ensure_ascii=False)
-    if isinstance(item, Sequence):
-        return f"[{', '.join(_literal(one) for one in item)}]"
-    return repr(item.item() if isinstance(item, np.generic) else item)
+    if not isinstance(spectrum, LogSpectrum):
+        return source
+    table = spectrum.table
+    if source.stated_unit is not None:
+        table = replaced(table, {"densities": source.factor**2 * table.densities})
+    return replaced(source, {"spectrum": table})

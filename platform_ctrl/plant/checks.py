@@ -12,7 +12,19 @@ from typing import Any
 import numpy as np
 
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.plant.fields import ROUNDING, Unfit, axis, coulomb, default_angle, default_torquer, number, text
+from platform_ctrl.plant.fields import (
+    ROUNDING,
+    TURN,
+    Unfit,
+    axis,
+    coulomb,
+    default_angle,
+    default_torquer,
+    number,
+    stops,
+    stops_in_degrees,
+    text,
+)
 from platform_ctrl.plant.mistakes import Mistake, Path, given, suggestion, tables, text_of
 from platform_ctrl.plant.platform import OMEGA_NAMES, ROOT_TORQUE_NAMES, Platform
 from platform_ctrl.plant.sensors import gimbal_rate
@@ -161,6 +173,14 @@ def _alternatives(data: Data) -> Iterator[Mistake]:
     for k, table in tables(data, "gimbal"):
         if "restitution" in table and "stops" not in table and "stops_deg" not in table:
             yield Mistake.useless(table, ("gimbal", k), "restitution", 'without "stops" or "stops_deg"')
+        try:
+            ends = stops(table["stops"])
+        except (KeyError, Unfit):
+            continue
+        if max(map(abs, ends)) > TURN:
+            words = f"stops: {given(table['stops'])} rad is more than a turn; is it in degrees? then write stops_deg"
+            degrees = ", ".join(f"{end:.10g}" for end in stops_in_degrees(ends))
+            yield Mistake(("gimbal", k, "stops"), f"{words}, else stops_deg = [{degrees}]")
 
 
 def _rate_sensors(data: Data) -> Iterator[Mistake]:

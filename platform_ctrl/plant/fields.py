@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any
 
@@ -21,6 +21,10 @@ UNIT_ROUNDING = 1e-15
 
 # No platform has numbers beyond these, and products of a few of them neither overflow nor vanish.
 SMALLEST, LARGEST = 1e-50, 1e50
+
+
+# Largest angle that is taken for one in rad, with rounding: a turn. Beyond it degrees may be meant.
+TURN = 2.0 * math.pi * (1.0 + ROUNDING)
 
 
 class Unfit(Exception):
@@ -250,6 +254,22 @@ def stops(item: object) -> tuple[float, float]:
     if not low <= 0 <= high:
         raise Unfit("0 is not between them")
     return low, high
+
+
+def stops_in_degrees(ends: Sequence[float]) -> list[float]:
+    """Return stops in degrees, of which `math.radians` makes the same ones, as far as there are such numbers."""
+    out = []
+    for angle in ends:
+        near = math.degrees(angle)
+        tried = (near, math.nextafter(near, math.inf), math.nextafter(near, -math.inf))
+        out.append(next((one for one in tried if math.radians(one) == angle), near))
+    return out
+
+
+def stops_written(ends: Sequence[float]) -> dict[str, list[float]]:
+    """Return the key of a plant file for stops, and its value: beyond a turn a file has to state that it means it."""
+    wide = max(map(abs, ends)) > TURN
+    return {"stops_deg": stops_in_degrees(ends)} if wide else {"stops": list(ends)}
 
 
 def _rates(item: object) -> FloatArray:

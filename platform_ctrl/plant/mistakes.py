@@ -16,6 +16,8 @@ Path = tuple[str | int, ...]
 LONGEST = 60
 # Known names that a message lists.
 LISTED = 20
+# Further mistakes whose place a message names.
+NAMED = 3
 
 
 @dataclass(frozen=True)
@@ -92,8 +94,12 @@ def suggestion(word: str, known: Iterable[str]) -> str:
     """Return ``did you mean "..."?``, or the list of what is known."""
     known = list(known)
     close = nearest(word, known)
-    if close is not None:
-        return f'did you mean "{close}"?'
+    return listed(known) if close is None else f'did you mean "{close}"?'
+
+
+def listed(known: Iterable[str]) -> str:
+    """Return the list of what is known."""
+    known = list(known)
     if not known:
         return "none is known"
     more = f" and {len(known) - LISTED} more" if len(known) > LISTED else ""
@@ -128,15 +134,21 @@ def unique_names(data: dict[str, Any], path: Path, key: str) -> Iterator[Mistake
 
 
 def report(label: str, data: dict[str, Any], mistakes: Iterable[Mistake]) -> InputError:
-    """Return the error that names the first mistake in the file's order and counts the others."""
+    """Return the error that names the first mistake in the file's order, and the places of the others."""
     first_at: dict[Path, Mistake] = {}
     for mistake in mistakes:
         first_at.setdefault(mistake.path, mistake)
     places: dict[int, dict[str, int]] = {}
-    first = min(first_at.values(), key=lambda mistake: _position(data, mistake.path, places))
+    first, *others = sorted(first_at.values(), key=lambda mistake: _position(data, mistake.path, places))
     parts = [label, *_headers(data, first.path), first.words]
-    more = f" (and {len(first_at) - 1} more)" if len(first_at) > 1 else ""
-    return InputError(one_line(": ".join(parts)) + more)
+    named = [_place(data, one.path) for one in others[:NAMED]] + ["..."] * (len(others) > NAMED)
+    more = f" (and {len(others)} more: {', '.join(named)})" if others else ""
+    return InputError(one_line(": ".join(parts) + more))
+
+
+def _place(data: Any, path: Path) -> str:
+    """Return where a mistake is: headers and key."""
+    return ": ".join([*_headers(data, path), *(step for step in path[-1:] if isinstance(step, str))])
 
 
 def _position(data: Any, path: Path, places: dict[int, dict[str, int]]) -> tuple[int, ...]:

@@ -29,6 +29,7 @@ from platform_ctrl.plant.sensors import (
     gimbal_rate,
 )
 from platform_ctrl.plant.tables import TABLE, Array, At, Instead, Shape, shape
+from platform_ctrl.plant.writing import plant_data, toml
 
 RotorControl = Literal["regulated", "free", "servo"]
 
@@ -284,6 +285,21 @@ class Platform:
     def _indices(self, bodies: list[str]) -> NDArray[np.intp]:
         number = {name: k for k, name in enumerate((self.root_name, *self.gimbal_names))}
         return np.array([number[name] if name in number else self.body(name) for name in bodies], dtype=np.intp) - 1
+
+    def to_toml(self) -> str:
+        """Return the platform as the text of a plant file, every number exact.
+
+        Returns
+        -------
+        str
+            TOML without what a file has by default; `read_platform` makes the same platform of it.
+
+        Raises
+        ------
+        ArgumentError
+            It has what no plant file can say: a pick-off that is not called as its angle.
+        """
+        return toml(plant_data(self))
 
     @check_arguments
     def body(self, name: str) -> int:

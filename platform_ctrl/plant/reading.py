@@ -13,22 +13,28 @@ from platform_ctrl.plant.fields import SCHEMA
 from platform_ctrl.plant.mistakes import Mistake, given, report
 from platform_ctrl.plant.platform import Platform
 from platform_ctrl.plant.source import Document, is_shipped_name, open_file, open_mapping, open_shipped, path_of
-from platform_ctrl.plant.tables import Key, made, overfull, read_table, shape
-
-# The whole file.
-PLANT_FILE = dataclasses.replace(
-    shape(Platform), keys={"schema": Key(SCHEMA, "schema", needed=True)} | {**shape(Platform).keys}
-)
+from platform_ctrl.plant.tables import Key, Shape, made, overfull, read_table, shape
+from platform_ctrl.plant.writing import plant_data
 
 
-def read_platform(source: str | os.PathLike[str] | Mapping[str, Any]) -> Platform:
+def _file(kind: type[Platform]) -> Shape:
+    """Return the shape of the whole file that a platform of this class is read from."""
+    own = shape(kind)
+    return dataclasses.replace(own, keys={"schema": Key(SCHEMA, "schema", needed=True)} | {**own.keys})
+
+
+PLANT_FILE = _file(Platform)
+
+
+def read_platform(source: str | os.PathLike[str] | Mapping[str, Any] | Platform) -> Platform:
     """Read a plant.
 
     Parameters
     ----------
     source
         The name of a shipped model (no suffix, no path separator), the path of a TOML file, or a dict of the
-        same structure, in which tuples and NumPy arrays serve as vectors.
+        same structure, in which tuples and NumPy arrays serve as vectors. A platform, such as one that was made in
+        Python, is judged as a file is.
 
     Returns
     -------
@@ -48,14 +54,16 @@ def read_platform(source: str | os.PathLike[str] | Mapping[str, Any]) -> Platfor
     ('alpha4', 'beta5', 'beta7', 'alpha9', 'beta10')
     """
     document = open_plant(source, Path())
-    platform, mistakes = judge_plant(document)
+    platform, mistakes = judge_plant(document, type(source) if isinstance(source, Platform) else Platform)
     if platform is None:
         raise report(document.label, document.data, mistakes)
     return platform
 
 
 def open_plant(source: object, folder: Path) -> Document:
-    """Return the document of a plant: a dict, a shipped model, or a file whose path starts from `folder`."""
+    """Return the document of a plant: a platform, a dict, a shipped model, or a file whose path starts in `folder`."""
+    if isinstance(source, Platform):
+        return open_mapping(plant_data(source), f"platform {given(source.name)}", folder)
     if isinstance(source, Mapping):
         return open_mapping(source, "plant given as a dict", folder)
     path = path_of(source, "the name of a shipped model, a path or a dict")
@@ -64,20 +72,20 @@ def open_plant(source: object, folder: Path) -> Document:
     return open_file(folder / path)
 
 
-def judge_plant(document: Document) -> tuple[Platform | None, list[Mistake]]:
-    """Return the platform that a document describes, or None and its mistakes."""
+def judge_plant(document: Document, kind: type[Platform] = Platform) -> tuple[Platform | None, list[Mistake]]:
+    """Return the platform, of class `kind`, that a document describes, or None and its mistakes."""
     if "root" not in document.data and {"plant", "loop"} <= set(document.data):
         its_plant = given(document.data["plant"])
         return None, [Mistake(("plant",), f"this is a job file; give its plant instead, {its_plant}")]
     data = _axis_by_axis(document.data)
-    if crowd := list(overfull(PLANT_FILE, data)):
+    if crowd := list(overfull(_file(kind), data)):
         return None, crowd
-    read, wrong = read_table(PLANT_FILE, data)
+    read, wrong = read_table(_file(kind), data)
     mistakes = [*document.mistakes, *plant_mistakes(data), *wrong]
     if mistakes:
         return None, mistakes
     del read["schema"]
-    return Platform(**made(read)), []
+    return kind(**made(read)), []
 
 
 def _axis_by_axis(data: Mapping[str, Any]) -> dict[str, Any]:

@@ -147,9 +147,11 @@ class Sensor:
         step = math.gcd(round(held), every) if abs(held - round(held)) < _WHOLE * held else 1
         late = self.delay / period + 0.5 * max(held - step, 0.0)
         if late > _MOST_LATE:
+            held_long = late - self.delay / period > _MOST_LATE
+            cure = "a higher rate_hz" if held_long else f"a shorter delay than {self.delay:g} s"
             raise ArgumentError(
                 f"sensor {self.name!r}: its reading is {late:.4g} sample periods old, more than the {_MOST_LATE} of a "
-                "linear model; give a shorter delay, a higher rate_hz, or a lower sample rate"
+                f"linear model; give it {cure}"
             )
         return math.ceil(late - 1e-9)
 

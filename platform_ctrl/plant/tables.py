@@ -7,6 +7,7 @@ A record says itself how it is read: each field that is a key of the file is ann
 from __future__ import annotations
 
 import dataclasses
+import math
 import types
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -241,7 +242,8 @@ def _written(table: Shape, record: Any) -> dict[str, Any]:
             one = fields[key.field]
             default = one.default if one.default_factory is dataclasses.MISSING else one.default_factory()
             item, default = (_item_of(key, item) for item in (getattr(record, key.field), default))
-        if item != default:
+        no_limit = default is None and item == math.inf  # which files say by leaving the key out
+        if item != default and not no_limit:
             out[name] = item
     return out
 

@@ -145,6 +145,89 @@ def test_a_log_without_gaps_becomes_a_time_table(tmp_path: Path) -> None:
     np.testing.assert_allclose(table.at([0.0, 0.005, 0.39]), [[0, 0, 0], [0, 0.25, 0], [0, 19.5, 0]], atol=1e-9)
 
 
+def recorded_log(path: Path, time: str, seconds: float, columns: str = "rate", rate: float = 400.0) -> Path:
+    """Write 2 s of values 0, 1, 2, ... on a clock whose unit is so many seconds."""
+    stamps = (f"{k / rate / seconds:.9g}" for k in range(int(2.0 * rate)))
+    values = (",".join(str(k) for _ in columns.split(",")) for k in range(int(2.0 * rate)))
+    path.write_text("\n".join([f"{time},{columns}", *(",".join(row) for row in zip(stamps, values, strict=True))]))
+    return path
+
+
+UNITS_OF_TIME = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+
+
+@pytest.mark.parametrize("unit", UNITS_OF_TIME)
+@pytest.mark.parametrize("form", ["time_{}", "Time [{}]", "time ({})", "time_{}ec"])
+def test_a_column_of_time_is_read_in_the_unit_of_its_name(unit: str, form: str, tmp_path: Path) -> None:
+    name = form.format(unit)
+    path = recorded_log(tmp_path / "log.csv", name, UNITS_OF_TIME[unit])
+    for given_name in ({}, {"time": name}):
+        table = TimeTable.from_log(path, (None, "rate", None), **given_name)
+        np.testing.assert_allclose(table.t, np.arange(800) / 400.0, rtol=0.0, atol=1e-8)
+
+
+def test_one_column_of_time_among_several_has_to_be_named(tmp_path: Path) -> None:
+    path = recorded_log(tmp_path / "log.csv", "time_us", 1e-6, "time_ms,rate")
+    with pytest.raises(InputError, match='there is no column "time"; did you mean "time_'):
+        TimeTable.from_log(path, (None, "rate", None))
+    assert TimeTable.from_log(path, (None, "rate", None), time="time_us").t[-1] == pytest.approx(799 / 400.0)
+
+
+@pytest.mark.parametrize(
+    ("time", "seconds", "rate", "proposed"),
+    [
+        ("time", 1e-6, 400.0, '"time_us" if it is in µs'),
+        ("time", 1e-3, 1000.0, '"time_ms" if it is in ms or "time_s" if it is in s'),
+        ("time", 1e-3, 100.0, '"time_ms" if it is in ms'),
+        ("time", 1e-9, 1000.0, '"time_ns" if it is in ns'),
+        ("stamp", 1e-6, 400.0, '"stamp_us" if it is in µs'),
+        ("time_s", 1e-6, 400.0, '"time_us" if it is in µs'),
+        ("time_us", 1.0, 400.0, '"time_s" if it is in s'),
+    ],
+)
+def test_a_clock_that_cannot_be_in_its_unit_is_refused(
+    time: str, seconds: float, rate: float, proposed: str, tmp_path: Path
+) -> None:
+    path = recorded_log(tmp_path / "log.csv", time, seconds, rate=rate)
+    with pytest.raises(InputError, match=f"{time}: steps of .* cannot be meant; call the column ") as error:
+        TimeTable.from_log(path, (None, "rate", None), time=time)
+    assert proposed in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("column", "scale"),
+    [
+        ("rate", 1.0),
+        ("rate_dps", math.pi / 180.0),
+        ("rate_deg_s", math.pi / 180.0),
+        ("Rate (deg/s)", math.pi / 180.0),
+        ("rate [°/s]", math.pi / 180.0),
+        ("rate_mrad_s", 1e-3),
+        ("rate_rpm", math.pi / 30.0),
+        ("torque_mNm", 1e-3),
+        ("torque [N m]", 1.0),
+        ("yaw_s", 1.0),  # of the axis s: no rate is a time
+    ],
+)
+def test_a_column_of_a_log_is_read_in_the_unit_of_its_name(column: str, scale: float, tmp_path: Path) -> None:
+    path = recorded_log(tmp_path / "log.csv", "time", 1.0, column)
+    table = TimeTable.from_log(path, (None, column, None))
+    np.testing.assert_allclose(table.values[:, 1], scale * np.arange(800), rtol=1e-15)
+    negative = TimeTable.from_log(path, (None, column, None), factor=-scale)
+    np.testing.assert_allclose(negative.values, -table.values, rtol=1e-15)
+
+
+def test_units_that_contradict_each_other_are_refused(tmp_path: Path) -> None:
+    path = recorded_log(tmp_path / "log.csv", "time", 1.0, "a_dps,b_Nm,c_deg")
+    with pytest.raises(ArgumentError, match='column "a_dps" is in deg/s by its name, and factor = 1 contradicts it'):
+        TimeTable.from_log(path, ("a_dps", None, None), factor=1.0)
+    with pytest.raises(InputError, match=r'column "a_dps" is in deg/s .* and column "b_Nm" is in N m'):
+        TimeTable.from_log(path, ("a_dps", "b_Nm", None))
+    with pytest.raises(InputError, match='column "c_deg" is in deg by its name; name a column of a rate or a torque'):
+        TimeTable.from_log(path, ("c_deg", None, None))
+
+
 @cases(150)
 @given(chances)
 def test_mangled_logs_are_refused_in_a_line_or_read(how: random.Random) -> None:

@@ -14,7 +14,7 @@ from platform_ctrl import design, read_job, verification
 from platform_ctrl.app.backend import Backend
 from platform_ctrl.app.background import Tuning
 from platform_ctrl.job.quantities import HZ
-from platform_ctrl.job.writing import toml
+from platform_ctrl.plant.writing import toml
 from platform_ctrl.verification.controllers import outcomes_from, read_controllers
 
 RATE_LIMITS = {"overshoot": 0.5, "settling_time": 9.0}

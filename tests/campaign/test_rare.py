@@ -245,7 +245,7 @@ def test_a_rare_event_of_a_campaign_tells_which_inputs_to_fly_again(planned):
 
 def test_the_command_writes_statistics_page_and_rare_event(planned, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    from platform_ctrl.job.writing import toml
+    from platform_ctrl.plant.writing import toml
 
     (tmp_path / "job.toml").write_text(toml(JOB), encoding="utf-8")
     K = planned.controllers[0]

@@ -19,8 +19,9 @@ from platform_ctrl.cli.starting.kinds import KINDS
 from platform_ctrl.cli.starting.loops import RISE, safe_turn
 from platform_ctrl.design.cases import subsystems_over
 from platform_ctrl.job.quantities import simulated_words
-from platform_ctrl.job.writing import job_data, toml
+from platform_ctrl.job.writing import job_data
 from platform_ctrl.plant.source import platform_source, shipped_models
+from platform_ctrl.plant.writing import toml
 from platform_ctrl.verification.budget import line_of_sight_budget
 from refused_command import refused
 

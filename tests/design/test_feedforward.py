@@ -26,11 +26,12 @@ from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.job.job import Feedforward
 from platform_ctrl.job.requirements import requirement
 from platform_ctrl.job.scenario import Scenario, TimeTable
-from platform_ctrl.job.writing import job_data, toml
+from platform_ctrl.job.writing import job_data
 from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.mechanics.outputs import observed
 from platform_ctrl.mechanics.state_space import state_space
 from platform_ctrl.plant.sensors import RateSensor
+from platform_ctrl.plant.writing import toml
 from platform_ctrl.simulation.closed_loop import simulate
 from platform_ctrl.verification.budget import line_of_sight_budget
 from platform_ctrl.verification.controllers import outcomes_from, read_controllers

@@ -12,7 +12,7 @@ from platform_ctrl.analysis.arrays import state_arrays
 from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.common.store import Store
 from platform_ctrl.design.loop import LoopDesign, LoopProblem
-from platform_ctrl.design.measured.of_job import on_responses
+from platform_ctrl.design.measured.of_job import on_responses, read_responses
 from platform_ctrl.design.plants import plants_of
 from platform_ctrl.design.reuse import design_job, design_key
 from platform_ctrl.errors import InputError
@@ -183,6 +183,22 @@ def test_a_file_that_cannot_be_meant_is_refused_in_one_line(tmp_path: Path, line
     assert message.replace("'", '"') in str(caught.value).replace("'", '"')
     assert "\n" not in str(caught.value)
     assert "responses" in str(caught.value)
+
+
+def test_signals_of_a_file_are_read_in_the_units_of_their_names(tmp_path: Path) -> None:
+    whole = read_job(job())
+    write(tmp_path / "pitch.csv", whole)
+    lines = (tmp_path / "pitch.csv").read_text().splitlines()
+    rows = [[float(x) for x in line.split(",")] for line in lines[1:]]
+    scale = 180.0 / np.pi * 1e-3  # degrees per mN m
+    header = "frequency_rad_s,q_pitch_deg/Qpitch_mNm re,q_pitch_deg/Qpitch_mNm im,q_pitch_deg/Qpitch_mNm coherence"
+    text = "\n".join([header, *(f"{f!r},{scale * x!r},{scale * y!r},0.99" for f, x, y in rows)])
+    found, bare = (
+        read_responses(one, "file", ["Qpitch"], ["q_pitch"], whole.sampling.period) for one in (text, "\n".join(lines))
+    )
+    np.testing.assert_allclose(found.response, bare.response, rtol=1e-12)
+    (tmp_path / "other.csv").write_text(text)
+    assert read_job(job(responses="other.csv"), folder=tmp_path).loops[0].designs[0].responses == text
 
 
 def test_the_key_belongs_to_the_method(tmp_path: Path) -> None:

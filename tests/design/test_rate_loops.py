@@ -7,7 +7,7 @@ import platform_ctrl as pc
 from camera_job import FRICTION, J_AZIMUTH, J_ELEVATION, camera_job, camera_loop, camera_plant
 from platform_ctrl import analysis, design
 from platform_ctrl.analysis.loop_metrics import measure
-from platform_ctrl.errors import InputError, NotCertifiedError
+from platform_ctrl.errors import DesignError, InputError, NotCertifiedError, PlatformCtrlError
 from platform_ctrl.job.quantities import assumed_words
 from platform_ctrl.job.requirements import requirement
 from platform_ctrl.verification.controllers import outcomes_from, read_controllers
@@ -197,6 +197,39 @@ def test_sensors_that_do_not_show_what_a_torquer_does_are_refused():
         design.loops(job)
 
 
+@pytest.mark.parametrize(
+    ("gimbal", "gyro", "words"),
+    [
+        ([0, 0, 1], [0, 1, 0], "the gimbals az and el turn about parallel axes"),
+        ([0, 0, -3], [0, 1, 0], "the gimbals az and el turn about parallel axes"),
+        ([0, 1, 0], [0, 0, 1], "the sensors yaw_gyro and pitch_gyro measure about parallel axes"),
+        ([0, 1, 0], [0, 0, -2], "the sensors yaw_gyro and pitch_gyro measure about parallel axes"),
+        ([0, 1, 0], [1, 0, 0], "pitch_gyro measures about an axis that none of them turns"),
+    ],
+)
+def test_parallel_axes_are_named_as_such(gimbal, gyro, words):
+    data = camera_job(loop=camera_loop())
+    data["plant"]["gimbal"][1]["axis"], data["plant"]["rate_sensor"][0]["axis"] = gimbal, gyro
+    with pytest.raises(InputError, match="do not show what each of the torquers") as caught:
+        design.loops(pc.read_job(data))
+    assert words in str(caught.value)
+
+
+@pytest.mark.parametrize("method", ["hinf", "lqg"])
+@pytest.mark.parametrize("option", ["bandwidth_hz", "disturbance", "torque"])
+def test_an_option_of_gyroscopic_loops_leads_to_the_one_that_this_loop_takes(method, option):
+    loops = camera_loop(use="x", design=[{"name": "x", "method": method, option: 10}])
+    with pytest.raises(DesignError, match=f"'{option}' has no meaning for this loop; did you mean 'inertial_{option}'"):
+        design.loops(pc.read_job(camera_job(loop=loops)))
+
+
+def test_a_reading_that_is_too_old_asks_for_a_shorter_delay():
+    data = camera_job(loop=camera_loop())
+    data["plant"]["rate_sensor"][0]["delay"] = 2.0
+    with pytest.raises(PlatformCtrlError, match=r"pitch_gyro.* 4000 sample periods old.*a shorter delay than 2 s"):
+        design.loops(pc.read_job(data))
+
+
 def test_a_loop_that_is_too_fast_is_refused():
     loops = camera_loop(design=[{"name": "pi", "method": "pi", "crossover_hz": 700}])
     with pytest.raises(NotCertifiedError, match="it is unstable; try a lower crossover_hz"):
@@ -286,6 +319,13 @@ def test_a_tracking_loop_that_makes_no_sense_is_one_line(change, words):
     with pytest.raises(InputError) as caught:
         pc.read_job(camera_job(loop=[*camera_loop(), TRACKING | change]))
     assert words in str(caught.value)
+
+
+def test_trackers_with_parallel_axes_are_named_as_such():
+    data = camera_job(loop=[*camera_loop(), TRACKING])
+    data["plant"]["attitude_sensor"][0]["axis"] = [0, 0, 1]
+    with pytest.raises(InputError, match=r"the sensors .*_error and .*_error measure about parallel axes"):
+        design.loops(pc.read_job(data))
 
 
 def test_a_tracker_that_does_not_see_what_a_command_does_is_refused():

@@ -6,6 +6,7 @@ import dataclasses
 import random
 import sys
 import tempfile
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from hypothesis import strategies as st
 
 import platform_ctrl as pc
 from fuzz_bytes import mangled
+from fuzz_files import meaning
 from oracle_trees import for_all, sprung, unbalanced
 from oracle_trees import motions as motions_drawn
 from platform_ctrl import design, simulation
@@ -436,6 +438,7 @@ def test_a_model_that_somebody_else_made_is_read(tmp_path: Path) -> None:
     [arm], [wheel] = platform.gimbals, platform.rotors
     mass = 1000.0 * np.pi * 0.05**2 * 0.02
     assert (arm.parent, arm.angle, wheel.carrier) == ("frame", "swing", "arm")
+    assert meaning(pc.read_platform(tomllib.loads(platform.to_toml()))) == meaning(platform)
     assert np.allclose(arm.axis, [0.0, 1.0, 0.0])  # turned by 90 degrees against the frame
     assert wheel.axial_inertia == pytest.approx(0.5 * mass * 0.05**2)
     assert (wheel.control, wheel.spin) == ("free", pytest.approx(300.0))
@@ -453,6 +456,70 @@ def test_a_model_that_somebody_else_made_is_read(tmp_path: Path) -> None:
     with pytest.raises(InputError, match='spins: "spin" = 1'):
         read_mjcf(path, spins={"spin": 1.0})
     assert read_mjcf(path).rotors == ()  # nothing says that it turns
+
+
+VSCMG = """
+<mujoco model="pan and tilt with a control moment gyro">
+  <worldbody>
+    <body name="stand">{joint}
+      <inertial pos="0 0 0" mass="5" diaginertia="0.1 0.1 0.1"/>
+      {first}
+      <body name="pan">
+        <joint name="turn" axis="0 0 1"/>
+        <inertial pos="0 0 0" mass="2" diaginertia="0.02 0.02 0.02"/>
+        <body name="tilt">
+          <joint name="nod" axis="0 1 0"/>
+          <inertial pos="{offset} 0 0.01" mass="1" diaginertia="0.01 0.01 0.01"/>
+          {carried}
+        </body>
+      </body>
+    </body>
+  </worldbody>
+</mujoco>
+"""
+GYRO = """
+<body name="gyro{k}" pos="{at}">
+  <joint name="gyro{k}" axis="{axis}"/>
+  <inertial pos="0 0 0" mass="0.1" diaginertia="0.001 0.001 0.001"/>
+  <body name="rotor {k}">
+    <joint name="spin{k}" axis="1 0 0"/>
+    <inertial pos="0 0 0" mass="0.05" diaginertia="1e-4 0.6e-4 0.6e-4"/>
+  </body>
+</body>
+"""
+
+
+@pytest.mark.parametrize("offset", [0.0, 0.02])
+@pytest.mark.parametrize("axis", ["0 0 1", "0 1 0", "0 0.6 0.8"])
+@pytest.mark.parametrize("place", ["first", "carried", "both"])
+def test_the_joint_of_a_balanced_gimbal_may_lie_anywhere(offset: float, axis: str, place: str, tmp_path: Path) -> None:
+    gyros = {
+        "first": GYRO.format(k=1, at="0 0.1 -0.3", axis=axis) if place != "carried" else "",
+        "carried": GYRO.format(k=2, at="0.1 0 0", axis=axis) if place != "first" else "",
+    }
+    path, found = tmp_path / "vscmg.xml", []
+    for joint in ("", '<joint type="ball"/>'):
+        path.write_text(VSCMG.format(joint=joint, offset=offset, **gyros))
+        found.append(read_mjcf(path))
+    fixed, ball = found
+    for one, other in zip(fixed.gimbals, ball.gimbals, strict=True):
+        assert one.name == other.name
+        np.testing.assert_allclose(one.inertia, other.inertia, atol=1e-15)
+    for one, other in zip(fixed.unbalances, ball.unbalances, strict=True):
+        assert one.body == other.body
+        np.testing.assert_allclose(one.moment, other.moment, atol=1e-15)
+    model = mujoco.MjModel.from_xml_path(str(path))
+    data, full = mujoco.MjData(model), np.zeros((model.nv, model.nv))
+    q = np.linspace(0.3, 0.9, len(ball.gimbals))
+    at = [model.joint(name) for name in ball.angle_names]
+    data.qpos[[int(one.qposadr[0]) for one in at]] = q
+    mujoco.mj_forward(model, data)
+    mujoco.mj_fullM(model, data, full)
+    rows = [0, 1, 2, *(int(one.dofadr[0]) for one in at)]
+    wheels = [int(model.joint(f"spin{k}").dofadr[0]) for k in (1, 2) if gyros[("first", "carried")[k - 1]]]
+    moved = full[np.ix_(rows, wheels)]
+    ours = full[np.ix_(rows, rows)] - moved @ np.linalg.solve(full[np.ix_(wheels, wheels)], moved.T)
+    np.testing.assert_allclose(pc.matrices(fixed, q).A_star, ours, atol=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,8 @@ from platform_ctrl.cli import main
 from platform_ctrl.export.mujoco.mjcf_reader import read_mjcf
 from platform_ctrl.export.mujoco.mjcf_writer import write_mjcf
 from platform_ctrl.job.scenario import Scenario
-from platform_ctrl.job.writing import job_data, toml
+from platform_ctrl.job.writing import job_data
+from platform_ctrl.plant.writing import toml
 from platform_ctrl.simulation import simulate
 from sighted_gimbal import JOB, damped, sighted
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
+import re
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -16,10 +18,11 @@ from fuzz_files import EVERY_JOB_KEY, HERE
 from platform_ctrl import read_job
 from platform_ctrl.analysis.logs import read_log
 from platform_ctrl.analysis.metrics import BUDGET_METRICS
+from platform_ctrl.common.units import G
 from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.job import budget_checks
 from platform_ctrl.job.budget import SOURCE_KINDS, BudgetLimits, Source
-from platform_ctrl.job.profiles import PROFILES, G
+from platform_ctrl.job.profiles import PROFILES
 from platform_ctrl.job.spectra import (
     SPECTRA,
     HarmonicSpectrum,
@@ -28,7 +31,8 @@ from platform_ctrl.job.spectra import (
     Spectrum,
     TableSpectrum,
 )
-from platform_ctrl.job.writing import job_data, toml
+from platform_ctrl.job.writing import job_data
+from platform_ctrl.plant.writing import toml
 
 DOCS = Path(__file__).parents[2] / "docs"
 TABLE = TableSpectrum(frequencies_hz=[1.0, 10.0, 100.0], densities=[1.0, 0.01, 0.02])
@@ -112,6 +116,21 @@ def test_the_cross_density_is_that_of_signals_with_this_coherence_and_phase() ->
 def test_a_profile_has_the_rms_that_its_standard_states(profile: Any) -> None:
     table = ProfileSpectrum(profile=profile.name)
     assert math.sqrt(table.mean_square(0.0, 1e4)) == pytest.approx(profile.stated_rms, rel=6e-3)
+
+
+def test_a_profile_has_the_rms_of_angle_that_its_title_states() -> None:
+    stated = {}
+    for profile in PROFILES.values():
+        for number, unit in re.findall(r"([\d.]+) ?(°|µrad|mrad|rad) rms", profile.title):
+            spectrum, edges = ProfileSpectrum(profile=profile.name), profile.points[:, 0]
+            squares = [
+                integrate.quad(lambda f, s=spectrum: float(s.density(f)) / (2.0 * np.pi * f) ** 2, low, high)[0]
+                for low, high in itertools.pairwise(edges)
+            ]
+            angle = math.sqrt(sum(squares)) / {"°": math.pi / 180.0, "µrad": 1e-6, "mrad": 1e-3, "rad": 1.0}[unit]
+            stated[profile.name] = angle
+            assert f"{angle:.2g}" == f"{float(number):.2g}", profile.title
+    assert set(stated) == {"olympus-satellite", "ship-roll"}
 
 
 def test_the_micro_vibration_of_olympus_is_16_microradians_of_angle() -> None:
@@ -198,27 +217,57 @@ def test_what_is_refused(source: int | None, change: dict[str, Any], without: tu
     assert says in refusal(change, source, *without)
 
 
-def logged(tmp_path: Path, mean: float, amplitude: float, **source: Any) -> str:
+def logged(tmp_path: Path, mean: float, amplitude: float, column: str = "x", **source: Any) -> str:
     """Return the message about a budget of one log: 5 s of a sine of 3 Hz about a mean."""
     t = np.arange(500) * 0.01
     x = mean + amplitude * np.sin(2 * np.pi * 3.0 * t)
     lines = [f"{one:.2f},{value:.9g}" for one, value in zip(t, x, strict=True)]
-    (tmp_path / "log.csv").write_text("\n".join(["time,x", *lines]) + "\n", encoding="utf-8")
+    (tmp_path / "log.csv").write_text("\n".join([f"time,{column}", *lines]) + "\n", encoding="utf-8")
     data = EVERY_JOB_KEY.data | {"plant": "every_plant_key.toml"}
-    own = {"name": "log", "axis": 3, "log": str(tmp_path / "log.csv"), "column": "x"}
+    own = {"name": "log", "axis": 3, "log": str(tmp_path / "log.csv"), "column": column}
     data["budget"] = {"from_hz": 1.0, "to_hz": 50.0, "source": [own | source]}
     try:
-        budget = read_job(data, folder=HERE).budget
+        job = read_job(data, folder=HERE)
     except InputError as error:
         return str(error)
-    assert budget is not None
-    return f"{budget.sources[0].rms(0.5, 50.0):.4g}"
+    again = read_job(tomllib.loads(toml(job_data(job))))
+    assert job.budget is not None
+    assert again.budget is not None
+    found = job.budget.sources[0].rms(0.5, 50.0)
+    assert again.budget.sources[0].rms(0.5, 50.0) == pytest.approx(found, rel=1e-12)
+    return f"{found:.4g}"
 
 
 def test_a_log_becomes_its_spectrum_when_the_job_is_read(tmp_path: Path) -> None:
     assert logged(tmp_path, 0.2, 2.0, kind="base-rate") == f"{math.sqrt(2.0):.4g}"
     assert logged(tmp_path, 0.2, 2.0, kind="base-rate", unit="deg/s") == f"{math.radians(math.sqrt(2.0)):.4g}"
     assert logged(tmp_path, 1.0, 0.1, kind="specific-force", unit="g") == f"{0.1 * G / math.sqrt(2.0):.4g}"
+
+
+@pytest.mark.parametrize(
+    ("column", "source", "size"),
+    [
+        ("x_dps", {"kind": "base-rate"}, math.pi / 180.0),
+        ("x_dps", {"kind": "base-rate", "unit": "deg/s"}, math.pi / 180.0),
+        ("x (mrad/s)", {"kind": "base-rate"}, 1e-3),
+        ("x_g", {"kind": "specific-force"}, G),
+        ("x_m_s2", {"kind": "specific-force"}, 1.0),
+        ("x_g", {"kind": "base-rate", "unit": "rad/s"}, 1.0),  # whoever states a unit knows better
+    ],
+)
+def test_a_column_of_a_log_has_the_unit_of_its_name(
+    column: str, source: dict[str, Any], size: float, tmp_path: Path
+) -> None:
+    assert logged(tmp_path, 1.0, 2.0, column, **source) == f"{size * math.sqrt(2.0):.4g}"
+
+
+def test_a_column_in_another_unit_than_its_source_is_refused(tmp_path: Path) -> None:
+    twice = logged(tmp_path, 0.2, 2.0, "x_dps", kind="base-rate", unit="rad/s")
+    assert 'column: "x_dps" is in deg/s by its name, and unit = "rad/s" contradicts it' in twice
+    wrong = logged(tmp_path, 0.2, 2.0, "x_g", kind="base-rate")
+    assert 'column: "x_g" is in g by its name, and kind = "base-rate" needs rate' in wrong
+    large = logged(tmp_path, 0.2, 1e6, "x_dps", kind="base-rate")
+    assert 'cannot be meant, at most 200 rad/s, with unit = "deg/s"' in large
 
 
 def test_units_of_a_log_that_cannot_be_meant_are_refused(tmp_path: Path) -> None:

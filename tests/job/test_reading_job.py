@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import dataclasses
 import math
 import pickle
 import random
@@ -20,13 +21,14 @@ from plant.test_reading_plant import JUNK, Change, add, both, drop, mutate, outc
 from platform_ctrl.cli import main as command
 from platform_ctrl.common.store import key_of
 from platform_ctrl.common.values import replaced
-from platform_ctrl.errors import OldKeyWarning
+from platform_ctrl.errors import InputError, OldKeyWarning
 from platform_ctrl.job.methods import METHODS
 from platform_ctrl.job.reading import read_job
 from platform_ctrl.job.requirements import limit_keys
-from platform_ctrl.job.writing import job_data, plant_data, toml
+from platform_ctrl.job.writing import job_data
 from platform_ctrl.plant.reading import read_platform
 from platform_ctrl.plant.source import shipped_models
+from platform_ctrl.plant.writing import plant_data, toml
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "three_gyro_platform.toml"
 
@@ -160,8 +162,8 @@ MISTAKES: dict[str, tuple[Change, list[str]]] = {
         put({"rate_hz": 1e6, "delay": 1e-3}, "sampling"),
         [
             "[sampling]",
-            "delay must be at most 100 sample periods, got 0.001 s, 1000 of them; try a lower rate_hz",
-            "delay must be at most 100 sample periods, got 0.001 s, 1000 of them; try a lower rate_hz",
+            "delay must be at most 100 sample periods, got 0.001 s, 1000 of them; give a shorter delay, in s: ",
+            "0.001 ms is 1e-06",
         ],
     ),
     "delay missing": (drop("sampling", "delay"), ["[sampling]", 'the key "delay" is missing']),
@@ -244,19 +246,30 @@ MISTAKES: dict[str, tuple[Change, list[str]]] = {
     ),
     "no gimbals": (
         drop("loop", 0, "gimbals"),
-        [CAGING, "gimbals must be the names of the gimbals that the loop cages"],
+        [CAGING, "gimbals must be the names of the gimbals that the loop cages", 'known: "4", "5", "7", "9", "10"'],
     ),
     "empty gimbals": (
         put([], "loop", 0, "gimbals"),
-        [CAGING, "gimbals must be the names of the gimbals that the loop cages"],
+        [CAGING, "gimbals must be the names of the gimbals that the loop cages", 'known: "4", "5", "7", "9", "10"'],
     ),
     "gimbals a text": (
         put("9", "loop", 0, "gimbals"),
-        [CAGING, 'gimbals must be a list of names, got "9"', "a list of names"],
+        [CAGING, 'gimbals must be a list of names, got "9"; known: "4", "5", "7", "9", "10"', "a list of names"],
     ),
     "gimbals numbers": (
         put([9, 10], "loop", 0, "gimbals"),
-        [CAGING, "gimbals must be", "got [9, 10]", "a list of names"],
+        [CAGING, "gimbals must be", "got [9, 10]", "a list of names", 'known: "4", "5", "7", "9", "10"'],
+    ),
+    "faults a text": (
+        both(
+            put([{"name": "deaf", "kind": "pick-off dead", "part": "alpha9", "at": 1}], "fault"),
+            put("deaf", "manoeuvre", 0, "faults"),
+        ),
+        [TURN, 'faults must be a list of names, got "deaf"; known: "deaf"'],
+    ),
+    "an angle in degrees": (
+        put({"alpha9": [-30]}, "operation", "angles"),
+        ["[operation.angles]", "alpha9: -30 rad is outside the stops", "-30 degrees are -0.5236"],
     ),
     "gimbal unknown": (
         put(["9", "100"], "loop", 0, "gimbals"),
@@ -498,7 +511,7 @@ def test_the_first_mistake_in_the_files_order_is_named_wherever_it_was_found() -
     data["loop"][0]["gimbals"] = ["9", "11"]
     data["manoeuvre"][0]["axis"] = 0
     assert "delay must be a number >= 0, got -1" in refusal(read_job, data)
-    assert refusal(read_job, data).endswith(" (and 2 more)")
+    assert refusal(read_job, data).endswith(' (and 2 more: [[loop]] 1 "caging": gimbals, [[manoeuvre]] 1 "turn": axis)')
     assert "axis must be 1, 2 or 3, got 0" in refusal(read_job, dict(reversed(data.items())))
 
 
@@ -666,9 +679,37 @@ def test_every_key_of_a_job_file_and_its_plant_is_written() -> None:
 
 
 @pytest.mark.parametrize("name", shipped_models())
-def test_every_number_of_a_shipped_plant_is_written(name: str) -> None:
+def test_a_platform_may_stand_in_a_job_in_place_of_its_name(name: str) -> None:
     platform = read_platform(name)
-    assert key_of(read_platform(tomllib.loads(toml(plant_data(platform))))) == key_of(platform)
+    torquers, pickoffs = ({one.gimbal for one in parts} for parts in (platform.torquers, platform.pickoffs))
+    loop = dict(job()["loop"][0], gimbals=[one for one in platform.gimbal_names if one in torquers & pickoffs])
+    data = job() | {"loop": [loop], "manoeuvre": []}
+    found = []
+    for plant_of in (name, platform, tomllib.loads(platform.to_toml())):
+        try:
+            found.append(key_of(read_job(data | {"plant": plant_of}).platform))
+        except InputError as error:  # a plant without a gimbal that can be caged
+            found.append(str(error))
+    assert found[1:] == found[:2]
+
+
+def test_a_platform_in_a_job_is_judged_as_its_file_is() -> None:
+    platform = dataclasses.replace(read_platform("three_gyro_platform"), name="mine")
+    found = read_job(job() | {"plant": platform})
+    assert (found.plant, key_of(found.platform)) == ("mine", key_of(platform))
+    gimbals = (dataclasses.replace(platform.gimbals[0], parent="nowhere"), *platform.gimbals[1:])
+    with pytest.raises(InputError, match=r'\[\[plant.gimbal\]\] 1 "4": parent must be .*, got "nowhere"'):
+        read_job(job() | {"plant": dataclasses.replace(platform, gimbals=gimbals)})
+
+
+def test_names_that_are_no_bare_keys_stand_in_quotes() -> None:
+    data = small_job()
+    data["plant"]["gimbal"][0]["angle"] = name = 'alpha of "4" (\u00b0)'
+    data["operation"]["angles"] = {name: [0.1, 0.2]}
+    found = read_job(data)
+    again = read_job(tomllib.loads(toml(job_data(found))))
+    assert job_data(again) == job_data(found)
+    assert again.angles == {name: (0.1, 0.2)}
 
 
 def test_a_job_is_written_and_read_back_whole() -> None:

@@ -8,10 +8,10 @@ import pytest
 
 from fuzz_files import EVERY_PLANT_KEY
 from platform_ctrl.errors import InputError
-from platform_ctrl.job.writing import plant_data, toml
 from platform_ctrl.plant.platform import Platform
 from platform_ctrl.plant.reading import read_platform
 from platform_ctrl.plant.tables import shape
+from platform_ctrl.plant.writing import plant_data, toml
 
 PLANT = {
     "schema": 1,

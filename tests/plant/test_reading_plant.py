@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import copy
+import dataclasses
 import json
 import math
 import os
 import pickle
 import random
 import sys
+import tomllib
 from collections.abc import Callable
 from decimal import Decimal
 from pathlib import Path
@@ -19,10 +21,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import platform_ctrl as pc
+from fuzz_files import EVERY_PLANT_KEY, meaning
 from fuzz_run import cases
+from oracle_trees import Motion, motions
 from platform_ctrl.campaign.identity import digest
-from platform_ctrl.errors import InputError
+from platform_ctrl.errors import ArgumentError, InputError
+from platform_ctrl.plant.force_elements import Friction, Unbalance
+from platform_ctrl.plant.platform import Gimbal, Platform, Torquer
 from platform_ctrl.plant.reading import read_platform
+from platform_ctrl.plant.sensors import PickOff, RateSensor
 from platform_ctrl.plant.source import platform_source, shipped_models
 
 Change = Callable[[dict[str, Any]], object]
@@ -433,6 +441,11 @@ MISTAKES: dict[str, tuple[Change, list[str]]] = {
         put([-2, -1], "gimbal", 0, "stops_deg"),
         [GIMBAL_4, "stops_deg must be [lower, upper] with 0 between them, got [-2, -1] (0 is not between the"],
     ),
+    "stops of 40 rad": (
+        put([-40, 40], "gimbal", 1, "stops"),
+        [GIMBAL_5, "[-40, 40] rad is more than a turn; is it in degrees? then write stops_deg", "[-2291.831181, "],
+    ),
+    "one stop of 30 rad": (put([-0.1, 30.0], "gimbal", 1, "stops"), [GIMBAL_5, "is it in degrees?"]),
     "stops twice": (
         put([-1, 1], "gimbal", 1, "stops_deg"),
         [GIMBAL_5, 'give either "stops" or "stops_deg", not both', '"stops" or "stops_deg"'],
@@ -616,10 +629,45 @@ TOML_MISTAKES = {
     "not UTF-8": (b'name = "\xff"', ["is not UTF-8 text", "byte 8"]),
     "a date": (
         b"schema = 1\nname = 2020-01-01\n[root]\n",
-        ["name must be a line of text that is not empty, got an object of type date", "(and 2 more)"],
+        ["name must be a line of text that is not empty, got an object of type date", "(and 2 more: "],
     ),
-    "empty": (b"", ['the key "schema" is missing', "(and 2 more)"]),
+    "empty": (b"", ['the key "schema" is missing', "(and 2 more: name, root)"]),
 }
+
+
+@pytest.mark.parametrize(
+    ("word", "meant"),
+    [
+        ("motor", "torquer"),
+        ("Motor", "torquer"),
+        ("actuator", "torquer"),
+        ("gyro", "rate_sensor"),
+        ("tracker", "attitude_sensor"),
+        ("flywheel", "rotor"),
+        ("frame", "gimbal"),
+        ("bearing", "friction"),
+        ("cable", "spring"),
+        ("camera", "line_of_sight"),
+        ("rotro", "rotor"),
+        ("frictoin", "friction"),
+        ("servo", None),
+    ],
+)
+def test_another_word_for_a_table_is_no_misspelling(word: str, meant: str | None) -> None:
+    message = refusal(read_platform, plant() | {word: [{"gimbal": "4"}]})
+    assert (f'did you mean "{meant}"?' in message) == (meant is not None)
+    assert ("known: " in message) == (meant is None)
+
+
+def test_stops_beyond_a_turn_are_read_in_degrees_and_written_so() -> None:
+    data = plant()
+    data["gimbal"][1]["stops"] = [-2.0 * math.pi, 6.2]
+    read_platform(data)
+    del data["gimbal"][1]["stops"]
+    data["gimbal"][1]["stops_deg"] = [-720, 540.1]
+    platform = read_platform(data)
+    assert platform.gimbals[1].stops == (math.radians(-720), math.radians(540.1))
+    assert read_back(platform).gimbals[1].stops == platform.gimbals[1].stops
 
 
 @pytest.mark.parametrize(("content", "fragments"), TOML_MISTAKES.values(), ids=TOML_MISTAKES.keys())
@@ -674,7 +722,7 @@ def test_an_unknown_shipped_name_gets_the_nearest_one(tmp_path: Path, monkeypatc
     assert read_platform(Path("zzz")).name == "two gimbals"
 
 
-def test_of_several_mistakes_the_first_in_the_files_order_is_named_and_the_others_counted() -> None:
+def test_of_several_mistakes_the_first_in_the_files_order_is_told_and_the_others_placed() -> None:
     data = plant()
     put(-1, "torquer", 0, "limit")(data)
     put("nobody", "rotor", 0, "carrier")(data)
@@ -684,20 +732,24 @@ def test_of_several_mistakes_the_first_in_the_files_order_is_named_and_the_other
         (
             ("gimbal", 0, "parent"),
             'parent must be the name of the root or a gimbal, got "platfrom"; did you mean "platform"',
-            " (and 3 more)",
+            ' (and 3 more: [[gimbal]] 2 "5": axis, [[rotor]] 1 "6": carrier, [[torquer]] 1 (gimbal "4"): limit)',
         ),
-        (("gimbal", 1, "axis"), "of length zero", " (and 2 more)"),
+        (
+            ("gimbal", 1, "axis"),
+            "of length zero",
+            ' (and 2 more: [[rotor]] 1 "6": carrier, [[torquer]] 1 (gimbal "4"): limit)',
+        ),
         (
             ("rotor", 0, "carrier"),
             'carrier must be the name of the root or a gimbal, got "nobody"; known: "platform", "4", ',
-            " (and 1 more)",
+            ' (and 1 more: [[torquer]] 1 (gimbal "4"): limit)',
         ),
         (("torquer", 0, "limit"), "limit must be a number > 0, got -1", ""),
     ):
         message = refusal(read_platform, data)
         assert fragment in message
         assert message.endswith(more)
-        assert ("more)" in message) == bool(more)
+        assert ("more: " in message) == bool(more)
         put(enter(plant(), path) if path != ("rotor", 0, "carrier") else "5", *path)(data)
     read_platform(data)
 
@@ -938,3 +990,72 @@ def test_a_sensor_about_all_axes_is_one_about_each_axis_of_its_body() -> None:
         read_platform(short | {"rate_sensor": [gyro | {"axis": "all", "body": "no_such_body"}]})
     with pytest.raises(InputError, match="three numbers"):
         read_platform(base | {"rate_sensor": [gyro | {"axis": "both"}]})
+
+
+def read_back(platform: Platform) -> Platform:
+    return read_platform(tomllib.loads(platform.to_toml()))
+
+
+@pytest.mark.parametrize("name", shipped_models())
+def test_the_text_of_a_shipped_plant_is_that_plant_to_the_last_bit(name: str) -> None:
+    platform = read_platform(name)
+    assert meaning(read_back(platform)) == meaning(platform)
+
+
+def test_the_text_of_a_plant_with_every_key_is_that_plant_to_the_last_bit() -> None:
+    platform = read_platform(EVERY_PLANT_KEY.data)
+    assert meaning(read_back(platform)) == meaning(platform)
+    assert meaning(read_platform(platform)) == meaning(platform)
+
+
+@settings(max_examples=30, deadline=None)
+@given(motions())
+def test_the_text_of_a_random_plant_is_that_plant(motion: Motion) -> None:
+    back = read_back(motion.platform)
+    assert meaning(back) == meaning(read_platform(motion.platform))
+    q, velocity = motion.q, motion.velocity
+    ours, theirs = pc.matrices(back, q, velocity), pc.matrices(motion.platform, q, velocity)
+    np.testing.assert_allclose(ours.A, theirs.A, rtol=1e-14, atol=1e-14 * np.abs(theirs.A).max())
+
+
+def in_python() -> Platform:
+    """Return a plant that was made in Python: names with spaces, an axis of length 2, a limit that is none."""
+    return Platform(
+        name="made \x7f in \u00e9 Python",
+        root_name="the base",
+        root_inertia=np.diag([1.0, 2.0, 2.5]),
+        gimbals=(
+            Gimbal(name="outer ring", parent="the base", axis=[0, 0, 2.0], inertia=0.1 * np.eye(3), stops=(-1, 1)),
+            Gimbal(name="inner", parent="outer ring", axis=[0.6, 0.8, 0.0], inertia=[[1, 0, 0], [0, 1, 0], [0, 0, 1]]),
+        ),
+        torquers=(Torquer(gimbal="outer ring", limit=math.inf), Torquer(gimbal="inner", limit=0.1, lag=0.0)),
+        pickoffs=(PickOff(gimbal="outer ring"), PickOff(gimbal="inner", noise_rms=1 / 3e6)),
+        rate_sensors=(
+            RateSensor(body="inner", axis=[0, 1, 1], misalignment=[0.0, 0.0, 1e-3]),
+            RateSensor(gimbal="inner"),
+        ),
+        frictions=(Friction(gimbal="inner", coulomb=(0.01, 0.02)), Friction(gimbal="outer ring", viscous=0.1 + 0.2)),
+        unbalances=(Unbalance(body="the base", moment=(0.0, 1e-20, -3.0)),),
+        source='"quoted"\nand\ttwo lines \\',
+    )
+
+
+def test_a_plant_that_was_made_in_python_is_written_and_read_back() -> None:
+    platform = in_python()
+    with pytest.raises(InputError, match=r'platform "made .*": name must be a line of text .* cannot be printed'):
+        read_platform(platform)
+    platform = dataclasses.replace(platform, name="made in \u00e9 Python")
+    back = read_back(platform)
+    assert meaning(back) == meaning(read_platform(platform)) == meaning(read_back(back))
+    assert back.torquers[0].limit is None
+    assert back.gimbals[0].axis.tolist() == [0.0, 0.0, 1.0]
+    assert (back.source, back.gimbal_names) == (platform.source, ("outer ring", "inner"))
+    assert meaning((back.frictions, back.unbalances, back.pickoffs, back.rate_sensors[1])) == meaning(
+        (platform.frictions, platform.unbalances, platform.pickoffs, platform.rate_sensors[1])
+    )
+
+
+def test_what_no_plant_file_can_say_is_refused() -> None:
+    platform = dataclasses.replace(in_python(), pickoffs=(PickOff(name="resolver", gimbal="inner"),))
+    with pytest.raises(ArgumentError, match="pick-off 'resolver' must be called 'q_inner', as its angle"):
+        platform.to_toml()

@@ -16,6 +16,7 @@ import numpy as np
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.classical.caging import Stage, flattened
 from platform_ctrl.design.loop import Designed, LoopProblem, completed
+from platform_ctrl.design.loop_signals import parallel
 from platform_ctrl.design.partition import between, first_order, gain, low_pass
 from platform_ctrl.errors import DesignError
 from platform_ctrl.mechanics.linearisation import LinearModel
@@ -30,9 +31,10 @@ def rate_estimate(model: LinearModel) -> tuple[FloatArray, list[int]]:
     if sizes.size < 3 or sizes[-1] < 1e-6 * sizes[0]:
         # The last of all three directions, also where fewer gimbals are caged.
         blind = np.linalg.svd(model.G_Omega)[2][-1]
+        why = parallel("gyros of gimbals", model.gimbal_names, list(model.G_Omega), "show the rate about")
         raise DesignError(
             "platform-servo: the torques of the caged gyros do not depend on the rate about "
-            f"({', '.join(f'{x:.2f}' for x in blind)}); add a rotor whose torque G_Omega Omega does",
+            f"({', '.join(f'{x:.2f}' for x in blind)}){why}; add a rotor whose torque G_Omega Omega does",
             model,
         )
     inverse = (right.T / sizes) @ left.T

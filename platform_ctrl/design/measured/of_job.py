@@ -16,6 +16,7 @@ from platform_ctrl.analysis.frequency_grids import following_grid
 from platform_ctrl.analysis.loop_metrics import LoopMetrics, measure
 from platform_ctrl.analysis.plant_set import COMMAND, PlantSet
 from platform_ctrl.analysis.singular_values import largest_singular_values
+from platform_ctrl.common.units import column_unit
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.loop import Designed, LoopDesign, LoopProblem, completed, requirements_of
 from platform_ctrl.design.loop_signals import loop_signals
@@ -50,6 +51,8 @@ _POINTS, _BELOW = 100, 0.05
 _TIME_LIMIT = 300.0
 _HZ = 1.0 / (2.0 * np.pi)
 _ON_DATA = ", measured responses"
+# What the signals of a loop may be, by the units in which the names of columns state them.
+_SIGNALS = ("angle", "rate", "torque")
 
 
 @value
@@ -242,22 +245,32 @@ def read_responses(text: str, label: str, torques: Sequence[str], readings: Sequ
     source = io.StringIO(text)
     setattr(source, "name", label)  # noqa: B010 - what messages call it
     data = read_measurement(source, period=period)
-    for what, needed, there in (
-        ("inputs", torques, list(data.input_labels)),
-        ("outputs", readings, list(data.output_labels)),
-    ):
+    inputs, per_input = _in_SI(list(data.input_labels), torques)
+    outputs, per_output = _in_SI(list(data.output_labels), readings)
+    for what, needed, there in (("inputs", torques, inputs), ("outputs", readings, outputs)):
         if sorted(needed) != sorted(there):
             raise InputError(
                 f"{label}: must have the {what} {', '.join(needed)} of the loop, got {', '.join(map(str, there))}"
             )
-    rows = [list(data.output_labels).index(name) for name in readings]
-    columns = [list(data.input_labels).index(name) for name in torques]
-    P = np.moveaxis(np.asarray(data.frdata)[np.ix_(rows, columns)], -1, 0)
+    rows, columns = [outputs.index(name) for name in readings], [inputs.index(name) for name in torques]
+    scaled = np.asarray(data.frdata) * (per_output[:, None, None] / per_input[:, None])
+    P = np.moveaxis(scaled[np.ix_(rows, columns)], -1, 0)
     if len(P) < FEWEST_POINTS:
         raise InputError(f"{label}: must have {FEWEST_POINTS} or more frequencies, got {len(P)}")
     if not np.all(np.abs(P).max(axis=(1, 2)) > 0.0):
         raise InputError(f"{label}: must have a response that is not zero at every frequency")
     return Responses(frequency=np.asarray(data.omega, dtype=np.float64), response=np.asarray(P, dtype=np.complex128))
+
+
+def _in_SI(labels: Sequence[str], names: Sequence[str]) -> tuple[list[str], FloatArray]:
+    """Return the labels of a file without their units, except those that are names as they are; and the units in SI."""
+    out, factors = [], []
+    for label in labels:
+        name, unit = column_unit(label)
+        stated = label not in names and name in names and unit is not None and unit.quantity in _SIGNALS
+        out.append(name if stated else label)
+        factors.append(unit.factor if stated and unit is not None else 1.0)
+    return out, np.array(factors)
 
 
 def expect_fitting(job: Job, spec: LoopSpec, design: DesignSpec, text: str, label: str) -> None:

@@ -24,7 +24,8 @@ from platform_ctrl.export.fmu.signals import commands_of, inputs_of, outputs_of,
 from platform_ctrl.export.systems import write_controllers
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.scenario import Mode
-from platform_ctrl.job.writing import job_data, plant_data, toml
+from platform_ctrl.job.writing import job_data
+from platform_ctrl.plant.writing import plant_data, toml
 from platform_ctrl.simulation.batch import merged_controller
 from platform_ctrl.verification.controllers import read_controllers
 

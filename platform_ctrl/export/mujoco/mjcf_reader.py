@@ -15,6 +15,7 @@ from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import InputError
 from platform_ctrl.export.mujoco.tree import BALL, FREE, NEAR, Body, Chains, bodies_of
+from platform_ctrl.plant.fields import stops_written
 from platform_ctrl.plant.mistakes import given, one_line
 from platform_ctrl.plant.platform import Platform
 from platform_ctrl.plant.reading import read_platform
@@ -258,7 +259,7 @@ class _Model:
         if model.joint(joint).name:
             out["angle"] = one_line(model.joint(joint).name)
         if model.jnt_limited[joint]:
-            out["stops"] = [float(end) for end in model.jnt_range[joint] - self._reference(joint)]
+            out |= stops_written((model.jnt_range[joint] - self._reference(joint)).tolist())
             wait, ratio = model.jnt_solref[joint]
             if wait > 0.0 and 0.0 < ratio < 1.0:
                 out["restitution"] = math.exp(-math.pi * ratio / math.sqrt(1.0 - ratio * ratio))

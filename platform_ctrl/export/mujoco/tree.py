@@ -166,19 +166,18 @@ class Chains:
         return inertias, moments
 
     def root_centre(self) -> FloatArray:
-        """Return the centre of a root that does not move: where all axes meet, else the centre of mass."""
-        hinges = [self.bodies[k] for k in self.gimbals]
-        if not hinges:
+        """Return the centre of a root that does not move: where all axes meet, else the centre of mass.
+
+        The axis of a balanced gimbal may lie anywhere: if it does not meet the others, it takes no part in the search.
+        """
+        if not self.gimbals:
             return np.zeros(3)
-        # The point nearest to all axes; where they are parallel the first hinge's own.
-        across = [np.eye(3) - np.outer(one.axis, one.axis) for one in hinges]
-        normal = np.sum(across, axis=0)
-        if np.linalg.eigvalsh(normal)[0] < 1e-6:
-            return hinges[0].anchor
-        point = np.linalg.solve(normal, np.sum([P @ one.anchor for P, one in zip(across, hinges, strict=True)], axis=0))
-        if all(np.linalg.norm(np.cross(one.axis, point - one.anchor)) <= NEAR * self.size for one in hinges):
-            return np.asarray(point)
-        return self.whole_centre()
+        unbalanced = [k for k in self.gimbals if not self._balanced(k)]
+        for gimbals in (self.gimbals, unbalanced):
+            point = _nearest_point([self.bodies[k] for k in gimbals]) if gimbals else self.whole_centre()
+            if all(self._on_axis(k, point) for k in gimbals):
+                return point
+        return self.bodies[unbalanced[0]].anchor  # an axis that does not meet this one is refused
 
     def whole_centre(self) -> FloatArray:
         """Return the centre of mass; rotors are with their carriers already."""
@@ -207,3 +206,13 @@ class Chains:
 
     def _wrong(self, k: int, words: str) -> InputError:
         return InputError(f"{self.label}: body {given(self.bodies[k].name)} {words}")
+
+
+def _nearest_point(hinges: list[Body]) -> FloatArray:
+    """Return the point nearest to all axes; where they are parallel the first hinge's own."""
+    across = [np.eye(3) - np.outer(one.axis, one.axis) for one in hinges]
+    normal = np.sum(across, axis=0)
+    if np.linalg.eigvalsh(normal)[0] < 1e-6:
+        return hinges[0].anchor
+    moment = np.sum([P @ one.anchor for P, one in zip(across, hinges, strict=True)], axis=0)
+    return np.asarray(np.linalg.solve(normal, moment))

@@ -24,9 +24,10 @@ from platform_ctrl.job.quantities import (
     plain,
     quantity,
 )
-from platform_ctrl.job.writing import job_data, toml
+from platform_ctrl.job.writing import job_data
 from platform_ctrl.plant.platform import Torquer
 from platform_ctrl.plant.sensors import PickOff
+from platform_ctrl.plant.writing import toml
 from platform_ctrl.report.modes import Mode, modes_at
 from platform_ctrl.report.page import comparison
 from platform_ctrl.report.page.blocks import (
