@@ -63,6 +63,8 @@ class CheckResult:
     def margin(self) -> float:
         """Distance to the limit, relative to the limit, positive when met; infinite where that is no number."""
         distance = self.value - self.limit if self.sense == "at least" else self.limit - self.value
+        if distance >= 0.0 and not self.passed:
+            return float("-inf")  # the value does not hold
         if distance == 0.0:
             return 0.0
         if not np.isfinite(self.value) or not np.isfinite(self.limit) or self.limit == 0.0:

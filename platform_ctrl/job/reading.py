@@ -15,6 +15,7 @@ from platform_ctrl.job.budget_checks import size_mistakes, with_logs
 from platform_ctrl.job.campaign_checks import variation_mistakes
 from platform_ctrl.job.checks import job_mistakes, locked_mistakes, locked_names
 from platform_ctrl.job.drive_checks import misplaced_drives
+from platform_ctrl.job.exercised import unexercised
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.methods import METHODS, resolved
 from platform_ctrl.job.old_names import renamed
@@ -94,7 +95,7 @@ def read_job(
         budget, of_logs = with_logs(job.budget, start or document.folder)
         mistakes += of_logs or size_mistakes(budget)
         job = replaced(job, {"budget": budget})
-    if mistakes:
+    if mistakes := mistakes or list(unexercised(job)):
         raise report(document.label, document.data, mistakes)
     if old_keys:
         words = (

@@ -28,6 +28,8 @@ from platform_ctrl.plant.source import path_of
 Mode = Literal["caged", "stabilised"]
 VibrationKind = Literal["rate", "force"]
 Start = Literal["rest", "equilibrium"]
+# Substeps to a period of a sine of the base at least: an error of 1e-4 of its amplitude.
+_STEPS_TO_A_PERIOD = 6.0
 # Sinusoids that a vibration may be the sum of.
 MOST_LINES = 10_000
 
@@ -414,6 +416,12 @@ class Scenario:
     settle: float = 0.0
     fade: float = 0.0
     limits: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def longest_step(self) -> float:
+        """The longest substep, s, that follows what shakes the base."""
+        fastest = [one.frequency_hz for one in self.sines] + [one.frequencies_hz[-1] for one in self.vibrations]
+        return 1.0 / (_STEPS_TO_A_PERIOD * max(fastest)) if fastest else math.inf
 
     def __post_init__(self) -> None:
         """Fill in the angles and rates that were left out."""

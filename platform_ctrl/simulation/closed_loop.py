@@ -144,8 +144,8 @@ def simulate(
     period
         Sample period, s.
     step
-        Longest substep, s. Stiff elements need short ones: less than 2.7 C/speed_gain for a servo rotor, 2.7 times the
-        shortest time constant of friction and cages.
+        Longest substep, s; shorter where the base shakes faster. Stiff elements need short ones: less than
+        2.7 C/speed_gain for a servo rotor, 2.7 times the shortest time constant of friction and cages.
     noise
         Whether the sensors' noise is simulated.
 
@@ -175,7 +175,8 @@ def simulate(
     record, metrics = recorded(member, controller, period, noise)
     done = int(counts(metrics, scenario.platform)[2][0])
     ended = "completed" if done == len(record) else f"diverged at t = {done * period:.6g} s"
-    return trajectory_of(record[:done], metrics, scenario, first=0, period=period, step=step, ended=ended)
+    longest = min(step, scenario.longest_step)
+    return trajectory_of(record[:done], metrics, scenario, first=0, period=period, step=longest, ended=ended)
 
 
 def counts(metrics: FloatArray, platform: Platform) -> list[NDArray[np.int64]]:

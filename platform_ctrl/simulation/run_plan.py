@@ -126,7 +126,7 @@ def prepared(scenario: Scenario, period: float, longest: float) -> Prepared:
     """Check a scenario, but for the length of its steps, which is checked for a batch at a time."""
     expect_scenario(scenario, period)
     platform, free = scenario.platform, scenario.mode == "stabilised"
-    when = timing(scenario.duration, period, scenario.delay, longest)
+    when = timing(scenario.duration, period, scenario.delay, min(longest, scenario.longest_step))
     shape = skeleton(platform)
     faults: dict[FaultKey, Fault] = {}
     for fault in scenario.faults:

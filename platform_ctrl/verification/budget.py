@@ -25,7 +25,7 @@ from platform_ctrl.job.budget import Budget
 from platform_ctrl.job.job import Job
 from platform_ctrl.plant.sensors import LOS_ANGLES
 from platform_ctrl.verification.budget_friction import Balanced, balanced
-from platform_ctrl.verification.budget_limits import assumption, judged
+from platform_ctrl.verification.budget_limits import assumption, balance_holds, judged
 from platform_ctrl.verification.budget_loop import BudgetLoop
 from platform_ctrl.verification.budget_result import LineOfSightBudget, WindowBudget
 
@@ -204,5 +204,5 @@ def _result(loop: BudgetLoop, at: Balanced, apart: Found, together: Found) -> Li
             [np.interp(apart.edges, together.edges, of_axis) for of_axis in together.total_cumulative[:3]]
         ),
         friction=at.friction,
-        results=judged(budget, rms, together.total[:3], windows, linear),
+        results=judged(budget, rms, together.total[:3], windows, linear, balance_holds(at.friction)),
     )

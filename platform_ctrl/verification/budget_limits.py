@@ -10,7 +10,7 @@ import numpy as np
 
 from platform_ctrl.analysis.dry_friction import FrictionBalance
 from platform_ctrl.analysis.metrics import BUDGET_METRICS
-from platform_ctrl.common.values import FloatArray
+from platform_ctrl.common.values import FloatArray, replaced
 from platform_ctrl.job.budget import Budget
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.judging import CheckResult, Requirement
@@ -18,6 +18,7 @@ from platform_ctrl.plant.sensors import LOS_ANGLES
 
 if TYPE_CHECKING:
     from platform_ctrl.verification.budget_result import WindowBudget
+    from platform_ctrl.verification.simulated_budget import SimulatedBudget
 
 LINE_OF_SIGHT = "line of sight"  # subject of what is required of it
 
@@ -32,10 +33,13 @@ def assumption(friction: FrictionBalance | None, where: str) -> str:
     fed = friction is not None and any(one is not None for one in friction.drives)
     valid = () if friction is None else zip(friction.statement, friction.valid, strict=True)
     unsure = [words for words, holds in valid if not holds]
-    out = (
-        "linear budget" + (f" at {where}" if where else "") + (", dry friction less what is fed forward" if fed else "")
-    )
-    return "; ".join([out, *unsure])
+    dry = "" if friction is None else f", with dry friction{' less what is fed forward' if fed else ''}"
+    return "; ".join([f"linear budget{f' at {where}' if where else ''}{dry}", *unsure])
+
+
+def balance_holds(friction: FrictionBalance | None) -> bool:
+    """Return whether what stands for dry friction in a linear budget is valid."""
+    return friction is None or bool(np.all(friction.valid))
 
 
 def judged(
@@ -44,8 +48,12 @@ def judged(
     total: FloatArray,
     windows: Sequence[WindowBudget],
     linear: str,
+    valid: bool = True,
 ) -> tuple[CheckResult, ...]:
-    """Return the limits compared with the budget; `linear` is what the values rest on."""
+    """Return the limits compared with the budget; `linear` is what the values rest on.
+
+    Of a budget that is not `valid` none is met: see `by_simulation`.
+    """
     worst = int(np.argmax(total[:2]))
     measured: dict[tuple[str, str], tuple[float, str]] = {
         ("jitter", ""): (across(total), f"both axes, {linear}"),
@@ -57,10 +65,42 @@ def judged(
             measured[key, ""] = (found, f"exposure {exposure:g} s, both axes, {linear}")
     for source, own in zip(budget.sources, rms, strict=False):
         measured["limit", source.name] = (across(own), f"both axes, {linear}")
-    return tuple(
+    found = [
         one.judge(measured[key][0], subject=LINE_OF_SIGHT, stage="coupled", evidence=measured[key][1], method="exact")
         for key, one in _requirements(budget)
-    )
+    ]
+    return tuple(found) if valid else tuple(_not_held(one) for one in found)
+
+
+def _not_held(one: CheckResult) -> CheckResult:
+    cure = "not met by a value that does not hold: state runs in [budget], or a limit of a manoeuvre"
+    return replaced(one, {"ratio": math.inf, "passed": False, "evidence": f"{one.evidence}; {cure}"})
+
+
+def by_simulation(results: Sequence[CheckResult], simulated: SimulatedBudget) -> tuple[CheckResult, ...]:
+    """Return limits that a linear budget cannot decide, judged by runs where these show them."""
+    axis = int(np.argmax(simulated.rms[:2]))
+    found = {
+        BUDGET_METRICS["jitter"].name: (across(simulated.rms), across(simulated.high), "both axes"),
+        BUDGET_METRICS["jitter_per_axis"].name: (
+            float(simulated.rms[axis]),
+            float(simulated.high[axis]),
+            LOS_ANGLES[axis],
+        ),
+    }
+    out = []
+    for one in results:
+        if one.passed or math.isfinite(one.ratio) or one.name not in found:
+            out.append(one)
+            continue
+        rms, high, axes = found[one.name]
+        evidence = (
+            f"{axes}, {simulated.runs} runs of {simulated.time:g} s, at most {high:.4g} {one.unit} with 95 %, about "
+            f"the mean; the linear budget, {one.value:.4g} {one.unit}, does not hold"
+        )
+        limit = Requirement(name=one.name, limit=one.limit, unit=one.unit, sense=one.sense)
+        out.append(limit.judge(rms, subject=one.subject, stage="simulated", evidence=evidence, method="simulated"))
+    return tuple(out)
 
 
 def _requirements(budget: Budget) -> list[tuple[tuple[str, str], Requirement]]:

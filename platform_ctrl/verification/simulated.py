@@ -124,7 +124,7 @@ def limit_results(job: Job, manoeuvre: Manoeuvre, trajectory: Trajectory) -> tup
         evidence = (
             f"{signal}; non-linear plant{_start(job, manoeuvre)}, {trajectory.ended}, seed {trajectory.seed}, "
             f"substep {trajectory.step:g} s"
-        )
+        ) + ("; with dry friction" if any(max(one.breakaway) > 0.0 for one in job.platform.frictions) else "")
         out.append(
             limited.judge(number, subject=manoeuvre.name, stage="simulated", evidence=evidence, method="simulated")
         )

@@ -27,7 +27,7 @@ from platform_ctrl.job.judging import CheckResult, Requirement, Stage
 from platform_ctrl.job.quantities import assumed_words
 from platform_ctrl.mechanics.linearisation import LinearModel, linearise
 from platform_ctrl.verification.budget import line_of_sight_budget
-from platform_ctrl.verification.budget_limits import is_limited, unstable_results
+from platform_ctrl.verification.budget_limits import by_simulation, is_limited, unstable_results
 from platform_ctrl.verification.budget_result import LineOfSightBudget
 from platform_ctrl.verification.coupled import ALL_LOOPS, CoupledCheck, coupled_check
 from platform_ctrl.verification.simulated import Run, simulate_manoeuvre
@@ -296,7 +296,10 @@ def _checked(job: Job, loops: Sequence[LoopOutcome], say: Progress) -> JobResult
         certified = proofs[design.loop, design.name].results(design.loop, design.name, "decoupled")
         requirements += [*design.results, *certified]
     requirements += [*coupled.results, *together.results(ALL_LOOPS, "", "coupled")]
-    requirements += unstable_results(job) if budget is None else budget.results
+    if budget is None:
+        requirements += unstable_results(job)
+    else:
+        requirements += budget.results if simulated is None else by_simulation(budget.results, simulated)
     requirements += [result for run in runs for result in run.results]
     return JobResult(
         job=job,

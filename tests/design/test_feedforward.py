@@ -198,12 +198,13 @@ def test_structured_search_sees_what_the_verdict_sees(outcome, kind):
     """Torques per platform rate and the noise in readings are those of the metrics, by another route."""
     one = of(outcome, kind)
     K = state_arrays(one.own_controller, "controller")
-    search, loops = ClosedLoops(one.plants.regular(), K), LoopSet(one.plants, K)
+    plants = one.plants.regular()
+    search, loops = ClosedLoops(plants, K), LoopSet(plants, K)
     w, nominal = 60.0, np.zeros(1, dtype=np.intp)
-    seen = [search.edge(torque_per_Omega(k, one.plants), w, nominal).ratio[0] for k in range(2)]
+    seen = [search.edge(torque_per_Omega(k, plants), w, nominal).ratio[0] for k in range(2)]
     assert max(seen) == pytest.approx(loops.gain_at([TORQUE_SHARE], np.array([w]))[0], rel=1e-9)
     if kind == "indirect":
-        np.testing.assert_allclose(search.noise(1.0, nominal).ratio, one.measures.torque_noise, rtol=1e-6)
+        np.testing.assert_allclose(search.noise(1.0, nominal).ratio, torque_noise(loops)[0], rtol=1e-6)
 
 
 @pytest.mark.parametrize("kind", ["direct", "indirect"])

@@ -1,0 +1,194 @@
+"""Limits that nothing in the job puts to the test: they would be met whatever the loops do, which is a mistake."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from platform_ctrl.analysis.metrics import METRICS
+from platform_ctrl.job.job import Job, LoopSpec, Manoeuvre
+from platform_ctrl.job.requirements import limit_keys
+from platform_ctrl.job.scenario import TimeTable
+from platform_ctrl.plant.fields import ROUNDING
+from platform_ctrl.plant.mistakes import Mistake, Path
+from platform_ctrl.plant.platform import OMEGA_NAMES
+
+# Samples behind `settle` at least.
+_FEWEST_SAMPLES = 20
+# Limits of runs that are means over the time behind `settle`.
+_MEANS = ("los_angle_rms", "los_rate_rms", "attenuation_db")
+# Metrics of loops that are about the platform's rate.
+_OF_OMEGA = ("Omega rejection", "attenuation", "torque limit")
+
+
+def unexercised(job: Job) -> Iterator[Mistake]:
+    """Walk the limits of a job that nothing puts to the test."""
+    for i, spec in enumerate(job.loops):
+        for table, limits in (("limits", spec.limits), ("soft", spec.soft)):
+            yield from _of_loop(job, spec, limits, ("loop", i, table))
+    for k, manoeuvre in enumerate(job.manoeuvres):
+        yield from _of_run(job, manoeuvre, ("manoeuvre", k))
+    if job.budget is not None:
+        if job.budget.runs is not None:
+            torques = [source.name for source in job.budget.sources if source.kind == "torque"]
+            if torques:
+                words = f"runs: {', '.join(torques)} cannot be simulated: only motors act on gimbals in runs"
+                yield Mistake(("budget", "runs"), f"{words}; leave runs out, or these sources")
+        low, high = job.budget.from_hz, job.budget.to_hz
+        for k, source in enumerate(job.budget.sources):
+            lines, knots = source.lines.frequencies_hz, source.knots_hz
+            if knots.size and min(high, knots[-1]) > max(low, knots[0]):
+                continue
+            if not np.any((lines >= low) & (lines <= high)):
+                words = f"{source.name} shakes nothing between from_hz = {low:g} and to_hz = {high:g}"
+                yield Mistake(("budget", "source", k), f"{words}; widen the band, or leave the source out")
+
+
+def _of_loop(job: Job, spec: LoopSpec, limits: dict[str, float], path: Path) -> Iterator[Mistake]:
+    known = limit_keys()
+    for key in limits:
+        kind, scope = known.get(key, ("", ""))
+        if not kind or scope in ("hz", "from_hz"):
+            continue
+        if kind in _OF_OMEGA and not np.any(job.Omega):
+            words = f"{key} is about the platform's rate, and Omega = [0, 0, 0]: the platform never turns"
+            yield Mistake((*path, key), f"{words}; state how fast it turns in [operation], or leave the limit out")
+        if kind == "torque limit":
+            limited = {one.name: one.limit for one in job.platform.torquers}
+            yield from _without_limit([name for name in _torquers(job, spec) if limited[name] is None], key, path)
+        if kind == "torque noise" and not _noisy(job, spec):
+            words = f"{key} cannot be missed: no sensor of this loop has noise"
+            yield Mistake(
+                (*path, key), f"{words}; state noise_rms or noise_density in the plant, or leave the limit out"
+            )
+        if scope == "worst_case" and METRICS[kind].of != "controller" and not _varied(job, spec):
+            words = f"{key} needs plants that differ"
+            yield Mistake(
+                (*path, key), f"{words}; state [uncertainty], or angles in [operation], or use {METRICS[kind].key}"
+            )
+
+
+def _torquers(job: Job, spec: LoopSpec) -> list[str]:
+    """Return the names of the torquers that a loop sets."""
+    if spec.kind == "tracking":
+        return []
+    if spec.kind == "stabilisation":
+        return [one.name for one in job.platform.torquers if one.root_axis is not None]
+    return list(spec.torquers) or [job.platform.torquer_on(name).name for name in spec.gimbals]
+
+
+def _without_limit(names: list[str], key: str, path: Path) -> Iterator[Mistake]:
+    if names:
+        words = f"{key} does not count torquer {', '.join(names)}, which the plant gives no limit"
+        yield Mistake((*path, key), f"{words}; state its limit in the plant, or leave this one out")
+
+
+def _noisy(job: Job, spec: LoopSpec) -> bool:
+    """Return whether a sensor that a loop reads has noise."""
+    if spec.kind == "stabilisation":
+        return any(one.noise_rms > 0.0 for one in job.platform.sensors)
+    read = set(spec.sensors) | {name for design in spec.designs for name in design.sensors}
+    read |= {name for design in spec.designs if design.feedforward for name in design.feedforward.sensors}
+    if spec.kind == "caging":
+        read |= {job.platform.pickoff_on(name).name for name in spec.gimbals}
+    return any(one.noise_rms > 0.0 for one in job.platform.sensors if one.name in read)
+
+
+def _varied(job: Job, spec: LoopSpec) -> bool:
+    """Return whether a loop has other plants than the nominal one in which nothing has failed."""
+    gimbals = spec.gimbals
+    if spec.kind == "tracking":
+        gimbals = next((one.gimbals for one in job.loops if one.name == spec.around), ())
+    spun = job.uncertainty.spin > 0.0 and any(one.carrier in gimbals for one in job.platform.rotors)
+    turned = np.any(job.Omega) and (
+        spec.kind == "caging" or any(max(one.breakaway) > 0.0 for one in job.platform.frictions)
+    )
+    return bool(job.uncertainty.inertia > 0.0 or spun or turned or len(job.trims) > 1)
+
+
+def _of_run(job: Job, manoeuvre: Manoeuvre, path: Path) -> Iterator[Mistake]:
+    yield from _after_the_end(job, manoeuvre, path)
+    yield from _window(job, manoeuvre, path)
+    limits = manoeuvre.limits
+    if manoeuvre.initial and not any(manoeuvre.initial.values()):
+        words = "initial: all of it is zero, where a run starts anyway; give other numbers, or leave it out"
+        yield Mistake((*path, "initial"), words)
+    if "torque_share" in limits:
+        used = {name for spec in job.loops for name in _torquers(job, spec)}
+        free = manoeuvre.mode == "stabilised"
+        lacking = [
+            one.name
+            for one in job.platform.torquers
+            if one.name in used and one.limit is None and (free or one.gimbal is not None)
+        ]
+        yield from _without_limit(lacking, "torque_share", (*path, "limits"))
+    if "attenuation_db" in limits and not _turns(manoeuvre):
+        words = "attenuation_db: the base does not turn in this manoeuvre"
+        yield Mistake(
+            (*path, "limits", "attenuation_db"), f"{words}; give rate, Omega_table, or a sine or vibration of it"
+        )
+    if "attitude" in limits and manoeuvre.mode == "caged":
+        words = "attitude: how a caged platform turns is prescribed, no loop has a part in it"
+        yield Mistake((*path, "limits", "attitude"), f'{words}; leave the limit out, or use mode = "stabilised"')
+
+
+def _turns(manoeuvre: Manoeuvre) -> bool:
+    """Return whether the platform of a caged manoeuvre turns before its end."""
+    shaken = "rate" in {*(one.kind for one in manoeuvre.vibrations), *(one.kind for one in manoeuvre.sines)}
+    table = manoeuvre.Omega_table
+    return bool(manoeuvre.rate) or shaken or (table is not None and _acts(table, manoeuvre.duration))
+
+
+def _acts(table: TimeTable, duration: float) -> bool:
+    """Return whether a table is not zero all the time until the end of a run."""
+    inside = table.t[table.t < duration]
+    return bool(np.any(table.at(np.concatenate([[0.0], inside, [duration * (1.0 - ROUNDING)]]))))
+
+
+def _after_the_end(job: Job, manoeuvre: Manoeuvre, path: Path) -> Iterator[Mistake]:
+    """Walk what would happen after the end of a run, or does nothing before it."""
+    duration = manoeuvre.duration
+    end = f"before the run ends, at {duration:.6g} s"
+    for key, table, columns in (
+        ("Omega_table", manoeuvre.Omega_table, OMEGA_NAMES),
+        ("torque_table", manoeuvre.torque_table, ("M1", "M2", "M3")),
+    ):
+        if table is not None and not _acts(table, duration):
+            words = f"{key}: {', '.join(columns)} stay zero {end}"
+            yield Mistake((*path, key), f"{words}; give times in s within the run, or a longer duration")
+    for k, command in enumerate(manoeuvre.commands):
+        if command.t:
+            values = np.array([command.value, command.value, command.value]).T
+            table = TimeTable(t=np.array(command.t), values=values, smooth=command.smooth)
+            if not (_acts(table, duration) or command.step or command.ramp or command.amplitude):
+                words = f"value stays zero {end}; give times in s within the run, or a longer duration"
+                yield Mistake((*path, "command", k, "value"), words)
+    events = {one.name: one for one in job.fault_events}
+    for name in manoeuvre.faults:
+        if name in events and events[name].at >= duration:
+            words = f"faults: {name!r} happens at {events[name].at:.6g} s, and not {end}"
+            yield Mistake((*path, "faults"), f"{words}; choose an earlier time, or a longer duration")
+
+
+def _window(job: Job, manoeuvre: Manoeuvre, path: Path) -> Iterator[Mistake]:
+    """Walk means over too short a time, and sines that samples see at one phase alone."""
+    if not set(manoeuvre.limits) & {*_MEANS, "angle_following_error", "rate_following_error"}:
+        return
+    rate, left = 1.0 / job.sampling.period, manoeuvre.duration - manoeuvre.settle
+    if left * rate < _FEWEST_SAMPLES * (1.0 - ROUNDING):
+        words = f"settle leaves {max(left, 0.0):.3g} s of the run, less than {_FEWEST_SAMPLES} samples"
+        yield Mistake((*path, "settle"), f"{words}; choose an earlier time, or a longer duration")
+        return
+    for k, sine in enumerate(manoeuvre.sines):
+        f, own = sine.frequency_hz, (*path, "sine", k, "frequency_hz")
+        half = round(2.0 * f / rate)
+        beat = abs(f - 0.5 * rate * half)
+        if beat * left >= 1.0 - ROUNDING:
+            continue
+        if half:
+            words = f"frequency_hz = {f:g}: samples at {rate:g} Hz see it at one and the same phase"
+            yield Mistake(own, f"{words}, so that the run does not show it; choose another frequency")
+        else:
+            words = f"frequency_hz = {f:g}: behind settle there are {left:.3g} s, less than a period of it"
+            yield Mistake(own, f"{words}; choose a longer duration")
