@@ -30,11 +30,6 @@ def unexercised(job: Job) -> Iterator[Mistake]:
     for k, manoeuvre in enumerate(job.manoeuvres):
         yield from _of_run(job, manoeuvre, ("manoeuvre", k))
     if job.budget is not None:
-        if job.budget.runs is not None:
-            torques = [source.name for source in job.budget.sources if source.kind == "torque"]
-            if torques:
-                words = f"runs: {', '.join(torques)} cannot be simulated: only motors act on gimbals in runs"
-                yield Mistake(("budget", "runs"), f"{words}; leave runs out, or these sources")
         low, high = job.budget.from_hz, job.budget.to_hz
         for k, source in enumerate(job.budget.sources):
             lines, knots = source.lines.frequencies_hz, source.knots_hz

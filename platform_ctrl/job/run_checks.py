@@ -24,6 +24,8 @@ MOTION_TABLE = {"caged": "Omega_table", "stabilised": "torque_table"}
 # Samples of a run, all of which are recorded, and integration steps: hours of work.
 MOST_SAMPLES, MOST_STEPS = 1e7, 1e9
 LONGEST_STEP = Campaign().step  # that of manoeuvres, too
+# What shakes in a run, by the kinds of a budget's sources.
+_KINDS = {"rate": "base-rate", "force": "specific-force", "torque": "torque"}
 
 # What may happen to a platform that is not moved: one of these is enough of a manoeuvre.
 EVENTS = ("vibration", "sine", "command", "faults", "initial")
@@ -57,7 +59,7 @@ def run_mistakes(data: Data, platform: Platform | None) -> Iterator[Mistake]:
         yield from _sizes(table, ("rate",), "base-rate", path)
         yield from _length(table, path, data)
         yield from _tables(table, path)
-        yield from _vibrations(table, path, mode)
+        yield from _vibrations(table, path, mode, platform)
         yield from _limits(table, path, mode, platform)
         yield from _commands(data, table, path, platform)
         yield from _names_of_faults(table, path, faults)
@@ -171,7 +173,7 @@ def _commanded(table: Data, key: str, platform: Platform) -> bool:
     return any(units.get(reading or "") == RUN_METRICS[key].unit for reading in readings)
 
 
-def _vibrations(table: Data, path: Path, mode: str | None) -> Iterator[Mistake]:
+def _vibrations(table: Data, path: Path, mode: str | None, platform: Platform | None) -> Iterator[Mistake]:
     shaking = [(kind, *one) for kind in ("vibration", "sine") for one in tables(table, kind)]
     for table_of, k, vibration in shaking:
         own: Path = (*path, table_of, k)
@@ -180,7 +182,16 @@ def _vibrations(table: Data, path: Path, mode: str | None) -> Iterator[Mistake]:
                 'kind must be "force" with mode = "stabilised", got "rate": only a caged platform has a prescribed rate'
             )
             yield Mistake((*own, "kind"), words)
-        of_kind = {"rate": "base-rate", "force": "specific-force"}.get(text_of(vibration, "kind") or "")
+        kind = text_of(vibration, "kind")
+        needed, other = ("gimbal", "axis") if kind == "torque" else ("axis", "gimbal")
+        if needed not in vibration and kind in _KINDS:
+            yield Mistake.missing(own, needed, f"kind = {given(kind)} needs it")
+        if other in vibration and kind in _KINDS:
+            yield Mistake.useless(vibration, own, other, f"with kind = {given(kind)}; leave the key out")
+        gimbal = text_of(vibration, "gimbal")
+        if gimbal is not None and platform is not None and gimbal not in platform.gimbal_names:
+            yield Mistake.unknown_name(own, "gimbal", gimbal, "gimbal of the plant", platform.gimbal_names)
+        of_kind = _KINDS.get(kind or "")
         if of_kind is not None:
             yield from _sizes(vibration, ("amplitude",), of_kind, own)
         yield from of_length(vibration, "densities", "frequencies_hz", own)

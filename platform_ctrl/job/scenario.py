@@ -26,7 +26,7 @@ from platform_ctrl.plant.platform import Platform
 from platform_ctrl.plant.source import path_of
 
 Mode = Literal["caged", "stabilised"]
-VibrationKind = Literal["rate", "force"]
+VibrationKind = Literal["rate", "force", "torque"]
 Start = Literal["rest", "equilibrium"]
 # Substeps to a period of a sine of the base at least: an error of 1e-4 of its amplitude.
 _STEPS_TO_A_PERIOD = 6.0
@@ -206,9 +206,20 @@ class TimeTable:
         return np.asarray(c[..., 0] + s * (c[..., 1] + s * (c[..., 2] + s * c[..., 3])))
 
 
+def _expect_place(what: str, kind: str, axis: int | None, gimbal: str | None) -> None:
+    """Refuse a motion of the base without its axis, or a torque without its gimbal."""
+    if kind == "torque":
+        if gimbal is None or axis is not None:
+            raise ArgumentError(f'{what}: kind = "torque" needs gimbal, its name, and no axis')
+    elif gimbal is not None:
+        raise ArgumentError(f'{what}: gimbal belongs to kind = "torque"; kind = "{kind}" needs axis')
+    else:
+        whole(f"{what}: axis", axis, 1, 3)
+
+
 @input_value
 class Vibration:
-    """Random vibration of the base about or along a root axis, with a one-sided power spectral density.
+    """Random vibration of the base, or torque on a gimbal, with a one-sided power spectral density.
 
     Simulated as a sum of `lines` sinusoids at the centres of equal intervals of logarithmic frequency, with phases
     drawn from the run's seed (Shinozuka, J. Acoust. Soc. Am. 49, 1971).
@@ -216,13 +227,15 @@ class Vibration:
     Attributes
     ----------
     kind
-        ``"rate"`` adds to the prescribed Omega (only caged); ``"force"`` adds to the specific force.
-    axis
-        Root axis, 1 to 3.
+        ``"rate"`` adds to the prescribed Omega (only caged); ``"force"`` adds to the specific force; ``"torque"`` acts
+        on a gimbal, against its parent.
+    axis, gimbal
+        Root axis, 1 to 3; of a torque the gimbal's name.
     frequencies_hz : (k,)
         Increasing, Hz.
     densities : (k,)
-        One-sided, (rad/s)²/Hz or (m/s²)²/Hz. Straight lines between the points on logarithmic scales, zero outside.
+        One-sided, (rad/s)²/Hz, (m/s²)²/Hz or (N m)²/Hz. Straight lines between the points on logarithmic scales, zero
+        outside.
     lines
         Number of sinusoids.
 
@@ -232,14 +245,15 @@ class Vibration:
     """
 
     kind: Annotated[VibrationKind, fields.one_of(get_args(VibrationKind))]
-    axis: fields.RootAxis
+    axis: fields.RootAxis | None = None
+    gimbal: fields.Text | None = None
     frequencies_hz: fields.Frequencies
     densities: fields.Densities
     lines: fields.Lines = 64
 
     def __post_init__(self) -> None:
         """Judge the density, and keep it where nobody writes."""
-        whole("Vibration: axis", self.axis, 1, 3)
+        _expect_place("Vibration", self.kind, self.axis, self.gimbal)
         whole("Vibration: lines", self.lines, 1, MOST_LINES)
         points = np.size(self.frequencies_hz)
         for name in ("frequencies_hz", "densities"):
@@ -269,29 +283,30 @@ class Vibration:
 
 @input_value
 class Sine:
-    """A sinusoidal motion of the base about or along a root axis: amplitude sin(2π frequency_hz t + phase).
+    """A sinusoidal motion of the base, or torque on a gimbal: amplitude sin(2π frequency_hz t + phase).
 
     Attributes
     ----------
-    kind, axis
+    kind, axis, gimbal
         As of `Vibration`.
     frequency_hz
         Hz.
     amplitude
-        Peak value, rad/s or m/s².
+        Peak value, rad/s, m/s² or N m.
     phase
         At t = 0, rad.
     """
 
     kind: Annotated[VibrationKind, fields.one_of(get_args(VibrationKind))]
-    axis: fields.RootAxis
+    axis: fields.RootAxis | None = None
+    gimbal: fields.Text | None = None
     frequency_hz: Annotated[float, fields.FREQUENCY]
     amplitude: fields.NotZero
     phase: fields.Number = 0.0
 
     def __post_init__(self) -> None:
         """Judge the numbers."""
-        whole("Sine: axis", self.axis, 1, 3)
+        _expect_place("Sine", self.kind, self.axis, self.gimbal)
         positive("Sine: frequency_hz", self.frequency_hz)
         for name in ("amplitude", "phase"):
             number(f"Sine: {name}", getattr(self, name))

@@ -141,8 +141,8 @@ def prepared(scenario: Scenario, period: float, longest: float) -> Prepared:
         scenario.profile is not None,
         scenario.fade > 0.0,
         None if table is None else (table.t.tobytes(), table.values.tobytes(), table.smooth),
-        tuple((v.kind, v.axis, v.lines, v.frequencies_hz.tobytes()) for v in scenario.vibrations),
-        tuple((sine.kind, sine.axis) for sine in scenario.sines),
+        tuple((v.kind, v.axis, v.gimbal, v.lines, v.frequencies_hz.tobytes()) for v in scenario.vibrations),
+        tuple((sine.kind, sine.axis, sine.gimbal) for sine in scenario.sines),
         tuple(dataclasses.astuple(command) for command in scenario.commands),
         tuple((one.torquer, tuple(one.weights.items()), one.secant_of) for one in scenario.drives),
     )
@@ -223,8 +223,8 @@ def _shared(
         fault = next(member.faults[key] for member in members if key in member.faults)
         place = rotors.index(part) if action <= arrays.RIPPLE else part_of(platform, fault)
         faults.append((action, place, 64 * place + 8 * _STREAM.get(action, 0) + again))
-    lines = [component(v) for v in scenario.vibrations for _ in range(v.lines)]
-    lines += [6 + component(sine) for sine in scenario.sines]
+    lines = [component(platform, v) for v in scenario.vibrations for _ in range(v.lines)]
+    lines += [len(platform.gimbals) + 6 + component(platform, sine) for sine in scenario.sines]
     table = scenario.torque_table if free else scenario.Omega_table
     knots, pieces = np.zeros(0), np.zeros((0, 3, 4))
     if table is not None:
@@ -312,6 +312,7 @@ def _layout(packed: Packed, shared: Shared, one: Prepared, controller: Controlle
         sight=take(sight),
         turns=take(21 * (n + 1)) if one.skeleton.turned else 0,
         table=take(9),
+        pushed=take(3 * n),
         alive=take(1),
         contact=take(1),
         random=take(4),

@@ -427,6 +427,9 @@ def put_lines(scenarios: Sequence[Scenario], rows: FloatArray, half: FloatArray)
             own[:, arrays.TURN + 2 * segment], own[:, arrays.TURN + 2 * segment + 1] = np.cos(turn), np.sin(turn)
 
 
-def component(vibration: Vibration | Sine) -> int:
-    """Return what a vibration adds to: 0 to 2: a component of Omega, 3 to 5: of the specific force."""
-    return vibration.axis - 1 if vibration.kind == "rate" else vibration.axis + 2
+def component(platform: Platform, vibration: Vibration | Sine) -> int:
+    """Return what a vibration adds to: 0 to 2: Omega, 3 to 5: the specific force, 6 + k: the torque on gimbal k."""
+    if vibration.gimbal is not None:
+        return 6 + platform.gimbal(vibration.gimbal)
+    axis = vibration.axis or 1
+    return axis - 1 if vibration.kind == "rate" else axis + 2

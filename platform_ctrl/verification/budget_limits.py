@@ -65,11 +65,11 @@ def judged(
             measured[key, ""] = (found, f"exposure {exposure:g} s, both axes, {linear}")
     for source, own in zip(budget.sources, rms, strict=False):
         measured["limit", source.name] = (across(own), f"both axes, {linear}")
-    found = [
+    judgements = [
         one.judge(measured[key][0], subject=LINE_OF_SIGHT, stage="coupled", evidence=measured[key][1], method="exact")
         for key, one in _requirements(budget)
     ]
-    return tuple(found) if valid else tuple(_not_held(one) for one in found)
+    return tuple(judgements) if valid else tuple(_not_held(one) for one in judgements)
 
 
 def _not_held(one: CheckResult) -> CheckResult:

@@ -63,7 +63,7 @@ MALFORMED = {
     "a vibration's axis": (lambda: vibration(axis=5), "Vibration: axis must be a whole number from 1 to 3, got 5"),
     "a vibration's kind": (
         lambda: vibration(kind="angle"),
-        "Vibration: kind must be 'rate' or 'force', got 'angle'",
+        "Vibration: kind must be 'rate', 'force' or 'torque', got 'angle'",
     ),
     "a vibration from 0 Hz": (
         lambda: vibration(frequencies_hz=np.array([0.0, 9.0])),

@@ -318,7 +318,7 @@ def test_friction_that_is_fed_forward_shakes_by_what_is_left_as_in_the_simulatio
     assert found.total[0] < 30e-6
     assert found.friction is not None
     assert f"less the {friction:.3g} N m that are fed forward" in found.friction.statement[0]
-    assert assumption(found.friction, "") == "linear budget, dry friction less what is fed forward"
+    assert assumption(found.friction, "") == "linear budget, with dry friction less what is fed forward"
 
 
 def test_friction_and_drives_of_loops_that_take_turns_are_those_of_their_mean(

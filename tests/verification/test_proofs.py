@@ -198,6 +198,8 @@ def test_an_unstable_loop_is_not_certified() -> None:
     loop |= {
         "use": "classical",
         "design": [{"name": "classical", "method": "classical", "crossover_hz": 400, "damping_hz": 1}],
+        "limits": {"bandwidth_hz": 20},
+        "soft": {},
     }
     job = pc.read_job(data | {"loop": [loop], "operation": {"Omega": [0.0, 0.0, 0.0]}})
     with pytest.raises(NotCertifiedError, match="the closed loop grows at"):

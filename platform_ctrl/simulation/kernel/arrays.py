@@ -78,7 +78,8 @@ class Shared(NamedTuple):
     targets: NDArray[np.int64]  # (nu,): index into [M, Q]
     faults: NDArray[np.int64]  # (nf, 3): kind; sensor, torquer, gimbal or row of `rotors`; channel of its draws
     rotors: NDArray[np.int64]  # (nr, 2): body; servo rotor or -1
-    lines: NDArray[np.int64]  # (nl,): component 0 to 2 of Omega, 3 to 5 of the specific force; 6 more: phase is given
+    # (nl,): component 0 to 2 of Omega, 3 to 5 of the specific force, 6 + k: torque on gimbal k; n + 6 more: phase given
+    lines: NDArray[np.int64]
     # (nx + nu + nd + 1 + nc + 2 nd,): rows of the controllers [A B; C D] and of the rates of the nd drives, stored
     # without zeros; the sensor of every command; of each drive its torquer, and its sensor of an angle or -1. Columns
     # of B and D: sensors, then commands. Where some controllers are computed at every n-th sample there follow the rows
@@ -128,6 +129,7 @@ class Layout(NamedTuple):
     sight: int  # rates, and angles, of the line of sight at the sample
     turns: int  # every body's rotation since t = 0; inertial axes in its axes, and at t = 0; 0: nothing reads it
     table: int  # three rows of the time table's torque
+    pushed: int  # rows of torques on the gimbals from outside, one for each block of the surroundings
     alive: int
     contact: int  # whether any gimbal lies on a stop
     random: int

@@ -143,8 +143,9 @@ def put_torques(shared: Shared, mem: FloatArray, lane: int, at: At, layout: Layo
     T = at.surroundings + row * at.block
     for i in range(3):
         store(mem, T + i, lane, load(mem, layout.table + 3 * row + i, lane))
+    pushed = layout.pushed + row * at.n - 3
     for i in range(3, at.n + 3):
-        store(mem, T + i, lane, load(mem, layout.steady + i, lane))
+        store(mem, T + i, lane, load(mem, layout.steady + i, lane) + load(mem, pushed + i, lane))
     for i in range(shared.targets.shape[0]):
         target = T + shared.targets[i]
         torque = load(mem, layout.torquer + i * TORQUER + TORQUE, lane)

@@ -270,7 +270,7 @@ def _begin(
     hold_equilibrium(shared, mem, lane, layout)
     begin_surroundings(shared, mem, lane, at, layout)
     for j in range(shared.lines.shape[0]):
-        if shared.lines[j] >= 6:
+        if shared.lines[j] >= n + 6:
             continue
         uniforms(keys, mem, lane, j, PHASE_OF_LINE + j, layout.random)
         c, s = cosine_and_sine(2.0 * math.pi * load(mem, layout.random, lane))

@@ -1,4 +1,4 @@
-"""What acts on the plant besides the torquers at an instant: motion of the base, rotors' speeds."""
+"""What acts on the plant besides the torquers at an instant: motion of the base, torques on gimbals, rotors' speeds."""
 
 from __future__ import annotations
 
@@ -166,6 +166,8 @@ def hand_on(shared: Shared, mem: FloatArray, lane: int, at: At, layout: Layout, 
     if shared.lines.shape[0] > 0:
         for i in range(n + 6, n + 9):
             store(mem, block + i, lane, load(mem, end + i, lane))
+        for i in range(n):
+            store(mem, layout.pushed + i, lane, load(mem, layout.pushed + 2 * n + i, lane))
     if at.course != 0:
         for i in range(n + 9, 4 * n + 12):
             store(mem, block + i, lane, load(mem, end + i, lane))
@@ -211,6 +213,8 @@ def surround(
     if shared.lines.shape[0] > 0:
         for i in range(3):
             store(mem, force + i, lane, load(mem, layout.steady + n + 6 + i, lane))
+        for i in range(n):
+            store(mem, layout.pushed + row * n + i, lane, zero)
         there = zero + 1.0
         if layout.fade != 0:
             there = _faded(mem, lane, layout, t)
@@ -223,7 +227,9 @@ def surround(
                 c, s = c * c_turn - s * s_turn, s * c_turn + c * s_turn
                 store(mem, slot + PHASE, lane, c)
                 store(mem, slot + PHASE + 1, lane, s)
-            component = shared.lines[j] % 6
+            component = shared.lines[j] % (n + 6)
             if component >= 3 or not free:
                 target = Omega + component  # the slots of the specific force follow those of Omega
+                if component >= 6:
+                    target = layout.pushed + row * n + component - 6
                 store(mem, target, lane, load(mem, target, lane) + there * load(mem, slot + AMPLITUDE, lane) * c)
