@@ -10,6 +10,7 @@ import numpy as np
 from platform_ctrl.analysis.arrays import StateArrays, seen_states
 from platform_ctrl.analysis.between_samples import (
     ClosedResponses,
+    Instants,
     LoopResponses,
     PlantResponses,
     SlowerResponses,
@@ -175,10 +176,15 @@ def sampled_plants(
     often = {one.name: every for one in linear.sensors} | {one.name: 1 for one in linear.signals.fed} | dict(used or {})
     late = [0 if one is None else one.periods_late(sampling.period, often[one.name]) for one in shown]
     states += late_states(["" if one is None else one.name for one in shown], late)
-    responses: LoopResponses = _responses(linear, continuous, arrays, late, lags, sampling)
+    at = instants(sampling.period, sampling.delay)
+    times = np.append(0.0, at.times)
+    shown_between = continuous.part(slice(p + q), slice(None))
+    seen = rows_between(shown_between, sampling.period, sampling.delay, lags, times)
+    responses: LoopResponses = _responses(linear, continuous, arrays, late, [one[:, p + q :] for one in seen], at)
     # Readings, line of sight, the readings' signals between samples, and last what drives feed back.
-    times = np.append(0.0, instants(sampling.period, sampling.delay).times)[: None if every < _SLOW_LOOP else 1]
-    C_seen, D_seen = rows_between(continuous.part(slice(p), slice(None)), sampling.period, sampling.delay, lags, times)
+    times = times[: None if every < _SLOW_LOOP else 1]
+    rows = [k * (p + q) + j for k in range(len(times)) for j in range(p)]
+    C_seen, D_seen = (one[:, rows] for one in seen)
     D = np.concatenate([arrays.D, D_Omega], axis=-1)
     D_seen = np.concatenate([D_seen, np.tile(D_Omega[:, :p], (1, len(times), 1))], axis=-1)
     whole = late_outputs(
@@ -222,16 +228,17 @@ def _responses(
     continuous: StateArrays,
     arrays: StateArrays,
     late: Sequence[int],
-    lags: FloatArray,
-    sampling: Sampling,
+    seen: Sequence[FloatArray],
+    at: Instants,
 ) -> PlantResponses:
-    """Return what disturbances do to plants that are set at every sample; `arrays` are `continuous` sampled."""
+    """Return what disturbances do to plants that are set at every sample.
+
+    `arrays` are `continuous` sampled, `seen` C and D of the readings' signals and the line of sight at instants.
+    """
     m, p, q = len(linear.torquers), len(linear.sensors), len(linear.signals.sight)
     shares = np.array([one.torque for one in linear.cases])[:, None, :]
     shares = np.where(shares > 0.0, shares, 1.0)
-    at = instants(sampling.period, sampling.delay)
-    of_rows = continuous.part(slice(p + q), slice(None))
-    C, D = rows_between(of_rows, sampling.period, sampling.delay, lags, at.times)
+    C, D = seen
     D_rate = np.concatenate([linear.D_Omega, linear.D_sight[..., m:]], axis=1)
     return PlantResponses(
         # Torques that add are not those of torquers, which may be weak.
