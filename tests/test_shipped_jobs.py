@@ -135,13 +135,19 @@ def test_every_claim_of_every_shipped_design_is_proved(path):
     for outcome in result.loops:
         for made in outcome.designs:
             assert made.unproved == ()
-            if made.plants is not None:
+            if made.measures is not None and made.measures.free_angles:
+                # Nothing holds an angle: a pole at z = 1, which no interval shows to be stable.
+                assert made.certificates == ()
+            elif made.plants is not None:
                 stable = [one for one in made.certificates if one.claim == "stability"]
                 assert [one.loops[0].label for one in stable] == list(made.plants.labels)
             for certificate in made.certificates:
                 found = certificate.verify()
                 assert found.proved, found
     together = result.proofs["", ""]
+    if not together.of:
+        assert set(result.coupled.free_angles) & set(result.coupled.plant.state_labels)
+        return
     assert (together.proved, together.of) == (1, 1)
     shown = [one for one in result.requirements if one.name == "certified properties"]
     assert [one.value for one in shown] == [1.0] * len(shown)
@@ -154,6 +160,8 @@ def test_what_is_proved_is_what_is_claimed(path):
     result, _ = shipped(path)
     for made in [d for outcome in result.loops for d in outcome.designs if d.measures is not None]:
         assert made.measures is not None
+        if made.measures.free_angles:
+            continue
         for certificate, rate in zip(made.certificates, made.measures.decay, strict=False):
             assert 0.4 * rate < certificate.bound < rate
         torques, pickoffs = [

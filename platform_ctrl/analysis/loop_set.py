@@ -257,7 +257,8 @@ class LoopSet:
             loop = self.following.at(k).part(slice(self.p), slice(None))
             return loop._replace(C=-loop.C, D=transfer.direct * np.eye(self.p) - loop.D)
         m, p = self.m, self.p
-        assert not self.between(transfer), "what continuous disturbances do is not rational in z: see `gain_at`"
+        if self.between(transfer):
+            raise TypeError("what continuous disturbances do is not rational in z: see `gain_at`")
         columns = slice(0, m) if transfer.source == "torque" else slice(m, m + p)
         rows = slice(0, m) if transfer.target == "torque" else slice(m, m + p)
         found = self.own_arrays.at(k).part(rows, columns)

@@ -378,7 +378,9 @@ def job_signals(job: Job, loop: LoopSpec | tuple[str, ...]) -> LoopSignals:
     if signals.held:
         passive = job.passive_gimbals
     else:
-        free = job.passive_gimbals
+        # A gimbal with a torquer could be caged as well: left out, the loop cuts through a subsystem.
+        driven = {torquer.gimbal for torquer in platform.torquers}
+        free = tuple(name for name in job.passive_gimbals if name not in driven)
         groups = subsystems_over(platform, job.Omega, job.Omega_grid) if free else ()
         own = {name for group in groups if set(group) & set(signals.gimbals) for name in group}
         passive = tuple(name for name in free if name in own)

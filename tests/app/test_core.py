@@ -76,7 +76,7 @@ def test_quick_plants_are_those_of_the_job(bench: Backend, gimbals: tuple[str, .
     moved = dataclasses.replace(job, platform=with_spins(job.platform, spins), sampling=sampling, Omega=Omega)
     expected, found = loop_plants(moved, gimbals), quick.plants(spins, sampling, Omega)
     assert found.labels == expected.labels
-    for name in ("A", "B", "C", "D", "B_Omega", "response", "Omega_response"):
+    for name in ("A", "B", "C", "D", "B_Omega", "response", "C_between"):
         ours, theirs = getattr(found, name), getattr(expected, name)
         assert np.abs(ours - theirs).max() <= 1e-9 * np.abs(theirs).max(), name
 

@@ -78,6 +78,9 @@ def expected(job: Job, path: Place) -> set[tuple[int, int]]:
     if name == "use":
         return used | around
     own = {(i, k) for i, k in everything if i == loop}
+    if name in ("gimbals", "torquers"):
+        # What a loop turns is not passive in the plants of the others.
+        return everything
     return own if name in ("limits", "soft") else own | around
 
 

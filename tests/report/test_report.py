@@ -833,7 +833,7 @@ def test_the_arc_of_the_fastest_pole_is_its_circle_in_the_w_plane(radius: float)
 def test_the_share_of_torque_peaks_at_the_value_of_the_requirement(responses: LoopResponses) -> None:
     for one in responses.designs:
         [asked] = [r for r in one.design.results if r.name.startswith("torque at full Omega")]
-        assert one.gains["torque limit"].max() == pytest.approx(asked.value, rel=1e-8)
+        assert one.gains["torque limit"].max() == pytest.approx(asked.value, rel=1e-5)
 
 
 def test_captions_have_peaks_that_every_grid_misses() -> None:

@@ -1,0 +1,234 @@
+"""Jobs that once passed although their loops do not do what is asked: what is wrong is said, and nothing passes.
+
+The jobs in tests/data/wrong_verdicts are of one-axis cameras with assumed numbers.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import platform_ctrl as pc
+from continuous_loop import ContinuousLoop
+from platform_ctrl import design
+from platform_ctrl.analysis.arrays import state_arrays
+from platform_ctrl.errors import InputError
+from platform_ctrl.job.job import Job
+from platform_ctrl.job.judging import CheckResult
+from platform_ctrl.verification import check_job
+
+HERE = Path(__file__).parents[1] / "data" / "wrong_verdicts"
+
+
+def data(name: str) -> dict[str, Any]:
+    return tomllib.loads((HERE / f"{name}.toml").read_text(encoding="utf-8"))
+
+
+def results(job: Job) -> dict[tuple[str, str], CheckResult]:
+    found = check_job(job, design.loops(job))
+    return {(one.stage, one.name): one for one in found.requirements}
+
+
+def test_a_rate_loop_against_a_spring_leaves_what_the_spring_takes() -> None:
+    """1 - T(0) = k/(k + K_I), K_I = J w_c w_i; behind a ramp the error grows without bound."""
+    read = pc.read_job(data("steady"))
+    found = results(read)
+    outcome = design.loops(read)[0].closed
+    K = state_arrays(outcome.controller, "K")
+    # A step of the command, by the sampled loop in state space and by its value at zero frequency.
+    A = np.array([[0.0, 1.0], [-40.0, -0.1]])
+    plant = (A, [[0.0], [100.0]], [[-1.0], [0.1]], [[0.0, 1.0]], [[0.0, 1.0]], [[0.0]], [[0.0]])
+    loop = ContinuousLoop(plant, K, 5e-4, delay=1e-4)
+    w = np.array([1e-3])
+    left = abs(1.0 / (1.0 - loop.sampled_plant(w) @ loop.controller(w)))[0, 0, 0]
+    assert left == pytest.approx(0.2025, abs=2e-4)
+    assert found["decoupled", "steady-state error"].value == pytest.approx(left, rel=1e-4)
+    assert found["decoupled", "ramp error"].value == np.inf
+    band = 2.0 * np.pi * np.geomspace(1e-4, 0.02, 200)
+    expected = -20.0 * np.log10(loop.gain(band).max())
+    assert found["decoupled", "attenuation of base motion"].value == pytest.approx(expected, abs=0.01)
+    assert expected == pytest.approx(13.87, abs=0.01)
+    assert not any(found["decoupled", name].passed for name in ("steady-state error", "ramp error"))
+    stable = found["coupled", "minimum decay rate"]
+    assert stable.passed
+    assert "nothing holds the angle pitch: it drifts" in stable.evidence
+
+
+def test_a_pointing_loop_against_a_spring_lags_a_ramp_by_k_over_its_integral_gain() -> None:
+    raw = data("steady")
+    raw["plant"]["attitude_sensor"] = [{"name": "track", "body": "pitch", "axis": [0, 1, 0]}]
+    raw["loop"][0] |= {
+        "kind": "pointing",
+        "sensors": ["track"],
+        "limits": {"ramp_error": 1.0, "steady_error": 0.01},
+        "use": "classical",
+        "design": [{"name": "classical", "method": "classical", "inertial_crossover_hz": 20, "integral_hz": 0.2}],
+    }
+    read = pc.read_job(raw)
+    found = results(read)
+    K = state_arrays(design.loops(read)[0].closed.controller, "K")
+    z = 1.0 + 1e-7
+    integral = 1e-7 / 5e-4 * abs((K.C @ np.linalg.solve(z * np.eye(len(K.A)) - K.A, K.B) + K.D)[0, 0])
+    assert found["decoupled", "steady-state error"].value == 0.0
+    assert found["decoupled", "ramp error"].value == pytest.approx(0.4 / integral, rel=1e-3)
+    assert found["decoupled", "ramp error"].value > 1e-3
+
+
+def test_a_loop_that_grows_slowly_is_not_stable() -> None:
+    read = pc.read_job(data("unstable-loop"))
+    with pytest.raises(pc.PlatformCtrlError, match=r"grows at 0\.0896 1/s"):
+        design.loops(read)
+
+
+def test_a_gimbal_without_a_loop_that_falls_over_fails_the_coupled_check() -> None:
+    """k = -5 N m/rad, J = 0.03 kg m²: it grows at 12.9 1/s."""
+    found = results(pc.read_job(data("free-gimbal")))
+    stable = found["coupled", "minimum decay rate"]
+    assert stable.value == pytest.approx(-np.sqrt(5.0 / 0.03), rel=1e-6)
+    assert not stable.passed
+    assert "no loop acts on outer: it moves away by itself" in stable.evidence
+
+
+def test_a_gimbal_is_locked_where_the_job_says_so_and_the_verdict_says_it_too() -> None:
+    raw = data("free-gimbal")
+    raw["operation"]["locked"] = ["outer"]
+    raw["loop"][0]["limits"].pop("disk_margin_worst_case")
+    read = pc.read_job(raw)
+    assert read.platform.gimbal_names == ("pitch",)
+    np.testing.assert_allclose(read.platform.root_inertia, np.diag([10.02, 10.02, 10.02]))
+    found = check_job(read, design.loops(read))
+    assert found.passed
+    assert "outer is locked" in found.assumptions
+    raw["operation"]["locked"] = ["inner"]
+    with pytest.raises(InputError, match=r'locked: "inner" is no gimbal of the plant; .*"?outer'):
+        pc.read_job(raw)
+    raw["operation"]["locked"] = ["pitch"]
+    with pytest.raises(InputError, match=r'gimbals: "pitch" is locked in \[operation\]'):
+        pc.read_job(raw)
+
+
+def with_a_mode(held: bool) -> dict[str, Any]:
+    """A camera on a flexure of 85 Hz, a passive gimbal about the same axis: the motor pushes between the two."""
+    raw = data("settle")
+    plant = raw["plant"]
+    plant["friction"] = [{"gimbal": "flexure", "viscous": 0.1}, {"gimbal": "pitch", "viscous": 0.001}]
+    J = 0.004
+    plant["gimbal"] = [
+        {"name": "flexure", "parent": "base", "axis": [0, 1, 0], "inertia": [J, J, J]},
+        {"name": "pitch", "parent": "flexure", "axis": [0, 1, 0], "inertia": [0.01, 0.01, 0.01]},
+    ]
+    stiffness = (2.0 * np.pi * 85.0) ** 2 * J
+    plant["spring"] = [{"gimbal": "flexure", "stiffness": stiffness}]
+    plant.pop("unbalance")
+    raw.pop("manoeuvre")
+    raw["operation"] = {"Omega": [0.3, 0.3, 0.3]} | ({"locked": ["flexure"]} if held else {})
+    raw["loop"][0]["limits"] = {"disk_margin": 0.3}
+    raw["loop"][0]["design"][0]["crossover_hz"] = 20.0
+    return raw
+
+
+def test_a_mode_that_is_a_passive_gimbal_takes_part_in_the_loop() -> None:
+    """The disk margin by brute force on the two coupled bodies, and on the locked one."""
+    margins = {}
+    for held in (False, True):
+        read = pc.read_job(with_a_mode(held))
+        outcome = design.loops(read)[0].closed
+        K = state_arrays(outcome.controller, "K")
+        # [flexure, pitch] and their rates: M q'' + D q' + k q = [0, Q]; the gyro sees both rates.
+        M = np.array([[0.014, 0.01], [0.01, 0.01]])
+        D, k = np.diag([0.1, 0.001]), np.diag([(2.0 * np.pi * 85.0) ** 2 * 0.004, 0.0])
+        if held:
+            M, D, k = M[1:, 1:], D[1:, 1:], k[1:, 1:]
+        n = len(M)
+        inverse = np.linalg.inv(M)
+        w = 2.0 * np.pi * 262.0
+        A = np.zeros((2 * n + 2, 2 * n + 2))
+        A[:n, n : 2 * n] = np.eye(n)
+        A[n : 2 * n, : 2 * n] = np.hstack([-inverse @ k, -inverse @ D])
+        A[-2, -1], A[-1, -2:] = w, (-w, -np.sqrt(2.0) * w)
+        A[-1, n : 2 * n] = w
+        B = np.zeros((2 * n + 2, 1))
+        B[n : 2 * n, 0] = inverse[:, -1]
+        C = np.eye(1, 2 * n + 2, 2 * n)
+        none = np.zeros((2 * n + 2, 1))
+        loop = ContinuousLoop((A, B, none, C, C, [[0.0]], [[0.0]]), K, 1e-3, delay=2e-4, lag=[3e-4], late=[1])
+        f = np.geomspace(1.0, np.pi / 1e-3, 200_000)
+        S = 1.0 / (1.0 - (loop.sampled_plant(f) @ loop.controller(f))[:, 0, 0])
+        margins[held] = 1.0 / np.abs(S - 0.5).max()
+        assert outcome.measures.disk_margin[0] == pytest.approx(margins[held], rel=1e-4)
+        assert np.abs(loop.poles()).max() < 1.0 + 1e-9
+    assert margins[False] < 0.9 * margins[True]
+
+
+UNEXERCISED = {
+    "command table after the end": "value stays zero before the run ends",
+    "Omega_table after the end": "Omega_table: Omega1, Omega2, Omega3 stay zero before the run ends",
+    "fault after the end": "faults: 'f' happens at 100 s, and not before the run ends",
+    "initial zero": "initial: all of it is zero",
+    "sine at twice the step rate": "frequency_hz = 20000: samples at 1000 Hz see it at one and the same phase",
+}
+
+
+@pytest.mark.parametrize("name", UNEXERCISED)
+def test_what_happens_after_the_end_or_never_is_a_mistake(name: str) -> None:
+    raw = data("after-the-end")
+    raw["manoeuvre"] = [one for one in raw["manoeuvre"] if one["name"] == name]
+    with pytest.raises(InputError) as caught:
+        pc.read_job(raw)
+    assert UNEXERCISED[name] in str(caught.value)
+
+
+def test_a_mean_over_one_sample_is_a_mistake() -> None:
+    with pytest.raises(InputError, match="settle leaves 1e-07 s of the run, less than 20 samples"):
+        pc.read_job(data("settle"))
+
+
+def changed(**changes: Any) -> dict[str, Any]:
+    raw = data("settle")
+    raw.pop("manoeuvre")
+    loop = raw["loop"][0]
+    loop["limits"] = changes.pop("limits")
+    for kind in ("pickoff", "rate_sensor"):
+        for sensor in raw["plant"][kind] if changes.pop("silent", False) else ():
+            for key in ("noise_rms", "noise_density"):
+                sensor.pop(key, None)
+    if changes.pop("unlimited", False):
+        raw["plant"]["torquer"][0].pop("limit")
+    return raw | changes
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"limits": {"torque_limit": 1.0}, "unlimited": True}, "torque_limit does not count torquer Qpitch"),
+        ({"limits": {"torque_noise": 1.0}, "silent": True}, None),
+        ({"limits": {"disk_margin_worst_case": 0.3}, "uncertainty": {}, "operation": {"Omega": [0, 0, 0]}}, "differ"),
+        ({"limits": {"Omega_rejection": 0.3}, "operation": {"Omega": [0, 0, 0]}}, "the platform never turns"),
+        ({"limits": {"torque_limit": 0.3}, "operation": {"Omega": [0, 0, 0]}}, "the platform never turns"),
+    ],
+)
+def test_a_limit_that_cannot_be_missed_is_a_mistake(changes: dict[str, Any], words: str | None) -> None:
+    if words is None:
+        raw = changed(**changes)
+        for sensor in raw["plant"]["rate_sensor"]:
+            sensor.pop("noise_density", None)
+        words = "no sensor of this loop has noise"
+    else:
+        raw = changed(**changes)
+    with pytest.raises(InputError, match=words):
+        pc.read_job(raw)
+
+
+def test_a_sine_faster_than_the_substep_is_followed() -> None:
+    """Its own substep follows it, whatever the longest one is."""
+    raw = data("after-the-end")
+    raw["manoeuvre"] = raw["manoeuvre"][-1:]
+    raw["manoeuvre"][0]["sine"][0]["frequency_hz"] = 19_913.0
+    read = pc.read_job(raw)
+    run = check_job(read, design.loops(read)).runs[0]
+    assert run.trajectory.step == pytest.approx(1.0 / (6.0 * 19_913.0))
+    assert np.abs(run.trajectory.Omega[:, 1]).max() == pytest.approx(5.0, rel=0.01)
