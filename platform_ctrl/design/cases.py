@@ -178,9 +178,12 @@ def _moved(
     return " ".join(words), out
 
 
-def subsystems_over(platform: Platform, Omega: FloatArray, grid: int) -> tuple[tuple[str, ...], ...]:
+def subsystems_over(
+    platform: Platform, Omega: FloatArray, grid: int, q: FloatArray | None = None
+) -> tuple[tuple[str, ...], ...]:
     """Return the groups of gimbals that are coupled at rest or on a grid of platform rates, in the file's order."""
-    return subsystems_of_all([linearise(platform, Omega=rate) for rate in [(0.0, 0.0, 0.0), *_rates(Omega, grid)]])
+    rates = [(0.0, 0.0, 0.0), *_rates(Omega, grid)]
+    return subsystems_of_all([linearise(platform, Omega=rate, q=q) for rate in rates])
 
 
 def _samples(job: Job, dimension: int) -> list[list[float]]:

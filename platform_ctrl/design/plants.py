@@ -375,21 +375,27 @@ def job_signals(job: Job, loop: LoopSpec | tuple[str, ...]) -> LoopSignals:
     platform = job.platform
     signals = loop_signals(platform, loop) if isinstance(loop, LoopSpec) else caging_signals(platform, loop)
     torquers = {torquer.name for torquer in signals.torquers}
-    if signals.held:
-        passive = job.passive_gimbals
-    else:
-        # A gimbal with a torquer could be caged as well: left out, the loop cuts through a subsystem.
-        driven = {torquer.gimbal for torquer in platform.torquers}
-        free = tuple(name for name in job.passive_gimbals if name not in driven)
-        groups = subsystems_over(platform, job.Omega, job.Omega_grid) if free else ()
-        own = {name for group in groups if set(group) & set(signals.gimbals) for name in group}
-        passive = tuple(name for name in free if name in own)
+    passive = _passive(job, signals)
     # What turns with the root feeds nothing back: it takes from what friction brings in.
     moved = signals.held and friction_rate(job) > 0.0
     laws = [law for law in job.drive_laws if law.torquer in torquers and (law.feedback or moved)]
     read = {name for law in laws for name in law.weights}
     fed = tuple(one for one in platform.sensors if one.name in read)
     return dataclasses.replace(signals, fed=fed, passive=passive)
+
+
+def _passive(job: Job, signals: LoopSignals) -> tuple[str, ...]:
+    """Return the gimbals that no loop turns and that are coupled with those of a loop at any angles or rates."""
+    # A gimbal with a torquer could be caged as well: left out, the loop cuts through a subsystem.
+    driven = set() if signals.held else {torquer.gimbal for torquer in job.platform.torquers}
+    free = [name for name in job.passive_gimbals if name not in driven]
+    if not free:
+        return ()
+    own: set[str] = set()
+    for q in job.trims:
+        for group in subsystems_over(job.platform, job.Omega, job.Omega_grid, q):
+            own |= set(group) if set(group) & set(signals.gimbals) else set()
+    return tuple(name for name in free if name in own)
 
 
 def _with_drives(whole: StateArrays, linear: LinearPlants) -> StateArrays:
@@ -419,7 +425,7 @@ def _loop_plants(job: Job, signals: LoopSignals, every: int, used: Mapping[str, 
 
 def loop_cases(job: Job, signals: LoopSignals) -> list[Case]:
     """Return the plants that a loop with these signals must control, the nominal one first."""
-    plants = cases(job, signals.gimbals, [torquer.name for torquer in signals.torquers])
+    plants = cases(job, (*signals.gimbals, *signals.passive), [torquer.name for torquer in signals.torquers])
     if signals.held:
         # These loops keep a body still while the platform turns about it: its rate is a disturbance, no constant at
         # which the gimbals rest. Friction brings it in.

@@ -111,57 +111,55 @@ def test_a_gimbal_is_locked_where_the_job_says_so_and_the_verdict_says_it_too() 
         pc.read_job(raw)
 
 
+LENS, STIFFNESS = 0.004, (2.0 * np.pi * 85.0) ** 2 * 0.004
+
+
 def with_a_mode(held: bool) -> dict[str, Any]:
-    """A camera on a flexure of 85 Hz, a passive gimbal about the same axis: the motor pushes between the two."""
+    """A camera whose lens is a passive gimbal about the same axis on a flexure: 85 Hz with the camera held."""
     raw = data("settle")
     plant = raw["plant"]
-    plant["friction"] = [{"gimbal": "flexure", "viscous": 0.1}, {"gimbal": "pitch", "viscous": 0.001}]
-    J = 0.004
+    plant["friction"] = [{"gimbal": "lens", "viscous": 0.05}, {"gimbal": "pitch", "viscous": 0.001}]
     plant["gimbal"] = [
-        {"name": "flexure", "parent": "base", "axis": [0, 1, 0], "inertia": [J, J, J]},
-        {"name": "pitch", "parent": "flexure", "axis": [0, 1, 0], "inertia": [0.01, 0.01, 0.01]},
+        {"name": "pitch", "parent": "base", "axis": [0, 1, 0], "inertia": [0.01, 0.01, 0.01]},
+        {"name": "lens", "parent": "pitch", "axis": [0, 1, 0], "inertia": [LENS, LENS, LENS]},
     ]
-    stiffness = (2.0 * np.pi * 85.0) ** 2 * J
-    plant["spring"] = [{"gimbal": "flexure", "stiffness": stiffness}]
+    plant["spring"] = [{"gimbal": "lens", "stiffness": STIFFNESS}]
     plant.pop("unbalance")
     raw.pop("manoeuvre")
-    raw["operation"] = {"Omega": [0.3, 0.3, 0.3]} | ({"locked": ["flexure"]} if held else {})
+    raw["operation"] = {"Omega": [0.3, 0.3, 0.3]} | ({"locked": ["lens"]} if held else {})
     raw["loop"][0]["limits"] = {"disk_margin": 0.3}
-    raw["loop"][0]["design"][0]["crossover_hz"] = 20.0
+    raw["loop"][0]["design"][0]["crossover_hz"] = 10.0
     return raw
 
 
 def test_a_mode_that_is_a_passive_gimbal_takes_part_in_the_loop() -> None:
-    """The disk margin by brute force on the two coupled bodies, and on the locked one."""
+    """The disk margin by brute force on the two coupled bodies, and with the lens locked."""
     margins = {}
     for held in (False, True):
         read = pc.read_job(with_a_mode(held))
         outcome = design.loops(read)[0].closed
         K = state_arrays(outcome.controller, "K")
-        # [flexure, pitch] and their rates: M q'' + D q' + k q = [0, Q]; the gyro sees both rates.
-        M = np.array([[0.014, 0.01], [0.01, 0.01]])
-        D, k = np.diag([0.1, 0.001]), np.diag([(2.0 * np.pi * 85.0) ** 2 * 0.004, 0.0])
-        if held:
-            M, D, k = M[1:, 1:], D[1:, 1:], k[1:, 1:]
-        n = len(M)
-        inverse = np.linalg.inv(M)
-        w = 2.0 * np.pi * 262.0
+        # [pitch, lens] and their rates: M q'' + D q' + k q = [Q, 0]; the gyro sees the first.
+        n = 1 if held else 2
+        M = np.array([[0.01 + LENS, LENS], [LENS, LENS]])[:n, :n]
+        D, k = np.diag([0.001, 0.05])[:n, :n], np.diag([0.0, STIFFNESS])[:n, :n]
+        inverse, w = np.linalg.inv(M), 2.0 * np.pi * 262.0
         A = np.zeros((2 * n + 2, 2 * n + 2))
         A[:n, n : 2 * n] = np.eye(n)
         A[n : 2 * n, : 2 * n] = np.hstack([-inverse @ k, -inverse @ D])
-        A[-2, -1], A[-1, -2:] = w, (-w, -np.sqrt(2.0) * w)
-        A[-1, n : 2 * n] = w
-        B = np.zeros((2 * n + 2, 1))
-        B[n : 2 * n, 0] = inverse[:, -1]
+        A[-2, -1], A[-1, -2], A[-1, -1] = w, -w, -np.sqrt(2.0) * w
+        A[-1, n] = w
+        B, none = np.zeros((2 * n + 2, 1)), np.zeros((2 * n + 2, 1))
+        B[n : 2 * n, 0] = inverse[:, 0]
         C = np.eye(1, 2 * n + 2, 2 * n)
-        none = np.zeros((2 * n + 2, 1))
         loop = ContinuousLoop((A, B, none, C, C, [[0.0]], [[0.0]]), K, 1e-3, delay=2e-4, lag=[3e-4], late=[1])
         f = np.geomspace(1.0, np.pi / 1e-3, 200_000)
         S = 1.0 / (1.0 - (loop.sampled_plant(f) @ loop.controller(f))[:, 0, 0])
         margins[held] = 1.0 / np.abs(S - 0.5).max()
-        assert outcome.measures.disk_margin[0] == pytest.approx(margins[held], rel=1e-4)
         assert np.abs(loop.poles()).max() < 1.0 + 1e-9
-    assert margins[False] < 0.9 * margins[True]
+        assert outcome.measures is not None
+        assert outcome.measures.disk_margin[0] == pytest.approx(margins[held], rel=1e-4)
+    assert margins[False] < 0.6 * margins[True]
 
 
 UNEXERCISED = {
