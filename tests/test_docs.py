@@ -258,7 +258,8 @@ def test_the_result_page_names_every_key_that_is_written() -> None:
 
     examples = [tomllib.loads(block) for block in blocks(ROOT / "docs" / "job-file.md", "toml")]
     data = next(example for example in examples if "schema" in example)
-    data |= {"uncertainty": {}, "operation": {"Omega": [0.0, 0.0, 0.0]}}
+    data |= {"operation": {"Omega": [1.0, 0.0, 0.0]}}
+    data["uncertainty"] = {"spin": 0.1}
     data["loop"][0]["design"] = [
         {"name": "one", "method": "classical", "crossover_hz": 40.0},
         {"name": "two", "method": "classical", "crossover_hz": 30.0},

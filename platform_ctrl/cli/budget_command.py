@@ -70,7 +70,9 @@ def budget(
 
     with progress(quiet or as_json, f"reading {job}") as say:
         read = job_of(job)
+        from platform_ctrl.common.values import replaced
         from platform_ctrl.verification.budget import expect_budget, line_of_sight_budget
+        from platform_ctrl.verification.budget_limits import by_simulation
 
         expect_budget(read)
         closed, alternatives = _controllers(read, job, controllers, say)
@@ -78,6 +80,8 @@ def budget(
         found = line_of_sight_budget(read, closed)
         others = _others(read, closed, alternatives, say)
         runs = _simulated(read, closed, simulate, seed, say)
+        if runs is not None:
+            found = replaced(found, {"results": by_simulation(found.results, runs)})
     if as_json:
         from platform_ctrl.common.json_text import json_text
         from platform_ctrl.verification.records import budget_record
