@@ -60,7 +60,7 @@ def nutation_figure(result: JobResult) -> Figure | None:
 
     A Campbell diagram with the parameter uncertainty of the rotors' speed and the bandwidths of the loops.
     """
-    if not nutates(result.model, result.subsystems):
+    if not nutates(result.model, result.model.gimbal_names):
         return None
     figure = campbell(result.job.platform, spins=_SPINS)
     axes = figure.axes[0]

@@ -342,7 +342,7 @@ def _caging_plates(model: LinearModel, outcome: LoopOutcome, palette: Mapping[st
         plate(
             loop_transfer_figure(responses, spec, plants.torques, plants.nutation),
             "Loop transfer",
-            sentences("loop_transfer", outcome=outcome, nutates=nutates(model, [spec.gimbals])),
+            sentences("loop_transfer", outcome=outcome, nutates=nutates(model, spec.gimbals)),
         ),
     ]
     if not captions.unstable(outcome.closed):
