@@ -66,7 +66,16 @@ class ExportCommand:
 
     def __call__(self, job: Path, controllers: Path | None, as_json: bool, quiet: bool, **options: Any) -> int:
         """Write what the options ask for, and return the exit code."""
-        from platform_ctrl.cli.atomic_output import all_or_none, own_files, sha256, write_folder_record
+        from contextlib import ExitStack
+
+        from platform_ctrl.cli.atomic_output import (
+            expect_own,
+            own_files,
+            sha256,
+            write_folder_record,
+            written_together,
+        )
+        from platform_ctrl.cli.interrupts import interrupts_deferred
         from platform_ctrl.cli.terminal import progress
         from platform_ctrl.common.json_text import json_text
 
@@ -87,16 +96,22 @@ class ExportCommand:
                 "controllers": None if file is None else {"file": str(file), "sha256": work.controller_sha256},
             }
             made: dict[Exporter, list[Path]] = {}
-            with all_or_none() as stage:
+            with ExitStack() as all_or_none:
                 for exporter, target in chosen.items():
                     say(f"writing {target}")
-                    path = stage.file(target) if exporter.suffix else stage.folder(target, owned[exporter])
+                    folder = target.parent if exporter.suffix else target
+                    unfinished = all_or_none.enter_context(written_together(folder))
+                    path = unfinished / target.name if exporter.suffix else unfinished
                     exporter.write(work, path, target, **settings[exporter])
                     if not exporter.suffix:
                         write_folder_record(path, about)
-                    made[exporter] = (
-                        [target] if exporter.suffix else [target / one.name for one in sorted(path.iterdir())]
-                    )
+                    expect_own(unfinished, folder, owned.get(exporter))
+                    made[exporter] = [folder / one.name for one in sorted(unfinished.iterdir())]
+                with interrupts_deferred():
+                    all_or_none.close()
+            for exporter, before in owned.items():
+                for name in before.keys() - {path.name for path in made[exporter]}:
+                    (chosen[exporter] / name).unlink(missing_ok=True)
             written = [
                 {"format": exporter.name, "path": str(path), "sha256": sha256(path)}
                 for exporter, paths in made.items()

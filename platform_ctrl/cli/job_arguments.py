@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 import typer
 
 from platform_ctrl.cli import completion
+from platform_ctrl.common.files import remove_unfinished
 from platform_ctrl.errors import InputError
 
 if TYPE_CHECKING:
@@ -187,6 +188,7 @@ def prepare_folder(folder: Path, files: Sequence[str] = ()) -> None:
     """Make the folder and try to write there: before the work, not after it."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
+        remove_unfinished(folder)
         with tempfile.TemporaryFile(dir=folder):
             pass
     except (FileExistsError, NotADirectoryError):
