@@ -86,3 +86,9 @@ class NotCertifiedError(DesignError):
 
 class SimulationError(PlatformCtrlError):
     """A simulated run could not be carried out (it diverged, or its set-up is inconsistent)."""
+
+
+def reason(error: BaseException) -> str:
+    """Return what is wrong as one line: the message of an error of this package, with its kind of any other."""
+    kind = "" if isinstance(error, PlatformCtrlError) else f"{type(error).__name__}: "
+    return f"{kind}{' '.join(str(error).split())}".removesuffix(": ")

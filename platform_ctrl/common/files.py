@@ -73,9 +73,9 @@ def replaced_file(path: Path, *, synced: bool = False) -> Iterator[BinaryIO]:
 def unfinished_folder(folder: Path) -> Iterator[Path]:
     """Yield a new folder inside `folder`, which is removed at the end."""
     remove_unfinished(folder)
-    with tempfile.TemporaryDirectory(prefix=UNFINISHED, dir=folder, ignore_cleanup_errors=True) as made:
-        with _held(Path(made)):
-            yield Path(made)
+    temporary = tempfile.TemporaryDirectory(prefix=UNFINISHED, dir=folder, ignore_cleanup_errors=True)
+    with temporary as made, _held(Path(made)):
+        yield Path(made)
 
 
 def _unfinished(name: str, word: str) -> str:

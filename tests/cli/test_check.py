@@ -96,13 +96,13 @@ def test_json_has_the_comparison_and_is_alone_on_standard_output(
     assert "baseline" not in json.loads((there / "check" / "result.json").read_text(encoding="utf-8"))
 
 
-def test_nothing_is_accepted_where_the_report_cannot_be_written(
+def test_nothing_is_accepted_where_the_result_cannot_be_written(
     there: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def full(*_: object, **__: object) -> None:
-        raise OSError(errno.ENOSPC, "No space left on device", "report.html")
+        raise OSError(errno.ENOSPC, "No space left on device", "result.json")
 
-    monkeypatch.setattr("platform_ctrl.report.page.job_page.drawn_beside", full)
+    monkeypatch.setattr("platform_ctrl.common.files.replaced_file", full)
     before = Path("gyro.json").read_bytes()
     arguments = ["check", "job.toml", "--controllers", "slower/result.json", "--baseline", "gyro.json", "-q"]
     assert "No space left" in refused(capsys, *arguments, "--update-baseline")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import select
@@ -154,16 +155,18 @@ sys.exit(main())
 """
 
 
-def test_ctrl_c_while_the_report_is_set_leaves_what_was_there(there: Path) -> None:
+def test_ctrl_c_while_the_report_is_set_leaves_the_result_and_nothing_half_written(there: Path) -> None:
     out = there / "out"
-    before = {path.name: path.read_bytes() for path in out.iterdir() if path.is_file()}
+    (out / "result.json").unlink()
     ended = subprocess.run(
         [sys.executable, "-c", SETTING], cwd=there, env=environment(), capture_output=True, text=True, check=False
     )
     assert ended.returncode == 130
     assert ended.stderr.splitlines()[-1].endswith("platform-ctrl: interrupted")
     assert "Traceback" not in ended.stderr
-    assert {path.name: path.read_bytes() for path in out.iterdir() if path.is_file()} == before
+    assert json.loads((out / "result.json").read_text(encoding="utf-8"))["passed"] is True
+    assert sorted(path.name for path in out.iterdir() if path.is_file()) == ["report.html", "result.json"]
+    assert (out / "report.html").read_text(encoding="utf-8").endswith("</html>")
 
 
 ENDING = """

@@ -34,6 +34,7 @@ from platform_ctrl.report.page.blocks import (
     Row,
     Table,
     Verdict,
+    attempted,
     plate,
     sentence,
 )
@@ -56,13 +57,13 @@ _LOW, _HIGH, _LEFT, _RIGHT = -24.0, 24.0, -300.0, -60.0
 def first_screen(result: JobResult) -> tuple[Block, ...]:
     """Return verdict, chain and distances, beside the Nichols plot of the tightest loop where there is one."""
     left: list[Block] = [_verdict(result)]
-    chain = chain_table(result)
+    chain = attempted("What limits each loop", lambda: chain_table(result))
     if chain is not None:
         left.append(chain)
-    shown = distances(result)
+    shown = attempted("Distances to the limits", lambda: distances(result))
     if shown is not None:
         left += [Paragraph(text=sentences("distances"), tone="quiet"), shown]
-    picture = _nichols(result)
+    picture = attempted("Tightest loop, worst plant", lambda: _nichols(result))
     return tuple(left) if picture is None else (Columns(left=tuple(left), right=(picture,)),)
 
 
