@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
-from platform_ctrl.cli.error_lines import not_drawn, noted
+from platform_ctrl.cli.error_lines import failed, not_drawn, noted
 from platform_ctrl.cli.job_arguments import (
     DESIGNED,
     PDF,
@@ -116,15 +116,20 @@ def _designed(
         report.expect_possible(read)
         report.prepare(junit, [job, *plant_file(job, read)])
         from platform_ctrl.common.store import Store
-        from platform_ctrl.design import loops
+        from platform_ctrl.design.jobs import attempted_loops
         from platform_ctrl.simulation.compilation import start_compilation
         from platform_ctrl.verification import check_job
 
         if read.manoeuvres:
             start_compilation()
         store = Store(report.folder / REUSE, fresh=fresh)
-        outcomes = loops(read, say, store, beside)
-        drawing = begun(read, outcomes, beside, store)
+        outcomes = attempted_loops(read, say, store, beside)
+        failures = [one.failure for one in outcomes if one.failure is not None]
+        if not any(one.designs for one in outcomes):
+            for one in (one for outcome in outcomes for one in outcome.failed if one is not failures[0]):
+                noted(f"failed: {one.loop}, {one.name}: {one.sentence}")
+            raise failures[0].error
+        drawing = begun(read, [one for one in outcomes if one.designs], beside, store)
         result = check_job(read, outcomes, say)
         record = report.keep(result)
         if junit is not None:
@@ -133,6 +138,8 @@ def _designed(
             write_junit(result, junit)
         show = report.draw(result, record, ["design", str(job), "-o", str(report.folder)], say, as_json, drawing)
     code = show()
+    for one in failures:
+        code = failed(f"{one.loop}, {one.name}: {one.sentence}", 1)
     if store.taken and not as_json:
         names = {loop: ", ".join(name for one, name in store.taken if one == loop) for loop, _ in store.taken}
         words = "; ".join(f"{loop} ({designs})" for loop, designs in names.items())

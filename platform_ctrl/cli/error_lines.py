@@ -8,14 +8,7 @@ import textwrap
 from collections.abc import Callable
 from pathlib import Path
 
-from platform_ctrl.errors import DesignError, PlatformCtrlError, SimulationError, reason
-
-
-def began_with_interrupt(error: BaseException | None) -> bool:
-    """Return whether Ctrl-C caused an error: libraries that are interrupted may raise their own."""
-    while error is not None and not isinstance(error, KeyboardInterrupt):
-        error = error.__cause__ or error.__context__
-    return error is not None
+from platform_ctrl.errors import DesignError, PlatformCtrlError, SimulationError, began_with_interrupt, reason
 
 
 def not_drawn(path: Path, draw: Callable[[Path], object]) -> str:

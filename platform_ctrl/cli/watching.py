@@ -10,9 +10,9 @@ from contextlib import suppress
 from pathlib import Path
 from typing import NoReturn
 
-from platform_ctrl.cli.error_lines import began_with_interrupt, noted, reported
+from platform_ctrl.cli.error_lines import noted, reported
 from platform_ctrl.cli.job_arguments import files_read
-from platform_ctrl.errors import PlatformCtrlError
+from platform_ctrl.errors import PlatformCtrlError, began_with_interrupt
 
 # Between two looks at the files, s.
 _PAUSE = 0.1

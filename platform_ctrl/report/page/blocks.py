@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 from platform_ctrl.common.palette import PALETTE, declarations
 from platform_ctrl.common.values import value
-from platform_ctrl.errors import InputError, PlatformCtrlError, reason
+from platform_ctrl.errors import InputError, PlatformCtrlError, began_with_interrupt, reason
 from platform_ctrl.report import style
 
 if TYPE_CHECKING:
@@ -281,6 +281,8 @@ def attempted(title: str, make: Callable[[], T]) -> T | Missing:
     try:
         return make()
     except Exception as error:
+        if began_with_interrupt(error):
+            raise
         return Missing(text=f"{title}: not drawn: {reason(error)}", tone="bad")
 
 

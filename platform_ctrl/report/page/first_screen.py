@@ -84,7 +84,7 @@ def _verdict(result: JobResult) -> Verdict:
 
 def chain_table(result: JobResult) -> Table | None:
     """Return for each loop its tightest requirement, the plant in which it is, and the channel that coupling costs."""
-    rows = []
+    rows, coupling = [], result.coupled is not None and result.coupled.free
     for outcome in result.loops:
         nearest = tightest(own_results(result, outcome))
         if nearest is None:
@@ -96,13 +96,13 @@ def chain_table(result: JobResult) -> Table | None:
             Cell(text=nearest.name, note=f"with {where}" if where else ""),
             Cell(text=percent(nearest.margin), note=f"{number} {BOUND[nearest.sense]} {limit}", tone=tone),
         ]
-        if result.coupled.free:
+        if coupling:
             cells.append(Cell(text=_coupling(result, outcome)))
         rows.append(Row(cells=tuple(cells), missed=not nearest.passed))
     if not rows:
         return None
     columns = [Column(title="loop"), Column(title="limited by"), Column(title="margin", number=True)]
-    if result.coupled.free:
+    if coupling:
         # A carried platform is what the design models assume: coupling costs nothing there.
         columns.append(Column(title="coupling costs most in"))
     return Table(columns=tuple(columns), groups=(Group(rows=tuple(rows)),), form="chain")
@@ -117,6 +117,7 @@ def own_results(result: JobResult, outcome: LoopOutcome) -> list[CheckResult]:
 def _coupling(result: JobResult, outcome: LoopOutcome) -> str:
     """Return the channel of a loop whose disk margin the other loops reduce by most, and by how much."""
     check = result.coupled
+    assert check is not None, "all loops have controllers"
     outputs = set(outcome.closed.controller.output_labels)
     of_loop = [(float(cost), name) for cost, name in zip(check.cost, check.channels, strict=True) if name in outputs]
     found = [pair for pair in of_loop if math.isfinite(pair[0])]

@@ -347,7 +347,9 @@ def _loop(result: JobResult, outcome: LoopOutcome) -> list[Block]:
     if designs.groups:
         blocks.append(designs)
     blocks.append(Fold(title="Options and controllers", blocks=(comparison.option_table(outcome),)))
-    blocks += [Paragraph(text=f"Not proved: {line}", tone="bad") for line in _unproved(result, outcome)]
+    lines = [f"Not proved: {line}" for line in _unproved(result, outcome)]
+    lines += [f"“{one.name}” has failed: {one.sentence}." for one in outcome.failed]
+    blocks += [Paragraph(text=line, tone="bad") for line in lines]
     groups = comparison.group_rows(outcome.closed)
     if groups:
         title = f"Plants that “{outcome.use}” must work with"
@@ -387,7 +389,10 @@ def _caging_plates(model: LinearModel, outcome: LoopOutcome, palette: Mapping[st
         ),
         drawn(
             "Nichols plot",
-            lambda: (nichols_figure(responses, spec, of.torques), sentences("nichols", outcome=outcome)),
+            lambda: (
+                nichols_figure(responses, spec, of.torques),
+                sentences("nichols", outcome=outcome, unstable=captions.unstable(outcome.closed)),
+            ),
             small=True,
         ),
         drawn("Disturbances", lambda: (disturbance_figure(responses, spec), captions.disturbance(outcome, responses))),
@@ -421,12 +426,16 @@ def _caging_plates(model: LinearModel, outcome: LoopOutcome, palette: Mapping[st
 
 def _servo_plates(result: JobResult) -> list[Block]:
     title = "The servo's loops in the coupled system"
+    if result.coupled is None:
+        return []
     found = attempted(title, lambda: _plate(servo_figure(result), title, sentences("servo")))
     return [] if found is None else [found]
 
 
 def _coupled(result: JobResult) -> list[Block]:
     check, limits = result.coupled, result.job.coupled
+    if check is None:
+        return [Paragraph(text="Not checked: a loop has no controller.", tone="bad")]
     blocks: list[Block] = [
         Paragraph(text=captions.coupled(result)),
         drawn(
