@@ -161,7 +161,7 @@ def campaign(
 
     with progress(quiet or as_json, f"reading {job}"):
         read = job_of(job)
-        file = controller_file(controllers, None, job)
+        file, used = controller_file(controllers, None, job, read)
         from platform_ctrl.campaign.engine import run_campaign
         from platform_ctrl.campaign.planning import plan
         from platform_ctrl.verification.controllers import read_controllers
@@ -199,6 +199,7 @@ def campaign(
             command=["platform-ctrl", "campaign", str(job), *words, *files],
             again=["platform-ctrl", "simulate", str(job), *files, "--run"],
         )
+    noted(used)
     if as_json:
         from platform_ctrl.common.json_text import json_text
 

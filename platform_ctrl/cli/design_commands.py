@@ -243,11 +243,12 @@ def check(
     """Check existing controllers.
 
     Gives the verdicts of design without designing. Every value is computed again from the matrices; claims of the file
-    that are not confirmed are reported on standard error. Use it after the plant, the
-    uncertainty or a limit has changed, or for controllers that were made elsewhere.
+    that are not confirmed are reported on standard error. Use it for controllers that were made elsewhere, or after the
+    plant, the uncertainty or a limit has changed: then they have to be named.
 
     \b
     platform-ctrl check job.toml                                          the controllers of out/result.json
+    platform-ctrl check job.toml --controllers out/result.json            the same after a change of plant or job
     platform-ctrl check job.toml --controllers mine.json -o mine          others, reported elsewhere
     platform-ctrl check job.toml --baseline gyros.json --update-baseline  accept the present values
     platform-ctrl check job.toml --baseline gyros.json --junit check.xml  in CI: none is worse than accepted
@@ -259,7 +260,7 @@ def check(
     folder = out or CHECKED
     with SecondProcess(*DRAWING) as beside, progress(quiet or as_json, f"reading {job}") as say:
         read = job_of(job)
-        file = controller_file(controllers, out, job)
+        file, used = controller_file(controllers, out, job, read)
         comparison = BaselineOptions.given(baseline, update_baseline)
         report = Report(folder, pdf, campaign)
         report.expect_possible(read)
@@ -273,7 +274,6 @@ def check(
         if campaign is not None:
             campaign_summary(read, closed, campaign)  # before the work on what would be refused
         report.prepare(junit, [job, *plant_file(job, read), file, baseline])
-        say(f"controllers: {file}")
         outcomes, store = outcomes_from(read, closed, others, beside), Store(folder / REUSE)
         drawing = begun(read, outcomes, beside, store)
         result = check_job(read, outcomes, say)
@@ -286,6 +286,7 @@ def check(
             write_junit(result, junit, comparison=outcome.comparison, baseline=str(baseline))
         command = ["check", str(job), "--controllers", str(file), "-o", str(folder)]
         show = report.draw(result, record, command, say, as_json, drawing, outcome.record)
+    noted(used)
     for note in notes:
         typer.echo(f"{file}: not confirmed: {note}", err=True)
     code = show()

@@ -103,7 +103,7 @@ def simulate(
             chosen: int | Manoeuvre = int(selected)
         else:
             chosen = _manoeuvre(read, selected, job, "--run" if manoeuvre is None else "--manoeuvre")
-        file = controller_file(controllers, None, job)
+        file, used = controller_file(controllers, None, job, read)
         from platform_ctrl.verification.controllers import read_controllers
 
         closed = read_controllers(file, read)
@@ -117,6 +117,7 @@ def simulate(
                 prepare_folder(out)
             say(f"simulated run: {chosen.name}")
             show = _manoeuvre_run(read, chosen, closed, out)
+    noted(used)
     return show(as_json)
 
 

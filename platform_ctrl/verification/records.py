@@ -24,6 +24,7 @@ from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.loop import LoopDesign
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.judging import CheckResult
+from platform_ctrl.job.writing import job_hashes
 from platform_ctrl.plant.mistakes import given
 from platform_ctrl.plant.source import read_json
 from platform_ctrl.verification.budget_result import LineOfSightBudget
@@ -50,6 +51,7 @@ def result_record(result: JobResult) -> Record:
         "job": job.name,
         "passed": result.passed,
         "seed": job.seed,
+        "sha256": job_hashes(job),
         "versions": versions(),
         "subsystems": result.subsystems,
         "controllers": [_controller(result, outcome.closed) for outcome in result.loops],

@@ -139,7 +139,8 @@ def test_a_requirement_that_is_not_met_ends_with_one(there: Path, capsys: pytest
     given = ["check", "strict.toml", "--controllers", "out/result.json", "-o", "strict", "--json"]
     assert main(given) == 1
     out, err = capsys.readouterr()
-    assert err == ""
+    assert err.startswith("controllers: out/result.json, which was made for another job")
+    assert len(err.splitlines()) == 1
     printed = json.loads(out)
     assert printed == json.loads((there / "strict" / "result.json").read_text())
     failed = [(one["subject"], one["name"]) for one in printed["requirements"] if not one["passed"]]
@@ -158,7 +159,7 @@ def test_a_folder_that_is_named_gives_its_controllers_and_a_narrow_terminal_gets
     monkeypatch.setenv("COLUMNS", "60")
     assert main(["check", "job.toml", "-o", "other", "-q"]) == 0
     out, err = capsys.readouterr()
-    assert err == ""
+    assert err == "controllers: other/result.json\n"
     assert max(map(len, out.splitlines())) <= 60
     assert "caging 9-10, classical" in out.splitlines()
     assert re.search(r"^met +bandwidth +[\d.]+ Hz +≥ \d+ Hz +\+[\d.]+ %$", out, re.MULTILINE)
@@ -169,7 +170,7 @@ def test_a_folder_that_is_named_gives_its_controllers_and_a_narrow_terminal_gets
 def test_simulate_flies_one_manoeuvre_by_name_or_number(there: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["simulate", "job.toml", "--run", "2", "-q"]) == 0
     out, err = capsys.readouterr()
-    assert err == ""
+    assert err == "controllers: out/result.json\n"
     assert out.startswith("step")
     assert main(["simulate", "job.toml", "--run", "turn", "--json"]) == 0
     run: dict[str, Any] = json.loads(capsys.readouterr().out)
@@ -192,7 +193,7 @@ def test_simulate_without_a_choice_lists_the_manoeuvres(there: Path, capsys: pyt
 
 def test_simulate_ends_with_one_when_a_limit_is_not_met(there: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (there / "tight.toml").write_text(JOB.replace("angle = 0.0005", "angle = 1e-9"), encoding="utf-8")
-    assert main(["simulate", "tight.toml", "--run", "step", "-q"]) == 1
+    assert main(["simulate", "tight.toml", "--run", "step", "-q", "--controllers", "out/result.json"]) == 1
     assert "NOT MET" in capsys.readouterr().out
 
 
@@ -275,7 +276,8 @@ def test_a_loop_without_any_controller_leaves_the_report_of_the_others(
     assert record["coupled"] == {"stable": None}
     assert "Loop transfer" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     # No other command takes these for the controllers of the job.
-    refused(capsys, "check", "job.toml", "-q")
+    words = 'out/result.json: has no controller of the loop "caging 9-10", whose design "classical" failed'
+    assert words in refused(capsys, "check", "job.toml", "-q")
 
 
 def test_models_are_listed_a_line_each(capsys: pytest.CaptureFixture[str]) -> None:

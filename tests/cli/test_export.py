@@ -55,7 +55,7 @@ def test_every_form_is_written_and_told_with_its_hash(there: Path, capsys: pytes
     assert main(["export", "job.toml", *EVERYTHING, "--json"]) == 0
     out, err = capsys.readouterr()
     told = json.loads(out)
-    assert err == ""
+    assert err == "controllers: out/result.json\n"
     assert told["job"] == "gyro 9-10"
     of = Path("out/result.json")
     assert told["controllers"] == {"file": str(of), "sha256": hashlib.sha256(of.read_bytes()).hexdigest()}

@@ -120,7 +120,10 @@ def test_a_pdf_of_an_earlier_run_is_told_of(
     (there / "stale").mkdir()
     (there / "stale" / "report.pdf").write_bytes(b"%PDF-old")
     assert main(["check", "gyro.toml", "-o", "stale", "-q"]) == 0
-    assert capsys.readouterr().err == f"{Path('stale') / 'report.pdf'}: is of an earlier run; --pdf writes a new one\n"
+    assert capsys.readouterr().err.splitlines() == [
+        "controllers: out/result.json",
+        f"{Path('stale') / 'report.pdf'}: is of an earlier run; --pdf writes a new one",
+    ]
     assert "campaign" not in pages[0]
 
 

@@ -114,7 +114,7 @@ def test_a_pipe_gets_lines_without_colours_unless_they_are_forced(
     def piped() -> str:
         assert main(SIMULATE) == 0
         out, err = capsys.readouterr()
-        assert err == "simulated run: turn\n"
+        assert err == "simulated run: turn\ncontrollers: out/result.json\n"
         return out
 
     plain = piped()
@@ -298,4 +298,5 @@ def test_the_first_run_says_that_its_kernel_is_compiled(
     monkeypatch.setattr("platform_ctrl.simulation.compilation.is_compiled", lambda: False)
     with terminal.progress(False, "reading") as say:
         say("simulated run: turn")
-    assert capsys.readouterr().err == "simulated run: turn (its kernel is compiled first, once: half a minute)\n"
+    first, *_ = capsys.readouterr().err.splitlines()
+    assert first == "simulated run: turn (its kernel is compiled first, once: half a minute)"
