@@ -62,6 +62,8 @@ def test_what_a_file_holds_counts_and_neither_its_time_nor_its_size(job: Path) -
 
     def run(fresh: bool) -> int:
         told.append(fresh)
+        if len(told) > 1:
+            raise KeyboardInterrupt
         os.utime(job)
         return 0
 
@@ -72,7 +74,7 @@ def test_what_a_file_holds_counts_and_neither_its_time_nor_its_size(job: Path) -
         if len(looked) == 3:
             raise KeyboardInterrupt
 
-    with pytest.MonkeyPatch.context() as patch, pytest.raises(KeyboardInterrupt):
+    with pytest.MonkeyPatch.context() as patch, pytest.raises(KeyboardInterrupt):  # noqa: PT012
         patch.setattr("time.sleep", asleep)
         whenever_saved(job, run, False, quiet=True)
     assert told == [False]
