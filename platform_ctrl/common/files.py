@@ -53,7 +53,7 @@ def replaced_file(path: Path, *, synced: bool = False) -> Iterator[BinaryIO]:
     unfinished = path.with_name(_unfinished(path.name, secrets.token_hex(8)))
     file = open(unfinished, "xb", opener=lambda name, flags: os.open(name, flags | _NO_LINK, 0o666))  # noqa: SIM115
     try:
-        with file, _held(unfinished):
+        with file, _held(unfinished, at_work=True):
             yield file
             if synced:
                 file.flush()
@@ -74,7 +74,7 @@ def unfinished_folder(folder: Path) -> Iterator[Path]:
     """Yield a new folder inside `folder`, which is removed at the end."""
     remove_unfinished(folder)
     temporary = tempfile.TemporaryDirectory(prefix=UNFINISHED, dir=folder, ignore_cleanup_errors=True)
-    with temporary as made, _held(Path(made)):
+    with temporary as made, _held(Path(made), at_work=True):
         yield Path(made)
 
 
@@ -93,14 +93,18 @@ def remove_unfinished(folder: Path, names: str = f"{UNFINISHED}*") -> None:
 
 
 @contextmanager
-def _held(path: Path) -> Iterator[None]:
-    """Lock a file or a folder that is no link; an OSError where another process holds it."""
+def _held(path: Path, at_work: bool = False) -> Iterator[None]:
+    """Lock a file or a folder that is no link; an OSError where another process holds it, or none can.
+
+    Who is at work on it goes on all the same where the file system has no locks: nobody removes anything there.
+    """
     if fcntl is None:
         yield
         return
     handle = os.open(path, os.O_RDONLY | _NO_LINK)
     try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        with contextlib.suppress(OSError) if at_work else contextlib.nullcontext():
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         yield
     finally:
         os.close(handle)
