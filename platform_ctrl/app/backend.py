@@ -20,7 +20,7 @@ from platform_ctrl.app.designs import Designs, never, nothing, silent
 from platform_ctrl.app.drags import Drags
 from platform_ctrl.app.job_parts import JobParts, loop_stamp, run_stamp
 from platform_ctrl.app.pictures import Drawing, Measured, NextStep, Picture
-from platform_ctrl.app.saving import Saved, controllers_beside, write_job
+from platform_ctrl.app.saving import JobSource, Saved, controllers_beside, write_job
 from platform_ctrl.app.settings import (
     Choices,
     Part,
@@ -51,6 +51,7 @@ from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.job.methods import METHODS
 from platform_ctrl.job.reading import read_job
 from platform_ctrl.plant.platform import OMEGA_NAMES
+from platform_ctrl.verification.controllers import differing_origin
 from platform_ctrl.verification.simulated import limit_results
 
 if TYPE_CHECKING:
@@ -90,8 +91,11 @@ class Backend(Drags):
         self.folder = Path(folder) if folder is not None else Path() if self.path is None else self.path.parent
         self.folded = folded
         self.read = job if isinstance(job, Job) else read_job(job)
-        if controllers is None and self.path is not None and controllers_beside(self.path).exists():
-            controllers = controllers_beside(self.path)
+        self._source = None if self.path is None else JobSource(self.path, self.read)
+        if controllers is None and self.path is not None:
+            beside = controllers_beside(self.path)
+            # Those of another plant or job are none of this one.
+            controllers = beside if beside.exists() and not differing_origin(beside, self.read) else None
         self._loops = ClosedLoops(self.read, None if controllers is None else Path(controllers))
         self.read = self._loops.read
         self._designs = Designs(self._loops, None if store is None else Path(store))
@@ -401,37 +405,20 @@ class Backend(Drags):
         """Write the settings as a job file, and its controllers beside it; comments of the job's own file stay."""
         settings = self._shortened(settings)
         controllers = self._loops.controllers(settings, strict=True)
-        options = self._loops.options
-        used = {
-            spec.name: {d.name: options.used(settings, spec, d) for d in spec.designs if built_directly(d)}
-            for spec in self.read.loops
-        }
+        options, start = self._loops.options, self._loops.start
         closed = {**settings.closed, settings.loop: settings.design}
-        changed = {
-            loop: {
-                design: numbers
-                for design, numbers in designs.items()
-                if design == closed[loop] or options.touched(settings, loop, design)
-            }
-            for loop, designs in used.items()
-        }
-        start = self._loops.start
-        notes = tuple(
-            f"{spec.name}: {closed[spec.name]} is closed in place of {spec.use}, which is not designed"
-            for spec in self.read.loops
-            if start.closed[spec.name] != spec.use and closed[spec.name] == start.closed[spec.name]
-        )
-        written = write_job(
-            self.path,
-            Path(path),
-            overwrite,
-            settings.but(closed=closed),
-            start,
-            self.job(settings),
-            changed,
-            controllers,
-        )
-        return dataclasses.replace(written, notes=notes)
+        wanted: dict[str, dict[str, dict[str, float]]] = {}
+        for spec in self.read.loops:
+            for design in spec.designs:
+                own = settings.options[spec.name][design.name]
+                if not built_directly(design):
+                    changed = dict(own) != dict(start.options[spec.name][design.name])
+                else:
+                    changed = design.name == closed[spec.name] or options.touched(settings, spec.name, design.name)
+                if changed:
+                    used = options.used(settings, spec, design) if built_directly(design) else dict(own)
+                    wanted.setdefault(spec.name, {})[design.name] = used
+        return write_job(self._source, Path(path), overwrite, settings.but(closed=closed), start, wanted, controllers)
 
     def _shortened(self, settings: Settings) -> Settings:
         """Return the settings with dragged numbers rounded to the fewest digits that keep the verdict."""

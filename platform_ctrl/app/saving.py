@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from platform_ctrl.app.controllers import ALWAYS
+from platform_ctrl.app.controllers import ALWAYS, DesignOptions
+from platform_ctrl.app.plants import JobPlants
 from platform_ctrl.app.settings import Conditions, Settings
 from platform_ctrl.common.files import write_whole
 from platform_ctrl.common.signatures import short
@@ -25,6 +26,7 @@ from platform_ctrl.job.job import Job
 from platform_ctrl.job.methods import METHODS, DesignMethod
 from platform_ctrl.job.old_names import renamed
 from platform_ctrl.job.reading import read_job
+from platform_ctrl.job.writing import job_hashes
 from platform_ctrl.plant.reading import open_plant
 from platform_ctrl.plant.source import is_shipped_name, read_text
 from platform_ctrl.verification.json_tables import SCHEMA
@@ -55,11 +57,17 @@ class ClosedController:
 
 @value
 class Saved:
-    """Paths of both files that were written, and lines about loops that close another design than the job did."""
+    """Paths of both files that were written, and lines about what is not as it was though nobody changed it."""
 
     job: Path
     controllers: Path
     notes: tuple[str, ...] = ()
+
+
+# Options of designs by loop and design.
+Options = Mapping[str, Mapping[str, Mapping[str, float]]]
+# Relative difference up to which an option is the same, and how often options that follow from others are looked at.
+_SAME, _ROUNDS = 1e-12, 4
 
 
 def controllers_beside(job: Path) -> Path:
@@ -67,103 +75,205 @@ def controllers_beside(job: Path) -> Path:
     return job.with_name(job.stem + SUFFIX)
 
 
+class JobSource:
+    """The file that a page's job was read from: its text goes into every job that is saved, with the page's changes."""
+
+    def __init__(self, path: Path, job: Job) -> None:
+        self.path = path
+        self._text = read_text(path, "a job file")
+        self._read = job_hashes(job)["job"]
+        self._saved: str | None = None
+
+    def text(self) -> str:
+        """Return the text; an InputError where job or plant on disk are no longer those that the page read or saved."""
+        why = ""
+        try:
+            text = read_text(self.path, "a job file")
+            now = job_hashes(_read(text, self.path.parent, self.path))["job"]
+            if now == self._read:
+                return text  # comments may have changed
+            if now == self._saved:
+                return self._text
+        except (InputError, tomllib.TOMLDecodeError) as error:
+            why = f" ({error})"
+        raise InputError(
+            f"{self.path}: the job or its plant was changed on disk since the page read it{why}; nothing was saved: "
+            f"start platform-ctrl serve {self.path} again and open the page's address there, which keeps the sliders, "
+            "or put back what was changed"
+        )
+
+    def replaced(self, job: Job) -> None:
+        """Note that the page itself has saved a job in the place of the file."""
+        self._saved = job_hashes(job)["job"]
+
+
 def write_job(
-    source: Path | None,
+    source: JobSource | None,
     path: Path,
     overwrite: bool,
     settings: Settings,
     start: Settings,
-    job: Job,
-    used: Mapping[str, Mapping[str, Mapping[str, float]]],
+    wanted: Options,
     controllers: Sequence[ClosedController],
 ) -> Saved:
     """Write the job with the settings of the page, and its controllers beside it.
 
-    `source` is the file that the job was read from, `start` its settings, and `job` what the new file has to be read
-    as. `used` are the options of the designs that sliders build, by loop and design. `overwrite` allows to replace
-    files.
+    `source` is the file that the job was read from, `start` its settings. `wanted` are the options of designs, by loop
+    and design, that a reader of the new file has to find. `overwrite` allows to replace files.
     """
     if source is None:
         raise InputError("save: the job was not read from a file; open the page with a job file, whose text is kept")
     path = Path(path)
     if path.suffix != ".toml":
         raise InputError(f"{path}: the name of a job file must end in .toml")
-    beside = controllers_beside(path)
-    plant = (source.parent / job.plant).resolve()
+    beside, before = controllers_beside(path), source.text()
+    plant = tomllib.loads(before)["plant"]
     for one in (path, beside):
-        if one.resolve() == plant:
+        if isinstance(plant, str) and one.resolve() == (source.path.parent / plant).resolve():
             raise InputError(f"{one}: the job reads its plant from it; choose another name")
         if one.exists() and not one.is_file():
             raise InputError(f"{one}: is not a file; choose another name")
         if not overwrite and os.path.lexists(one):
             raise InputError(f"{one}: exists already; choose another name or overwrite it")
-    text = job_text(source, path.parent, settings, start, used)
-    data = tomllib.loads(text)
-    # That its keys are old was written when the job was read.
-    renamed(data)
-    try:
-        read_job(data, folder=path.parent)
-    except InputError as error:
-        raise InputError(str(error).replace("job given as a dict", str(path))) from None
-    record = {"schema": SCHEMA, "controllers": [_entry(one, job.sampling.delay) for one in controllers]}
-    before = beside.read_bytes() if beside.exists() else None
+    text = _complete_text(before, source.path, path, settings, start, wanted)
+    job = _read(text, path.parent, path)
+    record = {
+        "schema": SCHEMA,
+        "sha256": job_hashes(job),
+        "controllers": [_entry(one, job.sampling.delay) for one in controllers],
+    }
+    there = beside.read_bytes() if beside.exists() else None
     write_record(record, beside)
     try:
         write_whole(path, text)
     except InputError:
         # Without the job file its controllers are useless.
-        if before is None:
+        if there is None:
             beside.unlink(missing_ok=True)
         else:
-            write_whole(beside, before)
+            write_whole(beside, there)
         raise
-    return Saved(job=path, controllers=beside)
+    if path.resolve() == source.path.resolve():
+        source.replaced(job)
+    return Saved(job=path, controllers=beside, notes=_unasked(before, text, settings, start))
 
 
-def job_text(
-    source: Path,
-    folder: Path,
-    settings: Settings,
-    start: Settings,
-    used: Mapping[str, Mapping[str, Mapping[str, float]]],
+def _read(text: str, folder: Path, path: Path) -> Job:
+    """Return the job of a text in a folder; `path` is its name in messages. That keys are old was said before."""
+    data = tomllib.loads(text)
+    renamed(data)
+    try:
+        return read_job(data, folder=folder)
+    except InputError as error:
+        raise InputError(str(error).replace("job given as a dict", str(path))) from None
+
+
+def _complete_text(before: str, old: Path, new: Path, settings: Settings, start: Settings, wanted: Options) -> str:
+    """Return the text of the job of which a reader finds the options that are wanted.
+
+    Options that the file does not have, and would have by themselves, are not written.
+    """
+    written = {
+        loop: {
+            design: {key: x for key, x in numbers.items() if x != start.options[loop][design].get(key)}
+            for design, numbers in designs.items()
+        }
+        for loop, designs in wanted.items()
+    }
+    text = ""
+    # Options that follow from others are right once these are.
+    for _ in range(_ROUNDS):
+        text = _job_text(before, old, new.parent, settings, start, written, wanted)
+        missing = _not_found(_read(text, new.parent, new), wanted)
+        if not missing:
+            return text
+        for loop, designs in missing.items():
+            for design, numbers in designs.items():
+                written[loop][design] |= numbers
+    return _job_text(before, old, new.parent, settings, start, wanted, wanted)
+
+
+def _not_found(job: Job, wanted: Options) -> dict[str, dict[str, dict[str, float]]]:
+    """Return the options that a page that reads a job does not find as they are wanted."""
+    options = DesignOptions(JobPlants(job))
+    out: dict[str, dict[str, dict[str, float]]] = {}
+    for spec in job.loops:
+        for design in spec.designs:
+            numbers = wanted.get(spec.name, {}).get(design.name)
+            if numbers is None:
+                continue
+            found = options.used(options.start, spec, design)
+            other = {
+                key: x for key, x in numbers.items() if not math.isclose(found.get(key, math.nan), x, rel_tol=_SAME)
+            }
+            if other:
+                out.setdefault(spec.name, {})[design.name] = other
+    return out
+
+
+def _job_text(
+    before: str, old: Path, folder: Path, settings: Settings, start: Settings, written: Options, wanted: Options
 ) -> str:
     """Return the text of the job with the changes of the page; all else stays, also comments."""
     tomlkit = _tomlkit()
-    document = tomlkit.parse(read_text(source, "a job file"))
+    document = tomlkit.parse(before)
     if settings.rate_hz != start.rate_hz:
         document["sampling"]["rate_hz"] = settings.rate_hz
     if settings.delay != start.delay:
         document["sampling"]["delay"] = settings.delay
-    for k, (old, new) in enumerate(zip(list(document["operation"]["Omega"]), settings.Omega, strict=True)):
-        if abs(new) > float(old):
+    for k, (before_k, new) in enumerate(zip(list(document["operation"]["Omega"]), settings.Omega, strict=True)):
+        if abs(new) > float(before_k):
             document["operation"]["Omega"][k] = abs(new)
     for loop in document["loop"]:
         name = str(loop["name"])
         if loop["use"] != settings.closed[name]:
             loop["use"] = settings.closed[name]
         for design in loop["design"]:
-            numbers = used.get(name, {}).get(str(design["name"]))
+            numbers = wanted.get(name, {}).get(str(design["name"]))
             if numbers is not None:
-                _put(design, numbers)
-            elif dict(settings.options[name][str(design["name"])]) != dict(start.options[name][str(design["name"])]):
-                _put(design, settings.options[name][str(design["name"])])
-    _plant(document, source.parent, folder, settings, start)
+                _put(design, numbers, written[name][str(design["name"])])
+    _plant(document, old.parent, folder, settings, start)
     return str(tomlkit.dumps(document))
 
 
-def _put(design: Any, numbers: Mapping[str, float]) -> None:
-    """Write the options of a design; existing keys keep their place and comment."""
+def _put(design: Any, wanted: Mapping[str, float], written: Mapping[str, float]) -> None:
+    """Write options of a design; existing keys keep their place and comment, those that are not `wanted` go."""
     # The method would refuse options of parts that are off, and those of stopped gyros.
     method = METHODS[str(design["method"])]
     known = method.options if method.parts else {}
-    for key in [key for key in design if key in known and key not in (*numbers, ALWAYS)]:
+    for key in [key for key in design if key in known and key not in (*wanted, ALWAYS)]:
         del design[key]
-    for key, x in numbers.items():
+    for key, x in written.items():
         if key not in design or float(design[key]) != x:
             design[key] = int(x) if float(x).is_integer() and abs(x) < 1e15 else x
     if design.get("tune"):
         # They are final values now, not starting values.
         design["tune"] = False
+
+
+def _unasked(before: str, after: str, settings: Settings, start: Settings) -> tuple[str, ...]:
+    """Return a line for all that is not as it was in the job's text and that nobody has changed on the page."""
+    old, new = tomllib.loads(before), tomllib.loads(after)
+    lines = []
+    for was, now in zip(old["loop"], new["loop"], strict=True):
+        name = was["name"]
+        if was["use"] != now["use"] and settings.closed[name] == start.closed[name]:
+            lines.append(f"{name}: {now['use']} is closed in place of {was['use']}, which is not designed")
+        for own, written in zip(was["design"], now["design"], strict=True):
+            asked = {
+                key
+                for key, x in settings.options[name][own["name"]].items()
+                if x != start.options[name][own["name"]].get(key)
+            }
+            changed = [key for key, item in written.items() if own.get(key) != item and key not in asked]
+            if changed:
+                keys = ", ".join(f"{key} = {json.dumps(written[key])}" for key in changed)
+                lines.append(f"{name}, {own['name']}: {keys}, for the controller to be that of the page")
+    if isinstance(old["plant"], str) and isinstance(new["plant"], dict):
+        lines.append("the plant is in the job now, with these rotor speeds")
+    elif old["plant"] != new["plant"] and isinstance(new["plant"], str):
+        lines.append(f"plant = {json.dumps(new['plant'])}, seen from the new folder")
+    return tuple(lines)
 
 
 def _plant(document: TOMLDocument, old: Path, new: Path, settings: Settings, start: Settings) -> None:

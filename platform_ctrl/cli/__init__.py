@@ -13,9 +13,9 @@ import warnings
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from platform_ctrl.cli.error_lines import began_with_interrupt, failed, noted, reported
+from platform_ctrl.cli.error_lines import failed, noted, reported
 from platform_ctrl.cli.interrupts import INTERRUPTED, INTERRUPTED_LINE, ProcessEnd, exit_interrupted, interruptible
-from platform_ctrl.errors import OldKeyWarning, PlatformCtrlError
+from platform_ctrl.errors import OldKeyWarning, PlatformCtrlError, began_with_interrupt
 
 __all__ = ["main"]
 

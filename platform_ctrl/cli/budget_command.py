@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from platform_ctrl.cli.error_lines import noted
 from platform_ctrl.cli.job_arguments import (
-    DESIGNED,
-    RESULT,
     Controllers,
     JobFile,
     Json,
     Quiet,
     controller_file,
+    existing_controllers,
     job_of,
     option,
 )
@@ -75,13 +75,14 @@ def budget(
         from platform_ctrl.verification.budget_limits import by_simulation
 
         expect_budget(read)
-        closed, alternatives = _controllers(read, job, controllers, say)
+        closed, alternatives, used = _controllers(read, job, controllers, say)
         say("budget: every source through the coupled sampled model")
         found = line_of_sight_budget(read, closed)
         others = _others(read, closed, alternatives, say)
         runs = _simulated(read, closed, simulate, seed, say)
         if runs is not None:
             found = replaced(found, {"results": by_simulation(found.results, runs)})
+    noted(used)
     if as_json:
         from platform_ctrl.common.json_text import json_text
         from platform_ctrl.verification.records import budget_record
@@ -139,20 +140,19 @@ def _others(
 
 def _controllers(
     job: Job, path: Path, given: Path | None, say: Callable[[str], None]
-) -> tuple[list[control.StateSpace], list[control.StateSpace]]:
-    """Return the controllers of a file as check finds it and its alternatives, or new ones where there is none."""
-    from platform_ctrl.app.saving import controllers_beside
+) -> tuple[list[control.StateSpace], list[control.StateSpace], str]:
+    """Return the controllers of a file as check finds it, or new ones, their alternatives, and a line about them."""
     from platform_ctrl.verification.controllers import read_controllers
 
-    if given is None and not controllers_beside(path).is_file() and not (DESIGNED / RESULT).exists():
+    if given is None and existing_controllers(None, path) is None:
         from platform_ctrl.design import loops
 
         made = loops(job, say)
         others = [design.controller for outcome in made for design in outcome.alternatives]
-        return [outcome.closed.controller for outcome in made], others
-    file = controller_file(given, None, path)
-    say(f"controllers: {file}")
-    return read_controllers(file, job), read_controllers(file, job, "alternatives")
+        words = f"controllers: designed for this budget and not kept; platform-ctrl design {path} keeps them"
+        return [outcome.closed.controller for outcome in made], others, words
+    file, used = controller_file(given, None, path, job)
+    return read_controllers(file, job), read_controllers(file, job, "alternatives"), used
 
 
 def budget_lines(

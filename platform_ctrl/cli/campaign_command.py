@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 import typer
 
 from platform_ctrl.cli import completion
+from platform_ctrl.cli.error_lines import not_drawn, noted
 from platform_ctrl.cli.job_arguments import (
     CAMPAIGN,
     Controllers,
@@ -160,7 +161,7 @@ def campaign(
 
     with progress(quiet or as_json, f"reading {job}"):
         read = job_of(job)
-        file = controller_file(controllers, None, job)
+        file, used = controller_file(controllers, None, job, read)
         from platform_ctrl.campaign.engine import run_campaign
         from platform_ctrl.campaign.planning import plan
         from platform_ctrl.verification.controllers import read_controllers
@@ -191,24 +192,27 @@ def campaign(
     with progress(quiet or as_json, f"reading {result.table}") as say:
         found = rare_result(made, rare, runs_per_level, rare_method, workers=workers, device=device, say=say)
         say(f"drawing the page: {out / PAGE}")
-        summary, record = write_campaign(
+        summary, record, line = write_campaign(
             made,
             result,
             found,
             command=["platform-ctrl", "campaign", str(job), *words, *files],
             again=["platform-ctrl", "simulate", str(job), *files, "--run"],
         )
+    noted(used)
     if as_json:
         from platform_ctrl.common.json_text import json_text
 
         typer.echo(json_text(record))
     else:
         show_campaign(summary)
-        _show_files(result, out / PAGE)
+        _show_files(result, None if line else out / PAGE)
+    if line:
+        noted(line)
     return 0 if result.passed else 1
 
 
-def _show_files(result: CampaignResult, page: Path) -> None:
+def _show_files(result: CampaignResult, page: Path | None) -> None:
     from platform_ctrl.report.page.campaign_tables import count_words
 
     counts: dict[str, Any] = result.counts
@@ -216,7 +220,8 @@ def _show_files(result: CampaignResult, page: Path) -> None:
     for reason, number in result.reasons.items():
         typer.echo(f"  {number:,} x {reason}")
     for word, file in (("page", page), ("runs", result.table), ("values", result.table.with_suffix(".json"))):
-        typer.echo(f"{word + ':':<7} {file}")
+        if file is not None:
+            typer.echo(f"{word + ':':<7} {file}")
 
 
 def expect_rare(plan: Plan, requirement: str | None, runs_per_level: int, method: str) -> None:
@@ -264,21 +269,24 @@ def rare_result(
 
 def write_campaign(
     plan: Plan, result: CampaignResult, rare: tuple[RareResult, ...], *, command: list[str], again: list[str]
-) -> tuple[Summary, Record]:
-    """Write campaign.json with the statistics of the table, and the page; return both.
+) -> tuple[Summary, Record, str]:
+    """Write campaign.json with the statistics of the table, and the page; return both, and why the page is missing.
 
     `again` is the command that simulates a run again, without the run's number.
     """
     from platform_ctrl.campaign.store import write_record
     from platform_ctrl.campaign.summary import summarise, summary_record
-    from platform_ctrl.report.page.campaign_page import write_campaign_page
+
+    def page(path: Path) -> None:
+        from platform_ctrl.report.page.campaign_page import write_campaign_page
+
+        write_campaign_page(summary, path, command=shlex.join(command), again=shlex.join(again))
 
     folder: Path = result.table.parent
     summary = summarise(plan, result.table, rare=rare)
     record = result.record | summary_record(summary)
     write_record(folder, record)
-    write_campaign_page(summary, folder / PAGE, command=shlex.join(command), again=shlex.join(again))
-    return summary, record
+    return summary, record, not_drawn(folder / PAGE, page)
 
 
 # Worst runs that are named; the page has more.

@@ -163,7 +163,7 @@ def platform_ctrl(
     \b
     platform-ctrl new gyro                             a plant and a job to start from
     platform-ctrl design gyro.toml                     design, check, report: out/report.html
-    platform-ctrl check gyro.toml                      the verdicts after a change
+    platform-ctrl check gyro.toml                      the verdicts again, without designing
     platform-ctrl simulate gyro.toml --manoeuvre turn  one run with these controllers
     platform-ctrl campaign gyro.toml --runs 1000       many runs with variations
     """  # noqa: D301

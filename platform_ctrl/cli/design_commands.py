@@ -5,12 +5,14 @@ from __future__ import annotations
 import os
 import shlex
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
+from platform_ctrl.cli.error_lines import failed, not_drawn, noted
 from platform_ctrl.cli.job_arguments import (
     DESIGNED,
     PDF,
@@ -39,6 +41,7 @@ if TYPE_CHECKING:
     from platform_ctrl.campaign.summary import Summary
     from platform_ctrl.common.processes import SecondProcess
     from platform_ctrl.common.store import Store
+    from platform_ctrl.design.jobs import LoopOutcome
     from platform_ctrl.job.job import Job
     from platform_ctrl.report.page.kept_blocks import Ahead
     from platform_ctrl.verification import JobResult
@@ -74,8 +77,8 @@ def design(
     """Design every loop of a job and check the whole.
 
     Each loop is designed by every method in the job; the designs that it uses are closed together on the coupled model
-    and simulated on the non-linear plant. Writes result.json and report.html, whole or not at all. Designs that nothing
-    has changed for are taken from the folder's reuse/, and their certificates verified.
+    and simulated on the non-linear plant. Writes result.json, and then report.html. Designs that nothing has changed
+    for are taken from the folder's reuse/, and their certificates verified.
 
     \b
     platform-ctrl design job.toml                            report: out/report.html
@@ -113,24 +116,30 @@ def _designed(
         report.expect_possible(read)
         report.prepare(junit, [job, *plant_file(job, read)])
         from platform_ctrl.common.store import Store
-        from platform_ctrl.design import loops
+        from platform_ctrl.design.jobs import attempted_loops
         from platform_ctrl.simulation.compilation import start_compilation
         from platform_ctrl.verification import check_job
 
         if read.manoeuvres:
             start_compilation()
         store = Store(report.folder / REUSE, fresh=fresh)
-        outcomes = loops(read, say, store, beside)
-        from platform_ctrl.report.page.job_page import loops_ahead
-
-        drawing = Drawing(beside, store, loops_ahead(read, outcomes, beside, store))
+        outcomes = attempted_loops(read, say, store, beside)
+        failures = [one.failure for one in outcomes if one.failure is not None]
+        if not any(one.designs for one in outcomes):
+            for one in (one for outcome in outcomes for one in outcome.failed if one is not failures[0]):
+                noted(f"failed: {one.loop}, {one.name}: {one.sentence}")
+            raise failures[0].error
+        drawing = begun(read, [one for one in outcomes if one.designs], beside, store)
         result = check_job(read, outcomes, say)
-        show = report.write(result, ["design", str(job), "-o", str(report.folder)], say, as_json, drawing)
+        record = report.keep(result)
         if junit is not None:
             from platform_ctrl.report.failures import write_junit
 
             write_junit(result, junit)
+        show = report.draw(result, record, ["design", str(job), "-o", str(report.folder)], say, as_json, drawing)
     code = show()
+    for one in failures:
+        code = failed(f"{one.loop}, {one.name}: {one.sentence}", 1)
     if store.taken and not as_json:
         names = {loop: ", ".join(name for one, name in store.taken if one == loop) for loop, _ in store.taken}
         words = "; ".join(f"{loop} ({designs})" for loop, designs in names.items())
@@ -234,11 +243,12 @@ def check(
     """Check existing controllers.
 
     Gives the verdicts of design without designing. Every value is computed again from the matrices; claims of the file
-    that are not confirmed are reported on standard error. Use it after the plant, the
-    uncertainty or a limit has changed, or for controllers that were made elsewhere.
+    that are not confirmed are reported on standard error. Use it for controllers that were made elsewhere, or after the
+    plant, the uncertainty or a limit has changed: then they have to be named.
 
     \b
     platform-ctrl check job.toml                                          the controllers of out/result.json
+    platform-ctrl check job.toml --controllers out/result.json            the same after a change of plant or job
     platform-ctrl check job.toml --controllers mine.json -o mine          others, reported elsewhere
     platform-ctrl check job.toml --baseline gyros.json --update-baseline  accept the present values
     platform-ctrl check job.toml --baseline gyros.json --junit check.xml  in CI: none is worse than accepted
@@ -250,7 +260,7 @@ def check(
     folder = out or CHECKED
     with SecondProcess(*DRAWING) as beside, progress(quiet or as_json, f"reading {job}") as say:
         read = job_of(job)
-        file = controller_file(controllers, out, job)
+        file, used = controller_file(controllers, out, job, read)
         comparison = BaselineOptions.given(baseline, update_baseline)
         report = Report(folder, pdf, campaign)
         report.expect_possible(read)
@@ -264,22 +274,19 @@ def check(
         if campaign is not None:
             campaign_summary(read, closed, campaign)  # before the work on what would be refused
         report.prepare(junit, [job, *plant_file(job, read), file, baseline])
-        say(f"controllers: {file}")
         outcomes, store = outcomes_from(read, closed, others, beside), Store(folder / REUSE)
-        from platform_ctrl.report.page.job_page import loops_ahead
-
-        drawing = Drawing(beside, store, loops_ahead(read, outcomes, beside, store))
+        drawing = begun(read, outcomes, beside, store)
         result = check_job(read, outcomes, say)
         notes = unconfirmed(file, result)
-        command = ["check", str(job), "--controllers", str(file), "-o", str(folder)]
-        compared: dict[str, Any] = {}
-        show = report.write(result, command, say, as_json, drawing, compared)
-        outcome = comparison.outcome(result)  # last: nothing is accepted of which there is no report
-        compared |= outcome.record or {}
+        record = report.keep(result)
+        outcome = comparison.outcome(result)
         if junit is not None:
             from platform_ctrl.report.failures import write_junit
 
             write_junit(result, junit, comparison=outcome.comparison, baseline=str(baseline))
+        command = ["check", str(job), "--controllers", str(file), "-o", str(folder)]
+        show = report.draw(result, record, command, say, as_json, drawing, outcome.record)
+    noted(used)
     for note in notes:
         typer.echo(f"{file}: not confirmed: {note}", err=True)
     code = show()
@@ -328,7 +335,16 @@ class Drawing(NamedTuple):
 
     beside: SecondProcess
     store: Store
-    ahead: Ahead
+    ahead: Ahead | None
+
+
+def begun(job: Job, loops: Sequence[LoopOutcome], beside: SecondProcess, store: Store) -> Drawing:
+    """Let the second process begin with the figures of the loops; what fails here is said when the report is drawn."""
+    with suppress(Exception):
+        from platform_ctrl.report.page.job_page import loops_ahead
+
+        return Drawing(beside, store, loops_ahead(job, loops, beside, store))
+    return Drawing(beside, store, None)
 
 
 @dataclass(frozen=True)
@@ -359,27 +375,30 @@ class Report:
         if junit is not None:
             writable("--junit", junit, [*inputs, *(self.folder / name for name in self.files)])
 
-    def write(
+    def keep(self, result: JobResult) -> Record:
+        """Write the result's file, before anything is drawn, and return its content."""
+        from platform_ctrl.verification.records import result_record, write_record
+
+        record = result_record(result)
+        write_record(record, self.folder / RESULT)
+        return record
+
+    def draw(
         self,
         result: JobResult,
+        record: Record,
         command: list[str],
         say: Callable[[str], None],
         as_json: bool,
         drawing: Drawing,
         more: Mapping[str, object] | None = None,
     ) -> Shown:
-        """Write all files or none; return a function that prints the result and returns the exit code.
+        """Write the report; return a function that prints the result and returns the exit code, that of the verdict.
 
         `command` are the words of the command line without the program's name, the job second; `more` is printed as
-        JSON beside the content of the result's file. A campaign of other controllers is left out, and is an error at
-        the end.
+        JSON beside the content of the result's file. What cannot be drawn is left out, and said. A campaign of other
+        controllers is left out too, and is an error at the end.
         """
-        from platform_ctrl.cli.atomic_output import written_together
-        from platform_ctrl.report import write_page, write_pdf
-        from platform_ctrl.report.page.job_page import drawn_beside
-        from platform_ctrl.verification.records import result_record, write_record
-
-        record = result_record(result)
         words = ["platform-ctrl", *command, *(["--pdf"] if self.pdf else [])]
         about: dict[str, Any] = {}
         refused: InputError | None = None
@@ -390,18 +409,12 @@ class Report:
                 about = self._campaign_section(result, record, self.campaign, command[1])
             except InputError as error:
                 refused = InputError(f"{error}; the report in {self.folder} was written without it")
-        say(f"drawing the report: {self.folder / REPORT}")
-        with written_together(self.folder) as unfinished:
-            write_record(record, unfinished / RESULT)
-            kept: dict[str, Any] = {"store": drawing.store, "ahead": drawing.ahead}
-            content = drawn_beside(result, drawing.beside, **kept, command=shlex.join(words), **about)
-            write_page(content, unfinished / REPORT)
-            if self.pdf:
-                say(f"setting the report: {self.folder / PDF}")
-                write_pdf(content, unfinished / PDF)
+        reports, missing = self._drawn(result, say, drawing, command=shlex.join(words), **about)
 
         def show() -> int:
-            self._show(result, {**record, **(more or {})} if as_json else None)
+            self._show(result, {**record, **(more or {})} if as_json else None, reports)
+            for line in missing:
+                noted(line)
             if not (as_json or result.passed):
                 typer.echo(f"next:   {shlex.join(['platform-ctrl', 'serve', command[1]])} proposes what to change")
             if refused is not None:
@@ -411,6 +424,41 @@ class Report:
             return 0 if result.passed else 1
 
         return show
+
+    def _drawn(
+        self, result: JobResult, say: Callable[[str], None], drawing: Drawing, **about: Any
+    ) -> tuple[list[Path], list[str]]:
+        """Write the files of the report; return those that are there, and a line for what is missing, and why."""
+        written: list[Path] = []
+        lines: list[str] = []
+        content: Any = None
+
+        def page(path: Path) -> None:
+            from platform_ctrl.report import write_page
+            from platform_ctrl.report.page.blocks import missing
+            from platform_ctrl.report.page.job_page import drawn_beside
+
+            nonlocal content
+            content = drawn_beside(result, drawing.beside, store=drawing.store, ahead=drawing.ahead, **about)
+            lines.extend(f"{path}: {words}" for words in missing(content))
+            write_page(content, path)
+
+        def pages(path: Path) -> None:
+            from platform_ctrl.report import write_pdf
+
+            write_pdf(result if content is None else content, path)
+
+        for name, write in ((REPORT, page), (PDF, pages)):
+            if name not in self.files:
+                continue
+            path = self.folder / name
+            say(f"drawing the report: {path}")
+            line = not_drawn(path, write)
+            if line:
+                lines.append(line)
+            else:
+                written.append(path)
+        return written, lines
 
     def _campaign_section(
         self, result: JobResult, record: Mapping[str, Any], campaign: Path, job: str
@@ -422,7 +470,7 @@ class Report:
         again = ["simulate", job, "--controllers", str(self.folder / RESULT), "-o", str(campaign), "--run"]
         return {"campaign": summary, "again": shlex.join(["platform-ctrl", *again])}
 
-    def _show(self, result: JobResult, record: Mapping[str, object] | None) -> None:
+    def _show(self, result: JobResult, record: Record | None, reports: Sequence[Path]) -> None:
         from platform_ctrl.cli.terminal import show_result
         from platform_ctrl.common.json_text import json_text
 
@@ -430,7 +478,6 @@ class Report:
             typer.echo(json_text(record))
             return
         show_result(result)
-        for name in (REPORT, PDF):
-            if name in self.files:
-                typer.echo(f"report: {self.folder / name}")
+        for path in reports:
+            typer.echo(f"report: {path}")
         typer.echo(f"values: {self.folder / RESULT}")

@@ -5,15 +5,22 @@ from __future__ import annotations
 import shutil
 import sys
 import textwrap
+from collections.abc import Callable
+from pathlib import Path
 
-from platform_ctrl.errors import DesignError, PlatformCtrlError, SimulationError
+from platform_ctrl.errors import DesignError, PlatformCtrlError, SimulationError, began_with_interrupt, reason
 
 
-def began_with_interrupt(error: BaseException | None) -> bool:
-    """Return whether Ctrl-C caused an error: libraries that are interrupted may raise their own."""
-    while error is not None and not isinstance(error, KeyboardInterrupt):
-        error = error.__cause__ or error.__context__
-    return error is not None
+def not_drawn(path: Path, draw: Callable[[Path], object]) -> str:
+    """Write a picture or a page; where that fails return a line that says why, for the result does not depend on it."""
+    try:
+        draw(path)
+    except Exception as error:
+        if began_with_interrupt(error):
+            raise
+        there = "; the file there is of an earlier run" if path.exists() else ""
+        return f"{path}: not written: {reason(error)}{there}"
+    return ""
 
 
 def reported(error: PlatformCtrlError) -> int:

@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from platform_ctrl.cli import completion
+from platform_ctrl.cli.error_lines import noted
 from platform_ctrl.cli.job_arguments import (
     Controllers,
     JobFile,
     Json,
     Quiet,
     controller_file,
+    existing_controllers,
     expect_no_file_above,
     job_of,
     plant_file,
@@ -66,7 +69,7 @@ class ExportCommand:
 
     def __call__(self, job: Path, controllers: Path | None, as_json: bool, quiet: bool, **options: Any) -> int:
         """Write what the options ask for, and return the exit code."""
-        from platform_ctrl.cli.atomic_output import all_or_none, own_files, sha256, write_folder_record
+        from platform_ctrl.cli.atomic_output import own_files, sha256
         from platform_ctrl.cli.terminal import progress
         from platform_ctrl.common.json_text import json_text
 
@@ -75,7 +78,11 @@ class ExportCommand:
         settings = _settings(chosen, options)
         with progress(quiet or as_json, f"reading {job}") as say:
             work = Export(job_of(job), job)
-            work.controller_file = _controllers(controllers, job, {e.controllers for e in chosen})
+            uses = {e.controllers for e in chosen}
+            used = "controllers: none"
+            there = existing_controllers(None, job) is not None
+            if controllers is not None or "needed" in uses or (there and "optional" in uses):
+                work.controller_file, used = controller_file(controllers, None, job, work.job)
             file = work.controller_file
             _check_targets([job, *plant_file(job, work.job), *([file] if file else [])], chosen)
             work.controller_sha256 = None if file is None else sha256(file)
@@ -86,22 +93,13 @@ class ExportCommand:
                 "platform": work.job.platform.name,
                 "controllers": None if file is None else {"file": str(file), "sha256": work.controller_sha256},
             }
-            made: dict[Exporter, list[Path]] = {}
-            with all_or_none() as stage:
-                for exporter, target in chosen.items():
-                    say(f"writing {target}")
-                    path = stage.file(target) if exporter.suffix else stage.folder(target, owned[exporter])
-                    exporter.write(work, path, target, **settings[exporter])
-                    if not exporter.suffix:
-                        write_folder_record(path, about)
-                    made[exporter] = (
-                        [target] if exporter.suffix else [target / one.name for one in sorted(path.iterdir())]
-                    )
+            made = _write(work, chosen, settings, owned, about, say)
             written = [
                 {"format": exporter.name, "path": str(path), "sha256": sha256(path)}
                 for exporter, paths in made.items()
                 for path in paths
             ]
+        noted(used)
         if as_json:
             typer.echo(json_text(about | {"written": written, "notes": work.notes}))
             return 0
@@ -114,6 +112,38 @@ class ExportCommand:
 
 
 export = ExportCommand()
+
+
+def _write(
+    work: Export,
+    chosen: Mapping[Exporter, Path],
+    settings: Mapping[Exporter, Mapping[str, Any]],
+    owned: Mapping[Exporter, Mapping[str, str]],
+    about: Mapping[str, object],
+    say: Callable[[str], None],
+) -> dict[Exporter, list[Path]]:
+    """Write all forms or none, and return the files of each; what a folder has of an earlier export goes."""
+    from platform_ctrl.cli.atomic_output import expect_own, write_folder_record, written_together
+    from platform_ctrl.cli.interrupts import interrupts_deferred
+
+    made: dict[Exporter, list[Path]] = {}
+    with ExitStack() as all_or_none:
+        for exporter, target in chosen.items():
+            say(f"writing {target}")
+            folder = target.parent if exporter.suffix else target
+            unfinished = all_or_none.enter_context(written_together(folder))
+            path = unfinished / target.name if exporter.suffix else unfinished
+            exporter.write(work, path, target, **settings[exporter])
+            if not exporter.suffix:
+                write_folder_record(path, about)
+            expect_own(unfinished, folder, owned.get(exporter))
+            made[exporter] = [folder / one.name for one in sorted(unfinished.iterdir())]
+        with interrupts_deferred():
+            all_or_none.close()
+    for exporter, before in owned.items():
+        for name in before.keys() - {path.name for path in made[exporter]}:
+            (chosen[exporter] / name).unlink(missing_ok=True)
+    return made
 
 
 def _keyword(exporter: Exporter, setting: Setting) -> str:
@@ -157,18 +187,6 @@ def _settings(chosen: Mapping[Exporter, Path], options: Mapping[str, Any]) -> di
             if setting.choices and given not in setting.choices:
                 raise InputError(f"{setting.flag} {given}: must be one of {', '.join(setting.choices)}")
     return {e: e.checked({s.name: options[_keyword(e, s)] for s in e.settings}) for e in chosen}
-
-
-def _controllers(given: Path | None, job: Path, uses: set[str]) -> Path | None:
-    """Return the file of the controllers; None where nothing takes them, or what takes them can do without."""
-    if given is None and uses == {"unused"}:
-        return None
-    try:
-        return controller_file(given, None, job)
-    except InputError:
-        if "needed" in uses:
-            raise
-        return None
 
 
 def _check_targets(inputs: list[Path], targets: Mapping[Exporter, Path]) -> None:

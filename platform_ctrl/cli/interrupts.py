@@ -68,7 +68,10 @@ def interrupts_deferred() -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGINT, before)
-    note.check()
+    if isinstance(before, _Note) and before.deferred:
+        before.count += note.count
+    else:
+        note.check()
 
 
 def exit_interrupted(*signal_and_frame: object) -> NoReturn:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 import typer
 
 from platform_ctrl.cli import completion
+from platform_ctrl.common.files import remove_unfinished
 from platform_ctrl.errors import InputError
 
 if TYPE_CHECKING:
@@ -62,7 +63,8 @@ Controllers = Annotated[
         "--controllers",
         metavar="FILE",
         help=f"Controllers: a {RESULT}, or a JSON file with its keys schema and controllers alone. Default: JOB with "
-        f".controllers.json in place of .toml if that file exists, else {DESIGNED / RESULT}.",
+        f".controllers.json in place of .toml if that file exists, else {DESIGNED / RESULT}; these have to be those of "
+        "this job and its plant as they are now.",
         words=completion.controller_files,
     ),
 ]
@@ -135,26 +137,54 @@ def _tables(path: Path) -> dict[str, Any]:
         return {}
 
 
-def controller_file(given: Path | None, folder: Path | None, job: Path | None = None) -> Path:
-    """Return the file that controllers come from.
+def controller_file(given: Path | None, folder: Path | None, path: Path, job: Job) -> tuple[Path, str]:
+    """Return the file that controllers come from, and a line for the end of the command that says which one it was.
 
-    The given file, or the one saved beside the job, or the result in `folder`, or that of design.
+    That is the given file, or the one saved beside the job file at `path`, or the result in `folder`, or that of
+    design. One that was not given must be of this job and its plant, and not older than what design made of them.
     """
-    if given is not None:
-        return given
-    if job is not None:
-        from platform_ctrl.app.saving import controllers_beside
-
-        beside = controllers_beside(job)
-        if beside.is_file():
-            return beside
-    file = folder / RESULT if folder is not None and os.path.exists(folder / RESULT) else DESIGNED / RESULT
-    if not file.exists():
+    file = given or existing_controllers(folder, path)
+    if file is None:
         raise InputError(
-            f"{file}: there is no such file; run platform-ctrl design first, which writes controllers, or name a file "
-            "with --controllers"
+            f"{DESIGNED / RESULT}: there is no such file; run platform-ctrl design first, which writes controllers, or "
+            "name a file with --controllers"
         )
-    return file
+    from platform_ctrl.verification.controllers import differing_origin
+
+    wrong = differing_origin(file, job)
+    if given is None:
+        _expect_newest(file, _result_in(folder), path, job)
+        if wrong:
+            raise InputError(
+                f"{file}: {wrong}; run platform-ctrl design {path}, or name the file with --controllers to use it as "
+                "it is"
+            )
+    return file, f"controllers: {file}{f', which {wrong}' if wrong else ''}"
+
+
+def existing_controllers(folder: Path | None, path: Path) -> Path | None:
+    """Return the file that controllers come from where none is named, or None where there is none."""
+    from platform_ctrl.app.saving import controllers_beside
+
+    files = (controllers_beside(path), _result_in(folder))
+    return next((file for file in files if file.exists()), None)
+
+
+def _result_in(folder: Path | None) -> Path:
+    named = None if folder is None else folder / RESULT
+    return named if named is not None and named.exists() else DESIGNED / RESULT
+
+
+def _expect_newest(file: Path, result: Path, path: Path, job: Job) -> None:
+    """Refuse controllers that are older than what design made of the same job and plant."""
+    from platform_ctrl.verification.controllers import is_of_job
+
+    newer = file != result and result.is_file() and result.stat().st_mtime_ns > file.stat().st_mtime_ns
+    if newer and is_of_job(result, job):
+        raise InputError(
+            f"{file}: is older than {result}, which platform-ctrl design {path} wrote for this job; name one of the "
+            f"two with --controllers, or remove {file}"
+        )
 
 
 def one_of(option: str, given: str, known: tuple[Word, ...]) -> Word:
@@ -187,6 +217,7 @@ def prepare_folder(folder: Path, files: Sequence[str] = ()) -> None:
     """Make the folder and try to write there: before the work, not after it."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
+        remove_unfinished(folder)
         with tempfile.TemporaryFile(dir=folder):
             pass
     except (FileExistsError, NotADirectoryError):

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from platform_ctrl.cli import completion
+from platform_ctrl.cli.error_lines import noted
 from platform_ctrl.cli.job_arguments import DESIGNED, Controllers, Json, Quiet, is_plant, job_of, option
 
 if TYPE_CHECKING:
@@ -121,10 +122,13 @@ def _prepared(
         file = folder / f"{job.stem}.toml"
         file.write_text(job_alone(str(job), folder, say), encoding="utf-8")
     read = job_of(file)
-    if controllers is not None:
-        from platform_ctrl.verification.controllers import read_controllers
+    from platform_ctrl.app.saving import controllers_beside
+    from platform_ctrl.verification.controllers import differing_origin, read_controllers
 
+    if controllers is not None:
         read_controllers(controllers, read)
+    elif (beside := controllers_beside(file)).is_file() and (wrong := differing_origin(beside, read)):
+        noted(f"{beside}: {wrong}; its controllers are not shown, unless it is named with --controllers")
 
     def backend() -> object:
         from platform_ctrl.app.backend import Backend

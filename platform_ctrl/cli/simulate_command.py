@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from platform_ctrl.cli import completion
+from platform_ctrl.cli.error_lines import not_drawn, noted
 from platform_ctrl.cli.job_arguments import (
     CAMPAIGN,
     Controllers,
@@ -102,7 +103,7 @@ def simulate(
             chosen: int | Manoeuvre = int(selected)
         else:
             chosen = _manoeuvre(read, selected, job, "--run" if manoeuvre is None else "--manoeuvre")
-        file = controller_file(controllers, None, job)
+        file, used = controller_file(controllers, None, job, read)
         from platform_ctrl.verification.controllers import read_controllers
 
         closed = read_controllers(file, read)
@@ -116,6 +117,7 @@ def simulate(
                 prepare_folder(out)
             say(f"simulated run: {chosen.name}")
             show = _manoeuvre_run(read, chosen, closed, out)
+    noted(used)
     return show(as_json)
 
 
@@ -166,12 +168,12 @@ def _manoeuvre_run(job: Job, manoeuvre: Manoeuvre, controllers: list[control.Sta
     from platform_ctrl.verification.simulated import simulate_manoeuvre
 
     result = simulate_manoeuvre(job, manoeuvre, controllers)
-    drawn = None if out is None else _drawn(result, job, manoeuvre.name, out, f"manoeuvre-{_place(job, manoeuvre)}.svg")
+    name = f"manoeuvre-{_place(job, manoeuvre)}.svg"
+    figure, line = (None, "") if out is None else _drawn(result, job, manoeuvre.name, out / name)
 
     def show(as_json: bool) -> int:
         _show(job, result, {} if as_json else None)
-        if drawn is not None and not as_json:
-            typer.echo(f"figure: {drawn}")
+        _show_figure(None if as_json else figure, line)
         return 0 if all(one.passed for one in result.results) else 1
 
     return show
@@ -185,13 +187,14 @@ def _campaign_run(number: int, plan: Plan, folder: Path, recorded: bool, note: s
     unlikely = [] if row is None else unlike(found, row)
     title = f"run {number}: {found.run.manoeuvre.name}"
     compared = _compared(plan, found.inputs)
-    drawn = _drawn(found.run, found.job, title, folder, f"run-{number}.svg")
+    figure, line = _drawn(found.run, found.job, title, folder / f"run-{number}.svg")
 
     def show(as_json: bool) -> int:
         if note:
             typer.echo(note, err=True)
         if as_json:
-            more = {"run": number, "inputs": found.inputs, "row": found.metrics, "figure": str(drawn)}
+            more = {"run": number, "inputs": found.inputs, "row": found.metrics}
+            more["figure"] = None if figure is None else str(figure)
             _show(found.job, found.run, more | {"as_in_table": None if row is None else not unlikely})
         else:
             from platform_ctrl.cli.terminal import show_inputs
@@ -200,7 +203,7 @@ def _campaign_run(number: int, plan: Plan, folder: Path, recorded: bool, note: s
             _show(found.job, found.run)
             if row is not None and not unlikely:
                 typer.echo(f"the values are those of {folder / TABLE}")
-            typer.echo(f"figure: {drawn}")
+        _show_figure(None if as_json else figure, line)
         for one in unlikely:
             typer.echo(f"{folder / TABLE}: run {number} is not the same: {one}", err=True)
         return 0 if found.metrics["passed"] else 1
@@ -279,11 +282,23 @@ def _planned(
     return made, folder, record is not None and not changed, note
 
 
-def _drawn(run: Run, job: Job, title: str, folder: Path, name: str) -> Path:
-    from platform_ctrl.report.plots.time_run import write_run_figure
+def _drawn(run: Run, job: Job, title: str, path: Path) -> tuple[Path | None, str]:
+    """Return the file of a figure, or None and why it is missing."""
 
-    write_run_figure(run, job.platform, title, folder / name)
-    return folder / name
+    def draw(path: Path) -> None:
+        from platform_ctrl.report.plots.time_run import write_run_figure
+
+        write_run_figure(run, job.platform, title, path)
+
+    line = not_drawn(path, draw)
+    return (None, line) if line else (path, "")
+
+
+def _show_figure(figure: Path | None, line: str) -> None:
+    if figure is not None:
+        typer.echo(f"figure: {figure}")
+    if line:
+        noted(line)
 
 
 def _place(job: Job, manoeuvre: Manoeuvre) -> int:

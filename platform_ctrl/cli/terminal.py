@@ -211,11 +211,13 @@ def _show_verdict(console: Console, results: Sequence[CheckResult], added: str) 
 
 
 def _show_alternatives(console: Console, result: JobResult) -> None:
-    """Print a line for every design that is compared with the one that is closed."""
+    """Print a line for every design that is compared with the one that is closed, and for those that failed."""
     for outcome in result.loops:
         for design in outcome.alternatives:
             words = f"not closed: {outcome.spec.name}, {design.name}: {summary_words(design.results)}"
             show_words(console, words, "dim", indent="  ")
+    for one in result.failed:
+        show_words(console, f"failed: {one.loop}, {one.name}: {one.sentence}", "red", indent="  ")
 
 
 Tick = Callable[[int, int], None]

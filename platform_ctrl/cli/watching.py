@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import stat
+import hashlib
 import sys
 import time
 from collections.abc import Callable
@@ -10,15 +10,15 @@ from contextlib import suppress
 from pathlib import Path
 from typing import NoReturn
 
-from platform_ctrl.cli.error_lines import began_with_interrupt, noted, reported
+from platform_ctrl.cli.error_lines import noted, reported
 from platform_ctrl.cli.job_arguments import files_read
-from platform_ctrl.errors import PlatformCtrlError
+from platform_ctrl.errors import PlatformCtrlError, began_with_interrupt
 
-# Between two looks at the files, s.
-_PAUSE = 0.1
+# Between two looks at the files, s; large files are looked at for a tenth of the time.
+_PAUSE, _SHARE = 0.1, 0.1
 
-# When a file was written last, and its size; None while there is none.
-_State = dict[Path, tuple[int, int] | None]
+# Hash of what a file holds, which times and sizes do not show; None while there is none.
+_State = dict[Path, bytes | None]
 
 
 def whenever_saved(job: Path, run: Callable[[bool], int], first: bool, *, quiet: bool) -> NoReturn:
@@ -39,18 +39,24 @@ def whenever_saved(job: Path, run: Callable[[bool], int], first: bool, *, quiet:
         sys.stdout.flush()
         if not quiet:
             noted(f"waiting until {job} or a file that it names is saved; Ctrl-C ends")
-        while seen == (now := _state(files)):
-            time.sleep(_PAUSE)
-        while now != (later := _state(files)):  # it is still being written
+        while seen == (now := _after_a_pause(files)):
+            pass
+        while now != (later := _after_a_pause(files)):  # it is still being written
             now = later
-            time.sleep(_PAUSE)
+
+
+def _after_a_pause(files: list[Path]) -> _State:
+    begun = time.monotonic()
+    out = _state(files)
+    time.sleep(max(_PAUSE, (time.monotonic() - begun) * (1.0 / _SHARE - 1.0)))
+    return out
 
 
 def _state(files: list[Path]) -> _State:
     out: _State = dict.fromkeys(files)
     for file in files:
         with suppress(OSError, ValueError):  # it does not exist, or no file can be called so
-            status = file.stat()
-            if stat.S_ISREG(status.st_mode):
-                out[file] = status.st_mtime_ns, status.st_size
+            if file.is_file():
+                with file.open("rb") as opened:
+                    out[file] = hashlib.file_digest(opened, "sha256").digest()
     return out

@@ -14,23 +14,43 @@ from platform_ctrl.common.store import Store
 from platform_ctrl.common.values import value
 from platform_ctrl.design.caging_claims import shortest_rise
 from platform_ctrl.design.feedforward import design_plants
-from platform_ctrl.design.loop import LoopDesign, LoopProblem, commanded, with_commands
+from platform_ctrl.design.loop import LoopDesign, LoopProblem, commanded, instability, with_commands
 from platform_ctrl.design.loop_signals import loop_channels, loop_signals
 from platform_ctrl.design.partition import Channels
 from platform_ctrl.design.plants import plants_of, tracking_plants
 from platform_ctrl.design.reuse import design_job, kept_or_designed, plant_job
+from platform_ctrl.errors import DesignError, reason
 from platform_ctrl.job.job import DesignSpec, Job, LoopSpec
 from platform_ctrl.job.reading import read_job
 from platform_ctrl.mechanics.linearisation import LinearModel, linearise
 
 
 @value
+class FailedDesign:
+    """A design that a method did not find, or whose closed loop is unstable; `error` says why."""
+
+    loop: str
+    name: str
+    method: str
+    error: Exception
+
+    @property
+    def sentence(self) -> str:
+        """Why it failed, in one line, without its name."""
+        return reason(self.error).removeprefix(f"{self.loop}, {self.name}: ")
+
+
+@value
 class LoopOutcome:
-    """A loop of a job with all its designs, in the job's order; `use` is the name of the one that is closed."""
+    """A loop of a job with its designs, in the job's order; `use` is the name of the one that is closed.
+
+    Where the design that the job uses was not found, the first of the others is closed: `failed` says so.
+    """
 
     spec: LoopSpec
     designs: tuple[LoopDesign, ...]
     use: str
+    failed: tuple[FailedDesign, ...] = ()  # An unstable design is among `designs` as well
 
     @property
     def closed(self) -> LoopDesign:
@@ -41,6 +61,11 @@ class LoopOutcome:
     def alternatives(self) -> tuple[LoopDesign, ...]:
         """The other designs."""
         return tuple(design for design in self.designs if design.name != self.use)
+
+    @property
+    def failure(self) -> FailedDesign | None:
+        """The failure of the design that the job uses; None where it did not fail."""
+        return next((one for one in self.failed if one.name == self.spec.use), None)
 
 
 @check_arguments
@@ -67,17 +92,32 @@ def loops(
     Returns
     -------
     tuple of LoopOutcome
-        In the job's order, but a tracking loop before the rate loop that it commands.
+        In the job's order, but a tracking loop before the rate loop that it commands. A design that is not the one that
+        its loop uses may fail: `failed` says why.
 
     Raises
     ------
     InputError
         The job makes no sense, or a loop's gimbals cut through a subsystem.
     DesignError
-        A method found no controller that its certificate accepts.
+        A method found no controller for the design that a loop uses, or its closed loop is unstable.
     MechanicsError
         The mass matrix is singular at rest (gimbal lock).
     """
+    found = attempted_loops(job, progress, store, beside)
+    for outcome in found:
+        if outcome.failure is not None:
+            raise outcome.failure.error
+    return found
+
+
+def attempted_loops(
+    job: Job | str | os.PathLike[str] | Mapping[str, object],
+    progress: Progress | bool | None = None,
+    store: Store | None = None,
+    beside: SecondProcess | None = None,
+) -> tuple[LoopOutcome, ...]:
+    """Return what `loops` returns, though designs that loops use have failed; then a loop may have no design at all."""
     job = job if isinstance(job, Job) else read_job(job)
     with shown(progress) as say:
         return _loops(job, say, store, beside)
@@ -93,17 +133,49 @@ def _loops(job: Job, progress: Progress, store: Store | None, beside: SecondProc
         specs = [spec for spec in job.loops if (spec.kind == "tracking") is tracking]
         problems: list[tuple[LoopProblem, LoopDesign | None]] = []
         for spec in specs:
-            inner = made[str(spec.around)].closed if tracking else None
+            around = made[str(spec.around)] if tracking else None
+            if around is not None and around.failure is not None:
+                made[spec.name] = _without_inner(spec, around.failure)
+                continue
+            inner = None if around is None else around.closed
             directed = _with_directions(job, spec, model, plants_of_all[spec.name], inner)
             problems += [
                 (_problem(job, spec, design, model, *own, progress), inner)
                 for design, own in zip(spec.designs, directed, strict=True)
             ]
-        designs = kept_or_designed(problems, shortest_rise(job), store, beside)
+        found = kept_or_designed(problems, shortest_rise(job), store, beside)
         for spec in specs:
-            own = tuple(one for one in designs if one.loop == spec.name)
-            made[spec.name] = LoopOutcome(spec=spec, designs=own, use=spec.use)
+            own = [
+                (problem.design, one)
+                for (problem, _), one in zip(problems, found, strict=True)
+                if problem.spec.name == spec.name
+            ]
+            if own:
+                made[spec.name] = _outcome(spec, own)
     return in_order(job, [made[spec.name] for spec in job.loops])
+
+
+def _outcome(spec: LoopSpec, found: Sequence[tuple[DesignSpec, LoopDesign | Exception]]) -> LoopOutcome:
+    """Return the outcome of a loop of what its designs have come to."""
+    designs = tuple(one for _, one in found if isinstance(one, LoopDesign))
+    errors = [(design, instability(one) if isinstance(one, LoopDesign) else one) for design, one in found]
+    failed = tuple(_failed(spec, design, error) for design, error in errors if error is not None)
+    names = [one.name for one in designs]
+    use = spec.use if spec.use in names or not names else names[0]
+    return LoopOutcome(spec=spec, designs=designs, use=use, failed=failed)
+
+
+def _without_inner(spec: LoopSpec, inner: FailedDesign) -> LoopOutcome:
+    """Return the outcome of a tracking loop of which the loop inside has no design to rely on."""
+    words = f"the design {inner.name!r} of the loop {inner.loop!r}, which it commands, has failed"
+    failed = tuple(
+        _failed(spec, design, DesignError(f"{spec.name}, {design.name}: {words}")) for design in spec.designs
+    )
+    return LoopOutcome(spec=spec, designs=(), use=spec.use, failed=failed)
+
+
+def _failed(spec: LoopSpec, design: DesignSpec, error: Exception) -> FailedDesign:
+    return FailedDesign(loop=spec.name, name=design.name, method=design.method, error=error)
 
 
 Directed = tuple[PlantSet | None, Channels | None]

@@ -160,13 +160,18 @@ def designed(problem: LoopProblem) -> LoopDesign:
     return evaluated(problem, resolved(known_method(problem.design.method).design)(problem))
 
 
-def evaluated(problem: LoopProblem, found: Designed, known: KnownProofs | None = None) -> LoopDesign:
-    """Return what a method has found, with all its values recomputed; `known` proofs are verified, none is searched."""
+def evaluated(
+    problem: LoopProblem, found: Designed, known: KnownProofs | None = None, *, stable: bool = True
+) -> LoopDesign:
+    """Return what a method has found, with all its values recomputed; `known` proofs are verified, none is searched.
+
+    An unstable loop is a `NotCertifiedError` unless `stable` is False.
+    """
     spec, design, plants = problem.spec, problem.design, problem.plant_set
     method = known_method(design.method)
     if plants is not None:
         found = dataclasses.replace(found, controller=in_signals(problem, found.controller))
-        out = certified(spec, design, found, plants, known)
+        out = certified(spec, design, found, plants, known, stable=stable)
         if method.goals:
             ratios = {"limit_ratio": out.results, "goal_ratio": out.goals}
             largest = {name: max(result.ratio for result in results) for name, results in ratios.items() if results}
@@ -198,19 +203,34 @@ def in_signals(problem: LoopProblem, controller: StateArrays) -> StateArrays:
 
 
 def certified(
-    spec: LoopSpec, design: DesignSpec, found: Designed, plants: PlantSet, known: KnownProofs | None = None
+    spec: LoopSpec,
+    design: DesignSpec,
+    found: Designed,
+    plants: PlantSet,
+    known: KnownProofs | None = None,
+    *,
+    stable: bool = True,
 ) -> LoopDesign:
-    """Return the design with all its numbers recomputed from the closed loops."""
+    """Return the design with all its numbers recomputed from the closed loops; `stable` as of `evaluated`."""
     K = found.controller._replace(dt=plants.period)
     measures = measure(plants, K, requirements_of(spec))
-    if not measures.decay[0] > 0.0:
-        raise NotCertifiedError(
-            f"{spec.name}, {design.name}: the closed loop grows at {-measures.decay[0]:.3g} 1/s: it is unstable; try "
-            f"{known_method(design.method).advice}",
-            plants,
-        )
     out = _with_evidence(spec, design.name, design.method, K, plants, measures, known)
-    return dataclasses.replace(out, options=found.options, claims=found.claims)
+    out = dataclasses.replace(out, options=found.options, claims=found.claims)
+    if stable and (error := instability(out)) is not None:
+        raise error
+    return out
+
+
+def instability(design: LoopDesign) -> NotCertifiedError | None:
+    """Return the error that the closed loop with the nominal plant is unstable; None where it is stable."""
+    measures = design.measures
+    if measures is None or measures.decay[0] > 0.0:
+        return None
+    return NotCertifiedError(
+        f"{design.loop}, {design.name}: the closed loop grows at {-measures.decay[0]:.3g} 1/s: it is unstable; try "
+        f"{known_method(design.method).advice}",
+        design.plants,
+    )
 
 
 def requirements_of(spec: LoopSpec) -> tuple[LoopRequirement, ...]:

@@ -19,7 +19,7 @@ from platform_ctrl.common.store import Store, array_of, array_text, key_of
 from platform_ctrl.common.values import replaced
 from platform_ctrl.design.caging_claims import with_caging_claims
 from platform_ctrl.design.loop import Designed, LoopDesign, LoopProblem, evaluated
-from platform_ctrl.errors import DesignError, PlatformCtrlError
+from platform_ctrl.errors import DesignError, PlatformCtrlError, began_with_interrupt
 from platform_ctrl.job.job import CoupledLimits, DesignSpec, Job, LoopSpec
 from platform_ctrl.job.methods import known_method, resolved
 
@@ -83,8 +83,8 @@ def kept_or_designed(
     rise: float,
     store: Store | None,
     beside: SecondProcess | None,
-) -> list[LoopDesign]:
-    """Return the designs of problems with reduced jobs, each with that of the loop inside.
+) -> list[LoopDesign | Exception]:
+    """Return the designs of problems with reduced jobs, each with that of the loop inside, or why there is none.
 
     Those that are in the store and proved are taken from there; of the others `beside` makes a part.
     """
@@ -108,10 +108,19 @@ def kept_or_designed(
     return [design for design, _ in found]
 
 
-def _kept_or_made(problem: LoopProblem, rise: float, store: Store | None, key: str) -> tuple[LoopDesign, bool]:
-    """Return the design of a problem, and whether it was taken from the store."""
+def _kept_or_made(
+    problem: LoopProblem, rise: float, store: Store | None, key: str
+) -> tuple[LoopDesign | Exception, bool]:
+    """Return the design of a problem, or why there is none, and whether it was taken from the store."""
     taken = _taken(problem, store.find(key)) if store is not None and key else None
-    return (_made(problem, rise, store, key), False) if taken is None else (taken, True)
+    if taken is not None:
+        return taken, True
+    try:
+        return _made(problem, rise, store, key), False
+    except Exception as error:
+        if began_with_interrupt(error):
+            raise
+        return error, False
 
 
 def _key(problem: LoopProblem, rise: float, inner: LoopDesign | None) -> str:
@@ -129,7 +138,7 @@ def _made(problem: LoopProblem, rise: float, store: Store | None, key: str) -> L
     spec = problem.spec
     try:
         found: Designed = resolved(known_method(problem.design.method).design)(problem)
-        made = evaluated(problem, found)
+        made = evaluated(problem, found, stable=False)
     except DesignError as error:
         name = f"{spec.name}, {problem.design.name}"
         if problem.plant_set is None or str(error).startswith(f"{spec.name}, "):

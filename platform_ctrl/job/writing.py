@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
+from collections.abc import Mapping
 from typing import Any
 
+from platform_ctrl.common.json_text import plain_types
 from platform_ctrl.common.values import replaced
 from platform_ctrl.job.budget import Source
 from platform_ctrl.job.job import Job
@@ -42,3 +46,23 @@ def _without_log(source: Source) -> Source:
     if source.stated_unit is not None:
         table = replaced(table, {"densities": source.factor**2 * table.densities})
     return replaced(source, {"spectrum": table})
+
+
+# Of a job's file, what controllers do not depend on: they are judged by it, or simulated with it; and texts.
+_NOT_DESIGNED = ("schema", "name", "plant", "coupled", "manoeuvre", "fault", "campaign", "budget")
+
+
+def job_hashes(job: Job) -> dict[str, str]:
+    """Return SHA-256 hashes of the plant, of what else the controllers of a job are designed for, and of the whole job.
+
+    They follow from what was read: neither comments nor the names of files count, nor the titles of job and plant.
+    """
+    data = job_data(job)
+    plant = {key: item for key, item in data.pop("plant").items() if key not in ("name", "source")}
+    design = {key: item for key, item in data.items() if key not in _NOT_DESIGNED}
+    whole = {key: item for key, item in data.items() if key != "name"} | {"plant": plant}
+    return {"plant": _hash(plant), "design": _hash(design), "job": _hash(whole)}
+
+
+def _hash(data: Mapping[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(plain_types(data), sort_keys=True).encode()).hexdigest()

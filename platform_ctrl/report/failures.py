@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from platform_ctrl.common.files import write_whole
 from platform_ctrl.common.text import rounded
-from platform_ctrl.errors import PlatformCtrlError
+from platform_ctrl.errors import reason
 from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.job.quantities import (
     UNSTABLE,
@@ -95,15 +95,15 @@ def failure_text(comparison: Comparison, job: str, file: Path, plot: Path, accep
 
     If the plot cannot be written, the text gives the reason and is complete all the same.
     """
-    from platform_ctrl.report.figures.baseline_changes import write_moved_figure  # loads Matplotlib
-
     title = moved_text(comparison, f"{job}, {file.name}").partition("\n")[0]
     drawn: Path | None = None
     try:
+        from platform_ctrl.report.figures.baseline_changes import write_moved_figure  # loads Matplotlib
+
         drawn = write_moved_figure(comparison, title, plot)
         place = str(drawn)
-    except PlatformCtrlError as error:
-        place = f"none ({error})"
+    except Exception as error:
+        place = f"none ({reason(error)})"
     return f"{moved_text(comparison, str(file))}\n  plot: {place}\n  to accept this: {accept}", drawn
 
 

@@ -25,7 +25,7 @@ from platform_ctrl.analysis.arrays import ComplexArray
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.cases import changed, rows_of
 from platform_ctrl.mechanics.linearisation import LinearModel, linearise
-from platform_ctrl.mechanics.state_space import state_space
+from platform_ctrl.mechanics.state_space import state_space, subsystems
 from platform_ctrl.plant.platform import Platform
 
 if TYPE_CHECKING:
@@ -144,6 +144,7 @@ def modes_at(result: JobResult, Omega: ArrayLike) -> tuple[Mode, ...]:
     return tuple(mode for group in result.subsystems for mode in modes(model, group))
 
 
-def nutates(model: LinearModel, groups: Iterable[tuple[str, ...]]) -> bool:
-    """Return whether a mode of one of these subsystems is a nutation."""
-    return any("nutation" in poles_and_kinds(model, group)[1] for group in groups)
+def nutates(model: LinearModel, gimbals: Iterable[str]) -> bool:
+    """Return whether a mode in which one of these gimbals takes part is a nutation."""
+    named = set(gimbals)
+    return any("nutation" in poles_and_kinds(model, group)[1] for group in subsystems(model) if named & set(group))

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from platform_ctrl.analysis.plant_set import COMMAND, PlantSet
@@ -22,6 +23,7 @@ from platform_ctrl.design.partition import Channels
 from platform_ctrl.design.plants import plants_of, tracking_plants
 from platform_ctrl.errors import InputError
 from platform_ctrl.job.job import DesignSpec, Job, LoopSpec
+from platform_ctrl.job.writing import job_hashes
 from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.plant.mistakes import given, suggestion
 from platform_ctrl.plant.platform import is_rate
@@ -81,6 +83,47 @@ def read_controllers(
             made_by[name] = f"{key} {number}"
         out.append(K)
     return out
+
+
+def differing_origin(path: Path, job: Job) -> str:
+    """Return what is wrong with taking the controllers of a file for those of a job unasked; nothing where all is well.
+
+    A file that does not say what it was made for is taken. `read_controllers` says what else is wrong with it.
+    """
+    _, data = read_json(path, _EXPECTED)
+    if not isinstance(data, Mapping):
+        return ""
+    hashes, now = data.get("sha256"), job_hashes(job)
+    for key, words in (
+        ("plant", "was made for another plant: the plant has changed since, or it is another job's"),
+        ("design", "was made for another job: loops, limits, sampling or operation have changed since"),
+    ):
+        if isinstance(hashes, Mapping) and key in hashes and hashes[key] != now[key]:
+            return words
+    closed, failed = _designs(data.get("controllers")), _designs(data.get("failed"))
+    for spec in job.loops:
+        names = [design.name for design in spec.designs]
+        if (spec.name, spec.use) in failed and spec.name not in dict(closed):
+            return f"has no controller of the loop {given(spec.name)}, whose design {given(spec.use)} failed"
+        for name in (name for loop, name in closed if loop == spec.name and name in names and name != spec.use):
+            return f"closes the loop {given(spec.name)} with {given(name)}, but the job uses {given(spec.use)}"
+    return ""
+
+
+def is_of_job(path: Path, job: Job) -> bool:
+    """Return whether a file says that its controllers are those of this job and its plant."""
+    try:
+        _, data = read_json(path, _EXPECTED)
+    except InputError:
+        return False
+    hashes, now = (data.get("sha256") if isinstance(data, Mapping) else None), job_hashes(job)
+    return isinstance(hashes, Mapping) and all(hashes.get(key) == now[key] for key in ("plant", "design"))
+
+
+def _designs(entries: object) -> list[tuple[object, object]]:
+    """Return loop and design of the entries of a file, whatever they are."""
+    found = entries if isinstance(entries, list) else []
+    return [(one.get("name"), one.get("design")) for one in found if isinstance(one, Mapping)]
 
 
 def _controller(entry: JSONTable, job: Job, known: Sequence[str]) -> control.StateSpace:

@@ -97,7 +97,7 @@ class LinearTrials:
         self._outcomes = {outcome.spec.name: outcome for outcome in result.loops}
         self._inner = {one.spec.around: one for one in result.loops if one.spec.around}
         self._limits_budget = () if result.budget is None else result.budget.results
-        self._coupled = result.coupled.results
+        self._coupled = () if result.coupled is None else result.coupled.results
         of_loops = tuple(one for outcome in result.loops for one in outcome.closed.results)
         self.before = keyed((*of_loops, *self._coupled, *self._limits_budget))
         self._builders: dict[str, _Builder | None] = {}

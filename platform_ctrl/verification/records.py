@@ -24,6 +24,7 @@ from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.loop import LoopDesign
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.judging import CheckResult
+from platform_ctrl.job.writing import job_hashes
 from platform_ctrl.plant.mistakes import given
 from platform_ctrl.plant.source import read_json
 from platform_ctrl.verification.budget_result import LineOfSightBudget
@@ -49,15 +50,22 @@ def result_record(result: JobResult) -> Record:
         "added": [part.name for part in job.platform.added],
         "job": job.name,
         "passed": result.passed,
+        "assumptions": result.assumptions.removeprefix(", "),
         "seed": job.seed,
+        "sha256": job_hashes(job),
         "versions": versions(),
         "subsystems": result.subsystems,
         "controllers": [_controller(result, outcome.closed) for outcome in result.loops],
         "alternatives": [_controller(result, design) for outcome in result.loops for design in outcome.alternatives],
         "requirements": [_requirement(one) for one in result.requirements],
-        "coupled": _coupled(result.coupled) | {"certificates": _certificates(result.proofs["", ""])},
+        "coupled": {"stable": None} if result.coupled is None else _coupled(result.coupled, result.proofs["", ""]),
         "runs": [run_record(job, run) for run in result.runs],
     }
+    if result.failed:
+        record["failed"] = [
+            {"name": one.loop, "design": one.name, "method": one.method, "reason": one.sentence}
+            for one in result.failed
+        ]
     if result.budget is not None:
         record["budget"] = budget_record(job, result.budget, result.simulated_budget)
     out: Record = plain_types(record)
@@ -236,7 +244,7 @@ def _requirement(result: CheckResult) -> Record:
     return {name: getattr(result, name) for name in (*names, "method", "evidence")}
 
 
-def _coupled(check: CoupledCheck) -> Record:
+def _coupled(check: CoupledCheck, proofs: Proofs) -> Record:
     figures = zip(check.channels, check.decoupled, check.coupled, check.cost, check.torque_noise, strict=True)
     simultaneous = check.simultaneous
     return {
@@ -252,6 +260,7 @@ def _coupled(check: CoupledCheck) -> Record:
             {"channel": name, "decoupled": alone, "coupled": together, "cost": cost, "torque_noise": noise}
             for name, alone, together, cost, noise in figures
         ],
+        "certificates": _certificates(proofs),
     }
 
 

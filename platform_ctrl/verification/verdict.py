@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from html import escape
 from typing import TYPE_CHECKING
 
@@ -17,9 +17,9 @@ from platform_ctrl.analysis.interconnection import interconnected_by_sample
 from platform_ctrl.analysis.periodic import lifted
 from platform_ctrl.common.progress import Progress, shown
 from platform_ctrl.common.signatures import check_arguments
-from platform_ctrl.common.values import value
+from platform_ctrl.common.values import replaced, value
 from platform_ctrl.design.cases import subsystems_over
-from platform_ctrl.design.jobs import LoopOutcome
+from platform_ctrl.design.jobs import FailedDesign, LoopOutcome
 from platform_ctrl.design.loop import LoopDesign
 from platform_ctrl.errors import NotCertifiedError
 from platform_ctrl.job.job import Job
@@ -38,6 +38,7 @@ if TYPE_CHECKING:
 
 _SIGNS = {"at most": "≤", "at least": "≥"}
 PROVED = Requirement(name="certified properties", limit=1.0, unit="", sense="at least")
+FOUND = Requirement(name="controller found", limit=1.0, unit="", sense="at least")
 
 
 @value
@@ -189,7 +190,7 @@ class JobResult:
     loops
         For every loop all designs, and which of them is closed.
     coupled, runs
-        The checks of the whole.
+        The checks of the whole; None and empty where a loop has no controller.
     proofs
         Of every design by (loop, design), and of the coupled system by ("", ""): its certificates, verified.
     requirements
@@ -198,18 +199,21 @@ class JobResult:
         Of the line of sight, where the job limits it or simulates its sources.
     simulated_budget
         What runs of the non-linear plant show of it, where the job's budget has `runs`.
+    failed
+        Designs that were not found, or whose closed loop is unstable.
     """
 
     job: Job
     model: LinearModel
     subsystems: tuple[tuple[str, ...], ...]
     loops: tuple[LoopOutcome, ...]
-    coupled: CoupledCheck
+    coupled: CoupledCheck | None
     runs: tuple[Run, ...]
     proofs: dict[tuple[str, str], Proofs]
     requirements: tuple[CheckResult, ...]
     budget: LineOfSightBudget | None = None
     simulated_budget: SimulatedBudget | None = None
+    failed: tuple[FailedDesign, ...] = ()
 
     @property
     def passed(self) -> bool:
@@ -219,7 +223,8 @@ class JobResult:
     @property
     def assumptions(self) -> str:
         """What the verdict rests on, in words that go with it; empty where that is nothing."""
-        return assumed_words(self.job, self.coupled.free_angles, self.coupled.uncontrolled)
+        coupled = self.coupled
+        return assumed_words(self.job, *(() if coupled is None else (coupled.free_angles, coupled.uncontrolled)))
 
     def _repr_html_(self) -> str:
         """Return the verdict and all requirements, the tightest first: what notebooks show."""
@@ -250,7 +255,8 @@ def check_job(job: Job, loops: Sequence[LoopOutcome], progress: Progress | bool 
     job
         The job.
     loops
-        From `platform_ctrl.design.loops`, or from controllers that exist already.
+        From `platform_ctrl.design.loops`, or from controllers that exist already. Where one has no design at all, the
+        others are not closed together.
     progress
         Called with a line before each step; True shows the lines, in a notebook or on a terminal.
 
@@ -270,36 +276,37 @@ def check_job(job: Job, loops: Sequence[LoopOutcome], progress: Progress | bool 
         return _checked(job, loops, say)
 
 
-def _checked(job: Job, loops: Sequence[LoopOutcome], say: Progress) -> JobResult:
+def _checked(job: Job, outcomes: Sequence[LoopOutcome], say: Progress) -> JobResult:
     model = linearise(job.platform)
+    loops = [one for one in outcomes if one.designs]
+    complete = len(loops) == len(outcomes)
     controllers = [outcome.closed.controller for outcome in loops]
-    say("coupled check: all loops on the coupled sampled model")
-    coupled = coupled_check(job, model, controllers)
+    coupled, budget, simulated, runs = None, None, None, []
+    if complete:
+        say("coupled check: all loops on the coupled sampled model")
+        coupled = coupled_check(job, model, controllers)
     say("certificates: every claim proved in interval arithmetic")
     proofs = {(d.loop, d.name): proofs_of(d) for outcome in loops for d in outcome.designs}
-    together = coupled_proofs(coupled, controllers)
-    budget, simulated = None, None
+    together = _verified((), ()) if coupled is None else coupled_proofs(coupled, controllers)
     shaken = job.budget.runs if job.budget is not None else None
-    if coupled.stable and (is_limited(job) or shaken):
+    if coupled is not None and coupled.stable and (is_limited(job) or shaken):
         say("budget: every source through the coupled sampled model")
         budget = line_of_sight_budget(job, controllers)
         if shaken:
             say(f"budget: {shaken} runs of the non-linear plant")
             simulated = simulated_budget(job, controllers, shaken, seed=job.seed, threads=os.cpu_count() or 1)
-    runs = []
-    for manoeuvre in job.manoeuvres:
+            budget = replaced(budget, {"results": by_simulation(budget.results, simulated)})
+    for manoeuvre in job.manoeuvres if complete else ():
         say(f"simulated run: {manoeuvre.name}")
         runs.append(simulate_manoeuvre(job, manoeuvre, controllers))
-    requirements: list[CheckResult] = []
+    requirements = [*_not_found(outcomes)]
     for outcome in loops:
         design = outcome.closed
         certified = proofs[design.loop, design.name].results(design.loop, design.name, "decoupled")
         requirements += [*design.results, *certified]
-    requirements += [*coupled.results, *together.results(ALL_LOOPS, "", "coupled")]
-    if budget is None:
-        requirements += unstable_results(job)
-    else:
-        requirements += budget.results if simulated is None else by_simulation(budget.results, simulated)
+    if coupled is not None:
+        requirements += [*coupled.results, *together.results(ALL_LOOPS, "", "coupled")]
+        requirements += unstable_results(job) if budget is None else budget.results
     requirements += [result for run in runs for result in run.results]
     return JobResult(
         job=job,
@@ -312,4 +319,21 @@ def _checked(job: Job, loops: Sequence[LoopOutcome], say: Progress) -> JobResult
         requirements=tuple(requirements),
         budget=budget,
         simulated_budget=simulated,
+        failed=tuple(one for outcome in outcomes for one in outcome.failed),
     )
+
+
+def _not_found(outcomes: Sequence[LoopOutcome]) -> Iterator[CheckResult]:
+    """Walk a result that is missed for each design that a loop uses and that was not found."""
+    for outcome in outcomes:
+        failure = outcome.failure
+        if failure is not None and failure.name not in [one.name for one in outcome.designs]:
+            closed = f"; “{outcome.use}” is closed in its place" if outcome.designs else "; the whole is not checked"
+            yield FOUND.judge(
+                0.0,
+                subject=failure.loop,
+                design=failure.name,
+                stage="decoupled",
+                evidence=f"{failure.sentence}{closed}",
+                method="exact",
+            )

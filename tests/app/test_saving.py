@@ -17,6 +17,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from cli.test_cli import JOB as THREE
 from one_gyro_job import JOB as ONE
 from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.app.backend import Backend
@@ -26,7 +27,7 @@ from platform_ctrl.cli import main
 from platform_ctrl.design.jobs import loops
 from platform_ctrl.errors import DesignError, InputError, OldKeyWarning, PlatformCtrlError
 from platform_ctrl.job.reading import read_job
-from platform_ctrl.plant.source import shipped_models
+from platform_ctrl.plant.source import platform_source, shipped_models
 
 SHIPPED = Path(__file__).parents[2] / "examples" / "three_gyro_platform.toml"
 LOOP = "caging 9-10"
@@ -322,6 +323,91 @@ def test_saving_replaces_files_only_with_overwrite(bench: Backend, job_file: Pat
         Backend(bench.read).save(settings, tmp_path / "other.toml")
 
 
+def test_what_nobody_has_changed_stays_as_it_is_to_the_last_letter(tmp_path: Path) -> None:
+    (tmp_path / "job.toml").write_text(THREE, encoding="utf-8")
+    page = Backend(tmp_path / "job.toml")
+    saved = page.save(page.start(), tmp_path / "same.toml")
+    assert saved.job.read_text(encoding="utf-8") == THREE
+    assert saved.notes == ()
+    # One slider is one number.
+    moved = page.save(page.moved(page.start("stabilisation"), "filter_hz", 55.0), tmp_path / "moved.toml")
+    assert moved.job.read_text(encoding="utf-8") == THREE.replace("filter_hz = 50", "filter_hz = 55")
+    assert moved.notes == ()
+    # What the job leaves to a rule of thumb, which would choose otherwise now, is written, and said.
+    settings = page.moved(page.start("stabilisation"), "crossover_hz", 4.5)
+    moved = page.save(settings, tmp_path / "again.toml")
+    said = "crossover_hz = 4.5, filter_hz = 50, position_hz = 1.2"
+    assert moved.job.read_text(encoding="utf-8").replace("1.2}", "1.2 }") == THREE.replace(
+        "crossover_hz = 4, filter_hz = 50", said
+    )
+    assert moved.notes == ("stabilisation, servo: position_hz = 1.2, for the controller to be that of the page",)
+    assert Backend(moved.job).start().options["stabilisation"] == settings.options["stabilisation"]
+
+
+@pytest.mark.parametrize("what", ["job", "plant", "damaged", "gone"])
+def test_a_job_that_was_changed_on_disk_is_not_saved_with_the_controllers_of_the_page(
+    what: str, tmp_path: Path
+) -> None:
+    plant = platform_source("three_gyro_platform")
+    (tmp_path / "plant.toml").write_text(plant, encoding="utf-8")
+    job = tmp_path / "job.toml"
+    job.write_text(THREE.replace('"three_gyro_platform"', '"plant.toml"'), encoding="utf-8")
+    page = Backend(job)
+    settings = page.moved(page.start(LOOP), "crossover_hz", 41.0)
+    text = job.read_text(encoding="utf-8")
+    # A comment changes nothing, and stays.
+    job.write_text(f"# mine\n{text}", encoding="utf-8")
+    assert page.save(settings, tmp_path / "new.toml").job.read_text(encoding="utf-8").startswith("# mine")
+    if what == "job":
+        job.write_text(text.replace("disk_margin = 0.4", "disk_margin = 0.45"), encoding="utf-8")
+    elif what == "plant":
+        (tmp_path / "plant.toml").write_text(plant.replace("0.7e-4", "0.8e-4"), encoding="utf-8")
+        assert (tmp_path / "plant.toml").read_text(encoding="utf-8") != plant
+    elif what == "damaged":
+        job.write_text(text + "[[loop", encoding="utf-8")
+    else:
+        job.unlink()
+    before = {path: path.read_bytes() for path in tmp_path.iterdir()}
+    words = r"job\.toml: .* changed on disk .*; nothing was saved: .* platform-ctrl serve"
+    for name in ("job.toml", "new.toml", "other.toml"):
+        with pytest.raises(InputError, match=words):
+            page.save(settings, tmp_path / name, overwrite=True)
+    assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
+def test_a_page_saves_over_its_own_job_again_and_again(tmp_path: Path) -> None:
+    job = tmp_path / "job.toml"
+    job.write_text(THREE, encoding="utf-8")
+    page = Backend(job)
+    moved = page.moved(page.moved(page.start("stabilisation"), "crossover_hz", 4.5), "rate_hz", 2100.0)
+    page.save(moved, job, overwrite=True)
+    assert "rate_hz = 2100" in job.read_text(encoding="utf-8")
+    page.save(page.start("stabilisation"), job, overwrite=True)
+    assert job.read_text(encoding="utf-8") == THREE
+    page.save(moved, job, overwrite=True)
+    job.write_text(THREE.replace("crossover_hz = 4,", "crossover_hz = 5,"), encoding="utf-8")
+    with pytest.raises(InputError, match="changed on disk"):
+        page.save(moved, job, overwrite=True)
+
+
+def test_controllers_beside_a_job_are_taken_until_the_job_has_changed(tmp_path: Path) -> None:
+    job = tmp_path / "gyro.toml"
+    job.write_text(TWO, encoding="utf-8")
+    page = Backend(job)
+    saved = page.save(_moved(page, page.start(), crossover_hz=58.5), job, overwrite=True)
+    record = json.loads(saved.controllers.read_text(encoding="utf-8"))
+    record["alternatives"] = [record["controllers"][0] | {"design": "lqg", "method": "lqg"}]
+    saved.controllers.write_text(json.dumps(record), encoding="utf-8")
+
+    def taken() -> bool:
+        backend = Backend(job)
+        return backend._loops.is_available(backend.start(), backend.read.loops[0], "lqg")
+
+    assert taken()
+    job.write_text(job.read_text(encoding="utf-8").replace("spin = 0.05", "spin = 0.1"), encoding="utf-8")
+    assert not taken()
+
+
 def test_a_plant_beside_the_job_is_found_from_another_folder(tmp_path: Path) -> None:
     from platform_ctrl.plant.source import platform_source
 
@@ -404,8 +490,13 @@ def test_controllers_of_a_result_are_shown_as_they_are(bench: Backend, tmp_path:
 
 def test_saving_notes_a_loop_whose_design_is_not_available(shipped: Backend, tmp_path: Path) -> None:
     saved = shipped.save(shipped.start(), tmp_path / "new.toml")
-    assert len(saved.notes) == 2
-    assert "classical is closed in place of structured" in saved.notes[0]
+    words = "classical is closed in place of structured, which is not designed"
+    assert [line for line in saved.notes if "tune" not in line] == [
+        f"caging 4-5-7: {words}",
+        f"caging 9-10: {words}",
+    ]
+    # The numbers were starting values of the tuner.
+    assert sum("tune = false" in line for line in saved.notes) == 2
     assert read_job(saved.job).loops[1].use == "classical"
     loop_names = [one["name"] for one in json.loads(saved.controllers.read_text())["controllers"]]
     assert loop_names == [spec.name for spec in shipped.read.loops]

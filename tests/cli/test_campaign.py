@@ -78,7 +78,7 @@ def test_the_same_command_again_flies_nothing_and_ends_alike(there: Path, capsys
     before = (there / "campaign" / "campaign.parquet").stat()
     code = main(["campaign", "job.toml", "--runs", str(RUNS), "--json"])
     out, err = capsys.readouterr()
-    assert err == ""
+    assert err == "controllers: out/result.json\n"
     record = json.loads(out)
     assert record == json.loads((there / "campaign" / "campaign.json").read_text())
     assert code == (0 if record["counts"]["passed"] == RUNS else 1)
@@ -101,7 +101,7 @@ def test_a_run_again_shows_its_draws_and_the_figures_of_its_row(
     row = rows(there / "campaign")[17]
     code = main(["simulate", "job.toml", "--run", "17", "-q"])
     out, err = capsys.readouterr()
-    assert err == ""
+    assert err == "controllers: out/result.json\n"
     assert code == (0 if row["passed"] else 1)
     lines = {line.split("  ")[0]: line.split("  ")[-1].split()[0] for line in out.splitlines() if "  " in line}
     assert out.startswith("run 17 of the campaign\n")
@@ -128,7 +128,7 @@ def test_a_row_that_is_not_what_the_run_comes_to_is_told(
     main(["simulate", "job.toml", "--run", "3", "--json"])
     out, err = capsys.readouterr()
     assert json.loads(out)["as_in_table"] is False
-    [line] = err.splitlines()
+    _, line = err.splitlines()
     assert re.search(r"campaign.parquet: run 3 is not the same: angle [\d.e-]+, there [\d.e-]+$", line)
 
 

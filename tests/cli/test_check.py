@@ -65,7 +65,8 @@ def test_a_requirement_that_is_missed_is_not_made_up_for_by_its_baseline(
     there: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (there / "job.toml").write_text(TOO_MUCH, encoding="utf-8")
-    assert main(["check", "job.toml", "--baseline", "gyro.json", "--junit", "made/check.xml", "-q"]) == 1
+    given = ["--controllers", "out/result.json", "--baseline", "gyro.json", "--junit", "made/check.xml"]
+    assert main(["check", "job.toml", *given, "-q"]) == 1
     assert "FAILED: 1 of 7 requirements not met" in capsys.readouterr().out
     suites = {suite.name: suite for suite in JUnitXml.fromfile(str(there / "made" / "check.xml"))}
     assert list(suites) == ["caging 9-10", "all loops closed", "gyro.json"]
@@ -96,13 +97,13 @@ def test_json_has_the_comparison_and_is_alone_on_standard_output(
     assert "baseline" not in json.loads((there / "check" / "result.json").read_text(encoding="utf-8"))
 
 
-def test_nothing_is_accepted_where_the_report_cannot_be_written(
+def test_nothing_is_accepted_where_the_result_cannot_be_written(
     there: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def full(*_: object, **__: object) -> None:
-        raise OSError(errno.ENOSPC, "No space left on device", "report.html")
+        raise OSError(errno.ENOSPC, "No space left on device", "result.json")
 
-    monkeypatch.setattr("platform_ctrl.report.page.job_page.drawn_beside", full)
+    monkeypatch.setattr("platform_ctrl.common.files.replaced_file", full)
     before = Path("gyro.json").read_bytes()
     arguments = ["check", "job.toml", "--controllers", "slower/result.json", "--baseline", "gyro.json", "-q"]
     assert "No space left" in refused(capsys, *arguments, "--update-baseline")
@@ -152,4 +153,4 @@ def test_a_baseline_is_a_file_of_controllers_too(there: Path, capsys: pytest.Cap
     assert main(["check", "job.toml", "--controllers", "gyro.json", "--baseline", "gyro.json", "-q"]) == 0
     out, err = capsys.readouterr()
     assert "none of 14 figures" in out
-    assert err == ""
+    assert err == "controllers: gyro.json\n"

@@ -13,9 +13,11 @@ import time
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+import one_gyro_job
 import platform_ctrl as pc
 from campaign_runs import MANOEUVRES
 from platform_ctrl.cli import main
@@ -137,7 +139,8 @@ def test_a_requirement_that_is_not_met_ends_with_one(there: Path, capsys: pytest
     given = ["check", "strict.toml", "--controllers", "out/result.json", "-o", "strict", "--json"]
     assert main(given) == 1
     out, err = capsys.readouterr()
-    assert err == ""
+    assert err.startswith("controllers: out/result.json, which was made for another job")
+    assert len(err.splitlines()) == 1
     printed = json.loads(out)
     assert printed == json.loads((there / "strict" / "result.json").read_text())
     failed = [(one["subject"], one["name"]) for one in printed["requirements"] if not one["passed"]]
@@ -156,7 +159,7 @@ def test_a_folder_that_is_named_gives_its_controllers_and_a_narrow_terminal_gets
     monkeypatch.setenv("COLUMNS", "60")
     assert main(["check", "job.toml", "-o", "other", "-q"]) == 0
     out, err = capsys.readouterr()
-    assert err == ""
+    assert err == "controllers: other/result.json\n"
     assert max(map(len, out.splitlines())) <= 60
     assert "caging 9-10, classical" in out.splitlines()
     assert re.search(r"^met +bandwidth +[\d.]+ Hz +≥ \d+ Hz +\+[\d.]+ %$", out, re.MULTILINE)
@@ -167,7 +170,7 @@ def test_a_folder_that_is_named_gives_its_controllers_and_a_narrow_terminal_gets
 def test_simulate_flies_one_manoeuvre_by_name_or_number(there: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["simulate", "job.toml", "--run", "2", "-q"]) == 0
     out, err = capsys.readouterr()
-    assert err == ""
+    assert err == "controllers: out/result.json\n"
     assert out.startswith("step")
     assert main(["simulate", "job.toml", "--run", "turn", "--json"]) == 0
     run: dict[str, Any] = json.loads(capsys.readouterr().out)
@@ -190,21 +193,91 @@ def test_simulate_without_a_choice_lists_the_manoeuvres(there: Path, capsys: pyt
 
 def test_simulate_ends_with_one_when_a_limit_is_not_met(there: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (there / "tight.toml").write_text(JOB.replace("angle = 0.0005", "angle = 1e-9"), encoding="utf-8")
-    assert main(["simulate", "tight.toml", "--run", "step", "-q"]) == 1
+    assert main(["simulate", "tight.toml", "--run", "step", "-q", "--controllers", "out/result.json"]) == 1
     assert "NOT MET" in capsys.readouterr().out
 
 
-def test_a_method_that_finds_no_controller_ends_with_one_and_one_line(
+def test_an_unstable_loop_has_its_report_and_ends_with_one_and_one_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "job.toml").write_text(JOB.replace("crossover_hz = 40", "crossover_hz = 400"), encoding="utf-8")
     assert main(["design", str(tmp_path / "job.toml"), "-o", str(tmp_path / "out"), "--json"]) == 1
     out, err = capsys.readouterr()
-    assert out == ""
     assert err.startswith("platform-ctrl: error: caging 9-10, classical: the closed loop grows at")
     assert len(err.splitlines()) == 1
-    # What was designed before is not designed again.
-    assert [path.name for path in (tmp_path / "out").iterdir()] == ["reuse"]
+    record = json.loads(out)
+    assert record["passed"] is False
+    assert [one["design"] for one in record["failed"]] == ["classical"]
+    assert "caging 9-10" in [one["name"] for one in record["controllers"]]
+    page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    own = page[page.index('id="loop-2"') : page.index('id="loop-3"')]
+    assert "Loop transfer" in own
+    assert "Nichols plot" in own
+    assert "closed loop not stable" in own
+    assert "the closed loop grows at" in own
+
+
+BAD = {
+    "no controller": ("spin_notch_hz = 1500", "spin_notch_hz must be below half the sample rate, got 1500"),
+    "unstable": ("crossover_hz = 400", "the closed loop grows at"),
+    "an error of a library": ("crossover_hz = 39", "LinAlgError: no luck"),
+}
+
+
+@pytest.mark.usefixtures("undrawn")
+@pytest.mark.parametrize("how", BAD)
+@pytest.mark.parametrize("used", [False, True])
+def test_a_design_that_fails_does_not_end_the_others(
+    how: str, used: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from platform_ctrl.design.classical import caging
+
+    option, words = BAD[how]
+    made = caging.classical_design
+
+    def fails(problem: Any) -> Any:
+        if problem.design.options.get("crossover_hz") == 39.0:
+            raise np.linalg.LinAlgError("no luck")
+        return made(problem)
+
+    monkeypatch.setattr(caging, "classical_design", fails)
+    bad = f'{{ name = "bad", method = "classical", integral_hz = 2, {option} }}'
+    text = one_gyro_job.JOB.replace("design = [{", f"design = [{bad}, {{")
+    text = text.replace('use = "classical"', 'use = "bad"') if used else text
+    (tmp_path / "job.toml").write_text(text, encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    assert main(["design", "job.toml", "-q"]) == (1 if used else 0)
+    out, err = capsys.readouterr()
+    assert f"failed: caging 9-10, bad: {words}" in " ".join(out.split()).replace("classical: spin", "spin")
+    assert err.startswith("platform-ctrl: error: caging 9-10, bad: ") if used else not err
+    record = json.loads((tmp_path / "out" / "result.json").read_text(encoding="utf-8"))
+    assert record["passed"] is not used
+    [failed] = record["failed"]
+    assert (failed["name"], failed["design"]) == ("caging 9-10", "bad")
+    assert words in failed["reason"]
+    there = [one["design"] for one in record["controllers"] + record["alternatives"]]
+    assert "classical" in there
+    assert ("bad" in there) is (how == "unstable")
+    assert (tmp_path / "out" / "report.html").is_file()
+
+
+def test_a_loop_without_any_controller_leaves_the_report_of_the_others(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bad = JOB.replace("crossover_hz = 40,", "crossover_hz = 40, spin_notch_hz = 1500,")
+    (tmp_path / "job.toml").write_text(bad, encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    assert main(["design", "job.toml", "-q"]) == 1
+    out, err = capsys.readouterr()
+    assert "NOT MET  controller found" in out
+    assert "spin_notch_hz must be below half the sample rate" in err
+    record = json.loads((tmp_path / "out" / "result.json").read_text(encoding="utf-8"))
+    assert [one["name"] for one in record["controllers"]] == ["caging 4-5-7", "stabilisation"]
+    assert record["coupled"] == {"stable": None}
+    assert "Loop transfer" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    # No other command takes these for the controllers of the job.
+    words = 'out/result.json: has no controller of the loop "caging 9-10", whose design "classical" failed'
+    assert words in refused(capsys, "check", "job.toml", "-q")
 
 
 def test_models_are_listed_a_line_each(capsys: pytest.CaptureFixture[str]) -> None:
@@ -355,7 +428,7 @@ def test_an_error_that_a_library_makes_of_an_interrupt_is_an_interrupt(
         except KeyboardInterrupt:
             raise {"DesignError": DesignError, "ValueError": ValueError}[made]("no luck") from None
 
-    monkeypatch.setattr("platform_ctrl.design.loops", broken)
+    monkeypatch.setattr("platform_ctrl.design.jobs.attempted_loops", broken)
     assert main(["design", "job.toml", "-o", "broken", "-q"]) == 130
     assert capsys.readouterr().err == "platform-ctrl: interrupted\n"
 
@@ -371,7 +444,7 @@ def _forgotten(error: type[Exception]) -> None:
 def test_an_error_after_an_interrupt_is_an_interrupt(
     error: type[Exception], there: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("platform_ctrl.design.loops", lambda *given: _forgotten(error))
+    monkeypatch.setattr("platform_ctrl.design.jobs.attempted_loops", lambda *given: _forgotten(error))
     assert main(["design", "job.toml", "-o", "broken", "-q"]) == 130
     assert capsys.readouterr().err == "platform-ctrl: interrupted\n"
 

@@ -17,7 +17,7 @@ import pytest
 import platform_ctrl as pc
 from one_gyro_job import JOB
 from platform_ctrl import design, export
-from platform_ctrl.cli import atomic_output, main
+from platform_ctrl.cli import main
 from platform_ctrl.errors import InputError
 from platform_ctrl.export.exporters import exporters
 from platform_ctrl.job.reading import read_job
@@ -55,7 +55,7 @@ def test_every_form_is_written_and_told_with_its_hash(there: Path, capsys: pytes
     assert main(["export", "job.toml", *EVERYTHING, "--json"]) == 0
     out, err = capsys.readouterr()
     told = json.loads(out)
-    assert err == ""
+    assert err == "controllers: out/result.json\n"
     assert told["job"] == "gyro 9-10"
     of = Path("out/result.json")
     assert told["controllers"] == {"file": str(of), "sha256": hashlib.sha256(of.read_bytes()).hexdigest()}
@@ -211,18 +211,15 @@ def test_a_folder_of_its_own_is_renewed_but_never_what_somebody_changed(
     assert "is not the record of an export" in refused(capsys, "export", "job.toml", "--csv", "r", "-q")
 
 
-def test_files_that_an_export_no_longer_has_go_away(tmp_path: Path) -> None:
-    def written(*names: str) -> None:
-        with atomic_output.all_or_none() as stage:
-            folder = stage.folder(tmp_path / "c", atomic_output.own_files("--c", tmp_path / "c"))
-            for name in names:
-                (folder / name).write_text(name)
-            atomic_output.write_folder_record(folder, {})
-
-    written("a", "b")
-    written("b", "d")
-    assert sorted(files(tmp_path / "c")) == ["b", "d", "export.json"]
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["c"]
+def test_files_that_an_export_no_longer_has_go_away(there: Path) -> None:
+    assert main(["export", "job.toml", "-q", "--csv", "r"]) == 0
+    record = json.loads((there / "r" / "export.json").read_text())
+    (there / "r" / "old.csv").write_text("old")
+    record["files"]["old.csv"] = hashlib.sha256(b"old").hexdigest()
+    (there / "r" / "export.json").write_text(json.dumps(record))
+    assert main(["export", "job.toml", "-q", "--csv", "r"]) == 0
+    assert not (there / "r" / "old.csv").exists()
+    assert not list(there.rglob(".unfinished*"))
 
 
 @pytest.mark.parametrize("failure", [KeyboardInterrupt, OSError, InputError])
@@ -248,48 +245,16 @@ def test_ctrl_c_while_files_move_waits_until_they_have(there: Path, monkeypatch:
     moved: Callable[[Path, Path], None] = os.replace
 
     def interrupted(old: Path, new: Path) -> None:
-        signal.raise_signal(signal.SIGINT)
+        if ".unfinished" in str(old) and ".unfinished" not in str(new):
+            signal.raise_signal(signal.SIGINT)
         moved(old, new)
 
-    with atomic_output.all_or_none() as stage:
-        stage.file(there / "first").write_text("1")
-    with pytest.raises(KeyboardInterrupt), atomic_output.all_or_none() as stage:  # noqa: PT012
-        for name in ("first", "second"):
-            stage.file(there / name).write_text("2")
-        monkeypatch.setattr(os, "replace", interrupted)
-    assert (there / "first").read_text() == (there / "second").read_text() == "2"
-    assert not list(there.glob(".unfinished*"))
-
-
-def test_what_cannot_take_its_place_puts_everything_back(there: Path) -> None:
-    for name in ("first", "second"):
-        (there / name).write_text("old")
-    before = files(there)
-    moved = os.replace
-
-    def refusing(old: Path, new: Path) -> None:
-        if Path(new) == there / "second" and Path(old).read_text() == "new":
-            raise PermissionError(13, "Permission denied", str(old), None, str(new))
-        moved(old, new)
-
-    def write() -> None:
-        with atomic_output.all_or_none() as stage:
-            (stage.folder(there / "c", {}) / "third").write_text("new")
-            for name in ("first", "second"):
-                stage.file(there / name).write_text("new")
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(os, "replace", refusing)
-        with pytest.raises(InputError, match="second: cannot be written: Permission denied"):
-            write()
-    assert files(there) == before
-    (there / "second").unlink()
-    (there / "second").mkdir()
-    with pytest.raises(InputError, match="second: is a folder"):
-        write()
-    assert (there / "first").read_text() == "old"
-    assert not (there / "c").exists()
-    assert not list(there.glob(".unfinished*"))
+    monkeypatch.setattr(os, "replace", interrupted)
+    assert main(["export", "job.toml", "-q", "--mat", "k.mat", "--models", "m.json", "--csv", "r"]) == 130
+    assert (there / "k.mat").exists()
+    assert (there / "m.json").exists()
+    assert (there / "r" / "export.json").exists()
+    assert not list(there.rglob(".unfinished*"))
 
 
 def test_exported_models_are_of_the_plant_as_it_stands(there: Path) -> None:

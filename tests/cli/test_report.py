@@ -8,9 +8,11 @@ import xml.etree.ElementTree as ET
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from campaign_runs import columns_here
+from one_gyro_job import JOB, TOO_MUCH
 from platform_ctrl.cli import main
 from refused_command import refused
 
@@ -118,7 +120,10 @@ def test_a_pdf_of_an_earlier_run_is_told_of(
     (there / "stale").mkdir()
     (there / "stale" / "report.pdf").write_bytes(b"%PDF-old")
     assert main(["check", "gyro.toml", "-o", "stale", "-q"]) == 0
-    assert capsys.readouterr().err == f"{Path('stale') / 'report.pdf'}: is of an earlier run; --pdf writes a new one\n"
+    assert capsys.readouterr().err.splitlines() == [
+        "controllers: out/result.json",
+        f"{Path('stale') / 'report.pdf'}: is of an earlier run; --pdf writes a new one",
+    ]
     assert "campaign" not in pages[0]
 
 
@@ -135,6 +140,61 @@ def test_without_the_typesetter_one_line_says_how_to_get_it(
     monkeypatch.setattr(builtins, "__import__", missing)
     assert "pip install 'platform_ctrl[pdf]'" in refused(capsys, "design", "gyro.toml", "-o", "never", "--pdf")
     assert not (there / "never").exists()
+
+
+@pytest.mark.parametrize(
+    ("lost", "words"),
+    [
+        ("platform_ctrl.report.page.job_page.nichols_figure", "Nichols plot: not drawn"),
+        ("platform_ctrl.report.page.job_page.loop_responses", "Figures: not drawn"),
+        ("platform_ctrl.report.page.tables.mode_table", "Modes of the uncontrolled gimbals: not drawn"),
+        ("platform_ctrl.report.page.job_page.drawn_beside", "not written"),
+        ("platform_ctrl.report.write_page", "not written"),
+    ],
+)
+@pytest.mark.parametrize(("job", "code"), [(JOB, 0), (TOO_MUCH, 1)])
+def test_a_failure_while_drawing_costs_neither_result_nor_verdict(
+    lost: str,
+    words: str,
+    job: str,
+    code: int,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    def fails(*_: object, **__: object) -> None:
+        # What is drawn last is on disk by now.
+        assert (tmp_path / "out" / "result.json").is_file()
+        raise np.linalg.LinAlgError("no\nluck")
+
+    monkeypatch.setattr(lost, fails)
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "job.toml").write_text(job, encoding="utf-8")
+    (tmp_path / "out" / ".unfinished-a1b2").mkdir(parents=True)
+    assert main(["design", "job.toml", "-q", "--junit", "verdicts.xml"]) == code
+    out, err = capsys.readouterr()
+    assert ("PASSED" if code == 0 else "FAILED") in out
+    assert json.loads((tmp_path / "out" / "result.json").read_text(encoding="utf-8"))["passed"] is (code == 0)
+    assert (tmp_path / "verdicts.xml").is_file()
+    [line] = err.splitlines()
+    assert line.startswith("out/report.html: ")
+    assert f"{words}: LinAlgError: no luck" in line
+    assert (tmp_path / "out" / "report.html").is_file() is (words != "not written")
+    assert not list((tmp_path / "out").glob(".unfinished*"))
+
+
+def test_a_run_whose_figure_fails_has_its_verdict(
+    there: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fails(*_: object, **__: object) -> None:
+        raise ValueError("no luck")
+
+    monkeypatch.setattr("platform_ctrl.report.plots.time_run.write_run_figure", fails)
+    assert main(["simulate", "gyro.toml", "--manoeuvre", "turn", "-o", "runs", "-q"]) == 0
+    out, err = capsys.readouterr()
+    assert "met" in out
+    assert "figure: " not in out
+    assert err.splitlines()[-1] == "runs/manoeuvre-1.svg: not written: ValueError: no luck"
 
 
 def test_design_writes_its_verdicts_as_junit(there: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import select
@@ -16,7 +17,7 @@ import pytest
 import platform_ctrl as pc
 from platform_ctrl.cli import main, terminal
 from platform_ctrl.cli.atomic_output import written_together
-from platform_ctrl.common.files import write_whole
+from platform_ctrl.common.files import replaced_file, write_whole
 from platform_ctrl.errors import InputError
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="terminals as POSIX has them")
@@ -113,7 +114,7 @@ def test_a_pipe_gets_lines_without_colours_unless_they_are_forced(
     def piped() -> str:
         assert main(SIMULATE) == 0
         out, err = capsys.readouterr()
-        assert err == "simulated run: turn\n"
+        assert err == "simulated run: turn\ncontrollers: out/result.json\n"
         return out
 
     plain = piped()
@@ -154,16 +155,18 @@ sys.exit(main())
 """
 
 
-def test_ctrl_c_while_the_report_is_set_leaves_what_was_there(there: Path) -> None:
+def test_ctrl_c_while_the_report_is_set_leaves_the_result_and_nothing_half_written(there: Path) -> None:
     out = there / "out"
-    before = {path.name: path.read_bytes() for path in out.iterdir() if path.is_file()}
+    (out / "result.json").unlink()
     ended = subprocess.run(
         [sys.executable, "-c", SETTING], cwd=there, env=environment(), capture_output=True, text=True, check=False
     )
     assert ended.returncode == 130
     assert ended.stderr.splitlines()[-1].endswith("platform-ctrl: interrupted")
     assert "Traceback" not in ended.stderr
-    assert {path.name: path.read_bytes() for path in out.iterdir() if path.is_file()} == before
+    assert json.loads((out / "result.json").read_text(encoding="utf-8"))["passed"] is True
+    assert sorted(path.name for path in out.iterdir() if path.is_file()) == ["report.html", "result.json"]
+    assert (out / "report.html").read_text(encoding="utf-8").endswith("</html>")
 
 
 ENDING = """
@@ -226,16 +229,45 @@ def test_an_interrupt_while_files_move_waits_until_they_have(tmp_path: Path, mon
     assert signal.getsignal(signal.SIGINT) is before
 
 
-def test_a_file_that_cannot_take_its_place_is_one_line(tmp_path: Path) -> None:
-    (tmp_path / "one").write_text("old")
-    (tmp_path / "two").mkdir()
-    with pytest.raises(InputError, match="two: is a folder, but must be a file"), written_together(tmp_path) as folder:  # noqa: PT012
-        (folder / "one").write_text("new")
-        (folder / "two").write_text("new")
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["one", "two"]
-    assert (tmp_path / "one").read_text() == "old"
-    with pytest.raises(InputError, match="nowhere: cannot be written to"), written_together(tmp_path / "nowhere"):
-        pass
+def test_what_killed_runs_left_goes_and_what_a_process_writes_stays(tmp_path: Path) -> None:
+    left = [tmp_path / ".unfinished-a1b2c3d4", tmp_path / ".result.json.4711.tmp"]
+    left[0].mkdir()
+    for file in (left[0] / "report.html", left[1]):
+        file.write_text("half")
+    (tmp_path / ".unfinished-link").symlink_to(tmp_path.parent)
+    (tmp_path / "else.tmp").write_text("not ours")
+    with written_together(tmp_path) as at_work, replaced_file(tmp_path / "result.json") as file:
+        file.write(b"whole")
+        (at_work / "two").write_text("new")
+        write_whole(tmp_path / "result.json", "of another process")
+        with written_together(tmp_path):
+            assert at_work.is_dir()
+    assert not any(path.exists() for path in left)
+    assert sorted(path.name for path in tmp_path.iterdir() if not path.is_symlink()) == [
+        *("else.tmp", "result.json", "two")
+    ]
+    assert tmp_path.parent.is_dir()
+    assert (tmp_path / "result.json").read_text() == "whole"
+
+
+def test_no_link_that_somebody_planted_is_written_through(tmp_path: Path) -> None:
+    """Neither at the name with the number of the process, which could be guessed, nor at the target."""
+    precious = tmp_path / "precious"
+    precious.write_text("mine")
+    names = [f".result.json.{os.getpid()}.tmp", "result.json", f".unfinished-{os.getpid()}"]
+    for name in names:
+        (tmp_path / name).symlink_to(precious)
+    write_whole(tmp_path / "result.json", "{}")
+    assert precious.read_text() == "mine"
+    assert (tmp_path / "result.json").read_text() == "{}"
+    assert not (tmp_path / "result.json").is_symlink()
+
+
+@pytest.mark.skipif(os.name != "posix", reason="modes of files")
+def test_a_new_file_has_the_mode_of_any_other(tmp_path: Path) -> None:
+    (tmp_path / "plain").write_text("")
+    write_whole(tmp_path / "whole", "")
+    assert (tmp_path / "whole").stat().st_mode == (tmp_path / "plain").stat().st_mode
 
 
 def test_what_is_no_file_is_never_replaced(tmp_path: Path) -> None:
@@ -266,4 +298,5 @@ def test_the_first_run_says_that_its_kernel_is_compiled(
     monkeypatch.setattr("platform_ctrl.simulation.compilation.is_compiled", lambda: False)
     with terminal.progress(False, "reading") as say:
         say("simulated run: turn")
-    assert capsys.readouterr().err == "simulated run: turn (its kernel is compiled first, once: half a minute)\n"
+    first, *_ = capsys.readouterr().err.splitlines()
+    assert first == "simulated run: turn (its kernel is compiled first, once: half a minute)"

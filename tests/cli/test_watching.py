@@ -56,6 +56,38 @@ def test_the_job_its_plant_and_its_data_are_watched_and_the_first_run_alone_is_f
     assert runs(job, *saves) == [True, False, False, False, False]
 
 
+def test_what_a_file_holds_counts_and_neither_its_time_nor_its_size(job: Path) -> None:
+    # Saved as it was: nothing to design again.
+    told: list[bool] = []
+
+    def run(fresh: bool) -> int:
+        told.append(fresh)
+        if len(told) > 1:
+            raise KeyboardInterrupt
+        os.utime(job)
+        return 0
+
+    looked: list[float] = []
+
+    def asleep(seconds: float) -> None:
+        looked.append(seconds)
+        if len(looked) == 3:
+            raise KeyboardInterrupt
+
+    with pytest.MonkeyPatch.context() as patch, pytest.raises(KeyboardInterrupt):  # noqa: PT012
+        patch.setattr("time.sleep", asleep)
+        whenever_saved(job, run, False, quiet=True)
+    assert told == [False]
+    before = job.stat()
+
+    def same_size_and_time() -> None:
+        job.write_text(NAMES.replace("plant.toml", "other.toml"))
+        os.utime(job, ns=(before.st_atime_ns, before.st_mtime_ns))
+        assert job.stat().st_size == before.st_size
+
+    assert runs(job, same_size_and_time) == [True, False]
+
+
 def test_neither_a_folder_called_like_a_loop_nor_a_file_that_is_not_named_is_watched(
     job: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -23,6 +23,7 @@ from hypothesis.extra import numpy as hnp
 import narrow_loops
 import platform_ctrl as pc
 from legend_entries import without_a_curve
+from passive_gimbal import COUPLINGS, passive_job
 from platform_ctrl import report
 from platform_ctrl.analysis.arrays import named_system
 from platform_ctrl.analysis.loop_set import Transfer
@@ -861,6 +862,17 @@ def test_nutation_is_mentioned_only_for_plants_that_nutate(compared_designs: Job
     [outcome] = compared_designs.loops
     assert "nutation" in captions.sentences("loop_transfer", outcome=outcome, nutates=True)
     assert "nutation" not in captions.sentences("loop_transfer", outcome=outcome, nutates=False)
+
+
+@pytest.mark.parametrize("coupling", COUPLINGS)
+def test_a_gimbal_without_a_loop_that_is_coupled_is_on_the_page(coupling: str) -> None:
+    result = checked(passive_job(coupling))
+    assert result.subsystems == (("yoke", "camera"),)
+    text = visible_text(page_html(result))
+    assert "Loop transfer" in text
+    assert "not drawn" not in text
+    # One rigid-body mode, and the yoke's own.
+    assert {mode.kind for mode in modes.modes_at(result, (0.0, 0.0, 0.0))} == {"oscillation", "rigid body"}
 
 
 def test_poles_with_a_fault_are_separate(responses: LoopResponses) -> None:

@@ -60,7 +60,7 @@ def nutation_figure(result: JobResult) -> Figure | None:
 
     A Campbell diagram with the parameter uncertainty of the rotors' speed and the bandwidths of the loops.
     """
-    if not nutates(result.model, result.subsystems):
+    if not nutates(result.model, result.model.gimbal_names):
         return None
     figure = campbell(result.job.platform, spins=_SPINS)
     axes = figure.axes[0]
@@ -84,9 +84,15 @@ def nutation_figure(result: JobResult) -> Figure | None:
     return figure
 
 
+def _checked(result: JobResult) -> CoupledCheck:
+    assert result.coupled is not None, "all loops have controllers"
+    return result.coupled
+
+
 def coupled_pole_figure(result: JobResult) -> Figure:
     """Poles of the coupled closed loop: all of them, and those around the nutation frequencies and below."""
-    check, period = result.coupled, result.coupled.period
+    check = _checked(result)
+    period = check.period
     figure, [[wide, close]] = panels(1, 2, 2.7)
     s = upper_half_plane(continuous_poles(check.poles, period))
     nyquist = np.pi / period
@@ -170,8 +176,8 @@ def simultaneous_margin_figure(check: CoupledCheck, limit: float | None) -> Figu
 
 def coupled_grid(result: JobResult) -> FloatArray:
     """Return frequencies for the coupled system, rad/s, from below its slowest pole up to the Nyquist frequency."""
-    period = result.coupled.period
-    s = continuous_poles(result.coupled.poles, period)
+    check = _checked(result)
+    period, s = check.period, continuous_poles(check.poles, check.period)
     finite = np.abs(s[np.isfinite(s.real) & (np.abs(s) > 0.0)])
     nyquist = np.pi / period
     low = float(np.clip(0.1 * finite.min(initial=nyquist), 1e-5 * nyquist, 1e-3 * nyquist))
@@ -180,7 +186,7 @@ def coupled_grid(result: JobResult) -> FloatArray:
 
 def servo_figure(result: JobResult) -> Figure | None:
     """Bode diagram of each root torquer's loop in the coupled system, others closed; None without such a torquer."""
-    check = result.coupled
+    check = _checked(result)
     roots = {t.name for t in result.job.platform.torquers if t.root_axis is not None}
     channels = [k for k, name in enumerate(check.channels) if name in roots]
     if not channels or not check.stable or check.controller is None:
@@ -247,7 +253,7 @@ def platform_compliance(result: JobResult, frequency: FloatArray) -> tuple[Float
     sampled loop's sensitivity, which holds below the Nyquist frequency where the samples see it.
     """
     job, model = result.job, result.model
-    check = result.coupled
+    check = _checked(result)
     assert check.controller is not None, "loops at several rates have no frequency response"
     shown = [*model.angle_names, *OMEGA_NAMES]
     outputs = [*shown, *(name for name in check.controller.input_labels if name not in shown)]

@@ -391,7 +391,9 @@ def nichols_figure(responses: LoopResponses, spec: LoopSpec, torques: tuple[str,
     # Curves of the nominal plant: its own limit, if there is one.
     limit = next((spec.limits[key] for key in (metric.key, f"{metric.key}_worst_case") if key in spec.limits), None)
     possible = limit is not None and (metric.best is None or limit < metric.best)
-    figure = nichols(loops, disk_margins=(limit,) if possible else ()).figure  # type: ignore[arg-type]
+    measures = responses.closed_design.design.measures
+    stable = None if measures is None else bool(measures.decay[0] > 0.0)
+    figure = nichols(loops, disk_margins=(limit,) if possible else (), stable=stable).figure  # type: ignore[arg-type]
     assert isinstance(figure, Figure)
     return figure
 

@@ -8,19 +8,21 @@ from __future__ import annotations
 import dataclasses
 import json
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from importlib import resources
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 from platform_ctrl.common.palette import PALETTE, declarations
 from platform_ctrl.common.values import value
-from platform_ctrl.errors import InputError, PlatformCtrlError
+from platform_ctrl.errors import InputError, PlatformCtrlError, began_with_interrupt, reason
 from platform_ctrl.report import style
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+T = TypeVar("T")
 
 # What XML 1.0 cannot hold, and other control characters: nothing that can be set.
 _UNSETTABLE = re.compile("[\x00-\x08\x0b-\x1f\x7f\ud800-\udfff\ufffe\uffff]")
@@ -113,6 +115,11 @@ class Paragraph:
     kind: ClassVar[str] = "paragraph"
     text: str
     tone: str = ""
+
+
+@value
+class Missing(Paragraph):
+    """What stands in the place of a figure or a part of the page that could not be made: its name, and why."""
 
 
 @value
@@ -267,6 +274,37 @@ def table(titles: str, rows: Sequence[Sequence[str]], *, numbers: str = "", form
 def plate(figure: Figure, title: str, caption: str, *, small: bool = False) -> Plate:
     """Return a figure with its title and caption, which describe it too where it cannot be seen."""
     return Plate(svg=style.svg(figure, f"{title}. {caption}"), title=title, caption=caption, small=small)
+
+
+def attempted(title: str, make: Callable[[], T]) -> T | Missing:
+    """Return what `make` returns; where it fails, words in its place: no part of a page costs the others."""
+    try:
+        return make()
+    except Exception as error:
+        if began_with_interrupt(error):
+            raise
+        return Missing(text=f"{title}: not drawn: {reason(error)}", tone="bad")
+
+
+def drawn(title: str, draw: Callable[[], tuple[Figure, str]], *, small: bool = False) -> Plate | Missing:
+    """Return the plate of a figure and its caption, which `draw` returns."""
+
+    def make() -> Plate:
+        figure, caption = draw()
+        return plate(figure, title, caption, small=small)
+
+    return attempted(title, make)
+
+
+def missing(item: Any) -> list[str]:
+    """Return the words on all that is missing in blocks, of a document with the titles of its sections."""
+    if isinstance(item, Document):
+        return [f"{one.title or one.name}: {words}" for one in item.sections for words in missing(one.blocks)]
+    if isinstance(item, Missing):
+        return [item.text]
+    if dataclasses.is_dataclass(item):
+        item = [getattr(item, field.name) for field in dataclasses.fields(item)]
+    return [words for one in item for words in missing(one)] if isinstance(item, list | tuple) else []
 
 
 def html(document: Document) -> str:

@@ -12,7 +12,7 @@ from matplotlib.lines import Line2D
 from platform_ctrl.job.budget import Budget
 from platform_ctrl.job.quantities import plain, quantity
 from platform_ctrl.plant.sensors import LOS_ANGLES
-from platform_ctrl.report.page.blocks import Block, Paragraph, Part, Section, Table, plate, sentence, table
+from platform_ctrl.report.page.blocks import Block, Paragraph, Part, Table, drawn, sentence, table
 from platform_ctrl.report.page.captions import sentences
 from platform_ctrl.report.style import (
     DASHED,
@@ -39,15 +39,20 @@ _CURVES = 5
 _ROW, _WORDS, _BAR, _TALL, _THIN = 0.3, 0.27, 0.67, 0.36, 0.006
 
 
-def budget_sections(result: JobResult) -> list[Section]:
-    """Return the section; none where the job does not limit the line of sight."""
+def budget_blocks(result: JobResult) -> list[Block]:
+    """Return the section's blocks; none where the job does not limit the line of sight."""
     found, budget = result.budget, result.job.budget
     if found is None or budget is None:
         return []
     blocks: list[Block] = [
         Paragraph(text=sentences("budget", found=found, budget=budget)),
-        plate(budget_figure(budget, found), "Line of sight: rms up to a frequency", sentences("budget_figure")),
-        plate(waterfall_figure(budget, found), "Line of sight: from sources to the total", sentences("waterfall")),
+        drawn(
+            "Line of sight: rms up to a frequency", lambda: (budget_figure(budget, found), sentences("budget_figure"))
+        ),
+        drawn(
+            "Line of sight: from sources to the total",
+            lambda: (waterfall_figure(budget, found), sentences("waterfall")),
+        ),
         _sources(found),
     ]
     if found.windows:
@@ -57,7 +62,7 @@ def budget_sections(result: JobResult) -> list[Section]:
     if found.friction is not None:
         lines = tuple(Paragraph(text=f"{sentence(line)}") for line in found.friction.statement)
         blocks.append(Part(title="Dry friction", blocks=lines))
-    return [Section(name="budget", title="Line-of-sight budget", blocks=tuple(blocks))]
+    return blocks
 
 
 def _sources(found: LineOfSightBudget) -> Table:
@@ -91,7 +96,7 @@ def _simulated(runs: SimulatedBudget) -> Part:
     title = "Line of sight: simulated and linear rms"
     blocks: tuple[Block, ...] = (
         Paragraph(text=sentences("simulated_budget", runs=runs)),
-        plate(simulated_figure(runs), title, sentences("simulated_budget_figure")),
+        drawn(title, lambda: (simulated_figure(runs), sentences("simulated_budget_figure"))),
         table(f"axis|{numbers}", rows, numbers=numbers),
         *(Paragraph(text=sentence(f"not simulated: {line}")) for line in runs.left_out),
     )

@@ -124,7 +124,8 @@ def disturbance(outcome: LoopOutcome, responses: LoopResponses) -> str:
     rejection = closed.peaks["Omega rejection"]
     of_limit = float(np.nanmax(closed.gains.get("torque limit", 0.0)))
     rejected = rejection if np.isfinite(rejection) else None
-    return sentences("disturbance", outcome=outcome, rejection=rejected, share=of_limit)
+    share = 0.0 if unstable(closed.design) else of_limit
+    return sentences("disturbance", outcome=outcome, rejection=rejected, share=share)
 
 
 def further_gains(outcome: LoopOutcome, responses: LoopResponses, kinds: Sequence[str]) -> str:
@@ -133,7 +134,8 @@ def further_gains(outcome: LoopOutcome, responses: LoopResponses, kinds: Sequenc
         any(limited(one, kind, outcome.spec) for kind in kinds) for one in (outcome.spec.limits, outcome.spec.soft)
     )
     values = [(METRICS[kind], *_shown_peak(METRICS[kind], kind, outcome, responses)) for kind in kinds]
-    return sentences("further_gains", outcome=outcome, values=values, limits=limits, goals=goals)
+    bad = unstable(responses.closed_design.design)
+    return sentences("further_gains", outcome=outcome, values=values, limits=limits, goals=goals, unstable=bad)
 
 
 def _shown_peak(
@@ -165,6 +167,7 @@ def poles(outcome: LoopOutcome, plants: PlantSet) -> str:
 def coupled(result: JobResult) -> str:
     """State of the coupled system in two sentences."""
     check, proofs = result.coupled, result.proofs["", ""]
+    assert check is not None, "all loops have controllers"
     decay = -float(spectral_abscissa(continuous_poles(check.poles, check.period)))
     cost = None
     if check.stable and np.isfinite(check.cost).any():
@@ -259,7 +262,8 @@ def _against_bounds(design: LoopDesign) -> list[str]:
 def opening(result: JobResult, campaign: Summary | None = None) -> list[str]:
     """Return three to six sentences."""
     found = [_designed(result), _verdict(result), _limits(result), _runs(result)]
-    found.insert(3, sentences("together", check=result.coupled, loops=result.loops))
+    if result.coupled is not None:
+        found.insert(3, sentences("together", check=result.coupled, loops=result.loops))
     found.append("" if campaign is None else _campaign(campaign))
     return [_UNIT.sub("\u00a0", one) for one in found if one]
 

@@ -34,6 +34,7 @@ from platform_ctrl.report.page.blocks import (
     Row,
     Table,
     Verdict,
+    attempted,
     plate,
     sentence,
 )
@@ -56,13 +57,13 @@ _LOW, _HIGH, _LEFT, _RIGHT = -24.0, 24.0, -300.0, -60.0
 def first_screen(result: JobResult) -> tuple[Block, ...]:
     """Return verdict, chain and distances, beside the Nichols plot of the tightest loop where there is one."""
     left: list[Block] = [_verdict(result)]
-    chain = chain_table(result)
+    chain = attempted("What limits each loop", lambda: chain_table(result))
     if chain is not None:
         left.append(chain)
-    shown = distances(result)
+    shown = attempted("Distances to the limits", lambda: distances(result))
     if shown is not None:
         left += [Paragraph(text=sentences("distances"), tone="quiet"), shown]
-    picture = _nichols(result)
+    picture = attempted("Tightest loop, worst plant", lambda: _nichols(result))
     return tuple(left) if picture is None else (Columns(left=tuple(left), right=(picture,)),)
 
 
@@ -83,7 +84,7 @@ def _verdict(result: JobResult) -> Verdict:
 
 def chain_table(result: JobResult) -> Table | None:
     """Return for each loop its tightest requirement, the plant in which it is, and the channel that coupling costs."""
-    rows = []
+    rows, coupling = [], result.coupled is not None and result.coupled.free
     for outcome in result.loops:
         nearest = tightest(own_results(result, outcome))
         if nearest is None:
@@ -95,13 +96,13 @@ def chain_table(result: JobResult) -> Table | None:
             Cell(text=nearest.name, note=f"with {where}" if where else ""),
             Cell(text=percent(nearest.margin), note=f"{number} {BOUND[nearest.sense]} {limit}", tone=tone),
         ]
-        if result.coupled.free:
+        if coupling:
             cells.append(Cell(text=_coupling(result, outcome)))
         rows.append(Row(cells=tuple(cells), missed=not nearest.passed))
     if not rows:
         return None
     columns = [Column(title="loop"), Column(title="limited by"), Column(title="margin", number=True)]
-    if result.coupled.free:
+    if coupling:
         # A carried platform is what the design models assume: coupling costs nothing there.
         columns.append(Column(title="coupling costs most in"))
     return Table(columns=tuple(columns), groups=(Group(rows=tuple(rows)),), form="chain")
@@ -116,6 +117,7 @@ def own_results(result: JobResult, outcome: LoopOutcome) -> list[CheckResult]:
 def _coupling(result: JobResult, outcome: LoopOutcome) -> str:
     """Return the channel of a loop whose disk margin the other loops reduce by most, and by how much."""
     check = result.coupled
+    assert check is not None, "all loops have controllers"
     outputs = set(outcome.closed.controller.output_labels)
     of_loop = [(float(cost), name) for cost, name in zip(check.cost, check.channels, strict=True) if name in outputs]
     found = [pair for pair in of_loop if math.isfinite(pair[0])]

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -38,7 +39,7 @@ from platform_ctrl.report.figures.loop import (
     root_locus_plot,
     sensitivity_figure,
 )
-from platform_ctrl.report.loop_responses import LoopResponses, loop_responses, palette_of
+from platform_ctrl.report.loop_responses import loop_responses, palette_of
 from platform_ctrl.report.modes import nutates
 from platform_ctrl.report.page import captions, comparison, tables
 from platform_ctrl.report.page.blocks import (
@@ -47,16 +48,19 @@ from platform_ctrl.report.page.blocks import (
     Facts,
     Fold,
     Listing,
+    Missing,
     Paragraph,
     Part,
     Plate,
     Section,
+    attempted,
+    drawn,
     html,
     pdf,
     plate,
     sentence,
 )
-from platform_ctrl.report.page.budget_page import budget_sections
+from platform_ctrl.report.page.budget_page import budget_blocks
 from platform_ctrl.report.page.campaign_page import as_section, digests
 from platform_ctrl.report.page.captions import compared_with_alternatives, opening, sentences
 from platform_ctrl.report.page.first_screen import change_part, first_screen, own_results, section_verdict
@@ -68,6 +72,8 @@ from platform_ctrl.verification.simulated import Run
 from platform_ctrl.verification.verdict import JobResult
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from platform_ctrl.campaign.summary import Summary
 
 
@@ -196,27 +202,47 @@ def _document(
     ahead: Ahead | None = None,
 ) -> Document:
     job = result.job
-    drawn = iter(kept_or_drawn(_drawings(result), store, beside, ahead))
-    loops = [next(drawn) for _ in result.loops]
-    runs = [next(drawn) for _ in result.runs]
-    plant, servo, budget, first, coupled = drawn
+    pictures = iter(kept_or_drawn(_drawings(result), store, beside, ahead))
+    loops = [_blocks(next(pictures)) for _ in result.loops]
+    runs = [next(pictures) for _ in result.runs]
+    plant, servo, budget, first, coupled = map(_blocks, pictures)
     together = [one for one in result.requirements if one.subject == ALL_LOOPS]
+    of_runs = [one for run in result.runs for one in run.results]
+
+    def section(name: str, title: str, make: Callable[[], Sequence[Block]], *plates: Block, **judged: Any) -> Section:
+        blocks = (*_blocks(attempted("Text and tables", make)), *plates)
+        return Section(name=name, title=title, blocks=blocks, **judged)
+
     with style.settings():
         sections = [
-            Section(name="summary", title="", blocks=(*first, *_summary(result, campaign))),
             Section(
-                name="requirements",
-                title="Requirements",
-                blocks=(tables.requirement_table(result),),
+                name="summary",
+                title="",
+                blocks=(*first, *_blocks(attempted("Summary", lambda: _summary(result, campaign)))),
+            ),
+            section(
+                "requirements",
+                "Requirements",
+                lambda: (tables.requirement_table(result),),
                 **_judged(result.requirements),
             ),
-            _plant(result, *plant),
-            *(_loop(result, outcome, k, loops[k - 1], servo) for k, outcome in enumerate(result.loops, 1)),
+            Section(name="plant", title="Plant and modes", blocks=tuple(_plant(result, plant))),
+            *(
+                section(
+                    f"loop-{k}",
+                    sentence(outcome.spec.name),
+                    partial(_loop, result, outcome),
+                    *loops[k - 1],
+                    *(servo if outcome.spec.kind == "stabilisation" else ()),
+                    **_judged(own_results(result, outcome)),
+                )
+                for k, outcome in enumerate(result.loops, 1)
+            ),
             Section(name="coupled", title="Coupled system", blocks=coupled, **_judged(together)),
-            *budget,
-            *_runs(result, runs),
+            *([Section(name="budget", title="Line-of-sight budget", blocks=budget)] if budget else []),
+            *([section("runs", "Simulated runs", lambda: _runs(result), *runs, **_judged(of_runs))] if runs else []),
             *_campaign(result, campaign, again),
-            _again(result, command, campaign),
+            section("again", "Inputs and versions", lambda: _again(result, command, campaign)),
         ]
     return Document(
         kicker="platform_ctrl: design and check of control loops",
@@ -226,6 +252,11 @@ def _document(
         verdict=tables.verdict(result),
         sections=tuple(sections),
     )
+
+
+def _blocks(found: Any) -> tuple[Any, ...]:
+    """Return what a drawing has returned as a sequence: words alone where it failed."""
+    return (found,) if isinstance(found, Missing) else tuple(found)
 
 
 def _drawings(result: JobResult) -> list[Drawing]:
@@ -238,7 +269,7 @@ def _drawings(result: JobResult) -> list[Drawing]:
     proofs = {key: dataclasses.replace(one, certificates=()) for key, one in result.proofs.items()}
     whole = dataclasses.replace(result, loops=bare, runs=(), proofs=proofs)
     # Last: this process begins with the end, and the whole result goes nowhere.
-    of_whole = (_plant_plates, _servo_plates, budget_sections, _first, _coupled)
+    of_whole = (_plant_plates, _servo_plates, budget_blocks, _first, _coupled)
     return drawings + [Drawing(draw, (whole,)) for draw in of_whole]
 
 
@@ -256,7 +287,8 @@ def _loop_drawings(model: LinearModel, bare: Sequence[LoopOutcome]) -> list[Draw
 
 
 def _first(result: JobResult) -> tuple[Block, ...]:
-    return (*first_screen(result), *change_part(result, changes(result)))
+    what_to_change = attempted("What to change", lambda: change_part(result, changes(result)))
+    return (*_blocks(attempted("First screen", lambda: first_screen(result))), *_blocks(what_to_change))
 
 
 def _summary(result: JobResult, campaign: Summary | None) -> tuple[Block, ...]:
@@ -266,36 +298,47 @@ def _summary(result: JobResult, campaign: Summary | None) -> tuple[Block, ...]:
     return (lead, *rest)
 
 
-def _plant(result: JobResult, axes: Plate, *plates: Plate) -> Section:
-    gimbals = len(result.job.platform.gimbals)
-    changing = coupled_while_changing(result.model)
-    blocks: list[Block] = [
-        Paragraph(text=sentences("groups", subsystems=result.subsystems, gimbals=gimbals, changing=changing)),
-        axes,
-        Part(title="Gimbals", blocks=(tables.gimbal_table(result),)),
-    ]
+def _plant(result: JobResult, plates: Sequence[Block]) -> list[Block]:
+    axes, *others = plates
+    words = attempted("Subsystems", lambda: _subsystems(result))
+    parts = attempted("Gimbals and modes", lambda: _plant_tables(result))
+    return [*_blocks(words), axes, *_blocks(parts), *others]
+
+
+def _subsystems(result: JobResult) -> list[Block]:
+    gimbals, changing = len(result.job.platform.gimbals), coupled_while_changing(result.model)
+    words = sentences("groups", subsystems=result.subsystems, gimbals=gimbals, changing=changing)
+    return [Paragraph(text=words)]
+
+
+def _plant_tables(result: JobResult) -> list[Block]:
+    blocks: list[Block] = [Part(title="Gimbals", blocks=(tables.gimbal_table(result),))]
     if result.job.platform.rotors:
         blocks.append(Part(title="Rotors", blocks=(tables.rotor_table(result),)))
     elements = tables.element_table(result)
     if elements is not None:
         blocks.append(Part(title="Springs, friction and other elements", blocks=(elements,)))
-    blocks.append(Part(title="Modes of the uncontrolled gimbals", blocks=(tables.mode_table(result),)))
-    return Section(name="plant", title="Plant and modes", blocks=(*blocks, *plates))
+    title = "Modes of the uncontrolled gimbals"
+    blocks.append(Part(title=title, blocks=(attempted(title, lambda: tables.mode_table(result)),)))
+    return blocks
 
 
-def _plant_plates(result: JobResult) -> list[Plate]:
+def _plant_plates(result: JobResult) -> list[Block]:
     words = "Drawn from the plant file: which body turns about which axis, and how they carry each other."
-    picture = axes_picture(result.job.platform, alone=False)
-    axes, nutation = Plate(svg=picture, title="Axes and bodies", caption=words), nutation_figure(result)
-    if nutation is None:
-        return [axes]
+
+    def axes() -> Plate:
+        return Plate(svg=axes_picture(result.job.platform, alone=False), title="Axes and bodies", caption=words)
+
     caption = sentences("nutation", uncertainty=result.job.uncertainty.spin)
-    return [axes, plate(nutation, "Campbell diagram", caption)]
+    nutation = attempted("Campbell diagram", lambda: _plate(nutation_figure(result), "Campbell diagram", caption))
+    return [attempted("Axes and bodies", axes), *([] if nutation is None else [nutation])]
 
 
-def _loop(
-    result: JobResult, outcome: LoopOutcome, number: int, plates: Sequence[Plate], servo: Sequence[Plate]
-) -> Section:
+def _plate(figure: Figure | None, title: str, caption: str) -> Plate | None:
+    return None if figure is None else plate(figure, title, caption)
+
+
+def _loop(result: JobResult, outcome: LoopOutcome) -> list[Block]:
     unstable = captions.unstable(outcome.closed)
     compared = [] if unstable else compared_with_alternatives(outcome)
     words = sentences("loop_summary", outcome=outcome, unstable=unstable, comparisons=compared)
@@ -304,16 +347,14 @@ def _loop(
     if designs.groups:
         blocks.append(designs)
     blocks.append(Fold(title="Options and controllers", blocks=(comparison.option_table(outcome),)))
-    blocks += [Paragraph(text=f"Not proved: {line}", tone="bad") for line in _unproved(result, outcome)]
+    lines = [f"Not proved: {line}" for line in _unproved(result, outcome)]
+    lines += [f"“{one.name}” has failed: {one.sentence}." for one in outcome.failed]
+    blocks += [Paragraph(text=line, tone="bad") for line in lines]
     groups = comparison.group_rows(outcome.closed)
     if groups:
         title = f"Plants that “{outcome.use}” must work with"
         blocks.append(Part(title=title, blocks=(tables.group_table(groups),)))
-    blocks += plates
-    if outcome.spec.kind == "stabilisation":
-        blocks += servo
-    title, own = sentence(outcome.spec.name), own_results(result, outcome)
-    return Section(name=f"loop-{number}", title=title, blocks=tuple(blocks), **_judged(own))
+    return blocks
 
 
 def _judged(results: Sequence[CheckResult]) -> dict[str, Any]:
@@ -331,83 +372,109 @@ def _unproved(result: JobResult, outcome: LoopOutcome) -> list[str]:
     return lines
 
 
-def _caging_plates(model: LinearModel, outcome: LoopOutcome, palette: Mapping[str, bool]) -> list[Plate]:
-    responses = loop_responses(model, outcome, palette)
-    plants = responses.designs[0].design.plants if responses is not None else None
-    if responses is None or plants is None:
+def _caging_plates(model: LinearModel, outcome: LoopOutcome, palette: Mapping[str, bool]) -> list[Block]:
+    found = loop_responses(model, outcome, palette)
+    plants = found.designs[0].design.plants if found is not None else None
+    if found is None or plants is None:
         return []
-    spec = outcome.spec
-    plates = [
-        plate(sensitivity_figure(responses, spec), "Sensitivities", captions.sensitivity(outcome, responses)),
-        plate(
-            loop_transfer_figure(responses, spec, plants.torques, plants.nutation),
+    spec, responses, of = outcome.spec, found, plants
+    plates: list[Block] = [
+        drawn("Sensitivities", lambda: (sensitivity_figure(responses, spec), captions.sensitivity(outcome, responses))),
+        drawn(
             "Loop transfer",
-            sentences("loop_transfer", outcome=outcome, nutates=nutates(model, [spec.gimbals])),
+            lambda: (
+                loop_transfer_figure(responses, spec, of.torques, of.nutation),
+                sentences("loop_transfer", outcome=outcome, nutates=nutates(model, spec.gimbals)),
+            ),
         ),
+        drawn(
+            "Nichols plot",
+            lambda: (
+                nichols_figure(responses, spec, of.torques),
+                sentences("nichols", outcome=outcome, unstable=captions.unstable(outcome.closed)),
+            ),
+            small=True,
+        ),
+        drawn("Disturbances", lambda: (disturbance_figure(responses, spec), captions.disturbance(outcome, responses))),
     ]
-    if not captions.unstable(outcome.closed):
-        figure = nichols_figure(responses, spec, plants.torques)
-        plates.append(plate(figure, "Nichols plot", sentences("nichols", outcome=outcome), small=True))
-    plates += [
-        plate(disturbance_figure(responses, spec), "Disturbances", captions.disturbance(outcome, responses)),
-        *_further_plates(responses, outcome),
-        plate(
-            pole_figure(responses, spec, plants.nutation, plants.period),
+    kinds = further_gains(responses, spec)
+    if kinds:
+        plates.append(
+            drawn(
+                "Other gains with limits",
+                lambda: (
+                    further_gains_figure(responses, spec, kinds),
+                    captions.further_gains(outcome, responses, kinds),
+                ),
+            )
+        )
+    plates.append(
+        drawn(
             "Closed-loop poles",
-            captions.poles(outcome, plants),
-        ),
-    ]
-    if outcome.closed.plants is not None:
+            lambda: (pole_figure(responses, spec, of.nutation, of.period), captions.poles(outcome, of)),
+        )
+    )
+
+    def root_locus() -> tuple[Figure, str]:
         plot = root_locus_plot(outcome.closed, spec)
-        caption = sentences("root_locus", name=outcome.closed.name, locus=plot.locus)
-        plates.append(plate(plot.figure, "Root locus over the loop gain", caption))
+        return plot.figure, sentences("root_locus", name=outcome.closed.name, locus=plot.locus)
+
+    if outcome.closed.plants is not None:
+        plates.append(drawn("Root locus over the loop gain", root_locus))
     return plates
 
 
-def _further_plates(responses: LoopResponses, outcome: LoopOutcome) -> list[Plate]:
-    kinds = further_gains(responses, outcome.spec)
-    if not kinds:
+def _servo_plates(result: JobResult) -> list[Block]:
+    title = "The servo's loops in the coupled system"
+    if result.coupled is None:
         return []
-    figure = further_gains_figure(responses, outcome.spec, kinds)
-    return [plate(figure, "Other gains with limits", captions.further_gains(outcome, responses, kinds))]
+    found = attempted(title, lambda: _plate(servo_figure(result), title, sentences("servo")))
+    return [] if found is None else [found]
 
 
-def _servo_plates(result: JobResult) -> list[Plate]:
-    figure = servo_figure(result)
-    return [] if figure is None else [plate(figure, "The servo's loops in the coupled system", sentences("servo"))]
-
-
-def _coupled(result: JobResult) -> tuple[Block, ...]:
-    check = result.coupled
+def _coupled(result: JobResult) -> list[Block]:
+    check, limits = result.coupled, result.job.coupled
+    if check is None:
+        return [Paragraph(text="Not checked: a loop has no controller.", tone="bad")]
     blocks: list[Block] = [
         Paragraph(text=captions.coupled(result)),
-        plate(coupled_pole_figure(result), "Poles of the coupled system", sentences("coupled_poles", check=check)),
+        drawn(
+            "Poles of the coupled system",
+            lambda: (coupled_pole_figure(result), sentences("coupled_poles", check=check)),
+        ),
     ]
     if check.channels:
-        caption = sentences("margin_bars", allowed=result.job.coupled.coupling_cost, free=check.free)
-        blocks.append(plate(margin_bars_figure(check), "Disk margins channel by channel", caption))
+        caption = sentences("margin_bars", allowed=limits.coupling_cost, free=check.free)
+        blocks.append(drawn("Disk margins channel by channel", lambda: (margin_bars_figure(check), caption)))
     if check.stable and check.simultaneous.frequencies.size:
-        figure = simultaneous_margin_figure(check, result.job.coupled.disk_margin)
-        blocks.append(plate(figure, "Disk margin in all channels at once", sentences("simultaneous", check=check)))
+        blocks.append(
+            drawn(
+                "Disk margin in all channels at once",
+                lambda: (
+                    simultaneous_margin_figure(check, limits.disk_margin),
+                    sentences("simultaneous", check=check),
+                ),
+            )
+        )
     # A carried platform does not yield to torques.
     if check.stable and check.free and check.controller is not None:
-        figure = platform_disturbance_figure(result)
-        blocks.append(plate(figure, "Torque on the platform", sentences("platform_disturbance")))
-    return tuple(blocks)
+        blocks.append(
+            drawn(
+                "Torque on the platform",
+                lambda: (platform_disturbance_figure(result), sentences("platform_disturbance")),
+            )
+        )
+    return blocks
 
 
-def _runs(result: JobResult, blocks: Sequence[Block]) -> list[Section]:
-    if not result.runs:
-        return []
-    first = Paragraph(text=sentences("runs", seed=result.job.seed))
-    own = [one for run in result.runs for one in run.results]
-    return [Section(name="runs", title="Simulated runs", blocks=(first, *blocks), **_judged(own))]
+def _runs(result: JobResult) -> list[Block]:
+    return [Paragraph(text=sentences("runs", seed=result.job.seed))]
 
 
 def _run_block(run: Run, platform: Platform, caption: str) -> Block:
     name = run.manoeuvre.name
     if run.trajectory.t.size:
-        return plate(time_run(run, platform), name, caption)
+        return drawn(name, lambda: (time_run(run, platform), caption))
     nothing = Paragraph(text=f"The run {run.trajectory.ended}: nothing was recorded.")
     return Part(title=name, blocks=(nothing,))
 
@@ -417,10 +484,11 @@ def _campaign(result: JobResult, campaign: Summary | None, again: str | None) ->
         if result.job.campaign is None:
             return []
         return [Section(name="campaign", title="Campaign", blocks=(Paragraph(text=sentences("no_campaign")),))]
-    return [as_section(campaign, result, again)]
+    found = attempted("Campaign", lambda: as_section(campaign, result, again))
+    return [found if isinstance(found, Section) else Section(name="campaign", title="Campaign", blocks=(found,))]
 
 
-def _again(result: JobResult, command: str | None, campaign: Summary | None) -> Section:
+def _again(result: JobResult, command: str | None, campaign: Summary | None) -> list[Block]:
     given = any(design.method == "given" for outcome in result.loops for design in outcome.designs)
     again = "platform-ctrl check job.toml --controllers result.json" if given else "platform-ctrl design job.toml"
     words = "Save the text below as job.toml and run" if command is None else "This report was made by"
@@ -437,4 +505,4 @@ def _again(result: JobResult, command: str | None, campaign: Summary | None) -> 
     if campaign is not None:
         blocks.append(Fold(title="Digests of the campaign", blocks=(Facts(rows=digests(campaign)),)))
     blocks.append(tables.record_part(result.job))
-    return Section(name="again", title="Inputs and versions", blocks=tuple(blocks))
+    return blocks

@@ -31,6 +31,7 @@ class Drawing(NamedTuple):
 
     draw: Callable[..., Any]
     arguments: tuple[Any, ...]
+    title: str = "Figures"
 
 
 class Ahead(NamedTuple):
@@ -69,7 +70,7 @@ def kept_or_drawn(
         drawn |= {k: early[begun[key]] for k, key in enumerate(keys) if key in begun}
     for k, one in drawn.items():
         found[k] = one
-        if store is not None and keys[k]:
+        if store is not None and keys[k] and not blocks.missing(one):
             packed = zlib.compress(json.dumps(_written(one)).encode(), 1)
             store.keep(keys[k], base64.b64encode(packed).decode())
     return found
@@ -84,7 +85,7 @@ def keys_of(drawings: list[Drawing]) -> list[str]:
     look = _look()
     known: dict[int, str] = {}
     out = []
-    for draw, arguments in drawings:
+    for draw, arguments, _ in drawings:
         try:
             for one in arguments:
                 # Most of them have the same arguments.
@@ -106,7 +107,7 @@ def _look() -> list[str]:
 
 def _in_style(drawing: Drawing) -> Any:
     with style.settings():
-        return drawing.draw(*drawing.arguments)
+        return blocks.attempted(drawing.title, lambda: drawing.draw(*drawing.arguments))
 
 
 def _taken(store: Store | None, key: str) -> Any:

@@ -6,6 +6,7 @@ is a value that L never takes: it is in the region that the margin keeps free in
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 from numbers import Real
@@ -51,6 +52,7 @@ def nichols(
     disk_margins: Sequence[float] | float = (0.5,),
     skew: float = 0.0,
     T_peaks: Sequence[float] | float = (),
+    stable: bool | None = None,
 ) -> control.ControlPlot:
     """Draw Nichols plots of loop transfers, with the regions that a disk margin keeps them out of.
 
@@ -72,6 +74,8 @@ def nichols(
         Of the regions and of the loops' own disk margins, dimensionless.
     T_peaks
         Values of |T| above 1, dimensionless, whose curves are drawn (M circles).
+    stable
+        Whether the closed loop is stable, where that is known and frequency responses cannot show it.
 
     Returns
     -------
@@ -103,6 +107,7 @@ def nichols(
             words += [f"at {drawable(greek(name))}"] if len(part) > 1 else []
             curves.append(curve(own, every, " ".join(words) or "L"))
     found = [margins(one, skew=skew) for one in curves]
+    found = [one if stable is None else dataclasses.replace(one, stable=stable) for one in found]
     names = [_legend_words(one, measured) for one, measured in zip(curves, found, strict=True)]
     regions = [f"disk margin {alpha:g}" + (f", skew {skew:g}" if skew else "") for alpha in alphas]
     _, axes = panels(1, 1, 5.0, [*names, *regions], titles=False, width=7.6)

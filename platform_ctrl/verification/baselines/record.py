@@ -205,7 +205,7 @@ def _all(result: JobResult) -> Iterator[Figure]:
         if subject in loops:
             yield from _goals(loops[subject])
             yield from _measured(loops[subject])
-        elif subject == ALL_LOOPS:
+        elif subject == ALL_LOOPS and result.coupled is not None:
             yield from _coupled(result.coupled)
         elif subject in runs:
             yield from _of_run(result, runs[subject])
