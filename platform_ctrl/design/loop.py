@@ -203,9 +203,12 @@ def certified(
     K = found.controller._replace(dt=plants.period)
     measures = measure(plants, K, requirements_of(spec))
     if not measures.decay[0] > 0.0:
+        advice = known_method(design.method).advice
+        if design.tune:
+            advice = "a higher rate_hz, a shorter delay or other limits: no start of the tuner leads to a stable loop"
         raise NotCertifiedError(
             f"{spec.name}, {design.name}: the closed loop grows at {-measures.decay[0]:.3g} 1/s: it is unstable; try "
-            f"{known_method(design.method).advice}",
+            f"{advice}",
             plants,
         )
     out = _with_evidence(spec, design.name, design.method, K, plants, measures, known)
