@@ -145,10 +145,9 @@ def tune(  # noqa: PLR0913 - the parts of one search
 
     A simplex search over the logarithms (Nelder and Mead, adaptive), on the nominal plant and the worst few of the set,
     repeated until the plants in view are the worst of all. What meets the limits on the grid of frequencies is measured
-    exactly; where that exceeds a limit, the frequencies at which the figures are reached join the grid. Where the limits
+    exactly; where that exceeds a limit, the frequencies at which the figures are reached join the grid. Where limits
     are not met, the search is repeated from the best of the other `starts`. Deterministic. `start` and `upper` bounds
-    are positive; `build` makes the sampled controller; `progress` is called with the worst ratio so far and what limits
-    it.
+    are positive; `build` makes the sampled controller; `progress` gets the worst ratio so far and what limits it.
     """
     upper = upper or {}
     told = np.inf
@@ -193,7 +192,7 @@ def _best_starts(
     return [within[k] for k in sorted(valleys, key=ratios.__getitem__)[:_MOST_STARTS]]
 
 
-def _search(  # noqa: PLR0913, PLR0915 - the parts of one search
+def _search(  # noqa: PLR0913 - the parts of one search
     start: dict[str, float],
     movable: Sequence[str],
     build: Builder,

@@ -17,9 +17,14 @@ from platform_ctrl.plant.sensors import LOS_ANGLES, LOS_RATES
 from platform_ctrl.simulation import simulate
 from platform_ctrl.simulation.closed_loop import Trajectory
 from platform_ctrl.simulation.scenarios import equilibrium_torques
+from platform_ctrl.simulation.step_limit import longest_step
 
 if TYPE_CHECKING:
     import control
+
+
+# Longest substep, s: shorter where springs, cages or friction need it, down to what is no matter of patience.
+_STEP, _SHORTEST = 1e-4, 1e-6
 
 
 @value
@@ -45,7 +50,8 @@ class Run:
 def simulate_manoeuvre(job: Job, manoeuvre: Manoeuvre, controllers: Sequence[control.StateSpace]) -> Run:
     """Run one manoeuvre: caged with the caging loops alone and Omega prescribed, stabilised with all loops."""
     scenario = manoeuvre_scenario(job, manoeuvre)
-    trajectory = simulate(scenario, controllers, period=job.sampling.period)
+    step = max(min(_STEP, longest_step(job.platform, manoeuvre.mode == "stabilised")), _SHORTEST)
+    trajectory = simulate(scenario, controllers, period=job.sampling.period, step=step)
     return Run(manoeuvre=manoeuvre, trajectory=trajectory, results=limit_results(job, manoeuvre, trajectory))
 
 
