@@ -362,7 +362,8 @@ def requirement_lines(
             kind = "goal" if not told[k].hard else "met" if told[k].passed else "missed"
             first, *more = textwrap.wrap(cells[k][1], name, break_long_words=False, break_on_hyphens=False)
             yield Line(text=_row((cells[k][0], first, *cells[k][2:]), name, widths), kind=kind)
-            for line in more:
+            why = [] if told[k].passed else textwrap.wrap(told[k].reason, max(width - widths[0] - 2 * _GAP, _NAME))
+            for line in (*more, *(f"{'':{_GAP}}{words}" for words in why)):
                 yield Line(text=f"{'':{widths[0] + _GAP}}{line}", kind=kind)
     yield from _folded([one for one in results if _as_good_as_can_be(one)], width)
 

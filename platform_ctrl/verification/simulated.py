@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
@@ -131,10 +132,22 @@ def limit_results(job: Job, manoeuvre: Manoeuvre, trajectory: Trajectory) -> tup
             f"{signal}; non-linear plant{_start(job, manoeuvre)}, {trajectory.ended}, seed {trajectory.seed}, "
             f"substep {trajectory.step:g} s"
         )
-        out.append(
-            limited.judge(number, subject=manoeuvre.name, stage="simulated", evidence=evidence, method="simulated")
-        )
+        result = limited.judge(number, subject=manoeuvre.name, stage="simulated", evidence=evidence, method="simulated")
+        out.append(result.because(_filter_words(job, signal) if metric.commanded and not result.passed else ""))
     return tuple(out)
+
+
+def _filter_words(job: Job, reading: str) -> str:
+    """Name the reference filter behind which a commanded reading is."""
+    for spec in job.loops:
+        shaping = spec.closed.command
+        if shaping is not None and reading in spec.read_by(spec.closed).sensors:
+            hz = shaping.filter_hz
+            return (
+                f"behind the reference filter of {spec.name} (filter_hz = {hz:g}), which smooths steps and corners "
+                f"over {1.0 / (math.pi * hz):.3g} s"
+            )
+    return ""
 
 
 def _start(job: Job, manoeuvre: Manoeuvre) -> str:

@@ -15,7 +15,7 @@ from platform_ctrl.common.simd import (
     store,
 )
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.simulation.kernel.arrays import LAST, LIMIT, SENSOR, TORQUE, TORQUER, At, Layout, Shared
+from platform_ctrl.simulation.kernel.arrays import LAST, LIMIT, PATH, SENSOR, TORQUE, TORQUER, At, Layout, Shared
 
 
 @inlined
@@ -75,7 +75,7 @@ def update_metrics(shared: Shared, mem: FloatArray, lane: int, at: At, layout: L
     for j in range(layout.commands):
         slot = layout.following + j
         error = load(mem, layout.sensor + shared.first[end + j] * SENSOR + LAST, lane)
-        error = error - load(mem, layout.sensor + (layout.sensors + j) * SENSOR + LAST, lane)
+        error = error - load(mem, layout.sensor + (layout.sensors + j) * SENSOR + PATH, lane)
         error = choose(error < 0.0, -error, error)
         store(mem, slot, lane, choose(settled, greater(load(mem, slot, lane), error), load(mem, slot, lane)))
 
