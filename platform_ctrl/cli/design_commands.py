@@ -382,12 +382,17 @@ class Report:
         record = result_record(result)
         words = ["platform-ctrl", *command, *(["--pdf"] if self.pdf else [])]
         about: dict[str, Any] = {}
+        campaign: Summary | None = None
         refused: InputError | None = None
         if self.campaign is not None:
             words += ["--campaign", str(self.campaign)]
             say(f"reading the campaign: {self.campaign}")
             try:
                 about = self._campaign_section(result, record, self.campaign, command[1])
+                campaign = about["campaign"]
+                counted = campaign.statistics.violation
+                passed = {"passed": campaign.passed, "runs": counted.runs, "violating": counted.events}
+                record |= {"passed": record["passed"] and campaign.passed, "campaign": passed}
             except InputError as error:
                 refused = InputError(f"{error}; the report in {self.folder} was written without it")
         say(f"drawing the report: {self.folder / REPORT}")
@@ -401,14 +406,14 @@ class Report:
                 write_pdf(content, unfinished / PDF)
 
         def show() -> int:
-            self._show(result, {**record, **(more or {})} if as_json else None)
+            self._show(result, campaign, {**record, **(more or {})} if as_json else None)
             if not (as_json or result.passed):
                 typer.echo(f"next:   {shlex.join(['platform-ctrl', 'serve', command[1]])} proposes what to change")
             if refused is not None:
                 raise refused
             if not self.pdf and (self.folder / PDF).exists():
                 typer.echo(f"{self.folder / PDF}: is of an earlier run; --pdf writes a new one", err=True)
-            return 0 if result.passed else 1
+            return 0 if result.passed and (campaign is None or campaign.passed) else 1
 
         return show
 
@@ -422,14 +427,14 @@ class Report:
         again = ["simulate", job, "--controllers", str(self.folder / RESULT), "-o", str(campaign), "--run"]
         return {"campaign": summary, "again": shlex.join(["platform-ctrl", *again])}
 
-    def _show(self, result: JobResult, record: Mapping[str, object] | None) -> None:
+    def _show(self, result: JobResult, campaign: Summary | None, record: Mapping[str, object] | None) -> None:
         from platform_ctrl.cli.terminal import show_result
         from platform_ctrl.common.json_text import json_text
 
         if record is not None:
             typer.echo(json_text(record))
             return
-        show_result(result)
+        show_result(result, campaign)
         for name in (REPORT, PDF):
             if name in self.files:
                 typer.echo(f"report: {self.folder / name}")

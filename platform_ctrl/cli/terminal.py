@@ -26,6 +26,7 @@ from platform_ctrl.job.judging import CheckResult
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from platform_ctrl.campaign.summary import Summary
     from platform_ctrl.verification import JobResult
     from platform_ctrl.verification.simulated import Run
 
@@ -122,8 +123,8 @@ def screen() -> Console:
     return Console(highlight=False, markup=False, emoji=False, width=None if fitting else _PIPE_WIDTH)
 
 
-def show_result(result: JobResult) -> None:
-    """Print all requirements, the worst first, and the verdict."""
+def show_result(result: JobResult, campaign: Summary | None = None) -> None:
+    """Print all requirements, the worst first, and the verdict, with that on a campaign."""
     from platform_ctrl.job.quantities import added_words, assumed_words
 
     console = screen()
@@ -131,7 +132,8 @@ def show_result(result: JobResult) -> None:
     goals = [goal for outcome in result.loops for goal in outcome.closed.goals]
     show_requirements(console, [*result.requirements, *goals], result)
     _show_alternatives(console, result)
-    _show_verdict(console, result.requirements, added_words(result.job.platform) + assumed_words(result.job))
+    words = added_words(result.job.platform) + assumed_words(result.job)
+    _show_verdict(console, result.requirements, words, campaign)
 
 
 def show_run(run: Run, largest: dict[str, tuple[float, str]]) -> None:
@@ -205,9 +207,16 @@ def show_requirements(
         console.print(text, soft_wrap=True)
 
 
-def _show_verdict(console: Console, results: Sequence[CheckResult], added: str) -> None:
-    verdict, style = ("PASSED", "green") if all(one.passed for one in results) else ("FAILED", "bold red")
-    show_words(console, f"{verdict}: {summary_words(results, added)}", style)
+def _show_verdict(
+    console: Console, results: Sequence[CheckResult], added: str, campaign: Summary | None = None
+) -> None:
+    passed, words = all(one.passed for one in results), summary_words(results, added)
+    if campaign is not None:
+        from platform_ctrl.report.page.campaign_tables import campaign_words
+
+        passed, words = passed and campaign.passed, f"{words}; {campaign_words(campaign)}"
+    verdict, style = ("PASSED", "green") if passed else ("FAILED", "bold red")
+    show_words(console, f"{verdict}: {words}", style)
 
 
 def _show_alternatives(console: Console, result: JobResult) -> None:

@@ -213,6 +213,18 @@ def test_the_page_with_a_campaign_has_the_command_to_repeat_a_run(
     assert not re.search(r"https?:|\bsrc=|url\((?!#)|@import|href=\"(?!#)", page)
 
 
+def test_a_campaign_that_violates_a_limit_stands_in_the_banner(result: JobResult, summary: Summary) -> None:
+    assert result.passed
+    found = job_page.prepared(result, campaign=summary)
+    assert not found.passed
+    words = campaign_tables.campaign_words(summary)
+    assert words in found.verdict
+    first = page_html(found).split('id="requirements"')[0]
+    assert words in text_of(first)
+    good = job_page.prepared(result, campaign=counted(summary.plan, 0.5))
+    assert good.passed
+
+
 def test_a_campaign_of_other_controllers_has_a_warning(result: JobResult) -> None:
     flown = counted(plan(result.job, ()), 1.1)
     assert differences(flown, result) == ["controllers"]
