@@ -142,7 +142,7 @@ def show_run(run: Run, largest: dict[str, tuple[float, str]]) -> None:
     saturated = {name: int(n) for name, n in zip(trajectory.torquer_names, trajectory.saturated, strict=True) if n}
     touched = {name: int(n) for name, n in zip(trajectory.angle_names, trajectory.stop_contacts, strict=True) if n}
     rows = {
-        "ended": trajectory.ended,
+        "ended": f"completed, {run.lost}" if trajectory.completed and run.lost else trajectory.ended,
         **{RUN_METRICS[key].name: _measured(key, *found) for key, found in largest.items()},
         "saturated samples": ", ".join(f"{name} {n}" for name, n in saturated.items()) or "none",
         "stops touched": ", ".join(f"{name} {n}" for name, n in touched.items()) or "none",

@@ -135,8 +135,11 @@ def test_every_number_of_the_opening_comes_from_the_result(result: JobResult) ->
 
 def test_a_diverged_run_and_no_run_at_all_are_mentioned(result: JobResult) -> None:
     first = result.runs[0]
-    lost = dataclasses.replace(first, trajectory=dataclasses.replace(first.trajectory, ended="diverged at t = 0.1 s"))
-    assert "“0.5 rad/s” ended early" in told(dataclasses.replace(result, runs=(lost, *result.runs[1:])))
+    ended = "diverged at t = 0.1 s"
+    lost = dataclasses.replace(first, trajectory=dataclasses.replace(first.trajectory, ended=ended), lost=ended)
+    assert f"run “0.5 rad/s” ({ended}) the loops did not hold the gimbals" in told(
+        dataclasses.replace(result, runs=(lost, *result.runs[1:]))
+    )
     assert "simulated" not in told(dataclasses.replace(result, runs=()))
 
 
