@@ -1,9 +1,16 @@
-"""Draw the pictures of the app in its documentation: `python docs/draw_designer.py` from the root of the checkout."""
+"""Draw the pictures of the app and of the report: `python docs/draw_designer.py` from the root of the checkout.
+
+They are drawn by hand, since a browser is needed. `pictures.json` beside them has a digest of the files that decide how
+they look; a test compares it, and says when they are old.
+"""
 
 from __future__ import annotations
 
+import hashlib
 import io
+import json
 import sys
+import tempfile
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -17,7 +24,19 @@ sys.path.insert(0, str(ROOT / "tests" / "support"))
 from browser import chromium, screen, served  # noqa: E402  beside the tests that use it too
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Page
+    from playwright.sync_api import Browser, Page
+
+ASSETS = ROOT / "docs" / "assets"
+JOB = ROOT / "examples" / "three_gyro_platform.toml"
+# What decides how a picture looks, below the root of the checkout.
+SOURCES = {
+    "designer": (
+        *("page/templates/page.html", "page/assets/page.css", "page/messages.py", "plots/panel.py"),
+        *("plots/frequency.py", "plots/locus.py", "plots/responses.py"),
+    ),
+    "report": ("templates/page.html", "templates/blocks.html", "templates/report.css", "page/first_screen.py"),
+}
+PACKAGES = {"designer": "platform_ctrl/app", "report": "platform_ctrl/report"}
 
 # Colours of a picture: text on plain ground needs no more, and the file is a third of what it would be.
 COLOURS = 256
@@ -37,29 +56,64 @@ def settled(page: Page, there: str = "true") -> None:
         page.wait_for_timeout(100)
 
 
+def digests() -> dict[str, str]:
+    """Return a digest of the sources of each picture, whatever their line ends."""
+    out = {}
+    for name, files in SOURCES.items():
+        found = hashlib.sha256(JOB.read_text(encoding="utf-8").encode())
+        for file in files:
+            found.update((ROOT / PACKAGES[name] / file).read_text(encoding="utf-8").encode())
+        out[name] = found.hexdigest()
+    return out
+
+
+def write(shot: bytes, name: str) -> None:
+    """Write a screenshot with few colours."""
+    Image.open(io.BytesIO(shot)).convert("RGB").quantize(COLOURS).save(ASSETS / f"{name}.png", optimize=True)
+
+
+def draw_app(browser: Browser, backend: Backend) -> None:
+    """Write designer-light.png and designer-dark.png."""
+    with served(backend) as server:
+        for name in ("light", "dark"):
+            with screen(browser, server.address, dark=name == "dark") as seen:
+                page = seen.page
+                page.wait_for_selector("body:not(.starting)", state="attached")
+                settled(page)
+                page.locator("#loop").select_option(label=LOOP)
+                settled(page)
+                number = page.locator('#sliders [data-slider="crossover_hz"] input[type="text"]')
+                for text in (number.input_value(), CROSSOVER):
+                    number.fill(text)
+                    number.press("Enter")
+                    settled(page)
+                page.locator("h1").click()
+                settled(page, ARROWS)
+                write(page.screenshot(), f"designer-{name}")
+                assert seen.complaints == []
+
+
+def draw_report(browser: Browser, page: Path) -> None:
+    """Write report-light.png and report-dark.png."""
+    for name in ("light", "dark"):
+        with screen(browser, page.as_uri(), dark=name == "dark", width=1400, height=920) as seen:
+            seen.page.wait_for_load_state()
+            write(seen.page.screenshot(), f"report-{name}")
+            assert seen.complaints == []
+
+
 def main() -> None:
-    """Write docs/assets/designer-light.png and designer-dark.png."""
-    backend = Backend(ROOT / "examples" / "three_gyro_platform.toml")
-    for browser in chromium():
-        with served(backend) as server:
-            for name in ("light", "dark"):
-                with screen(browser, server.address, dark=name == "dark") as seen:
-                    page = seen.page
-                    page.wait_for_selector("body:not(.starting)", state="attached")
-                    settled(page)
-                    page.locator("#loop").select_option(label=LOOP)
-                    settled(page)
-                    number = page.locator('#sliders [data-slider="crossover_hz"] input[type="text"]')
-                    for text in (number.input_value(), CROSSOVER):
-                        number.fill(text)
-                        number.press("Enter")
-                        settled(page)
-                    page.locator("h1").click()
-                    settled(page, ARROWS)
-                    shot = Image.open(io.BytesIO(page.screenshot())).convert("RGB")
-                    assert seen.complaints == []
-                shot.quantize(COLOURS).save(ROOT / "docs" / "assets" / f"designer-{name}.png", optimize=True)
+    """Write the pictures in docs/assets and their digests."""
+    from platform_ctrl.cli import main as command
+
+    backend = Backend(JOB)
+    with tempfile.TemporaryDirectory() as folder:
+        assert command(["design", str(JOB), "-o", folder, "-q"]) == 0
+        for browser in chromium():
+            draw_report(browser, Path(folder) / "report.html")
+            draw_app(browser, backend)
     backend.close()
+    (ASSETS / "pictures.json").write_text(json.dumps(digests(), indent=2) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import ast
+import importlib.util
+import json
 import os
 import re
 import shutil
@@ -69,6 +71,19 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )
     assert done.returncode == 0, done.stdout + done.stderr
     return folder
+
+
+def test_the_pictures_of_the_app_and_the_report_are_of_what_they_show() -> None:
+    """Digests of what decides how they look, and of what was drawn: where they differ the pictures are old."""
+    pytest.importorskip("PIL")
+    spec = importlib.util.spec_from_file_location("draw_designer", ROOT / "docs" / "draw_designer.py")
+    assert spec is not None
+    assert spec.loader is not None
+    script = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(script)
+    drawn = json.loads((ROOT / "docs" / "assets" / "pictures.json").read_text(encoding="utf-8"))
+    old = [name for name, digest in script.digests().items() if drawn.get(name) != digest]
+    assert not old, f"docs/assets: the pictures of {', '.join(old)} are old; run python docs/draw_designer.py"
 
 
 @pytest.fixture(scope="module")

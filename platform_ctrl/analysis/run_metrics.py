@@ -55,7 +55,8 @@ RUN_METRICS: dict[str, RunMetric] = {
             key="angle_following_error",
             unit="rad",
             sense="at most",
-            meaning="largest magnitude of a reading of an angle less its command after `settle`",
+            meaning="largest magnitude of an angle that is read, without the sensor's bias and scale error, less its "
+            "command after `settle`",
             on_demand=True,
             commanded=True,
         ),
@@ -64,7 +65,8 @@ RUN_METRICS: dict[str, RunMetric] = {
             key="rate_following_error",
             unit="rad/s",
             sense="at most",
-            meaning="largest magnitude of a reading of a rate less its command after `settle`",
+            meaning="largest magnitude of a rate that is read, without the sensor's bias and scale error, less its "
+            "command after `settle`",
             on_demand=True,
             commanded=True,
         ),
@@ -73,7 +75,8 @@ RUN_METRICS: dict[str, RunMetric] = {
             key="los_angle_rms",
             unit="rad",
             sense="at most",
-            meaning="rms of `los_angle1` or `los_angle2` about its mean after `settle`, the larger",
+            meaning="rms of `los_angle1` or `los_angle2` after `settle`, the larger: about zero, but about the mean in "
+            "a run with commands",
             on_demand=True,
             sight=True,
         ),
@@ -82,16 +85,18 @@ RUN_METRICS: dict[str, RunMetric] = {
             key="los_rate_rms",
             unit="rad/s",
             sense="at most",
-            meaning="rms of `los_rate1` or `los_rate2` about its mean after `settle`, the larger",
+            meaning="rms of `los_rate1` or `los_rate2` after `settle`, the larger: about zero, but about the mean in a "
+            "run with commands",
             on_demand=True,
             sight=True,
         ),
         RunMetric(
-            name="attenuation of base motion",
+            name="attenuation in the run, rms",
             key="attenuation_db",
             unit="dB",
             sense="at least",
-            meaning="rms of the platform rate over `los_rate_rms`, in dB, caged",
+            meaning="rms of the platform rate over that of `los_rate1` or `los_rate2`, the larger, both about their "
+            "means, in dB, caged",
             on_demand=True,
             sight=True,
         ),

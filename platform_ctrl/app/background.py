@@ -160,7 +160,7 @@ class Tuning:
         from platform_ctrl.app.controllers import direct_arrays
         from platform_ctrl.design.classical import caging, rate
         from platform_ctrl.design.loop import shaped
-        from platform_ctrl.design.tuning import tune
+        from platform_ctrl.design.tuning import over_decades, rates, tune
         from platform_ctrl.job.requirements import loop_requirements
 
         plants, channel, design = self.plants, self.directions, self.design
@@ -178,7 +178,10 @@ class Tuning:
             plants,
             loop_requirements(self.spec.limits),
             upper=(rate if design.method == "pi" else caging).upper_bounds(plants.period),
-            progress=lambda ratio: progress(f"worst requirement at {ratio:.0%} of its limit"),
+            starts=over_decades(
+                self.options, [name for name in rates(design.method) if name in self.movable], plants.period
+            ),
+            progress=lambda _, limiting: progress(limiting),
         )
 
 
@@ -211,10 +214,10 @@ class ServoTuning:
 
         def ratio(x: Any) -> float:
             nonlocal best
-            found = worst(numbers(x))
+            found, limiting = worst(numbers(x))
             if found < best:
                 best = found
-                progress(f"worst requirement at {found:.0%} of its limit")
+                progress(limiting)
             return found
 
         def stop_when_met(intermediate_result: Any) -> None:
@@ -227,11 +230,15 @@ class ServoTuning:
         found = minimize(ratio, start, method="Nelder-Mead", callback=stop_when_met, options=options)
         return numbers(found.x)
 
-    def worst_ratio(self) -> Callable[[dict[str, float]], float]:
-        """Return the function from options to the largest ratio of the coupled limits; beyond 10 where unstable."""
+    def worst_ratio(self) -> Callable[[dict[str, float]], tuple[float, str]]:
+        """Return the function from options to the largest ratio of the coupled limits, and what limits it.
+
+        The ratio is beyond 10 where the loop is unstable.
+        """
         from platform_ctrl.app.free_plants import StabilisedLoop, corners, free_models, free_plants
         from platform_ctrl.app.stabilised import requirements
         from platform_ctrl.design.loop import LoopProblem, designed
+        from platform_ctrl.design.tuning import limited_by
         from platform_ctrl.mechanics.linearisation import linearise
         from platform_ctrl.verification.coupled import sensed_rates
 
@@ -246,12 +253,12 @@ class ServoTuning:
                 margins[name] = compute()
             return margins[name]
 
-        def worst(options: dict[str, float]) -> float:
+        def worst(options: dict[str, float]) -> tuple[float, str]:
             try:
                 trial = dataclasses.replace(design, options=options)
                 servo = designed(LoopProblem(job=self.job, spec=spec, design=trial, model=model))
-            except PlatformCtrlError:
-                return 100.0
+            except PlatformCtrlError as error:
+                return 100.0, str(error)
             loop = StabilisedLoop(
                 job=self.job,
                 model=model,
@@ -263,11 +270,11 @@ class ServoTuning:
             results = requirements(loop, cached)
             stable = results[0]
             if not stable.value > 0.0:
-                return 10.0 + min(-stable.value, 1e6)
+                return 10.0 + min(-stable.value, 1e6), f"unstable: it grows at {-stable.value:.3g} 1/s"
             ratios = [one.ratio for one in results]
             # Where one is infinite the others still tell which direction is better.
             worst_finite = max((x for x in ratios if x < float("inf")), default=0.0)
-            return min(max(ratios), 10.0 + min(worst_finite, 1.0))
+            return min(max(ratios), 10.0 + min(worst_finite, 1.0)), limited_by(results)
 
         return worst
 

@@ -100,10 +100,10 @@ def _rate(scenario: Scenario, axis: int, t: FloatArray) -> FloatArray:
 
 def _commanded(scenario: Scenario, readings: Sequence[str], t: FloatArray) -> FloatArray:
     # Loads what simulates: the page is to be there before.
-    from platform_ctrl.simulation.scenarios import commanded_readings, sampled_commands
+    from platform_ctrl.simulation.scenarios import commanded_readings, courses_of
 
     names = commanded_readings(scenario)
-    return sampled_commands(scenario, t)[:, [names.index(name) for name in readings]]
+    return courses_of(scenario, t)[:, 1, [names.index(name) for name in readings]]
 
 
 def _half_cosine(profile: HalfCosine, t: FloatArray) -> FloatArray:

@@ -184,7 +184,8 @@ def free_plants(models: FreeModels, sampling: Sampling, band: bool) -> FreePlant
     arrays = sampled(StateArrays(models.A, models.B, models.C, D, 0.0), period, delay, lags)
     turned = _turned(models, period, delay)
     nyquist = np.pi / period
-    fastest = float(np.abs(np.linalg.eigvals(models.A[0])).max(initial=0.0)) or 0.1 * nyquist
+    # What oscillates: the pole b/J of a damped axis says nothing about the loop.
+    fastest = float(np.abs(np.linalg.eigvals(models.A[0]).imag).max(initial=0.0)) or 0.1 * nyquist
     low = min(2e-3 * fastest, 0.01 * nyquist)
     grid = np.geomspace(low, 0.999 * nyquist, _BAND_POINTS) if band else np.zeros(0)
     return FreePlants(

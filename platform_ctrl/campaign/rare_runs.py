@@ -111,7 +111,7 @@ def limit_ratios(
     for name in names:
         limit = np.array([scenario.limits.get(name, np.nan) for scenario in scenarios])
         limited = ~np.isnan(limit)
-        ratio = over_limit(name, metric_of(result, name), np.where(limited, limit, 1.0))
+        ratio = over_limit(name, metric_of(result, name, scenarios), np.where(limited, limit, 1.0))
         # A run that diverged violates all its limits; without any it still has not passed.
         lost = ~result.completed & (limited | (requirement is None))
         out = np.maximum(out, np.where(lost, np.inf, np.where(limited, ratio, 0.0)))

@@ -55,22 +55,22 @@ def metrics_of(plan: Plan) -> tuple[str, ...]:
     return run_metrics(manoeuvre.limits for manoeuvre, _ in plan.job.campaign_manoeuvres)
 
 
-def metric_of(result: BatchResult, name: str) -> Array:
-    """Return a metric of runs by its key, the worst of all axes, (N,)."""
-    sight = result.line_of_sight_rms
-    if name == "los_rate_rms":
-        return np.asarray(sight[:, :2].max(axis=1))
-    if name == "los_angle_rms":
-        return np.asarray(sight[:, 3:5].max(axis=1))
+def metric_of(result: BatchResult, name: str, scenarios: Sequence[Scenario]) -> Array:
+    """Return a metric of the runs of `scenarios` by its key, the worst of all axes, (N,)."""
+    jitter = result.line_of_sight_rms
+    if name in ("los_rate_rms", "los_angle_rms"):
+        commanded = np.array([bool(one.commands) for one in scenarios])[:, None]
+        sight = np.where(commanded, jitter, np.hypot(jitter, result.line_of_sight_mean))
+        return np.asarray(sight[:, slice(0, 2) if name == "los_rate_rms" else slice(3, 5)].max(axis=1))
     if name == "attenuation_db":
-        return attenuation_db(result.Omega_rms, sight[:, :2])
+        return attenuation_db(result.Omega_rms, jitter[:, :2])
     return np.asarray(getattr(result, name).max(axis=1, initial=0.0))
 
 
 def _outcomes(scenarios: Sequence[Scenario], result: BatchResult, names: Sequence[str]) -> dict[str, Array]:
     """Return the outcomes of runs, by the names of the columns."""
     done = result.completed
-    metrics = {name: np.where(done, metric_of(result, name), worst_value(name)) for name in names}
+    metrics = {name: np.where(done, metric_of(result, name, scenarios), worst_value(name)) for name in names}
     passed = done.copy()
     answers: dict[str, Array] = {}
     for name in names:
@@ -173,7 +173,7 @@ def rerun(plan: Plan, number: int) -> Rerun:
         The plan has no such run, or it cannot be simulated.
     """
     from platform_ctrl.simulation import simulate
-    from platform_ctrl.verification.simulated import Run, limit_results
+    from platform_ctrl.verification.simulated import run_of
 
     inputs = plan.inputs(number, number + 1)
     scenario = plan.scenario(number)
@@ -187,7 +187,7 @@ def rerun(plan: Plan, number: int) -> Rerun:
         job=job,
         inputs={name: row[name] for name in inputs},
         metrics={name: item for name, item in row.items() if name not in inputs and name != RUN},
-        run=Run(manoeuvre=manoeuvre, trajectory=trajectory, results=limit_results(job, manoeuvre, trajectory)),
+        run=run_of(job, manoeuvre, trajectory),
     )
 
 

@@ -162,6 +162,8 @@ def budget_lines(
     others: Mapping[str, LineOfSightBudget | None] | None = None,
 ) -> Iterator[str]:
     """Walk the lines of the tables, 80 columns wide; `others` are the budgets of other designs."""
+    from platform_ctrl.verification.budget_result import TOGETHER
+
     assert job.budget is not None
     yield f"{job.name}: line of sight, {job.budget.from_hz:g} to {job.budget.to_hz:g} Hz, µrad rms and share"
     yield ""
@@ -175,8 +177,8 @@ def budget_lines(
         alone = len(name) >= _NAME and kind in name
         label = _short(name, _NAME + _KIND - 1) if alone else f"{_short(name, _NAME - 1):{_NAME}}{kind}"
         yield f"{label:{_NAME + _KIND}}{numbers}".rstrip()
-    yield _row("all together", map(micro, found.total))
-    yield _row("both axes across", [micro(found.jitter)])
+    yield _row(TOGETHER, map(micro, found.total))
+    yield _row("both axes across, angles zero", [micro(found.jitter)])
     for name, other in (others or {}).items():
         yield _row(
             _short(f"with {name}", _NAME + _KIND - 1), ["not stable"] if other is None else map(micro, other.total)

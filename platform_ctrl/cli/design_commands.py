@@ -399,20 +399,28 @@ class Report:
         JSON beside the content of the result's file. What cannot be drawn is left out, and said. A campaign of other
         controllers is left out too, and is an error at the end.
         """
+        from platform_ctrl.verification.records import write_record
+
         words = ["platform-ctrl", *command, *(["--pdf"] if self.pdf else [])]
         about: dict[str, Any] = {}
+        campaign: Summary | None = None
         refused: InputError | None = None
         if self.campaign is not None:
             words += ["--campaign", str(self.campaign)]
             say(f"reading the campaign: {self.campaign}")
             try:
                 about = self._campaign_section(result, record, self.campaign, command[1])
+                campaign = about["campaign"]
+                counted = campaign.statistics.violation
+                passed = {"passed": campaign.passed, "runs": counted.runs, "violating": counted.events}
+                record |= {"passed": record["passed"] and campaign.passed, "campaign": passed}
+                write_record(record, self.folder / RESULT)
             except InputError as error:
                 refused = InputError(f"{error}; the report in {self.folder} was written without it")
         reports, missing = self._drawn(result, say, drawing, command=shlex.join(words), **about)
 
         def show() -> int:
-            self._show(result, {**record, **(more or {})} if as_json else None, reports)
+            self._show(result, campaign, {**record, **(more or {})} if as_json else None, reports)
             for line in missing:
                 noted(line)
             if not (as_json or result.passed):
@@ -421,7 +429,7 @@ class Report:
                 raise refused
             if not self.pdf and (self.folder / PDF).exists():
                 typer.echo(f"{self.folder / PDF}: is of an earlier run; --pdf writes a new one", err=True)
-            return 0 if result.passed else 1
+            return 0 if result.passed and (campaign is None or campaign.passed) else 1
 
         return show
 
@@ -470,14 +478,16 @@ class Report:
         again = ["simulate", job, "--controllers", str(self.folder / RESULT), "-o", str(campaign), "--run"]
         return {"campaign": summary, "again": shlex.join(["platform-ctrl", *again])}
 
-    def _show(self, result: JobResult, record: Record | None, reports: Sequence[Path]) -> None:
+    def _show(
+        self, result: JobResult, campaign: Summary | None, record: Mapping[str, object] | None, reports: Sequence[Path]
+    ) -> None:
         from platform_ctrl.cli.terminal import show_result
         from platform_ctrl.common.json_text import json_text
 
         if record is not None:
             typer.echo(json_text(record))
             return
-        show_result(result)
+        show_result(result, campaign)
         for path in reports:
             typer.echo(f"report: {path}")
         typer.echo(f"values: {self.folder / RESULT}")

@@ -74,7 +74,8 @@ CampaignFolder = Annotated[
     option(
         "--campaign",
         metavar="DIR",
-        help="Folder of a campaign of this job with these controllers: the report gets a section about it.",
+        help="Folder of a campaign of this job with these controllers: the report gets a section about it, and a run "
+        "that violates a limit counts in the verdict.",
         words=completion.campaign_folders,
     ),
 ]

@@ -26,6 +26,7 @@ from platform_ctrl.job.judging import CheckResult
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from platform_ctrl.campaign.summary import Summary
     from platform_ctrl.verification import JobResult
     from platform_ctrl.verification.simulated import Run
 
@@ -122,8 +123,8 @@ def screen() -> Console:
     return Console(highlight=False, markup=False, emoji=False, width=None if fitting else _PIPE_WIDTH)
 
 
-def show_result(result: JobResult) -> None:
-    """Print all requirements, the worst first, and the verdict."""
+def show_result(result: JobResult, campaign: Summary | None = None) -> None:
+    """Print all requirements, the worst first, and the verdict, with that on a campaign."""
     from platform_ctrl.job.quantities import added_words
 
     console = screen()
@@ -131,7 +132,7 @@ def show_result(result: JobResult) -> None:
     goals = [goal for outcome in result.loops for goal in outcome.closed.goals]
     show_requirements(console, [*result.requirements, *goals], result)
     _show_alternatives(console, result)
-    _show_verdict(console, result.requirements, added_words(result.job.platform) + result.assumptions)
+    _show_verdict(console, result.requirements, added_words(result.job.platform) + result.assumptions, campaign)
 
 
 def show_run(run: Run, largest: dict[str, tuple[float, str]]) -> None:
@@ -140,7 +141,7 @@ def show_run(run: Run, largest: dict[str, tuple[float, str]]) -> None:
     saturated = {name: int(n) for name, n in zip(trajectory.torquer_names, trajectory.saturated, strict=True) if n}
     touched = {name: int(n) for name, n in zip(trajectory.angle_names, trajectory.stop_contacts, strict=True) if n}
     rows = {
-        "ended": trajectory.ended,
+        "ended": f"completed, {run.lost}" if trajectory.completed and run.lost else trajectory.ended,
         **{RUN_METRICS[key].name: _measured(key, *found) for key, found in largest.items()},
         "saturated samples": ", ".join(f"{name} {n}" for name, n in saturated.items()) or "none",
         "stops touched": ", ".join(f"{name} {n}" for name, n in touched.items()) or "none",
@@ -205,9 +206,16 @@ def show_requirements(
         console.print(text, soft_wrap=True)
 
 
-def _show_verdict(console: Console, results: Sequence[CheckResult], added: str) -> None:
-    verdict, style = ("PASSED", "green") if all(one.passed for one in results) else ("FAILED", "bold red")
-    show_words(console, f"{verdict}: {summary_words(results, added)}", style)
+def _show_verdict(
+    console: Console, results: Sequence[CheckResult], added: str, campaign: Summary | None = None
+) -> None:
+    passed, words = all(one.passed for one in results), summary_words(results, added)
+    if campaign is not None:
+        from platform_ctrl.report.page.campaign_tables import campaign_words
+
+        passed, words = passed and campaign.passed, f"{words}; {campaign_words(campaign)}"
+    verdict, style = ("PASSED", "green") if passed else ("FAILED", "bold red")
+    show_words(console, f"{verdict}: {words}", style)
 
 
 def _show_alternatives(console: Console, result: JobResult) -> None:
@@ -364,7 +372,8 @@ def requirement_lines(
             kind = "goal" if not told[k].hard else "met" if told[k].passed else "missed"
             first, *more = textwrap.wrap(cells[k][1], name, break_long_words=False, break_on_hyphens=False)
             yield Line(text=_row((cells[k][0], first, *cells[k][2:]), name, widths), kind=kind)
-            for line in more:
+            why = [] if told[k].passed else textwrap.wrap(told[k].reason, max(width - widths[0] - 2 * _GAP, _NAME))
+            for line in (*more, *(f"{'':{_GAP}}{words}" for words in why)):
                 yield Line(text=f"{'':{widths[0] + _GAP}}{line}", kind=kind)
     yield from _folded([one for one in results if _as_good_as_can_be(one)], width)
 

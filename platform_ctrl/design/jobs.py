@@ -158,7 +158,7 @@ def _loops(job: Job, progress: Progress, store: Store | None, beside: SecondProc
 def _outcome(spec: LoopSpec, found: Sequence[tuple[DesignSpec, LoopDesign | Exception]]) -> LoopOutcome:
     """Return the outcome of a loop of what its designs have come to."""
     designs = tuple(one for _, one in found if isinstance(one, LoopDesign))
-    errors = [(design, instability(one) if isinstance(one, LoopDesign) else one) for design, one in found]
+    errors = [(design, instability(one, design.tune) if isinstance(one, LoopDesign) else one) for design, one in found]
     failed = tuple(_failed(spec, design, error) for design, error in errors if error is not None)
     names = [one.name for one in designs]
     use = spec.use if spec.use in names or not names else names[0]

@@ -33,6 +33,8 @@ if TYPE_CHECKING:
 
 # Of the reference filter: it answers a step without overshoot.
 _DAMPING = 1.0
+# Metrics in which its lag counts.
+_LATE = ("ramp error", "tracking error")
 
 
 @value
@@ -216,19 +218,22 @@ def certified(
     measures = measure(plants, K, requirements_of(spec))
     out = _with_evidence(spec, design.name, design.method, K, plants, measures, known)
     out = dataclasses.replace(out, options=found.options, claims=found.claims)
-    if stable and (error := instability(out)) is not None:
+    if stable and (error := instability(out, design.tune)) is not None:
         raise error
     return out
 
 
-def instability(design: LoopDesign) -> NotCertifiedError | None:
+def instability(design: LoopDesign, tuned: bool) -> NotCertifiedError | None:
     """Return the error that the closed loop with the nominal plant is unstable; None where it is stable."""
     measures = design.measures
     if measures is None or measures.decay[0] > 0.0:
         return None
+    advice = known_method(design.method).advice
+    if tuned:
+        advice = "a higher rate_hz, a shorter delay or other limits: no start of the tuner leads to a stable loop"
     return NotCertifiedError(
         f"{design.loop}, {design.name}: the closed loop grows at {-measures.decay[0]:.3g} 1/s: it is unstable; try "
-        f"{known_method(design.method).advice}",
+        f"{advice}",
         design.plants,
     )
 
@@ -250,11 +255,20 @@ def limits_and_goals(
     spec: LoopSpec, design: str, plants: PlantSet, measures: LoopMetrics
 ) -> tuple[tuple[CheckResult, ...], tuple[CheckResult, ...]]:
     """Return the loop's limits and its goals compared with `measures`."""
-    hard, soft = (
-        tuple(requirement.result(plants, measures, subject=spec.name, design=design) for requirement in requirements)
-        for requirements in _hard_and_soft(spec)
-    )
+    shaping = next((one.command for one in spec.designs if one.name == design), None)
+
+    def result(requirement: LoopRequirement) -> CheckResult:
+        found = requirement.result(plants, measures, subject=spec.name, design=design)
+        late = shaping is not None and requirement.kind in _LATE
+        return found.because(filter_lag(shaping.filter_hz)) if late and shaping is not None else found
+
+    hard, soft = (tuple(map(result, requirements)) for requirements in _hard_and_soft(spec))
     return hard, soft
+
+
+def filter_lag(hz: float) -> str:
+    """Say how late a reference filter makes a path that is not known ahead."""
+    return f"behind the reference filter (filter_hz = {hz:g}), which alone is {1.0 / (math.pi * hz):.3g} s late"
 
 
 def _proofs(
@@ -378,19 +392,26 @@ def completed(method: str, given: dict[str, float], defaults: dict[str, float]) 
 def shaped(K: StateArrays, shaping: CommandShaping, directions: Channels, sense: FloatArray) -> StateArrays:
     """Return the controller of readings and commands behind a reference filter, of K from the readings.
 
-    u = K (y − F r) + J sᵏ F r. F = ω²/(s + ω)² does not overshoot, and J are the inertias that the loop's torquers
-    turn: a torque shows in the derivative k of what is measured, 1 of a rate and 2 of an angle. Both are sampled by
+    u = K (y − F r) + H F r. F = ω²/(s + ω)² does not overshoot. H is the inverse of the plant along the directions:
+    J s² + d s + c of an angle, inertia, viscous friction and spring, and J s + d of a rate. Both are sampled by
     Tustin's rule. `sense` (n, p) leads from the readings to the directions, along which the inertias are known.
     """
     p, w = len(K.B.T), 2.0 * math.pi * shaping.filter_hz
-    one, derivative = (low_pass(w, _DAMPING, K.dt, order) for order in (0, directions.order))
-    A, B, C, D = (block_diag(*(part,) * p) for part in one[:4])
-    torque = directions.inertias[:, None] * sense if shaping.acceleration else np.zeros_like(sense)
-    C_own, D_own = (block_diag(*(part,) * p) for part in (derivative.C, derivative.D))
+    derivatives = [low_pass(w, _DAMPING, K.dt, order) for order in range(directions.order + 1)]
+    A, B, C, D = (block_diag(*(part,) * p) for part in derivatives[0][:4])
+    fed_C, fed_D = np.zeros((len(K.C), len(A))), np.zeros((len(K.D), p))
+    if shaping.acceleration:
+        # By the derivative that they go with, the highest first.
+        needed = (directions.inertias, directions.damping, directions.stiffness)
+        for one, strength in zip(reversed(derivatives), needed, strict=False):
+            if strength is not None:
+                torque = strength[:, None] * sense
+                fed_C += torque @ block_diag(*(one.C,) * p)
+                fed_D += torque @ block_diag(*(one.D,) * p)
     return StateArrays(
         np.block([[K.A, -K.B @ C], [np.zeros((len(A), len(K.A))), A]]),
         np.block([[K.B, -K.B @ D], [np.zeros((len(A), p)), B]]),
-        np.hstack([K.C, torque @ C_own - K.D @ C]),
-        np.hstack([K.D, torque @ D_own - K.D @ D]),
+        np.hstack([K.C, fed_C - K.D @ C]),
+        np.hstack([K.D, fed_D - K.D @ D]),
         K.dt,
     )

@@ -116,6 +116,8 @@ def loop_channels(model: LinearModel, signals: LoopSignals, period: float) -> Ch
         inertias=1.0 / mobility,
         spins=np.array([abs(rotor.spin) for rotor in carried]),
         order=signals.order,
+        damping=np.diag(model.damping)[rows][own],
+        stiffness=np.diag(model.stiffness)[rows][own],
         sense=mobility[:, None] * np.linalg.pinv(effect),
     )
 

@@ -245,6 +245,9 @@ class Channels:
     # (n, p): of loops that read other sensors than pick-offs: from their readings to the directions. Design methods
     # then get plants whose outputs are the directions already; None: they take the gimbals' angles there by `basis`.
     sense: FloatArray | None = None
+    # (n,): viscous friction, N m s, and stiffness, N m/rad, against motion in each direction; None: not needed.
+    damping: FloatArray | None = None
+    stiffness: FloatArray | None = None
 
     @property
     def inertial(self) -> int:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,8 @@ from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.loop import LoopProblem
 from platform_ctrl.errors import PlatformCtrlError
 from platform_ctrl.job.judging import CheckResult
+from platform_ctrl.job.methods import METHODS, resolved
+from platform_ctrl.job.quantities import compared
 from platform_ctrl.job.requirements import LoopRequirement, loop_requirements
 
 BoolArray = NDArray[np.bool_]
@@ -23,6 +26,11 @@ Builder = Callable[[dict[str, float]], StateArrays]
 
 # How far options may move, as a factor: where nothing gets better the search would go on to infinity.
 _LARGEST_FACTOR = 1e6
+# Other starts, tried where a search does not meet the limits: crossovers between these shares of the sample rate, so
+# many a decade, and how many of them are searched from.
+_SLOWEST, _FASTEST, _A_DECADE, _MOST_STARTS = 1e-6, 0.2, 3, 2
+# Ratio up to which a ratio counts as it is. Larger ones are compressed to below 10, from where on a loop is unstable.
+_LARGE = 5.0
 # Plants that are kept in view while searching: the worst ones. All are looked at again after each search.
 _MOST_PLANTS = 8
 
@@ -34,25 +42,57 @@ def tuned(
     build: Builder,
     upper: dict[str, float],
 ) -> dict[str, float]:
-    """Return the options of a design, with ``tune = true`` moved until its loop's limits are met: see `tune`."""
-    spec, design = problem.spec, problem.design
+    """Return the options of a design, with ``tune = true`` moved until its loop's limits are met: see `tune`.
+
+    Other starts are the options as given and those by rules of thumb, at crossovers over decades.
+    """
+    spec, design, plants = problem.spec, problem.design, problem.plants
     if not design.tune:
         return options
+    movable = [name for name in tunable if name in options]
+    fixed = {name: x for name, x in design.options.items() if name not in movable}
+    kept = {name: x for name, x in design.options.items() if name not in rates(design.method)} | fixed
+    by_rule = resolved(METHODS[design.method].defaults or "")(
+        replace(design, options=kept), problem.channel, plants.nutation, plants.period
+    )
+    bases = [options, options | {name: by_rule[name] for name in options if name in by_rule and name not in fixed}]
+    together = [name for name in rates(design.method) if name in options and name not in fixed]
     return tune(
         options,
-        [name for name in tunable if name in options],
+        movable,
         lambda numbers: problem.with_commands(build(numbers)),
-        problem.plants,
+        plants,
         loop_requirements(spec.limits),
         upper=upper,
-        progress=lambda ratio: problem.progress(
-            f"{spec.name}: {design.name}, worst requirement at {ratio:.0%} of its limit"
-        ),
+        starts=[one for base in bases for one in over_decades(base, together, plants.period)],
+        progress=lambda _, limiting: problem.progress(f"{spec.name}: {design.name}, {limiting}"),
     )
 
 
+def rates(method: str) -> list[str]:
+    """Return the options of a method that are scaled with its crossover."""
+    return list(METHODS[method].families.get("speed", ()))
+
+
+def over_decades(options: dict[str, float], together: Iterable[str], period: float) -> list[dict[str, float]]:
+    """Return `options` with those that go `together` scaled, so that the largest of them is at crossovers over decades.
+
+    They are frequencies in Hz.
+    """
+    scaled = [name for name in together if name in options]
+    if not scaled:
+        return []
+    largest = max(options[name] for name in scaled)
+    count = round(_A_DECADE * math.log10(_FASTEST / _SLOWEST)) + 1
+    crossovers = np.geomspace(_SLOWEST, _FASTEST, count) / period
+    return [options | {name: options[name] * float(hz) / largest for name in scaled} for hz in crossovers]
+
+
 def worst_ratio(controller: StateArrays, plants: PlantSet, requirements: Sequence[LoopRequirement]) -> float:
-    """Return the largest ratio of all requirements; beyond 10 for an unstable loop, more the faster it diverges."""
+    """Return the largest ratio of all requirements, compressed to below 10; beyond it for an unstable loop.
+
+    The ratio of an unstable loop is the larger the faster it diverges.
+    """
     return _worst(_on_grid(controller, plants, requirements), plants, requirements)
 
 
@@ -65,10 +105,30 @@ def _worst(measures: LoopMetrics, plants: PlantSet, requirements: Sequence[LoopR
     if not growth < 0.0:
         return 10.0 + min(growth / plants.nutation, 1e6) * 100.0
     ratios = (r.ratios(measures).max() for r in requirements)
-    return float(min(max(ratios, default=0.0), 10.0))
+    largest = float(max(ratios, default=0.0))
+    return largest if largest <= _LARGE else 2.0 * _LARGE - _LARGE**2 / largest
 
 
-def tune(  # noqa: PLR0913, PLR0915 - the parts of one search
+def limiting(measures: LoopMetrics, plants: PlantSet, requirements: Sequence[LoopRequirement]) -> str:
+    """Say what is unstable, or which requirement is nearest to its limit or farthest beyond it."""
+    stable = _stable(measures, requirements)
+    decay = np.where(stable, measures.decay, np.inf)
+    worst = int(decay.argmin())
+    if not decay[worst] > 0.0:
+        return f"unstable: {plants.labels[worst]} grows at {-decay[worst]:.3g} 1/s"
+    return limited_by([one.result(plants, measures) for one in requirements])
+
+
+def limited_by(results: Sequence[CheckResult]) -> str:
+    """Say which requirement is nearest to its limit or farthest beyond it."""
+    if not results:
+        return "stable"
+    one = max(results, key=lambda one: one.ratio)
+    found, limit = compared(one)
+    return f"limited by {one.name}: {found}, {one.sense} {limit}"
+
+
+def tune(  # noqa: PLR0913 - the parts of one search
     start: dict[str, float],
     movable: Sequence[str],
     build: Builder,
@@ -76,21 +136,79 @@ def tune(  # noqa: PLR0913, PLR0915 - the parts of one search
     requirements: Sequence[LoopRequirement],
     *,
     upper: dict[str, float] | None = None,
+    starts: Sequence[dict[str, float]] = (),
     reserve: float = 0.05,
     evaluations: int = 1500,
-    progress: Callable[[float], None] | None = None,
+    progress: Callable[[float, str], None] | None = None,
 ) -> dict[str, float]:
     """Return `start` with the `movable` options changed so that the worst ratio is at most 1 − reserve, or least.
 
     A simplex search over the logarithms (Nelder and Mead, adaptive), on the nominal plant and the worst few of the set,
     repeated until the plants in view are the worst of all. What meets the limits on the grid of frequencies is measured
-    exactly; where that exceeds a limit, the frequencies at which the figures are reached join the grid. Deterministic.
-    `start` and `upper` bounds are positive; `build` makes the sampled controller; `progress` is called with the worst
-    ratio so far.
+    exactly; where that exceeds a limit, the frequencies at which the figures are reached join the grid. Where limits
+    are not met, the search is repeated from the best of the other `starts`. Deterministic. `start` and `upper` bounds
+    are positive; `build` makes the sampled controller; `progress` gets the worst ratio so far and what limits it.
     """
+    upper = upper or {}
+    if any(one.metric.of_disturbances for one in requirements):
+        plants = plants.with_disturbances()
+    told = np.inf
+
+    def tell(ratio: float, line: str) -> None:
+        nonlocal told
+        if progress is not None and ratio <= told:
+            told = ratio
+            progress(ratio, line)
+
+    def found_from(first: dict[str, float]) -> tuple[dict[str, float], float]:
+        return _search(first, movable, build, plants, requirements, upper, 1.0 - reserve, evaluations, tell)
+
+    best, ratio = found_from(start)
+    others = iter(_best_starts(starts, upper, build, plants, requirements) if ratio > 1.0 else ())
+    for other in others:
+        found, reached = found_from(other)
+        if reached < ratio:
+            best, ratio = found, reached
+        if ratio <= 1.0:
+            break
+    return best
+
+
+def _best_starts(
+    starts: Sequence[dict[str, float]],
+    upper: dict[str, float],
+    build: Builder,
+    plants: PlantSet,
+    requirements: Sequence[LoopRequirement],
+) -> list[dict[str, float]]:
+    """Return the best of the starts, of neighbours the better one."""
+    within = [{name: min(x, upper.get(name, np.inf)) for name, x in one.items()} for one in starts]
+    ratios = []
+    for one in within:
+        try:
+            ratios.append(worst_ratio(build(one), plants, requirements))
+        except PlatformCtrlError:
+            ratios.append(np.inf)
+    edged = [np.inf, *ratios, np.inf]
+    valleys = [k for k, x in enumerate(ratios) if x < np.inf and x <= edged[k] and x < edged[k + 2]]
+    return [within[k] for k in sorted(valleys, key=ratios.__getitem__)[:_MOST_STARTS]]
+
+
+def _search(  # noqa: PLR0913 - the parts of one search
+    start: dict[str, float],
+    movable: Sequence[str],
+    build: Builder,
+    plants: PlantSet,
+    requirements: Sequence[LoopRequirement],
+    upper: dict[str, float],
+    target: float,
+    evaluations: int,
+    progress: Callable[[float, str], None],
+) -> tuple[dict[str, float], float]:
+    """Return the options that a search from `start` ends with, and their worst ratio: see `tune`."""
     from scipy.optimize import minimize
 
-    bounds = np.array([np.log((upper or {}).get(name, np.inf)) for name in movable])
+    bounds = np.array([np.log(upper.get(name, np.inf)) for name in movable])
     best = np.minimum(np.log([start[name] for name in movable]), bounds)
     lower, bounds = best - np.log(_LARGEST_FACTOR), np.minimum(bounds, best + np.log(_LARGEST_FACTOR))
 
@@ -105,25 +223,22 @@ def tune(  # noqa: PLR0913, PLR0915 - the parts of one search
     def ratio(x: FloatArray, on: PlantSet) -> float:
         return worst_ratio(build(options(x)), on, requirements) + beyond(x)
 
-    if any(one.metric.of_disturbances for one in requirements):
-        plants = plants.with_disturbances()
-    target = 1.0 - reserve
     view = [0]
     left = evaluations
-    best_ratio = np.inf
+    best_ratio, line = np.inf, ""
     current = best
     while left > 0:
         measures = _on_grid(build(options(current)), plants, requirements)
         overall = _worst(measures, plants, requirements) + beyond(current)
         refined = False
         if overall <= 1.0:
-            exactly, finer = _exactly(build(options(current)), plants, requirements)
+            exact, finer = _exactly(build(options(current)), plants, requirements)
+            exactly = _worst(exact, plants, requirements)
             if exactly > 1.0:
-                plants, refined, overall = finer, True, exactly + beyond(current)
+                measures, plants, refined, overall = exact, finer, True, exactly + beyond(current)
         if overall < best_ratio:
-            best, best_ratio = current, overall
-        if progress is not None:
-            progress(best_ratio)
+            best, best_ratio, line = current, overall, limiting(measures, plants, requirements)
+        progress(best_ratio, line)
         if best_ratio <= target:
             break
         if refined:
@@ -148,16 +263,16 @@ def tune(  # noqa: PLR0913, PLR0915 - the parts of one search
         )
         left -= int(found.nfev) + 1
         current = np.asarray(found.x, dtype=np.float64)
-    return options(best)
+    return options(best), best_ratio
 
 
 def _exactly(
     controller: StateArrays, plants: PlantSet, requirements: Sequence[LoopRequirement]
-) -> tuple[float, PlantSet]:
-    """Return the largest ratio over all frequencies, and the plants on a grid that has those that it is reached at."""
+) -> tuple[LoopMetrics, PlantSet]:
+    """Return the metrics over all frequencies, and the plants on a grid that has those at which they are reached."""
     loops = LoopSet(plants, controller._replace(dt=plants.period))
     measures = measure(plants, loops.controller, requirements, loops=loops)
-    return _worst(measures, plants, requirements), plants.finer(loops.peak_frequencies)
+    return measures, plants.finer(loops.peak_frequencies)
 
 
 def _worst_plants(measures: LoopMetrics, requirements: Sequence[LoopRequirement]) -> list[int]:

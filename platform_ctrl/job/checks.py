@@ -227,13 +227,16 @@ def _rates(data: Data, rate: float) -> Iterator[Mistake]:
 
 
 def _designs(data: Data, platform: Platform | None) -> Iterator[Mistake]:
+    sampling = data.get("sampling")
+    all_loops = number_of(sampling, "rate_hz") if isinstance(sampling, dict) else None
     for i, loop in tables(data, "loop"):
         path: Path = ("loop", i)
+        rate = number_of(loop, "rate_hz") or all_loops
         yield from unique_names(loop, path, "design")
         names = []
         for k, design in tables(loop, "design"):
             names.append(text_of(design, "name"))
-            yield from _design(design, (*path, "design", k), text_of(loop, "kind"))
+            yield from _design(design, (*path, "design", k), text_of(loop, "kind"), rate)
             yield from _design_signals(design, (*path, "design", k), text_of(loop, "kind"), platform, data)
         use = text_of(loop, "use")
         known = [name for name in names if name is not None]
@@ -241,7 +244,7 @@ def _designs(data: Data, platform: Platform | None) -> Iterator[Mistake]:
             yield Mistake.wrong(loop, path, "use", "the name of a design of this loop", f"; {suggestion(use, known)}")
 
 
-def _design(design: Data, path: Path, kind: str | None) -> Iterator[Mistake]:
+def _design(design: Data, path: Path, kind: str | None, rate: float | None) -> Iterator[Mistake]:
     key = text_of(design, "method")
     if key is None or key not in METHODS:
         return
@@ -252,7 +255,7 @@ def _design(design: Data, path: Path, kind: str | None) -> Iterator[Mistake]:
     if method.responses is not None:
         known.insert(2, "responses")
     yield from (unknown_key((*path, name), item, known) for name, item in design.items() if name not in known)
-    yield from _shaping(design.get("command"), (*path, "command"), kind)
+    yield from _shaping(design.get("command"), (*path, "command"), kind, rate)
     for option in sorted(method.options):
         number = number_of(design, option)
         if number is not None and not number > 0:
@@ -267,8 +270,11 @@ def _design(design: Data, path: Path, kind: str | None) -> Iterator[Mistake]:
         yield Mistake.wrong(design, path, "method", f"one for a {kind} loop, {expected}")
 
 
-def _shaping(command: object, path: Path, kind: str | None) -> Iterator[Mistake]:
-    """Judge what a design does with commands."""
+def _shaping(command: object, path: Path, kind: str | None, rate: float | None) -> Iterator[Mistake]:
+    """Judge what a design does with commands in a loop with a sample rate, Hz."""
+    corner = number_of(command, "filter_hz") if isinstance(command, dict) else None
+    if isinstance(command, dict) and rate is not None and corner is not None and corner >= 0.5 * rate > 0.0:
+        yield Mistake.wrong(command, path, "filter_hz", f"below half the sample rate, {0.5 * rate:g} Hz")
     if isinstance(command, dict) and kind in ("caging", "stabilisation"):
         words = f"command has no effect in a {kind} loop, which holds zero; leave it out"
         yield Mistake(path, words)

@@ -93,7 +93,8 @@ class CommandShaping:
     filter_hz
         Of the reference filter, a second-order low-pass with damping 1, Hz.
     acceleration
-        Whether torques accelerate the loop's inertias as the filtered commands do.
+        Whether the torques are fed forward that the loop's inertias, viscous friction and springs need to follow the
+        filtered commands.
     """
 
     filter_hz: Annotated[float, fields.FREQUENCY]
@@ -448,6 +449,19 @@ class Job:
         return tuple((by_name[one.name], one.weight) for one in self.campaign.manoeuvres)
 
 
+def reference_filters(job: Job) -> dict[str, float]:
+    """Return the time constants of the reference filters, as they are sampled, by the names of readings, s."""
+    out: dict[str, float] = {}
+    for spec in job.loops:
+        shaping = spec.closed.command if spec.designs else None
+        if shaping is not None:
+            period = job.period_of(spec)
+            # Tustin's rule, prewarped at the filter's frequency.
+            tau = 0.5 * period / math.tan(math.pi * shaping.filter_hz * period)
+            out |= dict.fromkeys(spec.read_by(spec.closed).sensors, tau)
+    return out
+
+
 @check_arguments
 def manoeuvre_scenario(job: Job, manoeuvre: Manoeuvre) -> Scenario:
     """Return the run of a manoeuvre on the nominal plant: the job's seed, run 0."""
@@ -476,6 +490,7 @@ def manoeuvre_scenario(job: Job, manoeuvre: Manoeuvre) -> Scenario:
         vibrations=manoeuvre.vibrations,
         sines=manoeuvre.sines,
         commands=manoeuvre.commands,
+        filters=reference_filters(job),
         drives=job.drive_laws,
         faults=tuple(fault for fault in job.fault_events if fault.name in manoeuvre.faults),
         q=q,

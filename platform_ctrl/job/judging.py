@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -43,6 +44,8 @@ class CheckResult:
         Whether the verdict rests on it; a goal that is missed is no failure.
     method
         How the value is found: ``"exact"``, ``"bound"``, ``"proved"``, ``"refined"``, ``"sampled"``, ``"simulated"``.
+    reason
+        What keeps the value from being better, where that is known; the evidence has it too.
     """
 
     name: str
@@ -58,6 +61,11 @@ class CheckResult:
     evidence: str
     hard: bool = True
     method: Method = "sampled"
+    reason: str = ""
+
+    def because(self, reason: str) -> CheckResult:
+        """Return the result with a reason, or as it is without one."""
+        return replace(self, reason=reason, evidence=f"{self.evidence}, {reason}") if reason else self
 
     @property
     def margin(self) -> float:

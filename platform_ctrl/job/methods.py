@@ -127,7 +127,9 @@ def _hz(
 
 # Highest frequencies are shares of the sample rate.
 _CLASSICAL: dict[str, Option] = {
-    "crossover_hz": _hz("crossover", "gains", "cross-axis gain of the gyroscopic pairs: where the loop crosses over"),
+    "crossover_hz": _hz(
+        "crossover ωc", "gains", "cross-axis gain of the gyroscopic pairs: where the loop crosses over, about"
+    ),
     "integral_hz": _hz("integral", "gains", "below this frequency the integral acts: trades ramp error for margin"),
     "damping_hz": _hz("damping 1", "gains", "direct-axis gain on the first axis of a pair: damps nutation"),
     "damping2_hz": _hz("damping 2", "gains", "direct-axis gain on the second axis of a pair: damps nutation"),
@@ -175,7 +177,7 @@ _CLASSICAL: dict[str, Option] = {
     ),
 }
 _RATE: dict[str, Option] = {
-    "crossover_hz": _hz("crossover", "gains", "where each channel crosses over", high=0.2),
+    "crossover_hz": _hz("crossover ωc", "gains", "gain over inertia: where each channel crosses over", high=0.2),
     "integral_hz": _hz("integral", "gains", "below this frequency the integral acts"),
     "double_integral_hz": _hz(
         "second integral", "gains", "below this frequency a second integral acts, against friction", part="second"
@@ -199,7 +201,9 @@ _RATE_FAMILIES: dict[Family, dict[str, float]] = {
     "robustness": dict.fromkeys(("integral_hz", "double_integral_hz", "lag_hz"), -1.0),
 }
 _SERVO: dict[str, Option] = {
-    "crossover_hz": _hz("crossover", "gains", "where the rate loop of the platform crosses over", high=0.1),
+    "crossover_hz": _hz(
+        "crossover ωc", "gains", "gain over inertia: where the rate loop of the platform crosses over", high=0.1
+    ),
     "position_hz": _hz("position", "gains", "angle over rate feedback: below this frequency the angle is held"),
     "filter_hz": _hz("rate filter", "lead", "low-pass on the rates that the gyros show", high=0.45, below_nyquist=True),
     "filter_damping": Option(label="filter damping", group="lead", tip="its damping ratio", low=0.1, high=2.0),

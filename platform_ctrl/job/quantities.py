@@ -99,6 +99,8 @@ def distinguishing_digits(one: CheckResult) -> int:
 
 # Values below this in the unit of their limit are shown in their own, with the limit: 3.6 µrad, not 0.0036 mrad.
 _TOO_SMALL = 0.01
+# Values from this on in the unit of their limit are shown in their own: 9.8 rad, not 9.8·10⁶ µrad.
+_TOO_LARGE = 1e4
 
 
 def compared(one: CheckResult) -> tuple[str, str]:
@@ -108,7 +110,9 @@ def compared(one: CheckResult) -> tuple[str, str]:
         factor, name = handy_unit(one.unit, one.value)
     shown_limit = f"{plain(times(factor, one.limit), 6)} {name}".rstrip()
     if not math.isfinite(one.value):
-        return "unstable", shown_limit
+        return "diverged" if one.stage == "simulated" else "unstable", shown_limit
+    if abs(one.value) * factor >= _TOO_LARGE:
+        factor, name = handy_unit(one.unit, one.value)
     shown = plain(times(factor, one.value), distinguishing_digits(one), pessimistic_rounding(one))
     return f"{shown} {name}".rstrip(), shown_limit
 

@@ -382,6 +382,9 @@ class Scenario:
         platform's rate.
     commands
         What loops hold their readings at; others hold them at zero.
+    filters
+        Time constant τ of the reference filter, s, by the names of readings whose loops have one, 1/(τ s + 1)². What
+        the run sends there of ramps, sines and tables is advanced, 2 r(t + τ) − r(t), so that the path is not late.
     drives
         What torquers do besides what the controllers command; one for each torquer at most.
     faults
@@ -418,6 +421,7 @@ class Scenario:
     vibrations: tuple[Vibration, ...] = ()
     sines: tuple[Sine, ...] = ()
     commands: tuple[Command, ...] = ()
+    filters: dict[str, float] = field(default_factory=dict)
     drives: tuple[DriveLaw, ...] = ()
     faults: tuple[Fault, ...] = ()
     q: FloatArray = field(default_factory=lambda: read_only(()))

@@ -70,7 +70,8 @@ class BatchResult:
         Line of sight: mean, and rms about it, of ``los_rate1``, ``los_rate2``, ``los_roll_rate``, rad/s, and of
         ``los_angle1``, ``los_angle2``, ``los_roll``, rad.
     angle_following_error : (N, sensors of angles)
-        Largest |reading − command| from `settle` on, rad; 0 where nothing is commanded.
+        Largest |reading − command| from `settle` on, without the sensor's bias and scale error, rad; 0 where nothing is
+        commanded.
     rate_following_error : (N, sensors of rates)
         The same of rates, rad/s.
     requested : (N,)

@@ -21,6 +21,7 @@ from platform_ctrl.simulation.scenarios import (
     FaultKey,
     commanded_readings,
     component,
+    courses_of,
     drive_parts,
     expect_scenario,
     part_of,
@@ -36,7 +37,6 @@ from platform_ctrl.simulation.scenarios import (
     put_torquers,
     rate,
     rows_of_sensors,
-    sampled_commands,
     states,
 )
 from platform_ctrl.simulation.servo_rotors import check_step
@@ -144,6 +144,7 @@ def prepared(scenario: Scenario, period: float, longest: float) -> Prepared:
         tuple((v.kind, v.axis, v.gimbal, v.lines, v.frequencies_hz.tobytes()) for v in scenario.vibrations),
         tuple((sine.kind, sine.axis, sine.gimbal) for sine in scenario.sines),
         tuple(dataclasses.astuple(command) for command in scenario.commands),
+        tuple(sorted(scenario.filters.items())),
         tuple((one.torquer, tuple(one.weights.items()), one.secant_of) for one in scenario.drives),
     )
     return Prepared(scenario, shape, when, faults, key)
@@ -238,7 +239,7 @@ def _shared(
     bounds = np.stack([np.concatenate([[0], ends])[:-1], ends], axis=1).astype(np.int64)
     readings = [sensor.name for sensor in platform.sensors]
     parts = [readings.index(name) for name in commanded_readings(scenario)] + drive_parts(scenario)
-    courses = sampled_commands(scenario, period * np.arange(one.timing.samples, dtype=np.float64))
+    courses = courses_of(scenario, period * np.arange(one.timing.samples, dtype=np.float64))
     shared = Shared(
         sensors=np.concatenate([bounds, rows_of_sensors(platform, len(bounds), period)], axis=1),
         signals=np.array([signal for signal, _ in terms], dtype=np.int64),

@@ -110,13 +110,41 @@ def sampled_commands(scenario: Scenario, t: FloatArray) -> FloatArray:
     readings = commanded_readings(scenario)
     out = np.zeros((len(t), len(readings)))
     for command in scenario.commands:
-        out[:, readings.index(command.reading)] += _course(command, t)
+        out[:, readings.index(command.reading)] += _steps(command, t) + _path(command, t)
     return out
 
 
-def _course(command: Command, t: FloatArray) -> FloatArray:
-    begun = t >= command.at - _AT_ONCE
-    out = np.where(begun, command.step + command.ramp * (t - command.at), 0.0)
+def courses_of(scenario: Scenario, t: FloatArray) -> FloatArray:
+    """Return the commands at times t (N,), s, and what controllers get of them: (N, 2, readings).
+
+    A reference filter F = 1/(1 + τ s)² gets 2 r(t + τ) − r(t) of a path r that is known ahead: it makes r of that, but
+    for (τ s)³/3 and smaller. Steps go through the filter as they are.
+    """
+    readings = commanded_readings(scenario)
+    sent = np.zeros((len(t), len(readings)))
+    for command in scenario.commands:
+        ahead, now = scenario.filters.get(command.reading, 0.0), _path(command, t)
+        if ahead > 0.0:
+            now = 2.0 * _path_ahead(command, t + ahead, scenario.duration) - now
+        sent[:, readings.index(command.reading)] += _steps(command, t) + now
+    return np.stack([sampled_commands(scenario, t), sent], axis=1)
+
+
+def _steps(command: Command, t: FloatArray) -> FloatArray:
+    return np.where(t >= command.at - _AT_ONCE, command.step, 0.0)
+
+
+def _path_ahead(command: Command, t: FloatArray, end: float) -> FloatArray:
+    """Return a path at times that may be past the `end` of the run: one whose table ends there goes on as it came."""
+    if not command.t or command.t[-1] < end - _AT_ONCE:
+        return _path(command, t)
+    turned = 2.0 * _path(command, np.full_like(t, end)) - _path(command, 2.0 * end - t)
+    return np.where(t > end, turned, _path(command, t))
+
+
+def _path(command: Command, t: FloatArray) -> FloatArray:
+    """Return what is continuous of a command: ramp, sine and table."""
+    out = np.where(t >= command.at - _AT_ONCE, command.ramp * (t - command.at), 0.0)
     out += command.amplitude * np.sin(2.0 * math.pi * command.frequency_hz * t + command.phase)
     if command.smooth:
         from scipy.interpolate import CubicSpline

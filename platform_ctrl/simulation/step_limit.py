@@ -32,15 +32,34 @@ _DECAY, _PHASE, _CONTACT = 2.7, 1.0, 0.3
 
 
 def check_elements(platforms: Sequence[Platform], steps: ArrayLike, free: bool) -> None:
-    """Refuse steps that are too long for an element: one for each of several plants of one skeleton.
+    """Refuse steps that are too long for an element: one for each of several plants of one skeleton."""
+    found = _longest(platforms, free)
+    if not found:
+        return
+    longest = np.array([row for _, _, row in found])
+    given = np.broadcast_to(steps, len(platforms))
+    for place in np.flatnonzero(given > 1.005 * longest.min(axis=0))[:1]:  # what the message rounds up to is allowed
+        kind, k, row = found[int(longest[:, place].argmin())]
+        cure = ", or a larger coulomb_rate" if kind == "friction" else ""
+        wrong = f"step: {given[place]:.3g} s is too long for the {kind} of gimbal {platforms[place].gimbals[k].name!r}"
+        raise ArgumentError(f"{wrong}; take at most {row[place]:.3g} s{cure}")
+
+
+def longest_step(platform: Platform, free: bool) -> float:
+    """Return the longest step that the elements of a plant allow, s; infinite without any."""
+    return min((float(row[0]) for _, _, row in _longest([platform], free)), default=float("inf"))
+
+
+def _longest(platforms: Sequence[Platform], free: bool) -> list[tuple[str, int, FloatArray]]:
+    """Return of each element its kind, its gimbal and the longest step for it, (N,), for plants of one skeleton.
 
     Uses the gimbals' inertias with all angles zero.
     """
     shape = skeleton(platforms[0])
-    if not shape.at.joints:
-        return
-    ease = _eases(shape, platforms, free)
     found: list[tuple[str, int, FloatArray]] = []
+    if not shape.at.joints:
+        return found
+    ease = _eases(shape, platforms, free)
     with np.errstate(divide="ignore"):
         for j, k in enumerate(shape.springs):
             stiffness = np.array([p.springs[j].stiffness for p in platforms])
@@ -55,13 +74,7 @@ def check_elements(platforms: Sequence[Platform], steps: ArrayLike, free: bool) 
         for j, k in enumerate(shape.frictions):
             slope = np.array([p.frictions[j].steepest_slope for p in platforms])
             found.append(("friction", k, _DECAY / (slope * ease[:, k])))
-    longest = np.array([row for _, _, row in found])
-    given = np.broadcast_to(steps, len(platforms))
-    for place in np.flatnonzero(given > 1.005 * longest.min(axis=0))[:1]:  # what the message rounds up to is allowed
-        kind, k, row = found[int(longest[:, place].argmin())]
-        cure = ", or a larger coulomb_rate" if kind == "friction" else ""
-        wrong = f"step: {given[place]:.3g} s is too long for the {kind} of gimbal {platforms[place].gimbals[k].name!r}"
-        raise ArgumentError(f"{wrong}; take at most {row[place]:.3g} s{cure}")
+    return found
 
 
 def _eases(shape: Skeleton, platforms: Sequence[Platform], free: bool) -> FloatArray:

@@ -21,7 +21,7 @@ from platform_ctrl.simulation.closed_loop import Trajectory, counts, trajectory_
 from platform_ctrl.simulation.compilation import wait_for_compilation
 from platform_ctrl.simulation.kernel import arrays
 from platform_ctrl.simulation.run_plan import batch, prepared
-from platform_ctrl.simulation.scenarios import commanded_readings, expect_several, sampled_commands, steps
+from platform_ctrl.simulation.scenarios import commanded_readings, courses_of, expect_several, steps
 
 if TYPE_CHECKING:
     import control
@@ -237,8 +237,8 @@ class Simulator:
             given[:, self._simulation.rate + arrays.SCALE - self._packed.at.end] = scale
         record = np.zeros((samples, self._row.shape[1]))
         if self.scenario.commands:
-            courses = sampled_commands(self.scenario, self.period * np.arange(first, first + samples, dtype=np.float64))
-            courses += self._command
+            t = self.period * np.arange(first, first + samples, dtype=np.float64)
+            courses = courses_of(self.scenario, t) + self._command
             shared = shared._replace(number=np.concatenate([self._controller.number, courses.ravel()]))
         simulate_groups(
             self._packed.links,

@@ -46,6 +46,10 @@ class WindowBudget:
     contrast: FloatArray
 
 
+# What the totals of its tables and plots are called: limits are judged at the worst of the job's angles.
+TOGETHER = "all together, angles zero"
+
+
 @value
 class LineOfSightBudget:
     """What each source does to the line of sight.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
@@ -17,9 +18,16 @@ from platform_ctrl.plant.sensors import LOS_ANGLES, LOS_RATES
 from platform_ctrl.simulation import simulate
 from platform_ctrl.simulation.closed_loop import Trajectory
 from platform_ctrl.simulation.scenarios import equilibrium_torques
+from platform_ctrl.simulation.step_limit import longest_step
 
 if TYPE_CHECKING:
     import control
+
+
+# Of what happens for good: fewest samples and share of a run over which it is counted, and how much of a run it lasts.
+_FEWEST, _WINDOW, _REST = 20, 0.02, 0.1
+# Longest substep, s: shorter where springs, cages or friction need it, down to what is no matter of patience.
+_STEP, _SHORTEST = 1e-4, 1e-6
 
 
 @value
@@ -34,19 +42,67 @@ class Run:
         The run, sample by sample.
     results
         The metrics of the run compared with the limits of the manoeuvre.
+    lost
+        When the run diverged, or from when on a torquer is at its limit or a gimbal beyond half a turn for good; empty
+        where none of this happens.
     """
 
     manoeuvre: Manoeuvre
     trajectory: Trajectory
     results: tuple[CheckResult, ...]
+    lost: str = ""
 
 
 @check_arguments
 def simulate_manoeuvre(job: Job, manoeuvre: Manoeuvre, controllers: Sequence[control.StateSpace]) -> Run:
     """Run one manoeuvre: caged with the caging loops alone and Omega prescribed, stabilised with all loops."""
     scenario = manoeuvre_scenario(job, manoeuvre)
-    trajectory = simulate(scenario, controllers, period=job.sampling.period)
-    return Run(manoeuvre=manoeuvre, trajectory=trajectory, results=limit_results(job, manoeuvre, trajectory))
+    step = max(min(_STEP, longest_step(job.platform, manoeuvre.mode == "stabilised")), _SHORTEST)
+    trajectory = simulate(scenario, controllers, period=job.sampling.period, step=step)
+    return run_of(job, manoeuvre, trajectory)
+
+
+def run_of(job: Job, manoeuvre: Manoeuvre, trajectory: Trajectory) -> Run:
+    """Return a trajectory as a run of a manoeuvre, with its verdicts."""
+    return Run(
+        manoeuvre=manoeuvre,
+        trajectory=trajectory,
+        results=limit_results(job, manoeuvre, trajectory),
+        lost=lost_words(job, trajectory),
+    )
+
+
+def lost_words(job: Job, trajectory: Trajectory) -> str:
+    """Say when a run diverged, or from when on a torquer is at its limit or a gimbal beyond half a turn for good."""
+    if not trajectory.completed:
+        return trajectory.ended
+    limits = [np.inf if torquer.limit is None else torquer.limit for torquer in job.platform.torquers]
+    parts = (
+        (trajectory.torquer_names, np.abs(trajectory.command) >= limits, "at its limit"),
+        (trajectory.angle_names, np.abs(trajectory.q) > math.pi, "beyond half a turn"),
+    )
+    for names, there, words in parts:
+        since = [_for_good(column) for column in there.T]
+        found = [
+            f"{name} {words} from t = {trajectory.t[k]:.4g} s on"
+            for name, k in zip(names, since, strict=True)
+            if k is not None
+        ]
+        if found:
+            return ", ".join(found)
+    return ""
+
+
+def _for_good(there: NDArray[np.bool_]) -> int | None:
+    """Return the first sample from which on something is there more often than not, to the end; None without one."""
+    size = max(_FEWEST, round(_WINDOW * len(there)))
+    if len(there) < size:
+        return None
+    sums = np.concatenate([[0], np.cumsum(there)])
+    rarely = np.flatnonzero(2 * (sums[size:] - sums[:-size]) < size)
+    begin = int(rarely[-1]) + 1 if len(rarely) else 0
+    first = begin + int(np.argmax(there[begin:])) if begin < len(there) and there[begin:].any() else len(there)
+    return first if len(there) - first >= _REST * len(there) else None
 
 
 @check_arguments
@@ -75,7 +131,10 @@ def largest(job: Job, manoeuvre: Manoeuvre, trajectory: Trajectory) -> dict[str,
         return {name: (worst_value(name), trajectory.ended) for name in names}
     limits = np.array([np.inf if t.limit is None else t.limit for t in job.platform.torquers])
     settled = trajectory.t >= manoeuvre.settle - 1e-9 * trajectory.period
-    base, sight = trajectory.Omega[settled].std(axis=0), trajectory.line_of_sight[settled].std(axis=0)
+    shown = trajectory.line_of_sight[settled]
+    base, jitter = trajectory.Omega[settled].std(axis=0), shown.std(axis=0)
+    # What a command turns is meant to turn; else the mean is an error like any other.
+    sight = jitter if manoeuvre.commands else np.sqrt(np.mean(shown**2, axis=0))
     found = {
         "angle": _worst(np.abs(trajectory.q).max(axis=0), trajectory.angle_names, "no gimbal"),
         "attitude": _worst(np.abs(trajectory.attitude_angles).max(axis=0), ("axis 1", "axis 2", "axis 3")),
@@ -84,21 +143,27 @@ def largest(job: Job, manoeuvre: Manoeuvre, trajectory: Trajectory) -> dict[str,
     }
     for key in names:
         if RUN_METRICS[key].commanded:
-            found[key] = _following_error(trajectory, settled, RUN_METRICS[key].unit)
+            found[key] = _following_error(job, trajectory, settled, RUN_METRICS[key].unit)
     if sight.size:
         found["los_angle_rms"] = _worst(sight[3:5], LOS_ANGLES)
         found["los_rate_rms"] = _worst(sight[:2], LOS_RATES)
-        attenuation = float(attenuation_db(base, sight[:2]))
-        found["attenuation_db"] = attenuation, found["los_rate_rms"][1] if base.any() else "no base motion"
+        attenuation = float(attenuation_db(base, jitter[:2]))
+        found["attenuation_db"] = attenuation, _worst(jitter[:2], LOS_RATES)[1] if base.any() else "no base motion"
     return {name: found[name] for name in names}
 
 
-def _following_error(trajectory: Trajectory, settled: NDArray[np.bool_], unit: str) -> tuple[float, str]:
-    """Return the largest |reading − command| of the readings in a unit, and the sensor's name."""
+def _following_error(job: Job, trajectory: Trajectory, settled: NDArray[np.bool_], unit: str) -> tuple[float, str]:
+    """Return the largest |reading − command| of the readings in a unit, and the sensor's name.
+
+    Bias and scale error of the sensor are taken out: the loop follows with them what it should follow without.
+    """
+    sensors = {sensor.name: sensor for sensor in job.platform.sensors}
     behind = [k for k, one in enumerate(trajectory.commanded_units) if one == unit]
     names = [trajectory.commanded_names[k] for k in behind]
     columns = [trajectory.pickoff_names.index(name) for name in names]
-    error = (trajectory.reading[:, columns] - trajectory.reading_command[:, behind])[settled]
+    bias = np.array([sensors[name].bias for name in names])
+    scale = np.array([1.0 + sensors[name].scale_error or 1.0 for name in names])
+    error = ((trajectory.reading[:, columns] - bias) / scale - trajectory.reading_command[:, behind])[settled]
     return _worst(np.abs(error).max(axis=0, initial=0.0), names, "nothing commanded")
 
 
@@ -108,7 +173,7 @@ def _worst(values: FloatArray, names: Sequence[str], without: str = "") -> tuple
 
 def limit_results(job: Job, manoeuvre: Manoeuvre, trajectory: Trajectory) -> tuple[CheckResult, ...]:
     """Compare a run with the limits of its manoeuvre; one that diverges fails without limits too."""
-    found = largest(job, manoeuvre, trajectory)
+    found, lost = largest(job, manoeuvre, trajectory), lost_words(job, trajectory)
     out = []
     if not trajectory.completed and not manoeuvre.limits:
         completed = Requirement(name="share of the run that was simulated", limit=1.0, unit="", sense="at least")
@@ -125,10 +190,23 @@ def limit_results(job: Job, manoeuvre: Manoeuvre, trajectory: Trajectory) -> tup
             f"{signal}; non-linear plant{_start(job, manoeuvre)}, {trajectory.ended}, seed {trajectory.seed}, "
             f"substep {trajectory.step:g} s"
         ) + ("; with dry friction" if any(max(one.breakaway) > 0.0 for one in job.platform.frictions) else "")
-        out.append(
-            limited.judge(number, subject=manoeuvre.name, stage="simulated", evidence=evidence, method="simulated")
-        )
+        result = limited.judge(number, subject=manoeuvre.name, stage="simulated", evidence=evidence, method="simulated")
+        reasons = (lost, _filter_words(job, signal) if metric.commanded and not lost else "")
+        out.append(result if result.passed else result.because("; ".join(filter(None, reasons))))
     return tuple(out)
+
+
+def _filter_words(job: Job, reading: str) -> str:
+    """Name the reference filter behind which a commanded reading is."""
+    for spec in job.loops:
+        shaping = spec.closed.command
+        if shaping is not None and reading in spec.read_by(spec.closed).sensors:
+            hz = shaping.filter_hz
+            return (
+                f"behind the reference filter of {spec.name} (filter_hz = {hz:g}), which smooths steps and corners "
+                f"over {1.0 / (math.pi * hz):.3g} s"
+            )
+    return ""
 
 
 def _start(job: Job, manoeuvre: Manoeuvre) -> str:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import html
 import json
+import re
 import threading
 import time
 from collections.abc import Iterator
@@ -17,6 +19,7 @@ pytest.importorskip("tomlkit")
 
 import tomlkit
 from bokeh.document import Document
+from bokeh.models import Div
 
 from browser import screen, served
 from camera_job import camera_job
@@ -154,6 +157,12 @@ def test_a_page_shows_the_budget_once_it_is_wanted(backend: Backend, monkeypatch
     # The last bar is all together, and ends where the curve over frequency does.
     assert sources["waterfall0"].data["high"][-1] == pytest.approx((1e6 * first.total[0]) ** 2, rel=1e-5)
     assert sources["cumulative0"].data["ys"][0][-1] == pytest.approx(1e6 * first.total[0], rel=0.05)
+    # Of each axis the legend names its own largest source first.
+    for axis in (0, 1):
+        largest = first.names[int(np.argmax(first.rms[:, axis]))]
+        keys = session.plots.layout[f"cumulative{axis}"].select({"type": Div})
+        [title] = [one for key in keys for one in re.findall('curve-keys class="[^"]*" title="([^"]*)"', key.text)]
+        assert html.unescape(title).split(", ")[:2] == ["all sources", largest]
     loop = list(sources["loop"].data["gain"])
     (moved,) = [
         one["budget"]

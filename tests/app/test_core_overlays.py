@@ -82,7 +82,7 @@ def test_the_disk_margin_of_the_platform_is_that_of_the_torquer_that_is_shown_an
     assert picture.margins.disk == pytest.approx(1.0 / np.abs(S - 0.5).max(), rel=5e-3)
     bar = verdict_data(picture)
     tips = {one["label"]: one["tip"] for one in bar["figures"]}
-    assert "at the torquer that is shown" in tips["Disk margin"]
+    assert "at the torquer that is shown" in tips["Disk margin, shown"]
     assert "the platform's axes" in tips["Bandwidth"]
     # All of the verdict's words have room beside the numbers.
     assert len(bar["words"]) < 36
@@ -93,5 +93,5 @@ def test_the_worst_margin_of_the_set_is_called_sampled_where_it_is_the_least_on_
     for loop in bench.choices().loops:
         picture = bench.picture(bench.start(loop))
         labels[picture.settings.mode] += [one["label"] for one in verdict_data(picture)["figures"]]
-    assert "Worst of the set, sampled" not in labels["caged"]
-    assert "Worst of the set, sampled" in labels["stabilised"]
+    assert "Disk margin, worst, sampled" not in labels["caged"]
+    assert "Disk margin, worst, sampled" in labels["stabilised"]

@@ -575,6 +575,19 @@ def test_nothing_is_cut_off_or_scrolls_sideways(only: Screen, page: Page) -> Non
         assert page.evaluate("document.documentElement.scrollWidth") == width
         assert page.evaluate(cut, "button, .slider label, #figures div, #requirements") == []
     page.set_viewport_size({"width": 1440, "height": 900})
+    # The keyboard's list: no key stands on another one's words.
+    page.keyboard.press("?")
+    boxes = page.evaluate("""[...document.querySelectorAll('#keys > *')].map((one) => {
+        const range = document.createRange();
+        range.selectNodeContents(one);
+        const { left, right, top, bottom } = range.getBoundingClientRect();
+        return [left, right, top, bottom];
+    })""")
+    assert len(boxes) > 40
+    for k, (left, right, top, bottom) in enumerate(boxes):
+        for other in boxes[k + 1 :]:
+            assert right <= other[0] + 1 or other[1] <= left + 1 or bottom <= other[2] + 1 or other[3] <= top + 1
+    page.keyboard.press("Escape")
     assert only.complaints == []
 
 

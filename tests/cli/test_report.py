@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import builtins
 import json
+import re
 import xml.etree.ElementTree as ET
 from pathlib import Path
 from typing import Any
@@ -96,6 +97,29 @@ def test_a_campaign_of_other_controllers_is_left_out_and_told(
     given = ["check", "gyro.toml", "--controllers", "other/result.json", "-o", "never", "--campaign", "campaign"]
     assert "was simulated with other controllers" in refused(capsys, *given)
     assert not (there / "never").exists()
+
+
+def test_a_campaign_that_violates_a_limit_is_no_pass(
+    there: Path, pages: list[dict[str, Any]], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("platform_ctrl.campaign.engine.columns_by_processes", columns_here)
+    # A limit of the run as it is on paper; some of the runs that vary exceed it.
+    text = (there / "gyro.toml").read_text(encoding="utf-8")
+    largest = json.loads((there / "out" / "result.json").read_text(encoding="utf-8"))["runs"][0]["largest"]
+    share = 1.0001 * largest["torque_share"]["value"]
+    tight = re.sub(r"torque_share = [\d.]+", f"torque_share = {share!r}", text)
+    (there / "tight.toml").write_text(tight, encoding="utf-8")
+    given = ["tight.toml", "--controllers", "out/result.json"]
+    assert main(["check", *given, "-o", "plain", "-q"]) == 0
+    assert main(["campaign", *given, "--runs", "12", "--workers", "1", "-o", "violated", "-q"]) == 1
+    capsys.readouterr()
+    assert main(["check", *given, "-o", "both", "--campaign", "violated", "-q"]) == 1
+    told = " ".join(capsys.readouterr().out.split())
+    assert re.search(r"FAILED: all \d+ requirements met.*; campaign: \d+ of 12 runs violate", told)
+    record = json.loads((there / "both" / "result.json").read_text(encoding="utf-8"))
+    assert not record["passed"]
+    assert not record["campaign"]["passed"]
+    assert 0 < record["campaign"]["violating"] < record["campaign"]["runs"] == 12
 
 
 def test_a_folder_without_a_finished_campaign_of_the_job_is_refused_before_the_work(

@@ -12,14 +12,16 @@ from scipy.signal import bilinear, dlsim, lfilter
 
 from commanded_gimbal import INERTIA, RATE_HZ, commanded_job
 from platform_ctrl import read_job
+from platform_ctrl.cli.terminal import show_result
 from platform_ctrl.design import loops
 from platform_ctrl.design.loop import LoopDesign
 from platform_ctrl.errors import InputError
 from platform_ctrl.export import write_c
 from platform_ctrl.job.job import manoeuvre_scenario
+from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.job.writing import job_data
-from platform_ctrl.simulation import simulate
-from platform_ctrl.verification import check_job
+from platform_ctrl.simulation import simulate, simulate_batch
+from platform_ctrl.verification import JobResult, check_job
 from platform_ctrl.verification.controllers import outcomes_from
 
 PERIOD, HZ = 1.0 / RATE_HZ, 4.0
@@ -69,7 +71,12 @@ def test_what_is_done_with_commands_leaves_the_feedback_as_it_is(kind: str) -> N
 def test_the_run_is_that_of_filter_feedforward_and_loop_by_themselves(kind: str, order: int) -> None:
     job, design = read_job(job_of(kind, BOTH)), made(kind, "both")
     run = simulate(manoeuvre_scenario(job, job.manoeuvres[0]), [design.controller], period=PERIOD, noise=False)
-    r = run.reading_command[:, 0]
+    # The step as it is, and the ramp advanced: 2 r(t + τ) − r(t), τ the filter's time constant as it is sampled.
+    tau = 0.5 * PERIOD / np.tan(0.5 * OMEGA * PERIOD)
+    ramp = [np.where(t >= 0.4 - 1e-9, 5e-4 * (t - 0.4), 0.0) for t in (run.t, run.t + tau)]
+    step = np.where(run.t >= 0.1 - 1e-9, 1e-3, 0.0)
+    np.testing.assert_allclose(run.reading_command[:, 0], step + ramp[0], atol=1e-15)
+    r = step + 2.0 * ramp[1] - ramp[0]
     # Tustin's rule, prewarped at the filter's frequency.
     fs = OMEGA / (2.0 * np.tan(0.5 * OMEGA * PERIOD))
     denominator = [1.0, 2.0 * OMEGA, OMEGA**2]
@@ -86,6 +93,65 @@ def test_the_run_is_that_of_filter_feedforward_and_loop_by_themselves(kind: str,
     _, y, _ = dlsim((closed, into, seen, np.zeros((1, 2)), PERIOD), np.array([filtered, forward]).T)
     reading = run.rate[:, 0] if kind == "rate" else run.q[:, 0]
     np.testing.assert_allclose(reading, y[:, 0], rtol=0.0, atol=1e-6 * np.abs(y).max())
+
+
+TIMES = [0.05 * k for k in range(21)]
+WAVE = [0.1 * float(np.sin(2.0 * np.pi * t)) for t in TIMES]
+PATHS: dict[str, dict[str, Any]] = {
+    "ramp": {"ramp": 0.5, "at": 0.1},
+    "sine": {"amplitude": 0.1, "frequency_hz": 1.0},
+    "table": {"t": TIMES, "value": WAVE},
+    "smooth table": {"t": TIMES, "value": WAVE, "smooth": True},
+    "trapezium": {"t": [0.0, 0.3, 0.8, 1.0], "value": [0.0, 0.0, 0.2, 0.2]},
+}
+
+
+def following(kind: str, path: dict[str, Any], limit: float = 1.0, friction: float = 0.0, **command: Any) -> JobResult:
+    """Return what becomes of a run along a path, from half a second on."""
+    key, reading = ("rate_following_error", "gyro") if kind == "rate" else ("angle_following_error", "heading")
+    data = commanded_job([{"reading": reading, **path}], kind, {key: limit}, command={"filter_hz": 5.0} | command)
+    data["manoeuvre"][0]["settle"] = 0.5
+    data["plant"]["friction"] = [{"gimbal": "yaw", "viscous": friction}] if friction else []
+    job = read_job(data)
+    return check_job(job, loops(job))
+
+
+def error_of(result: JobResult) -> CheckResult:
+    return next(one for one in result.requirements if "behind a commanded" in one.name)
+
+
+@pytest.mark.parametrize("kind", ["rate", "pointing"])
+@pytest.mark.parametrize("path", PATHS)
+def test_a_path_that_is_known_is_followed_without_the_lag_of_the_filter(kind: str, path: str) -> None:
+    result = following(kind, PATHS[path])
+    # The filter alone is 2/ω late.
+    rate = 0.4 if path == "trapezium" else 0.5 if path == "ramp" else 0.2 * np.pi
+    assert error_of(result).value < 0.12 * rate * 2.0 / (2.0 * np.pi * 5.0)
+    # A campaign measures it as the run does.
+    [run], controllers = result.runs, [outcome.closed.controller for outcome in result.loops]
+    scenario = manoeuvre_scenario(result.job, run.manoeuvre)
+    batch = simulate_batch([scenario], controllers, period=PERIOD, noise=False)
+    found = batch.rate_following_error if kind == "rate" else batch.angle_following_error
+    assert found.max() == pytest.approx(error_of(result).value, rel=1e-9)
+
+
+def test_the_inverse_of_the_plant_has_its_viscous_friction() -> None:
+    without, with_inverse = (
+        error_of(following("rate", PATHS["ramp"], friction=0.5, acceleration=inverse)).value
+        for inverse in (False, True)
+    )
+    assert without > 4e-3
+    assert with_inverse < 0.2 * without
+
+
+def test_where_lag_remains_the_filter_is_named(capsys: pytest.CaptureFixture[str]) -> None:
+    result = following("pointing", {"step": 0.1, "at": 0.45}, limit=1e-3)
+    assert not error_of(result).passed
+    assert "filter_hz = 5" in error_of(result).evidence
+    show_result(result)
+    assert "filter_hz = 5" in capsys.readouterr().out
+    late = next(one for one in made("rate", "both").results if one.name == "ramp error")
+    assert f"filter_hz = {HZ:g}" in late.evidence
 
 
 def test_steady_and_ramp_errors_are_those_of_the_final_value_theorem() -> None:
@@ -121,6 +187,7 @@ def test_a_controller_that_was_written_is_measured_again_as_it_was() -> None:
     [
         ("rate", {"acceleration": True}, 'the key "filter_hz" is missing'),
         ("rate", {"filter_hz": 0.0}, "filter_hz must be a number > 0, Hz"),
+        ("rate", {"filter_hz": 500.0}, "filter_hz must be below half the sample rate, 500 Hz"),
         ("rate", {"filter": 2.0}, 'unknown key "filter"'),
         ("caging", BOTH, "command has no effect in a caging loop"),
     ],

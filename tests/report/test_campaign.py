@@ -338,6 +338,26 @@ def test_the_page_is_written_whole(summary, tmp_path):
         write_campaign_page(summary, tmp_path / "nowhere" / "campaign.html")
 
 
+def test_of_one_violating_run_no_cause_is_asserted(capsys, monkeypatch):
+    """Not even where it alone has a fault, which by chance happens in one run of thousands."""
+    monkeypatch.setenv("COLUMNS", "200")
+    one = planned(campaign=JOB["campaign"] | {"fault": [{"fault": "weak Q9", "probability": 0.0005}]})
+    table = by_formula(one, scale=0.3, odd=False)
+    table["fault.weak Q9"] = np.arange(len(table["run"])) == 7
+    table["angle"] = np.where(table["fault.weak Q9"], 0.5, 0.001 * table["rotor.11.angular_momentum"])
+    table["angle_passed"] = table["passed"] = ~table["fault.weak Q9"]
+    summary = summarise(one, table)
+    assert summary.statistics.violation.events == 1
+    assert any(contrast.driver for contrast in summary.contrasts)
+    assert tables.causes(summary) == []
+    show_campaign(summary)
+    told = capsys.readouterr().out
+    assert "no cause can be told" in told
+    page = html.unescape(re.sub(r"<[^>]+>", " ", as_html(campaign_document(summary))))
+    for words in ("every violating run", "What violating runs have in common"):
+        assert words not in told + page
+
+
 def test_a_fault_in_every_violating_run_is_never_among_what_has_no_influence(capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "200")
     one = planned(campaign=JOB["campaign"] | {"fault": [{"fault": "weak Q9", "probability": 0.02}]})

@@ -135,8 +135,11 @@ def test_every_number_of_the_opening_comes_from_the_result(result: JobResult) ->
 
 def test_a_diverged_run_and_no_run_at_all_are_mentioned(result: JobResult) -> None:
     first = result.runs[0]
-    lost = dataclasses.replace(first, trajectory=dataclasses.replace(first.trajectory, ended="diverged at t = 0.1 s"))
-    assert "“0.5 rad/s” ended early" in told(dataclasses.replace(result, runs=(lost, *result.runs[1:])))
+    ended = "diverged at t = 0.1 s"
+    lost = dataclasses.replace(first, trajectory=dataclasses.replace(first.trajectory, ended=ended), lost=ended)
+    assert f"run “0.5 rad/s” ({ended}) the loops did not hold the gimbals" in told(
+        dataclasses.replace(result, runs=(lost, *result.runs[1:]))
+    )
     assert "simulated" not in told(dataclasses.replace(result, runs=()))
 
 
@@ -211,6 +214,18 @@ def test_the_page_with_a_campaign_has_the_command_to_repeat_a_run(
     assert "this report has none" not in words
     assert campaign_tables.verdict(summary)[1:] in words
     assert not re.search(r"https?:|\bsrc=|url\((?!#)|@import|href=\"(?!#)", page)
+
+
+def test_a_campaign_that_violates_a_limit_stands_in_the_banner(result: JobResult, summary: Summary) -> None:
+    assert result.passed
+    found = job_page.prepared(result, campaign=summary)
+    assert not found.passed
+    words = campaign_tables.campaign_words(summary)
+    assert words in found.verdict
+    first = page_html(found).split('id="requirements"')[0]
+    assert words in text_of(first)
+    good = job_page.prepared(result, campaign=counted(summary.plan, 0.5))
+    assert good.passed
 
 
 def test_a_campaign_of_other_controllers_has_a_warning(result: JobResult) -> None:

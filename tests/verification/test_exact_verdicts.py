@@ -246,7 +246,16 @@ def test_the_tuner_goes_on_where_a_limit_is_missed_between_the_points_of_its_gri
     assert true <= 3.0
     # Where the limits cannot be met, what is told is not better than what is there.
     told: list[float] = []
-    tune(start, ["width"], build, plants, asked, upper={"width": 0.00619}, evaluations=60, progress=told.append)
+    tune(
+        start,
+        ["width"],
+        build,
+        plants,
+        asked,
+        upper={"width": 0.00619},
+        evaluations=60,
+        progress=lambda ratio, _: told.append(ratio),
+    )
     assert min(told) > 1.0
 
 

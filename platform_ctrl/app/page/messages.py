@@ -206,7 +206,7 @@ def strip_data(states: Sequence[ChipState], loop: str) -> dict[str, Any]:
     elif left:
         verdict, words = "open", f"{checked} of {count} met{left}"
     else:
-        verdict, words = "good", f"All {count} requirements met"
+        verdict, words = "good", f"All {count} limits met"
     return {"verdict": verdict, "words": words, "chips": [_chip(one, loop) for one in states]}
 
 
@@ -217,12 +217,10 @@ def _chip(one: ChipState, loop: str) -> dict[str, Any]:
     if one.error:
         words = one.error
     elif worst is None:
-        words = f"{one.count} requirements, " + (
-            "not simulated for these settings" if one.on_request else "not measured"
-        )
+        words = f"{one.count} limits, " + ("not simulated for these settings" if one.on_request else "not measured")
     else:
         met = f"{one.missed} of {one.count} missed" if one.missed else f"{one.checked} of {one.count} met"
-        words = f"{met}; least margin: {worst.name}" + (f", {worst.subject}" if worst.subject != chip.label else "")
+        words = f"{met}; nearest limit: {worst.name}" + (f", {worst.subject}" if worst.subject != chip.label else "")
     return {
         "key": chip.key,
         "label": chip.label,
@@ -347,7 +345,7 @@ def _verdict(picture: Picture) -> tuple[str, str, str]:
     least = min(picture.requirements, key=lambda one: one.margin)
     # What lies between the frequencies of a grid is no verdict. The job's own verdict stands in the strip.
     sampled = any(one.method == "sampled" for one in picture.requirements)
-    left = f"smallest margin: {least.name}, {100 * least.margin:.1f} %"
+    left = f"nearest limit: {least.name}, {100 * least.margin:.1f} %"
     met = "limit is" if count == 1 else "limits are"
     return "good", f"This loop's {met} met" + ", sampled" * sampled, left
 
@@ -368,9 +366,9 @@ def _figures(margins: Margins, stable: bool, mode: Mode) -> list[dict[str, Any]]
     crossover = none if margins.crossover is None else HZ * margins.crossover
     channels, axes, above = _OF[mode]
     return [
-        figure("Disk margin", margins.disk, "", f"Of the plant shown, {channels}", not stable),
+        figure("Disk margin, shown", margins.disk, "", f"Of the plant shown, {channels}", not stable),
         figure(
-            "Worst of the set, sampled" if margins.worst_sampled else "Worst of the set",
+            "Disk margin, worst, sampled" if margins.worst_sampled else "Disk margin, worst",
             margins.worst_disk,
             "",
             f"Disk margin of {margins.worst_plant}"
@@ -380,7 +378,7 @@ def _figures(margins: Margins, stable: bool, mode: Mode) -> list[dict[str, Any]]
         figure("Gain margin", _decibels(margins, stable), "dB", "How far the shown channel's gain may rise and fall"),
         figure("Phase margin", margins.phase if stable else none, "°", "What the shown channel may lose"),
         figure("Delay margin", 1e3 * margins.delay if stable else none, "ms", "How much later the torque may come"),
-        figure("Crossover", crossover, "Hz", "Highest frequency at which the shown channel's gain is 1"),
+        figure("Crossover of L", crossover, "Hz", "Highest frequency at which the shown channel's gain is 1"),
         figure("Bandwidth", HZ * margins.bandwidth if stable else none, "Hz", f"S of {axes} reaches 1/√2"),
         figure(
             "Damping",

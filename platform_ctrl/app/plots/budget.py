@@ -11,7 +11,7 @@ from platform_ctrl.app.plots.panel import Panel, Theme, limit_key
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.job.budget import Budget
 from platform_ctrl.job.quantities import plain
-from platform_ctrl.verification.budget_result import LineOfSightBudget, Waterfall, rms_ticks, waterfalls
+from platform_ctrl.verification.budget_result import TOGETHER, LineOfSightBudget, Waterfall, rms_ticks, waterfalls
 
 MICRO = 1e6
 # Sources that have a curve of their own, and points of a curve.
@@ -65,7 +65,9 @@ class CumulativePanel(Panel):
         self._limit.location = MICRO * limit if near and limit is not None else None
         self._size.fit((0.0, max(total, MICRO * limit if near and limit is not None else 0.0)))
         self.heading(found.axes[self._axis])
-        keys = [(name, series(k), DASHES[k % len(DASHES)], _WIDTH) for k, name in enumerate(names)]
+        # In the legend the largest of this axis come first: for the last ones there may be no room.
+        order = sorted(range(1, len(names)), key=lambda k: -float(found.rms[found.names.index(names[k]), self._axis]))
+        keys = [(names[k], series(k), DASHES[k % len(DASHES)], _WIDTH) for k in (0, *order)]
         self.keys([*keys, *([limit_key(_LIMIT)] if near else [])])
 
     def _rms(self, frequencies_hz: FloatArray, mean_square: FloatArray) -> Column:
@@ -105,7 +107,7 @@ class WaterfallPanel(Panel):
             f"{name}: {plain(MICRO * float(rms), 3)} µrad, {_percent(float(share))}"
             for name, rms, share in zip(fall.names, fall.rms, fall.shares, strict=True)
         ]
-        texts.append(f"all together: {plain(MICRO * fall.total, 3)} µrad")
+        texts.append(f"{TOGETHER}: {plain(MICRO * fall.total, 3)} µrad")
         roles = [series(1 + largest.index(one)) if one in largest else "reference" for one in fall.names]
         self.sources.put(
             self.name,

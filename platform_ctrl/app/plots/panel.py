@@ -64,9 +64,9 @@ _APART = 2
 # Height of the numbers and the label below a figure, pixels.
 _BELOW = 28
 _LEFT, _RIGHT, _TOP = 54, 12, 7
-# Height of a frame, pixels, below which a unit has to be written smaller: early enough that it never reaches the edge
-# of the canvas, where Bokeh leaves the last half of a pixel.
-_LOW = 64.0
+# Height of a frame, pixels, below which a unit has to be written smaller, a short one and one of more characters than
+# that: early enough that it never reaches the edge of the canvas, where Bokeh leaves the last half of a pixel.
+_LOW, _SHORT, _LOW_OF_LONG = 64.0, 8, 100.0
 
 _HEADING = f"""
 .line {{ display: flex; gap: 10px; white-space: nowrap; overflow: hidden; font: {NORMAL}/18px {FONT};
@@ -242,6 +242,8 @@ class Panel:
             grid.grid_line_width = 1
         for name in ("inner_width", "inner_height"):
             out.on_change(name, lambda attr, old, new: self._ticks(out))
+        for axis in out.yaxis:
+            axis.on_change("axis_label", lambda attr, old, new: self._ticks(out))
         self.layout.children = [*self.layout.children, out]
         return out
 
@@ -250,7 +252,8 @@ class Panel:
         width, height = inner_size(plot)
         for axis in plot.yaxis:
             # The unit of a low figure is longer than its axis.
-            assign(axis, axis_label_text_font_size=SMALL if height >= _LOW else "9px")
+            low = _LOW if len(axis.axis_label or "") <= _SHORT else _LOW_OF_LONG
+            assign(axis, axis_label_text_font_size=SMALL if height >= low else "9px")
         for axes, pixels, each in ((plot.xaxis, width, 58.0), (plot.yaxis, height, 24.0)):
             for axis in axes:
                 if isinstance(axis, LinearAxis):

@@ -161,7 +161,7 @@ def _job_like(start: Start, plant: dict[str, Any], **words: str) -> str:
         start=start,
         rate=f"{start.rate:g}",
         rate_hz=f"{start.rate_hz:.0f}",
-        rate_reason=_rate_reason(start),
+        rate_reason=start.rate_reason,
         delay=f"{1.0 / start.rate_hz:g}",
         angles=[f"{_key(name)} = [{low:g}, {high:g}]" for name, (low, high) in start.angles.items()],
         loops=[_shown_loop(loop) for loop in start.loops],
@@ -194,12 +194,6 @@ _LIMITS = {
     "torque_share": "at most: torque over the torquer's limit",
     "attenuation_db": "at least: motion of the base over what is left of it in the line of sight, rms",
 }
-
-
-def _rate_reason(start: Start) -> str:
-    if start.lag > 0.0:
-        return f"torquers and sensors lag by {1e3 * start.lag:.3g} ms: a few samples"
-    return f"the fastest mode of the plant has {start.fastest_hz:.3g} Hz" if start.fastest_hz > 0.0 else "assumed"
 
 
 # What a loop does, by its kind and what it reads.

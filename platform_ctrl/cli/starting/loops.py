@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 
 # How long the turn's rate rises, s.
 RISE = 0.2
-# Samples in a period of the fastest mode and in the lag of torquers and sensors; slowest and fastest proposed rate, Hz.
-_SAMPLES, _OF_LAG, _SLOWEST, _FASTEST = 20.0, 3.0, 1000.0, 20000.0
+# Sample rate over the bandwidth that a loop is to have; slowest and fastest rate that is proposed, Hz.
+_SAMPLES, _SLOWEST, _FASTEST = 20.0, 1000.0, 20000.0
 # Fastest turn that is proposed, rad/s; share of the torque limits that it may take; rms of noise in the same share.
 _TURN, _TURN_SHARE, _NOISE_SHARE = 0.1, 0.3, 0.1
 # Rate of the base that shakes a body which is held still, rad/s.
@@ -36,7 +36,7 @@ BASE_RATE = 0.5
 _STEP, _STEPS, _ENOUGH = 0.5, 8, 0.95
 # Of a loop without gyros: end of its lead over the crossover.
 _ROLLOFF = 10.0
-# Of a rate loop: phase that lags take at the first crossover that is tried, rad; the steps are finer.
+# Phase that lags take at the bandwidth that they leave, rad: of a rate loop, whose steps are finer, the first try.
 _PHASE, _RATE_STEP, _RATE_STEPS = 0.8, 0.8, 20
 _DISK_MARGIN, _STILL_MARGIN, _LEAST_DISK_MARGIN = 0.3, 0.5, 0.05
 # Relative uncertainty of the inertias where a body is held still; largest gimbal angle at which the loops are checked.
@@ -90,9 +90,8 @@ class StartingRun:
 class Start:
     """What a job for a plant can start from."""
 
-    fastest_hz: float  # The plant's fastest mode, Hz
-    lag: float  # Largest lag of torquers and sensors of the loops, s
     rate_hz: float  # Sample rate, Hz
+    rate_reason: str  # Why that one
     rate: float  # Largest rate of the root about each axis, rad/s
     angles: dict[str, tuple[float, float]]  # Gimbal angles at which the loops are checked, rad
     inertia: float  # Relative uncertainty; 0: not part of the job
@@ -113,17 +112,14 @@ def starting_loops(plant: dict[str, Any], plans: tuple[PlannedLoop, ...]) -> Sta
 
     platform = read_platform(plant)
     model = linearise(platform)
-    fastest = float(np.abs(np.linalg.eigvals(state_space(model).A)).max(initial=0.0)) / (2.0 * math.pi)
-    lag = max((_lag(platform, plan) for plan in plans if plan.kind in ("rate", "pointing")), default=0.0)
-    rate_hz = max(rounded(_SAMPLES * fastest, up=True), _SLOWEST)
-    if lag > 0.0:
-        rate_hz = max(rate_hz, min(rounded(_OF_LAG / lag, up=True), _FASTEST))
+    # What oscillates has to be damped or held; a pole b/J of a damped axis asks nothing of the loop.
+    oscillation = float(np.abs(np.linalg.eigvals(state_space(model).A).imag).max(initial=0.0)) / (2.0 * math.pi)
+    rate_hz, reason = max(_rate_of(platform, plan, oscillation) for plan in plans)
     axis, turn = safe_turn(model, _limits(platform))
     still = any(plan.still for plan in plans)
     start = Start(
-        fastest_hz=fastest,
-        lag=lag,
         rate_hz=rate_hz,
+        rate_reason=reason,
         rate=BASE_RATE if still else turn,
         angles={name: pair for plan in plans if plan.against == "inertial" for name, pair in _angles(platform, plan)},
         inertia=_INERTIA if still else 0.0,
@@ -146,6 +142,23 @@ def starting_loops(plant: dict[str, Any], plans: tuple[PlannedLoop, ...]) -> Sta
 
 def _limits(platform: Platform) -> dict[str, float]:
     return {one.gimbal: one.limit for one in platform.torquers if one.gimbal is not None and one.limit is not None}
+
+
+def _rate_of(platform: Platform, plan: PlannedLoop, oscillation: float) -> tuple[float, str]:
+    """Return the sample rate that a loop needs, Hz, and why: `oscillation` is the plant's fastest, Hz."""
+    lag = _lag(platform, plan)
+    left = _PHASE / (2.0 * math.pi * lag) if lag > 0.0 else math.inf
+    if left < math.inf and (plan.kind != "caging" or left < oscillation):
+        bandwidth, reason = (
+            left,
+            f"torquers and sensors lag by {1e3 * lag:.3g} ms: a few samples",
+        )
+    else:
+        bandwidth = oscillation
+        reason = f"the fastest mode of the plant has {oscillation:.3g} Hz" if oscillation > 0.0 else "assumed"
+    rate = min(max(rounded(_SAMPLES * bandwidth, up=True), _SLOWEST), _FASTEST)
+    given = [sensor.rate_hz for sensor in platform.sensors if sensor.name in plan.sensors and sensor.rate_hz]
+    return (min(given), "what its sensors give") if given and min(given) < rate else (rate, reason)
 
 
 def _lag(platform: Platform, plan: PlannedLoop) -> float:
@@ -366,12 +379,12 @@ def motion_of_the_base(
         allowed = {"attenuation_db": float(math.floor(reached))} if reached >= _LEAST_ATTENUATION else {}
     else:
         bandwidth = _value(plants, controller, "bandwidth", ("nominal",)) / (2.0 * math.pi)
-        limits = {"bandwidth_hz": rounded(bandwidth, up=False)}
+        limits = {"bandwidth_hz": rounded(bandwidth, up=False)} if bandwidth > 0.0 else {}
         dry = {one.gimbal for one in job.platform.frictions if max(one.breakaway) > 0.0}
         if not loop.plan.still and dry.isdisjoint(loop.plan.gimbals):
             gain = _value(plants, controller, "Omega rejection", ("nominal",))
             angle = _ANGLE_SPARE * gain * float(np.max(job.Omega)) * math.sqrt(len(axes))
-            allowed = {"angle": rounded(angle, up=True)}
+            allowed = {"angle": rounded(angle, up=True)} if math.isfinite(angle) else {}
     balanced = not job.platform.unbalances or not np.any(job.platform.specific_force)
     run = StartingRun(
         name="motion of the base",

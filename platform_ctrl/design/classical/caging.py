@@ -79,7 +79,9 @@ def classical_design(problem: LoopProblem) -> Designed:
         return classical_controller(options, channel, plants.period)
 
     start = default_options(problem.design, channel, plants.nutation, plants.period)
-    options = tuned(problem, start, TUNABLE, build, upper_bounds(plants.period))
+    # Without a gyroscopic pair nothing crosses over across.
+    tunable = [name for name in TUNABLE if name != "crossover_hz" or len(channel.momenta)]
+    options = tuned(problem, start, tunable, build, upper_bounds(plants.period))
     return Designed(controller=build(options), options=options)
 
 
@@ -107,7 +109,10 @@ def starting_values(given: dict[str, float], channel: Channels, nutation: float,
     """Return all options, those not given from rules of thumb: the nutation frequency sets the scale."""
     nutation_hz, rate_hz = nutation / (2.0 * np.pi), 1.0 / period
     out: dict[str, float] = {"crossover_hz": 0.6 * nutation_hz}
-    out["integral_hz"] = 0.04 * given.get("crossover_hz", out["crossover_hz"])
+    # The slowest crossover that the loop has: the integral acts in all of its directions.
+    acting = ["crossover_hz"] * bool(len(channel.momenta)) + ["inertial_crossover_hz"] * bool(channel.inertial)
+    slowest = min(given.get(name, 0.6 * nutation_hz) for name in acting or ["crossover_hz"])
+    out["integral_hz"] = 0.04 * slowest
     if len(channel.momenta):
         out |= {
             "damping_hz": 0.9 * nutation_hz,
@@ -118,7 +123,7 @@ def starting_values(given: dict[str, float], channel: Channels, nutation: float,
         if any(name.startswith("notch") for name in given):
             out |= {"notch_hz": nutation_hz, "notch_depth": 0.7, "notch_width": 0.3}
     if any(name.startswith("lag") for name in given):
-        out |= {"lag_hz": 0.1 * given.get("crossover_hz", out["crossover_hz"]), "lag_ratio": 3.0}
+        out |= {"lag_hz": 0.1 * slowest, "lag_ratio": 3.0}
     if any(name.startswith("spin_notch") for name in given):
         out |= {"spin_notch_hz": _spin_hz(given, channel), "spin_notch_depth": 0.1, "spin_notch_width": 0.1}
     if channel.inertial:

@@ -23,9 +23,8 @@ from platform_ctrl.mechanics.symbolic.notation import (
 )
 from platform_ctrl.mechanics.symbolic.result import Equations
 
-# Grids that are wider become lists of their entries.
-_WIDEST, _MOST_COLUMNS = 132, 8
-_LINE = 110
+# Columns of a line; grids of more columns become lists of their entries.
+_LINE, _MOST_COLUMNS = 80, 8
 
 
 def text_of(equations: Equations) -> str:
@@ -33,9 +32,9 @@ def text_of(equations: Equations) -> str:
     write = Notation(equations.symbols, TEXT)
     out = [_title(equations), "", *_coordinates(equations, write)]
     for section in matrix_sections(equations):
-        out += ["", _heading(section.number, section.text, section.about), "", *_matrix(equations, section, write)]
+        out += ["", *_heading(section.number, section.text, section.about), "", *_matrix(equations, section, write)]
     for rows in row_sections(equations):
-        out += ["", _heading(rows.number, "", rows.about), "", *_rows(equations, rows.key, write)]
+        out += ["", *_heading(rows.number, "", rows.about), "", *_rows(equations, rows.key, write)]
     if equations.notes:
         notes = (
             textwrap.wrap(note, _LINE, initial_indent="    ", subsequent_indent="      ") for note in equations.notes
@@ -49,8 +48,9 @@ def _title(equations: Equations) -> str:
     return f"{equations.platform.name}: equations after Magnus 1976"
 
 
-def _heading(number: str, symbol: str, about: str) -> str:
-    return " ".join(filter(None, (number, f"{symbol}:" if symbol else "", about)))
+def _heading(number: str, symbol: str, about: str) -> list[str]:
+    words = " ".join(filter(None, (number, f"{symbol}:" if symbol else "", about)))
+    return textwrap.wrap(words, _LINE, subsequent_indent="     ", break_long_words=False, break_on_hyphens=False)
 
 
 def _coordinates(equations: Equations, write: Notation) -> list[str]:
@@ -80,16 +80,27 @@ def _matrix(equations: Equations, section: MatrixSection, write: Notation) -> li
         max(width(t) for t in (label, *column)) for label, column in zip(columns, zip(*cells, strict=True), strict=True)
     ]
     first = max(width(label) for label in rows)
-    if len(columns) <= _MOST_COLUMNS and 4 + first + 4 + sum(widths) + 2 * len(widths) <= _WIDEST:
-        head = "    " + " " * first + "    " + "  ".join(map(padded, columns, widths))
-        return [
-            head,
-            *(
-                f"    {padded(label, first)}  | " + "  ".join(map(padded, row, widths)) + " |"
-                for label, row in zip(rows, cells, strict=True)
-            ),
-        ]
-    return _entries(section, rows, columns, cells)
+    # Labels, bars and a space beside each.
+    room = _LINE - (4 + first + 4 + 2)
+    if len(columns) > _MOST_COLUMNS or max(widths) > room:
+        return _entries(section, rows, columns, cells)
+    out: list[str] = []
+    for part in _side_by_side(widths, room):
+        head = "    " + " " * first + "    " + "  ".join(map(padded, columns[part], widths[part]))
+        out += [*([""] if out else []), head]
+        for label, row in zip(rows, cells, strict=True):
+            out.append(f"    {padded(label, first)}  | " + "  ".join(map(padded, row[part], widths[part])) + " |")
+    return out
+
+
+def _side_by_side(widths: list[int], room: int) -> list[slice]:
+    """Return the columns that stand side by side in a line, two apart, as many as there is room for."""
+    out, begin = [], 0
+    for k in range(1, len(widths) + 1):
+        if k == len(widths) or sum(widths[begin : k + 1]) + 2 * (k - begin) > room:
+            out.append(slice(begin, k))
+            begin = k
+    return out
 
 
 def _entries(section: MatrixSection, rows: list[str], columns: list[str], cells: list[list[str]]) -> list[str]:
@@ -122,10 +133,13 @@ def _symbols(equations: Equations) -> list[str]:
 
     table = [("shown", "in SymPy", "number", "unit", "meaning"), *map(row, equations.symbols)]
     widths = [max(width(line[column]) for line in table) for column in range(4)]
-    return [
-        "    " + "  ".join(padded(cell, columns) for cell, columns in zip(line, widths, strict=False)) + "  " + line[4]
-        for line in table
-    ]
+    indent = " " * (6 + sum(widths) + 2 * len(widths))
+    out = []
+    for line in table:
+        start = "    " + "  ".join(padded(cell, columns) for cell, columns in zip(line, widths, strict=False)) + "  "
+        first, *more = textwrap.wrap(line[4], max(_LINE - len(indent), 20), break_on_hyphens=False)
+        out += [start + first, *(indent + words for words in more)]
+    return out
 
 
 def _wrapped(start: str, text: str) -> list[str]:

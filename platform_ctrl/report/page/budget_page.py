@@ -25,7 +25,7 @@ from platform_ctrl.report.style import (
     linear_axis,
     panels,
 )
-from platform_ctrl.verification.budget_result import LineOfSightBudget, Waterfall, rms_ticks, waterfalls
+from platform_ctrl.verification.budget_result import TOGETHER, LineOfSightBudget, Waterfall, rms_ticks, waterfalls
 from platform_ctrl.verification.simulated_budget import SimulatedBudget
 from platform_ctrl.verification.verdict import JobResult
 
@@ -73,7 +73,7 @@ def _sources(found: LineOfSightBudget) -> Table:
         rows.append((name, kind, *(text for pair in pairs for text in pair)))
     total = [text for one in _micro(found.total) for text in (one, "")]
     numbers = "|".join(f"{axis}, µrad|share" for axis in found.axes)
-    return table(f"source|kind|{numbers}", [*rows, ("all together", "", *total)], numbers=numbers)
+    return table(f"source|kind|{numbers}", [*rows, (TOGETHER, "", *total)], numbers=numbers)
 
 
 def _windows(found: LineOfSightBudget, spatial_frequencies: Iterable[float]) -> Table:
@@ -190,7 +190,7 @@ def _steps(axes: Axes, fall: Waterfall, ranking: Sequence[int]) -> None:
         *zip(fall.low, fall.high, [_curve_of(ranking, place) for place in fall.places], strict=True),
         (0.0, fall.total**2, 0),
     ]
-    words = [*zip(fall.names, fall.rms, fall.shares, strict=True), ("all together", fall.total, 1.0)]
+    words = [*zip(fall.names, fall.rms, fall.shares, strict=True), (TOGETHER, fall.total, 1.0)]
     for k, ((low, high, curve), (name, rms, share)) in enumerate(zip(bars, words, strict=True)):
         colour = REFERENCE if curve is None else line_style(curve)["color"]
         left = min(low, high)

@@ -193,7 +193,7 @@ def campaign_sections(summary: Summary, again: str) -> list[Section]:
     sections = [Section(name="summary", title="", blocks=(banner,))]
     common = _contrasts(summary)
     if common:
-        title = "What violating runs have in common" if summary.statistics.violation.events else "With and without"
+        title = "What violating runs have in common" if summary.statistics.violation.events > 1 else "With and without"
         sections.append(Section(name="common", title=title, blocks=common))
     sections += _worst_trace(summary)
     shown = (probability_table(summary), bounds)
@@ -309,8 +309,8 @@ def _contrasts(summary: Summary) -> tuple[Block, ...]:
 def _contrast_rows(found: list[Contrast], scale: Scale) -> list[Row]:
     rows = []
     for one in found:
-        every = "in every violating run" if one.in_every_violation else ""
-        p_value = Cell(text=plain(one.p_value, 2), tone="bad" if one.driver else "")
+        every = "in every violating run" if tables.significant(one) and one.in_every_violation else ""
+        p_value = Cell(text=plain(one.p_value, 2), tone="bad" if tables.significant(one) else "")
         named = Cell(text=tables.contrast_name(one), note=every)
         sides = ((named, one.present, p_value), (Cell(text="without", tone="quiet"), one.absent, Cell(text="")))
         for name, side, last in sides:

@@ -127,7 +127,14 @@ def _percent(probability: float, rounding: Rounding) -> str:
 
 
 def verdict(summary: Summary) -> str:
-    """Return the verdict in a few words."""
+    """Return the verdict in a few words, with what it rests on."""
+    job = summary.plan.job
+    rests_on = simulated_words(job, [one for one, _ in job.campaign_manoeuvres])
+    return f"{violation_words(summary)}{added_words(job.platform)}{rests_on}"
+
+
+def violation_words(summary: Summary) -> str:
+    """Return how many runs violate a requirement."""
     violation = summary.statistics.violation
     if violation.events:
         verb = "violates" if violation.events == 1 else "violate"
@@ -136,8 +143,13 @@ def verdict(summary: Summary) -> str:
         words = f"none of {count_words(violation.runs)} violates a requirement"
     else:
         words = "the run violates no requirement" if violation.runs else "no run was simulated"
-    job = summary.plan.job
-    return f"{words}{added_words(job.platform)}{simulated_words(job, [one for one, _ in job.campaign_manoeuvres])}"
+    lost = summary.statistics.not_simulated
+    return f"{words}, {count_words(lost)} could not be simulated" if lost and violation.runs else words
+
+
+def campaign_words(summary: Summary | None) -> str:
+    """Return what a campaign adds to the verdict on a job; nothing without one."""
+    return "" if summary is None else f"campaign: {violation_words(summary)}"
 
 
 def verdict_lines(summary: Summary) -> list[str]:
@@ -149,6 +161,8 @@ def verdict_lines(summary: Summary) -> list[str]:
         estimate = f"{chance(found.violation.estimate)}, " if found.violation.events else ""
         bounds = chances(found.violation.low, found.violation.high)
         lines.append(f"probability that a run violates a requirement: {estimate}{bounds} {sure}")
+    if found.violation.events == 1:
+        lines.append("one run violates it: no cause can be told")
     for rare in summary.rare:
         lines.append(f"{rare_words(rare)}, from rare events")
     if found.diverged:
@@ -201,13 +215,13 @@ def signed(one: Influence) -> str:
 
 
 def significant(one: Contrast) -> bool:
-    """Return whether a value sets the violating runs apart: significantly, or because all of them have it."""
-    return one.driver or one.in_every_violation
+    """Return whether the counts show that a value sets the violating runs apart: of one run nothing does."""
+    return one.driver and one.present.events + one.absent.events > 1
 
 
 def shared_by_all(one: Contrast) -> bool:
-    """Return whether every run that violates anything has this value, over all manoeuvres."""
-    return one.requirement == PASSED and one.manoeuvre is None and one.in_every_violation
+    """Return whether a value that sets violating runs apart is that of every run that violates anything."""
+    return significant(one) and one.requirement == PASSED and one.manoeuvre is None and one.in_every_violation
 
 
 def contrast_groups(summary: Summary) -> list[tuple[str, list[Contrast]]]:
@@ -243,7 +257,9 @@ def contrast_words(one: Contrast) -> str:
 
 def causes(summary: Summary, figure: str = PASSED) -> list[Contrast]:
     """Return the values that set violating runs apart significantly, over all manoeuvres."""
-    return [one for one in summary.contrasts if one.requirement == figure and one.manoeuvre is None and one.driver]
+    return [
+        one for one in summary.contrasts if one.requirement == figure and one.manoeuvre is None and significant(one)
+    ]
 
 
 def short_drivers(one: Sensitivity) -> str:

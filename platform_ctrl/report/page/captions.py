@@ -183,6 +183,7 @@ def run(one: Run, spinning: bool, loops: Sequence[LoopOutcome]) -> str:
         "run",
         manoeuvre=one.manoeuvre,
         trajectory=trajectory,
+        lost=one.lost,
         worst=1e3 * float(np.abs(trajectory.q).max(initial=0.0)),
         saturated=int(trajectory.saturated.sum()),
         contacts=int(trajectory.stop_contacts.sum()),
@@ -313,7 +314,7 @@ def _limited(outcome: LoopOutcome, nearest: CheckResult) -> str:
 def _runs(result: JobResult) -> str:
     if not result.runs:
         return ""
-    lost = [run.manoeuvre.name for run in result.runs if not run.trajectory.completed]
+    lost = [f"{quoted(run.manoeuvre.name)} ({run.lost})" for run in result.runs if run.lost]
     worst = tightest([one for run in result.runs for one in run.results])
     return sentences("nearest_run", runs=result.runs, lost=lost, worst=worst)
 

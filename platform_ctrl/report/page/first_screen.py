@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -38,6 +40,7 @@ from platform_ctrl.report.page.blocks import (
     plate,
     sentence,
 )
+from platform_ctrl.report.page.campaign_tables import campaign_words
 from platform_ctrl.report.page.captions import sentences, tightest
 from platform_ctrl.report.plots.curves import loop_phase
 from platform_ctrl.report.plots.nichols import exclusion
@@ -45,6 +48,9 @@ from platform_ctrl.report.plots.panels import gains
 from platform_ctrl.report.style import BAND, LIMIT, MUTED, REFERENCE, legend, line_style, panels
 from platform_ctrl.verification.changes import FAR, GAIN, Change
 from platform_ctrl.verification.verdict import JobResult
+
+if TYPE_CHECKING:
+    from platform_ctrl.campaign.summary import Summary
 
 # Of the axis of distances: the part beyond the limit that is shown where nothing is missed; width of a mark.
 _BEYOND, _MARK = 0.15, 0.0225
@@ -65,6 +71,22 @@ def first_screen(result: JobResult) -> tuple[Block, ...]:
         left += [Paragraph(text=sentences("distances"), tone="quiet"), shown]
     picture = attempted("Tightest loop, worst plant", lambda: _nichols(result))
     return tuple(left) if picture is None else (Columns(left=tuple(left), right=(picture,)),)
+
+
+def with_campaign(first: Sequence[Block], campaign: Summary | None) -> tuple[Block, ...]:
+    """Return the first screen with a campaign in its banner: where a run violates a limit, the verdict is no pass."""
+    if campaign is None:
+        return tuple(first)
+    out: list[Block] = []
+    for block in first:
+        if isinstance(block, Columns):
+            out.append(replace(block, left=with_campaign(block.left, campaign)))
+        elif isinstance(block, Verdict):
+            words = f"{block.words}; {campaign_words(campaign)}"
+            out.append(replace(block, passed=block.passed and campaign.passed, words=words))
+        else:
+            out.append(block)
+    return tuple(out)
 
 
 def _verdict(result: JobResult) -> Verdict:

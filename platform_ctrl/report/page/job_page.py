@@ -62,8 +62,15 @@ from platform_ctrl.report.page.blocks import (
 )
 from platform_ctrl.report.page.budget_page import budget_blocks
 from platform_ctrl.report.page.campaign_page import as_section, digests
+from platform_ctrl.report.page.campaign_tables import campaign_words
 from platform_ctrl.report.page.captions import compared_with_alternatives, opening, sentences
-from platform_ctrl.report.page.first_screen import change_part, first_screen, own_results, section_verdict
+from platform_ctrl.report.page.first_screen import (
+    change_part,
+    first_screen,
+    own_results,
+    section_verdict,
+    with_campaign,
+)
 from platform_ctrl.report.page.kept_blocks import Ahead, Drawing, drawn_ahead, kept_or_drawn
 from platform_ctrl.report.plots.time_run import time_run
 from platform_ctrl.verification.changes import changes
@@ -218,7 +225,10 @@ def _document(
             Section(
                 name="summary",
                 title="",
-                blocks=(*first, *_blocks(attempted("Summary", lambda: _summary(result, campaign)))),
+                blocks=(
+                    *with_campaign(first, campaign),
+                    *_blocks(attempted("Summary", lambda: _summary(result, campaign))),
+                ),
             ),
             section(
                 "requirements",
@@ -248,8 +258,8 @@ def _document(
         kicker="platform_ctrl: design and check of control loops",
         title=job.name,
         source=". ".join(filter(None, [job.platform.name, job.platform.source])),
-        passed=result.passed,
-        verdict=tables.verdict(result),
+        passed=result.passed and (campaign is None or campaign.passed),
+        verdict="; ".join(filter(None, (tables.verdict(result), campaign_words(campaign)))),
         sections=tuple(sections),
     )
 

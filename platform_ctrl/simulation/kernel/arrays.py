@@ -43,8 +43,10 @@ ACTIONS = {
 # Columns of `Shared.sensors`, a row for each sensor: begin and end of its terms; row of its low-pass, or -1; samples
 # that it is late, and where in `Layout.late` the last ones are; samples from one reading to the next.
 BEGIN_TERMS, END_TERMS, FILTERED, LATE, KEPT, EVERY = range(6)
-# Slots of a sensor: rms of a sample, quantisation, scale, bias; the last reading.
+# Slots of a sensor: rms of a sample, quantisation, scale, bias; the last reading. Of a command: its path; what the
+# controllers get of it.
 RMS, QUANTISATION, SENSOR_SCALE, BIAS, LAST, SENSOR = 0, 1, 2, 3, 4, 5
+PATH = 0
 # Slots of a low-pass: x of the next sample is TRANSITION x + BEFORE u + NOW u of the next sample; u; x.
 TRANSITION, BEFORE, NOW, INPUT, LAGGING, LOWPASS = 0, 4, 6, 8, 9, 11
 # Slots of a torquer: limit, how far it slews at once and in half a substep of each segment, decay of the lag over half
@@ -86,7 +88,8 @@ class Shared(NamedTuple):
     # [A B; C D] of other samples, and of every sample of `Layout.cycle` where its rows begin.
     first: NDArray[np.int64]
     column: NDArray[np.int64]
-    number: FloatArray  # then the nc commands of every sample from the first of a call on
+    # Then of every sample from the first of a call on the nc commands, and what the controllers get of them.
+    number: FloatArray
     knots: FloatArray  # (k,): of the time table of Omega or, with a free root, of M
     pieces: FloatArray  # (k - 1, 3, 4)
     period: float
@@ -112,7 +115,7 @@ class Layout(NamedTuple):
     rate: int
     segments: int  # substeps of the two segments
     settle: int  # samples before the mean and rms begin
-    sensor: int  # and behind the sensors, in slots like theirs, the commands: LAST alone is used
+    sensor: int  # and behind the sensors, in slots like theirs, the commands: PATH and LAST are used
     lowpass: int
     torquer: int
     drive: int

@@ -30,6 +30,7 @@ from platform_ctrl.simulation.kernel.arrays import (
     LIMIT,
     LINE,
     OVERRUN,
+    PATH,
     PER_DRIVE_RATE,
     PHASE,
     RATE,
@@ -120,8 +121,10 @@ def _command(shared: Shared, mem: FloatArray, lane: int, layout: Layout, row: in
     end = layout.states + shared.targets.shape[0] + layout.drives
     zero = 0.0 * load(mem, layout.start, lane)
     for j in range(layout.commands):
-        slot = layout.sensor + (layout.sensors + j) * SENSOR + LAST
-        store(mem, slot, lane, zero + shared.number[shared.first[end] + row * layout.commands + j])
+        slot = layout.sensor + (layout.sensors + j) * SENSOR
+        place = shared.first[end] + 2 * row * layout.commands + j
+        store(mem, slot + PATH, lane, zero + shared.number[place])
+        store(mem, slot + LAST, lane, zero + shared.number[place + layout.commands])
 
 
 @internal

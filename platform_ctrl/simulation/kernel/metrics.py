@@ -15,7 +15,19 @@ from platform_ctrl.common.simd import (
     store,
 )
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.simulation.kernel.arrays import LAST, LIMIT, SENSOR, TORQUE, TORQUER, At, Layout, Shared
+from platform_ctrl.simulation.kernel.arrays import (
+    BIAS,
+    LAST,
+    LIMIT,
+    PATH,
+    SENSOR,
+    SENSOR_SCALE,
+    TORQUE,
+    TORQUER,
+    At,
+    Layout,
+    Shared,
+)
 
 
 @inlined
@@ -73,9 +85,12 @@ def update_metrics(shared: Shared, mem: FloatArray, lane: int, at: At, layout: L
         _spread(mem, lane, settled, share, layout.sight, sight, rates + 2 * n + 4, n + 3 + sight)
     end = layout.states + nu + layout.drives + 1
     for j in range(layout.commands):
-        slot = layout.following + j
-        error = load(mem, layout.sensor + shared.first[end + j] * SENSOR + LAST, lane)
-        error = error - load(mem, layout.sensor + (layout.sensors + j) * SENSOR + LAST, lane)
+        slot, sensor = layout.following + j, layout.sensor + shared.first[end + j] * SENSOR
+        # What the sensor shows wrongly is no part of what the loop does.
+        scale = load(mem, sensor + SENSOR_SCALE, lane)
+        scale = choose((scale < 0.0) | (scale > 0.0), scale, 0.0 * scale + 1.0)
+        error = (load(mem, sensor + LAST, lane) - load(mem, sensor + BIAS, lane)) / scale
+        error = error - load(mem, layout.sensor + (layout.sensors + j) * SENSOR + PATH, lane)
         error = choose(error < 0.0, -error, error)
         store(mem, slot, lane, choose(settled, greater(load(mem, slot, lane), error), load(mem, slot, lane)))
 

@@ -26,7 +26,7 @@ const build = (given) => {
   const table = byId("panel-budget").querySelector("table");
   table.tHead.replaceChildren(made("tr", {}, made("th", { scope: "col" }, "source"),
     ...given.axes.map((axis) => made("th", { scope: "col", className: "number" }, axis))));
-  rows = [...given.rows.map((one) => row(one.name, one.kind, given.axes.length)), row("all together", "", given.axes.length)];
+  rows = [...given.rows.map((one) => row(one.name, one.kind, given.axes.length)), row("all, angles zero", "all together, at the angles zero; limits are at the worst angles of the job", given.axes.length)];
   rows.at(-1).element.className = "total";
   table.tBodies[0].replaceChildren(...rows.map((one) => one.element));
   limits = given.limits.map((one) => {
