@@ -70,6 +70,9 @@ from platform_ctrl.verification.verdict import JobResult
 if TYPE_CHECKING:
     from platform_ctrl.campaign.summary import Summary
 
+# Branches of a root locus up to which it is drawn: of a long delay they lie side by side, and take minutes to follow.
+_MOST_BRANCHES = 80
+
 
 @check_arguments
 def write_page(result: JobResult | Document, path: str | os.PathLike[str]) -> Path:
@@ -351,13 +354,14 @@ def _caging_plates(model: LinearModel, outcome: LoopOutcome, palette: Mapping[st
     plates += [
         plate(disturbance_figure(responses, spec), "Disturbances", captions.disturbance(outcome, responses)),
         *_further_plates(responses, outcome),
-        plate(
-            pole_figure(responses, spec, plants.nutation, plants.period),
-            "Closed-loop poles",
-            captions.poles(outcome, plants),
-        ),
     ]
-    if outcome.closed.plants is not None:
+    figure, caption = pole_figure(responses, spec, plants.nutation, plants.period), captions.poles(outcome, plants)
+    closed = outcome.closed.plants
+    states = 0 if closed is None else closed.A.shape[-1] + outcome.closed.own_controller.nstates
+    if states > _MOST_BRANCHES:
+        caption += f" There is no root locus: its {states} branches, most of them of delays, could not be told apart."
+    plates.append(plate(figure, "Closed-loop poles", caption))
+    if 0 < states <= _MOST_BRANCHES:
         plot = root_locus_plot(outcome.closed, spec)
         caption = sentences("root_locus", name=outcome.closed.name, locus=plot.locus)
         plates.append(plate(plot.figure, "Root locus over the loop gain", caption))
