@@ -118,7 +118,7 @@ def lifted_plant(plant: SampledPlant, level: float) -> StateArrays:
     whole = _embedded(late, second, n + 2 * m)
     if part > 0.0:
         early = _stretch(A, B1, B2 * unit, C1, D11, D12 * unit, part * period, finite)
-        whole = _joined(_embedded(early, first, n + 2 * m), whole, finite)
+        whole = joined(_embedded(early, first, n + 2 * m), whole, finite)
     reach = plant.reach
     size = n + reach * m
     into = np.zeros((n + 2 * m, size + m))
@@ -128,8 +128,8 @@ def lifted_plant(plant: SampledPlant, level: float) -> StateArrays:
     if part > 0.0:
         into[n : n + m, column[plant.whole + 1] : column[plant.whole + 1] + m] = np.diag(1.0 / unit)
     into[n + m :, column[plant.whole] : column[plant.whole] + m] = np.diag(1.0 / unit)
-    B_w = _factor(whole.G[:n, :n])
-    C_z = _factor(whole.Q).T @ into
+    B_w = factor(whole.G[:n, :n])
+    C_z = factor(whole.Q).T @ into
     state = np.zeros((size, size + m))
     state[:n] = whole.A[:n] @ into
     for j in range(reach):
@@ -193,16 +193,19 @@ def _halved(F: FloatArray, G: FloatArray, Q: FloatArray, duration: float, level:
 
 def _repeated(step: Step, doublings: int, finite: bool) -> Step:
     for _ in range(doublings):
-        step = _joined(step, step, finite)
+        step = joined(step, step, finite)
     return step
 
 
-def _joined(first: Step, second: Step, finite: bool) -> Step:
-    """Return one step after the other; at an infinite level G and Q are Gramians and add up."""
+def joined(first: Step, second: Step, finite: bool) -> Step:
+    """Return one step after the other; at an infinite level G and Q are Gramians and add up.
+
+    Where the level is finite and below what the two together reach, `PeriodExceedsLevel` is raised.
+    """
     middle, G, Q = np.eye(len(first.A)), first.G, second.Q
     if finite:
         # The eigenvalues of G Q are those of the symmetric B' Q B with G = B B'.
-        B = _factor(first.G)
+        B = factor(first.G)
         gain = _symmetric(B.T @ second.Q @ B)
         if gain.size and not np.linalg.eigvalsh(gain)[-1] < 1.0:
             raise PeriodExceedsLevel
@@ -225,7 +228,7 @@ def _embedded(step: Step, where: list[int], size: int) -> Step:
     return Step(A, G, Q)
 
 
-def _factor(square: FloatArray) -> FloatArray:
+def factor(square: FloatArray) -> FloatArray:
     """Return B with B B' = a positive semidefinite matrix, one column for each direction above rounding."""
     if square.size == 0:
         return np.zeros((len(square), 0))
@@ -259,5 +262,5 @@ def period_noise(plant: SampledPlant) -> float:
     out = 0.5 * h * float(np.sum(weight * (h - at) * np.sum(response**2, axis=(-2, -1))))
     for _ in range(doublings):
         out = 2.0 * out + float(np.sum(step.Q * step.G))
-        step = _joined(step, step, finite=False)
+        step = joined(step, step, finite=False)
     return out

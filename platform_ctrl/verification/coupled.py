@@ -215,9 +215,8 @@ class _Together:
         rms = np.array([sensors[name].sampled_noise(period, often.get(name, 1)) for name in self._seen], np.float64)
         if self._periodic is None:
             return torquer_metrics(_noise_to_torque(self._loop, len(self.channels)), rms)
-        every = np.tile(rms, self._periodic.samples)
-        found = [torquer_metrics(one, every) for one in self._periodic.noise_to_torque()]
-        return {kind: np.array([np.sqrt(np.mean(one[kind] ** 2)) for one in found]) for kind in found[0]}
+        found = [torquer_metrics(one, np.ones(one.B.shape[1])) for one in self._periodic.noise_to_torque(rms)]
+        return {kind: np.array([np.sqrt(np.sum(one[kind] ** 2)) for one in found]) for kind in found[0]}
 
 
 def _noise_to_torque(loop: control.StateSpace, channels: int) -> StateArrays:
