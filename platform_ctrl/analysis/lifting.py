@@ -91,14 +91,15 @@ def sampled_plant(
     )  # fmt: skip
 
 
-def lifted_plant(plant: SampledPlant, level: float) -> StateArrays:
+def lifted_plant(plant: SampledPlant, level: float, scaling: FloatArray | None = None) -> StateArrays:
     """Return the discrete plant that is equivalent to one period at a level γ.
 
     Inputs [w, u], outputs [z, y]; a controller makes its norm from w to z less than one exactly if it makes
     that of the sampled-data loop less than γ. At an infinite level w and z are instead scaled to one, so that the
     products B B' and C' C are the Gramians of the period.
 
-    States: those of the plant, balanced, then the controls u[k-1], u[k-2], ... that the delay needs.
+    States: those of the plant, balanced or by a `scaling` (n,), then the controls u[k-1], u[k-2], ... that the delay
+    needs.
     """
     A, B1, B2, C1, C2, D11, D12, D22, period, _, part = plant
     n, m, p = len(A), B2.shape[1], len(C2)
@@ -106,7 +107,7 @@ def lifted_plant(plant: SampledPlant, level: float) -> StateArrays:
     root = math.sqrt(level) if finite else 1.0
     if finite and D11.size and np.linalg.norm(D11, 2) >= level:
         raise PeriodExceedsLevel
-    s = state_scaling(A, B1 / root, C1 / root)
+    s = state_scaling(A, B1 / root, C1 / root) if scaling is None else scaling
     A, B1, B2, C1, C2 = A * s / s[:, None], B1 / s[:, None] / root, B2 / s[:, None], C1 * s / root, C2 * s
     D11, D12 = D11 / level, D12 / root
     # The unit of a control is what it does to the states in a period, or to z at once.

@@ -15,10 +15,9 @@ from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.budget_result import Budget
 from platform_ctrl.analysis.disturbances import RandomDisturbance, SampleNoise, SineDisturbance, Spectrum
 from platform_ctrl.analysis.hybrid_plant import HybridPlant
-from platform_ctrl.analysis.interconnection import interconnected_by_sample
+from platform_ctrl.analysis.interconnection import MultiRate, interconnected_at_rates, interconnected_by_sample
 from platform_ctrl.analysis.jitter_budget import JitterBudget
 from platform_ctrl.analysis.norms import stationary_covariance
-from platform_ctrl.analysis.periodic import lifted
 from platform_ctrl.analysis.sampling import held_input, sampled, with_lag
 from platform_ctrl.errors import ArgumentError
 
@@ -225,11 +224,6 @@ def test_the_cumulative_variance_rises_to_the_total(budget: Budget) -> None:
     assert 0.0 < motor[below] < 1e-2 * motor[below + 1]
 
 
-def test_the_density_integrates_to_the_variance(budget: Budget) -> None:
-    area = np.trapezoid(budget.density[:3], budget.frequency / (2.0 * math.pi))
-    assert area == pytest.approx(budget.rms[:3] ** 2, rel=2e-2)
-
-
 def test_displacement_smear_and_jitter_add_up_to_the_variance(budget: Budget) -> None:
     for window in budget.windows:
         parts = window.displacement**2 + window.smear**2 + window.jitter**2
@@ -280,10 +274,10 @@ def test_a_narrow_band_within_a_long_exposure_is_summed_over_frequency() -> None
     assert found.windows[0].jitter[0, 0] == pytest.approx(found.rms[0, 0], rel=1e-4)
 
 
-def taking_turns(*controllers: control.StateSpace) -> tuple[list[StateArrays], StateArrays]:
-    """Controllers from position and rate to the control at every sample of their cycle, and lifted."""
-    by_sample = interconnected_by_sample(controllers, ["position", "rate"], ["u"], PERIOD)
-    return by_sample, lifted(by_sample)
+def taking_turns(*controllers: control.StateSpace) -> tuple[list[StateArrays], MultiRate]:
+    """Controllers from position and rate to the control at every sample of their cycle, and as one."""
+    signals = ["position", "rate"], ["u"], PERIOD
+    return interconnected_by_sample(controllers, *signals), interconnected_at_rates(controllers, *signals)
 
 
 # A loop on the position, with an integrator, at every third sample around one on the rate at every sample.
@@ -424,7 +418,7 @@ def test_a_slow_controller_alone_is_one_of_a_longer_period() -> None:
     sine = SineDisturbance(name="motor", inputs=(0,), frequency=6.0, amplitude=np.array([0.3]))
     whole = JitterBudget(oscillator(), [*sources, sine], (0.4, 3.0)).of(K, 1e-9)
     slow = control.ss(*K, inputs=["y"], outputs=["u"])
-    turns = lifted(interconnected_by_sample([slow], ["y"], ["u"], PERIOD / 3))
+    turns = interconnected_at_rates([slow], ["y"], ["u"], PERIOD / 3)
     again = JitterBudget(oscillator(period=PERIOD / 3, cycle=3), [*sources, sine], (0.4, 3.0)).of(turns, 1e-9)
     assert again.rms == pytest.approx(whole.rms, rel=1e-8)
     assert again.total == pytest.approx(whole.total, rel=1e-8)
@@ -440,6 +434,6 @@ def test_a_slow_controller_alone_is_one_of_a_longer_period() -> None:
 def test_the_same_controller_at_every_sample_takes_no_turns(budget: Budget) -> None:
     sources = [noise(), noise("base", 1), SampleNoise(name="gyro", measured=0, rms=0.1)]
     sine = SineDisturbance(name="motor", inputs=(0,), frequency=6.0, amplitude=np.array([0.3]))
-    found = JitterBudget(oscillator(cycle=4), [*sources, sine], (0.4, 3.0)).of(lifted([K] * 4), 1e-8)
+    found = JitterBudget(oscillator(cycle=4), [*sources, sine], (0.4, 3.0)).of(K, 1e-8)
     assert found.rms == pytest.approx(budget.rms, rel=1e-8)
     assert found.windows[1].smear == pytest.approx(budget.windows[1].smear, rel=1e-6)
