@@ -59,8 +59,8 @@ def lifted(systems: Sequence[StateArrays]) -> StateArrays:
 def transition(systems: Sequence[StateArrays]) -> FloatArray:
     """Return the states (n, n) after the samples of a cycle, of those before."""
     out = np.eye(systems[0].A.shape[1])
-    for one in systems:
-        out = one.A @ out
+    for one, count in _runs(systems):
+        out = (one.A if count == 1 else np.linalg.matrix_power(one.A, count)) @ out
     return out
 
 
@@ -94,6 +94,8 @@ def periodic_norm(systems: Sequence[StateArrays], tolerance: float = _TOLERANCE)
     while (value := excess(high)) >= 0.0:
         step = min(2.0 * step, value + 0.1)
         high += step
+        if high > _BEYOND:
+            return math.inf, 0.0
     if value <= -_BEYOND:
         return direct, 0.0
     low, floor = high, math.log(direct) if direct > 0.0 else -math.inf
@@ -202,8 +204,8 @@ def _lasting(systems: Sequence[StateArrays], links: dict[int, BoolArray], live: 
 class PeriodicLoop:
     """A sampled plant closed by a controller whose matrices take turns: u = K y, `at` and `seen` what it uses of it.
 
-    All repeats after `period`, s; `poles` (n,) are those of the transition `A` (n, n) over it, in z, without those at
-    zero that only readings on their way cause.
+    All repeats after `period`, s; `poles` (n,) are those of the transition `A` (n, n) over it, in z. `systems` are the
+    loop by sample, from disturbances of the torques, then noise of what is measured, to the torques.
     """
 
     def __init__(
@@ -211,12 +213,12 @@ class PeriodicLoop:
     ) -> None:
         m = len(at)
         own = plant.part(seen, at)
-        # From disturbances of the torques, then noise of what is measured, to the torques.
         closed = {id(K): closed_loop(own, K).part(slice(m), slice(None)) for K in by_sample}
-        self.systems = pruned(balanced([closed[id(K)] for K in by_sample]))
+        loops = [closed[id(K)] for K in by_sample]
+        self.systems = pruned(balanced(loops))
         self.samples, self.channels = len(by_sample), m
         self.period = self.samples * plant.dt
-        self.A = transition(self.systems)
+        self.A = transition(loops)
         self.poles: ComplexArray = poles(self.A)
 
     def _disk(self, outputs: Sequence[int], inputs: Sequence[int]) -> list[StateArrays]:
@@ -304,7 +306,7 @@ class PeriodicLoop:
         The sum of their mean squares is that of the torque, over the samples of a cycle, from noise (p,) of what is
         measured.
         """
-        m, n = self.channels, len(self.A)
+        m, n = self.channels, self.systems[0].A.shape[1]
         # What the noise of a cycle makes of the state, and of each torque before the cycle is over; and what of each
         # torque follows from the state before.
         state, own, seen = np.eye(n), np.zeros(m), np.zeros((m, n, n))
