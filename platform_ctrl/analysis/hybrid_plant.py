@@ -313,7 +313,7 @@ class OpenLoop:
         return Modulator(M[:, None].astype(np.complex128), *none, np.zeros((1, 0), dtype=np.intp))
 
     def _closed(self, controller: MultiRate) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return the transition of the loop over a cycle, and how it is driven and seen at each of its samples."""
+        """Return the transition of the loop over a cycle, how it is driven, and torques and readings at its samples."""
         plant = self.plant
         fast = system_arrays("controller", *controller.fast)
         outputs, inputs = len(fast.C) - controller.read, fast.B.shape[1] - controller.held
@@ -333,11 +333,17 @@ class OpenLoop:
             A, B, C, *_ = closed_loop(sampled_plant, fast)
             return A, B, C
         loops: dict[tuple[bool, ...], StateArrays] = {}
-        cycle = []
+        cycle, m = [], plant.controls
         for k in range(plant.cycle):
             due = tuple(k % n == 0 for n in controller.every)
             if due not in loops:
-                loops[due] = closed_loop(sampled_plant, controller.at(k)).part(slice(plant.controls), slice(None))
+                one = closed_loop(sampled_plant, controller.at(k))
+                # What is measured as it is before it is late: of a reading on its way no more is a state than is used.
+                torques = one.C[:m]
+                measured = self.sampled.D @ torques
+                measured[:, : len(self.sampled.A)] += self.sampled.C
+                C = np.vstack([torques, measured])
+                loops[due] = StateArrays(one.A, one.B, C, np.zeros((len(C), one.B.shape[1])), one.dt)
             cycle.append(loops[due])
         cycle = pruned(cycle)
         state = np.eye(cycle[0].A.shape[1])
@@ -348,7 +354,12 @@ class OpenLoop:
         for one in reversed(cycle):
             driven.append(after @ one.B)
             after = after @ one.A
-        return state, np.hstack(driven), np.vstack(seen)
+        rows = np.array(seen)
+        return (
+            state,
+            np.hstack(driven),
+            np.vstack([rows[:, :m].reshape(-1, len(state)), rows[:, m:].reshape(-1, len(state))]),
+        )
 
     def closed_poles(self, controller: StateArrays | MultiRate) -> ComplexArray:
         """Return the poles z of the loop; refuse a controller that does not fit or does not stabilise.
