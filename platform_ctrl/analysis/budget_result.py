@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,30 +17,29 @@ from platform_ctrl.common.values import FloatArray, value
 _NEAR = 1e-3
 
 
-@value
-class Contribution:
+# Upper ends (N,) of intervals of frequency, rad/s, and integrals over them (N, G, q).
+Steps = tuple[FloatArray, FloatArray]
+
+
+class Contribution(NamedTuple):
     """Integrals over P panels for G sources, q outputs and W weights, or the lines of sines."""
 
     panels: FloatArray  # (P, 2): ends, rad/s
     # variance, error: (P, W, G, q): integrals over all images that are kept, and bounds on their errors.
     variance: FloatArray
     error: FloatArray
-    members: FloatArray  # (P, F, G, q): those of the first weight for each image
     remaining: FloatArray  # (P, G, q): of the images that are not kept, before integration of an output
-    frequency: FloatArray  # (P, K, F): of the nodes, rad/s
-    density: FloatArray  # (P, K, F, G, q): one-sided, per Hz
+    steps: list[Steps]  # of each panel, for the first weight; none where they are not wanted
     sines: tuple[str, ...] = ()  # names of the sines whose lines these are; the last of the G sources is their sum
 
     def chosen(self, good: NDArray[np.bool_]) -> Contribution:
         """Return those of some panels."""
-        return Contribution(
+        return self._replace(
             panels=self.panels[good],
             variance=self.variance[good],
             error=self.error[good],
-            members=self.members[good],
             remaining=self.remaining[good],
-            frequency=self.frequency[good],
-            density=self.density[good],
+            steps=[one for one, kept in zip(self.steps, good, strict=False) if kept],
         )
 
 
@@ -73,8 +73,6 @@ class Budget:
     total: FloatArray  # (q,): of all sources together; sines that add coherently are not the root of the sum of squares
     lowest: float  # motion below this frequency, rad/s, does not count in `rms`, `total` and displacements
     windows: tuple[Window, ...]  # one for each exposure
-    frequency: FloatArray  # (K,): rad/s, rising
-    density: FloatArray  # (G, q, K): one-sided densities of the outputs, per Hz, without the lines of sines
     edges: FloatArray  # (E,): frequencies, rad/s, rising, up to which `cumulative` sums
     cumulative: FloatArray  # (G, q, E): variance of each source up to the edges, sines included
     total_cumulative: FloatArray  # (q, E): the same of all sources
@@ -96,9 +94,9 @@ def assembled(
     lowest: float,
     found: list[Contribution],
     lines: list[Contribution],
-    over_frequency: bool,
+    images: int,
 ) -> Budget:
-    """Return the budget of panels of random sources and of lines of sines; not `over_frequency`: sums alone."""
+    """Return the budget of panels of random sources and of lines of sines, with so many images on each side."""
     names = tuple(one.name for one in sources)
     order = [
         names.index(one.name) for kind in (RandomDisturbance, SampleNoise) for one in sources if isinstance(one, kind)
@@ -119,7 +117,7 @@ def assembled(
         coherent += one.variance[0, :, -1] - one.variance[0, :, :-1].sum(axis=1)
         more += one.remaining[0, -1] - one.remaining[0, :-1].sum(axis=0)
     highest = max([0.5 * plant.turn, *(float(one.panels[0, 0]) for one in lines)])
-    beyond = (1.0 + _kept(found, lines)) * plant.turn - highest if found or lines else 1.0
+    beyond = (1.0 + images) * plant.turn - highest if found or lines else 1.0
     bound = np.where(integrated, rest / beyond**2, 0.0)
     added, joint = np.where(integrated, 0.0, rest), np.where(integrated, 0.0, more)
     # All that is beyond is jitter.
@@ -144,17 +142,13 @@ def assembled(
         )
         for k, one in enumerate(exposures)
     )
-    seen, drawn = (found, lines) if over_frequency else ([], [])
-    frequency, density = _spectrum(seen, order, G, q)
-    edges, cumulative, together = _cumulated(plant, seen, drawn, names, order)
+    edges, cumulative, together = _cumulated(plant, found, lines, names, order)
     return Budget(
         names=names,
         rms=root[0],
         total=whole[0],
         lowest=lowest,
         windows=windows,
-        frequency=frequency,
-        density=density,
         edges=edges,
         cumulative=cumulative,
         total_cumulative=together,
@@ -163,60 +157,52 @@ def assembled(
     )
 
 
-def _kept(found: list[Contribution], lines: list[Contribution]) -> int:
-    return int(next(iter([*found, *lines])).members.shape[1] - 1) // 2
-
-
-def _spectrum(found: list[Contribution], order: list[int], G: int, q: int) -> tuple[FloatArray, FloatArray]:
-    if not found:
-        return np.zeros(0), np.zeros((G, q, 0))
-    frequency = np.concatenate([one.frequency.ravel() for one in found])
-    density = np.concatenate([one.density.reshape(-1, len(order), q) for one in found])
-    rising = np.argsort(frequency)
-    out = np.zeros((G, q, len(frequency)))
-    out[order] = density[rising].transpose(1, 2, 0)
-    return frequency[rising], out
-
-
 def _cumulated(
     plant: HybridPlant, found: list[Contribution], lines: list[Contribution], names: tuple[str, ...], order: list[int]
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return edges, the variance up to them by source, and of all: panels with their images lie beside each other."""
     G, q = len(names), plant.outputs
-    upper, steps, together = [np.zeros(1)], [np.zeros((1, G, q))], [np.zeros((1, q))]
-    for one in found:
-        ends, parts = _between_nodes(one, plant.turn)
-        step = np.zeros((len(ends), G, q))
-        step[:, order] = parts
-        upper.append(ends)
-        steps.append(step)
-        together.append(parts.sum(axis=1))
-    for one in lines:
-        step = np.zeros((one.members.shape[1], G, q))
-        step[:, [names.index(name) for name in one.sines]] = one.members[0, :, :-1]
-        upper.append(one.frequency[0, 0])
-        steps.append(step)
-        together.append(one.members[0, :, -1])
-    edges = np.concatenate(upper)
-    rising = np.argsort(edges, kind="stable")
-    edges = edges[rising]
-    cumulative = np.cumsum(np.concatenate(steps)[rising], axis=0).transpose(1, 2, 0)
-    of_all = np.cumsum(np.concatenate(together)[rising], axis=0).T
+    # The last one is all of them together.
+    upper, steps = [np.zeros(1)], [np.zeros((1, G + 1, q))]
+    for one in [*found, *lines]:
+        rows = [names.index(name) for name in one.sines] or order
+        for ends, parts in one.steps:
+            step = np.zeros((len(ends), G + 1, q))
+            step[:, rows] = parts[:, : len(rows)]
+            step[:, -1] = parts[:, -1] if one.sines else parts.sum(axis=1)
+            upper.append(ends)
+            steps.append(step)
+    edges, every = np.concatenate(upper), np.concatenate(steps)
     if plant.cycle > 1:
-        # Every image has the nodes that any of them needs: of near ones the last.
-        near = np.floor(np.log(np.maximum(edges, 1e-12 * plant.turn)) / _NEAR)
-        kept = np.append(near[1:] > near[:-1], True)
-        return edges[kept], cumulative[..., kept], of_all[:, kept]
-    return edges, cumulative, of_all
+        edges, every = thinned(edges, every, plant.turn)
+    else:
+        rising = np.argsort(edges, kind="stable")
+        edges, every = edges[rising], every[rising]
+    cumulative = np.cumsum(every, axis=0).transpose(1, 2, 0)
+    return edges, cumulative[:-1], cumulative[-1]
 
 
-def _between_nodes(one: Contribution, turn: float) -> tuple[FloatArray, FloatArray]:
-    """Return the upper ends (N,) of the intervals between neighbouring nodes, and the integrals over them (N, G, q)."""
-    P, _, F, G, q = one.density.shape
-    ends = np.abs(one.panels[:, None, :] + (np.arange(F) - (F - 1) // 2)[:, None] * turn)
-    at = np.concatenate([ends[:, None, :, 0], one.frequency, ends[:, None, :, 1]], axis=1)
-    rising = np.diff(UP_TO, axis=0, prepend=0.0) @ one.density.reshape(P, 21, F * G * q)
-    parts = np.maximum(rising, 0.0).reshape(P, 22, F, G, q)
-    every = parts.sum(axis=1)
-    parts *= np.divide(one.members, every, out=np.zeros_like(every), where=every > 0.0)[:, None]
-    return np.maximum(at[:, 1:], at[:, :-1]).ravel(), parts.reshape(-1, G, q)
+def thinned(ends: FloatArray, parts: FloatArray, turn: float) -> Steps:
+    """Return intervals in rising order with those joined whose ends (N,) are near to each other."""
+    rising = np.argsort(ends, kind="stable")
+    ends, parts = ends[rising], parts[rising]
+    near = np.floor(np.log(np.maximum(ends, 1e-12 * turn)) / _NEAR)
+    first = np.flatnonzero(np.append(True, near[1:] > near[:-1]))
+    return ends[np.append(first[1:], len(ends)) - 1], np.add.reduceat(parts, first, axis=0)
+
+
+def between_nodes(
+    panel: tuple[float, float], frequency: FloatArray, density: FloatArray, members: FloatArray, turn: float
+) -> Steps:
+    """Return the upper ends of the intervals between neighbouring nodes of a panel's images, and integrals over them.
+
+    `frequency` (21, F), `density` (21, F, G, q), and over the whole of each image `members` (F, G, q).
+    """
+    _, F, G, q = density.shape
+    ends = np.abs(np.array(panel) + (np.arange(F) - (F - 1) // 2)[:, None] * turn)
+    at = np.concatenate([ends[None, :, 0], frequency, ends[None, :, 1]])
+    rising = np.diff(UP_TO, axis=0, prepend=0.0) @ density.reshape(21, F * G * q)
+    parts = np.maximum(rising, 0.0).reshape(22, F, G, q)
+    every = parts.sum(axis=0)
+    parts *= np.divide(members, every, out=np.zeros_like(every), where=every > 0.0)
+    return np.maximum(at[1:], at[:-1]).ravel(), parts.reshape(-1, G, q)

@@ -9,6 +9,7 @@ pole is moved. A pole that only lies near z = 1, or that a sensor sees, stays.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -33,21 +34,24 @@ def unseen_equilibria(system: StateArrays) -> Drift:
 
     Responses of the outputs stay as they are.
     """
-    A, B, C, D, dt = system
+    V, L = _equilibria(system)
+    return Drift(system._replace(A=system.A - (system.A @ V) @ L), V)
+
+
+def _equilibria(system: StateArrays) -> tuple[FloatArray, FloatArray]:
+    """Return unseen equilibria V (n, d) and how much of each there is in a state, L (d, n): L V = 1."""
+    A, B, C, _, dt = system
     n = len(A)
     if not n or not dt:
-        return Drift(system, np.zeros((n, 0)))
+        return np.zeros((n, 0)), np.zeros((0, n))
     s = state_scaling(A, B, C)
     balanced, rows = A * s / s[:, None], C * s
     size = np.linalg.norm(rows, axis=1, keepdims=True)
     rows = rows[size[:, 0] > 0.0] / size[size[:, 0] > 0.0]
     _, found, vectors = np.linalg.svd(np.vstack([balanced - np.eye(n), rows]))
     count = int(np.count_nonzero(found < _ROUNDING * found[0]))
-    if not count:
-        return Drift(system, np.zeros((n, 0)))
     V = vectors[n - count :].T
-    left = (balanced - (balanced @ V) @ V.T) * s[:, None] / s
-    return Drift(StateArrays(left, B, C, D, dt), V * s[:, None])
+    return V * s[:, None], V.T / s
 
 
 def without_drift(system: StateArrays) -> StateArrays:
@@ -60,10 +64,35 @@ def without_drift(system: StateArrays) -> StateArrays:
     out = np.array(A).reshape(-1, *A.shape[-2:])
     for k, place in enumerate(np.ndindex(*batch)):
         B_k, C_k = (item[place] if item.ndim > 2 else item for item in (B, C))
-        seen = unseen_equilibria(StateArrays(out[k], B_k, C_k, np.zeros((len(C_k), B_k.shape[1])), dt)).system
-        reached = unseen_equilibria(StateArrays(seen.A.T, C_k.T, B_k.T, np.zeros((B_k.shape[1], len(C_k))), dt))
-        out[k] = reached.system.A.T
+        (V, L), (W, M) = _no_part(StateArrays(out[k], B_k, C_k, np.zeros((len(C_k), B_k.shape[1])), dt))
+        left = out[k] - (out[k] @ V) @ L
+        out[k] = left - M.T @ (W.T @ left)
     return StateArrays(out.reshape(A.shape), B, C, D, dt)
+
+
+def without_drift_over_a_cycle(systems: Sequence[StateArrays]) -> list[StateArrays]:
+    """Return systems that take turns as `without_drift` does: what has no part in responses ends with each cycle."""
+    state, seen = np.eye(systems[0].A.shape[1]), []
+    for one in systems:
+        seen.append(one.C @ state)
+        state = one.A @ state
+    after, reached = np.eye(len(state)), []
+    for one in reversed(systems):
+        reached.append(after @ one.B)
+        after = after @ one.A
+    B, C = np.hstack(reached), np.vstack(seen)
+    (V, L), (W, M) = _no_part(StateArrays(state, B, C, np.zeros((len(C), B.shape[1])), systems[0].dt))
+    out = list(systems)
+    out[0] = out[0]._replace(A=out[0].A - (out[0].A @ V) @ L)
+    out[-1] = out[-1]._replace(A=out[-1].A - M.T @ (W.T @ out[-1].A))
+    return out
+
+
+def _no_part(system: StateArrays) -> tuple[tuple[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]:
+    """Return the equilibria that outputs do not see, and of the transpose those that inputs do not reach."""
+    A, B, C, D, dt = system
+    V, L = _equilibria(system)
+    return (V, L), _equilibria(StateArrays((A - (A @ V) @ L).T, C.T, B.T, D.T, dt))
 
 
 def drifting_rms(system: StateArrays, rms: FloatArray, duration: float) -> FloatArray:

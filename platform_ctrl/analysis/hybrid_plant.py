@@ -15,23 +15,32 @@ where M = K (I − P_d K)⁻¹ at exp(jωT) (Åström and Wittenmark, Computer-C
 Francis, Optimal Sampled-Data Control Systems, 1995, ch. 3).
 
 A controller of loops at several rates repeats itself after a cycle of N samples only. It takes frequencies for one that
-are multiples of ω_s/N apart; of a sequence of samples N of them differ. With their components stacked, K and M are
-matrices from all N of y to all N of u, P_d is diagonal, and all else is as above, with images at ω + n ω_s/N, the n-th
-of which belongs to component n mod N (Bittanti and Colaneri, Periodic Systems, 2009, ch. 2). N = 1 is the usual loop.
+are multiples of ω_s/N apart; of a sequence of samples N of them differ. All is as above with images at ω + n ω_s/N, the
+n-th of which belongs to component n mod N (Bittanti and Colaneri, Periodic Systems, 2009, ch. 2).
+
+The loops at every sample treat each component by itself. Those at every n-th sample read the sum of all components that
+n samples take for one, and hold what they set: each component has its share of that. So M from all N of y to all N of u
+is diagonal but for a matrix of as low a rank as there are signals that are held, and is nowhere formed:
+
+    u_r = own_r y_r + held_r Σ heard_s y_s        over all components s.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Callable
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, scaled, system_arrays
+from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, scaled, state_scaling, system_arrays
 from platform_ctrl.analysis.feedback import closed_loop
+from platform_ctrl.analysis.interconnection import MultiRate
 from platform_ctrl.analysis.lifting import SampledPlant, lifted_plant
-from platform_ctrl.analysis.periodic import lifted
+from platform_ctrl.analysis.periodic import pruned
 from platform_ctrl.analysis.poles import poles
 from platform_ctrl.analysis.resolvent import TOLERATED
 from platform_ctrl.analysis.response import frequency_response
@@ -46,6 +55,9 @@ _PLANT_TOLERANCE = 1e-13
 _BOUNDARY, _UNSEEN = 1e-10, 1e-11
 # Remainders of sums over all images below this share of the whole are rounding.
 _ROUNDING = 1e-13
+# Samples of a cycle from which on the responses at images are polynomials where no pole is nearer than so many half
+# lengths of their way; their degree plus one: relative errors are 16^-14.
+_LONG_CYCLE, _FAR, _DEGREE = 8, 8.0, 14
 
 
 @value
@@ -66,9 +78,7 @@ class HybridPlant:
     # (q,): whether the performance output's integral is meant: an angle, of which the plant has the rate. So the pole
     # at zero of an inertial angle never enters the loop.
     integrated: tuple[bool, ...] = ()
-    # Samples after which the controller repeats itself. Of more than one it is `lifted`: its inputs and outputs are
-    # those of all samples of a cycle.
-    cycle: int = 1
+    cycle: int = 1  # samples after which the controller repeats itself
 
     def __post_init__(self) -> None:
         """Judge sizes; give every control a lag, every measured output a delay."""
@@ -127,6 +137,24 @@ class Family(NamedTuple):
     sampled: ComplexArray  # complex (N, R, p, m): P_d of each component
 
 
+class Modulator(NamedTuple):
+    """What sets the controls u of R components, from the readings y of each, at N frequencies.
+
+    The slower loops have S components of what they hold; those of the h signals that component r sees are `place[r]`.
+    """
+
+    own: ComplexArray  # (N, R, m, p): from y of a component to u of the same one, by the loops at every sample
+    held: ComplexArray  # (N, R, m, h): from what the slower loops hold to u of a component
+    heard: ComplexArray  # (N, R, S, p): from y of a component to what the slower loops hold
+    place: NDArray[np.intp]  # (R, h)
+
+    def of(self, k: int, component: int, y: ComplexArray) -> ComplexArray:
+        """Return u of all components (R, m, c) at one of the frequencies, of y (p, c) of one component."""
+        out = self.held[k] @ (self.heard[k, component] @ y)[self.place]
+        out[component] += self.own[k, component] @ y
+        return np.asarray(out)
+
+
 class OpenLoop:
     """What of a `HybridPlant` does not depend on the controller, computed once."""
 
@@ -135,11 +163,13 @@ class OpenLoop:
         m, p = plant.controls, plant.measured
         lags = np.concatenate([plant.lag, np.zeros(plant.disturbances)])
         self._continuous = with_lag(plant.plant, lags)
+        self.size = self._continuous.D.size
         A, B, C, D, _ = self._continuous
         self.sampled = sampled(StateArrays(A, B[:, :m], C[:p], D[:p, :m]), plant.period, plant.delay)
         period, parts, part = split_delay("hybrid plant", plant.period, plant.delay, m)
         n = len(A)
-        self._lifted = [
+        # One scaling of the states for all outputs: what controls do to the states is then the same for all.
+        rows = [
             lifted_plant(
                 SampledPlant(
                     A,
@@ -155,18 +185,27 @@ class OpenLoop:
                     part,
                 ),
                 math.inf,
+                state_scaling(A, B[:, :m], C[p:]),
             )
             for row in range(p, len(C))
         ]
+        self._ends = np.cumsum([0, *(len(one.C) for one in rows)])
+        self._images = (
+            rows[0]._replace(C=np.vstack([one.C for one in rows]), D=np.vstack([one.D for one in rows]))
+            if rows
+            else None
+        )
 
-    def family(self, omega: FloatArray, images: FloatArray) -> Family:
+        # Of responses in a long cycle, by their names: polynomials in the frequency, one for each of many images.
+        self._polynomials: dict[str, tuple[int, ComplexArray]] = {}
+        self._poles = poles(A)
+
+    def family(self, omega: FloatArray, images: NDArray[np.intp]) -> Family:
         """Return the responses at frequencies (N,), rad/s, of any sign but not zero, and at images n (F,)."""
         plant = self.plant
         m, p, T = plant.controls, plant.measured, plant.period
         w = omega[:, None] + images * plant.turn
-        flat, place = np.unique(np.abs(w), return_inverse=True)
-        P = frequency_response(self._continuous, flat, -3, _PLANT_TOLERANCE)[place.reshape(w.shape)]
-        P = np.where((w < 0.0)[..., None, None], P.conj(), P)
+        P = self._along("plant", self._response, omega, images)
         z = P[:, :, p:]
         with np.errstate(divide="ignore", invalid="ignore"):
             once = np.where(np.array(plant.integrated), -1j * (1.0 / w)[..., None], 1.0)[..., None]
@@ -175,80 +214,162 @@ class OpenLoop:
             w, z[..., :m] * hold[..., None, None], z[..., m:], once, P[:, :, :p, m:], self._sampled_response(omega)
         )
 
-    def _components(self, omega: FloatArray) -> FloatArray:
-        """Return the frequencies (N, R) of the components, between −ω_s/2 and ω_s/2 for ω below ω_s/(2R)."""
+    def _response(self, w: FloatArray) -> ComplexArray:
+        flat, place = np.unique(np.abs(w), return_inverse=True)
+        P = frequency_response(self._continuous, flat, -3, _PLANT_TOLERANCE)[place.reshape(w.shape)]
+        return np.where((w < 0.0)[..., None, None], P.conj(), P)
+
+    def _along(
+        self, name: str, response: Callable[[FloatArray], ComplexArray], omega: FloatArray, images: NDArray[np.intp]
+    ) -> ComplexArray:
+        """Return a response (N, F, ...) at frequencies (N,) and their images n (F,).
+
+        In a long cycle an image has so short a way to go that away from all poles its response is a polynomial.
+        """
+        plant, quarter = self.plant, 0.25 * self.plant.turn
+        if plant.cycle < _LONG_CYCLE or omega.min() < 0.0 or omega.max() > 2.0 * quarter:
+            return response(omega[:, None] + images * plant.turn)
+        gap = (images * plant.turn + quarter)[:, None] - self._poles.imag
+        # The sampled plant has its poles again at all multiples of the sample frequency.
+        folded = gap - plant.sample_frequency * np.round(gap / plant.sample_frequency)
+        far = np.hypot(folded, self._poles.real).min(axis=1, initial=np.inf) > _FAR * quarter
+        size, found = self._polynomials.get(name, (0, np.zeros(0, dtype=np.complex128)))
+        if size != len(images):
+            x, _ = np.polynomial.chebyshev.chebgauss(_DEGREE)
+            values = response(quarter * (1.0 + x)[:, None] + images[far] * plant.turn)
+            inverse = np.linalg.inv(np.polynomial.chebyshev.chebvander(x, _DEGREE - 1))
+            found = np.tensordot(inverse, values, axes=1)
+            self._polynomials[name] = len(images), found
+        out = np.zeros((len(omega), len(images), *found.shape[2:]), dtype=np.complex128)
+        out[:, far] = np.tensordot(
+            np.polynomial.chebyshev.chebvander(omega / quarter - 1.0, _DEGREE - 1), found, axes=1
+        )
+        out[:, ~far] = response(omega[:, None] + images[~far] * plant.turn)
+        return out
+
+    @property
+    def _of_components(self) -> NDArray[np.intp]:
+        """The images (R,) that are the components between −ω_s/2 and ω_s/2 for ω below ω_s/(2R)."""
         R = self.plant.cycle
-        return omega[:, None] + ((np.arange(R) + R // 2) % R - R // 2) * self.plant.turn
+        return (np.arange(R) + R // 2) % R - R // 2
+
+    def _components(self, omega: FloatArray) -> FloatArray:
+        return omega[:, None] + self._of_components * self.plant.turn
 
     def _sampled_response(self, omega: FloatArray) -> ComplexArray:
-        return _signed_response(self.sampled, self._components(omega), _PLANT_TOLERANCE)
+        def response(w: FloatArray) -> ComplexArray:
+            return _signed_response(self.sampled, w, _PLANT_TOLERANCE)
+
+        return self._along("sampled", response, omega, self._of_components)
 
     def all_images(self, omega: FloatArray) -> ComplexArray:
         """Return Σ L' L over all images n of each component, L the row `held` of an output before integration.
 
         (N, R, q, m, m). By Parseval's theorem over one period: exact, from the Gramian of the lifted plant.
         """
-        R, m, q = self.plant.cycle, self.plant.controls, len(self._lifted)
-        out = np.zeros((len(omega), R, q, m, m), dtype=np.complex128)
-        for i, one in enumerate(self._lifted):
-            if len(one.C):
-                E = _signed_response(one, self._components(omega))
-                out[:, :, i] = np.swapaxes(E.conj(), -1, -2) @ E / self.plant.period
-        return out
+        return self._along("images", self._all_images, omega, self._of_components)
 
-    def of_component(self, component: int, last: int) -> slice:
-        """Return the places, among images from −`last` to `last`, of those that belong to a component."""
-        return slice((component + last) % self.plant.cycle, None, self.plant.cycle)
+    def _all_images(self, w: FloatArray) -> ComplexArray:
+        m = self.plant.controls
+        out = np.zeros((*w.shape, self.plant.outputs, m, m), dtype=np.complex128)
+        if self._images is None:
+            return out
+        every = _signed_response(self._images, w)
+        for i, (first, last) in enumerate(pairwise(self._ends)):
+            E = every[:, :, first:last]
+            out[:, :, i] = np.swapaxes(E.conj(), -1, -2) @ E / self.plant.period
+        return out
 
     def remaining_images(self, omega: FloatArray, held: ComplexArray) -> ComplexArray:
         """Return Σ L' L over all images that `held` (N, F, q, m) of outputs before integration leaves out.
 
         (N, R, q, m, m); the images are those from −(F − 1)/2 to (F − 1)/2.
         """
-        every = self.all_images(omega)
-        rest = every.copy()
-        for r in range(self.plant.cycle):
-            own = held[:, self.of_component(r, held.shape[1] // 2)]
-            rest[:, r] -= np.einsum("nfqr,nfqs->nqrs", own.conj(), own)
+        every, R, F = self.all_images(omega), self.plant.cycle, held.shape[1]
+        component = (np.arange(F) - F // 2) % R
+        order = np.argsort(component, kind="stable")
+        own = held[:, order]
+        power = own.conj()[..., :, None] * own[..., None, :]
+        rest = every - np.add.reduceat(power, np.searchsorted(component[order], np.arange(R)), axis=1)
         size = np.einsum("ncqrr->ncq", every).real
         rounding = np.einsum("ncqrr->ncq", rest).real <= _ROUNDING * size
         rest[rounding] = 0.0
         return rest
 
-    def modulator(self, controller: StateArrays, omega: FloatArray, P: ComplexArray) -> ComplexArray:
-        """Return M = K (I − P_d K)⁻¹ (N, R, m, R, p) at frequencies of any sign; K with the reading delays."""
-        w = self._components(omega)
+    def modulator(self, controller: MultiRate, omega: FloatArray, P: ComplexArray) -> Modulator:
+        """Return M = K (I − P_d K)⁻¹ at frequencies of any sign, with the reading delays; P is P_d (N, R, p, m)."""
+        w, (m, p) = self._components(omega), (self.plant.controls, self.plant.measured)
         late = np.exp(-1j * self.plant.period * w[:, :, None] * np.array(self.plant.reading_delay, dtype=np.float64))
         if self.plant.cycle > 1:
-            return _of_cycle(controller, self.plant.period, omega, P, late)
-        K, P = _signed_response(controller, omega) * late, P[:, 0]
-        if self.plant.measured == 1:
+            return _at_several_rates(controller, self.plant.cycle, w, P, late)
+        K, P = _signed_response(controller.fast, omega) * late, P[:, 0]
+        if p == 1:
             M = K / (1.0 - P @ K)
         else:
-            loop = np.eye(self.plant.measured) - P @ K
+            loop = np.eye(p) - P @ K
             M = np.linalg.solve(loop.swapaxes(-1, -2), K.swapaxes(-1, -2)).swapaxes(-1, -2)
-        return np.asarray(M[:, None, :, None])
+        N = len(omega)
+        none = np.zeros((N, 1, m, 0), dtype=np.complex128), np.zeros((N, 1, 0, p), dtype=np.complex128)
+        return Modulator(M[:, None].astype(np.complex128), *none, np.zeros((1, 0), dtype=np.intp))
 
-    def closed_poles(self, controller: StateArrays) -> ComplexArray:
+    def _closed(self, controller: MultiRate) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return the transition of the loop over a cycle, how it is driven, and torques and readings at its samples."""
+        plant = self.plant
+        fast = system_arrays("controller", *controller.fast)
+        outputs, inputs = len(fast.C) - controller.read, fast.B.shape[1] - controller.held
+        if (outputs, inputs) != (plant.controls, plant.measured) or not math.isclose(
+            fast.dt, plant.period, rel_tol=1e-9
+        ):
+            raise ArgumentError(
+                f"controller: must have {plant.measured} inputs, {plant.controls} outputs and dt = {plant.period:g} s, "
+                f"got {inputs}, {outputs} and {fast.dt:g}"
+            )
+        if plant.cycle % controller.cycle:
+            raise ArgumentError(
+                f"controller: repeats after {controller.cycle} samples, the plant's cycle is {plant.cycle}"
+            )
+        sampled_plant = late_outputs(self.sampled, plant.reading_delay)
+        if plant.cycle == 1:
+            A, B, C, *_ = closed_loop(sampled_plant, fast)
+            return A, B, C
+        loops: dict[tuple[bool, ...], StateArrays] = {}
+        cycle, m = [], plant.controls
+        for k in range(plant.cycle):
+            due = tuple(k % n == 0 for n in controller.every)
+            if due not in loops:
+                one = closed_loop(sampled_plant, controller.at(k))
+                # What is measured as it is before it is late: of a reading on its way no more is a state than is used.
+                torques = one.C[:m]
+                measured = self.sampled.D @ torques
+                measured[:, : len(self.sampled.A)] += self.sampled.C
+                C = np.vstack([torques, measured])
+                loops[due] = StateArrays(one.A, one.B, C, np.zeros((len(C), one.B.shape[1])), one.dt)
+            cycle.append(loops[due])
+        cycle = pruned(cycle)
+        state = np.eye(cycle[0].A.shape[1])
+        driven, seen, after = [], [], state
+        for one in cycle:
+            seen.append(one.C @ state)
+            state = one.A @ state
+        for one in reversed(cycle):
+            driven.append(after @ one.B)
+            after = after @ one.A
+        rows = np.array(seen)
+        return (
+            state,
+            np.hstack(driven),
+            np.vstack([rows[:, :m].reshape(-1, len(state)), rows[:, m:].reshape(-1, len(state))]),
+        )
+
+    def closed_poles(self, controller: StateArrays | MultiRate) -> ComplexArray:
         """Return the poles z of the loop; refuse a controller that does not fit or does not stabilise.
 
         A pole on the unit circle or outside counts if it can be excited and seen: the angle of a gimbal whose inertial
         rate is held, and that nothing else depends on, does not.
         """
-        plant = self.plant
-        controller = system_arrays("controller", *controller)
-        R, (outputs, inputs) = plant.cycle, controller.D.shape
-        period = R * plant.period
-        if (outputs, inputs) != (R * plant.controls, R * plant.measured) or not math.isclose(
-            controller.dt, period, rel_tol=1e-9
-        ):
-            raise ArgumentError(
-                f"controller: must have {R * plant.measured} inputs, {R * plant.controls} outputs and "
-                f"dt = {period:g} s, got {inputs}, {outputs} and {controller.dt:g}"
-            )
-        A, B, C, *_ = closed_loop(lifted([late_outputs(self.sampled, plant.reading_delay)] * R), controller)
+        A, B, C = self._closed(MultiRate(controller) if isinstance(controller, StateArrays) else controller)
         # Equilibria that neither sensors nor outputs see; the torques that hold them against springs do.
-        C = C[R * plant.controls :]
+        C = C[self.plant.cycle * self.plant.controls :]
         z = poles(A)
         for one in z[np.abs(z) >= 1.0 - _BOUNDARY]:
             if self._counts(A, B, C, complex(one)):
@@ -291,28 +412,81 @@ def _signed_response(system: StateArrays, omega: FloatArray, tolerance: float = 
     return out
 
 
-def _of_cycle(
-    controller: StateArrays, period: float, omega: FloatArray, P: ComplexArray, late: ComplexArray
-) -> ComplexArray:
-    """Return M of a lifted controller, P_d (N, R, p, m) and the phases of reading delays (N, R, p).
+def _at_several_rates(controller: MultiRate, R: int, w: FloatArray, P: ComplexArray, late: ComplexArray) -> Modulator:
+    """Return M of controllers at several rates over R samples, at components w (N, R), P_d and reading delays.
 
-    An integrator of a slow loop makes some directions of K infinite at zero and not others: K stays state equations.
+    An integrator makes some directions of K infinite at zero and not others: controllers stay state equations.
     """
-    N, R, p, m = P.shape
-    A, B, C = scaled(*controller[:3])
+    N, _, p, m = P.shape
+    period, h = controller.fast.dt, controller.held
+    D = controller.fast.D
+    A, B, C = scaled(*controller.fast[:3])
     n = len(A)
-    # From the samples of a cycle to components exp(jω_r t), and back.
-    phase = np.exp(1j * period * omega[:, None] * np.arange(R))
-    to_samples, to_components = phase[:, :, None], phase.conj()[:, :, None]
-    B = R * np.fft.ifft(B.reshape(n, R, p) * to_samples[:, None], axis=2) * late[:, None]
-    C = np.fft.fft(C.reshape(R, m, n) * to_components[..., None], axis=1).reshape(N, R * m, n) / R
-    D = controller.D.reshape(R, m, R, p) * to_components[..., None, None] * to_samples[:, None, None]
-    D = np.fft.ifft(np.fft.fft(D, axis=1), axis=3) * late[:, None, None]
-    # Controls with the loop closed by D alone, then states with the loop closed.
-    through = (np.moveaxis(D.reshape(N, R * m, R, p), 2, 1) @ P).swapaxes(1, 2).reshape(N, R * m, R * m)
-    D = D.reshape(N, R * m, R * p)
-    direct = np.linalg.solve(np.eye(R * m) - through, np.concatenate([C, D], axis=-1))
-    driven = (B.swapaxes(1, 2) @ P).swapaxes(1, 2).reshape(N, n, R * m) @ direct
-    z = np.exp(1j * R * period * omega)[:, None, None]
-    x = np.linalg.solve(z * np.eye(n) - A - driven[..., :n], B.reshape(N, n, R * p) + driven[..., n:])
-    return np.asarray((direct[..., :n] @ x + direct[..., n:]).reshape(N, R, m, R, p))
+    # The loops at every sample, closed: states and controls of each component, from readings and from what is held.
+    z, path = np.exp(1j * period * w)[..., None, None], late[..., None] * P
+    loop = np.zeros((N, R, n + m, n + m), dtype=np.complex128)
+    loop[..., :n, :n], loop[..., :n, n:] = z * np.eye(n) - A, -B[:, :p] @ path
+    loop[..., n:, :n], loop[..., n:, n:] = -C[:m], np.eye(m) - D[:m, :p] @ path
+    right = np.zeros((N, R, n + m, p + h), dtype=np.complex128)
+    right[..., :n, :p], right[..., :n, p:] = B[:, :p] * late[..., None, :], B[:, p:]
+    right[..., n:, :p], right[..., n:, p:] = D[:m, :p] * late[..., None, :], D[:m, p:]
+    found: ComplexArray = np.linalg.solve(loop, right).astype(np.complex128)
+    u = found[..., n:, :]
+    # What the slower ones read, of y and of what is held; each component has a share of that.
+    e = C[m:] @ found[..., :n, :] + D[m:, :p] @ path @ u
+    e[..., :p] += D[m:, :p] * late[..., None, :]
+    e[..., p:] += D[m:, p:]
+    every = np.repeat(controller.every, [len(K.C) for K in controller.slow]).astype(np.float64)
+    turned = 0.5 * period * w[..., None]
+    share = np.exp(-1j * turned * (every - 1.0)) * np.sinc(turned * every / np.pi) / np.sinc(turned / np.pi)
+    e[..., p:] *= share[..., None, :]
+    heard, place = _slower(controller, w, e)
+    return Modulator(u[..., :p], u[..., p:] * share[..., None, :], heard, place)
+
+
+def _slower(controller: MultiRate, w: FloatArray, e: ComplexArray) -> tuple[ComplexArray, NDArray[np.intp]]:
+    """Return what the slower loops hold, of y of each component (N, R, S, p), and the places (R, h) of each component.
+
+    They read e (N, R, read, p + h): components that a loop takes for one add up.
+    """
+    from scipy.linalg import block_diag
+
+    N, R, _, width = e.shape
+    h, read = controller.held, controller.read
+    p = width - h
+    # A loop tells so many components apart: first those of one loop, then those of the next.
+    apart = [R // n for n in controller.every]
+    own = [(*scaled(*K[:3]), K.D) for K in controller.slow]
+    A, B, C, D = (
+        block_diag(np.zeros((0, 0)), *(np.kron(np.eye(L), K[k]) for K, L in zip(own, apart, strict=True)))
+        for k in range(4)
+    )
+    turns = [
+        np.repeat(np.exp(1j * n * controller.fast.dt * w[:, :L]), len(K[0]), axis=1)
+        for K, L, n in zip(own, apart, controller.every, strict=True)
+    ]
+    z = np.concatenate([np.zeros((N, 0)), *turns], axis=1)
+    read_at = _places([K[1].shape[1] for K in own], apart, R)
+    held_at = _places([len(K[2]) for K in own], apart, R)
+    alike = math.lcm(1, *apart)
+    summed = e[..., p:].reshape(N, R // alike, alike, read, h).sum(axis=1)
+    around = np.zeros((N, B.shape[1], len(C)), dtype=np.complex128)
+    for k in range(alike):
+        around[:, read_at[k][:, None], held_at[k]] += summed[:, k]
+    n, S = len(A), len(C)
+    loop = np.zeros((N, n + S, n + S), dtype=np.complex128)
+    loop[:, :n, :n], loop[:, :n, n:] = z[:, :, None] * np.eye(n) - A, -B @ around
+    loop[:, n:, :n], loop[:, n:, n:] = -C, np.eye(S) - D @ around
+    set_by = np.linalg.solve(loop, np.vstack([B, D]).astype(np.complex128))[:, n:]
+    heard = np.zeros((N, R, S, p), dtype=np.complex128)
+    for k in range(alike):
+        heard[:, k::alike] = set_by[:, None, :, read_at[k]] @ e[:, k::alike, :, :p]
+    return heard, held_at
+
+
+def _places(sizes: list[int], apart: list[int], R: int) -> NDArray[np.intp]:
+    """Return the places (R, sum of sizes) of each component's signals among those of all that loops tell apart."""
+    r = np.arange(R)[:, None]
+    first = np.cumsum([0, *(size * L for size, L in zip(sizes, apart, strict=True))])
+    parts = [at + r % L * size + np.arange(size) for at, size, L in zip(first[:-1], sizes, apart, strict=True)]
+    return np.hstack([np.zeros((R, 0), dtype=np.intp), *parts]).astype(np.intp)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Collection, Sequence
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -17,6 +17,64 @@ from platform_ctrl.plant.platform import is_rate
 
 if TYPE_CHECKING:
     import control
+
+
+class MultiRate(NamedTuple):
+    """Controllers at several rates as one, from p readings to m torques.
+
+    Those of the same rate as the samples are one system, `fast`; its inputs are the readings, then what the slower ones
+    hold, its outputs the torques, then what the slower ones read, both in their order.
+    """
+
+    fast: StateArrays  # dt: the sample period, s
+    slow: tuple[StateArrays, ...] = ()  # dt: whole numbers of sample periods, s
+
+    @property
+    def every(self) -> tuple[int, ...]:
+        """At every how many samples each of the slower ones is computed."""
+        return tuple(round(K.dt / self.fast.dt) for K in self.slow)
+
+    @property
+    def cycle(self) -> int:
+        """Samples after which the order of computations repeats."""
+        return math.lcm(1, *self.every)
+
+    @property
+    def held(self) -> int:
+        """Number of signals that the slower ones hold."""
+        return sum(len(K.C) for K in self.slow)
+
+    @property
+    def read(self) -> int:
+        """Number of signals that the slower ones read."""
+        return sum(K.B.shape[1] for K in self.slow)
+
+    def at(self, sample: int) -> StateArrays:
+        """Return the controller of one sample. States: those of `fast`, then of each slower one with its outputs."""
+        A, B, C, D, dt = self.fast
+        n, (m, p) = len(A), (len(C) - self.read, B.shape[1] - self.held)
+        states = n + sum(len(K.A) for K in self.slow) + self.held
+        size = states + p
+        # Every signal is a matrix over [states, readings].
+        x, y = np.eye(n, size), np.eye(size)[states:]
+        kept, through, own = np.zeros((self.held, size)), np.zeros((self.held, self.read)), []
+        first, row, column = n, 0, 0
+        for K, every in zip(self.slow, self.every, strict=True):
+            order, (q, r) = len(K.A), K.D.shape
+            own.append((np.eye(size)[first : first + order], slice(row, row + q), slice(column, column + r)))
+            due = sample % every == 0
+            kept[row : row + q] = K.C @ own[-1][0] if due else np.eye(size)[first + order : first + order + q]
+            through[row : row + q, column : column + r] = K.D if due else 0.0
+            first, row, column = first + order + q, row + q, column + r
+        e = C[m:] @ x + D[m:, :p] @ y
+        # No controller takes what it gives itself in the same sample.
+        v = np.linalg.solve(np.eye(self.held) - through @ D[m:, p:], kept + through @ e)
+        e = e + D[m:, p:] @ v
+        after: list[FloatArray] = [A @ x + B[:, :p] @ y + B[:, p:] @ v]
+        for (state, rows, columns), K, every in zip(own, self.slow, self.every, strict=True):
+            after += [np.asarray(K.A @ state + K.B @ e[columns]) if sample % every == 0 else state, np.asarray(v[rows])]
+        moved, u = np.vstack(after), C[:m] @ x + D[:m, :p] @ y + D[:m, p:] @ v
+        return StateArrays(moved[:, :states], moved[:, states:], u[:, :states], u[:, states:], dt)
 
 
 @check_arguments
@@ -69,6 +127,16 @@ def interconnected_by_sample(
     return out
 
 
+def interconnected_at_rates(
+    controllers: Sequence[control.StateSpace], inputs: Sequence[str], outputs: Sequence[str], period: float
+) -> MultiRate:
+    """Return what `interconnected_by_sample` returns without the samples of the cycle one by one."""
+    parts = [state_arrays(system, _where(k, system)) for k, system in enumerate(controllers)]
+    slow = [k for k, K in enumerate(parts) if samples_between(K.dt, period, _where(k, controllers[k])) > 1]
+    fast = _joined(parts, controllers, inputs, outputs, period, slow)
+    return MultiRate(fast, tuple(parts[k] for k in slow))
+
+
 def samples_between(dt: float, period: float, where: str) -> int:
     """Return the number of sample periods in a controller's dt; refuse one that is no whole number of them."""
     n = max(round(dt / period), 1)
@@ -94,12 +162,17 @@ def _joined(
     inputs: Sequence[str],
     outputs: Sequence[str],
     period: float,
+    apart: Collection[int] = (),
 ) -> StateArrays:
-    """Join the matrices of controllers by the names of their signals."""
-    states = sum(len(K.A) for K in parts)
-    size = states + len(inputs)
-    # Every signal is a row over [all controllers' states, what is measured].
+    """Join the matrices of controllers by the names of their signals.
+
+    Those that are kept `apart` have inputs for their outputs behind the others, and outputs for their inputs.
+    """
+    states = sum(len(K.A) for k, K in enumerate(parts) if k not in apart)
+    size = states + len(inputs) + sum(len(parts[k].C) for k in apart)
+    # Every signal is a row over [all controllers' states, what is measured, what those kept apart give].
     rows: dict[str, FloatArray] = {name: np.eye(size)[states + k] for k, name in enumerate(inputs)}
+    given, taken_apart = states + len(inputs), [np.zeros((0, size))]
     made: dict[str, str] = {}
     taken: set[str] = set()
     after = np.zeros((states, size))
@@ -120,12 +193,18 @@ def _joined(
                 f"use one of {', '.join(rows) or 'none'}"
             )
         taken |= set(system.input_labels)
-        own = slice(place, place + len(K.A))
         seen = np.array([rows[name] for name in system.input_labels]).reshape(system.ninputs, size)
-        after[own] = K.B @ seen
-        after[own, own] += K.A
-        u = K.D @ seen
-        u[:, own] += K.C
+        if k in apart:
+            taken_apart.append(seen)
+            u = np.eye(size)[given : given + len(K.C)]
+            given += len(K.C)
+        else:
+            own = slice(place, place + len(K.A))
+            after[own] = K.B @ seen
+            after[own, own] += K.A
+            u = K.D @ seen
+            u[:, own] += K.C
+            place = own.stop
         for name, row in zip(system.output_labels, u, strict=True):
             if name in inputs and name.endswith(COMMAND) and name not in made:
                 row = row + rows[name]
@@ -133,7 +212,6 @@ def _joined(
                 raise ArgumentError(f"{where}: output {name!r} exists already; give it another name")
             rows[name] = row
             made[name] = where
-        place = own.stop
     for name, where in made.items():
         if name not in outputs and name not in taken:
             raise ArgumentError(
@@ -141,6 +219,7 @@ def _joined(
                 f"use one of {', '.join(outputs)}"
             )
     final = np.array([rows[name] if name in made else np.zeros(size) for name in outputs]).reshape(len(outputs), size)
+    final = np.vstack([final, *taken_apart])
     return StateArrays(after[:, :states], after[:, states:], final[:, :states], final[:, states:], period)
 
 

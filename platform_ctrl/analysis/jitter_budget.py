@@ -17,15 +17,17 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
-from platform_ctrl.analysis.budget_result import Budget, Contribution, assembled
+from platform_ctrl.analysis.budget_result import Budget, Contribution, assembled, between_nodes, thinned
 from platform_ctrl.analysis.disturbances import Disturbance, RandomDisturbance, SampleNoise, SineDisturbance
 from platform_ctrl.analysis.frequency_grids import GAUSS, KRONROD, Panel, between, halves, nodes
-from platform_ctrl.analysis.hybrid_plant import HybridPlant, OpenLoop
+from platform_ctrl.analysis.hybrid_plant import HybridPlant, Modulator, OpenLoop
+from platform_ctrl.analysis.interconnection import MultiRate
 from platform_ctrl.analysis.pointing_windows import window_shares
 from platform_ctrl.analysis.poles import continuous_poles, poles
 from platform_ctrl.common.arguments import positive, whole, within
@@ -34,16 +36,18 @@ from platform_ctrl.errors import ArgumentError
 
 # Images on each side to begin with, those of outputs to which they may grow, and those that sources may need.
 _IMAGES, _MOST_IMAGES, _MOST_OF_SOURCES = 5, 320, 1_000
-# Panels are halved so often; those that are kept for the next controller.
-_HALVINGS, _MOST_PANELS = 48, 4_000
+# Samples of a cycle from which on an image has so short a way that curves over frequency have points enough.
+_MANY_SAMPLES = 100
+# Panels are halved so often.
+_HALVINGS = 48
 # The errors of so many panels may add up.
 _ADDING = 30.0
 # Poles with less damping than this have panels of their own, unless panels around are within so many of their widths.
 _SHARP, _WIDE = 0.1, 30.0
 # A source counts in the error at least as much as this share of all sources.
 _SMALL = 1e-6
-# Complex numbers of a modulator at once.
-_MOST_ENTRIES = 4_000_000
+# Numbers that are kept for the next controller; numbers of densities at once.
+_MOST_KEPT, _MOST_AT_ONCE = 4_000_000, 1_000_000
 # Frequencies that differ by less, relative, are the same.
 _SAME = 1e-12
 
@@ -52,7 +56,7 @@ class _Prepared(NamedTuple):
     """Responses at the nodes of some panels, weighted by the roots of the densities; images with sources are `inside`.
 
     theta (N,), frequency (N, F), direct (N, I, q, c), measured (N, I, p, c), held (N, I, q, m), outer (N, F, q, m²),
-    rest (N, R, q, m²), sampled (N, R, p, m), weights (W, N, F); R: samples of a cycle.
+    rest (N, R, q, m²), sampled (N, R, p, m), weights (W, N, F); R: samples of a cycle, c: columns of random sources.
     """
 
     theta: FloatArray
@@ -65,6 +69,11 @@ class _Prepared(NamedTuple):
     rest: FloatArray
     sampled: ComplexArray
     weights: FloatArray
+
+
+def most_of_sources(plant: HybridPlant) -> float:
+    """Return the frequency, rad/s, up to which sources may reach."""
+    return _MOST_OF_SOURCES * plant.turn
 
 
 class JitterBudget:
@@ -101,65 +110,75 @@ class JitterBudget:
         self._starts = np.cumsum([0, *(len(one.inputs) for one in self._random)])[:-1]
         ends = [s.knots[-1] for one in self._random for s in one.spectra]
         highest = max([*ends, *(one.frequency for one in self._sines)], default=0.0)
-        # Every frequency of a source is the image of one below half of what the controller takes for one.
-        self._images = max(_IMAGES, plant.cycle, math.ceil(highest / plant.turn))
+        # Every frequency of a source is the image of one below half of what the controller takes for one, and every
+        # component has an image.
+        self._images = max(_IMAGES, math.ceil(0.5 * plant.cycle), math.ceil(highest / plant.turn))
         if self._images > _MOST_OF_SOURCES:
             raise ArgumentError(
                 f"jitter budget: a source reaches {highest / plant.sample_frequency:.3g} times the sample frequency, "
                 f"at most {_MOST_OF_SOURCES / plant.cycle:.4g} times are possible; end it earlier"
             )
-        self._known: dict[Panel, int] = {}
-        self._blocks: list[_Prepared] = []
-        self._last: tuple[tuple[Panel, ...], _Prepared] | None = None
-        self._base = self._edges()
+        self._known: dict[Panel, _Prepared] = {}
+        self._kept = 0
 
-    def of(self, controller: StateArrays, tolerance: float = 1e-6, *, over_frequency: bool = True) -> Budget:
-        """Return the budget with a discrete controller u = K y, of the plant's sample period; `lifted` over a cycle.
+    def of(self, controller: StateArrays | MultiRate, tolerance: float = 1e-6, *, over_frequency: bool = True) -> Budget:
+        """Return the budget with a controller u = K y, all of it of the plant's sample period or a part of it slower.
 
-        `tolerance` bounds the relative error of each variance. Without densities and cumulative variances,
-        `over_frequency`, it is faster. Raises `ArgumentError` where the loop is not stable, or an angle drifts without
+        `tolerance` bounds the relative error of each variance. Without cumulative variances, `over_frequency`, it is
+        faster. Raises `ArgumentError` where the loop is not stable, or an angle drifts without
         bound.
         """
         tolerance = within("jitter budget: tolerance", tolerance, 1e-11, 0.1)
+        if isinstance(controller, StateArrays):
+            controller = MultiRate(controller)
         z = self.open_loop.closed_poles(controller)
         while True:
-            parts = self._lines(controller)
-            found = self._integrated(controller, z, tolerance) if self._random or self._noise else []
-            out = assembled(self.plant, self.sources, self.exposures, self.lowest, found, parts, over_frequency)
-            if out.remaining <= tolerance or self._images >= _MOST_IMAGES:
+            parts = self._lines(controller, over_frequency)
+            random = self._random or self._noise
+            found = self._integrated(controller, z, tolerance, over_frequency) if random else []
+            out = assembled(self.plant, self.sources, self.exposures, self.lowest, found, parts, self._images)
+            if out.remaining <= tolerance or self._images >= max(_MOST_IMAGES, 2 * self.plant.cycle):
                 return out
             self._images *= 2
             # What was prepared has too few images.
-            self._known, self._blocks, self._last = {}, [], None
+            self._known, self._kept = {}, 0
 
     # Panels.
 
-    def _edges(self) -> FloatArray:
-        """Return the edges of panels that no controller changes."""
+    def _edges(self, over_frequency: bool) -> FloatArray:
+        """Return the edges of panels that no controller changes, of a cycle more of them for curves over frequency."""
         plant, turn = self.plant, self.plant.turn
+        dense = over_frequency or plant.cycle == 1
         knots = [self.lowest, *(k for one in self._random for s in one.spectra for k in s.knots)]
         own = poles(plant.plant.A)
+        if not dense or plant.cycle > _MANY_SAMPLES:
+            # What is wider than the way of an image needs no panels of its own.
+            own = own[(np.abs(own.real) < turn) | (np.abs(own) < turn)]
         found = np.concatenate([np.array(knots), _around(own)])
         folded = np.abs(found - turn * np.round(found / turn))
         slow = np.abs(own)[np.abs(own) > 1e-9 * turn]
         least = min([1e-4 * turn, *(k for k in knots if k > 0.0), *(0.1 * slow)])
         decades = math.log10(0.5 * turn / least)
-        return np.concatenate([folded, np.geomspace(least, 0.5 * turn, max(2, math.ceil(3.0 * decades)))])
+        count = max(2, math.ceil((3.0 if dense else 1.0) * decades))
+        return np.concatenate([folded, np.geomspace(least, 0.5 * turn, count)])
 
-    def _integrated(self, controller: StateArrays, z: ComplexArray, tolerance: float) -> list[Contribution]:
+    def _integrated(
+        self, controller: MultiRate, z: ComplexArray, tolerance: float, over_frequency: bool
+    ) -> list[Contribution]:
         """Return the integrals over all panels, halved until their errors are below the tolerance."""
         half = 0.5 * self.plant.turn
         s = continuous_poles(z[np.abs(z) > 0.0], math.pi / half)
-        base = between(self._base, 0.0, half)
+        fixed = self._edges(over_frequency)
+        base = between(fixed, 0.0, half)
         # What a slider hardly moves stays within the panels that are there: their responses are known.
         ends = np.array([high for _, high in base])
         width = np.array([high - low for low, high in base])[
             np.minimum(np.searchsorted(ends, np.abs(s.imag)), len(ends) - 1)
         ]
-        active = between(np.concatenate([self._base, _around(s[width > _WIDE * np.abs(s.real)])]), 0.0, half)
+        active = between(np.concatenate([fixed, _around(s[width > _WIDE * np.abs(s.real)])]), 0.0, half)
         done: list[Contribution] = []
         for _ in range(_HALVINGS):
-            found = self._contributions(tuple(active), controller)
+            found = self._contributions(active, controller, over_frequency)
             total = np.sum([one.variance.sum(axis=0) for one in [*done, found]], axis=0)
             least = tolerance * (total + _SMALL * total.sum(axis=1, keepdims=True)) / _ADDING
             good = np.all(found.error <= least, axis=(1, 2, 3))
@@ -172,16 +191,26 @@ class JitterBudget:
             "give the lowest frequency that counts"
         )
 
-    def _contributions(self, panels: tuple[Panel, ...], controller: StateArrays) -> Contribution:
-        prepared = self._prepared(panels)
-        # The modulator of a long cycle is large: some nodes after the other.
-        step = max(1, _MOST_ENTRIES // (self.plant.cycle**2 * self.plant.controls * self.plant.measured))
-        pieces = [slice(k, k + step) for k in range(0, len(prepared.theta), step)]
-        density, rest = (
-            np.concatenate(one)
-            for one in zip(*(self._densities(_cut(prepared, rows), controller) for rows in pieces), strict=True)
+    def _contributions(self, panels: list[Panel], controller: MultiRate, over_frequency: bool) -> Contribution:
+        """Return the contributions of panels, some after the other: their densities are large."""
+        plant = self.plant
+        size = 21 * (2 * self._images + 1) * plant.outputs * (len(self._random) + len(self._noise) + plant.controls**2)
+        step = max(1, _MOST_AT_ONCE // size)
+        parts = [
+            self._contribution(panels[k : k + step], controller, over_frequency) for k in range(0, len(panels), step)
+        ]
+        return Contribution(
+            panels=np.array(panels),
+            variance=np.concatenate([one.variance for one in parts]),
+            error=np.concatenate([one.error for one in parts]),
+            remaining=np.concatenate([one.remaining for one in parts]),
+            steps=[step for one in parts for step in one.steps],
         )
-        _, half = nodes(list(panels))
+
+    def _contribution(self, panels: list[Panel], controller: MultiRate, over_frequency: bool) -> Contribution:
+        prepared = self._prepared(panels)
+        density, rest = self._densities(prepared, controller)
+        _, half = nodes(panels)
         P, (W, _, F) = len(panels), prepared.weights.shape
         by_panel = density.reshape(P, 21, F, *density.shape[2:])
         weights = prepared.weights.reshape(W, P, 21, F)
@@ -191,36 +220,38 @@ class JitterBudget:
         for rule in (KRONROD, GAUSS):
             seen = np.einsum("wpkf,pkfgi->pwgi", weights * rule[:, None], by_panel, optimize=False)
             sums.append(seen * scale[:, None])
-        members = np.einsum("k,pkf,pkfgi->pfgi", KRONROD, weights[0], by_panel) * scale[:, None]
-        remaining = np.einsum("k,pkgi->pgi", KRONROD, tail) * scale
+        steps = []
+        if over_frequency:
+            members = np.einsum("k,pkf,pkfgi->pfgi", KRONROD, weights[0], by_panel) * scale[:, None]
+            frequency = np.abs(prepared.frequency).reshape(P, 21, F)
+            for k, panel in enumerate(panels):
+                step = between_nodes(panel, frequency[k], by_panel[k], members[k], self.plant.turn)
+                # Every image has the nodes that any of them needs.
+                steps.append(step if self.plant.cycle == 1 else thinned(*step, self.plant.turn))
         return Contribution(
             panels=np.array(panels),
             variance=sums[0],
             error=np.abs(sums[0] - sums[1]),
-            members=members,
-            remaining=remaining,
-            frequency=np.abs(prepared.frequency).reshape(P, 21, F),
-            density=by_panel,
+            remaining=np.einsum("k,pkgi->pgi", KRONROD, tail) * scale,
+            steps=steps,
         )
 
     # Responses.
 
-    def _prepared(self, panels: tuple[Panel, ...]) -> _Prepared:
-        if self._last is not None and self._last[0] == panels:
-            return self._last[1]
-        if len(self._known) > _MOST_PANELS:
-            self._known, self._blocks = {}, []
+    def _prepared(self, panels: list[Panel]) -> _Prepared:
         new = [one for one in panels if one not in self._known]
+        made: dict[Panel, _Prepared] = {}
         if new:
-            points, _ = nodes(new)
-            block = self._evaluated(points.ravel())
+            points = nodes(new)[0].ravel()
+            step = max(1, _MOST_AT_ONCE // ((2 * self._images + 1) * self.open_loop.size))
+            block = _joined([self._evaluated(points[k : k + step]) for k in range(0, len(points), step)])
             for k, one in enumerate(new):
-                self._known[one] = len(self._blocks)
-                rows = slice(21 * k, 21 * (k + 1))
-                self._blocks.append(_cut(block, rows))
-        out = _joined([self._blocks[self._known[one]] for one in panels])
-        self._last = (panels, out)
-        return out
+                made[one] = _cut(block, slice(21 * k, 21 * (k + 1)))
+            size = sum(item.size for item in block if isinstance(item, np.ndarray))
+            if self._kept + size <= _MOST_KEPT:
+                self._known |= made
+                self._kept += size
+        return _joined([made[one] if one in made else self._known[one] for one in panels])
 
     def _evaluated(self, theta: FloatArray) -> _Prepared:
         plant, count = self.plant, self._images
@@ -258,50 +289,72 @@ class JitterBudget:
             out += [shares.displacement * above, shares.smear, shares.jitter]
         return np.stack(out)
 
-    def _densities(self, at: _Prepared, controller: StateArrays) -> tuple[FloatArray, FloatArray]:
+    def _densities(self, at: _Prepared, controller: MultiRate) -> tuple[FloatArray, FloatArray]:
         """Return one-sided densities of the outputs (N, F, G, q) and what the images beyond add (N, G, q)."""
         M = self.open_loop.modulator(controller, at.theta, at.sampled)
         N, F, q, packed = at.outer.shape
-        count, sources = len(self._random), len(self._random) + len(self._noise)
-        density, rest = np.zeros((N, F, sources, q)), np.zeros((N, sources, q))
-        places = self._by_component(at)
-        read = [at.measured[:, some].swapaxes(1, 2).reshape(N, self.plant.measured, -1) for some in places]
-        for r, some in enumerate(places):
-            # What moves one component of the controls, and all its images.
-            R = np.zeros((N, packed, sources))
-            images = self.open_loop.of_component(r, F // 2)
-            if count and at.inside:
-                m, columns = self.plant.controls, at.direct.shape[-1]
-                V = np.zeros((N, m, len(at.inside), columns), dtype=np.complex128)
-                for s, y in enumerate(read):
-                    V[:, :, places[s]] = (M[:, r, :, s] @ y).reshape(N, m, len(places[s]), columns)
-                each = np.add.reduceat(_packed_product(V), self._starts, axis=-1)
-                R[:, :, :count] = each.sum(axis=2)
-            for j, one in enumerate(self._noise):
-                column = _packed_product(M[:, r, :, :, one.measured, None])
-                R[:, :, count + j] = 2.0 * self.plant.period * one.rms**2 * column.sum(axis=2)[..., 0]
-            aliased = at.outer[:, images].reshape(N, -1, packed) @ R
-            density[:, images] = aliased.reshape(N, -1, q, sources).swapaxes(-1, -2)
-            rest += (at.rest[:, r] @ R).swapaxes(-1, -2)
-            if count and some:
-                density[:, [at.inside[k] for k in some], :count] = self._where_sources_are(at, some, V, each)
-        return density, rest
+        R, count = self.plant.cycle, len(self._random)
+        # What moves the controls of each component, and all its images.
+        moved = np.zeros((N, packed, R, count + len(self._noise)))
+        component = (np.arange(F) - F // 2) % R
+        inside = np.array(at.inside, dtype=np.intp)
+        own = np.zeros((N, 0, count, q))
+        if count and inside.size:
+            moved[..., :count], own = self._moved(at, M, component[inside])
+        for j, one in enumerate(self._noise):
+            moved[..., count + j] = 2.0 * self.plant.period * one.rms**2 * _moved_by_samples(M, one.measured)
+        density = _aliased(at.outer, moved[:, :, component] if R > 1 else moved)
+        density[:, inside, :count] = own
+        rest = at.rest.swapaxes(1, 2).reshape(N, q, -1) @ moved.swapaxes(1, 2).reshape(N, R * packed, -1)
+        return density, rest.swapaxes(-1, -2)
 
-    def _by_component(self, at: _Prepared) -> list[list[int]]:
-        """Return the places, among the images with sources, of those that belong to each component."""
-        F = at.frequency.shape[1]
-        images = [range(F)[self.open_loop.of_component(r, F // 2)] for r in range(self.plant.cycle)]
-        return [[k for k, n in enumerate(at.inside) if n in own] for own in images]
+    def _moved(self, at: _Prepared, M: Modulator, component: NDArray[np.intp]) -> tuple[FloatArray, FloatArray]:
+        """Return what random sources do to controls (N, m², R, G), and the densities (N, I, G, q) at images inside.
 
-    def _where_sources_are(self, at: _Prepared, some: list[int], V: ComplexArray, each: FloatArray) -> FloatArray:
-        """Return the densities (N, len(some), sources, q) at images of one component that have sources of their own."""
-        own, held, moved = at.direct[:, some], at.held[:, some], V[:, :, some]
-        for r in range(self.plant.controls):
-            own += held[..., r, None] * moved[:, r, :, None, :]
-        power = np.add.reduceat(own.real**2 + own.imag**2, self._starts, axis=-1)
+        `component` (I,) are those of the images inside.
+        """
+        N, R, m, _ = M.held.shape
+        # The images of one component side by side (A, K), -1 where there are fewer.
+        active, of_image = np.unique(component, return_inverse=True)
+        side = np.full((len(active), int(np.bincount(of_image).max())), -1)
+        for k in range(len(active)):
+            own = np.flatnonzero(of_image == k)
+            side[k, : len(own)] = own
+        y = at.measured[:, side] * (side >= 0)[:, :, None, None]
+        u = M.own[:, active, None] @ y
+        signal = M.heard[:, active, None] @ y
+        out = np.zeros((N, m * m, R, len(self._random)))
+        for place, some in _alike(M):
+            seen = signal[..., place, :]
+            alone = self._by_source(seen[..., :, None, :] * seen[..., None, :, :].conj()).sum(axis=2)
+            others = np.repeat(alone.sum(axis=1, keepdims=True), R, axis=1)
+            others[:, active] = _exclusive(alone, 1)
+            out[:, :, some] = _through(M.held[:, some], others[:, some])
+            here = np.isin(active, some)
+            u[:, here] += M.held[:, active[here], None] @ seen[:, here]
+        each = self._by_source(_packed_product(np.moveaxis(u, 3, 1)))
         # Sums over the others, not the whole less its own: what feedback cancels would leave rounding.
-        others = np.delete(each, some, axis=2).sum(axis=2, keepdims=True) + _exclusive(each[:, :, some])
-        aliased = at.outer[:, [at.inside[k] for k in some]] @ others.transpose(0, 2, 1, 3)
+        others = out[:, :, active, None] + _exclusive(each, 3)
+        out[:, :, active] += each.sum(axis=3)
+        rows, columns = np.nonzero(side >= 0)
+        order = np.argsort(side[rows, columns])
+        rows, columns = rows[order], columns[order]
+        return out, self._where_sources_are(at, u[:, rows, columns], others[:, :, rows, columns])
+
+    def _by_source(self, columns: NDArray[Any]) -> NDArray[Any]:
+        """Return sums over the last axis, the columns of all random sources, for each source."""
+        return np.add.reduceat(columns, self._starts, axis=-1)
+
+    def _where_sources_are(self, at: _Prepared, u: ComplexArray, others: FloatArray) -> FloatArray:
+        """Return the densities (N, I, G, q) at images that have sources of their own.
+
+        Of controls u (N, I, m, c) that an image's own disturbance moves, and of what the `others` (N, m², I, G) move.
+        """
+        own = at.direct.copy()
+        for r in range(self.plant.controls):
+            own += at.held[..., r, None] * u[:, :, r, None, :]
+        power = self._by_source(own.real**2 + own.imag**2)
+        aliased = at.outer[:, list(at.inside)] @ others.transpose(0, 2, 1, 3)
         return np.asarray((power + aliased).swapaxes(-1, -2))
 
     # Sines.
@@ -313,11 +366,19 @@ class JitterBudget:
             groups.setdefault(one.frequency if one.phase is not None else id(one), []).append(one)
         return [tuple(group) for group in groups.values()]
 
-    def _lines(self, controller: StateArrays) -> list[Contribution]:
+    def _lines(self, controller: MultiRate, over_frequency: bool) -> list[Contribution]:
         """Return the lines of sines, those of one frequency together: of each alone, and last of all of them."""
         groups = self._coherent()
-        if not groups:
-            return []
+        step = max(1, _MOST_AT_ONCE // ((2 * self._images + 1) * self.open_loop.size))
+        return [
+            line
+            for k in range(0, len(groups), step)
+            for line in self._lines_of(groups[k : k + step], controller, over_frequency)
+        ]
+
+    def _lines_of(
+        self, groups: list[tuple[SineDisturbance, ...]], controller: MultiRate, over_frequency: bool
+    ) -> list[Contribution]:
         plant, omega = self.plant, np.array([group[0].frequency for group in groups])
         # One at a multiple of what the controller takes for zero has an image there, to the last bit.
         still = plant.turn * np.round(omega / plant.turn)
@@ -331,7 +392,7 @@ class JitterBudget:
         out = []
         for k, sines in enumerate(groups):
             amplitude = np.stack([one.vector(plant.disturbances) for one in sines], axis=-1)
-            u = M[k, :, :, 0] @ family.measured[k, self._images] @ amplitude
+            u = M.of(k, 0, family.measured[k, self._images] @ amplitude)
             with np.errstate(invalid="ignore"):
                 z = family.held[k] @ u[of_image]
                 z[self._images] += family.direct[k, self._images] @ amplitude
@@ -350,10 +411,8 @@ class JitterBudget:
                     panels=np.array([[omega[k], omega[k]]]),
                     variance=variance[None],
                     error=np.zeros((1, *variance.shape)),
-                    members=(weights[0, k][:, None, None] * power)[None],
                     remaining=remaining[None],
-                    frequency=np.abs(family.frequency[k])[None, None],
-                    density=np.zeros((1, 1, 0, 0, 0)),
+                    steps=[(np.abs(family.frequency[k]), weights[0, k][:, None, None] * power)] * over_frequency,
                     sines=tuple(one.name for one in sines),
                 )
             )
@@ -401,13 +460,48 @@ def _packed_matrix(matrices: ComplexArray) -> FloatArray:
     return np.stack(out, axis=-1)
 
 
-def _exclusive(each: FloatArray) -> FloatArray:
-    """Return the sums over all others along axis 2, without a subtraction."""
+def _exclusive(each: NDArray[Any], axis: int) -> NDArray[Any]:
+    """Return the sums over all others along an axis, without a subtraction."""
+    each = np.moveaxis(each, axis, 0)
     before, after = np.zeros_like(each), np.zeros_like(each)
-    before[:, :, 1:] = np.cumsum(each, axis=2)[:, :, :-1]
-    after[:, :, :-1] = np.cumsum(each[:, :, ::-1], axis=2)[:, :, -2::-1]
-    out: FloatArray = before + after
-    return out
+    before[1:] = np.cumsum(each, axis=0)[:-1]
+    after[:-1] = np.cumsum(each[::-1], axis=0)[-2::-1]
+    return np.moveaxis(before + after, 0, axis)
+
+
+def _alike(M: Modulator) -> list[tuple[NDArray[np.intp], NDArray[np.intp]]]:
+    """Return the places of what the slower loops hold, and the components that share them."""
+    if not M.place.size:
+        return []
+    places, group = np.unique(M.place, axis=0, return_inverse=True)
+    return [(place, np.flatnonzero(group.ravel() == k)) for k, place in enumerate(places)]
+
+
+def _through(held: ComplexArray, signals: ComplexArray) -> FloatArray:
+    """Return packed powers (N, m², R, G) of controls, `held` (N, R, m, h) of signals with powers (N, R, h, h, G)."""
+    found = np.einsum("nrah,nrhkg->nragk", held, signals) @ held.conj().swapaxes(-1, -2)[:, :, None]
+    return np.moveaxis(_packed_matrix(found.swapaxes(2, 3)), -1, 1)
+
+
+def _moved_by_samples(M: Modulator, measured: int) -> FloatArray:
+    """Return what white samples of a reading do to the controls (N, m², R): all components alike and apart."""
+    N, R, m, _ = M.held.shape
+    signal, u = M.heard[..., measured], np.array(M.own[..., measured])
+    out = np.zeros((N, m * m, R))
+    for place, some in _alike(M):
+        seen = signal[..., place]
+        others = _exclusive(seen[..., :, None] * seen[..., None, :].conj(), 1)
+        out[:, :, some] = _through(M.held[:, some], others[:, some, ..., None])[..., 0]
+        u[:, some] += (M.held[:, some] @ seen[:, some, :, None])[..., 0]
+    return out + _packed_product(np.moveaxis(u, 2, 1))
+
+
+def _aliased(outer: FloatArray, moved: FloatArray) -> FloatArray:
+    """Return densities (N, F, G, q) of rows (N, F, q, m²), and what moves the controls (N, m², F or 1, G)."""
+    N, F, q, packed = outer.shape
+    if moved.shape[2] == 1:
+        return (outer.reshape(N, F * q, packed) @ moved[:, :, 0]).reshape(N, F, q, -1).swapaxes(-1, -2)
+    return (outer @ moved.swapaxes(1, 2)).swapaxes(-1, -2)
 
 
 def _cut(block: _Prepared, rows: slice) -> _Prepared:

@@ -91,14 +91,15 @@ def sampled_plant(
     )  # fmt: skip
 
 
-def lifted_plant(plant: SampledPlant, level: float) -> StateArrays:
+def lifted_plant(plant: SampledPlant, level: float, scaling: FloatArray | None = None) -> StateArrays:
     """Return the discrete plant that is equivalent to one period at a level γ.
 
     Inputs [w, u], outputs [z, y]; a controller makes its norm from w to z less than one exactly if it makes
     that of the sampled-data loop less than γ. At an infinite level w and z are instead scaled to one, so that the
     products B B' and C' C are the Gramians of the period.
 
-    States: those of the plant, balanced, then the controls u[k-1], u[k-2], ... that the delay needs.
+    States: those of the plant, balanced or by a `scaling` (n,), then the controls u[k-1], u[k-2], ... that the delay
+    needs.
     """
     A, B1, B2, C1, C2, D11, D12, D22, period, _, part = plant
     n, m, p = len(A), B2.shape[1], len(C2)
@@ -106,7 +107,7 @@ def lifted_plant(plant: SampledPlant, level: float) -> StateArrays:
     root = math.sqrt(level) if finite else 1.0
     if finite and D11.size and np.linalg.norm(D11, 2) >= level:
         raise PeriodExceedsLevel
-    s = state_scaling(A, B1 / root, C1 / root)
+    s = state_scaling(A, B1 / root, C1 / root) if scaling is None else scaling
     A, B1, B2, C1, C2 = A * s / s[:, None], B1 / s[:, None] / root, B2 / s[:, None], C1 * s / root, C2 * s
     D11, D12 = D11 / level, D12 / root
     # The unit of a control is what it does to the states in a period, or to z at once.
@@ -118,7 +119,7 @@ def lifted_plant(plant: SampledPlant, level: float) -> StateArrays:
     whole = _embedded(late, second, n + 2 * m)
     if part > 0.0:
         early = _stretch(A, B1, B2 * unit, C1, D11, D12 * unit, part * period, finite)
-        whole = _joined(_embedded(early, first, n + 2 * m), whole, finite)
+        whole = joined(_embedded(early, first, n + 2 * m), whole, finite)
     reach = plant.reach
     size = n + reach * m
     into = np.zeros((n + 2 * m, size + m))
@@ -128,8 +129,8 @@ def lifted_plant(plant: SampledPlant, level: float) -> StateArrays:
     if part > 0.0:
         into[n : n + m, column[plant.whole + 1] : column[plant.whole + 1] + m] = np.diag(1.0 / unit)
     into[n + m :, column[plant.whole] : column[plant.whole] + m] = np.diag(1.0 / unit)
-    B_w = _factor(whole.G[:n, :n])
-    C_z = _factor(whole.Q).T @ into
+    B_w = factor(whole.G[:n, :n])
+    C_z = factor(whole.Q).T @ into
     state = np.zeros((size, size + m))
     state[:n] = whole.A[:n] @ into
     for j in range(reach):
@@ -193,16 +194,19 @@ def _halved(F: FloatArray, G: FloatArray, Q: FloatArray, duration: float, level:
 
 def _repeated(step: Step, doublings: int, finite: bool) -> Step:
     for _ in range(doublings):
-        step = _joined(step, step, finite)
+        step = joined(step, step, finite)
     return step
 
 
-def _joined(first: Step, second: Step, finite: bool) -> Step:
-    """Return one step after the other; at an infinite level G and Q are Gramians and add up."""
+def joined(first: Step, second: Step, finite: bool) -> Step:
+    """Return one step after the other; at an infinite level G and Q are Gramians and add up.
+
+    Where the level is finite and below what the two together reach, `PeriodExceedsLevel` is raised.
+    """
     middle, G, Q = np.eye(len(first.A)), first.G, second.Q
     if finite:
         # The eigenvalues of G Q are those of the symmetric B' Q B with G = B B'.
-        B = _factor(first.G)
+        B = factor(first.G)
         gain = _symmetric(B.T @ second.Q @ B)
         if gain.size and not np.linalg.eigvalsh(gain)[-1] < 1.0:
             raise PeriodExceedsLevel
@@ -225,7 +229,7 @@ def _embedded(step: Step, where: list[int], size: int) -> Step:
     return Step(A, G, Q)
 
 
-def _factor(square: FloatArray) -> FloatArray:
+def factor(square: FloatArray) -> FloatArray:
     """Return B with B B' = a positive semidefinite matrix, one column for each direction above rounding."""
     if square.size == 0:
         return np.zeros((len(square), 0))
@@ -259,5 +263,5 @@ def period_noise(plant: SampledPlant) -> float:
     out = 0.5 * h * float(np.sum(weight * (h - at) * np.sum(response**2, axis=(-2, -1))))
     for _ in range(doublings):
         out = 2.0 * out + float(np.sum(step.Q * step.G))
-        step = _joined(step, step, finite=False)
+        step = joined(step, step, finite=False)
     return out

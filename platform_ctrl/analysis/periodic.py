@@ -1,33 +1,51 @@
-"""Loops whose controllers are not all computed at every sample: linear and periodic, over a whole period as one system.
+"""Loops whose controllers are not all computed at every sample: linear and periodic, over a cycle of N samples.
 
-With N samples to a period the inputs and outputs of these samples are stacked (lifting), which keeps energies: the
-norm of the stacked system is the largest ratio of the energies of the periodic one (Khargonekar, Poolla and Tannenbaum,
-IEEE Trans. Automatic Control 30, 1985). A channel's disk margin is that against perturbations that may change with
-time. Of a loop that does not, it is the usual one: its norm is the same with and without lifting.
+With the inputs and outputs of the samples of a cycle stacked (lifting) a periodic system is time-invariant, and its
+norm is the largest ratio of the energies of the periodic one (Khargonekar, Poolla and Tannenbaum, IEEE Trans. Automatic
+Control 30, 1985). A channel's disk margin is that against perturbations that may change with time. Of a loop that does
+not, it is the usual one: its norm is the same with and without lifting.
+
+The stacked matrices grow with N². Here they are not formed: for a level γ each sample is a step of state and costate,
+the steps are joined two by two, and those of samples that are alike by powers of two (`lifting.Step`). The step of the
+cycle is that of a system with as many states as the loop has, whose norm is below one exactly where that of the loop
+over the cycle is below γ. Few states count at each sample: of a reading that is late only what is going to be used.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import cache, cached_property
+from itertools import groupby, permutations
 
 import numpy as np
+from numpy.typing import NDArray
 
-from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
-from platform_ctrl.analysis.drift import unseen_equilibria, without_drift
+from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, state_scaling
+from platform_ctrl.analysis.drift import unseen_equilibria, without_drift_over_a_cycle
 from platform_ctrl.analysis.feedback import closed_loop
+from platform_ctrl.analysis.lifting import PeriodExceedsLevel, Step, factor, joined
 from platform_ctrl.analysis.margins import DiskMargin, no_margin
 from platform_ctrl.analysis.mu import search_grid
 from platform_ctrl.analysis.norms import hinf_norm
-from platform_ctrl.analysis.poles import continuous_poles, poles, spectral_abscissa
+from platform_ctrl.analysis.poles import continuous_poles, poles, spectral_abscissa, spectral_radius
 from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.analysis.singular_values import largest_singular_values
 from platform_ctrl.common.values import FloatArray
 
+BoolArray = NDArray[np.bool_]
+
+# ln of the finite number that replaces an infinite norm in the search.
+_BEYOND = 50.0
+# Relative error of a norm; what is returned is its upper end.
+_TOLERANCE = 1e-9
+# Inputs of a stacked system up to which its gain is computed frequency by frequency, for a figure.
+_MOST_STACKED = 64
+
 
 def lifted(systems: Sequence[StateArrays]) -> StateArrays:
     """Return N systems that take turns, sample by sample, as one of N samples: their inputs and outputs are stacked."""
-    N, n, (p, m) = len(systems), len(systems[0].A), systems[0].D.shape
+    N, n, (p, m) = len(systems), systems[0].A.shape[1], systems[0].D.shape
     state, driven = np.eye(n), np.zeros((n, N * m))
     C, D = np.zeros((N * p, n)), np.zeros((N * p, N * m))
     for k, one in enumerate(systems):
@@ -39,10 +57,156 @@ def lifted(systems: Sequence[StateArrays]) -> StateArrays:
     return StateArrays(state, driven, C, D, N * systems[0].dt)
 
 
+def transition(systems: Sequence[StateArrays]) -> FloatArray:
+    """Return the states (n, n) after the samples of a cycle, of those before."""
+    out = np.eye(systems[0].A.shape[1])
+    for one, count in _runs(systems):
+        out = (one.A if count == 1 else np.linalg.matrix_power(one.A, count)) @ out
+    return out
+
+
+def periodic_norm(systems: Sequence[StateArrays], tolerance: float = _TOLERANCE) -> tuple[float, float]:
+    """Return the norm of systems that take turns and are stable together, as of `lifted`, and its frequency, rad/s.
+
+    It is not below the true one, nor above by more than `tolerance`, relative. The frequency is at most that of half a
+    cycle.
+    """
+    from scipy.optimize import brentq
+
+    period = len(systems) * systems[0].dt
+    parts = _runs(systems)
+    at: dict[float, float] = {}
+
+    @cache
+    def excess(log_level: float) -> float:
+        """Return ln of the equivalent norm at a level: negative above the norm."""
+        try:
+            A, G, Q = _over_a_cycle(parts, math.exp(log_level))
+        except PeriodExceedsLevel:
+            return _BEYOND
+        if not np.all(np.isfinite(A)) or not float(spectral_radius(poles(A))) < 1.0:
+            return _BEYOND
+        B, C = factor(G), factor(Q).T
+        norm, at[log_level] = hinf_norm(StateArrays(A, B, C, np.zeros((len(C), B.shape[1])), period), True, 1e-10)
+        return max(math.log(norm), -_BEYOND) if norm > 0.0 else -_BEYOND
+
+    direct = max((float(np.linalg.norm(one.D, 2)) for one, _ in parts if one.D.size), default=0.0)
+    high, step = math.log(2.0 * direct) if direct > 0.0 else 0.0, 0.25
+    while (value := excess(high)) >= 0.0:
+        step = min(2.0 * step, value + 0.1)
+        high += step
+        if high > _BEYOND:
+            return math.inf, 0.0
+    if value <= -_BEYOND:
+        return direct, 0.0
+    low, floor = high, math.log(direct) if direct > 0.0 else -math.inf
+    while value < 0.0:
+        # Far above the norm the equivalent norm is proportional to 1/level.
+        high, low = low, max(low - 1.05 * max(-value, 1e-3), floor)
+        value = excess(low)
+    root = float(brentq(excess, low, high, xtol=0.25 * tolerance, rtol=8.9e-16))
+    while excess(root) >= 0.0:
+        root += 0.25 * tolerance
+    return math.exp(root), at[root]
+
+
+def _runs(systems: Sequence[StateArrays]) -> list[tuple[StateArrays, int]]:
+    """Return systems that are the same object one sample after the other, each once with their number."""
+    return [(alike[0], len(alike)) for alike in (list(group) for _, group in groupby(systems, id))]
+
+
+def _over_a_cycle(parts: Sequence[tuple[StateArrays, int]], level: float) -> Step:
+    """Return the step of all samples; `PeriodExceedsLevel` where the cycle by itself reaches more than the level."""
+    whole: Step | None = None
+    for one, count in parts:
+        power = _one_sample(one, level)
+        while count:
+            if count % 2:
+                whole = power if whole is None else joined(whole, power, finite=True)
+            count //= 2
+            power = joined(power, power, finite=True) if count else power
+    assert whole is not None
+    return whole
+
+
+def _one_sample(system: StateArrays, level: float) -> Step:
+    """Return the step of one sample: the worst input follows from the state before and the costate behind it."""
+    A, B, C, D = system.A, system.B / math.sqrt(level), system.C / math.sqrt(level), system.D / level
+    if D.size and np.linalg.norm(D, 2) >= 1.0:
+        raise PeriodExceedsLevel
+    inverse, seen = np.linalg.inv(np.eye(D.shape[1]) - D.T @ D), D.T @ C
+    into = B @ inverse
+    return Step(A + into @ seen, into @ B.T, C.T @ C + seen.T @ inverse @ seen)
+
+
+def balanced(systems: Sequence[StateArrays]) -> list[StateArrays]:
+    """Return systems of the same states in balanced ones, those that are the same object still so."""
+    own = {id(one): one for one in systems}
+    s = state_scaling(*(np.array([one[k] for one in own.values()]) for k in range(3)))
+    scaled = {
+        key: one._replace(A=one.A * s / s[:, None], B=one.B / s[:, None], C=one.C * s) for key, one in own.items()
+    }
+    return [scaled[id(one)] for one in systems]
+
+
+def pruned(systems: Sequence[StateArrays]) -> list[StateArrays]:
+    """Return systems without the states at each sample that no output depends on and that are over by themselves.
+
+    Of a reading that is late these are the samples that are not going to be read. Matrices A (n', n) need not be
+    square; systems that are equal are the same object.
+    """
+    links = {id(one): one.A != 0.0 for one in systems}
+    seen = [(one.C != 0.0).any(axis=0) for one in systems]
+    live = _live(systems, links, seen)
+    while (rest := _lasting(systems, links, live)).any():
+        # These go on from cycle to cycle: a part of the loop, whether an output shows it or not.
+        seen[0] = seen[0] | rest
+        live = _live(systems, links, seen)
+    if all(one.all() for one in live):
+        return list(systems)
+    made: dict[tuple[bytes, ...], StateArrays] = {}
+    out = []
+    for k, (one, now) in enumerate(zip(systems, live, strict=True)):
+        after = live[(k + 1) % len(live)]
+        own = one._replace(A=one.A[np.ix_(after, now)], B=one.B[after], C=one.C[:, now])
+        out.append(
+            made.setdefault(
+                (str(own.A.shape).encode(), *(matrix.tobytes() for matrix in (own.A, own.B, own.C, own.D))), own
+            )
+        )
+    return out
+
+
+def _live(systems: Sequence[StateArrays], links: dict[int, BoolArray], seen: Sequence[BoolArray]) -> list[BoolArray]:
+    """Return for each sample the states (n,) on which what is `seen` then or later depends."""
+    live = [one.copy() for one in seen]
+    changed = True
+    while changed:
+        changed = False
+        for k in reversed(range(len(live))):
+            wider = live[k] | links[id(systems[k])][live[(k + 1) % len(live)]].any(axis=0)
+            changed = changed or not np.array_equal(wider, live[k])
+            live[k] = wider
+    return live
+
+
+def _lasting(systems: Sequence[StateArrays], links: dict[int, BoolArray], live: Sequence[BoolArray]) -> BoolArray:
+    """Return the states (n,) at the first sample that are not live and that follow from such states for ever."""
+    left = ~live[0]
+    while left.any():
+        before = left
+        for k, one in enumerate(systems):
+            left = links[id(one)][:, left].any(axis=1) & ~live[(k + 1) % len(live)]
+        if np.array_equal(left, before):
+            break
+    return left
+
+
 class PeriodicLoop:
     """A sampled plant closed by a controller whose matrices take turns: u = K y, `at` and `seen` what it uses of it.
 
-    All repeats after `period`, s; `poles` (n,) are those of the transition over it, in z.
+    All repeats after `period`, s; `poles` (n,) are those of the transition `A` (n, n) over it, in z. `systems` are the
+    loop by sample, from disturbances of the torques, then noise of what is measured, to the torques.
     """
 
     def __init__(
@@ -50,22 +214,28 @@ class PeriodicLoop:
     ) -> None:
         m = len(at)
         own = plant.part(seen, at)
-        # From disturbances of the torques, then noise of what is measured, to the torques, then to what is measured.
         closed = {id(K): closed_loop(own, K) for K in by_sample}
-        self._loops = [closed[id(K)] for K in by_sample]
+        loops = [closed[id(K)] for K in by_sample]
+        shown = {key: one.part(slice(m), slice(None)) for key, one in closed.items()}
+        self.systems = pruned(balanced([shown[id(K)] for K in by_sample]))
         self.samples, self.channels = len(by_sample), m
         self.period = self.samples * plant.dt
-        # Without the equilibria that no sensor sees.
-        self.drift = unseen_equilibria(self._lifted(range(m, m + len(seen)), []))
+        self.A = transition(loops)
+        # Without the equilibria that no sensor sees at any sample.
+        n = len(self.A)
+        rows = np.vstack([row for one in closed.values() for row in (one.A - np.eye(n), one.C[m:])])
+        self.drift = unseen_equilibria(
+            StateArrays(self.A, np.zeros((n, 0)), rows, np.zeros((len(rows), 0)), self.period)
+        )
         self.poles: ComplexArray = poles(self.drift.system.A)
 
-    def _lifted(self, outputs: Sequence[int], inputs: Sequence[int]) -> StateArrays:
-        return lifted([loop.part(outputs, inputs) for loop in self._loops])
-
-    def _disk(self, channels: Sequence[int]) -> StateArrays:
-        """Return S − I/2 at the torques of some channels, lifted."""
-        A, B, C, D, dt = self._lifted(channels, channels)
-        return without_drift(StateArrays(A, B, C, D + 0.5 * np.eye(len(D)), dt))
+    def _disk(self, outputs: Sequence[int], inputs: Sequence[int]) -> list[StateArrays]:
+        """Return S − I/2 from some channels' torques to others', by sample; the same matrices are the same object."""
+        direct = 0.5 * (np.array(outputs)[:, None] == np.array(inputs))
+        parts = {id(one): one.part(outputs, inputs) for one in self.systems}
+        disks = {key: one._replace(D=one.D + direct) for key, one in parts.items()}
+        by_sample = [disks[id(one)] for one in self.systems]
+        return without_drift_over_a_cycle(by_sample) if self.drift.equilibria.size else by_sample
 
     @property
     def decay(self) -> float:
@@ -76,46 +246,91 @@ class PeriodicLoop:
         """Return the disk margin of each channel, all others closed, (m,); 0 if the loop is not stable."""
         if not self.decay > 0.0:
             return np.zeros(self.channels)
-        norms = [hinf_norm(self._disk([k]), allow_unstable=True)[0] for k in range(self.channels)]
-        return np.array([1.0 / norm if norm > 0.0 else math.inf for norm in norms])
+        return np.array([1.0 / norm if norm > 0.0 else math.inf for norm in self._alone])
+
+    @cached_property
+    def _alone(self) -> list[float]:
+        return [periodic_norm(self._disk([k], [k]))[0] for k in range(self.channels)]
 
     def disk_margin(self) -> DiskMargin:
-        """Return the disk margin of all channels at once, guaranteed by one scaling of each channel."""
+        """Return the disk margin of all channels at once, guaranteed by one scaling of each channel.
+
+        Frequency by frequency it is given of short cycles only: of long ones it hardly depends on frequency.
+        """
         from scipy.linalg import matrix_balance
 
-        disk, s = self._disk(range(self.channels)), continuous_poles(self.poles, self.period)
+        m, every = self.channels, range(self.channels)
+        disks, s = self._disk(every, every), continuous_poles(self.poles, self.period)
         if not self.decay > 0.0:
-            return no_margin(0.0, np.zeros(0), s, disk)
-        grid = search_grid(disk, s)
-        response = frequency_response(disk, grid, -3)
-        # Of every pair of channels the largest gain, in any order of the samples.
-        N, m = self.samples, self.channels
-        blocks = response.reshape(-1, N, m, N, m).transpose(0, 2, 4, 1, 3)
-        sizes = largest_singular_values(blocks.reshape(-1, N, N)).reshape(-1, m, m)
-        _, (scaling, _) = matrix_balance(sizes.max(axis=0), permute=False, separate=True)
-        d = np.tile(scaling, N)
-        A, B, C, D, dt = disk
-        norm, frequency = hinf_norm(StateArrays(A, B * d, C / d[:, None], D * d / d[:, None], dt), allow_unstable=True)
-        gains = largest_singular_values(response * d / d[:, None])
-        alone = sizes[:, range(m), range(m)].max(axis=1)
-        plain = float(largest_singular_values(response).max())
+            return no_margin(0.0, np.zeros(0), s, disks[0]._replace(dt=self.period))
+        plain, frequency = periodic_norm(disks)
+        norm, d = plain, np.ones(m)
+        if m > 1:
+            # Scalings are powers of two.
+            sizes = np.diag(self._alone)
+            for i, j in permutations(every, 2):
+                sizes[i, j] = periodic_norm(self._disk([i], [j]), 1e-3)[0]
+            _, (d, _) = matrix_balance(sizes, permute=False, separate=True)
+            scaled = {
+                id(one): one._replace(B=one.B * d, C=one.C / d[:, None], D=one.D * d / d[:, None]) for one in disks
+            }
+            norm, frequency = periodic_norm([scaled[id(one)] for one in disks])
+        grid, lower, upper, unstructured = self._over_frequency(disks, d, s)
         return DiskMargin(
             lower=1.0 / norm,
-            upper=1.0 / min(float(alone.max()), norm),
+            upper=1.0 / min(max(self._alone), norm),
             unstructured=1.0 / max(norm, plain),
             frequency=frequency,
             proved=True,
             skew=0.0,
             reason="",
             perturbation=np.full(m, np.inf + 0j),
-            dt=dt,
+            dt=self.period,
             frequencies=grid,
-            lower_response=1.0 / gains,
-            upper_response=1.0 / alone,
-            unstructured_response=1.0 / np.maximum(gains, largest_singular_values(response)),
+            lower_response=lower,
+            upper_response=upper,
+            unstructured_response=unstructured,
         )
 
-    def noise_to_torque(self) -> list[StateArrays]:
-        """Return for each channel the lifted system from the noise of what is measured to its torque."""
-        inputs = range(self.channels, self._loops[0].B.shape[1])
-        return [self._lifted([k], inputs) for k in range(self.channels)]
+    def _over_frequency(
+        self, disks: Sequence[StateArrays], d: FloatArray, s: ComplexArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Return frequencies (F,), rad/s, and the margins there: with scalings `d`, of one channel, without any."""
+        N, m = self.samples, self.channels
+        if N * m > _MOST_STACKED:
+            return np.zeros(0), np.zeros(0), np.zeros(0), np.zeros(0)
+        disk = lifted(disks)
+        grid = search_grid(disk, s)
+        response = frequency_response(disk, grid, -3)
+        own = response.reshape(-1, N, m, N, m)[:, :, range(m), :, range(m)]
+        alone = largest_singular_values(own).max(axis=0)
+        every = np.tile(d, N)
+        gains = largest_singular_values(response * every / every[:, None])
+        plain = np.maximum(gains, largest_singular_values(response))
+        return grid, 1.0 / gains, 1.0 / alone, 1.0 / plain
+
+    def noise_to_torque(self, rms: FloatArray) -> list[StateArrays]:
+        """Return for each channel a system driven by white samples of unit rms whose outputs add up to its torque.
+
+        The sum of their mean squares is that of the torque, over the samples of a cycle, from noise (p,) of what is
+        measured.
+        """
+        m, n = self.channels, self.systems[0].A.shape[1]
+        # What the noise of a cycle makes of the state, and of each torque before the cycle is over; and what of each
+        # torque follows from the state before.
+        state, own, seen = np.eye(n), np.zeros(m), np.zeros((m, n, n))
+        power = np.zeros((n, n))
+        for one in self.systems:
+            B, D = one.B[:, m:] * rms, one.D[:, m:] * rms
+            own += np.einsum("ki,ij,kj->k", one.C, power, one.C) + np.sum(D**2, axis=1)
+            row = one.C @ state
+            seen += row[:, :, None] * row[:, None, :]
+            state, power = one.A @ state, one.A @ power @ one.A.T + B @ B.T
+        B = np.pad(factor(power), ((0, 0), (0, 1)))
+        out = []
+        for k in range(m):
+            C = np.pad(factor(seen[k]).T, ((0, 1), (0, 0)))
+            D = np.zeros((len(C), B.shape[1]))
+            D[-1, -1] = math.sqrt(own[k])
+            out.append(StateArrays(state, B, C / math.sqrt(self.samples), D / math.sqrt(self.samples), self.period))
+        return out

@@ -28,7 +28,7 @@ Data = dict[str, Any]
 LONGEST_DELAY = 100
 # Kinds of loops that may be computed at every n-th sample, samples after which all repeats, and how well rates fit.
 _OWN_RATES = ("rate", "pointing", "tracking")
-LONGEST_CYCLE = 100
+LONGEST_CYCLE = 1000
 _SAME_RATE = 1e-5
 # Keys of a design that are about signals, and the loops whose designs have them.
 _DESIGN_SIGNALS = ("sensors", "feedforward")

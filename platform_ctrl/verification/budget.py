@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.budget_result import Budget as Found
+from platform_ctrl.analysis.interconnection import MultiRate
 from platform_ctrl.analysis.jitter_budget import JitterBudget
 from platform_ctrl.analysis.pointing_windows import motion_transfer
 from platform_ctrl.common.signatures import check_arguments
@@ -112,7 +112,7 @@ class PreparedBudget:
         else:
             self._balanced, tolerance = like.deciding, _QUICK
         self._prepared = [_prepared(loop, one) for one in self._balanced]
-        self.first, decided = self._found(loop.by_sample, range(len(self._balanced)), tolerance)
+        self.first, decided = self._found(loop.controller, range(len(self._balanced)), tolerance)
         self._decided = sorted({0, *decided})
 
     @property
@@ -141,14 +141,14 @@ class PreparedBudget:
         return self._found(self._loop.controllers_of(controllers), self._decided, _QUICK)[0]
 
     def _found(
-        self, by_sample: Sequence[StateArrays], places: Sequence[int], tolerance: float
+        self, controller: MultiRate, places: Sequence[int], tolerance: float
     ) -> tuple[LineOfSightBudget, list[int]]:
         """Return the budget at the first of some angles, and the place of those at which each limit is worst."""
         found: list[LineOfSightBudget] = []
         for k in places:
             apart, together = self._prepared[k]
             at = self._balanced[k]
-            closed = self._loop.with_drives(by_sample, at.fed, at.q)
+            closed = self._loop.with_drives(controller, at.fed, at.q)
             # Only the first is shown over frequency.
             of_all = together.of(closed, tolerance, over_frequency=not found)
             alone = of_all if apart is together else apart.of(closed, tolerance, over_frequency=not found)

@@ -13,17 +13,21 @@ import numpy as np
 
 from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.budget_result import Budget as Found
-from platform_ctrl.analysis.disturbances import RandomDisturbance
+from platform_ctrl.analysis.disturbances import RandomDisturbance, Spectrum
 from platform_ctrl.analysis.dry_friction import FedFriction, FrictionBalance, friction_balance
 from platform_ctrl.analysis.friction_noise import FoundRate, friction_noise
 from platform_ctrl.analysis.hybrid_plant import HybridPlant
-from platform_ctrl.analysis.periodic import lifted
+from platform_ctrl.analysis.interconnection import MultiRate
+from platform_ctrl.analysis.jitter_budget import most_of_sources
+from platform_ctrl.analysis.poles import poles
 from platform_ctrl.common.values import FloatArray, replaced
 from platform_ctrl.plant.sensors import LOS_RATES
 from platform_ctrl.verification.budget_loop import BudgetLoop
 
 # Relative errors of variances, and of the rates that friction is balanced with.
 _TOLERANCE, _FRICTION_TOLERANCE = 1e-5, 1e-4
+# Noise of dry friction in a cycle of several samples counts up to so many sample frequencies, or of the fastest mode.
+_SAMPLING, _MODES = 1.0, 4.0
 # Outputs of a drive where spectra are wanted: the rate that it finds, with the bearing's, with that behind a low-pass.
 _WITH_SPECTRA = 3
 
@@ -72,7 +76,7 @@ def balanced(loop: BudgetLoop, q: FloatArray, near: FrictionBalance | None = Non
     balance = friction_balance(loop.dry, rates, start, _FRICTION_TOLERANCE, drives=drives)
     moved = found(np.concatenate([balance.viscous, balance.fed[driven]]), True)
     lowest = 2.0 * math.pi * loop.budget.from_hz
-    left, rest = np.zeros(len(drives)), []
+    left, rest, highest = np.zeros(len(drives)), [], _highest(loop, balance, q)
     for k, (one, drive, at) in enumerate(zip(loop.dry, drives, bearings, strict=True)):
         of_drive = None
         if drive is not None:
@@ -89,22 +93,40 @@ def balanced(loop: BudgetLoop, q: FloatArray, near: FrictionBalance | None = Non
         noise = friction_noise(one, float(balance.rate[k]), moved.edges, moved.total_cumulative[at], lowest, of_drive)
         if noise is not None:
             left[k] = noise.rms
-            at_gimbal = (loop.torque_on(one.gimbal),)
-            rest.append(
-                RandomDisturbance(name=f"dry friction of {one.gimbal}", inputs=at_gimbal, spectra=(noise.spectrum,))
-            )
+            at_gimbal, spectrum = (loop.torque_on(one.gimbal),), _within(noise.spectrum, highest)
+            rest.append(RandomDisturbance(name=f"dry friction of {one.gimbal}", inputs=at_gimbal, spectra=(spectrum,)))
     return Balanced(q, replaced(balance, {"remainder": left}), tuple(rest))
 
 
-def _with_finders(loop: BudgetLoop) -> StateArrays:
-    """Return the loop's controllers, lifted, with the rates that drives find as the last outputs of each sample."""
-    weights = [loop.weights(law) for law in loop.laws if law is not None]
-    return lifted(
-        [
-            StateArrays(A, B, np.vstack([C, np.zeros((len(weights), len(A)))]), np.vstack([D, *weights]), dt)
-            for A, B, C, D, dt in loop.by_sample
-        ]
-    )
+def _highest(loop: BudgetLoop, balance: FrictionBalance, q: FloatArray) -> float:
+    """Return the frequency, rad/s, up to which the noise of dry friction counts.
+
+    In a long cycle each harmonic of the bearing has many images. Beyond the sampler's reach and above all modes inertia
+    leaves nothing of them.
+    """
+    if loop.controller.cycle == 1:
+        return math.inf
+    plant = loop.damped(balance.viscous, q)
+    modes = np.abs(poles(plant.plant.A)).max(initial=0.0)
+    return min(max(_SAMPLING * plant.sample_frequency, _MODES * float(modes)), most_of_sources(plant))
+
+
+def _within(spectrum: Spectrum, highest: float) -> Spectrum:
+    """Return a smooth spectrum up to a frequency, in a long cycle, whose images lie on one another, as a whole."""
+    if math.isinf(highest):
+        return spectrum
+    ends = spectrum.knots[[0, -1]]
+    return replaced(spectrum, {"knots": np.minimum(ends, [0.5 * highest, highest])})
+
+
+def _with_finders(loop: BudgetLoop) -> MultiRate:
+    """Return the loop's controllers with the rates that drives find behind the torques."""
+    weights = np.array([loop.weights(law) for law in loop.laws if law is not None]).reshape(-1, len(loop.sensors))
+    A, B, C, D, dt = loop.controller.fast
+    m = len(loop.torquers)
+    C = np.insert(C, m, np.zeros((len(weights), len(A))), axis=0)
+    D = np.insert(D, m, np.pad(weights, ((0, 0), (0, loop.controller.held))), axis=0)
+    return loop.controller._replace(fast=StateArrays(A, B, C, D, dt))
 
 
 def _balancing_plant(loop: BudgetLoop, gains: FloatArray, q: FloatArray, corner: float | None) -> HybridPlant:

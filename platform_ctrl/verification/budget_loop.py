@@ -13,9 +13,8 @@ import numpy as np
 from platform_ctrl.analysis.arrays import StateArrays, state_arrays
 from platform_ctrl.analysis.disturbances import Disturbance, RandomDisturbance, SampleNoise, SineDisturbance, Spectrum
 from platform_ctrl.analysis.hybrid_plant import HybridPlant
-from platform_ctrl.analysis.interconnection import interconnected_by_sample
+from platform_ctrl.analysis.interconnection import MultiRate, interconnected_at_rates
 from platform_ctrl.analysis.jitter_budget import JitterBudget
-from platform_ctrl.analysis.periodic import lifted
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.cases import secant_gains
 from platform_ctrl.errors import ArgumentError
@@ -51,7 +50,7 @@ class BudgetLoop:
         # An angle that no controller reads may drift.
         self.sensors = [name for name in seen if name in read]
         self.laws = self._drives()
-        self.by_sample = self.controllers_of(controllers)
+        self.controller = self.controllers_of(controllers)
         self.inputs: list[str] = []
         columns = [self._input(source) for source in budget.sources]
         for friction in job.platform.frictions:
@@ -64,20 +63,20 @@ class BudgetLoop:
         self.names = [*(one.name for one in budget.sources), *(one.name for one in self.noise)]
         self.kinds = [*(one.kind for one in budget.sources), *("sensor" for _ in self.noise)]
 
-    def controllers_of(self, controllers: Sequence[control.StateSpace]) -> list[StateArrays]:
-        """Return controllers as one, from the loop's sensors to its torquers, at every sample until they repeat."""
-        return interconnected_by_sample(controllers, self.sensors, self.torquers, self.job.sampling.period)
+    def controllers_of(self, controllers: Sequence[control.StateSpace]) -> MultiRate:
+        """Return controllers as one, from the loop's sensors to its torquers."""
+        return interconnected_at_rates(controllers, self.sensors, self.torquers, self.job.sampling.period)
 
-    def with_drives(self, by_sample: Sequence[StateArrays], fed: FloatArray, q: FloatArray) -> StateArrays:
-        """Return controllers, lifted, with what drives add in proportion to readings, `fed` (J,), N m s, at angles."""
-        added = np.zeros((len(self.torquers), len(self.sensors)))
+    def with_drives(self, controller: MultiRate, fed: FloatArray, q: FloatArray) -> MultiRate:
+        """Return a controller with what drives add in proportion to readings, `fed` (J,), N m s, at angles."""
+        D = np.array(controller.fast.D)
         share = secant_gains(self.job, q, self.torquers)
         for law, gain in zip(self.laws, fed, strict=True):
             if law is not None:
                 # The torquer's column has the secant gain, which is not of what the drive adds.
                 row = self.torquers.index(law.torquer)
-                added[row] += gain / share[row] * self.weights(law)
-        return lifted([K._replace(D=K.D + added) for K in by_sample])
+                D[row, : len(self.sensors)] += gain / share[row] * self.weights(law)
+        return controller._replace(fast=controller.fast._replace(D=D))
 
     def weights(self, law: DriveLaw) -> FloatArray:
         """Return the weights of the sensors (p,) in the rate that a drive finds."""
@@ -134,7 +133,7 @@ class BudgetLoop:
             lag=np.array([torquers[name].lag for name in self.torquers]),
             reading_delay=tuple(late[name] for name in self.sensors),
             integrated=(True,) * len(LOS_RATES) + (False,) * rates,
-            cycle=len(self.by_sample),
+            cycle=self.controller.cycle,
         )
 
     def _input(self, source: Source) -> int:

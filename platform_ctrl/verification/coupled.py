@@ -229,7 +229,7 @@ class _Together:
             own = closed_loop(arrays.part(seen, at), by_sample[0])
             outputs = [len(at) + k for k in read]
             drift = unseen_equilibria(own.part(outputs, slice(None)))
-            self._raw, self._own = own, own._replace(A=drift.system.A)
+            self._own = own
             self.poles, self.period = poles(drift.system.A), job.sampling.period
         else:
             self._periodic = PeriodicLoop(arrays, by_sample, at, seen)
@@ -280,10 +280,9 @@ class _Together:
         rms = np.array([sensors[name].sampled_noise(period, often.get(name, 1)) for name in self._seen], np.float64)
         m = len(self.channels)
         if self._periodic is None:
-            return torquer_metrics(self._raw.part(slice(m), slice(m, None)), rms)
-        every = np.tile(rms, self._periodic.samples)
-        found = [torquer_metrics(one, every) for one in self._periodic.noise_to_torque()]
-        return {kind: np.array([np.sqrt(np.mean(one[kind] ** 2)) for one in found]) for kind in found[0]}
+            return torquer_metrics(self._own.part(slice(m), slice(m, None)), rms)
+        found = [torquer_metrics(one, np.ones(one.B.shape[1])) for one in self._periodic.noise_to_torque(rms)]
+        return {kind: np.array([np.sqrt(np.sum(one[kind] ** 2)) for one in found]) for kind in found[0]}
 
 
 # A gimbal that no loop acts on grows by itself from this share of its fastest motion on; below it is rounding of poles

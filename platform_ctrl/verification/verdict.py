@@ -13,6 +13,7 @@ from platform_ctrl.analysis.arrays import StateArrays, state_arrays
 from platform_ctrl.analysis.certificates import Certificate
 from platform_ctrl.analysis.certificates.certificate import Verification
 from platform_ctrl.analysis.certificates.makers import stability_certificate
+from platform_ctrl.analysis.certificates.plant_set import MOST_STATES
 from platform_ctrl.analysis.interconnection import interconnected_by_sample
 from platform_ctrl.analysis.periodic import lifted
 from platform_ctrl.common.progress import Progress, shown
@@ -23,7 +24,7 @@ from platform_ctrl.design.jobs import FailedDesign, LoopOutcome
 from platform_ctrl.design.loop import LoopDesign
 from platform_ctrl.errors import NotCertifiedError
 from platform_ctrl.job.job import Job
-from platform_ctrl.job.judging import CheckResult, Requirement, Stage
+from platform_ctrl.job.judging import STABLE, CheckResult, Requirement, Stage
 from platform_ctrl.job.quantities import assumed_words
 from platform_ctrl.mechanics.linearisation import LinearModel, linearise
 from platform_ctrl.verification.budget import line_of_sight_budget
@@ -37,6 +38,8 @@ if TYPE_CHECKING:
     import control
 
 _SIGNS = {"at most": "≤", "at least": "≥"}
+# Samples of a cycle up to which stability is proved.
+_MOST_SAMPLES = 32
 PROVED = Requirement(name="certified properties", limit=1.0, unit="", sense="at least")
 FOUND = Requirement(name="controller found", limit=1.0, unit="", sense="at least")
 
@@ -51,11 +54,14 @@ class Proofs:
         One to one.
     unproved
         A line for each claim that has no certificate.
+    left_out
+        Why nothing is claimed; empty where something is.
     """
 
     certificates: tuple[Certificate, ...]
     verifications: tuple[Verification, ...]
     unproved: tuple[str, ...]
+    left_out: str = ""
 
     @property
     def proved(self) -> int:
@@ -87,9 +93,25 @@ class Proofs:
         )
 
 
+def _noted(results: Sequence[CheckResult], proofs: Proofs) -> list[CheckResult]:
+    """Return results, in that on stability why nothing is proved where that is left out."""
+    words = f"; no proof in interval arithmetic: {proofs.left_out}"
+    return [
+        replaced(one, {"evidence": one.evidence + words}) if proofs.left_out and one.name == STABLE.name else one
+        for one in results
+    ]
+
+
+def _too_many(states: int) -> str:
+    return f"{states} states, more than {MOST_STATES}" if states > MOST_STATES else ""
+
+
 def proofs_of(design: LoopDesign) -> Proofs:
     """Return what becomes of the certificates that `design` carries; those of other loops prove nothing of it."""
     K = state_arrays(design.own_controller, "controller")
+    left_out = "" if design.plants is None else _too_many(design.plants.A.shape[-1] + len(K.A))
+    if left_out:
+        return Proofs(certificates=(), verifications=(), unproved=(), left_out=left_out)
     own: list[Certificate] = []
     others: list[str] = []
     for one in design.certificates:
@@ -117,6 +139,12 @@ def coupled_proofs(check: CoupledCheck, controllers: Sequence[control.StateSpace
         # An equilibrium that nothing holds is a pole at z = 1, which no interval shows to be stable.
         return _verified((), ())
     together = _side_by_side if check.controller is not None else _over_a_period
+    # Over a cycle every sample has inputs and outputs of its own.
+    samples = round(check.period / check.plant.dt)
+    states = check.plant.nstates + sum(K.nstates for K in controllers)
+    left_out = _too_many(states) or ("" if samples <= _MOST_SAMPLES else f"a cycle of {samples} samples")
+    if left_out:
+        return Proofs(certificates=(), verifications=(), unproved=(), left_out=left_out)
     plant, K = together(check.plant, controllers)
     try:
         found = stability_certificate(
@@ -303,9 +331,9 @@ def _checked(job: Job, outcomes: Sequence[LoopOutcome], say: Progress) -> JobRes
     for outcome in loops:
         design = outcome.closed
         certified = proofs[design.loop, design.name].results(design.loop, design.name, "decoupled")
-        requirements += [*design.results, *certified]
+        requirements += [*_noted(design.results, proofs[design.loop, design.name]), *certified]
     if coupled is not None:
-        requirements += [*coupled.results, *together.results(ALL_LOOPS, "", "coupled")]
+        requirements += [*_noted(coupled.results, together), *together.results(ALL_LOOPS, "", "coupled")]
         requirements += unstable_results(job) if budget is None else budget.results
     requirements += [result for run in runs for result in run.results]
     return JobResult(

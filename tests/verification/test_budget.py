@@ -18,7 +18,7 @@ from platform_ctrl.analysis.budget_result import Budget
 from platform_ctrl.analysis.disturbances import Disturbance, RandomDisturbance, SampleNoise, Spectrum
 from platform_ctrl.analysis.dry_friction import describing_function
 from platform_ctrl.analysis.hybrid_plant import HybridPlant
-from platform_ctrl.analysis.interconnection import interconnected_by_sample
+from platform_ctrl.analysis.interconnection import MultiRate
 from platform_ctrl.analysis.jitter_budget import JitterBudget
 from platform_ctrl.cli import main
 from platform_ctrl.design import loops
@@ -28,7 +28,7 @@ from platform_ctrl.job.writing import job_data
 from platform_ctrl.plant.force_elements import Friction
 from platform_ctrl.report.page.job_page import page_html
 from platform_ctrl.simulation.closed_loop import simulate
-from platform_ctrl.verification import budget_loop, check_job
+from platform_ctrl.verification import check_job
 from platform_ctrl.verification.budget import PreparedBudget, line_of_sight_budget
 from platform_ctrl.verification.budget_limits import assumption, is_limited, unstable_results
 from platform_ctrl.verification.budget_result import Waterfall, rms_ticks, waterfalls
@@ -328,7 +328,7 @@ def test_friction_and_drives_of_loops_that_take_turns_are_those_of_their_mean(
     drive = DRIVE.format(sensor="base_rate", friction=3.2e-4, late=0.002)
     of = shaken(tmp_path, multisine(0.01), ", coulomb = 4e-4, coulomb_rate = 3e-4", drive)
     expected = line_of_sight_budget(of, controllers())
-    monkeypatch.setattr(budget_loop, "interconnected_by_sample", lambda *args: 2 * interconnected_by_sample(*args))
+    monkeypatch.setattr(MultiRate, "cycle", 2)
     found = line_of_sight_budget(of, controllers())
     np.testing.assert_allclose(found.rms, expected.rms, rtol=1e-4, atol=1e-12)
     assert found.friction is not None

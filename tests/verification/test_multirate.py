@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ctypes
 import math
+import tracemalloc
 from pathlib import Path
 from typing import Any
 
@@ -32,12 +33,13 @@ from platform_ctrl.export.c99.c_files import write_c
 from platform_ctrl.job.job import Job, manoeuvre_scenario
 from platform_ctrl.job.writing import job_data
 from platform_ctrl.mechanics.linearisation import linearise
+from platform_ctrl.report.page.job_page import page_html
 from platform_ctrl.simulation import Simulator, simulate, simulate_batch
 from platform_ctrl.verification.budget import line_of_sight_budget
 from platform_ctrl.verification.controllers import outcomes_from, read_controllers
 from platform_ctrl.verification.coupled import CoupledCheck, coupled_check
 from platform_ctrl.verification.simulated_budget import simulated_budget
-from platform_ctrl.verification.verdict import coupled_proofs
+from platform_ctrl.verification.verdict import check_job, coupled_proofs
 
 T, SLOW = 1.0 / RATE_HZ, 20
 STEP = [{"reading": "heading", "step": 1e-3, "at": 0.1}]
@@ -318,6 +320,58 @@ def test_a_slow_rate_loop_inside_a_slower_tracking_loop() -> None:
     assert np.abs(check.poles).max() == pytest.approx(np.abs(stepped).max(), rel=1e-7)
 
 
+def slow_job(slow: int | None, **sensor: Any) -> dict[str, Any]:
+    """The tracking loop around a tracker at 2 Hz."""
+    data = tracking_job(slow, rate_hz=2.0, **sensor)
+    data["loop"][1]["design"][0]["crossover_hz"] = 0.05
+    return data
+
+
+def test_a_loop_of_hundreds_of_readings_on_their_way_is_neither_proved_nor_followed_over_its_gain() -> None:
+    """A tracker at 2 Hz that is read at every sample: what it says is 250 samples old in the mean."""
+    job = read_job({name: item for name, item in slow_job(None).items() if name != "manoeuvre"})
+    result = check_job(job, loops(job))
+    tracking = result.loops[0].closed
+    assert tracking.plants is not None
+    states = tracking.plants.A.shape[-1] + tracking.own_controller.nstates
+    assert states > 250
+    said = {one.subject: one.evidence for one in result.requirements if one.name == "minimum decay rate"}
+    assert f"no proof in interval arithmetic: {states} states, more than 64" in said["track"]
+    assert "no proof in interval arithmetic" in said["all loops closed"]
+    assert "no proof" not in said["loop"]
+    assert [one.subject for one in result.requirements if one.name == "certified properties"] == ["loop"]
+    page = page_html(result)
+    assert f"There is no root locus: its {states} branches" in page
+
+
+def test_a_tracking_loop_at_two_hertz_in_a_loop_at_one_kilohertz() -> None:
+    """500 samples to a cycle: margins, noise and budget in little memory, the budget that of a loop fifty times faster
+    but for what the tracker does.
+    """
+    data = slow_job(500, noise_rms=1e-6, noise_bandwidth_hz=1.0)
+    data |= {"budget": shaken_data(SLOW)["budget"]}
+    data["plant"]["friction"] = [{"gimbal": "yaw", "viscous": 0.1}]
+    data["plant"]["rate_sensor"][0] |= {"noise_rms": 1e-3, "noise_bandwidth_hz": 500.0}
+    job = read_job(data)
+    assert job.cycle == 500
+    controllers = [one.closed.controller for one in loops(job)]
+    tracemalloc.start()
+    try:
+        check = coupled_check(job, linearise(job.platform), controllers)
+        budget = line_of_sight_budget(job, controllers)
+        assert tracemalloc.get_traced_memory()[1] < 8e7
+    finally:
+        tracemalloc.stop()
+    assert check.stable
+    assert check.period == pytest.approx(0.5)
+    # The rate loop's own margin: the tracking loop is far too slow to change it.
+    usual = coupled_check(read_job(slow_job(None)), linearise(job.platform), controllers[1:])
+    np.testing.assert_allclose(check.coupled, usual.coupled, rtol=0.02)
+    assert coupled_proofs(check, controllers).left_out == "a cycle of 500 samples"
+    alone = line_of_sight_budget(read_job(data), controllers[1:])
+    np.testing.assert_allclose(budget.rms[0], alone.rms[0], rtol=0.02)
+
+
 def test_a_tracker_that_measures_when_it_is_read_is_not_held() -> None:
     """At the loop's own rate its readings are as old as its delay; twice as fast in a loop at every sample, older."""
     job = read_job(tracking_job(rate_hz=RATE_HZ / SLOW))
@@ -384,7 +438,7 @@ def test_the_job_is_written_with_its_rates(job: Job) -> None:
         (1, 300.0, r"rate_hz must be 1000 Hz, .* over a whole number, got 300.0; the nearest: 333.333 or 250"),
         (1, 2000.0, r"the nearest: 1000"),
         (1, 9.0, r"the nearest: 9.00901 or 8.92857"),
-        (1, 5.0, r"repeat after 200 samples, more than 100"),
+        (1, 0.5, r"repeat after 2000 samples, more than 1000"),
         (0, 10.0, r"rate_hz must be that of the loop inside, 10 Hz, over a whole number, got 50.0; try 10"),
     ],
 )
@@ -401,7 +455,7 @@ def test_a_loop_around_a_slow_one_needs_a_rate() -> None:
         read_job(tracking_job(None, inner=2))
 
 
-def shaken_job(slow: int) -> Job:
+def shaken_data(slow: int) -> dict[str, Any]:
     """The base turns under a bearing with viscous friction; the tracker takes a noisy picture whenever it is read."""
     data = tracking_job(slow, noise_rms=1e-4, noise_bandwidth_hz=20.0, rate_hz=RATE_HZ / slow)
     data["plant"]["rate_sensor"][0] |= {"noise_rms": 1e-3, "noise_bandwidth_hz": 500.0}
@@ -415,7 +469,11 @@ def shaken_job(slow: int) -> Job:
             {"name": "base", "kind": "base-rate", "axis": 3, "frequencies_hz": [1.0, 90.0], "densities": [1e-5] * 2}
         ],
     }
-    return read_job(data)
+    return data
+
+
+def shaken_job(slow: int) -> Job:
+    return read_job(shaken_data(slow))
 
 
 def test_runs_have_the_rms_of_the_budget() -> None:

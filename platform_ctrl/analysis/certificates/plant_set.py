@@ -27,6 +27,9 @@ class Evidence:
     coordinates: FloatArray | None = None  # (n, n), optional: as of a `Certificate`
 
 
+# States of plant and controller up to which proofs are made: of more they take minutes, of delays of long cycles hours.
+MOST_STATES = 64
+
 # By the kind of the claim and the label of its loop.
 KnownProofs = Mapping[tuple[Claim, str], Evidence]
 
@@ -68,12 +71,16 @@ def plant_set_certificates(
     The certificates say, in the order of the plants, that the loop with each plant decays at its own rate; then they
     bound the norm of (S − T)/2 at the torques and at the pick-offs: the larger of the two is 1/disk margin.
 
+    Of a loop with more than `MOST_STATES` nothing is claimed.
+
     With `known` proofs nothing is searched: every claim has to be proved by what is known, for the plants and the
     controller given here, else a `NotCertifiedError` is raised.
     """
     for name, numbers in (("decay", decay), ("margin", margin), ("required", required)):
         if numbers.shape != (len(plants.labels),):
             raise ArgumentError(f"plant_set_certificates: {name} must be ({len(plants.labels)},), got {numbers.shape}")
+    if plants.A.shape[-1] + len(controller.A) > MOST_STATES:
+        return (), ()
     claims = _claims(plants, decay, margin, required)
     if known is not None:
         return tuple(_proved_by(known, one, controller) for one in claims), ()

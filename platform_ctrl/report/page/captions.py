@@ -151,8 +151,10 @@ def _shown_peak(
     inside = (f > lowest) & (f < end)
     ends = np.interp([max(lowest, f[0]), end], f, design.gains[kind])
     found = float(np.append(design.gains[kind][inside], ends).max())
-    inverse = isinstance(metric.measure, Peak) and metric.measure.reciprocal
-    return float(metric.in_unit(1.0 / found if inverse else found)), end
+    if isinstance(metric.measure, Peak) and metric.measure.reciprocal:
+        # A base whose motion reaches nothing.
+        found = 1.0 / found if found > 0.0 else np.inf
+    return float(metric.in_unit(found)), end
 
 
 def poles(outcome: LoopOutcome, plants: PlantSet) -> str:

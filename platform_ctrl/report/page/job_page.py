@@ -83,6 +83,9 @@ if TYPE_CHECKING:
 
     from platform_ctrl.campaign.summary import Summary
 
+# Branches of a root locus up to which it is drawn: of a long delay they lie side by side, and take minutes to follow.
+_MOST_BRANCHES = 80
+
 
 @check_arguments
 def write_page(result: JobResult | Document, path: str | os.PathLike[str]) -> Path:
@@ -418,10 +421,15 @@ def _caging_plates(model: LinearModel, outcome: LoopOutcome, palette: Mapping[st
                 ),
             )
         )
+    closed = outcome.closed.plants
+    states = 0 if closed is None else closed.A.shape[-1] + outcome.closed.own_controller.nstates
+    left_out = ""
+    if states > _MOST_BRANCHES:
+        left_out = f" There is no root locus: its {states} branches, most of them of delays, could not be told apart."
     plates.append(
         drawn(
             "Closed-loop poles",
-            lambda: (pole_figure(responses, spec, of.nutation, of.period), captions.poles(outcome, of)),
+            lambda: (pole_figure(responses, spec, of.nutation, of.period), captions.poles(outcome, of) + left_out),
         )
     )
 
@@ -429,7 +437,7 @@ def _caging_plates(model: LinearModel, outcome: LoopOutcome, palette: Mapping[st
         plot = root_locus_plot(outcome.closed, spec)
         return plot.figure, sentences("root_locus", name=outcome.closed.name, locus=plot.locus)
 
-    if outcome.closed.plants is not None:
+    if 0 < states <= _MOST_BRANCHES:
         plates.append(drawn("Root locus over the loop gain", root_locus))
     return plates
 

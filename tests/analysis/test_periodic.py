@@ -1,0 +1,123 @@
+"""Systems that take turns: norms and states over a cycle, against the stacked matrices of all its samples."""
+
+from __future__ import annotations
+
+import tracemalloc
+
+import control
+import numpy as np
+import pytest
+
+from platform_ctrl.analysis.arrays import StateArrays
+from platform_ctrl.analysis.feedback import closed_loop
+from platform_ctrl.analysis.interconnection import interconnected_by_sample
+from platform_ctrl.analysis.margins import loop_margins
+from platform_ctrl.analysis.norms import hinf_norm, noise_rms
+from platform_ctrl.analysis.periodic import PeriodicLoop, lifted, periodic_norm, pruned, transition
+from platform_ctrl.analysis.sampling import late_outputs
+
+T = 0.01
+# Angle and rate of a body that a torque turns, against a little friction.
+BODY = StateArrays(
+    np.array([[1.0, 0.00995], [0.0, 0.99]]), np.array([[5e-5], [0.00995]]), np.eye(2), np.zeros((2, 1)), T
+)  # fmt: skip
+# A loop on the rate at every sample; around it one on the angle, with an integral, at every n-th.
+INNER = control.ss(0.9, [[0.4, -0.4]], -2.0, [[-8.0, 8.0]], T, inputs=["rate", "rate_command"], outputs=["torque"])
+
+
+def outer(n: int) -> control.StateSpace:
+    slow = 1.0 / (n * T)
+    return control.ss(1.0, 0.05, -0.2 * slow, -0.2 * slow, n * T, inputs=["angle"], outputs=["rate_command"])
+
+
+def cascade(n: int, late: int = 0) -> PeriodicLoop:
+    by_sample = interconnected_by_sample([outer(n), INNER], ["angle", "rate"], ["torque"], T)
+    return PeriodicLoop(late_outputs(BODY, [late, 0]), by_sample, [0], [0, 1])
+
+
+def taking_turns(seed: int, N: int, n: int, m: int) -> list[StateArrays]:
+    """Stable systems of two kinds in some order, each object several times."""
+    generator = np.random.default_rng(seed)
+
+    def one() -> StateArrays:
+        A = generator.normal(size=(n, n))
+        A *= 0.9 / np.abs(np.linalg.eigvals(A)).max()
+        B, C, D = generator.normal(size=(n, m)), generator.normal(size=(m, n)), generator.normal(size=(m, m))
+        return StateArrays(A, B, C, D, T)
+
+    kinds = [one(), one()]
+    while True:
+        systems = [kinds[k] for k in generator.integers(0, 2, N)]
+        if np.abs(np.linalg.eigvals(transition(systems))).max() < 0.95:
+            return systems
+
+
+@pytest.mark.parametrize(("N", "n", "m"), [(1, 3, 2), (2, 1, 1), (5, 4, 1), (7, 3, 3), (12, 6, 2)])
+def test_the_norm_is_that_of_the_stacked_system(N: int, n: int, m: int) -> None:
+    for seed in range(3):
+        systems = taking_turns(seed, N, n, m)
+        stacked = hinf_norm(lifted(systems))[0]
+        assert periodic_norm(systems)[0] == pytest.approx(stacked, rel=3e-9)
+
+
+def test_a_system_without_an_output_has_no_norm() -> None:
+    (one,) = taking_turns(0, 1, 3, 2)
+    nothing = one._replace(C=0.0 * one.C, D=0.0 * one.D)
+    assert periodic_norm([nothing, nothing])[0] == 0.0
+    through = one._replace(C=0.0 * one.C)
+    assert periodic_norm([through, through])[0] == pytest.approx(np.linalg.norm(one.D, 2), rel=1e-8)
+
+
+@pytest.mark.parametrize(("n", "late"), [(4, 0), (6, 3), (5, 12), (30, 17)])
+def test_a_late_reading_costs_no_more_states_than_are_going_to_be_read(n: int, late: int) -> None:
+    """Margin, noise and poles are those of the stacked system, in which every sample on its way is a state."""
+    loop = cascade(n, late)
+    by_sample = interconnected_by_sample([outer(n), INNER], ["angle", "rate"], ["torque"], T)
+    plant = late_outputs(BODY, [late, 0])
+    whole = [closed_loop(plant, K) for K in by_sample]
+    assert loop.decay > 0.0
+    np.testing.assert_allclose(np.abs(loop.poles).max(), np.abs(np.linalg.eigvals(lifted(whole).A)).max(), rtol=1e-9)
+    every = max(len(one.A.T) for one in loop.systems)
+    assert every <= 2 + 3 + -(-late // n)
+    disk = lifted([one.part([0], [0])._replace(D=np.array([[0.5]])) for one in whole])
+    assert loop.loop_margins()[0] == pytest.approx(1.0 / hinf_norm(disk)[0], rel=1e-8)
+    rms = np.array([1e-3, 2e-2])
+    noisy = noise_rms(lifted([one.part([0], [1, 2]) for one in whole]), np.tile(rms, n))
+    (made,) = loop.noise_to_torque(rms)
+    found = noise_rms(made, 1.0)
+    assert np.sqrt(np.sum(found**2)) == pytest.approx(np.sqrt(np.mean(noisy**2)), rel=1e-9)
+
+
+def test_a_part_that_lasts_is_not_left_out_because_no_output_shows_it() -> None:
+    """A body that falls over beside the loop, and a reading of it that nobody takes."""
+    A = np.zeros((4, 4))
+    A[0, 0], A[1, 1], A[1, 2], A[2, 1], A[3, 2] = 0.5, 1.1, 0.1, 0.1, 1.0
+    one = StateArrays(A, np.eye(4)[:, :1], np.eye(4)[:1], np.zeros((1, 1)), T)
+    kept = pruned([one, one, one])
+    assert np.abs(np.linalg.eigvals(transition(kept))).max() > 1.3
+    np.testing.assert_allclose(lifted(kept).D, lifted([one] * 3).D, rtol=0.0, atol=1e-15)
+
+
+def test_a_cycle_of_five_hundred_samples_is_worked_out_without_matrices_of_its_size() -> None:
+    """A controller that takes no turns has its usual margin; that of a long cycle is found in a few megabytes."""
+    # The body's rate alone: nothing holds its angle.
+    rate = StateArrays(BODY.A[1:, 1:], BODY.B[1:], np.eye(1), np.zeros((1, 1)), T)
+    (by_sample,) = interconnected_by_sample([INNER], ["rate"], ["torque"], T)
+    usual = loop_margins(
+        control.ss(*rate, inputs=["torque"], outputs=["rate"]),
+        control.ss(*by_sample, inputs=["rate"], outputs=["torque"]),
+    )
+    tracemalloc.start()
+    try:
+        alike = PeriodicLoop(rate, [by_sample] * 500, [0], [0])
+        assert usual.alpha[0] > 1.0
+        assert alike.loop_margins()[0] == pytest.approx(usual.alpha[0], rel=1e-7)
+        loop = cascade(500)
+        margin = loop.disk_margin()
+        noise = loop.noise_to_torque(np.array([1e-3, 2e-2]))
+        assert tracemalloc.get_traced_memory()[1] < 8e6
+    finally:
+        tracemalloc.stop()
+    assert loop.decay > 0.0
+    assert 0.3 < margin.guaranteed <= loop.loop_margins()[0] * (1.0 + 1e-9)
+    assert max(len(one.A) for one in noise) < 10
