@@ -91,7 +91,7 @@ RUN_METRICS: dict[str, RunMetric] = {
             sight=True,
         ),
         RunMetric(
-            name="attenuation in the run, rms",
+            name="attenuation of base motion, simulated",
             key="attenuation_db",
             unit="dB",
             sense="at least",

@@ -140,7 +140,7 @@ def test_base_motion_is_attenuated_as_friction_and_rate_loop_say() -> None:
     s = 2j * np.pi * HZ
     J = job.platform.gimbals[1].inertia[1, 1]
     share = abs(FRICTION / (J * s + FRICTION + GAIN))
-    attenuation = found["attenuation in the run, rms"]
+    attenuation = found["attenuation of base motion, simulated"]
     assert attenuation.value == pytest.approx(-20.0 * np.log10(share), abs=0.01)
     assert attenuation.sense == "at least"
     assert attenuation.passed
