@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from platform_ctrl.design.partition import Channels
     from platform_ctrl.job.job import Job, LoopSpec
     from platform_ctrl.mechanics.linearisation import LinearModel
-    from platform_ctrl.plant.platform import Platform
+    from platform_ctrl.plant.platform import Platform, Torquer
 
 # How long the turn's rate rises, s.
 RISE = 0.2
@@ -137,6 +137,12 @@ def starting_loops(plant: dict[str, Any], plans: tuple[PlannedLoop, ...]) -> Sta
         runs.insert(0, StartingRun(name="turn", form="turn", axes=(axis,), size=turn, limits={"torque_share": 1.0}))
     if plans[-1].kind == "stabilisation":
         runs.append(_step(platform, model, loops[-1]))
+    used = [one for plan in plans for one in _torquers(platform, plan)]
+    for k, run in enumerate(runs):
+        # A share of a limit that there is not says nothing; caged runs do not use torquers on the root.
+        if any(one.limit is None for one in used if run.form == "step" or one.gimbal is not None):
+            limits = {key: limit for key, limit in run.limits.items() if key != "torque_share"}
+            runs[k] = replace(run, limits=limits)
     return replace(start, loops=tuple(loops), runs=tuple(runs))
 
 
@@ -210,13 +216,26 @@ def _bare_loop(platform: Platform, plan: PlannedLoop, name: str) -> dict[str, An
 
 def _noise_limit(platform: Platform, plan: PlannedLoop) -> dict[str, float]:
     weakest = _weakest(platform, plan)
-    return {} if weakest is None else {"torque_noise": rounded(_NOISE_SHARE * weakest, up=False)}
+    read = [one for one in platform.sensors if one.name in plan.sensors or not plan.sensors]
+    if plan.kind == "caging":
+        read = [platform.pickoff_on(name) for name in plan.gimbals]
+    if weakest is None or not any(one.noise_rms > 0.0 for one in read):
+        return {}
+    return {"torque_noise": rounded(_NOISE_SHARE * weakest, up=False)}
+
+
+def _torquers(platform: Platform, plan: PlannedLoop) -> list[Torquer]:
+    """Return the torquers that a loop sets."""
+    if plan.kind == "stabilisation":
+        return [one for one in platform.torquers if one.root_axis is not None]
+    own = plan.torquers or [platform.torquer_on(name).name for name in plan.gimbals]
+    return [one for one in platform.torquers if one.name in own]
 
 
 def _weakest(platform: Platform, plan: PlannedLoop) -> float | None:
     """Return the smallest limit of the loop's torquers, N m; None where none has a limit."""
-    own = [t for t in platform.torquers if (t.name in plan.torquers if plan.torquers else t.gimbal in plan.gimbals)]
-    return min((torquer.limit for torquer in own if torquer.limit is not None), default=None)
+    limits = (one.limit for one in _torquers(platform, plan))
+    return min((limit for limit in limits if limit is not None), default=None)
 
 
 def safe_turn(model: LinearModel, limits: dict[str, float]) -> tuple[int, float]:
