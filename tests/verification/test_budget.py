@@ -28,7 +28,7 @@ from platform_ctrl.job.writing import job_data
 from platform_ctrl.plant.force_elements import Friction
 from platform_ctrl.report.page.job_page import page_html
 from platform_ctrl.simulation.closed_loop import simulate
-from platform_ctrl.verification import budget_loop, check_job
+from platform_ctrl.verification import check_job
 from platform_ctrl.verification.budget import PreparedBudget, line_of_sight_budget
 from platform_ctrl.verification.budget_limits import assumption, is_limited, unstable_results
 from platform_ctrl.verification.budget_result import Waterfall, rms_ticks, waterfalls
