@@ -121,7 +121,9 @@ class JitterBudget:
         self._known: dict[Panel, _Prepared] = {}
         self._kept = 0
 
-    def of(self, controller: MultiRate, tolerance: float = 1e-6, *, over_frequency: bool = True) -> Budget:
+    def of(
+        self, controller: StateArrays | MultiRate, tolerance: float = 1e-6, *, over_frequency: bool = True
+    ) -> Budget:
         """Return the budget with a controller u = K y, all of it of the plant's sample period or a part of it slower.
 
         `tolerance` bounds the relative error of each variance. Without cumulative variances, `over_frequency`, it is
