@@ -236,7 +236,7 @@ class OpenLoop:
         size, found = self._polynomials.get(name, (0, np.zeros(0, dtype=np.complex128)))
         if size != len(images):
             x, _ = np.polynomial.chebyshev.chebgauss(_DEGREE)
-            values = response(quarter * (1.0 + x)[:, None] + images[far] * plant.turn)
+            values = np.concatenate([response(quarter * (1.0 + at) + images[None, far] * plant.turn) for at in x])
             inverse = np.linalg.inv(np.polynomial.chebyshev.chebvander(x, _DEGREE - 1))
             found = np.tensordot(inverse, values, axes=1)
             self._polynomials[name] = len(images), found
@@ -246,6 +246,10 @@ class OpenLoop:
         )
         out[:, ~far] = response(omega[:, None] + images[~far] * plant.turn)
         return out
+
+    def forget(self) -> None:
+        """Drop what is kept of responses in a long cycle; it is computed again where it is needed."""
+        self._polynomials = {}
 
     @property
     def _of_components(self) -> NDArray[np.intp]:

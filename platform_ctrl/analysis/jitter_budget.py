@@ -46,7 +46,7 @@ _ADDING = 30.0
 _SHARP, _WIDE = 0.1, 30.0
 # A source counts in the error at least as much as this share of all sources.
 _SMALL = 1e-6
-# Numbers that are kept for the next controller; numbers of densities at once.
+# Numbers that are kept for the next controller, of a cycle less of them; numbers of densities at once.
 _MOST_KEPT, _MOST_AT_ONCE = 4_000_000, 1_000_000
 # Frequencies that differ by less, relative, are the same.
 _SAME = 1e-12
@@ -139,6 +139,8 @@ class JitterBudget:
             random = self._random or self._noise
             found = self._integrated(controller, z, tolerance, over_frequency) if random else []
             out = assembled(self.plant, self.sources, self.exposures, self.lowest, found, parts, self._images)
+            if self.plant.cycle > _MANY_SAMPLES:
+                self.open_loop.forget()
             if out.remaining <= tolerance or self._images >= max(_MOST_IMAGES, 2 * self.plant.cycle):
                 return out
             self._images *= 2
@@ -150,10 +152,10 @@ class JitterBudget:
     def _edges(self, over_frequency: bool) -> FloatArray:
         """Return the edges of panels that no controller changes, of a cycle more of them for curves over frequency."""
         plant, turn = self.plant, self.plant.turn
-        dense = over_frequency or plant.cycle == 1
+        dense = plant.cycle == 1 or (over_frequency and plant.cycle <= _MANY_SAMPLES)
         knots = [self.lowest, *(k for one in self._random for s in one.spectra for k in s.knots)]
         own = poles(plant.plant.A)
-        if not dense or plant.cycle > _MANY_SAMPLES:
+        if not dense:
             # What is wider than the way of an image needs no panels of its own.
             own = own[(np.abs(own.real) < turn) | (np.abs(own) < turn)]
         found = np.concatenate([np.array(knots), _around(own)])
@@ -195,9 +197,7 @@ class JitterBudget:
 
     def _contributions(self, panels: list[Panel], controller: MultiRate, over_frequency: bool) -> Contribution:
         """Return the contributions of panels, some after the other: their densities are large."""
-        plant = self.plant
-        size = 21 * (2 * self._images + 1) * plant.outputs * (len(self._random) + len(self._noise) + plant.controls**2)
-        step = max(1, _MOST_AT_ONCE // size)
+        step = max(1, _MOST_AT_ONCE // (21 * self._size))
         parts = [
             self._contribution(panels[k : k + step], controller, over_frequency) for k in range(0, len(panels), step)
         ]
@@ -211,7 +211,10 @@ class JitterBudget:
 
     def _contribution(self, panels: list[Panel], controller: MultiRate, over_frequency: bool) -> Contribution:
         prepared = self._prepared(panels)
-        density, rest = self._densities(prepared, controller)
+        nodes_at_once = max(1, _MOST_AT_ONCE // self._size)
+        rows = [slice(k, k + nodes_at_once) for k in range(0, len(prepared.theta), nodes_at_once)]
+        found = [self._densities(_cut(prepared, some), controller) for some in rows]
+        density, rest = (np.concatenate(one) for one in zip(*found, strict=True))
         _, half = nodes(panels)
         P, (W, _, F) = len(panels), prepared.weights.shape
         by_panel = density.reshape(P, 21, F, *density.shape[2:])
@@ -238,6 +241,12 @@ class JitterBudget:
             steps=steps,
         )
 
+    @property
+    def _size(self) -> int:
+        """Numbers at one node."""
+        sources, packed = len(self._random) + len(self._noise), self.plant.controls**2
+        return (2 * self._images + 1) * (self.plant.outputs + packed) * (sources + packed)
+
     # Responses.
 
     def _prepared(self, panels: list[Panel]) -> _Prepared:
@@ -245,12 +254,13 @@ class JitterBudget:
         made: dict[Panel, _Prepared] = {}
         if new:
             points = nodes(new)[0].ravel()
-            step = max(1, _MOST_AT_ONCE // ((2 * self._images + 1) * self.open_loop.size))
+            size = self.open_loop.size + 2 * self.plant.outputs * self.plant.controls**2
+            step = max(1, _MOST_AT_ONCE // ((2 * self._images + 1) * size))
             block = _joined([self._evaluated(points[k : k + step]) for k in range(0, len(points), step)])
             for k, one in enumerate(new):
                 made[one] = _cut(block, slice(21 * k, 21 * (k + 1)))
             size = sum(item.size for item in block if isinstance(item, np.ndarray))
-            if self._kept + size <= _MOST_KEPT:
+            if self._kept + size <= _MOST_KEPT // self.plant.cycle:
                 self._known |= made
                 self._kept += size
         return _joined([made[one] if one in made else self._known[one] for one in panels])
@@ -513,6 +523,8 @@ def _cut(block: _Prepared, rows: slice) -> _Prepared:
 
 def _joined(blocks: list[_Prepared]) -> _Prepared:
     """Return blocks as one; an image that has sources in one of them is inside in all."""
+    if len(blocks) == 1:
+        return blocks[0]
     inside = sorted(set().union(*(one.inside for one in blocks)))
     whole_blocks = [one if list(one.inside) == inside else _spread(one, inside) for one in blocks]
     join = partial(np.concatenate, axis=0)

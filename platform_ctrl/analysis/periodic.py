@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from functools import cache, cached_property
+from functools import cached_property
 from itertools import groupby, permutations
 
 import numpy as np
@@ -28,17 +28,19 @@ from platform_ctrl.analysis.lifting import PeriodExceedsLevel, Step, factor, joi
 from platform_ctrl.analysis.margins import DiskMargin, no_margin
 from platform_ctrl.analysis.mu import search_grid
 from platform_ctrl.analysis.norms import hinf_norm
-from platform_ctrl.analysis.poles import continuous_poles, poles, spectral_abscissa, spectral_radius
+from platform_ctrl.analysis.poles import continuous_poles, poles, spectral_abscissa
 from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.analysis.singular_values import largest_singular_values
 from platform_ctrl.common.values import FloatArray
 
 BoolArray = NDArray[np.bool_]
 
-# ln of the finite number that replaces an infinite norm in the search.
+# ln of the largest norm that is looked for, and of the inverse of the least.
 _BEYOND = 50.0
 # Relative error of a norm; what is returned is its upper end.
-_TOLERANCE = 1e-9
+_TOLERANCE = 2e-9
+# Cycles are doubled so often at most; a transition below this in balanced states leaves nothing.
+_DOUBLINGS, _FORGOTTEN = 60, 1e-9
 # Inputs of a stacked system up to which its gain is computed frequency by frequency, for a figure.
 _MOST_STACKED = 64
 
@@ -65,49 +67,51 @@ def transition(systems: Sequence[StateArrays]) -> FloatArray:
     return out
 
 
-def periodic_norm(systems: Sequence[StateArrays], tolerance: float = _TOLERANCE) -> tuple[float, float]:
-    """Return the norm of systems that take turns and are stable together, as of `lifted`, and its frequency, rad/s.
+def periodic_norm(systems: Sequence[StateArrays], tolerance: float = _TOLERANCE) -> float:
+    """Return the norm of systems that take turns and are stable together, as of `lifted`.
 
-    It is not below the true one, nor above by more than `tolerance`, relative. The frequency is at most that of half a
-    cycle.
+    It is not below the true one, nor above by more than `tolerance`, relative.
     """
-    from scipy.optimize import brentq
-
-    period = len(systems) * systems[0].dt
     parts = _runs(systems)
-    at: dict[float, float] = {}
-
-    @cache
-    def excess(log_level: float) -> float:
-        """Return ln of the equivalent norm at a level: negative above the norm."""
-        try:
-            A, G, Q = _over_a_cycle(parts, math.exp(log_level))
-        except PeriodExceedsLevel:
-            return _BEYOND
-        if not np.all(np.isfinite(A)) or not float(spectral_radius(poles(A))) < 1.0:
-            return _BEYOND
-        B, C = factor(G), factor(Q).T
-        norm, at[log_level] = hinf_norm(StateArrays(A, B, C, np.zeros((len(C), B.shape[1])), period), True, 1e-10)
-        return max(math.log(norm), -_BEYOND) if norm > 0.0 else -_BEYOND
-
     direct = max((float(np.linalg.norm(one.D, 2)) for one, _ in parts if one.D.size), default=0.0)
-    high, step = math.log(2.0 * direct) if direct > 0.0 else 0.0, 0.25
-    while (value := excess(high)) >= 0.0:
-        step = min(2.0 * step, value + 0.1)
-        high += step
+    high, step = math.log(2.0 * direct) if direct > 0.0 else 0.0, 0.5
+    while not _is_below(parts, high):
+        high, step = high + step, 2.0 * step
         if high > _BEYOND:
-            return math.inf, 0.0
-    if value <= -_BEYOND:
-        return direct, 0.0
-    low, floor = high, math.log(direct) if direct > 0.0 else -math.inf
-    while value < 0.0:
-        # Far above the norm the equivalent norm is proportional to 1/level.
-        high, low = low, max(low - 1.05 * max(-value, 1e-3), floor)
-        value = excess(low)
-    root = float(brentq(excess, low, high, xtol=0.25 * tolerance, rtol=8.9e-16))
-    while excess(root) >= 0.0:
-        root += 0.25 * tolerance
-    return math.exp(root), at[root]
+            return math.inf
+    low, step, floor = high, 0.5, math.log(direct) if direct > 0.0 else -_BEYOND
+    while low > floor and _is_below(parts, low):
+        high, low, step = low, max(low - step, floor), 2.0 * step
+    if direct == 0.0 and low <= floor:
+        return 0.0
+    while high - low > tolerance:
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if _is_below(parts, middle) else (middle, high)
+    return math.exp(high)
+
+
+def _worst_frequency(systems: Sequence[StateArrays], norm: float) -> float:
+    """Return the frequency, rad/s, at most that of half a cycle, at which the norm is reached."""
+    if not 0.0 < norm < math.inf:
+        return 0.0
+    A, G, Q = _over_a_cycle(_runs(systems), norm)
+    B, C = factor(G), factor(Q).T
+    whole = StateArrays(A, B, C, np.zeros((len(C), B.shape[1])), len(systems) * systems[0].dt)
+    return hinf_norm(whole, allow_unstable=True)[1]
+
+
+def _is_below(parts: Sequence[tuple[StateArrays, int]], log_level: float) -> bool:
+    """Return whether the norm is below a level: cycle after cycle the state is forgotten, whatever the input."""
+    try:
+        step = _over_a_cycle(parts, math.exp(log_level))
+        for _ in range(_DOUBLINGS):
+            size = np.abs(step.A).max(initial=0.0)
+            if not size > _FORGOTTEN:
+                return not np.isnan(size)
+            step = joined(step, step, finite=True)
+    except (PeriodExceedsLevel, np.linalg.LinAlgError):
+        return False
+    return False
 
 
 def _runs(systems: Sequence[StateArrays]) -> list[tuple[StateArrays, int]]:
@@ -250,37 +254,42 @@ class PeriodicLoop:
 
     @cached_property
     def _alone(self) -> list[float]:
-        return [periodic_norm(self._disk([k], [k]))[0] for k in range(self.channels)]
+        return [periodic_norm(self._disk([k], [k])) for k in range(self.channels)]
 
     def disk_margin(self) -> DiskMargin:
         """Return the disk margin of all channels at once, guaranteed by one scaling of each channel.
 
         Frequency by frequency it is given of short cycles only: of long ones it hardly depends on frequency.
         """
+        return self._margin
+
+    @cached_property
+    def _margin(self) -> DiskMargin:
         from scipy.linalg import matrix_balance
 
         m, every = self.channels, range(self.channels)
         disks, s = self._disk(every, every), continuous_poles(self.poles, self.period)
         if not self.decay > 0.0:
             return no_margin(0.0, np.zeros(0), s, disks[0]._replace(dt=self.period))
-        plain, frequency = periodic_norm(disks)
-        norm, d = plain, np.ones(m)
+        plain = periodic_norm(disks) if m > 1 else self._alone[0]
+        norm, d, at_worst = plain, np.ones(m), disks
         if m > 1:
             # Scalings are powers of two.
             sizes = np.diag(self._alone)
             for i, j in permutations(every, 2):
-                sizes[i, j] = periodic_norm(self._disk([i], [j]), 1e-3)[0]
+                sizes[i, j] = periodic_norm(self._disk([i], [j]), 1e-3)
             _, (d, _) = matrix_balance(sizes, permute=False, separate=True)
             scaled = {
                 id(one): one._replace(B=one.B * d, C=one.C / d[:, None], D=one.D * d / d[:, None]) for one in disks
             }
-            norm, frequency = periodic_norm([scaled[id(one)] for one in disks])
+            at_worst = [scaled[id(one)] for one in disks]
+            norm = periodic_norm(at_worst)
         grid, lower, upper, unstructured = self._over_frequency(disks, d, s)
         return DiskMargin(
             lower=1.0 / norm,
             upper=1.0 / min(max(self._alone), norm),
             unstructured=1.0 / max(norm, plain),
-            frequency=frequency,
+            frequency=_worst_frequency(at_worst, norm),
             proved=True,
             skew=0.0,
             reason="",

@@ -57,15 +57,15 @@ def test_the_norm_is_that_of_the_stacked_system(N: int, n: int, m: int) -> None:
     for seed in range(3):
         systems = taking_turns(seed, N, n, m)
         stacked = hinf_norm(lifted(systems))[0]
-        assert periodic_norm(systems)[0] == pytest.approx(stacked, rel=3e-9)
+        assert periodic_norm(systems) == pytest.approx(stacked, rel=5e-9)
 
 
 def test_a_system_without_an_output_has_no_norm() -> None:
     (one,) = taking_turns(0, 1, 3, 2)
     nothing = one._replace(C=0.0 * one.C, D=0.0 * one.D)
-    assert periodic_norm([nothing, nothing])[0] == 0.0
+    assert periodic_norm([nothing, nothing]) == 0.0
     through = one._replace(C=0.0 * one.C)
-    assert periodic_norm([through, through])[0] == pytest.approx(np.linalg.norm(one.D, 2), rel=1e-8)
+    assert periodic_norm([through, through]) == pytest.approx(np.linalg.norm(one.D, 2), rel=1e-8)
 
 
 @pytest.mark.parametrize(("n", "late"), [(4, 0), (6, 3), (5, 12), (30, 17)])
