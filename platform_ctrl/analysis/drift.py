@@ -20,6 +20,8 @@ from platform_ctrl.common.values import FloatArray
 # Singular value of [A - I; C] in balanced states, relative to the largest, below which it is rounding: a pole that
 # decays or grows in an hour at 10 kHz is larger by a thousand.
 _ROUNDING = 1e-12
+# Share of a state in an equilibrium, and of the largest coupling of states, below which there is none.
+_NO_PART, _NOTHING = 1e-13, 1e-30
 
 
 class Drift(NamedTuple):
@@ -44,14 +46,22 @@ def _equilibria(system: StateArrays) -> tuple[FloatArray, FloatArray]:
     n = len(A)
     if not n or not dt:
         return np.zeros((n, 0)), np.zeros((0, n))
-    s = state_scaling(A, B, C)
+    s = state_scaling(*map(_coupling, (A, B, C)))
     balanced, rows = A * s / s[:, None], C * s
     size = np.linalg.norm(rows, axis=1, keepdims=True)
     rows = rows[size[:, 0] > 0.0] / size[size[:, 0] > 0.0]
     _, found, vectors = np.linalg.svd(np.vstack([balanced - np.eye(n), rows]))
     count = int(np.count_nonzero(found < _ROUNDING * found[0]))
     V = vectors[n - count :].T
+    # States that have no part may have any scale.
+    V = np.where(np.abs(V) > _NO_PART, V, 0.0)
     return V * s[:, None], V.T / s
+
+
+def _coupling(matrix: FloatArray) -> FloatArray:
+    """Return a matrix without what has decayed to nothing, over a long cycle say: no scale is to make up for it."""
+    size = np.abs(matrix)
+    return np.asarray(np.where(size > _NOTHING * size.max(initial=0.0), matrix, 0.0))
 
 
 def without_drift(system: StateArrays) -> StateArrays:
@@ -104,7 +114,7 @@ def drifting_rms(system: StateArrays, rms: FloatArray, duration: float) -> Float
     from platform_ctrl.analysis.norms import noise_rms
 
     A, B, C, D, dt = system
-    s = state_scaling(A, B, C)
+    s = state_scaling(*map(_coupling, (A, B, C)))
     balanced = A * s / s[:, None] - np.eye(len(A))
     left, found, right = np.linalg.svd(balanced)
     count = int(np.count_nonzero(found < _ROUNDING * found[0]))
