@@ -35,7 +35,9 @@ def failed(message: str, code: int) -> int:
 
 
 def noted(line: str) -> None:
-    """Print a line on standard error; a terminal would break it within words."""
+    """Print a line on standard error, unless it is empty; a terminal would break it within words."""
+    if not line:
+        return
     if sys.stderr.isatty():
         width = shutil.get_terminal_size().columns
         line = textwrap.fill(line, width, break_long_words=False, break_on_hyphens=False)

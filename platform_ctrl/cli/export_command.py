@@ -82,7 +82,7 @@ class ExportCommand:
             used = "controllers: none"
             there = existing_controllers(None, job) is not None
             if controllers is not None or "needed" in uses or (there and "optional" in uses):
-                work.controller_file, used = controller_file(controllers, None, job, work.job)
+                work.controller_file, used = controller_file(controllers, None, job, work.job, quiet or as_json)
             file = work.controller_file
             _check_targets([job, *plant_file(job, work.job), *([file] if file else [])], chosen)
             work.controller_sha256 = None if file is None else sha256(file)

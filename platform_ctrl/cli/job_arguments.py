@@ -137,9 +137,10 @@ def _tables(path: Path) -> dict[str, Any]:
         return {}
 
 
-def controller_file(given: Path | None, folder: Path | None, path: Path, job: Job) -> tuple[Path, str]:
+def controller_file(given: Path | None, folder: Path | None, path: Path, job: Job, quiet: bool) -> tuple[Path, str]:
     """Return the file that controllers come from, and a line for the end of the command that says which one it was.
 
+    The line is empty where the file was given to a command that is `quiet`.
     That is the given file, or the one saved beside the job file at `path`, or the result in `folder`, or that of
     design. One that was not given must be of this job and its plant, and not older than what design made of them.
     """
@@ -159,7 +160,8 @@ def controller_file(given: Path | None, folder: Path | None, path: Path, job: Jo
                 f"{file}: {wrong}; run platform-ctrl design {path}, or name the file with --controllers to use it as "
                 "it is"
             )
-    return file, f"controllers: {file}{f', which {wrong}' if wrong else ''}"
+    said = given is None or not quiet
+    return file, f"controllers: {file}{f', which {wrong}' if wrong else ''}" if said else ""
 
 
 def existing_controllers(folder: Path | None, path: Path) -> Path | None:

@@ -78,9 +78,12 @@ def test_every_command_says_which_controllers_it_took(
 ) -> None:
     if command == "campaign":
         pytest.importorskip("pyarrow")
-    for given in ([], ["--controllers", "out/result.json"]):
-        assert main([*COMMANDS[command], *given, "-q"]) == 0
+    for given in (["-q"], ["--json"], ["--controllers", "out/result.json"]):
+        assert main([*COMMANDS[command], *given]) == 0
         assert "controllers: out/result.json" in capsys.readouterr().err.splitlines()
+    # Scripts know what they have named.
+    assert main([*COMMANDS[command], "--controllers", "out/result.json", "--json"]) == 0
+    assert "controllers:" not in capsys.readouterr().err
 
 
 @EVERY
@@ -106,7 +109,7 @@ def test_controllers_of_another_plant_or_job_are_taken_only_by_name(
     if what in ("plant", "limit"):
         if command == "campaign":
             pytest.importorskip("pyarrow")
-        assert main([*COMMANDS[command], "--controllers", "out/result.json", "-q"]) in (0, 1)
+        assert main([*COMMANDS[command], "--controllers", "out/result.json"]) in (0, 1)
         assert "controllers: out/result.json, which was made for another" in capsys.readouterr().err
 
 
@@ -154,3 +157,19 @@ def test_the_hashes_are_those_of_what_was_read(there: Path, result: dict[str, An
     again = json.loads((there / "check" / "result.json").read_text(encoding="utf-8"))
     assert again["sha256"] == result["sha256"]
     assert {len(one) for one in result["sha256"].values()} == {64}
+
+
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+def test_numbers_that_overflow_lead_to_a_verdict_and_to_no_line_of_a_library(
+    there: Path, result: dict[str, Any], capfd: pytest.CaptureFixture[str]
+) -> None:
+    for entry in result["controllers"]:
+        entry = dict(entry)
+        for name in "CD":
+            entry[name] = [[1e200 * x for x in row] for row in entry[name]]
+        huge = {"schema": 1, "controllers": [entry]}
+    (there / "huge.json").write_text(json.dumps(huge), encoding="utf-8")
+    assert main(["check", "job.toml", "--controllers", "huge.json"]) == 1
+    out, err = capfd.readouterr()
+    assert "FAILED" in out
+    assert "On entry" not in out + err
