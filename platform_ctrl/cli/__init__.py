@@ -15,7 +15,8 @@ from typing import Any
 
 from platform_ctrl.cli.error_lines import failed, noted, reported
 from platform_ctrl.cli.interrupts import INTERRUPTED, INTERRUPTED_LINE, ProcessEnd, exit_interrupted, interruptible
-from platform_ctrl.errors import OldKeyWarning, PlatformCtrlError, began_with_interrupt
+from platform_ctrl.common.reasons import began_with_interrupt
+from platform_ctrl.errors import OldKeyWarning, PlatformCtrlError
 
 __all__ = ["main"]
 

@@ -8,7 +8,8 @@ import textwrap
 from collections.abc import Callable
 from pathlib import Path
 
-from platform_ctrl.errors import DesignError, PlatformCtrlError, SimulationError, began_with_interrupt, reason
+from platform_ctrl.common.reasons import began_with_interrupt, reason
+from platform_ctrl.errors import DesignError, PlatformCtrlError, SimulationError
 
 
 def not_drawn(path: Path, draw: Callable[[Path], object]) -> str:

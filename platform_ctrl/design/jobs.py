@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.common.processes import SecondProcess
 from platform_ctrl.common.progress import Local, Progress, shown
+from platform_ctrl.common.reasons import reason
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.store import Store
 from platform_ctrl.common.values import value
@@ -19,7 +20,7 @@ from platform_ctrl.design.loop_signals import loop_channels, loop_signals
 from platform_ctrl.design.partition import Channels
 from platform_ctrl.design.plants import plants_of, tracking_plants
 from platform_ctrl.design.reuse import design_job, kept_or_designed, plant_job
-from platform_ctrl.errors import DesignError, reason
+from platform_ctrl.errors import DesignError
 from platform_ctrl.job.job import DesignSpec, Job, LoopSpec
 from platform_ctrl.job.reading import read_job
 from platform_ctrl.mechanics.linearisation import LinearModel, linearise

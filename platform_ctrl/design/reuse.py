@@ -15,11 +15,12 @@ from typing import Any
 from platform_ctrl.analysis.arrays import StateArrays, state_arrays
 from platform_ctrl.analysis.certificates.plant_set import Evidence, KnownProofs, evidence_of
 from platform_ctrl.common.processes import SecondProcess, Task
+from platform_ctrl.common.reasons import began_with_interrupt
 from platform_ctrl.common.store import Store, array_of, array_text, key_of
 from platform_ctrl.common.values import replaced
 from platform_ctrl.design.caging_claims import with_caging_claims
 from platform_ctrl.design.loop import Designed, LoopDesign, LoopProblem, evaluated
-from platform_ctrl.errors import DesignError, PlatformCtrlError, began_with_interrupt
+from platform_ctrl.errors import DesignError, PlatformCtrlError
 from platform_ctrl.job.job import CoupledLimits, DesignSpec, Job, LoopSpec
 from platform_ctrl.job.methods import known_method, resolved
 
