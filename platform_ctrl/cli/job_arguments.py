@@ -181,12 +181,14 @@ def _expect_newest(file: Path, result: Path, path: Path, job: Job) -> None:
     """Refuse controllers that are older than what design made of the same job and plant."""
     from platform_ctrl.verification.controllers import is_of_job
 
-    newer = file != result and result.is_file() and result.stat().st_mtime_ns > file.stat().st_mtime_ns
-    if newer and is_of_job(result, job):
-        raise InputError(
-            f"{file}: is older than {result}, which platform-ctrl design {path} wrote for this job; name one of the "
-            f"two with --controllers, or remove {file}"
-        )
+    # That of this folder, and that of the folder of the job.
+    for made in dict.fromkeys((result, path.parent / DESIGNED / RESULT)):
+        newer = file != made and made.is_file() and made.stat().st_mtime_ns > file.stat().st_mtime_ns
+        if newer and is_of_job(made, job):
+            raise InputError(
+                f"{file}: is older than {made}, which platform-ctrl design {path} wrote for this job; name one of the "
+                f"two with --controllers, or remove {file}"
+            )
 
 
 def one_of(option: str, given: str, known: tuple[Word, ...]) -> Word:

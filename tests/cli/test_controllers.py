@@ -141,6 +141,30 @@ def test_controllers_that_are_older_than_a_fresh_result_are_taken_only_by_name(
     assert "controllers: job.controllers.json" in capsys.readouterr().err
 
 
+def test_the_result_beside_a_job_in_another_folder_counts(
+    there: Path, result: dict[str, Any], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    save_beside(there, {key: result[key] for key in ("schema", "controllers")}, age=5.0)
+    (there / "elsewhere").mkdir()
+    monkeypatch.chdir(there / "elsewhere")
+    words = "job.controllers.json: is older than ../out/result.json"
+    assert words in refused(capsys, "check", "../job.toml", "-q")
+
+
+def test_the_designers_page_says_that_it_leaves_out_controllers_of_another_job(
+    there: Path, result: dict[str, Any], capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("bokeh")
+    from platform_ctrl.cli.serve_command import _prepared
+
+    save_beside(there, result, age=0.0)
+    _prepared(Path("job.toml"), None, there, print)
+    assert capsys.readouterr().err == ""
+    write(there, camera_plant(friction=[]))
+    _prepared(Path("job.toml"), None, there, print)
+    assert "job.controllers.json: was made for another plant" in capsys.readouterr().err
+
+
 def test_a_design_in_place_of_the_one_that_the_job_uses_is_taken_only_by_name(
     there: Path, result: dict[str, Any], capsys: pytest.CaptureFixture[str]
 ) -> None:
