@@ -223,26 +223,40 @@ def state_scaling(A: FloatArray, B: FloatArray, C: FloatArray) -> FloatArray:
     n, m, p = A.shape[0], B.shape[1], C.shape[0]
     if n == 0:
         return np.ones(0)
+    if not np.all(np.isfinite(A)):
+        return np.ones(n)  # there is nothing to balance, which LAPACK would print
     whole = np.zeros((n + m + p, n + m + p))
     first, _, _, s, _ = dgebal(A, scale=1, permute=0)
     # B and C count as much as A does; their rows and columns themselves stay unscaled because
     # LAPACK leaves out states with an empty row or column.
     size = _norm(first) or 1.0
-    whole[:n, n : n + m] = _resized(B / s[:, None], size)
-    whole[n + m :, :n] = _resized(C * s, size)
+    with np.errstate(over="ignore", invalid="ignore"):
+        whole[:n, n : n + m] = _resized(B / s[:, None], size)
+        whole[n + m :, :n] = _resized(C * s, size)
     whole[:n, :n] = first
+    if not np.all(np.isfinite(whole)):
+        return np.ones(n)  # in these units inputs or outputs are beyond all numbers
     more = dgebal(whole, scale=1, permute=0)[3]
     out: FloatArray = s * more[:n]
     return out
 
 
 def _norm(block: FloatArray) -> float:
-    return math.sqrt(float(np.vdot(block, block)))
+    norm = math.sqrt(float(np.vdot(block, block)))
+    if norm < math.inf:
+        return norm
+    # Its square is beyond all numbers.
+    largest = float(np.abs(block).max())
+    shares = block / largest
+    return largest * math.sqrt(float(np.vdot(shares, shares)))
 
 
 def _resized(block: FloatArray, size: float) -> FloatArray:
     norm = _norm(block)
-    return block * (size / norm) if norm > 0.0 else block
+    if not norm > 0.0:
+        return block
+    share = size / norm
+    return block * share if share < math.inf else block / norm * size
 
 
 def _mean_magnitude(array: FloatArray) -> FloatArray:

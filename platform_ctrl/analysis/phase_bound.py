@@ -160,7 +160,10 @@ def norm_of_few(system: StateArrays, tolerance: float, unstable: bool, least: fl
     if poles is None:
         return False, 0.0, 0.0
     scale, real, imaginary = poles
-    further = dgebal(_bordered(A, B, C, scale), scale=1, permute=0)[3]
+    bordered = _bordered(A, B, C, scale)
+    if not np.all(np.isfinite(bordered)):
+        return False, 0.0, 0.0
+    further = dgebal(bordered, scale=1, permute=0)[3]
     return _norm((A, B, C, D), system.dt, (scale, further), (real, imaginary), tolerance, unstable, least)
 
 
@@ -172,6 +175,8 @@ def _balanced_poles(A: bytes) -> tuple[FloatArray, FloatArray, FloatArray] | Non
     """
     matrix = np.frombuffer(A)
     n = math.isqrt(len(matrix))
+    if not np.all(np.isfinite(matrix)):
+        return None
     # LAPACK directly: SciPy's wrappers take longer than small matrices.
     first, _, _, scale, _ = dgebal(matrix.reshape(n, n), scale=1, permute=0)
     real, imaginary, _, _, failed = dgeev(first, compute_vl=0, compute_vr=0)

@@ -64,7 +64,7 @@ def continuous_poles(poles: ComplexArray, dt: float) -> ComplexArray:
     if dt == 0.0:
         return z
     # By parts: no complex infinities with undefined angles, and no digits lost next to z = 1.
-    with np.errstate(divide="ignore"):
+    with np.errstate(divide="ignore", over="ignore"):
         growth = np.where(
             np.abs(z - 1.0) < 0.5,
             0.5 * np.log1p(np.maximum((z.real - 1.0) * (z.real + 1.0) + z.imag**2, -1.0)),

@@ -15,7 +15,6 @@ from typing import Any
 
 from platform_ctrl.cli.error_lines import failed, noted, reported
 from platform_ctrl.cli.interrupts import INTERRUPTED, INTERRUPTED_LINE, ProcessEnd, exit_interrupted, interruptible
-from platform_ctrl.common.failures import began_with_interrupt
 from platform_ctrl.errors import OldKeyWarning, PlatformCtrlError
 
 __all__ = ["main"]
@@ -66,6 +65,8 @@ def _guarded(arguments: list[str]) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         code = failed(f"standard output: {error.strerror or error}", 1)
     except BaseException as error:
+        from platform_ctrl.common.reasons import began_with_interrupt
+
         if not began_with_interrupt(error):
             raise
         code = INTERRUPTED
@@ -105,6 +106,8 @@ def _run(arguments: list[str]) -> int:
     except typer.Abort:
         return INTERRUPTED
     except PlatformCtrlError as error:
+        from platform_ctrl.common.reasons import began_with_interrupt
+
         if began_with_interrupt(error):
             return INTERRUPTED
         return reported(error)

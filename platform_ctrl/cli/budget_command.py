@@ -75,7 +75,7 @@ def budget(
         from platform_ctrl.verification.budget_limits import by_simulation
 
         expect_budget(read)
-        closed, alternatives, used = _controllers(read, job, controllers, say)
+        closed, alternatives, used = _controllers(read, job, controllers, quiet or as_json, say)
         say("budget: every source through the coupled sampled model")
         found = line_of_sight_budget(read, closed)
         others = _others(read, closed, alternatives, say)
@@ -139,7 +139,7 @@ def _others(
 
 
 def _controllers(
-    job: Job, path: Path, given: Path | None, say: Callable[[str], None]
+    job: Job, path: Path, given: Path | None, quiet: bool, say: Callable[[str], None]
 ) -> tuple[list[control.StateSpace], list[control.StateSpace], str]:
     """Return the controllers of a file as check finds it, or new ones, their alternatives, and a line about them."""
     from platform_ctrl.verification.controllers import read_controllers
@@ -151,7 +151,7 @@ def _controllers(
         others = [design.controller for outcome in made for design in outcome.alternatives]
         words = f"controllers: designed for this budget and not kept; platform-ctrl design {path} keeps them"
         return [outcome.closed.controller for outcome in made], others, words
-    file, used = controller_file(given, None, path, job)
+    file, used = controller_file(given, None, path, job, quiet)
     return read_controllers(file, job), read_controllers(file, job, "alternatives"), used
 
 

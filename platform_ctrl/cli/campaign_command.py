@@ -161,7 +161,7 @@ def campaign(
 
     with progress(quiet or as_json, f"reading {job}"):
         read = job_of(job)
-        file, used = controller_file(controllers, None, job, read)
+        file, used = controller_file(controllers, None, job, read, quiet or as_json)
         from platform_ctrl.campaign.engine import run_campaign
         from platform_ctrl.campaign.planning import plan
         from platform_ctrl.verification.controllers import read_controllers

@@ -260,7 +260,7 @@ def check(
     folder = out or CHECKED
     with SecondProcess(*DRAWING) as beside, progress(quiet or as_json, f"reading {job}") as say:
         read = job_of(job)
-        file, used = controller_file(controllers, out, job, read)
+        file, used = controller_file(controllers, out, job, read, quiet or as_json)
         comparison = BaselineOptions.given(baseline, update_baseline)
         report = Report(folder, pdf, campaign)
         report.expect_possible(read)

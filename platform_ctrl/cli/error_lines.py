@@ -8,12 +8,13 @@ import textwrap
 from collections.abc import Callable
 from pathlib import Path
 
-from platform_ctrl.common.failures import began_with_interrupt, reason
 from platform_ctrl.errors import DesignError, PlatformCtrlError, SimulationError
 
 
 def not_drawn(path: Path, draw: Callable[[Path], object]) -> str:
     """Write a picture or a page; where that fails return a line that says why, for the result does not depend on it."""
+    from platform_ctrl.common.reasons import began_with_interrupt, reason
+
     try:
         draw(path)
     except Exception as error:
@@ -36,7 +37,9 @@ def failed(message: str, code: int) -> int:
 
 
 def noted(line: str) -> None:
-    """Print a line on standard error; a terminal would break it within words."""
+    """Print a line on standard error, unless it is empty; a terminal would break it within words."""
+    if not line:
+        return
     if sys.stderr.isatty():
         width = shutil.get_terminal_size().columns
         line = textwrap.fill(line, width, break_long_words=False, break_on_hyphens=False)

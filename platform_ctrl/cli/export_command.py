@@ -79,10 +79,10 @@ class ExportCommand:
         with progress(quiet or as_json, f"reading {job}") as say:
             work = Export(job_of(job), job)
             uses = {e.controllers for e in chosen}
-            used = "controllers: none"
+            used = "" if uses == {"unused"} else "controllers: none"
             there = existing_controllers(None, job) is not None
             if controllers is not None or "needed" in uses or (there and "optional" in uses):
-                work.controller_file, used = controller_file(controllers, None, job, work.job)
+                work.controller_file, used = controller_file(controllers, None, job, work.job, quiet or as_json)
             file = work.controller_file
             _check_targets([job, *plant_file(job, work.job), *([file] if file else [])], chosen)
             work.controller_sha256 = None if file is None else sha256(file)

@@ -138,9 +138,10 @@ def _tables(path: Path) -> dict[str, Any]:
         return {}
 
 
-def controller_file(given: Path | None, folder: Path | None, path: Path, job: Job) -> tuple[Path, str]:
+def controller_file(given: Path | None, folder: Path | None, path: Path, job: Job, quiet: bool) -> tuple[Path, str]:
     """Return the file that controllers come from, and a line for the end of the command that says which one it was.
 
+    The line is empty where the file was given to a command that is `quiet`.
     That is the given file, or the one saved beside the job file at `path`, or the result in `folder`, or that of
     design. One that was not given must be of this job and its plant, and not older than what design made of them.
     """
@@ -160,7 +161,8 @@ def controller_file(given: Path | None, folder: Path | None, path: Path, job: Jo
                 f"{file}: {wrong}; run platform-ctrl design {path}, or name the file with --controllers to use it as "
                 "it is"
             )
-    return file, f"controllers: {file}{f', which {wrong}' if wrong else ''}"
+    said = given is None or not quiet
+    return file, f"controllers: {file}{f', which {wrong}' if wrong else ''}" if said else ""
 
 
 def existing_controllers(folder: Path | None, path: Path) -> Path | None:
@@ -180,12 +182,14 @@ def _expect_newest(file: Path, result: Path, path: Path, job: Job) -> None:
     """Refuse controllers that are older than what design made of the same job and plant."""
     from platform_ctrl.verification.controllers import is_of_job
 
-    newer = file != result and result.is_file() and result.stat().st_mtime_ns > file.stat().st_mtime_ns
-    if newer and is_of_job(result, job):
-        raise InputError(
-            f"{file}: is older than {result}, which platform-ctrl design {path} wrote for this job; name one of the "
-            f"two with --controllers, or remove {file}"
-        )
+    # That of this folder, and that of the folder of the job.
+    for made in dict.fromkeys((result, path.parent / DESIGNED / RESULT)):
+        newer = file != made and made.is_file() and made.stat().st_mtime_ns > file.stat().st_mtime_ns
+        if newer and is_of_job(made, job):
+            raise InputError(
+                f"{file}: is older than {made}, which platform-ctrl design {path} wrote for this job; name one of the "
+                f"two with --controllers, or remove {file}"
+            )
 
 
 def one_of(option: str, given: str, known: tuple[Word, ...]) -> Word:

@@ -103,7 +103,7 @@ def simulate(
             chosen: int | Manoeuvre = int(selected)
         else:
             chosen = _manoeuvre(read, selected, job, "--run" if manoeuvre is None else "--manoeuvre")
-        file, used = controller_file(controllers, None, job, read)
+        file, used = controller_file(controllers, None, job, read, quiet or as_json)
         from platform_ctrl.verification.controllers import read_controllers
 
         closed = read_controllers(file, read)

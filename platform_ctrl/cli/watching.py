@@ -12,7 +12,7 @@ from typing import NoReturn
 
 from platform_ctrl.cli.error_lines import noted, reported
 from platform_ctrl.cli.job_arguments import files_read
-from platform_ctrl.common.failures import began_with_interrupt
+from platform_ctrl.common.reasons import began_with_interrupt
 from platform_ctrl.errors import PlatformCtrlError
 
 # Between two looks at the files, s; large files are looked at for a tenth of the time.

@@ -7,9 +7,9 @@ import os
 from collections.abc import Mapping, Sequence
 
 from platform_ctrl.analysis.plant_set import PlantSet
-from platform_ctrl.common.failures import reason
 from platform_ctrl.common.processes import SecondProcess
 from platform_ctrl.common.progress import Local, Progress, shown
+from platform_ctrl.common.reasons import reason
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.store import Store
 from platform_ctrl.common.values import value

@@ -25,7 +25,7 @@ from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.partition import Partition, delayed, with_white_noise
 from platform_ctrl.design.riccati.equations import Equation, by_pencil, hamiltonian, stabilising
 from platform_ctrl.design.scaling import NO_DIRECT_PATH, ScaledPlant, autoscaled_with_gain, clustered
-from platform_ctrl.errors import ArgumentError
+from platform_ctrl.errors import ArgumentError, UnscalableError
 
 # Share of the bound that is subtracted for rounding of its evaluation.
 ROUNDING = 5e-11
@@ -97,7 +97,7 @@ def _evaluated(bound: Callable[[], float]) -> float:
         warnings.simplefilter("ignore")
         try:
             found = (1.0 - ROUNDING) * bound()
-        except (ArgumentError, ArithmeticError, ValueError, np.linalg.LinAlgError):
+        except (ArgumentError, ArithmeticError, UnscalableError, ValueError, np.linalg.LinAlgError):
             return 0.0
     return found if math.isfinite(found) else 0.0
 
@@ -210,6 +210,8 @@ def _side(p: Partition) -> Side | None:
     """Return the reduced adjoint system; None where rounding makes it too inexact."""
     A, B1, B2, C1, D11, D12 = p.A, p.B1, p.B2, p.C1, p.D11, p.D12
     n = len(A)
+    if not all(np.all(np.isfinite(M)) for M in (A, B1, B2, C1, D11, D12)):
+        return None  # which LAPACK would print
     V, rest = np.eye(n), np.zeros((n, 0))
     # Shrinks until it is invariant and invisible to the controls.
     while True:

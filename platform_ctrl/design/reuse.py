@@ -14,8 +14,8 @@ from typing import Any
 
 from platform_ctrl.analysis.arrays import StateArrays, state_arrays
 from platform_ctrl.analysis.certificates.plant_set import Evidence, KnownProofs, evidence_of
-from platform_ctrl.common.failures import began_with_interrupt
 from platform_ctrl.common.processes import SecondProcess, Task
+from platform_ctrl.common.reasons import began_with_interrupt
 from platform_ctrl.common.store import Store, array_of, array_text, key_of
 from platform_ctrl.common.values import replaced
 from platform_ctrl.design.caging_claims import with_caging_claims

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.partition import Partition, with_direct_path
-from platform_ctrl.errors import IllPosedError, NotStabilisableError
+from platform_ctrl.errors import IllPosedError, NotStabilisableError, UnscalableError
 
 if TYPE_CHECKING:
     from control import StateSpace
@@ -106,9 +106,17 @@ def autoscale(plant: Partition, gain: float = 1.0) -> ScaledPlant:
 
 
 def autoscaled_with_gain(plant: Partition) -> ScaledPlant:
-    """Scale a plant, the norm too where w → x and x → z are in far larger or smaller units than u → x and x → y."""
+    """Scale a plant, the norm too where w → x and x → z are in far larger or smaller units than u → x and x → y.
+
+    An UnscalableError where its numbers are too far apart: LAPACK prints lines about what is not finite.
+    """
     scaled = autoscale(plant)
     p = scaled.plant
+    if not all(np.all(np.isfinite(M)) for M in (p.A, p.B1, p.B2, p.C1, p.C2, p.D11, p.D12, p.D21)):
+        raise UnscalableError(
+            "the plant's numbers are so far apart that no units make all of them finite; leave out what is faster or "
+            "slower than the loop by many decades"
+        )
     disturbance = float(np.linalg.norm(p.B1) * np.linalg.norm(p.C1))
     loop = float(np.linalg.norm(p.B2) * np.linalg.norm(p.C2))
     if not (0.0 < disturbance < np.inf and 0.0 < loop < np.inf):
@@ -180,7 +188,7 @@ def weakest_mode(scaled: ScaledPlant) -> tuple[float, str, complex]:
     plant = scaled.plant
     size = max(1.0, float(np.linalg.norm(plant.A, 2)))
     weakest = (float("inf"), "", 0j)
-    for pole in not_stable(plant, size):
+    for pole in (one for one in not_stable(plant, size) if np.isfinite(one)):
         shifted = plant.A - pole * np.eye(len(plant.A))
         for word, pencil in (
             ("stabilisable", np.hstack([shifted, plant.B2])),

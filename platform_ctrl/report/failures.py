@@ -10,8 +10,8 @@ from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
-from platform_ctrl.common.failures import reason
 from platform_ctrl.common.files import write_whole
+from platform_ctrl.common.reasons import reason
 from platform_ctrl.common.text import rounded
 from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.job.quantities import (

@@ -169,8 +169,8 @@ def _design_responses(
         design=design,
         gains={kind: of.gain_at(metrics[kind].transfers, frequency) for kind, of in shown.items()},
         peaks=peaks,
-        smallest_sensitivity=np.asarray(np.linalg.svd(S_in, compute_uv=False)[:, -1], dtype=np.float64),
-        loop_gains=np.asarray(np.linalg.svd(loop_transfer, compute_uv=False).T, dtype=np.float64),
+        smallest_sensitivity=_singular_values(S_in)[:, -1],
+        loop_gains=_singular_values(np.asarray(loop_transfer, dtype=np.complex128)).T,
         channels=responses.channels,
         controller_gain=largest_singular_values(frequency_response(loop.controller, frequency, -3)),
         angle_per_rate=np.linalg.norm(S_out @ from_rate, axis=1).T,
@@ -178,6 +178,14 @@ def _design_responses(
         varied_poles=poles[1:][~faults[1:]].ravel(),
         fault_poles=poles[faults].ravel(),
     )
+
+
+def _singular_values(responses: ComplexArray) -> FloatArray:
+    """Return the singular values of square responses (N, m, m), (N, m); NaN where a response is not finite."""
+    out = np.full(responses.shape[:2], np.nan)
+    finite = np.all(np.isfinite(responses), axis=(1, 2))
+    out[finite] = np.linalg.svd(responses[finite], compute_uv=False)
+    return out
 
 
 def _reading_per_rate(model: LinearModel, spec: LoopSpec, plants: PlantSet, frequency: FloatArray) -> ComplexArray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 
 import control
@@ -229,3 +230,16 @@ def test_largest_singular_values_are_those_of_lapack(p: int, m: int) -> None:
     H[7, 0, -1], H[9, -1, 0] = math.nan, complex(0.0, -math.inf)
     assert np.flatnonzero(np.isinf(largest_singular_values(H))).tolist() == [7, 9]
     assert largest_singular_values(H)[8] == sizes[8]
+
+
+@pytest.mark.parametrize("measure", ["hinf_norm", "h2_norm", "disk_margin"])
+@pytest.mark.parametrize(("b", "c"), [(1e-300, 1e300), (1e300, 1e-300), (1e300, 1e300), (1e200, 1.0)])
+@pytest.mark.parametrize("a", [1.0, 1e160])
+def test_no_library_prints_about_numbers_whose_squares_overflow(
+    measure: str, a: float, b: float, c: float, capfd: pytest.CaptureFixture[str]
+) -> None:
+    A = a * np.array([[-1.0, 2.0], [0.0, -3.0]])
+    system = control.ss(A, b * np.ones((2, 1)), c * np.ones((1, 2)), 0)
+    with np.errstate(all="ignore"), contextlib.suppress(PlatformCtrlError, ValueError):
+        getattr(analysis, measure)(system)
+    assert "On entry" not in "".join(capfd.readouterr())

@@ -139,8 +139,7 @@ def test_a_requirement_that_is_not_met_ends_with_one(there: Path, capsys: pytest
     given = ["check", "strict.toml", "--controllers", "out/result.json", "-o", "strict", "--json"]
     assert main(given) == 1
     out, err = capsys.readouterr()
-    assert err.startswith("controllers: out/result.json, which was made for another job")
-    assert len(err.splitlines()) == 1
+    assert err == ""
     printed = json.loads(out)
     assert printed == json.loads((there / "strict" / "result.json").read_text())
     failed = [(one["subject"], one["name"]) for one in printed["requirements"] if not one["passed"]]

@@ -78,9 +78,12 @@ def test_every_command_says_which_controllers_it_took(
 ) -> None:
     if command == "campaign":
         pytest.importorskip("pyarrow")
-    for given in ([], ["--controllers", "out/result.json"]):
-        assert main([*COMMANDS[command], *given, "-q"]) == 0
+    for given in (["-q"], ["--json"], ["--controllers", "out/result.json"]):
+        assert main([*COMMANDS[command], *given]) == 0
         assert "controllers: out/result.json" in capsys.readouterr().err.splitlines()
+    # Scripts know what they have named.
+    assert main([*COMMANDS[command], "--controllers", "out/result.json", "--json"]) == 0
+    assert "controllers:" not in capsys.readouterr().err
 
 
 @EVERY
@@ -106,7 +109,7 @@ def test_controllers_of_another_plant_or_job_are_taken_only_by_name(
     if what in ("plant", "limit"):
         if command == "campaign":
             pytest.importorskip("pyarrow")
-        assert main([*COMMANDS[command], "--controllers", "out/result.json", "-q"]) in (0, 1)
+        assert main([*COMMANDS[command], "--controllers", "out/result.json"]) in (0, 1)
         assert "controllers: out/result.json, which was made for another" in capsys.readouterr().err
 
 
@@ -138,6 +141,30 @@ def test_controllers_that_are_older_than_a_fresh_result_are_taken_only_by_name(
     assert "controllers: job.controllers.json" in capsys.readouterr().err
 
 
+def test_the_result_beside_a_job_in_another_folder_counts(
+    there: Path, result: dict[str, Any], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    save_beside(there, {key: result[key] for key in ("schema", "controllers")}, age=5.0)
+    (there / "elsewhere").mkdir()
+    monkeypatch.chdir(there / "elsewhere")
+    words = "job.controllers.json: is older than ../out/result.json"
+    assert words in refused(capsys, "check", "../job.toml", "-q")
+
+
+def test_the_designers_page_says_that_it_leaves_out_controllers_of_another_job(
+    there: Path, result: dict[str, Any], capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("bokeh")
+    from platform_ctrl.cli.serve_command import _prepared
+
+    save_beside(there, result, age=0.0)
+    _prepared(Path("job.toml"), None, there, print)
+    assert capsys.readouterr().err == ""
+    write(there, camera_plant(friction=[]))
+    _prepared(Path("job.toml"), None, there, print)
+    assert "job.controllers.json: was made for another plant" in capsys.readouterr().err
+
+
 def test_a_design_in_place_of_the_one_that_the_job_uses_is_taken_only_by_name(
     there: Path, result: dict[str, Any], capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -154,3 +181,19 @@ def test_the_hashes_are_those_of_what_was_read(there: Path, result: dict[str, An
     again = json.loads((there / "check" / "result.json").read_text(encoding="utf-8"))
     assert again["sha256"] == result["sha256"]
     assert {len(one) for one in result["sha256"].values()} == {64}
+
+
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+def test_numbers_that_overflow_lead_to_a_verdict_and_to_no_line_of_a_library(
+    there: Path, result: dict[str, Any], capfd: pytest.CaptureFixture[str]
+) -> None:
+    for entry in result["controllers"]:
+        entry = dict(entry)
+        for name in "CD":
+            entry[name] = [[1e200 * x for x in row] for row in entry[name]]
+        huge = {"schema": 1, "controllers": [entry]}
+    (there / "huge.json").write_text(json.dumps(huge), encoding="utf-8")
+    assert main(["check", "job.toml", "--controllers", "huge.json"]) == 1
+    out, err = capfd.readouterr()
+    assert "FAILED" in out
+    assert "On entry" not in out + err

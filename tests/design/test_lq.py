@@ -9,7 +9,7 @@ import pytest
 from platform_ctrl.analysis.norms import h2_norm
 from platform_ctrl.design.riccati.lq import lqe, lqg, lqr
 from platform_ctrl.design.riccati.pole_placement import pole_placement
-from platform_ctrl.errors import ArgumentError, IllPosedError, NotStabilisableError
+from platform_ctrl.errors import ArgumentError, DesignError, IllPosedError, NotStabilisableError
 
 DOUBLE = control.ss([[0.0, 1], [0, 0]], [[0.0], [1]], [[1.0, 0]], 0)
 
@@ -223,3 +223,11 @@ def test_sampled_pole_at_minus_one_is_moved():
     system = control.ss([[-1.0]], [[1.0]], [[1.0]], 0, 0.1)
     assert np.abs(lqr(system, [[1.0]], [[1.0]]).poles).max() < 1.0
     assert np.abs(lqg(system, [[1.0]], [[1.0]], [[1.0]], [[1.0]]).poles).max() < 1.0
+
+
+@pytest.mark.parametrize("dt", [0.0, 0.1])
+@pytest.mark.parametrize(("a", "b"), [(2.0, 1e200), (1e160, 1e200), (-1e300, 1e300)])
+def test_numbers_whose_squares_overflow_are_refused_and_no_library_prints(a, b, dt, capfd):
+    with np.errstate(all="ignore"), pytest.raises(DesignError):
+        lqr(control.ss([[a]], [[b]], [[1.0]], [[0.0]], dt), np.eye(1), np.eye(1))
+    assert "On entry" not in "".join(capfd.readouterr())

@@ -272,6 +272,8 @@ def _off_boundary(equation: Equation, X: FloatArray, F: FloatArray, W: FloatArra
     from scipy.linalg import eig
 
     closed = equation.A + equation.B @ F
+    if not (np.all(np.isfinite(closed)) and np.all(np.isfinite(W))):
+        return False
     poles, left, right = eig(closed, left=True, right=True)
     decay = 1.0 - np.abs(poles) if equation.discrete else -poles.real
     eps, n = float(np.finfo(np.float64).eps), len(closed)

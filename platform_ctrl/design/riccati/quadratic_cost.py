@@ -158,10 +158,14 @@ def _solutions(A: FloatArray, B: FloatArray, weights: Weights, dt: float) -> Ite
     for s, root in _all_units(A, B * unit, square_root(Q).T):
         As, Bs = A * s / s[:, None], B * unit / s[:, None]
         Qs, Rs, Ns = Q * s * s[:, None], R * unit * unit[:, None], N * unit * s[:, None]
-        # The unit of time in which A and B are at most near one.
-        size = float(np.linalg.norm(As, 2) + np.linalg.norm(Bs) * root)
+        # The unit of time in which A and B are at most near one; without any the equation is not finite either.
+        finite = bool(np.all(np.isfinite(As)))
+        size = float(np.linalg.norm(As, 2) + np.linalg.norm(Bs) * root) if finite else 1.0
         rate = 1.0 if dt or not size else float(_power_of_two(size))
         equation = Equation(As / rate, Bs * (root / rate), Qs / root**2, Rs, Ns / root, discrete=dt > 0)
+        if not _is_finite(equation):
+            yield _Solution(equation, rate, exists=True)
+            continue
         try:
             found = riccati_solution(equation)
         except np.linalg.LinAlgError:
@@ -235,9 +239,16 @@ def _units_of_plant(A: FloatArray, B: FloatArray, C: FloatArray) -> tuple[FloatA
     return s, float(_power_of_two(max(float(np.linalg.norm(C * s, 2)), np.finfo(float).tiny))) if len(C) else 1.0
 
 
+def _is_finite(equation: Equation) -> bool:
+    """Return whether all numbers are finite in the units of an equation: LAPACK prints lines about others."""
+    return all(np.all(np.isfinite(M)) for M in (equation.A, equation.B, equation.Q, equation.R, equation.N))
+
+
 def _name_blind_mode(equation: Equation, rate: float, dt: float, where: str, system: StateSpace) -> None:
     """Raise an IllPosedError where the weights do not see a mode on the stability boundary."""
     A, B, Q, R, N, _ = equation
+    if not _is_finite(equation):
+        return
     across = np.linalg.lstsq(R, N.T)[0]
     closed, seen = A - B @ across, Q - N @ across
     size = 1.0 if dt else float(np.linalg.norm(closed, 2)) or 1.0

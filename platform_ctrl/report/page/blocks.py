@@ -14,8 +14,8 @@ from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
-from platform_ctrl.common.failures import began_with_interrupt, reason
 from platform_ctrl.common.palette import PALETTE, declarations
+from platform_ctrl.common.reasons import began_with_interrupt, reason
 from platform_ctrl.common.values import value
 from platform_ctrl.errors import InputError, PlatformCtrlError
 from platform_ctrl.report import style

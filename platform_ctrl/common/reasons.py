@@ -1,4 +1,4 @@
-"""What an error says, in a line, and whether somebody interrupted."""
+"""Why something failed that does not end the rest: in one line, unless it was Ctrl-C."""
 
 from __future__ import annotations
 
