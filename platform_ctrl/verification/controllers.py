@@ -13,10 +13,11 @@ from typing import TYPE_CHECKING, Any
 
 from platform_ctrl.analysis.plant_set import COMMAND, PlantSet
 from platform_ctrl.common.processes import SecondProcess, Task
+from platform_ctrl.common.reasons import began_with_interrupt
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.design.caging_claims import with_caging_claims
 from platform_ctrl.design.feedforward import design_plants
-from platform_ctrl.design.jobs import LoopOutcome, in_order
+from platform_ctrl.design.jobs import FailedDesign, LoopOutcome, in_order
 from platform_ctrl.design.loop import LoopDesign, LoopProblem, remeasured, with_commands
 from platform_ctrl.design.loop_signals import loop_signals
 from platform_ctrl.design.partition import Channels
@@ -198,8 +199,9 @@ def outcomes_from(
                 tasks += _tasks(job, specs[name], (closed, *others[name]), inner)
         found = [function(*given) for function, given in tasks] if beside is None else beside.results(tasks)
         for name in dict.fromkeys(one.loop for one in found):
-            designs = tuple(one for one in found if one.loop == name)
-            made[name] = LoopOutcome(spec=specs[name], designs=designs, use=designs[0].name)
+            designs = tuple(one for one in found if one.loop == name and isinstance(one, LoopDesign))
+            failed = tuple(one for one in found if one.loop == name and isinstance(one, FailedDesign))
+            made[name] = LoopOutcome(spec=specs[name], designs=designs, use=designs[0].name, failed=failed)
     return in_order(job, list(made.values()))
 
 
@@ -223,8 +225,18 @@ def _tasks(
             if read.sensors not in bare:
                 bare[read.sensors] = plants_of(job, read)
             plants = design_plants(job, spec, of, bare[read.sensors])
-        yield _measured, (job, spec, name, K, plants, directions, not names)
+        yield (_measured if not names else _attempted), (job, spec, name, K, plants, directions, not names)
         names.append(name)
+
+
+def _attempted(job: Job, spec: LoopSpec, name: str, *given: Any) -> LoopDesign | FailedDesign:
+    """Return a controller that is not closed, measured again, or why it cannot be: that does not end the others."""
+    try:
+        return _measured(job, spec, name, *given)
+    except Exception as error:
+        if began_with_interrupt(error):
+            raise
+        return FailedDesign(loop=spec.name, name=name, method="given", error=error)
 
 
 def _measured(

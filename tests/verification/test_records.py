@@ -20,7 +20,7 @@ from platform_ctrl.common.json_text import json_text
 from platform_ctrl.design import loops
 from platform_ctrl.errors import InputError
 from platform_ctrl.job.job import Job
-from platform_ctrl.verification import JobResult, check_job
+from platform_ctrl.verification import JobResult, check_job, controllers
 from platform_ctrl.verification.controllers import outcomes_from, read_controllers
 from platform_ctrl.verification.records import result_record, write_record
 
@@ -168,6 +168,24 @@ def test_a_worse_controller_fails_the_check(record: dict[str, Any], job: Job) ->
         ("all loops closed", "minimum decay rate"),
     }
     json.dumps(failed, allow_nan=False)  # infinite noise and lost margins are null
+
+
+def test_an_alternative_that_cannot_be_measured_does_not_end_the_check(
+    record: dict[str, Any], job: Job, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    measured = controllers.remeasured
+
+    def fails(spec: Any, name: str, *given: Any) -> Any:
+        if name == "slow":
+            raise np.linalg.LinAlgError("no luck")
+        return measured(spec, name, *given)
+
+    monkeypatch.setattr(controllers, "remeasured", fails)
+    again = outcomes_from(job, read_controllers(record, job), read_controllers(record, job, "alternatives"))
+    outcome = check_job(job, again)
+    assert outcome.passed is record["passed"]
+    [failed] = result_record(outcome)["failed"]
+    assert (failed["name"], failed["design"], failed["reason"]) == ("caging 9-10", "slow", "LinAlgError: no luck")
 
 
 def test_signals_may_stand_in_another_order(record: dict[str, Any], job: Job) -> None:
