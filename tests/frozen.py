@@ -374,7 +374,6 @@ def export() -> dict[str, Any]:
     with folder() as here:
         forms = ["--c", "c", "--mat", "all.mat", "--models", "all.json", "--csv", "csv", "--mjcf", "plant.xml"]
         said = answer("export", "job.toml", *forms, "--fmu", "all.fmu")
-        fixed = answer("export", "job.toml", "--c", "q31", "--number", "q31")
         texts = {str(f.relative_to(here)): f.read_text(encoding="utf-8") for f in sorted(here.glob("*/*.[ch]"))}
         csv = {f.name: f.read_text(encoding="utf-8").splitlines() for f in sorted(Path("csv").glob("*.csv"))}
         with zipfile.ZipFile("all.fmu") as packed:
@@ -383,7 +382,7 @@ def export() -> dict[str, Any]:
                 "files": sorted("".join(lines(name)) for name in packed.namelist() if not name.endswith("/")),
             }
         return {
-            "json": [said, fixed],
+            "json": said,
             "c": texts,
             "csv": {name: "\n".join([*rows[:4], *rows[4::40]]) for name, rows in csv.items()},
             "models": json.loads(Path("all.json").read_text(encoding="utf-8")),

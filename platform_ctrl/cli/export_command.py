@@ -38,7 +38,7 @@ class ExportCommand:
 
     \b
     platform-ctrl export job.toml --c firmware/gyro              double precision C99
-    platform-ctrl export job.toml --c firmware/gyro --number q31  fixed point, with its scaling
+    platform-ctrl export job.toml --c firmware/gyro --number float  single precision
     platform-ctrl export job.toml --mat gyro.mat --csv responses  for MATLAB, Octave, pandas
     platform-ctrl export job.toml --mjcf gyro.xml --fmu gyro.fmu  for MuJoCo and simulators
     platform-ctrl export job.toml --c gyro --json | jq .written   with the SHA-256 of every file
@@ -186,7 +186,7 @@ def _settings(chosen: Mapping[Exporter, Path], options: Mapping[str, Any]) -> di
                 raise InputError(f"{setting.flag}: is an option of {exporter.flag}, which must be given too")
             if setting.choices and given not in setting.choices:
                 raise InputError(f"{setting.flag} {given}: must be one of {', '.join(setting.choices)}")
-    return {e: e.checked({s.name: options[_keyword(e, s)] for s in e.settings}) for e in chosen}
+    return {e: {s.name: options[_keyword(e, s)] for s in e.settings} for e in chosen}
 
 
 def _check_targets(inputs: list[Path], targets: Mapping[Exporter, Path]) -> None:

@@ -5,7 +5,6 @@ Nothing heavy is loaded before something is written. To add an exporter see docs
 
 from __future__ import annotations
 
-import math
 import re
 import shlex
 from collections.abc import Callable, Mapping
@@ -14,15 +13,13 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, cast
 
-from platform_ctrl.errors import ArgumentError, InputError
+from platform_ctrl.errors import ArgumentError
 
 if TYPE_CHECKING:
     import control
 
     from platform_ctrl.export.systems import SystemRecord
     from platform_ctrl.job.job import Job
-
-FIXED_POINT = ("q31", "q15")
 
 
 @dataclass
@@ -85,9 +82,6 @@ class Exporter:
     suffix: str = ""  # Of the file that is written; empty: a folder
     controllers: Literal["needed", "optional", "unused"] = "needed"  # Whether it needs the job's controllers
     settings: tuple[Setting, ...] = ()  # Its options
-    # Returns the settings that write gets from those of the command line; raises InputError where they do not fit
-    # together
-    checked: Callable[[dict[str, Any]], dict[str, Any]] = dict
 
     @property
     def flag(self) -> str:
@@ -123,44 +117,6 @@ def exporters() -> tuple[Exporter, ...]:
     return tuple(_registered.values())
 
 
-def _numbers(flag: str, given: list[str] | None) -> dict[str, float]:
-    """Return the NAME=NUMBER arguments of an option, by name."""
-    out = {}
-    for one in given or []:
-        name, _, number = one.rpartition("=")
-        try:
-            out[name] = float(number)
-        except ValueError:
-            name = ""
-        if not name:
-            raise InputError(f"{flag} {one}: must be a name, = and a number, as in alpha9=0.01")
-        if not (math.isfinite(out[name]) and out[name] > 0.0):
-            raise InputError(f"{flag} {one}: the number must be finite and > 0")
-    return out
-
-
-_ACCURACY = Setting(
-    "accuracy", "SHARE", "Fixed point: largest error of a torque, as a share of its limit.", default=0.02, kind=float
-)
-
-
-def _c_settings(given: dict[str, Any]) -> dict[str, Any]:
-    """Return the settings of C source: those of fixed point only where they count."""
-    ranges, limits = _numbers("--range", given["ranges"]), _numbers("--integral-limit", given["limits"])
-    accuracy = given["accuracy"]
-    if not (math.isfinite(accuracy) and accuracy > 0.0):
-        raise InputError(f"--accuracy {accuracy!r}: must be finite and > 0, as in 0.02: 2 % of a torque's limit")
-    out = {"number": given["number"], "anti_windup": given["anti_windup"]}
-    if given["number"] in FIXED_POINT:
-        return out | {"ranges": ranges, "limits": limits, "accuracy": accuracy}
-    if ranges or limits or accuracy != _ACCURACY.default:
-        raise InputError(
-            "--range, --integral-limit and --accuracy are options of fixed point, but --number is "
-            f"{given['number']}; use q31 or q15"
-        )
-    return out
-
-
 def _write_c(export: Export, path: Path, target: Path, **settings: Any) -> None:
     from platform_ctrl.export.c99.c_files import write_c
     from platform_ctrl.plant.source import read_json
@@ -185,10 +141,7 @@ def _write_c(export: Export, path: Path, target: Path, **settings: Any) -> None:
 
 def _as_typed(settings: Mapping[str, Any]) -> list[str]:
     """Return the words of the command line for the settings of the C source."""
-    words = ["--number", settings["number"], "--anti-windup", settings["anti_windup"]]
-    for flag, name in (("--range", "ranges"), ("--integral-limit", "limits")):
-        words += [word for key, number in settings.get(name, {}).items() for word in (flag, f"{key}={number!r}")]
-    return [*words, *(["--accuracy", repr(settings["accuracy"])] if "accuracy" in settings else [])]
+    return ["--number", settings["number"], "--anti-windup", settings["anti_windup"]]
 
 
 def _without_drives(export: Export, target: Path) -> list[str]:
@@ -239,14 +192,13 @@ register(
         title="C source",
         help="The controllers as C99 source, into this folder: a new or empty one, or one of an earlier export.",
         write=_write_c,
-        checked=_c_settings,
         settings=(
             Setting(
                 "number",
                 "TYPE",
-                "Numbers of the C source: double, float, or fixed point, q31 or q15.",
+                "Numbers of the C source: double or float.",
                 default="double",
-                choices=("double", "float", *FIXED_POINT),
+                choices=("double", "float"),
             ),
             Setting(
                 "anti_windup",
@@ -255,21 +207,6 @@ register(
                 default="back-calculation",
                 choices=("back-calculation", "proved", "none"),
             ),
-            Setting(
-                "ranges",
-                "SIGNAL=NUMBER",
-                "Fixed point: largest magnitude of an input, SI units. Default: from stops, torque limits, Omega.",
-                kind=list[str],
-                option="range",
-            ),
-            Setting(
-                "limits",
-                "STATE=NUMBER",
-                "Fixed point: where an integral stops. Default: from the torquers' limits.",
-                kind=list[str],
-                option="integral-limit",
-            ),
-            _ACCURACY,
         ),
     )
 )

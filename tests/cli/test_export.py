@@ -78,13 +78,13 @@ def test_every_form_is_written_and_told_with_its_hash(there: Path, capsys: pytes
 
 
 def test_options_reach_what_they_are_of(there: Path) -> None:
-    arguments = ["--number", "q15", "--anti-windup", "none", "--form", "polar", "--root", "prescribed"]
+    arguments = ["--number", "float", "--anti-windup", "none", "--form", "polar", "--root", "prescribed"]
     assert main(["export", "job.toml", "-q", "--c", "c", "--csv", "r", "--mjcf", "p.xml", *arguments]) == 0
     source = (there / "c" / "caging_9_10_classical.c").read_text() + (
         there / "c" / "caging_9_10_classical.h"
     ).read_text()
-    assert "int16_t" in source
-    assert "--number q15" in source
+    assert "0F;" in source
+    assert "--number float" in source
     assert "alpha9/Q9 phase_deg" in (there / "r" / "plant_caging_9-10.csv").read_text()
     assert 'name="Omega1_dot"' in (there / "p.xml").read_text()
 
@@ -109,7 +109,7 @@ def test_controllers_saved_beside_the_job_are_found(there: Path) -> None:
     ("arguments", "words"),
     [
         ([], "nothing to write; name at least one of --c, --mat"),
-        (["--c", "c", "--number", "q7"], "--number q7: must be one of double, float, q31, q15"),
+        (["--c", "c", "--number", "q7"], "--number q7: must be one of double, float"),
         (["--c", "c", "--anti-windup", "some"], "--anti-windup some: must be one of back-calculation"),
         (["--csv", "c", "--form", "dB"], "--form dB: must be one of complex, polar"),
         (["--mjcf", "p.xml", "--root", "loose"], "--root loose: must be one of free, prescribed, fixed"),
@@ -138,9 +138,7 @@ def test_wrong_input_is_one_line_and_writes_nothing(
 @pytest.mark.parametrize(
     ("option", "of"),
     [
-        ("--number=q31", "c"),
-        ("--range=a=1", "c"),
-        ("--accuracy=0.1", "c"),
+        ("--number=float", "c"),
         ("--form=polar", "csv"),
         ("--root=fixed", "mjcf"),
         ("--manoeuvre=x", "fmu"),
@@ -264,27 +262,3 @@ def test_exported_models_are_of_the_plant_as_it_stands(there: Path) -> None:
     assert (plant.A == ours.A).all()
     assert plant.inputs == tuple(ours.input_labels)
     assert plant.input_units[:2] == ("N m", "N m")
-
-
-def test_ranges_and_accuracy_of_fixed_point_stand_in_the_command_that_writes_it_again(there: Path) -> None:
-    options = ["--number", "q31", "--range", "alpha9=0.002", "--range", "beta10=0.001", "--accuracy", "0.01"]
-    assert main(["export", "job.toml", "--c", "c", *options]) == 0
-    header = "".join(path.read_text() for path in sorted(Path("c").glob("*.h")))
-    assert "--range alpha9=0.002 --range beta10=0.001 --accuracy 0.01" in " ".join(header.replace("*", " ").split())
-
-
-@pytest.mark.parametrize(
-    ("options", "said"),
-    [
-        (["--number", "q31", "--range", "alpha"], "--range alpha: must be a name, = and a number, as in alpha9=0.01"),
-        (["--range", "alpha9=1"], "--accuracy are options of fixed point, but --number is double; use q31 or q15"),
-        (["--number", "q31", "--range", "gamma=1"], "ranges must be one of 'alpha9', 'beta10', got 'gamma'"),
-        (["--number", "q31", "--range", "alpha9=nan"], "--range alpha9=nan: the number must be finite and > 0"),
-        (["--number", "q31", "--integral-limit", "pi=-1"], "--integral-limit pi=-1: the number must be finite and > 0"),
-        (["--number", "q15", "--accuracy", "-1"], "--accuracy -1.0: must be finite and > 0"),
-        (["--number", "float", "--accuracy", "0.1"], "--accuracy are options of fixed point, but --number is float"),
-    ],
-)
-def test_ranges_that_make_no_sense_are_refused_in_one_line(options: list[str], said: str, there: Path, capsys) -> None:
-    assert said in refused(capsys, "export", "job.toml", "--c", "c", "--quiet", *options)
-    assert not Path("c").exists()

@@ -92,11 +92,6 @@ def test_single_precision_is_the_same_to_its_digits(job: Job, tmp_path: Path) ->
     assert status == 0
 
 
-def test_integers_are_refused(job: Job, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"q31 has no drives of torquers, and \[\[drive\]\] of 'Qouter' would be left"):
-        written(job, tmp_path, number="q31")
-
-
 def test_a_controller_that_does_not_set_the_torquer_is_refused(job: Job, tmp_path: Path) -> None:
     other = control.ss([], [], [], [[-1.0]], 1.0 / RATE_HZ, inputs=["pitch_gyro"], outputs=["Qinner"], name="loop")
     with pytest.raises(InputError, match="drive of 'Qouter': none of these controllers sets this torquer"):

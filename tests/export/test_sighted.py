@@ -48,12 +48,6 @@ def test_every_format_has_the_sensors_that_it_can_have(folder: Path, capsys: pyt
         assert outputs[f"reading.{sensor.name}"].get("unit") == sensor.unit
 
 
-def test_fixed_point_needs_the_range_of_a_gyro(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["export", "job.toml", "--c", "q", "--number", "q31"]) == 2
-    assert "no range is known for 'gyro2'" in capsys.readouterr().err
-    assert main(["export", "job.toml", "--c", "q", "--number", "q31", "--range", "gyro2=4"]) == 0
-
-
 def test_the_mujoco_model_says_where_its_readings_are_and_reads_back(folder: Path) -> None:
     platform = sighted()
     notes = write_mjcf(platform, folder / "m.xml")

@@ -29,17 +29,11 @@ class ControllerFiles(ABC):
     remarks: tuple[str, ...] = ()  # Paragraphs for the head of the header: anti-windup, rounding
 
     template: ClassVar[str]  # Of the source file
-    fixed_point: ClassVar = False  # Whether numbers are integers
     # Bits of the status that a step returns: name, bit, meaning
     statuses: ClassVar[tuple[tuple[str, int, str], ...]] = (
         ("OK", 0, "no limit acted"),
         ("LIMITED", 1, "an output is at its limit"),
     )
-
-    @property
-    def suffix(self) -> str:
-        """The number format behind the controller's name."""
-        return ""
 
     @property
     @abstractmethod
@@ -61,10 +55,6 @@ class ControllerFiles(ABC):
     @abstractmethod
     def job_field(self, name: str, output: bool) -> str:
         """Return the field of an input or output in the files of the whole job."""
-
-    def received(self, expression: str, sender: ControllerFiles, name: str) -> str:
-        """Return the expression for an input that `sender` computes, or reads first."""
-        return expression
 
     @property
     def state_names(self) -> dict[str, str]:
@@ -210,17 +200,17 @@ def job_files(job: str, units: Sequence[ControllerFiles], period: float, **words
     """
     first, prefixes = units[0], [unit.prefix for unit in units]
     readers: dict[str, ControllerFiles] = {}  # Signals that no earlier controller computes, by their first reader
-    made: dict[str, tuple[str, ControllerFiles]] = {}
+    made: dict[str, str] = {}
     steps = []
     for number, unit in enumerate(units, 1):
         taken = []
         for name in unit.scheme.inputs:
             if name not in made:
-                readers[name], made[name] = unit, (f"in->{unit.signals[name]}", unit)
-            taken.append((unit.signals[name], unit.received(*made[name], name)))
+                readers[name], made[name] = unit, f"in->{unit.signals[name]}"
+            taken.append((unit.signals[name], made[name]))
         given = [unit.signals[name] for name in unit.scheme.outputs]
         result = result_of(unit, number, period)
-        made |= {name: (f"{result}.{unit.signals[name]}_commanded", unit) for name in unit.scheme.outputs}
+        made |= {name: f"{result}.{unit.signals[name]}_commanded" for name in unit.scheme.outputs}
         steps.append((unit.prefix, taken, given, samples_apart(unit, period), result))
     every = {unit.prefix: samples_apart(unit, period) for unit in units}
     held = [one for one, n in every.items() if n > 1]
@@ -229,17 +219,15 @@ def job_files(job: str, units: Sequence[ControllerFiles], period: float, **words
     states += [f"    unsigned int {job}_sample; /* 0 to {math.lcm(*every.values()) - 1} */"] if held else []
     outputs = [unit.job_field(name, True) for unit in units for name in unit.scheme.outputs]
     words = {"drives": (), "driven": (), "drive_inputs": ()} | words
-    words |= {"p": job, "units": units, "prefixes": prefixes, "fixed": first.fixed_point}
+    words |= {"p": job, "units": units, "prefixes": prefixes}
     words |= {"scheme": dataclasses.replace(first.scheme, period=period), "every": every}
     words |= {"held": held, "cycle": math.lcm(*every.values())}
     header = rendered(
         "job.h.j2",
         **words,
-        suffix=first.suffix.partition(",")[0],
         includes=[f'"{one}.h"' for one in prefixes],
         inputs=[*(unit.job_field(name, False) for name, unit in readers.items()), *words["drive_inputs"]],
         outputs=[*outputs, *(f"    unsigned int {one}_status; /* what {one}_step returned */" for one in prefixes)],
         states=states,
     )
-    conversions = " ".join(expression for _, taken, *_ in steps for _, expression in taken)
-    return {f"{job}.h": header, f"{job}.c": rendered("job.c.j2", **words, steps=steps, conversions=conversions)}
+    return {f"{job}.h": header, f"{job}.c": rendered("job.c.j2", **words, steps=steps)}

@@ -210,13 +210,8 @@ class DriveCode:
         return [f"{prefix}_usable({reading})" for reading in self.readings]
 
 
-def drive_inputs(job: Job, named: Sequence[str], number: str) -> list[str]:
+def drive_inputs(job: Job, named: Sequence[str]) -> list[str]:
     """Return the sensors that the drives of a job read beside what is `named`, in the plant's order."""
-    if job.drives and number not in ("double", "float"):
-        raise InputError(
-            f"number: {number} has no drives of torquers, and [[drive]] of {job.drives[0].torquer!r} would be left "
-            "out; use double or float"
-        )
     used = {name for law in job.drive_laws for name in (*law.weights, law.secant_of)} - set(named)
     return [sensor.name for sensor in job.platform.sensors if sensor.name in used]
 
@@ -235,7 +230,7 @@ def drive_words(job: Job, given: Sequence[ControllerFiles]) -> dict[str, Any]:
         return {}
     number, signals = units[0].number, units[0].signals
     what = signal_units(job.platform)
-    more = drive_inputs(job, [name for unit in units for name in unit.scheme.inputs], number)
+    more = drive_inputs(job, [name for unit in units for name in unit.scheme.inputs])
     laws = sorted(job.drive_laws, key=lambda law: [t.name for t in job.platform.torquers].index(law.torquer))
     return {
         "drives": [_code(job, law, units) for law in laws],

@@ -1,1 +1,0 @@
-"""Controllers in integers, with the proof that nothing overflows."""
