@@ -42,7 +42,7 @@ UNTRACED = frozenset(
     mechanics/oracle_mujoco mechanics/oracle_pinocchio mechanics/parameter_varying mechanics/reference
     mechanics/rotors mechanics/state_space mechanics/symbolic mechanics/the_paper models/examples models/paper
     plant/degenerate_platforms plant/fuzz_plants public_docstrings registered report/axes_picture report/first_screen
-    report/kept_blocks report/pdf report/plots_loci report/report report/summary shipped_jobs simulation/accuracy
+    report/kept_blocks report/plots_loci report/report report/summary shipped_jobs simulation/accuracy
     simulation/batch simulation/drives simulation/forces simulation/fuzz_flights simulation/kernel simulation/packing
     simulation/parts simulation/plant simulation/rotors_and_base simulation/servo_rotors simulation/stops site
     verification/changes verification/coupled verification/exact_verdicts verification/fuzz_results

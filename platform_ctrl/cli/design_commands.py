@@ -15,7 +15,6 @@ import typer
 from platform_ctrl.cli.error_lines import failed, not_drawn, noted
 from platform_ctrl.cli.job_arguments import (
     DESIGNED,
-    PDF,
     REPORT,
     RESULT,
     CampaignFolder,
@@ -23,7 +22,6 @@ from platform_ctrl.cli.job_arguments import (
     JobFile,
     Json,
     Junit,
-    Pdf,
     Quiet,
     controller_file,
     job_of,
@@ -61,7 +59,6 @@ def design(
         Path,
         option("--out", "-o", metavar="DIR", help=f"Folder for {RESULT} and {REPORT}; made if needed.", default=True),
     ] = DESIGNED,
-    pdf: Pdf = False,
     fresh: Annotated[
         bool, option("--fresh", help=f"Design everything anew: ignore what {REUSE} in the folder holds.", default=True)
     ] = False,
@@ -82,16 +79,16 @@ def design(
 
     \b
     platform-ctrl design job.toml                            report: out/report.html
-    platform-ctrl design job.toml -o run7 --pdf              run7/report.html and run7/report.pdf
+    platform-ctrl design job.toml -o run7                    run7/report.html
     platform-ctrl design job.toml --watch                    again after each change, until Ctrl-C
-    platform-ctrl design job.toml --campaign campaign --pdf  with a section about a campaign
+    platform-ctrl design job.toml --campaign campaign        with a section about a campaign
     platform-ctrl design job.toml --json | jq .requirements  the verdicts, to compute with
 
     Exit code 1 if a requirement is not met, or if a method finds no controller (named on standard error).
     """  # noqa: D301
     from platform_ctrl.common.processes import SecondProcess
 
-    report = Report(out, pdf, campaign)
+    report = Report(out, campaign)
     # Started first: it loads what draws while this one reads the job.
     with SecondProcess(*DRAWING) as beside:
 
@@ -235,7 +232,6 @@ def check(
         bool, option("--update-baseline", help="Accept the present values: write them to the baseline.", default=True)
     ] = False,
     junit: Junit = None,
-    pdf: Pdf = False,
     campaign: CampaignFolder = None,
     as_json: Json = False,
     quiet: Quiet = False,
@@ -262,7 +258,7 @@ def check(
         read = job_of(job)
         file, used = controller_file(controllers, out, job, read, quiet or as_json)
         comparison = BaselineOptions.given(baseline, update_baseline)
-        report = Report(folder, pdf, campaign)
+        report = Report(folder, campaign)
         report.expect_possible(read)
         from platform_ctrl.common.store import Store
         from platform_ctrl.verification import check_job
@@ -349,31 +345,21 @@ def begun(job: Job, loops: Sequence[LoopOutcome], beside: SecondProcess, store: 
 
 @dataclass(frozen=True)
 class Report:
-    """The result's file and the report in a folder: with a PDF, and with a section about the campaign in a folder."""
+    """The result's file and the report in a folder, with a section about the campaign in another."""
 
     folder: Path
-    pdf: bool
     campaign: Path | None
-
-    @property
-    def files(self) -> tuple[str, ...]:
-        """Names of the files that are written."""
-        return (RESULT, REPORT, PDF) if self.pdf else (RESULT, REPORT)
 
     def expect_possible(self, job: Job) -> None:
         """Check the options before the work."""
-        if self.pdf:
-            from platform_ctrl.report.page.blocks import typesetter
-
-            typesetter()
         if self.campaign is not None:
             expect_campaign(job, self.campaign)
 
     def prepare(self, junit: Path | None, inputs: Sequence[Path | None]) -> None:
         """Make sure before the work that all files can be written; `inputs` are those that the command reads."""
-        prepare_folder(self.folder, self.files)
+        prepare_folder(self.folder, (RESULT, REPORT))
         if junit is not None:
-            writable("--junit", junit, [*inputs, *(self.folder / name for name in self.files)])
+            writable("--junit", junit, [*inputs, *(self.folder / name for name in (RESULT, REPORT))])
 
     def keep(self, result: JobResult) -> Record:
         """Write the result's file, before anything is drawn, and return its content."""
@@ -401,7 +387,7 @@ class Report:
         """
         from platform_ctrl.verification.records import write_record
 
-        words = ["platform-ctrl", *command, *(["--pdf"] if self.pdf else [])]
+        words = ["platform-ctrl", *command]
         about: dict[str, Any] = {}
         campaign: Summary | None = None
         refused: InputError | None = None
@@ -427,8 +413,6 @@ class Report:
                 typer.echo(f"next:   {shlex.join(['platform-ctrl', 'serve', command[1]])} proposes what to change")
             if refused is not None:
                 raise refused
-            if not self.pdf and (self.folder / PDF).exists():
-                typer.echo(f"{self.folder / PDF}: is of an earlier run; --pdf writes a new one", err=True)
             return 0 if result.passed and (campaign is None or campaign.passed) else 1
 
         return show
@@ -436,37 +420,22 @@ class Report:
     def _drawn(
         self, result: JobResult, say: Callable[[str], None], drawing: Drawing, **about: Any
     ) -> tuple[list[Path], list[str]]:
-        """Write the files of the report; return those that are there, and a line for what is missing, and why."""
-        written: list[Path] = []
+        """Write the report; return its path if it is there, and a line for what is missing, and why."""
+        path = self.folder / REPORT
         lines: list[str] = []
-        content: Any = None
 
         def page(path: Path) -> None:
             from platform_ctrl.report import write_page
             from platform_ctrl.report.page.blocks import missing
             from platform_ctrl.report.page.job_page import drawn_beside
 
-            nonlocal content
             content = drawn_beside(result, drawing.beside, store=drawing.store, ahead=drawing.ahead, **about)
             lines.extend(f"{path}: {words}" for words in missing(content))
             write_page(content, path)
 
-        def pages(path: Path) -> None:
-            from platform_ctrl.report import write_pdf
-
-            write_pdf(result if content is None else content, path)
-
-        for name, write in ((REPORT, page), (PDF, pages)):
-            if name not in self.files:
-                continue
-            path = self.folder / name
-            say(f"drawing the report: {path}")
-            line = not_drawn(path, write)
-            if line:
-                lines.append(line)
-            else:
-                written.append(path)
-        return written, lines
+        say(f"drawing the report: {path}")
+        line = not_drawn(path, page)
+        return ([], [*lines, line]) if line else ([path], lines)
 
     def _campaign_section(
         self, result: JobResult, record: Mapping[str, Any], campaign: Path, job: str

@@ -23,7 +23,6 @@ DESIGNED = Path("out")
 CAMPAIGN = Path("campaign")
 RESULT = "result.json"
 REPORT = "report.html"
-PDF = "report.pdf"
 
 
 def option(
@@ -68,7 +67,6 @@ Controllers = Annotated[
         words=completion.controller_files,
     ),
 ]
-Pdf = Annotated[bool, option("--pdf", help=f"Write the report as {PDF} too.", default=True)]
 CampaignFolder = Annotated[
     Path | None,
     option(

@@ -1,4 +1,4 @@
-"""Reports of results: the page of a job with its plots, the same as PDF, the terminal's tables, and plots for scripts.
+"""Reports of results: the page of a job with its plots, the terminal's tables, and plots for scripts.
 
 Matplotlib is loaded with the first figure, not with this package; ``__init__.pyi`` lists the names.
 """

@@ -1,4 +1,3 @@
 from . import figures as figures
 from .page.job_page import prepared as prepared
 from .page.job_page import write_page as write_page
-from .page.job_page import write_pdf as write_pdf

@@ -1,8 +1,7 @@
-"""What design and check deliver beside the page: a PDF, a section about a campaign, JUnit; and when they refuse to."""
+"""What design and check deliver beside the page: a section about a campaign, JUnit; and when they refuse to."""
 
 from __future__ import annotations
 
-import builtins
 import json
 import re
 import xml.etree.ElementTree as ET
@@ -18,7 +17,6 @@ from platform_ctrl.cli import main
 from refused_command import refused
 
 pytest.importorskip("pyarrow", reason="a campaign's table is Parquet")
-pytest.importorskip("typst", reason="the PDF is set by typst")
 
 
 @pytest.fixture(scope="module")
@@ -56,21 +54,20 @@ def undrawn(patch: pytest.MonkeyPatch, about: list[dict[str, Any]]) -> None:
     patch.setattr("platform_ctrl.report.write_page", lambda content, path: path.touch())
 
 
-@pytest.mark.slow  # as tests/report/test_campaign.py and test_pdf.py without the command
-def test_the_page_and_the_pdf_tell_of_the_campaign(there: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["check", "gyro.toml", "--campaign", "campaign", "--pdf"]) == 0
+@pytest.mark.slow  # as tests/report/test_campaign.py without the command
+def test_the_page_reports_the_campaign(there: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["check", "gyro.toml", "--campaign", "campaign"]) == 0
     out, err = capsys.readouterr()
-    files = ("report: report.html", "report: report.pdf", "values: result.json")
+    files = ("report: report.html", "values: result.json")
     told = [f"{word} {Path('check') / name}" for word, name in map(str.split, files)]
     assert [line for line in out.splitlines() if line in told] == told
     assert "reading the campaign: campaign" in err.splitlines()
     made = sorted(path.name for path in (there / "check").iterdir())
-    assert made == ["report.html", "report.pdf", "result.json", "reuse"]
+    assert made == ["report.html", "result.json", "reuse"]
     page = (there / "check" / "report.html").read_text(encoding="utf-8")
     assert "None of 12 runs violates a requirement" in page
     assert "platform-ctrl check gyro.toml" in page
-    assert "--pdf --campaign campaign" in page
-    assert (there / "check" / "report.pdf").read_bytes().startswith(b"%PDF-")
+    assert "--campaign campaign" in page
 
 
 def test_design_takes_the_campaign_of_the_same_controllers(there: Path, pages: list[dict[str, Any]]) -> None:
@@ -135,34 +132,6 @@ def test_a_folder_without_a_finished_campaign_of_the_job_is_refused_before_the_w
         (there / name).mkdir()
         (there / name / "campaign.json").write_text(json.dumps(record | changed), encoding="utf-8")
         assert f"--campaign {name}: {words}" in refused(capsys, *given, name)
-    assert not (there / "never").exists()
-
-
-def test_a_pdf_of_an_earlier_run_is_told_of(
-    there: Path, pages: list[dict[str, Any]], capsys: pytest.CaptureFixture[str]
-) -> None:
-    (there / "stale").mkdir()
-    (there / "stale" / "report.pdf").write_bytes(b"%PDF-old")
-    assert main(["check", "gyro.toml", "-o", "stale", "-q"]) == 0
-    assert capsys.readouterr().err.splitlines() == [
-        "controllers: out/result.json",
-        f"{Path('stale') / 'report.pdf'}: is of an earlier run; --pdf writes a new one",
-    ]
-    assert "campaign" not in pages[0]
-
-
-def test_without_the_typesetter_one_line_says_how_to_get_it(
-    there: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    real = builtins.__import__
-
-    def missing(name: str, *given: Any, **named: Any) -> Any:
-        if name == "typst":
-            raise ImportError(name)
-        return real(name, *given, **named)
-
-    monkeypatch.setattr(builtins, "__import__", missing)
-    assert "pip install 'platform_ctrl[pdf]'" in refused(capsys, "design", "gyro.toml", "-o", "never", "--pdf")
     assert not (there / "never").exists()
 
 

@@ -356,7 +356,6 @@ FUNCTIONS: dict[str, dict[str, Callable[[], Any]]] = {
     "platform_source": of(name="rate_gyro"),
     "report.prepared": {"result": result},
     "report.write_page": {"result": result, **NEW},
-    "report.write_pdf": {"result": result, **NEW},
     "requirements.requirement": of(kind="disk margin", limit=0.4),
     "simulation.simulate": {"scenario": scenario, "controllers": list, **of(period=PERIOD)},
     "simulation.simulate_batch": {"scenarios": lambda: [scenario()], "controllers": list, **of(period=PERIOD)},

@@ -1,4 +1,4 @@
-"""The content of a page: sections of blocks in their order, prepared once, and set as HTML or PDF.
+"""The content of a page: sections of blocks in their order, prepared once, and set as HTML.
 
 Everything in a block is text, to be shown as it is; only a plate's picture is markup.
 """
@@ -6,31 +6,18 @@ Everything in a block is text, to be shown as it is; only a plate's picture is m
 from __future__ import annotations
 
 import dataclasses
-import json
-import re
 from collections.abc import Callable, Sequence
-from importlib import resources
-from pathlib import Path
-from types import ModuleType
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 from platform_ctrl.common.palette import PALETTE, declarations
 from platform_ctrl.common.reasons import began_with_interrupt, reason
 from platform_ctrl.common.values import value
-from platform_ctrl.errors import InputError, PlatformCtrlError
 from platform_ctrl.report import style
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 T = TypeVar("T")
-
-# What XML 1.0 cannot hold, and other control characters: nothing that can be set.
-_UNSETTABLE = re.compile("[\x00-\x08\x0b-\x1f\x7f\ud800-\udfff\ufffe\uffff]")
-_LONG = re.compile(r"\S{60,}")
-_VARIABLE = re.compile(r"var\(--([a-z0-9-]+)(?:, *#[0-9a-f]+)?\)")
-# Fonts of figures: those they are laid out for.
-_FIGURE_FONT = "DejaVu Sans"
 
 
 @value
@@ -155,7 +142,7 @@ class Facts:
 
 @value
 class Listing:
-    """Text to be copied: a command, or a file of that name, which a PDF carries as an attachment too."""
+    """Text to be copied: a command, or a file of that name."""
 
     kind: ClassVar[str] = "listing"
     text: str
@@ -322,69 +309,3 @@ def html(document: Document) -> str:
     return environment.get_template("page.html").render(
         document=document, palette={theme: declarations(colours) for theme, colours in PALETTE.items()}
     )
-
-
-def typesetter() -> ModuleType:
-    """Return the module typst."""
-    try:
-        import typst
-    except ImportError:
-        raise InputError("a PDF is set by typst, which is not installed: pip install 'platform_ctrl[pdf]'") from None
-    return typst
-
-
-def pdf(document: Document) -> bytes:
-    """Return a document as PDF, set by typst: the template shows every text as it is, whatever characters are in it."""
-    import matplotlib as mpl
-
-    typst = typesetter()
-
-    templates = resources.files("platform_ctrl.report") / "templates"
-    colours = dict(PALETTE["light"])
-    data = plain_data(document, colours) | {"colours": colours}
-    inputs = {"document": json.dumps(data, ensure_ascii=False)}
-    fonts = [str(Path(mpl.get_data_path()) / "fonts" / "ttf")]
-    template = templates.joinpath("report.typ").read_bytes()
-    # A letter that no font has breaks the standard of accessible documents: it is shown as a box then.
-    for standards in (["ua-1"], []):
-        try:
-            made = typst.compile(template, font_paths=fonts, sys_inputs=inputs, timestamp=0, pdf_standards=standards)
-        except RuntimeError as error:
-            words = " ".join(str(error).split())
-        else:
-            return bytes(made)
-    raise PlatformCtrlError(f"the report cannot be typeset as PDF, typst reports: {words}")
-
-
-def plain_data(item: Any, colours: dict[str, str]) -> Any:
-    """Return a document as dicts, lists, text and numbers, its pictures in the colours of the light page."""
-    if isinstance(item, str):
-        return _LONG.sub(_breakable, _UNSETTABLE.sub("\ufffd", item))
-    if isinstance(item, tuple):
-        return [plain_data(one, colours) for one in item]
-    if not dataclasses.is_dataclass(item):
-        return item
-    data = {field.name: plain_data(getattr(item, field.name), colours) for field in dataclasses.fields(item)}
-    if hasattr(item, "kind"):
-        data["kind"] = item.kind
-    if isinstance(item, Plate):
-        data["svg"] = standalone_svg(item.svg, colours)
-    if isinstance(item, Distances):
-        data["levels"] = item.levels
-    if isinstance(item, Listing):
-        data["attached"] = item.text if item.file else ""
-    return data
-
-
-def _breakable(word: re.Match[str]) -> str:
-    """Return a long word in which a line may end: otherwise it would leave the page."""
-    return "\u200b".join(re.findall(r".{1,20}", word[0]))
-
-
-def standalone_svg(svg: str, colours: dict[str, str]) -> str:
-    """Return a picture of the page as a file of its own: colours in place of variables, and the font of figures."""
-    svg = _VARIABLE.sub(lambda found: colours.get(found[1], found[0]), svg)
-    head, _, rest = svg.partition("<svg")
-    space = "" if "xmlns=" in rest.partition(">")[0] else ' xmlns="http://www.w3.org/2000/svg"'
-    rest = rest.replace("system-ui,-apple-system", f"'{_FIGURE_FONT}',system-ui")
-    return _UNSETTABLE.sub("\ufffd", f'{head}<svg{space} font-family="{_FIGURE_FONT}"{rest}')

@@ -56,7 +56,6 @@ from platform_ctrl.report.page.blocks import (
     attempted,
     drawn,
     html,
-    pdf,
     plate,
     sentence,
 )
@@ -118,39 +117,6 @@ def page_html(result: JobResult | Document) -> str:
 
 
 @check_arguments
-def write_pdf(result: JobResult | Document, path: str | os.PathLike[str]) -> Path:
-    """Write the report as PDF to `path`: the whole file, or nothing if that fails.
-
-    Parameters
-    ----------
-    result
-        From `platform_ctrl.report.prepared`, or from `platform_ctrl.verification.check_job` if none of its options is
-        needed.
-    path
-        The file; an existing one is replaced.
-
-    Returns
-    -------
-    pathlib.Path
-        The file.
-
-    Raises
-    ------
-    InputError
-        The file cannot be written, or typst is not installed.
-    PlatformCtrlError
-        Typst could not set the document.
-    """
-    return write_whole(path, pdf_bytes(result))
-
-
-@check_arguments
-def pdf_bytes(result: JobResult | Document) -> bytes:
-    """Return the report as PDF: the content of the page in the same order; the same bytes for the same result."""
-    return pdf(prepared(result))
-
-
-@check_arguments
 def prepared(
     result: JobResult | Document,
     *,
@@ -158,7 +124,7 @@ def prepared(
     campaign: Summary | None = None,
     again: str | None = None,
 ) -> Document:
-    """Return the content of the report, for `write_page` and `write_pdf`, with every figure drawn.
+    """Return the content of the report, for `write_page`, with every figure drawn.
 
     Parameters
     ----------
