@@ -64,7 +64,7 @@ def test_importing_the_package_loads_nothing_heavy_and_none_of_its_modules() -> 
 
 
 def test_the_compiler_and_what_is_optional_are_loaded_by_what_uses_them_alone() -> None:
-    parts = ("analysis", "simulation", "campaign.engine", "campaign.rare_runs", "campaign.summary", "cli.commands")
+    parts = ("analysis", "simulation", "campaign.engine", "campaign.summary", "cli.commands")
     modules = ", ".join(f"platform_ctrl.{part}" for part in parts)
     code = f"import sys, json, {modules}; print(json.dumps(list(sys.modules)))"
     assert not set(json.loads(python(code))) & {"numba", "pyarrow", "pandas", "dask", "distributed", "matplotlib"}

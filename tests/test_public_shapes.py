@@ -15,9 +15,8 @@ from numpydoc.docscrape import NumpyDocString, Parameter
 
 import platform_ctrl as pc
 from contract_cases import PERIOD, coordinates, crossover, general, model, pair, platform, shaped, varying
-from platform_ctrl import analysis, campaign, design, simulation
+from platform_ctrl import analysis, design, simulation
 from platform_ctrl.analysis.certificates.makers import stability_certificate
-from platform_ctrl.campaign.probability import RareResult
 from platform_ctrl.design.antiwindup.loop import LimitedLoop
 from platform_ctrl.simulation.batch import BatchResult
 from platform_ctrl.simulation.closed_loop import Trajectory
@@ -55,10 +54,6 @@ def rolled() -> Rollout:
     return simulation.rollout(PLATFORM, q=[[0.01] * 5] * 3, velocity=[[0.02] * 8] * 3, step=1e-4, steps=4, every=2)
 
 
-def seldom() -> RareResult:
-    return campaign.rare_event(lambda u, _: u.sum(axis=1) / 1.9, 2, samples=400, repetitions=2)
-
-
 VALUES: dict[str, Callable[[], Any]] = {
     "Platform": lambda: PLATFORM,
     "Gimbal": lambda: PLATFORM.gimbals[0],
@@ -87,7 +82,6 @@ VALUES: dict[str, Callable[[], Any]] = {
     "Rollout": rolled,
     "Trajectory": trajectory,
     "BatchResult": batch,
-    "RareResult": seldom,
 }
 
 

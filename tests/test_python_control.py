@@ -167,7 +167,7 @@ def results() -> list[str]:
         said = "" if isinstance(case.function, functools.partial) else str(inspect.signature(case.function))
         if case.fields or set(re.findall(r"\w+", said.partition("->")[2])) & kinds:
             found.append(name)
-    return sorted(set(found) - {"campaign.rare_probability", "baselines.update_baseline"})  # of other jobs and files
+    return sorted(set(found) - {"baselines.update_baseline"})  # of other jobs and files
 
 
 @pytest.fixture(scope="module", params=results())

@@ -4,15 +4,11 @@ from __future__ import annotations
 
 from platform_ctrl.campaign.engine import run_campaign
 from platform_ctrl.campaign.planning import plan
-from platform_ctrl.campaign.rare_events import rare_event
-from platform_ctrl.campaign.rare_runs import rare_probability
 from platform_ctrl.campaign.single_run import rerun
 from platform_ctrl.campaign.summary import summarise
 
 __all__ = [
     "plan",
-    "rare_event",
-    "rare_probability",
     "rerun",
     "run_campaign",
     "summarise",

@@ -5,10 +5,9 @@ from __future__ import annotations
 import dataclasses
 from typing import Any
 
-from platform_ctrl.campaign.contrasts import Contrast, contrasts
+from platform_ctrl.campaign.influences import Influence, influences
 from platform_ctrl.campaign.planning import Plan
-from platform_ctrl.campaign.probability import CONFIDENCE, Probability, RareResult
-from platform_ctrl.campaign.sensitivity import Sensitivity, sensitivities
+from platform_ctrl.campaign.probability import CONFIDENCE, Probability
 from platform_ctrl.campaign.table import Table
 from platform_ctrl.campaign.table_statistics import CampaignStatistics, RequirementStatistics, statistics
 from platform_ctrl.common.json_text import plain_types
@@ -28,19 +27,13 @@ class Summary:
         What was simulated.
     statistics
         How often each requirement is violated.
-    sensitivities
-        What drives them.
-    contrasts
-        How often they are violated with and without each fault, manoeuvre and chosen value.
-    rare
-        Probabilities too small to be counted, where they were requested.
+    influences
+        What violating runs have in common, and what drives each requirement.
     """
 
     plan: Plan
     statistics: CampaignStatistics
-    sensitivities: tuple[Sensitivity, ...]
-    contrasts: tuple[Contrast, ...] = ()
-    rare: tuple[RareResult, ...] = ()
+    influences: tuple[Influence, ...]
 
     @property
     def passed(self) -> bool:
@@ -54,9 +47,7 @@ class Summary:
 
 
 @check_arguments
-def summarise(
-    plan: Plan, table: Table, *, confidence: float = CONFIDENCE, rare: tuple[RareResult, ...] = ()
-) -> Summary:
+def summarise(plan: Plan, table: Table, *, confidence: float = CONFIDENCE) -> Summary:
     """Return what a campaign's table says.
 
     Parameters
@@ -67,8 +58,6 @@ def summarise(
         The runs: Parquet files or columns.
     confidence
         Probability of the bounds.
-    rare
-        Rare events to go with it.
 
     Returns
     -------
@@ -86,9 +75,7 @@ def summarise(
     return Summary(
         plan=plan,
         statistics=statistics(table, limits, confidence=confidence),
-        sensitivities=sensitivities(table, limits, inputs=plan.input_names),
-        contrasts=contrasts(table, limits, inputs=plan.input_names, confidence=confidence),
-        rare=rare,
+        influences=influences(table, limits, inputs=plan.input_names, confidence=confidence),
     )
 
 
@@ -106,65 +93,12 @@ def summary_record(summary: Summary) -> Record:
             "confidence": found.confidence,
             "violation": _probability(found.violation),
             "requirements": [_requirement(one) for one in found.requirements],
-            "worst": [_fields(one) for one in found.worst],
+            "worst": [dataclasses.asdict(one) for one in found.worst],
         },
-        "sensitivity": [
-            _fields(one)
-            | {
-                name: [_fields(single, "driver") for single in getattr(one, name)]
-                for name in ("influences", "violations")
-            }
-            for one in summary.sensitivities
-        ],
-        "contrasts": [_contrast(one) for one in summary.contrasts],
-        "rare": [rare_record(summary.plan, one) for one in summary.rare],
+        "influences": [_influence(one) for one in summary.influences],
     }
     out: Record = plain_types(record)
     return out
-
-
-def rare_record(plan: Plan, rare: RareResult) -> Record:
-    """Return a rare event in plain types, with the inputs of its violations by their names."""
-    record = {
-        "requirement": rare.requirement or "any",
-        "method": rare.method,
-        "probability": rare.probability,
-        "low": rare.low,
-        "high": rare.high,
-        "confidence": rare.confidence,
-        "variation": rare.variation,
-        "runs": rare.evaluations,
-        "noise_decides": rare.noise_decides,
-        "repetitions": [
-            {
-                "probability": one.probability,
-                "variation": one.variation,
-                "levels": one.levels,
-                "runs": one.evaluations,
-                "noises": one.noises,
-            }
-            for one in rare.repetitions
-        ],
-        "shift": dict(zip(plan.input_names, rare.shift, strict=True)),
-        "violations": [
-            {
-                "inputs": {name: column[0] for name, column in plan.inputs_at(one.u[None, :]).items()},
-                "point": one.u,
-                "noise_run": one.run,
-                "ratio": one.ratio,
-                "distance": one.distance,
-            }
-            for one in rare.violations
-        ],
-    }
-    out: Record = plain_types(record)
-    return out
-
-
-def _fields(one: object, *properties: str) -> Record:
-    """Return the fields of a value, and some of its properties, by their names."""
-    names = [field.name for field in dataclasses.fields(one)]  # type: ignore[arg-type]
-    return {name: getattr(one, name) for name in (*names, *properties)}
 
 
 def _requirement(one: RequirementStatistics) -> Record:
@@ -175,20 +109,23 @@ def _requirement(one: RequirementStatistics) -> Record:
         **_probability(one.violation),
         "quantiles": {f"{share:g}": requirement for share, requirement in one.quantiles.items()},
         "largest": one.largest,
-        "worst": [_fields(single) for single in one.worst],
+        "worst": [dataclasses.asdict(single) for single in one.worst],
     }
 
 
-def _contrast(one: Contrast) -> Record:
+def _influence(one: Influence) -> Record:
     return {
         "requirement": one.requirement,
         "manoeuvre": one.manoeuvre,
         "parameter": one.parameter,
+        "rank_correlation": one.correlation,
+        "rank_correlation_p_value": one.correlation_p,
+        "driver": one.driver,
         "value": one.level,
         "with": _probability(one.present),
         "without": _probability(one.absent),
         "p_value": one.p_value,
-        "driver": one.driver,
+        "cause": one.cause,
         "in_every_violation": one.in_every_violation,
     }
 

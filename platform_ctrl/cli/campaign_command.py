@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, cast
 
@@ -19,28 +18,23 @@ from platform_ctrl.cli.job_arguments import (
     Quiet,
     controller_file,
     job_of,
-    one_of,
     option,
     prepare_folder,
 )
-from platform_ctrl.errors import InputError
 
 if TYPE_CHECKING:
     from rich.console import Console
 
     from platform_ctrl.campaign.engine import CampaignResult
     from platform_ctrl.campaign.planning import Plan
-    from platform_ctrl.campaign.probability import RareMethod, RareResult
     from platform_ctrl.campaign.store import Record
     from platform_ctrl.campaign.summary import Summary
     from platform_ctrl.job.variation import Points
     from platform_ctrl.report.page.campaign_tables import ProbabilityRow
 
 PAGE = "campaign.html"
-ANY = "any"
-METHODS = ("splitting", "cross-entropy")
 # Groups of options in the help.
-WHAT, WHERE, RARE = "Runs", "Where they are simulated", "Rare events"
+WHAT, WHERE = "Runs", "Where they are simulated"
 
 
 def campaign(
@@ -96,48 +90,6 @@ def campaign(
     restart: Annotated[
         bool, option("--restart", help="Discard the campaign in DIR and start again.", default=True)
     ] = False,
-    rare: Annotated[
-        str | None,
-        option(
-            "--rare",
-            metavar="LIMIT",
-            help="After the campaign, estimate the probability that this limit of the manoeuvres (angle, attitude, "
-            "torque_share, ...; or any) is violated by importance splitting, for probabilities too small to count.",
-            words=completion.words(
-                "any",
-                "angle",
-                "attitude",
-                "torque_share",
-                "gimbal_rate",
-                "angle_following_error",
-                "rate_following_error",
-                "los_angle_rms",
-                "los_rate_rms",
-                "attenuation_db",
-            ),
-            panel=RARE,
-        ),
-    ] = None,
-    runs_per_level: Annotated[
-        int,
-        option(
-            "--runs-per-level",
-            metavar="N",
-            help="Of --rare: a level takes a tenth of the probability.",
-            panel=RARE,
-            default=True,
-        ),
-    ] = 1000,
-    rare_method: Annotated[
-        str,
-        option(
-            "--rare-method",
-            metavar="splitting|cross-entropy",
-            help="cross-entropy: splitting, then weighted runs; surer where ten inputs or fewer vary.",
-            panel=RARE,
-            default=True,
-        ),
-    ] = "splitting",
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> int:
@@ -151,7 +103,6 @@ def campaign(
     \b
     platform-ctrl campaign job.toml --runs 10000                with the controllers of out/result.json
     platform-ctrl campaign job.toml -o night --controllers mine.json  with others, into another folder
-    platform-ctrl campaign job.toml --rare angle                a probability too small to count
     platform-ctrl campaign job.toml --scheduler tcp://big:8786  on other machines
     platform-ctrl simulate job.toml --run 4711                  one of its runs again, with a figure
 
@@ -167,7 +118,6 @@ def campaign(
         from platform_ctrl.verification.controllers import read_controllers
 
         made = plan(read, read_controllers(file, read), runs=runs, seed=seed, sampling=cast("Points | None", sampling))
-        expect_rare(made, rare, runs_per_level, rare_method)
         prepare_folder(out, ("campaign.parquet", "campaign.json", PAGE))
     done: int | None = None
 
@@ -187,15 +137,13 @@ def campaign(
         raise
     given = {"--controllers": controllers, "-o": None if out == CAMPAIGN else out}
     files = [str(word) for option, path in given.items() if path is not None for word in (option, path)]
-    numbers = {"--runs": runs, "--seed": seed, "--sampling": sampling, "--rare": rare}
+    numbers = {"--runs": runs, "--seed": seed, "--sampling": sampling}
     words = [str(word) for option, one in numbers.items() if one is not None for word in (option, one)]
     with progress(quiet or as_json, f"reading {result.table}") as say:
-        found = rare_result(made, rare, runs_per_level, rare_method, workers=workers, device=device, say=say)
         say(f"drawing the page: {out / PAGE}")
         summary, record, line = write_campaign(
             made,
             result,
-            found,
             command=["platform-ctrl", "campaign", str(job), *words, *files],
             again=["platform-ctrl", "simulate", str(job), *files, "--run"],
         )
@@ -224,51 +172,8 @@ def _show_files(result: CampaignResult, page: Path | None) -> None:
             typer.echo(f"{word + ':':<7} {file}")
 
 
-def expect_rare(plan: Plan, requirement: str | None, runs_per_level: int, method: str) -> None:
-    """Judge the options of a rare event before anything is simulated."""
-    from platform_ctrl.campaign.rare_events import FEWEST_SAMPLES
-
-    known = [ANY, *dict.fromkeys(name for one, _ in plan.job.campaign_manoeuvres for name in one.limits)]
-    if requirement is not None and requirement not in known:
-        raise InputError(
-            f"--rare {requirement}: no manoeuvre of the campaign has this limit; choose one of {', '.join(known)}"
-        )
-    if runs_per_level < FEWEST_SAMPLES:
-        raise InputError(f"--runs-per-level {runs_per_level}: must be at least {FEWEST_SAMPLES}")
-    one_of("--rare-method", method, METHODS)
-
-
-def rare_result(
-    plan: Plan,
-    requirement: str | None,
-    runs_per_level: int,
-    method: str,
-    *,
-    workers: int | None,
-    device: str,
-    say: Callable[[str], None],
-) -> tuple[RareResult, ...]:
-    """Simulate the rare event that was requested, if any."""
-    if requirement is None:
-        return ()
-    from platform_ctrl.campaign.rare_runs import rare_probability
-    from platform_ctrl.simulation.device import processors
-
-    return (
-        rare_probability(
-            plan,
-            None if requirement == ANY else requirement,
-            samples=runs_per_level,
-            method=cast("RareMethod", method),
-            threads=workers or processors(),
-            device=device,
-            say=say,
-        ),
-    )
-
-
 def write_campaign(
-    plan: Plan, result: CampaignResult, rare: tuple[RareResult, ...], *, command: list[str], again: list[str]
+    plan: Plan, result: CampaignResult, *, command: list[str], again: list[str]
 ) -> tuple[Summary, Record, str]:
     """Write campaign.json with the statistics of the table, and the page; return both, and why the page is missing.
 
@@ -283,7 +188,7 @@ def write_campaign(
         write_campaign_page(summary, path, command=shlex.join(command), again=shlex.join(again))
 
     folder: Path = result.table.parent
-    summary = summarise(plan, result.table, rare=rare)
+    summary = summarise(plan, result.table)
     record = result.record | summary_record(summary)
     write_record(folder, record)
     return summary, record, not_drawn(folder / PAGE, page)
@@ -303,25 +208,11 @@ def show_campaign(summary: Summary) -> None:
     _show_rows(console, tables.probability_rows(summary), summary.statistics.confidence)
     _show_drivers(console, summary)
     _show_worst(console, summary)
-    for rare in summary.rare:
-        show_rare(summary, rare)
     first, *more = tables.verdict(summary), *tables.verdict_lines(summary)
     word, style = ("PASSED", "green") if summary.passed else ("FAILED", "bold red")
     show_words(console, f"{word}: {first}", style)
     for line in more:
         show_words(console, line)
-
-
-def show_rare(summary: Summary, rare: RareResult) -> None:
-    """Print a rare event: its probability with its interval, what it took, and what has to come together."""
-    from platform_ctrl.cli.terminal import screen, show_pairs, show_words
-    from platform_ctrl.report.page import campaign_tables as tables
-
-    console = screen()
-    show_words(console, f"rare event: {tables.rare_words(rare)}", "bold")
-    moved = tables.moved_words(summary.plan, rare)
-    together = [("what moves together", moved)] if moved else []
-    show_pairs(console, [*tables.rare_rows(rare), *together], indent="  ")
 
 
 def _show_rows(console: Console, rows: tuple[ProbabilityRow, ...], confidence: float) -> None:
@@ -369,14 +260,10 @@ def _show_drivers(console: Console, summary: Summary) -> None:
     from platform_ctrl.cli.terminal import show_words
     from platform_ctrl.report.page import campaign_tables as tables
 
-    for one in summary.sensitivities:
-        if one.manoeuvre is None:
-            name = tables.requirement_name(one.requirement)
-            violating = tables.violation_drivers(one)
-            more = f"; its violations by {violating}" if violating else ""
-            show_words(console, f"{name} is driven by {tables.short_drivers(one)}{more}", indent="  ")
-    for found in tables.causes(summary):
-        show_words(console, tables.contrast_words(found), indent="  ")
+    for requirement, found in tables.drivers(summary).items():
+        show_words(console, tables.driver_words(requirement, found), indent="  ")
+    for one in tables.causes(summary):
+        show_words(console, tables.cause_words(one), indent="  ")
 
 
 def _show_worst(console: Console, summary: Summary) -> None:

@@ -8,10 +8,8 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import pytest
-import typer
 
 import platform_ctrl as pc
 from platform_ctrl.cli.commands import app
@@ -93,10 +91,6 @@ def offered(monkeypatch: pytest.MonkeyPatch, *words: str, shell: str = "bash") -
         (["check", "job.toml", "--controllers", ""], ["out/result.json"]),
         (["design", "job.toml", "--campaign", "n"], ["night"]),
         (["campaign", "job.toml", "--device", ""], ["cpu", "cuda"]),
-        (
-            ["campaign", "job.toml", "--rare", "a"],
-            ["any", "angle", "attitude", "angle_following_error", "attenuation_db"],
-        ),
         (["campaign", "job.toml", "--sampling", "so"], ["sobol"]),
         (["design", "nowhere/x"], []),
         (["design", "job.toml", "-o", "ou"], []),
@@ -130,18 +124,6 @@ def test_names_with_spaces_are_quoted_as_the_shell_wants_it(
 
 def test_a_name_with_spaces_can_be_typed_on(there: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert offered(monkeypatch, "simulate", "job.toml", "--manoeuvre", r"1\ rad/s\ ab") == [r"1\ rad/s\ about\ axis\ 2"]
-
-
-def test_words_that_are_offered_are_those_that_are_known() -> None:
-    from platform_ctrl.cli.campaign_command import ANY, METHODS
-    from platform_ctrl.job.reading import JOB_FILE
-    from platform_ctrl.plant.tables import tables
-
-    command: Any = typer.main.get_command(app)
-    params = {param.name: param for param in command.commands["campaign"].params}
-    context = command.commands["campaign"].make_context("campaign", ["job.toml"])
-    found = {name: [one.value for one in params[name].shell_complete(context, "")] for name in ("rare", "rare_method")}
-    assert found == {"rare": [ANY, *dict(tables(JOB_FILE))["manoeuvre", "limits"].keys], "rare_method": list(METHODS)}
 
 
 def environment() -> dict[str, str]:

@@ -9,12 +9,10 @@ from html.parser import HTMLParser
 
 import numpy as np
 import pytest
-from scipy import stats
 
 import platform_ctrl as pc
 from platform_ctrl.campaign.planning import plan
 from platform_ctrl.campaign.probability import clopper_pearson
-from platform_ctrl.campaign.rare_events import rare_event
 from platform_ctrl.campaign.single_run import simulate_runs
 from platform_ctrl.campaign.summary import summarise, summary_record
 from platform_ctrl.campaign.table_statistics import statistics
@@ -89,10 +87,7 @@ def made():
 
 @pytest.fixture(scope="module")
 def summary(made):
-    rare = rare_event(
-        lambda u, run: stats.norm.ppf(u[:, 1]) / -4.0, made.dimensions, samples=200, repetitions=3, seed=1
-    )
-    return summarise(made, by_formula(made), rare=(rare,))
+    return summarise(made, by_formula(made))
 
 
 @pytest.fixture(scope="module")
@@ -135,7 +130,7 @@ def test_the_page_needs_nothing_else_and_is_whole(page):
     assert links.open == []
     assert links.loaded == []
     assert all(links.ids.count(target) == 1 for target in links.targets)
-    assert len(links.targets) == 9
+    assert len(links.targets) == 7
     assert not re.search(r"url\((?!#)|@import|https?://(?!www\.w3\.org)", page)
     assert "tolerances &amp; &lt;faults&gt;" in page
 
@@ -162,24 +157,17 @@ def test_worst_runs_are_those_of_the_table_and_have_a_command_to_repeat_them(pag
         )
 
 
-def test_drivers_have_bars_and_the_rest_is_named_as_no_influence(page, summary):
-    drawn = page[page.index('id="sensitivity"') : page.index('id="worst"')]
-    angle = next(one for one in summary.sensitivities if (one.requirement, one.manoeuvre) == ("angle", None))
-    assert angle.influences[0].parameter == "rotor.11.angular_momentum"
-    assert f'width="{130 * angle.influences[0].index:.1f}"' in drawn
-    quiet = [one.parameter for one in angle.influences if not one.driver]
-    assert "sampling.delay" in quiet
-    assert f"No significant share in {angle.runs:,} runs: {', '.join(quiet)}." in drawn
-
-
-def test_a_rare_event_has_its_interval_and_shifted_inputs(page, summary):
-    rare = summary.rare[0]
-    drawn = html.unescape(page[page.index('id="rare"') : page.index('id="figures"')])
-    assert tables.chances(rare.low, rare.high) in drawn
-    assert tables.moved(summary.plan, rare)[0][0] == "rotor.11.angular_momentum"
-    for one in rare.violations[:5]:
-        assert f"{one.distance:.2f} σ" in drawn
-        assert f'<td class="number">{one.run}</td>' in drawn
+def test_causes_and_drivers_are_in_one_table_and_the_rest_is_named_as_of_no_influence(page, summary):
+    drawn = html.unescape(page[page.index('id="common"') : page.index('id="probabilities"')])
+    angle = tables.drivers(summary)["angle"]
+    assert angle[0].parameter == "rotor.11.angular_momentum"
+    assert tables.signed(angle[0].correlation) in drawn
+    causes = [one for one in summary.influences if (one.requirement, one.manoeuvre) == ("angle", None) and one.cause]
+    assert {one.parameter for one in causes} >= {"rotor.11.angular_momentum", "fault.weak Q9"}
+    for one in causes:
+        assert tables.value_name(one) in drawn
+        assert f"{one.present.events:,} of {one.present.runs:,}" in drawn
+    assert re.search(r"Largest gimbal angle: .*sampling.delay", drawn)
 
 
 def test_every_input_and_ending_is_listed(page):
@@ -231,10 +219,8 @@ def test_campaign_json_holds_plain_numbers_that_read_back(summary):
     assert again["statistics"]["worst"][0]["value"] is None
     asked = {(one["requirement"], one["manoeuvre"]) for one in again["statistics"]["requirements"]}
     assert asked == {(one.requirement, one.manoeuvre) for one in found.requirements}
-    assert {one["requirement"] for one in again["sensitivity"]} >= {"angle", "attitude", "torque_share"}
-    rare = again["rare"][0]
-    assert set(rare["violations"][0]["inputs"]) == set(summary.plan.input_names)
-    assert rare["low"] <= rare["probability"] <= rare["high"]
+    assert {one["requirement"] for one in again["influences"]} == {"angle", "attitude", "torque_share", "passed"}
+    assert {one["parameter"] for one in again["influences"]} == set(summary.plan.input_names)
 
 
 def test_the_worst_run_is_simulated_again_and_drawn_where_it_is_the_one_of_the_table(made):
@@ -258,13 +244,10 @@ def test_one_manoeuvre_has_no_group_of_all(capsys):
     assert "All manoeuvres" not in as_html(campaign_document(summary))
 
 
-def test_manoeuvres_keep_their_names_and_violations_have_their_inputs(page, summary):
+def test_manoeuvres_keep_their_names(page):
     words = " ".join(html.unescape(re.sub(r"<[^>]+>", " ", page)).split())
     assert "turn about 1 gimbal angle" in words
     assert "Turn about 1" not in words
-    angle = next(one for one in summary.sensitivities if (one.requirement, one.manoeuvre) == ("angle", None))
-    assert f"Inputs of the violations: {tables.violation_drivers(angle)}" in words
-    assert "fault.weak Q9" in tables.violation_drivers(angle)
 
 
 @pytest.mark.parametrize("factor", [1e-5, 0.6, 1e3])
@@ -348,7 +331,7 @@ def test_of_one_violating_run_no_cause_is_asserted(capsys, monkeypatch):
     table["angle_passed"] = table["passed"] = ~table["fault.weak Q9"]
     summary = summarise(one, table)
     assert summary.statistics.violation.events == 1
-    assert any(contrast.driver for contrast in summary.contrasts)
+    assert any(one.in_every_violation and one.p_value < 0.01 for one in summary.influences)
     assert tables.causes(summary) == []
     show_campaign(summary)
     told = capsys.readouterr().out
@@ -367,27 +350,21 @@ def test_a_fault_in_every_violating_run_is_never_among_what_has_no_influence(cap
     table["angle"] = np.where(beyond, 0.5, 0.001 * table["rotor.11.angular_momentum"])
     table["angle_passed"] = table["passed"] = ~beyond
     summary = summarise(one, table)
-    angle = next(one for one in summary.sensitivities if (one.requirement, one.manoeuvre) == ("angle", None))
-    assert not next(one for one in angle.influences if one.parameter == "fault.weak Q9").driver
     [cause] = [one for one in tables.causes(summary) if one.parameter == "fault.weak Q9"]
     assert (cause.present.events, cause.absent.events) == (3, 0)
-    assert "fault.weak Q9" not in tables.influence_rows(summary, angle)[1]
-    words = tables.contrast_words(cause)
+    assert all("fault.weak Q9" not in quiet for _, _, quiet in tables.influence_groups(summary)[:1])
+    words = tables.cause_words(cause)
     assert words.startswith(f"fault: weak Q9: 3 of {cause.present.runs} runs with it violate a limit (")
     assert words.endswith("; every violating run has it")
     drawn = html.unescape(re.sub(r"<[^>]+>", " ", as_html(campaign_document(summary))))
     shown = " ".join(drawn.split())
     assert "in every violating run" in shown
     sections = [section.name for section in campaign_document(summary).sections]
-    assert sections.index("common") < sections.index("probabilities") < sections.index("sensitivity")
+    assert sections.index("common") < sections.index("probabilities")
     first = shown[shown.rindex("What violating runs have in common") :]
     assert first.removeprefix("What violating runs have in common").lstrip().startswith("Fault: weak Q9: 3 of")
-    card = drawn[drawn.index("Shares of variance") :]
-    card = card[card.index("Largest gimbal angle") : card.index("Largest platform angle")]
-    assert "No significant share" in card
-    assert "fault.weak Q9" not in card
     show_campaign(summary)
     assert words in capsys.readouterr().out
-    recorded = next(one for one in summary_record(summary)["contrasts"] if one["parameter"] == "fault.weak Q9")
+    recorded = next(one for one in summary_record(summary)["influences"] if one["parameter"] == "fault.weak Q9")
     assert (recorded["value"], recorded["in_every_violation"]) == (True, True)
     assert recorded["without"]["high"] == pytest.approx(1.0 - 0.025 ** (1.0 / recorded["without"]["runs"]))

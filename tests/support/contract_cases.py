@@ -307,8 +307,6 @@ FUNCTIONS: dict[str, dict[str, Callable[[], Any]]] = {
     "baselines.read_baseline": {"path": lambda: file("baseline")},
     "baselines.update_baseline": {"result": result, **NEW},
     "campaign.plan": {"job": asked, "controllers": lambda: [closed()]},
-    "campaign.rare_event": of(ratios=lambda u, _: u.sum(axis=1) / 1.9, dimension=2, samples=100, repetitions=2),
-    "campaign.rare_probability": {"plan": planned},
     "campaign.rerun": {"plan": planned, **of(number=0)},
     "campaign.run_campaign": {"plan": planned, **of(folder="runs")},
     "campaign.summarise": {"plan": planned, "table": table},

@@ -159,14 +159,6 @@ class Part:
 
 
 @value
-class Cards:
-    """Parts that may be side by side."""
-
-    kind: ClassVar[str] = "cards"
-    parts: tuple[Part, ...]
-
-
-@value
 class Fold:
     """Blocks that a page shows when their title is clicked; paper shows them."""
 
@@ -211,7 +203,7 @@ class Distances:
         return 1 + max((mark.level for mark in self.marks), default=0)
 
 
-Block = Paragraph | Verdict | Table | Plate | Facts | Listing | Part | Cards | Fold | Columns | Distances
+Block = Paragraph | Verdict | Table | Plate | Facts | Listing | Part | Fold | Columns | Distances
 
 
 @value

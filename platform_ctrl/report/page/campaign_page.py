@@ -7,23 +7,19 @@ import os
 from pathlib import Path
 
 from platform_ctrl.analysis.run_metrics import RUN_METRICS
-from platform_ctrl.campaign.contrasts import Contrast
 from platform_ctrl.campaign.identity import digest, identity
-from platform_ctrl.campaign.planning import Plan
-from platform_ctrl.campaign.probability import Probability, RareResult
-from platform_ctrl.campaign.sensitivity import Sensitivity
+from platform_ctrl.campaign.influences import Influence
+from platform_ctrl.campaign.probability import Probability
 from platform_ctrl.campaign.single_run import ROUNDING, rerun
 from platform_ctrl.campaign.summary import Summary
-from platform_ctrl.campaign.table import MANOEUVRE, PASSED
 from platform_ctrl.common.files import write_whole
 from platform_ctrl.common.values import value
 from platform_ctrl.errors import PlatformCtrlError
-from platform_ctrl.job.quantities import MINUS, listed, plain, power_of_ten
+from platform_ctrl.job.quantities import listed, plain, power_of_ten
 from platform_ctrl.report import style
 from platform_ctrl.report.page import campaign_tables as tables
 from platform_ctrl.report.page.blocks import (
     Block,
-    Cards,
     Cell,
     Column,
     Document,
@@ -54,10 +50,8 @@ from platform_ctrl.report.plots.time_run import time_run
 from platform_ctrl.verification.verdict import JobResult
 
 RERUN_COMMAND = "platform-ctrl simulate job.toml --run"
-# Lengths of small pictures beside numbers: probabilities, shares of variance, shifts; pixels.
-_SCALE, _INFLUENCE, _SHIFT = 150.0, 130.0, 180.0
-# Violations that are shown.
-_MOST_PROBABLE = 5
+# Length of the small pictures beside probabilities, pixels.
+_SCALE = 150.0
 
 
 def write_campaign_page(
@@ -87,63 +81,6 @@ def campaign_document(summary: Summary, *, command: str | None = None, again: st
         verdict=tables.verdict(summary),
         sections=(*sections, Section(name="again", title="Inputs and versions", blocks=last)),
     )
-
-
-def rare_part(plan: Plan, rare: RareResult) -> Part:
-    """Return a rare event of a campaign: its probability, the levels of the search, how the inputs combine."""
-    repetitions = [
-        (
-            str(k),
-            tables.chance(one.probability),
-            f"{one.variation:.2f}",
-            ", ".join(plain(float(level), 3) for level in one.levels),
-        )
-        for k, one in enumerate(rare.repetitions, 1)
-    ]
-    numbers = "probability|own variation"
-    blocks: list[Block] = [
-        Facts(rows=tuple(tables.rare_rows(rare))),
-        table(f"repetition|{numbers}|levels, figure over limit", repetitions, numbers=numbers, form="narrow"),
-    ]
-    shifts = tables.moved(plan, rare)
-    if shifts:
-        blocks.append(_moved(shifts))
-    points = _points(plan, rare)
-    if points is not None:
-        blocks.append(Part(title="Most probable violations", blocks=(points,)))
-    return Part(title=sentence(tables.rare_words(rare)), blocks=tuple(blocks))
-
-
-def _moved(shifts: list[tuple[str, float]]) -> Part:
-    largest = max(abs(shift) for _, shift in shifts) or 1.0
-    rows = []
-    for name, shift in shifts:
-        end = 0.5 + 0.5 * shift / largest
-        marks = (
-            Mark(form="bar", start=min(0.5, end), end=max(0.5, end), colour="series-2"),
-            Mark(form="tick", start=0.5, colour="frame"),
-        )
-        words = f"{shift:+.1f}".replace("-", MINUS)
-        strip = Cell(text="", strip=Strip(length=_SHIFT, marks=marks))
-        rows.append(Row(cells=(*cells(name, f"{words} σ"), strip)))
-    shown = Table(columns=columns("input|moved by|", "moved by"), groups=(Group(rows=tuple(rows)),), form="narrow")
-    return Part(title="How inputs combine", blocks=(Paragraph(text=sentences("campaign_moved")), shown))
-
-
-def _points(plan: Plan, rare: RareResult) -> Table | None:
-    """Return the most probable violations, a column each."""
-    shown = rare.violations[:_MOST_PROBABLE]
-    if not shown:
-        return None
-    inputs = [plan.inputs_at(one.u[None, :]) for one in shown]
-    found = [
-        ("distance", *(f"{one.distance:.2f} σ" for one in shown)),
-        ("over limit", *("diverged" if math.isinf(one.ratio) else plain(one.ratio, 4) for one in shown)),
-        *((name, *(tables.input_words(one[name][0].item()) for one in inputs)) for name in plan.input_names),
-        ("noise of run", *(str(one.run) for one in shown)),
-    ]
-    titles = (Column(title=""), *(Column(title="", number=True) for _ in shown))
-    return Table(columns=titles, groups=(Group(rows=tuple(Row(cells=cells(*row)) for row in found)),), form="narrow")
 
 
 @value
@@ -191,23 +128,21 @@ def campaign_sections(summary: Summary, again: str) -> list[Section]:
     )
     bounds = Paragraph(text=sentences("campaign_bounds", plan=summary.plan), tone="quiet")
     sections = [Section(name="summary", title="", blocks=(banner,))]
-    common = _contrasts(summary)
+    common = _influences(summary)
     if common:
-        title = "What violating runs have in common" if summary.statistics.violation.events > 1 else "With and without"
+        title = (
+            "What violating runs have in common" if summary.statistics.violation.events > 1 else "What drives the runs"
+        )
         sections.append(Section(name="common", title=title, blocks=common))
     sections += _worst_trace(summary)
     shown = (probability_table(summary), bounds)
     sections.append(Section(name="probabilities", title="Probability of a violation", blocks=shown))
-    if summary.rare:
-        parts = tuple(rare_part(summary.plan, one) for one in summary.rare)
-        sections.append(Section(name="rare", title="Rare events", blocks=parts))
     plates = tuple(campaign_plates(summary))
     if plates:
         sections.append(Section(name="figures", title="Figures", blocks=plates))
     endings = table("ended|runs|share", tables.ending_rows(summary), numbers="runs|share", form="narrow")
     return [
         *sections,
-        Section(name="sensitivity", title="Influence of the inputs", blocks=_drivers(summary)),
         Section(name="worst", title="Worst runs", blocks=_worst(summary, again)),
         Section(name="ended", title="How runs ended", blocks=(endings,)),
     ]
@@ -273,100 +208,48 @@ def campaign_plates(summary: Summary) -> list[Plate]:
     return [plate(*one) for one in drawn]
 
 
-def _drivers(summary: Summary) -> tuple[Block, ...]:
-    overall = [one for one in summary.sensitivities if one.manoeuvre is None]
-    if not overall:
-        return (Paragraph(text="Too few runs, or all alike: variance cannot be attributed to inputs."),)
-    words = sentences("campaign_shares")
-    cards = Cards(parts=tuple(_influences(summary, one) for one in overall))
-    blocks: list[Block] = [Part(title="Shares of variance", blocks=(Paragraph(text=words), cards))]
-    within = _within(summary)
-    if within is not None:
-        blocks.append(Part(title="Within each manoeuvre", blocks=(within,)))
-    return tuple(blocks)
-
-
-def _contrasts(summary: Summary) -> tuple[Block, ...]:
-    """Return how often a run violates a requirement with and without each fault, manoeuvre and chosen value."""
-    groups = tables.contrast_groups(summary)
-    if not groups:
-        return ()
-    shown = [side for _, found in groups for one in found for side in (one.present, one.absent)]
+def _influences(summary: Summary) -> tuple[Block, ...]:
+    """Return what violating runs have in common, and what drives each requirement."""
+    groups = tables.influence_groups(summary)
+    shown = [side for _, found, _ in groups for one in found for side in (one.present, one.absent)]
+    if not shown:
+        return (Paragraph(text="Neither ranks nor counts show an influence of an input."),) if groups else ()
     scale = scale_of(shown)
     titles = (
-        *columns("with, and without|violations|probability", "violations|probability"),
+        *columns("with, and without|rank corr.|violations|probability", "rank corr.|violations|probability"),
         *_bounds_columns(summary, scale),
         Column(title="p-value", number=True),
     )
-    rows = [Group(title=title, rows=tuple(_contrast_rows(found, scale))) for title, found in groups]
-    words = sentences("campaign_contrasts")
-    found = Table(columns=titles, groups=tuple(rows), form="contrasts")
-    shared = [tables.contrast_words(one) for one in summary.contrasts if tables.shared_by_all(one)]
+    # Names of manoeuvres, at the end of a title, stay as people have to type them.
+    rows = [
+        Group(title=sentence(title), rows=tuple(_influence_rows(found, scale))) for title, found, _ in groups if found
+    ]
+    shared = [tables.cause_words(one) for one in tables.causes(summary) if one.in_every_violation]
     lines = [Paragraph(text=f"{sentence(_tied(line))}.") for line in shared]
-    return (*lines, found, Paragraph(text=words, tone="quiet"))
+    quiet = [f"{sentence(title)}: {', '.join(names)}." for title, found, names in groups if found and names]
+    others = [Paragraph(text=f"Of no influence that these runs show. {' '.join(quiet)}", tone="quiet")] if quiet else []
+    words = Paragraph(text=sentences("campaign_influences"), tone="quiet")
+    return (*lines, Table(columns=titles, groups=tuple(rows), form="contrasts"), *others, words)
 
 
-def _contrast_rows(found: list[Contrast], scale: Scale) -> list[Row]:
+def _influence_rows(found: list[Influence], scale: Scale) -> tuple[Row, ...]:
     rows = []
     for one in found:
-        every = "in every violating run" if tables.significant(one) and one.in_every_violation else ""
-        p_value = Cell(text=plain(one.p_value, 2), tone="bad" if tables.significant(one) else "")
-        named = Cell(text=tables.contrast_name(one), note=every)
-        sides = ((named, one.present, p_value), (Cell(text="without", tone="quiet"), one.absent, Cell(text="")))
-        for name, side, last in sides:
+        every = "in every violating run" if one.cause and one.in_every_violation else ""
+        p_value = Cell(text=plain(one.p_value, 2), tone="bad" if one.cause else "")
+        correlation = Cell(text=tables.signed(one.correlation), tone="" if one.driver else "quiet")
+        named = Cell(text=tables.value_name(one), note=every)
+        sides = (
+            (named, correlation, one.present, p_value),
+            (Cell(text="without", tone="quiet"), Cell(text=""), one.absent, Cell(text="")),
+        )
+        for name, second, side, last in sides:
             tone = "bad" if side.events else ""
             texts = f"{side.events:,} of {side.runs:,}", tables.chance(side.estimate)
             numbers = (Cell(text=text, tone=tone) for text in texts)
             bounds = Cell(text=tables.chances(side.low, side.high)), Cell(text="", strip=scale.strip(side))
-            rows.append(Row(cells=(name, *numbers, *bounds, last)))
-    return rows
-
-
-def _influences(summary: Summary, one: Sensitivity) -> Part:
-    found, others = tables.influence_rows(summary, one)
-    blocks: list[Block] = []
-    if found:
-        rows = []
-        for single, share, interval, sign in found:
-            marks = (
-                Mark(form="ground", start=0.0, end=1.0),
-                Mark(form="bar", start=0.0, end=single.index, colour="series-1"),
-                Mark(form="range", start=single.low, end=single.high, colour="ink"),
-            )
-            strip = Strip(length=_INFLUENCE, marks=marks, words=interval)
-            rows.append(Row(cells=(Cell(text=single.parameter), Cell(text="", strip=strip), *cells(share, sign))))
-        titles = columns("input||share|rank corr.", "share|rank corr.")
-        blocks.append(Table(columns=titles, groups=(Group(rows=tuple(rows)),)))
-    else:
-        words = f"No input has a share that is significant in {one.runs:,} runs."
-        blocks.append(Paragraph(text=words, tone="quiet"))
-    violating = _tied(tables.violation_drivers(one))
-    if violating:
-        blocks.append(Paragraph(text=f"Inputs of the violations: {violating}."))
-    for cause in tables.causes(summary, one.requirement):
-        if cause.parameter != MANOEUVRE:
-            blocks.append(Paragraph(text=f"{sentence(_tied(tables.contrast_words(cause)))}."))
-    if others and found:
-        ranked = " Computed from ranks, since a few runs have extreme values." if one.ranked else ""
-        words = f"No significant share in {one.runs:,} runs: {', '.join(others)}.{ranked}"
-        blocks.append(Paragraph(text=words, tone="quiet"))
-    return Part(title=sentence(tables.requirement_name(one.requirement)), blocks=tuple(blocks))
-
-
-def _within(summary: Summary) -> Table | None:
-    """Return the most influential inputs within each manoeuvre."""
-    inside = [one for one in summary.sensitivities if one.manoeuvre is not None]
-    figures = [name for name in (*RUN_METRICS, PASSED) if any(one.requirement == name for one in inside)]
-    rows = []
-    for manoeuvre in dict.fromkeys(one.manoeuvre for one in inside):
-        own = {one.requirement: _all_drivers(one) for one in inside if one.manoeuvre == manoeuvre}
-        rows.append((str(manoeuvre), *(own.get(figure, "") for figure in figures)))
-    return table("|".join(["manoeuvre", *map(tables.requirement_name, figures)]), rows) if rows else None
-
-
-def _all_drivers(one: Sensitivity) -> str:
-    violating = tables.violation_drivers(one)
-    return _tied(tables.short_drivers(one) + (f"; its violations: {violating}" if violating else ""))
+            rows.append(Row(cells=(name, second, *numbers, *bounds, last)))
+    return tuple(rows)
 
 
 def _tied(words: str) -> str:

@@ -6,10 +6,8 @@ import math
 from collections.abc import Sequence
 
 from platform_ctrl.analysis.run_metrics import RUN_METRICS
-from platform_ctrl.campaign.contrasts import Contrast
-from platform_ctrl.campaign.planning import Plan
-from platform_ctrl.campaign.probability import Probability, RareResult
-from platform_ctrl.campaign.sensitivity import Influence, Sensitivity
+from platform_ctrl.campaign.influences import Influence
+from platform_ctrl.campaign.probability import Probability
 from platform_ctrl.campaign.summary import Summary
 from platform_ctrl.campaign.table import DIVERGED, MANOEUVRE, PASSED
 from platform_ctrl.campaign.table_statistics import RequirementStatistics, WorstRun
@@ -20,7 +18,6 @@ from platform_ctrl.job.quantities import (
     DASH,
     MINUS,
     added_words,
-    count,
     plain,
     quantity,
     simulated_words,
@@ -29,8 +26,8 @@ from platform_ctrl.job.quantities import (
 from platform_ctrl.job.variation import Vary
 
 ALL_MANOEUVRES = "all manoeuvres, values relative to their limits"
-# Inputs that a table names for a requirement, and a line.
-_MOST_DRIVERS, _STRONGEST = 8, 3
+# Inputs that a line names for a requirement.
+_STRONGEST = 3
 
 
 @value
@@ -163,8 +160,6 @@ def verdict_lines(summary: Summary) -> list[str]:
         lines.append(f"probability that a run violates a requirement: {estimate}{bounds} {sure}")
     if found.violation.events == 1:
         lines.append("one run violates it: no cause can be told")
-    for rare in summary.rare:
-        lines.append(f"{rare_words(rare)}, from rare events")
     if found.diverged:
         lines.append(f"{count_words(found.diverged)} diverged, counted as violating every requirement")
     if found.not_simulated:
@@ -177,121 +172,78 @@ def count_words(runs: int) -> str:
     return f"{runs:,} {'run' if runs == 1 else 'runs'}"
 
 
-def rare_words(rare: RareResult) -> str:
-    """Return a rare event's probability in words."""
-    name = requirement_name(rare.requirement)
-    if not rare.reached:
-        return f"{name}: never violated, probability below about {chance(rare.high)}"
-    return f"{name}: violated with probability {chance(rare.probability)}, {chances(rare.low, rare.high)}"
+def signed(correlation: float) -> str:
+    """Return a rank correlation with its sign; a dash where there is none."""
+    return DASH if math.isnan(correlation) else f"{correlation:+.2f}".replace("-", MINUS)
 
 
-def influence_rows(summary: Summary, one: Sensitivity) -> tuple[list[tuple[Influence, str, str, str]], list[str]]:
-    """Return the influential inputs of a requirement with index, interval and rank correlation; and the other inputs.
+def influence_groups(summary: Summary) -> list[tuple[str, list[Influence], list[str]]]:
+    """Return every requirement over all manoeuvres, and all together within each, with the inputs that matter.
 
-    An input that sets the violating runs apart is not among the others, however little of the variance it explains.
+    The last entry names the inputs of which neither ranks nor counts show anything.
     """
-    drivers = [single for single in one.influences if single.driver][:_MOST_DRIVERS]
-    rows = [(x, share(x.index), f"{share(x.low)} to {share(x.high)}", signed(x)) for x in drivers]
-    violating = {single.parameter for single in one.violations if single.driver}
-    violating |= {
-        single.parameter
-        for single in summary.contrasts
-        if single.requirement == one.requirement and significant(single)
-    }
-    quiet = [single.parameter for single in one.influences if not single.driver]
-    return rows, [name for name in quiet if name not in violating]
+    groups: dict[str, list[Influence]] = {}
+    for one in summary.influences:
+        if one.manoeuvre is None or one.requirement == PASSED:
+            name = requirement_name(one.requirement)
+            groups.setdefault(name if one.manoeuvre is None else f"{name} in {one.manoeuvre}", []).append(one)
+    return [
+        (
+            title,
+            [one for one in found if one.driver or one.cause],
+            [one.parameter for one in found if not (one.driver or one.cause)],
+        )
+        for title, found in groups.items()
+    ]
 
 
-def share(index: float) -> str:
-    """Return a share of variance in whole per cent, or less."""
-    return f"{100.0 * index:.0f} %" if index >= 0.0095 or index == 0.0 else "< 1 %"
-
-
-def signed(one: Influence) -> str:
-    """Return a rank correlation with its sign; a dash for words."""
-    if math.isnan(one.rank_correlation):
-        return DASH
-    return f"{one.rank_correlation:+.2f}".replace("-", MINUS)
-
-
-def significant(one: Contrast) -> bool:
-    """Return whether the counts show that a value sets the violating runs apart: of one run nothing does."""
-    return one.driver and one.present.events + one.absent.events > 1
-
-
-def shared_by_all(one: Contrast) -> bool:
-    """Return whether a value that sets violating runs apart is that of every run that violates anything."""
-    return significant(one) and one.requirement == PASSED and one.manoeuvre is None and one.in_every_violation
-
-
-def contrast_groups(summary: Summary) -> list[tuple[str, list[Contrast]]]:
-    """Return all contrasts over all manoeuvres, and the significant ones within a manoeuvre, of any requirement."""
-    groups: dict[str | None, list[Contrast]] = {}
-    for one in summary.contrasts:
-        violated = one.present.events + one.absent.events > 0
-        if one.requirement == PASSED and violated and (one.manoeuvre is None or significant(one)):
-            groups.setdefault(one.manoeuvre, []).append(one)
-    names = {one.name for one, _ in summary.plan.job.campaign_manoeuvres}
-    overall = "All manoeuvres" if len(names) > 1 else "".join(names)
-    return [(manoeuvre or overall, found) for manoeuvre, found in groups.items()]
-
-
-def contrast_name(one: Contrast) -> str:
+def value_name(one: Influence) -> str:
     """Return the value of an input whose runs are compared with the others."""
     if one.parameter == MANOEUVRE:
         return f"manoeuvre: {one.level}"
     if isinstance(one.level, bool):
         return one.parameter.replace("fault.", "fault: ", 1)
-    return f"{one.parameter} = {input_words(one.level)}"
+    return f"{one.parameter} {one.level}" if isinstance(one.level, str) else f"{one.parameter} = {plain(one.level, 3)}"
 
 
-def contrast_words(one: Contrast) -> str:
-    """Return a contrast in a line."""
+def cause_words(one: Influence) -> str:
+    """Return what the counts show in a line."""
     shown = [
         f"{side.events:,} of {side.runs:,} {words} ({chances(side.low, side.high)})"
         for side, words in ((one.present, "runs with it violate a limit"), (one.absent, "without"))
     ]
     every = "; every violating run has it" if one.in_every_violation else ""
-    return f"{contrast_name(one)}: {', '.join(shown)}{every}"
+    return f"{value_name(one)}: {', '.join(shown)}{every}"
 
 
-def causes(summary: Summary, figure: str = PASSED) -> list[Contrast]:
-    """Return the values that set violating runs apart significantly, over all manoeuvres."""
-    return [
-        one for one in summary.contrasts if one.requirement == figure and one.manoeuvre is None and significant(one)
-    ]
+def causes(summary: Summary) -> list[Influence]:
+    """Return the values that set violating runs apart, over all manoeuvres and requirements."""
+    return [one for one in summary.influences if one.requirement == PASSED and one.manoeuvre is None and one.cause]
 
 
-def short_drivers(one: Sensitivity) -> str:
-    """Return the strongest drivers in a line."""
-    return _strongest(one.influences) or "no significant input"
+def drivers(summary: Summary) -> dict[str, list[Influence]]:
+    """Return the inputs that the metrics follow over all manoeuvres, by requirement, the strongest first."""
+    found: dict[str, list[Influence]] = {}
+    for one in sorted(summary.influences, key=lambda one: -abs(one.correlation)):
+        if one.manoeuvre is None and one.driver:
+            found.setdefault(one.requirement, []).append(one)
+    return found
 
 
-def violation_drivers(one: Sensitivity) -> str:
-    """Return the strongest drivers of a limit's violations in a line; empty where they are not known."""
-    return _strongest(one.violations)
+def driver_words(requirement: str, found: Sequence[Influence]) -> str:
+    """Return what drives a requirement in a line."""
+    named = ", ".join(f"{one.parameter} ({signed(one.correlation)})" for one in found[:_STRONGEST])
+    metric = "largest value over its limit" if requirement == PASSED else requirement_name(requirement)
+    return f"{metric} is driven by {named}, rank correlations"
 
 
-def drivers_of(one: Sensitivity) -> list[str]:
-    """Return the influential inputs of a requirement, the strongest first."""
-    return [single.parameter for single in _driving(one.influences)]
-
-
-def _strongest(found: Sequence[Influence]) -> str:
-    return ", ".join(f"{single.parameter} {share(single.index)}" for single in _driving(found)[:_STRONGEST])
-
-
-def _driving(found: Sequence[Influence]) -> list[Influence]:
-    return [single for single in found if single.driver and single.index >= 0.005]
-
-
-def worst_rows(summary: Summary, runs: Sequence[WorstRun], drivers: Sequence[str]) -> list[tuple[WorstRun, list[str]]]:
+def worst_rows(summary: Summary, runs: Sequence[WorstRun], named: Sequence[str]) -> list[tuple[WorstRun, list[str]]]:
     """Return runs with their values and the inputs that matter, in words."""
     rows = []
     for one in runs:
         inputs = summary.inputs_of(one.run)
         shown = [
-            f"{name} {input_words(inputs[name])}" for name in drivers if name in inputs and inputs[name] is not False
+            f"{name} {input_words(inputs[name])}" for name in named if name in inputs and inputs[name] is not False
         ]
         unit = RUN_METRICS[one.requirement].unit
         words = [
@@ -313,14 +265,12 @@ def input_words(item: float | bool | str) -> str:
 
 
 def all_drivers(summary: Summary) -> list[str]:
-    """Return the inputs that drive anything over all manoeuvres, the strongest first, the manoeuvre itself left out."""
-    strongest: dict[str, float] = {}
-    for one in summary.sensitivities:
-        for single in (*one.influences, *one.violations):
-            if one.manoeuvre is None and single.driver and single.parameter != MANOEUVRE:
-                strongest[single.parameter] = max(strongest.get(single.parameter, 0.0), single.index)
-    rare = dict.fromkeys(one.parameter for one in causes(summary) if one.parameter != MANOEUVRE)
-    return list(dict.fromkeys([*rare, *sorted(strongest, key=lambda name: -strongest[name])]))[:4]
+    """Return causes and drivers over all manoeuvres, the strongest first, the manoeuvre itself left out."""
+    driving = sorted(
+        (one for found in drivers(summary).values() for one in found), key=lambda one: -abs(one.correlation)
+    )
+    named = dict.fromkeys(one.parameter for one in (*causes(summary), *driving) if one.parameter != MANOEUVRE)
+    return list(named)[:4]
 
 
 def input_rows(summary: Summary) -> list[tuple[str, str]]:
@@ -361,40 +311,3 @@ def ending_rows(summary: Summary) -> list[tuple[str, str, str]]:
     """Return how runs ended: words, number, share."""
     found = summary.statistics
     return [(words, f"{runs:,}", chance(runs / found.runs)) for words, runs in found.endings.items()]
-
-
-def moved(plan: Plan, rare: RareResult, most: int = 8) -> list[tuple[str, float]]:
-    """Return the inputs whose means differ most in violating runs, in standard deviations; faults towards occurrence.
-
-    Manoeuvres have no order and are left out.
-    """
-    faults = {f"fault.{one.fault}" for one in plan.campaign.faults}
-    named = zip(plan.input_names, rare.shift.tolist(), strict=True)
-    shifts = [(name, -shift if name in faults else shift) for name, shift in named if name != MANOEUVRE]
-    return sorted(shifts, key=lambda item: -abs(item[1]))[:most] if rare.violations else []
-
-
-def moved_words(plan: Plan, rare: RareResult) -> str:
-    """Return those that differ by half a standard deviation or more, in a line."""
-    shown = [(name, shift) for name, shift in moved(plan, rare, 4) if abs(shift) >= 0.5]
-    return ", ".join(f"{name} {shift:+.1f} σ".replace("-", MINUS) for name, shift in shown)
-
-
-def rare_rows(rare: RareResult) -> list[tuple[str, str]]:
-    """Return the results of the search for a rare event: name and words."""
-    rows = [
-        ("probability", chance(rare.probability) if rare.reached else "not reached"),
-        (f"{plain(100.0 * rare.confidence, 3)} % interval", chances(rare.low, rare.high)),
-    ]
-    if math.isfinite(rare.variation):
-        rows.append(("coefficient of variation", plain(rare.variation, 2)))
-    rows += [
-        ("method", "importance splitting" + (" and weighted runs" if rare.method == "cross-entropy" else "")),
-        ("repetitions", f"{count(len(rare.repetitions), 'repetition')}, {rare.reached} reached the limit"),
-        ("runs simulated", f"{rare.evaluations:,}"),
-    ]
-    if rare.noise_decides:
-        few = sorted(one.noises for one in rare.repetitions)[len(rare.repetitions) // 2]
-        words = f"violating runs share {count(few, 'realisation')} of it, so that the interval is too narrow"
-        rows.append(("noise", f"{words}; simulate more runs per level"))
-    return rows

@@ -17,7 +17,6 @@ from platform_ctrl.analysis.metrics import METRICS, Metric
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.poles import continuous_poles, spectral_abscissa
 from platform_ctrl.campaign.summary import Summary
-from platform_ctrl.campaign.table import PASSED
 from platform_ctrl.common.text import Rounding
 from platform_ctrl.design.caging_claims import largest_Omega_name
 from platform_ctrl.design.jobs import LoopOutcome
@@ -29,7 +28,7 @@ from platform_ctrl.plant.platform import Platform
 from platform_ctrl.report.figures.loop import SENSITIVITIES, damping_rays, limited
 from platform_ctrl.report.loop_responses import LoopResponses
 from platform_ctrl.report.page import campaign_tables
-from platform_ctrl.report.page.campaign_tables import causes, contrast_name, drivers_of
+from platform_ctrl.report.page.campaign_tables import all_drivers, causes, value_name
 from platform_ctrl.report.page.comparison import plants_in_words
 from platform_ctrl.report.page.tables import verdict
 from platform_ctrl.verification.simulated import Run
@@ -322,7 +321,6 @@ def _runs(result: JobResult) -> str:
 
 
 def _campaign(summary: Summary) -> str:
-    overall = (one for one in summary.sensitivities if one.manoeuvre is None and one.requirement == PASSED)
-    drivers = [quoted(name) for one in overall for name in drivers_of(one)[:2]]
-    shared = [quoted(contrast_name(one)) for one in causes(summary) if one.in_every_violation]
+    drivers = [quoted(name) for name in all_drivers(summary)[:2]]
+    shared = [quoted(value_name(one)) for one in causes(summary) if one.in_every_violation]
     return sentences("campaign", statistics=summary.statistics, drivers=drivers, shared=shared)
