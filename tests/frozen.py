@@ -22,7 +22,6 @@ import sys
 import tempfile
 import time
 import warnings
-import zipfile
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -373,14 +372,9 @@ def export() -> dict[str, Any]:
 
     with folder() as here:
         forms = ["--c", "c", "--mat", "all.mat", "--models", "all.json", "--csv", "csv", "--mjcf", "plant.xml"]
-        said = answer("export", "job.toml", *forms, "--fmu", "all.fmu")
+        said = answer("export", "job.toml", *forms)
         texts = {str(f.relative_to(here)): f.read_text(encoding="utf-8") for f in sorted(here.glob("*/*.[ch]"))}
         csv = {f.name: f.read_text(encoding="utf-8").splitlines() for f in sorted(Path("csv").glob("*.csv"))}
-        with zipfile.ZipFile("all.fmu") as packed:
-            fmu = {
-                "modelDescription": packed.read("modelDescription.xml").decode(),
-                "files": sorted("".join(lines(name)) for name in packed.namelist() if not name.endswith("/")),
-            }
         return {
             "json": said,
             "c": texts,
@@ -388,7 +382,6 @@ def export() -> dict[str, Any]:
             "models": json.loads(Path("all.json").read_text(encoding="utf-8")),
             "mat": {k: plain(v) for k, v in scipy.io.loadmat("all.mat", simplify_cells=True).items() if k[0] != "_"},
             "mjcf": Path("plant.xml").read_text(encoding="utf-8"),
-            "fmu": fmu,
         }
 
 

@@ -40,7 +40,7 @@ class ExportCommand:
     platform-ctrl export job.toml --c firmware/gyro              double precision C99
     platform-ctrl export job.toml --c firmware/gyro --number float  single precision
     platform-ctrl export job.toml --mat gyro.mat --csv responses  for MATLAB, Octave, pandas
-    platform-ctrl export job.toml --mjcf gyro.xml --fmu gyro.fmu  for MuJoCo and simulators
+    platform-ctrl export job.toml --mjcf gyro.xml               for MuJoCo
     platform-ctrl export job.toml --c gyro --json | jq .written   with the SHA-256 of every file
     """  # noqa: D301
 
@@ -162,13 +162,12 @@ def _target_option(exporter: Exporter) -> Any:
 
 
 def _setting_option(setting: Setting) -> Any:
-    words = completion.manoeuvres if setting.name == "manoeuvre" else completion.words(*setting.choices)
     option = typer.Option(
         setting.flag,
         metavar=setting.metavar,
         help=setting.help,
         show_default=setting.default is not None,
-        autocompletion=words if setting.choices or setting.name == "manoeuvre" else None,
+        autocompletion=completion.words(*setting.choices) if setting.choices else None,
         rich_help_panel=HOW,
     )
     return Annotated[setting.kind if setting.default is not None else setting.kind | None, option]

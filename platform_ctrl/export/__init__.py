@@ -1,4 +1,4 @@
-"""Export: controllers and plants as C, FMU, MJCF, MATLAB data, JSON and CSV.
+"""Export: controllers and plants as C, MJCF, MATLAB data, JSON and CSV.
 
 `exporters` lists what ``platform-ctrl export`` writes; ``__init__.pyi`` lists the names, loaded on first use.
 """

@@ -1,5 +1,4 @@
 from .c99.c_files import write_c as write_c
-from .fmu.fmu_file import write_fmu as write_fmu
 from .job_systems import write_responses as write_responses
 from .matlab import read_mat as read_mat
 from .matlab import write_mat as write_mat

@@ -180,12 +180,6 @@ def _write_mjcf(export: Export, path: Path, target: Path, *, root: Literal["free
     export.notes += [f"{target}: {note}" for note in write_mjcf(export.job.platform, path, root=root)]
 
 
-def _write_fmu(export: Export, path: Path, target: Path, *, manoeuvre: str | None) -> None:
-    from platform_ctrl.export.fmu.fmu_file import write_fmu
-
-    write_fmu(export.job, export.controllers, path, manoeuvre=manoeuvre, result=export.controller_file)
-
-
 register(
     Exporter(
         name="c",
@@ -261,22 +255,6 @@ register(
                 "Root of the MuJoCo model: free, prescribed (its angular acceleration is a control) or fixed.",
                 default="free",
                 choices=("free", "prescribed", "fixed"),
-            ),
-        ),
-    )
-)
-register(
-    Exporter(
-        name="fmu",
-        title="FMU",
-        help="Plant and controllers as a functional mock-up unit (FMI 3.0, co-simulation).",
-        write=_write_fmu,
-        suffix=".fmu",
-        settings=(
-            Setting(
-                "manoeuvre",
-                "NAME",
-                "Manoeuvre that the FMU begins with: of the job, caged or stabilised. Default: the job's first one.",
             ),
         ),
     )

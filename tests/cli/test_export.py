@@ -8,7 +8,6 @@ import os
 import signal
 import tomllib
 import xml.etree.ElementTree as ET
-import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -23,7 +22,7 @@ from platform_ctrl.export.exporters import exporters
 from platform_ctrl.job.reading import read_job
 from refused_command import refused
 
-EVERYTHING = ("--c", "c", "--mat", "k.mat", "--models", "m.json", "--csv", "r", "--mjcf", "p.xml", "--fmu", "p.fmu")
+EVERYTHING = ("--c", "c", "--mat", "k.mat", "--models", "m.json", "--csv", "r", "--mjcf", "p.xml")
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +49,6 @@ def files(folder: Path) -> dict[str, bytes]:
 
 
 def test_every_form_is_written_and_told_with_its_hash(there: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    pytest.importorskip("pythonfmu3", reason="PythonFMU3 is not installed")
     before = files(there)
     assert main(["export", "job.toml", *EVERYTHING, "--json"]) == 0
     out, err = capsys.readouterr()
@@ -70,7 +68,6 @@ def test_every_form_is_written_and_told_with_its_hash(there: Path, capsys: pytes
     assert len(export.read_mat("k.mat")) == len(export.read_systems("m.json")) == 4
     assert design.read_measurement("r/plant_caging_9-10.csv", period=0.0005).input_labels == ["Q9", "Q10"]
     assert ET.parse("p.xml").getroot().get("model") == "three-gyro platform"
-    assert zipfile.ZipFile("p.fmu").testzip() is None
     # The same again is the same.
     assert main(["export", "job.toml", *EVERYTHING, "--quiet"]) == 0
     assert files(there) == now
@@ -122,14 +119,11 @@ def test_controllers_saved_beside_the_job_are_found(there: Path) -> None:
         (["--c", "out/result.json/a/c"], "--c out/result.json/a/c: out/result.json is a file, but must be a folder"),
         (["--mat", "job.toml/k.mat"], "--mat job.toml/k.mat: job.toml is a file, but must be a folder or not exist"),
         (["--mat", "k.mat", "--controllers", "job.toml"], "job.toml: is not JSON"),
-        (["--fmu", "p.fmu", "--manoeuvre", "loop"], "loop"),
     ],
 )
 def test_wrong_input_is_one_line_and_writes_nothing(
     arguments: list[str], words: str, there: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    if "--fmu" in arguments:
-        pytest.importorskip("pythonfmu3", reason="PythonFMU3 is not installed")
     before = files(there)
     assert words in refused(capsys, "export", "job.toml", *arguments, "-q")
     assert files(there) == before
@@ -141,7 +135,6 @@ def test_wrong_input_is_one_line_and_writes_nothing(
         ("--number=float", "c"),
         ("--form=polar", "csv"),
         ("--root=fixed", "mjcf"),
-        ("--manoeuvre=x", "fmu"),
     ],
 )
 def test_an_option_of_what_is_not_written_is_refused(

@@ -346,7 +346,6 @@ FUNCTIONS: dict[str, dict[str, Callable[[], Any]]] = {
     "export.read_systems": {"path": lambda: file("json")},
     "export.write_c": {"job": asked, "entries": lambda: [closed()], **of(folder="code")},
     "export.write_controllers": {"controllers": lambda: [closed()], **NEW, **of(delay=PERIOD)},
-    "export.write_fmu": {"job": asked, "controllers": lambda: [closed()], **of(path="loop.fmu")},
     "export.write_mat": {"systems": lambda: model_systems(asked()), **NEW},
     "export.write_mjcf": {"platform": platform, **NEW},
     "export.write_responses": {"response": measured, **NEW},
