@@ -14,11 +14,11 @@ from platform_ctrl.campaign.single_run import SimulateRuns, kinds_of
 from platform_ctrl.campaign.store import Record, opened
 from platform_ctrl.campaign.table import DIVERGED, ENDED, NOT_SIMULATED, arrow
 from platform_ctrl.campaign.workers import Chunks, columns_by_cluster, columns_by_processes
+from platform_ctrl.common.processes import processors
 from platform_ctrl.common.progress import shown_runs
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import value
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.simulation.device import expect_device, processors
 
 if TYPE_CHECKING:
     from platform_ctrl.campaign.planning import Plan
@@ -51,13 +51,12 @@ class CampaignResult:
 
 
 @check_arguments
-def run_campaign(  # noqa: PLR0913 - options by keyword
+def run_campaign(
     plan: Plan,
     folder: str | os.PathLike[str],
     *,
     workers: int | None = None,
     scheduler: str | None = None,
-    device: str = "cpu",
     restart: bool = False,
     progress: RunsProgress | bool | None = None,
     say: Callable[[str], None] = lambda line: None,
@@ -75,11 +74,9 @@ def run_campaign(  # noqa: PLR0913 - options by keyword
     folder
         Of ``campaign.parquet`` and ``campaign.json``; made if needed.
     workers
-        Processes on this machine; default: as many as there are processors, one for a GPU.
+        Processes on this machine; default: as many as there are processors.
     scheduler
         Address of a Dask scheduler, whose workers simulate instead.
-    device
-        ``"cpu"`` or ``"cuda"``.
     restart
         Forget what is in `folder`.
     progress, say
@@ -100,27 +97,26 @@ def run_campaign(  # noqa: PLR0913 - options by keyword
     SimulationError
         Workers die again and again; what was simulated is kept.
     ArgumentError
-        `workers` or `device` make no sense.
+        `workers` makes no sense.
     """
     if workers is not None and workers < 1:
         raise ArgumentError(f"workers must be at least one, got {workers}")
     arrow()
-    expect_device(device)
-    crew = workers or (processors() if device == "cpu" else 1)
+    crew = workers or processors()
     about = {"job": plan.job.name, "platform": plan.job.platform.name}
     kinds = kinds_of(plan)
     with (
-        opened(Path(folder), identity(plan, device), about, plan.runs, versions(), kinds, restart) as store,
+        opened(Path(folder), identity(plan), about, plan.runs, versions(), kinds, restart) as store,
         shown_runs(progress, plan.runs) as tick,
     ):
-        chunks = Chunks(store.gaps, crew, device)
+        chunks = Chunks(store.gaps, crew)
         amiss = 0
         tick(store.done, amiss)
         if chunks.waiting:
             if scheduler is None:
-                batches = columns_by_processes(plan, chunks, simulate, workers=crew, device=device)
+                batches = columns_by_processes(plan, chunks, simulate, workers=crew)
             else:
-                batches = columns_by_cluster(plan, chunks, simulate, address=scheduler, device=device, say=say)
+                batches = columns_by_cluster(plan, chunks, simulate, address=scheduler, say=say)
             with closing(batches):  # type: ignore[type-var]
                 for runs, columns in batches:
                     store.write(runs, columns)

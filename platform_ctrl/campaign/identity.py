@@ -23,7 +23,7 @@ _DIGITS = 16
 _USED = ("numpy", "scipy", "numba")
 
 
-def identity(plan: Plan, device: str = "cpu") -> Identity:
+def identity(plan: Plan) -> Identity:
     """Return everything that decides how a plan's runs come out, in plain types.
 
     Loops and requirements of the design have no part in it: the controllers are there already.
@@ -41,7 +41,6 @@ def identity(plan: Plan, device: str = "cpu") -> Identity:
         "seed": int(plan.seed),
         "sampling": str(plan.sampling),
         "step": float(plan.step),
-        "device": device,
     }
     if job.drives:
         out["drives"] = digest(job.drives)

@@ -30,14 +30,14 @@ if TYPE_CHECKING:
     from platform_ctrl.verification.simulated import Run
 
 
-def simulate_runs(plan: Plan, runs: Sequence[int], *, threads: int = 1, device: str = "cpu") -> dict[str, Array]:
+def simulate_runs(plan: Plan, runs: Sequence[int], *, threads: int = 1) -> dict[str, Array]:
     """Simulate runs of a plan and return their columns, each with one entry a run."""
     from platform_ctrl import simulation
 
     columns = inputs_of(plan, runs)
     scenarios = plan.scenarios_with(columns, runs)
     result = simulation.simulate_batch(
-        scenarios, plan.controllers, period=plan.job.sampling.period, step=plan.step, threads=threads, device=device
+        scenarios, plan.controllers, period=plan.job.sampling.period, step=plan.step, threads=threads
     )
     return {**columns, **_outcomes(scenarios, result, metrics_of(plan))}
 
@@ -105,16 +105,14 @@ def kinds_of(plan: Plan) -> dict[str, Kind]:
     return {RUN: "whole", **inputs, **metrics, **rest, ENDED: "word"}
 
 
-def columns_of(
-    plan: Plan, runs: Sequence[int], simulate: SimulateRuns, threads: int = 1, device: str = "cpu"
-) -> Columns:
+def columns_of(plan: Plan, runs: Sequence[int], simulate: SimulateRuns, threads: int = 1) -> Columns:
     """Return the columns of runs; a run that cannot be simulated has a row that says why."""
     try:
-        return simulate(plan, runs, threads=threads, device=device)
+        return simulate(plan, runs, threads=threads)
     except Exception as error:
         if len(runs) > 1:
             middle = len(runs) // 2
-            halves = [columns_of(plan, part, simulate, threads, device) for part in (runs[:middle], runs[middle:])]
+            halves = [columns_of(plan, part, simulate, threads) for part in (runs[:middle], runs[middle:])]
             return {name: np.concatenate([half[name] for half in halves]) for name in halves[0]}
         return row_not_simulated(plan, runs[0], _reason(error))
 
@@ -134,7 +132,7 @@ def _reason(error: Exception) -> str:
     return (title + text)[:_LONGEST]
 
 
-# Metrics of another machine's processor or a GPU agree to rounding.
+# Metrics of another processor agree to rounding.
 ROUNDING = 1e-6
 
 Row = dict[str, Any]
@@ -226,7 +224,7 @@ def recorded_plan(job: Job, controllers: Sequence[control.StateSpace], record: R
         return plan(job, controllers), []
     before = record["identity"]
     made = plan(job, controllers, runs=record["runs"], seed=before["seed"], sampling=before["sampling"])
-    return made, differences(record, {"identity": identity(made, before["device"]), "versions": versions()})
+    return made, differences(record, {"identity": identity(made), "versions": versions()})
 
 
 def _plain(item: Any) -> Any:

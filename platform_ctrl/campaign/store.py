@@ -329,7 +329,7 @@ def differences(there: Record, new: Record) -> list[str]:
                 f"{before} runs instead of {now} (a Latin hypercube is made for one number of runs; sobol and random "
                 "go on)"
             )
-        elif name in ("seed", "sampling", "step", "device"):
+        elif name in ("seed", "sampling", "step"):
             out.append(f"{name} {before} instead of {now}")
         elif name != "runs":
             out.append(f"another {name}" if name == "plant" else f"other {name}")

@@ -17,7 +17,6 @@ from platform_ctrl.campaign.single_run import SimulateRuns, columns_of, row_not_
 from platform_ctrl.campaign.table import Columns
 from platform_ctrl.common.processes import Started, TaskProcess, next_result
 from platform_ctrl.errors import InputError, SimulationError
-from platform_ctrl.simulation.device import processors
 
 if TYPE_CHECKING:
     from platform_ctrl.campaign.planning import Plan
@@ -25,8 +24,8 @@ if TYPE_CHECKING:
 # Runs that the kernel computes side by side, as in `platform_ctrl.common.simd`, which would load numba: a chunk of
 # fewer costs as much.
 LANES = 8
-# Smallest and largest chunk by device: a GPU wants many runs at once.
-SIZES = {"cpu": (LANES, 4096), "cuda": (1 << 12, 1 << 17)}
+# Most runs of a chunk.
+_LARGEST = 4096
 # How long a chunk should take, s.
 SECONDS = 1.0
 # A chunk whose worker died is simulated again in so many parts, until the run that it died of is alone.
@@ -44,16 +43,13 @@ class Chunks:
         Missing runs, in order.
     crew
         How many chunks are simulated at a time.
-    device
-        ``"cpu"`` or ``"cuda"``.
     """
 
-    def __init__(self, gaps: Iterable[range], crew: int, device: str = "cpu") -> None:
+    def __init__(self, gaps: Iterable[range], crew: int) -> None:
         self._gaps = deque(gap for gap in gaps if gap)
         self._again: deque[range] = deque()
         self._deaths: dict[int, int] = {}
-        self._smallest, self._largest = SIZES[device]
-        self._size = self._smallest
+        self._size = LANES
         self.crew = crew
 
     @property
@@ -64,7 +60,7 @@ class Chunks:
     @property
     def most(self) -> int:
         """How many workers the waiting runs could occupy at most."""
-        return len(self._again) + sum(-(-len(gap) // self._smallest) for gap in self._gaps)
+        return len(self._again) + sum(-(-len(gap) // LANES) for gap in self._gaps)
 
     def next(self) -> range | None:
         """Return the next chunk, or None."""
@@ -75,7 +71,7 @@ class Chunks:
         gap = self._gaps.popleft()
         # Toward the end smaller ones, so that no worker waits long for the last; lanes stay full.
         share = max(sum(map(len, (gap, *self._gaps))) // (2 * self.crew), self._size // _PARTS)
-        size = max(self._smallest, min(self._size, -(-share // LANES) * LANES))
+        size = max(LANES, min(self._size, -(-share // LANES) * LANES))
         stop = min(gap.stop, gap.start // LANES * LANES + size)
         if stop < gap.stop:
             self._gaps.appendleft(range(stop, gap.stop))
@@ -84,7 +80,7 @@ class Chunks:
     def finished(self, chunk: range, seconds: float) -> None:
         """Learn from a chunk that took so long how large the next ones should be."""
         wanted = SECONDS * len(chunk) / max(seconds, 1e-6)
-        self._size = int(max(self._smallest, min(wanted // LANES * LANES, 2 * self._size, self._largest)))
+        self._size = int(max(LANES, min(wanted // LANES * LANES, 2 * self._size, _LARGEST)))
 
     def died(self, chunk: range) -> int | None:
         """Take back the chunk of a worker that died; return the run that it died of once that is known."""
@@ -105,14 +101,14 @@ _MAX_DEATHS = 24
 
 
 def columns_by_processes(
-    plan: Plan, chunks: Chunks, simulate: SimulateRuns, *, workers: int, device: str = "cpu"
+    plan: Plan, chunks: Chunks, simulate: SimulateRuns, *, workers: int
 ) -> Iterator[tuple[range, Columns]]:
     """Simulate all chunks in `workers` processes and yield them with their columns as they are done, in any order.
 
     The first chunk is simulated alone: a kernel that has to be compiled is compiled once. A worker that dies is
     replaced, its chunk is divided and simulated again; a run that workers die of is recorded as not simulated.
     """
-    crew = _Crew(plan, chunks, simulate, workers, device)
+    crew = _Crew(plan, chunks, simulate, workers)
     try:
         while crew.assign():
             process, result = next_result(crew.results)
@@ -131,12 +127,12 @@ def columns_by_processes(
 class _Crew:
     """Processes that are starting, and those that run with the chunk that each works on."""
 
-    def __init__(self, plan: Plan, chunks: Chunks, simulate: SimulateRuns, workers: int, device: str) -> None:
+    def __init__(self, plan: Plan, chunks: Chunks, simulate: SimulateRuns, workers: int) -> None:
         self.results: SimpleQueue[tuple[TaskProcess, Any]] = SimpleQueue()
         self.starting: list[TaskProcess] = []
         self.busy: dict[TaskProcess, range | None] = {}
         self._plan, self._chunks, self._workers = plan, chunks, workers
-        self._arguments = (_timed_columns, plan, simulate, processors() if device == "cuda" else 1, device)
+        self._arguments = (_timed_columns, plan, simulate)
         self._deaths, self._warm = 0, False
 
     def assign(self) -> bool:
@@ -186,12 +182,10 @@ class _Crew:
             yield range(run, run + 1), row_not_simulated(self._plan, run, DIED)
 
 
-def _timed_columns(
-    plan: Plan, simulate: SimulateRuns, threads: int, device: str, chunk: range
-) -> tuple[Columns, float]:
+def _timed_columns(plan: Plan, simulate: SimulateRuns, chunk: range) -> tuple[Columns, float]:
     """Return the columns of a chunk and how long it took, s; in a worker."""
     began = time.perf_counter()
-    return columns_of(plan, chunk, simulate, threads, device), time.perf_counter() - began
+    return columns_of(plan, chunk, simulate), time.perf_counter() - began
 
 
 # Pieces for each thread of the cluster: one that is simulated, one that waits there already.
@@ -209,7 +203,6 @@ def columns_by_cluster(
     simulate: SimulateRuns,
     *,
     address: str,
-    device: str = "cpu",
     say: Callable[[str], None] = print,
 ) -> Iterator[tuple[range, Columns]]:
     """Simulate all chunks on the workers of a Dask scheduler and yield them with their columns as they are done.
@@ -225,7 +218,7 @@ def columns_by_cluster(
     before = log.level
     log.setLevel(logging.CRITICAL)
     try:
-        yield from _Cluster(distributed, client, plan, chunks, simulate, device, address, say).columns()
+        yield from _Cluster(distributed, client, plan, chunks, simulate, address, say).columns()
     finally:
         with suppress(Exception), warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -243,12 +236,11 @@ class _Cluster:
         plan: Plan,
         chunks: Chunks,
         simulate: SimulateRuns,
-        device: str,
         address: str,
         say: Callable[[str], None],
     ) -> None:
         self._distributed, self._client, self._plan = distributed, client, plan
-        self._chunks, self._simulate, self._device = chunks, simulate, device
+        self._chunks, self._simulate = chunks, simulate
         self._address, self._say = address, say
         self._under_way: dict[Any, range] = {}
         self._suspects: list[range] = []
@@ -265,7 +257,7 @@ class _Cluster:
         while self._chunks.waiting or self._under_way or self._suspects:
             self._look()
             while (chunk := self._next()) is not None:
-                arguments = (shared, chunk, self._simulate, self._device, versions())
+                arguments = (shared, chunk, self._simulate, versions())
                 future = self._client.submit(_chunk_columns, *arguments, pure=False, retries=_RETRIES)
                 self._under_way[future] = chunk
             if not self._under_way:
@@ -343,9 +335,7 @@ class _Cluster:
         )
 
 
-def _chunk_columns(
-    plan: Plan, chunk: range, simulate: SimulateRuns, device: str, expected: dict[str, str]
-) -> tuple[Columns, float]:
+def _chunk_columns(plan: Plan, chunk: range, simulate: SimulateRuns, expected: dict[str, str]) -> tuple[Columns, float]:
     """Simulate a chunk on a worker."""
     there = versions()
     for name, version in expected.items():
@@ -354,7 +344,7 @@ def _chunk_columns(
                 f"a worker of the cluster has {name} {there[name]}, here it is {version}: install the same everywhere"
             )
     began = time.perf_counter()
-    columns = columns_of(plan, chunk, simulate, 1, device)
+    columns = columns_of(plan, chunk, simulate)
     return columns, time.perf_counter() - began
 
 

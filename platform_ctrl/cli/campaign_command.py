@@ -75,9 +75,6 @@ def campaign(
             panel=WHAT,
         ),
     ] = None,
-    device: Annotated[
-        str, option("--device", metavar="cpu|cuda", help="What simulates the runs.", panel=WHERE, default=True)
-    ] = "cpu",
     scheduler: Annotated[
         str | None,
         option(
@@ -129,7 +126,7 @@ def campaign(
     try:
         with campaign_progress(quiet or as_json, made.runs) as (tick, say):
             result = run_campaign(
-                made, out, workers=workers, scheduler=scheduler, device=device, restart=restart, progress=count, say=say
+                made, out, workers=workers, scheduler=scheduler, restart=restart, progress=count, say=say
             )
     except KeyboardInterrupt:
         kept = "what was simulated is kept" if done is None else f"{done:,} of {made.runs:,} runs are kept"

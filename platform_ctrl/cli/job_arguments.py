@@ -33,7 +33,7 @@ def option(
     default: bool = False,
     words: completion.Completer | None = None,
 ) -> Any:
-    """Return an option, completed by the words of a metavar such as cpu|cuda; `default`: shown in the help."""
+    """Return an option, completed by the words of a metavar such as text|latex; `default`: shown in the help."""
     choices = metavar.split("|") if metavar is not None and "|" in metavar else ()
     return typer.Option(
         *names,

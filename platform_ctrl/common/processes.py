@@ -273,6 +273,11 @@ def _cores() -> int:
     given = os.environ.get(PROCESSES, "")
     if given.isdecimal():
         return int(given)
+    return processors()
+
+
+def processors() -> int:
+    """Return the number of processors that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 

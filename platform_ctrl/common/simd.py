@@ -5,8 +5,7 @@ takes a slot of it in one piece as a `lane`, a number like any other in the code
 eight doubles, which compilers of this kind do not find by themselves in code with branches and short loops. Where
 scenarios differ, comparisons give a mask and `choose` picks.
 
-The same code runs one scenario at a time where `lane` is a whole number, the column of the memory: in plain Python and
-on a graphics processor, where neighbouring threads take neighbouring columns.
+The same code runs one scenario at a time where `lane` is a whole number, the column of the memory: in plain Python.
 """
 
 from __future__ import annotations

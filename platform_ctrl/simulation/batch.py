@@ -20,7 +20,6 @@ from platform_ctrl.job.drive import DriveLaw
 from platform_ctrl.job.scenario import Mode, Scenario
 from platform_ctrl.plant.platform import Platform
 from platform_ctrl.simulation.compilation import run_interruptibly, wait_for_compilation
-from platform_ctrl.simulation.device import expect_device
 from platform_ctrl.simulation.kernel.arrays import widths_of_metrics
 from platform_ctrl.simulation.packing import sight_of
 from platform_ctrl.simulation.run_plan import (
@@ -122,7 +121,6 @@ def simulate_batch(
     step: float = 1e-4,
     noise: bool = True,
     threads: int = 1,
-    device: str = "cpu",
 ) -> BatchResult:
     """Simulate many scenarios and return their metrics.
 
@@ -143,8 +141,6 @@ def simulate_batch(
         Whether the sensors' noise is simulated.
     threads
         Number of threads that share the scenarios.
-    device
-        ``"cpu"`` or ``"cuda"``.
 
     Returns
     -------
@@ -155,8 +151,6 @@ def simulate_batch(
     ------
     ArgumentError
         As `simulate`; the plants differ in gimbals, torquers or sensors.
-    SimulationError
-        The device is not available.
 
     References
     ----------
@@ -166,7 +160,6 @@ def simulate_batch(
     """
     period, longest = steps(period, step)
     threads = whole("threads", threads, 1)
-    expect_device(device)
     expect_several("scenarios", scenarios, Scenario)
     expect_several("controllers", controllers)
     groups: dict[tuple[object, ...], list[int]] = {}
@@ -197,7 +190,7 @@ def simulate_batch(
     errors, names = np.zeros((len(members), len(sensors))), [sensor.name for sensor in sensors]
     # All batches are put together, and with that checked, before the first one is computed.
     for places, batched in [(places, put_together(places)) for places in groups.values()]:
-        found = batch_metrics(batched, threads, device)
+        found = batch_metrics(batched, threads)
         commanded = [names.index(name) for name in commanded_readings(members[places[0]].scenario)]
         rows[places], errors[np.ix_(places, commanded)] = np.split(found, [sum(widths)], axis=1)
     angle, attitude, share, saturated, contacts, samples, rate, settled, mean, squares = np.split(
@@ -268,12 +261,8 @@ def merged_controller(
     return controller_rows(by_sample, rates.reshape(len(drives), len(sensors) + len(commands)))
 
 
-def batch_metrics(batched: Batch, threads: int = 1, device: str = "cpu", record: FloatArray = _NO_RECORD) -> FloatArray:
+def batch_metrics(batched: Batch, threads: int = 1, record: FloatArray = _NO_RECORD) -> FloatArray:
     """Return the metrics (N, slots) of a batch; of a single run its samples are written into the rows of `record`."""
-    if device == "cuda":
-        from platform_ctrl.simulation.device import batch_metrics_on_cuda
-
-        return batch_metrics_on_cuda(batched)
     from platform_ctrl.common.simd import LANES, memory
     from platform_ctrl.simulation.kernel.loop import simulate_groups
 

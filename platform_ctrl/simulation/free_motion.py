@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from platform_ctrl.common.arguments import positive, real_array, whole
+from platform_ctrl.common.processes import processors
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.plant.platform import Platform
-from platform_ctrl.simulation.device import Device, expect_device, processors, roll_out
 from platform_ctrl.simulation.packing import pack
 from platform_ctrl.simulation.scenarios import unit_quaternions
 from platform_ctrl.simulation.servo_rotors import check_step, initial_spins, servo_rotors, spins_of, with_rotor_states
@@ -69,7 +69,6 @@ def rollout(  # noqa: PLR0913 - options by keyword
     every: int | None = None,
     threads: int | None = None,
     spin: ArrayLike | None = None,
-    device: Device = "cpu",
 ) -> Rollout:
     """Integrate N runs of the exact non-linear coupled plant with a free root by the classical Runge-Kutta method.
 
@@ -98,8 +97,6 @@ def rollout(  # noqa: PLR0913 - options by keyword
     spin : (N, m), optional
         Initial spins of the m servo rotors against their carriers, rad/s; default the nominal ones. Their loops start
         in the steady state of the nominal spin: with no torque.
-    device
-        "cpu", or "cuda" for a GPU with numba-cuda: the same to rounding.
 
     Returns
     -------
@@ -111,8 +108,6 @@ def rollout(  # noqa: PLR0913 - options by keyword
     ArgumentError
         If an argument has the wrong shape, is not finite or is out of range; if the step is too long for a speed loop,
         a spring, a cage or friction.
-    SimulationError
-        If the device is not there.
 
     References
     ----------
@@ -145,7 +140,6 @@ def rollout(  # noqa: PLR0913 - options by keyword
     spins = initial_spins(platform, spin, (runs, len(servo_rotors(platform))))
     check_step([platform], step, free=True)
     check_elements([platform], step, free=True)
-    expect_device(device)
 
     from platform_ctrl.common.simd import LANES, memory
     from platform_ctrl.simulation.kernel.advance import advance
@@ -153,21 +147,18 @@ def rollout(  # noqa: PLR0913 - options by keyword
     plant = pack(platform)
     states = with_rotor_states(plant, np.concatenate([angles, rates, turned], axis=1), spins)
     marks = [steps] if every is None else [*range(0, steps, every), steps]
-    if device == "cuda":
-        along = roll_out(plant, states, held, step, marks)
-    else:
-        along = np.empty((runs, len(marks), states.shape[1]))
-        # A thread takes whole groups of scenarios that the kernel moves side by side.
-        groups = math.ceil(runs / LANES)
-        share = LANES * math.ceil(groups / threads) or 1
-        parts = [slice(first, first + share) for first in range(0, runs, share)]
+    along = np.empty((runs, len(marks), states.shape[1]))
+    # A thread takes whole groups of scenarios that the kernel moves side by side.
+    groups = math.ceil(runs / LANES)
+    share = LANES * math.ceil(groups / threads) or 1
+    parts = [slice(first, first + share) for first in range(0, runs, share)]
 
-        def move(part: slice) -> None:
-            space = memory(plant.at.end)
-            advance(*plant, space, states[part], held[part], step, steps, every or 0, along[part])
+    def move(part: slice) -> None:
+        space = memory(plant.at.end)
+        advance(*plant, space, states[part], held[part], step, steps, every or 0, along[part])
 
-        with ThreadPoolExecutor(max_workers=max(len(parts), 1)) as pool:
-            list(pool.map(move, parts))
+    with ThreadPoolExecutor(max_workers=max(len(parts), 1)) as pool:
+        list(pool.map(move, parts))
     spins_along = spins_of(plant, along)
     ends = along[:, -1]
     return Rollout(

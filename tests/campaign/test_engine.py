@@ -372,7 +372,7 @@ def test_workers_that_cannot_begin_are_told_at_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     nowhere = types.ModuleType("only_here")
-    exec("def simulate(plan, runs, *, threads=1, device='cpu'): ...", nowhere.__dict__)
+    exec("def simulate(plan, runs, *, threads=1): ...", nowhere.__dict__)
     nowhere.simulate.__module__ = "only_here"
     monkeypatch.setitem(sys.modules, "only_here", nowhere)
     with pytest.raises(SimulationError, match=r"a worker process ended before it began \(exit code 1\)"):
@@ -408,8 +408,6 @@ def test_workers_that_die_of_everything_stop_the_campaign(
 def test_wrong_arguments_are_told(tmp_path: Path) -> None:
     with pytest.raises(ArgumentError, match="workers must be at least one, got 0"):
         carried_out(planned(runs=8), tmp_path, workers=0)
-    with pytest.raises(ArgumentError, match="device must be 'cpu' or 'cuda', got 'tpu'"):
-        carried_out(planned(runs=8), tmp_path, device="tpu")
 
 
 def test_pieces_take_about_a_second_and_cover_every_run_once() -> None:

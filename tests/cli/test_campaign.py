@@ -201,7 +201,6 @@ def test_a_campaign_of_another_job_is_not_taken_for_this_one(there: Path, capsys
         (["campaign", "job.toml", "--runs", "0"], "runs must be a whole number from 1 to 1073741824, got 0"),
         (["campaign", "job.toml", "--sampling", "grid"], "or 'random' or None, got 'grid'"),
         (["campaign", "job.toml", "--workers", "0", "-o", "new"], "workers must be at least one, got 0"),
-        (["campaign", "job.toml", "--device", "tpu", "-o", "new"], "device must be 'cpu' or 'cuda', got 'tpu'"),
         (["campaign", "job.toml", "-o", "job.toml"], "-o job.toml: is no folder"),
         (["campaign", "job.toml", "--controllers", "none.json"], "none.json: there is no such file"),
         (

@@ -90,7 +90,6 @@ def offered(monkeypatch: pytest.MonkeyPatch, *words: str, shell: str = "bash") -
         (["simulate", "job.toml", "-o", ""], ["night"]),
         (["check", "job.toml", "--controllers", ""], ["out/result.json"]),
         (["design", "job.toml", "--campaign", "n"], ["night"]),
-        (["campaign", "job.toml", "--device", ""], ["cpu", "cuda"]),
         (["campaign", "job.toml", "--sampling", "so"], ["sobol"]),
         (["design", "nowhere/x"], []),
         (["design", "job.toml", "-o", "ou"], []),

@@ -73,7 +73,7 @@ def planned(**options: Any) -> Plan:
 
 
 def invented_columns(
-    plan: Plan, runs: Sequence[int], *, threads: int = 1, device: str = "cpu", mishaps: dict[str, Any] | None = None
+    plan: Plan, runs: Sequence[int], *, threads: int = 1, mishaps: dict[str, Any] | None = None
 ) -> dict[str, Any]:
     """Figures made up out of the inputs; `mishaps`, or those of the environment's CAMPAIGN_MISHAPS, happen first."""
     mishaps = json.loads(os.environ.get("CAMPAIGN_MISHAPS", "{}")) if mishaps is None else mishaps
