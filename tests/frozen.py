@@ -102,8 +102,6 @@ def lines(text: str) -> list[str]:
 def flat(value: Any, path: str = "") -> Flat:
     """Nested values by their paths; arrays of numbers and the lines of a text stay together."""
     if isinstance(value, Mapping):
-        if "proved" in value and "list" in value:  # certificates: what is shown of what, not how
-            value = {k: value[k] for k in ("proved", "of", "unproved")}
         if {"A", "B", "C", "D"} <= set(value) and isinstance(value["A"], list):
             value = dict(value) | {key: np.array(value[key], dtype=float) for key in "ABCD"}
         pairs = [(str(key), one) for key, one in value.items() if key not in DROPPED]

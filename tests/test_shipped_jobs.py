@@ -129,53 +129,6 @@ def test_a_loop_that_cuts_through_a_subsystem_is_refused_before_any_design():
     assert said == []
 
 
-@EACH
-def test_every_claim_of_every_shipped_design_is_proved(path):
-    result, said = shipped(path)
-    for outcome in result.loops:
-        for made in outcome.designs:
-            assert made.unproved == ()
-            if made.measures is not None and made.measures.free_angles:
-                # Nothing holds an angle: a pole at z = 1, which no interval shows to be stable.
-                assert made.certificates == ()
-            elif made.plants is not None:
-                stable = [one for one in made.certificates if one.claim == "stability"]
-                assert [one.loops[0].label for one in stable] == list(made.plants.labels)
-            for certificate in made.certificates:
-                found = certificate.verify()
-                assert found.proved, found
-    together = result.proofs["", ""]
-    if not together.of:
-        assert set(result.coupled.free_angles) & set(result.coupled.plant.state_labels)
-        return
-    assert (together.proved, together.of) == (1, 1)
-    shown = [one for one in result.requirements if one.name == "certified properties"]
-    assert [one.value for one in shown] == [1.0] * len(shown)
-    assert {one.stage for one in shown} == {"decoupled", "coupled"}
-    assert any("certificates" in line for line in said)
-
-
-@EACH
-def test_what_is_proved_is_what_is_claimed(path):
-    result, _ = shipped(path)
-    for made in [d for outcome in result.loops for d in outcome.designs if d.measures is not None]:
-        assert made.measures is not None
-        if made.measures.free_angles:
-            continue
-        for certificate, rate in zip(made.certificates, made.measures.decay, strict=False):
-            assert 0.4 * rate < certificate.bound < rate
-        torques, pickoffs = [
-            one for one in made.certificates if one.claim == "norm" and one.loops[0].label.startswith("nominal")
-        ]
-        margin = 1 / max(torques.bound, pickoffs.bound)
-        assert margin == pytest.approx(made.measures.disk_margin[0], rel=2e-6)
-        asked = next(s.limits["disk_margin_worst_case"] for s in result.job.loops if s.name == made.loop)
-        if asked is not None:
-            over = [one for one in made.certificates if one.claim == "norm"]
-            assert len(over) == 2 * len(made.measures.decay)
-            assert all(one.bound <= 1 / asked for one in over)
-
-
 def attenuation(job, controllers, axis, hz, rate, share=1.0, elevation=0.0):
     """Base rate over the rate of the line of sight that a run of the non-linear plant has of it, rms over rms, dB."""
     duration = max(6.0 / hz, 1.0)

@@ -22,6 +22,7 @@ from platform_ctrl.cli.job_arguments import (
     JobFile,
     Json,
     Junit,
+    Prove,
     Quiet,
     controller_file,
     job_of,
@@ -68,6 +69,7 @@ def design(
     ] = False,
     campaign: CampaignFolder = None,
     junit: Junit = None,
+    prove: Prove = False,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> int:
@@ -75,7 +77,7 @@ def design(
 
     Each loop is designed by every method in the job; the designs that it uses are closed together on the coupled model
     and simulated on the non-linear plant. Writes result.json, and then report.html. Designs that nothing has changed
-    for are taken from the folder's reuse/, and their certificates verified.
+    for are taken from the folder's reuse/.
 
     \b
     platform-ctrl design job.toml                            report: out/report.html
@@ -93,7 +95,7 @@ def design(
     with SecondProcess(*DRAWING) as beside:
 
         def once(fresh: bool = False) -> int:
-            return _designed(job, report, junit, beside, fresh=fresh, as_json=as_json, quiet=quiet)
+            return _designed(job, report, junit, beside, fresh=fresh, prove=prove, as_json=as_json, quiet=quiet)
 
         if watch:
             from platform_ctrl.cli.watching import whenever_saved
@@ -103,7 +105,15 @@ def design(
 
 
 def _designed(
-    job: Path, report: Report, junit: Path | None, beside: SecondProcess, *, fresh: bool, as_json: bool, quiet: bool
+    job: Path,
+    report: Report,
+    junit: Path | None,
+    beside: SecondProcess,
+    *,
+    fresh: bool,
+    prove: bool,
+    as_json: bool,
+    quiet: bool,
 ) -> int:
     """Design a job once; return the exit code."""
     from platform_ctrl.cli.terminal import progress
@@ -112,6 +122,7 @@ def _designed(
         read = job_of(job)
         report.expect_possible(read)
         report.prepare(junit, [job, *plant_file(job, read)])
+        expect_proofs_possible(prove)
         from platform_ctrl.common.store import Store
         from platform_ctrl.design.jobs import attempted_loops
         from platform_ctrl.simulation.compilation import start_compilation
@@ -127,7 +138,7 @@ def _designed(
                 noted(f"failed: {one.loop}, {one.name}: {one.sentence}")
             raise failures[0].error
         drawing = begun(read, [one for one in outcomes if one.designs], beside, store)
-        result = check_job(read, outcomes, say)
+        result = check_job(read, outcomes, say, prove=prove)
         record = report.keep(result)
         if junit is not None:
             from platform_ctrl.report.failures import write_junit
@@ -140,8 +151,16 @@ def _designed(
     if store.taken and not as_json:
         names = {loop: ", ".join(name for one, name in store.taken if one == loop) for loop, _ in store.taken}
         words = "; ".join(f"{loop} ({designs})" for loop, designs in names.items())
-        typer.echo(f"unchanged, taken from {store.folder}, certificates verified: {words}")
+        typer.echo(f"unchanged, taken from {store.folder}: {words}")
     return code
+
+
+def expect_proofs_possible(prove: bool) -> None:
+    """Raise an `InputError` before the work where proofs are asked for and their library is missing."""
+    if prove:
+        from platform_ctrl.verification.proofs import flint
+
+        flint()
 
 
 @dataclass(frozen=True)
@@ -233,6 +252,7 @@ def check(
     ] = False,
     junit: Junit = None,
     campaign: CampaignFolder = None,
+    prove: Prove = False,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> int:
@@ -270,9 +290,10 @@ def check(
         if campaign is not None:
             campaign_summary(read, closed, campaign)  # before the work on what would be refused
         report.prepare(junit, [job, *plant_file(job, read), file, baseline])
+        expect_proofs_possible(prove)
         outcomes, store = outcomes_from(read, closed, others, beside), Store(folder / REUSE)
         drawing = begun(read, outcomes, beside, store)
-        result = check_job(read, outcomes, say)
+        result = check_job(read, outcomes, say, prove=prove)
         notes = unconfirmed(file, result)
         record = report.keep(result)
         outcome = comparison.outcome(result)

@@ -55,6 +55,14 @@ JobFile = Annotated[
     ),
 ]
 Json = Annotated[bool, option("--json", help="Print JSON alone on standard output; no progress.", default=True)]
+Prove = Annotated[
+    bool,
+    option(
+        "--prove",
+        help="Prove stability and disk margins in interval arithmetic as well; takes minutes, needs the extra proofs.",
+        default=True,
+    ),
+]
 Quiet = Annotated[bool, option("--quiet", "-q", help="Show no progress.", default=True)]
 Controllers = Annotated[
     Path | None,

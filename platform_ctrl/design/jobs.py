@@ -86,7 +86,7 @@ def loops(
         Called with a line before and during each design; True shows the lines, in a notebook or on a terminal.
     store
         Where designs are kept. One that was made from the same loop, plant and sampling by the same code is not made
-        again: it is measured, and its certificates are verified, against the closed loops of this job.
+        again: it is measured against the closed loops of this job.
     beside
         Another process, which makes a part of the designs.
 

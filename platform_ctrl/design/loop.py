@@ -1,4 +1,4 @@
-"""A designed loop: all its values are recomputed from the actual sampled closed loop and certified."""
+"""A designed loop: all its values are recomputed from the actual sampled closed loop."""
 
 from __future__ import annotations
 
@@ -11,8 +11,6 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, named_system, state_arrays
-from platform_ctrl.analysis.certificates import Certificate
-from platform_ctrl.analysis.certificates.plant_set import KnownProofs, plant_set_certificates
 from platform_ctrl.analysis.feedback import closed_loop, with_error_alone
 from platform_ctrl.analysis.loop_metrics import LoopMetrics, measure
 from platform_ctrl.analysis.plant_set import COMMAND, PlantSet
@@ -61,11 +59,6 @@ class LoopDesign:
         The loop's goals compared with the measures; they do not count for the verdict.
     claims
         Claims of the method by name, in SI units: for example ``gamma``.
-    certificates
-        Proofs that the loop is stable with each of its plants, of the disk margin that is requested with each, and of
-        the nominal one.
-    unproved
-        A line for each such claim without a proof.
     """
 
     loop: str
@@ -78,8 +71,6 @@ class LoopDesign:
     results: tuple[CheckResult, ...] = ()
     goals: tuple[CheckResult, ...] = ()
     claims: dict[str, float] = field(default_factory=dict)
-    certificates: tuple[Certificate, ...] = ()
-    unproved: tuple[str, ...] = ()
 
     @property
     def plant(self) -> control.StateSpace | None:
@@ -162,18 +153,13 @@ def designed(problem: LoopProblem) -> LoopDesign:
     return evaluated(problem, resolved(known_method(problem.design.method).design)(problem))
 
 
-def evaluated(
-    problem: LoopProblem, found: Designed, known: KnownProofs | None = None, *, stable: bool = True
-) -> LoopDesign:
-    """Return what a method has found, with all its values recomputed; `known` proofs are verified, none is searched.
-
-    An unstable loop is a `NotCertifiedError` unless `stable` is False.
-    """
+def evaluated(problem: LoopProblem, found: Designed, *, stable: bool = True) -> LoopDesign:
+    """Return what a method has found, all values recomputed; unless `stable` is False, an unstable loop is an error."""
     spec, design, plants = problem.spec, problem.design, problem.plant_set
     method = known_method(design.method)
     if plants is not None:
         found = dataclasses.replace(found, controller=in_signals(problem, found.controller))
-        out = certified(spec, design, found, plants, known, stable=stable)
+        out = measured(spec, design, found, plants, stable=stable)
         if method.goals:
             ratios = {"limit_ratio": out.results, "goal_ratio": out.goals}
             largest = {name: max(result.ratio for result in results) for name, results in ratios.items() if results}
@@ -204,19 +190,12 @@ def in_signals(problem: LoopProblem, controller: StateArrays) -> StateArrays:
     return K
 
 
-def certified(
-    spec: LoopSpec,
-    design: DesignSpec,
-    found: Designed,
-    plants: PlantSet,
-    known: KnownProofs | None = None,
-    *,
-    stable: bool = True,
+def measured(
+    spec: LoopSpec, design: DesignSpec, found: Designed, plants: PlantSet, *, stable: bool = True
 ) -> LoopDesign:
     """Return the design with all its numbers recomputed from the closed loops; `stable` as of `evaluated`."""
     K = found.controller._replace(dt=plants.period)
-    measures = measure(plants, K, requirements_of(spec))
-    out = _with_evidence(spec, design.name, design.method, K, plants, measures, known)
+    out = _measured(spec, design.name, design.method, K, plants)
     out = dataclasses.replace(out, options=found.options, claims=found.claims)
     if stable and (error := instability(out, design.tune)) is not None:
         raise error
@@ -271,41 +250,16 @@ def filter_lag(hz: float) -> str:
     return f"behind the reference filter (filter_hz = {hz:g}), which alone is {1.0 / (math.pi * hz):.3g} s late"
 
 
-def _proofs(
-    spec: LoopSpec, plants: PlantSet, controller: StateArrays, measures: LoopMetrics, known: KnownProofs | None
-) -> tuple[tuple[Certificate, ...], tuple[str, ...]]:
-    """Return the certificates of stability and of the disk margins of `spec`, and what is left unproved.
-
-    Of a loop in which nothing holds an angle there are none: its equilibria are no numbers that intervals decide.
-    """
-    if measures.free_angles:
-        return (), ()
-    requested = np.zeros(len(plants.labels))
-    for requirement in requirements_of(spec):
-        if requirement.kind == "disk margin" and requirement.hard:
-            chosen = measures.of(requirement.over)
-            requested[chosen] = np.maximum(requested[chosen], requirement.limit)
-    return plant_set_certificates(plants, controller, measures.decay, measures.disk_margin, requested, known)
-
-
 def remeasured(spec: LoopSpec, name: str, controller: control.StateSpace, plants: PlantSet) -> LoopDesign:
     """Return an existing controller as a design of `spec`, measured again, without its claims."""
     K = with_commands(plants, controller)
-    return _with_evidence(spec, name, "given", K, plants, measure(plants, K, requirements_of(spec)))
+    return _measured(spec, name, "given", K, plants)
 
 
-def _with_evidence(
-    spec: LoopSpec,
-    name: str,
-    method: str,
-    K: StateArrays,
-    plants: PlantSet,
-    measures: LoopMetrics,
-    known: KnownProofs | None = None,
-) -> LoopDesign:
-    """Return a measured controller with its results and certificates."""
+def _measured(spec: LoopSpec, name: str, method: str, K: StateArrays, plants: PlantSet) -> LoopDesign:
+    """Return a controller with its measures, compared with the limits and goals."""
+    measures = measure(plants, K, requirements_of(spec))
     results, goals = limits_and_goals(spec, name, plants, measures)
-    certificates, unproved = _proofs(spec, plants, plants.feedback(K), measures, known)
     return LoopDesign(
         loop=spec.name,
         name=name,
@@ -315,8 +269,6 @@ def _with_evidence(
         measures=measures,
         results=results,
         goals=goals,
-        certificates=certificates,
-        unproved=unproved,
     )
 
 

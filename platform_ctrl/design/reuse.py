@@ -1,8 +1,8 @@
 """What a design may depend on, and designs taken from a store instead of being made again.
 
 A design is made from a reduced job, which holds nothing else than what its key is the hash of: what is not in the key
-cannot change the design. What is taken from the store is only what a search has found, the controller and the matrices
-of its proofs. The rest is computed from the closed loops of the present job, and every proof is verified there.
+cannot change the design. What is taken from the store is only what a search has found, the controller. The rest is
+computed from the closed loops of the present job.
 """
 
 from __future__ import annotations
@@ -13,7 +13,6 @@ from collections.abc import Sequence
 from typing import Any
 
 from platform_ctrl.analysis.arrays import StateArrays, state_arrays
-from platform_ctrl.analysis.certificates.plant_set import Evidence, KnownProofs, evidence_of
 from platform_ctrl.common.processes import SecondProcess, Task
 from platform_ctrl.common.reasons import began_with_interrupt
 from platform_ctrl.common.store import Store, array_of, array_text, key_of
@@ -87,7 +86,7 @@ def kept_or_designed(
 ) -> list[LoopDesign | Exception]:
     """Return the designs of problems with reduced jobs, each with that of the loop inside, or why there is none.
 
-    Those that are in the store and proved are taken from there; of the others `beside` makes a part.
+    Those that are in the store are taken from there; of the others `beside` makes a part.
     """
     keys = ["" if store is None else _key(problem, rise, inner) for problem, inner in problems]
     names = [f"{problem.spec.name}: {problem.design.name}" for problem, _ in problems]
@@ -105,7 +104,7 @@ def kept_or_designed(
     for (problem, _), name, (_, taken) in zip(problems, names, found, strict=True):
         if store is not None and taken:
             store.taken.append((problem.spec.name, problem.design.name))
-            problem.progress(f"{name}: unchanged, taken from {store.folder}, certificates verified")
+            problem.progress(f"{name}: unchanged, taken from {store.folder}")
     return [design for design, _ in found]
 
 
@@ -127,7 +126,7 @@ def _kept_or_made(
 def _key(problem: LoopProblem, rise: float, inner: LoopDesign | None) -> str:
     """Return the key of a design; none where it is not kept.
 
-    A loop without plants has no certificates; of other methods than the package's the code is not in the key.
+    A loop without plants is not kept; of other methods than the package's the code is not in the key.
     """
     design = known_method(problem.design.method).design
     own = isinstance(design, str) and design.startswith(f"{__name__.partition('.')[0]}.")
@@ -135,7 +134,7 @@ def _key(problem: LoopProblem, rise: float, inner: LoopDesign | None) -> str:
 
 
 def _made(problem: LoopProblem, rise: float, store: Store | None, key: str) -> LoopDesign:
-    """Return the design of a problem; it is kept if it has a key and all is proved."""
+    """Return the design of a problem; it is kept if it has a key and is stable."""
     spec = problem.spec
     try:
         found: Designed = resolved(known_method(problem.design.method).design)(problem)
@@ -147,7 +146,7 @@ def _made(problem: LoopProblem, rise: float, store: Store | None, key: str) -> L
         raise type(error)(f"{name}: {error}", error.problem) from None
     if spec.kind == "caging":
         made = with_caging_claims(problem.job, made, closed=bool(spec.use), rise=rise)
-    if store is not None and key and made.certificates and not made.unproved:
+    if store is not None and key and made.measures is not None and made.measures.decay.min() > 0.0:
         store.keep(key, _written(found, made))
     return made
 
@@ -160,44 +159,35 @@ def _written(found: Designed, made: LoopDesign) -> dict[str, Any]:
         "method's claims": found.claims,
         "signals": [found.inputs, found.outputs],
         "claims": made.claims,
-        "proofs": [
-            [claim, label, one.bound, array_text(one.X), array_text(one.coordinates)]
-            for (claim, label), one in evidence_of(made.certificates).items()
-        ],
     }
 
 
 def _taken(problem: LoopProblem, kept: Any) -> LoopDesign | None:
-    """Return a design that was kept, measured and verified with the problem's plants; None if it is not proved."""
+    """Return a design that was kept, measured with the problem's plants; None if it is not what it was."""
     if kept is None:
         return None
     try:
-        found, known = _read(kept)
-        made = evaluated(problem, found, known)
+        found = _read(kept)
+        made = evaluated(problem, found)
         claims = {str(name): float(number) for name, number in kept["claims"].items()}
     except (PlatformCtrlError, ValueError, TypeError, KeyError, AttributeError):
         return None
-    # What the proofs do not cover is compared: to the last digits, which depend on how numbers lie in memory.
+    # Compared to the last digits, which depend on how numbers lie in memory.
     same = all(name in claims and math.isclose(claims[name], x, rel_tol=_SAME) for name, x in made.claims.items())
     return dataclasses.replace(made, claims=claims) if same else None
 
 
-def _read(kept: Any) -> tuple[Designed, KnownProofs]:
+def _read(kept: Any) -> Designed:
     *matrices, dt = kept["controller"]
     A, B, C, D = (_array(one) for one in matrices)
     inputs, outputs = (tuple(map(str, names)) for names in kept["signals"])
-    found = Designed(
+    return Designed(
         controller=StateArrays(A, B, C, D, float(dt)),
         options={str(name): float(number) for name, number in kept["options"].items()},
         claims={str(name): float(number) for name, number in kept["method's claims"].items()},
         inputs=inputs,
         outputs=outputs,
     )
-    known = {
-        (claim, str(label)): Evidence(bound=float(bound), X=_array(X), coordinates=array_of(T))
-        for claim, label, bound, X, T in kept["proofs"]
-    }
-    return found, known
 
 
 def _array(item: Any) -> Any:

@@ -169,6 +169,7 @@ class LoopRequirement(Requirement):
             design=design,
             stage="decoupled",
             evidence=f"{where}; {number} plant{'' if number == 1 else 's'}, sampled with delay and torquer lag"
+            + ("; exact H-infinity norm" if exact and self.kind == "disk margin" else "")
             + self._conditions(plants, free)
             + self._unbounded(float(values[worst])),
             method=self._method(exact),

@@ -15,8 +15,6 @@ from typing import Any
 import numpy as np
 
 from platform_ctrl import __version__
-from platform_ctrl.analysis.certificates import Certificate
-from platform_ctrl.analysis.certificates.certificate import Verification
 from platform_ctrl.analysis.dry_friction import FrictionBalance
 from platform_ctrl.common.json_text import plain_types, write_json
 from platform_ctrl.common.signatures import check_arguments
@@ -30,9 +28,10 @@ from platform_ctrl.plant.source import read_json
 from platform_ctrl.verification.budget_result import LineOfSightBudget
 from platform_ctrl.verification.coupled import CoupledCheck
 from platform_ctrl.verification.json_tables import SCHEMA
+from platform_ctrl.verification.proofs import Proofs
 from platform_ctrl.verification.simulated import Run, largest
 from platform_ctrl.verification.simulated_budget import SimulatedBudget
-from platform_ctrl.verification.verdict import JobResult, Proofs
+from platform_ctrl.verification.verdict import JobResult
 
 Record = dict[str, Any]
 
@@ -58,7 +57,7 @@ def result_record(result: JobResult) -> Record:
         "controllers": [_controller(result, outcome.closed) for outcome in result.loops],
         "alternatives": [_controller(result, design) for outcome in result.loops for design in outcome.alternatives],
         "requirements": [_requirement(one) for one in result.requirements],
-        "coupled": {"stable": None} if result.coupled is None else _coupled(result.coupled, result.proofs["", ""]),
+        "coupled": {"stable": None} if result.coupled is None else _coupled(result, result.coupled),
         "runs": [run_record(job, run) for run in result.runs],
     }
     if result.failed:
@@ -182,7 +181,7 @@ def run_record(job: Job, run: Run) -> Record:
 def versions() -> dict[str, str]:
     """Return the versions of everything that the figures depend on."""
     own = {"platform_ctrl": __version__, "python": interpreter.python_version()}
-    used = ("numpy", "scipy", "control", "cvxpy", "clarabel", "numba", "python-flint")
+    used = ("numpy", "scipy", "control", "cvxpy", "clarabel", "numba")
     return own | {name: metadata.version(name) for name in used}
 
 
@@ -206,37 +205,20 @@ def _controller(result: JobResult, design: LoopDesign) -> Record:
         "outputs": list(K.output_labels),
         "delay": result.job.sampling.delay,
         "claims": claims,
-        "certificates": _certificates(result.proofs[design.loop, design.name]),
+        **_proofs(result.proofs.get((design.loop, design.name))),
         "options": design.options,
         "goals": [_requirement(one) for one in design.goals],
     }
 
 
-def _certificates(proofs: Proofs) -> Record:
-    """Return all claims, and of the first plant, the nominal one, what proves them: its matrices and every X."""
-    out: Record = {"proved": proofs.proved, "of": proofs.of, "unproved": proofs.unproved}
-    if proofs.certificates:
-        first = proofs.certificates[0].loops[0]
-        out["plant"] = {name: getattr(first, name) for name in "ABCD"}
-    out["list"] = []
-    for certificate, found in zip(proofs.certificates, proofs.verifications, strict=True):
-        label = certificate.loops[0].label
-        out["list"].append(_certificate(certificate, found, matrices=label.partition(", ")[0] == first.label))
-    return out
-
-
-def _certificate(certificate: Certificate, found: Verification, matrices: bool) -> Record:
-    out: Record = {
-        "label": certificate.loops[0].label,
-        "claim": certificate.claim,
-        "bound": certificate.bound,
-        "proved": found.proved,
-        "margin": found.margin,
-    }
-    if matrices:
-        out["X"] = certificate.X
-        out |= {} if certificate.coordinates is None else {"coordinates": certificate.coordinates}
-    return out
+def _proofs(proofs: Proofs | None) -> Record:
+    """Return what is proved, and what is claimed without a proof; nothing where no proofs were asked for."""
+    if proofs is None:
+        return {}
+    claims = [
+        {"plant": one.plant, "claim": one.kind, "bound": one.bound, "proved": one.proved} for one in proofs.claims
+    ]
+    return {"certificates": {"proved": proofs.proved, "of": len(claims), "list": claims}}
 
 
 def _requirement(result: CheckResult) -> Record:
@@ -244,7 +226,7 @@ def _requirement(result: CheckResult) -> Record:
     return {name: getattr(result, name) for name in (*names, "method", "evidence")}
 
 
-def _coupled(check: CoupledCheck, proofs: Proofs) -> Record:
+def _coupled(result: JobResult, check: CoupledCheck) -> Record:
     figures = zip(check.channels, check.decoupled, check.coupled, check.cost, check.torque_noise, strict=True)
     simultaneous = check.simultaneous
     return {
@@ -260,21 +242,18 @@ def _coupled(check: CoupledCheck, proofs: Proofs) -> Record:
             {"channel": name, "decoupled": alone, "coupled": together, "cost": cost, "torque_noise": noise}
             for name, alone, together, cost, noise in figures
         ],
-        "certificates": _certificates(proofs),
+        **_proofs(result.proofs.get(("", ""))),
     }
 
 
 # Values and plants of the same job, on another machine, agree to this.
 _AGREE = 1e-6
-# Lines for one design: with a changed matrix hardly any claim holds.
-_LINES = 4
 
 
 def unconfirmed(source: str | os.PathLike[str] | Mapping[str, Any], result: JobResult) -> tuple[str, ...]:
     """Return a line for every claim of a ``result.json`` that `result`, made from its controllers, does not confirm.
 
-    Compared are the values under ``claims`` that belong to the closed loop (``disk_margin``, ``damping``), the nominal
-    plant, every bound of a certificate, and every X, which has to prove its claim with plant and controller.
+    Compared are the values under ``claims`` that belong to the closed loop: ``disk_margin`` and ``damping``.
     """
     data: Any = source if isinstance(source, Mapping) else read_json(source, "a JSON file with controllers")[1]
     designs = [design for outcome in result.loops for design in outcome.designs]
@@ -283,13 +262,7 @@ def unconfirmed(source: str | os.PathLike[str] | Mapping[str, Any], result: JobR
         for entry in data.get(key) or []:
             design = next((one for one in designs if _is_of(entry, one)), None)
             if design is not None:
-                found = list(_of_design(entry, design, result.proofs[design.loop, design.name]))
-                more = len(found) - _LINES
-                out += found[:_LINES]
-                out += [f"{design.loop}, {design.name}: and {more} more of its claims"] if more > 0 else []
-    coupled = data.get("coupled")
-    if isinstance(coupled, Mapping):
-        out += _of_certificates("all loops closed", coupled.get("certificates"), result.proofs["", ""])
+                out += _of_design(entry, design)
     return tuple(out)
 
 
@@ -300,7 +273,7 @@ def _is_of(entry: Mapping[str, Any], design: LoopDesign) -> bool:
     return same and entry.get("outputs") == list(K.output_labels)
 
 
-def _of_design(entry: Mapping[str, Any], design: LoopDesign, proofs: Proofs) -> Iterator[str]:
+def _of_design(entry: Mapping[str, Any], design: LoopDesign) -> Iterator[str]:
     where = f"{design.loop}, {design.name}"
     claims = entry.get("claims")
     if design.measures is not None and isinstance(claims, Mapping):
@@ -309,42 +282,6 @@ def _of_design(entry: Mapping[str, Any], design: LoopDesign, proofs: Proofs) -> 
             written = claims.get(name, figure)
             if not _agree(written, float(figure)):
                 yield f"{where}: {name} is written as {given(written)}; it is {figure:.6g}"
-    yield from _of_certificates(where, entry.get("certificates"), proofs)
-
-
-def _of_certificates(where: str, written: object, proofs: Proofs) -> Iterator[str]:
-    if not isinstance(written, Mapping) or not isinstance(written.get("list"), list) or not proofs.certificates:
-        return
-    plant = written.get("plant")
-    loop = proofs.certificates[0].loops[0]
-    if isinstance(plant, Mapping) and not all(_near(plant.get(name), getattr(loop, name)) for name in "ABCD"):
-        yield f"{where}: the certificates are written for another plant than the job's"
-        return
-    for entry in written["list"]:
-        if not isinstance(entry, Mapping):
-            yield f"{where}: a certificate must be a table, got {given(entry)}"
-            continue
-        label, claim, bound = entry.get("label"), entry.get("claim"), entry.get("bound")
-        made = next((c for c in proofs.certificates if (c.loops[0].label, c.claim) == (label, claim)), None)
-        what = f"{where}: certificate of {given(claim)}, {given(label)}"
-        if made is None:
-            yield f"{what}: no such claim is proved"
-        elif isinstance(bound, bool) or not isinstance(bound, int | float) or not math.isfinite(bound):
-            yield f"{what}: its bound is written as {given(bound)}"
-        elif "X" in entry:
-            reason = _refuted(entry, made, float(bound))
-            if reason:
-                yield f"{what}: not proved by the X that is written: {reason}"
-        elif bound > made.bound * (1 + _AGREE) if claim == "stability" else bound < made.bound * (1 - _AGREE):
-            yield f"{what}: its bound is written as {bound:.9g}; proved is {made.bound:.9g}"
-
-
-def _refuted(entry: Mapping[str, Any], made: Certificate, bound: float) -> str:
-    X, T = _matrix(entry["X"]), _matrix(entry["coordinates"]) if "coordinates" in entry else None
-    if X is None or (T is None and "coordinates" in entry):
-        return "it is no matrix of numbers"
-    found = Certificate(claim=made.claim, bound=bound, loops=made.loops, X=X, coordinates=T).verify()
-    return "" if found.proved else found.reason
 
 
 def _matrix(rows: object) -> FloatArray | None:
@@ -353,14 +290,6 @@ def _matrix(rows: object) -> FloatArray | None:
     except (TypeError, ValueError):
         return None
     return np.atleast_2d(out) if isinstance(rows, Sequence) else None
-
-
-def _near(rows: object, M: FloatArray) -> bool:
-    given = _matrix(rows)
-    if given is None or given.size != M.size:
-        return False
-    size = float(np.abs(M).max(initial=0.0))
-    return bool(np.all(np.abs(given.ravel() - M.ravel()) <= 1e-3 * _AGREE * size))
 
 
 def _agree(written: object, figure: float) -> bool:

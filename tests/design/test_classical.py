@@ -15,7 +15,7 @@ from platform_ctrl.design.cases import cases, changed
 from platform_ctrl.design.classical.caging import classical_controller, starting_values
 from platform_ctrl.design.classical.crossover import from_crossover_and_margin
 from platform_ctrl.design.classical.stabilisation import platform_servo, rate_estimate
-from platform_ctrl.design.loop import Designed, LoopProblem, certified, closed_loop_poles, sampled_plant
+from platform_ctrl.design.loop import Designed, LoopProblem, closed_loop_poles, measured, sampled_plant
 from platform_ctrl.design.partition import channels, first_order, gain, low_pass, notch, side_by_side
 from platform_ctrl.design.plants import loop_plants
 from platform_ctrl.design.riccati.pole_placement import pole_placement
@@ -198,7 +198,7 @@ def test_certified_figures_come_from_the_closed_loop(job, classical, two_axis):
     spec = job.loops[1]
     options, controller = classical
     found = Designed(controller=controller, options=options)
-    design = certified(spec, spec.designs[0], found, two_axis)
+    design = measured(spec, spec.designs[0], found, two_axis)
     P, K = sampled_plant(two_axis), design.controller
     loop = control.feedback(P, K, sign=1)
     radius = np.abs(control.poles(loop)).max()
@@ -237,7 +237,7 @@ def test_an_unstable_controller_is_not_certified(job, two_axis):
     spec = job.loops[1]
     growing = Designed(controller=gain(np.array([[0.0, 40.0], [40.0, 0.0]])), options={})
     with pytest.raises(DesignError, match="grows at"):
-        certified(spec, spec.designs[0], growing, two_axis)
+        measured(spec, spec.designs[0], growing, two_axis)
 
 
 def test_rates_from_the_torques_of_the_caged_gyros(model):

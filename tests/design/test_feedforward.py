@@ -155,7 +155,6 @@ def test_feedforward_moves_no_pole_and_no_margin(outcome):
         after = np.delete(after, nearest)
     np.testing.assert_allclose(fed.measures.disk_margin, bare.measures.disk_margin, rtol=1e-9)
     assert fed.measures.bandwidth == pytest.approx(bare.measures.bandwidth, rel=1e-9)
-    assert not fed.unproved
 
 
 def test_the_delivered_controller_reads_the_base(outcome):

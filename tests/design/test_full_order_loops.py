@@ -7,7 +7,7 @@ import pytest
 
 from platform_ctrl.analysis.loop_metrics import measure
 from platform_ctrl.design.jobs import loops
-from platform_ctrl.design.loop import LoopProblem, certified
+from platform_ctrl.design.loop import LoopProblem, measured
 from platform_ctrl.design.plants import loop_plants
 from platform_ctrl.design.riccati.weighted_loop import hinf_design, hinf_options, lqg_design, weighted_plant
 from platform_ctrl.errors import DesignError
@@ -61,7 +61,7 @@ def test_both_routes_find_the_same_bound(loop, by_route):
 
 @pytest.mark.parametrize("route", ["lmi", "riccati"])
 def test_the_sampled_controller_meets_the_limits_of_the_job(loop, by_route, route):
-    design = certified(loop.spec, loop.design, by_route[route], loop.plants)
+    design = measured(loop.spec, loop.design, by_route[route], loop.plants)
     assert [r.name for r in design.results if not r.passed] == []
     assert {"bandwidth", "disk margin, worst case", "damping, worst case"} < {r.name for r in design.results}
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import base64
-import hashlib
 import json
 import os
 import pickle
@@ -130,8 +128,6 @@ def expect_same(one: LoopDesign, two: LoopDesign) -> None:
     assert one.options == pytest.approx(two.options, rel=1e-9)
     assert one.claims == pytest.approx(two.claims, rel=1e-9)
     assert [result.value for result in one.results] == pytest.approx([result.value for result in two.results], rel=1e-9)
-    assert [(c.claim, c.statement) for c in one.certificates] == [(c.claim, c.statement) for c in two.certificates]
-    assert all(certificate.verify().proved for certificate in two.certificates)
 
 
 def test_what_is_taken_up_is_what_was_made(kept: tuple[LoopOutcome, dict[str, bytes]], tmp_path: Path) -> None:
@@ -140,7 +136,7 @@ def test_what_is_taken_up_is_what_was_made(kept: tuple[LoopOutcome, dict[str, by
     lines: list[str] = []
     [taken] = loops(JOB | {"name": "another title"}, lines.append, store)
     assert store.taken == [("caging 9-10", "classical"), ("caging 9-10", "softer")]
-    assert any("unchanged" in line and "certificates verified" in line for line in lines)
+    assert any("unchanged" in line for line in lines)
     for one, two in zip(made.designs, taken.designs, strict=True):
         expect_same(one, two)
         # What a search has found is taken up to the last bit.
@@ -148,8 +144,6 @@ def test_what_is_taken_up_is_what_was_made(kept: tuple[LoopOutcome, dict[str, by
         assert one.options == two.options
         for name in "ABCD":
             assert np.array_equal(getattr(one.controller, name), getattr(two.controller, name))
-        for ours, theirs in zip(one.certificates, two.certificates, strict=True):
-            assert np.array_equal(ours.X, theirs.X)
 
 
 def test_a_change_of_one_design_makes_that_one_anew(kept: tuple[LoopOutcome, dict[str, bytes]], tmp_path: Path) -> None:
@@ -168,63 +162,6 @@ def test_fresh_takes_nothing_up(kept: tuple[LoopOutcome, dict[str, bytes]], tmp_
     [found] = loops(JOB, store=store)
     assert store.taken == []
     expect_same(made.closed, found.closed)
-
-
-def signed(content: Any, key: str) -> bytes:
-    """Return a file as the store writes it, whoever has changed what it says."""
-    text = json.dumps(content, sort_keys=True)
-    return json.dumps({"key": key, "sha256": hashlib.sha256(text.encode()).hexdigest(), "content": content}).encode()
-
-
-def weaker_gain(content: dict[str, Any]) -> None:
-    D = array_of(content["controller"][3])
-    assert D is not None
-    content["controller"][3] = array_text(1.001 * D)
-
-
-def without_proofs(content: dict[str, Any]) -> None:
-    content["proofs"] = []
-
-
-def other_matrix(content: dict[str, Any]) -> None:
-    X = array_of(content["proofs"][0][3])
-    assert X is not None
-    content["proofs"][0][3] = array_text(-X)
-
-
-def larger_bound(content: dict[str, Any]) -> None:
-    content["proofs"][0][2] *= 1.5
-
-
-def no_matrix(content: dict[str, Any]) -> None:
-    content["controller"][0] = "text"
-
-
-def fewer_states(content: dict[str, Any]) -> None:
-    content["controller"][0] = [[0, 0], base64.b64encode(b"").decode()]
-
-
-def other_signals(content: dict[str, Any]) -> None:
-    content["signals"] = 3
-
-
-@pytest.mark.parametrize(
-    "change", [weaker_gain, without_proofs, other_matrix, larger_bound, no_matrix, fewer_states, other_signals]
-)
-def test_a_file_that_somebody_has_changed_is_rejected_by_its_proofs(
-    change: Any, kept: tuple[LoopOutcome, dict[str, bytes]], tmp_path: Path
-) -> None:
-    made, files = kept
-    changed = {}
-    for name, text in files.items():
-        read = json.loads(text)
-        change(read["content"])
-        changed[name] = signed(read["content"], read["key"])
-    store = filled(tmp_path / "reuse", changed)
-    [found] = loops(JOB, store=store)
-    assert store.taken == []
-    expect_same(made.closed, found.closed)
-    assert {file.name for file in store.folder.iterdir()} == set(files)
 
 
 @pytest.mark.parametrize(

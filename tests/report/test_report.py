@@ -58,6 +58,7 @@ from platform_ctrl.report.page import job_page as document
 from platform_ctrl.report.page.campaign_tables import chances
 from platform_ctrl.report.page.job_page import page_html
 from platform_ctrl.verification import JobResult, check_job
+from platform_ctrl.verification.proofs import Claim, Proofs, with_proofs
 from report_jobs import caging, checked, classical, job, turn
 
 CAGING = caging(
@@ -452,46 +453,35 @@ def test_a_design_beside_the_closed_one_shows_its_goals_too(compared_designs: Jo
 # Proofs, plants, claims, the price
 
 
-def test_proved_bounds_are_those_of_the_certificates(compared_designs: JobResult) -> None:
-    [outcome] = compared_designs.loops
-    proofs = [compared_designs.proofs[d.loop, d.name] for d in outcome.designs]
-    found_rows = designs_in(comparison.proof_rows(outcome.designs, proofs))
-    rows = {name: [cell.text for cell in cells] for name, cells in found_rows.items()}
-    plants = outcome.closed.plants
-    assert plants is not None
-    assert rows["stable"] == [f"✓ with all {len(plants.labels)} plants"] * 4
-    for text, design in zip(rows["disk margin of the nominal plant"], outcome.designs, strict=True):
-        assert design.measures is not None
-        assert float(text.removeprefix("≥ ")) == pytest.approx(design.measures.disk_margin[0], rel=1e-3)
-    for text, found in zip(rows["minimum decay rate over all plants"], proofs, strict=True):
-        bounds = [one.bound for one in found.certificates if one.claim == "stability"]
-        assert float(text.split()[1]) == pytest.approx(min(bounds), rel=1e-2)
-
-
-def test_a_claim_without_proof_is_mentioned(compared_designs: JobResult) -> None:
-    [outcome] = compared_designs.loops
-    key = outcome.closed.loop, outcome.closed.name
-    whole = compared_designs.proofs[key]
-    failed = dataclasses.replace(whole.verifications[0], proved=False, reason="X is not positive definite")
-    part = dataclasses.replace(
-        whole, verifications=(failed, *whole.verifications[1:]), unproved=("no proof of <this>",)
-    )
-    wrong = dataclasses.replace(compared_designs, proofs={**compared_designs.proofs, key: part})
-    rows = {name: cell for name, [cell] in designs_in(comparison.proof_rows([outcome.closed], [part])).items()}
-    assert rows["stable"].tone == "bad"
-    assert "minimum decay rate over all plants" not in rows
-    assert rows["certified properties"].text.startswith(f"✗ {whole.of - 1} of {whole.of + 1}")
-    text = visible_text(page_html(wrong))
-    assert "X is not positive definite" in text
-    assert "Not proved: simple, no proof of <this>" in text
-
-
-def test_all_claims_proved_are_counted_in_the_table_of_requirements(compared_designs: JobResult) -> None:
-    shown = {row.subject: (row.value, row.limit) for row in tables.requirement_rows(compared_designs)
-             if row.requirement == "certified properties"}  # fmt: skip
+def proved_in_part(compared_designs: JobResult) -> JobResult:
+    """The job with proofs of the closed design, of which the last is not proved."""
     closed = compared_designs.loops[0].closed
-    proofs = compared_designs.proofs[closed.loop, closed.name]
-    assert shown == {"caging 9-10": (f"{proofs.of} of {proofs.of}", "all"), "all loops closed": ("1 of 1", "all")}
+    claims = (
+        Claim(plant="nominal", kind="stability", bound=12.0, bits=256),
+        Claim(plant="<this>", kind="stability", bound=7.5, bits=256),
+        Claim(plant="nominal", kind="disk margin", bound=0.5, bits=512),
+        Claim(plant="<this>", kind="disk margin", bound=0.4, bits=0),
+    )
+    proofs = Proofs(claims=claims)
+    judged = with_proofs(closed.results, proofs, closed.loop, closed.name)[-1]
+    return dataclasses.replace(
+        compared_designs,
+        proofs={(closed.loop, closed.name): proofs},
+        requirements=(*compared_designs.requirements, judged),
+    )
+
+
+def test_what_is_proved_and_what_is_not_is_mentioned(compared_designs: JobResult) -> None:
+    result = proved_in_part(compared_designs)
+    designs = result.loops[0].designs
+    assert comparison.proof_rows(designs, {}) == []
+    rows = designs_in(comparison.proof_rows(designs, result.proofs))
+    assert rows["minimum decay rate"][0].text == "✓ ≥ 7.5 1/s with all 2 plants"
+    assert (rows["disk margin"][0].text, rows["disk margin"][0].tone) == ("✗ ≥ 0.5 with 1 of 2 plants", "bad")
+    assert "Not proved: simple: the loop with <this> has a disk margin above 0.4" in visible_text(page_html(result))
+    shown = [(row.value, row.limit) for row in tables.requirement_rows(result)
+             if row.requirement == "certified properties"]  # fmt: skip
+    assert shown == [("3 of 4", "all")]
 
 
 def test_plants_are_counted_by_group(compared_designs: JobResult, compared_page: str) -> None:
@@ -884,7 +874,7 @@ def test_poles_with_a_fault_are_separate(responses: LoopResponses) -> None:
 def test_the_page_of_four_designs_is_whole(compared_designs: JobResult, compared_page: str) -> None:
     text = visible_text(compared_page)
     assert not re.search(r"\b(nan|inf)\b", text, re.IGNORECASE)
-    assert "proved in interval arithmetic" in text
+    assert "proved in interval arithmetic" not in text
     rows = {row[0]: row[1:] for row in Cells(compared_page).rows if len(row) == 6}
     assert rows["largest Omega1 without saturation"] == ["", "1.31 rad/s", "–", "–", "–"]
     assert rows["bandwidth bound"][1] == "80 Hz"

@@ -1,12 +1,11 @@
-"""The certificates of a job: what is not proved fails it."""
+"""Proofs in interval arithmetic, made on demand: what is true is proved, what is false is not, and fails the job."""
 
 from __future__ import annotations
 
-import copy
 import dataclasses
 import json
+import sys
 import tomllib
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -15,22 +14,33 @@ import numpy as np
 import pytest
 
 import platform_ctrl as pc
+from platform_ctrl.analysis import hinf_norm
 from platform_ctrl.analysis.arrays import StateArrays
-from platform_ctrl.analysis.certificates import Certificate
-from platform_ctrl.analysis.certificates.closed_loop import closed
-from platform_ctrl.analysis.certificates.plant_set import sensitivity_plants
 from platform_ctrl.design import loops
 from platform_ctrl.design.jobs import LoopOutcome
-from platform_ctrl.errors import NotCertifiedError
+from platform_ctrl.errors import InputError, NotCertifiedError
 from platform_ctrl.verification import check_job
+from platform_ctrl.verification.proofs import (
+    Claim,
+    Proofs,
+    _balls,
+    _decays,
+    _decided,
+    _loop,
+    _norm_below,
+    coupled_proofs,
+    proofs_of,
+    with_proofs,
+)
 from platform_ctrl.verification.records import result_record, unconfirmed
-from platform_ctrl.verification.verdict import coupled_proofs
+
+JOB = Path("examples/three_gyro_platform.toml")
 
 
 @pytest.fixture(scope="module")
 def small() -> tuple[Any, tuple[LoopOutcome, ...]]:
     """One loop of the main job, without uncertainty and manoeuvres."""
-    data = tomllib.loads(Path("examples/three_gyro_platform.toml").read_text(encoding="utf-8"))
+    data = tomllib.loads(JOB.read_text(encoding="utf-8"))
     for name in ("uncertainty", "operation", "coupled", "manoeuvre", "fault", "campaign"):
         data.pop(name, None)
     [loop] = [loop for loop in data["loop"] if loop["name"] == "caging 9-10"]
@@ -43,41 +53,88 @@ def small() -> tuple[Any, tuple[LoopOutcome, ...]]:
     return job, loops(job)
 
 
-def with_certificates(outcome: LoopOutcome, **change: Any) -> LoopOutcome:
-    return dataclasses.replace(outcome, designs=(dataclasses.replace(outcome.designs[0], **change),))
+@pytest.mark.parametrize(("n", "m"), [(1, 1), (2, 1), (3, 2), (8, 2), (16, 1)])
+def test_norm_and_decay_are_proved_above_and_refused_below_their_values(n: int, m: int) -> None:
+    rng = np.random.default_rng(n)
+    A = rng.standard_normal((n, n))
+    A *= 0.97 / np.abs(np.linalg.eigvals(A)).max()
+    system = StateArrays(A, rng.standard_normal((n, m)), rng.standard_normal((m, n)), rng.standard_normal((m, m)), 1.0)
+    norm, _ = hinf_norm(system)
+
+    def proved(factor: float) -> int:
+        return _decided(lambda: _norm_below(tuple(map(_balls, system[:4])), _balls(np.array([[factor * norm]]))[0, 0]))
+
+    assert proved(1.0 + 1e-6)
+    assert not proved(1.0 - 1e-6)
+    assert _decided(lambda: _decays(_balls(A), -0.999 * np.log(0.97)))
+    assert not _decided(lambda: _decays(_balls(A), -1.001 * np.log(0.97)))
 
 
-def test_a_forged_certificate_of_a_closed_design_fails_the_job(small: tuple[Any, tuple[LoopOutcome, ...]]) -> None:
+def test_an_unstable_system_has_no_norm_and_poles_on_the_circle_are_not_stable() -> None:
+    one = np.ones((1, 1))
+    for pole in (1.0, -1.0, 1.5):
+        loop = tuple(map(_balls, (pole * one, one, one, 0.0 * one)))
+        assert not _decided(lambda loop=loop: _norm_below(loop, 100))  # type: ignore[misc]
+
+
+def test_the_loop_in_balls_is_s_minus_half_at_either_end(small: tuple[Any, tuple[LoopOutcome, ...]]) -> None:
+    design = small[1][0].closed
+    assert design.plants is not None
+    P = design.plants.arrays.at(0)
+    K = StateArrays(*(getattr(design.controller, name) for name in "ABCD"), dt=P.dt)
+    z = np.exp(100.0j * P.dt)
+
+    def response(system: Any) -> Any:
+        A, B, C, D = system
+        return C @ np.linalg.solve(z * np.eye(len(A)) - A, B) + D
+
+    p, k, eye = response(P[:4]), response(K[:4]), np.eye(2)
+    for pair, S in (((P, K), np.linalg.inv(eye - k @ p)), ((K, P), np.linalg.inv(eye - p @ k))):
+        found = response([np.array([[float(x) for x in row] for row in part.tolist()]) for part in _loop(*pair)])
+        np.testing.assert_allclose(found, S - eye / 2, rtol=1e-9, atol=1e-9)
+
+
+def test_a_job_is_proved_when_that_is_asked_for(small: tuple[Any, tuple[LoopOutcome, ...]]) -> None:
     job, (outcome,) = small
-    honest = check_job(job, [outcome])
-    assert honest.passed
-    first, *others = outcome.closed.certificates
-    forged = dataclasses.replace(first, X=first.X - 2 * first.X.min() * np.eye(len(first.X)) - first.X.max())
-    boast = dataclasses.replace(others[-1], bound=0.9 * others[-1].bound)
-    for bad in ([forged, *others], [first, *others[:-1], boast]):
-        result = check_job(job, [with_certificates(outcome, certificates=tuple(bad))])
-        assert not result.passed
-        [missed] = [one for one in result.requirements if not one.passed]
-        assert (missed.name, missed.subject) == ("certified properties", "caging 9-10")
-        assert missed.value == pytest.approx(1 - 1 / len(bad))
-        assert "is not positive definite" in missed.evidence
-    silent = check_job(job, [with_certificates(outcome, unproved=("no proof that it is fast",))])
-    assert not silent.passed
-    assert "no proof that it is fast" in [one.evidence for one in silent.requirements if not one.passed]
+    plain = check_job(job, [outcome])
+    assert plain.proofs == {}
+    assert "certificates" not in result_record(plain)["controllers"][0]
+    [margin] = [one for one in plain.requirements if one.name == "disk margin"]
+    assert margin.method == "exact"
+    assert "exact H-infinity norm" in margin.evidence
+    result = check_job(job, [outcome], prove=True)
+    assert result.passed
+    shown = [one for one in result.requirements if one.name == "certified properties"]
+    assert [(one.stage, one.value, one.method) for one in shown] == [
+        ("decoupled", 1.0, "proved"),
+        ("coupled", 1.0, "proved"),
+    ]
+    record = json.loads(json.dumps(result_record(result)))
+    [entry] = record["controllers"]
+    assert (entry["certificates"]["proved"], entry["certificates"]["of"]) == (2, 2)
+    stable, disk = entry["certificates"]["list"]
+    measures = outcome.closed.measures
+    assert measures is not None
+    assert stable["bound"] == pytest.approx(0.99 * measures.decay[0])
+    assert (disk["claim"], disk["bound"]) == ("disk margin", pytest.approx(measures.disk_margin[0], rel=2e-5))
+    assert record["coupled"]["certificates"]["proved"] == 1
 
 
-def test_certificates_of_another_controller_prove_nothing_of_a_design(
-    small: tuple[Any, tuple[LoopOutcome, ...]],
-) -> None:
+def test_what_is_not_proved_fails_the_requirement(small: tuple[Any, tuple[LoopOutcome, ...]]) -> None:
     job, (outcome,) = small
-    K = outcome.closed.controller
-    other = control.StateSpace(
-        K.A, K.B, 1.001 * K.C, K.D, K.dt, inputs=K.input_labels, outputs=K.output_labels, remove_useless_states=False
+    design = outcome.closed
+    measures = design.measures
+    boast = dataclasses.replace(design, measures=dataclasses.replace(measures, disk_margin=1.01 * measures.disk_margin))  # type: ignore[union-attr, type-var]
+    found = proofs_of(job.loops[0], boast)
+    assert [one.proved for one in found.claims] == [True, False]
+    *_, judged = with_proofs(design.results, found, design.loop, design.name)
+    assert (judged.passed, judged.value) == (False, 0.5)
+    assert judged.evidence.startswith("not proved: the loop with nominal has a disk margin above 0.")
+    left_out = with_proofs(check_job(job, [outcome]).coupled.results, Proofs(left_out="80 states"), "all loops closed")  # type: ignore[union-attr]
+    assert [one.evidence.endswith("no proof in interval arithmetic: 80 states") for one in left_out].count(True) == 1
+    assert str(Claim(plant="nominal", kind="stability", bound=2.0, bits=0)) == (
+        "the loop with nominal decays at 2 1/s or faster"
     )
-    result = check_job(job, [with_certificates(outcome, controller=other)])
-    [missed] = [one for one in result.requirements if not one.passed]
-    assert (missed.name, missed.value) == ("certified properties", 0.0)
-    assert "of another loop" in missed.evidence
 
 
 def test_what_a_file_claims_beyond_the_truth_is_told(small: tuple[Any, tuple[LoopOutcome, ...]]) -> None:
@@ -85,113 +142,25 @@ def test_what_a_file_claims_beyond_the_truth_is_told(small: tuple[Any, tuple[Loo
     result = check_job(job, outcomes)
     record = json.loads(json.dumps(result_record(result)))
     assert unconfirmed(record, result) == ()
-
-    def told(change: Callable[[Any], None]) -> str:
-        edited = copy.deepcopy(record)
-        change(edited["controllers"][0])
-        [line] = unconfirmed(edited, result)
-        assert line.startswith("caging 9-10, plain: ")
-        return line
-
-    def proof(number: int, **change: Any) -> Callable[[Any], None]:
-        return lambda entry: entry["certificates"]["list"][number].update(change)
-
-    def bent(entry: Any) -> None:
-        entry["certificates"]["list"][1]["X"][0][0] *= 0.5
-
-    assert "disk_margin is written as 0.9; it is" in told(lambda entry: entry["claims"].update(disk_margin=0.9))
-    assert "damping is written as" in told(lambda entry: entry["claims"].update(damping="much"))
-    assert "is not positive definite" in told(bent)
-    assert "X is not symmetric" in told(lambda entry: entry["certificates"]["list"][0]["X"][0].reverse())
-    assert "it is no matrix of numbers" in told(proof(2, X="none"))
-    assert "is not positive definite" in told(proof(0, bound=1e3))
-    assert "its bound is written as None" in told(proof(0, bound=None))
-    assert "no such claim is proved" in told(proof(0, label="every plant"))
-    assert "another plant" in told(lambda entry: entry["certificates"]["plant"]["A"][0].reverse())
+    record["controllers"][0]["claims"] |= {"disk_margin": 0.9, "damping": "much"}
+    first, second = unconfirmed(record, result)
+    assert first.startswith("caging 9-10, plain: disk_margin is written as 0.9; it is")
+    assert "damping is written as" in second
     assert unconfirmed({"schema": 1, "controllers": [{}]}, result) == ()
-    false = copy.deepcopy(record)
-    false["controllers"][0]["certificates"]["list"] *= 3
-    for one in false["controllers"][0]["certificates"]["list"]:
-        one["bound"] = None
-    *shown, last = unconfirmed(false, result)
-    assert len(shown) == 4
-    assert last == "caging 9-10, plain: and 5 more of its claims"
-
-
-def test_the_record_is_enough_to_prove_the_nominal_claims(small: tuple[Any, tuple[LoopOutcome, ...]]) -> None:
-    """Through JSON and back, with nothing but the record."""
-    job, outcomes = small
-    record = json.loads(json.dumps(result_record(check_job(job, outcomes))))
-    [entry] = record["controllers"]
-    shown = entry["certificates"]
-    assert shown["proved"] == shown["of"] == len(shown["list"]) == 3
-    K = StateArrays(*(np.array(entry[name], dtype=float) for name in "ABCD"), dt=entry["dt"])
-    A, B, C, D = (np.array(shown["plant"][name], dtype=float) for name in "ABCD")
-    (p, m), n = D.shape, len(A)
-    plants = {
-        "nominal": (A, B, C, D),
-        "nominal, (S − T)/2 at the torques": (
-            A,
-            np.hstack([B, B]),
-            np.vstack([np.zeros((m, n)), C]),
-            np.block([[np.eye(m) / 2, np.eye(m)], [D, D]]),
-        ),
-        "nominal, (S − T)/2 at the pick-offs": (
-            A,
-            np.hstack([np.zeros((n, p)), B]),
-            np.vstack([C, C]),
-            np.block([[-np.eye(p) / 2 + np.eye(p), D], [np.eye(p), D]]),
-        ),
-    }
-    for claim in shown["list"]:
-        loop = closed(StateArrays(*plants[claim["label"]], dt=entry["dt"]), K)
-        T = claim.get("coordinates")
-        again = Certificate(
-            claim=claim["claim"],
-            bound=claim["bound"],
-            loops=(loop,),
-            X=np.array(claim["X"]),
-            coordinates=None if T is None else np.array(T),
-        ).verify()
-        assert again.proved
-        assert again.margin == claim["margin"]
-    together = record["coupled"]["certificates"]
-    assert (together["proved"], together["of"]) == (1, 1)
-
-
-def test_sensitivity_plants_close_to_s_minus_half(small: tuple[Any, tuple[LoopOutcome, ...]]) -> None:
-    design = small[1][0].closed
-    assert design.plants is not None
-    K = StateArrays(*(getattr(design.controller, name) for name in "ABCD"), dt=design.plants.period)
-    P = pc.analysis.frequency_response(
-        pc.analysis.arrays.named_system(
-            StateArrays(*(getattr(design.plants, name)[0] for name in "ABCD"), dt=K.dt), ["a", "b"], ["c", "d"]
-        ),
-        [100.0],
-    )[..., 0]
-    k = pc.analysis.frequency_response(design.controller, [100.0])[..., 0]
-    eye = np.eye(2)
-    S = np.linalg.inv(eye - k @ P), np.linalg.inv(eye - P @ k)
-    for system, expected in zip(sensitivity_plants(design.plants.arrays.at(0)), S, strict=True):
-        A, B, C, D, dt = closed(system, K).rounded()
-        z = np.exp(100.0j * dt)
-        found = C @ np.linalg.solve(z * np.eye(len(A)) - A, B) + D
-        np.testing.assert_allclose(found, expected - eye / 2, rtol=1e-9, atol=1e-9)
 
 
 def test_an_unstable_coupled_system_claims_nothing(small: tuple[Any, tuple[LoopOutcome, ...]]) -> None:
     job, outcomes = small
-    result = check_job(job, outcomes)
-    K = outcomes[0].closed.controller
-    unstable = dataclasses.replace(
-        result.coupled, poles=2.0 * result.coupled.poles / np.abs(result.coupled.poles).max()
-    )
-    assert coupled_proofs(unstable, [K]).of == 0
-    assert coupled_proofs(result.coupled, [K]).proved == 1
+    check = check_job(job, outcomes).coupled
+    assert check is not None
+    K: control.StateSpace = outcomes[0].closed.controller
+    unstable = dataclasses.replace(check, poles=2.0 * check.poles / np.abs(check.poles).max())  # type: ignore[type-var]
+    assert coupled_proofs(unstable, [K]).claims == ()
+    assert coupled_proofs(check, [K]).proved == 1
 
 
-def test_an_unstable_loop_is_not_certified() -> None:
-    data = tomllib.loads(Path("examples/three_gyro_platform.toml").read_text(encoding="utf-8"))
+def test_an_unstable_loop_is_refused() -> None:
+    data = tomllib.loads(JOB.read_text(encoding="utf-8"))
     for name in ("uncertainty", "coupled", "manoeuvre", "fault", "campaign"):
         data.pop(name, None)
     [loop] = [loop for loop in data["loop"] if loop["name"] == "caging 9-10"]
@@ -204,3 +173,11 @@ def test_an_unstable_loop_is_not_certified() -> None:
     job = pc.read_job(data | {"loop": [loop], "operation": {"Omega": [0.0, 0.0, 0.0]}})
     with pytest.raises(NotCertifiedError, match="the closed loop grows at"):
         loops(job)
+
+
+def test_without_the_library_one_sentence_says_what_to_install(
+    small: tuple[Any, tuple[LoopOutcome, ...]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "flint", None)
+    with pytest.raises(InputError, match=r"pip install 'platform_ctrl\[proofs\]'"):
+        check_job(*small, prove=True)

@@ -31,8 +31,9 @@ from platform_ctrl.report.page import campaign_tables
 from platform_ctrl.report.page.campaign_tables import all_drivers, causes, value_name
 from platform_ctrl.report.page.comparison import plants_in_words
 from platform_ctrl.report.page.tables import verdict
+from platform_ctrl.verification.proofs import PROVED, Proofs
 from platform_ctrl.verification.simulated import Run
-from platform_ctrl.verification.verdict import PROVED, JobResult
+from platform_ctrl.verification.verdict import JobResult
 
 _NUMBERS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten", "eleven", "twelve")
 
@@ -167,14 +168,14 @@ def poles(outcome: LoopOutcome, plants: PlantSet) -> str:
 
 def coupled(result: JobResult) -> str:
     """State of the coupled system in two sentences."""
-    check, proofs = result.coupled, result.proofs["", ""]
+    check, proofs = result.coupled, result.proofs.get(("", ""), Proofs())
     assert check is not None, "all loops have controllers"
     decay = -float(spectral_abscissa(continuous_poles(check.poles, check.period)))
     cost = None
     if check.stable and np.isfinite(check.cost).any():
         k = int(np.nanargmax(check.cost))
         cost = max(float(check.cost[k]), 0.0), check.channels[k]
-    return sentences("coupled", check=check, decay=decay, proved=0 < proofs.of == proofs.proved, cost=cost)
+    return sentences("coupled", check=check, decay=decay, proved=0 < proofs.proved == len(proofs.claims), cost=cost)
 
 
 def run(one: Run, spinning: bool, loops: Sequence[LoopOutcome]) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 
 from platform_ctrl.analysis.loop_metrics import ALWAYS_MEASURED, LoopMetrics
 from platform_ctrl.analysis.measuring import MetricRequest
@@ -28,7 +28,8 @@ from platform_ctrl.job.quantities import (
 )
 from platform_ctrl.job.requirements import SCOPE_WORDS, SCOPES, of_readings, requirement
 from platform_ctrl.report.page.blocks import Cell, Column, Group, Row, Table, cells
-from platform_ctrl.verification.verdict import JobResult, Proofs
+from platform_ctrl.verification.proofs import Proofs
+from platform_ctrl.verification.verdict import JobResult
 
 GOAL = "goal: "
 _MARGIN = METRICS["disk margin"].name
@@ -49,7 +50,7 @@ def design_table(result: JobResult, outcome: LoopOutcome) -> Table:
         "limits, measured on the closed loop": limit_rows(outcome),
         "goals, not part of the verdict": goal_rows(outcome),
         "measured, without a limit": measured_rows(outcome),
-        "proved in interval arithmetic": proof_rows(designs, [result.proofs[one.loop, one.name] for one in designs]),
+        "proved in interval arithmetic": proof_rows(designs, result.proofs),
         "claimed by the method": _by_name([_claims(design) for design in designs]),
     }
     return _table_of_designs(outcome, sections)
@@ -143,45 +144,20 @@ def _measured(metrics: LoopMetrics, loop: str) -> dict[str, str]:
     return out
 
 
-def proof_rows(designs: Sequence[LoopDesign], proofs: Sequence[Proofs]) -> list[Row]:
-    """Return with how many plants every design is proved to be stable, and which bounds are proved."""
-    return _rows([_proved(design, found) for design, found in zip(designs, proofs, strict=True)])
+def proof_rows(designs: Sequence[LoopDesign], proofs: Mapping[tuple[str, str], Proofs]) -> list[Row]:
+    """Return of every design what is proved with how many plants; no rows where no proofs were asked for."""
+    return _rows([_proved(proofs.get((design.loop, design.name), Proofs())) for design in designs])
 
 
-def _proved(design: LoopDesign, proofs: Proofs) -> dict[str, Cell]:
-    if proofs.of == 0 or design.plants is None:
-        return {}
-    plants = design.plants
-    shown = [
-        one
-        for one, found in zip(proofs.certificates, proofs.verifications, strict=True)
-        if found.proved and len(one.loops) == 1
-    ]
-    decay = {one.loops[0].label: one.bound for one in shown if one.claim == "stability"}
-    norms: dict[str, list[float]] = {}
-    for one in shown:
-        plant, found, _ = one.loops[0].label.rpartition(", (S \u2212 T)/2 at the ")
-        if one.claim == "norm" and found:
-            norms.setdefault(plant, []).append(one.bound)
-    # A margin needs both norms, at the torques and at the pick-offs.
-    margins = {plant: 1.0 / max(bounds) for plant, bounds in norms.items() if len(bounds) == 2}
-    stable = sum(label in decay for label in plants.labels)
-    whole = stable == len(plants.labels)
-    out = {"stable": _checked(whole, f"with {_share(stable, len(plants.labels))} plants")}
-    if whole:
-        least = quantity(min(decay.values()), "1/s", 3, rounding="down")
-        out[f"{METRICS['stability'].name} over all plants"] = Cell(text=f"≥ {least}")
-    if plants.labels[0] in margins:
-        out[f"{_MARGIN} of the nominal plant"] = Cell(text=f"≥ {plain(margins[plants.labels[0]], rounding='down')}")
-    others = [margins[label] for label in plants.labels[1:] if label in margins]
-    if others:
-        out[f"{_MARGIN} with others"] = Cell(
-            text=f"≥ {plain(min(others), rounding='down')}, {count(len(others), 'plant')}"
-        )
-    bits = max((found.precision for found in proofs.verifications), default=0)
-    out["certified properties"] = _checked(
-        proofs.proved == proofs.of, f"{_share(proofs.proved, proofs.of)}, {bits} bits"
-    )
+def _proved(proofs: Proofs) -> dict[str, Cell]:
+    out = {}
+    for kind, name, unit in (("stability", METRICS["stability"].name, "1/s"), ("disk margin", _MARGIN, "")):
+        claims = [one for one in proofs.claims if one.kind == kind]
+        shown = [one for one in claims if one.proved]
+        if shown:
+            least = quantity(min(one.bound for one in shown), unit, 3, rounding="down")
+            words = f"≥ {least} with {_share(len(shown), len(claims))} plants"
+            out[name] = _checked(len(shown) == len(claims), words)
     return out
 
 

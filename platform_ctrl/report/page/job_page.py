@@ -165,7 +165,7 @@ def drawn_beside(
 
 def loops_ahead(job: Job, loops: Sequence[LoopOutcome], beside: SecondProcess, store: Store) -> Ahead:
     """Let another process begin with the figures of loops, which the check of the whole adds nothing to."""
-    return drawn_ahead(_loop_drawings(linearise(job.platform), _bare(loops)), store, beside)
+    return drawn_ahead(_loop_drawings(linearise(job.platform), loops), store, beside)
 
 
 def _document(
@@ -240,29 +240,20 @@ def _blocks(found: Any) -> tuple[Any, ...]:
 
 def _drawings(result: JobResult) -> list[Drawing]:
     """Return what draws the plates of each loop, the blocks of each run, and then those of the whole."""
-    bare, spinning = _bare(result.loops), captions.spins(result.job.platform)
-    drawings = _loop_drawings(result.model, bare)
+    spinning = captions.spins(result.job.platform)
+    drawings = _loop_drawings(result.model, result.loops)
     for run in result.runs:
         caption = captions.run(run, spinning, result.loops) if run.trajectory.t.size else ""
         drawings.append(Drawing(_run_block, (run, result.job.platform, caption)))
-    proofs = {key: dataclasses.replace(one, certificates=()) for key, one in result.proofs.items()}
-    whole = dataclasses.replace(result, loops=bare, runs=(), proofs=proofs)
+    whole = dataclasses.replace(result, runs=())
     # Last: this process begins with the end, and the whole result goes nowhere.
     of_whole = (_plant_plates, _servo_plates, budget_blocks, _first, _coupled)
     return drawings + [Drawing(draw, (whole,)) for draw in of_whole]
 
 
-def _bare(loops: Sequence[LoopOutcome]) -> tuple[LoopOutcome, ...]:
-    # Without certificates, of which figures show nothing: there are hundreds, and all of it may go to another process.
-    return tuple(
-        dataclasses.replace(one, designs=tuple(dataclasses.replace(design, certificates=()) for design in one.designs))
-        for one in loops
-    )
-
-
-def _loop_drawings(model: LinearModel, bare: Sequence[LoopOutcome]) -> list[Drawing]:
-    palette = palette_of(bare)
-    return [Drawing(_caging_plates, (model, outcome, palette)) for outcome in bare]
+def _loop_drawings(model: LinearModel, loops: Sequence[LoopOutcome]) -> list[Drawing]:
+    palette = palette_of(loops)
+    return [Drawing(_caging_plates, (model, outcome, palette)) for outcome in loops]
 
 
 def _first(result: JobResult) -> tuple[Block, ...]:
@@ -342,13 +333,9 @@ def _judged(results: Sequence[CheckResult]) -> dict[str, Any]:
 
 
 def _unproved(result: JobResult, outcome: LoopOutcome) -> list[str]:
-    """Return a line for every claim of the designs that has no proof, or whose proof failed."""
-    lines = []
-    for design in outcome.designs:
-        proofs = result.proofs[design.loop, design.name]
-        failed = [f"{one.statement}: {one.reason}" for one in proofs.verifications if not one.proved]
-        lines += [f"{design.name}, {line}" for line in (*failed, *proofs.unproved)]
-    return lines
+    """Return a line for every claim of the designs that is not proved."""
+    proofs = {name: one for (loop, name), one in result.proofs.items() if loop == outcome.spec.name}
+    return [f"{name}: {claim}" for name, one in proofs.items() for claim in one.claims if not claim.proved]
 
 
 def _caging_plates(model: LinearModel, outcome: LoopOutcome, palette: Mapping[str, bool]) -> list[Block]:

@@ -44,7 +44,8 @@ from platform_ctrl.report.page.blocks import (
     table,
 )
 from platform_ctrl.verification import records
-from platform_ctrl.verification.verdict import PROVED, JobResult
+from platform_ctrl.verification.proofs import PROVED
+from platform_ctrl.verification.verdict import JobResult
 
 
 @value
@@ -101,7 +102,7 @@ def requirement_row(one: CheckResult, result: JobResult | None = None) -> Requir
     if one.name == PROVED.name and result is not None:
         # All claims have to be proved: there is no margin.
         proofs = result.proofs[one.subject if one.design else "", one.design]
-        number, limit, margin = f"{proofs.proved} of {proofs.of}", "all", ""
+        number, limit, margin = f"{proofs.proved} of {len(proofs.claims)}", "all", ""
     share = one.margin if margin and np.isfinite(one.margin) else 0.0
     return RequirementRow(
         subject=one.subject,

@@ -22,7 +22,6 @@ from platform_ctrl.job.requirements import SCOPE_WORDS, SCOPES
 from platform_ctrl.verification import JobResult
 from platform_ctrl.verification.coupled import ALL_LOOPS, CoupledCheck
 from platform_ctrl.verification.simulated import Run, largest
-from platform_ctrl.verification.verdict import PROVED
 
 # The same loop on another machine: what differs by less has not changed, and its text stays as it is.
 _ROUNDING = 1e-6
@@ -93,10 +92,9 @@ class Tolerance:
 
 
 # What a new figure is given where the default would be wrong: a difference of two margins, each with a tolerance of its
-# own, lies near zero; and of what was proved nothing may be lost.
+# own, lies near zero.
 _OWN_TOLERANCE = {
     COUPLED_METRICS["coupling cost"].name: Tolerance(relative=0.0, absolute=0.01),
-    PROVED.name: Tolerance(relative=0.0, absolute=0.0),
 }
 
 
