@@ -16,7 +16,7 @@ from plugged import plugged_in
 
 pytest_plugins = ["pytester"]
 
-ITEMS = 7
+ITEMS = 5
 
 HELD = """
 def test_is_not_worse(closed_loop, assert_baseline):
