@@ -26,13 +26,13 @@ def there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.Captur
         (tmp_path / name).write_text(text, encoding="utf-8")
         assert main(["design", name, "-o", out, "--quiet"]) == 0
     assert main(["check", "job.toml", "--baseline", "gyro.json", "--update-baseline", "--quiet"]) == 0
-    assert "baseline: gyro.json: written, 14 figures" in capsys.readouterr().out
+    assert "baseline: gyro.json: written, 12 figures" in capsys.readouterr().out
     return tmp_path
 
 
 def test_what_is_as_it_was_accepted_passes(there: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["check", "job.toml", "--baseline", "gyro.json", "-q"]) == 0
-    assert "baseline gyro.json: none of 14 figures is worse by more than its tolerance" in capsys.readouterr().out
+    assert "baseline gyro.json: none of 12 figures is worse by more than its tolerance" in capsys.readouterr().out
     assert main(["check", "job.toml", "--baseline", "gyro.json", "--update-baseline", "-q"]) == 0
     assert "baseline: gyro.json: unchanged" in capsys.readouterr().out
 
@@ -43,8 +43,8 @@ def test_what_is_worse_ends_with_one_and_says_what_moved_though_every_requiremen
     arguments = ["check", "job.toml", "--controllers", "slower/result.json", "--baseline", "gyro.json", "-q"]
     assert main(arguments) == 1
     out = capsys.readouterr().out
-    assert "PASSED: all 7 requirements met" in out
-    assert "baseline gyro.json: of 14 figures 3 worse by more than their tolerance" in out
+    assert "PASSED: all 5 requirements met" in out
+    assert "baseline gyro.json: of 12 figures 3 worse by more than their tolerance" in out
     assert "caging 9-10: bandwidth    27.68 Hz  24.03 Hz  -13 %" in out
     assert "plot: gyro.moved.png" in out
     assert (there / "gyro.moved.png").read_bytes().startswith(b"\x89PNG")
@@ -67,7 +67,7 @@ def test_a_requirement_that_is_missed_is_not_made_up_for_by_its_baseline(
     (there / "job.toml").write_text(TOO_MUCH, encoding="utf-8")
     given = ["--controllers", "out/result.json", "--baseline", "gyro.json", "--junit", "made/check.xml"]
     assert main(["check", "job.toml", *given, "-q"]) == 1
-    assert "FAILED: 1 of 7 requirements not met" in capsys.readouterr().out
+    assert "FAILED: 1 of 5 requirements not met" in capsys.readouterr().out
     suites = {suite.name: suite for suite in JUnitXml.fromfile(str(there / "made" / "check.xml"))}
     assert list(suites) == ["caging 9-10", "all loops closed", "gyro.json"]
     [failed] = [case for suite in suites.values() for case in suite if case.is_failure]
@@ -152,5 +152,5 @@ def test_junit_never_lands_on_the_plant_of_the_job(
 def test_a_baseline_is_a_file_of_controllers_too(there: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["check", "job.toml", "--controllers", "gyro.json", "--baseline", "gyro.json", "-q"]) == 0
     out, err = capsys.readouterr()
-    assert "none of 14 figures" in out
+    assert "none of 12 figures" in out
     assert err == ""
