@@ -3,9 +3,9 @@
     python benchmarks/daily_loop.py [--before CHECKOUT] [--rounds 3]
 
 Runs `platform-ctrl design` on the shipped job in processes of their own: into an empty folder, again without a change,
-after a change of one loop's limit, with --fresh, and from the save of that change to the report where `design --watch`
+after a change of one loop's limit, and from the save of that change to the report where `design --watch`
 runs (wall time alone). With --before the same by the package of another checkout, by
-turns in the same run; there every design is made anew each time. --cold runs each first without anything that is
+turns in the same run. --cold runs each first without anything that is
 compiled, in a copy of the package. CPU time is that of the command and of the processes that it started; medians.
 """
 
@@ -73,12 +73,10 @@ def measured(checkout: Path, folder: Path) -> dict[str, tuple[float, float]]:
     changed = folder / "changed.toml"
     first, _, last = JOB.read_text(encoding="utf-8").rpartition(LIMIT)
     changed.write_text(first + CHANGED + last, encoding="utf-8")
-    reuses = (checkout / "platform_ctrl" / "design" / "reuse.py").exists()
     times = {
         "into an empty folder": run(checkout, folder, JOB),
         "again, nothing changed": run(checkout, folder, JOB),
         "one limit of a loop changed": run(checkout, folder, changed),
-        "--fresh": run(checkout, folder, JOB, *(["--fresh"] if reuses else [])),
     }
     if (checkout / "platform_ctrl" / "cli" / "watching.py").exists():
         times["one limit changed, --watch"] = watched(checkout, folder, changed, first + AGAIN + last)

@@ -17,7 +17,6 @@ from hypothesis import settings
 # Before numpy is loaded: on small matrices BLAS threads spend their time waiting for each other.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 # The tests themselves use all cores: a second process of each command would only start and wait.
-os.environ.setdefault("PLATFORM_CTRL_PROCESSES", "1")
 
 # A shell lets what it starts in the background ignore Ctrl-C, and children inherit that.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
@@ -36,13 +35,13 @@ UNTRACED = frozenset(
     analysis/norms analysis/plant_set app/budget app/commanded app/core app/core_sliders app/designs
     app/designs_side_by_side app/limited_drags app/messages app/next_step app/plots app/session app/tree3d
     campaign/statistics cli/check cli/fuzz_hostile cli/help cli/new cli/requirement_lines cli/serve_command contract
-    design/caging_claims design/full_order_loops design/lmi design/lower_bounds design/rate_loops design/reuse
+    design/caging_claims design/full_order_loops design/lmi design/lower_bounds design/rate_loops
     design/riccati design/sampled_hinf design/structured_caging design/tracking_methods docs export/code_any
     export/fixed frozen job/fuzz_jobs mechanics/forces mechanics/identities mechanics/linearisation_paper
     mechanics/oracle_mujoco mechanics/oracle_pinocchio mechanics/parameter_varying mechanics/reference
     mechanics/rotors mechanics/state_space mechanics/symbolic mechanics/the_paper models/examples models/paper
     plant/degenerate_platforms plant/fuzz_plants public_docstrings registered report/axes_picture report/first_screen
-    report/kept_blocks report/plots_loci report/report report/summary shipped_jobs simulation/accuracy
+    report/plots_loci report/report report/summary shipped_jobs simulation/accuracy
     simulation/batch simulation/drives simulation/forces simulation/fuzz_flights simulation/kernel simulation/packing
     simulation/parts simulation/plant simulation/rotors_and_base simulation/servo_rotors simulation/stops site
     verification/changes verification/coupled verification/exact_verdicts verification/fuzz_results

@@ -71,8 +71,6 @@ class Backend(Drags):
     controllers
         Path of a ``result.json`` whose designs are shown as they are; default: the file that `save` leaves beside a
         job, if it exists.
-    store
-        Folder in which designs are kept, as by ``platform-ctrl design``; None: they last as long as the backend.
     folder
         Where jobs are saved; default: beside the job.
     folded
@@ -83,7 +81,6 @@ class Backend(Drags):
         self,
         job: str | Path | Job,
         controllers: str | Path | None = None,
-        store: str | Path | None = None,
         folder: str | Path | None = None,
         folded: bool = False,
     ) -> None:
@@ -98,7 +95,7 @@ class Backend(Drags):
             controllers = beside if beside.exists() and not differing_origin(beside, self.read) else None
         self._loops = ClosedLoops(self.read, None if controllers is None else Path(controllers))
         self.read = self._loops.read
-        self._designs = Designs(self._loops, None if store is None else Path(store))
+        self._designs = Designs(self._loops)
         self._simulator = TaskRunner()
         self.job_parts = JobParts(self._loops)
         self.trade_off = TradeOff(self._loops, self._designs)

@@ -7,7 +7,6 @@ import queue
 import threading
 import weakref
 from collections.abc import Callable
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -290,16 +289,14 @@ class Made:
 
 @value
 class Designing:
-    """Designs a loop by its method; `job` has the plant, sampling and options of the settings, `store` kept designs."""
+    """Designs a loop by its method; `job` has the plant, sampling and options of the settings."""
 
     job: Job
     loop: str
     design: str
-    store: Path | None = None
 
     def run(self, progress: Progress) -> Made:
         """Return the controller."""
-        from platform_ctrl.common.store import Store
         from platform_ctrl.design.jobs import loops
 
         spec, design = _specs(self.job, self.loop, self.design)
@@ -307,8 +304,7 @@ class Designing:
         if spec.around is not None:
             inner = next(one for one in self.job.loops if one.name == spec.around)
             alone.insert(0, dataclasses.replace(inner, designs=(inner.closed,)))
-        store = None if self.store is None else Store(self.store)
-        outcomes = loops(dataclasses.replace(self.job, loops=tuple(alone)), progress, store)
+        outcomes = loops(dataclasses.replace(self.job, loops=tuple(alone)), progress)
         closed = next(one.closed for one in outcomes if one.spec.name == spec.name)
         controller = state_arrays(closed.own_controller, closed.name)
         return Made(controller=controller, options=dict(closed.options), claims=dict(closed.claims))

@@ -7,7 +7,6 @@ import dataclasses
 import threading
 from collections.abc import Callable, Hashable, Sequence
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 
@@ -146,13 +145,10 @@ class DesignPending(DesignError):
 
 
 class Designs:
-    """The designs of a job's caging loops; safe in several threads.
+    """The designs of a job's caging loops; safe in several threads."""
 
-    `store` is a folder that keeps designs for other sessions, as ``platform-ctrl design`` does; None: nothing is kept.
-    """
-
-    def __init__(self, loops: ClosedLoops, store: Path | None = None) -> None:
-        self._loops, self._store = loops, store
+    def __init__(self, loops: ClosedLoops) -> None:
+        self._loops = loops
         self.queue = DesignQueue()
         self._runner = TaskRunner()
 
@@ -166,7 +162,7 @@ class Designs:
         loops = self._loops
         conditions = loops.conditions(settings, spec, design)
         if loops.found(spec.name, design.name, conditions) is None:
-            task = Designing(job=loops.job(settings), loop=spec.name, design=design.name, store=self._store)
+            task = Designing(job=loops.job(settings), loop=spec.name, design=design.name)
             loops.keep(spec.name, design.name, conditions, self._runner.run(task, silent, cancelled))
 
     def caged(self, settings: Settings, again: bool = True) -> tuple[CagedLoop, tuple[str, ...]]:

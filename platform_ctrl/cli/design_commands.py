@@ -5,10 +5,9 @@ from __future__ import annotations
 import os
 import shlex
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -38,20 +37,13 @@ if TYPE_CHECKING:
 
     from platform_ctrl.campaign.store import Record
     from platform_ctrl.campaign.summary import Summary
-    from platform_ctrl.common.processes import SecondProcess
-    from platform_ctrl.common.store import Store
-    from platform_ctrl.design.jobs import LoopOutcome
     from platform_ctrl.job.job import Job
-    from platform_ctrl.report.page.kept_blocks import Ahead
     from platform_ctrl.verification import JobResult
     from platform_ctrl.verification.baselines.comparison import Change, Comparison
     from platform_ctrl.verification.baselines.record import Baseline
 
 
 CHECKED = Path("check")
-REUSE = "reuse"
-# What the second process loads while this one reads the job.
-DRAWING = ("platform_ctrl.report.page.job_page",)
 
 
 def design(
@@ -60,9 +52,6 @@ def design(
         Path,
         option("--out", "-o", metavar="DIR", help=f"Folder for {RESULT} and {REPORT}; made if needed.", default=True),
     ] = DESIGNED,
-    fresh: Annotated[
-        bool, option("--fresh", help=f"Design everything anew: ignore what {REUSE} in the folder holds.", default=True)
-    ] = False,
     watch: Annotated[
         bool,
         option("--watch", help="Go on: design again whenever JOB or a file that it names is saved.", default=True),
@@ -76,8 +65,7 @@ def design(
     """Design every loop of a job and check the whole.
 
     Each loop is designed by every method in the job; the designs that it uses are closed together on the coupled model
-    and simulated on the non-linear plant. Writes result.json, and then report.html. Designs that nothing has changed
-    for are taken from the folder's reuse/.
+    and simulated on the non-linear plant. Writes result.json, and then report.html.
 
     \b
     platform-ctrl design job.toml                            report: out/report.html
@@ -88,33 +76,19 @@ def design(
 
     Exit code 1 if a requirement is not met, or if a method finds no controller (named on standard error).
     """  # noqa: D301
-    from platform_ctrl.common.processes import SecondProcess
-
     report = Report(out, campaign)
-    # Started first: it loads what draws while this one reads the job.
-    with SecondProcess(*DRAWING) as beside:
 
-        def once(fresh: bool = False) -> int:
-            return _designed(job, report, junit, beside, fresh=fresh, prove=prove, as_json=as_json, quiet=quiet)
+    def once() -> int:
+        return _designed(job, report, junit, prove=prove, as_json=as_json, quiet=quiet)
 
-        if watch:
-            from platform_ctrl.cli.watching import whenever_saved
+    if watch:
+        from platform_ctrl.cli.watching import whenever_saved
 
-            whenever_saved(job, once, fresh, quiet=quiet or as_json)
-        return once(fresh)
+        whenever_saved(job, once, quiet=quiet or as_json)
+    return once()
 
 
-def _designed(
-    job: Path,
-    report: Report,
-    junit: Path | None,
-    beside: SecondProcess,
-    *,
-    fresh: bool,
-    prove: bool,
-    as_json: bool,
-    quiet: bool,
-) -> int:
+def _designed(job: Path, report: Report, junit: Path | None, *, prove: bool, as_json: bool, quiet: bool) -> int:
     """Design a job once; return the exit code."""
     from platform_ctrl.cli.terminal import progress
 
@@ -123,35 +97,28 @@ def _designed(
         report.expect_possible(read)
         report.prepare(junit, [job, *plant_file(job, read)])
         expect_proofs_possible(prove)
-        from platform_ctrl.common.store import Store
         from platform_ctrl.design.jobs import attempted_loops
         from platform_ctrl.simulation.compilation import start_compilation
         from platform_ctrl.verification import check_job
 
         if read.manoeuvres:
             start_compilation()
-        store = Store(report.folder / REUSE, fresh=fresh)
-        outcomes = attempted_loops(read, say, store, beside)
+        outcomes = attempted_loops(read, say)
         failures = [one.failure for one in outcomes if one.failure is not None]
         if not any(one.designs for one in outcomes):
             for one in (one for outcome in outcomes for one in outcome.failed if one is not failures[0]):
                 noted(f"failed: {one.loop}, {one.name}: {one.sentence}")
             raise failures[0].error
-        drawing = begun(read, [one for one in outcomes if one.designs], beside, store)
         result = check_job(read, outcomes, say, prove=prove)
         record = report.keep(result)
         if junit is not None:
             from platform_ctrl.report.failures import write_junit
 
             write_junit(result, junit)
-        show = report.draw(result, record, ["design", str(job), "-o", str(report.folder)], say, as_json, drawing)
+        show = report.draw(result, record, ["design", str(job), "-o", str(report.folder)], say, as_json)
     code = show()
     for one in failures:
         code = failed(f"{one.loop}, {one.name}: {one.sentence}", 1)
-    if store.taken and not as_json:
-        names = {loop: ", ".join(name for one, name in store.taken if one == loop) for loop, _ in store.taken}
-        words = "; ".join(f"{loop} ({designs})" for loop, designs in names.items())
-        typer.echo(f"unchanged, taken from {store.folder}: {words}")
     return code
 
 
@@ -271,16 +238,14 @@ def check(
     platform-ctrl check job.toml --quiet && deploy                        go on only if all is met
     """  # noqa: D301
     from platform_ctrl.cli.terminal import progress
-    from platform_ctrl.common.processes import SecondProcess
 
     folder = out or CHECKED
-    with SecondProcess(*DRAWING) as beside, progress(quiet or as_json, f"reading {job}") as say:
+    with progress(quiet or as_json, f"reading {job}") as say:
         read = job_of(job)
         file, used = controller_file(controllers, out, job, read, quiet or as_json)
         comparison = BaselineOptions.given(baseline, update_baseline)
         report = Report(folder, campaign)
         report.expect_possible(read)
-        from platform_ctrl.common.store import Store
         from platform_ctrl.verification import check_job
         from platform_ctrl.verification.controllers import outcomes_from, read_controllers
         from platform_ctrl.verification.records import unconfirmed
@@ -291,8 +256,7 @@ def check(
             campaign_summary(read, closed, campaign)  # before the work on what would be refused
         report.prepare(junit, [job, *plant_file(job, read), file, baseline])
         expect_proofs_possible(prove)
-        outcomes, store = outcomes_from(read, closed, others, beside), Store(folder / REUSE)
-        drawing = begun(read, outcomes, beside, store)
+        outcomes = outcomes_from(read, closed, others)
         result = check_job(read, outcomes, say, prove=prove)
         notes = unconfirmed(file, result)
         record = report.keep(result)
@@ -302,7 +266,7 @@ def check(
 
             write_junit(result, junit, comparison=outcome.comparison, baseline=str(baseline))
         command = ["check", str(job), "--controllers", str(file), "-o", str(folder)]
-        show = report.draw(result, record, command, say, as_json, drawing, outcome.record)
+        show = report.draw(result, record, command, say, as_json, outcome.record)
     noted(used)
     for note in notes:
         typer.echo(f"{file}: not confirmed: {note}", err=True)
@@ -347,23 +311,6 @@ def campaign_summary(job: Job, controllers: Sequence[control.StateSpace], folder
 Shown = Callable[[], int]
 
 
-class Drawing(NamedTuple):
-    """Where figures are drawn and kept, and those that were begun before the check of the whole."""
-
-    beside: SecondProcess
-    store: Store
-    ahead: Ahead | None
-
-
-def begun(job: Job, loops: Sequence[LoopOutcome], beside: SecondProcess, store: Store) -> Drawing:
-    """Let the second process begin with the figures of the loops; what fails here is said when the report is drawn."""
-    with suppress(Exception):
-        from platform_ctrl.report.page.job_page import loops_ahead
-
-        return Drawing(beside, store, loops_ahead(job, loops, beside, store))
-    return Drawing(beside, store, None)
-
-
 @dataclass(frozen=True)
 class Report:
     """The result's file and the report in a folder, with a section about the campaign in another."""
@@ -397,7 +344,6 @@ class Report:
         command: list[str],
         say: Callable[[str], None],
         as_json: bool,
-        drawing: Drawing,
         more: Mapping[str, object] | None = None,
     ) -> Shown:
         """Write the report; return a function that prints the result and returns the exit code, that of the verdict.
@@ -424,7 +370,7 @@ class Report:
                 write_record(record, self.folder / RESULT)
             except InputError as error:
                 refused = InputError(f"{error}; the report in {self.folder} was written without it")
-        reports, missing = self._drawn(result, say, drawing, command=shlex.join(words), **about)
+        reports, missing = self._drawn(result, say, command=shlex.join(words), **about)
 
         def show() -> int:
             self._show(result, campaign, {**record, **(more or {})} if as_json else None, reports)
@@ -438,9 +384,7 @@ class Report:
 
         return show
 
-    def _drawn(
-        self, result: JobResult, say: Callable[[str], None], drawing: Drawing, **about: Any
-    ) -> tuple[list[Path], list[str]]:
+    def _drawn(self, result: JobResult, say: Callable[[str], None], **about: Any) -> tuple[list[Path], list[str]]:
         """Write the report; return its path if it is there, and a line for what is missing, and why."""
         path = self.folder / REPORT
         lines: list[str] = []
@@ -448,9 +392,9 @@ class Report:
         def page(path: Path) -> None:
             from platform_ctrl.report import write_page
             from platform_ctrl.report.page.blocks import missing
-            from platform_ctrl.report.page.job_page import drawn_beside
+            from platform_ctrl.report.page.job_page import prepared
 
-            content = drawn_beside(result, drawing.beside, store=drawing.store, ahead=drawing.ahead, **about)
+            content = prepared(result, **about)
             lines.extend(f"{path}: {words}" for words in missing(content))
             write_page(content, path)
 

@@ -16,7 +16,7 @@ import typer
 
 from platform_ctrl.cli import completion
 from platform_ctrl.cli.error_lines import noted
-from platform_ctrl.cli.job_arguments import DESIGNED, Controllers, Json, Quiet, is_plant, job_of, option
+from platform_ctrl.cli.job_arguments import Controllers, Json, Quiet, is_plant, job_of, option
 
 if TYPE_CHECKING:
     from platform_ctrl.app.server import PageServer
@@ -132,11 +132,9 @@ def _prepared(
 
     def backend() -> object:
         from platform_ctrl.app.backend import Backend
-        from platform_ctrl.cli.design_commands import REUSE
 
-        store = (DESIGNED if controllers is None else controllers.parent) / REUSE
         # It is saved where the plant is.
-        return Backend(file, controllers, store, folder=job.parent, folded=plant)
+        return Backend(file, controllers, folder=job.parent, folded=plant)
 
     return backend, read.name
 

@@ -22,8 +22,8 @@ _PAUSE, _SHARE = 0.1, 0.1
 _State = dict[Path, bytes | None]
 
 
-def whenever_saved(job: Path, run: Callable[[bool], int], first: bool, *, quiet: bool) -> NoReturn:
-    """Run with `first`, then with False whenever the job or a file that it names has changed, until Ctrl-C.
+def whenever_saved(job: Path, run: Callable[[], int], *, quiet: bool) -> NoReturn:
+    """Run, and again whenever the job or a file that it names has changed, until Ctrl-C.
 
     A message about wrong input does not end it.
     """
@@ -31,12 +31,11 @@ def whenever_saved(job: Path, run: Callable[[bool], int], first: bool, *, quiet:
         files = files_read(job)
         seen = _state(files)
         try:
-            run(first)
+            run()
         except PlatformCtrlError as error:
             if began_with_interrupt(error):
                 raise
             reported(error)
-        first = False
         sys.stdout.flush()
         if not quiet:
             noted(f"waiting until {job} or a file that it names is saved; Ctrl-C ends")

@@ -8,7 +8,6 @@ from __future__ import annotations
 import atexit
 import contextlib
 import gc
-import importlib
 import os
 import pickle
 import queue
@@ -17,8 +16,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 # Longest time that a process may take to start, s; imports from a cold disk are slow.
@@ -29,8 +27,6 @@ POLL = 0.1
 _END_LIMIT = 5.0
 # A process takes the paths of this one first: what it runs may be found on them alone.
 _SOURCE = f"import pickle, sys; sys.path[:] = pickle.load(sys.stdin.buffer); from {__name__} import serve; serve()"
-# Of the environment: how many processes a command may use.
-PROCESSES = "PLATFORM_CTRL_PROCESSES"
 _ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 
 
@@ -153,140 +149,9 @@ class TaskProcess:
         return result
 
 
-Task = tuple[Callable[..., Any], tuple[Any, ...]]
-
-
-class _Module:
-    """A module that is loaded where this is unpickled."""
-
-    def __init__(self, name: str) -> None:
-        self.name = name
-
-    def __reduce__(self) -> tuple[Callable[[str], Any], tuple[str]]:
-        return importlib.import_module, (self.name,)
-
-
-class Begun:
-    """Tasks of which those at the front of the list may be done by another process."""
-
-    def __init__(self, tasks: Sequence[Task], long: Sequence[int] = ()) -> None:
-        self.tasks = tasks
-        short = [k for k in range(len(tasks)) if k not in long]
-        # Long ones at both ends, where the processes begin: one of them at the end of all would be waited for.
-        self.left = deque([*long[1::2], *short, *long[::2][::-1]])
-        self.done: dict[int, tuple[bool, Any]] = {}
-        self.feeding: threading.Thread | None = None
-
-
-class SecondProcess:
-    """A process that takes tasks from the front of a list while this one works from its end.
-
-    What goes wrong in it, whatever it is, is done again here: results and errors are those of one process.
-
-    Parameters
-    ----------
-    modules
-        Names of what it loads at once, before there is a task.
-    """
-
-    def __init__(self, *modules: str) -> None:
-        self._process: TaskProcess | None = None
-        self._last: threading.Thread | None = None
-        # Without another core the two would only wait for each other.
-        if _cores() > 1:
-            # A system that starts no process works with this one.
-            with contextlib.suppress(OSError):
-                self._process = TaskProcess(_attempted, tuple(map(_Module, modules)))
-
-    def __enter__(self) -> SecondProcess:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.end()
-
-    def end(self) -> None:
-        """Kill the process, if it still runs."""
-        process, self._process = self._process, None
-        if process is not None:
-            process.end()
-
-    def results(
-        self, tasks: Sequence[Task], begun: Callable[[int], None] = lambda k: None, long: Sequence[int] = ()
-    ) -> list[Any]:
-        """Return what the functions of `tasks` return for their arguments, in their order.
-
-        `begun` is called with the number of each task that this process begins; the numbers in `long` are those of
-        tasks to begin with. Of several errors the first in the order of the tasks is raised.
-        """
-        # A single one is done here at once.
-        return self.finished(self.begin(tasks, long) if len(tasks) > 1 else Begun(tasks), begun)
-
-    def begin(self, tasks: Sequence[Task], long: Sequence[int] = ()) -> Begun:
-        """Let the process work on `tasks`, after those begun before, while this one goes on; for `finished`."""
-        out = Begun(tasks, long)
-        if self._process is not None and tasks:
-            self._last = out.feeding = threading.Thread(target=self._feed, args=(out, self._last), daemon=True)
-            out.feeding.start()
-        return out
-
-    def finished(self, work: Begun, begun: Callable[[int], None] = lambda k: None) -> list[Any]:
-        """Return the results of tasks; this process does those that the other has not come to, as in `results`."""
-        tasks, done = work.tasks, work.done
-        errors: dict[int, Exception] = {}
-        while (k := _popped(work.left.pop)) is not None:
-            begun(k)
-            function, arguments = tasks[k]
-            try:
-                done[k] = True, function(*arguments)
-            except Exception as error:
-                errors[k] = error
-        while work.feeding is not None and work.feeding.is_alive():
-            work.feeding.join(POLL)  # with a limit: an interrupt is noticed
-        for k, (function, arguments) in enumerate(tasks):
-            if k in errors:
-                raise errors[k]
-            if not done.get(k, (False, None))[0]:
-                begun(k)
-                done[k] = True, function(*arguments)
-        return [done[k][1] for k in range(len(tasks))]
-
-    def _feed(self, work: Begun, before: threading.Thread | None) -> None:
-        if before is not None:
-            before.join()
-        while self._process is not None and (k := _popped(work.left.popleft)) is not None:
-            try:
-                work.done[k] = self._process.ask(work.tasks[k], float("inf"))
-            except Exception:
-                # A task that cannot be pickled, or a process that has died: this process does the rest.
-                self.end()
-
-
-def _popped(pop: Callable[[], int]) -> int | None:
-    """Return what is taken from a list, None where it is empty: both processes take."""
-    with contextlib.suppress(IndexError):
-        return pop()
-    return None
-
-
-def _cores() -> int:
-    """Return how many processes may be used: the environment may say so, else as many as there are cores."""
-    given = os.environ.get(PROCESSES, "")
-    if given.isdecimal():
-        return int(given)
-    return processors()
-
-
 def processors() -> int:
     """Return the number of processors that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-def _attempted(modules: object, task: Task) -> tuple[bool, Any]:
-    function, arguments = task
-    try:
-        return True, function(*arguments)
-    except Exception:
-        return False, None
 
 
 def next_result(

@@ -7,21 +7,20 @@ import os
 from collections.abc import Mapping, Sequence
 
 from platform_ctrl.analysis.plant_set import PlantSet
-from platform_ctrl.common.processes import SecondProcess
 from platform_ctrl.common.progress import Local, Progress, shown
-from platform_ctrl.common.reasons import reason
+from platform_ctrl.common.reasons import began_with_interrupt, reason
 from platform_ctrl.common.signatures import check_arguments
-from platform_ctrl.common.store import Store
 from platform_ctrl.common.values import value
-from platform_ctrl.design.caging_claims import shortest_rise
+from platform_ctrl.design.caging_claims import shortest_rise, with_caging_claims
 from platform_ctrl.design.feedforward import design_plants
-from platform_ctrl.design.loop import LoopDesign, LoopProblem, commanded, instability, with_commands
+from platform_ctrl.design.loop import LoopDesign, LoopProblem, commanded, evaluated, instability, with_commands
 from platform_ctrl.design.loop_signals import loop_channels, loop_signals
 from platform_ctrl.design.partition import Channels
 from platform_ctrl.design.plants import plants_of, tracking_plants
-from platform_ctrl.design.reuse import design_job, kept_or_designed, plant_job
+from platform_ctrl.design.reduced_jobs import design_job, plant_job
 from platform_ctrl.errors import DesignError
 from platform_ctrl.job.job import DesignSpec, Job, LoopSpec
+from platform_ctrl.job.methods import known_method, resolved
 from platform_ctrl.job.reading import read_job
 from platform_ctrl.mechanics.linearisation import LinearModel, linearise
 
@@ -73,8 +72,6 @@ class LoopOutcome:
 def loops(
     job: Job | str | os.PathLike[str] | Mapping[str, object],
     progress: Progress | bool | None = None,
-    store: Store | None = None,
-    beside: SecondProcess | None = None,
 ) -> tuple[LoopOutcome, ...]:
     """Design every loop of `job` by each of its methods.
 
@@ -84,11 +81,6 @@ def loops(
         The job, or what `read_job` reads: a path or a dict.
     progress
         Called with a line before and during each design; True shows the lines, in a notebook or on a terminal.
-    store
-        Where designs are kept. One that was made from the same loop, plant and sampling by the same code is not made
-        again: it is measured against the closed loops of this job.
-    beside
-        Another process, which makes a part of the designs.
 
     Returns
     -------
@@ -105,7 +97,7 @@ def loops(
     MechanicsError
         The mass matrix is singular at rest (gimbal lock).
     """
-    found = attempted_loops(job, progress, store, beside)
+    found = attempted_loops(job, progress)
     for outcome in found:
         if outcome.failure is not None:
             raise outcome.failure.error
@@ -115,16 +107,14 @@ def loops(
 def attempted_loops(
     job: Job | str | os.PathLike[str] | Mapping[str, object],
     progress: Progress | bool | None = None,
-    store: Store | None = None,
-    beside: SecondProcess | None = None,
 ) -> tuple[LoopOutcome, ...]:
     """Return what `loops` returns, though designs that loops use have failed; then a loop may have no design at all."""
     job = job if isinstance(job, Job) else read_job(job)
     with shown(progress) as say:
-        return _loops(job, say, store, beside)
+        return _loops(job, say)
 
 
-def _loops(job: Job, progress: Progress, store: Store | None, beside: SecondProcess | None) -> tuple[LoopOutcome, ...]:
+def _loops(job: Job, progress: Progress) -> tuple[LoopOutcome, ...]:
     model = linearise(job.platform)
     # All plants before the first design: an error in the third loop is raised before the work on the first.
     plants_of_all = {spec.name: _plants_of_designs(plant_job(job, spec), spec) for spec in job.loops}
@@ -132,7 +122,7 @@ def _loops(job: Job, progress: Progress, store: Store | None, beside: SecondProc
     # A tracking loop has the rate loop that it commands in its plants.
     for tracking in (False, True):
         specs = [spec for spec in job.loops if (spec.kind == "tracking") is tracking]
-        problems: list[tuple[LoopProblem, LoopDesign | None]] = []
+        problems: list[LoopProblem] = []
         for spec in specs:
             around = made[str(spec.around)] if tracking else None
             if around is not None and around.failure is not None:
@@ -141,19 +131,36 @@ def _loops(job: Job, progress: Progress, store: Store | None, beside: SecondProc
             inner = None if around is None else around.closed
             directed = _with_directions(job, spec, model, plants_of_all[spec.name], inner)
             problems += [
-                (_problem(job, spec, design, model, *own, progress), inner)
+                _problem(job, spec, design, model, *own, progress)
                 for design, own in zip(spec.designs, directed, strict=True)
             ]
-        found = kept_or_designed(problems, shortest_rise(job), store, beside)
+        found = [_attempted(problem, shortest_rise(job)) for problem in problems]
         for spec in specs:
             own = [
                 (problem.design, one)
-                for (problem, _), one in zip(problems, found, strict=True)
+                for problem, one in zip(problems, found, strict=True)
                 if problem.spec.name == spec.name
             ]
             if own:
                 made[spec.name] = _outcome(spec, own)
     return in_order(job, [made[spec.name] for spec in job.loops])
+
+
+def _attempted(problem: LoopProblem, rise: float) -> LoopDesign | Exception:
+    """Return the design of a problem, or why there is none; `rise` is as of `with_caging_claims`."""
+    spec, design = problem.spec, problem.design
+    problem.progress(f"{spec.name}: {design.name}")
+    try:
+        made = evaluated(problem, resolved(known_method(design.method).design)(problem), stable=False)
+        if spec.kind == "caging":
+            made = with_caging_claims(problem.job, made, closed=bool(spec.use), rise=rise)
+        return made
+    except Exception as error:
+        if began_with_interrupt(error):
+            raise
+        if not isinstance(error, DesignError) or problem.plant_set is None or str(error).startswith(f"{spec.name}, "):
+            return error
+        return type(error)(f"{spec.name}, {design.name}: {error}", error.problem)
 
 
 def _outcome(spec: LoopSpec, found: Sequence[tuple[DesignSpec, LoopDesign | Exception]]) -> LoopOutcome:

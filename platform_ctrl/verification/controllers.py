@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from platform_ctrl.analysis.plant_set import COMMAND, PlantSet
-from platform_ctrl.common.processes import SecondProcess, Task
 from platform_ctrl.common.reasons import began_with_interrupt
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.design.caging_claims import with_caging_claims
@@ -167,9 +166,8 @@ def outcomes_from(
     job: Job,
     controllers: Sequence[control.StateSpace],
     alternatives: Sequence[control.StateSpace] = (),
-    beside: SecondProcess | None = None,
 ) -> tuple[LoopOutcome, ...]:
-    """Return existing controllers as the outcome of the job's loops, measured again; `beside` measures a part."""
+    """Return existing controllers as the outcome of the job's loops, measured again."""
     placed: dict[str, control.StateSpace] = {}
     for K in controllers:
         spec = _loop_of(job, K)
@@ -192,12 +190,11 @@ def outcomes_from(
     made: dict[str, LoopOutcome] = {}
     # The plants of a tracking loop have the rate loop inside them.
     for tracking in (False, True):
-        tasks: list[Task] = []
+        found: list[LoopDesign | FailedDesign] = []
         for name, closed in placed.items():
             if (specs[name].kind == "tracking") is tracking:
                 inner = made.get(specs[name].around or "")
-                tasks += _tasks(job, specs[name], (closed, *others[name]), inner)
-        found = [function(*given) for function, given in tasks] if beside is None else beside.results(tasks)
+                found += _remeasured(job, specs[name], (closed, *others[name]), inner)
         for name in dict.fromkeys(one.loop for one in found):
             designs = tuple(one for one in found if one.loop == name and isinstance(one, LoopDesign))
             failed = tuple(one for one in found if one.loop == name and isinstance(one, FailedDesign))
@@ -205,10 +202,10 @@ def outcomes_from(
     return in_order(job, list(made.values()))
 
 
-def _tasks(
+def _remeasured(
     job: Job, spec: LoopSpec, controllers: Sequence[control.StateSpace], inner: LoopOutcome | None
-) -> Iterator[Task]:
-    """Return the tasks to measure the controllers of a loop again, the closed one first."""
+) -> Iterator[LoopDesign | FailedDesign]:
+    """Measure the controllers of a loop again, the closed one first."""
     inside, directions = None, None
     if inner is not None and inner.closed.plants is not None:
         inner_K = with_commands(inner.closed.plants, inner.closed.controller)
@@ -225,7 +222,7 @@ def _tasks(
             if read.sensors not in bare:
                 bare[read.sensors] = plants_of(job, read)
             plants = design_plants(job, spec, of, bare[read.sensors])
-        yield (_measured if not names else _attempted), (job, spec, name, K, plants, directions, not names)
+        yield (_attempted if names else _measured)(job, spec, name, K, plants, directions, not names)
         names.append(name)
 
 

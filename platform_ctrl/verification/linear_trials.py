@@ -25,7 +25,7 @@ from platform_ctrl.design.loop import (
 )
 from platform_ctrl.design.partition import Channels
 from platform_ctrl.design.plants import tracking_plants
-from platform_ctrl.design.reuse import design_job, plant_job
+from platform_ctrl.design.reduced_jobs import design_job, plant_job
 from platform_ctrl.design.tuning import (
     SHARE,
     OptionEffects,

@@ -80,7 +80,7 @@ def there(designed: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 @pytest.fixture
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     """Leave out the figures, seconds of work: that they are drawn is seen in `designed` and in the first check."""
-    monkeypatch.setattr("platform_ctrl.report.page.job_page.drawn_beside", lambda result, beside, **about: result)
+    monkeypatch.setattr("platform_ctrl.report.page.job_page.prepared", lambda result, **about: result)
     monkeypatch.setattr("platform_ctrl.report.write_page", lambda result, path: Path(path).touch())
 
 
@@ -102,7 +102,7 @@ def process_environment() -> dict[str, str]:
 
 
 def test_design_writes_the_result_and_the_report_and_nothing_else(designed: Path) -> None:
-    assert sorted(path.name for path in (designed / "out").iterdir()) == ["report.html", "result.json", "reuse"]
+    assert sorted(path.name for path in (designed / "out").iterdir()) == ["report.html", "result.json"]
     record = json.loads((designed / "out" / "result.json").read_text(encoding="utf-8"))
     assert record["passed"] is True
     assert [one["name"] for one in record["controllers"]] == ["caging 4-5-7", "caging 9-10", "stabilisation"]
@@ -120,16 +120,6 @@ def test_check_comes_to_the_verdicts_of_design(there: Path, capsys: pytest.Captu
     # Differences of numbers near one keep some ten digits.
     assert alike(after["requirements"], before["requirements"])
     assert alike(after["coupled"], before["coupled"])
-
-
-@pytest.mark.usefixtures("undrawn")
-def test_design_says_what_it_did_not_design_again(there: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (there / "job.toml").write_text(JOB.replace("crossover_hz = 40", "crossover_hz = 41"), encoding="utf-8")
-    words = "unchanged, taken from out/reuse: caging 4-5-7 (classical)"
-    assert main(["design", "job.toml", "-q"]) == 0
-    assert capsys.readouterr().out.splitlines()[-1] == words
-    assert main(["design", "job.toml", "-q", "--fresh"]) == 0
-    assert "unchanged" not in capsys.readouterr().out
 
 
 @pytest.mark.usefixtures("undrawn")
@@ -480,7 +470,7 @@ def test_ctrl_c_ends_with_one_line_and_leaves_nothing_half_written(tmp_path: Pat
     assert err.splitlines()[-1] == "platform-ctrl: interrupted"
     assert "Traceback" not in err
     assert out == ""
-    assert {path.name for path in (tmp_path / "out").iterdir()} <= {"reuse"}
+    assert not list((tmp_path / "out").iterdir())
 
 
 def test_a_reader_that_goes_away_is_no_error(tmp_path: Path) -> None:

@@ -49,8 +49,8 @@ def pages(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
 
 def undrawn(patch: pytest.MonkeyPatch, about: list[dict[str, Any]]) -> None:
     """Write pages without content; the options that they were prepared with go to `about`."""
-    drawn = "platform_ctrl.report.page.job_page.drawn_beside"
-    patch.setattr(drawn, lambda result, beside, **options: about.append(options))
+    drawn = "platform_ctrl.report.page.job_page.prepared"
+    patch.setattr(drawn, lambda result, **options: about.append(options))
     patch.setattr("platform_ctrl.report.write_page", lambda content, path: path.touch())
 
 
@@ -63,7 +63,7 @@ def test_the_page_reports_the_campaign(there: Path, capsys: pytest.CaptureFixtur
     assert [line for line in out.splitlines() if line in told] == told
     assert "reading the campaign: campaign" in err.splitlines()
     made = sorted(path.name for path in (there / "check").iterdir())
-    assert made == ["report.html", "result.json", "reuse"]
+    assert made == ["report.html", "result.json"]
     page = (there / "check" / "report.html").read_text(encoding="utf-8")
     assert "None of 12 runs violates a requirement" in page
     assert "platform-ctrl check gyro.toml" in page
@@ -141,7 +141,7 @@ def test_a_folder_without_a_finished_campaign_of_the_job_is_refused_before_the_w
         ("platform_ctrl.report.page.job_page.nichols_figure", "Nichols plot: not drawn"),
         ("platform_ctrl.report.page.job_page.loop_responses", "Figures: not drawn"),
         ("platform_ctrl.report.page.tables.mode_table", "Modes of the uncontrolled gimbals: not drawn"),
-        ("platform_ctrl.report.page.job_page.drawn_beside", "not written"),
+        ("platform_ctrl.report.page.job_page.prepared", "not written"),
         ("platform_ctrl.report.write_page", "not written"),
     ],
 )

@@ -20,22 +20,22 @@ from platform_ctrl.errors import DesignError, InputError
 NAMES = 'plant = "plant.toml"\nloop = [{ name = "out", responses = "measured.csv" }]\n'
 
 
-def runs(job: Path, *saves: Callable[[], object], error: Exception | None = None) -> list[bool]:
-    """Return what each run was told; during each run one save is made, and Ctrl-C is pressed in the last."""
-    told: list[bool] = []
+def runs(job: Path, *saves: Callable[[], object], error: Exception | None = None) -> int:
+    """Return how many runs there were; during each run one save is made, and Ctrl-C is pressed in the last."""
+    made: list[None] = []
 
-    def run(fresh: bool) -> int:
-        told.append(fresh)
-        if len(told) > len(saves):
+    def run() -> int:
+        made.append(None)
+        if len(made) > len(saves):
             raise KeyboardInterrupt
-        saves[len(told) - 1]()
+        saves[len(made) - 1]()
         if error is not None:
             raise error
         return 1
 
     with pytest.raises(KeyboardInterrupt):
-        whenever_saved(job, run, True, quiet=True)
-    return told
+        whenever_saved(job, run, quiet=True)
+    return len(made)
 
 
 @pytest.fixture
@@ -46,23 +46,23 @@ def job(tmp_path: Path) -> Path:
     return tmp_path / "job.toml"
 
 
-def test_the_job_its_plant_and_its_data_are_watched_and_the_first_run_alone_is_fresh(job: Path) -> None:
+def test_the_job_its_plant_and_its_data_are_watched(job: Path) -> None:
     saves = (
         lambda: job.write_text(f"{NAMES}# one\n"),
         lambda: job.with_name("plant.toml").write_text("made"),
         lambda: job.with_name("measured.csv").write_text("1, 2"),
         lambda: job.with_name("plant.toml").unlink(),
     )
-    assert runs(job, *saves) == [True, False, False, False, False]
+    assert runs(job, *saves) == 5
 
 
 def test_what_a_file_holds_counts_and_neither_its_time_nor_its_size(job: Path) -> None:
     # Saved as it was: nothing to design again.
-    told: list[bool] = []
+    made: list[None] = []
 
-    def run(fresh: bool) -> int:
-        told.append(fresh)
-        if len(told) > 1:
+    def run() -> int:
+        made.append(None)
+        if len(made) > 1:
             raise KeyboardInterrupt
         os.utime(job)
         return 0
@@ -76,8 +76,8 @@ def test_what_a_file_holds_counts_and_neither_its_time_nor_its_size(job: Path) -
 
     with pytest.MonkeyPatch.context() as patch, pytest.raises(KeyboardInterrupt):  # noqa: PT012
         patch.setattr("time.sleep", asleep)
-        whenever_saved(job, run, False, quiet=True)
-    assert told == [False]
+        whenever_saved(job, run, quiet=True)
+    assert len(made) == 1
     before = job.stat()
 
     def same_size_and_time() -> None:
@@ -85,13 +85,13 @@ def test_what_a_file_holds_counts_and_neither_its_time_nor_its_size(job: Path) -
         os.utime(job, ns=(before.st_atime_ns, before.st_mtime_ns))
         assert job.stat().st_size == before.st_size
 
-    assert runs(job, same_size_and_time) == [True, False]
+    assert runs(job, same_size_and_time) == 2
 
 
 def test_neither_a_folder_called_like_a_loop_nor_a_file_that_is_not_named_is_watched(
     job: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def run(fresh: bool) -> int:
+    def run() -> int:
         (job.parent / "out" / "result.json").write_text("{}")
         job.with_name("notes.txt").write_text("not named")
         return 0
@@ -105,7 +105,7 @@ def test_neither_a_folder_called_like_a_loop_nor_a_file_that_is_not_named_is_wat
 
     monkeypatch.setattr("time.sleep", asleep)
     with pytest.raises(KeyboardInterrupt):
-        whenever_saved(job, run, False, quiet=True)
+        whenever_saved(job, run, quiet=True)
     assert len(set(waited)) == 1
 
 
@@ -113,21 +113,19 @@ def test_neither_a_folder_called_like_a_loop_nor_a_file_that_is_not_named_is_wat
 def test_a_message_is_printed_and_does_not_end_it(
     error: Exception, job: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert runs(job, lambda: job.write_text("no TOML"), lambda: job.write_text(NAMES), error=error) == [
-        *(True, False, False)
-    ]
+    assert runs(job, lambda: job.write_text("no TOML"), lambda: job.write_text(NAMES), error=error) == 3
     assert capsys.readouterr().err == f"platform-ctrl: error: {error}\n" * 2
 
 
 def test_an_error_that_ctrl_c_caused_ends_it(job: Path) -> None:
-    def interrupted(fresh: bool) -> int:
+    def interrupted() -> int:
         try:
             raise KeyboardInterrupt
         except KeyboardInterrupt:
             raise DesignError("no luck") from None
 
     with pytest.raises(DesignError):
-        whenever_saved(job, interrupted, False, quiet=True)
+        whenever_saved(job, interrupted, quiet=True)
 
 
 @pytest.mark.skipif(os.name != "posix", reason="SIGINT as a terminal sends it")
@@ -161,7 +159,6 @@ def test_the_command_designs_again_after_each_save_until_ctrl_c(tmp_path: Path) 
         job.write_text(JOB, encoding="utf-8")
         again = until_it_waits()
         assert "PASSED" in again
-        assert "unchanged, taken from " in again
         assert json.loads((tmp_path / "out" / "result.json").read_text(encoding="utf-8"))["passed"] is True
         process.send_signal(signal.SIGINT)
         assert process.stdout.read() == "platform-ctrl: interrupted\n"

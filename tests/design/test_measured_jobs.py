@@ -10,11 +10,9 @@ import pytest
 from platform_ctrl import design
 from platform_ctrl.analysis.arrays import state_arrays
 from platform_ctrl.analysis.response import frequency_response
-from platform_ctrl.common.store import Store
 from platform_ctrl.design.loop import LoopDesign, LoopProblem
 from platform_ctrl.design.measured.of_job import on_responses, read_responses
 from platform_ctrl.design.plants import plants_of
-from platform_ctrl.design.reuse import design_job, design_key
 from platform_ctrl.errors import InputError
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.reading import read_job
@@ -96,22 +94,20 @@ def test_limits_that_no_frequency_decides_alone_are_met_by_smaller_peaks() -> No
 
 
 @pytest.fixture(scope="module")
-def of_file(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Job, Store, LoopDesign]:
-    """Return a design on a file with the responses of the model, its job, and where it is kept."""
+def of_file(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Job, LoopDesign]:
+    """Return a file with the responses of the model, its job, and the design on it."""
     folder = tmp_path_factory.mktemp("responses")
     name = write(folder / "pitch.csv", read_job(job()))
     found = read_job(job(responses=name), folder=folder)
-    store = Store(folder / "reuse")
-    [outcome] = design.loops(found, store=store)
-    assert not store.taken
-    return folder / name, found, store, outcome.closed
+    [outcome] = design.loops(found)
+    return folder / name, found, outcome.closed
 
 
-OfFile = tuple[Path, Job, Store, LoopDesign]
+OfFile = tuple[Path, Job, LoopDesign]
 
 
 def test_a_file_with_the_responses_of_the_model_is_no_distance_from_it(of_file: OfFile) -> None:
-    path, found, _, closed = of_file
+    path, found, closed = of_file
     on_data = {one.name: one for one in closed.results if "measured responses" in one.name}
     assert set(on_data) == {"disk margin, measured responses"}
     assert closed.passed
@@ -125,20 +121,6 @@ def test_a_file_with_the_responses_of_the_model_is_no_distance_from_it(of_file: 
     # The job as one text holds the file's content: it needs no other file.
     again = read_job(job_data(found))
     assert again.loops[0].designs[0].responses == path.read_text()
-
-
-def test_a_kept_design_is_taken_up_and_judged_on_the_file_until_its_content_changes(
-    of_file: OfFile, tmp_path: Path
-) -> None:
-    _, found, store, closed = of_file
-    [outcome] = design.loops(found, store=store)
-    assert len(store.taken) == 1
-    values = [(one.name, one.value) for one in closed.results if "measured responses" in one.name]
-    assert values == [(one.name, one.value) for one in outcome.closed.results if "measured responses" in one.name]
-    name = write(tmp_path / "pitch.csv", read_job(job()), factor=0.9)
-    other = read_job(job(responses=name), folder=tmp_path)
-    keys = {design_key(design_job(one, one.loops[0], one.loops[0].designs[0]), 0.5) for one in (found, other)}
-    assert len(keys) == 2
 
 
 @pytest.mark.parametrize(("factor", "unstable"), [(1.6, False), (40.0, True)])
@@ -207,7 +189,7 @@ def test_the_key_belongs_to_the_method(tmp_path: Path) -> None:
 
 
 def test_a_check_of_a_given_controller_is_judged_on_the_file_of_its_design_too(of_file: OfFile) -> None:
-    _, found, _, closed = of_file
+    _, found, closed = of_file
     [outcome] = outcomes_from(found, [closed.controller])
     wanted = next(one for one in closed.results if "measured responses" in one.name)
     got = next(one for one in outcome.closed.results if "measured responses" in one.name)

@@ -7,6 +7,7 @@ import dataclasses
 import math
 import pickle
 import random
+import sys
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,6 @@ from hypothesis import strategies as st
 from fuzz_files import EVERY_JOB_KEY, HERE
 from plant.test_reading_plant import JUNK, Change, add, both, drop, mutate, outcome, plant, put, refusal, toml_file
 from platform_ctrl.cli import main as command
-from platform_ctrl.common.store import key_of
 from platform_ctrl.common.values import replaced
 from platform_ctrl.errors import InputError, OldKeyWarning
 from platform_ctrl.job.methods import METHODS
@@ -670,12 +670,18 @@ def test_every_limit_can_be_a_goal() -> None:
     assert (loop.limits, loop.soft) == (limits, soft)
 
 
+def text_of(item: object) -> str:
+    """Return all that a value holds, numbers to the last bit."""
+    with np.printoptions(threshold=sys.maxsize, floatmode="unique"):
+        return repr(item)
+
+
 def test_every_key_of_a_job_file_and_its_plant_is_written() -> None:
     """To the last bit, defaults included; the plant's name, and logs, which become spectra, aside."""
     read = read_job(EVERY_JOB_KEY.data, folder=HERE)
     again = read_job(tomllib.loads(toml(job_data(read))))
     bare = {"plant": "", "budget": None}
-    assert key_of(replaced(again, bare)) == key_of(replaced(read, bare))
+    assert text_of(replaced(again, bare)) == text_of(replaced(read, bare))
 
 
 @pytest.mark.parametrize("name", shipped_models())
@@ -687,7 +693,7 @@ def test_a_platform_may_stand_in_a_job_in_place_of_its_name(name: str) -> None:
     found = []
     for plant_of in (name, platform, tomllib.loads(platform.to_toml())):
         try:
-            found.append(key_of(read_job(data | {"plant": plant_of}).platform))
+            found.append(text_of(read_job(data | {"plant": plant_of}).platform))
         except InputError as error:  # a plant without a gimbal that can be caged
             found.append(str(error))
     assert found[1:] == found[:2]
@@ -696,7 +702,7 @@ def test_a_platform_may_stand_in_a_job_in_place_of_its_name(name: str) -> None:
 def test_a_platform_in_a_job_is_judged_as_its_file_is() -> None:
     platform = dataclasses.replace(read_platform("three_gyro_platform"), name="mine")
     found = read_job(job() | {"plant": platform})
-    assert (found.plant, key_of(found.platform)) == ("mine", key_of(platform))
+    assert (found.plant, text_of(found.platform)) == ("mine", text_of(platform))
     gimbals = (dataclasses.replace(platform.gimbals[0], parent="nowhere"), *platform.gimbals[1:])
     with pytest.raises(InputError, match=r'\[\[plant.gimbal\]\] 1 "4": parent must be .*, got "nowhere"'):
         read_job(job() | {"plant": dataclasses.replace(platform, gimbals=gimbals)})

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import os
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
@@ -10,15 +9,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from platform_ctrl.common.files import write_whole
-from platform_ctrl.common.processes import SecondProcess
 from platform_ctrl.common.signatures import check_arguments
-from platform_ctrl.common.store import Store
 from platform_ctrl.design.jobs import LoopOutcome
-from platform_ctrl.job.job import Job
 from platform_ctrl.job.judging import CheckResult
-from platform_ctrl.mechanics.linearisation import LinearModel, linearise
+from platform_ctrl.mechanics.linearisation import LinearModel
 from platform_ctrl.mechanics.state_space import coupled_while_changing
-from platform_ctrl.plant.platform import Platform
 from platform_ctrl.report import style
 from platform_ctrl.report.axes.picture import axes_picture
 from platform_ctrl.report.figures.coupled import (
@@ -70,7 +65,6 @@ from platform_ctrl.report.page.first_screen import (
     section_verdict,
     with_campaign,
 )
-from platform_ctrl.report.page.kept_blocks import Ahead, Drawing, drawn_ahead, kept_or_drawn
 from platform_ctrl.report.plots.time_run import time_run
 from platform_ctrl.verification.changes import changes
 from platform_ctrl.verification.coupled import ALL_LOOPS
@@ -152,36 +146,22 @@ def prepared(
     return _document(result, command, campaign, again)
 
 
-def drawn_beside(
-    result: JobResult, beside: SecondProcess, store: Store | None = None, ahead: Ahead | None = None, **options: Any
-) -> Document:
-    """Return what `prepared` returns with its `options`; another process draws a part of what is not in the store.
-
-    `ahead` is from `loops_ahead`.
-    """
-    given: dict[str, Any] = {"command": None, "campaign": None, "again": None} | options
-    return _document(result, **given, beside=beside, store=store, ahead=ahead)
-
-
-def loops_ahead(job: Job, loops: Sequence[LoopOutcome], beside: SecondProcess, store: Store) -> Ahead:
-    """Let another process begin with the figures of loops, which the check of the whole adds nothing to."""
-    return drawn_ahead(_loop_drawings(linearise(job.platform), loops), store, beside)
-
-
 def _document(
     result: JobResult,
     command: str | None,
     campaign: Summary | None,
     again: str | None,
-    beside: SecondProcess | None = None,
-    store: Store | None = None,
-    ahead: Ahead | None = None,
 ) -> Document:
-    job = result.job
-    pictures = iter(kept_or_drawn(_drawings(result), store, beside, ahead))
-    loops = [_blocks(next(pictures)) for _ in result.loops]
-    runs = [next(pictures) for _ in result.runs]
-    plant, servo, budget, first, coupled = map(_blocks, pictures)
+    job, palette = result.job, palette_of(result.loops)
+
+    def plates(draw: Callable[..., Any], *arguments: Any) -> tuple[Any, ...]:
+        return _blocks(attempted("Figures", lambda: draw(*arguments)))
+
+    with style.settings():
+        loops = [plates(_caging_plates, result.model, outcome, palette) for outcome in result.loops]
+        runs = [block for run in result.runs for block in plates(_run_block, run, result)]
+        of_whole = (_plant_plates, _servo_plates, budget_blocks, _first, _coupled)
+        plant, servo, budget, first, coupled = (plates(draw, result) for draw in of_whole)
     together = [one for one in result.requirements if one.subject == ALL_LOOPS]
     of_runs = [one for run in result.runs for one in run.results]
 
@@ -236,24 +216,6 @@ def _document(
 def _blocks(found: Any) -> tuple[Any, ...]:
     """Return what a drawing has returned as a sequence: words alone where it failed."""
     return (found,) if isinstance(found, Missing) else tuple(found)
-
-
-def _drawings(result: JobResult) -> list[Drawing]:
-    """Return what draws the plates of each loop, the blocks of each run, and then those of the whole."""
-    spinning = captions.spins(result.job.platform)
-    drawings = _loop_drawings(result.model, result.loops)
-    for run in result.runs:
-        caption = captions.run(run, spinning, result.loops) if run.trajectory.t.size else ""
-        drawings.append(Drawing(_run_block, (run, result.job.platform, caption)))
-    whole = dataclasses.replace(result, runs=())
-    # Last: this process begins with the end, and the whole result goes nowhere.
-    of_whole = (_plant_plates, _servo_plates, budget_blocks, _first, _coupled)
-    return drawings + [Drawing(draw, (whole,)) for draw in of_whole]
-
-
-def _loop_drawings(model: LinearModel, loops: Sequence[LoopOutcome]) -> list[Drawing]:
-    palette = palette_of(loops)
-    return [Drawing(_caging_plates, (model, outcome, palette)) for outcome in loops]
 
 
 def _first(result: JobResult) -> tuple[Block, ...]:
@@ -442,12 +404,13 @@ def _runs(result: JobResult) -> list[Block]:
     return [Paragraph(text=sentences("runs", seed=result.job.seed))]
 
 
-def _run_block(run: Run, platform: Platform, caption: str) -> Block:
-    name = run.manoeuvre.name
+def _run_block(run: Run, result: JobResult) -> list[Block]:
+    name, platform = run.manoeuvre.name, result.job.platform
     if run.trajectory.t.size:
-        return drawn(name, lambda: (time_run(run, platform), caption))
+        caption = captions.run(run, captions.spins(platform), result.loops)
+        return [drawn(name, lambda: (time_run(run, platform), caption))]
     nothing = Paragraph(text=f"The run {run.trajectory.ended}: nothing was recorded.")
-    return Part(title=name, blocks=(nothing,))
+    return [Part(title=name, blocks=(nothing,))]
 
 
 def _campaign(result: JobResult, campaign: Summary | None, again: str | None) -> list[Section]:
