@@ -53,8 +53,9 @@ EXACT = 1e-9  # relative, of what is computed without a search
 # Entries of a matrix are found to rounding errors of its largest: those that are zero but for them are not compared.
 MATRIX_FLOOR = 1e-12
 NUMBER = re.compile(r"(?<![\w.])[-+]?\d+\.?\d*(?:[eE][-+]?\d+)?(?!\w)")
-# What depends on the machine, on versions, or on the bytes of a file; and matrices X that only witness a proof.
-DROPPED = {"versions", "sha256", "identity"}
+# What depends on the machine, on versions, or on the bytes of a file; sections, which multiply
+# out to the matrices; matrices X that only witness a proof.
+DROPPED = {"versions", "sha256", "identity", "sections"}
 SCRUBBED = (
     (re.compile(r" \* Versions:.*\n(?: \*   .*\n)*"), ""),
     (re.compile(r"\{?[0-9a-f]{8}(?:-[0-9a-f]{4}){3}-[0-9a-f]{12}\}?"), "TOKEN"),

@@ -18,7 +18,8 @@ from platform_ctrl.common.arguments import nearest
 from platform_ctrl.common.progress import Progress
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.loop_signals import loop_channels, loop_signals
-from platform_ctrl.design.partition import Channels, low_pass
+from platform_ctrl.design.partition import Channels, gain, low_pass
+from platform_ctrl.design.sections import Section
 from platform_ctrl.errors import DesignError, NotCertifiedError
 from platform_ctrl.job.job import CommandShaping, DesignSpec, Job, LoopSpec
 from platform_ctrl.job.judging import CheckResult
@@ -59,6 +60,8 @@ class LoopDesign:
         The loop's goals compared with the measures; they do not count for the verdict.
     claims
         Claims of the method by name, in SI units: for example ``gamma``.
+    sections
+        The controller block by block, where its method makes it of blocks and nothing else is added to it.
     """
 
     loop: str
@@ -71,6 +74,7 @@ class LoopDesign:
     results: tuple[CheckResult, ...] = ()
     goals: tuple[CheckResult, ...] = ()
     claims: dict[str, float] = field(default_factory=dict)
+    sections: tuple[Section, ...] = ()
 
     @property
     def plant(self) -> control.StateSpace | None:
@@ -160,6 +164,7 @@ def evaluated(problem: LoopProblem, found: Designed, *, stable: bool = True) -> 
     if plants is not None:
         found = dataclasses.replace(found, controller=in_signals(problem, found.controller))
         out = measured(spec, design, found, plants, stable=stable)
+        out = dataclasses.replace(out, sections=_sections(problem, out))
         if method.goals:
             ratios = {"limit_ratio": out.results, "goal_ratio": out.goals}
             largest = {name: max(result.ratio for result in results) for name, results in ratios.items() if results}
@@ -168,7 +173,7 @@ def evaluated(problem: LoopProblem, found: Designed, *, stable: bool = True) -> 
             out = resolved(method.on_responses)(problem, out)
         return out
     K = found.controller._replace(dt=problem.job.sampling.period)
-    return LoopDesign(
+    out = LoopDesign(
         loop=spec.name,
         name=design.name,
         method=design.method,
@@ -176,6 +181,16 @@ def evaluated(problem: LoopProblem, found: Designed, *, stable: bool = True) -> 
         options=found.options,
         claims=found.claims,
     )
+    return dataclasses.replace(out, sections=_sections(problem, out))
+
+
+def _sections(problem: LoopProblem, design: LoopDesign) -> tuple[Section, ...]:
+    """Return the sections of a design; none where commands or feedforward are added to its method's controller."""
+    method, plants = known_method(design.method), problem.plant_set
+    if method.sections is None or (plants is not None and tuple(design.controller.input_labels) != plants.angles):
+        return ()
+    found: tuple[Section, ...] = resolved(method.sections)(problem, design.options)
+    return found
 
 
 def in_signals(problem: LoopProblem, controller: StateArrays) -> StateArrays:
@@ -306,7 +321,13 @@ def commanded(design: LoopDesign) -> LoopDesign:
         return design
     arrays = with_error_alone(plants.joined(design.controller))
     controller = _delivered(arrays, plants, str(design.controller.name))
-    return dataclasses.replace(design, controller=controller)
+    errors = {name: f"{name}_error" for name in plants.angles}
+    compared = gain(np.hstack([np.eye(len(errors)), -np.eye(len(errors))]))
+    inputs = (*plants.angles, *_commands(plants))
+    first = Section("error", "mix", "readings minus commands", compared, inputs, tuple(errors.values()))
+    rest = (one._replace(inputs=tuple(errors.get(name, name) for name in one.inputs)) for one in design.sections)
+    sections = (first, *rest) if design.sections else ()
+    return dataclasses.replace(design, controller=controller, sections=sections)
 
 
 def with_controller(design: LoopDesign, controller: StateArrays) -> LoopDesign:
@@ -314,7 +335,7 @@ def with_controller(design: LoopDesign, controller: StateArrays) -> LoopDesign:
     plants = design.plants
     assert plants is not None, "the loop has plants"
     K = _delivered(controller._replace(dt=plants.period), plants, str(design.controller.name))
-    found = dataclasses.replace(design, controller=K)
+    found = dataclasses.replace(design, controller=K, sections=())
     return commanded(found) if set(_commands(plants)) <= set(design.controller.input_labels) else found
 
 

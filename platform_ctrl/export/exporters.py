@@ -197,9 +197,9 @@ register(
             Setting(
                 "anti_windup",
                 "KIND",
-                "What a limited torque does to integrals in the C source: back-calculation, proved or none.",
+                "What a limited torque does to integrals in the C source: back-calculation or none.",
                 default="back-calculation",
-                choices=("back-calculation", "proved", "none"),
+                choices=("back-calculation", "none"),
             ),
         ),
     )

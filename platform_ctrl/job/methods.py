@@ -69,6 +69,9 @@ class DesignMethod:
         `design.loop.LoopProblem` -> `design.loop.Designed`, or where that function is, as ``"module:name"``.
     options
         The numbers that it takes, by their keys in the job file.
+    sections
+        (`design.loop.LoopProblem`, options) -> the controller of these options as `design.sections.Section`, in their
+        order, or where that function is. None: it is matrices alone.
     defaults
         (`DesignSpec`, `design.partition.Channels`, nutation frequency in rad/s, sample period in s) -> all options,
         those that are not given by rules of thumb. None for methods of stabilisation loops.
@@ -101,6 +104,7 @@ class DesignMethod:
     kinds: tuple[LoopKind, ...] = ("caging", "rate", "pointing")
     design: Reference
     options: Mapping[str, Option]
+    sections: Reference | None = None
     defaults: Reference | None = None
     advice: str
     structures: tuple[Structure, ...] = ()
@@ -302,6 +306,7 @@ register_method(
         kinds=("caging", "pointing"),
         design="platform_ctrl.design.classical.caging:classical_design",
         options=_CLASSICAL,
+        sections="platform_ctrl.design.classical.caging:classical_sections",
         defaults="platform_ctrl.design.classical.caging:default_options",
         advice="a lower crossover_hz, or tune = true",
         # The integral action is the user's: it trades ramp error for margin.
@@ -334,6 +339,7 @@ register_method(
         kinds=("rate", "tracking"),
         design="platform_ctrl.design.classical.rate:rate_design",
         options=_RATE,
+        sections="platform_ctrl.design.classical.rate:rate_sections",
         defaults="platform_ctrl.design.classical.rate:rate_options",
         advice="a lower crossover_hz, or tune = true",
         tunable=("crossover_hz", "integral_hz", "double_integral_hz", "notch_hz", "notch_depth", "notch_width"),
@@ -396,6 +402,7 @@ register_method(
         key="platform-servo",
         kinds=("stabilisation",),
         design="platform_ctrl.design.classical.stabilisation:platform_servo",
+        sections="platform_ctrl.design.classical.stabilisation:servo_sections",
         options=_SERVO,
         advice="a lower crossover_hz",
         tunable=tuple(_SERVO),

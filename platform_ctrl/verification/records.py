@@ -207,6 +207,7 @@ def _controller(result: JobResult, design: LoopDesign) -> Record:
         "claims": claims,
         **_proofs(result.proofs.get((design.loop, design.name))),
         "options": design.options,
+        "sections": [section.record() for section in design.sections],
         "goals": [_requirement(one) for one in design.goals],
     }
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from generated_c import classical_entry, pid_entry, servo_entry, state_space
+from generated_c import classical_entry, designed_entry, pid_entry, state_space
 from platform_ctrl import simulation
 from platform_ctrl.job.job import Job, manoeuvre_scenario
 from platform_ctrl.job.reading import read_job
@@ -25,7 +25,7 @@ def job() -> Job:
 @pytest.fixture(scope="session")
 def entries(job: Job) -> list[dict[str, Any]]:
     """A classical loop, a matrix PID and the platform servo, whose inputs are commands of both."""
-    return [classical_entry(job, ("4", "5", "7")), pid_entry(job, ("9", "10")), servo_entry(job)]
+    return [classical_entry(job, ("4", "5", "7")), pid_entry(job, ("9", "10")), designed_entry(job, 2)]
 
 
 @pytest.fixture(scope="session")

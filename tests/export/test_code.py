@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import dataclasses
 import re
+import subprocess
 from pathlib import Path
 from typing import Any
 
@@ -12,13 +13,14 @@ import control
 import numpy as np
 import pytest
 
-from generated_c import Machine, classical_entry, compiled, compiler, flat, gyro_entry, state_space
+from generated_c import Machine, classical_entry, compiled, compiler, entry, flat, gyro_entry, state_space
 from platform_ctrl import simulation
 from platform_ctrl.common.values import FloatArray
+from platform_ctrl.design.sections import flattened
 from platform_ctrl.errors import ArgumentError, InputError, UnscalableError
 from platform_ctrl.export import write_c
-from platform_ctrl.export.c99.from_design import entries_of, scheme_of, with_excess
-from platform_ctrl.export.c99.scheme import Scheme, arrays, excess_gain
+from platform_ctrl.export.c99.c_text import FILES, Names, comment, identifier
+from platform_ctrl.export.c99.controller import Controller, controllers_of
 from platform_ctrl.export.c99.windup import back_calculation
 from platform_ctrl.job.job import Job, manoeuvre_scenario
 from platform_ctrl.simulation.closed_loop import Trajectory
@@ -47,19 +49,14 @@ def libraries(written: dict[str, list[Path]], tmp_path_factory: pytest.TempPathF
     return {number: compiled(files, folder / f"{number}.so") for number, files in written.items()}
 
 
-def machine(library: Path, scheme: Scheme, prefix: str, number: str) -> Machine:
-    outputs = [*scheme.outputs, *(f"{name}_commanded" for name in scheme.outputs)]
-    return Machine(library, prefix, scheme.inputs, outputs, TYPES[number])
+def machine(library: Path, K: Controller, prefix: str, number: str) -> Machine:
+    outputs = [*K.outputs, *(f"{name}_commanded" for name in K.outputs)]
+    return Machine(library, prefix, K.inputs, outputs, TYPES[number])
 
 
-def schemes(job: Job, entries: list[dict[str, Any]]) -> list[Scheme]:
-    out = [scheme_of(job, one) for one in entries_of(job, entries)]
-    return [with_excess(scheme, back_calculation(scheme).gain) for scheme in out]
-
-
-def limited_run(scheme: Scheme, readings: FloatArray) -> tuple[FloatArray, FloatArray]:
+def limited_run(one: Controller, readings: FloatArray, windup: bool = True) -> tuple[FloatArray, FloatArray]:
     """Commands and limited commands of a controller with its anti-windup, in plain matrices."""
-    K, E, limits = arrays(scheme), excess_gain(scheme), np.array(scheme.torque_limits)
+    K, E, limits = one.arrays, windup * back_calculation(one).gain, one.limits
     x = np.zeros(len(K.A))
     commands, given = [], []
     for y in readings:
@@ -71,7 +68,7 @@ def limited_run(scheme: Scheme, readings: FloatArray) -> tuple[FloatArray, Float
     return np.array(commands), np.array(given)
 
 
-def noise(scheme: Scheme, size: float, samples: int = 600) -> FloatArray:
+def noise(scheme: Controller, size: float, samples: int = 600) -> FloatArray:
     """Readings that wander."""
     steps = np.random.default_rng(7).standard_normal((samples, len(scheme.inputs)))
     return size * (steps + np.cumsum(steps, axis=0) / 10.0)
@@ -107,7 +104,7 @@ def test_commands_are_those_of_the_simulated_controllers_sample_by_sample(
 def test_without_limits_it_is_what_python_control_computes(
     job: Job, entries: list[dict[str, Any]], libraries: dict[str, Path]
 ) -> None:
-    scheme = schemes(job, entries)[1]
+    scheme = controllers_of(job, entries)[1]
     readings = noise(scheme, 1e-6)
     expected = control.forced_response(state_space(entries[1]), inputs=readings.T).outputs.T
     out, status = machine(libraries["double"], scheme, "caging_9_10", "double").run(readings)
@@ -140,12 +137,12 @@ def test_without_anti_windup_it_is_the_simulated_controller_at_the_limits_too(
 def test_at_its_limits_it_is_the_model_with_anti_windup(
     which: int, job: Job, entries: list[dict[str, Any]], libraries: dict[str, Path]
 ) -> None:
-    scheme = schemes(job, entries)[which]
+    scheme = controllers_of(job, entries)[which]
     prefix = PREFIXES[which]
     # Into the limits for most of the time, then zero.
     readings = np.vstack([noise(scheme, 3e-3 if which < 2 else 1.0), np.zeros((200, len(scheme.inputs)))])
     command, given = limited_run(scheme, readings)
-    limits = np.array(scheme.torque_limits)
+    limits = scheme.limits
     assert np.mean(np.abs(command) > limits) > 0.2
     out, status = machine(libraries["double"], scheme, prefix, "double").run(readings)
     m = len(scheme.outputs)
@@ -158,10 +155,9 @@ def test_at_its_limits_it_is_the_model_with_anti_windup(
 
 
 def test_integrals_follow_what_acts_with_the_stated_time_constant(job: Job, entries: list[dict[str, Any]]) -> None:
-    scheme = schemes(job, entries)[0]
-    none = with_excess(scheme, np.zeros_like(excess_gain(scheme)))
+    scheme = controllers_of(job, entries)[0]
     held = np.full((8000, 3), 2e-3)
-    runs = {name: limited_run(one, held)[0] for name, one in (("with", scheme), ("without", none))}
+    runs = {name: limited_run(scheme, held, windup)[0] for name, windup in (("with", True), ("without", False))}
     # Without, commands go on for ever; with it, they come to rest where the integral loses what it gains.
     assert np.all(np.abs(runs["without"][-1] - runs["without"][-2]) > 1e-6)
     assert np.all(np.abs(runs["with"][-1] - runs["with"][-2]) < 1e-9)
@@ -177,7 +173,7 @@ def test_integrals_follow_what_acts_with_the_stated_time_constant(job: Job, entr
 def test_an_input_that_is_not_finite_holds_everything(
     bad: float, number: str, job: Job, entries: list[dict[str, Any]], libraries: dict[str, Path]
 ) -> None:
-    scheme = schemes(job, entries)[0]
+    scheme = controllers_of(job, entries)[0]
     controller = machine(libraries[number], scheme, "caging_4_5_7", number)
     readings = noise(scheme, 1e-5, 40)
     before, _ = controller.run(readings[:20])
@@ -251,36 +247,6 @@ def test_the_page_shows_what_is_written_and_code_that_compiles(job: Job, tmp_pat
     compiled([*files, caller], tmp_path / "page.so")
 
 
-def test_where_anti_windup_cannot_be_proved_it_is_back_calculation_with_a_note(
-    job: Job, entries: list[dict[str, Any]], tmp_path: Path
-) -> None:
-    gains = [one | {"A": [], "B": [], "C": [[] for _ in one["outputs"]]} for one in entries[:2]]
-    done = write_c(job, [*gains, entries[2]], tmp_path, anti_windup="proved")
-    assert len(done.notes) == 1
-    assert "stabilisation: back-calculation: proofs" in done.notes[0]
-    assert "no state integrates" in flat(tmp_path / "caging_4_5_7.h")
-    assert "back-calculation" in (tmp_path / "stabilisation.h").read_text()
-    write_c(job, [entries[0]], tmp_path, anti_windup="none")
-    assert "none, as requested" in (tmp_path / "caging_4_5_7.h").read_text()
-    assert "excess" not in (tmp_path / "caging_4_5_7.c").read_text()
-
-
-@pytest.mark.slow
-def test_proved_anti_windup_is_the_gain_of_the_design_with_its_region(job: Job, tmp_path: Path) -> None:
-    from platform_ctrl.design.antiwindup.compensator import anti_windup
-    from platform_ctrl.design.caging_claims import caging_loop_limits
-
-    e = classical_entry(job, ("9", "10"))
-    K = state_space(e)
-    found = anti_windup(caging_loop_limits(job, K, 1))
-    assert write_c(job, [e], tmp_path, anti_windup="proved").notes == ()
-    text = flat(tmp_path / "caging_9_10.h")
-    assert f"up to {found.reach:.4g} N m s" in text
-    code = (tmp_path / "caging_9_10.c").read_text()
-    numbers = [float(x) for x in re.findall(r"_from_excess_\w+ = (\S+);", code)]
-    assert np.allclose(sorted(numbers), sorted(found.gain[found.gain != 0.0]), rtol=1e-6)
-
-
 DRIVER = """
 #include "three_gyro_platform.h"
 #include <math.h>
@@ -311,8 +277,6 @@ int main(void)
 
 
 def test_sanitizers_find_nothing(written: dict[str, list[Path]], tmp_path: Path) -> None:
-    import subprocess
-
     compiler()
     driver = tmp_path / "driver.c"
     driver.write_text(DRIVER)
@@ -334,33 +298,11 @@ def test_sanitizers_find_nothing(written: dict[str, list[Path]], tmp_path: Path)
     assert np.isfinite(float(total))
 
 
-def test_gains_of_design_anti_windup_go_into_the_code(job: Job, tmp_path: Path) -> None:
-    from platform_ctrl.design.antiwindup.compensator import with_excess as controller_with_excess
-
-    e = classical_entry(job, ("9", "10"))
-    K = state_space(e)
-    own = scheme_of(job, entries_of(job, [e])[0])
-    gain = 2.0 * back_calculation(own).gain
-    gain[3] = [1e-4, -2e-4]
-    # As design.anti_windup gives it, without options: in modes; and the entry of result.json, in its own blocks.
-    made = entries_of(job, [controller_with_excess(K, gain)])[0]
-    plain = with_excess(own, gain)
-    modal = scheme_of(job, made)
-    readings = noise(plain, 2e-3, 300)
-    expected, _ = limited_run(plain, readings)
-    found, _ = limited_run(modal, readings)
-    assert np.allclose(found, expected, rtol=0.0, atol=1e-9 * np.abs(expected).max())
-    done = write_c(job, [controller_with_excess(K, gain)], tmp_path)
-    assert "came with the controller" in flat(tmp_path / "caging_9_10.h")
-    out, _ = machine(compiled(done.files, tmp_path / "x.so"), modal, "caging_9_10", "double").run(readings)
-    assert np.allclose(out[:, 2:], expected, rtol=0.0, atol=1e-9 * np.abs(expected).max())
-
-
 @pytest.mark.parametrize(
     ("radius", "angle", "direct"),
-    # Poles at 1.6 mHz, as one block: each coefficient must have 1 - r = 5e-6. A resonance at 1 rad a sample with a
+    # Poles at 1.6 mHz, as one block: each coefficient must have 1 - r = 5e-6. A resonance at 0.1 rad a sample with a
     # half-width of 1.5e-6: float moves it by a part of that.
-    [(1.0 - 5e-6, 0.0, 0.0), (1.0 - 1.5e-6, 1.0, 1.0)],
+    [(1.0 - 5e-6, 0.0, 0.0), (1.0 - 1.5e-6, 0.1, 1.0)],
     ids=["slow", "sharp"],
 )
 def test_poles_that_single_precision_moves_are_refused(
@@ -375,7 +317,7 @@ def test_poles_that_single_precision_moves_are_refused(
 
 def test_numbers_that_no_float_holds_are_refused(job: Job, tmp_path: Path) -> None:
     tiny = gyro_entry(job, [], [], [], 1e-60 * np.eye(2))
-    with pytest.raises(UnscalableError, match="the response changes by 1,"):
+    with pytest.raises(UnscalableError, match="the response changes by 1 of its size,"):
         write_c(job, [tiny], tmp_path, number="float")
     with pytest.raises(UnscalableError, match="does not fit a float"):
         write_c(job, [tiny | {"D": [[1e60, 0.0], [0.0, 1.0]]}], tmp_path, number="float")
@@ -388,19 +330,133 @@ def test_numbers_that_no_float_holds_are_refused(job: Job, tmp_path: Path) -> No
         write_c(job, [tiny], tmp_path / "file" / "x")
 
 
-def test_doubtful_effects_of_float_are_notes(job: Job, tmp_path: Path) -> None:
+def test_a_pole_that_float_moves_a_little_is_noted(job: Job, tmp_path: Path) -> None:
     across = np.array([[0.0, -1.0], [1.0, 0.0]])
     # A pole at 4 mHz, half way between two floats.
     slow = gyro_entry(job, np.eye(2) * (1.0 - 218.5 * 2.0**-24), np.eye(2), across, across)
-    notes = write_c(job, [slow], tmp_path, number="float").notes
-    assert any("of its distance from z = 1" in note for note in notes)
+    [note] = write_c(job, [slow], tmp_path, number="float").notes
+    assert "in single precision the response changes by 0.002" in note
     assert write_c(job, [slow], tmp_path).notes == ()
 
 
-def test_a_controller_that_is_unstable_by_itself_is_written_with_a_remark(job: Job, tmp_path: Path) -> None:
+def test_a_controller_that_is_unstable_by_itself_is_written(job: Job, tmp_path: Path) -> None:
     rng = np.random.default_rng(2)
     B, C, D = (rng.standard_normal(shape) for shape in ((3, 2), (2, 3), (2, 2)))
     wild = gyro_entry(job, np.diag([1.3, 1.0, 1e-300]), B, C, D)
     assert write_c(job, [wild], tmp_path, number="float").notes == ()
-    text = flat(tmp_path / "caging_9_10.h")
-    assert "slowest pole is |z| = 0.9" in text
+    assert "slowest pole is |z| = 0.9" in flat(tmp_path / "caging_9_10.h")
+
+
+def test_sections_multiply_out_to_the_controller(job: Job, entries: list[dict[str, Any]]) -> None:
+    for one in controllers_of(job, entries):
+        made = flattened(one.sections, one.inputs, one.outputs)
+        for a, b in zip(made[:4], one.arrays[:4], strict=True):
+            np.testing.assert_allclose(a, b, rtol=0.0, atol=1e-11 * np.abs(b).max(initial=0.0))
+    kinds = [[section.kind for section in one.sections] for one in controllers_of(job, entries)]
+    assert {"integral", "lead", "lag", "mix"} == set(kinds[0])
+    assert kinds[1] == ["states"]
+    assert set(kinds[2]) == {"mix", "low-pass", "integral"}
+
+
+def test_sections_that_are_not_the_matrices_are_left_out_with_a_note(job: Job, tmp_path: Path) -> None:
+    e = classical_entry(job, ("9", "10"))
+    e["D"][0][0] *= 1.0 + 1e-6
+    [note] = write_c(job, [e], tmp_path).notes
+    assert note == "caging 9-10: its sections are not its matrices, which are written instead"
+    assert "state equations of the controller" in (tmp_path / "caging_9_10.c").read_text()
+    e["sections"][1]["inputs"] = ["z"]
+    with pytest.raises(InputError, match="inputs: 'z' is neither an input nor an output of a section"):
+        write_c(job, [e], tmp_path)
+    e = classical_entry(job, ("9", "10"))
+    e["sections"][1]["outputs"] = ["direction_1"]
+    with pytest.raises(InputError, match="exists already; rename it"):
+        write_c(job, [e], tmp_path)
+
+
+@pytest.mark.parametrize("number", TYPES)
+def test_random_controllers_compiled_are_what_their_matrices_say(number: str, job: Job, tmp_path: Path) -> None:
+    rng = np.random.default_rng(11)
+    for n in (0, 1, 4, 9):
+        A = rng.standard_normal((n, n))
+        A *= 0.97 / np.abs(np.linalg.eigvals(A)).max(initial=1e-9)
+        B, C, D = (rng.standard_normal(shape) for shape in ((n, 2), (2, n), (2, 2)))
+        e = gyro_entry(job, A, B, C, 10.0 * D)
+        files = write_c(job, [e], tmp_path / str(n), number=number).files  # type: ignore[arg-type]
+        library = compiled(files, tmp_path / f"{n}.so")
+        fields = ["Q9", "Q10", "Q9_commanded", "Q10_commanded"]
+        made = Machine(library, "caging_9_10", ["alpha9", "beta10"], fields, TYPES[number])
+        readings = 1e-3 * rng.standard_normal((200, 2))
+        expected = control.forced_response(state_space(e), inputs=readings.T).outputs.T
+        error = np.abs(made.run(readings)[0][:, 2:] - expected).max()
+        assert error <= (1e-12 if number == "double" else 1e-4) * np.abs(expected).max()
+
+
+def test_controllers_of_one_name_do_not_overwrite_each_other(job: Job, tmp_path: Path) -> None:
+    gains = np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((2, 0)), np.eye(2)
+    one, other = entry(job, "Gyro 9.", gains, ("9", "10")), entry(job, "gyro 9", gains, ("5", "7"))
+    files = write_c(job, [one, other, other | {"outputs": ["Q4", "M1"]}], tmp_path).files
+    assert [f.stem for f in files[::2]] == ["gyro_9", "gyro_9_2", "gyro_9_3", "three_gyro_platform"]
+    compiled(files, tmp_path / "lib.so")
+
+
+@pytest.mark.parametrize("name", ["gcc", "g++"])
+def test_hostile_names_become_identifiers_and_comments(name: str, job: Job, tmp_path: Path) -> None:
+    """Names of a job that are meant to break out of identifiers and comments; -ffast-math does not compile."""
+    e = classical_entry(job, ("9", "10"))
+    wild = ["*/ #error x /*", "int", "NULL", "??/", "limited Q9", "π/2", "9 lives", "while", "x\\"]
+    rename = dict(zip([s["outputs"][0] for s in e["sections"][:-2]], wild, strict=False))
+    for section in e["sections"]:
+        section |= {key: [rename.get(one, one) for one in section[key]] for key in ("inputs", "outputs")}
+        section |= {"name": f"*/ int {section['name']}; /*", "note": "??/ \\ */ // #error ¿qué? π"}
+    e |= {"design": "*/ main() { } /*", "method": "/*"}
+    files = write_c(job, [e], tmp_path, command="a */ b", versions={"*/": "??/"}).files
+    assert all(file.read_text().isascii() for file in files)
+    compiled(files, tmp_path / "lib.so", name)
+    command = [compiler(), "-ffast-math", "-fsyntax-only", str(files[1])]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert "compile without" in done.stderr
+
+
+def test_identifiers_and_comments_are_safe() -> None:
+    assert identifier("caging 4-5-7") == "caging_4_5_7"
+    assert identifier("α9") == "alpha9"
+    assert identifier("int") == "int_n"
+    assert identifier("int16_t") == "int16_t_n"
+    assert Names(24, FILES)["stdint"] == "stdint_2"
+    names = Names()
+    assert names["limited", "Q"] != names["limited Q"]
+    assert names["limited", "Q"] == names["limited", "Q"]
+    assert identifier("5") == "n5"
+    assert identifier("***") == "n"
+    assert identifier("__x__") == "x"
+    assert identifier("three-gyro platform: caging and stabilisation", 24) == "three_gyro_platform"
+    assert len(identifier("x" * 500)) == 48
+    assert comment("a */ b /* c ??/ d\\\n\te") == "a * / b / * c ? ?/ d/ e"
+    assert "??" not in comment("?" * 9)
+    assert comment("kg m² μ") == "kg m2 mu"
+
+
+def test_integrals_that_no_limited_output_determines_have_a_note(job: Job) -> None:
+    rng = np.random.default_rng(4)
+    B, C, D = (rng.standard_normal(shape) for shape in ((3, 2), (2, 3), (2, 2)))
+    [one] = controllers_of(job, [gyro_entry(job, np.eye(3), B, C, D)])
+    assert "1 of 3 integrating states are not protected against windup" in back_calculation(one).note
+    none = dataclasses.replace(one, limits=np.full(2, np.inf))
+    assert "no output is limited" in back_calculation(none).remark
+    [one] = controllers_of(job, [gyro_entry(job, np.diag([0.5, 0.2, 0.1]), B, C, D)])
+    assert "no state integrates" in back_calculation(one).remark
+    # A double integral, as of a PI with a second one, is not left behind.
+    [one] = controllers_of(job, [gyro_entry(job, [[1.0, 1.0], [0.0, 1.0]], np.eye(2), 0.1 * np.eye(2), np.eye(2))])
+    windup = back_calculation(one)
+    assert windup.note == ""
+    assert np.abs(np.linalg.eigvals(one.arrays.A - windup.gain @ one.arrays.C)).max() < 1.0
+
+
+def test_entries_are_checked_as_those_of_a_result_file(job: Job) -> None:
+    good = classical_entry(job, ("9", "10"))
+    with pytest.raises(ArgumentError, match="list of controllers"):
+        controllers_of(job, good)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="list of controllers"):
+        controllers_of(job, [])
+    with pytest.raises(InputError, match="dt"):
+        controllers_of(job, [good | {"dt": 0.001}])

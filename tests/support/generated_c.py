@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import ctypes
+import dataclasses
+import json
 import shutil
 import subprocess
 from collections.abc import Sequence
@@ -13,13 +15,14 @@ import control
 import numpy as np
 import pytest
 
+from platform_ctrl.common.json_text import json_text
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.cases import rows_of
 from platform_ctrl.design.classical.caging import classical_controller
 from platform_ctrl.design.fixed_structure.caging import pid_structure
 from platform_ctrl.design.loop import LoopProblem, designed
 from platform_ctrl.design.partition import channels
-from platform_ctrl.export.c99.controller_files import ControllerFiles
+from platform_ctrl.design.plants import plants_of
 from platform_ctrl.job.job import Job
 from platform_ctrl.mechanics.linearisation import linearise
 
@@ -42,37 +45,37 @@ CLASSICAL = {
 }  # fmt: skip
 
 
-def classical_entry(job: Job, gimbals: tuple[str, ...], **other: float) -> dict[str, Any]:
-    """A classical caging loop as it stands in result.json."""
+def designed_entry(job: Job, number: int, **options: float) -> dict[str, Any]:
+    """The first design of a loop of the job, with these options, as it stands in result.json."""
+    spec = job.loops[number]
+    own = dataclasses.replace(spec.designs[0], tune=False, options=options or spec.designs[0].options)
+    plants = plants_of(job, spec) if spec.has_plants else None
     model = linearise(job.platform)
-    options = CLASSICAL[gimbals] | other
-    block = classical_controller(options, channels(model, rows_of(model, gimbals)), job.sampling.period)
-    return entry(job, f"caging {'-'.join(gimbals)}", block, gimbals) | {
-        "design": "classical", "method": "classical", "options": options,
-    }  # fmt: skip
+    made = designed(LoopProblem(job=job, spec=spec, design=own, model=model, plant_set=plants))
+    K = made.controller
+    out: dict[str, Any] = json.loads(
+        json_text(
+            {
+                "name": spec.name, "design": made.name, "method": made.method, "dt": K.dt,
+                **{name: getattr(K, name) for name in "ABCD"}, "inputs": K.input_labels, "outputs": K.output_labels,
+                "delay": job.sampling.delay, "sections": [section.record() for section in made.sections],
+            }
+        )
+    )  # fmt: skip
+    return out
+
+
+def classical_entry(job: Job, gimbals: tuple[str, ...], **other: float) -> dict[str, Any]:
+    """A classical caging loop."""
+    return designed_entry(job, list(CLASSICAL).index(gimbals), **CLASSICAL[gimbals] | other)
 
 
 def pid_entry(job: Job, gimbals: tuple[str, ...]) -> dict[str, Any]:
-    """A matrix PID as the structured design makes it."""
-    model = linearise(job.platform)
-    channel = channels(model, rows_of(model, gimbals))
+    """A matrix PID as the structured design makes it: no sections."""
+    channel = channels(model := linearise(job.platform), rows_of(model, gimbals))
     like = classical_controller(CLASSICAL[gimbals], channel, job.sampling.period)
     family = pid_structure(like, channel, job.sampling.period, 500.0, 12.6, 5000.0)
-    return entry(job, f"caging {'-'.join(gimbals)}", family.block(family.start), gimbals) | {
-        "design": "structured", "method": "structured", "options": {"integral_hz": 2.0},
-    }  # fmt: skip
-
-
-def servo_entry(job: Job) -> dict[str, Any]:
-    """The platform servo of the job."""
-    spec = job.loops[2]
-    design = designed(LoopProblem(job=job, spec=spec, design=spec.designs[0], model=linearise(job.platform)))
-    K = design.controller
-    return {
-        "name": spec.name, "design": design.name, "method": design.method, "dt": job.sampling.period,
-        **{name: getattr(K, name).tolist() for name in "ABCD"}, "inputs": list(K.input_labels),
-        "outputs": list(K.output_labels), "delay": job.sampling.delay, "options": design.options,
-    }  # fmt: skip
+    return entry(job, f"caging {'-'.join(gimbals)}", family.block(family.start), gimbals) | {"design": "structured"}
 
 
 def entry(job: Job, name: str, block: Sequence[FloatArray], gimbals: tuple[str, ...]) -> dict[str, Any]:
@@ -162,11 +165,3 @@ def state_space(entry: dict[str, Any]) -> control.StateSpace:
 def flat(path: Path) -> str:
     """The text of a header on one line, without comment marks."""
     return " ".join(path.read_text().replace("*", " ").split())
-
-
-def pair(unit: ControllerFiles, folder: Path) -> list[Path]:
-    """Header and source of a controller, written."""
-    files = [folder / f"{unit.prefix}.{end}" for end in "hc"]
-    for file, text in zip(files, (unit.header(), unit.source()), strict=True):
-        file.write_text(text, encoding="ascii")
-    return files

@@ -18,54 +18,17 @@ Every block is sampled by Tustin's rule; channels share their states, so that no
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Literal, NamedTuple
 
 import numpy as np
 
 from platform_ctrl.analysis.arrays import StateArrays
-from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.loop import Designed, LoopProblem, completed
 from platform_ctrl.design.partition import Channels, between, first_order, gain, notch
+from platform_ctrl.design.sections import Section, flattened
 from platform_ctrl.design.tuning import tuned
 from platform_ctrl.errors import DesignError
 from platform_ctrl.job.job import DesignSpec
 from platform_ctrl.job.methods import METHODS
-
-Kind = Literal["mix", "integral", "lag", "lead", "notch", "low-pass"]
-
-
-class Stage(NamedTuple):
-    """A block of a diagram: name and kind, what it is in continuous time (frequencies in Hz), sampled, signal names."""
-
-    name: str
-    kind: Kind
-    note: str
-    block: StateArrays
-    inputs: tuple[str, ...]
-    outputs: tuple[str, ...]
-
-
-def flattened(stages: Sequence[Stage], inputs: Sequence[str], outputs: Sequence[str]) -> StateArrays:
-    """Return the diagram from `inputs` to `outputs` as one system; its states are the stages' in their order."""
-    n, m = sum(len(stage.block.A) for stage in stages), len(inputs)
-    rows: dict[str, FloatArray] = dict(zip(inputs, np.eye(m, n + m, n), strict=True))
-    later = np.zeros((n, n + m))
-    first = 0
-    for stage in stages:
-        a, b, c, d, _ = stage.block
-        last = first + len(a)
-        taken = np.array([rows[name] for name in stage.inputs])
-        shown = d @ taken
-        if last > first:
-            later[first:last] = b @ taken
-            later[first:last, first:last] += a
-            shown[:, first:last] += c
-        rows.update(zip(stage.outputs, shown, strict=True))
-        first = last
-    given = np.array([rows[name] for name in outputs])
-    period = max(stage.block.dt for stage in stages)
-    return StateArrays(later[:, :n], later[:, n:], given[:, :n], given[:, n:], period)
-
 
 # Moved by the tuner, in this order: the simplex depends on it.
 TUNABLE = METHODS["classical"].tunable
@@ -162,27 +125,28 @@ def classical_controller(options: dict[str, float], channel: Channels, period: f
     """
     count = range(len(channel.basis))
     directions, torques = [_measured(k) for k in count], [_set(k) for k in count]
-    along = flattened(classical_stages(options, channel, period), directions, torques)
+    along = flattened(_along(options, channel, period), directions, torques)
     return between(channel.basis, along, channel.basis.T)
 
 
-def classical_diagram(
-    options: dict[str, float], channel: Channels, period: float, angles: Sequence[str], torques: Sequence[str]
-) -> tuple[Stage, ...]:
-    """Return the same controller block by block, from the `angles` to the `torques` of the gimbals."""
+def classical_sections(problem: LoopProblem, options: dict[str, float]) -> tuple[Section, ...]:
+    """Return the same controller section by section, from the readings to the torques of the loop."""
+    channel, plants = problem.channel, problem.plant_set
+    assert plants is not None, "a caging loop has plants"
     count = range(len(channel.basis))
     into, out = tuple(_measured(k) for k in count), tuple(_set(k) for k in count)
+    directions = channel.basis if channel.sense is None else channel.basis @ channel.sense
     return (
-        Stage("directions", "mix", "angles in the directions of the gyros", gain(channel.basis), tuple(angles), into),
-        *classical_stages(options, channel, period),
-        Stage("torques", "mix", "torques back on the gimbals", gain(channel.basis.T), out, tuple(torques)),
+        Section("directions", "mix", "angles in the directions of the gyros", gain(directions), plants.angles, into),
+        *_along(options, channel, plants.period),
+        Section("torques", "mix", "torques back on the gimbals", gain(channel.basis.T), out, plants.torques),
     )
 
 
-def classical_stages(options: dict[str, float], channel: Channels, period: float) -> list[Stage]:
-    """Return the blocks between the measured directions and the torques in these directions."""
+def _along(options: dict[str, float], channel: Channels, period: float) -> list[Section]:
+    """Return the sections between the measured directions and the torques in these directions."""
     inputs = [_measured(k) for k in range(len(channel.basis))]
-    out: list[Stage] = []
+    out: list[Section] = []
     if "spin_notch_hz" in options:
         for k, source in enumerate(inputs):
             inputs[k] = f"quiet_{k + 1}"
@@ -195,9 +159,11 @@ def classical_stages(options: dict[str, float], channel: Channels, period: float
     return out
 
 
-def _pair(options: dict[str, float], channel: Channels, pair: int, inputs: Sequence[str], period: float) -> list[Stage]:
-    """Return the blocks of a gyroscopic pair: a torque about one axis turns the other, so integrals act across."""
-    out: list[Stage] = []
+def _pair(
+    options: dict[str, float], channel: Channels, pair: int, inputs: Sequence[str], period: float
+) -> list[Section]:
+    """Return the sections of a gyroscopic pair: a torque about one axis turns the other, so integrals act across."""
+    out: list[Section] = []
     crosses, rates = [], []
     for axis, source in enumerate(inputs, 1):
         name, where = f"_{pair + 1}_{axis}", f"pair {pair + 1}, axis {axis}"
@@ -209,7 +175,7 @@ def _pair(options: dict[str, float], channel: Channels, pair: int, inputs: Seque
         zero, pole = options["lead_hz"], options["rolloff_hz"]
         note = f"{where}: (s + wz)/(s/wr + 1), zero at {zero:.6g} Hz, pole at {pole:.6g} Hz, by Tustin's rule"
         rates.append(f"rate{name}")
-        out.append(Stage(f"lead{name}", "lead", note, lead, (source,), (rates[-1],)))
+        out.append(Section(f"lead{name}", "lead", note, lead, (source,), (rates[-1],)))
     h = channel.momenta[pair]
     across = h * _rad(options, "crossover_hz")
     one, two = (
@@ -222,12 +188,12 @@ def _pair(options: dict[str, float], channel: Channels, pair: int, inputs: Seque
         f"{options['damping_hz']:.6g} and {options['damping2_hz']:.6g} Hz"
     )
     sources = (crosses[0], rates[0], crosses[1], rates[1])
-    out.append(Stage(f"pair_{pair + 1}", "mix", note, gain(mix), sources, (_set(2 * pair), _set(2 * pair + 1))))
+    out.append(Section(f"pair_{pair + 1}", "mix", note, gain(mix), sources, (_set(2 * pair), _set(2 * pair + 1))))
     return out
 
 
-def _inertial(options: dict[str, float], channel: Channels, k: int, source: str, period: float) -> list[Stage]:
-    """Return the blocks of a direction without gyroscopic action: a PID."""
+def _inertial(options: dict[str, float], channel: Channels, k: int, source: str, period: float) -> list[Section]:
+    """Return the sections of a direction without gyroscopic action: a PID."""
     number = k + 1 - 2 * len(channel.momenta)
     name, where = f"_inertial_{number}", f"inertial direction {number}"
     w0, wz = _rad(options, "inertial_crossover_hz"), _rad(options, "inertial_lead_hz")
@@ -236,34 +202,34 @@ def _inertial(options: dict[str, float], channel: Channels, k: int, source: str,
     lead = first_order(1.0 / wz, 1.0, 1.0 / _rad(options, "inertial_rolloff_hz"), 1.0, period)
     zero, pole = options["inertial_lead_hz"], options["inertial_rolloff_hz"]
     note = f"{where}: (s/wz + 1)/(s/wr + 1), zero at {zero:.6g} Hz, pole at {pole:.6g} Hz, by Tustin's rule"
-    out.append(Stage(f"lead{name}", "lead", note, lead, out[-1].outputs, (f"rate{name}",)))
+    out.append(Section(f"lead{name}", "lead", note, lead, out[-1].outputs, (f"rate{name}",)))
     note = f"inertia {channel.inertias[k]:.6g} kg m2, crossover at {options['inertial_crossover_hz']:.6g} Hz"
-    out.append(Stage(f"gain{name}", "mix", note, gain(-strength), out[-1].outputs, (_set(k),)))
+    out.append(Section(f"gain{name}", "mix", note, gain(-strength), out[-1].outputs, (_set(k),)))
     return out
 
 
-def integrated(options: dict[str, float], name: str, where: str, source: str, period: float) -> list[Stage]:
+def integrated(options: dict[str, float], name: str, where: str, source: str, period: float) -> list[Section]:
     """Return the PI of a direction, and behind it the lag where there is one."""
     integral = first_order(1.0, _rad(options, "integral_hz"), 1.0, 0.0, period)
     note = f"{where}: 1 + wi/s, corner at {options['integral_hz']:.6g} Hz, by Tustin's rule"
-    out = [Stage(f"pi{name}", "integral", note, integral, (source,), (f"cross{name}",))]
+    out = [Section(f"pi{name}", "integral", note, integral, (source,), (f"cross{name}",))]
     if "lag_hz" in options:
         corner, ratio = options["lag_hz"], options["lag_ratio"]
         lag = first_order(1.0, _rad(options, "lag_hz"), 1.0, _rad(options, "lag_hz") / ratio, period)
         note = f"{where}: (s + wl)/(s + wl/{ratio:.6g}), zero at {corner:.6g} Hz, pole at {corner / ratio:.6g} Hz"
-        out.append(Stage(f"lag{name}", "lag", f"{note}, by Tustin's rule", lag, out[-1].outputs, (f"lagged{name}",)))
+        out.append(Section(f"lag{name}", "lag", f"{note}, by Tustin's rule", lag, out[-1].outputs, (f"lagged{name}",)))
     return out
 
 
 def notch_stage(
     options: dict[str, float], option: str, name: str, where: str, source: str, target: str, period: float
-) -> Stage:
+) -> Section:
     """Return a notch by the options that begin with `option`."""
     depth, width = options[f"{option}_depth"], options[f"{option}_width"]
     block = notch(_rad(options, f"{option}_hz"), depth, width, period)
     hertz = options[f"{option}_hz"]
     note = f"{where}: notch at {hertz:.6g} Hz, depth {depth:.6g}, width {width:.6g}, by Tustin's rule prewarped there"
-    return Stage(f"{option}{name}", "notch", note, block, (source,), (target,))
+    return Section(f"{option}{name}", "notch", note, block, (source,), (target,))
 
 
 def _rad(options: dict[str, float], name: str) -> float:

@@ -11,12 +11,15 @@ angle, a tracker's, has the same plant with J = 1. Every block is sampled by Tus
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from platform_ctrl.analysis.arrays import StateArrays
-from platform_ctrl.design.classical.caging import Stage, flattened, integrated, notch_stage
+from platform_ctrl.design.classical.caging import integrated, notch_stage
 from platform_ctrl.design.loop import Designed, LoopProblem, completed
 from platform_ctrl.design.partition import Channels, first_order, gain
+from platform_ctrl.design.sections import Section, flattened
 from platform_ctrl.design.tuning import tuned
 from platform_ctrl.errors import DesignError
 from platform_ctrl.job.job import DesignSpec
@@ -63,27 +66,50 @@ def rate_options(design: DesignSpec, channel: Channels, nutation: float, period:
 
 def rate_controller(options: dict[str, float], channel: Channels, period: float) -> StateArrays:
     """Return the sampled controller (u = K y, positive feedback) of the channels for complete `options`."""
-    count = range(len(channel.inertias))
-    inputs, outputs = [f"rate_{k + 1}" for k in count], [f"torque_{k + 1}" for k in count]
-    return flattened([stage for k in count for stage in _stages(options, channel, k, period)], inputs, outputs)
+    names = [f"{name}_{k + 1}" for name in ("rate", "torque") for k in range(len(channel.inertias))]
+    inputs, outputs = names[: len(channel.inertias)], names[len(channel.inertias) :]
+    return flattened(_along(options, channel, period, inputs, outputs), inputs, outputs)
 
 
-def _stages(options: dict[str, float], channel: Channels, k: int, period: float) -> list[Stage]:
-    """Return the blocks of a channel."""
+def rate_sections(problem: LoopProblem, options: dict[str, float]) -> tuple[Section, ...]:
+    """Return the same controller section by section, from the readings to the torques of the loop."""
+    channel, plants = problem.channel, problem.plant_set
+    assert plants is not None, "a rate loop has plants"
+    if channel.sense is None:
+        return _along(options, channel, plants.period, plants.angles, plants.torques)
+    rates = tuple(f"rate_{k + 1}" for k in range(len(channel.sense)))
+    into = Section("directions", "mix", "readings along the channels", gain(channel.sense), plants.angles, rates)
+    return (into, *_along(options, channel, plants.period, rates, plants.torques))
+
+
+def _along(
+    options: dict[str, float], channel: Channels, period: float, inputs: Sequence[str], outputs: Sequence[str]
+) -> tuple[Section, ...]:
+    """Return the sections of all channels."""
+    signals = enumerate(zip(inputs, outputs, strict=True))
+    return tuple(
+        one for k, (source, target) in signals for one in _channel(options, channel, k, period, source, target)
+    )
+
+
+def _channel(
+    options: dict[str, float], channel: Channels, k: int, period: float, source: str, target: str
+) -> list[Section]:
+    """Return the sections of a channel."""
     name, where = f"_{k + 1}", f"channel {k + 1}"
-    out = integrated(options, name, where, f"rate{name}", period)
+    out = integrated(options, name, where, source, period)
     if "double_integral_hz" in options:
         corner = options["double_integral_hz"]
         block = first_order(1.0, 2.0 * np.pi * corner, 1.0, 0.0, period)
         note = f"{where}: 1 + w2/s, corner at {corner:.6g} Hz, by Tustin's rule"
-        out.append(Stage(f"pi2{name}", "integral", note, block, out[-1].outputs, (f"twice{name}",)))
+        out.append(Section(f"pi2{name}", "integral", note, block, out[-1].outputs, (f"twice{name}",)))
     if "notch_hz" in options:
         out.append(notch_stage(options, "notch", name, where, out[-1].outputs[0], f"sharp{name}", period))
     corner = options["rolloff_hz"]
     block = first_order(0.0, 1.0, 1.0 / (2.0 * np.pi * corner), 1.0, period)
     note = f"{where}: 1/(s/wr + 1), pole at {corner:.6g} Hz, by Tustin's rule"
-    out.append(Stage(f"low{name}", "low-pass", note, block, out[-1].outputs, (f"smooth{name}",)))
+    out.append(Section(f"low{name}", "low-pass", note, block, out[-1].outputs, (f"smooth{name}",)))
     strength = channel.inertias[k] * 2.0 * np.pi * options["crossover_hz"]
     note = f"inertia {channel.inertias[k]:.6g} kg m2 times {options['crossover_hz']:.6g} Hz"
-    out.append(Stage(f"gain{name}", "mix", note, gain(-strength), out[-1].outputs, (f"torque{name}",)))
+    out.append(Section(f"gain{name}", "mix", note, gain(-strength), out[-1].outputs, (target,)))
     return out

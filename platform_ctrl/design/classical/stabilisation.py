@@ -9,16 +9,15 @@ second-order low-pass keeps the pick-offs' noise out of the root's torquers; the
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.design.classical.caging import Stage, flattened
 from platform_ctrl.design.loop import Designed, LoopProblem, completed
 from platform_ctrl.design.loop_signals import parallel
 from platform_ctrl.design.partition import between, first_order, gain, low_pass
+from platform_ctrl.design.sections import Section, flattened
 from platform_ctrl.errors import DesignError
+from platform_ctrl.job.job import Job
 from platform_ctrl.mechanics.linearisation import LinearModel
 
 # A gyro torque whose share in a rate is smaller than this (relative to the largest) is not measured for it.
@@ -61,15 +60,14 @@ def platform_servo(problem: LoopProblem) -> Designed:
             f"{spec.name}: filter_hz must be below half the sample rate, got {options['filter_hz']:g}", model
         )
     estimate, used = rate_estimate(model)
-    torquers = {t.gimbal: t.name for t in job.platform.torquers if t.gimbal is not None}
-    roots = {t.root_axis: t.name for t in job.platform.torquers if t.root_axis is not None}
+    torquers, roots = _torquers(job)
     missing = [model.gimbal_names[k] for k in used if model.gimbal_names[k] not in torquers]
     if missing or set(roots) != {1, 2, 3}:
         wanted = f"gimbal {missing[0]}" if missing else "root axes 1, 2 and 3"
         raise DesignError(f"{spec.name}: there is no torquer on {wanted}; add one to the plant file", model)
     period = job.sampling.period
     turns, speeds = _per_axis("turn"), _per_axis("speed")
-    servo = between(estimate, flattened(_axis_stages(options, period), turns, speeds), _strength(options, model))
+    servo = between(estimate, flattened(_axis_sections(options, period), turns, speeds), _strength(options, model))
     return Designed(
         controller=servo,
         options=options,
@@ -78,21 +76,28 @@ def platform_servo(problem: LoopProblem) -> Designed:
     )
 
 
-def servo_diagram(
-    options: dict[str, float], model: LinearModel, period: float, torques: Sequence[str], roots: Sequence[str]
-) -> tuple[Stage, ...]:
-    """Return the servo block by block, from the gyros' torques (in `rate_estimate`'s order) to those on the root."""
-    estimate, _ = rate_estimate(model)
+def _torquers(job: Job) -> tuple[dict[str, str], dict[int, str]]:
+    """Return the names of the torquers by gimbal, and of those on the root by axis."""
+    gimbals = {t.gimbal: t.name for t in job.platform.torquers if t.gimbal is not None}
+    return gimbals, {t.root_axis: t.name for t in job.platform.torquers if t.root_axis is not None}
+
+
+def servo_sections(problem: LoopProblem, options: dict[str, float]) -> tuple[Section, ...]:
+    """Return the servo section by section, from the gyros' torques to those on the root."""
+    model, period = problem.model, problem.job.sampling.period
+    estimate, used = rate_estimate(model)
+    gimbals, roots = _torquers(problem.job)
+    measured, set_ = tuple(gimbals[model.gimbal_names[k]] for k in used), tuple(roots[axis] for axis in (1, 2, 3))
     turns, speeds = _per_axis("turn"), _per_axis("speed")
     note = f"inertia of the platform times {options['crossover_hz']:.6g} Hz"
     return (
-        Stage("rates", "mix", "platform rates by least squares from L Omega", gain(estimate), tuple(torques), turns),
-        *_axis_stages(options, period),
-        Stage("servo", "mix", note, gain(_strength(options, model)), speeds, tuple(roots)),
+        Section("rates", "mix", "platform rates by least squares from L Omega", gain(estimate), measured, turns),
+        *_axis_sections(options, period),
+        Section("servo", "mix", note, gain(_strength(options, model)), speeds, set_),
     )
 
 
-def _axis_stages(options: dict[str, float], period: float) -> list[Stage]:
+def _axis_sections(options: dict[str, float], period: float) -> list[Section]:
     """Return low-pass, integral and their sum for every axis."""
     rad = {name: 2.0 * np.pi * x for name, x in options.items() if name.endswith("_hz")}
     low = low_pass(rad["filter_hz"], options["filter_damping"], period)
@@ -104,11 +109,11 @@ def _axis_stages(options: dict[str, float], period: float) -> list[Stage]:
     out = []
     for k, (turn, speed) in enumerate(zip(_per_axis("turn"), _per_axis("speed"), strict=True), 1):
         rate, angle = f"rate_{k}", f"angle_{k}"
-        out.append(Stage(f"low_pass_{k}", "low-pass", filtered, low, (turn,), (rate,)))
+        out.append(Section(f"low_pass_{k}", "low-pass", filtered, low, (turn,), (rate,)))
         out.append(
-            Stage(f"integral_{k}", "integral", "1/s, angle from rate, by Tustin's rule", integral, (rate,), (angle,))
+            Section(f"integral_{k}", "integral", "1/s, angle from rate, by Tustin's rule", integral, (rate,), (angle,))
         )
-        out.append(Stage(f"sum_{k}", "mix", summed, mix, (rate, angle), (speed,)))
+        out.append(Section(f"sum_{k}", "mix", summed, mix, (rate, angle), (speed,)))
     return out
 
 

@@ -9,32 +9,31 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from platform_ctrl.analysis.arrays import StateArrays
+from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.common.files import write_whole
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.text import at_most
 from platform_ctrl.common.values import value
-from platform_ctrl.errors import InputError
+from platform_ctrl.design.sections import flattened
+from platform_ctrl.errors import InputError, UnscalableError
 from platform_ctrl.export.c99.c_text import FILES, Names, field_names
-from platform_ctrl.export.c99.controller_files import ControllerFiles, job_files
-from platform_ctrl.export.c99.float_error import NOTED, float_error
-from platform_ctrl.export.c99.floating_files import (
-    FloatingFiles,
-    Number,
-    cost_of,
-    drive_inputs,
-    drive_notes,
-    drive_words,
-)
-from platform_ctrl.export.c99.from_design import entries_of, scheme_of, with_excess
-from platform_ctrl.export.c99.scheme import Entry, Scheme, excess_gain
-from platform_ctrl.export.c99.windup import Windup, back_calculation, proved
+from platform_ctrl.export.c99.code import Code, Number
+from platform_ctrl.export.c99.controller import Controller, controllers_of
+from platform_ctrl.export.c99.job_files import drive_inputs, job_files
+from platform_ctrl.export.c99.windup import Windup, back_calculation
+from platform_ctrl.export.systems import signal_units
 from platform_ctrl.job.job import Job
 
 if TYPE_CHECKING:
     import control
 
+AntiWindup = Literal["back-calculation", "none"]
 
-AntiWindup = Literal["back-calculation", "proved", "none"]
+# Relative change of the response by coefficients in single precision that causes a note, and an error.
+_NOTED, _REFUSED = 1e-3, 1e-2
+# A pole this little outside the unit circle lies on it.
+_ON_CIRCLE = 1e-6
 
 
 @value
@@ -68,10 +67,9 @@ def write_c(
     folder
         Where to; made if it is not there.
     number
-        Type of all numbers: ``"double"``, or ``"float"``.
+        Type of all numbers: ``"double"`` or ``"float"``.
     anti_windup
-        What the excess of a limited torque does: ``"back-calculation"`` takes integrators back, ``"proved"`` is
-        the gain of `design.anti_windup` where there is one, ``"none"``.
+        What the excess of a limited torque does: ``"back-calculation"`` takes integrators back, ``"none"``.
     sha256
         Of the result file, hexadecimal digits, for the headers.
     versions
@@ -91,63 +89,84 @@ def write_c(
     ArgumentError
         An option is none of those above.
     DesignError
-        A controller cannot be written with an unchanged response, or not in this number type.
+        A controller cannot be written in this number type.
     """
-    schemes, remarks = [], []
-    notes: list[str] = []
-    for entry in entries_of(job, entries):
-        scheme = scheme_of(job, entry, sha256=sha256, versions=dict(versions or {}), command=command)
-        windup = _windup(job, scheme, entry, anti_windup)
-        schemes.append(with_excess(scheme, windup.gain))
-        remarks.append(windup.remark)
-        notes += windup.notes
-    named = [name for scheme in schemes for name in (*scheme.inputs, *scheme.outputs)]
+    controllers = controllers_of(job, entries)
+    named = [name for one in controllers for name in (*one.inputs, *one.outputs)]
     signals = field_names([*named, *drive_inputs(job, named)])
     prefixes = Names(24, FILES)
-    units: list[ControllerFiles] = []
-    for scheme, remark in zip(schemes, remarks, strict=True):
-        own: dict[str, Any] = {"prefix": prefixes.new(scheme.name).lower(), "signals": signals}
-        words, doubts = _in_single_precision(scheme) if number == "float" else ([], [])
-        units.append(FloatingFiles(scheme=scheme, number=number, remarks=(remark, *words), **own))
-        notes += doubts
-    texts: dict[str, str] = {}
-    for unit in units:
-        texts |= {f"{unit.prefix}.h": unit.header(), f"{unit.prefix}.c": unit.source()}
+    units, notes = [], []
+    origin = {"Controllers": f"sha256 {sha256}" if sha256 else ""}
+    origin |= {"Versions": ", ".join(map(" ".join, (versions or {}).items())), "Made by": command}
+    for one in controllers:
+        windup = _no_windup(one) if anti_windup == "none" else back_calculation(one)
+        remark, doubt = _in_single_precision(one) if number == "float" else ("", "")
+        design = f"{one.design} (method {one.method})" if one.method else one.design
+        about = {"Job": job.name, "Plant": job.platform.name, "Loop": one.name, "Design": design}
+        units.append(
+            Code(
+                controller=one,
+                excess=windup.gain,
+                number=number,
+                prefix=prefixes.new(one.name).lower(),
+                signals=signals,
+                units=signal_units(job.platform),
+                remarks=tuple(text for text in (windup.remark, remark) if text),
+                origin=about | origin,
+            )
+        )
+        notes += [note for note in (one.note, windup.note, doubt) if note]
+    texts = {f"{unit.prefix}.{end}": unit.text(end) for unit in units for end in "hc"}
     prefix = prefixes.new(job.name).lower()
-    texts |= job_files(prefix, units, job.sampling.period, cost=cost_of(schemes), **drive_words(job, units))
-    notes += drive_notes(job, prefix)
+    texts |= job_files(job, prefix, units)
+    if job.drives:
+        notes.append(f"{prefix}.h: what the drives do is in {prefix}_step, not in the steps of single controllers")
     target = Path(folder)
     try:
         target.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         why = error.strerror or error
         raise InputError(f"{target}: {why}; name a folder, or a path where one can be made") from None
-    files = tuple(write_whole(target / name, text) for name, text in texts.items())
-    return Written(files=files, notes=tuple(notes))
+    return Written(files=tuple(write_whole(target / name, text) for name, text in texts.items()), notes=tuple(notes))
 
 
-def _windup(job: Job, scheme: Scheme, entry: Entry, requested: AntiWindup) -> Windup:
-    if entry.excess is not None and requested != "none":
-        remark = "Anti-windup: the gain E that came with the controller, x+ = A x + B y + E (limited - commanded)."
-        return Windup(gain=excess_gain(scheme), remark=remark)
-    if requested == "none":
-        gain = np.zeros((len(scheme.states), len(scheme.outputs)))
-        remark = "Anti-windup: none, as requested: integrals wind up while an output is at its limit."
-        return Windup(gain=gain, remark=remark)
-    return proved(job, scheme) if requested == "proved" else back_calculation(scheme)
+def _no_windup(one: Controller) -> Windup:
+    remark = "Anti-windup: none, as requested: integrals wind up while an output is at its limit."
+    return Windup(gain=np.zeros((len(one.states), len(one.outputs))), remark=remark)
 
 
-def _in_single_precision(scheme: Scheme) -> tuple[list[str], list[str]]:
-    """Return a paragraph for the header about the errors of float, and notes on large ones."""
-    error = float_error(scheme)
-    words = (
-        f"Float against double: rounded coefficients change the response by at most {at_most(error.response, 2)} of "
-        f"its size, and a pole by {at_most(error.pole, 2)} of its distance from z = 1."
+def _in_single_precision(one: Controller) -> tuple[str, str]:
+    """Return a paragraph for the header about coefficients in single precision, and a note where they change much."""
+    change = float_error(one)
+    said = f"{one.name}: in single precision the response changes by {change:.2g} of its size"
+    if not change <= _REFUSED:
+        raise UnscalableError(f"{said}, but {_REFUSED:g} is allowed; use double", one)
+    remark = (
+        f"Float against double: rounded coefficients change the response by at most {at_most(change, 2)} of its size."
     )
-    notes = []
-    if max(error.response, error.pole) > NOTED:
-        notes.append(
-            f"{scheme.name}: as float, the response changes by {error.response:.2g} of its size and a pole by "
-            f"{error.pole:.2g} of its distance from z = 1"
-        )
-    return [words], notes
+    return remark, said if change > _NOTED else ""
+
+
+def float_error(one: Controller) -> float:
+    """Return the largest relative change of a controller's response by coefficients in single precision."""
+    K = one.arrays
+    largest = max(float(np.abs(item).max(initial=0.0)) for section in one.sections for item in section.block[:4])
+    if not max(largest, *one.limits[np.isfinite(one.limits)], 0.0) <= float(np.finfo(np.float32).max):
+        raise UnscalableError(f"{one.name}: the number {largest:.3g} does not fit a float; use double", one)
+
+    def single(block: StateArrays) -> StateArrays:
+        A, B, C, D = (item.astype(np.float32).astype(np.float64) for item in block[:4])
+        return StateArrays(A, B, C, D, block.dt)
+
+    sections = [section._replace(block=single(section.block)) for section in one.sections]
+    rounded = flattened(sections, one.inputs, one.outputs)
+    # A resonance changes most at its frequency, which a grid misses where it is narrow. The response of an undamped one
+    # is not compared there.
+    z = np.concatenate([np.linalg.eigvals(item.A) for item in (K, rounded)])
+    own = np.abs(np.angle(z[1.0 - np.abs(z) > _ON_CIRCLE]))
+    angles = np.concatenate([np.geomspace(1e-7, np.pi, 400), own[own >= 1e-7]])
+    before, after = (frequency_response(item, np.unique(angles) / K.dt, -3) for item in (K, rounded))
+    size = np.linalg.norm(before, axis=(1, 2))
+    # Gains far below the median are not compared.
+    size = np.maximum(size, 1e-3 * np.median(size))
+    return float((np.linalg.norm(after - before, axis=(1, 2)) / np.where(size > 0.0, size, 1.0)).max())

@@ -1,0 +1,219 @@
+"""The text of a controller's header and source file, C99 that also compiles as C++."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+
+from platform_ctrl.common.values import FloatArray
+from platform_ctrl.export.c99.c_text import Names, comment, field, joined, rendered
+from platform_ctrl.export.c99.controller import Controller
+
+Number = Literal["double", "float"]
+Paragraph = tuple[str, list[str]]  # Title, and lines
+_INDENT = " " * 8
+
+
+def literal(x: float, number: Number) -> str:
+    """Return a number as a C constant that is read back as it is (a float: the nearest one)."""
+    text = repr(float(x)) if number == "double" else str(np.float32(x))
+    text = text if "." in text or "e" in text else f"{text}.0"
+    return text if number == "double" else f"{text}F"
+
+
+def total(weights: Iterable[float], operands: Sequence[str], number: Number) -> list[str]:
+    """Return the terms of Σ weights operands; zeros have none."""
+    out = []
+    for weight, operand in zip(weights, operands, strict=True):
+        if abs(weight) == 1.0:
+            out.append(operand if weight > 0.0 else f"-{operand}")
+        elif weight != 0.0:
+            out.append(f"({literal(weight, number)} * {operand})")
+    return out or [literal(0.0, number)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Code:
+    """The two files of a controller."""
+
+    controller: Controller
+    excess: FloatArray  # (states, outputs): E of the anti-windup
+    number: Number  # Type of all numbers
+    prefix: str  # First part of all external names; the names of the files
+    signals: dict[str, str]  # Identifiers of inputs and outputs by their names
+    units: dict[str, str]  # Units of inputs and outputs by their names
+    remarks: tuple[str, ...]  # Paragraphs for the head of the header
+    origin: dict[str, str]  # Where it comes from, for the head of the header, by label
+
+    @property
+    def period(self) -> float:
+        """Sample period, s."""
+        return self.controller.arrays.dt
+
+    def text(self, end: str) -> str:
+        """Return the text of the header, h, or of the source file, c."""
+        return rendered(f"controller.{end}.j2", unit=self, p=self.prefix, kind=self.number)
+
+    @cached_property
+    def fields(self) -> dict[str, str]:
+        """Identifiers of the states by their names."""
+        names = Names(40, ("last",))
+        return {name: names[name] for name in self.controller.states}
+
+    def input_field(self, name: str) -> str:
+        """Return the field of an input."""
+        return field(self.number, self.signals[name], self.units[name])
+
+    def output_field(self, name: str, purpose: str = "") -> str:
+        """Return the field of an output."""
+        return field(self.number, self.signals[name], f"{self.units[name]}, {self._bound(name, 'within', purpose)}")
+
+    def _bound(self, name: str, word: str, purpose: str = "") -> str:
+        limit = self.controller.limits[self.controller.outputs.index(name)]
+        return f"{word} +-{limit:.9g}{purpose}" if np.isfinite(limit) else "not limited"
+
+    @property
+    def structs(self) -> dict[str, list[str]]:
+        """Fields of inputs, outputs and states."""
+        K = self.controller
+        commands = [
+            field(self.number, f"{self.signals[name]}_commanded", f"{self.units[name]}, before the limit")
+            for name in K.outputs
+        ]
+        states = [
+            field(self.number, self.fields[name], f"{number}. {section.name}")
+            for number, section in enumerate(K.sections, 1)
+            for name in section.states
+        ]
+        return {
+            "in": [self.input_field(name) for name in K.inputs],
+            "out": [*(self.output_field(name, ": for the torquer") for name in K.outputs), *commands],
+            "state": [*states, f"    {self.prefix}_out last; /* outputs of the last step */"],
+        }
+
+    @property
+    def details(self) -> list[str]:
+        """Paragraphs of the head about signals, remarks and operations."""
+        K = self.controller
+        multiplications, additions, comparisons = self.operations
+        return [
+            *(f"in:  {self._named(name)}" for name in K.inputs),
+            *(
+                f"out: {self._named(name)}, {self._bound(name, 'limited to', ' ' + self.units[name])}"
+                for name in K.outputs
+            ),
+            "",
+            *(line for paragraph in self.remarks for line in (paragraph, "")),
+            f"A step takes {multiplications} multiplications, {additions} additions and subtractions, and at most "
+            f"{comparisons} comparisons, always in the same order; {len(K.states)} states. No allocation, recursion, "
+            "loop, global variable or library function.",
+            "",
+            "Inputs that are not finite, and states or commands that would not be: the step changes nothing, repeats "
+            f"the last outputs and returns {self.prefix.upper()}_NOT_FINITE. Pointers are not checked.",
+        ]
+
+    def _named(self, name: str) -> str:
+        own = "" if self.signals[name] == name else f", field {self.signals[name]}"
+        return comment(f"{name} [{self.units[name]}]{own}")
+
+    @property
+    def operations(self) -> tuple[int, int, int]:
+        """Multiplications, additions with subtractions, and comparisons of a step, the last the most there can be."""
+        K, code = self.controller, "".join(line for _, lines in self.step.paragraphs for line in lines)
+        numbers = len(K.inputs) + len(K.states) + len(K.outputs)
+        # Two comparisons for each number that has to be finite; two to limit and two for the status.
+        return (
+            code.count(" * "),
+            code.count(" + ") + code.count(" - "),
+            2 * numbers + 4 * int(np.isfinite(K.limits).sum()),
+        )
+
+    @cached_property
+    def step(self) -> Step:
+        """The statements of a step, and expressions of its results."""
+        return Step(self)
+
+
+class Step:
+    """The statements of a step by paragraphs, and what the template of the source needs beside them."""
+
+    def __init__(self, unit: Code) -> None:
+        K = self._K = unit.controller
+        self._unit, self._kind = unit, unit.number
+        ends = ("", "_step", "_reset", "_in", "_out", "_state", "_usable", "_limited")
+        # Locals differ from functions and types; fields are read through a pointer.
+        self._names = Names(56, tuple(f"{unit.prefix}{end}" for end in ends))
+        self._reads = {name: f"in->{unit.signals[name]}" for name in K.inputs}
+        self._states = {name: f"state->{field}" for name, field in unit.fields.items()}
+        self.readings = self._tests(self._reads.values())
+        signals = [*self._signals()]
+        # Command and bound of every limited output.
+        self.bounds = {
+            name: (self._reads[name], literal(limit, self._kind))
+            for name, limit in zip(K.outputs, K.limits, strict=True)
+            if np.isfinite(limit)
+        }
+        self._excess = {name: e for name, e in zip(K.outputs, unit.excess.T, strict=True) if e.any()}
+        limits = ("Limits of the torquers", [self._limit(name) for name in self.bounds])
+        excess = ("Anti-windup: the excess beyond the limits acts on the states", [*self._excesses()])
+        self.paragraphs = [one for one in (*signals, limits, excess, *self._next_states()) if one[1]]
+        # Field, command and limited command of every output; field and local of every state's next value.
+        self.outputs = [(unit.signals[name], self._reads[name], self._given(name)) for name in K.outputs]
+        self.next_states = [(field, self._names["next", name]) for name, field in unit.fields.items()]
+        self.results = self._tests([*dict(self.next_states).values(), *(command for _, command, _ in self.outputs)])
+
+    def _tests(self, numbers: Iterable[str]) -> list[str]:
+        return [f"{self._unit.prefix}_usable({number})" for number in numbers]
+
+    def _sum(self, local: str, terms: Sequence[str]) -> str:
+        terms = [terms[0].strip("()")] if len(terms) == 1 else terms
+        return joined(f"{_INDENT}const {self._kind} {local} = ", terms, "+", ";")
+
+    def _signals(self) -> Iterator[Paragraph]:
+        needed = _needed(self._K)
+        for number, section in enumerate(self._K.sections, 1):
+            operands = [self._states[name] for name in section.states] + [self._reads[name] for name in section.inputs]
+            lines = []
+            for name, weights in zip(section.outputs, np.hstack([section.block.C, section.block.D]), strict=True):
+                if name in needed:
+                    self._reads[name] = self._names[name]
+                    lines.append(self._sum(self._reads[name], total(weights, operands, self._kind)))
+            yield f"{number}. {section.name}: {section.note or section.kind}", lines
+
+    def _given(self, name: str) -> str:
+        return self._names["limited", name] if name in self.bounds else self._reads[name]
+
+    def _limit(self, name: str) -> str:
+        command, bound = self.bounds[name]
+        call = f"{self._unit.prefix}_limited({command}, {bound})"
+        return f"{_INDENT}const {self._kind} {self._given(name)} = {call}; /* {comment(self._unit.units[name])} */"
+
+    def _excesses(self) -> Iterator[str]:
+        for name in self._excess:
+            yield self._sum(self._names["excess", name], [f"{self._given(name)} - {self._reads[name]}"])
+
+    def _next_states(self) -> Iterator[Paragraph]:
+        places = {name: k for k, name in enumerate(self._K.states)}
+        excesses = [self._names["excess", name] for name in self._excess]
+        for number, section in enumerate(self._K.sections, 1):
+            operands = [self._states[name] for name in section.states] + [self._reads[name] for name in section.inputs]
+            lines = []
+            for name, row in zip(section.states, np.hstack([section.block.A, section.block.B]), strict=True):
+                weights = [*row, *(E[places[name]] for E in self._excess.values())]
+                terms = total(weights, [*operands, *excesses], self._kind)
+                lines.append(self._sum(self._names["next", name], terms))
+            yield f"{number}. {section.name}: next states", lines
+
+
+def _needed(K: Controller) -> set[str]:
+    """Return all signals that outputs and states depend on; no others are computed."""
+    out = set(K.outputs)
+    for section in reversed(K.sections):
+        shown = [weights for name, weights in zip(section.outputs, section.block.D, strict=True) if name in out]
+        used = np.any([*shown, *section.block.B], axis=0)
+        out |= {name for name, taken in zip(section.inputs, used, strict=True) if taken}
+    return out
