@@ -23,8 +23,8 @@ from platform_ctrl.verification.linear_trials import Key, LinearTrials, Trial
 if TYPE_CHECKING:
     from platform_ctrl.verification.verdict import JobResult
 
-# Rows that are returned, and requirements that are looked at for them.
-_ROWS, _TARGETS = 5, 8
+# Rows that are returned; requirements that are looked at for them: missed ones, and where none is missed the tightest.
+_ROWS, _TARGETS, _TIGHTEST = 5, 8, 2
 # Of a requirement that is met the ratio is to fall by this share; one further from its limit than this is no target.
 GAIN, FAR = 0.05, 0.5
 # Ratio that is wanted of a missed requirement: moves are estimated, and not all errors are on one side.
@@ -88,7 +88,7 @@ def changes(result: JobResult) -> tuple[Change, ...]:
     trials = LinearTrials(result)
     out: dict[tuple[str, str, float], Change] = {}
     with np.errstate(all="ignore"):
-        targets = _targets(trials.before)[:_TARGETS]
+        targets = _targets(trials.before)
         queues: dict[Key, list[Trial | Change]] = {}
         # The best for each target; a second one only of what is missed.
         for key in targets * 2 if any(one.ratio > 1.0 for one in trials.before.values()) else targets:
@@ -107,12 +107,12 @@ def _targets(before: dict[Key, CheckResult]) -> list[Key]:
     keys = sorted(before, key=lambda key: before[key].margin)
     missed = [key for key in keys if before[key].ratio > 1.0]
     if missed:
-        return missed
+        return missed[:_TARGETS]
     near = [key for key in keys if before[key].margin <= FAR and before[key].name != STABLE.name]
     # Each subject once before the others; last the coupled system, of which each trial costs a coupled check.
     first = list({before[key].subject: key for key in reversed(near)}.values())[::-1]
     ordered = [*first, *(key for key in near if key not in first)]
-    return sorted(ordered, key=lambda key: before[key].subject == ALL_LOOPS)
+    return sorted(ordered, key=lambda key: before[key].subject == ALL_LOOPS)[:_TIGHTEST]
 
 
 def _ranked(result: JobResult, trials: LinearTrials, target: Key) -> list[Trial | Change]:
