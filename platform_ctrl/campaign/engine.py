@@ -5,15 +5,16 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from contextlib import closing
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from platform_ctrl.campaign import single_run
-from platform_ctrl.campaign.identity import identity, versions
+from platform_ctrl.campaign.identity import identity
 from platform_ctrl.campaign.single_run import SimulateRuns, kinds_of
-from platform_ctrl.campaign.store import Record, opened
-from platform_ctrl.campaign.table import DIVERGED, ENDED, NOT_SIMULATED, arrow
-from platform_ctrl.campaign.workers import Chunks, columns_by_cluster, columns_by_processes
+from platform_ctrl.campaign.store import Record, Store
+from platform_ctrl.campaign.table import DIVERGED, ENDED, NOT_SIMULATED
+from platform_ctrl.campaign.workers import cluster, parts_of, processes, simulated
 from platform_ctrl.common.processes import processors
 from platform_ctrl.common.progress import shown_runs
 from platform_ctrl.common.signatures import check_arguments
@@ -31,7 +32,7 @@ RunsProgress = Callable[[int, int], None]
 class CampaignResult:
     """The result of a campaign."""
 
-    table: Path  # of the Parquet file: one row a run, in their order
+    table: Path  # of the folder of Parquet files: one row a run, in their order
     record: Record  # content of campaign.json
 
     @property
@@ -59,10 +60,9 @@ def run_campaign(
     scheduler: str | None = None,
     restart: bool = False,
     progress: RunsProgress | bool | None = None,
-    say: Callable[[str], None] = lambda line: None,
     simulate: SimulateRuns = single_run.simulate_runs,
 ) -> CampaignResult:
-    """Simulate all runs of a plan that are not in `folder` yet, and make the table of all.
+    """Simulate all runs of a plan that are not in `folder` yet.
 
     Killed at any moment and started again it goes on; the table is that of a campaign that nobody disturbed, whatever
     the number of workers. Runs that cannot be simulated have a row that says why.
@@ -72,16 +72,16 @@ def run_campaign(
     plan
         What is simulated.
     folder
-        Of ``campaign.parquet`` and ``campaign.json``; made if needed.
+        Of ``campaign.parquet``, a folder with the parts of the table, and ``campaign.json``; made if needed.
     workers
         Processes on this machine; default: as many as there are processors.
     scheduler
         Address of a Dask scheduler, whose workers simulate instead.
     restart
         Forget what is in `folder`.
-    progress, say
-        Called after each chunk of runs with the numbers of runs that are done and that failed (True shows a bar, in a
-        notebook or on a terminal), and with a line where something should be known.
+    progress
+        Called after each part with the numbers of runs that are done and that failed; True shows a bar, in a notebook
+        or on a terminal.
     simulate
         Simulates runs as `single_run.simulate_runs` does, its default; a function that worker processes can import.
 
@@ -93,35 +93,26 @@ def run_campaign(
     Raises
     ------
     InputError
-        `folder` holds another campaign or is in use, a file cannot be written, a package is missing, no scheduler.
+        `folder` holds another campaign, a file cannot be written, a package is missing, no scheduler.
     SimulationError
         Workers die again and again; what was simulated is kept.
     ArgumentError
-        `workers` makes no sense.
+        `workers` is below one.
     """
     if workers is not None and workers < 1:
         raise ArgumentError(f"workers must be at least one, got {workers}")
-    arrow()
-    crew = workers or processors()
     about = {"job": plan.job.name, "platform": plan.job.platform.name}
-    kinds = kinds_of(plan)
+    store = Store(Path(folder), identity(plan), about, plan.runs, kinds_of(plan), restart)
+    pool = partial(cluster, scheduler) if scheduler is not None else partial(processes, workers or processors())
+    failed = 0
     with (
-        opened(Path(folder), identity(plan), about, plan.runs, versions(), kinds, restart) as store,
         shown_runs(progress, plan.runs) as tick,
+        closing(simulated(plan, parts_of(store.gaps, plan.runs), simulate, pool)) as batches,
     ):
-        chunks = Chunks(store.gaps, crew)
-        amiss = 0
-        tick(store.done, amiss)
-        if chunks.waiting:
-            if scheduler is None:
-                batches = columns_by_processes(plan, chunks, simulate, workers=crew)
-            else:
-                batches = columns_by_cluster(plan, chunks, simulate, address=scheduler, say=say)
-            with closing(batches):  # type: ignore[type-var]
-                for runs, columns in batches:
-                    store.write(runs, columns)
-                    amiss += sum(str(one).startswith((NOT_SIMULATED, DIVERGED)) for one in columns[ENDED])
-                    tick(store.done, amiss)
-        say("putting the runs in order")
-        store.finish()
-        return CampaignResult(table=store.table, record=store.record)
+        tick(store.done, failed)
+        for runs, columns in batches:
+            store.write(runs, columns)
+            failed += sum(str(one).startswith((NOT_SIMULATED, DIVERGED)) for one in columns[ENDED])
+            tick(store.done, failed)
+    store.finish()
+    return CampaignResult(table=store.table, record=store.record)

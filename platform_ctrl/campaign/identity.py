@@ -1,52 +1,55 @@
-"""What a campaign's runs follow from, as digests: two campaigns with the same ones have the same runs."""
+"""What a campaign's runs follow from, as hashes: two campaigns with the same ones have the same runs."""
 
 from __future__ import annotations
 
-import dataclasses
-import hashlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from importlib import metadata
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from platform_ctrl import __version__
+from platform_ctrl.job.writing import data_hash, job_data, job_hashes
 
 if TYPE_CHECKING:
+    import control
+
     from platform_ctrl.campaign.planning import Plan
+    from platform_ctrl.job.job import Job
 
 Identity = dict[str, Any]
+# Of a job's file, what its runs follow from beside the plant; loops and requirements of the design have no part in it.
+_RUN_TABLES = ("sampling", "manoeuvre", "fault", "drive", "campaign")
 # Of the campaign section: on the command line, or shown as numbers of their own.
 _APART = ("runs", "seed", "sampling", "step")
-_DIGITS = 16
 # Libraries that draw and simulate.
 _USED = ("numpy", "scipy", "numba")
 
 
 def identity(plan: Plan) -> Identity:
-    """Return everything that decides how a plan's runs come out, in plain types.
-
-    Loops and requirements of the design have no part in it: the controllers are there already.
-    """
-    job = plan.job
-    campaign = job.campaign
-    varied = {} if campaign is None else {f.name: getattr(campaign, f.name) for f in dataclasses.fields(campaign)}
+    """Return everything that decides how a plan's runs come out, in plain types."""
     out: Identity = {
-        "plant": digest(job.platform),
-        "sample period and delay": digest(job.sampling),
-        "manoeuvres": digest(job.manoeuvres),
-        "faults": digest(job.fault_events),
-        "distributions": digest({name: item for name, item in varied.items() if name not in _APART}),
-        "controllers": digest(plan.controllers),
+        **source_hashes(plan.job, plan.controllers),
         "seed": int(plan.seed),
         "sampling": str(plan.sampling),
         "step": float(plan.step),
     }
-    if job.drives:
-        out["drives"] = digest(job.drives)
     if plan.sampling == "latin-hypercube":
         out["runs"] = int(plan.runs)  # one more run moves all the others
-    return out
+    return out | versions()
+
+
+def source_hashes(job: Job, controllers: Sequence[control.StateSpace]) -> dict[str, str]:
+    """Return hashes of the plant, of what else of a job its runs follow from, and of the controllers."""
+    tables = {key: item for key, item in job_data(job).items() if key in _RUN_TABLES}
+    tables["campaign"] = {key: item for key, item in tables.get("campaign", {}).items() if key not in _APART}
+    matrices = [[np.asarray(getattr(one, key), dtype=np.float64) for key in "ABCD"] for one in controllers]
+    names = [[float(one.dt), list(one.input_labels), list(one.output_labels)] for one in controllers]
+    return {
+        "plant": job_hashes(job)["plant"],
+        "job": data_hash(tables),
+        "controllers": data_hash({"matrices": matrices, "names": names}),
+    }
 
 
 def versions() -> dict[str, str]:
@@ -54,32 +57,20 @@ def versions() -> dict[str, str]:
     return {"platform_ctrl": __version__} | {name: metadata.version(name) for name in _USED}
 
 
-def digest(item: object) -> str:
-    """Return a digest of a value: dataclasses, arrays, state spaces, and what Python has itself."""
-    found = hashlib.sha256()
-    _feed(found, item)
-    return found.hexdigest()[:_DIGITS]
-
-
-def _feed(found: Any, item: Any) -> None:
-    found.update(type(item).__name__.encode() + b":")
-    if dataclasses.is_dataclass(item):
-        for field in dataclasses.fields(item):
-            found.update(field.name.encode() + b"=")
-            _feed(found, getattr(item, field.name))
-    elif isinstance(item, np.ndarray):
-        found.update(f"{item.dtype.str}{item.shape}".encode() + np.ascontiguousarray(item).tobytes())
-    elif isinstance(item, Mapping):
-        for key in sorted(item):
-            _feed(found, key)
-            _feed(found, item[key])
-    elif isinstance(item, tuple | list):
-        found.update(f"{len(item)}".encode())
-        for one in item:
-            _feed(found, one)
-    elif all(hasattr(item, name) for name in ("A", "B", "C", "D", "input_labels", "output_labels")):
-        _feed(found, [np.asarray(getattr(item, name), dtype=np.float64) for name in "ABCD"])
-        _feed(found, [float(item.dt), list(item.input_labels), list(item.output_labels)])
-    else:
-        found.update(repr(item).encode())
-    found.update(b";")
+def differences(there: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
+    """Return in words what two campaigns' runs follow from and is not the same."""
+    out = []
+    for name in dict.fromkeys((*there, *now)):
+        before, after = there.get(name), now.get(name)
+        if before == after:
+            continue
+        if name in ("plant", "job"):
+            out.append(f"another {name}")
+        elif name == "controllers":
+            out.append("other controllers")
+        elif name != "runs":
+            out.append(f"{name} {before} instead of {after}")
+        elif before and after:
+            words = "a Latin hypercube is made for one number of runs; sobol and random go on"
+            out.append(f"{before} runs instead of {after} ({words})")
+    return out

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from platform_ctrl.analysis.run_metrics import attenuation_db, over_limit, run_metrics, worst_value
-from platform_ctrl.campaign.identity import identity, versions
-from platform_ctrl.campaign.store import TABLE, Record, differences
+from platform_ctrl.campaign.identity import differences, identity
+from platform_ctrl.campaign.store import TABLE, Record
 from platform_ctrl.campaign.table import ENDED, MANOEUVRE, NOT_SIMULATED, PASSED, RUN, Array, Columns, Kind, arrow
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import value
@@ -30,14 +30,14 @@ if TYPE_CHECKING:
     from platform_ctrl.verification.simulated import Run
 
 
-def simulate_runs(plan: Plan, runs: Sequence[int], *, threads: int = 1) -> dict[str, Array]:
+def simulate_runs(plan: Plan, runs: Sequence[int]) -> dict[str, Array]:
     """Simulate runs of a plan and return their columns, each with one entry a run."""
     from platform_ctrl import simulation
 
     columns = inputs_of(plan, runs)
     scenarios = plan.scenarios_with(columns, runs)
     result = simulation.simulate_batch(
-        scenarios, plan.controllers, period=plan.job.sampling.period, step=plan.step, threads=threads
+        scenarios, plan.controllers, period=plan.job.sampling.period, step=plan.step, threads=1
     )
     return {**columns, **_outcomes(scenarios, result, metrics_of(plan))}
 
@@ -105,14 +105,14 @@ def kinds_of(plan: Plan) -> dict[str, Kind]:
     return {RUN: "whole", **inputs, **metrics, **rest, ENDED: "word"}
 
 
-def columns_of(plan: Plan, runs: Sequence[int], simulate: SimulateRuns, threads: int = 1) -> Columns:
+def columns_of(plan: Plan, runs: Sequence[int], simulate: SimulateRuns) -> Columns:
     """Return the columns of runs; a run that cannot be simulated has a row that says why."""
     try:
-        return simulate(plan, runs, threads=threads)
+        return simulate(plan, runs)
     except Exception as error:
         if len(runs) > 1:
             middle = len(runs) // 2
-            halves = [columns_of(plan, part, simulate, threads) for part in (runs[:middle], runs[middle:])]
+            halves = [columns_of(plan, part, simulate) for part in (runs[:middle], runs[middle:])]
             return {name: np.concatenate([half[name] for half in halves]) for name in halves[0]}
         return row_not_simulated(plan, runs[0], _reason(error))
 
@@ -132,7 +132,7 @@ def _reason(error: Exception) -> str:
     return (title + text)[:_LONGEST]
 
 
-# Metrics of another processor agree to rounding.
+# Metrics of another machine's processor agree to rounding.
 ROUNDING = 1e-6
 
 Row = dict[str, Any]
@@ -192,7 +192,7 @@ def rerun(plan: Plan, number: int) -> Rerun:
 def recorded_row(folder: Path, number: int) -> Row | None:
     """Return a run's row in the table of a campaign's folder; None where there is no table, or none such in it."""
     path = folder / TABLE
-    if not path.is_file():
+    if not path.exists():
         return None
     pa = arrow()
     try:
@@ -224,7 +224,7 @@ def recorded_plan(job: Job, controllers: Sequence[control.StateSpace], record: R
         return plan(job, controllers), []
     before = record["identity"]
     made = plan(job, controllers, runs=record["runs"], seed=before["seed"], sampling=before["sampling"])
-    return made, differences(record, {"identity": identity(made), "versions": versions()})
+    return made, differences(before, identity(made))
 
 
 def _plain(item: Any) -> Any:

@@ -17,8 +17,6 @@ from platform_ctrl.errors import ArgumentError, InputError
 RUN, MANOEUVRE, PASSED, ENDED = "run", "manoeuvre", "passed", "ended"
 # How a run ended begins with one of these words.
 COMPLETED, DIVERGED, NOT_SIMULATED = "completed", "diverged", "not simulated"
-# What tables of earlier versions have in place of the last.
-_OLD_NOT_SIMULATED = "not flown"
 OUTCOMES = frozenset(
     {RUN, *RUN_METRICS, *(f"{name}_passed" for name in RUN_METRICS), "stop_contacts", "saturated", PASSED, ENDED}
 )
@@ -69,18 +67,7 @@ def batches(table: Table, names: Sequence[str]) -> Iterator[dict[str, Array]]:
     dataset = _dataset(table)
     for batch in dataset.to_batches(columns=list(names), batch_size=ROWS_AT_ONCE):
         if batch.num_rows:
-            batch = with_current_endings(batch)
             yield {name: _column(name, batch.column(name).to_numpy(zero_copy_only=False)) for name in names}
-
-
-def with_current_endings(table: Any) -> Any:
-    """Return an Arrow table or batch with the words of this version for runs that were not simulated."""
-    import pyarrow.compute
-
-    if ENDED not in table.schema.names:
-        return table
-    ended = pyarrow.compute.replace_substring_regex(table.column(ENDED), f"^{_OLD_NOT_SIMULATED}", NOT_SIMULATED)
-    return table.set_column(table.schema.get_field_index(ENDED), ENDED, ended)
 
 
 def _in_memory(table: Mapping[str, Any], names: Sequence[str]) -> Iterator[dict[str, Array]]:
@@ -135,17 +122,3 @@ def was_simulated(batch: Mapping[str, Array]) -> NDArray[np.bool_]:
 def codes(words: Array, known: dict[str, int]) -> NDArray[np.intp]:
     """Return a number for each word; words that are new get the next one in `known`."""
     return np.fromiter((known.setdefault(str(word), len(known)) for word in words), np.intp, len(words))
-
-
-def schema_of(kinds: Mapping[str, Kind], metadata: Mapping[str, str]) -> Any:
-    """Return the Arrow schema; every column may hold nulls."""
-    pa = arrow()
-    types = {"whole": pa.int64(), "number": pa.float64(), "answer": pa.bool_(), "word": pa.string()}
-    return pa.schema([(name, types[kind]) for name, kind in kinds.items()], metadata=dict(metadata))
-
-
-def table_of(columns: Columns, schema: Any) -> Any:
-    """Return columns as an Arrow table; a number that is no number is null."""
-    pa = arrow()
-    arrays = [pa.array(columns[field.name], type=field.type, from_pandas=True) for field in schema]
-    return pa.Table.from_arrays(arrays, schema=schema)

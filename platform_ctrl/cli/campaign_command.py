@@ -115,7 +115,7 @@ def campaign(
         from platform_ctrl.verification.controllers import read_controllers
 
         made = plan(read, read_controllers(file, read), runs=runs, seed=seed, sampling=cast("Points | None", sampling))
-        prepare_folder(out, ("campaign.parquet", "campaign.json", PAGE))
+        prepare_folder(out, ("campaign.json", PAGE))
     done: int | None = None
 
     def count(kept: int, failed: int) -> None:
@@ -124,10 +124,8 @@ def campaign(
         tick(kept, failed)
 
     try:
-        with campaign_progress(quiet or as_json, made.runs) as (tick, say):
-            result = run_campaign(
-                made, out, workers=workers, scheduler=scheduler, restart=restart, progress=count, say=say
-            )
+        with campaign_progress(quiet or as_json, made.runs) as tick:
+            result = run_campaign(made, out, workers=workers, scheduler=scheduler, restart=restart, progress=count)
     except KeyboardInterrupt:
         kept = "what was simulated is kept" if done is None else f"{done:,} of {made.runs:,} runs are kept"
         typer.echo(f"stopped: {kept} in {out}; the same command continues", err=True)

@@ -235,18 +235,18 @@ _FIRST, _GROWTH, _LAST = 5.0, 1.5, 60.0
 
 
 @contextmanager
-def campaign_progress(quiet: bool, runs: int) -> Iterator[tuple[Tick, Say]]:
-    """Yield a function for the numbers of stored and of failed runs, and one for lines that stay on the screen.
+def campaign_progress(quiet: bool, runs: int) -> Iterator[Tick]:
+    """Yield a function for the numbers of stored and of failed runs.
 
     A Ctrl-C that a library swallowed takes effect at the next call.
     """
-    with interruptible() as check, _campaign_shown(quiet, runs) as (show, say):
+    with interruptible() as check, _campaign_shown(quiet, runs) as show:
 
         def tick(done: int, failed: int) -> None:
             check()
             show(done, failed)
 
-        yield tick, say
+        yield tick
         check()
 
 
@@ -284,15 +284,15 @@ def time_words(seconds: float) -> str:
 
 
 @contextmanager
-def _campaign_shown(quiet: bool, runs: int) -> Iterator[tuple[Tick, Say]]:
+def _campaign_shown(quiet: bool, runs: int) -> Iterator[Tick]:
     if quiet:
-        yield (lambda done, failed: None), (lambda line: None)
+        yield lambda done, failed: None
         return
     pace = Pace(runs)
     if sys.stderr.isatty():
         yield from _bar(pace, runs)
         return
-    due, wait, before = time.monotonic() + _FIRST, _FIRST, ""
+    due, wait = time.monotonic() + _FIRST, _FIRST
 
     def tick(done: int, failed: int) -> None:
         nonlocal due, wait
@@ -301,18 +301,13 @@ def _campaign_shown(quiet: bool, runs: int) -> Iterator[tuple[Tick, Say]]:
         if now >= due or done == runs:
             wait = min(_GROWTH * wait, _LAST)
             due = now + wait
-            say(f"{done:,} of {runs:,} runs{f', {words}' if words else ''}{_failed_words(failed)}")
+            words = f", {words}" if words else ""
+            print(f"{done:,} of {runs:,} runs{words}{_failed_words(failed)}", file=sys.stderr, flush=True)
 
-    def say(line: str) -> None:
-        nonlocal before
-        if line != before:
-            print(line, file=sys.stderr, flush=True)
-        before = line
-
-    yield tick, say
+    yield tick
 
 
-def _bar(pace: Pace, runs: int) -> Iterator[tuple[Tick, Say]]:
+def _bar(pace: Pace, runs: int) -> Iterator[Tick]:
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
@@ -328,7 +323,7 @@ def _bar(pace: Pace, runs: int) -> Iterator[tuple[Tick, Say]]:
         def tick(done: int, failed: int) -> None:
             shown.update(task, completed=done, pace=pace.words(done, time.monotonic()), failed=_failed_words(failed))
 
-        yield tick, lambda line: shown.console.print(line, style="dim", markup=False, highlight=False)
+        yield tick
 
 
 def _failed_words(number: int) -> str:

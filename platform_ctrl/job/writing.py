@@ -61,8 +61,9 @@ def job_hashes(job: Job) -> dict[str, str]:
     plant = {key: item for key, item in data.pop("plant").items() if key not in ("name", "source")}
     design = {key: item for key, item in data.items() if key not in _NOT_DESIGNED}
     whole = {key: item for key, item in data.items() if key != "name"} | {"plant": plant}
-    return {"plant": _hash(plant), "design": _hash(design), "job": _hash(whole)}
+    return {"plant": data_hash(plant), "design": data_hash(design), "job": data_hash(whole)}
 
 
-def _hash(data: Mapping[str, Any]) -> str:
+def data_hash(data: Mapping[str, Any]) -> str:
+    """Return the SHA-256 hash of plain data."""
     return hashlib.sha256(json.dumps(plain_types(data), sort_keys=True).encode()).hexdigest()

@@ -138,17 +138,6 @@ def test_runs_that_were_not_simulated_count_neither_way_and_are_told():
     assert found.endings["not simulated: a torquer has no limit"] == 2
 
 
-def test_tables_of_earlier_versions_say_not_flown_for_runs_that_were_not_simulated(tmp_path):
-    pyarrow = pytest.importorskip("pyarrow")
-    parquet = pytest.importorskip("pyarrow.parquet")
-    table = table_of_runs(200)
-    table["ended"][[3, 4]] = "not flown: a torquer has no limit"
-    parquet.write_table(pyarrow.table(table), tmp_path / "old.parquet")
-    found = statistics(tmp_path / "old.parquet", LIMITS)
-    assert (found.simulated, found.not_simulated) == (198, 2)
-    assert found.endings["not simulated: a torquer has no limit"] == 2
-
-
 def test_the_worst_runs_are_those_with_the_largest_ratios():
     table = table_of_runs()
     limit = np.array([LIMITS[name]["angle"] for name in table["manoeuvre"]])

@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 
 import platform_ctrl as pc
-from campaign_runs import TEXT, columns_here
+from campaign_runs import TEXT, processes_here
 from platform_ctrl.cli import main
 from platform_ctrl.cli.terminal import Pace, campaign_progress, time_words
 from refused_command import refused
@@ -42,7 +42,7 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "out" / "result.json").write_text(json.dumps(CONTROLLERS), encoding="utf-8")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
-        patch.setattr("platform_ctrl.campaign.engine.columns_by_processes", columns_here)
+        patch.setattr("platform_ctrl.campaign.engine.processes", processes_here)
         assert main(["campaign", "job.toml", "--runs", str(RUNS), "--workers", "1", "-q"]) in (0, 1)
     return folder
 
@@ -50,7 +50,7 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def there(flown: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.chdir(flown)
-    monkeypatch.setattr("platform_ctrl.campaign.engine.columns_by_processes", columns_here)
+    monkeypatch.setattr("platform_ctrl.campaign.engine.processes", processes_here)
     return flown
 
 
@@ -71,7 +71,7 @@ def test_the_table_has_a_row_a_run_and_the_record_says_what_was_simulated(there:
     assert record["job"] == "a turn, many times"
     assert record["runs"] == record["counts"]["completed"] == RUNS
     assert record["identity"]["seed"] == 7
-    assert record["versions"]["platform_ctrl"] == pc.__version__
+    assert record["identity"]["platform_ctrl"] == pc.__version__
 
 
 def test_the_same_command_again_flies_nothing_and_ends_alike(there: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -182,7 +182,7 @@ def test_a_campaign_with_other_seed_and_length_is_known_by_its_folder(
 
 def test_a_campaign_of_another_job_is_not_taken_for_this_one(there: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (there / "changed.toml").write_text(TEXT.replace("deviation = 0.01", "deviation = 0.02"))
-    words = "campaign.json: the campaign there was simulated with other distributions"
+    words = "campaign.json: the campaign there was simulated with another job"
     assert words in refused(capsys, "simulate", "changed.toml", "--run", "5", "-o", "campaign")
     main(["simulate", "changed.toml", "--run", "5", "-q"])
     out, err = capsys.readouterr()
@@ -256,7 +256,7 @@ def test_ctrl_c_stops_soon_says_how_to_go_on_and_loses_nothing(there: Path, caps
         start_new_session=True,
     )
     deadline = time.monotonic() + 120.0
-    while len(list((there / "long").glob("campaign.parts/0*-*.parquet"))) < 2 and time.monotonic() < deadline:
+    while len(list((there / "long").glob("campaign.parquet/0*-*.parquet"))) < 2 and time.monotonic() < deadline:
         time.sleep(0.02)
     os.killpg(process.pid, signal.SIGINT)  # as a terminal does: to all processes
     out, err = process.communicate(timeout=60)
@@ -267,7 +267,7 @@ def test_ctrl_c_stops_soon_says_how_to_go_on_and_loses_nothing(there: Path, caps
     stopped = re.fullmatch(r"stopped: ([\d,]+) of 100,000 runs are kept in long; the same command continues", last)
     assert stopped
     assert "Traceback" not in err
-    kept = [path.name for path in (there / "long" / "campaign.parts").iterdir()]
+    kept = [path.name for path in (there / "long" / "campaign.parquet").iterdir()]
     pieces = [int(name[13:25]) - int(name[:12]) for name in kept]
     # A piece that has just got its name may not have been counted yet.
     told = int(stopped[1].replace(",", ""))
@@ -292,15 +292,13 @@ def test_a_pipe_gets_a_line_now_and_then_and_the_last_one(
 ) -> None:
     now = 0.0
     monkeypatch.setattr("time.monotonic", lambda: now)
-    with campaign_progress(False, 1000) as (tick, say):
+    with campaign_progress(False, 1000) as tick:
         for done in range(0, 1001, 10):
             now = 0.2 * done
             tick(done, done // 500)
-        say("putting the runs in order")
-        say("putting the runs in order")
     lines = capsys.readouterr().err.splitlines()
     assert lines[0] == "30 of 1,000 runs, 5 runs/s, 3 min 14 s left"
-    assert lines[-2:] == ["1,000 of 1,000 runs, 5 runs/s, 2 diverged or not simulated", "putting the runs in order"]
+    assert lines[-1] == "1,000 of 1,000 runs, 5 runs/s, 2 diverged or not simulated"
     assert 5 < len(lines) < 15
 
 
@@ -312,7 +310,7 @@ def test_a_terminal_gets_a_bar_with_rate_and_time_left(
     monkeypatch.setenv("TERM", "xterm")
     now = 0.0
     monkeypatch.setattr("platform_ctrl.cli.terminal.time.monotonic", lambda: now)
-    with campaign_progress(False, 1000) as (tick, _):
+    with campaign_progress(False, 1000) as tick:
         for done in (200, 300, 500):
             tick(done, 0)
             now += 10.0

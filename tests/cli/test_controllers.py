@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from camera_job import camera_job, camera_loop, camera_plant
-from campaign_runs import columns_here
+from campaign_runs import processes_here
 from cli.test_cli import undrawn  # noqa: F401
 from platform_ctrl.cli import main
 from platform_ctrl.plant.writing import toml
@@ -56,7 +56,7 @@ def result(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
 def there(result: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A folder with the job, and out/ as design leaves it."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("platform_ctrl.campaign.engine.columns_by_processes", columns_here)
+    monkeypatch.setattr("platform_ctrl.campaign.engine.processes", processes_here)
     write(tmp_path)
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "result.json").write_text(json.dumps(result), encoding="utf-8")

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from campaign_runs import columns_here
+from campaign_runs import processes_here
 from one_gyro_job import JOB, TOO_MUCH
 from platform_ctrl.cli import main
 from refused_command import refused
@@ -25,7 +25,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("made")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
-        patch.setattr("platform_ctrl.campaign.engine.columns_by_processes", columns_here)
+        patch.setattr("platform_ctrl.campaign.engine.processes", processes_here)
         undrawn(patch, [])
         assert main(["new", "gyro", "-q"]) == 0
         assert main(["design", "gyro.toml", "-q", "--junit", "verdicts/design.xml"]) == 0
@@ -99,7 +99,7 @@ def test_a_campaign_of_other_controllers_is_left_out_and_told(
 def test_a_campaign_that_violates_a_limit_is_no_pass(
     there: Path, pages: list[dict[str, Any]], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("platform_ctrl.campaign.engine.columns_by_processes", columns_here)
+    monkeypatch.setattr("platform_ctrl.campaign.engine.processes", processes_here)
     # A limit of the run as it is on paper; some of the runs that vary exceed it.
     text = (there / "gyro.toml").read_text(encoding="utf-8")
     largest = json.loads((there / "out" / "result.json").read_text(encoding="utf-8"))["runs"][0]["largest"]

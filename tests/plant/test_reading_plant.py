@@ -25,13 +25,13 @@ import platform_ctrl as pc
 from fuzz_files import EVERY_PLANT_KEY, meaning
 from fuzz_run import cases
 from oracle_trees import Motion, motions
-from platform_ctrl.campaign.identity import digest
 from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.plant.force_elements import Friction, Unbalance
 from platform_ctrl.plant.platform import Gimbal, Platform, Torquer
 from platform_ctrl.plant.reading import read_platform
 from platform_ctrl.plant.sensors import PickOff, RateSensor
 from platform_ctrl.plant.source import platform_source, shipped_models
+from platform_ctrl.plant.writing import plant_data
 
 Change = Callable[[dict[str, Any]], object]
 
@@ -869,7 +869,7 @@ def test_every_shipped_model_is_read_by_name_and_from_a_copy_of_its_text(tmp_pat
         copied.write_text(platform_source(name), encoding="utf-8")
         platform = read_platform(name)
         assert platform.source
-        assert digest(read_platform(copied)) == digest(platform)
+        assert plant_data(read_platform(copied)) == plant_data(platform)
 
 
 def test_the_three_gyro_platform_has_the_sums_and_nutations_of_its_comments() -> None:
@@ -985,7 +985,7 @@ def test_a_sensor_about_all_axes_is_one_about_each_axis_of_its_body() -> None:
     }
     one, other = read_platform(short), read_platform(long)
     assert [s.name for s in one.sensors] == ["imu1", "imu2", "imu3", "cart_theta1", "cart_theta2", "cart_theta3"]
-    assert digest(one) == digest(other)
+    assert plant_data(one) == plant_data(other)
     with pytest.raises(InputError, match="no_such_body"):
         read_platform(short | {"rate_sensor": [gyro | {"axis": "all", "body": "no_such_body"}]})
     with pytest.raises(InputError, match="three numbers"):

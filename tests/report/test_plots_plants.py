@@ -295,7 +295,7 @@ def test_histograms_are_the_same_of_statistics_and_of_a_folder(tmp_path):
     found = statistics(columns, LIMITS)
     pyarrow.parquet.write_table(pa.table(columns), tmp_path / "campaign.parquet")
     told = [{"manoeuvre": "turn", "requirement": "angle", "limit": 1.2e-3}]
-    record = {"schema": 1, "identity": {}, "statistics": {"requirements": told}}
+    record = {"schema": 2, "identity": {}, "statistics": {"requirements": told}}
     (tmp_path / "campaign.json").write_text(json.dumps(record))
     words = [written(figures.campaign_histograms(given)) for given in (found, tmp_path)]
     words.append(written(figures.campaign_histograms(tmp_path / "campaign.parquet", LIMITS, figure="angle")))

@@ -10,6 +10,8 @@ import os
 import time
 import tomllib
 from collections.abc import Iterator, Sequence
+from concurrent.futures import BrokenExecutor, Executor, ThreadPoolExecutor
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -18,9 +20,7 @@ import numpy as np
 from one_gyro_job import JOB as ONE_LOOP
 from platform_ctrl.campaign.engine import CampaignResult
 from platform_ctrl.campaign.planning import Plan, plan
-from platform_ctrl.campaign.single_run import SimulateRuns, columns_of, inputs_of, kinds_of
-from platform_ctrl.campaign.table import Columns, schema_of, table_of
-from platform_ctrl.campaign.workers import Chunks
+from platform_ctrl.campaign.single_run import inputs_of
 from platform_ctrl.errors import SimulationError
 from platform_ctrl.job.reading import read_job
 
@@ -72,9 +72,7 @@ def planned(**options: Any) -> Plan:
     return plan(read_job(JOB), (), **options)
 
 
-def invented_columns(
-    plan: Plan, runs: Sequence[int], *, threads: int = 1, mishaps: dict[str, Any] | None = None
-) -> dict[str, Any]:
+def invented_columns(plan: Plan, runs: Sequence[int], *, mishaps: dict[str, Any] | None = None) -> dict[str, Any]:
     """Figures made up out of the inputs; `mishaps`, or those of the environment's CAMPAIGN_MISHAPS, happen first."""
     mishaps = json.loads(os.environ.get("CAMPAIGN_MISHAPS", "{}")) if mishaps is None else mishaps
     time.sleep(mishaps.get("seconds", 0.0) * len(runs))
@@ -110,21 +108,17 @@ def invented_columns(
     }
 
 
-def columns_here(plan: Plan, chunks: Chunks, simulate: SimulateRuns, **options: Any) -> Iterator[tuple[range, Columns]]:
-    """Simulate in this process, where nothing is said about processes: in place of `columns_by_processes`."""
-    while (chunk := chunks.next()) is not None:
-        began = time.perf_counter()
-        columns = columns_of(plan, chunk, simulate)
-        chunks.finished(chunk, time.perf_counter() - began)
-        yield chunk, columns
+@contextmanager
+def processes_here(workers: int) -> Iterator[tuple[Executor, int, tuple[type[BaseException], ...]]]:
+    """Simulate in this process, where nothing is said about processes: in place of `processes`."""
+    with ThreadPoolExecutor(1) as executor:
+        yield executor, 1, (BrokenExecutor,)
 
 
 def undisturbed(plan: Plan) -> list[dict[str, Any]]:
     """All runs simulated here at once: the rows of a campaign in which nothing goes wrong."""
-    listed: list[dict[str, Any]] = table_of(
-        invented_columns(plan, range(plan.runs)), schema_of(kinds_of(plan), {})
-    ).to_pylist()
-    return listed
+    columns = {name: column.tolist() for name, column in invented_columns(plan, range(plan.runs)).items()}
+    return [dict(zip(columns, row, strict=True)) for row in zip(*(columns[name] for name in columns), strict=True)]
 
 
 def rows(found: CampaignResult) -> list[dict[str, Any]]:

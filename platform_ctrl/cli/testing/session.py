@@ -68,9 +68,10 @@ class JobSession:
         start = folder or Path()
         job = _job(source, start)
         given = _controllers(controllers, job, start)
-        from platform_ctrl.campaign.identity import digest  # loads what only campaigns need
+        from platform_ctrl.campaign.identity import source_hashes  # loads what only campaigns need
+        from platform_ctrl.job.writing import job_hashes
 
-        key = digest([job, given])
+        key = job_hashes(job)["job"] + ("" if given is None else source_hashes(job, given)["controllers"])
         if key not in self._done:
             try:
                 self._done[key] = check_job(job, loops(job) if given is None else outcomes_from(job, given))

@@ -7,7 +7,7 @@ import os
 from pathlib import Path
 
 from platform_ctrl.analysis.run_metrics import RUN_METRICS
-from platform_ctrl.campaign.identity import digest, identity
+from platform_ctrl.campaign.identity import identity, source_hashes
 from platform_ctrl.campaign.influences import Influence
 from platform_ctrl.campaign.probability import Probability
 from platform_ctrl.campaign.single_run import ROUNDING, rerun
@@ -314,11 +314,6 @@ def as_section(summary: Summary, result: JobResult, again: str | None) -> Sectio
 
 def differences(summary: Summary, result: JobResult) -> list[str]:
     """Return which of plant, controllers and sampling a campaign does not share with a job's result."""
-    plan, job = summary.plan, result.job
-    closed = tuple(outcome.closed.controller for outcome in result.loops)
-    pairs = {
-        "plant": (plan.job.platform, job.platform),
-        "sampling": (plan.job.sampling, job.sampling),
-        "controllers": (plan.controllers, closed),
-    }
-    return [name for name, (its, own) in pairs.items() if digest(its) != digest(own)]
+    closed = [outcome.closed.controller for outcome in result.loops]
+    its, own = source_hashes(summary.plan.job, summary.plan.controllers), source_hashes(result.job, closed)
+    return [name for name in its if its[name] != own[name]]
