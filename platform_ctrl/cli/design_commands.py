@@ -287,7 +287,7 @@ def expect_campaign(job: Job, folder: Path) -> Record:
         )
     if record.get("job") != job.name:
         raise InputError(f"--campaign {folder}: belongs to the job {record.get('job')!r}, not to {job.name!r}")
-    if not record.get("complete") or not (folder / TABLE).is_file():
+    if not record.get("complete") or not (folder / TABLE).exists():
         raise InputError(f"--campaign {folder}: is not complete; the same platform-ctrl campaign continues it")
     return record
 
