@@ -34,17 +34,17 @@ UNTRACED = frozenset(
     analysis/classical_margins analysis/frequency_response analysis/hinf_norm analysis/jitter_budget analysis/margins
     analysis/norms analysis/plant_set app/budget app/commanded app/core app/core_sliders app/designs
     app/designs_side_by_side app/limited_drags app/messages app/next_step app/plots app/session app/tree3d
-    campaign/statistics cli/check cli/fuzz_hostile cli/help cli/new cli/requirement_lines cli/serve_command contract
+    campaign/statistics cli/check cli/help cli/new cli/requirement_lines cli/serve_command
     design/caging_claims design/full_order_loops design/lmi design/lower_bounds design/rate_loops
     design/riccati design/sampled_hinf design/structured_caging design/tracking_methods docs export/code_any
-    export/fixed frozen job/fuzz_jobs mechanics/forces mechanics/identities mechanics/linearisation_paper
+    export/fixed frozen mechanics/forces mechanics/identities mechanics/linearisation_paper
     mechanics/oracle_mujoco mechanics/oracle_pinocchio mechanics/parameter_varying mechanics/reference
     mechanics/rotors mechanics/state_space mechanics/symbolic mechanics/the_paper models/examples models/paper
-    plant/degenerate_platforms plant/fuzz_plants public_docstrings registered report/axes_picture report/first_screen
+    plant/degenerate_platforms registered report/axes_picture report/first_screen
     report/plots_loci report/report report/summary shipped_jobs simulation/accuracy
-    simulation/batch simulation/drives simulation/forces simulation/fuzz_flights simulation/kernel simulation/packing
+    simulation/batch simulation/drives simulation/forces simulation/kernel simulation/packing
     simulation/parts simulation/plant simulation/rotors_and_base simulation/servo_rotors simulation/stops site
-    verification/changes verification/coupled verification/exact_verdicts verification/fuzz_results
+    verification/changes verification/coupled verification/exact_verdicts
     """.split()  # noqa: SIM905
 )
 

@@ -7,8 +7,7 @@ from typing import Any
 
 import pytest
 
-from fuzz_files import EVERY_JOB_KEY, EVERY_PLANT_KEY, HERE
-from fuzz_rules import rules
+from every_key import HERE, every_job_key, every_plant_key
 from platform_ctrl import read_job, read_platform
 from platform_ctrl.analysis.metrics import METRICS
 from platform_ctrl.errors import ArgumentError, InputError
@@ -20,7 +19,7 @@ from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.mechanics.outputs import observed
 from platform_ctrl.mechanics.state_space import state_space
 from platform_ctrl.plant.platform import Platform
-from platform_ctrl.plant.tables import Shape, shape
+from platform_ctrl.plant.tables import shape
 from platform_ctrl.simulation.packing import skeleton
 
 DOCS = Path(__file__).parents[1] / "docs"
@@ -59,7 +58,7 @@ def test_every_exporter_is_in_the_documentation(name: str) -> None:
 @pytest.mark.parametrize("key", LIMITS)
 def test_every_limit_has_a_row_and_refuses_a_wrong_number_in_a_sentence(key: str) -> None:
     assert f"`{key}`" in page("job-file.md")
-    data = EVERY_JOB_KEY.data
+    data = every_job_key()
     loop = next(one for one in data["loop"] if key in one.get("limits", {}))
     loop["limits"][key] = -1.0
     assert f"{key} must be a number > 0, got -1.0" in refusal(data)
@@ -75,21 +74,14 @@ def test_every_fault_refuses_a_number_that_is_none_in_a_sentence(kind: str) -> N
 
 @pytest.mark.parametrize("table", PARTS)
 def test_every_part_is_read_and_refuses_what_is_no_table(table: str) -> None:
-    data = EVERY_PLANT_KEY.data
+    data = every_plant_key()
     assert len(getattr(read_platform(data), PARTS[table].field)) == len(data[table])
     with pytest.raises(InputError, match=rf"{table} must be a table, got 3"):
         read_platform(data | {table: [3]})
 
 
-@pytest.mark.parametrize("table", PARTS)
-def test_every_key_of_a_part_has_a_rule_on_the_page_that_the_fuzz_tests_use(table: str) -> None:
-    holds = PARTS[table].holds
-    assert isinstance(holds, Shape)
-    assert {(table, key) for key in holds.keys} <= rules("plant-file.md").keys()
-
-
 def test_every_sensor_is_in_linear_models_and_in_simulations() -> None:
-    platform = read_platform(EVERY_PLANT_KEY.data)
+    platform = read_platform(every_plant_key())
     free = state_space(linearise(platform), root="free")
     packed = skeleton(platform).sensors
     assert len(packed) == len(platform.sensors) > 0

@@ -3,16 +3,11 @@
 from __future__ import annotations
 
 import math
-import random
-import tempfile
 from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
 
-from fuzz_bytes import mangled
-from fuzz_run import cases, chances
 from platform_ctrl.analysis.logs import _uniform, log_density, pieces, read_log
 from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.job.scenario import TimeTable, Vibration
@@ -226,25 +221,6 @@ def test_units_that_contradict_each_other_are_refused(tmp_path: Path) -> None:
         TimeTable.from_log(path, ("a_dps", "b_Nm", None))
     with pytest.raises(InputError, match='column "c_deg" is in deg by its name; name a column of a rate or a torque'):
         TimeTable.from_log(path, ("c_deg", None, None))
-
-
-@cases(150)
-@given(chances)
-def test_mangled_logs_are_refused_in_a_line_or_read(how: random.Random) -> None:
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "log.csv"
-        path.write_bytes(mangled(FILE.read_bytes()[:1500], how))
-        error, estimate = "", None
-        try:
-            estimate = LogSpectrum(log="log.csv", column="gyro_z").read(Path(folder), 1.0).estimate
-        except InputError as refused:
-            error = str(refused)
-        if estimate is None:
-            assert error.startswith(f"{path}: ")
-            assert error.isprintable()
-        else:
-            assert np.isfinite(estimate.densities).all()
-            assert estimate.variance > 0.0
 
 
 def test_a_piece_that_is_too_short_for_the_resolution_is_refused() -> None:

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from scipy import integrate
 
-from fuzz_files import EVERY_JOB_KEY, HERE
+from every_key import HERE, every_job_key
 from platform_ctrl import read_job
 from platform_ctrl.analysis.logs import read_log
 from platform_ctrl.analysis.metrics import BUDGET_METRICS
@@ -45,7 +45,7 @@ def base_rate(spectrum: Spectrum, unit: str | None = None) -> Source:
 
 def refusal(change: dict[str, Any], source: int | None = None, *without: str) -> str:
     """Return the message about a job whose budget, or a source of it, has other values."""
-    data = EVERY_JOB_KEY.data
+    data = every_job_key()
     table = data["budget"] if source is None else data["budget"]["source"][source]
     for key in without:
         del table[key]
@@ -101,7 +101,7 @@ def test_a_unit_scales_amplitudes_and_densities() -> None:
 
 
 def test_the_cross_density_is_that_of_signals_with_this_coherence_and_phase() -> None:
-    budget = read_job(EVERY_JOB_KEY.data, folder=HERE).budget
+    budget = read_job(every_job_key(), folder=HERE).budget
     assert budget is not None
     density = budget.density([2.0])[0]
     roll, pitch = budget.sources[ROLL].density(2.0), budget.sources[PITCH].density(2.0)
@@ -170,7 +170,7 @@ def test_every_description_and_every_unit_is_on_the_page() -> None:
 
 
 def test_a_budget_is_written_back_to_the_last_bit() -> None:
-    data = job_data(read_job(EVERY_JOB_KEY.data, folder=HERE))
+    data = job_data(read_job(every_job_key(), folder=HERE))
     assert job_data(read_job(tomllib.loads(toml(data)))) == data
     assert {len(set(source) & set(SPECTRA)) for source in data["budget"]["source"]} == {1}
 
@@ -223,7 +223,7 @@ def logged(tmp_path: Path, mean: float, amplitude: float, column: str = "x", **s
     x = mean + amplitude * np.sin(2 * np.pi * 3.0 * t)
     lines = [f"{one:.2f},{value:.9g}" for one, value in zip(t, x, strict=True)]
     (tmp_path / "log.csv").write_text("\n".join([f"time,{column}", *lines]) + "\n", encoding="utf-8")
-    data = EVERY_JOB_KEY.data | {"plant": "every_plant_key.toml"}
+    data = every_job_key() | {"plant": "every_plant_key.toml"}
     own = {"name": "log", "axis": 3, "log": str(tmp_path / "log.csv"), "column": column}
     data["budget"] = {"from_hz": 1.0, "to_hz": 50.0, "source": [own | source]}
     try:
@@ -293,7 +293,7 @@ def test_what_is_wrong_with_a_log_is_said_at_its_key(tmp_path: Path) -> None:
 def test_a_log_of_several_sources_is_read_once(monkeypatch: pytest.MonkeyPatch) -> None:
     reads = []
     monkeypatch.setattr(budget_checks, "read_log", lambda *given: reads.append(given) or read_log(*given))
-    data = EVERY_JOB_KEY.data
+    data = every_job_key()
     other = data["budget"]["source"][YAW] | {"name": "vehicle sway", "axis": 1}
     data["budget"]["source"].append(other)
     assert read_job(data, folder=HERE).budget.sources[-1].rms(1.0, 25.0) > 0.0
@@ -304,7 +304,7 @@ def test_a_log_of_several_sources_is_read_once(monkeypatch: pytest.MonkeyPatch) 
 
 
 def test_a_specific_force_without_unbalance_is_refused() -> None:
-    data = job_data(read_job(EVERY_JOB_KEY.data, folder=HERE))
+    data = job_data(read_job(every_job_key(), folder=HERE))
     data["plant"]["unbalance"] = []
     with pytest.raises(InputError, match="moves the line of sight by unbalance, and the plant has none; add"):
         read_job(data)

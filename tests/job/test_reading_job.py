@@ -17,7 +17,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from fuzz_files import EVERY_JOB_KEY, HERE
+from every_key import HERE, every_job_key
 from plant.test_reading_plant import JUNK, Change, add, both, drop, mutate, outcome, plant, put, refusal, toml_file
 from platform_ctrl.cli import main as command
 from platform_ctrl.common.values import replaced
@@ -678,7 +678,7 @@ def text_of(item: object) -> str:
 
 def test_every_key_of_a_job_file_and_its_plant_is_written() -> None:
     """To the last bit, defaults included; the plant's name, and logs, which become spectra, aside."""
-    read = read_job(EVERY_JOB_KEY.data, folder=HERE)
+    read = read_job(every_job_key(), folder=HERE)
     again = read_job(tomllib.loads(toml(job_data(read))))
     bare = {"plant": "", "budget": None}
     assert text_of(replaced(again, bare)) == text_of(replaced(read, bare))

@@ -6,7 +6,7 @@ import tomllib
 import numpy as np
 import pytest
 
-from fuzz_files import EVERY_PLANT_KEY
+from every_key import every_plant_key
 from platform_ctrl.errors import InputError
 from platform_ctrl.plant.platform import Platform
 from platform_ctrl.plant.reading import read_platform
@@ -244,14 +244,14 @@ PARTS = {kind: key for kind, key in shape(Platform).keys.items() if key.array is
 
 @pytest.mark.parametrize("kind", PARTS)
 def test_every_kind_of_part_in_the_register_is_read_written_and_refused_by_its_name(kind):
-    platform = read_platform(EVERY_PLANT_KEY.data)
+    platform = read_platform(every_plant_key())
     parts = getattr(platform, PARTS[kind].field)
-    assert len(parts) == len(EVERY_PLANT_KEY.data[kind])
+    assert len(parts) == len(every_plant_key()[kind])
     assert all(type(part) is PARTS[kind].holds.make for part in parts)
     assert len(plant_data(platform)[kind]) == len(parts)
     assert [repr(copy.deepcopy(part)) for part in parts] == [repr(part) for part in parts]
     for key in PARTS[kind].holds.keys:
-        wrong = copy.deepcopy(EVERY_PLANT_KEY.data)
+        wrong = copy.deepcopy(every_plant_key())
         wrong[kind][0][key] = {}
         refused = f"{key}( must be .*, got a table|.* one of them is needed)|has no effect|give (either|one of)"
         with pytest.raises(InputError, match=rf"\[\[{kind}\]\] 1.*{refused}"):

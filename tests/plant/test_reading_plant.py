@@ -22,8 +22,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import platform_ctrl as pc
-from fuzz_files import EVERY_PLANT_KEY, meaning
-from fuzz_run import cases
+from every_key import every_plant_key, meaning
 from oracle_trees import Motion, motions
 from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.plant.force_elements import Friction, Unbalance
@@ -941,7 +940,7 @@ def mutate(data: Any, chance: random.Random, junk: Any) -> None:
         return
 
 
-@cases(600)
+@settings(max_examples=100, deadline=None)
 @given(junk=st.lists(JUNK, min_size=1, max_size=4), chance=st.randoms(use_true_random=False))
 def test_whatever_is_changed_a_plant_is_read_or_refused_in_one_line(junk: list[Any], chance: random.Random) -> None:
     data = plant()
@@ -1003,7 +1002,7 @@ def test_the_text_of_a_shipped_plant_is_that_plant_to_the_last_bit(name: str) ->
 
 
 def test_the_text_of_a_plant_with_every_key_is_that_plant_to_the_last_bit() -> None:
-    platform = read_platform(EVERY_PLANT_KEY.data)
+    platform = read_platform(every_plant_key())
     assert meaning(read_back(platform)) == meaning(platform)
     assert meaning(read_platform(platform)) == meaning(platform)
 
