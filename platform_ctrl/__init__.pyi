@@ -15,7 +15,7 @@ from .mechanics.linearisation import LinearModel as LinearModel
 from .mechanics.linearisation import linearise as linearise
 from .mechanics.matrices import matrices as matrices
 from .mechanics.parameter_varying import parameter_varying as parameter_varying
-from .mechanics.precession.result import precession as precession
+from .mechanics.precession import precession as precession
 from .mechanics.rotors import rotor_momenta as rotor_momenta
 from .mechanics.rotors import with_free_rotors as with_free_rotors
 from .mechanics.rotors import with_regulated_rotors as with_regulated_rotors

@@ -9,10 +9,9 @@ from hypothesis import strategies as st
 
 from platform_ctrl.errors import ArgumentError, MechanicsError
 from platform_ctrl.mechanics.linearisation import linearise
-from platform_ctrl.mechanics.precession import choice
-from platform_ctrl.mechanics.precession.result import precession
+from platform_ctrl.mechanics.precession import precession
 from platform_ctrl.mechanics.state_space import state_space
-from platform_ctrl.plant.force_elements import Cage, Erection, Friction, Spring
+from platform_ctrl.plant.force_elements import Erection, Friction, Spring
 from platform_ctrl.plant.reading import read_platform
 from tree_cases import platforms, with_torquers
 
@@ -167,16 +166,6 @@ def test_the_cured_model_of_the_paper_written_down(platform):
     np.testing.assert_allclose(sys.B, B, atol=1e-12)
 
 
-@pytest.mark.parametrize("momenta", [(L, L, L), (0.15, 0.12, L)])
-def test_what_is_0_in_theory_is_0_in_the_matrices(platform, momenta):
-    """Only π drives by itself, along (0, L8, −L6); torques about 4 turn 5 and 7, those about 5 and 7 turn 4."""
-    sys = precession(linearise(with_momenta(platform, *momenta))).state_space(momentum_states=True)
-    A, B = np.zeros((6, 6), dtype=bool), np.zeros((6, 5), dtype=bool)
-    A[[1, 2], 5] = B[[1, 2], 0] = B[0, [1, 2]] = B[5, [1, 2]] = B[3, 4] = B[4, 3] = True
-    np.testing.assert_array_equal(sys.A != 0, A)
-    np.testing.assert_array_equal(sys.B[:, :5] != 0, B)
-
-
 def test_a_spring_that_is_a_million_million_times_softer_than_another_stays(platform):
     springs = (Spring(gimbal="9", stiffness=0.3), Spring(gimbal="10", stiffness=3e-13))
     model = linearise(dataclasses.replace(platform, springs=springs))
@@ -249,19 +238,13 @@ def test_subsystems_of_odd_order_are_always_singular_and_always_cured(platform, 
         assert part.admissible == (not part.reasons) == (not part.cures)
         if n % 2:
             assert part.rank < n
-            # What can stand in for G there is a spring, be it the gyroscopic restraint L Omega.
-            assert part.restrained or not part.admissible
+            assert not part.admissible
         assert part.null_directions.shape == (n, n - part.rank)
         np.testing.assert_allclose(part.G @ part.null_directions, 0, atol=1e-8 * np.abs(part.G).max(initial=1.0))
         sys = precession(model, gimbals=part.gimbals).state_space(momentum_states=True)
         assert np.all(np.isfinite(np.hstack([sys.A, sys.B])))
         kept = part.momentum_directions.shape[1]
-        # Springs hold what no momentum is kept for, at times a weak gyroscopic pair too: those angles follow the
-        # torques at once and are no states.
-        if kept:
-            assert sys.nstates == n + kept
-        else:
-            assert sys.nstates in range(part.rank, -1, -2)
+        assert sys.nstates == n + kept
 
 
 def test_what_is_admissible_under_soft_springs_errs_by_a_third_at_the_most():
@@ -306,39 +289,22 @@ def test_the_error_is_the_distance_of_the_two_state_space_models(platform, seed)
         root = np.linalg.cholesky(part.M)
         full, reduced = root.T @ full.reshape(n, n) @ root, root.T @ reduced @ root
         error = np.linalg.norm(reduced - full, 2) / np.linalg.norm(full, 2)
-        each = np.linalg.norm(np.linalg.solve(full, reduced - full), 2)
         size = max(np.linalg.cond(full), 1.0)
         assert part.error([frequency], True)[0] == pytest.approx(error, rel=1e-6, abs=1e-11 * size)
-        assert part.error([frequency], True, each_direction=True)[0] == pytest.approx(each, rel=1e-6, abs=1e-10 * size)
-        assert error <= each * (1 + 1e-9) + 1e-10 * size
 
 
 def test_the_error_of_a_free_gyro_is_frequency_over_nutation(platform):
     part = precession(linearise(platform)).part("9")
     frequency = np.array([1e-3, 1.0, 47.0, 400.0, NUTATION_910, 1000.0])
     assert part.error(frequency) == pytest.approx(frequency / NUTATION_910, rel=1e-5)
-    assert part.error(frequency, each_direction=True) == pytest.approx(frequency / NUTATION_910, rel=1e-5)
 
 
 def test_the_error_of_the_cured_model_falls_with_frequency_twice_as_steeply_where_the_inertia_dominates(platform):
-    """The exact response of β5 − β7, 1/ω², outshines that of the pair; in its own direction the pair errs by ω/ν."""
+    """The exact response of β5 − β7, 1/ω², outshines that of the pair."""
     part = precession(linearise(platform)).part("4")
     frequency = np.array([1.0, 10.0, 100.0])
     ratio = frequency / NUTATION_457
-    assert part.error(frequency, True, each_direction=True) == pytest.approx(ratio, rel=1e-6)
     assert part.error(frequency, True) == pytest.approx(ratio**2 / (1 - ratio), rel=1e-6)
-
-
-@pytest.mark.parametrize("factor", [4.0, 25.0])
-def test_faster_rotors_make_the_model_better_in_proportion(platform, factor):
-    Omega, frequency = (0.0, 0.1, -0.3), [2.0, 30.0]
-    errors = [
-        precession(
-            linearise(with_momenta(platform, *(s * np.array([0.15, 0.12, 0.15]))), Omega=Omega), None, 30.0
-        ).error(frequency, momentum_states=True, each_direction=True)
-        for s in (factor, 4.0 * factor)
-    ]
-    assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.02)
 
 
 def test_the_loop_has_to_stay_below_a_third_of_nutation(platform):
@@ -359,19 +325,6 @@ def test_the_loop_has_to_stay_below_a_third_of_nutation(platform):
     cured = precession(model, ("9", "10"), loop_frequency=300.0).state_space(momentum_states=True)
     full = state_space(model, gimbals=("9", "10"))
     np.testing.assert_allclose(np.asarray(cured(200j)), np.asarray(full(200j)), rtol=1e-9, atol=1e-12)
-
-
-def test_slow_nutation_of_one_pair_is_cured_by_two_momentum_states(platform):
-    model = two_pairs(platform, np.zeros(4), momenta=(L, 0.01 * L))
-    part = precession(model, loop_frequency=30.0).parts[0]
-    assert part.rank == 4
-    assert not part.admissible
-    assert "nutation at" in part.reasons[0]
-    assert part.momentum_directions.shape == (4, 2)
-    assert precession(model, loop_frequency=0.1 * part.highest_frequency).admissible
-    frequency = np.array([5.0, 30.0])
-    fast = part.singular_values[0]
-    assert np.all(part.error(frequency, True, True) < 2.5 * frequency / fast)
 
 
 def test_non_zero_multiple_roots_are_refused(platform):
@@ -420,26 +373,16 @@ def test_levelling_damps_precession_and_makes_nutation_grow(platform, gain):
     part = precession(linearise(levelled, specific_force=force), ("9", "10")).parts[0]
     np.testing.assert_allclose(part.precession_roots.real, [-gain / 2 / L, -gain / L], rtol=1e-9)
     growth = 0.75 * gain / L
-    assert part.reasons == (f"9-10: what would be dropped grows: pole at {growth:.4g} +{part.nutation[0]:.4g}j rad/s",)
-    assert part.cures == ("keep all momenta, that is the full equations", "or damp it, or make it stiffer")
+    assert part.reasons == (f"9-10: what would be dropped grows: pole at {growth:.4g}+{part.nutation[0]:.4g}j rad/s",)
+    assert part.cures == (
+        "keep all momenta, that is the full equations (momentum_states=True)",
+        "or damp it, or make it stiffer",
+    )
     # Friction that takes more than levelling gives: d (1/J9 + 1/J10)/2 against it.
     for share, good in ((1.05, True), (0.8, False)):
         d = 2.0 * share * growth / (1.0 / J9 + 1.0 / J10)
         damped = dataclasses.replace(levelled, frictions=tuple(Friction(gimbal=g, viscous=d) for g in ("9", "10")))
         assert precession(linearise(damped, specific_force=force), ("9", "10")).admissible == good
-
-
-def test_rotors_that_all_but_balance_leave_slow_poles_to_the_dropped_terms_as_well(platform):
-    """No multiple root says so then: the roots, ∝ √(L6 − L8), have not yet reached the poles, ±√2 Omega1."""
-    model = linearise(with_momenta(platform, 0.15, 0.15001, L), Omega=(0.3, 0, 0), terms="paper")
-    for loop_frequency, cured in ((0.9, False), (1.1, True)):
-        part = precession(model, ("4", "5", "7"), loop_frequency=loop_frequency).parts[0]
-        assert not part.multiple_roots
-        assert loop_frequency / 3 == pytest.approx(part.root_error, rel=0.2)
-        missed = f"4-5-7: its roots miss the slow poles of the full equations by up to {part.root_error:.4g} rad/s"
-        assert (missed in part.reasons) == (not cured)
-        assert part.momentum_directions.shape == (3, 1 if cured else 3)
-        assert part.root_error == pytest.approx(largest_gap(part.precession_roots, slow_poles(model, part)), rel=1e-6)
 
 
 def test_a_triple_chain_at_zero_is_an_obstacle(platform):
@@ -452,175 +395,7 @@ def test_a_triple_chain_at_zero_is_an_obstacle(platform):
     assert not part.admissible
 
 
-def test_a_response_that_is_wrong_at_the_loop_is_refused_whatever_the_roots_say(monkeypatch):
-    """A slow rotor on one of three gimbals, a stiff spring, friction: one slow root, 40 % off, all else far above."""
-    bodies = {"g0": ("r", [0, 1, 0], 7e-4), "g1": ("g0", [-1, 0, 0], 9e-3), "g2": ("g0", [0.245, 0.215, -0.063], 7e-3)}
-    platform = read_platform(
-        {
-            "schema": 1,
-            "name": "slow",
-            "root": {"name": "r", "inertia": [1, 1, 1]},
-            "gimbal": [
-                {"name": name, "parent": parent, "axis": axis, "inertia": [inertia, 0.75 * inertia, 0.9 * inertia]}
-                for name, (parent, axis, inertia) in bodies.items()
-            ],
-            "rotor": [
-                {
-                    "name": "w",
-                    "carrier": "g2",
-                    "axis": [0, 1, 0],
-                    "axial_inertia": 1e-4,
-                    "transverse_inertia": 1e-4,
-                    "spin": 11.0,
-                }
-            ],
-            "spring": [{"gimbal": "g0", "stiffness": 292.5}],
-            "friction": [{"gimbal": "g1", "viscous": 0.187}],
-        }
-    )
-    model = linearise(platform, Omega=(-0.17, 0.24, -0.1), q=(0.12, 0.31, -0.06))
-    assert not precession(model).admissible
-    with monkeypatch.context() as patch:
-        patch.setattr(choice, "_TWICE", np.inf)
-        unmeasured = precession(model).part("g0")
-    # Roots, separation and growth alone would let it pass.
-    assert unmeasured.admissible
-    assert unmeasured.error([unmeasured.loop_frequency])[0] > 2 / 3
-
-
 # Restraints.
-
-
-def test_a_damper_on_the_null_direction_is_a_cure(platform):
-    dampers = tuple(Friction(gimbal=g, viscous=0.1) for g in ("5", "7"))
-    model = linearise(dataclasses.replace(platform, frictions=dampers), Omega=(0.2, 0.1, -0.3))
-    whole = precession(model, loop_frequency=50.0)
-    part = whole.part("4")
-    assert part.admissible
-    assert part.restrained
-    assert whole.state_space().nstates == 5
-    assert largest_gap(whole.state_space().poles()[:3], np.zeros(3)) < 1.0
-    assert largest_gap(part.precession_roots, slow_poles(model, part)) < 0.01
-    assert part.error([5.0])[0] < 0.02
-
-
-def test_slight_friction_is_no_restraint(platform):
-    rubbing = dataclasses.replace(platform, frictions=tuple(Friction(gimbal=g, viscous=1e-4) for g in ("5", "7")))
-    part = precession(linearise(rubbing)).part("4")
-    assert not part.admissible
-    assert "what restrains it acts up to 0.5 rad/s, 15.9 rad/s are needed" in part.reasons[0]
-    assert part.momentum_directions.shape == (3, 1)
-    assert part.precession_roots[-1] == pytest.approx(-0.5, rel=1e-6)
-
-
-@pytest.mark.parametrize("gimbals", [("5",), ("5", "7")])
-def test_springs_on_the_null_direction_are_a_cure_with_fewer_states(platform, gimbals):
-    springs = tuple(Spring(gimbal=g, stiffness=4.0 / len(gimbals)) for g in gimbals)
-    model = linearise(dataclasses.replace(platform, springs=springs))
-    part = precession(model, loop_frequency=20.0).part("4")
-    assert part.admissible
-    assert part.restrained
-    assert not part.multiple_roots
-    sys = precession(model, ("4", "5", "7"), loop_frequency=20.0).state_space()
-    assert sys.state_labels == ["alpha4", "y_beta5"]
-    # Index 1: the held direction answers a torque at once, like a spring.
-    held = np.array([0.0, 0.5, -0.5])
-    torque = np.array([0.0, 1.0, -1.0])
-    full = state_space(model, gimbals=("4", "5", "7"))
-    for s in (0.1j, 1j):
-        slow, true = (np.asarray(of(s))[:, :3] for of in (sys, full))
-        np.testing.assert_allclose(held @ slow @ torque, held @ true @ torque, rtol=0.05)
-        assert np.linalg.norm(slow - true, 2) < 0.05 * np.linalg.norm(true, 2)
-
-
-@settings(max_examples=20, deadline=None)
-@given(st.floats(1.0, 2.0), st.floats(0.0, 0.002), st.floats(0.12, 0.18), st.floats(0.3, 20.0))
-def test_a_restrained_model_solves_its_own_equations(stiffness, damping, L6, frequency):
-    """jω D + S, D without the damping of the held direction itself, against the state equations made of them."""
-    platform = with_momenta(read_platform("three_gyro_platform"), L6, L, L)
-    cages = tuple(Cage(gimbal=g, stiffness=stiffness, damping=damping) for g in ("4", "5", "7"))
-    model = linearise(dataclasses.replace(platform, cages=cages))
-    whole = precession(model, ("4", "5", "7"), loop_frequency=10.0)
-    part = whole.parts[0]
-    v = part.null_directions
-    held = v @ np.linalg.solve(v.T @ part.M @ v, v.T @ part.M)
-    response = np.asarray(whole.state_space()(1j * frequency))[:, :3]
-    stiff = 1j * frequency * part.damping @ (np.eye(3) - held) + part.stiffness
-    np.testing.assert_allclose(stiff @ response, np.eye(3), atol=1e-9)
-    full = np.asarray(state_space(model, gimbals=("4", "5", "7"))(1j * frequency))[:, :3]
-    root = np.linalg.cholesky(part.M)
-    each = np.linalg.norm(np.linalg.solve(root.T @ full @ root, root.T @ (response - full) @ root), 2)
-    assert part.error([frequency], each_direction=True)[0] == pytest.approx(each, rel=1e-6)
-
-
-@pytest.mark.parametrize("terms", ["exact", "paper"])
-def test_a_restrained_model_answers_a_rate_of_the_platform_as_the_full_one_does(platform, terms):
-    """At rest exactly, K q = −G_Omega ω; slowly nearly so. Held angles answer at once, the others by their rates."""
-    springs = (Spring(gimbal="4", stiffness=1.0), *(Spring(gimbal=g, stiffness=c) for g, c in (("5", 2.0), ("7", 3.0))))
-    sprung = dataclasses.replace(with_momenta(platform, 0.15, 0.12, L), springs=springs)
-    model = linearise(sprung, Omega=(2.0, 1.0, -3.0), terms=terms)
-    whole = precession(model, ("4", "5", "7"), loop_frequency=20.0)
-    assert whole.admissible
-    assert whole.parts[0].restrained
-    sys, full = whole.state_space(), state_space(model, gimbals=("4", "5", "7"))
-    turn = [sys.input_labels.index(name) for name in ("Omega1", "Omega2", "Omega3")]
-    assert turn == [full.input_labels.index(name) for name in ("Omega1", "Omega2", "Omega3")]
-    at_rest = np.real(full(0))[:, turn]
-    np.testing.assert_allclose(np.real(sys(0))[:, turn], at_rest, rtol=1e-8, atol=1e-12)
-    for k in range(3):
-        slow, true = (np.asarray(of(0.1j))[:, turn[k]] for of in (sys, full))
-        assert np.linalg.norm(slow - true) <= 0.02 * np.linalg.norm(true)
-
-
-def test_the_stiffness_and_the_damping_that_are_named_suffice(platform):
-    """Along β5 − β7: c5 + c7 = 2 J5 (3 ω)², d5 + d7 = 2 J5 (3 ω), both exceeded here by a half."""
-    cure = precession(linearise(platform), loop_frequency=20.0).part("4").cures[1]
-    stiffness, damping = 2 * J5 * 60.0**2, 2 * J5 * 60.0
-    assert f"stiffness well above {stiffness:.3g} N m/rad or damping well above {damping:.3g} N m s" in cure
-    for kind, amount in (("springs", stiffness), ("frictions", damping)):
-        size = 0.75 * amount
-        elements = {
-            "springs": tuple(Spring(gimbal=g, stiffness=size) for g in ("5", "7")),
-            "frictions": tuple(Friction(gimbal=g, viscous=size) for g in ("5", "7")),
-        }[kind]
-        restrained = linearise(dataclasses.replace(platform, **{kind: elements}))
-        assert precession(restrained, loop_frequency=20.0).admissible
-
-
-def test_a_negative_spring_restrains_nothing(platform):
-    springs = tuple(Spring(gimbal=g, stiffness=-2.0) for g in ("5", "7"))
-    part = precession(linearise(dataclasses.replace(platform, springs=springs)), loop_frequency=20.0).part("4")
-    assert not part.admissible
-    assert not part.restrained
-
-
-def test_a_closed_cage_with_damping_counts_as_a_spring(platform):
-    cages = (Cage(gimbal="5", stiffness=4.0, damping=0.004),)
-    part = precession(linearise(dataclasses.replace(platform, cages=cages)), loop_frequency=20.0).part("4")
-    assert part.admissible
-    assert part.restrained
-
-
-def test_the_spring_of_a_rate_gyro_turns_rate_into_angle():
-    """c θ = Q + L Omega2 below the spring's own frequency √(c/J), which no precession takes part in."""
-    plant = read_platform("rate_gyro")
-    (spring,), (rotor,) = plant.springs, plant.rotors
-    model = linearise(plant)
-    whole = precession(model, loop_frequency=10.0)
-    part = whole.parts[0]
-    assert part.admissible
-    assert part.restrained
-    assert part.nutation == pytest.approx([np.sqrt(spring.stiffness / model.M[0, 0])])
-    sys = whole.state_space()
-    assert sys.nstates == 0
-    np.testing.assert_allclose(sys.D, np.array([[1, 0, rotor.angular_momentum, 0]]) / spring.stiffness, atol=1e-15)
-    np.testing.assert_allclose(np.asarray(state_space(model)(1e-3j))[:, :4], sys.D, rtol=1e-3, atol=1e-6)
-    # 3 times as fast as the loop, as the line that asks for a spring says.
-    soft = dataclasses.replace(plant, frictions=())
-    for factor, good in ((1.01, True), (0.99, False)):
-        c = factor * model.M[0, 0] * 30.0**2
-        found = linearise(dataclasses.replace(soft, springs=(dataclasses.replace(spring, stiffness=c),)))
-        assert precession(found, loop_frequency=10.0).admissible == good
 
 
 # Wrong questions and the ends of the range.
@@ -634,23 +409,6 @@ def test_without_spin_no_rotor_gives_any_momentum(platform):
         sys = whole.state_space(momentum_states=True)
         full = state_space(whole.model)
         np.testing.assert_allclose(np.asarray(sys(2j)), np.asarray(full(2j)), rtol=1e-9, atol=1e-6)
-
-
-def test_a_single_gimbal_has_no_gyroscopic_pair(platform):
-    """A rate gyro: its damper serves up to a frequency, and without one to compare with nothing is said."""
-    gyro = dataclasses.replace(
-        with_momenta(platform, L, L, L),
-        gimbals=platform.gimbals[3:4],
-        rotors=(dataclasses.replace(platform.rotors[2], carrier="9"),),
-        torquers=(),
-        pickoffs=(),
-        frictions=(Friction(gimbal="9", viscous=0.1),),
-    )
-    whole = precession(linearise(gyro))
-    assert whole.reasons == ("9: G_R is 1 x 1 and skew, so its determinant is 0: alpha9 has no gyroscopic stiffness",)
-    assert whole.cures[1] == "9: or restrain alpha9 and give loop_frequency"
-    assert whole.summary().splitlines()[0] == "9: precession theory not admissible; no loop frequency given"
-    assert precession(linearise(gyro), loop_frequency=5.0).admissible
 
 
 def test_a_platform_without_gimbals_has_nothing_to_refuse():
@@ -671,8 +429,7 @@ def test_twenty_gimbals_in_a_row():
     assert part.direction_names[0] == "q_g0 - q_g2"
     assert whole.momentum_states == 8
     frequency = np.array([0.01, 0.1, 1.0])
-    error = whole.error(frequency, momentum_states=True, each_direction=True)
-    assert error == pytest.approx(frequency / part.nutation.min(), rel=1e-6)
+    assert np.all(whole.error(frequency, momentum_states=True) < frequency / part.nutation.min())
 
 
 def test_gimbal_lock_is_named():
@@ -689,7 +446,6 @@ def test_a_summary_tells_verdict_figures_reasons_and_cures(platform):
         lines[0] == "4-5-7: precession theory not admissible; nutation from 530.3 rad/s, judged for a loop at 50 rad/s"
     )
     assert lines[-1] == "9-10: precession theory admissible; nutation from 474.3 rad/s, judged for a loop at 50 rad/s"
-    assert "restrain beta5 - beta7: stiffness well above 9 N m/rad or damping well above 0.06 N m s along it" in text
 
 
 def test_wrong_questions_get_one_line(platform):

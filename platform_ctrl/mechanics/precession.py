@@ -1,0 +1,579 @@
+"""Precession theory (15) of a linear model: the test for every subsystem, the model, and its error.
+
+(15) is the linear model (19) without M q̈. Directions V that G leaves alone keep their momenta π = Vᵀ (M q̇ + M_Omega ω):
+
+    along U   Uᵀ (D q̇ + S q + G_Omega ω − Q) = 0          without inertia
+    along V   π' = Vᵀ (Q − D q̇ − S q − G_Omega ω)         with it
+
+with D = G − ∂Q/∂q̇, S = K − ∂Q/∂q and Uᵀ M V = 0: whatever Uᵀ M V is left would be dropped with the inertia of U.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import block_diag, null_space, qr
+
+from platform_ctrl.common.arguments import distinct, known_name, positive, real_array
+from platform_ctrl.common.signatures import check_arguments
+from platform_ctrl.common.values import FloatArray, value
+from platform_ctrl.errors import ArgumentError, MechanicsError
+from platform_ctrl.mechanics.kinematics import topology
+from platform_ctrl.mechanics.linearisation import LinearModel
+from platform_ctrl.mechanics.matrices import inverse_inertia
+from platform_ctrl.mechanics.state_space import gimbal_torquers, subsystems, whole_subsystems
+from platform_ctrl.plant.platform import OMEGA_NAMES
+
+if TYPE_CHECKING:
+    import control
+
+ComplexArray = NDArray[np.complex128]
+
+# Loop frequency where none is given, against the highest nutation frequency.
+_SLOW = 0.01
+# A singular value of G this small against the largest is 0, and a stage of the search for roots at zero takes what is
+# this small against the whole for zero.
+_NOTHING, _ZERO_ROOT = 1e-9, 1e-10
+# Non-zero roots nearer to each other than this, against the largest, are one multiple root: rounding alone parts a
+# double root by the square root of the machine precision.
+_MULTIPLE = 1e-7
+# A dropped pole with Re s over |s| above this grows: by less than 1 % in a thousand periods it is rounding.
+_GROWS = 1e-6
+# A coordinate of a direction this much smaller than another one is as large: a name must not hang on the last digits
+# of a plant file. Half of the last digit in words is not worth a word.
+_AS_LARGE, _SILENT = 1e-3, 0.005
+# Room for rounding where something is to lie a factor above something else.
+_ROUNDING = 1e-9
+# Highest frequency, rad/s: its square is a number still.
+_HIGHEST = 1e150
+
+
+class _Reduced(NamedTuple):
+    """ξ' = A ξ + B Q + E ω of the states ξ = [q, π]; `rate` is ‖∂q̇/∂q‖ in coordinates of unit inertia, rad/s."""
+
+    A: FloatArray
+    B: FloatArray
+    E: FloatArray
+    rate: float
+
+
+@value
+class PrecessionPart:
+    """The test of one subsystem, and its precession model.
+
+    Attributes
+    ----------
+    model
+        The linear model that the subsystem belongs to.
+    gimbals
+        Names, in the file's order; n of them.
+    loop_frequency, required_separation
+        The model has to hold up to `loop_frequency`, rad/s; what it drops has to be faster by that factor.
+    singular_values : (n,)
+        Of Tᵀ G T with Tᵀ M T = 1, rad/s, largest first; with nothing else in the equations they are the nutation
+        frequencies. Small against the loop is what counts, not small in N m s.
+    null_directions : (n, k)
+        Columns: motions q̇ that G does nothing about, in as few angles each as possible; dimensionless.
+    direction_names
+        The same in words: "beta5 - beta7" is a motion of β5 against β7.
+    momentum_directions : (n, k)
+        Motions whose momenta the model with momentum states keeps, dimensionless: the null directions, or all where
+        with these alone it is not admissible either.
+    reasons, cures
+        Why precession theory may not be used without changes, and what would help: lines of text, none where it may.
+    nutation : (p,)
+        Frequencies |s| of the poles of the full equations that are dropped, rad/s, lowest first; one for a conjugate
+        pair. These, the roots and the separation are those of the model that keeps the momenta of the null directions.
+    precession_roots : (r,)
+        Roots of the model, complex, rad/s, slowest first.
+    root_error
+        Largest distance between the roots and the slow poles of the full equations, rad/s.
+    multiple_roots
+        Whether the roots contain a multiple one that dropped terms may split. A root 0 with complete eigenvectors, or
+        with chains no longer than two, is the same with and without inertia.
+    separation
+        Ratio of the lowest nutation frequency to the loop frequency or the fastest precession, whichever is higher.
+        Precession is as fast as stiffness drives it in any direction, ‖G⁻¹ K‖ in coordinates of unit inertia: roots
+        alone can be 0 under the stiffest spring.
+
+    References
+    ----------
+    K. Magnus, Ingenieur-Archiv 1976, eqs. (15), (19).
+
+    See docs/precession.md.
+    """
+
+    model: LinearModel
+    gimbals: tuple[str, ...]
+    loop_frequency: float
+    required_separation: float
+    singular_values: FloatArray
+    null_directions: FloatArray
+    direction_names: tuple[str, ...]
+    momentum_directions: FloatArray
+    reasons: tuple[str, ...]
+    cures: tuple[str, ...]
+    nutation: FloatArray
+    precession_roots: ComplexArray
+    root_error: float
+    multiple_roots: bool
+    separation: float
+
+    @property
+    def name(self) -> str:
+        """The gimbals' names, joined."""
+        return "-".join(self.gimbals)
+
+    @property
+    def angles(self) -> tuple[str, ...]:
+        """Names of the angles."""
+        return tuple(self.model.angle_names[k] for k in self._rows)
+
+    @property
+    def M(self) -> FloatArray:
+        """Inertia, (n, n), kg m²."""
+        return _part(self.model.M, self._rows)
+
+    @property
+    def G(self) -> FloatArray:
+        """G of (19), (n, n), N m s."""
+        return _part(self.model.G, self._rows)
+
+    @property
+    def damping(self) -> FloatArray:
+        """G − ∂Q/∂q̇, (n, n), N m s: what the test was made with."""
+        return _part(self.model.damping, self._rows)
+
+    @property
+    def stiffness(self) -> FloatArray:
+        """K − ∂Q/∂q, (n, n), N m/rad."""
+        return _part(self.model.stiffness, self._rows)
+
+    @property
+    def rank(self) -> int:
+        """Rank of G: how many singular values are not 0."""
+        return len(self.gimbals) - int(self.null_directions.shape[1])
+
+    @property
+    def admissible(self) -> bool:
+        """Whether precession theory may be used without changes."""
+        return not self.reasons
+
+    @property
+    def highest_frequency(self) -> float:
+        """Frequency above which what is dropped comes too near, rad/s; infinite where nothing is dropped."""
+        return float(self.nutation.min(initial=np.inf)) / self.required_separation
+
+    @check_arguments
+    def error(self, frequency: ArrayLike, momentum_states: bool = False) -> FloatArray:
+        """Return the relative error of this subsystem's model over frequency (N,), rad/s: see `Precession.error`."""
+        omega = np.atleast_1d(np.asarray(frequency))
+        omega = real_array("frequency", omega, (omega.size,))
+        if np.any(omega <= 0.0) or np.any(omega > _HIGHEST):
+            ends = f"{omega.min():g} to {omega.max():g}"
+            raise ArgumentError(f"frequency: must be above 0 and up to {_HIGHEST:g} rad/s, got {ends}")
+        T = np.linalg.inv(np.linalg.cholesky(self.M).T)
+        V = np.linalg.inv(T) @ self._kept(momentum_states)
+        inertia = V @ np.linalg.pinv(V)
+        s = 1j * omega[:, None, None]
+        rest = s * (T.T @ self.damping @ T) + T.T @ self.stiffness @ T
+        reduced = s**2 * inertia + rest
+        # On a root of the reduction its response, and so the error, is infinite.
+        regular = np.linalg.cond(reduced) < 1.0 / np.finfo(float).eps
+        reduced[~regular] = np.eye(len(T))
+        # X_r − X = X (Z − Z_r) X_r holds the difference without cancellation; Z = X⁻¹ is the dynamic stiffness. X is
+        # taken over its norm: finite on a pole of the full equations, too.
+        left, values, right = np.linalg.svd(s**2 * np.eye(len(T)) + rest)
+        share = np.divide(values[:, -1:], values, out=np.ones_like(values), where=values > values[:, -1:])
+        X = np.conj(np.swapaxes(left * share[:, None, :] @ right, 1, 2))
+        difference = X @ (s**2 * (np.eye(len(T)) - inertia)) @ np.linalg.inv(reduced)
+        return np.where(regular, np.linalg.norm(difference, 2, axis=(1, 2)), np.inf)
+
+    def _kept(self, momentum_states: bool) -> FloatArray:
+        """Return the directions whose momenta the model keeps."""
+        if momentum_states:
+            return self.momentum_directions
+        if self.null_directions.shape[1]:
+            raise MechanicsError(f"precession theory is not admissible: {self.reasons[0]}; {self.cures[0]}")
+        return self.null_directions
+
+    @property
+    def _rows(self) -> list[int]:
+        return [self.model.gimbal_names.index(name) for name in self.gimbals]
+
+
+@value
+class Precession:
+    """Precession theory of a linear model, where it may be used, and what it takes where it may not.
+
+    Attributes
+    ----------
+    model
+        What was tested.
+    gimbals
+        Names, in the file's order.
+    parts
+        The test of each subsystem.
+
+    References
+    ----------
+    K. Magnus, Ingenieur-Archiv 1976, eq. (15).
+
+    See docs/precession.md.
+    """
+
+    model: LinearModel
+    gimbals: tuple[str, ...]
+    parts: tuple[PrecessionPart, ...]
+
+    @property
+    def admissible(self) -> bool:
+        """Whether precession theory may be used for every subsystem."""
+        return all(part.admissible for part in self.parts)
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """Why not: a line for each obstacle in each subsystem."""
+        return tuple(line for part in self.parts for line in part.reasons)
+
+    @property
+    def cures(self) -> tuple[str, ...]:
+        """What would help, a line each."""
+        return tuple(f"{part.name}: {line}" for part in self.parts for line in part.cures)
+
+    @property
+    def momentum_states(self) -> int:
+        """How many momentum states cure all subsystems; 0 where precession theory is admissible."""
+        return sum(part.momentum_directions.shape[1] for part in self.parts)
+
+    @check_arguments
+    def part(self, gimbal: str) -> PrecessionPart:
+        """Return the test of the subsystem that the named gimbal belongs to."""
+        known_name("gimbal", gimbal, self.gimbals)
+        return next(part for part in self.parts if gimbal in part.gimbals)
+
+    @check_arguments
+    def state_space(self, momentum_states: bool = False) -> control.StateSpace:
+        """Return the precession model: D q̇ + S q + G_Omega ω = Q solved for q̇.
+
+        Parameters
+        ----------
+        momentum_states
+            Keep the momenta that it takes, as states ``pi_`` + an angle behind the angles, N m s.
+
+        Returns
+        -------
+        control.StateSpace
+            Inputs are the torquers of these gimbals in the file's order, then Omega1 to Omega3; outputs are the
+            angles.
+
+        Raises
+        ------
+        MechanicsError
+            Precession theory is not admissible and `momentum_states` is False; the first reason is told.
+        ArgumentError
+            Two signals would have the same name.
+        """
+        import control
+
+        for part in self.parts:
+            if not (momentum_states or part.admissible):
+                raise MechanicsError(f"precession theory is not admissible: {part.reasons[0]}; {part.cures[0]}")
+        angles = [self.model.angle_names[self.model.platform.gimbal(name)] for name in self.gimbals]
+        torquers, torque_map = gimbal_torquers(self.model, self.gimbals)
+        n, momenta = len(angles), [_leading(part.momentum_directions) for part in self.parts]
+        names = [f"pi_{part.angles[k]}" for part, leads in zip(self.parts, momenta, strict=True) for k in leads]
+        names = [*angles, *(names if momentum_states else [])]
+        A, B = np.zeros((len(names), len(names))), np.zeros((len(names), len(torquers) + 3))
+        first = n
+        for part in self.parts:
+            V = part._kept(momentum_states)
+            found = _reduced(self.model, part._rows, V)
+            mine = [self.gimbals.index(name) for name in part.gimbals]
+            rows = [*mine, *range(first, first + V.shape[1])]
+            first += V.shape[1]
+            A[np.ix_(rows, rows)] = found.A
+            B[rows] = np.hstack([found.B @ torque_map[mine], found.E])
+        return control.StateSpace(
+            A,
+            B,
+            np.eye(n, len(names)),
+            np.zeros((n, len(torquers) + 3)),
+            inputs=[*torquers, *OMEGA_NAMES],
+            outputs=angles,
+            states=distinct("states", names),
+            remove_useless_states=False,
+        )
+
+    def error(self, frequency: ArrayLike, momentum_states: bool = False) -> FloatArray:
+        """Return the relative error of the precession model against the full one.
+
+        ‖P_precession − P‖₂ / ‖P‖₂ with the largest singular values of the transfer functions from torques to angles
+        (or rates: the factor jω cancels), in coordinates q = T x, Tᵀ M T = 1, so that no unit and no choice of gimbals
+        matters. Of several subsystems the largest counts. With K = 0 and one nutation frequency ν it is ω/ν, exactly.
+        Where the precession equations are refused although they have a unique solution, they are measured all the same.
+
+        Parameters
+        ----------
+        frequency : (N,)
+            Above 0, rad/s.
+        momentum_states
+            Of the model that `state_space` returns with this argument.
+
+        Returns
+        -------
+        (N,)
+            Dimensionless.
+
+        Raises
+        ------
+        MechanicsError
+            The precession equations have no unique solution.
+        """
+        of_parts = [part.error(frequency, momentum_states) for part in self.parts]
+        return np.max(of_parts, axis=0) if of_parts else np.zeros(np.size(frequency))
+
+    def summary(self) -> str:
+        """Return a few lines of text: for each subsystem the verdict, its figures, the reasons and the cures.
+
+        Returns
+        -------
+        str
+            To print.
+        """
+        lines = [] if self.parts else ["no gimbals: nothing precesses"]
+        for part in self.parts:
+            verdict = "admissible" if part.admissible else "not admissible"
+            figures = f"nutation from {part.nutation.min():.4g} rad/s, " if part.nutation.size else ""
+            figures += f"judged for a loop at {part.loop_frequency:.4g} rad/s"
+            lines.append(f"{part.name}: precession theory {verdict}; {figures}")
+            lines += [f"  {line}" for line in (*part.reasons, *part.cures)]
+        return "\n".join(lines)
+
+
+@check_arguments
+def precession(
+    model: LinearModel,
+    gimbals: Sequence[str] | None = None,
+    loop_frequency: float | None = None,
+    separation: float = 3.0,
+) -> Precession:
+    """Test whether precession theory (15) may be used for a linear model, and return what it gives.
+
+    It drops M q̈. That needs det G ≠ 0, no multiple roots, and nutation well above all that the model is used for. Each
+    subsystem is tested by itself.
+
+    Parameters
+    ----------
+    model
+        From `linearise`. Springs and damping of the platform count.
+    gimbals
+        Names of the gimbals of one or several subsystems; default all.
+    loop_frequency
+        Up to which the model has to hold, rad/s: the bandwidth of the loop. Default: a hundredth of each subsystem's
+        highest nutation frequency.
+    separation
+        Factor by which everything dropped has to lie higher than that, and than the fastest precession root.
+
+    Returns
+    -------
+    Precession
+        The test of every subsystem, and the model.
+
+    Raises
+    ------
+    ArgumentError
+        Unknown gimbal, `gimbals` that cut through a subsystem, or a number that is not > 0.
+    MechanicsError
+        A* is singular at the trim (gimbal lock).
+
+    References
+    ----------
+    K. Magnus, Ingenieur-Archiv 1976, eq. (15).
+
+    See docs/precession.md.
+
+    Examples
+    --------
+    >>> import platform_ctrl as pc
+    >>> slow = pc.precession(pc.linearise(pc.read_platform("three_gyro_platform")))
+    >>> slow.admissible, slow.part("4").direction_names, slow.momentum_states
+    (False, ('beta5 - beta7',), 1)
+    """
+    frequency = None if loop_frequency is None else positive("loop_frequency", loop_frequency)
+    required = positive("separation", separation)
+    rows = whole_subsystems(model, gimbals)
+    chosen = tuple(model.gimbal_names[k] for k in rows)
+    groups = [[model.gimbal_names.index(name) for name in group] for group in subsystems(model) if group[0] in chosen]
+    parts = tuple(_tested(model, group, frequency, required) for group in groups)
+    return Precession(model=model, gimbals=chosen, parts=parts)
+
+
+def _tested(model: LinearModel, rows: list[int], loop_frequency: float | None, required: float) -> PrecessionPart:
+    """Return the test of one subsystem, the gimbals in `rows`."""
+    n, angles = len(rows), [model.angle_names[k] for k in rows]
+    inverse_inertia(_part(model.M, rows), angles)
+    T = np.linalg.inv(np.linalg.cholesky(_part(model.M, rows)).T)
+    _, gyro, right = np.linalg.svd(T.T @ _part(model.G, rows) @ T)
+    null = _named(T @ right[int(np.sum(gyro > _NOTHING * gyro[0])) :].T)
+    tree = topology(model.platform)
+    turning = bool(np.any(tree.on_path[tree.carriers][:, rows] & (tree.L[:, None] != 0.0)))
+    V = null if turning else np.eye(n)
+    loop = _SLOW * float(gyro[0]) if loop_frequency is None else loop_frequency
+    poles, (roots, chain) = _roots(model, rows, np.eye(n))[0], _roots(model, rows, V)
+    slow, dropped = poles[: len(roots)], poles[len(roots) :]
+    gap = np.abs(roots[:, None] - slow[None, :])
+    root_error = float(max(gap.min(axis=0).max(), gap.min(axis=1).max())) if gap.size else 0.0
+    fastest = max(float(np.abs(roots).max(initial=0.0)), _reduced(model, rows, V).rate)
+    lowest, highest = float(np.abs(dropped).min(initial=np.inf)), max(loop, fastest)
+    findings = _too_near(lowest, loop, fastest, required)
+    growing = dropped[dropped.real > _GROWS * np.abs(dropped)]
+    if len(growing):
+        findings.append((f"what would be dropped grows: pole at {growing[0]:.4g} rad/s", "damp it, or make it stiffer"))
+    multiple = _multiple(roots, chain, fastest)
+    # Momenta are kept so that a loop may be designed: what splits far below it does not matter there.
+    if multiple is not None and (V.shape[1] == 0 or required * root_error > loop):
+        what = f"the precession root {multiple:.4g} rad/s is multiple: what is dropped decides how it splits"
+        findings.append((what, "part the roots by a change of stiffness or momentum"))
+    kept = np.eye(n) if findings else V
+    names = _in_words(null, angles)
+    if not turning:
+        findings.insert(0, ("no rotor gives it any momentum", "give it a rotor that spins"))
+    elif len(names):
+        singular = (
+            f"G_R is {n} x {n} and skew, so its determinant is 0" if n % 2 else f"G_R has rank {n - len(names)} of {n}"
+        )
+        has = "has" if len(names) == 1 else "have"
+        findings.insert(0, (f"{singular}: {', '.join(names)} {has} no gyroscopic stiffness", ""))
+    cures = [_keeping(_in_words(kept, angles), n), *dict.fromkeys(f"or {cure}" for _, cure in findings if cure)]
+    gimbals = tuple(model.gimbal_names[k] for k in rows)
+    return PrecessionPart(
+        model=model,
+        gimbals=gimbals,
+        loop_frequency=loop,
+        required_separation=required,
+        singular_values=gyro,
+        null_directions=null,
+        direction_names=names,
+        momentum_directions=kept,
+        reasons=tuple(f"{'-'.join(gimbals)}: {reason}" for reason, _ in findings),
+        cures=tuple(cures if findings else ()),
+        nutation=np.abs(dropped[dropped.imag >= 0.0]),
+        precession_roots=roots,
+        root_error=root_error,
+        multiple_roots=multiple is not None,
+        separation=lowest / highest if highest > 0.0 else np.inf,
+    )
+
+
+def _part(matrix: FloatArray, rows: list[int]) -> FloatArray:
+    return np.asarray(matrix[np.ix_(rows, rows)])
+
+
+def _reduced(model: LinearModel, rows: list[int], V: FloatArray) -> _Reduced:
+    """Return the state equations that keep the momenta of the directions V, (n, k)."""
+    M, D, S = (_part(item, rows) for item in (model.M, model.damping, model.stiffness))
+    W, g = model.M_Omega[rows], model.G_Omega[rows]
+    n, k = V.shape
+    U = null_space(V.T @ M) if k else np.eye(n)
+    # Columns of everything below: [q, π, Q, ω].
+    force = np.hstack([-S, np.zeros((n, k)), np.eye(n), -g])
+    along_V = V @ np.linalg.solve(V.T @ M @ V, np.hstack([np.zeros((k, n)), np.eye(k), np.zeros((k, n)), -V.T @ W]))
+    rates = along_V + U @ np.linalg.solve(U.T @ D @ U, U.T @ (force - D @ along_V))
+    both = np.vstack([rates, V.T @ (force - D @ rates)])
+    by_angles = U @ np.linalg.solve(U.T @ D @ U, U.T @ S)
+    back = np.linalg.cholesky(M).T
+    rate = float(np.linalg.norm(back @ by_angles @ np.linalg.inv(back), 2)) if n else 0.0
+    return _Reduced(both[:, : n + k], both[:, n + k : 2 * n + k], both[:, 2 * n + k :], rate)
+
+
+def _roots(model: LinearModel, rows: list[int], V: FloatArray) -> tuple[ComplexArray, int]:
+    """Return the roots, slowest first, and the length of the longest chain of vectors at the root 0.
+
+    Roots at 0 are split off by rank, stage by stage: as eigenvalues they would come out as noise of unknown size.
+    """
+    M, D, S = (_part(item, rows) for item in (model.M, model.damping, model.stiffness))
+    back = np.linalg.cholesky(M).T
+    T = np.linalg.inv(back)
+    size = max(np.linalg.norm(T.T @ D @ T, 2), np.sqrt(np.linalg.norm(T.T @ S @ T, 2))) if rows else 0.0
+    # Coordinates of unit inertia; momenta in units of these times frequency.
+    change = block_diag(back, np.linalg.inv(np.linalg.cholesky(V.T @ M @ V)) / (size or 1.0))
+    A = change @ _reduced(model, rows, V).A @ np.linalg.inv(change)
+    tolerance = _ZERO_ROOT * (np.linalg.norm(A, 2) if A.size else 0.0)
+    zeros, chain = 0, 0
+    while len(A):
+        _, values, vectors = np.linalg.svd(A)
+        null = int(np.sum(values <= tolerance))
+        if not null:
+            break
+        zeros, chain = zeros + null, chain + 1
+        rest = vectors[: len(A) - null]
+        A = rest @ A @ rest.T
+    found = np.linalg.eigvals(A) if len(A) else np.zeros(0)
+    found = found[np.argsort(np.abs(found), kind="stable")]
+    return np.concatenate([np.zeros(zeros), found]).astype(np.complex128), chain
+
+
+def _multiple(roots: ComplexArray, chain: int, fastest: float) -> complex | None:
+    """Return a multiple root that what is dropped may split, or None."""
+    if chain > 2:
+        return 0j
+    found = roots[roots != 0.0]
+    gap = np.abs(found[:, None] - found[None, :]) + np.diag(np.full(len(found), np.inf))
+    if gap.size == 0 or gap.min() > _MULTIPLE * fastest:
+        return None
+    return complex(found[np.unravel_index(int(np.argmin(gap)), gap.shape)[0]])
+
+
+def _too_near(lowest: float, loop: float, fastest: float, required: float) -> list[tuple[str, str]]:
+    """Return where nutation does not lie high enough, each with a remedy."""
+    out = []
+    if lowest * (1.0 + _ROUNDING) < required * loop:
+        remedy = f"close the loop below {lowest / required:.4g} rad/s, or spin the rotors faster"
+        where = f"the loop at {loop:.4g} rad/s"
+        out.append((f"nutation at {lowest:.4g} rad/s lies less than {required:g} times above {where}", remedy))
+    if lowest * (1.0 + _ROUNDING) < required * fastest:
+        where = f"precession, which stiffness drives at up to {fastest:.4g} rad/s"
+        remedy = "spin the rotors faster, or make the stiffness softer"
+        out.append((f"nutation at {lowest:.4g} rad/s lies less than {required:g} times above {where}", remedy))
+    return out
+
+
+def _leading(directions: FloatArray) -> list[int]:
+    """Return for each direction the angle that it is named after: among equals the first."""
+    if not directions.size:
+        return []
+    weights = 1.0 - _AS_LARGE * np.arange(len(directions))
+    return sorted(qr(directions.T * weights, mode="r", pivoting=True)[1][: directions.shape[1]].tolist())
+
+
+def _named(directions: FloatArray) -> FloatArray:
+    """Return the same directions with a 1 where all others have a 0, the angle that is named first forward."""
+    found = directions @ np.linalg.inv(directions[_leading(directions)])
+    found[np.abs(found) < _NOTHING] = 0.0
+    first = np.argmax(np.abs(found) >= _SILENT, axis=0) if found.size else []
+    return np.asarray(found * np.sign(found[first, range(found.shape[1])]))
+
+
+def _in_words(directions: FloatArray, angles: Sequence[str]) -> tuple[str, ...]:
+    out = []
+    for vector in directions.T:
+        words = ""
+        for coefficient, angle in zip(vector, angles, strict=True):
+            if abs(coefficient) >= _SILENT:
+                size = f"{abs(coefficient):.2g}"
+                sign = (" - " if words else "-") if coefficient < 0.0 else (" + " if words else "")
+                words += f"{sign}{'' if size == '1' else size + ' '}{angle}"
+        out.append(words)
+    return tuple(out)
+
+
+def _keeping(names: Sequence[str], n: int) -> str:
+    """Return the cure that keeps the momenta of the named directions, of n in all."""
+    if len(names) == n:
+        return "keep all momenta, that is the full equations (momentum_states=True)"
+    states = "one momentum state, that" if len(names) == 1 else f"{len(names)} momentum states, those"
+    return f"keep {states} of {', '.join(names)} (momentum_states=True)"

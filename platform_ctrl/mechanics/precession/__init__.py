@@ -1,1 +1,0 @@
-"""Precession theory (15): whether it may be used, what cures it, how far it is from the full equations."""
