@@ -123,11 +123,6 @@ class PrecessionPart:
     separation: float
 
     @property
-    def name(self) -> str:
-        """The gimbals' names, joined."""
-        return "-".join(self.gimbals)
-
-    @property
     def angles(self) -> tuple[str, ...]:
         """Names of the angles."""
         return tuple(self.model.angle_names[k] for k in self._rows)
@@ -242,7 +237,7 @@ class Precession:
     @property
     def cures(self) -> tuple[str, ...]:
         """What would help, a line each."""
-        return tuple(f"{part.name}: {line}" for part in self.parts for line in part.cures)
+        return tuple(f"{'-'.join(part.gimbals)}: {line}" for part in self.parts for line in part.cures)
 
     @property
     def momentum_states(self) -> int:
@@ -349,7 +344,7 @@ class Precession:
             verdict = "admissible" if part.admissible else "not admissible"
             figures = f"nutation from {part.nutation.min():.4g} rad/s, " if part.nutation.size else ""
             figures += f"judged for a loop at {part.loop_frequency:.4g} rad/s"
-            lines.append(f"{part.name}: precession theory {verdict}; {figures}")
+            lines.append(f"{'-'.join(part.gimbals)}: precession theory {verdict}; {figures}")
             lines += [f"  {line}" for line in (*part.reasons, *part.cures)]
         return "\n".join(lines)
 
@@ -530,16 +525,13 @@ def _multiple(roots: ComplexArray, chain: int, fastest: float) -> complex | None
 
 def _too_near(lowest: float, loop: float, fastest: float, required: float) -> list[tuple[str, str]]:
     """Return where nutation does not lie high enough, each with a remedy."""
-    out = []
-    if lowest * (1.0 + _ROUNDING) < required * loop:
-        remedy = f"close the loop below {lowest / required:.4g} rad/s, or spin the rotors faster"
-        where = f"the loop at {loop:.4g} rad/s"
-        out.append((f"nutation at {lowest:.4g} rad/s lies less than {required:g} times above {where}", remedy))
-    if lowest * (1.0 + _ROUNDING) < required * fastest:
-        where = f"precession, which stiffness drives at up to {fastest:.4g} rad/s"
-        remedy = "spin the rotors faster, or make the stiffness softer"
-        out.append((f"nutation at {lowest:.4g} rad/s lies less than {required:g} times above {where}", remedy))
-    return out
+    nutation = f"nutation at {lowest:.4g} rad/s lies less than {required:g} times above"
+    slower = f"close the loop below {lowest / required:.4g} rad/s, or spin the rotors faster"
+    softer = "spin the rotors faster, or make the stiffness softer"
+    drives = "precession, which stiffness drives"
+    pairs = (("the loop", loop, slower), (drives, fastest, softer))
+    near = [one for one in pairs if lowest * (1.0 + _ROUNDING) < required * one[1]]
+    return [(f"{nutation} {what} at {frequency:.4g} rad/s", remedy) for what, frequency, remedy in near]
 
 
 def _leading(directions: FloatArray) -> list[int]:
