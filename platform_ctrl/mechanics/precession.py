@@ -443,7 +443,10 @@ def _tested(model: LinearModel, rows: list[int], loop_frequency: float | None, r
         )
         has = "has" if len(names) == 1 else "have"
         findings.insert(0, (f"{singular}: {', '.join(names)} {has} no gyroscopic stiffness", ""))
-    cures = [_keeping(_in_words(kept, angles), n), *dict.fromkeys(f"or {cure}" for _, cure in findings if cure)]
+    momenta = _in_words(kept, angles)
+    states = "one momentum state, that" if len(momenta) == 1 else f"{len(momenta)} momentum states, those"
+    which = "all momenta, that is the full equations" if len(momenta) == n else f"{states} of {', '.join(momenta)}"
+    cures = [f"keep {which} (momentum_states=True)", *dict.fromkeys(f"or {cure}" for _, cure in findings if cure)]
     gimbals = tuple(model.gimbal_names[k] for k in rows)
     return PrecessionPart(
         model=model,
@@ -561,11 +564,3 @@ def _in_words(directions: FloatArray, angles: Sequence[str]) -> tuple[str, ...]:
                 words += f"{sign}{'' if size == '1' else size + ' '}{angle}"
         out.append(words)
     return tuple(out)
-
-
-def _keeping(names: Sequence[str], n: int) -> str:
-    """Return the cure that keeps the momenta of the named directions, of n in all."""
-    if len(names) == n:
-        return "keep all momenta, that is the full equations (momentum_states=True)"
-    states = "one momentum state, that" if len(names) == 1 else f"{len(names)} momentum states, those"
-    return f"keep {states} of {', '.join(names)} (momentum_states=True)"

@@ -404,7 +404,7 @@ def test_a_triple_chain_at_zero_is_an_obstacle(platform):
 def test_without_spin_no_rotor_gives_any_momentum(platform):
     for still in (with_momenta(platform, 0, 0, 0), dataclasses.replace(platform, rotors=())):
         whole = precession(linearise(still, Omega=(0.1, 0.2, 0.3)))
-        assert whole.reasons == tuple(f"{p.name}: no rotor gives it any momentum" for p in whole.parts)
+        assert whole.reasons == tuple(f"{'-'.join(p.gimbals)}: no rotor gives it any momentum" for p in whole.parts)
         assert all("full equations" in p.cures[0] for p in whole.parts)
         sys = whole.state_space(momentum_states=True)
         full = state_space(whole.model)
