@@ -9,6 +9,7 @@ beside them, where it is followed to the crossing. Overshoot, settling and error
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -116,8 +117,8 @@ def _frequencies(pencil: tuple[FloatArray, FloatArray], period: float) -> FloatA
 
 # Band about the final value that a response has to stay in.
 SETTLED = 0.02
-# Decay times of the slowest pole over which a response is followed, and samples at most.
-_DECAYS, _MOST = 12.0, 300_000
+# Decay times of the slowest pole over which a response is followed; samples after which every second one is left out.
+_DECAYS, _SAMPLES = 12.0, 2**14
 _NO_INSTANTS = np.zeros(0)
 # Time after which the noise of a loop that drifts counts, s: a random walk has no rms.
 DRIFT_TIME = 3600.0
@@ -216,15 +217,23 @@ def step_responses(
     `decay`: of the slowest pole, 1/s. The loop's outputs are p signals at the samples, then, if there are some, at
     instants `between` (k,), s, after them; the first of these is the sample itself.
     """
-    count = int(np.clip(np.ceil(_DECAYS / (decay * loop.dt)), 100, _MOST))
-    time, step = loop.dt * np.arange(count), np.ones((1, count))
-    p = loop.B.shape[-1]
-    out = []
-    for i in range(p):
-        rows = [i] if not len(between) else [p + k * p + i for k in range(len(between))]
-        found = time_response(loop.part(rows, [i]), time, step, squeeze=False)
-        out.append(found.T.ravel())
-    return np.add.outer(time, between if len(between) else np.zeros(1)).ravel(), np.array(out)
+    count, p, dt = max(math.ceil(_DECAYS / (decay * loop.dt)), 100), loop.B.shape[-1], loop.dt
+    times, out = [], list[list[FloatArray]]([[] for _ in range(p)])
+    first, stride = 0, 1
+    while True:
+        k = np.arange(min(math.ceil(count / stride), _SAMPLES))
+        times.append(stride * dt * k[first:])
+        for i in range(p):
+            rows = [i] if not len(between) else [p + j * p + i for j in range(len(between))]
+            one = loop.part(rows, [i])._replace(dt=1.0)
+            out[i].append(time_response(one, k, np.ones((1, len(k))), squeeze=False).T[first:].ravel())
+        if stride * _SAMPLES >= count:
+            break
+        # The same response at every second of these samples, on from where they end.
+        loop = loop._replace(A=loop.A @ loop.A, B=loop.A @ loop.B + loop.B)
+        first, stride = _SAMPLES // 2, 2 * stride
+    time = np.add.outer(np.concatenate(times), between if len(between) else np.zeros(1)).ravel()
+    return time, np.array([np.concatenate(one) for one in out])
 
 
 def torque_noise(loops: LoopSet, plants: slice = slice(None)) -> FloatArray:
