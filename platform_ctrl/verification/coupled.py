@@ -16,7 +16,14 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, named_system, seen_states, state_arrays, state_scaling
+from platform_ctrl.analysis.arrays import (
+    ComplexArray,
+    StateArrays,
+    named_system,
+    seen_states,
+    state_arrays,
+    state_scaling,
+)
 from platform_ctrl.analysis.drift import unseen_equilibria, without_drift
 from platform_ctrl.analysis.feedback import closed_loop, loop_of_sensitivity
 from platform_ctrl.analysis.interconnection import interconnect_controllers, interconnected_by_sample

@@ -304,13 +304,13 @@ class Truth:
         if asked(f"{reading} from Omega"):
             slow, slower = self.of_rate.gain(band[0] * np.array([1.0, 0.1]))
             worst = float(self.of_rate.gain(high).max())
-            out[f"{reading} from Omega"] = np.inf if slower > 5.0 * slow > 1e-3 * worst else worst
+            out[f"{reading} from Omega"] = np.inf if slower > max(5.0 * slow, 1e-2 * worst) else worst
         if asked(f"{reading} from torque"):
             out[f"{reading} from torque"] = float(self.of_torque.gain(high).max())
         if asked("attenuation of base motion"):
             slow, slower = self.of_sight.gain(band[0] * np.array([1.0, 0.1]))
             worst = self.of_sight.gain(band).max()
-            worst = np.inf if slower > 5.0 * slow > 1e-3 * worst else worst
+            worst = np.inf if slower > max(5.0 * slow, 1e-2 * worst) else worst
             out["attenuation of base motion"] = float(-20.0 * np.log10(worst))
         if asked("torque at full Omega over its limit"):
             torque = self.grid(2.0 * np.pi * from_hz, 2.0 * np.pi * band_hz)
