@@ -237,6 +237,33 @@ _WEIGHTS: dict[str, Option] = {
 _HINF = _WEIGHTS | {
     "backoff": Option(label="backoff", group="design", tip="relative distance from the least norm", low=1e-3, high=1.0)
 }
+_LMI = _HINF | {
+    "share": Option(
+        label="share", group="design", tip="part of a limit that its inequality must prove", low=0.1, high=1.0
+    ),
+    "pole_decay": Option(
+        label="pole decay", unit="1/s", group="design", tip="decay rate that all poles must have", low=1e-2, high=1e4
+    ),
+    "pole_damping": Option(
+        label="pole damping",
+        group="design",
+        tip="damping ratio that all poles must have: four times the effort",
+        low=0.01,
+        high=0.7,
+        part="pole_damping",
+    ),
+    "rejection_share": Option(
+        label="rejection share",
+        group="design",
+        tip="the same for the rejection of Omega",
+        low=0.05,
+        high=1.0,
+        part="rejection_share",
+    ),
+    "time_limit": Option(
+        label="time limit", unit="s", group="design", tip="longest time for one convex problem", low=0.1, high=600.0
+    ),
+}
 _STRUCTURED: dict[str, Option] = {
     "order": Option(
         label="order",
@@ -371,6 +398,23 @@ register_method(
         options=_WEIGHTS,
         defaults="platform_ctrl.design.riccati.weighted_loop:lqg_options",
         advice="a lower bandwidth_hz, or a larger disturbance",
+    )
+)
+register_method(
+    DesignMethod(
+        key="lmi",
+        kinds=("caging", "rate", "pointing", "tracking"),
+        design="platform_ctrl.design.lmi.method:lmi_design",
+        options=_LMI,
+        defaults="platform_ctrl.design.lmi.method:lmi_options",
+        advice="a lower bandwidth_hz, or a larger backoff",
+        tunable=tuple(_WEIGHTS),
+        tunes=True,
+        parts={
+            "pole_damping": ("pole damping", "keeps all poles in a sector; takes four times as long"),
+            "rejection_share": ("rejection of Omega", "an inequality of its own; the bandwidth bounds it too"),
+        },
+        families={"speed": {"bandwidth_hz": 1.0, "inertial_bandwidth_hz": 1.0}},
     )
 )
 register_method(
