@@ -250,7 +250,6 @@ _LMI = _HINF | {
         tip="damping ratio that all poles must have: four times the effort",
         low=0.01,
         high=0.7,
-        part="pole_damping",
     ),
     "rejection_share": Option(
         label="rejection share",
@@ -258,7 +257,6 @@ _LMI = _HINF | {
         tip="the same for the rejection of Omega",
         low=0.05,
         high=1.0,
-        part="rejection_share",
     ),
     "time_limit": Option(
         label="time limit", unit="s", group="design", tip="longest time for one convex problem", low=0.1, high=600.0
@@ -410,10 +408,6 @@ register_method(
         advice="a lower bandwidth_hz, or a larger backoff",
         tunable=tuple(_WEIGHTS),
         tunes=True,
-        parts={
-            "pole_damping": ("pole damping", "keeps all poles in a sector; takes four times as long"),
-            "rejection_share": ("rejection of Omega", "an inequality of its own; the bandwidth bounds it too"),
-        },
         families={"speed": {"bandwidth_hz": 1.0, "inertial_bandwidth_hz": 1.0}},
     )
 )

@@ -204,15 +204,15 @@ MISTAKES: dict[str, tuple[Change, list[str]]] = {
         put("clasical", "loop", 0, "design", 0, "method"),
         [
             HAND,
-            'method must be "classical" or "pi" or "hinf" or "lqg" or "lmi" or "structured" or "measured" or "platform-servo", ',
-            'method must be "classical" or "pi" or "hinf" or "lqg" or "lmi" or "structured" or "measured" or "platform-servo", ',
+            'method must be "classical" or "pi" or "hinf" or "lqg" or "lmi" or "structured" or "measured" or ',
+            'or "platform-servo", ',
         ],
     ),
     "method for another kind": (
         put({"name": "machine", "method": "platform-servo", "crossover_hz": 40}, "loop", 0, "design", 1),
         [
-            'method must be one for a caging loop, "classical" or "hinf" or "lqg" or "lmi" or "structured" or "measured", go',
-            'method must be one for a caging loop, "classical" or "hinf" or "lqg" or "lmi" or "structured" or "measured", go',
+            'method must be one for a caging loop, "classical" or "hinf" or "lqg" or "lmi" or "structured" or ',
+            'or "measured", go',
             '"classical" or "hinf"',
         ],
     ),
