@@ -95,8 +95,10 @@ def loop_channels(model: LinearModel, signals: LoopSignals, period: float) -> Ch
     the others.
     """
     rows = rows_of(model, signals.gimbals)
+    noise = np.array([sensor.sampled_noise(period) for sensor in signals.sensors])
     if not signals.held:
-        return channels(model, rows)
+        found = channels(model, rows)
+        return dataclasses.replace(found, noise=np.sqrt(found.basis**2 @ noise**2))
     effect = _effect(model, signals, period)
     own = np.array([signals.gimbals.index(str(torquer.gimbal)) for torquer in signals.torquers])
     mobility = np.diag(inverse_inertia(model.M[np.ix_(rows, rows)], signals.gimbals))[own]
@@ -110,6 +112,7 @@ def loop_channels(model: LinearModel, signals: LoopSignals, period: float) -> Ch
             f"{', '.join(torquer.name for torquer in signals.torquers)} does{why}; add a sensor, or leave out a torquer"
         )
     carried = [r for r in model.platform.rotors if r.carrier in signals.gimbals and r.spin != 0.0]
+    sense = mobility[:, None] * np.linalg.pinv(effect)
     return Channels(
         basis=np.eye(len(own)),
         momenta=np.zeros(0),
@@ -118,7 +121,8 @@ def loop_channels(model: LinearModel, signals: LoopSignals, period: float) -> Ch
         order=signals.order,
         damping=np.diag(model.damping)[rows][own],
         stiffness=np.diag(model.stiffness)[rows][own],
-        sense=mobility[:, None] * np.linalg.pinv(effect),
+        sense=sense,
+        noise=np.sqrt(sense**2 @ noise**2),
     )
 
 

@@ -248,6 +248,7 @@ class Channels:
     # (n,): viscous friction, N m s, and stiffness, N m/rad, against motion in each direction; None: not needed.
     damping: FloatArray | None = None
     stiffness: FloatArray | None = None
+    noise: FloatArray | None = None  # (n,): rms of a sample of each direction, from its sensors; None: not known
 
     @property
     def inertial(self) -> int:

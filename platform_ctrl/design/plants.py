@@ -334,7 +334,8 @@ def around(
             f"loop {spec.name!r}: sensors {', '.join(spec.sensors)} do not show what each of the commands "
             f"{', '.join(commands)} does{why}; add a sensor of an angle, or give the axis a rate loop by itself"
         )
-    return found, dataclasses.replace(commanded_channels(p), sense=np.linalg.pinv(effect))
+    sense = np.linalg.pinv(effect)
+    return found, dataclasses.replace(commanded_channels(p), sense=sense, noise=np.sqrt(sense**2 @ found.noise**2))
 
 
 def commanded_channels(count: int) -> Channels:

@@ -41,22 +41,19 @@ def tuned(
     tunable: Sequence[str],
     build: Builder,
     upper: dict[str, float],
+    starts: Sequence[dict[str, float]] | None = None,
+    reserve: float = 0.05,
 ) -> dict[str, float]:
     """Return the options of a design, with ``tune = true`` moved until its loop's limits are met: see `tune`.
 
-    Other starts are the options as given and those by rules of thumb, at crossovers over decades.
+    Other `starts` are by default the options as given and those by rules of thumb, at crossovers over decades.
     """
     spec, design, plants = problem.spec, problem.design, problem.plants
     if not design.tune:
         return options
     movable = [name for name in tunable if name in options]
-    fixed = {name: x for name, x in design.options.items() if name not in movable}
-    kept = {name: x for name, x in design.options.items() if name not in rates(design.method)} | fixed
-    by_rule = resolved(METHODS[design.method].defaults or "")(
-        replace(design, options=kept), problem.channel, plants.nutation, plants.period
-    )
-    bases = [options, options | {name: by_rule[name] for name in options if name in by_rule and name not in fixed}]
-    together = [name for name in rates(design.method) if name in options and name not in fixed]
+    if starts is None:
+        starts = _starts(problem, options, movable)
     return tune(
         options,
         movable,
@@ -64,9 +61,23 @@ def tuned(
         plants,
         loop_requirements(spec.limits),
         upper=upper,
-        starts=[one for base in bases for one in over_decades(base, together, plants.period)],
+        starts=starts,
+        reserve=reserve,
         progress=lambda _, limiting: problem.progress(f"{spec.name}: {design.name}, {limiting}"),
     )
+
+
+def _starts(problem: LoopProblem, options: dict[str, float], movable: Sequence[str]) -> list[dict[str, float]]:
+    """Return the options as given and those by rules of thumb, at crossovers over decades."""
+    design, plants = problem.design, problem.plants
+    fixed = {name: x for name, x in design.options.items() if name not in movable}
+    kept = {name: x for name, x in design.options.items() if name not in rates(design.method)} | fixed
+    by_rule = resolved(METHODS[design.method].defaults or "")(
+        replace(design, options=kept), problem.channel, plants.nutation, plants.period
+    )
+    bases = [options, options | {name: by_rule[name] for name in options if name in by_rule and name not in fixed}]
+    together = [name for name in rates(design.method) if name in options and name not in fixed]
+    return [one for base in bases for one in over_decades(base, together, plants.period)]
 
 
 def rates(method: str) -> list[str]:

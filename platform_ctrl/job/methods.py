@@ -262,6 +262,34 @@ _LMI = _HINF | {
         label="time limit", unit="s", group="design", tip="longest time for one convex problem", low=0.1, high=600.0
     ),
 }
+
+
+def _torque(label: str, tip: str) -> Option:
+    return Option(label=label, unit="N m", group="design", tip=tip)
+
+
+_LARGEST, _RECOVERY = (
+    "amplitude that counts as much as the largest error",
+    "torque noise of the estimator: larger, more margin",
+)
+_LQG: dict[str, Option] = {
+    "largest_error": Option(
+        label="largest error", unit="rad", group="design", tip="amplitude of what is measured; rate loops: rad/s"
+    ),
+    "largest_rate": Option(
+        label="largest rate", unit="rad/s", group="design", tip="amplitude of its rate; rate loops: rad/s²"
+    ),
+    "largest_torque": _torque("largest torque", _LARGEST),
+    "largest_torque2": _torque("largest torque 2", f"{_LARGEST}: second axis of a pair"),
+    "inertial_largest_torque": _torque("inertial largest torque", f"{_LARGEST}: where no gyro acts"),
+    "integral_hz": _hz("integral", "design", "below this frequency the integral acts", high=0.4, below_nyquist=True),
+    "platform_rate": Option(
+        label="platform rate", unit="rad/s", group="design", tip="white platform rate that the estimator expects"
+    ),
+    "recovery": _torque("recovery", _RECOVERY),
+    "recovery2": _torque("recovery 2", f"{_RECOVERY}: second axis of a pair"),
+    "inertial_recovery": _torque("inertial recovery", f"{_RECOVERY}: where no gyro acts"),
+}
 _STRUCTURED: dict[str, Option] = {
     "order": Option(
         label="order",
@@ -392,10 +420,21 @@ register_method(
     DesignMethod(
         key="lqg",
         kinds=("caging", "rate", "pointing", "tracking"),
-        design="platform_ctrl.design.riccati.weighted_loop:lqg_design",
-        options=_WEIGHTS,
-        defaults="platform_ctrl.design.riccati.weighted_loop:lqg_options",
-        advice="a lower bandwidth_hz, or a larger disturbance",
+        design="platform_ctrl.design.lqg:lqg_design",
+        options=_LQG,
+        defaults="platform_ctrl.design.lqg:lqg_options",
+        advice="a smaller largest_torque, a larger recovery, or tune = true",
+        # The integral action is the user's; only ratios of the other amplitudes count.
+        tunable=(
+            "largest_torque",
+            "largest_torque2",
+            "inertial_largest_torque",
+            "platform_rate",
+            "recovery",
+            "recovery2",
+            "inertial_recovery",
+        ),
+        tunes=True,
     )
 )
 register_method(

@@ -1,4 +1,4 @@
-"""The full-order caging loops: mixed sensitivity in the H-infinity norm, or LQG, on the exactly sampled plant.
+"""The full-order H-infinity loops: mixed sensitivity on the exactly sampled plant.
 
 In the channels of the gyros (see `channels`), in the w-plane of the exactly sampled plant,
 
@@ -18,9 +18,7 @@ damped. Torques count in units of h ω_nutation (pairs) and J ω_nutation² (ine
 
 The plant with hold, delay and torquer lag is carried to the w-plane by the bilinear map, which keeps stability and the
 H-infinity norm: no Padé, no reduction. W_e bounds S by a line that rises through the bandwidth to the peak M, W_t
-bounds T. For the H2 norm n and d are white samples, and the rms of z is minimised: the peak of S is not bounded, the
-torque disturbance and the torque set margins and noise. That problem is posed and solved in z, where the present sample
-counts.
+bounds T.
 """
 
 from __future__ import annotations
@@ -34,7 +32,6 @@ from platform_ctrl.analysis.sampling import from_w_plane, to_w_plane
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.loop import Designed, LoopProblem, completed
 from platform_ctrl.design.partition import Channels, between
-from platform_ctrl.design.riccati.h2 import h2
 from platform_ctrl.design.synthesis import HinfMethod, hinf
 from platform_ctrl.job.job import DesignSpec
 
@@ -135,17 +132,6 @@ def hinf_options(design: DesignSpec, channel: Channels, nutation: float, period:
     return completed("hinf", design.options, default_weights(channel, nutation) | {"backoff": 0.05})
 
 
-def lqg_options(design: DesignSpec, channel: Channels, nutation: float, period: float) -> dict[str, float]:
-    """Return all options of the LQG loop, those not given from rules of thumb."""
-    # The rms of S pays for bandwidth at every frequency, the peak at one: half the bandwidth, twice the disturbance.
-    factors = {"bandwidth_hz": 0.5, "disturbance": 2.0}
-    defaults = {
-        name: x * factors.get(name.removeprefix("inertial_"), 1.0)
-        for name, x in default_weights(channel, nutation).items()
-    }
-    return completed("lqg", design.options, defaults)
-
-
 def hinf_design(problem: LoopProblem, method: HinfMethod | None = None) -> Designed:
     """Return the H-infinity loop; `method` as for `design.hinf`. Claims: ``gamma`` and ``gamma_optimal``."""
     channel, plants = problem.channel, problem.plants.regular()
@@ -154,18 +140,5 @@ def hinf_design(problem: LoopProblem, method: HinfMethod | None = None) -> Desig
     P = named_system(weighted.arrays, *signal_names(weighted.size))
     found = hinf(P, weighted.size, weighted.size, method=method, backoff=options["backoff"])
     sampled = from_w_plane(series(weighted.weight(), state_arrays(found.controller, "controller")), plants.period)
-    claims = {"gamma": found.gamma, "gamma_optimal": found.gamma_optimal}
-    return Designed(controller=weighted.at_gimbals(sampled, channel), options=options, claims=claims)
-
-
-def lqg_design(problem: LoopProblem) -> Designed:
-    """Return the LQG loop. Claims: ``gamma`` and ``gamma_optimal``."""
-    channel, plants = problem.channel, problem.plants.regular()
-    options = lqg_options(problem.design, channel, plants.nutation, plants.period)
-    weighted = weighted_plant(options, channel, plants)
-    size, period = weighted.size, plants.period
-    P = named_system(from_w_plane(weighted.arrays, period), *signal_names(size))
-    found = h2(P, size, size)
-    sampled = series(from_w_plane(weighted.weight(), period), state_arrays(found.controller, "controller"))
     claims = {"gamma": found.gamma, "gamma_optimal": found.gamma_optimal}
     return Designed(controller=weighted.at_gimbals(sampled, channel), options=options, claims=claims)

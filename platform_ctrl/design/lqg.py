@@ -1,0 +1,212 @@
+"""LQG loops: `control.dlqr` and `control.dlqe` on the exactly sampled plant, with integral action.
+
+In the directions of the gyros (see `design.partition.Channels`), with hold, delay and torquer lag in the states x,
+
+    x[k+1] = A x + B (u + r) + B_Omega Omega,    y = C x + D u + n,    xi[k+1] = xi + 2π integral_hz T y
+
+and the controller minimises the expected sum over the samples of
+
+    |y / largest_error|² + |(C x)' / largest_rate|² + |xi / largest_error|² + |u / largest_torque|².
+
+n is the noise of the sensors from the plant file, Omega the platform's rate, which turns gyros without any torque, and
+r a torque at the torquers: the larger it is, the more the loop approaches the state feedback (loop transfer recovery).
+All three are white samples. The controller uses the present sample: u = −K [x̂(k|k), xi].
+
+The gains are those that python-control returns for the matrices of `QuadraticProblem`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from platform_ctrl.analysis.arrays import StateArrays, seen_states, state_scaling
+from platform_ctrl.analysis.plant_set import PlantSet
+from platform_ctrl.common.values import FloatArray, value
+from platform_ctrl.design.loop import Designed, LoopProblem, completed
+from platform_ctrl.design.partition import Channels, between
+from platform_ctrl.design.tuning import tuned
+from platform_ctrl.errors import DesignError, NotStabilisableError
+from platform_ctrl.job.job import DesignSpec
+from platform_ctrl.job.methods import METHODS
+
+# Rules of thumb. The largest error over the noise of a sample; without noise the largest error, rad or rad per sample.
+_ERROR, _NO_NOISE = 20.0, 1e-4
+# Torques of gyroscopic pairs over h ω_nutation and the error or noise, the platform's rate over ω_nutation and noise.
+_PAIR_TORQUE, _PAIR_RECOVERY, _PLATFORM_RATE = 3.0, 40.0, 15.0
+# Other directions: torques over J ω (rates) or J ω² (angles) and the error or noise, ω this share of the frequency that
+# the plants' grids go by.
+_CROSSOVER, _RECOVERY = 0.7, {1: 3.0, 2: 0.8}
+# Share by which the tuner meets limits: the weights of three gimbals at once reach little more.
+_RESERVE = 0.02
+# Other starts of the tuner: the torques by the rules of thumb times these.
+_STARTS = (0.1, 0.3, 1.0, 3.0, 10.0)
+
+
+@value
+class QuadraticProblem:
+    """What `control.dlqr` and `control.dlqe` are called with, in units of the largest errors and torques.
+
+    Attributes
+    ----------
+    plant
+        From the torques to the measurements, in balanced states.
+    A, B, Q, R
+        Plant and sums of the measurements behind it, with the weights: the arguments of `control.dlqr`.
+    G, QN, RN
+        With A and C of `plant` the arguments of `control.dlqe`.
+    sums : (p,)
+        What the sums add of each measurement per sample.
+    error, torque : (p,), (m,)
+        The units of measurements and torques, rad (rate loops: rad/s) and N m.
+    """
+
+    plant: StateArrays
+    A: FloatArray
+    B: FloatArray
+    Q: FloatArray
+    R: FloatArray
+    G: FloatArray
+    QN: FloatArray
+    RN: FloatArray
+    sums: FloatArray
+    error: FloatArray
+    torque: FloatArray
+
+
+class Gains(NamedTuple):
+    """u = −K [x̂(k|k), xi]; x̂(k+1|k) = A x̂(k|k−1) + B u + L e, x̂(k|k) = x̂(k|k−1) + M e, e = y − C x̂(k|k−1) − D u."""
+
+    K: FloatArray
+    L: FloatArray
+    M: FloatArray
+
+
+def lqg_design(problem: LoopProblem) -> Designed:
+    """Return the LQG loop of a job, with ``tune = true`` its weights moved until the loop's limits are met."""
+    channel, plants, design = problem.channel, problem.plants.regular(), problem.design
+
+    def build(options: dict[str, float]) -> StateArrays:
+        return lqg_controller(options, channel, plants)
+
+    start = lqg_options(design, channel, plants.nutation, plants.period)
+    movable = [name for name in METHODS["lqg"].tunable if name in start]
+    by_rule = lqg_options(
+        replace(design, options={name: x for name, x in design.options.items() if name not in movable}),
+        channel,
+        plants.nutation,
+        plants.period,
+    )
+    torques = [name for name in movable if "largest_torque" in name]
+    starts = [by_rule | {name: factor * by_rule[name] for name in torques} for factor in _STARTS]
+    options = tuned(problem, start, movable, build, {}, starts, reserve=_RESERVE)
+    return Designed(controller=build(options), options=options)
+
+
+def lqg_options(design: DesignSpec, channel: Channels, nutation: float, period: float) -> dict[str, float]:
+    """Return all options of the LQG loop, those not given from rules of thumb."""
+    given, pairs = design.options, 2 * len(channel.momenta)
+    measured = 0.0 if channel.noise is None else float(channel.noise.max(initial=0.0))
+    unit = 1.0 if channel.order > 1 else nutation
+    error = given.get("largest_error", _ERROR * measured if measured > 0.0 else _NO_NOISE * unit)
+    noise = measured if measured > 0.0 else error / _ERROR
+    out = {"largest_error": error, "largest_rate": 10.0 * nutation * error, "integral_hz": 0.003 * nutation}
+    if pairs:
+        torque = float(channel.momenta.max()) * nutation
+        out |= {"largest_torque": _PAIR_TORQUE * torque * error, "recovery": _PAIR_RECOVERY * torque * noise}
+        out |= {f"{name}2": given.get(name, out[name]) for name in ("largest_torque", "recovery")}
+        out["platform_rate"] = _PLATFORM_RATE * nutation * noise
+    if channel.inertial:
+        torque = float(channel.inertias[pairs:].max()) * (_CROSSOVER * nutation) ** channel.order
+        out |= {"inertial_largest_torque": torque * error, "inertial_recovery": _RECOVERY[channel.order] * torque * noise}
+    return completed("lqg", given, out)
+
+
+def quadratic_problem(options: dict[str, float], channel: Channels, plants: PlantSet) -> QuadraticProblem:
+    """Return the problem of the nominal plant for complete `options` (see `lqg_options`)."""
+    pairs, size, period = len(channel.momenta), len(channel.basis), plants.period
+
+    def by_channel(name: str) -> FloatArray:
+        both = [options.get(name, 0.0), options.get(f"{name}2", 0.0)]
+        return np.array(both * pairs + [options.get(f"inertial_{name}", 0.0)] * channel.inertial)
+
+    torque, error = by_channel("largest_torque"), np.full(size, options["largest_error"])
+    A, B, C, D, _ = between(channel.basis.T * torque, plants.of_torques(), channel.basis / error[:, None])
+    from_rate = plants.B_Omega[0][: len(A)]
+    seen = seen_states(A[None], C[None], 0.0)
+    A, B, C, from_rate = A[np.ix_(seen, seen)], B[seen], C[:, seen], from_rate[seen]
+    s = state_scaling(A, B, C)
+    s *= np.sqrt(np.linalg.norm(B / s[:, None]) / np.linalg.norm(C * s))
+    A, B, C, from_rate = A * s / s[:, None], B / s[:, None], C * s, from_rate / s[:, None]
+    n, sums = len(A), np.full(size, 2.0 * np.pi * options["integral_hz"] * period)
+    rate = options["largest_error"] / options["largest_rate"] / period * C @ (A - np.eye(n))
+    noise = np.sqrt(channel.basis**2 @ plants.noise**2) / error
+    noise = np.where(noise > 0.0, noise, 1.0 / _ERROR)
+    return QuadraticProblem(
+        plant=StateArrays(A, B, C, D, period),
+        A=np.block([[A, np.zeros((n, size))], [sums[:, None] * C, np.eye(size)]]),
+        B=np.vstack([B, sums[:, None] * D]),
+        Q=block_diag(C.T @ C + rate.T @ rate, np.eye(size)),
+        R=np.eye(B.shape[1]),
+        G=np.hstack([B * (by_channel("recovery") / torque), from_rate * options.get("platform_rate", 0.0)]),
+        QN=np.eye(B.shape[1] + 3),
+        RN=np.diag(noise**2),
+        sums=sums,
+        error=error,
+        torque=torque,
+    )
+
+
+def lqg_gains(problem: QuadraticProblem) -> Gains:
+    """Return the gains of `control.dlqr` and `control.dlqe`; a `NotStabilisableError` says which of them has none."""
+    import control
+
+    A, _, C, _, _ = problem.plant
+    K, _ = _solved(
+        lambda method: control.dlqr(problem.A, problem.B, problem.Q, problem.R, method=method),
+        "control.dlqr finds no state feedback that stabilises the plant: try a larger largest_torque or integral_hz",
+        problem,
+    )
+    L, P = _solved(
+        lambda method: control.dlqe(A, problem.G, C, problem.QN, problem.RN, method=method),
+        "control.dlqe finds no estimator of the plant that is stable: try a larger recovery, or more sensors",
+        problem,
+    )
+    M = np.linalg.solve(C @ P @ C.T + problem.RN, C @ P).T
+    return Gains(K, L, M)
+
+
+def _solved(
+    solve: Callable[[str | None], tuple[Any, Any, Any]], advice: str, problem: QuadraticProblem
+) -> tuple[FloatArray, FloatArray]:
+    """Return gain and Riccati solution, by python-control's own choice of a solver or, where that fails, by SciPy's."""
+    for method in (None, "scipy"):
+        try:
+            gain, solution, poles = solve(method)
+        except (ArithmeticError, RuntimeError, ValueError, UserWarning):
+            # Slycot's warnings are raised: a solution that may be inaccurate is none.
+            continue
+        if np.isfinite(gain).all() and np.abs(poles).max() < 1.0:
+            return np.asarray(gain), np.asarray(solution)
+    raise NotStabilisableError(f"lqg: {advice}", problem)
+
+
+def lqg_controller(options: dict[str, float], channel: Channels, plants: PlantSet) -> StateArrays:
+    """Return the sampled controller u = K y for complete `options`; states are x̂(k|k−1) and the sums."""
+    problem = quadratic_problem(options, channel, plants)
+    (A, B, C, D, period), (K, L, M) = problem.plant, lqg_gains(problem)
+    n, p = len(A), len(C)
+    feedback, sums = K[:, :n], K[:, n:]
+    try:
+        solved = np.linalg.inv(np.eye(len(K)) - feedback @ M @ D)
+    except np.linalg.LinAlgError:
+        raise DesignError("lqg: the loop has no solution at one instant; try a delay of one sample") from None
+    C_K, D_K = -solved @ np.hstack([feedback @ (np.eye(n) - M @ C), sums]), -solved @ feedback @ M
+    into = np.vstack([B - L @ D, np.zeros((p, B.shape[1]))])
+    own = block_diag(A - L @ C, np.eye(p))
+    made = StateArrays(own + into @ C_K, np.vstack([L, np.diag(problem.sums)]) + into @ D_K, C_K, D_K, period)
+    return between(channel.basis / problem.error[:, None], made, channel.basis.T * problem.torque)
