@@ -142,7 +142,7 @@ def _specs(job: Job, loop: str, design: str) -> tuple[LoopSpec, DesignSpec]:
 
 @value
 class Tuning:
-    """Tunes the `movable` options of a classical or PI design until the limits of its loop are met.
+    """Tunes the `movable` options of a classical, PI or LQG design until the limits of its loop are met.
 
     `plants` and `directions` are those of the settings, `options` all that the design uses.
     """
@@ -159,13 +159,17 @@ class Tuning:
         from platform_ctrl.app.controllers import direct_arrays
         from platform_ctrl.design.classical import caging, rate
         from platform_ctrl.design.loop import shaped
+        from platform_ctrl.design.lqg import read_by_sensors
         from platform_ctrl.design.tuning import over_decades, rates, tune
         from platform_ctrl.job.requirements import loop_requirements
 
         plants, channel, design = self.plants, self.directions, self.design
 
         def controller(trial: dict[str, float]) -> StateArrays:
-            K = direct_arrays(design.method, trial, channel, plants.period)
+            if design.method == "lqg":
+                K = read_by_sensors(trial, channel, plants)
+            else:
+                K = direct_arrays(design.method, trial, channel, plants.period)
             if design.command is None:
                 return K
             return shaped(K, design.command, channel, np.eye(len(K.B.T)) if channel.sense is None else channel.sense)
@@ -176,12 +180,18 @@ class Tuning:
             controller,
             plants,
             loop_requirements(self.spec.limits),
-            upper=(rate if design.method == "pi" else caging).upper_bounds(plants.period),
+            upper={"pi": rate.upper_bounds, "classical": caging.upper_bounds}.get(design.method, _unbounded)(
+                plants.period
+            ),
             starts=over_decades(
                 self.options, [name for name in rates(design.method) if name in self.movable], plants.period
             ),
             progress=lambda _, limiting: progress(limiting),
         )
+
+
+def _unbounded(period: float) -> dict[str, float]:
+    return {}
 
 
 # A search ends as soon as every requirement is this share of its limit or less.

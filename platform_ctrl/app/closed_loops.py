@@ -83,7 +83,7 @@ class ClosedLoops:
                 mine = start.options[loop]
                 options = {name: made.options.get(name, x) for name, x in mine[design].items()}
                 start = start.but(options={**start.options, loop: {**mine, design: options}})
-            elif not built_directly(known):
+            if not built_directly(known):
                 conditions = self.conditions(start, spec, known)
                 self._given[loop, design, conditions] = made
                 start = with_conditions(start, loop, design, conditions)

@@ -235,8 +235,10 @@ def option_sliders(
         if name not in options:
             continue
         middle = start.get(name, options[name])
-        high = min(_REACH * middle, kind.high * rate_hz) if kind.unit == "Hz" else kind.high
-        low = middle / _REACH if kind.unit == "Hz" else kind.low
+        # Frequencies and amplitudes have ranges about their values.
+        relative = kind.unit == "Hz" or math.isinf(kind.high)
+        high = min(_REACH * middle, kind.high * rate_hz) if relative else kind.high
+        low = middle / _REACH if relative else kind.low
         out.append(
             Slider(
                 name=name,

@@ -17,6 +17,7 @@ The gains are those that python-control returns for the matrices of `QuadraticPr
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, NamedTuple
@@ -41,6 +42,8 @@ _PAIR_TORQUE, _PAIR_RECOVERY, _PLATFORM_RATE = 3.0, 40.0, 15.0
 # Other directions: torques over J ω (rates) or J ω² (angles) and the error or noise, ω this share of the frequency that
 # the plants' grids go by.
 _CROSSOVER, _RECOVERY = 0.7, {1: 3.0, 2: 0.8}
+# Poles nearer to the unit circle than this are on it but for rounding.
+_ON_CIRCLE = 1e-9
 # Share by which the tuner meets limits: the weights of three gimbals at once reach little more.
 _RESERVE = 0.02
 # Other starts of the tuner: the torques by the rules of thumb times these.
@@ -122,7 +125,10 @@ def lqg_options(design: DesignSpec, channel: Channels, nutation: float, period: 
         out["platform_rate"] = _PLATFORM_RATE * nutation * noise
     if channel.inertial:
         torque = float(channel.inertias[pairs:].max()) * (_CROSSOVER * nutation) ** channel.order
-        out |= {"inertial_largest_torque": torque * error, "inertial_recovery": _RECOVERY[channel.order] * torque * noise}
+        out |= {
+            "inertial_largest_torque": torque * error,
+            "inertial_recovery": _RECOVERY[channel.order] * torque * noise,
+        }
     return completed("lqg", given, out)
 
 
@@ -176,7 +182,7 @@ def lqg_gains(problem: QuadraticProblem) -> Gains:
         "control.dlqe finds no estimator of the plant that is stable: try a larger recovery, or more sensors",
         problem,
     )
-    M = np.linalg.solve(C @ P @ C.T + problem.RN, C @ P).T
+    M = np.asarray(np.linalg.solve(C @ P @ C.T + problem.RN, C @ P), dtype=np.float64).T
     return Gains(K, L, M)
 
 
@@ -186,11 +192,13 @@ def _solved(
     """Return gain and Riccati solution, by python-control's own choice of a solver or, where that fails, by SciPy's."""
     for method in (None, "scipy"):
         try:
-            gain, solution, poles = solve(method)
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", RuntimeWarning)  # of balancing in SciPy, before it finds no solution
+                gain, solution, poles = solve(method)
         except (ArithmeticError, RuntimeError, ValueError, UserWarning):
             # Slycot's warnings are raised: a solution that may be inaccurate is none.
             continue
-        if np.isfinite(gain).all() and np.abs(poles).max() < 1.0:
+        if np.isfinite(gain).all() and np.abs(poles).max() < 1.0 - _ON_CIRCLE:
             return np.asarray(gain), np.asarray(solution)
     raise NotStabilisableError(f"lqg: {advice}", problem)
 
@@ -202,7 +210,7 @@ def lqg_controller(options: dict[str, float], channel: Channels, plants: PlantSe
     n, p = len(A), len(C)
     feedback, sums = K[:, :n], K[:, n:]
     try:
-        solved = np.linalg.inv(np.eye(len(K)) - feedback @ M @ D)
+        solved: FloatArray = np.asarray(np.linalg.inv(np.eye(len(K)) - feedback @ M @ D), dtype=np.float64)
     except np.linalg.LinAlgError:
         raise DesignError("lqg: the loop has no solution at one instant; try a delay of one sample") from None
     C_K, D_K = -solved @ np.hstack([feedback @ (np.eye(n) - M @ C), sums]), -solved @ feedback @ M
@@ -210,3 +218,12 @@ def lqg_controller(options: dict[str, float], channel: Channels, plants: PlantSe
     own = block_diag(A - L @ C, np.eye(p))
     made = StateArrays(own + into @ C_K, np.vstack([L, np.diag(problem.sums)]) + into @ D_K, C_K, D_K, period)
     return between(channel.basis / problem.error[:, None], made, channel.basis.T * problem.torque)
+
+
+def read_by_sensors(options: dict[str, float], channel: Channels, plants: PlantSet) -> StateArrays:
+    """Return the same controller from the readings of the loop's plants, not in directions of `channel`."""
+    sense = channel.sense
+    if sense is None:
+        return lqg_controller(options, channel, plants.regular())
+    K = lqg_controller(options, channel, plants.in_directions(sense).regular())
+    return K._replace(B=K.B @ sense, D=K.D @ sense)

@@ -39,8 +39,8 @@ def start(bench: Backend) -> Settings:
 
 @pytest.fixture(scope="module")
 def redesigned(bench: Backend, start: Settings) -> Settings:
-    """The page after another bandwidth was asked for, and the design made."""
-    settings = bench.moved(start, "bandwidth_hz", 1.3 * start.options[LOOP]["lqg"]["bandwidth_hz"])
+    """The page after another torque was allowed, and the design made."""
+    settings = bench.moved(start, "largest_torque", 1.3 * start.options[LOOP]["lqg"]["largest_torque"])
     return designed(bench, settings)
 
 
@@ -73,7 +73,7 @@ def test_after_a_redesign_and_a_reset_the_page_and_its_arrows_are_those_of_the_s
     # Whatever was moved on the way, and in whatever order it goes back.
     away = bench.moved(redesigned, "spin 11", 1.1 * start.spins["11"])
     back = bench.moved(away, "spin 11", start.spins["11"])
-    back = bench.moved(back, "bandwidth_hz", start.options[LOOP]["lqg"]["bandwidth_hz"])
+    back = bench.moved(back, "largest_torque", start.options[LOOP]["lqg"]["largest_torque"])
     assert back.data() == start.data()
     again = bench.influence(back)
     assert again.options == first.options
@@ -106,7 +106,7 @@ def test_what_one_page_designs_changes_nothing_on_another(bench: Backend, start:
     mine = bench.moved(start, "spin 11", 1.07 * start.spins["11"])
     before, arrows = values(bench, mine), bench.influence(mine)
     # Another page: other numbers at the same plant, and the same numbers at just this plant.
-    other = bench.moved(mine, "disturbance", 2.0 * start.options[LOOP]["lqg"]["disturbance"])
+    other = bench.moved(mine, "recovery", 2.0 * start.options[LOOP]["lqg"]["recovery"])
     for settings in (other, mine.but(designed_for={})):
         theirs = designed(bench, settings)
         assert values(bench, theirs) != before

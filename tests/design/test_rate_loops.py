@@ -127,6 +127,7 @@ def test_uncertain_inertias_count_at_every_trim():
         ("rate", "structured", {"structure": "cross-axis", "evaluations": 40}),
         ("pointing", "classical", {"inertial_crossover_hz": 20}),
         ("pointing", "hinf", {"inertial_bandwidth_hz": 10}),
+        ("pointing", "lqg", {}),
     ],
 )
 def test_every_method_makes_a_stable_loop_of_every_kind_it_is_for(kind, method, options):
@@ -215,8 +216,13 @@ def test_parallel_axes_are_named_as_such(gimbal, gyro, words):
     assert words in str(caught.value)
 
 
-@pytest.mark.parametrize("method", ["hinf", "lqg"])
-@pytest.mark.parametrize("option", ["bandwidth_hz", "disturbance", "torque"])
+@pytest.mark.parametrize(
+    ("method", "option"),
+    [
+        *(("hinf", name) for name in ("bandwidth_hz", "disturbance", "torque")),
+        *(("lqg", name) for name in ("largest_torque", "recovery")),
+    ],
+)
 def test_an_option_of_gyroscopic_loops_leads_to_the_one_that_this_loop_takes(method, option):
     loops = camera_loop(use="x", design=[{"name": "x", "method": method, option: 10}])
     with pytest.raises(DesignError, match=f"'{option}' has no meaning for this loop; did you mean 'inertial_{option}'"):
