@@ -18,7 +18,13 @@ class BuildWithStaticPath(build_py):
 
     def run(self):
         super().run()
-        if self.editable_mode:
+        if not self.editable_mode:
+            # What `platform-ctrl new` copies: the jobs of examples/, inside the package.
+            inside = Path(self.build_lib) / "platform_ctrl" / "examples"
+            inside.mkdir(parents=True, exist_ok=True)
+            for job in Path("examples").glob("*.toml"):
+                self.copy_file(str(job), str(inside / job.name))
+        else:
             wheel = Path(self.distribution.get_command_obj("install").install_purelib)
             wheel.mkdir(parents=True, exist_ok=True)
             (wheel / "platform_ctrl.pth").write_text(f"{Path(__file__).resolve().parent}\n", encoding="utf-8")

@@ -73,8 +73,6 @@ class Backend(Drags):
         job, if it exists.
     folder
         Where jobs are saved; default: beside the job.
-    folded
-        Whether pages begin with the main sliders alone.
     """
 
     def __init__(
@@ -82,11 +80,9 @@ class Backend(Drags):
         job: str | Path | Job,
         controllers: str | Path | None = None,
         folder: str | Path | None = None,
-        folded: bool = False,
     ) -> None:
         self.path = None if isinstance(job, Job) else Path(job)
         self.folder = Path(folder) if folder is not None else Path() if self.path is None else self.path.parent
-        self.folded = folded
         self.read = job if isinstance(job, Job) else read_job(job)
         self._source = None if self.path is None else JobSource(self.path, self.read)
         if controllers is None and self.path is not None:

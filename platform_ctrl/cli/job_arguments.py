@@ -110,11 +110,11 @@ def _not_a_job(path: Path) -> str | None:
     except OSError:  # a path that no file can have
         return None
     if there and is_plant(path):
-        return f"{name}: is a plant, not a job; platform-ctrl new NAME --like {name} writes a job for it"
+        return f"{name}: is a plant, not a job; platform-ctrl new NAME writes a job to start from"
     if not inside:
         return None
     if name in shipped_models():
-        return f"{name}: is a shipped plant, not a job; platform-ctrl new NAME --like {name} writes a job for it"
+        return f"{name}: is a shipped plant, not a job; platform-ctrl new NAME writes a job to start from"
     stems = {file.stem: file.name for file in path.parent.glob("*.toml")}
     meant = nearest(path.stem, stems)
     hint = "platform-ctrl new writes one" if meant is None else f"did you mean {path.with_name(stems[meant])}?"

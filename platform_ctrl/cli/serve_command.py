@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import sys
-import tempfile
 import threading
 import warnings
 from collections.abc import Callable
@@ -16,7 +15,7 @@ import typer
 
 from platform_ctrl.cli import completion
 from platform_ctrl.cli.error_lines import noted
-from platform_ctrl.cli.job_arguments import Controllers, Json, Quiet, is_plant, job_of, option
+from platform_ctrl.cli.job_arguments import Controllers, Json, Quiet, job_of, option
 
 if TYPE_CHECKING:
     from platform_ctrl.app.server import PageServer
@@ -27,9 +26,9 @@ def serve(
         Path,
         typer.Argument(
             metavar="JOB",
-            help="Job file (TOML), or a plant: its file, or the name of a shipped one (see platform-ctrl models).",
+            help="Job file (TOML).",
             show_default=False,
-            autocompletion=completion.jobs_and_plants,
+            autocompletion=completion.jobs,
         ),
     ],
     controllers: Controllers = None,
@@ -74,12 +73,10 @@ def serve(
     """Shape the loops of a job by hand, on a page in the browser.
 
     Every option of a design has a slider, and Bode, Nichols, root locus, responses, margins and requirements follow.
-    What is saved there is a job that check accepts. Of a plant alone the job is made that new writes for it, and the
-    page begins with two sliders: speed and robustness. Only this machine reaches the page; Ctrl-C ends it. Needs the
+    What is saved there is a job that check accepts. Only this machine reaches the page; Ctrl-C ends it. Needs the
     extra designer.
 
     \b
-    platform-ctrl serve camera_gimbal                       a loop for a plant, from rules of thumb
     platform-ctrl serve job.toml                            opens the page in a browser
     platform-ctrl serve job.toml --controllers result.json  with the controllers of a design to compare with
     platform-ctrl serve job.toml --port 8000 --no-browser   at an address of its own: http://127.0.0.1:8000/
@@ -90,51 +87,40 @@ def serve(
     from platform_ctrl.cli.terminal import progress
 
     AllowedHosts.of(host, allow or ())  # before anything else: no work for what would be refused
-    with tempfile.TemporaryDirectory(prefix="platform-ctrl-") as folder:
-        with progress(quiet or as_json, f"reading {job}") as say:
-            backend, name = _prepared(job, controllers, Path(folder), say)
-            from platform_ctrl.app.server import Building, PageServer, require_bokeh
+    with progress(quiet or as_json, f"reading {job}"):
+        backend, name = _prepared(job, controllers)
+        from platform_ctrl.app.server import Building, PageServer, require_bokeh
 
-            require_bokeh()
-            server = PageServer(Building(backend), host=host, allow=allow or (), port=port)
+        require_bokeh()
+        server = PageServer(Building(backend), host=host, allow=allow or (), port=port)
 
-        def ready() -> None:
-            shown = _opens_browser(browser, as_json)
-            _announce(server, name, as_json, port)
-            if shown:
-                _open(server.address)
+    def ready() -> None:
+        shown = _opens_browser(browser, as_json)
+        _announce(server, name, as_json, port)
+        if shown:
+            _open(server.address)
 
-        # The third Ctrl-C is raised at once, should the server not react.
-        with interruptible(deferred=2) as check, warnings.catch_warnings():
-            warnings.filterwarnings("ignore", module="bokeh")  # about nonsense that others send
-            server.run(ready, check)
+    # The third Ctrl-C is raised at once, should the server not react.
+    with interruptible(deferred=2) as check, warnings.catch_warnings():
+        warnings.filterwarnings("ignore", module="bokeh")  # about nonsense that others send
+        server.run(ready, check)
 
 
-def _prepared(
-    job: Path, controllers: Path | None, folder: Path, say: Callable[[str], None]
-) -> tuple[Callable[[], object], str]:
-    """Return what makes the backend, and the job's name; the job of a plant alone is written to `folder`."""
-    plant = is_plant(job)
-    file = job
-    if plant:
-        from platform_ctrl.cli.starting.files import job_alone
-
-        file = folder / f"{job.stem}.toml"
-        file.write_text(job_alone(str(job), folder, say), encoding="utf-8")
-    read = job_of(file)
+def _prepared(job: Path, controllers: Path | None) -> tuple[Callable[[], object], str]:
+    """Return what makes the backend, and the job's name."""
+    read = job_of(job)
     from platform_ctrl.app.saving import controllers_beside
     from platform_ctrl.verification.controllers import differing_origin, read_controllers
 
     if controllers is not None:
         read_controllers(controllers, read)
-    elif (beside := controllers_beside(file)).is_file() and (wrong := differing_origin(beside, read)):
+    elif (beside := controllers_beside(job)).is_file() and (wrong := differing_origin(beside, read)):
         noted(f"{beside}: {wrong}; its controllers are not shown, unless it is named with --controllers")
 
     def backend() -> object:
         from platform_ctrl.app.backend import Backend
 
-        # It is saved where the plant is.
-        return Backend(file, controllers, folder=job.parent, folded=plant)
+        return Backend(job, controllers)
 
     return backend, read.name
 

@@ -12,7 +12,6 @@ import typer
 
 from platform_ctrl.cli import completion
 from platform_ctrl.cli.job_arguments import Json, Quiet, one_of, option, prepare_folder
-from platform_ctrl.cli.starting.kinds import DEFAULT, KINDS
 from platform_ctrl.errors import InputError
 from platform_ctrl.mechanics.symbolic.options import HIGHEST_ORDER, TERMS, WRITTEN
 
@@ -20,6 +19,20 @@ from platform_ctrl.mechanics.symbolic.options import HIGHEST_ORDER, TERMS, WRITT
 _NAME = re.compile(r"\w[\w.-]*")
 EXACT = "exact"
 ORDERS = (*map(str, range(HIGHEST_ORDER + 1)), EXACT)
+
+
+# What `new` copies, by what people have: jobs of the folder examples, each with its plant.
+KINDS = {
+    "caged-gyro": "caged_gyro",
+    "camera-gimbal": "camera_gimbal",
+    "multirotor-gimbal": "multirotor_gimbal",
+    "seeker-head": "seeker_head",
+    "steering-mirror": "fast_steering_mirror",
+    "floated-gyro": "floated_gyro_platform",
+    "stabilised-platform": "three_gyro_platform",
+    "control-moment-gyro": "control_moment_gyro",
+}
+_PLANT = re.compile(r'^plant = "(\w+)(\.toml)?" *', re.MULTILINE)
 
 
 def new(
@@ -32,73 +45,57 @@ def new(
     out: Annotated[
         Path, option("--out", "-o", metavar="DIR", help="Folder for both; made if needed. Default: here.")
     ] = Path("."),
-    like: Annotated[
-        str | None,
-        option(
-            "--like",
-            metavar="PLANT",
-            help="Start from this plant: a shipped name or a plant file.",
-            words=completion.plants,
-        ),
-    ] = None,
     kind: Annotated[
-        str | None,
-        option(
-            "--kind",
-            metavar="KIND",
-            help=f"Start from what you have: {', '.join(KINDS)}. Default: {DEFAULT}.",
-            words=completion.words(*KINDS),
-        ),
-    ] = None,
+        str,
+        option("--kind", metavar="KIND", help=f"What you have: {', '.join(KINDS)}.", default=True),
+    ] = "caged-gyro",
     force: Annotated[bool, option("--force", help="Overwrite files that are there.", default=True)] = False,
     as_json: Json = False,
-    quiet: Quiet = False,
 ) -> None:
-    """Write a commented plant and a job for it, to start from.
+    """Copy a commented plant and a job for it, to start from.
 
     NAME_plant.toml describes the bodies, rotors, torquers and sensors; NAME.toml defines the loops to be designed,
-    their methods and their requirements. Both work as they are; then put in your own numbers. The loops are those
-    that the plant is for: rate loops on inertial gyros, pointing loops on angles, caging of gyros, stabilisation of a
-    platform with caged gyros, with starting values from rules of thumb.
+    their methods and their requirements. Both work as they are; then put in your own numbers.
 
     \b
     platform-ctrl new gyro                              gyro_plant.toml and gyro.toml
     platform-ctrl design gyro.toml                      designs and checks its loop: out/report.html
     platform-ctrl new eye --kind camera-gimbal          by what you have
-    platform-ctrl new pyramid --like vscmg_pyramid      from a plant that platform-ctrl models lists
-    platform-ctrl new mine --like plants/mine.toml      a job for a plant of your own
     """  # noqa: D301
-    from platform_ctrl.cli.atomic_output import written_together
-    from platform_ctrl.cli.starting.files import start_like, start_of
-    from platform_ctrl.cli.terminal import progress
+    from platform_ctrl.common.files import write_whole
     from platform_ctrl.common.json_text import json_text
 
-    if like is not None and kind is not None:
-        raise InputError("--like and --kind exclude each other; leave one out")
-    title = _title(name)
+    title, known = _title(name), one_of("--kind", kind, tuple(KINDS))
     files = (f"{title}_plant.toml", f"{title}.toml")
     for file in files:
-        if os.path.exists(out / file) and not force:
+        if os.path.lexists(out / file) and not force:
             raise InputError(f"{out / file}: exists already; choose another NAME or -o DIR, or overwrite with --force")
-    with progress(quiet or as_json, "reading the plant") as say:
-        made = start_of(kind or DEFAULT, title, *files, say) if like is None else start_like(like, title, *files, say)
-        prepare_folder(out, files)
-        with written_together(out) as folder:
-            for file, text in zip(files, (made.plant, made.job), strict=True):
-                (folder / file).write_text(text, encoding="utf-8", newline="\n")
+    prepare_folder(out, files)
+    for file, text in zip(files, _copied(KINDS[known], title), strict=True):
+        write_whole(out / file, text)
     plant, job = (out / file for file in files)
-    then = [["design", job], ["equations", plant], ["simulate", job, "--manoeuvre", made.run]]
-    commands = [shlex.join(["platform-ctrl", *map(str, words)]) for words in then]
+    commands = [
+        shlex.join(["platform-ctrl", word, str(file)]) for word, file in (("design", job), ("equations", plant))
+    ]
     if as_json:
-        record = {"schema": 1, "plant": str(plant), "job": str(job), "like": like, "kind": kind, "loops": made.loops}
-        typer.echo(json_text(record | {"added": made.added, "next": commands}))
+        typer.echo(json_text({"schema": 1, "plant": str(plant), "job": str(job), "kind": kind, "next": commands}))
         return
-    typer.echo(f"plant: {plant}{f' (like {like})' if like else f' ({kind})' if kind else ''}")
-    for line in made.added:
-        typer.echo(f"  added: {line}, which a loop needs and the plant does not have")
-    typer.echo(f"job:   {job} ({', '.join(made.loops)})")
-    for word, command in zip(("next:", "also:", "then:"), commands, strict=True):
-        typer.echo(f"{word:<6} {command}")
+    typer.echo(f"plant: {plant}\njob:   {job}\nnext:  {commands[0]}\nalso:  {commands[1]}")
+
+
+def _copied(example: str, title: str) -> tuple[str, str]:
+    """Return the texts of the plant and of the job of an example under another name."""
+    from platform_ctrl.plant.source import example_source, platform_source
+
+    job = example_source(example)
+    found = _PLANT.search(job)
+    assert found is not None, example
+    plant = example_source(found[1]) if found[2] else platform_source(found[1])
+    job = _PLANT.sub(f'plant = "{title}_plant.toml" ', job, count=1)
+    job = re.sub(r'^name = ".*?"', f'name = "{title}"', job, count=1, flags=re.MULTILINE)
+    return tuple(  # type: ignore[return-value]
+        re.sub(rf"(examples/)?\b{example}(_plant)?\.toml", rf"{title}\2.toml", text) for text in (plant, job)
+    )
 
 
 def _title(name: str) -> str:

@@ -74,6 +74,14 @@ def platform_source(name: str) -> str:
     return files[name].read_text(encoding="utf-8")
 
 
+def example_source(name: str) -> str:
+    """Return the text of a file of the folder examples, which an installed package has inside."""
+    folder = resources.files("platform_ctrl") / "examples"
+    if not folder.is_dir():
+        folder = Path(__file__).parents[2] / "examples"  # a checkout
+    return (folder / f"{name}.toml").read_text(encoding="utf-8")
+
+
 def is_shipped_name(source: str) -> bool:
     """Return whether `source` is meant as a shipped name: no suffix and no path separator."""
     separators = {"/", os.sep, os.altsep or os.sep}

@@ -24,10 +24,11 @@ from platform_ctrl.app.backend import Backend
 from platform_ctrl.app.saving import checked_settings, decode_state, encode_state
 from platform_ctrl.app.settings import Settings
 from platform_ctrl.cli import main
+from platform_ctrl.cli.start_commands import KINDS
 from platform_ctrl.design.jobs import loops
 from platform_ctrl.errors import DesignError, InputError, OldKeyWarning, PlatformCtrlError
 from platform_ctrl.job.reading import read_job
-from platform_ctrl.plant.source import platform_source, shipped_models
+from platform_ctrl.plant.source import platform_source
 
 SHIPPED = Path(__file__).parents[2] / "examples" / "three_gyro_platform.toml"
 LOOP = "caging 9-10"
@@ -286,7 +287,7 @@ def test_saving_a_job_with_old_keys_repeats_no_warning(tmp_path: Path) -> None:
 def test_saving_never_lands_on_the_plant_or_a_folder_and_leaves_nothing_half_written(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert main(["new", "mine", "-o", str(tmp_path), "-q"]) == 0
+    assert main(["new", "mine", "-o", str(tmp_path)]) == 0
     bench = Backend(tmp_path / "mine.toml")
     settings = bench.start()
     plant = (tmp_path / "mine_plant.toml").read_text()
@@ -503,9 +504,9 @@ def test_saving_notes_a_loop_whose_design_is_not_available(shipped: Backend, tmp
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("model", shipped_models())
-def test_every_shipped_plant_has_a_page(model: str, tmp_path: Path) -> None:
-    assert main(["new", "mine", "--like", model, "-o", str(tmp_path)]) == 0
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_shipped_job_has_a_page(kind: str, tmp_path: Path) -> None:
+    assert main(["new", "mine", "--kind", kind, "-o", str(tmp_path)]) == 0
     bench = Backend(tmp_path / "mine.toml")
     for loop in bench.choices().loops:
         settings = bench.start(loop)

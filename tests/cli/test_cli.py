@@ -319,11 +319,11 @@ def test_the_shell_gets_completion(monkeypatch: pytest.MonkeyPatch) -> None:
         (["design", "qqq"], "qqq: there is no such file; platform-ctrl new writes one"),
         (
             ["design", "rate_gyro"],
-            "rate_gyro: is a shipped plant, not a job; platform-ctrl new NAME --like rate_gyro",
+            "rate_gyro: is a shipped plant, not a job; platform-ctrl new NAME writes a job",
         ),
         (
             ["design", "plant.toml"],
-            "plant.toml: is a plant, not a job; platform-ctrl new NAME --like",
+            "plant.toml: is a plant, not a job; platform-ctrl new NAME writes a job",
         ),
         (["equations", "job.toml"], "job.toml: this is a job file"),
         (["design", "."], "is a directory; give a TOML file"),

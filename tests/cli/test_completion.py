@@ -82,7 +82,6 @@ def offered(monkeypatch: pytest.MonkeyPatch, *words: str, shell: str = "bash") -
         (["equations", "pl"], ["plant.toml"]),
         (["equations", "plant.toml", "--format", ""], ["text", "latex", "json"]),
         (["equations", "plant.toml", "--order", "e"], ["exact"]),
-        (["new", "mine", "--like", "qu"], ["quanser_3dof_gyroscope"]),
         (["simulate", "job.toml", "--manoeuvre", "t"], ["turn"]),
         (["simulate", "--manoeuvre", ""], []),
         (["simulate", "none.toml", "--manoeuvre", ""], []),

@@ -158,10 +158,10 @@ def test_the_designers_page_says_that_it_leaves_out_controllers_of_another_job(
     from platform_ctrl.cli.serve_command import _prepared
 
     save_beside(there, result, age=0.0)
-    _prepared(Path("job.toml"), None, there, print)
+    _prepared(Path("job.toml"), None)
     assert capsys.readouterr().err == ""
     write(there, camera_plant(friction=[]))
-    _prepared(Path("job.toml"), None, there, print)
+    _prepared(Path("job.toml"), None)
     assert "job.controllers.json: was made for another plant" in capsys.readouterr().err
 
 

@@ -156,7 +156,7 @@ def test_what_is_no_plain_file_is_never_replaced_by_one(there: Path, capsys: pyt
 def test_the_plant_that_the_job_reads_is_never_written_over(
     option: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["new", "gyro", "--like", "rate_gyro", "--out", str(tmp_path)]) == 0
+    assert main(["new", "gyro", "--out", str(tmp_path)]) == 0
     before = files(tmp_path)
     (tmp_path / "k.json").write_text("{}")
     words = ["export", str(tmp_path / "gyro.toml"), "--controllers", str(tmp_path / "k.json")]

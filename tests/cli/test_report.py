@@ -27,7 +27,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
         patch.chdir(folder)
         patch.setattr("platform_ctrl.campaign.engine.processes", processes_here)
         undrawn(patch, [])
-        assert main(["new", "gyro", "-q"]) == 0
+        assert main(["new", "gyro"]) == 0
         assert main(["design", "gyro.toml", "-q", "--junit", "verdicts/design.xml"]) == 0
         assert main(["campaign", "gyro.toml", "--runs", "12", "--workers", "1", "-q"]) == 0
     return folder

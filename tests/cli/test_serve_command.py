@@ -43,7 +43,7 @@ browser = pytest.fixture(scope="module")(chromium)
 @pytest.fixture(scope="module")
 def job(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("serve")
-    assert main(["new", "gyro", "-o", str(folder), "-q"]) == 0
+    assert main(["new", "gyro", "-o", str(folder)]) == 0
     return folder / "gyro.toml"
 
 

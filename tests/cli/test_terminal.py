@@ -84,7 +84,7 @@ class Terminal:
 @pytest.fixture(scope="module")
 def there(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("terminal")
-    assert main(["new", "gyro", "-o", str(folder), "-q"]) == 0
+    assert main(["new", "gyro", "-o", str(folder)]) == 0
     with pytest.MonkeyPatch.context() as patch:  # the figures are seconds of work
         patch.setattr("platform_ctrl.report.page.job_page.prepared", lambda result, **about: result)
         patch.setattr("platform_ctrl.report.write_page", lambda result, path: path.touch())
@@ -188,12 +188,6 @@ def test_ctrl_c_at_the_end_of_the_process_is_an_interrupt_too() -> None:
         assert process.stdout.readline() == b"ending\n"
         process.send_signal(signal.SIGINT)
     assert process.returncode == 130
-
-
-def test_ctrl_c_before_a_plant_is_read_leaves_no_file(there: Path, tmp_path: Path) -> None:
-    shown = Terminal("new", "mine", "--like", "suspended_platform", cwd=tmp_path).until("starting values")
-    assert shown.type(b"\x03").end() == 130
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_files_appear_together_or_not_at_all(tmp_path: Path) -> None:

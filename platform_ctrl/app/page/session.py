@@ -454,9 +454,7 @@ def page(backend: Backend, document: Document) -> None:
     document.config.update(reconnect_session=False, notify_connection_status=False)
     document.template = _template()
     has_budget = backend.read.budget is not None
-    document.template_variables.update(
-        panels=PANELS, budget_panels=BUDGET_PANELS if has_budget else (), folded=backend.folded
-    )
+    document.template_variables.update(panels=PANELS, budget_panels=BUDGET_PANELS if has_budget else ())
 
 
 def _state(document: Document) -> str:

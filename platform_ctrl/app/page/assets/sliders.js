@@ -6,7 +6,7 @@ const STEPS = 4000, FINE = 4, COARSE = 20;
 const SERIES = 1500;
 const GROUPS = { main: "Speed and robustness", gains: "Gains", lead: "Lead and lag", lag: "Lag", notch: "Notch", design: "Design", sampling: "Sampling", rotors: "Rotors", Omega: "Platform rate" };
 export const rows = new Map();
-let structure = "", designOpen = false, allOpen = !("folded" in byId("sliders").dataset);
+let structure = "", designOpen = false, allOpen = true;
 
 const place = (slider, value) => {
   const part = slider.logarithmic
