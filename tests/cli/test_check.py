@@ -75,7 +75,7 @@ def test_a_requirement_that_is_missed_is_not_made_up_for_by_its_baseline(
     assert failed.result[0].message == (
         "caging 9-10, classical: bandwidth 27.68 Hz, at least 35 Hz: not met, margin -21 %"
     )
-    assert suites["gyro.json"].tests == 14
+    assert suites["gyro.json"].tests == 12
 
 
 def test_json_has_the_comparison_and_is_alone_on_standard_output(
