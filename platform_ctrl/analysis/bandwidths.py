@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     import control
 
 LEVEL = math.sqrt(0.5)
-# Frequencies that are evaluated together.
-_PART = 100
 
 
 def bandwidth(plant: control.StateSpace, controller: control.StateSpace, at: At = "output") -> float:
@@ -61,25 +59,18 @@ def bandwidth_of_sensitivity(S: StateArrays) -> float:
     axis = FrequencyAxis(S)
     w = _grid(axis, s)
 
-    def gains(w: FloatArray) -> FloatArray:
-        # Far below the level, where S nearly vanishes, digits beyond the level's say nothing.
-        return axis.gains(w, least=LEVEL)
-
-    sizes, first = np.zeros(0), w.size
-    while sizes.size < w.size and first == w.size:
-        # A part at a time: the first that is reached is looked for.
-        sizes = np.append(sizes, gains(w[sizes.size : sizes.size + _PART]))
-        above = np.flatnonzero(sizes >= LEVEL)
-        first = int(above[0]) if above.size else w.size
-    if first == w.size:
+    sizes = axis.gains(w)
+    above = np.flatnonzero(sizes >= LEVEL)
+    if not above.size:
         return math.inf if S.dt == 0.0 else math.pi / S.dt
+    first = int(above[0])
     if first == 0:
         return 0.0
     if sizes[first] <= LEVEL * (1.0 + 1e-12):
         return float(w[first])
 
     def beyond(x: float) -> float:
-        return math.log(gains(np.array([math.exp(x)]))[0] / LEVEL)
+        return math.log(axis.gains(np.array([math.exp(x)]))[0] / LEVEL)
 
     low, high = math.log(w[first - 1]), math.log(w[first])
     # Where an end is a crossing itself, rounding decides on which side of it exp(log(w)) lies.

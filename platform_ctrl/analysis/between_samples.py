@@ -27,7 +27,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
-from platform_ctrl.analysis.resolvent import ON_A_GRID
 from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.analysis.sampling import held_input, split_delay, with_lag
 from platform_ctrl.common.values import FloatArray, value
@@ -73,7 +72,7 @@ class LoopResponses(Protocol):
 
 
 def _response(system: StateArrays, w: FloatArray, of: Chosen) -> ComplexArray:
-    return frequency_response(system, w, -3, ON_A_GRID) if of is None else response_at(system, w, of)
+    return frequency_response(system, w, -3) if of is None else response_at(system, w, of)
 
 
 def response_at(system: StateArrays, w: FloatArray, of: NDArray[np.intp]) -> ComplexArray:

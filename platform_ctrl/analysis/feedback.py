@@ -350,13 +350,36 @@ def sensitivity_functions(loop: ComplexArray) -> tuple[ComplexArray, ComplexArra
     For a tuner that keeps the plant's response and changes the controller only: L = -K P (broken at the input) or -P K
     (at the output) by `numpy.matmul`. inf in a matrix where I + L is singular or not a number.
     """
-    from platform_ctrl.analysis.kernels import invert
-
     loop = square_responses("sensitivity_functions: loop", loop, nan=True)
     eye = np.eye(loop.shape[-1])
-    S = np.ascontiguousarray(eye + loop, dtype=np.complex128)
-    invert(S.reshape(-1, *S.shape[-2:]))
+    S = _inverses(eye + loop)
     return S, eye - S
+
+
+def _inverses(X: ComplexArray) -> ComplexArray:
+    """Return the inverses of matrices (..., m, m), inf all over where one is singular or not a number.
+
+    By the adjugate up to m = 3, of which there are many thousands in a search.
+    """
+    m = X.shape[-1]
+    with np.errstate(all="ignore"):
+        if m == 1:
+            out = np.asarray(1.0 / X, dtype=np.complex128)
+        elif m == 2:
+            (a, b), (c, d) = np.moveaxis(X, (-2, -1), (0, 1))
+            out = np.stack([d, -b, -c, a], axis=-1).reshape(X.shape) / (a * d - b * c)[..., None, None]
+        elif m == 3:
+            a, b, c = np.moveaxis(X, -2, 0)
+            columns = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=-1)
+            out = columns / np.sum(a * columns[..., 0], axis=-1)[..., None, None]
+        else:
+            fine = np.isfinite(X).all(axis=(-2, -1)) & (np.linalg.det(X) != 0.0)
+            out = np.linalg.inv(np.where(fine[..., None, None], X, np.eye(m)))
+            out[~fine] = np.inf
+    wrong = ~np.isfinite(out).all(axis=(-2, -1))
+    if wrong.any():
+        out[wrong] = np.inf
+    return np.asarray(out, dtype=np.complex128)
 
 
 def sensitivities_of_plants(P: ComplexArray, K: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
@@ -364,14 +387,20 @@ def sensitivities_of_plants(P: ComplexArray, K: ComplexArray) -> tuple[ComplexAr
 
     One inverse serves both: (I - K P)^-1 = I + K (I - P K)^-1 P. Inf where that is singular.
     """
-    from platform_ctrl.analysis.kernels import close
+    p, m = P.shape[-2:]
+    if p <= m:
+        S_output = _inverses(np.eye(p) - P @ K)
+        return S_output, _other_side(S_output, K, P)
+    S_input = _inverses(np.eye(m) - K @ P)
+    return _other_side(S_input, P, K), S_input
 
-    *batch, F, p, m = P.shape
-    # Copies: numba would compile anew for what is frozen.
-    plants = np.array(P, dtype=np.complex128, order="C").reshape(-1, F, p, m)
-    S_output, S_input = (np.empty((len(plants), F, size, size), dtype=np.complex128) for size in (p, m))
-    close(plants, np.array(K, dtype=np.complex128, order="C"), S_output, S_input)
-    return S_output.reshape(*batch, F, p, p), S_input.reshape(*batch, F, m, m)
+
+def _other_side(S: ComplexArray, left: ComplexArray, right: ComplexArray) -> ComplexArray:
+    with np.errstate(invalid="ignore"):
+        out = left @ S @ right
+    out += np.eye(out.shape[-1])
+    out[~np.isfinite(S).all(axis=(-2, -1))] = np.inf
+    return np.asarray(out, dtype=np.complex128)
 
 
 def feedback_part(controller: StateArrays, measured: Sequence[int]) -> StateArrays:

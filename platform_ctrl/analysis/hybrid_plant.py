@@ -42,15 +42,12 @@ from platform_ctrl.analysis.interconnection import MultiRate
 from platform_ctrl.analysis.lifting import SampledPlant, lifted_plant
 from platform_ctrl.analysis.periodic import pruned
 from platform_ctrl.analysis.poles import poles
-from platform_ctrl.analysis.resolvent import TOLERATED
 from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.analysis.sampling import late_outputs, sampled, split_delay, with_lag
 from platform_ctrl.common.arguments import not_negative, whole
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
 
-# Error of plant responses, relative: what feedback cancels costs digits in proportion to its gain.
-_PLANT_TOLERANCE = 1e-13
 # A pole this near to the unit circle counts as one on it; a direction is not seen below this share of the matrix.
 _BOUNDARY, _UNSEEN = 1e-10, 1e-11
 # Remainders of sums over all images below this share of the whole are rounding.
@@ -216,7 +213,7 @@ class OpenLoop:
 
     def _response(self, w: FloatArray) -> ComplexArray:
         flat, place = np.unique(np.abs(w), return_inverse=True)
-        P = frequency_response(self._continuous, flat, -3, _PLANT_TOLERANCE)[place.reshape(w.shape)]
+        P = frequency_response(self._continuous, flat, -3)[place.reshape(w.shape)]
         return np.where((w < 0.0)[..., None, None], P.conj(), P)
 
     def _along(
@@ -262,7 +259,7 @@ class OpenLoop:
 
     def _sampled_response(self, omega: FloatArray) -> ComplexArray:
         def response(w: FloatArray) -> ComplexArray:
-            return _signed_response(self.sampled, w, _PLANT_TOLERANCE)
+            return _signed_response(self.sampled, w)
 
         return self._along("sampled", response, omega, self._of_components)
 
@@ -409,9 +406,9 @@ def _unit(columns: FloatArray) -> FloatArray:
     return out
 
 
-def _signed_response(system: StateArrays, omega: FloatArray, tolerance: float = TOLERATED) -> ComplexArray:
+def _signed_response(system: StateArrays, omega: FloatArray) -> ComplexArray:
     """Return the response (..., p, m) at frequencies (...) of any sign, rad/s."""
-    found = frequency_response(system, np.abs(omega).ravel(), -3, tolerance).reshape(*omega.shape, *system.D.shape)
+    found = frequency_response(system, np.abs(omega).ravel(), -3).reshape(*omega.shape, *system.D.shape)
     out: ComplexArray = np.where((omega < 0.0)[..., None, None], found.conj(), found)
     return out
 

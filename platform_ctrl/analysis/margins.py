@@ -17,11 +17,11 @@ from numpy.typing import ArrayLike
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, frequencies
 from platform_ctrl.analysis.disks import disk_factors, disk_to_gain_phase, worst_factors
 from platform_ctrl.analysis.feedback import At, closed_loop_with_sensitivity
-from platform_ctrl.analysis.mu import SLACK, MuPeak, mu_bounds, perturbation, search_grid
+from platform_ctrl.analysis.mu import SLACK, MuPeak, search_grid
 from platform_ctrl.analysis.norms import hinf_norm, peak_gain
 from platform_ctrl.analysis.poles import continuous_poles, poles, spectral_abscissa
 from platform_ctrl.analysis.response import LinearSystem, NamedSystem, linear_arrays
-from platform_ctrl.analysis.singular_values import largest_singular_values
+from platform_ctrl.analysis.singular_values import boundary_poles, largest_singular_values
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
@@ -209,30 +209,27 @@ def disk_margin(
     if L.D.shape != (m, m) or m == 0:
         raise ArgumentError(f"disk_margin: the loop transfer must be square, got {m} outputs and {L.D.shape[1]} inputs")
     disk = _disk_arrays(L, skew)
-    s = continuous_poles(poles(disk.A), disk.dt)
-    given = None if frequency is None else frequencies(frequency, "disk_margin")
-    if spectral_abscissa(s) >= 0.0:
-        return no_margin(skew, np.zeros(0) if given is None else given, s, disk)
-    own = search_grid(disk, s, 0 if given is None else len(given))
-    grid = own if given is None else np.union1d(own, given)
     peak = MuPeak(disk)
-    response = peak.response(grid)
+    axis = peak.axis
+    s, on_boundary = boundary_poles(axis.system.A, disk.dt, axis.poles())
+    given = None if frequency is None else frequencies(frequency, "disk_margin")
+    if len(s) and (spectral_abscissa(s) >= 0.0 or on_boundary.any()):
+        return no_margin(skew, np.zeros(0) if given is None else given, s, disk)
+    own = search_grid(disk, s)
+    grid = own if given is None else np.union1d(own, given)
+    response = axis.response(grid)
     shown = slice(None) if given is None else np.searchsorted(grid, given)
     if not np.all(np.isfinite(response)):  # a pole that is stable by rounding alone
         return no_margin(skew, grid[shown], s, disk)
-    bounds, gains = mu_bounds(response), largest_singular_values(response)
-    proved = True
+    gains, proved = largest_singular_values(response), True
+    norm, at = peak_gain(axis, s, 1e-9) if len(s) else (float(gains.max()), 0.0)
     if m == 1:
-        norm, peak.frequency = hinf_norm(disk, allow_unstable=True)
-        peak.mu = peak.lower = norm
-        peak.M = peak.response(np.array([peak.frequency]))[0]
+        peak.mu, peak.frequency, peak.M = norm, at, axis.response(np.array([at]))[0]
+        mu = gains, gains
     else:
-        highest = int(np.argmax(gains))
-        norm, at = float(gains[highest]), float(grid[highest])
-        if len(s):
-            norm, at = peak_gain(peak.axis, s, 1e-6, (norm, at))
-        peak.bounds(np.array([at, peak.axis.edge]))
-        peak.climb(grid, bounds.upper)
+        more = np.unique([at, axis.edge])
+        peak.search(more, axis.response(more), between=False)
+        mu = peak.search(grid, response)
         proved = peak.prove()
     if not np.all(np.isfinite(peak.M)):
         return no_margin(skew, grid[shown], s, disk)
@@ -244,7 +241,7 @@ def disk_margin(
         dt=disk.dt,
         frequencies=grid[shown],
         gains=gains[shown],
-        mu=(bounds.upper[shown], bounds.lower[shown]),
+        mu=(mu[0][shown], mu[1][shown]),
     )
 
 
@@ -260,7 +257,7 @@ def _margin(
     mu: tuple[FloatArray, FloatArray],
 ) -> DiskMargin:
     """Return the margin of a stable loop from the peak of mu and the bounds of mu at `frequencies`."""
-    delta = perturbation(peak.M, peak.Q)
+    delta = peak.reached()
     lower = _inverse(peak.mu)
     with np.errstate(divide="ignore"):
         lower_response, upper_response = 1.0 / mu[0], 1.0 / mu[1]
@@ -304,7 +301,8 @@ def _margin_of_data(data: control.FrequencyResponseData, skew: float, frequency:
         ) from None
     dt = float(data.dt) if data.dt else 0.0
     peak = MuPeak(StateArrays(np.zeros((0, 0)), np.zeros((0, m)), np.zeros((m, 0)), np.zeros((m, m)), dt))
-    bounds, gains = peak.bounds(grid, response, 1e-6), largest_singular_values(response)
+    gains = largest_singular_values(response)
+    mu = peak.search(grid, response, between=False)
     return _margin(
         peak,
         float(gains.max()),
@@ -313,7 +311,7 @@ def _margin_of_data(data: control.FrequencyResponseData, skew: float, frequency:
         dt=dt,
         frequencies=grid,
         gains=gains,
-        mu=(bounds.upper, bounds.lower),
+        mu=mu,
     )
 
 

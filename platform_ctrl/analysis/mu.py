@@ -1,4 +1,9 @@
-"""The largest structured singular value of a system over all frequencies: climbed, then proved to be the largest."""
+"""The structured singular value for diagonal complex perturbations: of matrices, and its peak over all frequencies.
+
+The upper bound is the least largest singular value of D M D^-1: Osborne's balancing comes near it, and BFGS reaches it
+where that matters. The lower bound is the largest spectral radius of Q M for phases Q (Packard and Doyle, Automatica
+29, 1993), by BFGS as well.
+"""
 
 from __future__ import annotations
 
@@ -13,31 +18,107 @@ from platform_ctrl.analysis.norms import resonances
 from platform_ctrl.analysis.singular_values import FrequencyAxis, largest_singular_values
 from platform_ctrl.common.values import FloatArray
 
+# Sweeps of balancing, and the share of a row that counts as that of an empty column.
+_SWEEPS, _EMPTY = 8, 1e-8
+
 
 class MuBounds(NamedTuple):
     """Bounds of mu for each of N matrices of m channels."""
 
-    # upper, lower: (N,): equal to the tolerance up to three channels
-    upper: FloatArray
-    lower: FloatArray
-    D: FloatArray  # (N, m): scalings: `upper` bounds the largest singular value of D M D^-1. Geometric mean 1.
-    # complex (N, m): phases: `lower` is the spectral radius of Q M, to rounding of the power iteration that found it.
-    # All but one of them are 0 where one channel alone reaches more than the phases that were found.
+    upper: FloatArray  # (N,)
+    lower: FloatArray  # (N,)
+    D: FloatArray  # (N, m): scalings: `upper` is the largest singular value of D M D^-1
+    # complex (N, m): phases: `lower` is the spectral radius of Q M. All but one of them are 0 where one channel alone
+    # reaches more.
     Q: ComplexArray
 
 
-def mu_bounds(M: ComplexArray, tolerance: float = 1e-6) -> MuBounds:
-    """Return both bounds of mu for finite matrices (N, m, m), faster where each resembles the one before.
+def mu_bounds(M: ComplexArray) -> MuBounds:
+    """Return bounds of mu for finite matrices (N, m, m) by balancing alone, within a few per cent of each other."""
+    D = _balanced(M)
+    scaled = _scaled(M, D)
+    left, sizes, right = np.linalg.svd(scaled)
+    # Phases that turn each entry of the left singular vector into that of the right one.
+    turn = right[:, 0, :].conj() * left[:, :, 0].conj()
+    Q = np.where(np.abs(turn) > 0.0, turn / np.where(np.abs(turn) > 0.0, np.abs(turn), 1.0), 1.0)
+    lower = np.abs(np.linalg.eigvals(Q[:, :, None] * M)).max(axis=-1)
+    alone = np.abs(np.einsum("kii->ki", M))
+    better = alone.max(axis=-1) >= lower
+    Q[better] = np.eye(M.shape[-1])[alone[better].argmax(axis=-1)]
+    return MuBounds(upper=sizes[:, 0], lower=np.minimum(np.maximum(lower, alone.max(axis=-1)), sizes[:, 0]), D=D, Q=Q)
 
-    `tolerance` is relative; every returned upper bound is one whatever the tolerance.
-    """
-    # Compiled, or taken from numba's cache, with the first call.
-    from platform_ctrl.analysis import mu_kernel
 
-    N, m, _ = M.shape
-    upper, lower, D, Q = np.empty(N), np.empty(N), np.empty((N, m)), np.empty((N, m), dtype=np.complex128)
-    mu_kernel.mu_bounds(np.ascontiguousarray(M, dtype=np.complex128), tolerance, upper, lower, D, Q)
-    return MuBounds(upper=upper, lower=lower, D=D, Q=Q)
+def best_mu_bounds(M: ComplexArray) -> MuBounds:
+    """Return bounds of mu for finite matrices (N, m, m), equal to about 1e-5 up to three channels."""
+    near = mu_bounds(M)
+    found = [best_scalings(one, D) for one, D in zip(M, near.D, strict=True)]
+    upper, D = np.array([size for size, _ in found]), np.array([D for _, D in found])
+    reached = [best_phases(one, *pair) for one, *pair in zip(M, D, near.Q, strict=True)]
+    lower = np.minimum([size for size, _ in reached], upper)
+    return MuBounds(upper=upper, lower=lower, D=D, Q=np.array([Q for _, Q in reached]))
+
+
+def _scaled(M: ComplexArray, D: FloatArray) -> ComplexArray:
+    return np.asarray(D[..., :, None] * M / D[..., None, :], dtype=np.complex128)
+
+
+def _balanced(M: ComplexArray) -> FloatArray:
+    """Return scalings D (N, m) with which rows and columns of D M D^-1 are equally large (Osborne)."""
+    m = M.shape[-1]
+    squares = np.abs(M) ** 2 * (1.0 - np.eye(m))
+    D = np.ones(M.shape[:-1])
+    for _ in range(_SWEEPS if m > 1 else 0):
+        for i in range(m):
+            ratio = (D[:, i, None] / D) ** 2
+            row, column = (squares[:, i] * ratio).sum(axis=-1), (squares[:, :, i] / ratio).sum(axis=-1)
+            least = _EMPTY * (row + column) + 1e-300
+            D[:, i] *= ((column + least) / (row + least)) ** 0.25
+    return np.asarray(D / np.exp(np.log(D).mean(axis=-1, keepdims=True)))
+
+
+def best_scalings(M: ComplexArray, D: FloatArray) -> tuple[float, FloatArray]:
+    """Return the least largest singular value of D M D^-1 that is found from D (m,), and the scalings."""
+    from scipy.optimize import minimize
+
+    if len(D) == 1 or not np.any(M):
+        return float(np.linalg.norm(M, 2)), D
+
+    def size(x: FloatArray) -> tuple[float, FloatArray]:
+        left, sizes, right = np.linalg.svd(_scaled(M, np.exp(x)))
+        return math.log(max(sizes[0], 1e-300)), np.abs(left[:, 0]) ** 2 - np.abs(right[0]) ** 2
+
+    first = np.log(D)
+    found = minimize(size, first, jac=True, method="BFGS", options={"gtol": 1e-6, "maxiter": 30})
+    x = found.x if np.isfinite(found.fun) and found.fun <= size(first)[0] else first
+    return math.exp(size(x)[0]), np.exp(x - x.mean())
+
+
+def best_phases(M: ComplexArray, D: FloatArray, Q: ComplexArray) -> tuple[float, ComplexArray]:
+    """Return the largest spectral radius of Q M that is found from the best D (m,) and from Q (m,), and the phases."""
+    from scipy.optimize import minimize
+
+    def radius(x: FloatArray) -> tuple[float, FloatArray]:
+        values, vectors = np.linalg.eig(np.exp(1j * x)[:, None] * M)
+        k = int(np.argmax(np.abs(values)))
+        try:
+            shares = np.linalg.inv(vectors)[k] * vectors[:, k]
+        except np.linalg.LinAlgError:
+            shares = np.zeros(len(x))
+        return -math.log(max(abs(values[k]), 1e-300)), shares.imag
+
+    left, sizes, right = np.linalg.svd(_scaled(M, D))
+    starts = [np.angle(right[0].conj() * left[:, 0].conj()), np.angle(Q), np.zeros(len(D))]
+    best, phases = 0.0, starts[0]
+    for x in starts:
+        found = minimize(radius, x, jac=True, method="BFGS", options={"gtol": 1e-7, "maxiter": 60})
+        if math.exp(-found.fun) > best:
+            best, phases = math.exp(-found.fun), found.x
+        if best >= (1.0 - 1e-6) * sizes[0]:
+            break
+    alone = np.abs(np.diag(M))
+    if alone.max() >= best:
+        return float(alone.max()), np.eye(len(D), dtype=np.complex128)[int(alone.argmax())]
+    return best, np.exp(1j * phases)
 
 
 def perturbation(M: ComplexArray, Q: ComplexArray) -> ComplexArray:
@@ -62,14 +143,9 @@ def _largest_eigenvalue(Q: ComplexArray | FloatArray, M: ComplexArray | FloatArr
     return complex(eigenvalues[np.argmax(np.abs(eigenvalues))])
 
 
-def search_grid(system: StateArrays, s: ComplexArray, known: int = 0) -> FloatArray:
-    """Return frequencies that follow the closed loop's poles, and some a decade between and beyond them.
-
-    Fewer where `known` others, a hundred or more, are evaluated anyway: a peak between them is found by its proof.
-    """
-    few = known >= 100
-    finite = s[np.isfinite(s)]
-    own = np.concatenate([np.abs(finite.imag), np.abs(finite)]) if few else resonances(s)
+def search_grid(system: StateArrays, s: ComplexArray) -> FloatArray:
+    """Return frequencies that follow the closed loop's poles, and some a decade between and beyond them."""
+    own = resonances(s)
     own = own[own > 0.0]
     if own.size == 0:
         own = np.ones(1)
@@ -80,68 +156,76 @@ def search_grid(system: StateArrays, s: ComplexArray, known: int = 0) -> FloatAr
     low = max(low, 1e-9 * high)
     decades = math.log10(high / low)
     # Like `np.geomspace`, which takes a twentieth of the time of a margin.
-    fill = low * 10.0 ** np.linspace(0.0, decades, 2 + int((5.0 if few else 15.0) * decades))
+    fill = low * 10.0 ** np.linspace(0.0, decades, 2 + int(10.0 * decades))
     fill[-1] = high
     return np.unique(np.concatenate([[0.0], own[(own >= low) & (own <= high)], fill]))
 
 
 # Relative amount by which mu may exceed its peak between the frequencies that were evaluated, once that is proved.
 SLACK = 1e-4
-# Where a climb looks between two frequencies.
-FAN = np.linspace(0.0, 1.0, 13)
+# A peak is known when it is no higher than its neighbours by more than this; points between neighbours at a time.
+_LEVEL, _FINER = 1e-7, 9
+# Scalings of the peak are tried on what is so high, relative to it.
+_NEAR = 0.9
+_MOST = 400
 
 
 class MuPeak:
     """The largest mu of a square system over frequency: climbed, then proved.
 
-    `mu` is its upper bound at `frequency`, the highest that was evaluated, with the scalings D (m,), and `lower` its
-    lower bound there, which the phases Q (m,) reach; M (m, m) is the response there.
+    `mu` is its upper bound at `frequency`, the highest that was evaluated, with the scalings D (m,); M (m, m) is the
+    response there.
     """
 
     def __init__(self, system: StateArrays) -> None:
         m = len(system.D)
         self.axis = FrequencyAxis(system)
-        self.mu = self.frequency = self.lower = 0.0
-        self.D = np.ones(m)
-        self.Q = np.ones(m, dtype=np.complex128)
-        self.M = np.zeros((m, m), dtype=np.complex128)
+        self.mu = self.frequency = 0.0
+        self.D, self.M = np.ones(m), np.zeros((m, m), dtype=np.complex128)
 
-    def bounds(self, frequency: FloatArray, response: ComplexArray | None = None, tolerance: float = 1e-8) -> MuBounds:
-        """Return mu's bounds at each frequency, and keep the largest; its response may be known."""
-        response = self.response(frequency) if response is None else response
-        found = mu_bounds(response, tolerance)
-        i = int(np.argmax(found.upper))
-        if found.upper[i] > self.mu:
-            self.mu, self.frequency, self.lower = float(found.upper[i]), float(frequency[i]), float(found.lower[i])
-            self.D, self.Q, self.M = found.D[i], found.Q[i], response[i]
-        return found
+    def reached(self) -> ComplexArray:
+        """Return the perturbation (m,) that makes I - M diag(delta) singular, as small as is found."""
+        near = mu_bounds(self.M[None])
+        return perturbation(self.M, best_phases(self.M, self.D, near.Q[0])[1])
 
-    def response(self, frequency: FloatArray) -> ComplexArray:
-        """Return the response, (N, m, m); at infinite frequency the direct term."""
-        return self.axis.response(frequency)
+    def search(self, grid: FloatArray, response: ComplexArray, between: bool = True) -> tuple[FloatArray, FloatArray]:
+        """Find the peak about a grid (N,) of rising frequencies; return both bounds of mu there, (N,).
 
-    def climb(self, grid: FloatArray, mu: FloatArray) -> None:
-        """Refine the three highest local maxima of `mu` on `grid` side by side, the highest of them to the end."""
-        padded = np.concatenate([[-np.inf], mu, [-np.inf]])
-        tops = np.flatnonzero((padded[1:-1] >= padded[:-2]) & (padded[1:-1] >= padded[2:]))
-        tops = tops[mu[tops] >= 0.7 * mu.max()]
-        tops = tops[np.argsort(-mu[tops])][:3]
-        left, right = grid[np.maximum(tops - 1, 0)], grid[np.minimum(tops + 1, len(grid) - 1)]
-        for step in range(6):
-            fan = left[:, None] + (right - left)[:, None] * FAN
-            if step == 0:
-                # The responses that separated the local maxima may have been less accurate.
-                fan[:, len(FAN) // 2] = grid[tops]
-                fan.sort(axis=1)
-            found = self.bounds(fan.ravel()).upper.reshape(fan.shape)
-            high = found.max(axis=1) >= 0.999 * self.mu
-            fan, at = fan[high], found[high].argmax(axis=1)
-            row = np.arange(len(fan))
-            below, above = np.maximum(at - 1, 0), np.minimum(at + 1, fan.shape[1] - 1)
-            left, right = fan[row, below], fan[row, above]
-            lowest = np.minimum(found[high][row, below], found[high][row, above])
-            if np.all(lowest >= self.mu * (1.0 - 1e-8)):
+        The highest of the upper bounds is lowered by better scalings, until none is higher than one with the best;
+        then frequencies beside it are added, if they may lie between those of the grid.
+        """
+        near = mu_bounds(response)
+        w, M, D, upper = grid, response, near.D, near.upper.copy()
+        solved = np.zeros(len(w), dtype=np.bool_)
+        of_grid = np.arange(len(grid))
+        for _ in range(_MOST):
+            k = int(np.argmax(upper))
+            if not solved[k]:
+                size, D[k] = best_scalings(M[k], D[k])
+                solved[k] = True
+                high = np.flatnonzero((upper >= _NEAR * size) & ~solved)
+                sizes = largest_singular_values(_scaled(M[high], D[k]))
+                lower = sizes < upper[high]
+                upper[high[lower]], D[high[lower]] = sizes[lower], D[k]
+                upper[k] = min(size, upper[k])
+                continue
+            beside = np.array([j for j in (k - 1, k + 1) if 0 <= j < len(w)])
+            if not between or not beside.size or np.all(upper[beside] >= upper[k] * (1.0 - _LEVEL)):
                 break
+            new = np.setdiff1d(np.linspace(w[beside], w[k], _FINER + 2)[1:-1].ravel(), w[[k, *beside]])
+            new = new[np.isfinite(new)]
+            if not new.size:
+                break
+            more = self.axis.response(new)
+            at = np.searchsorted(w, new)
+            of_grid += np.searchsorted(new, w[of_grid])
+            upper = np.insert(upper, at, largest_singular_values(_scaled(more, D[k])))
+            D, M = np.insert(D, at, D[k], axis=0), np.insert(M, at, more, axis=0)
+            w, solved = np.insert(w, at, new), np.insert(solved, at, False)
+        k = int(np.argmax(upper))
+        if upper[k] > self.mu:
+            self.mu, self.frequency, self.D, self.M = float(upper[k]), float(w[k]), D[k], M[k]
+        return upper[of_grid], np.minimum(near.lower, upper[of_grid])
 
     def prove(self, slack: float = SLACK, most: int = 80) -> bool:
         """Show that mu exceeds its peak nowhere by more than `slack`; climb where it does.
@@ -161,12 +245,11 @@ class MuPeak:
                 return True
             low, high = max(doubtful, key=lambda part: math.inf if part[0] == 0.0 else part[1] / part[0])
             middle = _middle(low, high)
-            before = self.mu
-            found = self.bounds(np.array([middle]))
-            D = found.D[0]
-            if found.upper[0] > before:
-                grid = np.array([max(low, 0.5 * middle), middle, min(high, 2.0 * middle)])
-                self.climb(grid, self.bounds(grid).upper)
+            M = self.axis.response(np.array([middle]))
+            size, D = best_scalings(M[0], D)
+            if size > self.mu:
+                grid = np.unique([max(low, 0.5 * middle), middle, min(high, 2.0 * middle)])
+                self.search(grid, self.axis.response(grid))
         return False
 
     def _exceeding(

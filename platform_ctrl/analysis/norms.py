@@ -1,29 +1,24 @@
 """Norms of systems: H-infinity with its frequency, H2, and the rms that sampled white noise causes.
 
-Between the frequencies at which the gain is known, `phase_bound` says where it may be the largest; more of
-them are taken until it is nowhere higher than the best. Where that takes too many (gains that hardly depend on
-frequency), the H-infinity norm follows Bruinsma and Steinbuch (Systems & Control Letters 14, 1990) and Boyd and
-Balakrishnan (ibid. 15, 1990): the eigenvalues of a Hamiltonian matrix show where the largest singular value crosses a
-level. These only propose frequencies; what decides is the response evaluated there. So a widely spread
-system, whose Hamiltonian eigenvalues are inexact, cannot make the result wrong by a wrong test of "on the axis".
+The H-infinity norm follows Bruinsma and Steinbuch (Systems & Control Letters 14, 1990) and Boyd and Balakrishnan (ibid.
+15, 1990): the eigenvalues of a Hamiltonian matrix show where the largest singular value crosses a level. These only
+propose frequencies; what decides is the response evaluated there. So a widely spread system, whose Hamiltonian
+eigenvalues are inexact, cannot make the result wrong by a wrong test of "on the axis".
 """
 
 from __future__ import annotations
 
-import functools
 import math
 import warnings
 from collections.abc import Callable
-from types import ModuleType
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from platform_ctrl.analysis.arrays import MANY_STATES, ComplexArray, StateArrays, scaled
+from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, scaled
 from platform_ctrl.analysis.poles import continuous_poles, poles, spectral_abscissa, spectral_radius
-from platform_ctrl.analysis.resolvent import ON_A_GRID, plain
 from platform_ctrl.analysis.response import StateSystem, frequency_response, linear_arrays
-from platform_ctrl.analysis.singular_values import PORTS, FrequencyAxis, boundary_poles, largest_singular_values
+from platform_ctrl.analysis.singular_values import FrequencyAxis, boundary_poles, largest_singular_values
 from platform_ctrl.common.arguments import not_negative
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray
@@ -36,8 +31,8 @@ FAN = np.linspace(-1.0, 1.0, 15)
 # Relative error of a peak: what is returned is the upper end.
 PEAK_TOLERANCE = 5e-10
 
-# States from which on LAPACK's blocked reflections take less time than the compiled search.
-_SEARCHED = 80
+# Searches for a higher peak; two or three are usual.
+_SEARCHES = 60
 
 Band = tuple[float, float]
 WHOLE: Band = (0.0, np.inf)
@@ -92,12 +87,12 @@ def hinf_norm(system: StateSystem, allow_unstable: bool = False, tolerance: floa
 
 def _norm(system: StateArrays, tolerance: float, allow_unstable: bool) -> tuple[float, float]:
     A, B, C, D, dt = system
-    if _is_small(system):
-        found, norm, frequency = _phase_bound().norm_of_few(system, tolerance, allow_unstable)
-        if found:
-            return norm, frequency
+    if B.shape[1] == 0 or len(C) == 0:
+        return 0.0, 0.0
+    if len(A) == 0:
+        return float(np.linalg.norm(D, 2)), 0.0
     axis = FrequencyAxis(system)
-    s, on_boundary = boundary_poles(axis.system.A, dt) if len(A) else (np.zeros(0, complex), np.zeros(0, np.bool_))
+    s, on_boundary = boundary_poles(axis.system.A, dt, axis.poles())
     unstable = (s.real > 0.0) & ~on_boundary
     if not allow_unstable and np.any(unstable):
         worst = s[np.argmax(np.where(unstable, s.real, -math.inf))]
@@ -105,111 +100,44 @@ def _norm(system: StateArrays, tolerance: float, allow_unstable: bool) -> tuple[
             f"hinf_norm: the system must be stable, it has a pole at s = {worst:.6g}; "
             "allow_unstable=True gives the L-infinity norm"
         )
-    if B.shape[1] == 0 or len(C) == 0:
-        return 0.0, 0.0
-    if len(A) == 0:
-        return float(np.linalg.norm(D, 2)), 0.0
     if np.any(on_boundary):
         return math.inf, float(np.abs(s[on_boundary].imag).min())
     return peak_gain(axis, s, tolerance)
 
 
-@functools.cache
-def _phase_bound() -> ModuleType:
-    """Return the module, which is compiled or taken from numba's cache with the first call."""
-    # An import statement would take as long in every call as a tenth of the norm of two states.
-    from platform_ctrl.analysis import phase_bound
-
-    return phase_bound
-
-
-def _is_small(system: StateArrays) -> bool:
-    """Return whether the compiled search takes a system: some states, inputs and outputs, but few."""
-    return 0 < len(system.A) < _SEARCHED and 0 < min(system.D.shape) <= PORTS
-
-
 def peak_gain(
-    axis: FrequencyAxis, s: ComplexArray, tolerance: float, known: tuple[float, float] | None = None
+    axis: FrequencyAxis, s: ComplexArray, tolerance: float, band: Band = WHOLE, known: float | None = None
 ) -> tuple[float, float]:
-    """Return the largest gain of a system with poles `s`, none on the boundary, and its frequency.
+    """Return the largest gain in a band of a system with poles `s`, none on the boundary there, and its frequency.
 
-    `known` is a gain near the largest and its frequency, where these have been looked for; default next to the poles.
+    `known` is a frequency near the peak, if one is. The gain at resonances is climbed from the highest; then the
+    eigenvalues of a Hamiltonian matrix show where it exceeds the best one (Bruinsma and Steinbuch).
     """
-    phase_bound = _phase_bound()
-    A, B, C, D, dt = axis.system
-    if _is_small(axis.system):
-        found, best, frequency = phase_bound.peak(plain(A), plain(B), plain(C), plain(D), dt, s, tolerance, 0.0)
-        if found:
-            return best, frequency
-    phase = phase_bound.all_pass(s, dt)
-    w = np.concatenate(
-        [[0.0, axis.edge], resonances(s, few=len(s) >= MANY_STATES), [] if known is None else [known[1]]]
-    )
-    w = np.unique(w[w <= axis.edge])
-    best, frequency, sizes = 0.0, 0.0, _looked(axis, w, 0.0)
-    if not np.any(sizes):
-        # Nothing comes through at any of the frequencies that its poles single out.
-        return best, frequency
-    while True:
-        k = int(np.argmax(sizes))
-        if sizes[k] > best * (1.0 + 0.1 * tolerance):
-            best, frequency = _climbed(axis, s, float(sizes[k]), float(w[k]), 0.01 * tolerance)
-            new = np.append(phase_bound.around(frequency, *phase, tolerance), frequency)
-        else:
-            phi = phase_bound.phases(w, *phase)
-            chosen = phase_bound.doubtful(w, sizes, best * (1.0 + tolerance), phi)
-            if not chosen.size:
-                return best, frequency
-            new = np.setdiff1d(phase_bound.middles(w, chosen, axis.edge), w)
-            most = phase_bound.MOST + phase_bound.MOST_PER_POLE * len(s)
-            if not new.size or len(w) > most or math.isinf(best):
-                return _by_crossings(axis, s, tolerance, best, frequency)
-        new = np.setdiff1d(new[new <= axis.edge], w)
-        at = np.searchsorted(w, new)
-        w, sizes = np.insert(w, at, new), np.insert(sizes, at, _looked(axis, new, best))
+    top = min(band[1], axis.edge)
+    if not band[0] <= top:
+        return 0.0, 0.0
 
+    def largest(own: FloatArray) -> tuple[float, float]:
+        return axis.largest(np.concatenate([[band[0], top], own[(own > band[0]) & (own < top)]]))
 
-def _looked(axis: FrequencyAxis, w: FloatArray, best: float) -> FloatArray:
-    """Return gains (N,), of many states with few digits where they are below the best one."""
-    if len(axis.system.A) < MANY_STATES or not w.size:
-        return axis.gains(w)
-    if best == 0.0:
-        # Not refined at all: how large the gain is, about.
-        sizes = axis.gains(w, 1e300)
-        best = 0.1 * float(sizes[np.isfinite(sizes)].max(initial=0.0))
-    sizes = axis.gains(w, ON_A_GRID, best)
-    high = sizes >= 0.999 * max(best, float(sizes.max()))
-    if np.any(high):
-        sizes[high] = axis.gains(w[high])
-    return sizes
-
-
-def _by_crossings(
-    axis: FrequencyAxis, s: ComplexArray, tolerance: float, best: float, frequency: float
-) -> tuple[float, float]:
-    """Return the largest gain and its frequency by the eigenvalues of Hamiltonian matrices."""
-    for _ in range(60):
-        # Up the hill first: the Hamiltonian then mostly has only to show that there is no higher one.
-        best, frequency = _climbed(axis, s, best, frequency, 0.01 * tolerance)
-        found, at = axis.largest(_between(axis.crossings(best * (1.0 + tolerance))))
+    best, frequency = largest(np.append(resonances(s), [] if known is None else known))
+    for _ in range(_SEARCHES):
+        best, frequency = _climbed(axis, s, best, frequency, 0.01 * tolerance, band)
+        if not 0.0 < best < math.inf:
+            break
+        found, at = largest(_between(axis.crossings(best * (1.0 + tolerance))))
         if found <= best * (1.0 + tolerance):
             break
         best, frequency = found, at
     return best, frequency
 
 
-def resonances(s: ComplexArray, few: bool = False) -> FloatArray:
-    """Return frequencies, rad/s, at which poles s can make peaks: |Im s| and about |Re s| around it, and |s|.
-
-    Few of them, of those in the upper half-plane, suffice where what lies between is evaluated too.
-    """
+def resonances(s: ComplexArray) -> FloatArray:
+    """Return frequencies, rad/s, at which poles s can make peaks: |Im s| and about |Re s| around it, and |s|."""
     s = s[np.isfinite(s) & (s.imag >= 0.0)]
-    centre, width = np.abs(s.imag), np.abs(s.real)
-    if few:
-        return np.unique(np.abs(np.concatenate([centre - width, centre, centre + width])))
-    spread = centre[:, None] + width[:, None] * np.array([-2.0, -1.0, -0.3, 0.0, 0.3, 1.0, 2.0])
-    out = np.concatenate([np.abs(spread).ravel(), np.abs(s), 1.7 * np.abs(s), np.abs(s) / 1.7])
-    return np.unique(out)
+    centre, width = s.imag, np.abs(s.real)
+    beside = np.abs(centre[:, None] + width[:, None] * np.array([-1.0, -0.3, 0.0, 0.3, 1.0]))
+    return np.unique(np.concatenate([beside.ravel(), np.abs(s), 1.7 * np.abs(s)]))
 
 
 def level_frequencies(axis: FrequencyAxis, level: float) -> FloatArray:
@@ -230,7 +158,9 @@ def gains(system: StateArrays, frequency: FloatArray) -> FloatArray:
     return largest_singular_values(frequency_response(system, frequency, -3))
 
 
-def _climbed(axis: FrequencyAxis, s: ComplexArray, best: float, frequency: float, slack: float) -> tuple[float, float]:
+def _climbed(
+    axis: FrequencyAxis, s: ComplexArray, best: float, frequency: float, slack: float, band: Band
+) -> tuple[float, float]:
     """Return the local maximum near `frequency`: fans of frequencies that contract around the best."""
     if not (math.isfinite(frequency) and math.isfinite(best)) or frequency == 0.0:
         return best, frequency
@@ -239,7 +169,9 @@ def _climbed(axis: FrequencyAxis, s: ComplexArray, best: float, frequency: float
     centre = frequency
     for _ in range(12):
         fan = np.abs(centre + width * FAN)
-        fan = fan[fan <= axis.edge]
+        fan = fan[(fan >= band[0]) & (fan <= min(band[1], axis.edge))]
+        if not fan.size:
+            break
         sizes = axis.gains(fan)
         i = int(np.argmax(sizes))
         if sizes[i] > best:
@@ -372,17 +304,10 @@ def peak(system: StateArrays, band: Band = WHOLE) -> tuple[float, float]:
     """
     if band == WHOLE:
         norm, frequency = hinf_norm(system, allow_unstable=True, tolerance=PEAK_TOLERANCE)
-        return norm * (1.0 + PEAK_TOLERANCE), frequency
-    axis = FrequencyAxis(system)
-    own = resonances(continuous_poles(poles(system.A), system.dt))
-    level, frequency = 0.0, 0.0
-    for _ in range(60):
-        found, at = _largest(axis, own, band)
-        if found <= level:
-            break
-        level, frequency = found * (1.0 + PEAK_TOLERANCE), at
-        own = level_frequencies(axis, level)
-    return level, frequency
+    else:
+        axis = FrequencyAxis(system)
+        norm, frequency = peak_gain(axis, continuous_poles(axis.poles(), system.dt), PEAK_TOLERANCE, band)
+    return norm * (1.0 + PEAK_TOLERANCE), frequency
 
 
 def exceeds(system: StateArrays, level: float, s: ComplexArray, band: Band = WHOLE) -> bool:
@@ -390,12 +315,6 @@ def exceeds(system: StateArrays, level: float, s: ComplexArray, band: Band = WHO
 
     The system has no poles in the band; `s` (n,) are its continuous(-equivalent) ones.
     """
-    if band == WHOLE and level > 0.0 and _is_small(system):
-        # A gain as high as the level, of a plant that mirrors the worst one say, is told from a higher one.
-        tolerance = 0.2 * PEAK_TOLERANCE
-        found, norm, _ = _phase_bound().norm_of_few(system, tolerance, True, level * (1.0 - 2.0 * tolerance))
-        if found:
-            return bool(norm * (1.0 + tolerance) > level)
     axis = FrequencyAxis(system)
     crossings = level_frequencies(axis, level)
     if not crossings.size and level > 0.0 and axis.system.A.size:
@@ -403,12 +322,9 @@ def exceeds(system: StateArrays, level: float, s: ComplexArray, band: Band = WHO
         return True
     # The poles' own frequencies too: next to a narrow peak a crossing is as inexact as the pole.
     own = np.concatenate([np.abs(s.imag[np.isfinite(s)]), crossings])
-    return _largest(axis, own, band)[0] > level
-
-
-def _largest(axis: FrequencyAxis, own: FloatArray, band: Band) -> tuple[float, float]:
     low, top = band[0], min(band[1], axis.edge)
-    return axis.largest(np.concatenate([[low, top], own[(own > low) & (own < top)]])) if low <= top else (0.0, low)
+    own = np.concatenate([[low, top], own[(own > low) & (own < top)]])
+    return low <= top and axis.largest(own)[0] > level
 
 
 # Neighbours of a peak on a refined grid are as high as it but for this share, and so many times it is refined.

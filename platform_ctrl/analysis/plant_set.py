@@ -20,7 +20,6 @@ from platform_ctrl.analysis.between_samples import (
 from platform_ctrl.analysis.feedback import feedback_part
 from platform_ctrl.analysis.feedforward import RateFeedforward
 from platform_ctrl.analysis.frequency_grids import tuning_grid
-from platform_ctrl.analysis.resolvent import ON_A_GRID
 from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.common.arguments import whole
 from platform_ctrl.common.signatures import check_arguments
@@ -164,7 +163,7 @@ class PlantSet:
         return dataclasses.replace(
             self,
             frequency=frequency,
-            response=frequency_response(self.arrays, frequency, -3, ON_A_GRID),
+            response=frequency_response(self.arrays, frequency, -3),
             disturbed=known,
         )
 
@@ -180,7 +179,7 @@ class PlantSet:
         if self.disturbances is not None:
             return disturbed(self.disturbances.at(frequency), len(self.angles))
         p, q = len(self.angles), len(self.sight)
-        found = frequency_response(self.whole.part(slice(p + q), slice(None)), frequency, -3, ON_A_GRID)
+        found = frequency_response(self.whole.part(slice(p + q), slice(None)), frequency, -3)
         return self._held(found)
 
     def disturbed_at(self, plant: NDArray[np.intp], frequency: FloatArray) -> Disturbed:
@@ -301,7 +300,7 @@ class PlantSet:
         if not len(new):
             return self
         order = np.argsort(np.concatenate([self.frequency, new]), kind="stable")
-        found = frequency_response(self.arrays, new, -3, ON_A_GRID)
+        found = frequency_response(self.arrays, new, -3)
         more = None
         if self.disturbed is not None:
             pairs = zip(self.disturbed, self._disturbed_at(new), strict=True)

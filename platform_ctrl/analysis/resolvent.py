@@ -1,247 +1,146 @@
-"""C (z I - A)^-1 B + D of systems with states, accurate for every system matrix.
+"""C (z I - A)^-1 B + D of one system at many points: what does not depend on the point is computed once.
 
-A compiled recurrence (`hessenberg_recurrence`) does most of the work and bounds its own error. Points where the bound
-is too large are solved again by iterative refinement.
+In modal coordinates the response is a sum over the modes, one product of matrices for all points. Where the
+eigenvectors are too nearly dependent for that (delays, multiple poles), A is brought to complex Schur form and the
+triangular equations are solved for all points at once, and their solution is refined.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
-from platform_ctrl.analysis.arrays import MANY_STATES, ComplexArray, StateArrays, scaled
+from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, scaled
 from platform_ctrl.common.values import FloatArray
 
-if TYPE_CHECKING:
-    from platform_ctrl.analysis.hessenberg_form import Chains
-    from platform_ctrl.analysis.hessenberg_refinement import HessenbergRefinement
-    from platform_ctrl.analysis.refinement import Band, Refinement
-
-
-# Error bound of the recurrence above which a point is refined: the result is then right to 1e-9.
-TOLERATED = 2.5e-10
-# The same for curves and grids: far below the error between their points.
-ON_A_GRID = 1e-6
-# With MANY_STATES or more: how far the bound may exceed the tolerance, per state. The bound adds the rounding
-# errors of n² entries as if all had one sign. Of lightly damped, random and far from normal systems of 48 to 1,006
-# states the error was below 25/n of it, mostly 3/n.
-AVERAGED = 1.0 / 12.0
-
-
-def state_response(
-    A: FloatArray,
-    B: FloatArray,
-    C: FloatArray,
-    D: FloatArray,
-    dt: float,
-    w: FloatArray,
-    tolerated: float = TOLERATED,
-) -> ComplexArray:
-    """Return C (z - A)^-1 B + D along the frequency axis, (..., p, m, N)."""
-    z, low = _on_axis(w, dt)
-    if dt == 0.0:
-        return responses_at(A, None, B, C, D, z, tolerated=tolerated)
-    return responses_at(*_less_one(A), B, C, D, z, low, tolerated)
-
-
-def _less_one(A: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return A - I and the low-order part of its diagonal (..., n), in double-double precision.
-
-    z - 1 and A - I instead of z and A: nothing cancels far below the sample rate. Both are rounded, which is felt next
-    to poles: their low-order parts are kept.
-    """
-    shifted = np.array(A, order="C")
-    diagonal = shifted.reshape(*A.shape[:-2], -1)[..., :: A.shape[-1] + 1]
-    given = diagonal.copy()
-    diagonal -= 1.0
-    back = diagonal + 1.0
-    return shifted, (given - back) - (1.0 - (back - diagonal))
-
-
-def _on_axis(w: FloatArray, dt: float) -> tuple[ComplexArray, Callable[[NDArray[np.int64]], ComplexArray] | None]:
-    """Return j w, or exp(j w dt) - 1 with a function that gives its low-order part."""
-    z = np.zeros(len(w), dtype=np.complex128)
-    if dt == 0.0:
-        z.imag = w
-        return z, None
-    tangent = np.tan(w * (0.5 * dt))
-    z.imag = 2.0 * tangent / (1.0 + tangent * tangent)
-    z.real = -tangent * z.imag
-    return z, _LowOrderPart(z, w, float(dt))
-
-
-class _LowOrderPart:
-    """The low-order part of exp(j w dt) - 1 beside its doubles z (N,), computed on demand and kept for a stack."""
-
-    def __init__(self, z: ComplexArray, w: FloatArray, dt: float) -> None:
-        self._z, self._w, self._dt = z, w, dt
-        self._found: dict[int, complex] = {}
-
-    def __call__(self, chosen: NDArray[np.int64]) -> ComplexArray:
-        """Return it at the `chosen` points."""
-        places = chosen.tolist()
-        new = [k for k in places if k not in self._found]
-        if new:
-            self._find(new)
-        return np.array([self._found[k] for k in places], dtype=np.complex128)
-
-    def _find(self, places: list[int]) -> None:
-        import flint
-
-        with flint.ctx.workprec(192):
-            for k in places:
-                sine, cosine = (flint.arb(float(self._w[k])) * self._dt / 2).sin_cos()
-                real, imaginary = -2 * sine * sine - float(self._z[k].real), 2 * sine * cosine - float(self._z[k].imag)
-                self._found[k] = complex(float(real), float(imaginary))
-
-
-def responses_at(
-    A: FloatArray,
-    A_low: FloatArray | None,
-    B: FloatArray,
-    C: FloatArray,
-    D: FloatArray,
-    z: ComplexArray,
-    z_low: Callable[[NDArray[np.int64]], ComplexArray] | None = None,
-    tolerated: float = TOLERATED,
-) -> ComplexArray:
-    """Return the response at z as (..., p, m, N)."""
-    n, m, p, N = A.shape[-1], B.shape[-1], C.shape[-2], z.shape[0]
-    alone = A.ndim == B.ndim == C.ndim == D.ndim == 2
-    batch = () if alone else np.broadcast_shapes(*(item.shape[:-2] for item in (A, B, C, D)))
-    if not (n and m and p and N):
-        return np.array(np.broadcast_to(D[..., None], (*batch, p, m, N)), dtype=np.complex128)
-    A, B, C = scaled(A, B, C)
-    if alone:
-        return Resolvent(A, B, C, D, A_low, tolerated).at(z, z_low)
-    H = np.empty((*batch, p, m, N), dtype=np.complex128)
-    for k in np.ndindex(batch):
-        a, b, c, d = (np.broadcast_to(item, (*batch, *item.shape[-2:]))[k] for item in (A, B, C, D))
-        low = None if A_low is None else np.broadcast_to(A_low, (*batch, n))[k]
-        H[k] = Resolvent(a, b, c, d, low, tolerated).at(z, z_low)
-    return H
-
-
-def plain(array: FloatArray) -> FloatArray:
-    """Return an array as numba has compiled for it: it does so anew for what is read-only or lies otherwise."""
-    flags = array.flags
-    return array if flags.c_contiguous and flags.writeable else np.array(array, order="C")
+# Condition number of the eigenvectors from which on responses come from the Schur form.
+_MODAL = 1e6
+# Norm of |A| times a solution, relative to the right-hand side, from which on the solution is refined.
+_GROWN = 1e4
+# States from which on LAPACK's real Schur form, made complex afterwards, takes less time than its complex one.
+_REAL = 64
+# Entries of the largest array at a time.
+_TOGETHER = 1 << 22
 
 
 class AxisResponse:
-    """The response of one system along its frequency axis: what does not depend on the frequency is computed once.
+    """The response of one system along its frequency axis; `balanced` says whether its states are balanced already.
 
-    `balanced` says whether the states are balanced already; `tolerated` is as in `frequency_response`.
+    A sampled system is evaluated as a function of z - 1: nothing cancels far below the sample rate.
     """
 
-    def __init__(self, system: StateArrays, tolerated: float = TOLERATED, balanced: bool = False) -> None:
+    def __init__(self, system: StateArrays, balanced: bool = False) -> None:
         A, B, C, D, self._dt = system
-        A_low = None
-        if self._dt > 0.0:
-            A, A_low = _less_one(A)
         if not balanced:
             A, B, C = scaled(A, B, C)
-        self._resolvent = Resolvent(A, B, C, D, A_low, tolerated)
-
-    def at(self, frequency: FloatArray, tolerated: float | None = None, least: float = 0.0) -> ComplexArray:
-        """Return the response at `frequency` (N,), rad/s, complex (N, p, m).
-
-        `tolerated` may be another this time; an entry below `least` need be no more accurate than that one.
-        """
-        return self._resolvent.at(*_on_axis(frequency, self._dt), tolerated, least).transpose(2, 0, 1)
-
-
-class Resolvent:
-    """D + C (z I - A)^-1 B of one balanced system, all that does not depend on z computed once.
-
-    `A_low` (n,) is the low-order part of A's diagonal in double-double precision. D is zero where it is not given.
-    """
-
-    def __init__(
-        self,
-        A: FloatArray,
-        B: FloatArray,
-        C: FloatArray,
-        D: FloatArray | None = None,
-        A_low: FloatArray | None = None,
-        tolerated: float = TOLERATED,
-    ) -> None:
-        D = np.zeros((C.shape[0], B.shape[1])) if D is None else D
-        self._tolerated = tolerated
-        # One recurrence an input: of a system with fewer outputs, the transposed one.
+        if self._dt > 0.0:
+            A = A - np.eye(len(A))
+        # The triangular equations have as many right-hand sides as inputs: of more inputs than outputs, turned.
         self._turned = C.shape[0] < B.shape[1]
-        if self._turned:
-            A, B, C, D = A.T, C.T, B.T, D.T
-        self._A, self._B, self._C, self._D = (plain(item) for item in (A, B, C, D))
-        self._A_low = np.zeros(len(A)) if A_low is None else plain(A_low)
+        self._A, self._B, self._C, self._D = (A.T, C.T, B.T, D.T) if self._turned else (A, B, C, D)
 
-    @cached_property
-    def _band(self) -> Band:
-        from platform_ctrl.analysis.refinement import band
-
-        return band(self._A)
-
-    @cached_property
-    def _chains(self) -> Chains:
-        from platform_ctrl.analysis.hessenberg_form import chains
-
-        return chains(self._A, self._B, self._C)
-
-    @cached_property
-    def _hessenberg(self) -> HessenbergRefinement:
-        from platform_ctrl.analysis.hessenberg_refinement import HessenbergRefinement
-
-        return HessenbergRefinement(self._A, self._B, self._C, self._D, self._A_low, *self._chains.hessenberg())
-
-    @cached_property
-    def _refinement(self) -> Refinement:
-        from platform_ctrl.analysis.refinement import Refinement
-
-        return Refinement(self._A, self._B, self._C, self._D, self._A_low, self._band)
-
-    def at(
-        self,
-        z: ComplexArray,
-        z_low: Callable[[NDArray[np.int64]], ComplexArray] | None = None,
-        tolerated: float | None = None,
-        least: float = 0.0,
-    ) -> ComplexArray:
-        """Return the response at z (N,), (p, m, N).
-
-        `z_low` gives the low-order part of z on demand, and `tolerated` may be another this time. An entry below
-        `least` need be no more accurate than that one.
-        """
-        tolerated = self._tolerated if tolerated is None else tolerated
-        (p, m), z = self._D.shape, np.array(z, dtype=np.complex128)
-        n = len(self._A)
-        H = np.empty((m, p, len(z)) if self._turned else (p, m, len(z)), dtype=np.complex128)
-        if n >= MANY_STATES and self._band.work(m) < n * (m + 1) * (3.0 + n / (len(z) + 1)):
-            # Elimination in a narrow band takes less than the recurrence and its preparation.
-            poor = np.arange(len(z))
+    def at(self, frequency: FloatArray) -> ComplexArray:
+        """Return the response at `frequency` (N,), rad/s, complex (N, p, m); inf at a pole."""
+        z = _less_one(frequency, self._dt) if self._dt > 0.0 else np.asarray(1j * frequency, dtype=np.complex128)
+        (p, m), n = self._D.shape, len(self._A)
+        H = np.empty((p, m, len(z)), dtype=np.complex128)
+        if not (p and m and n):
+            H[:] = self._D[..., None]
         else:
-            from platform_ctrl.analysis.hessenberg_recurrence import respond
+            step = max(1, _TOGETHER // (n * (1 if self._residues is not None else m)))
+            with np.errstate(all="ignore"):
+                for k in range(0, len(z), step):
+                    H[..., k : k + step] = self._strictly_proper(z[k : k + step])
+                H += self._D[..., None]
+            H[~np.isfinite(H)] = np.inf
+        return H.transpose(2, 1, 0) if self._turned else H.transpose(2, 0, 1)
 
-            bound = tolerated * (AVERAGED * n if n >= MANY_STATES else 1.0)
-            poor = respond(self._chains, self._D, z, H, self._turned, bound, least)
-        if poor.size:
-            low = np.zeros(len(poor), dtype=np.complex128) if z_low is None else z_low(poor)
-            found = self._refined(z[poor], low, tolerated, least)
-            H[..., poor] = found if self._turned else found.swapaxes(0, 1)
-        return H
+    @cached_property
+    def _schur(self) -> tuple[ComplexArray, ComplexArray]:
+        """T, upper triangular, and Q, unitary: A = Q T Q*."""
+        from scipy.linalg import rsf2csf, schur
 
-    def _refined(self, z: ComplexArray, z_low: ComplexArray, tolerated: float, least: float) -> ComplexArray:
-        n, m = self._B.shape
-        if n < MANY_STATES or self._band.work(m) < 64 * n * m:
-            return self._refinement.at(z, z_low)
-        found, short = self._hessenberg.at(z, z_low, tolerated, least)
-        if short.size:
-            found[:, :, short] = self._refinement.at(z[short], z_low[short])
-        return found
+        if len(self._A) < _REAL:
+            T, Q = schur(self._A, output="complex", check_finite=False)
+        else:
+            T, Q = rsf2csf(*schur(self._A, output="real", check_finite=False), check_finite=False)
+        return T, Q
 
-    def add(self, H: ComplexArray, z: ComplexArray) -> None:
-        """Add the response at z (N,) to H (p, m N)."""
-        H += self.at(z).reshape(H.shape)
+    @cached_property
+    def poles(self) -> ComplexArray:
+        """Poles, in the plane of s or z."""
+        return np.asarray(np.diag(self._schur[0]) + (1.0 if self._dt > 0.0 else 0.0))
+
+    @cached_property
+    def _residues(self) -> ComplexArray | None:
+        """What each mode contributes, (p m, n) over z less its pole; None where modes do not tell them apart."""
+        from scipy.linalg.lapack import ztrtri
+
+        T, Q = self._schur
+        own = np.diag(T)
+        vectors = np.eye(len(T), dtype=np.complex128)
+        with np.errstate(all="ignore"):
+            for i in range(len(T) - 2, -1, -1):
+                vectors[i, i + 1 :] = T[i, i + 1 :] @ vectors[i + 1 :, i + 1 :] / (own[i + 1 :] - own[i])
+            vectors /= np.sqrt(np.sum(vectors.real**2 + vectors.imag**2, axis=0))
+            if not np.isfinite(vectors).all():
+                return None
+            inverse, failed = ztrtri(vectors)
+            # Columns have length one: this is about the condition number.
+            if failed or not np.sqrt(len(T)) * float(np.abs(inverse).max()) < _MODAL:
+                return None
+        out = (self._C @ Q @ vectors)[:, None, :] * (inverse @ (Q.conj().T @ self._B)).T
+        return np.asarray(out.reshape(-1, len(T)), dtype=np.complex128)
+
+    def _strictly_proper(self, z: ComplexArray) -> ComplexArray:
+        """Return C (z I - A)^-1 B, (p, m, N)."""
+        p, m = self._D.shape
+        if self._residues is not None:
+            shares = 1.0 / (z - np.diag(self._schur[0])[:, None])
+            if not np.isfinite(shares).all():  # at a pole, which not every input may reach
+                shares[~self._residues.any(axis=0)] = 0.0
+            return (self._residues @ shares).reshape(p, m, len(z))
+        B, every = np.repeat(self._B, len(z), axis=1).astype(np.complex128), np.tile(z, m)
+        X = self._solved(B, every)
+        # The Schur form has the errors of its largest entries everywhere: where they count, a step of refinement.
+        growth = np.linalg.norm(self._A) * np.linalg.norm(X, axis=0)
+        large = np.isfinite(growth) & (growth > _GROWN * np.linalg.norm(B, axis=0))
+        if large.any():
+            some, at = X[:, large], every[large]
+            X[:, large] = some + self._solved(B[:, large] - at * some + self._A @ some, at)
+        return (self._C @ X).reshape(p, m, len(z))
+
+    def _solved(self, right: ComplexArray, z: ComplexArray) -> ComplexArray:
+        """Return (z I - A)^-1 right, one column (n,) for each z."""
+        T, Q = self._schur
+        X = Q.conj().T @ right
+        for i in range(len(T) - 1, -1, -1):
+            if i + 1 < len(T):
+                X[i] += T[i, i + 1 :] @ X[i + 1 :]
+            X[i] /= z - T[i, i]
+        return np.asarray(Q @ X, dtype=np.complex128)
+
+
+def _less_one(w: FloatArray, dt: float) -> ComplexArray:
+    """Return exp(j w dt) - 1."""
+    tangent = np.tan(w * (0.5 * dt))
+    imaginary = 2.0 * tangent / (1.0 + tangent * tangent)
+    out = 1j * imaginary
+    out.real = -tangent * imaginary
+    return np.asarray(out, dtype=np.complex128)
+
+
+def state_response(system: StateArrays, w: FloatArray) -> ComplexArray:
+    """Return the response of a system, or of a stack of them, along the frequency axis, (..., p, m, N)."""
+    A, B, C, D, dt = system
+    if A.ndim == B.ndim == C.ndim == D.ndim == 2:
+        return AxisResponse(system).at(w).transpose(1, 2, 0)
+    batch = np.broadcast_shapes(*(item.shape[:-2] for item in system[:4]))
+    A, B, C, D = (np.broadcast_to(item, (*batch, *item.shape[-2:])) for item in system[:4])
+    H = np.empty((*batch, *D.shape[-2:], len(w)), dtype=np.complex128)
+    if A.shape[-1] and D.size:
+        A, B, C = scaled(A, B, C)
+    for k in np.ndindex(batch):
+        H[k] = AxisResponse(StateArrays(A[k], B[k], C[k], D[k], dt), balanced=True).at(w).transpose(1, 2, 0)
+    return H

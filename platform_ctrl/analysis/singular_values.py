@@ -1,13 +1,12 @@
 """One system along its frequency axis: response, gain, and the frequencies where the gain may cross a level.
 
-What does not depend on the frequency or the level (balancing, the recurrence, the map to the w-plane) is worked
-out once: norms and margins ask many times.
+What does not depend on the frequency or the level (balancing, modes, the map to the w-plane) is worked out once: norms
+and margins ask many times.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,13 +14,9 @@ from numpy.typing import NDArray
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, scaled
 from platform_ctrl.analysis.poles import continuous_poles
 from platform_ctrl.analysis.resolvent import AxisResponse
-from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.analysis.sampling import to_w_plane
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
-
-# Inputs or outputs up to which singular values are compiled ones.
-PORTS = 8
 
 Matrices = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 
@@ -37,39 +32,42 @@ class FrequencyAxis:
         self.edge = math.inf if dt == 0.0 else math.pi / dt
         self.system = StateArrays(*scaled(A, B, C), D, dt)
         self._w_plane: Matrices | None = None
-        self._along = AxisResponse(self.system, balanced=True) if A.size and B.size and C.size else None
+        self._along = AxisResponse(self.system, balanced=True)
 
-    def response(self, frequency: FloatArray, tolerated: float | None = None, least: float = 0.0) -> ComplexArray:
+    def poles(self) -> ComplexArray:
+        """Return the poles, (n,), in the plane of s or z."""
+        return self._along.poles if self.system.A.size else np.zeros(0, dtype=np.complex128)
+
+    def response(self, frequency: FloatArray) -> ComplexArray:
         """Return the response at `frequency` (N,), rad/s, as (N, p, m); at infinite frequency D.
 
-        `tolerated` and `least` are as of `AxisResponse.at`. Real at both ends of the axis: exp(j w dt) at the Nyquist
-        frequency is -1, whatever the rounding of w dt.
+        Real at both ends of the axis: exp(j w dt) at the Nyquist frequency is -1, whatever the rounding of w dt.
         """
         infinite = np.isinf(frequency)
-        some = bool(np.any(infinite))
-        finite = np.where(infinite, 0.0, frequency) if some else frequency
-        if self._along is None:
-            out = frequency_response(self.system, finite, -3)
-        else:
-            out = self._along.at(finite, tolerated, least)
-        out = np.ascontiguousarray(out)
-        if some:
-            out[infinite] = self.system.D
+        out = np.ascontiguousarray(self._along.at(np.where(infinite, 0.0, frequency)))
+        out[infinite] = self.system.D
         out.imag[(frequency == 0.0) | (frequency == self.edge)] = 0.0
         return out
 
-    def gains(self, frequency: FloatArray, tolerated: float | None = None, least: float = 0.0) -> FloatArray:
+    def gains(self, frequency: FloatArray) -> FloatArray:
         """Return the largest singular value at each frequency, (N,); inf where the response is not finite."""
-        return largest_singular_values(self.response(frequency, tolerated, least))
+        return largest_singular_values(self.response(frequency))
 
     def largest(self, frequency: FloatArray) -> tuple[float, float]:
         """Return the largest gain among `frequency` up to the edge, and where it is; (0, 0) without any."""
         frequency = frequency[frequency <= self.edge * (1.0 + 1e-12)]
         if frequency.size == 0:
             return 0.0, 0.0
-        sizes = self.gains(frequency)
+        response = self.response(frequency)
+        # No singular value is larger than the root of the sum of squares: most of them need not be known.
+        bounds = np.linalg.norm(response, axis=(-2, -1))
+        bounds[~np.isfinite(bounds)] = np.inf
+        k = int(np.argmax(bounds))
+        first = largest_singular_values(response[k])
+        left = np.append(k, np.flatnonzero(bounds > first))
+        sizes = largest_singular_values(response[left])
         i = int(np.argmax(sizes))
-        return float(sizes[i]), float(frequency[i])
+        return float(sizes[i]), float(frequency[left[i]])
 
     def crossings(self, level: float, scaling: FloatArray | None = None) -> FloatArray:
         """Return sorted frequencies, rad/s, that contain all at which a singular value crosses `level` > 0.
@@ -94,18 +92,29 @@ class FrequencyAxis:
 
 def largest_singular_values(matrices: ComplexArray) -> FloatArray:
     """Return the largest singular value of each matrix, (...) of (..., p, m); inf where one is not finite."""
-    *batch, p, m = matrices.shape
-    H = np.ascontiguousarray(matrices, dtype=np.complex128).reshape(math.prod(batch), p, m)
-    out = np.full(len(H), np.inf)
-    if min(p, m) <= PORTS:
-        from platform_ctrl.analysis import kernels
-
-        kernels.largest_singular_values(H, out)
+    p, m = matrices.shape[-2:]
+    if not (p and m):
+        return np.zeros(matrices.shape[:-2])
+    size = np.maximum(np.abs(matrices.real), np.abs(matrices.imag)).max(axis=(-2, -1))
+    fine = np.isfinite(size) & (size > 0.0)
+    with np.errstate(all="ignore"):
+        H = matrices / np.where(fine, size, 1.0)[..., None, None]
+    if not fine.all():
+        H = np.where(fine[..., None, None], H, 0.0)
+    # Squared: the largest eigenvalue of the smaller product H' H keeps its digits.
+    if p < m:
+        H = np.swapaxes(H, -1, -2)
+    if min(p, m) == 1:
+        square = np.sum(H.real**2 + H.imag**2, axis=(-2, -1))
     else:
-        fine = np.all(np.isfinite(H), axis=(-2, -1))
-        if np.any(fine):
-            out[fine] = np.linalg.norm(H[fine], 2, axis=(-2, -1))
-    return out.reshape(batch)
+        gram = np.swapaxes(H, -1, -2).conj() @ H
+        if min(p, m) == 2:
+            a, b, c = gram[..., 0, 0].real, gram[..., 1, 1].real, gram[..., 0, 1]
+            square = 0.5 * (a + b) + np.sqrt(0.25 * (a - b) ** 2 + c.real**2 + c.imag**2)
+        else:
+            square = np.linalg.eigvalsh(gram)[..., -1]
+    out = np.sqrt(square) * np.where(fine, size, 1.0)
+    return np.asarray(np.where(size == 0.0, 0.0, np.where(fine, out, np.inf)), dtype=np.float64)
 
 
 def hamiltonian_crossings(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray) -> FloatArray:
@@ -173,50 +182,36 @@ def _rescaled(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, scalin
     return A, B / scaling, scaling[:, None] * C, scaling[:, None] * D / scaling
 
 
-EPSILON = 2.0**-52
+_EPSILON = 2.0**-52
 # Distance from the boundary, in roundings of |A|, up to which a computed pole is not trusted.
-DOUBTFUL = 1e4
+_DOUBTFUL = 1e4
 # Roundings of each entry that A is granted: a few, since it is the result of some computation.
-GRANTED = 8.0
-BITS = 192
+_GRANTED = 8.0
 
 
-def boundary_poles(A: FloatArray, dt: float) -> tuple[ComplexArray, NDArray[np.bool_]]:
-    """Return the continuous(-equivalent) poles of one balanced system, and which of them lie on the boundary, (n,)."""
-    poles = np.asarray(np.linalg.eigvals(A), dtype=np.complex128)
-    distance = 1.0 - np.abs(poles) if dt else -poles.real
-    if not np.any(np.abs(distance) <= DOUBTFUL * EPSILON * np.linalg.norm(A)):
-        return continuous_poles(poles, dt) if dt else poles, np.zeros(len(poles), dtype=np.bool_)
-    return _precise_poles(A, dt)
+def boundary_poles(
+    A: FloatArray, dt: float, known: ComplexArray | None = None
+) -> tuple[ComplexArray, NDArray[np.bool_]]:
+    """Return the continuous(-equivalent) poles of one balanced system, and which of them lie on the boundary, (n,).
+
+    A pole lies on it if a change of A in its last digits could bring it there. `known` are its poles, if they are.
+    """
+    poles = np.asarray(np.linalg.eigvals(A) if known is None else known, dtype=np.complex128)
+    on = np.abs(_distance(poles, dt)) <= _DOUBTFUL * _EPSILON * np.linalg.norm(A)
+    if on.any():
+        from scipy.linalg import eig
+
+        shifted = A - np.eye(len(A)) if dt else A
+        values, left, right = eig(shifted, left=True, right=True)
+        distance = _distance(values + 1.0, dt) if dt else -values.real
+        moved = np.einsum("ik,ij,jk->k", np.abs(left), np.abs(A), np.abs(right))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            reach = _GRANTED * _EPSILON * moved / np.abs(np.einsum("ik,ik->k", left.conj(), right))
+        near = np.abs(distance) <= _DOUBTFUL * _EPSILON * np.linalg.norm(A)
+        on = near & ~(np.abs(distance) > reach)
+        poles = values + 1.0 if dt else np.asarray(values, dtype=np.complex128)
+    return continuous_poles(poles, dt) if dt else poles, on
 
 
-def _precise_poles(A: FloatArray, dt: float) -> tuple[ComplexArray, NDArray[np.bool_]]:
-    from flint import acb, acb_mat, ctx
-
-    before = ctx.prec
-    ctx.prec = BITS
-    try:
-        values, left, right = acb_mat(A.tolist()).eig(algorithm="approx", left=True, right=True)
-        # Next to the unit circle |z| - 1 = (|z|^2 - 1)/2.
-        distance = np.array([float(((z.real**2 + z.imag**2 - 1) / 2 if dt else z.real).mid()) for z in values])
-        n = len(values)
-        X = np.array([_direction([right[i, k] for i in range(n)]) for k in range(n)])
-        Y = np.array([_direction([left[k, i] for i in range(n)]) for k in range(n)])
-        s = np.array([complex((acb(z).log() / dt).mid() if dt and z != 0 else z.mid()) for z in values])
-    finally:
-        ctx.prec = before
-    if dt:
-        s[~np.isfinite(s) | (np.array([abs(complex(z.mid())) for z in values]) == 0.0)] = complex(-math.inf, 0.0)
-    moved = np.einsum("ki,ij,kj->k", np.abs(Y), np.abs(A), np.abs(X))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        reach = GRANTED * EPSILON * moved / np.abs(np.einsum("ki,ki->k", Y, X))
-    on = np.abs(distance) <= np.where(np.isnan(reach), math.inf, reach)
-    # A pole at rest, zero in A's own digits.
-    return s, np.asarray(on | (distance == 0.0), dtype=np.bool_)
-
-
-def _direction(vector: list[Any]) -> list[complex]:
-    """Return an acb vector as complex numbers, the largest of them of size 1."""
-    sizes = [abs(x) for x in vector]
-    largest = max(sizes, key=lambda size: size.mid())
-    return [complex((x / largest).mid()) for x in vector] if largest != 0 else [0j] * len(vector)
+def _distance(poles: ComplexArray, dt: float) -> FloatArray:
+    return np.asarray(1.0 - np.abs(poles) if dt else -poles.real, dtype=np.float64)

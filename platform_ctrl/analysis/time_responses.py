@@ -105,7 +105,7 @@ def _outputs(
     s = state_scaling(A, B, C)
     A, B, C, x0 = A * s / s[:, None], B / s[:, None], C * s, x0 / s
     if dt > 0.0:
-        return _in_blocks(A, B, C, D, u, x0)
+        return _at_samples(A, B, C, D, u, x0)
     if hold == "impulse" and D.any():
         raise ArgumentError(
             "time_response: D must be zero with hold = 'impulse': an impulse would reach the output at once"
@@ -116,7 +116,7 @@ def _outputs(
         return C @ _one_by_one(A, B, steps, hold, u, x0) + direct @ u
     transition, now, next_ = step_matrices(A, B, step, hold)
     # x - next_ u in place of x: its next value needs no input but the present one.
-    return _in_blocks(transition, now + transition @ next_, C, direct + C @ next_, u, x0 - next_ @ u[:, 0])
+    return _at_samples(transition, now + transition @ next_, C, direct + C @ next_, u, x0 - next_ @ u[:, 0])
 
 
 def _times(timepts: ArrayLike, dt: float) -> tuple[FloatArray, FloatArray]:
@@ -166,14 +166,17 @@ def step_matrices(
     return transition, held - rise, rise
 
 
-def _in_blocks(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, u: FloatArray, x0: FloatArray) -> FloatArray:
+def _at_samples(
+    A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, u: FloatArray, x0: FloatArray
+) -> FloatArray:
     """Return y[k] = C x[k] + D u[k] with x[k+1] = A x[k] + B u[k], (p, N)."""
-    from platform_ctrl.analysis import kernels
+    from platform_ctrl.analysis.recurrence import states
 
-    # Products a sample: p m L within a block of L, and n² / L between the blocks.
-    length = len(A) / math.sqrt(max(1, len(C) * B.shape[1]))
-    doublings = min(max(3, round(math.log2(length))), 6)
-    return kernels.outputs(A, B, C, D, u, x0, doublings)
+    x = np.empty((u.shape[1], len(A)))
+    x[0] = x0
+    x[1:] = (B @ u[:, :-1]).T
+    states(np.ascontiguousarray(A.T), x)
+    return C @ x.T + D @ u
 
 
 def _one_by_one(

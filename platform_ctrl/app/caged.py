@@ -22,7 +22,6 @@ from platform_ctrl.analysis.poles import continuous_poles, minimum_damping
 from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.app.curves import (
     ALL,
-    DRAWN,
     EDGE,
     GRID_POINTS,
     Band,
@@ -136,7 +135,7 @@ class CagedCurves(LoopCurves):
 
     def transfers(self, frequency: FloatArray) -> LoopTransfers:
         """Return what the loop of the plant shown consists of at `frequency` (F,), rad/s."""
-        P = frequency_response(self._loop.plant, frequency, -3, DRAWN)
+        P = frequency_response(self._loop.plant, frequency, -3)
         K = frequency_response(self._loop.controller, frequency, -3)
         return LoopTransfers(P, K, sensitivity_functions(-K @ P)[0])
 

@@ -19,7 +19,7 @@ from platform_ctrl.analysis.poles import continuous_poles, poles
 from platform_ctrl.analysis.resolvent import AxisResponse
 from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.analysis.sampling import held_input, sampled
-from platform_ctrl.app.curves import DRAWN, EDGE, GRID_POINTS, LoopTransfers
+from platform_ctrl.app.curves import EDGE, GRID_POINTS, LoopTransfers
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.cases import changed
 from platform_ctrl.job.job import Job, LoopSpec, Sampling
@@ -203,7 +203,7 @@ def free_plants(models: FreeModels, sampling: Sampling, band: bool) -> FreePlant
 def _responses(turned: StateArrays, grid: FloatArray) -> ComplexArray:
     if not grid.size:
         return np.zeros((len(turned.A), 0, *turned.D.shape[-2:]), dtype=np.complex128)
-    return frequency_response(turned, grid, -3, DRAWN)
+    return frequency_response(turned, grid, -3)
 
 
 def _turned(models: FreeModels, period: float, delay: float) -> StateArrays:
@@ -263,7 +263,7 @@ class Sensitivity:
     """S at the plant's input over frequency; what does not depend on the frequency is computed once."""
 
     def __init__(self, P: StateArrays, K: StateArrays) -> None:
-        self._P, self._K = AxisResponse(P, DRAWN), AxisResponse(K, DRAWN)
+        self._P, self._K = AxisResponse(P), AxisResponse(K)
 
     def transfers(self, w: FloatArray) -> LoopTransfers:
         """Return what the loop consists of at `w` (F,), rad/s."""

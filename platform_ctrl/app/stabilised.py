@@ -12,12 +12,11 @@ import numpy as np
 
 from platform_ctrl.analysis.arrays import ComplexArray, Index, StateArrays, state_arrays
 from platform_ctrl.analysis.feedback import closed_loop, sensitivity_functions
-from platform_ctrl.analysis.mu import mu_bounds
+from platform_ctrl.analysis.mu import best_mu_bounds, mu_bounds
 from platform_ctrl.analysis.poles import continuous_poles, minimum_damping, poles, spectral_abscissa
 from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.app.curves import (
     ALL,
-    DRAWN,
     Band,
     Drive,
     Driven,
@@ -62,8 +61,6 @@ from platform_ctrl.verification.coupled import (
 if TYPE_CHECKING:
     import control
 
-# Relative tolerance of the structured singular value on a grid.
-_MU = 1e-4
 # Poles with less damping than this are looked at besides the grid.
 _NARROW = 0.02
 
@@ -149,7 +146,7 @@ def _simultaneous(
     """
     half = 0.5 * np.eye(S.shape[-1])
     coarse = np.arange(0, len(grid), 3)
-    k = int(coarse[int(np.argmax(mu_bounds(S[coarse] - half, 1e-3).upper))])
+    k = int(coarse[int(np.argmax(mu_bounds(S[coarse] - half).upper))])
     best = _climbed(lambda w: sensitivity.at(w) - half, grid[max(k - 3, 0)], grid[min(k + 3, len(grid) - 1)])
     narrow = s[np.isfinite(s) & (s.imag > 0.0) & (np.abs(s.real) < _NARROW * s.imag)]
     if narrow.size:
@@ -157,7 +154,7 @@ def _simultaneous(
         def response(w: FloatArray) -> ComplexArray:
             return frequency_response(closed, np.minimum(w, math.pi / closed.dt), -3)
 
-        one = narrow[int(np.argmax(mu_bounds(response(narrow.imag), 1e-3).upper))]
+        one = narrow[int(np.argmax(mu_bounds(response(narrow.imag)).upper))]
         best = max(best, _climbed(response, one.imag + 2.0 * one.real, one.imag - 2.0 * one.real))
     upper, lower = best
     return 1.0 / upper, 1.0 / lower if lower > 0.0 else math.inf
@@ -168,7 +165,7 @@ def _climbed(of: Callable[[FloatArray], ComplexArray], low: float, high: float) 
     best = (0.0, 0.0)
     for _ in range(3):
         w = np.linspace(low, high, 9)
-        found = mu_bounds(of(w), _MU)
+        found = best_mu_bounds(of(w))
         j = int(np.argmax(found.upper))
         best = max(best, (float(found.upper[j]), float(found.lower[j])))
         low, high = w[max(j - 1, 0)], w[min(j + 1, 8)]
@@ -267,7 +264,7 @@ class StabilisedCurves(LoopCurves):
             torque = np.linalg.solve(np.eye(k) - K @ driven[..., :p, :], K @ sensed)
             band = w, (whole[..., p:, [column]] + driven[..., p:, :] @ torque)[..., 0]
         shown = self._turned(self.loop.shown, slice(k + p, None)).at(0)
-        own = frequency_response(shown, frequency, -3, DRAWN)[..., 0]
+        own = frequency_response(shown, frequency, -3)[..., 0]
         return self._disturbance_gain(
             f"torque M{self.axis} on the platform → attitude", "rad/(N m)", frequency, own, band
         )
@@ -275,7 +272,7 @@ class StabilisedCurves(LoopCurves):
     @cached_property
     def _K_of_set(self) -> ComplexArray:
         """The controllers' response on the grid of the set."""
-        return frequency_response(self.controller, self.loop.plants.frequency, -3, DRAWN)
+        return frequency_response(self.controller, self.loop.plants.frequency, -3)
 
     def set_poles(self) -> ComplexArray:
         """Return the closed-loop poles of the plants of the band, or those of the plant shown, (N, n), rad/s."""

@@ -340,11 +340,7 @@ def compile_kernel() -> None:
 
 def compile_ahead() -> None:
     """Compile the largest functions in the order in which they are needed; those in use elsewhere are waited for."""
-    from platform_ctrl.analysis.arrays import StateArrays
-    from platform_ctrl.analysis.mu import mu_bounds
-    from platform_ctrl.analysis.phase_bound import norm_of_few
+    from platform_ctrl.analysis.recurrence import states
 
-    one = np.ones((1, 1))
-    norm_of_few(StateArrays(-one, one, one, 0.0 * one, 0.0), 1e-3, False)
     compile_kernel()
-    mu_bounds(np.ones((1, 1, 1), dtype=np.complex128))
+    states(np.ones((1, 1)), np.ones((1, 1)))

@@ -16,9 +16,8 @@ import pytest
 from platform_ctrl import analysis
 from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.feedback import sensitivity_functions, series
-from platform_ctrl.analysis.phase_bound import _norm, norm_of_few
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.simulation.batch import compile_ahead, compile_kernel
+from platform_ctrl.simulation.batch import compile_kernel
 from platform_ctrl.simulation.compilation import is_compiled
 
 W = np.array([1.0, 2.0])
@@ -120,13 +119,3 @@ def test_what_is_kept_is_compiled_again_when_a_neighbouring_file_changes(tmp_pat
 def test_whether_the_kernel_is_compiled_is_read_off_numbas_files() -> None:
     compile_kernel()
     assert is_compiled()
-
-
-def test_what_is_compiled_ahead_serves_norms_of_systems() -> None:
-    compile_ahead()
-    before = len(_norm.signatures)
-    system = StateArrays(*arrays(), 0.1)
-    found, norm, _ = norm_of_few(system, 1e-6, False)
-    assert found
-    assert norm == pytest.approx(analysis.hinf_norm(system)[0], rel=1e-5)
-    assert len(_norm.signatures) == before == 1
