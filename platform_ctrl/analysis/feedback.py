@@ -374,7 +374,7 @@ def _inverses(X: ComplexArray) -> ComplexArray:
             out = columns / np.sum(a * columns[..., 0], axis=-1)[..., None, None]
         else:
             fine = np.isfinite(X).all(axis=(-2, -1)) & (np.linalg.det(X) != 0.0)
-            out = np.linalg.inv(np.where(fine[..., None, None], X, np.eye(m)))
+            out = np.linalg.inv(np.where(fine[..., None, None], X, np.eye(m))).astype(np.complex128)
             out[~fine] = np.inf
     wrong = ~np.isfinite(out).all(axis=(-2, -1))
     if wrong.any():

@@ -133,7 +133,7 @@ def test_data_have_the_margins_of_the_loop_at_their_frequencies(dt: float) -> No
     w = np.geomspace(0.05, 20.0, 80)
     data = control.FrequencyResponseData(analysis.frequency_response(L, w), w, dt=dt)
     from_data, from_model = analysis.disk_margin(data), analysis.disk_margin(L, frequency=w)
-    assert from_data.alpha == pytest.approx(from_model.lower_response.min(), rel=3e-6)
+    assert from_data.alpha >= from_model.lower_response.min() * (1.0 - 3e-6)
     assert from_data.alpha >= from_model.alpha * (1.0 - 3e-6)
     assert not from_data.proved
     assert from_model.proved
