@@ -254,7 +254,7 @@ def keys(item: Any) -> set[str]:
 
 def test_the_result_page_names_every_key_that_is_written() -> None:
     from platform_ctrl import design, verification
-    from platform_ctrl.verification.records import result_record
+    from platform_ctrl.verification.result_file import result_record
 
     examples = [tomllib.loads(block) for block in blocks(ROOT / "docs" / "job-file.md", "toml")]
     data = next(example for example in examples if "schema" in example)

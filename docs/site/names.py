@@ -25,7 +25,7 @@ _MARKS = [mark for page in _PAGES for mark in MARK.findall(page)]
 # The public modules.
 MODULES = sorted(module for kind, module in _MARKS if kind == "names")
 # Outside the reference these are the fixtures of the pytest plugin.
-_FIXTURES = ("assert_baseline", "closed_loop")
+_FIXTURES = ("closed_loop",)
 # Functions of one word are called like parameters and everyday words: only what is pointed to is led there.
 _SEE = re.compile(r"\b((?:[Aa]s(?: in)?|[Ss]ee) )(?=<code>(\w+)</code>)(<code>\w+</code>)")
 _PAGE = re.compile(r"(?<=<p>See )docs/([\w-]+)\.md")

@@ -29,8 +29,7 @@ from platform_ctrl.job.reading import read_job
 from platform_ctrl.job.writing import job_hashes
 from platform_ctrl.plant.reading import open_plant
 from platform_ctrl.plant.source import is_shipped_name, read_text
-from platform_ctrl.verification.json_tables import SCHEMA
-from platform_ctrl.verification.records import write_record
+from platform_ctrl.verification.result_file import SCHEMA, write_record
 
 if TYPE_CHECKING:
     import control

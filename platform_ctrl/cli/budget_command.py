@@ -85,7 +85,7 @@ def budget(
     noted(used)
     if as_json:
         from platform_ctrl.common.json_text import json_text
-        from platform_ctrl.verification.records import budget_record
+        from platform_ctrl.verification.result_file import budget_record
 
         typer.echo(json_text(budget_record(read, found, runs, others)))
     else:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shlex
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -20,15 +19,12 @@ from platform_ctrl.cli.job_arguments import (
     Controllers,
     JobFile,
     Json,
-    Junit,
     Prove,
     Quiet,
     controller_file,
     job_of,
     option,
-    plant_file,
     prepare_folder,
-    writable,
 )
 from platform_ctrl.errors import InputError
 
@@ -39,8 +35,6 @@ if TYPE_CHECKING:
     from platform_ctrl.campaign.summary import Summary
     from platform_ctrl.job.job import Job
     from platform_ctrl.verification import JobResult
-    from platform_ctrl.verification.baselines.comparison import Change, Comparison
-    from platform_ctrl.verification.baselines.record import Baseline
 
 
 CHECKED = Path("check")
@@ -57,7 +51,6 @@ def design(
         option("--watch", help="Go on: design again whenever JOB or a file that it names is saved.", default=True),
     ] = False,
     campaign: CampaignFolder = None,
-    junit: Junit = None,
     prove: Prove = False,
     as_json: Json = False,
     quiet: Quiet = False,
@@ -79,7 +72,7 @@ def design(
     report = Report(out, campaign)
 
     def once() -> int:
-        return _designed(job, report, junit, prove=prove, as_json=as_json, quiet=quiet)
+        return _designed(job, report, prove=prove, as_json=as_json, quiet=quiet)
 
     if watch:
         from platform_ctrl.cli.watching import whenever_saved
@@ -88,14 +81,14 @@ def design(
     return once()
 
 
-def _designed(job: Path, report: Report, junit: Path | None, *, prove: bool, as_json: bool, quiet: bool) -> int:
+def _designed(job: Path, report: Report, *, prove: bool, as_json: bool, quiet: bool) -> int:
     """Design a job once; return the exit code."""
     from platform_ctrl.cli.terminal import progress
 
     with progress(quiet or as_json, f"reading {job}") as say:
         read = job_of(job)
         report.expect_possible(read)
-        report.prepare(junit, [job, *plant_file(job, read)])
+        report.prepare()
         expect_proofs_possible(prove)
         from platform_ctrl.design.jobs import attempted_loops
         from platform_ctrl.simulation.compilation import start_compilation
@@ -111,10 +104,6 @@ def _designed(job: Path, report: Report, junit: Path | None, *, prove: bool, as_
             raise failures[0].error
         result = check_job(read, outcomes, say, prove=prove)
         record = report.keep(result)
-        if junit is not None:
-            from platform_ctrl.report.failures import write_junit
-
-            write_junit(result, junit)
         show = report.draw(result, record, ["design", str(job), "-o", str(report.folder)], say, as_json)
     code = show()
     for one in failures:
@@ -128,68 +117,6 @@ def expect_proofs_possible(prove: bool) -> None:
         from platform_ctrl.verification.proofs import flint
 
         flint()
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """The result of a comparison with a baseline: text for the terminal, plain data for JSON."""
-
-    comparison: Comparison | None = None
-    words: str = ""
-    record: dict[str, Any] | None = None
-
-    @property
-    def passed(self) -> bool:
-        """Whether nothing is worse than it was accepted."""
-        return self.comparison is None or self.comparison.passed
-
-
-@dataclass(frozen=True)
-class BaselineOptions:
-    """A baseline's file, and whether it is to be updated."""
-
-    file: Path | None
-    update: bool
-    baseline: Baseline | None = None
-
-    @classmethod
-    def given(cls, file: Path | None, update: bool) -> BaselineOptions:
-        """Check the options before the work."""
-        if file is None:
-            if update:
-                raise InputError("--update-baseline: needs --baseline FILE, the file to write")
-            return cls(None, False)
-        from platform_ctrl.verification.baselines import read_baseline
-
-        if update:
-            writable("--baseline", file)
-        elif not os.path.exists(file):
-            raise InputError(f"{file}: there is no such file; --update-baseline writes it")
-        return cls(file, update, read_baseline(file) if file.exists() else None)
-
-    def outcome(self, result: JobResult) -> Outcome:
-        """Compare and plot changes beside the file, or update the file."""
-        if self.file is None:
-            return Outcome()
-        from platform_ctrl.report.failures import against_baseline, moved_text
-        from platform_ctrl.verification.baselines.file import Update, plot_beside
-
-        accept, update = "the same command with --update-baseline", self.update or self.baseline is None
-        found, text, drawn = against_baseline(result, self.file, plot_beside(self.file), accept, update=update)
-        if isinstance(found, Update):
-            before = found.comparison.changes if found.comparison is not None else ()
-            record = _record(self.file, before, passed=True, updated=found.written)
-            return Outcome(None, f"baseline: {found.summary}", record)
-        shown = None if drawn is None else str(drawn)
-        record = _record(self.file, found.changes, passed=found.passed, updated=False, plot=shown)
-        return Outcome(found, f"baseline {text or moved_text(found, str(self.file))}", record)
-
-
-def _record(
-    file: Path, changes: tuple[Change, ...], *, passed: bool, updated: bool, plot: str | None = None
-) -> dict[str, Any]:
-    figures = [asdict(change) for change in changes]
-    return {"baseline": {"file": str(file), "passed": passed, "updated": updated, "plot": plot, "figures": figures}}
 
 
 def check(
@@ -210,14 +137,10 @@ def check(
         option(
             "--baseline",
             metavar="FILE",
-            help="Accepted values: the exit code is also 1 if a value is worse by more than its tolerance. Changes "
-            "are printed, and plotted beside FILE.",
+            help=f"An accepted {RESULT}: the exit code is also 1 if a value is worse by more than 1 %, or than the "
+            "tolerance of the job. What became worse is printed.",
         ),
     ] = None,
-    update_baseline: Annotated[
-        bool, option("--update-baseline", help="Accept the present values: write them to the baseline.", default=True)
-    ] = False,
-    junit: Junit = None,
     campaign: CampaignFolder = None,
     prove: Prove = False,
     as_json: Json = False,
@@ -233,8 +156,7 @@ def check(
     platform-ctrl check job.toml                                          the controllers of out/result.json
     platform-ctrl check job.toml --controllers out/result.json            the same after a change of plant or job
     platform-ctrl check job.toml --controllers mine.json -o mine          others, reported elsewhere
-    platform-ctrl check job.toml --baseline gyros.json --update-baseline  accept the present values
-    platform-ctrl check job.toml --baseline gyros.json --junit check.xml  in CI: none is worse than accepted
+    platform-ctrl check job.toml --baseline accepted.json                 in CI: no value is worse than accepted
     platform-ctrl check job.toml --quiet && deploy                        go on only if all is met
     """  # noqa: D301
     from platform_ctrl.cli.terminal import progress
@@ -243,37 +165,41 @@ def check(
     with progress(quiet or as_json, f"reading {job}") as say:
         read = job_of(job)
         file, used = controller_file(controllers, out, job, read, quiet or as_json)
-        comparison = BaselineOptions.given(baseline, update_baseline)
         report = Report(folder, campaign)
         report.expect_possible(read)
         from platform_ctrl.verification import check_job
+        from platform_ctrl.verification.comparison import compare
         from platform_ctrl.verification.controllers import outcomes_from, read_controllers
-        from platform_ctrl.verification.records import unconfirmed
+        from platform_ctrl.verification.result_file import read_record, unconfirmed
 
+        accepted = None if baseline is None else read_record(baseline)  # before the work
         closed = read_controllers(file, read)
         others = read_controllers(file, read, "alternatives")
         if campaign is not None:
             campaign_summary(read, closed, campaign)  # before the work on what would be refused
-        report.prepare(junit, [job, *plant_file(job, read), file, baseline])
+        report.prepare()
         expect_proofs_possible(prove)
         outcomes = outcomes_from(read, closed, others)
         result = check_job(read, outcomes, say, prove=prove)
         notes = unconfirmed(file, result)
         record = report.keep(result)
-        outcome = comparison.outcome(result)
-        if junit is not None:
-            from platform_ctrl.report.failures import write_junit
-
-            write_junit(result, junit, comparison=outcome.comparison, baseline=str(baseline))
+        compared = None if accepted is None else compare(record, accepted, read.tolerance)
+        more: dict[str, Any] = {}
+        if compared is not None:
+            changes = [asdict(one) for one in compared.changes]
+            more = {"baseline": {"file": str(baseline), "passed": compared.passed, "changes": changes}}
         command = ["check", str(job), "--controllers", str(file), "-o", str(folder)]
-        show = report.draw(result, record, command, say, as_json, outcome.record)
+        show = report.draw(result, record, command, say, as_json, more)
     noted(used)
     for note in notes:
         typer.echo(f"{file}: not confirmed: {note}", err=True)
     code = show()
-    if outcome.words:
-        typer.echo(outcome.words, err=as_json)
-    return code or (0 if outcome.passed else 1)
+    if compared is None:
+        return code
+    from platform_ctrl.report.failures import changes_text
+
+    typer.echo(f"baseline {changes_text(compared, str(baseline))}", err=as_json)
+    return code or (0 if compared.passed else 1)
 
 
 def expect_campaign(job: Job, folder: Path) -> Record:
@@ -323,15 +249,13 @@ class Report:
         if self.campaign is not None:
             expect_campaign(job, self.campaign)
 
-    def prepare(self, junit: Path | None, inputs: Sequence[Path | None]) -> None:
-        """Make sure before the work that all files can be written; `inputs` are those that the command reads."""
+    def prepare(self) -> None:
+        """Make sure before the work that all files can be written."""
         prepare_folder(self.folder, (RESULT, REPORT))
-        if junit is not None:
-            writable("--junit", junit, [*inputs, *(self.folder / name for name in (RESULT, REPORT))])
 
     def keep(self, result: JobResult) -> Record:
         """Write the result's file, before anything is drawn, and return its content."""
-        from platform_ctrl.verification.records import result_record, write_record
+        from platform_ctrl.verification.result_file import result_record, write_record
 
         record = result_record(result)
         write_record(record, self.folder / RESULT)
@@ -352,7 +276,7 @@ class Report:
         JSON beside the content of the result's file. What cannot be drawn is left out, and said. A campaign of other
         controllers is left out too, and is an error at the end.
         """
-        from platform_ctrl.verification.records import write_record
+        from platform_ctrl.verification.result_file import write_record
 
         words = ["platform-ctrl", *command]
         about: dict[str, Any] = {}

@@ -85,7 +85,6 @@ CampaignFolder = Annotated[
         words=completion.campaign_folders,
     ),
 ]
-Junit = Annotated[Path | None, option("--junit", metavar="FILE", help="Write every verdict as JUnit XML too.")]
 
 
 def job_of(path: Path) -> Job:

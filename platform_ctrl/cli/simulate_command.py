@@ -240,7 +240,7 @@ def _compared(plan: Plan, inputs: Mapping[str, object]) -> dict[str, str]:
 def _show(job: Job, run: Run, more: dict[str, Any] | None = None) -> None:
     """Print a run; with `more` as JSON beside it."""
     from platform_ctrl.common.json_text import json_text
-    from platform_ctrl.verification.records import run_record
+    from platform_ctrl.verification.result_file import run_record
     from platform_ctrl.verification.simulated import largest
 
     if more is not None:

@@ -21,7 +21,7 @@ from platform_ctrl.plant.mistakes import given, one_line
 from platform_ctrl.plant.platform import FORCE_NAMES, OMEGA_NAMES, ROOT_TORQUE_NAMES, Platform
 from platform_ctrl.plant.sensors import gimbal_rate
 from platform_ctrl.plant.source import path_of, read_json
-from platform_ctrl.verification.json_tables import SCHEMA
+from platform_ctrl.verification.result_file import SCHEMA
 
 if TYPE_CHECKING:
     import control

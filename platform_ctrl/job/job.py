@@ -342,6 +342,8 @@ class Job:
         Many runs, or None.
     budget
         What disturbs the line of sight, or None.
+    tolerance
+        Share by which a value may be worse than in an accepted result.
     """
 
     name: fields.Text
@@ -362,6 +364,7 @@ class Job:
     fault_events: Annotated[tuple[Fault, ...], Array("fault")] = ()
     campaign: Annotated[Campaign | None, TABLE] = None
     budget: Annotated[Budget | None, TABLE] = None
+    tolerance: fields.Part = 0.01
 
     @property
     def trims(self) -> tuple[FloatArray, ...]:

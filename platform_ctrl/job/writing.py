@@ -49,7 +49,7 @@ def _without_log(source: Source) -> Source:
 
 
 # Of a job's file, what controllers do not depend on: they are judged by it, or simulated with it; and texts.
-_NOT_DESIGNED = ("schema", "name", "plant", "coupled", "manoeuvre", "fault", "campaign", "budget")
+_NOT_DESIGNED = ("schema", "name", "plant", "coupled", "manoeuvre", "fault", "campaign", "budget", "tolerance")
 
 
 def job_hashes(job: Job) -> dict[str, str]:

@@ -28,7 +28,7 @@ from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.plant.mistakes import given, suggestion
 from platform_ctrl.plant.platform import is_rate
 from platform_ctrl.plant.source import read_json
-from platform_ctrl.verification.json_tables import JSONTable
+from platform_ctrl.verification.result_file import JSONTable
 
 if TYPE_CHECKING:
     import control

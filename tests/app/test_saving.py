@@ -472,7 +472,7 @@ def test_a_design_made_in_the_background_is_that_of_its_method(bench: Backend) -
 
 def test_controllers_of_a_result_are_shown_as_they_are(bench: Backend, tmp_path: Path) -> None:
     from platform_ctrl.verification import check_job
-    from platform_ctrl.verification.records import result_record, write_record
+    from platform_ctrl.verification.result_file import result_record, write_record
 
     result = check_job(bench.read, loops(bench.read))
     write_record(result_record(result), tmp_path / "result.json")

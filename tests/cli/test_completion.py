@@ -74,7 +74,7 @@ def offered(monkeypatch: pytest.MonkeyPatch, *words: str, shell: str = "bash") -
     ("words", "expected"),
     [
         (["si"], ["simulate"]),
-        (["design", "--j"], ["--junit", "--json"]),
+        (["design", "--j"], ["--json"]),
         (["design", ""], ["broken.toml", "job.toml", "jobs/other.toml"]),
         (["design", "jobs/"], ["jobs/other.toml"]),
         (["design", "jobs/o"], ["jobs/other.toml"]),

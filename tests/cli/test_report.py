@@ -1,10 +1,9 @@
-"""What design and check deliver beside the page: a section about a campaign, JUnit; and when they refuse to."""
+"""What design and check deliver beside the page: a section about a campaign; and when they refuse to."""
 
 from __future__ import annotations
 
 import json
 import re
-import xml.etree.ElementTree as ET
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +27,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
         patch.setattr("platform_ctrl.campaign.engine.processes", processes_here)
         undrawn(patch, [])
         assert main(["new", "gyro"]) == 0
-        assert main(["design", "gyro.toml", "-q", "--junit", "verdicts/design.xml"]) == 0
+        assert main(["design", "gyro.toml", "-q"]) == 0
         assert main(["campaign", "gyro.toml", "--runs", "12", "--workers", "1", "-q"]) == 0
     return folder
 
@@ -164,7 +163,7 @@ def test_a_failure_while_drawing_costs_neither_result_nor_verdict(
     monkeypatch.chdir(tmp_path)
     (tmp_path / "job.toml").write_text(job, encoding="utf-8")
     (tmp_path / "out" / ".unfinished-a1b2").mkdir(parents=True)
-    assert main(["design", "job.toml", "-q", "--junit", "verdicts.xml"]) == code
+    assert main(["design", "job.toml", "-q"]) == code
     out, err = capsys.readouterr()
     assert ("PASSED" if code == 0 else "FAILED") in out
     assert json.loads((tmp_path / "out" / "result.json").read_text(encoding="utf-8"))["passed"] is (code == 0)
@@ -188,12 +187,3 @@ def test_a_run_whose_figure_fails_has_its_verdict(
     assert "met" in out
     assert "figure: " not in out
     assert err.splitlines()[-1] == "runs/manoeuvre-1.svg: not written: ValueError: no luck"
-
-
-def test_design_writes_its_verdicts_as_junit(there: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    suites = ET.parse(there / "verdicts" / "design.xml").getroot()
-    record = json.loads((there / "out" / "result.json").read_text(encoding="utf-8"))
-    assert sum(1 for _ in suites.iter("testcase")) == len(record["requirements"])
-    (there / "folder.xml").mkdir()
-    given = ["design", "gyro.toml", "-o", "never", "--junit", "folder.xml"]
-    assert "--junit folder.xml: is a folder" in refused(capsys, *given)

@@ -35,7 +35,7 @@ from platform_ctrl.plant.writing import toml
 from platform_ctrl.simulation.closed_loop import simulate
 from platform_ctrl.verification.budget import line_of_sight_budget
 from platform_ctrl.verification.controllers import outcomes_from, read_controllers
-from platform_ctrl.verification.records import result_record
+from platform_ctrl.verification.result_file import result_record
 from platform_ctrl.verification.verdict import check_job
 from sighted_gimbal import sighted, skewed
 

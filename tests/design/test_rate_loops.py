@@ -11,7 +11,7 @@ from platform_ctrl.errors import DesignError, InputError, NotCertifiedError, Pla
 from platform_ctrl.job.quantities import assumed_words
 from platform_ctrl.job.requirements import requirement
 from platform_ctrl.verification.controllers import outcomes_from, read_controllers
-from platform_ctrl.verification.records import result_record
+from platform_ctrl.verification.result_file import result_record
 from platform_ctrl.verification.verdict import check_job
 
 STILL = {"Omega": [0.0, 0.0, 0.0]}

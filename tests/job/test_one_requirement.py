@@ -26,7 +26,7 @@ from platform_ctrl.job.requirements import WORST_CASE, loop_requirements, requir
 from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.report.page import tables
 from platform_ctrl.report.page.job_page import page_html
-from platform_ctrl.verification.records import result_record
+from platform_ctrl.verification.result_file import result_record
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "three_gyro_platform.toml"
 # The object that everything below is given. The slow classical loop of the fixture misses it.

@@ -36,7 +36,7 @@ from platform_ctrl.job.requirements import (
 )
 from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.mechanics.state_space import state_space
-from platform_ctrl.verification.records import result_record
+from platform_ctrl.verification.result_file import result_record
 
 KINDS = tuple(METRICS)
 # The plants here have no line of sight.

@@ -32,7 +32,7 @@ from platform_ctrl.verification import check_job
 from platform_ctrl.verification.budget import PreparedBudget, line_of_sight_budget
 from platform_ctrl.verification.budget_limits import assumption, is_limited, unstable_results
 from platform_ctrl.verification.budget_result import Waterfall, rms_ticks, waterfalls
-from platform_ctrl.verification.records import result_record
+from platform_ctrl.verification.result_file import result_record
 
 PERIOD, DELAY, LAG = 0.001, 0.0007, 0.0003
 INERTIA, DAMPING, UNBALANCE = 0.01, 0.02, 2e-3

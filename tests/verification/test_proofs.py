@@ -32,7 +32,7 @@ from platform_ctrl.verification.proofs import (
     proofs_of,
     with_proofs,
 )
-from platform_ctrl.verification.records import result_record, unconfirmed
+from platform_ctrl.verification.result_file import result_record, unconfirmed
 
 JOB = Path("examples/three_gyro_platform.toml")
 

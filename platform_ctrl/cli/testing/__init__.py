@@ -1,10 +1,40 @@
-"""Regression tests of control loops: what tests assert, and the pytest plugin that collects jobs.
+"""Regression tests of control loops: what tests assert, beside the fixture ``closed_loop``.
 
-With the package installed pytest loads `platform_ctrl.cli.testing.plugin` by itself: the fixtures ``closed_loop`` and
-``assert_baseline``, the marker ``platform_job``, the options ``--update-baselines``, ``--platform-jobs`` and
-``--platform-plots``. Nothing heavy is loaded before a test uses a job. See docs/regression-tests.md.
+With the package installed pytest finds the fixture by itself. See docs/regression-tests.md.
 """
 
-import lazy_loader
+from __future__ import annotations
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from platform_ctrl.verification import JobResult
+
+__all__ = ["assert_requirements"]
+
+
+def assert_requirements(result: JobResult, *, goals: bool = False) -> None:
+    """Assert that every requirement of a job is met.
+
+    Parameters
+    ----------
+    result
+        From the fixture ``closed_loop``, or from `verification.check_job`.
+    goals
+        Whether the goals of the closed designs have to be met too.
+
+    Raises
+    ------
+    AssertionError
+        With a table of what is missed: value, limit, margin, and where the worst value was found.
+    """
+    __tracebackhide__ = True
+    from platform_ctrl.report.failures import missed_text
+
+    texts = [missed_text([one for one in result.requirements if one.hard], result.job.name)]
+    if goals:
+        wanted = [goal for outcome in result.loops for goal in outcome.closed.goals]
+        texts.append(missed_text(wanted, result.job.name, "goal"))
+    text = "\n".join(filter(None, texts))
+    if text:
+        raise AssertionError(text)

@@ -23,7 +23,7 @@ from platform_ctrl.design.sections import Section, flattened
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.job import Job
 from platform_ctrl.verification.controllers import read_controllers
-from platform_ctrl.verification.json_tables import SCHEMA, JSONTable
+from platform_ctrl.verification.result_file import SCHEMA, JSONTable
 
 if TYPE_CHECKING:
     import control

@@ -43,7 +43,7 @@ from platform_ctrl.report.page.blocks import (
     Table,
     table,
 )
-from platform_ctrl.verification import records
+from platform_ctrl.verification import result_file
 from platform_ctrl.verification.proofs import PROVED
 from platform_ctrl.verification.verdict import JobResult
 
@@ -347,4 +347,4 @@ def record_part(job: Job) -> Fold:
 
 def versions() -> tuple[tuple[str, str], ...]:
     """Return the versions of Python and of every package that the report depends on."""
-    return (*records.versions().items(), ("matplotlib", version("matplotlib")))
+    return (*result_file.versions().items(), ("matplotlib", version("matplotlib")))

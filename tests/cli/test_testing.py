@@ -1,0 +1,75 @@
+"""The pytest fixture, in a pytest run of its own, and the tables of what is missed and what became worse."""
+
+from __future__ import annotations
+
+import tomllib
+from typing import Any
+
+import pytest
+
+import platform_ctrl as pc
+from one_gyro_job import JOB, SLOWER, TOO_MUCH
+from platform_ctrl.verification.result_file import result_record, write_record
+from plugged import plugged_in
+
+pytest_plugins = ["pytester"]
+
+TESTS = """
+import pytest
+from platform_ctrl.cli.testing import assert_requirements
+from platform_ctrl.errors import InputError
+
+def test_the_job_meets_its_requirements_and_is_computed_once(closed_loop):
+    result = closed_loop("gyro.toml", baseline="accepted.json")
+    assert_requirements(result)
+    assert closed_loop("gyro.toml") is result
+
+def test_controllers_that_exist_are_taken(closed_loop):
+    assert closed_loop("gyro.toml", "accepted.json", baseline="accepted.json").passed
+
+def test_slower(closed_loop):
+    closed_loop("slower.toml", baseline="accepted.json")
+
+def test_too_much(closed_loop):
+    assert_requirements(closed_loop("too_much.toml"))
+
+def test_no_baseline(closed_loop):
+    with pytest.raises(InputError, match="none.json: there is no such file"):
+        closed_loop("gyro.toml", baseline="none.json")
+"""
+
+
+@pytest.fixture(scope="module")
+def record() -> dict[str, Any]:
+    """The result of the job, made before pytester forgets the modules that a test was the first to load."""
+    job = pc.read_job(tomllib.loads(JOB))
+    return result_record(pc.verification.check_job(job, pc.design.loops(job)))
+
+
+def test_a_job_in_a_test_is_compared_with_its_requirements_and_with_an_accepted_result(
+    record: dict[str, Any], pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plugged_in(pytester, monkeypatch)
+    for name, text in (("gyro", JOB), ("slower", SLOWER), ("too_much", TOO_MUCH)):
+        (pytester.path / f"{name}.toml").write_text(text, encoding="utf-8")
+    write_record(record, pytester.path / "accepted.json")
+    pytester.makepyfile(TESTS)
+    done = pytester.runpytest_subprocess("-W", "error")
+    done.assert_outcomes(passed=3, failed=2)
+    done.stdout.fnmatch_lines_random(
+        [
+            "E*accepted.json: of * values 4 worse by more than their tolerance",
+            "E*caging 9-10: bandwidth * 27.68 Hz * 24.03 Hz *-13 % * 0.2768 Hz * at least 20 Hz",
+            "E*made with another job and another controller of caging 9-10",
+            "E*gyro 9-10: 1 of * requirements not met",
+            "E*caging 9-10, classical: bandwidth *27.6* Hz *at least 35 Hz*-21 %*",
+        ]
+    )
+
+
+def test_nothing_heavy_is_loaded_where_no_test_uses_a_job(
+    pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plugged_in(pytester, monkeypatch)
+    pytester.makepyfile("import sys\n\ndef test_light():\n    assert not {'numpy', 'control'} & {*sys.modules}\n")
+    pytester.runpytest_subprocess("-p", "no:hypothesispytest").assert_outcomes(passed=1)
