@@ -1,269 +1,432 @@
-"""A platform's equations, worked out in series and written down in SymPy."""
+"""A platform's equations worked out in polynomials, as a value that holds SymPy matrices."""
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Mapping
 
 import numpy as np
 import sympy
+from numpy.typing import ArrayLike
 
+from platform_ctrl.common.arguments import known_name, real_array
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
+from platform_ctrl.mechanics.coupling import connected
 from platform_ctrl.mechanics.kinematics import Topology, topology
-from platform_ctrl.mechanics.symbolic import elements as row_algebra
-from platform_ctrl.mechanics.symbolic.expressions import (
-    ONE,
-    Algebra,
-    Expression,
-    Series,
-    Taylor,
-    Trigonometric,
-    Writer,
-    add,
-    apply,
-    derivative,
-    up_to,
-)
-from platform_ctrl.mechanics.symbolic.names import NamedSymbol, Names
-from platform_ctrl.mechanics.symbolic.options import HIGHEST_ORDER, Terms
-from platform_ctrl.mechanics.symbolic.parameters import (
-    Motion,
-    Parameters,
-    axial,
-    directions,
-    mass,
+from platform_ctrl.mechanics.symbolic.equations import HIGHEST_ORDER, Terms
+from platform_ctrl.mechanics.symbolic.polynomials import Array, Expression, Polynomial, Polynomials
+from platform_ctrl.mechanics.symbolic.symbols import (
+    Element,
+    Inertia,
+    NamedSymbol,
+    Names,
+    elements,
+    inertia_symbols,
     motion_symbols,
-    parameters,
-    spin_momenta,
-    symbol_table,
+    rotor_symbols,
 )
-from platform_ctrl.mechanics.symbolic.result import LINEAR, PARTIALLY_LINEAR, PRECESSION, Equations, RowTerms
 from platform_ctrl.plant.platform import Platform
+
+RowTerms = tuple[tuple[Expression, Expression], ...]
 
 # Trees whose exact trigonometric form can still be read.
 _MOST_GIMBALS, _DEEPEST = 5, 3
-
 # Singular values this small against the largest are zero.
 _SINGULAR = 1e-9
 
 
 @value
-class _Core:
-    """The matrices of a platform as series."""
+class Equations:
+    """The equations of a platform in symbols. Matrices are SymPy's `ImmutableDenseMatrix`.
 
-    algebra: Algebra
-    B: Series
-    BtL: Series
-    A: Series
-    BtA_RB: Series
-    A_star: Series
+    Attributes
+    ----------
+    platform, order, terms
+        What was asked for.
+    symbols
+        Every symbol: its name, meaning, unit and number.
+    q, rates, accelerations : (n, 1)
+        Gimbal angles and their derivatives.
+    Omega, Omega_dot : (3, 1)
+        Rate of the root and its derivative.
+    velocity : (3 + n, 1)
+        u = [Omega, q̇] (20).
+    forces : (3 + n, 1)
+        [M, Q].
+    L : (m, 1)
+        Angular momenta (22); for free rotors p.
+    A_R : (m, m)
+        diag(C) of the regulated rotors.
+    B0, B_A : (m, 3 + n)
+        B at zero angles and the rest (21).
+    A, BtA_RB, A_star, G_A, G_R, G_root : (3 + n, 3 + n)
+        (23), (24), (12), (25), (26), and the Boltzmann-Hamel term of the root.
+    rows
+        By equation, ``"partially_linear"`` (27), ``"linear"`` (19), ``"precession"`` (15): for each gimbal the terms
+        (coefficient, variable) of the left side whose sum is Q; the variable is an acceleration, a rate, an angle, or
+        1.
+    groups
+        Gimbals whose equations are coupled when Omega is given.
+    notes
+        What a reader has to know: what was left out, where (15) is singular.
+    """
+
+    platform: Platform
+    order: int | None
+    terms: Terms
+    symbols: tuple[NamedSymbol, ...]
+    q: Expression
+    rates: Expression
+    accelerations: Expression
+    Omega: Expression
+    Omega_dot: Expression
+    velocity: Expression
+    forces: Expression
+    L: Expression
+    A_R: Expression
+    B0: Expression
+    B_A: Expression
+    A: Expression
+    BtA_RB: Expression
+    A_star: Expression
+    G_A: Expression
+    G_R: Expression
+    G_root: Expression
+    rows: Mapping[str, tuple[RowTerms, ...]]
+    groups: tuple[tuple[str, ...], ...]
+    notes: tuple[str, ...]
+
+    @property
+    def B(self) -> Expression:
+        """B0 + B_A, (m, 3 + n)."""
+        return self.B0 + self.B_A
+
+    @property
+    def partially_linear(self) -> tuple[Expression, ...]:
+        """(27): one `Eq` a gimbal, linear in the angles for any Omega(t); gimbal coordinates on the left."""
+        return self._equations("partially_linear")
+
+    @property
+    def linear(self) -> tuple[Expression, ...]:
+        """(19): one `Eq` a gimbal, linear in Omega as well."""
+        return self._equations("linear")
+
+    @property
+    def precession(self) -> tuple[Expression, ...]:
+        """(15): one `Eq` a gimbal, (27) with rotors' momenta and force elements alone."""
+        return self._equations("precession")
+
+    def row_terms(self, gimbal: str, equation: str = "partially_linear") -> RowTerms:
+        """Return the terms (coefficient, variable) of a gimbal's left side; their sum is Q.
+
+        Parameters
+        ----------
+        gimbal
+            Its name in the plant.
+        equation
+            ``"partially_linear"`` (27), ``"linear"`` (19) or ``"precession"`` (15).
+
+        Returns
+        -------
+        RowTerms
+            In the symbols of these equations.
+        """
+        known_name("equation", equation, tuple(self.rows))
+        return self.rows[equation][known_name("gimbal", gimbal, self.platform.gimbal_names)]
+
+    def numbers(self) -> dict[Expression, float]:
+        """Return the platform's number of every symbol that has one: ``expression.subs(equations.numbers())``."""
+        return {sympy.Symbol(s.name): s.value for s in self.symbols if s.value is not None}
+
+    def evaluate(
+        self,
+        expression: Expression,
+        q: ArrayLike | None = None,
+        velocity: ArrayLike | None = None,
+        velocity_dot: ArrayLike | None = None,
+        values: Mapping[str, float] | None = None,
+    ) -> FloatArray:
+        """Return the number of an expression, or the array of a matrix, at a state.
+
+        Parameters
+        ----------
+        expression
+            In the symbols of these equations.
+        q : (n,)
+            Angles, rad; default zero.
+        velocity, velocity_dot : (3 + n,)
+            [Omega, q̇] and its derivative, SI; default zero.
+        values
+            Numbers of further symbols by name (torques), SI, or in place of the platform's own.
+
+        Returns
+        -------
+        (...)
+            As the expression's shape, SI.
+        """
+        n = len(self.platform.gimbals)
+        point = {symbol.name: number for symbol, number in self.numbers().items()}
+        for symbols, name, given in (
+            (self.q, "q", q),
+            (self.velocity, "velocity", velocity),
+            ([*self.Omega_dot, *self.accelerations], "velocity_dot", velocity_dot),
+        ):
+            shape = (n if name == "q" else 3 + n,)
+            point |= dict(zip((s.name for s in symbols), real_array(name, given, shape, 0.0).tolist(), strict=True))
+        point |= values or {}
+        whole = sympy.sympify(expression)
+        used = sorted(whole.free_symbols, key=str)
+        missing = [s.name for s in used if s.name not in point]
+        if missing:
+            raise ArgumentError(f"values: {missing[0]!r} has no number; give one: values={{name: number}}")
+        found = sympy.lambdify(used, whole, "numpy")(*(float(point[s.name]) for s in used))
+        return np.asarray(found, dtype=np.float64).reshape(getattr(whole, "shape", ()))
+
+    def _equations(self, name: str) -> tuple[Expression, ...]:
+        out = []
+        for terms, torque in zip(self.rows[name], list(self.forces)[3:], strict=True):
+            left = sympy.Add(*(c * v for c, v in terms if v != 1))
+            right = torque - sympy.Add(*(c for c, v in terms if v == 1))
+            out.append(sympy.Eq(left, right, evaluate=False))
+        return tuple(out)
 
 
 def derived(platform: Platform, order: int | None, terms: Terms) -> Equations:
     """Return the equations of a platform, matrices to `order` in the angles (None: exact)."""
-    tree = topology(platform)
-    names = Names()
-    motion = motion_symbols(platform, names)
-    forces = _specific_force(platform, names)
-    known = parameters(platform, tree, names)
-    # (27) needs BᵀL to second order; G_A and G_R are derivatives.
-    linear = _core(tree, known, Taylor(2 if order is None else max(2, order + 1)), constant_A=terms == "paper")
-    shown = linear
-    if order is None:
-        _not_too_large(platform, tree)
-        shown = _core(tree, known, Trigonometric(), constant_A=False)
-    writer = Writer(known.symbols, motion.angles, trigonometric=order is None)
-    matrices = _matrices(platform, known, motion, shown, writer, order, terms)
-    full = _rows(known, motion, linear, terms)
-    equations, groups = _written_rows(full, known, motion, writer), row_algebra.coupled_groups(full)
-    used = _used(known, up_to(shown.A, order), full)
-    return Equations(
-        platform=platform,
-        order=order,
-        terms=terms,
-        symbols=symbol_table(motion, used, forces),
-        q=_column(motion.angles),
-        rates=_column(motion.rates),
-        accelerations=_column(motion.accelerations),
-        Omega=_column(motion.Omega),
-        Omega_dot=_column(motion.Omega_dot),
-        velocity=_column(motion.Omega + motion.rates),
-        forces=_column(motion.root_torques + motion.torques),
-        rows=equations,
-        groups=tuple(tuple(platform.gimbal_names[k] for k in group) for group in groups),
-        notes=(*known.notes, *_singular(platform, known, linear, groups)),
-        **matrices,
-    )
+    return _Derivation(platform, order, terms).equations()
 
 
-def _core(tree: Topology, known: Parameters, algebra: Algebra, constant_A: bool) -> _Core:
-    B = directions(tree, algebra)
-    A = mass(tree, Taylor(0) if constant_A else algebra, known.S)
-    BtA_RB = axial(tree, algebra, B, known.C)
-    A_star: Series = {}
-    add(A_star, A)
-    add(A_star, BtA_RB)
-    return _Core(algebra=algebra, B=B, BtL=spin_momenta(B, known.L), A=A, BtA_RB=BtA_RB, A_star=A_star)
+class _Core:
+    """The matrices of a platform in polynomials: B (3), A without C, BᵀA_R B and BᵀL."""
 
-
-def _matrices(
-    platform: Platform,
-    known: Parameters,
-    motion: Motion,
-    core: _Core,
-    writer: Writer,
-    order: int | None,
-    terms: Terms,
-) -> dict[str, Expression]:
-    m, n = len(platform.rotors), len(platform.gimbals)
-    square = (3 + n, 3 + n)
-    # The paper differentiates the truncated (24); the exact derivative needs one order more.
-    in_G_A = up_to(core.A_star, order) if terms == "paper" else core.A_star
-    B = core.B if order is None else up_to(core.B, order + 1)
-    zero = _at_zero(core.B, order)
-    B0 = writer.numeric_matrix({ONE: zero} if zero is not None else {}, (m, 3 + n))
-    A, BtA_RB = (writer.matrix(up_to(series, order), square) for series in (core.A, core.BtA_RB))
-    velocity = [sympy.Symbol(s.name) for s in motion.Omega + motion.rates]
-    return {
-        "L": writer.matrix({ONE: known.L.T[:, :, None]}, (m, 1)),
-        "A_R": sympy.ImmutableDenseMatrix(sympy.diag(*[writer.form(c) for c in known.C], unpack=True))
-        if m
-        else sympy.ImmutableDenseMatrix(0, 0, []),
-        "B0": B0,
-        "B_A": sympy.ImmutableDenseMatrix(writer.numeric_matrix(B, (m, 3 + n)) - B0)
-        if order is None
-        else writer.numeric_matrix(B, (m, 3 + n), skip=ONE),
-        "A": A,
-        "BtA_RB": BtA_RB,
-        "A_star": writer.matrix(up_to(core.A_star, order), square),
-        "G_A": _coriolis(core.algebra, in_G_A, writer, velocity, order),
-        "G_R": writer.matrix(up_to(_gyroscopic(core.algebra, core.BtL, n), order), square),
-        "G_root": _root_turning(core, writer, velocity, order, terms),
-    }
-
-
-def _at_zero(series: Series, order: int | None) -> FloatArray | None:
-    """Return the value at zero angles: odd factors of a trigonometric monomial are cosines."""
-    if order is not None:
-        return series.get(ONE)
-    kept = [c for monomial, c in series.items() if all(i % 2 for i in monomial)]
-    return sum(kept[1:], kept[0]) if kept else None
-
-
-def _gyroscopic(algebra: Algebra, BtL: Series, n: int) -> Series:
-    """N − Nᵀ with N = ∂(BᵀL)/∂q (14), root columns zero, for n gimbals."""
-    out: Series = {}
-    for j in range(n):
-        for monomial, c in derivative(algebra, BtL, j).items():
-            into = out.setdefault(monomial, np.zeros((len(c), 3 + n, 3 + n)))
-            into[:, :, 3 + j] += c
-            into[:, 3 + j, :] -= c
-    return out
-
-
-def _coriolis(
-    algebra: Algebra, A_star: Series, writer: Writer, velocity: list[Expression], order: int | None
-) -> Expression:
-    """N − ½ Nᵀ with N = ∂(A* u)/∂q (13), root columns of N zero."""
-    size = len(velocity)
-    change = {3 + j: up_to(derivative(algebra, A_star, j), order) for j in range(size - 3)}
-    cells = []
-    for x, z in np.ndindex(size, size):
-        entry: Series = {}
-        if z in change:
-            add(entry, {m: c[:, x] for m, c in change[z].items()})
-        if x in change:
-            add(entry, {m: c[:, z] for m, c in change[x].items()}, -0.5)
-        cells.append(writer.contracted(entry, velocity))
-    return sympy.ImmutableDenseMatrix(size, size, cells)
-
-
-def _root_turning(
-    core: _Core, writer: Writer, velocity: list[Expression], order: int | None, terms: Terms
-) -> Expression:
-    """−[∂T/∂Omega]× in the root's block; with the paper's terms of the rotors' momentum alone."""
-    size = len(velocity)
-    h = []
-    for a in range(3):
-        momentum = up_to(apply(core.BtL, lambda c, a=a: c[:, a : a + 1]), order)  # type: ignore[misc]
-        h.append(writer.contracted(momentum, [sympy.S.One]))
-        if terms == "exact" or order is None:
-            carried = up_to(apply(core.A_star, lambda c, a=a: c[:, a]), order)  # type: ignore[misc]
-            h[a] += writer.contracted(carried, velocity)
-    out = sympy.zeros(size, size)
-    out[:3, :3] = sympy.Matrix([[0, h[2], -h[1]], [-h[2], 0, h[0]], [h[1], -h[0], 0]])
-    return sympy.ImmutableDenseMatrix(out)
-
-
-def _rows(known: Parameters, motion: Motion, core: _Core, terms: Terms) -> tuple[row_algebra.Row, ...]:
-    names = (tuple(s.name for s in motion.Omega), tuple(s.name for s in motion.Omega_dot))
-    carried = core.BtA_RB if terms == "paper" else None
-    return row_algebra.gimbal_rows(core.A_star, core.BtL, carried, names, known.element_terms)
-
-
-def _used(known: Parameters, A: Series, rows: tuple[row_algebra.Row, ...]) -> tuple[NamedSymbol, ...]:
-    """Return the parameters without inertias that appear nowhere."""
-    seen = np.array([s.kind != "inertia" for s in known.symbols], dtype=bool)
-    for coefficient in A.values():
-        seen |= coefficient.any(axis=(1, 2))
-    for row in rows:
-        for forms in row.values():
-            for form in forms.values():
-                seen |= form != 0.0
-    return tuple(symbol for symbol, kept in zip(known.symbols, seen, strict=True) if kept)
-
-
-def _written_rows(
-    full: tuple[row_algebra.Row, ...], known: Parameters, motion: Motion, writer: Writer
-) -> dict[str, tuple[RowTerms, ...]]:
-    moving = tuple(s.name for s in motion.Omega + motion.Omega_dot)
-    kinds = {
-        PARTIALLY_LINEAR: full,
-        LINEAR: tuple(row_algebra.at_rest(row, moving) for row in full),
-        PRECESSION: tuple(row_algebra.without_inertia(row, known.is_momentum | known.is_element) for row in full),
-    }
-    return {kind: tuple(_written(row, motion, writer) for row in rows) for kind, rows in kinds.items()}
-
-
-def _written(row: row_algebra.Row, motion: Motion, writer: Writer) -> RowTerms:
-    symbols = {"acceleration": motion.accelerations, "rate": motion.rates, "angle": motion.angles}
-    out = []
-    for kind in ("acceleration", "rate", "angle", "constant"):
-        for k in range(len(motion.angles) if kind != "constant" else 1):
-            forms: dict[Any, FloatArray] = row.get((kind, k), {})
-            coefficient = writer.collected((_product(factors), form) for factors, form in forms.items())
-            if coefficient != 0:
-                out.append((coefficient, sympy.S.One if kind == "constant" else sympy.Symbol(symbols[kind][k].name)))
-    return tuple(out)
-
-
-def _product(factors: tuple[str, ...]) -> Expression:
-    return sympy.Mul(
-        *(
-            1 / sympy.Symbol(name.removeprefix("1/")) if name.startswith("1/") else sympy.Symbol(name)
-            for name in factors
+    def __init__(self, work: _Derivation, algebra: Polynomials, constant_A: bool) -> None:
+        tree, self.algebra = work.tree, algebra
+        turned = [algebra.rotation(k, axis) for k, axis in enumerate(tree.axes)]
+        axes, m, n = algebra.numbers(tree.axes), len(tree.carriers), len(tree.parents)
+        self.B = algebra.zeros(m, 3 + n)
+        for rotor, carrier in enumerate(tree.carriers):
+            spin, k = algebra.numbers(tree.spin_axes[rotor]), int(carrier) - 1
+            while k >= 0:
+                self.B[rotor, 3 + k] = spin @ axes[k]
+                spin, k = algebra.product(turned[k], spin), int(tree.parents[k])
+            self.B[rotor, :3] = spin
+        none = algebra.zeros(3 + n, 3 + n)
+        C, L = (
+            np.array([none[0, 0] if k is None else algebra.symbol(k) for k in some], dtype=object)
+            for some in (work.C, work.L)
         )
-    )
+        self.B = algebra.cut(self.B)
+        self.BtL = algebra.cut(self.B.T @ L) if m else none[0]
+        self.BtA_RB = algebra.cut(self.B.T @ (C[:, None] * self.B)) if m else none
+        self.A = self._mass(work, turned, axes)
+        if constant_A:
+            self.A = algebra.at_zero(self.A)
+        self.A_star = self.A + self.BtA_RB
+
+    def _mass(self, work: _Derivation, turned: list[Array], axes: Array) -> Array:
+        tree, algebra = work.tree, self.algebra
+        n = len(tree.parents)
+        forms = algebra.zeros(1 + n, 3, 3)
+        for place, (_, body, i, j) in enumerate(work.inertias):
+            forms[body, i, j] = forms[body, j, i] = algebra.symbol(place)
+        carried = [*forms]
+        for k in reversed(tree.order):
+            half = algebra.product(turned[k], carried[1 + k])
+            above = 1 + int(tree.parents[k])
+            carried[above] = carried[above] + algebra.product(half, turned[k].T) - forms[1 + k]
+        out = algebra.zeros(3 + n, 3 + n)
+        out[:3, :3] = carried[0]
+        for k in range(n):
+            momentum, i = carried[1 + k] @ axes[k], k
+            while i >= 0:
+                out[3 + i, 3 + k] = out[3 + k, 3 + i] = momentum @ axes[i]
+                momentum, i = algebra.product(turned[i], momentum), int(tree.parents[i])
+            out[:3, 3 + k] = out[3 + k, :3] = momentum
+        return algebra.cut(out)
+
+
+class _Derivation:
+    """Works out one platform's equations."""
+
+    def __init__(self, platform: Platform, order: int | None, terms: Terms) -> None:
+        self.platform, self.order, self.terms = platform, order, terms
+        self.tree = tree = topology(platform)
+        if order is None:
+            _not_too_large(platform, tree)
+        names = Names()
+        self.motion = motion = motion_symbols(platform, names)
+        self.inertias: list[Inertia] = inertia_symbols(platform, tree, names)
+        C, L = rotor_symbols(platform, names)
+        self._elements: list[Element]
+        self._elements, self._notes = elements(platform, names)
+        self.known = [one.symbol for one in self.inertias] + [one for one in C if one is not None] + L
+        self.known += [one.symbol for one in self._elements]
+        places = {symbol.name: k for k, symbol in enumerate(self.known)}
+        self.C = [None if one is None else places[one.name] for one in C]
+        self.L = [places[one.name] for one in L]
+        moving = (*motion.Omega, *motion.Omega_dot, *motion.accelerations, *motion.rates, *motion.angles)
+        self._symbols = [sympy.Symbol(s.name) for s in (*self.known, *moving)]
+        self._n = len(platform.gimbals)
+
+    def _algebra(self, order: int | None) -> Polynomials:
+        return Polynomials(len(self.known), self._symbols, self._n, order)
+
+    def equations(self) -> Equations:
+        """Return the equations."""
+        order, exact, n, motion = self.order, self.terms == "exact", self._n, self.motion
+        # (27) needs BᵀL to second order; G_A and G_R are derivatives.
+        linear = _Core(self, self._algebra(2 if order is None else max(2, order + 1)), not exact)
+        core = _Core(self, self._algebra(None), False) if order is None else linear
+        algebra, m = core.algebra, len(self.platform.rotors)
+        full = [self._row(linear, j) for j in range(n)]
+        rows = {
+            "partially_linear": full,
+            "linear": [{at: self._slow(linear, at, p) for at, p in row.items()} for row in full],
+            "precession": [{at: self._massless(linear, p) for at, p in row.items()} for row in full],
+        }
+        coupled = np.zeros((n, n), dtype=bool)
+        for j, row in enumerate(full):
+            for at in row:
+                coupled[j, (at - len(self.known) - 6) % max(n, 1) if at is not None else j] = True
+        groups = tuple(map(tuple, connected(coupled)))
+        B0 = algebra.at_zero(core.B)
+        shown = {
+            "B0": B0,
+            "B_A": algebra.cut(core.B - B0, None if order is None else order + 1),
+            "A": algebra.cut(core.A, order),
+            "BtA_RB": algebra.cut(core.BtA_RB, order),
+            "A_star": algebra.cut(core.A_star, order),
+            "G_A": algebra.cut(self._coriolis(core), order),
+            "G_R": algebra.cut(_gyroscopic(core, n), order),
+            "G_root": algebra.cut(self._root_turning(core), order),
+        }
+        used = algebra.used(shown["A"]) | linear.algebra.used(
+            *(np.array([p], dtype=object) for row in full for p in row.values())
+        )
+        listed = [s for k, s in enumerate(self.known) if k in used or s.kind != "inertia"]
+        moving = (*motion.Omega, *motion.Omega_dot, *motion.accelerations, *motion.rates, *motion.angles)
+        A_R = [sympy.S.Zero if k is None else self._symbols[k] for k in self.C]
+        return Equations(
+            platform=self.platform,
+            order=order,
+            terms=self.terms,
+            symbols=(*listed, *moving, *motion.torques, *motion.root_torques),
+            q=_column(motion.angles),
+            rates=_column(motion.rates),
+            accelerations=_column(motion.accelerations),
+            Omega=_column(motion.Omega),
+            Omega_dot=_column(motion.Omega_dot),
+            velocity=_column(motion.Omega + motion.rates),
+            forces=_column(motion.root_torques + motion.torques),
+            L=sympy.ImmutableDenseMatrix(m, 1, [self._symbols[k] for k in self.L]),
+            A_R=sympy.ImmutableDenseMatrix(m, m, lambda i, j: A_R[i] if i == j else 0),
+            rows={key: tuple(self._written(linear, row) for row in some) for key, some in rows.items()},
+            groups=tuple(tuple(self.platform.gimbal_names[k] for k in group) for group in groups),
+            notes=(*self._notes, *self._singular(linear, groups)),
+            **{key: algebra.matrix(array) for key, array in shown.items()},
+        )
+
+    def _velocity(self, algebra: Polynomials) -> Array:
+        """Return u = [Omega, q̇]."""
+        first, n = len(self.known), self._n
+        places = [*range(first, first + 3), *range(first + 6 + n, first + 6 + 2 * n)]
+        return np.array([algebra.symbol(k) for k in places], dtype=object)
+
+    def _coriolis(self, core: _Core) -> Array:
+        """N − ½ Nᵀ with N = ∂(A* u)/∂q (13), root columns of N zero."""
+        # The paper differentiates the truncated (24); the exact derivative needs one order more.
+        A_star = core.algebra.cut(core.A_star, self.order) if self.terms == "paper" else core.A_star
+        momentum = A_star @ self._velocity(core.algebra)
+        N = core.algebra.zeros(3 + self._n, 3 + self._n)
+        for j in range(self._n):
+            N[:, 3 + j] = core.algebra.slope(momentum, j)
+        return np.asarray(N - N.T * core.algebra.numbers(np.array(0.5)).item())
+
+    def _root_turning(self, core: _Core) -> Array:
+        """−[∂T/∂Omega]× in the root's block; with the paper's terms of the rotors' momentum alone."""
+        h = core.BtL[:3]
+        if self.terms == "exact" or self.order is None:
+            h = h + (core.A_star @ self._velocity(core.algebra))[:3]
+        out = core.algebra.zeros(3 + self._n, 3 + self._n)
+        for a in range(3):
+            b, c = (a + 1) % 3, (a + 2) % 3
+            out[a, b], out[b, a] = h[c], -h[c]
+        return out
+
+    def _row(self, core: _Core, j: int) -> dict[int | None, Polynomial]:
+        """Return the left side of a gimbal row, linear in the angles and their derivatives, by their places."""
+        algebra, n, first = core.algebra, self._n, len(self.known)
+        u, rates = self._velocity(algebra), range(first + 6 + n, first + 6 + 2 * n)
+        changes = np.array([algebra.symbol(first + 3 + k) for k in range(3 + n)], dtype=object)
+        momentum, half = core.BtL, algebra.numbers(np.array(0.5)).item()
+        out = core.A_star[3 + j] @ changes - u @ algebra.slope(core.BtL, j)
+        if self.terms == "exact":
+            momentum = momentum + core.A_star @ u
+            out = out - u @ algebra.slope(core.A_star, j) @ u * half
+        own = momentum[3 + j : 4 + j]
+        for k in range(n):
+            out = out + algebra.slope(own, k)[0] * algebra.symbol(rates[k])
+        for place, element in enumerate(self._elements, first - len(self._elements)):
+            symbol = algebra.symbol(place)
+            angle, rate = algebra.numbers(element.angle[j]), algebra.numbers(element.rate[j])
+            out = out + algebra.numbers(element.constant[j : j + 1])[0] * symbol
+            for k in range(n):
+                out = (
+                    out + angle[k] * symbol * algebra.symbol(rates[k] + n) + rate[k] * symbol * algebra.symbol(rates[k])
+                )
+        row = algebra.split(algebra.cut(np.array([out], dtype=object))[0], range(first + 6, first + 6 + 3 * n))
+        return {at: row[at] for at in sorted(row, key=lambda at: (at is None, at)) if row[at]}
+
+    def _slow(self, core: _Core, at: int | None, polynomial: Polynomial) -> Polynomial:
+        """(19): linear in the angles and in Omega and Omega' together."""
+        first = len(self.known)
+        return core.algebra.select(polynomial, lambda powers: sum(powers[first : first + 6]) <= (at is None))
+
+    def _massless(self, core: _Core, polynomial: Polynomial) -> Polynomial:
+        """(15): only what contains a momentum or the strength of a force element."""
+        kept = [k for k, s in enumerate(self.known) if s.kind in ("momentum", "element")]
+        return core.algebra.select(polynomial, lambda powers: any(powers[k] for k in kept))
+
+    def _written(self, core: _Core, row: dict[int | None, Polynomial]) -> RowTerms:
+        variables = {None: sympy.S.One} | dict(enumerate(self._symbols))
+        return tuple((core.algebra.written(p), variables[at]) for at, p in row.items() if p)
+
+    def _singular(self, core: _Core, groups: tuple[tuple[int, ...], ...]) -> tuple[str, ...]:
+        """Say where G_R of a subsystem cannot be inverted, so that (15) does not determine its rates."""
+        if not self.platform.rotors:
+            return ()
+        numbers = {self._symbols[k]: s.value for k, s in enumerate(self.known)}
+        at_zero = core.algebra.matrix(core.algebra.at_zero(_gyroscopic(core, self._n))).subs(numbers)
+        G_R = np.array(at_zero.tolist(), dtype=np.float64).reshape(at_zero.shape)[3:, 3:]
+        damping = sum((one.rate * float(one.symbol.value or 0.0) for one in self._elements), np.zeros_like(G_R))
+        found: dict[str, list[str]] = {}
+        for group in groups:
+            block = np.ix_(group, group)
+            rank, order = _rank(G_R[block]), len(group)
+            if rank == order:
+                continue
+            odd = " (skew, and of odd order)" if order % 2 else ""
+            cured = _rank((G_R + damping)[block]) == order
+            then = (
+                "with the damping of the plant it is regular"
+                if cured
+                else "(15) does not determine the rates: use (27)"
+            )
+            line = f"is singular at zero angles, order {order}, rank {rank}{odd}; {then}"
+            found.setdefault(line, []).append(", ".join(self.platform.gimbal_names[k] for k in group))
+        return tuple(f"G_R of {'; of '.join(names)} {line}" for line, names in found.items())
+
+
+def _gyroscopic(core: _Core, n: int) -> Array:
+    """N − Nᵀ with N = ∂(BᵀL)/∂q (14), root columns zero, for n gimbals."""
+    N = core.algebra.zeros(3 + n, 3 + n)
+    for j in range(n):
+        N[:, 3 + j] = core.algebra.slope(core.BtL, j)
+    return np.asarray(N - N.T)
 
 
 def _column(symbols: tuple[NamedSymbol, ...]) -> Expression:
     return sympy.ImmutableDenseMatrix(len(symbols), 1, [sympy.Symbol(s.name) for s in symbols])
-
-
-def _specific_force(platform: Platform, names: Names) -> tuple[NamedSymbol, ...]:
-    """f1 to f3 and f, where unbalance or an erecting device feels them."""
-    if not (platform.unbalances or platform.erections):
-        return ()
-    f = platform.specific_force
-    along = [
-        names.parameter(
-            "f", str(a + 1), "", "specific force", f"specific force along root axis {a + 1}", "m/s²", float(f[a])
-        )
-        for a in range(3)
-    ]
-    size = float(np.linalg.norm(f))
-    about = "size of the specific force, sqrt(f1² + f2² + f3²)"
-    return (*along, names.parameter("f", "", "", "specific force", about, "m/s²", size))
 
 
 def _not_too_large(platform: Platform, tree: Topology) -> None:
@@ -273,35 +436,6 @@ def _not_too_large(platform: Platform, tree: Topology) -> None:
             f"order: None is possible up to {_MOST_GIMBALS} gimbals, {_DEEPEST} deep, not for {n}, {depth} deep; "
             f"take an order from 0 to {HIGHEST_ORDER}"
         )
-
-
-def _singular(
-    platform: Platform, known: Parameters, core: _Core, groups: tuple[tuple[int, ...], ...]
-) -> tuple[str, ...]:
-    """Say where G_R of a subsystem cannot be inverted, so that (15) does not determine its rates."""
-    if not platform.rotors:
-        return ()
-    numbers = np.array([s.value for s in known.symbols], dtype=np.float64)
-    n = len(platform.gimbals)
-    zero = np.zeros((len(numbers), 3 + n, 3 + n))
-    G_R = np.tensordot(numbers, _gyroscopic(core.algebra, core.BtL, n).get(ONE, zero), axes=1)
-    damping = np.zeros(n)
-    for term in known.element_terms:
-        if term.variable == "rate":
-            damping[term.row] += term.coefficient * numbers[term.position]
-    found: dict[str, list[str]] = {}
-    for group in groups:
-        rows = [3 + k for k in group]
-        block = G_R[np.ix_(rows, rows)]
-        rank, order = _rank(block), len(group)
-        if rank == order:
-            continue
-        odd = " (skew, and of odd order)" if order % 2 else ""
-        cured = _rank(block + np.diag(damping[list(group)])) == order
-        then = "with the damping of the plant it is regular" if cured else "(15) does not determine the rates: use (27)"
-        line = f"is singular at zero angles, order {order}, rank {rank}{odd}; {then}"
-        found.setdefault(line, []).append(", ".join(platform.gimbal_names[k] for k in group))
-    return tuple(f"G_R of {'; of '.join(names)} {line}" for line, names in found.items())
 
 
 def _rank(matrix: FloatArray) -> int:

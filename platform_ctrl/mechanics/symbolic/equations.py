@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Literal, overload
+from typing import TYPE_CHECKING, Any, Literal, get_args, overload
 
 from platform_ctrl.common.signatures import check_arguments, short
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.mechanics.symbolic.options import HIGHEST_ORDER, Form, Terms
 
 if TYPE_CHECKING:
-    from platform_ctrl.mechanics.symbolic.result import Equations
+    from platform_ctrl.mechanics.symbolic.derivation import Equations
     from platform_ctrl.plant.platform import Platform
+
+Written = Literal["text", "latex", "json"]
+Form = Literal[Written, "sympy"]
+# As in `linearise`.
+Terms = Literal["paper", "exact"]
+
+WRITTEN: tuple[Written, ...] = get_args(Written)
+TERMS: tuple[Terms, ...] = get_args(Terms)
+HIGHEST_ORDER = 3
 
 
 @overload
@@ -72,14 +80,8 @@ def equations(
     found = derived(platform, order, terms)
     if form == "sympy":
         return found
+    from platform_ctrl.mechanics.symbolic import writing
+
     if form == "json":
-        from platform_ctrl.mechanics.symbolic.text import record_of
-
-        return record_of(found)
-    if form == "latex":
-        from platform_ctrl.mechanics.symbolic.latex import latex_of
-
-        return latex_of(found)
-    from platform_ctrl.mechanics.symbolic.text import text_of
-
-    return text_of(found)
+        return writing.record_of(found)
+    return writing.latex_of(found) if form == "latex" else writing.text_of(found)
