@@ -72,10 +72,6 @@ class TimeLimitError(DesignError):
     """The time allowed was over; the solver was ended."""
 
 
-class OldKeyWarning(FutureWarning):
-    """A job file has keys of an earlier version, which are read for one version."""
-
-
 class TimeLimitWarning(UserWarning):
     """A time limit ended a search before its work was done: what it returns depends on the load of the machine."""
 

@@ -24,7 +24,6 @@ from platform_ctrl.common.values import value
 from platform_ctrl.errors import InputError, PlatformCtrlError
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.methods import METHODS, DesignMethod
-from platform_ctrl.job.old_names import renamed
 from platform_ctrl.job.reading import read_job
 from platform_ctrl.job.writing import job_hashes
 from platform_ctrl.plant.reading import open_plant
@@ -158,9 +157,8 @@ def write_job(
 
 
 def _read(text: str, folder: Path, path: Path) -> Job:
-    """Return the job of a text in a folder; `path` is its name in messages. That keys are old was said before."""
+    """Return the job of a text in a folder; `path` is its name in messages."""
     data = tomllib.loads(text)
-    renamed(data)
     try:
         return read_job(data, folder=folder)
     except InputError as error:

@@ -9,13 +9,12 @@ from __future__ import annotations
 import errno
 import os
 import sys
-import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
-from platform_ctrl.cli.error_lines import failed, noted, reported
+from platform_ctrl.cli.error_lines import failed, reported
 from platform_ctrl.cli.interrupts import INTERRUPTED, INTERRUPTED_LINE, ProcessEnd, exit_interrupted, interruptible
-from platform_ctrl.errors import OldKeyWarning, PlatformCtrlError
+from platform_ctrl.errors import PlatformCtrlError
 
 __all__ = ["main"]
 
@@ -49,10 +48,7 @@ def _guarded(arguments: list[str]) -> int:
         # The matrices are small: BLAS threads would spend their time waiting for each other.
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
         _prepare_streams()
-        with warnings.catch_warnings():
-            warnings.simplefilter("always", OldKeyWarning)
-            warnings.showwarning = _shown(warnings.showwarning)
-            code = _run(arguments)
+        code = _run(arguments)
         sys.stdout.flush()
     except BrokenPipeError:
         # The reader of our output has ended; what is left in the buffer must not raise when the process ends.
@@ -81,18 +77,6 @@ def _prepare_streams() -> None:
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="backslashreplace")
-
-
-def _shown(otherwise: Callable[..., None]) -> Callable[..., None]:
-    """Return what shows a warning: one about a file's keys as one line, the others as before."""
-
-    def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
-        if issubclass(category, OldKeyWarning):
-            noted(f"platform-ctrl: warning: {message}")
-        else:
-            otherwise(message, category, *where, **more)
-
-    return show
 
 
 def _run(arguments: list[str]) -> int:

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 import os
-import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from platform_ctrl.common.values import replaced
-from platform_ctrl.errors import ArgumentError, InputError, OldKeyWarning
+from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.job.budget_checks import size_mistakes, with_logs
 from platform_ctrl.job.campaign_checks import variation_mistakes
 from platform_ctrl.job.checks import job_mistakes, locked_mistakes, locked_names
@@ -18,8 +17,7 @@ from platform_ctrl.job.drive_checks import misplaced_drives
 from platform_ctrl.job.exercised import unexercised
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.methods import METHODS, resolved
-from platform_ctrl.job.old_names import renamed
-from platform_ctrl.plant.fields import PLANT, Expected, integer
+from platform_ctrl.plant.fields import PLANT, Expected, Unfit
 from platform_ctrl.plant.locking import with_locked
 from platform_ctrl.plant.mistakes import Mistake, one_line, report
 from platform_ctrl.plant.platform import Platform
@@ -28,11 +26,23 @@ from platform_ctrl.plant.source import Document, open_file, open_mapping, path_o
 from platform_ctrl.plant.tables import Key, made, overfull, read_table, shape
 
 SCHEMA = 2
-_SCHEMAS = Expected(f"{SCHEMA} (or 1: the older names of keys are read for one version)", integer(1, SCHEMA))
+_OLDER = "write schema = 2, [uncertainty] in place of [spread], and in limits _worst_case in place of _spread"
+
+
+def _schema(item: object) -> int:
+    if isinstance(item, bool) or item != SCHEMA:
+        raise Unfit(_OLDER if item == 1 and not isinstance(item, bool) else "")
+    return SCHEMA
+
+
+_SCHEMA = Expected(f"{SCHEMA}, the format that this version reads", _schema)
 # The whole file.
 JOB_FILE = dataclasses.replace(
     shape(Job),
-    keys={"schema": Key(_SCHEMAS, "schema", needed=True), "plant": Key(PLANT, "plant", needed=True)}
+    keys={
+        "schema": Key(Expected("2, the format that this version reads", _schema), "schema", needed=True),
+        "plant": Key(PLANT, "plant", needed=True),
+    }
     | {**shape(Job).keys},
 )
 
@@ -59,11 +69,6 @@ def read_job(
     ------
     InputError
         One line: which file, table and key, what was given, what is expected.
-
-    Warns
-    -----
-    OldKeyWarning
-        A file with ``schema = 1`` has keys that have been renamed.
     """
     start = None if folder is None else path_of(folder, "a folder")
     if isinstance(source, Mapping):
@@ -72,13 +77,12 @@ def read_job(
         document = open_file(path_of(source, "the path of a job file or a dict"))
     if crowd := list(overfull(JOB_FILE, document.data)):
         raise report(document.label, document.data, crowd)
-    old_keys, old_wrong = renamed(document.data)
     platform, plant_wrong = _plant(document, start or document.folder)
     if platform is not None:
         plant_wrong += (of_locks := list(locked_mistakes(document.data, platform)))
         platform = platform if of_locks else with_locked(platform, locked_names(document.data))
     read, wrong = read_table(JOB_FILE, document.data)
-    mistakes = [*document.mistakes, *old_wrong, *plant_wrong, *job_mistakes(document.data, platform), *wrong]
+    mistakes = [*document.mistakes, *plant_wrong, *job_mistakes(document.data, platform), *wrong]
     if mistakes or platform is None:
         raise report(document.label, document.data, mistakes)
     del read["schema"]
@@ -97,11 +101,6 @@ def read_job(
         job = replaced(job, {"budget": budget})
     if mistakes := mistakes or list(unexercised(job)):
         raise report(document.label, document.data, mistakes)
-    if old_keys:
-        words = (
-            f"{document.label}: old keys are read for one version: {', '.join(old_keys)}; write them with schema = 2"
-        )
-        warnings.warn(words, OldKeyWarning, stacklevel=2)
     return job
 
 

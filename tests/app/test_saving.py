@@ -8,7 +8,6 @@ import math
 import re
 import threading
 import tomllib
-import warnings
 from pathlib import Path
 
 import hypothesis
@@ -26,7 +25,7 @@ from platform_ctrl.app.settings import Settings
 from platform_ctrl.cli import main
 from platform_ctrl.cli.start_commands import KINDS
 from platform_ctrl.design.jobs import loops
-from platform_ctrl.errors import DesignError, InputError, OldKeyWarning, PlatformCtrlError
+from platform_ctrl.errors import DesignError, InputError, PlatformCtrlError
 from platform_ctrl.job.reading import read_job
 from platform_ctrl.plant.source import platform_source
 
@@ -271,17 +270,6 @@ def test_a_plant_in_the_job_keeps_what_the_page_does_not_change(tmp_path: Path) 
     assert (
         next(r for r in tomllib.loads(saved.job.read_text())["plant"]["rotor"] if r["name"] == "11")["spin"] == 1290.0
     )
-
-
-def test_saving_a_job_with_old_keys_repeats_no_warning(tmp_path: Path) -> None:
-    old = tmp_path / "old.toml"
-    old.write_text(TWO.replace("schema = 2", "schema = 1").replace("[uncertainty]", "[spread]"))
-    with pytest.warns(OldKeyWarning):
-        bench = Backend(old)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        saved = bench.save(bench.start(), tmp_path / "new.toml")
-    assert "[spread]" in saved.job.read_text()  # the user's own text
 
 
 def test_saving_never_lands_on_the_plant_or_a_folder_and_leaves_nothing_half_written(

@@ -19,9 +19,8 @@ from hypothesis import strategies as st
 
 from every_key import HERE, every_job_key
 from plant.test_reading_plant import JUNK, Change, add, both, drop, mutate, outcome, plant, put, refusal, toml_file
-from platform_ctrl.cli import main as command
 from platform_ctrl.common.values import replaced
-from platform_ctrl.errors import InputError, OldKeyWarning
+from platform_ctrl.errors import InputError
 from platform_ctrl.job.methods import METHODS
 from platform_ctrl.job.reading import read_job
 from platform_ctrl.job.requirements import limit_keys
@@ -540,68 +539,9 @@ def test_a_job_that_cannot_be_opened_is_one_line(tmp_path: Path) -> None:
     assert "is not TOML" in refusal(read_job, tmp_path / "broken.toml")
 
 
-OLD_KEYS = {
-    "disk_margin_spread": 0.3,
-    "sensitivity_peak_spread": 4.0,
-    "complementary_peak": 2.0,
-    "complementary_peak_spread": 3.0,
-    "damping_spread": 0.05,
-    "controller_poles": 1e4,
-}
-NEW_KEYS = [
-    "disk_margin_worst_case",
-    "sensitivity_peak_worst_case",
-    "complementary_sensitivity_peak",
-    "complementary_sensitivity_peak_worst_case",
-    "damping_worst_case",
-    "fastest_controller_pole",
-]
-
-
-def old_job() -> dict[str, Any]:
-    """Return a job with schema = 1 and every key that has been renamed since."""
-    data = job()
-    data["loop"][0]["limits"] = dict(OLD_KEYS)
-    return {("spread" if key == "uncertainty" else key): item for key, item in data.items()} | {"schema": 1}
-
-
-def test_old_keys_of_schema_1_are_read_with_one_warning_that_lists_the_new_names() -> None:
-    with pytest.warns(OldKeyWarning) as told:
-        read = read_job(old_job())
-    assert (read.uncertainty.inertia, read.uncertainty.spin) == (0.1, 0.2)
-    assert read.loops[0].limits == dict(zip(NEW_KEYS, OLD_KEYS.values(), strict=True))
-    [line] = [str(one.message) for one in told]
-    assert "\n" not in line
-    for old, new in zip(["spread", *OLD_KEYS], ["uncertainty", *NEW_KEYS], strict=True):
-        assert f"{old} is now {new}" in line
-
-
-def test_the_command_says_so_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    import tomlkit
-
-    file = tmp_path / "old.toml"
-    file.write_text(tomlkit.dumps(old_job()), encoding="utf-8")
-    assert command(["check", str(file), "--controllers", str(tmp_path / "none.json"), "-q"]) == 2
-    warning, error = capsys.readouterr().err.splitlines()
-    assert warning.startswith(
-        f"platform-ctrl: warning: {file}: old keys are read for one version: spread is now uncert"
-    )
-    assert "none.json" in error
-
-
-@pytest.mark.parametrize("key", OLD_KEYS)
-def test_old_keys_of_schema_2_are_refused_by_the_new_name(key: str) -> None:
-    data = job()
-    data["loop"][0]["limits"] = {key: OLD_KEYS[key]}
-    new = dict(zip(OLD_KEYS, NEW_KEYS, strict=True))[key]
-    assert f'"{key}" is called "{new}"' in refusal(read_job, data)
-    data = job() | {"spread": {"inertia": 0.1}}
-    assert '"spread" is called "uncertainty"' in refusal(read_job, data)
-
-
-def test_an_old_key_beside_its_new_one_is_refused() -> None:
-    data = job() | {"spread": {"inertia": 0.1}, "schema": 1}
-    assert '"spread" is the old name of "uncertainty"; leave one of them out' in refusal(read_job, data)
+def test_files_of_schema_1_are_refused_with_what_to_change() -> None:
+    words = "schema must be 2, the format that this version reads, got 1 (write schema = 2, [uncertainty] in place of"
+    assert words in refusal(read_job, job() | {"schema": 1})
 
 
 def test_what_is_read_is_the_job() -> None:
