@@ -16,7 +16,6 @@ from matplotlib.figure import Figure
 import platform_ctrl as pc
 from platform_ctrl import simulation
 from platform_ctrl.campaign.table_statistics import statistics
-from platform_ctrl.common.text import greek
 from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.job.job import Manoeuvre
 from platform_ctrl.plant.source import shipped_models
@@ -147,51 +146,7 @@ def test_every_shipped_plant_with_a_rotor_has_a_campbell_chart(name):
         assert np.isfinite(np.asarray(line.get_ydata(), dtype=float)).all()
 
 
-def cards(figure):
-    return sorted(patch.get_gid() for patch in figure.axes[0].patches if patch.get_gid())
-
-
-@pytest.mark.parametrize("name", EVERY)
-def test_the_tree_has_every_body_once_with_its_angle(name):
-    platform = pc.read_platform(name)
-    figure = figures.gimbal_tree(platform)
-    bodies = [f"root {platform.root_name}"]
-    bodies += [f"gimbal {g.name}" for g in platform.gimbals] + [f"rotor {r.name}" for r in platform.rotors]
-    assert cards(figure) == sorted(bodies)
-    told = written(figure)
-    for gimbal in platform.gimbals:
-        assert any(text.startswith(f"{greek(gimbal.angle)} about ") for text in told)
-    for torquer in platform.torquers:
-        assert any(torquer.name in text for text in told)
-
-
-@pytest.mark.parametrize("name", EVERY)
-def test_the_words_of_a_tree_stay_on_its_paper_and_off_each_other(name):
-    figure = figures.gimbal_tree(pc.read_platform(name))
-    figure.canvas.draw()
-    paper = figure.bbox
-    boxes = [text.get_window_extent() for axes in figure.axes for text in axes.texts if text.get_text()]
-    assert all(paper.x0 <= box.x0 and box.x1 <= paper.x1 and paper.y0 <= box.y0 and box.y1 <= paper.y1 for box in boxes)
-    assert not [(a, b) for k, a in enumerate(boxes) for b in boxes[:k] if a.overlaps(b)]
-
-
-def test_the_tree_of_a_platform_with_all_signs_explains_them(gyro):
-    platform = dataclasses.replace(
-        on_springs(gyro),
-        cages=(pc.Cage(gimbal="outer", stiffness=1.0),),
-        rate_sensors=(pc.RateSensor(name="alpha_rate", gimbal="outer"), pc.RateSensor(name="Omega1", root_axis=1)),
-    )
-    told = written(figures.gimbal_tree(platform))
-    for words in ("torquer", "pick-off", "rate sensor", "stops", "spring", "cage", "friction", "unbalance"):
-        assert words in told
-    assert "±85°" in told
-    assert "erection" not in told
-
-
-def test_the_tree_shows_what_looks_out_and_what_measures_it():
-    told = written(figures.gimbal_tree(sighted()))
-    for words in ("pick-off", "rate sensor", "attitude sensor", "line of sight", "+1"):
-        assert words in told
+def test_the_description_says_what_looks_out():
     assert description(sighted()).endswith("The line of sight is fixed in pitch, along +1.")
 
 
@@ -202,15 +157,6 @@ def test_a_run_is_drawn_with_its_line_of_sight():
     titles = [axes.get_title(loc="left") for axes in figures.time_run(run, limits={"los_rate_rms": 1.0}).axes]
     assert "line of sight, angle since the start" in titles
     assert "line of sight, rate" in titles
-
-
-def test_the_tree_draws_a_lone_root_and_odd_names(gyro):
-    alone = pc.read_platform({"schema": 1, "name": "rock", "root": {"name": "rock", "inertia": [1, 2, 2.5]}})
-    assert cards(figures.gimbal_tree(alone)) == ["root rock"]
-    odd = dataclasses.replace(gyro, name="a $b_c$ <x>\n" + "y" * 200)
-    figure = figures.gimbal_tree(odd)
-    assert figure.get_size_inches()[0] < 12.0
-    figure.canvas.draw()
 
 
 @pytest.fixture(scope="module")
@@ -322,7 +268,7 @@ def test_histograms_are_the_same_of_statistics_and_of_a_folder(tmp_path):
         (lambda p, t: figures.campbell(p, spins=[-1.0, 1.0]), "factors >= 0"),
         (lambda p, t: figures.campbell(p, orders=[0.0]), "orders must be finite"),
         (
-            lambda p, t: figures.gimbal_tree("gyro"),
+            lambda p, t: figures.axes_picture("gyro"),
             "platform must be a Platform, for example from read_platform, got 'gyro'",
         ),
         (lambda p, t: figures.time_run(p), "run must be a Run or a Trajectory, got a Platform"),
@@ -356,7 +302,7 @@ def test_a_folder_that_does_not_exist_is_an_error(tmp_path):
 
 
 def test_a_backend_without_windows_suggests_saving_the_figure(gyro):
-    figure = figures.gimbal_tree(gyro)
+    figure = figures.campbell(gyro)
     with mpl.rc_context():
         mpl.use("agg")
         with pytest.raises(ArgumentError, match=r"'agg' opens no windows; .*savefig"):
@@ -381,7 +327,7 @@ def test_show_opens_a_window_for_each_plot_and_for_no_other(gyro, monkeypatch):
     backend = types.ModuleType("backend_for_show")
     backend.FigureCanvas, backend.FigureManager = FigureCanvas, Manager
     monkeypatch.setitem(sys.modules, "backend_for_show", backend)
-    tree = figures.gimbal_tree(gyro)
+    tree = figures.campbell(gyro)
     loop = figures.pole_map(pc.state_space(pc.linearise(gyro)))
     assert pyplot.get_fignums() == []
     before = mpl.get_backend()
@@ -400,7 +346,7 @@ def test_show_opens_a_window_for_each_plot_and_for_no_other(gyro, monkeypatch):
 def test_nothing_is_registered_with_pyplot_and_everything_is_on_white(gyro, flown):
     from matplotlib import pyplot
 
-    made = [figures.campbell(gyro), figures.gimbal_tree(gyro), figures.time_run(flown)]
+    made = [figures.campbell(gyro), figures.time_run(flown)]
     assert all(isinstance(figure, Figure) and to_hex(figure.get_facecolor()) == "#ffffff" for figure in made)
     assert pyplot.get_fignums() == []
 

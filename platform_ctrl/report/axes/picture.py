@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from platform_ctrl.common.palette import PALETTE, Theme
+from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.text import greek, text_width
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.job.quantities import count, listed
@@ -41,6 +42,7 @@ def style_rules() -> str:
     return _TEMPLATES.joinpath("axes.css").read_text(encoding="utf-8").strip()
 
 
+@check_arguments
 def axes_picture(platform: Platform, alone: bool = True) -> str:
     """Return a picture of the axes of `platform`: the text of an SVG file, or with `alone` false an element of a page.
 
@@ -50,6 +52,18 @@ def axes_picture(platform: Platform, alone: bool = True) -> str:
     the tree of the bodies: each joint with its axis in the parent's axes and its angle.
 
     The same platform gives the same text; nothing is loaded from elsewhere. Colours are those of the report's page.
+
+    Parameters
+    ----------
+    platform
+        From `read_platform`.
+    alone
+        Whether the text is a file of its own.
+
+    Returns
+    -------
+    str
+        SVG.
     """
     scheme = structure_scheme(platform)
     beside = WIDTH - 3.0 * _MARGIN - scheme.width >= _LEAST_WIDTH

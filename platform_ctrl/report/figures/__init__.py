@@ -5,11 +5,11 @@ with the report's look: `show` opens windows for them, `.figure.savefig` writes 
 before. Figures of a report are made from a job's result, and saved, within `style.settings`.
 """
 
+from platform_ctrl.report.axes.picture import axes_picture
 from platform_ctrl.report.plots.bode import bode
 from platform_ctrl.report.plots.campaign import campaign_histograms
 from platform_ctrl.report.plots.campbell import campbell
 from platform_ctrl.report.plots.gains import Omega_sensitivity, gang_of_four, singular_values
-from platform_ctrl.report.plots.gimbal_tree import gimbal_tree
 from platform_ctrl.report.plots.nichols import disk_margin_region, nichols
 from platform_ctrl.report.plots.nyquist import nyquist, two_sided_nyquist
 from platform_ctrl.report.plots.panels import show
@@ -20,12 +20,12 @@ from platform_ctrl.report.plots.time_run import time_run
 
 __all__ = [
     "Omega_sensitivity",
+    "axes_picture",
     "bode",
     "campaign_histograms",
     "campbell",
     "disk_margin_region",
     "gang_of_four",
-    "gimbal_tree",
     "nichols",
     "nyquist",
     "pole_map",
