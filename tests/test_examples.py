@@ -57,6 +57,21 @@ def test_root_locus_draws_and_finds_where_stability_ends(tmp_path: Path) -> None
     assert "rotor speed / nominal from 0.9 to 1.1: stable everywhere" in done.stdout
 
 
+def test_state_feedback_by_cvxpy_is_closed_judged_and_drawn(tmp_path: Path) -> None:
+    example = EXAMPLES / "cvxpy_state_feedback.py"
+    assert len(example.read_text(encoding="utf-8").splitlines()) <= 60
+    done = run(example, "S.png", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert min(drawn(tmp_path / "S.png")) > 400
+    assert "cvxpy: optimal" in done.stdout
+    verdicts = dict(re.findall(r"^(.+): .*: (met|not met)$", done.stdout, re.MULTILINE))
+    assert (
+        verdicts["damping, worst case"] == verdicts["disk margin, worst case"] == verdicts["torque noise, rms"] == "met"
+    )
+    # An LQ design bounds no peak and no gain at a frequency.
+    assert verdicts["bandwidth"] == "not met"
+
+
 def test_two_sided_nyquist_draws_and_prints_margins_of_both_signs(tmp_path: Path) -> None:
     done = run(EXAMPLES / "two_sided_nyquist.py", "-o", "nyquist.png", cwd=tmp_path)
     assert done.returncode == 0, done.stderr

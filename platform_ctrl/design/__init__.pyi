@@ -12,6 +12,8 @@ from .fixed_structure.sections import Series as Series
 from .fixed_structure.structures import StateSpaceOrder as StateSpaceOrder
 from .fixed_structure.structures import Static as Static
 from .fixed_structure.synthesis import structured as structured
+from .generalised import generalised_plant as generalised_plant
+from .generalised import with_controller as with_controller
 from .jobs import loops as loops
 from .lmi.caging import scheduled_caging as scheduled_caging
 from .lmi.multiobjective import multiobjective as multiobjective

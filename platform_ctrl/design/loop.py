@@ -62,6 +62,8 @@ class LoopDesign:
         Claims of the method by name, in SI units: for example ``gamma``.
     sections
         The controller block by block, where its method makes it of blocks and nothing else is added to it.
+    directions
+        Gyroscopic pairs and inertial directions in which its method saw the plants; None where none was told.
     """
 
     loop: str
@@ -75,6 +77,7 @@ class LoopDesign:
     goals: tuple[CheckResult, ...] = ()
     claims: dict[str, float] = field(default_factory=dict)
     sections: tuple[Section, ...] = ()
+    directions: Channels | None = None
 
     @property
     def plant(self) -> control.StateSpace | None:
@@ -164,7 +167,7 @@ def evaluated(problem: LoopProblem, found: Designed, *, stable: bool = True) -> 
     if plants is not None:
         found = dataclasses.replace(found, controller=in_signals(problem, found.controller))
         out = measured(spec, design, found, plants, stable=stable)
-        out = dataclasses.replace(out, sections=_sections(problem, out))
+        out = dataclasses.replace(out, sections=_sections(problem, out), directions=problem.channel)
         if method.goals:
             ratios = {"limit_ratio": out.results, "goal_ratio": out.goals}
             largest = {name: max(result.ratio for result in results) for name, results in ratios.items() if results}

@@ -12,13 +12,13 @@ from scipy.linalg import block_diag, expm, solve_discrete_lyapunov
 
 import three_gyro_paper as paper
 from platform_ctrl import design
-from platform_ctrl.analysis.arrays import named_system
+from platform_ctrl.analysis.arrays import named_system, state_arrays
 from platform_ctrl.design.jobs import LoopOutcome
 from platform_ctrl.design.lmi.inequalities import LinearLoop, cp, half_plane, sector, solve
 from platform_ctrl.design.lmi.shared import sharing
 from platform_ctrl.design.partition import closed_loop, partition
 from platform_ctrl.design.scaling import autoscale, unscale
-from platform_ctrl.errors import DesignError, InfeasibleError, TimeLimitError
+from platform_ctrl.errors import ArgumentError, DesignError, InfeasibleError, TimeLimitError
 from platform_ctrl.plant.reading import read_platform
 
 JOB = tomllib.loads((Path(__file__).parents[2] / "examples" / "three_gyro_platform.toml").read_text())
@@ -183,3 +183,38 @@ def test_poles_that_no_controller_reaches_are_an_error():
 def test_the_tuner_brings_weights_that_miss_a_limit_within_it():
     slow = job_of("caging 9-10", options={"bandwidth_hz": 68.0, "tune": True})
     assert all(result.passed for result in design.loops(slow)[0].closed.results)
+
+
+@pytest.mark.parametrize("name", LOOPS)
+def test_python_control_designs_on_the_generalised_plant_and_the_loop_judges(name):
+    loop = design.loops(job_of(name))[0]
+    k = len(LOOPS[name])
+    P = design.generalised_plant(loop, torque=0.06)
+    assert P.input_labels == [f"{kind}{j + 1}" for kind in ("n", "d", "u") for j in range(k)]
+    assert P.output_labels[-k:] == [f"measured{j + 1}" for j in range(k)]
+    bound = design.hinf(P, k, k, method="riccati")
+    if name == "caging 9-10":  # of the other one slycot says that its gamma is too small
+        assert control.hinfsyn(P, k, k)[2] == pytest.approx(bound.gamma_optimal, rel=0.01)
+    closed = design.with_controller(loop, bound.controller, name="mine", torque=0.06)
+    assert closed.use == "mine"
+    assert closed.closed.measures.decay[0] > 0.0
+    assert {one.name for one in closed.designs} == {"LMI", "mine"}
+    # The generalised plant closed by K has the poles of the sampled loop, by the bilinear map.
+    w = np.linalg.eigvals(closed_loop(partition(P, k, k), state_arrays(bound.controller, "K")).A)
+    A, B, C = (closed.closed.plant.A, closed.closed.plant.B[:, :k], closed.closed.plant.C[:k])
+    K = closed.closed.controller
+    z = np.linalg.eigvals(np.block([[A + B @ K.D @ C, B @ K.C], [K.B @ C, K.A]]))
+    mapped = (1 + w * PERIOD / 2) / (1 - w * PERIOD / 2)
+    for pole in z[np.abs(z) > 0.3]:
+        assert np.abs(mapped - pole).min() < 1e-5
+    # The same controller, sampled, by its signals.
+    again = design.with_controller(loop, K, name="again")
+    np.testing.assert_allclose(again.closed.measures.disk_margin, closed.closed.measures.disk_margin, rtol=1e-9)
+
+
+def test_a_controller_or_a_weight_that_does_not_fit_is_refused():
+    loop = design.loops(job_of("caging 9-10"))[0]
+    with pytest.raises(ArgumentError, match="must have 2 inputs and outputs, as the generalised plant has 2"):
+        design.with_controller(loop, control.ss([], [], [], np.eye(3)))
+    with pytest.raises(ArgumentError, match=r"generalised_plant: option 'bandwidth' has no meaning .* did you mean"):
+        design.generalised_plant(loop, bandwidth=30.0)
