@@ -27,7 +27,6 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
-from unittest.mock import patch
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
@@ -42,7 +41,6 @@ ROOT = Path(__file__).resolve().parents[1]
 DATA = ROOT / "tests" / "frozen"
 JOB = ROOT / "examples" / "three_gyro_platform.toml"
 MODELS = sorted(path.stem for path in (ROOT / "models").glob("*.toml"))
-COMMANDS = ("new", "models", "equations", "warm-up", "design", "check", "serve", "simulate", "campaign", "export")
 PROBLEMS = {
     name: problem
     for file in ("compleib.json", "compleib-hard.json")
@@ -224,11 +222,6 @@ def folder() -> Iterator[Path]:
 
 
 # The parts, from what takes no time to what takes most.
-
-
-def help_texts() -> dict[str, Any]:
-    with patch.dict(os.environ, {"COLUMNS": "80", "NO_COLOR": "1", "TERM": "dumb"}):
-        return {"platform-ctrl": run("--help")[1]} | {name: run(name, "--help")[1] for name in COMMANDS}
 
 
 def equations() -> dict[str, Any]:
@@ -452,7 +445,6 @@ DESIGNED = (
 MEASURED = ((r"/claims/(intersample|largest Omega)", 1e-7, 0.0), (r"/(cost|margin)$", EXACT, 1e-9))
 GAINS = {"tolerances": ((r"/gamma$", 1e-2, 0.0),), "minimised": r"/gamma$"}
 PARTS = {
-    "help": Part(help_texts),
     "equations": Part(equations),
     "mechanics": Part(mechanics),
     # Where a maximum lies is found to the root of the rounding errors only.

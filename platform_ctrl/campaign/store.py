@@ -88,7 +88,7 @@ class Store:
         pa = arrow()
         arrays = [pa.array(columns[field.name], type=field.type, from_pandas=True) for field in self._schema]
         path = self.table / f"{runs.start:012d}-{runs.stop:012d}.parquet"
-        with self._told(self.table), replaced_file(path, synced=True) as file:
+        with self._told(self.table), replaced_file(path) as file:
             pa.parquet.write_table(pa.Table.from_arrays(arrays, schema=self._schema), file)
         self._parts = sorted([*self._parts, runs], key=lambda part: part.start)
 
@@ -114,7 +114,7 @@ class Store:
         """Return the parts that are there, in order; what is no whole part of this campaign is removed."""
         pa = arrow()
         found: list[range] = []
-        remove_unfinished(self.table, ".*.tmp")
+        remove_unfinished(self.table)
         for path in sorted(self.table.glob("[!.]*")):
             named = _PART.fullmatch(path.name)
             runs = range(int(named[1]), int(named[2])) if named else range(0)

@@ -61,10 +61,14 @@ def budget(
     the budget is not kept.
 
     \b
-    platform-ctrl budget job.toml                          with the controllers of out/result.json
-    platform-ctrl budget job.toml --controllers mine.json  with others
-    platform-ctrl budget job.toml --simulate 200           what the non-linear plant does beside it
-    platform-ctrl budget job.toml --json | jq .total       to compute with
+    platform-ctrl budget job.toml
+        with the controllers of out/result.json
+    platform-ctrl budget job.toml --controllers mine.json
+        with others
+    platform-ctrl budget job.toml --simulate 200
+        what the non-linear plant does beside it
+    platform-ctrl budget job.toml --json | jq .total
+        to compute with
     """  # noqa: D301
     from platform_ctrl.cli.terminal import progress, screen, show_requirements
 

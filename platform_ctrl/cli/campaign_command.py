@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
-from platform_ctrl.cli import completion
 from platform_ctrl.cli.error_lines import not_drawn, noted
 from platform_ctrl.cli.job_arguments import (
     CAMPAIGN,
@@ -50,7 +49,6 @@ def campaign(
             metavar="DIR",
             help="Folder for campaign.html, campaign.parquet and campaign.json; made if needed.",
             default=True,
-            words=completion.campaign_folders,
         ),
     ] = CAMPAIGN,
     controllers: Controllers = None,
@@ -98,10 +96,14 @@ def campaign(
     that diverges or cannot be simulated has a row that says so.
 
     \b
-    platform-ctrl campaign job.toml --runs 10000                with the controllers of out/result.json
-    platform-ctrl campaign job.toml -o night --controllers mine.json  with others, into another folder
-    platform-ctrl campaign job.toml --scheduler tcp://big:8786  on other machines
-    platform-ctrl simulate job.toml --run 4711                  one of its runs again, with a figure
+    platform-ctrl campaign job.toml --runs 10000
+        with the controllers of out/result.json
+    platform-ctrl campaign job.toml -o night --controllers mine.json
+        with others, into another folder
+    platform-ctrl campaign job.toml --scheduler tcp://big:8786
+        on other machines
+    platform-ctrl simulate job.toml --run 4711
+        one of its runs again, with a figure
 
     Exit code 1 if a run did not meet its limits, diverged or was not simulated.
     """  # noqa: D301

@@ -61,11 +61,16 @@ def design(
     and simulated on the non-linear plant. Writes result.json, and then report.html.
 
     \b
-    platform-ctrl design job.toml                            report: out/report.html
-    platform-ctrl design job.toml -o run7                    run7/report.html
-    platform-ctrl design job.toml --watch                    again after each change, until Ctrl-C
-    platform-ctrl design job.toml --campaign campaign        with a section about a campaign
-    platform-ctrl design job.toml --json | jq .requirements  the verdicts, to compute with
+    platform-ctrl design job.toml
+        report: out/report.html
+    platform-ctrl design job.toml -o run7
+        run7/report.html
+    platform-ctrl design job.toml --watch
+        again after each change, until Ctrl-C
+    platform-ctrl design job.toml --campaign campaign
+        with a section about a campaign
+    platform-ctrl design job.toml --json | jq .requirements
+        the verdicts, to compute with
 
     Exit code 1 if a requirement is not met, or if a method finds no controller (named on standard error).
     """  # noqa: D301
@@ -153,11 +158,16 @@ def check(
     plant, the uncertainty or a limit has changed: then they have to be named.
 
     \b
-    platform-ctrl check job.toml                                          the controllers of out/result.json
-    platform-ctrl check job.toml --controllers out/result.json            the same after a change of plant or job
-    platform-ctrl check job.toml --controllers mine.json -o mine          others, reported elsewhere
-    platform-ctrl check job.toml --baseline accepted.json                 in CI: no value is worse than accepted
-    platform-ctrl check job.toml --quiet && deploy                        go on only if all is met
+    platform-ctrl check job.toml
+        the controllers of out/result.json
+    platform-ctrl check job.toml --controllers out/result.json
+        the same after a change of plant or job
+    platform-ctrl check job.toml --controllers mine.json -o mine
+        others, reported elsewhere
+    platform-ctrl check job.toml --baseline accepted.json
+        in CI: no value is worse than accepted
+    platform-ctrl check job.toml --quiet && deploy
+        go on only if all is met
     """  # noqa: D301
     from platform_ctrl.cli.terminal import progress
 

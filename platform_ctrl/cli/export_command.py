@@ -10,7 +10,6 @@ from typing import Annotated, Any
 
 import typer
 
-from platform_ctrl.cli import completion
 from platform_ctrl.cli.error_lines import noted
 from platform_ctrl.cli.job_arguments import (
     Controllers,
@@ -37,11 +36,16 @@ class ExportCommand:
     must be new, empty, or of an earlier export without changes since.
 
     \b
-    platform-ctrl export job.toml --c firmware/gyro              double precision C99
-    platform-ctrl export job.toml --c firmware/gyro --number float  single precision
-    platform-ctrl export job.toml --mat gyro.mat --csv responses  for MATLAB, Octave, pandas
-    platform-ctrl export job.toml --mjcf gyro.xml               for MuJoCo
-    platform-ctrl export job.toml --c gyro --json | jq .written   with the SHA-256 of every file
+    platform-ctrl export job.toml --c firmware/gyro
+        double precision C99
+    platform-ctrl export job.toml --c firmware/gyro --number float
+        single precision
+    platform-ctrl export job.toml --mat gyro.mat --csv responses
+        for MATLAB, Octave, pandas
+    platform-ctrl export job.toml --mjcf gyro.xml
+        for MuJoCo
+    platform-ctrl export job.toml --c gyro --json | jq .written
+        with the SHA-256 of every file
     """  # noqa: D301
 
     __name__ = "export"
@@ -167,7 +171,6 @@ def _setting_option(setting: Setting) -> Any:
         metavar=setting.metavar,
         help=setting.help,
         show_default=setting.default is not None,
-        autocompletion=completion.words(*setting.choices) if setting.choices else None,
         rich_help_panel=HOW,
     )
     return Annotated[setting.kind if setting.default is not None else setting.kind | None, option]

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
-from platform_ctrl.cli import completion
 from platform_ctrl.common.files import remove_unfinished
 from platform_ctrl.errors import InputError
 
@@ -25,24 +24,9 @@ RESULT = "result.json"
 REPORT = "report.html"
 
 
-def option(
-    *names: str,
-    metavar: str | None = None,
-    help: str,
-    panel: str | None = None,
-    default: bool = False,
-    words: completion.Completer | None = None,
-) -> Any:
-    """Return an option, completed by the words of a metavar such as text|latex; `default`: shown in the help."""
-    choices = metavar.split("|") if metavar is not None and "|" in metavar else ()
-    return typer.Option(
-        *names,
-        metavar=metavar,
-        help=help,
-        rich_help_panel=panel,
-        show_default=default,
-        autocompletion=words or (completion.words(*choices) if choices else None),
-    )
+def option(*names: str, metavar: str | None = None, help: str, panel: str | None = None, default: bool = False) -> Any:
+    """Return an option; `default`: shown in the help."""
+    return typer.Option(*names, metavar=metavar, help=help, rich_help_panel=panel, show_default=default)
 
 
 JobFile = Annotated[
@@ -51,7 +35,6 @@ JobFile = Annotated[
         metavar="JOB",
         help="Job file (TOML); platform-ctrl new writes one.",
         show_default=False,
-        autocompletion=completion.jobs,
     ),
 ]
 Json = Annotated[bool, option("--json", help="Print JSON alone on standard output; no progress.", default=True)]
@@ -72,7 +55,6 @@ Controllers = Annotated[
         help=f"Controllers: a {RESULT}, or a JSON file with its keys schema and controllers alone. Default: JOB with "
         f".controllers.json in place of .toml if that file exists, else {DESIGNED / RESULT}; these have to be those of "
         "this job and its plant as they are now.",
-        words=completion.controller_files,
     ),
 ]
 CampaignFolder = Annotated[
@@ -82,7 +64,6 @@ CampaignFolder = Annotated[
         metavar="DIR",
         help="Folder of a campaign of this job with these controllers: the report gets a section about it, and a run "
         "that violates a limit counts in the verdict.",
-        words=completion.campaign_folders,
     ),
 ]
 

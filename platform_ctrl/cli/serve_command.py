@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from platform_ctrl.cli import completion
 from platform_ctrl.cli.error_lines import noted
 from platform_ctrl.cli.job_arguments import Controllers, Json, Quiet, job_of, option
 
@@ -28,7 +27,6 @@ def serve(
             metavar="JOB",
             help="Job file (TOML).",
             show_default=False,
-            autocompletion=completion.jobs,
         ),
     ],
     controllers: Controllers = None,
@@ -77,10 +75,14 @@ def serve(
     extra designer.
 
     \b
-    platform-ctrl serve job.toml                            opens the page in a browser
-    platform-ctrl serve job.toml --controllers result.json  with the controllers of a design to compare with
-    platform-ctrl serve job.toml --port 8000 --no-browser   at an address of its own: http://127.0.0.1:8000/
-    platform-ctrl serve job.toml --json                     the address as JSON, for another program
+    platform-ctrl serve job.toml
+        opens the page in a browser
+    platform-ctrl serve job.toml --controllers result.json
+        with the controllers of a design to compare with
+    platform-ctrl serve job.toml --port 8000 --no-browser
+        at an address of its own: http://127.0.0.1:8000/
+    platform-ctrl serve job.toml --json
+        the address as JSON, for another program
     """  # noqa: D301
     from platform_ctrl.app.server import AllowedHosts
     from platform_ctrl.cli.interrupts import interruptible

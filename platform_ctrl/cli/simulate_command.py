@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from platform_ctrl.cli import completion
 from platform_ctrl.cli.error_lines import not_drawn, noted
 from platform_ctrl.cli.job_arguments import (
     CAMPAIGN,
@@ -44,7 +43,6 @@ def simulate(
             metavar="NUMBER",
             help="Run of the job's campaign, as its table numbers them from 0. A name, or a number where there is no "
             "campaign, is that of a manoeuvre.",
-            words=completion.manoeuvres,
         ),
     ] = None,
     manoeuvre: Annotated[
@@ -53,7 +51,6 @@ def simulate(
             "--manoeuvre",
             metavar="NAME",
             help="Manoeuvre: its name, or its number from 1.",
-            words=completion.manoeuvres,
         ),
     ] = None,
     controllers: Controllers = None,
@@ -65,7 +62,6 @@ def simulate(
             metavar="DIR",
             help=f"Of a run of the campaign: the campaign's folder, default: {CAMPAIGN}; seed and sampling are those "
             "of the campaign there. A figure of the run goes there; of a manoeuvre only if a folder is named.",
-            words=completion.campaign_folders,
         ),
     ] = None,
     as_json: Json = False,
@@ -79,11 +75,16 @@ def simulate(
     not met.
 
     \b
-    platform-ctrl simulate job.toml                           what can be simulated
-    platform-ctrl simulate job.toml --manoeuvre turn -o runs  by name, with a figure
-    platform-ctrl simulate job.toml --manoeuvre 1 --json      by number, the values as JSON
-    platform-ctrl simulate job.toml --run 4711                the campaign's run 4711: campaign/run-4711.svg
-    platform-ctrl simulate job.toml --run 4711 -o night       of the campaign that was simulated with -o night
+    platform-ctrl simulate job.toml
+        what can be simulated
+    platform-ctrl simulate job.toml --manoeuvre turn -o runs
+        by name, with a figure
+    platform-ctrl simulate job.toml --manoeuvre 1 --json
+        by number, the values as JSON
+    platform-ctrl simulate job.toml --run 4711
+        the campaign's run 4711: campaign/run-4711.svg
+    platform-ctrl simulate job.toml --run 4711 -o night
+        of the campaign that was simulated with -o night
     """  # noqa: D301
     from platform_ctrl.cli.terminal import progress
 

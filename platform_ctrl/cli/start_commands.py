@@ -10,7 +10,6 @@ from typing import Annotated
 
 import typer
 
-from platform_ctrl.cli import completion
 from platform_ctrl.cli.job_arguments import Json, Quiet, one_of, option, prepare_folder
 from platform_ctrl.errors import InputError
 from platform_ctrl.mechanics.symbolic.equations import HIGHEST_ORDER, TERMS, WRITTEN
@@ -58,9 +57,12 @@ def new(
     their methods and their requirements. Both work as they are; then put in your own numbers.
 
     \b
-    platform-ctrl new gyro                              gyro_plant.toml and gyro.toml
-    platform-ctrl design gyro.toml                      designs and checks its loop: out/report.html
-    platform-ctrl new eye --kind camera-gimbal          by what you have
+    platform-ctrl new gyro
+        gyro_plant.toml and gyro.toml
+    platform-ctrl design gyro.toml
+        designs and checks its loop: out/report.html
+    platform-ctrl new eye --kind camera-gimbal
+        by what you have
     """  # noqa: D301
     from platform_ctrl.common.files import write_whole
     from platform_ctrl.common.json_text import json_text
@@ -138,7 +140,6 @@ def equations(
             metavar="PLANT",
             help="A shipped plant's name (see platform-ctrl models), or a plant file (TOML).",
             show_default=False,
-            autocompletion=completion.plants,
         ),
     ],
     form: Annotated[
@@ -156,7 +157,6 @@ def equations(
             metavar="N",
             help=f"Matrices to order 0 to {HIGHEST_ORDER} in the angles, or {EXACT}: in sines and cosines, for small "
             "trees.",
-            autocompletion=completion.words(*ORDERS),
         ),
     ] = "1",
     terms: Annotated[
@@ -164,7 +164,6 @@ def equations(
         typer.Option(
             metavar="|".join(TERMS),
             help="paper: A constant, and in (27) the terms that the paper keeps. exact: all terms.",
-            autocompletion=completion.words(*TERMS),
         ),
     ] = "paper",
     as_json: Annotated[bool, option("--json", help="The same as --format json; no progress.", default=True)] = False,
@@ -176,9 +175,12 @@ def equations(
     (26), and the gimbal equations (27), (19) and (15), with every symbol's meaning, unit and number.
 
     \b
-    platform-ctrl equations three_gyro_platform                        to read
-    platform-ctrl equations plant.toml --format latex > equations.tex  to print
-    platform-ctrl equations plant.toml --terms exact --order 2 --json  all terms to second order, to compute with
+    platform-ctrl equations three_gyro_platform
+        to read
+    platform-ctrl equations plant.toml --format latex > equations.tex
+        to print
+    platform-ctrl equations plant.toml --terms exact --order 2 --json
+        all terms to second order, to compute with
     """  # noqa: D301
     chosen_form, chosen_terms = one_of("--format", form, WRITTEN), one_of("--terms", terms, TERMS)
     if as_json and chosen_form == "latex":

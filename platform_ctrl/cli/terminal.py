@@ -1,7 +1,4 @@
-"""What people see while a command works, and when it is done. Colours and a spinner on a terminal alone.
-
-Requirements stand in aligned columns, the worst first, within the width.
-"""
+"""What people see while a command works, and when it is done. Colours and a spinner on a terminal alone."""
 
 from __future__ import annotations
 
@@ -9,18 +6,17 @@ import os
 import re
 import sys
 import textwrap
-import threading
-import time
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext
 from itertools import groupby
 from typing import TYPE_CHECKING
 
 from platform_ctrl.analysis.metrics import METRICS
 from platform_ctrl.analysis.run_metrics import RUN_METRICS
+from platform_ctrl.cli.error_lines import noted
 from platform_ctrl.cli.interrupts import interruptible
 from platform_ctrl.common.progress import spinner
-from platform_ctrl.common.values import value
 from platform_ctrl.job.judging import CheckResult
 
 if TYPE_CHECKING:
@@ -32,11 +28,6 @@ if TYPE_CHECKING:
 
 # Columns of a pipe, which has no width: a statement is one line there.
 _PIPE_WIDTH = 10_000
-# Seconds after which a first line is printed where there is no terminal, and the last line is printed again.
-_LATE = 2.0
-_AGAIN = (10.0, 30.0, 60.0)
-# Of requirements: columns between columns, fewest for the name of a requirement, and by which what follows is indented.
-_GAP, _NAME, _INDENT = 2, 16, 2
 # From this relative distance on a value that must be small is none: +100 %.
 _NOTHING = 0.995
 
@@ -46,11 +37,11 @@ def progress(quiet: bool, first: str) -> Iterator[Callable[[str], None]]:
     """Yield what a long piece of work calls with a line before each step.
 
     On a terminal the line, at the start `first`, is shown with a spinner and the time since the start, and vanishes at
-    the end. Elsewhere every line is printed on standard error, `first` only if it lasts: where the input turns out to
-    be wrong, only the error is shown. The last line is printed again from time to time, with its time. `quiet` shows
-    none. A Ctrl-C that a library swallowed takes effect at the next step.
+    the end; elsewhere every line but `first` is printed on standard error. `quiet` shows none. A Ctrl-C that a library
+    swallowed takes effect at the next step.
     """
-    with interruptible() as check, _shown(quiet, first) as show:
+    shown = nullcontext(lambda line: None if quiet else noted(line))
+    with interruptible() as check, spinner(first) if sys.stderr.isatty() and not quiet else shown as show:
 
         def say(line: str) -> None:
             check()
@@ -67,52 +58,6 @@ def _compiling(line: str) -> str:
     from platform_ctrl.simulation.compilation import is_compiled
 
     return "" if is_compiled() else " (its kernel is compiled first, once: half a minute)"
-
-
-@contextmanager
-def _shown(quiet: bool, first: str) -> Iterator[Callable[[str], None]]:
-    if quiet:
-        yield lambda line: None
-        return
-    if not sys.stderr.isatty():
-        with _lines(first) as show:
-            yield show
-        return
-    with spinner(first) as show:
-        yield show
-
-
-@contextmanager
-def _lines(first: str) -> Iterator[Callable[[str], None]]:
-    """Yield a function that prints a line; a thread prints the first one after a while and the last one repeatedly."""
-    current, over = first, threading.Event()
-    start = time.monotonic()
-    due = [_LATE, *_AGAIN]
-    lock = threading.Lock()
-
-    def show(line: str) -> None:
-        nonlocal current, start, due
-        with lock:
-            current, start, due = line, time.monotonic(), list(_AGAIN)
-            print(line, file=sys.stderr, flush=True)
-
-    def watch() -> None:
-        while not over.wait(0.1):
-            with lock:
-                lasted = time.monotonic() - start
-                if lasted >= due[0]:
-                    words = current if due[0] == _LATE else f"{current} ({due[0]:g} s)"
-                    due[:] = due[1:] or [due[0] + _AGAIN[-1]]
-                    with suppress(OSError, ValueError):  # the reader has ended: the next print raises
-                        print(words, file=sys.stderr, flush=True)
-
-    watcher = threading.Thread(target=watch, daemon=True)
-    watcher.start()
-    try:
-        yield show
-    finally:
-        over.set()
-        watcher.join()
 
 
 def screen() -> Console:
@@ -190,20 +135,39 @@ def show_words(console: Console, words: str, style: str = "", indent: str = "") 
         console.print(shown, style=style, markup=False, highlight=False, soft_wrap=True)
 
 
-_STYLES = {"title": "bold", "missed": "bold red", "met": "", "goal": "dim", "plain": ""}
-
-
 def show_requirements(
     console: Console, results: Sequence[CheckResult], of: JobResult | None = None, titles: bool = True
 ) -> None:
-    """Print requirements and goals in aligned columns, the worst first; `of` has the proofs."""
+    """Print requirements and goals in a table by subject, the worst first; `of` has the proofs.
+
+    Of what is met by as much as it can be the names alone are printed, below the table. Without `titles` the subjects
+    are not named.
+    """
+    from rich.table import Table
     from rich.text import Text
 
-    for line in requirement_lines(results, console.width, of, titles):
-        text = Text(line.text, _STYLES[line.kind])
-        if line.kind == "met":
-            text.stylize("green", 0, len("met"))
-        console.print(text, soft_wrap=True)
+    from platform_ctrl.report.page.tables import requirement_row
+
+    shown = [one for one in results if not _as_good_as_can_be(one)]
+    table = Table(box=None, pad_edge=False, header_style="dim")
+    for title in ("", "", "value", "limit", "margin"):
+        table.add_column(title, justify="right" if title else "left", no_wrap=bool(title), overflow="fold")
+    order = sorted(shown, key=lambda one: (_group_severity(one, shown), severity(one)))
+    for subject, own in groupby(order, key=subject_of):
+        if titles:
+            table.add_row("", subject, style="bold")
+        for one in own:
+            row = requirement_row(one, of)
+            name = f"{row.requirement}\n  {one.reason}" if one.reason and not one.passed else row.requirement
+            style = "dim" if not one.hard else "" if one.passed else "bold red"
+            mark = Text(_mark(one), "green" if one.hard and one.passed else "")
+            table.add_row(mark, name, row.value, row.limit, row.margin, style=style)
+    if shown:
+        console.print(table)
+    quiet = Counter(one.name for one in results if _as_good_as_can_be(one))
+    if quiet:
+        names = [name if number == 1 else f"{name} ({number} times)" for name, number in quiet.items()]
+        show_words(console, f"also met, by 100 % or more: {'; '.join(names)}", "dim", indent="  ")
 
 
 def _show_verdict(
@@ -229,153 +193,48 @@ def _show_alternatives(console: Console, result: JobResult) -> None:
 
 
 Tick = Callable[[int, int], None]
-Say = Callable[[str], None]
-# Seconds between two lines where there is no terminal: at first, by which factor they grow, and at most.
-_FIRST, _GROWTH, _LAST = 5.0, 1.5, 60.0
 
 
 @contextmanager
 def campaign_progress(quiet: bool, runs: int) -> Iterator[Tick]:
-    """Yield a function for the numbers of stored and of failed runs.
+    """Yield a function for the numbers of stored and of failed runs: a bar on a terminal, elsewhere a line each tenth.
 
     A Ctrl-C that a library swallowed takes effect at the next call.
     """
-    with interruptible() as check, _campaign_shown(quiet, runs) as show:
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    columns = (
+        *(TimeElapsedColumn(), BarColumn(), MofNCompleteColumn()),
+        TextColumn("runs{task.fields[failed]}", markup=False),
+        TimeRemainingColumn(),
+    )
+    bar = sys.stderr.isatty() and not quiet
+    with (
+        interruptible() as check,
+        Progress(*columns, console=Console(stderr=True), transient=True, disable=not bar) as shown,
+    ):
+        task = shown.add_task("", total=runs, failed="")
+        tenth = 0
 
         def tick(done: int, failed: int) -> None:
+            nonlocal tenth
             check()
-            show(done, failed)
+            words = f", {failed:,} diverged or not simulated" if failed else ""
+            shown.update(task, completed=done, failed=words)
+            if not (quiet or bar) and 10 * done // runs > tenth:
+                tenth = 10 * done // runs
+                noted(f"{done:,} of {runs:,} runs{words}")
 
         yield tick
         check()
-
-
-class Pace:
-    """How fast runs are simulated, and how long the rest will take.
-
-    What was there at the start does not count, nor does the time to the first runs: a kernel may have been compiled.
-    """
-
-    def __init__(self, runs: int) -> None:
-        self._runs = runs
-        self._begun: tuple[int, float] | None = None
-        self._calls = 0
-
-    def words(self, done: int, now: float) -> str:
-        """Return rate and time left as far as they are known."""
-        self._calls += 1
-        if self._calls <= 2:
-            self._begun = (done, now)
-        if self._begun is None or done <= self._begun[0] or now <= self._begun[1]:
-            return ""
-        rate = (done - self._begun[0]) / (now - self._begun[1])
-        left = "" if done >= self._runs else f", {time_words((self._runs - done) / rate)} left"
-        return f"{rate:.3g} runs/s{left}" if rate < 100.0 else f"{rate:,.0f} runs/s{left}"
-
-
-def time_words(seconds: float) -> str:
-    """Return a length of time in the two units that say most."""
-    whole = round(seconds)
-    for length, one, other in ((86400, "d", "h"), (3600, "h", "min"), (60, "min", "s")):
-        if whole >= length:
-            smaller = {"h": 3600, "min": 60, "s": 1}[other]
-            return f"{whole // length} {one} {whole % length // smaller} {other}"
-    return f"{whole} s"
-
-
-@contextmanager
-def _campaign_shown(quiet: bool, runs: int) -> Iterator[Tick]:
-    if quiet:
-        yield lambda done, failed: None
-        return
-    pace = Pace(runs)
-    if sys.stderr.isatty():
-        yield from _bar(pace, runs)
-        return
-    due, wait = time.monotonic() + _FIRST, _FIRST
-
-    def tick(done: int, failed: int) -> None:
-        nonlocal due, wait
-        now = time.monotonic()
-        words = pace.words(done, now)
-        if now >= due or done == runs:
-            wait = min(_GROWTH * wait, _LAST)
-            due = now + wait
-            words = f", {words}" if words else ""
-            print(f"{done:,} of {runs:,} runs{words}{_failed_words(failed)}", file=sys.stderr, flush=True)
-
-    yield tick
-
-
-def _bar(pace: Pace, runs: int) -> Iterator[Tick]:
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-
-    columns = (
-        TimeElapsedColumn(),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn("runs {task.fields[pace]}{task.fields[failed]}", markup=False),
-    )
-    with Progress(*columns, console=Console(stderr=True), transient=True) as shown:
-        task = shown.add_task("", total=runs, pace="", failed="")
-
-        def tick(done: int, failed: int) -> None:
-            shown.update(task, completed=done, pace=pace.words(done, time.monotonic()), failed=_failed_words(failed))
-
-        yield tick
-
-
-def _failed_words(number: int) -> str:
-    return f", {number:,} diverged or not simulated" if number else ""
-
-
-@value
-class Line:
-    """A line and what it shows."""
-
-    text: str
-    # "title", "missed", "met", "goal" or "plain"
-    kind: str = "plain"
-
-
-def requirement_lines(
-    results: Sequence[CheckResult], width: int, result: JobResult | None = None, titles: bool = True
-) -> Iterator[Line]:
-    """Walk the lines for requirements and goals by subject, the worst first.
-
-    `result` has the proofs; without `titles` the subjects are not named.
-
-    A line has whether it is met, the name, the value, the limit and the relative distance to the limit, all of them at
-    any width: names are wrapped. Of what is met by as much as it can be only the names are told, in the last line.
-    """
-    from platform_ctrl.report.page.tables import requirement_row
-
-    told = [one for one in results if not _as_good_as_can_be(one)]
-    rows = [(one, requirement_row(one, result)) for one in told]
-    cells = [(_mark(one), row.requirement, row.value, row.limit, row.margin) for one, row in rows]
-    heads = ("", "", "value", "limit", "margin") if cells else ("",) * 5
-    widths = [max(map(len, column)) for column in zip(heads, *cells, strict=True)]
-    numbers = sum(widths[2:]) + 3 * _GAP
-    name = max(min(widths[1], width - widths[0] - _GAP - numbers), _NAME)
-    if cells:
-        yield Line(text=_row(("", "", *heads[2:]), name, widths), kind="goal")
-    order = sorted(range(len(rows)), key=lambda k: (_group_severity(rows[k][0], told), severity(told[k])))
-    for subject, places in groupby(order, key=lambda k: subject_of(told[k])):
-        yield from (Line(text=line, kind="title") for line in textwrap.wrap(subject, width) if titles)
-        for k in places:
-            kind = "goal" if not told[k].hard else "met" if told[k].passed else "missed"
-            first, *more = textwrap.wrap(cells[k][1], name, break_long_words=False, break_on_hyphens=False)
-            yield Line(text=_row((cells[k][0], first, *cells[k][2:]), name, widths), kind=kind)
-            why = [] if told[k].passed else textwrap.wrap(told[k].reason, max(width - widths[0] - 2 * _GAP, _NAME))
-            for line in (*more, *(f"{'':{_GAP}}{words}" for words in why)):
-                yield Line(text=f"{'':{widths[0] + _GAP}}{line}", kind=kind)
-    yield from _folded([one for one in results if _as_good_as_can_be(one)], width)
-
-
-def _row(cells: tuple[str, ...], name: int, widths: Sequence[int]) -> str:
-    numbers = "".join(f"{'':{_GAP}}{cell:>{size}}" for cell, size in zip(cells[2:], widths[2:], strict=True))
-    return f"{cells[0]:{widths[0]}}{'':{_GAP}}{cells[1]:{name}}{numbers}".rstrip()
 
 
 def severity(one: CheckResult) -> tuple[bool, bool, float]:
@@ -422,13 +281,3 @@ def summary_words(results: Sequence[CheckResult], more: str = "") -> str:
 
 def _as_good_as_can_be(one: CheckResult) -> bool:
     return one.hard and (tells_nothing(one) or (one.passed and one.sense == "at most" and one.margin >= _NOTHING))
-
-
-def _folded(results: Sequence[CheckResult], width: int) -> Iterator[Line]:
-    if not results:
-        return
-    counts = {name: sum(one.name == name for one in results) for name in dict.fromkeys(one.name for one in results)}
-    names = [name if number == 1 else f"{name} ({number} times)" for name, number in counts.items()]
-    text = f"also met, by 100 % or more: {'; '.join(names)}"
-    for line in textwrap.wrap(text, width, subsequent_indent=" " * _INDENT, break_on_hyphens=False):
-        yield Line(text=line, kind="goal")

@@ -57,8 +57,10 @@ def warm_up(as_json: Json = False, quiet: Quiet = False) -> int:
     before CI runs its tests, after an update. What is compiled already is not compiled again.
 
     \b
-    platform-ctrl warm-up         once an installation
-    platform-ctrl warm-up --quiet  in a Dockerfile: RUN platform-ctrl warm-up --quiet
+    platform-ctrl warm-up
+        once an installation
+    platform-ctrl warm-up --quiet
+        in a Dockerfile: RUN platform-ctrl warm-up --quiet
     """  # noqa: D301
     from platform_ctrl.cli.terminal import progress
 

@@ -289,7 +289,7 @@ def test_help_teaches_with_examples(arguments: str, capsys: pytest.CaptureFixtur
 
 def test_no_arguments_show_the_help(capsys: pytest.CaptureFixture[str]) -> None:
     assert main([]) == 0
-    assert "Start:" in capsys.readouterr().out
+    assert "Commands:" in capsys.readouterr().out
 
 
 def test_the_version_is_that_of_the_package(capsys: pytest.CaptureFixture[str]) -> None:

@@ -9,7 +9,6 @@ import select
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -226,14 +225,15 @@ def test_an_interrupt_while_files_move_waits_until_they_have(tmp_path: Path, mon
 
 
 def test_what_killed_runs_left_goes_and_what_a_process_writes_stays(tmp_path: Path) -> None:
-    left = [tmp_path / ".unfinished-a1b2c3d4", tmp_path / ".result.json.4711.tmp"]
-    left[0].mkdir()
-    for file in (left[0] / "report.html", left[1]):
-        file.write_text("half")
+    ended = subprocess.run([sys.executable, "-c", "import os; print(os.getpid())"], capture_output=True, check=True)
+    left = [tmp_path / ".unfinished-a1b2c3d4", tmp_path / f".unfinished-{int(ended.stdout)}-x1"]
+    for folder in left:
+        folder.mkdir()
+        (folder / "report.html").write_text("half")
     (tmp_path / ".unfinished-link").symlink_to(tmp_path.parent)
     (tmp_path / "else.tmp").write_text("not ours")
     with written_together(tmp_path) as at_work, replaced_file(tmp_path / "result.json") as file:
-        file.write(b"whole")
+        file.write_bytes(b"whole")
         (at_work / "two").write_text("new")
         write_whole(tmp_path / "result.json", "of another process")
         with written_together(tmp_path):
@@ -271,21 +271,6 @@ def test_what_is_no_file_is_never_replaced(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="pipe: cannot be written: it is no regular file"):
         write_whole(tmp_path / "pipe", "text")
     assert (tmp_path / "pipe").is_fifo()
-
-
-def test_elsewhere_a_line_that_stands_is_printed_again_with_its_time(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(terminal, "_LATE", 0.1)
-    monkeypatch.setattr(terminal, "_AGAIN", (0.4, 60.0))
-    with terminal.progress(False, "reading") as say:
-        time.sleep(0.3)
-        say("designing")
-        time.sleep(0.8)
-        say("drawing")
-    lines = capsys.readouterr().err.splitlines()
-    assert "designing (0.4 s)" in lines
-    assert [line for line in lines if not line.endswith(" s)")] == ["reading", "designing", "drawing"]
 
 
 def test_the_first_run_says_that_its_kernel_is_compiled(
