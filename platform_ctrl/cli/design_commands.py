@@ -267,9 +267,7 @@ class Report:
         """Write the result's file, before anything is drawn, and return its content."""
         from platform_ctrl.verification.result_file import result_record, write_record
 
-        record = result_record(result)
-        write_record(record, self.folder / RESULT)
-        return record
+        return write_record(result_record(result), self.folder / RESULT)
 
     def draw(
         self,
@@ -301,7 +299,7 @@ class Report:
                 counted = campaign.statistics.violation
                 passed = {"passed": campaign.passed, "runs": counted.runs, "violating": counted.events}
                 record |= {"passed": record["passed"] and campaign.passed, "campaign": passed}
-                write_record(record, self.folder / RESULT)
+                record = write_record(record, self.folder / RESULT)
             except InputError as error:
                 refused = InputError(f"{error}; the report in {self.folder} was written without it")
         reports, missing = self._drawn(result, say, command=shlex.join(words), **about)

@@ -40,7 +40,7 @@ _SCHEMA = Expected(f"{SCHEMA}, the format that this version reads", _schema)
 JOB_FILE = dataclasses.replace(
     shape(Job),
     keys={
-        "schema": Key(Expected("2, the format that this version reads", _schema), "schema", needed=True),
+        "schema": Key(_SCHEMA, "schema", needed=True),
         "plant": Key(PLANT, "plant", needed=True),
     }
     | {**shape(Job).keys},

@@ -191,12 +191,14 @@ def versions() -> dict[str, str]:
 
 
 @check_arguments
-def write_record(record: Mapping[str, Any], path: str | os.PathLike[str]) -> None:
+def write_record(record: Mapping[str, Any], path: str | os.PathLike[str]) -> Record:
     """Write `record` as JSON, whole or not at all: what was at `path` stays until the new file is complete.
 
-    The hash of its content is written under ``sha256`` beside those of plant and job.
+    Returns what is written: `record` with the hash of its content under ``sha256``, beside those of plant and job.
     """
-    write_json({**record, "sha256": {**record.get("sha256", {}), "result": _content_hash(record)}}, path)
+    written = {**record, "sha256": {**record.get("sha256", {}), "result": _content_hash(record)}}
+    write_json(written, path)
+    return written
 
 
 def read_record(path: str | os.PathLike[str]) -> Record:
