@@ -18,17 +18,13 @@ from pathlib import Path
 for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
 
-import numpy as np  # noqa: E402  # threads are pinned before it is loaded
-
-from platform_ctrl.app.backend import Backend  # noqa: E402
+from platform_ctrl.app.backend import Backend  # noqa: E402  # threads are pinned before it is loaded
 from platform_ctrl.app.settings import Settings, Slider  # noqa: E402
 from platform_ctrl.errors import PlatformCtrlError  # noqa: E402
 
 LIMIT = 0.100
 REPEATS = 9
 JOB = Path(__file__).parent.parent / "examples" / "three_gyro_platform.toml"
-# Steps of a drag.
-DRAG = 12
 # Slider moves of an hour: about one a second.
 MOVES = 4000
 
@@ -73,38 +69,11 @@ def times(bench: Backend) -> bool:
 
 
 def acts(bench: Backend, settings: Settings) -> None:
-    """Print the times of what follows a gesture instead of a slider."""
-    first = bench.picture(settings)
-    crossover = float(first.bode.crossovers[-1])
-    for name, free in (("pole dragged", False), ("pole dragged, Shift", True)):
-        steps, held = dragged(bench, settings, complex(first.locus.present[first.locus.draggable][0]), free)
-        print(
-            f"  {name:24} {1e3 * statistics.median(steps):6.0f} ms {1e3 * max(steps):6.0f} ms   "
-            f"drag and picture, processor; {held} of {len(steps)} held back"
-        )
-    for name, act in (
-        ("crossover dragged", lambda: bench.drag_crossover(settings, 1.05 * crossover)),
-        ("influence", lambda: bench.influence(settings)),
-    ):
-        begun = time.perf_counter()
-        act()
-        print(f"  {name:24} {1e3 * (time.perf_counter() - begun):6.0f} ms")
-
-
-def dragged(bench: Backend, settings: Settings, pole: complex, free: bool) -> tuple[list[float], int]:
-    """Return the processor times of the steps of a drag of a pole, each with its picture, and how many were held."""
-    times: list[float] = []
-    held: list[tuple[str, ...]] = []
-    first = pole
-    for k in range(1, 1 + DRAG):
-        target = first * (1.0 + 0.01 * k)
-        begun = time.process_time()
-        settings = bench.drag_pole(settings, pole, target, free=free, on_limited=held.append)
-        present = bench.picture(settings).locus.present
-        times.append(time.process_time() - begun)
-        away = np.abs(present - (target if free else pole))
-        pole = complex(present[int(np.nanargmin(away))])
-    return times, len(held)
+    """Print the time of what follows a gesture instead of a slider."""
+    bench.picture(settings)
+    begun = time.perf_counter()
+    bench.influence(settings)
+    print(f"  {'influence':24} {1e3 * (time.perf_counter() - begun):6.0f} ms")
 
 
 def resident() -> float:

@@ -17,7 +17,6 @@ from platform_ctrl.app.closed_loops import ClosedLoops
 from platform_ctrl.app.controllers import built_directly, part_of
 from platform_ctrl.app.curves import Parts
 from platform_ctrl.app.designs import Designs, never, nothing, silent
-from platform_ctrl.app.drags import Drags
 from platform_ctrl.app.job_parts import JobParts, loop_stamp, run_stamp
 from platform_ctrl.app.pictures import Drawing, Measured, NextStep, Picture
 from platform_ctrl.app.saving import JobSource, Saved, controllers_beside, write_job
@@ -45,7 +44,7 @@ from platform_ctrl.common.progress import Progress
 from platform_ctrl.common.signatures import short
 from platform_ctrl.design.loop import limits_and_goals
 from platform_ctrl.design.tuning import OptionEffects, OptionValue, best_move, candidates
-from platform_ctrl.errors import ArgumentError, DesignError, PlatformCtrlError
+from platform_ctrl.errors import ArgumentError, DesignError
 from platform_ctrl.job.job import Job, LoopSpec
 from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.job.methods import METHODS
@@ -57,11 +56,8 @@ from platform_ctrl.verification.simulated import limit_results
 if TYPE_CHECKING:
     from platform_ctrl.simulation.closed_loop import Trajectory
 
-# Digits of a saved slider, and most digits of a number that was typed or found by tuning.
-_DIGITS, _TYPED = 4, 6
 
-
-class Backend(Drags):
+class Backend:
     """All that pages need of a job, shared by them; every method may be called from several threads.
 
     Parameters
@@ -277,11 +273,6 @@ class Backend(Drags):
         else:
             free, notes = self._loops.stabilised(settings)
             drawing, measure = stabilised_parts(free, settings, labels, self._loops.cached_margins(settings))
-        if not any(slider.tunable and not slider.fixed for slider in self.sliders(settings)):
-            # Nothing could follow a drag: none is offered.
-            none = np.zeros_like(drawing.locus.draggable)
-            locus = dataclasses.replace(drawing.locus, draggable=none)
-            drawing = dataclasses.replace(drawing, locus=locus, shapeable=False)
         if not settings.overlays and not ghosts:
             return (drawing, measure), notes
         overlays, more = self._designs.overlays(settings, spec, drawing.bode.frequency)
@@ -396,7 +387,7 @@ class Backend(Drags):
 
     def save(self, settings: Settings, path: str | Path, overwrite: bool = False) -> Saved:
         """Write the settings as a job file, and its controllers beside it; comments of the job's own file stay."""
-        settings = self._shortened(settings)
+        settings = _rounded(settings, self._loops.start)
         controllers = self._loops.controllers(settings, strict=True)
         options, start = self._loops.options, self._loops.start
         closed = {**settings.closed, settings.loop: settings.design}
@@ -412,49 +403,6 @@ class Backend(Drags):
                     used = options.used(settings, spec, design) if built_directly(design) else dict(own)
                     wanted.setdefault(spec.name, {})[design.name] = used
         return write_job(self._source, Path(path), overwrite, settings.but(closed=closed), start, wanted, controllers)
-
-    def _shortened(self, settings: Settings) -> Settings:
-        """Return the settings with dragged numbers rounded to the fewest digits that keep the verdict."""
-        first = self._loops.start.options
-        long = {
-            (loop, design, name): x
-            for loop, designs in settings.options.items()
-            for design, numbers in designs.items()
-            for name, x in numbers.items()
-            if x != first[loop][design].get(name) and x != float(f"{x:.{_TYPED}g}")
-        }
-        if not long:
-            return settings
-        seen = list(dict.fromkeys([*(loop for loop, _, _ in long), settings.loop]))
-        before = self._verdicts(settings, seen)
-        for digits in range(_DIGITS, 17):
-            options = {
-                loop: {
-                    design: {
-                        name: float(f"{x:.{digits}g}") if (loop, design, name) in long else x
-                        for name, x in numbers.items()
-                    }
-                    for design, numbers in designs.items()
-                }
-                for loop, designs in settings.options.items()
-            }
-            short = settings.but(options=options)
-            if self._verdicts(short, seen) == before:
-                return short
-        return settings
-
-    def _verdicts(self, settings: Settings, seen: Sequence[str]) -> list[object]:
-        """Return which requirements of some loops are met; an error counts as a verdict."""
-        out: list[object] = []
-        for loop in seen:
-            here = settings if loop == settings.loop else self.chosen(settings, loop=loop)
-            try:
-                picture = self.picture(here.but(overlays=(), band=True))
-            except PlatformCtrlError as error:
-                out.append(type(error))
-            else:
-                out.append([(one.subject, one.name, one.passed) for one in picture.requirements])
-        return out
 
     @property
     def has_simulated(self) -> bool:
@@ -473,6 +421,24 @@ class Backend(Drags):
         made = next(one for one in task.job.manoeuvres if one.name == manoeuvre)
         self.job_parts.keep(run_stamp(self._loops, settings, manoeuvre), limit_results(task.job, made, trajectory))
         return trajectory
+
+
+def _rounded(settings: Settings, start: Settings) -> Settings:
+    """Return the settings with six digits of all options that are not those of the job: more change no requirement."""
+
+    def number(given: float | None, x: float) -> float:
+        return x if x == given else float(f"{x:.6g}")
+
+    first = start.options
+    return settings.but(
+        options={
+            loop: {
+                design: {name: number(first[loop][design].get(name), x) for name, x in numbers.items()}
+                for design, numbers in designs.items()
+            }
+            for loop, designs in settings.options.items()
+        }
+    )
 
 
 def _fields(parts: Drawing | Measured) -> dict[str, Any]:

@@ -238,7 +238,7 @@ class CagedCurves(LoopCurves):
         others = np.zeros(0, dtype=np.complex128)
         if self.band is not None:
             others = continuous_poles(self.band.poles, loop.shown.period).ravel()
-        return locus(branches, s, others, reach, nyquist, loop.limit("damping"))
+        return locus(branches, s, others, reach, loop.limit("damping"))
 
 
 def caged_parts(loop: CagedLoop, settings: Settings, labels: tuple[str, ...], cached: CachedMetrics) -> Parts:

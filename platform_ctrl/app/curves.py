@@ -11,7 +11,7 @@ import numpy as np
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
 from platform_ctrl.analysis.feedback import closed_loop
-from platform_ctrl.analysis.plant_set import COMMAND, BoolArray
+from platform_ctrl.analysis.plant_set import COMMAND
 from platform_ctrl.analysis.poles import continuous_poles, pole_branches
 from platform_ctrl.app.pictures import (
     Bode,
@@ -190,18 +190,6 @@ def _steps(s: ComplexArray, reach: float) -> FloatArray:
     with np.errstate(invalid="ignore"):
         nearest = np.nan_to_num(np.abs(s[:-1, :, None] - s[1:, None, :]), nan=np.inf).min(axis=2)
     return np.asarray(np.where(np.abs(s[:-1]) < reach, nearest, 0.0).max(axis=1, initial=0.0), dtype=np.float64)
-
-
-def moved_by_gain(gains: FloatArray, branches: ComplexArray, present: ComplexArray) -> BoolArray:
-    """Return which of the present poles (n,) move by a hundredth of themselves or more if the gain is doubled."""
-    at = int(np.argmin(np.abs(gains - 1.0)))
-    low, high = max(at - 1, 0), min(at + 1, len(gains) - 1)
-    with np.errstate(all="ignore"):
-        speed = np.abs(branches[high] - branches[low]) / (gains[high] - gains[low])
-        nearest = np.nanargmin(
-            np.where(np.isfinite(branches[at]), np.abs(present[:, None] - branches[at]), np.inf), axis=1
-        )
-        return np.asarray(speed[nearest] > 0.01 * np.abs(present))
 
 
 # Sampled loops are shown up to this share of the Nyquist frequency: at its edge sensitivities have no meaning.
@@ -405,17 +393,14 @@ def locus(
     present: ComplexArray,
     others: ComplexArray,
     reach: float,
-    nyquist: float,
     damping: float | None,
 ) -> Locus:
     """Return the root locus with the poles of other plants that a view of size `reach` may show."""
     gains, branches = gain_branches
-    size = np.where(np.isfinite(present), np.abs(present), np.inf)
     return Locus(
         gains=gains,
         branches=branches,
         present=present,
-        draggable=np.asarray((present.imag > 1e-6 * size) & (size < 0.9 * nyquist)),
         others=others[np.isfinite(others) & (np.abs(others) < 4.0 * reach)],
         reach=reach,
         damping=damping,

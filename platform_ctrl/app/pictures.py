@@ -2,16 +2,11 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
 from platform_ctrl.analysis.arrays import ComplexArray
 from platform_ctrl.app.settings import Settings, Slider
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.tuning import ResultChange
 from platform_ctrl.job.judging import CheckResult
-
-BoolArray = NDArray[np.bool_]
 
 
 @value
@@ -112,7 +107,7 @@ class Locus:
     """Closed-loop poles for the controller times a factor; s-plane equivalents ln(z)/T, rad/s.
 
     `gains` (G,) are the factors, rising from 0, with 1 among them, and `branches` (G, n) continuous in each column.
-    `present` (n,) are the poles at the factor 1; `draggable` (n,) those in the upper half plane that sliders move.
+    `present` (n,) are the poles at the factor 1;
     `others` are poles of the other plants of the band, `reach` the radius to show, and `damping` the job's smallest
     damping ratio, or None.
     """
@@ -120,7 +115,6 @@ class Locus:
     gains: FloatArray
     branches: ComplexArray
     present: ComplexArray
-    draggable: BoolArray
     others: ComplexArray
     reach: float
     damping: float | None
@@ -194,8 +188,7 @@ class Drawing:
 
     `step` is the response to a torque step: caged at the channel's torquer, stabilised on the platform about the axis.
     `Omega_time` is caged the job's manoeuvre about the axis, linear model; stabilised the attitude after a rate step of
-    the platform; `Omega_frequency` the same over frequency. `bandwidth` is the limit, Hz, or None. Of a
-    design that is not `shapeable` no slider follows a drag.
+    the platform; `Omega_frequency` the same over frequency. `bandwidth` is the limit, Hz, or None.
     """
 
     settings: Settings
@@ -210,7 +203,6 @@ class Drawing:
     bandwidth: float | None
     stable: bool
     all_stable: bool
-    shapeable: bool = True
 
     @property
     def crossover(self) -> float | None:

@@ -68,7 +68,7 @@ class Settings:
     plant, band
         Label of the plant that is shown, and whether all plants of the set are shown around it.
     fixed
-        Names of sliders that neither dragging nor tuning moves.
+        Names of sliders that tuning does not move.
     overlays
         Names of other designs of the loop that are shown as well.
     channel, axis
@@ -125,7 +125,7 @@ def _plain(item: Any) -> Any:
 class Slider:
     """A number of the settings that a slider moves from `low` to `high`; a number beyond the ends may be typed.
 
-    `group` is a heading of the page; ``"design"`` has the options of a method that designs. Dragging and tuning move a
+    `group` is a heading of the page; ``"design"`` has the options of a method that designs. Tuning moves a
     slider that is `tunable` and not `fixed`. `part` is the optional part that it belongs to, or empty. Moving a slider
     in the `background` requests a new design, which takes seconds. A ``"main"`` slider moves the options `along`
     together: by how many per cent each for one per cent.

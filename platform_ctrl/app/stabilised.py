@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Callable, Sequence
 from functools import cached_property
@@ -29,7 +28,6 @@ from platform_ctrl.app.curves import (
     frequency_parts,
     gain_locus,
     locus,
-    moved_by_gain,
     overlay,
     settling,
     step_size,
@@ -310,8 +308,7 @@ class StabilisedCurves(LoopCurves):
             closed = StateArrays(A, B[:, :m], feedback, np.zeros((m, m)), P.dt)
             static = StateArrays(np.zeros((0, 0)), np.zeros((0, m)), np.zeros((m, 0)), np.eye(m), P.dt)
             branches = gain_locus(closed, static, reach)
-        found = locus(branches, self.poles, others.ravel(), reach, nyquist, None)
-        return dataclasses.replace(found, draggable=found.draggable & moved_by_gain(*branches, self.poles))
+        return locus(branches, self.poles, others.ravel(), reach, None)
 
 
 def stabilised_parts(loop: StabilisedLoop, settings: Settings, labels: tuple[str, ...], cached: CachedMargins) -> Parts:

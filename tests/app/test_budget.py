@@ -237,16 +237,3 @@ def test_the_next_step_helps_the_jitter_where_it_is_tightest(tight: Backend) -> 
     assert step.gain.after.ratio < step.gain.before.ratio
     (jitter,) = tight.budget_results(step.settings)
     assert jitter.ratio == pytest.approx(step.gain.after.ratio, rel=1e-9)
-
-
-def test_a_drag_stops_where_the_jitter_reaches_its_limit(tight: Backend) -> None:
-    start, limited = tight.start(), []
-    crossover = tight.picture(start).margins.crossover
-    assert crossover is not None
-    there = tight.drag_crossover(start, 0.7 * crossover, on_limited=limited.append)
-    assert limited == [("line-of-sight jitter",)]
-    measured(tight, there)
-    assert found(tight, there).results[0].ratio <= 1.0 + 2e-3
-    assert there.options["rate"]["pi"]["crossover_hz"] > 0.9 * start.options["rate"]["pi"]["crossover_hz"]
-    free = tight.drag_crossover(start, 0.7 * crossover, free=True)
-    assert free.options["rate"]["pi"]["crossover_hz"] < 0.8 * start.options["rate"]["pi"]["crossover_hz"]

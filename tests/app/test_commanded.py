@@ -109,9 +109,6 @@ def test_sliders_of_both_loops_move_a_tracking_loop_to_where_it_is_designed() ->
     assert shown.margins.disk == pytest.approx(expected.measures.disk_margin[0], rel=1e-6)
     assert shown.margins.disk < 0.95 * first.margins.disk
     assert set(page.influence(at).options) >= {"crossover_hz", "integral_hz"}
-    wanted = 1.1 * first.margins.crossover
-    dragged = page.picture(page.drag_crossover(at, wanted, free=True))
-    assert dragged.margins.crossover == pytest.approx(wanted, rel=1e-2)
     page.close()
 
 

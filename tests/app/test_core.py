@@ -275,40 +275,10 @@ def test_requirements_of_all_loops_are_those_of_check(bench: Backend) -> None:
     assert abs(picture.step.values[0, -1] - picture.step.values[0, -2]) < 0.02 * abs(picture.step.values[0, -1])
 
 
-def test_a_dragged_pole_ends_at_its_target(bench: Backend, settings: Settings, picture: Picture) -> None:
-    for k in np.flatnonzero(picture.locus.draggable)[:3]:
-        pole = complex(picture.locus.present[k])
-        target = pole * (1.04 + 0.02j)
-        dragged = bench.drag_pole(settings, pole, target, free=True)
-        assert np.nanmin(np.abs(bench.picture(dragged).locus.present - target)) < 1e-6 * abs(target)
-    held = settings.but(fixed=frozenset({"crossover_hz", "damping_hz"}))
-    dragged = bench.drag_pole(held, pole, target, free=True)
-    mine, now = (one.options[LOOP]["classical"] for one in (settings, dragged))
-    assert {name for name in mine if mine[name] != now[name]} <= {"damping2_hz", "lead_hz", "rolloff_hz"}
-
-
-@pytest.mark.parametrize(("share", "nearer"), [(1e-2, 0.4), (0.3, 0.8), (30.0, 0.0)])
-def test_a_crossover_that_cannot_reach_its_target_comes_as_near_as_possible(
-    bench: Backend, settings: Settings, picture: Picture, share: float, nearer: float
-) -> None:
-    now = float(picture.bode.crossovers[-1])
-    others = [slider.name for slider in bench.sliders(settings) if slider.name != "crossover_hz"]
-    held = settings.but(fixed=frozenset(others))
-    target = min(share * now, 0.9 * picture.bode.nyquist)
-    dragged = bench.picture(bench.drag_crossover(held, target, free=True)).bode.crossovers
-    assert len(dragged) > 0
-    assert np.abs(np.log(dragged / target)).min() <= abs(np.log(now / target)) - nearer + 1e-9
-
-
-def test_nothing_can_be_dragged_where_all_is_fixed(bench: Backend, settings: Settings, picture: Picture) -> None:
+def test_nothing_is_tuned_where_all_is_fixed(bench: Backend, settings: Settings) -> None:
     fixed = settings.but(fixed=frozenset(slider.name for slider in bench.sliders(settings)))
-    pole = complex(picture.locus.present[picture.locus.draggable][0])
-    with pytest.raises(DesignError, match="no slider may move"):
-        bench.drag_pole(fixed, pole, 1.1 * pole)
     with pytest.raises(DesignError, match="no slider is free"):
         bench.tune(fixed)
-    with pytest.raises(ArgumentError, match="finite"):
-        bench.drag_pole(settings, pole, complex(math.nan, 0.0))
 
 
 def test_influence_is_what_the_moved_slider_does(bench: Backend, settings: Settings, picture: Picture) -> None:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from browser import PLACE, Screen, screen, served
+from browser import Screen, screen, served
 
 pytest.importorskip("bokeh")
 pytest.importorskip("tomlkit")
@@ -243,35 +243,6 @@ def test_a_drag_that_moves_the_ends_of_other_sliders_goes_on(page: Page) -> None
     page.keyboard.press("Control+z")
     shows(page, "rate_hz", "2000")
     assert page.locator("#undo").is_disabled()
-
-
-HANDLE = """() => {
-  for (const model of Bokeh.documents[0]._all_models.values()) {
-    if (model.name === "crossover-handle") return Math.sqrt(model.left * model.right);
-  }
-}"""
-
-
-def test_a_drag_stops_at_a_met_limit_and_goes_on_with_shift(page: Page) -> None:
-    def drag_down(steps: int) -> None:
-        at = float(page.evaluate(HANDLE))
-        first, last = (page.evaluate(PLACE, ["bode-figure-0", f, 10.0]) for f in (at, 0.2 * at))
-        page.mouse.move(*first)
-        page.mouse.down()
-        page.mouse.move(*last, steps=steps)
-        page.mouse.up()
-
-    # The job asks for 20 Hz of bandwidth: the crossover cannot be dragged to a fifth.
-    assert "met" in (page.locator("#verdict").text_content() or "")
-    drag_down(6)
-    assert "Limited by bandwidth" in line(page, "hold Shift to go on")
-    settled(page)
-    assert "met" in (page.locator("#verdict").text_content() or "")
-    page.keyboard.down("Shift")
-    drag_down(6)
-    page.keyboard.up("Shift")
-    until(page, lambda: "missed" in (page.locator("#verdict").text_content() or ""))
-    assert "Limited by" not in (page.locator("#line").text_content() or "")
 
 
 def test_a_margin_beyond_999_percent_is_shown_as_more(page: Page) -> None:

@@ -19,7 +19,6 @@ from bokeh.models import BoxAnnotation, Label, Model, NoOverlap, Plot, Range1d, 
 from bokeh.protocol import Protocol
 
 from designer_pictures import DAMPING, broken, empty, picture
-from platform_ctrl.app.pictures import Picture
 from platform_ctrl.app.plots import Plots
 from platform_ctrl.app.plots.data import Unit, View, colours, quantity, round_bounds, spaced
 from platform_ctrl.app.plots.locus import refined
@@ -481,96 +480,3 @@ def test_the_models_have_no_faults(plots: Plots, document: Document, caplog: pyt
     faults = check_integrity(list(document.models))
     assert not faults.error
     assert not faults.warning
-
-
-def test_a_dragged_pole_is_followed_from_picture_to_picture(fresh: Plots) -> None:
-    plots = fresh
-    dragged: list[tuple[complex, complex]] = []
-
-    def answered(pole: complex, target: complex) -> None:
-        dragged.append((pole, target))
-        plots.show(picture(abs(target) ** 2))
-
-    plots.on_pole_dragged(answered)
-    plots.show(picture())
-    [box] = [one for one in named(plots, BoxAnnotation) if (one.name or "").startswith("pole-handle") and one.visible]
-    centre = box.bottom
-    box.update(bottom=centre + 20.0, top=box.top + 20.0)
-    where = (box.left, box.bottom)
-    dragged.clear()
-    box.update(bottom=centre + 40.0, top=box.top + 20.0)
-    assert (box.left, box.bottom) == (where[0], centre + 40.0)  # what is dragged stays under the mouse
-    present = dragged[-1][0]
-    assert present.imag > 70.0  # as it stands after the first answer, not where it began
-
-
-def test_the_plane_stays_while_a_pole_is_dragged_over_it(fresh: Plots) -> None:
-    shown = picture()
-    far = dataclasses.replace(shown, locus=dataclasses.replace(shown.locus, reach=500.0))
-    fresh.show(shown)
-    y = figure(fresh, "locus").y_range
-    before = y.end
-    [box] = [one for one in named(fresh, BoxAnnotation) if (one.name or "").startswith("pole-handle") and one.visible]
-    box.update(bottom=box.bottom + 20.0, top=box.top + 20.0)
-    fresh.show(far)
-    assert y.end == before
-    fresh._locus.handles.drag.end()
-    assert y.end > 500.0
-
-
-def test_a_ring_keeps_its_pole_when_another_becomes_slower(fresh: Plots) -> None:
-    shown = picture()
-
-    def with_poles(*poles: complex) -> Picture:
-        present = np.array(poles)
-        locus = dataclasses.replace(shown.locus, present=present, draggable=np.ones(len(poles), np.bool_))
-        return dataclasses.replace(shown, locus=locus)
-
-    def centres() -> dict[str | None, complex]:
-        boxes = [one for one in named(fresh, BoxAnnotation) if (one.name or "").startswith("pole-handle")]
-        return {
-            one.name: complex(0.5 * (one.left + one.right), 0.5 * (one.bottom + one.top))
-            for one in boxes
-            if one.visible
-        }
-
-    fresh.show(with_poles(-10 + 50j, -20 + 60j))
-    first = centres()
-    fresh.show(with_poles(-10 + 54j, -20 + 56j, -5 + 1j))
-    second = centres()
-    fresh.show(with_poles(-10 + 58j, -20 + 52j))
-    third = centres()
-    [name] = [one for one, centre in first.items() if abs(centre - (-10 + 50j)) < 1e-6]
-    assert second[name] == pytest.approx(-10 + 54j)
-    assert third[name] == pytest.approx(-10 + 58j)
-    assert (len(first), len(second), len(third)) == (2, 3, 2)
-
-
-def test_a_dragged_crossover_calls_back_with_its_frequency(fresh: Plots) -> None:
-    plots = fresh
-    dragged: list[float] = []
-    plots.on_crossover_dragged(dragged.append)
-    shown = picture()
-    plots.show(shown)
-    [box] = [one for one in named(plots, BoxAnnotation) if one.name == "crossover-handle"]
-    assert np.sqrt(box.left * box.right) == pytest.approx(shown.margins.crossover * HZ)  # type: ignore[operator]
-    assert plots.drags == 0
-    box.update(left=1.5 * box.left, right=1.5 * box.right)
-    assert plots.drags == 1
-    assert dragged[-1] == pytest.approx(1.5 * shown.margins.crossover)  # type: ignore[operator]
-
-
-def test_nonsense_from_a_browser_moves_nothing(fresh: Plots) -> None:
-    plots = fresh
-    dragged: list[object] = []
-    plots.on_pole_dragged(lambda pole, target: dragged.append(pole))
-    plots.on_crossover_dragged(dragged.append)
-    plots.show(picture())
-    for box in named(plots, BoxAnnotation):
-        if box.editable:
-            box.update(left=float("nan"), right=-1.0, top=float("inf"))
-    figure(plots, "bode").x_range.update(start=float("nan"), end=-3.0)
-    figure(plots, "locus").y_range.update(start=5.0, end=5.0)
-    assert dragged == []
-    shown: Picture = picture(5000.0)
-    plots.show(shown)

@@ -147,7 +147,7 @@ def test_a_change_at_the_moment_at_which_a_design_becomes_available_is_kept(driv
 def test_every_request_is_answered_when_results_come_faster_than_they_are_shown(driven: Driven) -> None:
     driven.request("set", name="axis", value=2)
     driven.work()
-    driven.session.change("drag", lambda settings: settings)  # a drag has no request to be answered
+    driven.session.change("again", lambda settings: settings)  # as a design that has become available
     driven.settle()
     assert driven.state["axis"] == 2
     assert driven.answered == driven.count

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -13,7 +12,6 @@ pytest.importorskip("bokeh", reason="the extra `designer` is not installed")
 from app.test_page import JOB
 from platform_ctrl.app.backend import Backend
 from platform_ctrl.app.background import Made
-from platform_ctrl.app.plots import Plots
 from platform_ctrl.app.trade_off import TradeOffPoint, chosen_point, front, trade_off_data
 from platform_ctrl.errors import ArgumentError
 
@@ -118,21 +116,3 @@ def test_a_page_opens_on_a_loop_that_sliders_shape_at_once(tmp_path: Path) -> No
     assert given.start().loop == "stabilisation"
     assert [given.start().closed[loop] for loop in given.choices().loops] == ["structured", "structured", "servo"]
     assert by_hand.start().loop == by_hand.choices().loops[0]
-
-
-def test_a_design_without_sliders_that_act_offers_no_handles(backend: Backend) -> None:
-    settings = backend.start(LOOP)
-    plots = Plots()
-    shaped = backend.picture(settings)
-    plots.show(shaped)
-    assert shaped.shapeable
-    assert any(box.visible for box in plots._locus.handles.boxes)
-    assert plots._bode.handle.box.visible
-    fixed = settings.but(fixed=frozenset(one.name for one in backend.sliders(settings)))
-    still = backend.picture(fixed)
-    plots.show(still)
-    assert not still.shapeable
-    assert not any(box.visible for box in plots._locus.handles.boxes)
-    assert not plots._bode.handle.box.visible
-    # The crossover itself stays marked.
-    assert plots._bode.handle.line.location == pytest.approx(still.crossover / (2.0 * math.pi))

@@ -137,7 +137,6 @@ def picture(gain: float = 4000.0, *, overlays: tuple[str, ...] = (), plants: int
             gains=gains,
             branches=branches,
             present=present,
-            draggable=present.imag > 0.0,
             others=np.concatenate([poles(k * gain) for k in spread[1:]]) if plants else np.zeros(0, np.complex128),
             reach=120.0,
             damping=0.1,

@@ -34,7 +34,6 @@ REQUESTS: Mapping[str, Mapping[str, type]] = {
     "dark": {"dark": bool},
     "move": {"moves": list, "gesture": int},
     "fix": {"slider": str, "fixed": bool},
-    "free": {"free": bool},
     "part": {"part": str, "on": bool},
     "reset": {"slider": str},
     "overlay": {"design": str, "on": bool},
@@ -293,8 +292,6 @@ def next_data(step: NextStep | None, picture: Picture) -> dict[str, Any]:
     if step is None:
         tightest = max(picture.requirements, key=lambda one: one.ratio, default=None)
         of = "" if tightest is None else f" {tightest.name}"
-        if not picture.shapeable:
-            return {"move": "Made by its method", "gain": "Choose between robust and fast", "cost": "", "slider": ""}
         return {"move": f"No single slider helps{of}", "gain": "", "cost": "", "slider": ""}
     slider = step.slider
     way = "Raise" if step.after > slider.value else "Lower"

@@ -12,7 +12,6 @@ from platform_ctrl.app.gimbal_tree import TreeView
 from platform_ctrl.app.page import messages
 from platform_ctrl.app.page.compared import Compared
 from platform_ctrl.app.page.connection import Connection
-from platform_ctrl.app.page.drags import PageDrags
 from platform_ctrl.app.page.messages import Request, chosen, parse_request, request_count
 from platform_ctrl.app.page.tasks import LatestTasks, PageTasks, error_text
 from platform_ctrl.app.plots import Plots
@@ -56,13 +55,12 @@ class Task:
 class Outcome:
     """The result of tasks: a picture, or the line of an error, which may come after the curves were `drawn` already.
 
-    `limited_by` are the limits of a drag; a result that `awaits` is computed again once a design is available.
+    A result that `awaits` is computed again once a design is available.
     """
 
     settings: Settings
     picture: Picture | None
     line: str | None
-    limited_by: tuple[str, ...]
     awaits: bool
     drawn: bool
     count: int
@@ -102,11 +100,7 @@ class Session:
         # Settings that wait for a design, and the gesture that led to them; only `_work` uses it.
         self._awaited: tuple[Settings, object] | None = None
         self._idle: Any = None
-        # Whether a drag may violate limits, and which of them hold the present one back.
-        self.free = False
-        self._limited_by: tuple[str, ...] = ()
         self._tasks = PageTasks(self)
-        PageDrags(self, self._tasks)
         self.compared = Compared(self)
         self._stop_listening = backend.on_designed(self._designed)
 
@@ -233,14 +227,6 @@ class Session:
         there = step()
         self.change("history", lambda settings: there, count=request.count, gesture="history")
 
-    def _on_free(self, request: Request) -> None:
-        self.free = request.more["free"]
-        self.connection.answer(request.count)
-
-    def limited(self, names: tuple[str, ...]) -> None:
-        """Remember which limits hold a drag back; called while a change is computed."""
-        self._limited_by = names
-
     # What comes of it.
 
     def _designed(self) -> None:
@@ -254,7 +240,6 @@ class Session:
         gesture = next((task.gesture for task in reversed(tasks) if task.gesture != "ready"), "ready")
         if gesture == "ready" and self._awaited is not None:
             settings, gesture = self._awaited
-        self._limited_by = ()
         for task in tasks:
             try:
                 settings = task.change(settings)
@@ -283,7 +268,6 @@ class Session:
             settings=settings,
             picture=picture,
             line=line,
-            limited_by=self._limited_by,
             awaits=awaits,
             drawn=drawn,
             count=max(task.count for task in tasks),
@@ -332,8 +316,6 @@ class Session:
         line = self._line or out.line
         self._line = None
         notes = () if out.picture is None else out.picture.notes
-        if out.limited_by:
-            notes = (f"Limited by {' and '.join(out.limited_by)}; hold Shift to go on", *notes)
         kind = "error" if line and not out.awaits else "quiet"
         data: dict[str, Any] = {"line": {"text": line or ". ".join(notes), "kind": kind}}
         if out.picture is not None:

@@ -30,8 +30,6 @@ if TYPE_CHECKING:
     from platform_ctrl.app.settings import Choices, Settings
     from platform_ctrl.design.tuning import OptionEffects
 
-Region = TypeVar("Region")
-
 # A plain file name; those that Windows reserves.
 _NAME = re.compile(r"[\w .,()+=@-]+(?<![ .])")
 _LONGEST = 80
@@ -193,15 +191,6 @@ class PageTasks:
             before_each()
             parts.measure(one)
             self._connection.later(page.parts_measured)
-
-    def shade(self, region: Callable[[], Region], show: Callable[[Region], None]) -> None:
-        """Compute where a drag may lead in a thread of its own, and show it."""
-
-        def found() -> Callable[[], None]:
-            there = region()
-            return lambda: show(there)
-
-        self._do(found, lambda line: None)
 
     def _on_cancel(self, request: Request) -> None:
         self._cancel()

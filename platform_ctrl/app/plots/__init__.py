@@ -1,18 +1,16 @@
-"""The page's plots: Bokeh figures that follow a `Drawing`, with poles and a crossover to be dragged."""
+"""The page's plots: Bokeh figures that follow a `Drawing`."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 
 from bokeh.models import LayoutDOM
 
-from platform_ctrl.analysis.arrays import ComplexArray
 from platform_ctrl.app.pictures import Drawing
 from platform_ctrl.app.plots.budget import BudgetPlots
 from platform_ctrl.app.plots.data import Sources, View
 from platform_ctrl.app.plots.frequency import BodePanel, NicholsPanel
-from platform_ctrl.app.plots.handles import SliderHandle
 from platform_ctrl.app.plots.locus import LocusPanel
 from platform_ctrl.app.plots.panel import Theme
 from platform_ctrl.app.plots.responses import RatePanel, StepPanel
@@ -47,12 +45,6 @@ class Plots:
         panels = self._panels if self._budget is None else (*self._panels, *self._budget.panels)
         self.layout: dict[str, LayoutDOM] = {one.name: one.layout for one in panels}
 
-    @property
-    def drags(self) -> int:
-        """Number of drags so far: all callbacks of one drag see the same number."""
-        sliders = sum(one.drag.count for one in self._bode.sliders)
-        return self._locus.handles.drag.count + self._bode.handle.drag.count + sliders
-
     def show(self, picture: Drawing) -> None:
         """Follow a picture: all changes go to the browser together, no model is made or removed.
 
@@ -81,37 +73,6 @@ class Plots:
         if self._budget is not None:
             with self._combined():
                 self._budget.show(found)
-
-    def shade_poles(self, corners: ComplexArray) -> None:
-        """Shade the region that the dragged pole may be brought to, rad/s, while the drag lasts."""
-        self._locus.shade(corners)
-
-    def shade_crossovers(self, ends: tuple[float, float]) -> None:
-        """Shade where the crossover may be dragged to, rad/s, while the drag lasts."""
-        self._bode.shade(*ends)
-
-    def on_pole_dragged(self, callback: Callable[[complex, complex], None]) -> None:
-        """Call `callback` a few times a second while a pole is dragged, and at the end.
-
-        Parameters
-        ----------
-        callback
-            Gets the pole in the last picture and its target, rad/s, both in the upper half of the s-plane.
-        """
-        self._locus.handles.callbacks.append(callback)
-
-    def on_crossover_dragged(self, callback: Callable[[float], None]) -> None:
-        """Call `callback` with the new crossover, rad/s, a few times a second while it is dragged, and at the end."""
-        self._bode.handle.callbacks.append(callback)
-
-    def on_slider_dragged(self, callback: Callable[[str, float], None]) -> None:
-        """Call `callback` with a slider's name and its new frequency, rad/s, while it is dragged."""
-        for handle in self._bode.sliders:
-
-            def dragged(frequency: float, handle: SliderHandle = handle) -> None:
-                callback(handle.slider, frequency)
-
-            handle.callbacks.append(dragged)
 
     @contextmanager
     def _combined(self) -> Iterator[None]:

@@ -1,4 +1,4 @@
-"""The loop over frequency: the Bode diagram with a crossover to drag, and the Nichols plot of all plants of the set."""
+"""The loop over frequency: the Bode diagram, and the Nichols plot of all plants of the set."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 from bokeh.core.properties import value
-from bokeh.models.annotations.geometry import BoxAnnotation
 
 from platform_ctrl.app.pictures import Bode, Drawing, Nichols
 from platform_ctrl.app.plots.closed_loop import ClosedLoopFigures
@@ -27,16 +26,12 @@ from platform_ctrl.app.plots.data import (
     stepped,
     thinned,
 )
-from platform_ctrl.app.plots.handles import CrossoverHandle, SliderHandle
 from platform_ctrl.app.plots.panel import OverlayCurves, Panel, Theme, limit_key, overlay_keys, set_message
-from platform_ctrl.app.settings import Settings
 from platform_ctrl.common.values import FloatArray
 
 # Words of the button while the open loop is shown, and while the closed one is.
 _TOGGLE = {False: "S, T, KS, PS", True: "loop L"}
 _BAND = ("frequency", "gain_low", "gain_high", "phase_low", "phase_high")
-# Sliders that are dragged in the diagram: their words, and the optional part that they belong to.
-_SLIDERS = {"lead_hz": ("lead zero", ""), "inertial_lead_hz": ("inertial zero", ""), "notch_hz": ("notch", "notch")}
 _MARK_WORDS = ("gain_words", "phase_words")
 _MARKS = ("frequency", "gain0", "gain1", "phase0", "phase1")
 
@@ -83,11 +78,7 @@ class BodePanel(Panel):
             theme.paint(text.glyph, text_color="ink")
             self.hover(plot, [line], rows, mode="vline", line_policy="interp")
         self.crosshair(above, below)
-        self._reach: Any = BoxAnnotation(visible=False, level="underlay", fill_alpha=0.12, line_alpha=0.0, left=1.0)
-        theme.paint(self._reach, fill_color="series-1")
-        above.add_layout(self._reach)
-        self.handle = CrossoverHandle(above, theme, lambda: self._reach.update(visible=False))
-        self.sliders = [SliderHandle(above, theme) for _ in range(len(_SLIDERS))]
+        self._crossover = self.span(above, "height", "series-1", line_width=1.2)
         self._message = self.message(above)
         self._open, self._closed = (above, below), ClosedLoopFigures(self, frequency)
         self._toggle = self.toggle(_TOGGLE[False], lambda: self.choose(not self._is_closed))
@@ -101,19 +92,6 @@ class BodePanel(Panel):
         self._closed.choose(closed)
         if self._picture is not None:
             self.show(self._picture)
-
-    def _mark_sliders(self, settings: Settings) -> None:
-        """Mark the lead zeros and the notch of a design that is shaped by sliders."""
-        options = settings.options.get(settings.loop, {}).get(settings.design, {})
-        on = settings.parts_on(settings.loop, settings.design)
-        for handle, (name, (words, part)) in zip(self.sliders, _SLIDERS.items(), strict=True):
-            shown = name in options and (not part or part in on)
-            handle.mark(name, words, options[name] if shown else None)
-
-    def shade(self, low: float, high: float) -> None:
-        """Shade where the crossover may be dragged to, rad/s; it goes with the drag."""
-        if self.handle.drag.active:
-            self._reach.update(left=low * HZ, right=high * HZ, visible=True)
 
     def show(self, picture: Drawing) -> None:
         """Follow a picture."""
@@ -141,12 +119,10 @@ class BodePanel(Panel):
             assign(span, location=float(bode.nyquist * HZ) if math.isfinite(bode.nyquist) else None)
         for span in self._required:
             assign(span, location=required)
-        # An axis that moves would move the crossover under the mouse.
-        self._frequency.fit(None if self.handle.drag.active else extent([f]))
+        self._frequency.fit(extent([f]))
         self._gain.fit(extent([gain, band[1], band[2]]))
         self._phase.fit(extent([phase]))
-        self.handle.show(None if crossover is None else crossover * HZ, movable=picture.shapeable)
-        self._mark_sliders(picture.settings)
+        assign(self._crossover, location=None if crossover is None else crossover * HZ)
         if self._is_closed:
             self.heading(f"closed loop at {bode.channel}")
             self.keys(self._closed.show(picture))

@@ -1,4 +1,4 @@
-"""The root locus in the s-plane: branches over the gain, damping rays, and poles to be dragged."""
+"""The root locus in the s-plane: branches over the gain and damping rays."""
 
 from __future__ import annotations
 
@@ -22,7 +22,6 @@ from platform_ctrl.app.plots.data import (
     spaced,
     thinned,
 )
-from platform_ctrl.app.plots.handles import PoleHandles
 from platform_ctrl.app.plots.panel import Key, Panel, Theme, limit_key, set_message
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.job.quantities import plain
@@ -126,8 +125,6 @@ class LocusPanel(Panel):
         self._reach = 0.0
         self._draw_plane(plot)
         self._draw_poles(plot)
-        self.handles = PoleHandles(plot, theme, sources, self._follow_later)
-        self._later: Locus | None = None
         self._message = self.message(plot)
         # Below the damping ratios at the ends of the rays.
         self._message.y_offset -= 14
@@ -153,9 +150,6 @@ class LocusPanel(Panel):
         new, draw = self.sources.new, self.draw
         cursor = new("cursor_locus", "re", "im")
         draw(plot.line, "re", "im", source=cursor, line="reference", line_width=1.2, line_dash=[3, 3])
-        reach = new("reach", "re", "im")
-        area: dict[str, Any] = {"fill_alpha": 0.12, "line_alpha": 0.6, "line_dash": [4, 3]}
-        draw(plot.patch, "re", "im", source=reach, line="series-1", fill="series-1", **area)
         others = new("other_poles", "re", "im")
         cloud: dict[str, Any] = {"marker": "dot", "size": 8, "line_alpha": 0.0, "fill_alpha": 0.35}
         draw(plot.scatter, "re", "im", source=others, fill="series-1", **cloud)
@@ -165,10 +159,6 @@ class LocusPanel(Panel):
         draw(plot.scatter, "re", "im", source=starts, line="series-3", fill="page", marker="circle", size=4)
         overlays = new("overlay_poles", "re", "im", lists=("colour", "name"))
         plot.scatter("re", "im", source=overlays, marker="x", size=7, line_width=1.3, line_color="colour")
-        away = new("dragged", "x0", "y0", "x1", "y1")
-        draw(plot.segment, "x0", "y0", "x1", "y1", source=away, line="ink", line_width=1.2, line_dash=[3, 3])
-        target: dict[str, Any] = {"marker": "circle", "size": 9, "fill_alpha": 0.0, "line_width": 1.2}
-        draw(plot.scatter, "x1", "y1", source=away, line="ink", **target)
         poles = new("poles", "re", "im", "damping", "hz")
         cross = draw(plot.scatter, "re", "im", source=poles, line="series-1", marker="x", size=9, line_width=2)
         rows = [("pole", "@re{0.0} ± j @im{0.0} rad/s"), ("frequency", "@hz{0.0} Hz"), ("damping", "@damping{0.000}")]
@@ -211,8 +201,6 @@ class LocusPanel(Panel):
         )
         self._follow(locus)
         self._required(locus.damping)
-        self.handles.show(locus)
-        self.heading("drag a ringed pole" if locus.draggable.any() else "")
         limits = [limit_key(f"required damping {locus.damping:g}")] if locus.damping is not None else []
         designs: list[Key] = [(one.design, series(1 + k), (), 1.5) for k, one in enumerate(overlays)]
         self.keys([("gain from 0", "series-3", (), 1.4), *limits, *designs])
@@ -231,10 +219,6 @@ class LocusPanel(Panel):
 
     def _follow(self, locus: Locus) -> None:
         """Show the upper half plane as far as it matters; small changes of the reach move nothing."""
-        if self.handles.drag.active:
-            # A view that moves would move the pole under the mouse; it follows afterwards.
-            self._later = locus
-            return
         if not (math.isfinite(locus.reach) and locus.reach > 0.0):
             return
         if self._reach / _HYSTERESIS <= locus.reach <= self._reach:
@@ -248,17 +232,6 @@ class LocusPanel(Panel):
         self._label(radii)
         arcs = np.outer(radii[radii < 4.0 * reach], turn)
         self.sources.put("arcs", x=joined_curves(arcs.real), y=joined_curves(arcs.imag))
-
-    def shade(self, corners: ComplexArray) -> None:
-        """Shade the region that the dragged pole may be brought to; it goes with the drag."""
-        if self.handles.drag.active:
-            self.sources.put("reach", re=column(corners.real), im=column(corners.imag))
-
-    def _follow_later(self) -> None:
-        self.sources.clear("reach")
-        locus, self._later = self._later, None
-        if locus is not None:
-            self._follow(locus)
 
     def _label(self, radii: FloatArray) -> None:
         """Write frequencies beside the arcs and damping ratios at the ends of the rays."""

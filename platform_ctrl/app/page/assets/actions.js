@@ -124,7 +124,6 @@ const KEYS = [
   ["← →", "move the slider; with Shift: coarsely"],
   ["PgUp PgDn", "move the slider by a tenth"],
   ["Home End", "to the slider's ends"],
-  ["Shift", "with the mouse: a drag in a plot may violate limits"],
   ["G", "go to the sliders", (e) => e.key === "g", () => (byId("trade-off").hidden ? rows.values().next().value?.range : byId("speed"))?.focus()],
   ["N", "type the slider's number; Enter takes it", (e) => e.key === "n", () => focusedRow()?.number.focus()],
   ["X", "fix the slider, or free it", (e) => e.key === "x", () => focusedRow()?.pin.click()],

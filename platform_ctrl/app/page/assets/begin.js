@@ -20,20 +20,6 @@ window.page = {
   },
 };
 
-// With Shift a drag in a plot may make limits missed: sent as soon as it changes, before the place of the next move.
-const shiftFrees = () => {
-  let free = false;
-  const heard = (now) => {
-    if (now === free) return;
-    free = now;
-    request("free", { free });
-  };
-  for (const name of ["keydown", "keyup", "pointerdown", "pointermove"]) {
-    window.addEventListener(name, (event) => heard(event.shiftKey === true), { capture: true, passive: true });
-  }
-  window.addEventListener("blur", () => heard(false));
-};
-
 const begin = (bokeh) => {
   const messages = bokeh.get_model_by_name("messages");
   connect((message) => { messages.request = JSON.stringify(message); });
@@ -44,7 +30,6 @@ const begin = (bokeh) => {
     window.dispatchEvent(new CustomEvent("response", { detail: traffic() }));
   });
   watch(bokeh);
-  shiftFrees();
   themeChanged();
   request("ready");
 };

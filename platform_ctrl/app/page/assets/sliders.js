@@ -59,7 +59,7 @@ const makeRow = (slider, k) => {
   const id = `slider-${k}`;
   const range = made("input", { type: "range", id, min: 0, max: STEPS, step: 1, "aria-describedby": `${id}-tip` });
   const number = made("input", { type: "text", inputMode: "decimal", autocomplete: "off", spellcheck: false, "aria-label": `${slider.label}, ${slider.unit || "number"}` });
-  const pin = made("button", { type: "button", className: "pin", title: "Fix: neither dragging nor tuning changes it (X)", "aria-label": `Fix ${slider.label}` }, icon("pin"));
+  const pin = made("button", { type: "button", className: "pin", title: "Fix: tuning does not change it (X)", "aria-label": `Fix ${slider.label}` }, icon("pin"));
   const reset = made("button", { type: "button", className: "reset", title: "Reset to the job's value (R)", "aria-label": `Reset ${slider.label}` }, icon("reset"));
   const label = made("label", { for: id, title: slider.tip }, slider.label);
   const unit = made("span", { className: "unit" }, slider.unit);
