@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,13 +12,13 @@ import numpy as np
 
 from platform_ctrl.app.background import IsCancelled, ServoTuning, Simulating, TaskRunner, Tuning, run_alone
 from platform_ctrl.app.budget import BudgetState
-from platform_ctrl.app.caged import caged_parts, loop_metrics
+from platform_ctrl.app.caged import caged_parts
 from platform_ctrl.app.closed_loops import ClosedLoops
 from platform_ctrl.app.controllers import built_directly, part_of
 from platform_ctrl.app.curves import Parts
 from platform_ctrl.app.designs import Designs, never, nothing, silent
 from platform_ctrl.app.job_parts import JobParts, loop_stamp, run_stamp
-from platform_ctrl.app.pictures import Drawing, Measured, NextStep, Picture
+from platform_ctrl.app.pictures import Drawing, Measured, Picture
 from platform_ctrl.app.saving import JobSource, Saved, controllers_beside, write_job
 from platform_ctrl.app.settings import (
     Choices,
@@ -28,7 +28,6 @@ from platform_ctrl.app.settings import (
     main_sliders,
     moved,
     option_sliders,
-    plant_sliders,
     with_options,
 )
 from platform_ctrl.app.slider_effects import (
@@ -37,19 +36,16 @@ from platform_ctrl.app.slider_effects import (
     stabilised_influence,
     with_budget,
 )
-from platform_ctrl.app.stabilised import requirements, stabilised_parts
-from platform_ctrl.app.trade_off import TradeOff
+from platform_ctrl.app.stabilised import stabilised_parts
 from platform_ctrl.common.arguments import known_name, whole
 from platform_ctrl.common.progress import Progress
 from platform_ctrl.common.signatures import short
-from platform_ctrl.design.loop import limits_and_goals
-from platform_ctrl.design.tuning import OptionEffects, OptionValue, best_move, candidates
+from platform_ctrl.design.tuning import OptionEffects
 from platform_ctrl.errors import ArgumentError, DesignError
 from platform_ctrl.job.job import Job, LoopSpec
 from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.job.methods import METHODS
 from platform_ctrl.job.reading import read_job
-from platform_ctrl.plant.platform import OMEGA_NAMES
 from platform_ctrl.verification.controllers import differing_origin
 from platform_ctrl.verification.simulated import limit_results
 
@@ -90,7 +86,6 @@ class Backend:
         self._designs = Designs(self._loops)
         self._simulator = TaskRunner()
         self.job_parts = JobParts(self._loops)
-        self.trade_off = TradeOff(self._loops, self._designs)
 
     def close(self) -> None:
         """End the processes that design and simulate."""
@@ -149,40 +144,23 @@ class Backend:
         known_name("channel", settings.channel, self._loops.plants.channels_of(spec))
         # Those of other loops and of parts that are off stay fixed.
         methods = sorted({one.method for loop in self.read.loops for one in loop.designs})
-        options = (option for method in methods for option in METHODS[method].options)
-        plant = (slider.name for slider in self.sliders(settings) if slider.group in ("sampling", "rotors"))
-        sliders = tuple(dict.fromkeys((*options, *plant, *OMEGA_NAMES)))
+        sliders = tuple(dict.fromkeys(option for method in methods for option in METHODS[method].options))
         for name in sorted(settings.fixed):
             known_name("fixed", name, sliders)
 
     def plants(self, settings: Settings) -> tuple[str, ...]:
         """Return the labels of the plants that may be shown."""
-        return self._loops.plants.labels(settings, self._loops.spec(settings.loop))
+        return self._loops.plants.labels(self._loops.spec(settings.loop))
 
     def sliders(self, settings: Settings) -> tuple[Slider, ...]:
-        """Return all sliders of the settings: speed and robustness, those of the design, those of the plant."""
+        """Return all sliders of the settings: speed and robustness, then those of the design."""
         spec, design = self._loops.design(settings)
         options = self._loops.options.offered(settings, spec, design)
         parts = settings.parts_on(spec.name, design.name)
-        # Options that are needed only since rotors were started or stopped start from rules of thumb.
-        start = self._loops.options.offered(settings.but(options=self._loops.start.options), spec, design)
-        own = option_sliders(
-            design.method, options, start, 1.0 / self._loops.plants.period(settings, spec), settings.fixed
-        )
-        Omega = tuple(map(float, self.read.Omega))
+        start = self._loops.start.options[spec.name][design.name]
+        own = option_sliders(design.method, options, start, 1.0 / self.read.period_of(spec), settings.fixed)
         shown = [slider for slider in own if not slider.part or slider.part in parts]
-        of_plant = plant_sliders(
-            settings, self._loops.start, (Omega[0], Omega[1], Omega[2]), self._loops.options.slowest(settings)
-        )
-        # Loops at rates of their own stay at these: the rate that they are fractions of has no slider.
-        left_out = {"rate_hz"} if self.read.cycle > 1 else set()
-        if not self._loops.plants.feels_Omega(spec):
-            left_out |= {slider.name for slider in of_plant if slider.group == "Omega"}
-        return (
-            *main_sliders(design.method, shown, start),
-            *shown,
-            *(slider for slider in of_plant if slider.name not in left_out),
-        )
+        return (*main_sliders(design.method, shown, start), *shown)
 
     def parts(self, settings: Settings) -> tuple[Part, ...]:
         """Return the optional parts of the selected design: lag and notches."""
@@ -213,11 +191,11 @@ class Backend:
     def moved(self, settings: Settings, slider: str, number: float) -> Settings:
         """Return the settings with a slider at another number."""
         start = self._loops.start.options[settings.loop][settings.design]
-        new = moved(settings, {one.name: one for one in self.sliders(settings)}, slider, number, start)
-        return self._loops.with_shown_designs_noted(settings, new)
+        rate_hz = 1.0 / self.read.sampling.period
+        return moved(settings, {one.name: one for one in self.sliders(settings)}, slider, number, start, rate_hz)
 
     def job(self, settings: Settings) -> Job:
-        """Return the job with the plant, sampling, range of Omega, options and closed designs of the settings."""
+        """Return the job with the options and closed designs of the settings."""
         return self._loops.job(settings)
 
     # Pictures and designs.
@@ -230,9 +208,8 @@ class Backend:
         self,
         settings: Settings,
         on_drawn: Callable[[Drawing], None] | None = None,
-        ghosts: Sequence[tuple[str, Settings]] = (),
     ) -> Picture:
-        """Return the curves and the results for the settings; `ghosts` are other settings of the loop, drawn over it.
+        """Return the curves and the results for the settings.
 
         `on_drawn` is called with what is drawn before it is measured, which takes as long again. Requirements are as
         `check` measures them, but the simultaneous margin of all loops together is sampled: within about a thousandth.
@@ -241,7 +218,7 @@ class Backend:
         whole("axis", settings.axis, 1, 3)
         try:
             with np.errstate(all="ignore"):
-                (drawing, measure), notes = self._parts(settings, ghosts)
+                (drawing, measure), notes = self._parts(settings)
                 if on_drawn is not None:
                     on_drawn(drawing)
                 measured = measure()
@@ -263,7 +240,7 @@ class Backend:
         """
         return None if self.read.budget is None else self._loops.sight.now(settings)
 
-    def _parts(self, settings: Settings, ghosts: Sequence[tuple[str, Settings]]) -> tuple[Parts, tuple[str, ...]]:
+    def _parts(self, settings: Settings) -> tuple[Parts, tuple[str, ...]]:
         """Return the parts of a picture, and lines about its controllers."""
         spec, _ = self._loops.design(settings)
         labels = self.plants(settings)
@@ -273,58 +250,11 @@ class Backend:
         else:
             free, notes = self._loops.stabilised(settings)
             drawing, measure = stabilised_parts(free, settings, labels, self._loops.cached_margins(settings))
-        if not settings.overlays and not ghosts:
+        if not settings.overlays:
             return (drawing, measure), notes
         overlays, more = self._designs.overlays(settings, spec, drawing.bode.frequency)
-        overlays += self._designs.ghosts(settings, spec, ghosts, drawing.bode.frequency)
         drawing = dataclasses.replace(drawing, bode=dataclasses.replace(drawing.bode, overlays=overlays))
         return (drawing, measure), (*notes, *more)
-
-    def next_step(
-        self, settings: Settings, influence: OptionEffects, before_each: Callable[[], None] = nothing
-    ) -> NextStep | None:
-        """Return the one move of a slider that helps the tightest requirement most, or None.
-
-        `before_each` is called before each move that is tried; what it raises ends the search.
-        """
-        before = self._results(settings)
-        if not before:
-            return None
-        sliders = {slider.name: slider for slider in self.sliders(settings)}
-        free = [
-            OptionValue(name=name, value=one.value, low=one.low, high=one.high)
-            for name, one in sliders.items()
-            if name in influence.options and one.tunable and not one.fixed and one.value
-        ]
-        tightest = max(range(len(before)), key=lambda k: before[k].ratio)
-
-        def results(name: str, after: float) -> tuple[CheckResult, ...]:
-            before_each()
-            return self._results(self.moved(settings, name, after))
-
-        move = best_move(before, tightest, candidates(influence, free), results)
-        if move is None:
-            return None
-        return NextStep(
-            slider=sliders[move.option],
-            after=move.after,
-            settings=self.moved(settings, move.option, move.after),
-            gain=move.gain,
-            cost=move.cost,
-        )
-
-    def _results(self, settings: Settings) -> tuple[CheckResult, ...]:
-        """Return the requirements of a picture without its curves, and behind them the limits of the budget."""
-        spec, _ = self._loops.design(settings)
-        with np.errstate(all="ignore"):
-            if spec.has_plants:
-                loop, _ = self._loops.caged(settings)
-                metrics = self._loops.cached_metrics(settings, loop)(lambda: loop_metrics(loop))
-                own = limits_and_goals(spec, loop.design, loop.plants, metrics)[0]
-            else:
-                whole, _ = self._loops.stabilised(settings.but(band=False))
-                own = requirements(whole, self._loops.cached_margins(settings))
-        return (*own, *self.budget_results(settings))
 
     def budget_results(self, settings: Settings) -> tuple[CheckResult, ...]:
         """Return the limits of the budget within some milliseconds; none before it was computed once."""
@@ -364,7 +294,7 @@ class Backend:
             task = Tuning(
                 spec=spec,
                 design=design,
-                plants=self._loops.plants_of(settings, spec, design)[0],
+                plants=self._loops.plants_of(settings, spec, design),
                 directions=self._loops.directions(settings, spec, design),
                 options=options,
                 movable=free,

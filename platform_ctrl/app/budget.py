@@ -110,4 +110,4 @@ class LineOfSight:
 
     def _key(self, settings: Settings, controllers: Sequence[control.StateSpace]) -> Hashable:
         """Return the plants and the signals for which a budget is prepared."""
-        return self._loops.plants.key(settings), tuple(tuple(one.input_labels) for one in controllers)
+        return tuple(tuple(one.input_labels) for one in controllers)

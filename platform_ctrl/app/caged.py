@@ -61,7 +61,7 @@ _QUICK = 48
 class CagedLoop:
     """A caging loop: controller u = K y, the whole set of plants, and the plant that is shown alone.
 
-    `job` has the spins, sampling and range of Omega of the settings; `shaped` returns a controller with its commands
+    `shaped` returns a controller with its commands
     where the design says what to do with them.
     """
 

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Mapping
-
-import numpy as np
+from collections.abc import Mapping
 
 from platform_ctrl.analysis.arrays import StateArrays
-from platform_ctrl.analysis.sampling import from_w_plane, to_w_plane
 from platform_ctrl.app.excitation import first_axis
 from platform_ctrl.app.plants import JobPlants
-from platform_ctrl.app.settings import Settings, lowest_rate
+from platform_ctrl.app.settings import Settings
 from platform_ctrl.design.classical.caging import classical_controller, starting_values
 from platform_ctrl.design.classical.rate import rate_controller, rate_options
 from platform_ctrl.design.loop import LoopProblem, designed
@@ -25,7 +22,6 @@ from platform_ctrl.job.methods import METHODS, resolved
 _OF_PAIRS = frozenset({"crossover_hz", "damping_hz", "damping2_hz", "lead_hz", "rolloff_hz"})
 # The one that a classical design takes whatever its gyros: the default of the integral's corner is a share of it.
 ALWAYS = "crossover_hz"
-_CLASSICAL = METHODS["classical"]
 _PARTED = {name: option for method in METHODS.values() if method.parts for name, option in method.options.items()}
 
 
@@ -82,23 +78,6 @@ def _with(design: DesignSpec, options: Mapping[str, float]) -> DesignSpec:
     return dataclasses.replace(design, options=dict(options))
 
 
-def acting_options(
-    options: Mapping[str, float], channel: Channels, nutation: Callable[[], float], period: float
-) -> dict[str, float]:
-    """Return the options that a classical loop with these gyros is, or with a part switched on would be, made of.
-
-    Rotors that were set going or stopped since the `options` were put together need others: by rules of thumb.
-    """
-    known = {name: x for name, x in options.items() if acts(name, channel)}
-    missing = [
-        name
-        for name in _CLASSICAL.options
-        if acts(name, channel) and (part_of(name) != "spin_notch" or len(channel.spins)) and name not in known
-    ]
-    rules = _classical_options({}, channel, nutation(), period) if missing else {}
-    return known | {name: rules[name] for name in missing}
-
-
 def parts_used(options: Mapping[str, float], parts: tuple[str, ...]) -> dict[str, float]:
     """Return the options of a classical design without those of parts that are off."""
     return {name: x for name, x in options.items() if not part_of(name) or part_of(name) in parts}
@@ -111,19 +90,6 @@ def direct_arrays(method: str, options: Mapping[str, float], channel: Channels, 
     if not all(bool((abs(item) < 1e300).all()) for item in controller[:4]):
         raise DesignError(f"{method}: the controller of these options is not finite; choose less extreme ones")
     return controller
-
-
-def at_rate(K: StateArrays, period: float, design: str) -> StateArrays:
-    """Return a controller at a sample period, s: by Tustin's rule where it was made for another one."""
-    if abs(K.dt - period) <= 1e-12 * period:
-        return K
-    try:
-        return from_w_plane(to_w_plane(K), period)
-    except PlatformCtrlError:
-        raise DesignError(
-            f"{design}: Tustin's rule carries it to no controller at {1.0 / period:.4g} Hz; move one of its numbers to "
-            "design it anew"
-        ) from None
 
 
 class DesignOptions:
@@ -140,65 +106,41 @@ class DesignOptions:
         self.start = self._first()
 
     def offered(self, settings: Settings, spec: LoopSpec, design: DesignSpec) -> dict[str, float]:
-        """Return the options that a design is made of as the loop is now, those of parts that are off as well."""
-        options = settings.options[spec.name][design.name]
-        if design.method != "classical":
-            return dict(options)
-        return acting_options(
-            options,
-            self._plants.gyros(settings.spins, spec.read_by(design)),
-            lambda: self._plants.nutation(settings, spec),
-            self._plants.period(settings, spec),
-        )
-
-    def slowest(self, settings: Settings) -> float:
-        """Return the sample rate, Hz, from which on all loops can be built with their options as they are."""
-        found = 0.0
-        for spec in self.read.loops:
-            for design in spec.designs:
-                if built_directly(design) or (spec.name, design.name) == (settings.loop, settings.design):
-                    options = self.offered(settings, spec, design)
-                    used = parts_used(options, settings.parts_on(spec.name, design.name))
-                    found = max(found, lowest_rate(design.method, used))
-        return found
+        """Return the options that a design is made of, those of parts that are off as well."""
+        return dict(settings.options[spec.name][design.name])
 
     def used(self, settings: Settings, spec: LoopSpec, design: DesignSpec) -> dict[str, float]:
         """Return the options that a design uses, without those of parts that are off."""
         offered = self.offered(settings, spec, design)
         if not METHODS[design.method].parts:
             return offered
-        channel = self._plants.gyros(settings.spins, spec.read_by(design))
-        period = self._plants.period(settings, spec)
+        channel, nutation = self._plants.gyros(spec, design), self._plants.nutation(spec, design)
+        period = self.read.period_of(spec)
         given = parts_used(offered, settings.parts_on(spec.name, design.name))
         try:
             if design.method == "pi":
-                return rate_options(_with(design, given), channel, self._plants.nutation(settings, spec), period)
-            complete = starting_values(given, channel, self._plants.nutation(settings, spec), period)
+                return rate_options(_with(design, given), channel, nutation, period)
+            complete = starting_values(given, channel, nutation, period)
         except DesignError as error:
             # It may be another loop than the one that is worked on.
             raise DesignError(f"{spec.name}, {error}") from None
         return {name: x for name, x in complete.items() if acts(name, channel)}
 
     def touched(self, settings: Settings, loop: str, design: str) -> bool:
-        """Return whether a design's sliders or parts are not as the job has them, or what its defaults rest on."""
+        """Return whether a design's sliders or parts are not as the job has them."""
         start = self.start
-        return (
-            dict(settings.options[loop][design]) != dict(start.options[loop][design])
-            or settings.parts_on(loop, design) != start.parts_on(loop, design)
-            or settings.rate_hz != start.rate_hz
-            or dict(settings.spins) != dict(start.spins)
-        )
+        return dict(settings.options[loop][design]) != dict(start.options[loop][design]) or settings.parts_on(
+            loop, design
+        ) != start.parts_on(loop, design)
 
     def _first(self) -> Settings:
         options: dict[str, dict[str, dict[str, float]]] = {}
         optional: dict[str, dict[str, tuple[str, ...]]] = {}
         closed: dict[str, str] = {}
-        spins = {r.name: float(r.spin) for r in self.read.platform.rotors}
-        sampling = self.read.sampling
         for spec in self.read.loops:
             options[spec.name], optional[spec.name] = {}, {}
             for design in spec.designs:
-                options[spec.name][design.name] = self._options(spec, design, spins)
+                options[spec.name][design.name] = self._options(spec, design)
                 optional[spec.name][design.name] = parts_given(design.options)
             there = [d.name for d in spec.designs if built_directly(d)]
             closed[spec.name] = spec.use if spec.use in there or not there else there[0]
@@ -210,22 +152,17 @@ class DesignOptions:
             design=closed[first.name],
             options=options,
             optional=optional,
-            rate_hz=1.0 / sampling.period,
-            delay=sampling.delay,
-            spins=spins,
-            Omega=(0.0, 0.0, 0.0),
             channel=self._plants.channels_of(first)[0],
             closed=closed,
         )
 
-    def _options(self, spec: LoopSpec, design: DesignSpec, spins: dict[str, float]) -> dict[str, float]:
-        """Return all options of a design, complete, so that they stay while the plant is moved."""
+    def _options(self, spec: LoopSpec, design: DesignSpec) -> dict[str, float]:
+        """Return all options of a design, complete."""
         period = self.read.period_of(spec)
         if not spec.has_plants:
-            problem = LoopProblem(job=self.read, spec=spec, design=design, model=self._plants.model(spins))
+            problem = LoopProblem(job=self.read, spec=spec, design=design, model=self._plants.model)
             return dict(designed(problem).options)
-        channel = self._plants.gyros(spins, spec.read_by(design))
-        nutation = self._plants.nutation_at(spins, spec, self.read.sampling, np.asarray(self.read.Omega))
+        channel, nutation = self._plants.gyros(spec, design), self._plants.nutation(spec, design)
         method = METHODS[design.method]
         if method.parts:
             return full_options(design, design.options, channel, nutation, period)

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import threading
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Hashable
 from functools import partial
 
 import numpy as np
@@ -13,7 +12,6 @@ import numpy as np
 from platform_ctrl.app.background import Designing, IsCancelled, TaskRunner
 from platform_ctrl.app.caged import CagedLoop, caged_overlay
 from platform_ctrl.app.closed_loops import ClosedLoops
-from platform_ctrl.app.controllers import built_directly
 from platform_ctrl.app.pictures import Overlay
 from platform_ctrl.app.plants import Bounded
 from platform_ctrl.app.settings import Settings
@@ -60,14 +58,6 @@ class DesignQueue:
                     self._worker = threading.Thread(target=self._work, daemon=True)
                     self._worker.start()
         return f"{design}: is being designed; it is shown as soon as it is available"
-
-    def is_requested(self, loop: str, design: str, key: Hashable) -> bool:
-        """Return whether a request is waiting or being worked on."""
-        return self._requested.get((loop, design), (None,))[0] == key
-
-    def failure(self, loop: str, design: str, key: Hashable) -> str:
-        """Return the line of a request that failed, or an empty text."""
-        return self._failed.found(((loop, design), key)) or ""
 
     def listen(self, listener: Callable[[], None]) -> Callable[[], None]:
         """Call `listener` in a thread after each design; return the function that stops it."""
@@ -160,37 +150,20 @@ class Designs:
     def make(self, settings: Settings, spec: LoopSpec, design: DesignSpec, cancelled: IsCancelled) -> None:
         """Make a design in another process, unless it is available; the process stays for the next one."""
         loops = self._loops
-        conditions = loops.conditions(settings, spec, design)
-        if loops.found(spec.name, design.name, conditions) is None:
+        if loops.found(settings, spec.name, design.name) is None:
             task = Designing(job=loops.job(settings), loop=spec.name, design=design.name)
-            loops.keep(spec.name, design.name, conditions, self._runner.run(task, silent, cancelled))
+            key = loops.design_key(settings, spec.name, design.name)
+            loops.keep(key, self._runner.run(task, silent, cancelled))
 
-    def caged(self, settings: Settings, again: bool = True) -> tuple[CagedLoop, tuple[str, ...]]:
-        """Return the loop with its controller; one that a method has to make is requested, and anew with `again`."""
+    def caged(self, settings: Settings) -> tuple[CagedLoop, tuple[str, ...]]:
+        """Return the loop with its controller; one that a method has to make is requested, and is pending then."""
         loops = self._loops
         spec, design = loops.design(settings)
-        if built_directly(design):
-            return loops.caged(settings)
-        conditions = loops.target_conditions(settings, spec, design)
-        seen = loops.available_conditions(settings, spec, design)
-        if seen == conditions:
-            return loops.caged(settings)
-
-        def requested() -> str:
-            there = loops.at(settings, spec, design, conditions)
-            make = partial(self.make, there, spec, design)
-            return self.queue.request(spec.name, design.name, conditions, make)
-
-        if seen is None:
-            # The error of a method has the loop's name.
-            raise DesignPending(f"{spec.name}, {requested()}")
-        loop, notes = loops.caged(settings)
-        if not again:
-            return loop, notes
-        try:
-            return loop, (requested(),)
-        except DesignError as error:
-            return loop, (str(error),)
+        if not loops.is_available(settings, spec, design.name):
+            key = loops.design_key(settings, spec.name, design.name)
+            line = self.queue.request(spec.name, design.name, key, partial(self.make, settings, spec, design))
+            raise DesignPending(f"{spec.name}, {line}")  # the error of a method has the loop's name
+        return loops.caged(settings)
 
     def overlays(
         self, settings: Settings, spec: LoopSpec, frequency: FloatArray
@@ -209,20 +182,6 @@ class Designs:
             notes += [note] if note else []
         return tuple(out), tuple(notes)
 
-    def ghosts(
-        self, settings: Settings, spec: LoopSpec, ghosts: Sequence[tuple[str, Settings]], frequency: FloatArray
-    ) -> tuple[Overlay, ...]:
-        """Return the loop at other settings as overlays, by their names; one that cannot be computed is left out."""
-        out = []
-        for name, other in ghosts:
-            if other.loop != spec.name:
-                continue
-            own = other.but(channel=settings.channel, axis=settings.axis, plant=settings.plant, overlays=(), band=False)
-            with contextlib.suppress(PlatformCtrlError):
-                found, _ = self._overlay(own, spec, own.design, frequency)
-                out.append(dataclasses.replace(found, design=name))
-        return tuple(out)
-
     def _overlay(self, settings: Settings, spec: LoopSpec, name: str, frequency: FloatArray) -> tuple[Overlay, str]:
         """Return one design of the loop as an overlay, and a line about it; all other loops stay as they are."""
         own = settings.but(design=name)
@@ -232,5 +191,5 @@ class Designs:
                 # The picture below it has the lines about the other loops.
                 free, _ = self._loops.stabilised(own)
                 return stabilised_overlay(free, own, method, frequency), ""
-            loop, notes = self.caged(own, again=False)
+            loop, notes = self.caged(own)
             return caged_overlay(loop, own, method, frequency), " ".join(notes)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from itertools import product
 from typing import TYPE_CHECKING
 
@@ -139,43 +139,6 @@ def free_models(job: Job, chosen: Sequence[tuple[str, Platform, FloatArray]], ra
     )
 
 
-class SpinningModels:
-    """The same plants again and again at other spins: with constant inertias the equations are affine in momenta."""
-
-    def __init__(self, job: Job, cases: Sequence[tuple[str, Platform, FloatArray]], rates: Sequence[str]) -> None:
-        self._job, self._cases, self._rates = job, cases, rates
-        self._rotors = {r.name: r for r in job.platform.rotors}
-        self._nominal = free_models(job, cases, rates)
-        self._slopes: dict[str, FloatArray] = {}
-
-    def at(self, spins: Mapping[str, float]) -> FreeModels:
-        """Return the plants with these spins, rad/s."""
-        A = self._nominal.A
-        for name, spin in spins.items():
-            rotor = self._rotors[name]
-            if spin != rotor.spin:
-                A = A + (rotor.axial_inertia * spin - rotor.angular_momentum) * self._slope(name)
-        return dataclasses.replace(self._nominal, A=A)
-
-    def _slope(self, name: str) -> FloatArray:
-        """Return how A changes with the nominal momentum of a rotor, (N, n, n)."""
-        if name not in self._slopes:
-            nominal = self._rotors[name].angular_momentum
-            scale = abs(nominal) or max((abs(r.angular_momentum) for r in self._rotors.values()), default=0.0) or 1.0
-            moved = []
-            for label, platform, Omega in self._cases:
-                # A plant of the uncertainty has this rotor's L larger by a factor.
-                own = next(r.angular_momentum for r in platform.rotors if r.name == name)
-                factor = own / nominal if nominal else 1.0
-                rotors = tuple(
-                    dataclasses.replace(r, angular_momentum=own + factor * scale) if r.name == name else r
-                    for r in platform.rotors
-                )
-                moved.append((label, dataclasses.replace(platform, rotors=rotors), Omega))
-            self._slopes[name] = (free_models(self._job, moved, self._rates).A - self._nominal.A) / scale
-        return self._slopes[name]
-
-
 def free_plants(models: FreeModels, sampling: Sampling, band: bool) -> FreePlants:
     """Sample the free platform; with `band` also its responses on a grid."""
     N, _, m = models.B.shape
@@ -228,7 +191,7 @@ def _turned(models: FreeModels, period: float, delay: float) -> StateArrays:
 class StabilisedLoop:
     """All loops of a job closed around the free platform.
 
-    `job` has the spins, sampling and range of Omega of the settings, `model` is that at rest, and `controllers` has a
+    `model` is the platform at rest, and `controllers` has a
     `control.StateSpace` for each loop in the job's order. `plants` is the set (the nominal plant alone without a band),
     and `shown` the plant that is shown.
     """

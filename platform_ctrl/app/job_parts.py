@@ -80,8 +80,7 @@ def _loop_parts(loops: ClosedLoops, settings: Settings) -> Iterable[JobPart]:
 
 def loop_stamp(loops: ClosedLoops, settings: Settings, spec: LoopSpec) -> Hashable:
     """Return the stamp of a loop with plants of its own."""
-    design = next(one for one in spec.designs if one.name == loops.closed(settings)[spec.name])
-    return ("loop", loops.plants_key(settings, spec, design), loops.closed_key(settings, spec))
+    return ("loop", loops.plants_key(settings, spec), loops.closed_key(settings, spec))
 
 
 def _coupled_parts(loops: ClosedLoops, settings: Settings) -> Iterable[JobPart]:

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from platform_ctrl.analysis.arrays import ComplexArray
-from platform_ctrl.app.settings import Settings, Slider
+from platform_ctrl.app.settings import Settings
 from platform_ctrl.common.values import FloatArray, value
-from platform_ctrl.design.tuning import ResultChange
 from platform_ctrl.job.judging import CheckResult
 
 
@@ -230,17 +229,3 @@ class Picture(Drawing):
     goals: tuple[CheckResult, ...]
     elapsed: float
     notes: tuple[str, ...] = ()
-
-
-@value
-class NextStep:
-    """A slider moved to `after`, which gives `settings`; `gain` is of the requirement that is tightest before.
-
-    `cost` is of the requirement that loses most margin, or None.
-    """
-
-    slider: Slider
-    after: float
-    settings: Settings
-    gain: ResultChange
-    cost: ResultChange | None

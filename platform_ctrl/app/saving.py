@@ -17,7 +17,7 @@ import numpy as np
 
 from platform_ctrl.app.controllers import ALWAYS, DesignOptions
 from platform_ctrl.app.plants import JobPlants
-from platform_ctrl.app.settings import Conditions, Settings
+from platform_ctrl.app.settings import Settings
 from platform_ctrl.common.files import write_whole
 from platform_ctrl.common.signatures import short
 from platform_ctrl.common.values import value
@@ -26,7 +26,6 @@ from platform_ctrl.job.job import Job
 from platform_ctrl.job.methods import METHODS, DesignMethod
 from platform_ctrl.job.reading import read_job
 from platform_ctrl.job.writing import job_hashes
-from platform_ctrl.plant.reading import open_plant
 from platform_ctrl.plant.source import is_shipped_name, read_text
 from platform_ctrl.verification.result_file import SCHEMA, write_record
 
@@ -214,13 +213,6 @@ def _job_text(
     """Return the text of the job with the changes of the page; all else stays, also comments."""
     tomlkit = _tomlkit()
     document = tomlkit.parse(before)
-    if settings.rate_hz != start.rate_hz:
-        document["sampling"]["rate_hz"] = settings.rate_hz
-    if settings.delay != start.delay:
-        document["sampling"]["delay"] = settings.delay
-    for k, (before_k, new) in enumerate(zip(list(document["operation"]["Omega"]), settings.Omega, strict=True)):
-        if abs(new) > float(before_k):
-            document["operation"]["Omega"][k] = abs(new)
     for loop in document["loop"]:
         name = str(loop["name"])
         if loop["use"] != settings.closed[name]:
@@ -229,13 +221,13 @@ def _job_text(
             numbers = wanted.get(name, {}).get(str(design["name"]))
             if numbers is not None:
                 _put(design, numbers, written[name][str(design["name"])])
-    _plant(document, old.parent, folder, settings, start)
+    _plant(document, old.parent, folder)
     return str(tomlkit.dumps(document))
 
 
 def _put(design: Any, wanted: Mapping[str, float], written: Mapping[str, float]) -> None:
     """Write options of a design; existing keys keep their place and comment, those that are not `wanted` go."""
-    # The method would refuse options of parts that are off, and those of stopped gyros.
+    # The method would refuse options of parts that are off.
     method = METHODS[str(design["method"])]
     known = method.options if method.parts else {}
     for key in [key for key in design if key in known and key not in (*wanted, ALWAYS)]:
@@ -266,27 +258,14 @@ def _unasked(before: str, after: str, settings: Settings, start: Settings) -> tu
             if changed:
                 keys = ", ".join(f"{key} = {json.dumps(written[key])}" for key in changed)
                 lines.append(f"{name}, {own['name']}: {keys}, for the controller to be that of the page")
-    if isinstance(old["plant"], str) and isinstance(new["plant"], dict):
-        lines.append("the plant is in the job now, with these rotor speeds")
-    elif old["plant"] != new["plant"] and isinstance(new["plant"], str):
+    if old["plant"] != new["plant"]:
         lines.append(f"plant = {json.dumps(new['plant'])}, seen from the new folder")
     return tuple(lines)
 
 
-def _plant(document: TOMLDocument, old: Path, new: Path, settings: Settings, start: Settings) -> None:
+def _plant(document: TOMLDocument, old: Path, new: Path) -> None:
     plant: Any = document["plant"]
-    moved = {name: spin for name, spin in settings.spins.items() if spin != start.spins[name]}
-    if moved:
-        whole: Any = dict(open_plant(str(plant), old).data) if isinstance(plant, str) else plant
-        for rotor in whole["rotor"]:
-            if rotor["name"] in moved:
-                rotor.pop("angular_momentum", None)
-                rotor["spin"] = moved[rotor["name"]]
-        if isinstance(plant, str):
-            # At the end: keys of the job after it would belong to the plant.
-            del document["plant"]
-            document.add("plant", _tomlkit().item(whole))
-    elif isinstance(plant, str) and not is_shipped_name(str(plant)) and old.resolve() != new.resolve():
+    if isinstance(plant, str) and not is_shipped_name(str(plant)) and old.resolve() != new.resolve():
         file = Path(str(plant))
         if not file.is_absolute():
             document["plant"] = Path(os.path.relpath((old / file).resolve(), new.resolve())).as_posix()
@@ -367,7 +346,6 @@ def checked_settings(backend: Backend, changed: object) -> Settings:
         loop: _one(f"closed {loop}", name, [one.name for one in specs[loop].designs])
         for loop, name in _table("closed", given["closed"], specs).items()
     }
-    spins = {name: _number(f"spin {name}", x) for name, x in _table("spins", given["spins"], start.spins).items()}
     if isinstance(given["axis"], bool) or given["axis"] not in (1, 2, 3):
         raise InputError(f"state: axis must be 1, 2 or 3, got {short(given['axis'])}")
     if not isinstance(given["band"], bool):
@@ -378,10 +356,6 @@ def checked_settings(backend: Backend, changed: object) -> Settings:
         design=design,
         options=options,
         optional=optional,
-        rate_hz=start.rate_hz,
-        delay=0.0,
-        spins={**start.spins, **spins},
-        Omega=_rates("Omega", given["Omega"]),
         plant=_text("plant", given["plant"]),
         band=given["band"],
         fixed=frozenset(_text("fixed", name) for name in _list("fixed", given["fixed"])),
@@ -392,14 +366,10 @@ def checked_settings(backend: Backend, changed: object) -> Settings:
     )
     try:
         settings = backend.chosen(settings, design=design)
-        # Checked as a slider's number would be; the rate first, against which the delay is checked.
-        for name in ("rate_hz", "delay"):
-            if (number := _number(name, given[name])) != getattr(settings, name):
-                settings = backend.moved(settings, name, number)
         backend.check_names(settings)
     except PlatformCtrlError as error:
         raise InputError(f"state: {error}") from None
-    return settings.but(designed_for=_designed_for(changed, start, specs))
+    return settings
 
 
 def _by_design(
@@ -411,30 +381,6 @@ def _by_design(
         methods = {one.name: METHODS[one.method] for one in specs[loop].designs}
         for name, item in _table(f"{key} of {loop}", designs, methods).items():
             yield loop, name, item, methods[name]
-
-
-def _designed_for(changed: object, start: Settings, specs: Mapping[str, LoopSpec]) -> dict[str, dict[str, Conditions]]:
-    """Return the conditions for which the designs of a page were made: those of the job, or those that are given."""
-    out = {loop: dict(designs) for loop, designs in start.designed_for.items()}
-    for loop, name, item, method in _by_design("designed_for", changed, specs):
-        where = f"designed_for {name}"
-        own = out.get(loop, {}).get(name)
-        whole = {**({} if own is None else own.data()), **_table(where, item, Conditions._fields)}
-        if missing := [field for field in Conditions._fields if field not in whole]:
-            raise InputError(f"state: {where} must have {', '.join(Conditions._fields)}; {missing[0]} is missing")
-        options = _table(f"{where}: options", whole["options"], method.options)
-        spins = {**start.spins, **_table(f"{where}: spins", whole["spins"], start.spins)}
-        numbers = ({} if own is None else dict(own.options)) | {
-            key: _number(key, x, above=0.0) for key, x in options.items()
-        }
-        out.setdefault(loop, {})[name] = Conditions(
-            options=tuple(sorted(numbers.items())),
-            rate_hz=_number(f"{where}: rate_hz", whole["rate_hz"], above=0.0),
-            delay=_number(f"{where}: delay", whole["delay"], least=0.0),
-            spins=tuple(sorted((key, _number(f"{where}: spins", x)) for key, x in spins.items())),
-            Omega=_rates(where, whole["Omega"], least=0.0),
-        )
-    return out
 
 
 def _difference(old: Mapping[str, Any], new: Mapping[str, Any]) -> dict[str, Any]:
@@ -474,13 +420,6 @@ def _text(where: str, given: object) -> str:
     if not isinstance(given, str) or len(given) > _NAME:
         raise InputError(f"state: {where} must be a name, got {short(given)}")
     return given
-
-
-def _rates(where: str, given: object, least: float = -math.inf) -> tuple[float, float, float]:
-    rates = [_number(where, x, least=least) for x in _list(where, given)]
-    if len(rates) != 3:
-        raise InputError(f"state: {where} must have 3 rates, got {len(rates)}")
-    return rates[0], rates[1], rates[2]
 
 
 def _number(where: str, given: object, *, above: float = -math.inf, least: float = -math.inf) -> float:

@@ -7,7 +7,7 @@ import math
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import field
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 
@@ -18,30 +18,11 @@ from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.methods import METHODS, Family
 
 Mode = Literal["caged", "stabilised"]
-Group = Literal["main", "gains", "lead", "notch", "lag", "design", "sampling", "rotors", "Omega"]
+Group = Literal["main", "gains", "lead", "notch", "lag", "design"]
 
 # Option → number, in the units of the job file; by design; by loop.
 Options = Mapping[str, float]
 LoopOptions = Mapping[str, Mapping[str, Options]]
-
-
-class Conditions(NamedTuple):
-    """All that a design of a method depends on: equal conditions give the same controller.
-
-    `options` and `spins` (rad/s) are pairs of name and number, sorted by name; `rate_hz` in Hz, `delay` in s, `Omega`
-    (3,) the largest platform rate about each axis, rad/s.
-    """
-
-    options: tuple[tuple[str, float], ...]
-    rate_hz: float
-    delay: float
-    spins: tuple[tuple[str, float], ...]
-    Omega: tuple[float, ...]
-
-    def data(self) -> dict[str, Any]:
-        """Return everything as JSON values."""
-        out: dict[str, Any] = self._asdict()
-        return out | {"options": dict(self.options), "spins": dict(self.spins), "Omega": list(self.Omega)}
 
 
 @value
@@ -59,12 +40,6 @@ class Settings:
         Loop → design → option → number, in the units of the job file.
     optional
         Loop → design → names of the optional parts that are on: ``"lag"``, ``"notch"``, ``"spin_notch"``.
-    rate_hz, delay
-        Sample rate, Hz, and time from sample to torque, s.
-    spins
-        Rotor → spin relative to its carrier, rad/s.
-    Omega : (3,)
-        Platform rate at which the plants are shown, rad/s. Beyond the job's range it widens that range.
     plant, band
         Label of the plant that is shown, and whether all plants of the set are shown around it.
     fixed
@@ -75,9 +50,6 @@ class Settings:
         Torquer at which the loop is shown broken, and root axis of the responses, 1 to 3.
     closed
         Loop → design that is closed there while another loop is shown, and in what is saved.
-    designed_for
-        Loop → design → conditions of the controller that the page shows, which stays while rotors, sampling or platform
-        rate are moved. Without an entry it is the controller for the settings as they are.
     """
 
     mode: Mode
@@ -85,10 +57,6 @@ class Settings:
     design: str
     options: LoopOptions
     optional: Mapping[str, Mapping[str, tuple[str, ...]]]
-    rate_hz: float
-    delay: float
-    spins: Mapping[str, float]
-    Omega: tuple[float, float, float]
     plant: str = "nominal"
     band: bool = True
     fixed: frozenset[str] = frozenset()
@@ -96,7 +64,6 @@ class Settings:
     channel: str = ""
     axis: int = 1
     closed: Mapping[str, str] = field(default_factory=dict)
-    designed_for: Mapping[str, Mapping[str, Conditions]] = field(default_factory=dict)
 
     def but(self, **changes: Any) -> Settings:
         """Return these settings with some of them changed."""
@@ -112,8 +79,6 @@ class Settings:
 
 
 def _plain(item: Any) -> Any:
-    if isinstance(item, Conditions):
-        return item.data()
     if isinstance(item, Mapping):
         return {name: _plain(one) for name, one in item.items()}
     if isinstance(item, frozenset):
@@ -215,10 +180,8 @@ class History:
 
 # Range of a slider to both sides of its start, as a factor.
 _REACH = 20.0
-# Typed numbers may lie beyond the slider, options by this factor, but not beyond these: sample rate, Hz, spins and
-# platform rates, rad/s.
-_BEYOND, _RATE, _SPIN, _OMEGA = 100.0, (0.1, 500_000.0), 100_000.0, 200.0
-_LONGEST_DELAY = 100.0
+# Typed numbers may lie beyond the slider by this factor.
+_BEYOND = 100.0
 
 
 def option_sliders(
@@ -290,95 +253,18 @@ def main_sliders(method: str, options: Sequence[Slider], start: Mapping[str, flo
     return out
 
 
-def lowest_rate(method: str, options: Mapping[str, float]) -> float:
-    """Return the lowest sample rate, Hz, at which a method's `options` are within their sliders; 0 without a limit."""
-    kinds = METHODS[method].options
-    return max(
-        (x / kinds[name].high for name, x in options.items() if name in kinds and kinds[name].below_nyquist),
-        default=0.0,
-    )
-
-
-def plant_sliders(
-    settings: Settings, start: Settings, Omega: tuple[float, float, float], slowest: float = 0.0
-) -> list[Slider]:
-    """Return the sliders of sampling, rotors and platform rate.
-
-    `Omega` is the job's largest rate, `slowest` the sample rate below which a loop cannot be built, Hz.
-    """
-    fixed = settings.fixed
-    rate, period = start.rate_hz, 1.0 / start.rate_hz
-
-    def slider(name: str, label: str, unit: str, group: Group, low: float, high: float, at: float, tip: str) -> Slider:
-        return Slider(
-            name=name,
-            label=label,
-            unit=unit,
-            group=group,
-            low=min(low, high, at),
-            high=max(high, at),
-            value=at,
-            logarithmic=name == "rate_hz",
-            tip=tip,
-            fixed=name in fixed,
-        )
-
-    slow = max(rate / 5.0, slowest)
-    fast = min(rate * 5.0, _LONGEST_DELAY / settings.delay if settings.delay > 0.0 else math.inf)
-    longest = min(max(3.0 * start.delay, 2.0 * period), _LONGEST_DELAY / settings.rate_hz)
-    out = [
-        slider("rate_hz", "sample rate", "Hz", "sampling", slow, fast, settings.rate_hz, "of all loops"),
-        slider("delay", "delay", "s", "sampling", 0.0, longest, settings.delay, "from sample to torque"),
-    ]
-    for name, spin in settings.spins.items():
-        first = start.spins[name]
-        low, high = (min(0.0, 1.6 * first), max(0.0, 1.6 * first)) if first else (-1e3, 1e3)
-        tip = "speed against its carrier"
-        out.append(
-            slider(
-                f"spin {name}",
-                name if name.startswith("rotor") else f"rotor {name}",
-                "rad/s",
-                "rotors",
-                low,
-                high,
-                spin,
-                tip,
-            )
-        )
-    for k, rate_now in enumerate(settings.Omega):
-        most = 2.0 * Omega[k] if Omega[k] > 0.0 else 1.0
-        tip = "platform rate at which the plants are shown; of loops that hold a body, at which dry friction acts"
-        out.append(slider(f"Omega{k + 1}", f"Omega {k + 1}", "rad/s", "Omega", -most, most, rate_now, tip))
-    return out
-
-
 def moved(
-    settings: Settings, sliders: Mapping[str, Slider], name: str, number: float, start: Mapping[str, float]
+    settings: Settings,
+    sliders: Mapping[str, Slider],
+    name: str,
+    number: float,
+    start: Mapping[str, float],
+    rate_hz: float,
 ) -> Settings:
-    """Return the settings with a slider at `number`; `start` are the options of the job."""
+    """Return the settings with a slider at `number`; `start` are the options of the job, `rate_hz` its sample rate."""
     known_name("slider", name, tuple(sliders))
     at = _number(name, number)
-    if name == "rate_hz":
-        _expect(name, at, *_RATE, "Hz")
-    if name in ("rate_hz", "delay"):
-        new = settings.but(**{name: at})
-        longest = _LONGEST_DELAY / new.rate_hz
-        if not 0.0 <= new.delay <= longest * (1.0 + 1e-9):
-            raise ArgumentError(
-                f"{name}: the delay must be 0 to {_LONGEST_DELAY:g} periods, with {short(number)} it is "
-                f"{new.delay * new.rate_hz:.4g}"
-            )
-        return new
-    if name.startswith("spin ") and sliders[name].group == "rotors":
-        _expect(name, at, -_SPIN, _SPIN, "rad/s")
-        return dataclasses.replace(settings, spins={**settings.spins, name.removeprefix("spin "): at})
-    if sliders[name].group == "Omega":
-        _expect(name, at, -_OMEGA, _OMEGA, "rad/s")
-        rates = list(settings.Omega)
-        rates[int(name[-1]) - 1] = at
-        return settings.but(Omega=tuple(rates))
-    _expect_option(sliders[name], at, settings.rate_hz)
+    _expect_option(sliders[name], at, rate_hz)
     if sliders[name].along:
         factor = at / sliders[name].value
         free = {option: x for option, x in sliders[name].along.items() if option not in settings.fixed}

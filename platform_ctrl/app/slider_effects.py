@@ -77,9 +77,7 @@ def with_budget(
         return effects
 
     def ratios(slider: Slider) -> FloatArray:
-        # The range of Omega moves no spectrum of the budget.
-        found = first if slider.group == "Omega" else loops.sight.quick_results(settings_with(slider), keep=False)
-        return np.array([one.ratio for one in found])
+        return np.array([one.ratio for one in loops.sight.quick_results(settings_with(slider), keep=False)])
 
     more = option_effects(
         effects.options,

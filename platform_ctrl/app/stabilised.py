@@ -322,7 +322,7 @@ def stabilised_parts(loop: StabilisedLoop, settings: Settings, labels: tuple[str
     every = curves.set_poles()
     own_margins = channel_margins(grid, response, stable)
     reference = max(own_margins.crossover or 1.0, 1.0)
-    at_rest = settings.plant == loop.plants.labels[0] and not any(settings.Omega)
+    at_rest = settings.plant == loop.plants.labels[0]
     all_stable = bool(np.all(spectral_abscissa(every) < 0.0)) if curves.banded else stable
     band, worst, worst_plant = curves.band() if curves.banded else (None, math.inf, settings.plant)
     bode, nichols = frequency_parts(

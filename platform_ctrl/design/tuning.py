@@ -311,8 +311,8 @@ def _stable(measures: LoopMetrics, requirements: Sequence[LoopRequirement]) -> B
 SHARE = 0.05
 # Relative moves of an option that are considered, and how many are tried after the estimate.
 MOVES, _TRIED = (-0.2, -0.1, -0.05, -0.025, 0.025, 0.05, 0.1, 0.2), 4
-# Least reduction of a ratio that is worth a move, and least loss of margin that is called a cost.
-_GAIN, _COST = 2e-3, 1e-3
+# Least loss of margin that is called a cost.
+_COST = 1e-3
 
 # How bad ratios (R,) are: of two moves the one with the smaller number is better.
 Score = Callable[[FloatArray], float]
@@ -352,16 +352,6 @@ class ResultChange:
 
     before: CheckResult
     after: CheckResult
-
-
-@value
-class OptionMove:
-    """An option moved to another value: what the target gains, and the requirement that loses most margin, or None."""
-
-    option: str
-    after: float
-    gain: ResultChange
-    cost: ResultChange | None
 
 
 def option_effects(
@@ -410,30 +400,6 @@ def candidates(
     for _, name, after in found:
         out.setdefault(name, (name, after))
     return list(out.values())[:_TRIED]
-
-
-def best_move(
-    before: Sequence[CheckResult],
-    target: int,
-    tried: Sequence[tuple[str, float]],
-    results: Callable[[str, float], Sequence[CheckResult]],
-) -> OptionMove | None:
-    """Return the best of the moves that are `tried`, measured by `results`; None where none helps the `target`."""
-    best, step = max(one.ratio for one in before) - _GAIN * before[target].ratio, None
-    for name, after in tried:
-        try:
-            found = results(name, after)
-        except PlatformCtrlError:
-            continue
-        reached = max(one.ratio for one in found)
-        if reached >= best:
-            continue
-        best = reached
-        cost = largest_loss(before, found)
-        step = OptionMove(
-            option=name, after=after, gain=ResultChange(before=before[target], after=found[target]), cost=cost
-        )
-    return step
 
 
 def largest_loss(before: Sequence[CheckResult], after: Sequence[CheckResult]) -> ResultChange | None:

@@ -71,8 +71,6 @@ def test_a_tracking_loop_is_shaped_checked_simulated_and_saved(tmp_path: Path, e
         shown = {one.name: one.value for one in page.picture(at).requirements}
         for one in outcome.closed.results:
             assert shown[one.name] == pytest.approx(one.value, rel=1e-6, abs=1e-12)
-        # The rate of all samples stays where a loop runs at a fraction of it.
-        assert ("rate_hz" in {slider.name for slider in page.sliders(at)}) == (every == 1)
     at = page.chosen(start, loop="track")
     whole = page._loops.coupled(start)
     np.testing.assert_allclose(whole.simultaneous.alpha, found.coupled.simultaneous.alpha, rtol=1e-6)

@@ -33,8 +33,9 @@ def bench() -> Backend:
 def settings(bench: Backend) -> Settings:
     """Not as the job has it: another caging loop inside, another plant, and another axis."""
     inner = bench.moved(bench.start("caging 9-10"), "crossover_hz", 61.0)
-    out = bench.moved(bench.chosen(inner, loop=SERVO), "Omega1", 0.3)
-    return bench.moved(out, "position_hz", 0.8).but(axis=2, channel="M2", overlays=("slow",))
+    return bench.moved(bench.chosen(inner, loop=SERVO), "position_hz", 0.8).but(
+        axis=2, channel="M2", overlays=("slow",)
+    )
 
 
 @pytest.fixture(scope="module")

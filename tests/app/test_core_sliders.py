@@ -7,14 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from one_gyro_job import JOB as ONE
 from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.app.backend import Backend
 from platform_ctrl.app.saving import decode_state, encode_state
-from platform_ctrl.app.settings import Settings, Slider, with_options
+from platform_ctrl.app.settings import Settings, with_options
 from platform_ctrl.cli import main
-from platform_ctrl.design.jobs import loops
-from platform_ctrl.errors import DesignError
 from platform_ctrl.job.methods import METHODS
 from platform_ctrl.job.reading import read_job
 
@@ -95,74 +92,9 @@ def test_a_single_gimbal_has_no_slider_of_pairs_and_is_saved_without_one(rate_gy
     assert not _differ(_controller(again, again.start()), _controller(bench, moved))
 
 
-def test_stopped_rotors_take_the_sliders_of_their_pairs_along_and_bring_them_back(shipped: Backend) -> None:
-    settings = shipped.start("caging 9-10")
-    stopped = shipped.moved(settings, "spin 11", 0.0)
-    pairs = {"crossover_hz", "damping_hz", "damping2_hz", "lead_hz", "rolloff_hz"}
-    assert pairs <= _names(shipped, settings)
-    assert not pairs & _names(shipped, stopped)
-    # What no gyro stiffens any more has sliders that the job never had.
-    assert {"inertial_crossover_hz", "inertial_lead_hz", "inertial_rolloff_hz"} <= _names(shipped, stopped)
-    _expect_that_sliders_are_what_acts(shipped, stopped)
-    moved = shipped.moved(stopped, "inertial_crossover_hz", 7.0)
-    before, after = (
-        next(k for k in shipped.sliders(one) if k.name == "inertial_crossover_hz") for one in (stopped, moved)
-    )
-    # The slider does not run away from the hand.
-    assert (after.value, after.low, after.high) == (7.0, before.low, before.high)
-    assert decode_state(shipped, encode_state(shipped, moved)).data() == moved.data()
-    back = shipped.moved(moved, "spin 11", settings.spins["11"])
-    assert _names(shipped, back) == _names(shipped, settings)
-    assert not _differ(_controller(shipped, back), _controller(shipped, settings))
-
-
-def test_a_job_with_stopped_rotors_is_saved_so_that_its_design_can_be_made(tmp_path: Path) -> None:
-    (tmp_path / "one.toml").write_text(
-        ONE.replace("integral_hz = 2 }", "integral_hz = 2, lead_hz = 6, notch_hz = 190 }")
-    )
-    bench = Backend(tmp_path / "one.toml")
-    stopped = bench.moved(bench.start(), "spin 11", 0.0)
-    saved = bench.save(stopped, tmp_path / "stopped.toml")
-    made = loops(read_job(saved.job))[0].closed.controller
-    K = _controller(bench, stopped)
-    for name in "ABCD":
-        np.testing.assert_allclose(getattr(made, name), getattr(K, name), rtol=1e-12)
-
-
 def test_a_slider_that_is_fixed_and_hidden_again_stays_in_the_link(shipped: Backend) -> None:
-    settings = shipped.start("caging 9-10").but(fixed=frozenset({"notch_hz", "damping_hz", "spin 11"}))
+    settings = shipped.start("caging 9-10").but(fixed=frozenset({"notch_hz", "damping_hz"}))
     hidden = shipped.with_part(settings, "notch", False)
     servo = shipped.chosen(hidden, loop="stabilisation")
     for one in (hidden, servo):
         assert decode_state(shipped, encode_state(shipped, one)).data() == one.data()
-
-
-def _slider(bench: Backend, settings: Settings, name: str) -> Slider:
-    return next(slider for slider in bench.sliders(settings) if slider.name == name)
-
-
-def test_at_the_lowest_sample_rate_of_the_slider_all_loops_can_be_built(shipped: Backend) -> None:
-    settings = shipped.moved(shipped.start("caging 9-10"), "notch_hz", 390.0).but(band=False)
-    servo = shipped.moved(shipped.chosen(settings, loop="stabilisation"), "filter_hz", 300.0)
-    for one, lowest in ((settings, 390.0 / 0.4), (servo, 390.0 / 0.4)):
-        assert _slider(shipped, one, "rate_hz").low == pytest.approx(lowest)
-        slow = shipped.moved(one, "rate_hz", lowest)
-        for loop in shipped.choices().loops:
-            assert shipped.picture(shipped.chosen(slow, loop=loop, design=slow.closed[loop])).bode.frequency.size
-    # The notch is one of another loop; once it is off the servo's filter is what asks for the rate.
-    off = shipped.chosen(shipped.with_part(shipped.chosen(servo, loop="caging 9-10"), "notch", False), loop=servo.loop)
-    assert _slider(shipped, off, "rate_hz").low == pytest.approx(300.0 / 0.45)
-    # A typed number may lie lower: the line says which loop and which option.
-    with pytest.raises(DesignError, match="caging 9-10, classical: notch_hz must be below half the sample rate"):
-        shipped.picture(shipped.moved(servo, "rate_hz", 700.0))
-
-
-def test_ends_of_delay_and_sample_rate_fit_one_another(shipped: Backend) -> None:
-    settings = shipped.start("caging 9-10")
-    late = shipped.moved(settings, "delay", 0.04)
-    for start in (settings, late, shipped.moved(settings, "rate_hz", 1e5)):
-        for name in ("delay", "rate_hz"):
-            slider = _slider(shipped, start, name)
-            assert slider.low <= slider.value <= slider.high
-            for end in (slider.low, slider.high):
-                assert getattr(shipped.moved(start, name, end), name) == end

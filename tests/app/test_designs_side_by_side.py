@@ -86,13 +86,3 @@ def test_sliders_move_a_design_with_feedforward_and_it_is_saved_with_it(page: Ba
     assert (again.use, again.closed.controller.input_labels[-3:]) == ("fed", BASE)
     (designed,) = (one for one in design.loops(saved)[0].designs if one.name == "fed")
     np.testing.assert_allclose(again.closed.controller.D, designed.controller.D, rtol=1e-9, atol=1e-12)
-
-
-def test_a_platform_rate_is_the_amplitude_at_which_dry_friction_of_a_held_gimbal_acts(page: Backend) -> None:
-    """A bearing that turns at ± its base's rate v has the mean damping 4 F/(π v) of dry friction F."""
-    start = page.start()
-    nominal, turning = (page.picture(one).locus.present for one in (start, start.but(Omega=(0.0, 0.0, 0.2))))
-    (friction,) = (k for k, name in enumerate(page.plants(start)) if name == "dry friction at 0.2 rad/s")
-    as_in_set = page.picture(start.but(plant=page.plants(start)[friction])).locus.present
-    np.testing.assert_allclose(np.sort_complex(turning), np.sort_complex(as_in_set), rtol=1e-6)
-    assert np.abs(np.sort_complex(turning) - np.sort_complex(nominal)).max() > 0.1

@@ -226,25 +226,6 @@ def test_a_slider_that_is_dragged_changes_the_plots_and_one_undo_takes_the_drag_
     until(page, lambda: drawn(page) != before)
 
 
-def test_a_drag_that_moves_the_ends_of_other_sliders_goes_on(page: Page) -> None:
-    rate = '#sliders [data-slider="rate_hz"] input[type="range"]'
-    thumb = page.locator(rate).bounding_box()
-    assert thumb is not None
-    middle = thumb["y"] + thumb["height"] / 2
-    page.mouse.move(thumb["x"] + thumb["width"] / 2, middle)
-    page.mouse.down()
-    moved = []
-    for share in (0.7, 0.9):
-        page.mouse.move(thumb["x"] + share * thumb["width"], middle, steps=3)
-        settled(page)
-        moved.append(number(page, "rate_hz").input_value())
-    page.mouse.up()
-    assert 2000 < float(moved[0]) < float(moved[1])
-    page.keyboard.press("Control+z")
-    shows(page, "rate_hz", "2000")
-    assert page.locator("#undo").is_disabled()
-
-
 def test_a_margin_beyond_999_percent_is_shown_as_more(page: Page) -> None:
     # 0.05 1/s are asked of the minimum decay rate, and some hundred times as much is there.
     row = page.locator("#requirements tbody tr", has_text="minimum decay rate").first
@@ -426,10 +407,7 @@ def test_a_design_that_takes_seconds_is_announced_and_drawn_in_every_plot_once_a
     assert page.locator("#design").input_value() == "H-infinity"
     page.locator('#sliders [data-slider="bandwidth_hz"]').wait_for(state="attached")
     assert page.locator("#design").input_value() == "H-infinity"
-    # Its main control is the trade-off, once there is more than one design to choose from; its options are folded.
-    assert page.locator("#speed-line").text_content() == "1 of 5 designed"
-    assert page.locator("#speed").is_disabled()
-    assert page.locator("#precompute").is_enabled()
+    # Its options are folded.
     assert not page.locator('#sliders [data-slider="bandwidth_hz"]').is_visible()
     page.keyboard.press("Control+z")
     shows(page, "crossover_hz", "40")
@@ -677,7 +655,7 @@ def test_choices_are_checked(backend: Backend) -> None:
         ("overlays", ["slower"]),
     ]
     wrong += [("loop", "x"), ("loop", 3), ("design", ""), ("channel", "Q4"), ("plant", "nominal ")]
-    wrong += [("mode", "stabilised"), ("mode", None), ("rate_hz", 3)]
+    wrong += [("mode", "stabilised"), ("mode", None)]
     for name, given in wrong:
         with pytest.raises(PlatformCtrlError):
             chosen(backend, start, name, given, ("nominal",))

@@ -7,14 +7,16 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from platform_ctrl.app.budget import BudgetState
 from platform_ctrl.app.job_parts import ChipState
-from platform_ctrl.app.pictures import Margins, NextStep, Picture
+from platform_ctrl.app.pictures import Margins, Picture
 from platform_ctrl.app.settings import Choices, Mode, Settings, Slider
 from platform_ctrl.common.arguments import known_name, whole
 from platform_ctrl.common.signatures import short
 from platform_ctrl.common.values import value
-from platform_ctrl.design.tuning import SHARE, OptionEffects, ResultChange
+from platform_ctrl.design.tuning import SHARE, OptionEffects, OptionValue, candidates
 from platform_ctrl.errors import InputError
 from platform_ctrl.job.judging import CheckResult
 from platform_ctrl.job.methods import METHODS
@@ -45,12 +47,6 @@ REQUESTS: Mapping[str, Mapping[str, type]] = {
     "cancel": {},
     "save": {"name": str, "overwrite": bool},
     "simulate": {"manoeuvre": str},
-    "preview": {"on": bool},
-    "apply": {},
-    "pin": {},
-    "precompute": {},
-    "point": {"k": int},
-    "snapshot": {"name": str, "act": str},
 }
 _WORDS = {bool: "true or false", int: "a whole number", str: "a text", list: "a list"}
 
@@ -130,6 +126,8 @@ def _no_constant(text: str) -> float:
     raise ValueError(text)
 
 
+# Least share of its ratio by which a step has to help a requirement.
+_LEAST_GAIN = 2e-3
 # Shares of a mean square that are none.
 _ROUNDING = 1e-12
 # What a slider's value looked like before a page moved it; a start that no slider has is shown as none.
@@ -266,9 +264,12 @@ def requirement_data(picture: Picture) -> list[dict[str, Any]]:
     return [_row(one) for one in (*picture.requirements, *picture.goals)]
 
 
-def influence_data(influence: OptionEffects, budget: Sequence[CheckResult] = ()) -> dict[str, Any]:
-    """Return what the sliders do to the requirements, and the rows of those of the budget."""
+def influence_data(
+    influence: OptionEffects, budget: Sequence[CheckResult], sliders: Sequence[Slider]
+) -> dict[str, Any]:
+    """Return what the sliders do to the requirements, the rows of those of the budget, and the next step."""
     return {
+        "next": _next_step(influence, sliders),
         "budget": [_row(one) for one in budget],
         "sliders": list(influence.options),
         "ratios": [plain_number(float(ratio)) for ratio in influence.ratios],
@@ -280,38 +281,29 @@ def influence_data(influence: OptionEffects, budget: Sequence[CheckResult] = ())
     }
 
 
-def pinned_data(name: str, design: str, drawn: bool, results: tuple[CheckResult, ...]) -> dict[str, Any]:
-    """Return a snapshot: value and margin of each requirement by its full name."""
-    rows = [_row(one) for one in results]
-    values = {one["full"].partition(": ")[2]: [one["reached"], one["margin"], one["passed"]] for one in rows}
-    return {"name": name, "design": design, "drawn": drawn, "values": values}
-
-
-def next_data(step: NextStep | None, picture: Picture) -> dict[str, Any]:
-    """Return the next step in words: the slider's move, what it gains, and what it costs."""
-    if step is None:
-        tightest = max(picture.requirements, key=lambda one: one.ratio, default=None)
-        of = "" if tightest is None else f" {tightest.name}"
-        return {"move": f"No single slider helps{of}", "gain": "", "cost": "", "slider": ""}
-    slider = step.slider
-    way = "Raise" if step.after > slider.value else "Lower"
-    unit = f" {slider.unit}" if slider.unit else ""
-    return {
-        "move": f"{way} {slider.label} from {slider.value:.4g} to {step.after:.4g}{unit}",
-        "gain": _margins(step.gain),
-        "cost": "costs nothing" if step.cost is None else f"costs {_margins(step.cost)}",
-        "slider": slider.name,
-    }
-
-
-def _margins(change: ResultChange) -> str:
-    return f"{change.before.name}: {_percent(change.before.margin)} → {_percent(change.after.margin)}"
-
-
-def _percent(margin: float) -> str:
-    if not math.isfinite(margin):
-        return "unstable" if margin < 0.0 else "+∞"
-    return f"{100 * margin:+.1f} %".replace("-", "−")
+def _next_step(influence: OptionEffects, sliders: Sequence[Slider]) -> dict[str, Any]:
+    """Return the move of a slider, by at most a fifth, after which the tightest requirement is met best, by slopes."""
+    if not influence.requirements:
+        return {"move": "", "gain": "", "slider": ""}
+    at = int(np.argmax(influence.ratios))
+    tightest, ratio = influence.requirements[at], float(influence.ratios[at])
+    free = [
+        OptionValue(name=one.name, value=one.value, low=one.low, high=one.high)
+        for one in sliders
+        if one.name in influence.options and one.tunable and not one.fixed and one.value
+    ]
+    found = candidates(influence, free)
+    if found:
+        name, after = found[0]
+        slider = next(one for one in sliders if one.name == name)
+        change = float(influence.change[at, influence.options.index(name)]) / SHARE * (after / slider.value - 1.0)
+        if change < -_LEAST_GAIN * ratio:
+            way = "Raise" if after > slider.value else "Lower"
+            move = f"{way} {slider.label} to {after:.4g} {slider.unit}".rstrip()
+            gain = f"helps {tightest} by about {-100.0 * change:.2g} %"
+            return {"move": move, "gain": gain, "slider": name, "value": after}
+    words = f"No single slider helps {tightest}" if free else f"No slider is free to help {tightest}"
+    return {"move": words, "gain": "", "slider": ""}
 
 
 def _row(one: CheckResult) -> dict[str, Any]:

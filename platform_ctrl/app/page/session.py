@@ -10,14 +10,12 @@ from typing import TYPE_CHECKING, Any
 from platform_ctrl.app.designs import DesignPending
 from platform_ctrl.app.gimbal_tree import TreeView
 from platform_ctrl.app.page import messages
-from platform_ctrl.app.page.compared import Compared
 from platform_ctrl.app.page.connection import Connection
 from platform_ctrl.app.page.messages import Request, chosen, parse_request, request_count
 from platform_ctrl.app.page.tasks import LatestTasks, PageTasks, error_text
 from platform_ctrl.app.plots import Plots
 from platform_ctrl.app.saving import decode_state, encode_state
 from platform_ctrl.app.settings import History
-from platform_ctrl.app.trade_off import chosen_point, trade_off_data
 from platform_ctrl.common.arguments import known_name
 from platform_ctrl.common.values import value
 from platform_ctrl.errors import PlatformCtrlError
@@ -101,7 +99,6 @@ class Session:
         self._awaited: tuple[Settings, object] | None = None
         self._idle: Any = None
         self._tasks = PageTasks(self)
-        self.compared = Compared(self)
         self._stop_listening = backend.on_designed(self._designed)
 
     def roots(self) -> list[Any]:
@@ -119,7 +116,6 @@ class Session:
     def change(self, key: str, change: Change, *, count: int = 0, gesture: object = None) -> None:
         """Change the settings and show them; it replaces a waiting change of the same key."""
         self._tasks.cancel_tuning()
-        self.compared.forget_step()
         self._no_rest()
         if gesture is None:
             gesture = object()
@@ -130,18 +126,13 @@ class Session:
         shown = self.picture
         return not self._changes.working and shown is not None and shown.settings.data() == settings.data()
 
-    def redraw(self, count: int) -> None:
-        """Draw the same settings again: something is compared with them, or no longer."""
-        self._changes.add("again", Task(count=count, change=lambda settings: settings, gesture="ready"))
-
     # Requests of the page.
 
     def _requested(self, name: str, old: object, new: object) -> None:
         """Do what a message requests; a wrong one is answered by an error."""
         try:
             request = parse_request(new)
-            own = getattr(self, f"_on_{request.what}", None) or getattr(self.compared, f"on_{request.what}", None)
-            (own or self._tasks.handle)(request)
+            (getattr(self, f"_on_{request.what}", None) or self._tasks.handle)(request)
         except PlatformCtrlError as error:
             # The sliders show their values again, not what was typed.
             rows = {} if self.picture is None else self._slider_rows(self.picture.settings)
@@ -206,14 +197,6 @@ class Session:
             self.plots.show(self.picture)
         self.change("view", lambda settings: settings, count=request.count, gesture="ready")
 
-    def _on_precompute(self, request: Request) -> None:
-        self.backend.trade_off.prepare(self.settings)
-        self.change("precompute", lambda settings: settings, count=request.count, gesture="ready")
-
-    def _on_point(self, request: Request) -> None:
-        trade_off, k = self.backend.trade_off, request.more["k"]
-        self.change("point", lambda settings: chosen_point(trade_off.points(settings), k).settings, count=request.count)
-
     def _on_undo(self, request: Request) -> None:
         self._step(request, self.history.undo if self.history.can_undo else None, "There is nothing to undo.")
 
@@ -235,11 +218,13 @@ class Session:
 
     def _work(self, tasks: list[Task]) -> None:
         """Compute a picture for all tasks together; runs in a thread."""
-        settings, line, picture, awaits, drawn = self.settings, None, None, False, False
+        line, picture, awaits, drawn = None, None, False, False
+        # What waits for a design goes on from there.
+        settings = self.settings if self._awaited is None else self._awaited[0]
         # A design that has become available is not a separate step of a gesture.
         gesture = next((task.gesture for task in reversed(tasks) if task.gesture != "ready"), "ready")
         if gesture == "ready" and self._awaited is not None:
-            settings, gesture = self._awaited
+            gesture = self._awaited[1]
         for task in tasks:
             try:
                 settings = task.change(settings)
@@ -254,8 +239,7 @@ class Session:
         try:
             if self._view == "budget":
                 self._budgeted(settings)
-            ghosts = self.compared.ghosts(settings.loop)
-            picture = self.backend.picture(settings, on_drawn, **({"ghosts": ghosts} if ghosts else {}))
+            picture = self.backend.picture(settings, on_drawn)
         except DesignPending as error:
             line, awaits = str(error), True
         except Exception as error:
@@ -324,8 +308,7 @@ class Session:
             data |= self._picture_data(out.picture)
             self.rest()
         elif self.picture is not None and out.awaits:
-            # The sliders stay those of the picture; the lists keep the choice.
-            data |= self._slider_rows(self.picture.settings)
+            data |= self._slider_rows(out.settings)
         elif self.picture is not None:
             # Everything returns to the last picture.
             data |= self._picture_data(self.picture)
@@ -354,8 +337,6 @@ class Session:
                 "undo": self.history.can_undo,
                 "redo": self.history.can_redo,
                 "tunable": any(one["tunable"] and not one["fixed"] for one in sliders),
-                **self.compared.data(settings.loop),
-                "trade_off": trade_off_data(self.backend.trade_off.points(settings), settings),
                 "link": encode_state(self.backend, settings),
                 **self._tasks.data(),
             },

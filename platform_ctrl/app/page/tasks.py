@@ -24,7 +24,6 @@ from platform_ctrl.job.judging import CheckResult
 if TYPE_CHECKING:
     from platform_ctrl.app.backend import Backend
     from platform_ctrl.app.gimbal_tree import TreeView
-    from platform_ctrl.app.page.compared import Compared
     from platform_ctrl.app.page.connection import Connection
     from platform_ctrl.app.pictures import Picture
     from platform_ctrl.app.settings import Choices, Settings
@@ -79,7 +78,6 @@ class Page(Protocol):
     settings: Settings
     picture: Picture | None
     tree: TreeView
-    compared: Compared
 
     def parts_measured(self) -> None:
         """Show what has become known of the parts of the job."""
@@ -158,14 +156,13 @@ class PageTasks:
 
         def show_influence(influence: OptionEffects, budget: tuple[CheckResult, ...]) -> None:
             if page.shows(settings):
-                self._connection.answer(influence=influence_data(influence, budget))
+                sliders = self._backend.sliders(settings)
+                self._connection.answer(influence=influence_data(influence, budget, sliders))
 
         def effects() -> OptionEffects:
             influence = self._backend.influence(settings, expect_shown)
             budget = self._backend.budget_results(settings)
             self._connection.later(lambda: show_influence(influence, budget))
-            step = self._backend.next_step(settings, influence, expect_shown)
-            self._connection.later(lambda: page.compared.found(step) if page.shows(settings) else None)
             return influence
 
         def measured() -> Callable[[], None]:

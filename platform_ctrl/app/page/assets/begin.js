@@ -5,8 +5,6 @@ import { watch } from "./connection.js";
 import "./sliders.js";
 import "./table.js";
 import "./strip.js";
-import "./compared.js";
-import "./trade_off.js";
 import "./budget.js";
 import "./actions.js";
 

@@ -76,7 +76,7 @@ on("state", (given, { n }) => {
   byId("undo").disabled = !given.undo;
   byId("redo").disabled = !given.redo;
   byId("tune").disabled = !given.tunable;
-  byId("over").hidden = given.choices.overlays.length === 0;
+  byId("compared").hidden = given.choices.overlays.length === 0;
   showLink();
   const now = JSON.stringify(given.choices.overlays);
   if (now !== overlays) {

@@ -4,7 +4,7 @@ import { request, byId, icon, made, move, newGesture, on, pending, put, settled,
 const STEPS = 4000, FINE = 4, COARSE = 20;
 // Milliseconds without a key after which the next one begins a series of its own; a key that is held is one series.
 const SERIES = 1500;
-const GROUPS = { main: "Speed and robustness", gains: "Gains", lead: "Lead and lag", lag: "Lag", notch: "Notch", design: "Design", sampling: "Sampling", rotors: "Rotors", Omega: "Platform rate" };
+const GROUPS = { main: "Speed and robustness", gains: "Gains", lead: "Lead and lag", lag: "Lag", notch: "Notch", design: "Design" };
 export const rows = new Map();
 let structure = "", designOpen = false, allOpen = true;
 
@@ -131,8 +131,7 @@ const build = (sliders, parts) => {
       box.addEventListener("change", () => request("part", { part: part.name, on: box.checked }));
       return made("label", { title: part.tip }, box, part.label);
     });
-    const at = fieldsets.findIndex((one) => ["sampling", "rotors", "Omega"].includes(one.dataset.group));
-    fieldsets.splice(at < 0 ? fieldsets.length : at, 0, made("fieldset", { className: "parts" }, made("legend", {}, "With", ...boxes)));
+    fieldsets.push(made("fieldset", { className: "parts" }, made("legend", {}, "With", ...boxes)));
   }
   // Who has the two main sliders need not see the others.
   const main = fieldsets.filter((one) => one.dataset.group === "main");
@@ -165,7 +164,6 @@ on("influence", admissible);
 
 on("sliders", (sliders, message) => {
   const parts = message.parts ?? [];
-  // Ends that move with another slider, as with the sample rate, leave the rows: one of them may be under the hand.
   const now = JSON.stringify([sliders.map((one) => [one.name, one.label, one.unit, one.group]), parts]);
   if (now !== structure) {
     structure = now;

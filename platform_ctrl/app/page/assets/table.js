@@ -1,10 +1,10 @@
 // The requirements: required value, actual value, margin, and which way each slider would help.
-import { byId, dress, made, on, percent, shown, write } from "./messages.js";
+import { byId, dress, made, on, percent, put, shown, write } from "./messages.js";
 import { near, rows } from "./sliders.js";
 
 const KEY = "Arrows: which way to move a slider to help. Colour: how much 5 % of it changes; empty: next to nothing.";
 const LEAST = 0.002, MOST = 0.1;
-let influence = null, pinned = [];
+let influence = null;
 
 const bar = () => {
   const fill = made("span", { className: "fill" });
@@ -33,21 +33,12 @@ const paintCell = (element, name, slider, change) => {
   element.title = change === null || change === undefined ? "" : `${slider.label} + 5 %: ${words}`;
 };
 
-// A snapshot's value, and by how many per cent of the limit its margin is larger than the present one.
-const paintPinned = ({ value, change, cell }, one, then) => {
-  write(value, then ? `${then[2] ? "" : "✗ "}${then[0]}` : "–");
-  const more = then && then[1] !== null && one.margin !== null ? then[1] - one.margin : null;
-  write(change, more === null || Math.abs(more) < 5e-5 ? "=" : percent(more));
-  dress(cell, `number pinned ${more === null || Math.abs(more) < 5e-5 ? "" : more > 0 ? "better" : "worse"}`);
-};
-
 let structure = "", body = [];
 const buildTable = (requirements, sliders) => {
   const table = document.querySelector("#requirements table");
   table.tHead.replaceChildren(made("tr", {},
     made("th", { scope: "col", "aria-label": "Requirement" }, made("span", { className: "key", id: "requirements-key" }, KEY), "Requirement"), made("th", { scope: "col", className: "number" }, "required"),
     made("th", { scope: "col", className: "number" }, "value"), made("th", { scope: "col", className: "number" }, "margin"), made("th", { "aria-hidden": true }),
-    ...pinned.map((one) => made("th", { scope: "col", className: "number pinned", title: `Snapshot ${one.name}: value, and its margin less the present one` }, one.name, made("small", {}, "margin Δ"))),
     ...sliders.map((slider) => made("th", { scope: "col", className: "slider-name", "data-slider": slider.name, title: slider.label }, made("span", {}, slider.label))),
     made("th", { className: "rest", "aria-hidden": true })));
   body = requirements.map((one) => {
@@ -55,11 +46,10 @@ const buildTable = (requirements, sliders) => {
     const row = {
       track, fill, place: "",
       required: made("td", { className: "number" }), reached: made("td", { className: "number value" }), left: made("td", { className: "number left" }),
-      pinned: pinned.map(() => { const value = made("span"), change = made("small"); return { value, change, cell: made("td", { className: "number pinned" }, value, change) }; }),
       cells: sliders.map((slider) => made("td", { className: "cell", "data-slider": slider.name })),
     };
     row.element = made("tr", {}, made("th", { scope: "row", title: `${one.full} (${one.method})` }, one.name), row.required, row.reached, row.left,
-      made("td", { className: "bar", "aria-hidden": true }, track), ...row.pinned.map((one) => one.cell), ...row.cells, made("td", { className: "rest", "aria-hidden": true }));
+      made("td", { className: "bar", "aria-hidden": true }, track), ...row.cells, made("td", { className: "rest", "aria-hidden": true }));
     return row;
   });
   table.tBodies[0].replaceChildren(...body.map((row) => row.element));
@@ -68,7 +58,7 @@ const buildTable = (requirements, sliders) => {
 let own = [], budget = [], requirements = [];
 const paintTable = () => {
   const sliders = [...rows.values()].map((row) => row.slider);
-  const now = JSON.stringify([sliders.map((slider) => slider.label), requirements.map((one) => one.full), pinned.map((one) => one.name)]);
+  const now = JSON.stringify([sliders.map((slider) => slider.label), requirements.map((one) => one.full)]);
   const fresh = now !== structure;
   if (fresh) {
     structure = now;
@@ -87,7 +77,6 @@ const paintTable = () => {
     }
     write(row.left, percent(one.margin));
     paintBar(row, one);
-    for (const [k, snapshot] of pinned.entries()) paintPinned(row.pinned[k], one, snapshot.values[one.full.replace(/^[^:]*: /, "")]);
   }
 };
 
@@ -100,12 +89,14 @@ const paintInfluence = () => {
   }
 };
 
-on("state", (given) => { pinned = given.pinned; });
 on("requirements", (given) => {
   own = given;
   requirements = [...own, ...budget];
   paintTable();
   byId("requirements").classList.add("stale");
+  // Of other settings another step is the next one.
+  byId("next").classList.add("stale");
+  byId("apply").disabled = true;
 });
 on("influence", (given) => {
   // The limits of the budget follow when the sliders rest.
@@ -115,7 +106,24 @@ on("influence", (given) => {
   influence = given;
   paintInfluence();
   byId("requirements").classList.remove("stale");
+  showStep(given.next);
 });
+
+let step = null;
+const next = byId("next");
+const showStep = (given) => {
+  step = given;
+  next.classList.remove("stale");
+  for (const [line, text] of [[next.querySelector(".move"), given.move], [next.querySelector(".gain"), given.gain]]) {
+    write(line, text);
+    if (line.title !== text) line.title = text;
+  }
+  byId("apply").disabled = !given.slider;
+};
+byId("apply").addEventListener("click", () => put(step.slider, step.value));
+for (const [enter, is] of [["mouseenter", true], ["mouseleave", false]]) {
+  next.addEventListener(enter, () => { if (step?.slider) near(step.slider, is); });
+}
 for (const [type, is] of [["mouseover", true], ["mouseout", false]]) {
   byId("requirements").addEventListener(type, (event) => {
     const slider = event.target.closest?.("[data-slider]")?.dataset.slider;
