@@ -107,7 +107,11 @@ class DesignOptions:
 
     def offered(self, settings: Settings, spec: LoopSpec, design: DesignSpec) -> dict[str, float]:
         """Return the options that a design is made of, those of parts that are off as well."""
-        return dict(settings.options[spec.name][design.name])
+        options = settings.options[spec.name][design.name]
+        if design.method != "classical":
+            return dict(options)
+        channel = self._plants.gyros(spec, design)
+        return {name: x for name, x in options.items() if acts(name, channel)}
 
     def used(self, settings: Settings, spec: LoopSpec, design: DesignSpec) -> dict[str, float]:
         """Return the options that a design uses, without those of parts that are off."""

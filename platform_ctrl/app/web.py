@@ -53,8 +53,6 @@ KINDS = {
     "css": "text/css; charset=utf-8",
     "js": "text/javascript; charset=utf-8",
     "svg": "image/svg+xml",
-    "txt": "text/plain; charset=utf-8",
-    "woff2": "font/woff2",
 }
 _FILE = re.compile(rf"/page/(?P<name>[\w-][\w.-]*\.(?P<kind>{'|'.join(KINDS)}))")
 # The two scripts that Bokeh writes into a page. Any other, whoever managed to put it there, does not run.

@@ -140,7 +140,7 @@ def test_tuning_a_design_with_a_filter_sees_the_whole() -> None:
     page = Backend(read_job(job))
     start = page.start()
     spec, one = page._loops.design(start)
-    plants, _ = page._loops.plants_of(start, spec, one)
+    plants = page._loops.plants_of(start, spec, one)
     options = page._loops.options.used(start, spec, one)
     task = Tuning(
         spec=spec,

@@ -90,7 +90,7 @@ def test_a_further_part_is_one_registered_function(backend: Backend, monkeypatch
 
     def budget(loops: object, settings: Settings) -> list[JobPart]:
         chip = Chip(key="budget", label="budget", panel="budget")
-        return [JobPart(chip=chip, count=1, stamp=("budget", settings.rate_hz), measure=lambda: (result,))]
+        return [JobPart(chip=chip, count=1, stamp=("budget", settings.loop), measure=lambda: (result,))]
 
     monkeypatch.setattr(job_parts, "PARTS", [*job_parts.PARTS, budget])
     settings = backend.start()

@@ -178,7 +178,7 @@ def test_pages_are_apart_load_nothing_from_elsewhere_and_leave_nothing(job: Path
         with screen(browser, server.address) as one, screen(browser, server.address, dark=True) as two:
             for shown in (one, two):
                 shown.page.get_by_text("limits are met").first.wait_for()
-                shown.page.locator("gimbal-tree .names span").first.wait_for(state="attached")
+                shown.page.locator("#panel-tree text").first.wait_for(state="attached")
             assert server.sessions == 2
             for shown in (one, two):
                 assert shown.hosts() == {f"127.0.0.1:{server.port}"}

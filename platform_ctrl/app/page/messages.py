@@ -127,7 +127,7 @@ def _no_constant(text: str) -> float:
 
 
 # Least share of its ratio by which a step has to help a requirement.
-_LEAST_GAIN = 2e-3
+_LEAST_GAIN = 5e-3
 # Shares of a mean square that are none.
 _ROUNDING = 1e-12
 # What a slider's value looked like before a page moved it; a start that no slider has is shown as none.
@@ -282,7 +282,7 @@ def influence_data(
 
 
 def _next_step(influence: OptionEffects, sliders: Sequence[Slider]) -> dict[str, Any]:
-    """Return the move of a slider, by at most a fifth, after which the tightest requirement is met best, by slopes."""
+    """Return the move of a slider by 5 % after which the tightest requirement is met best, by slopes."""
     if not influence.requirements:
         return {"move": "", "gain": "", "slider": ""}
     at = int(np.argmax(influence.ratios))
@@ -292,7 +292,7 @@ def _next_step(influence: OptionEffects, sliders: Sequence[Slider]) -> dict[str,
         for one in sliders
         if one.name in influence.options and one.tunable and not one.fixed and one.value
     ]
-    found = candidates(influence, free)
+    found = candidates(influence, free, moves=(-SHARE, SHARE))
     if found:
         name, after = found[0]
         slider = next(one for one in sliders if one.name == name)
@@ -300,7 +300,7 @@ def _next_step(influence: OptionEffects, sliders: Sequence[Slider]) -> dict[str,
         if change < -_LEAST_GAIN * ratio:
             way = "Raise" if after > slider.value else "Lower"
             move = f"{way} {slider.label} to {after:.4g} {slider.unit}".rstrip()
-            gain = f"helps {tightest} by about {-100.0 * change:.2g} %"
+            gain = f"helps the tightest limit: {tightest}"
             return {"move": move, "gain": gain, "slider": name, "value": after}
     words = f"No single slider helps {tightest}" if free else f"No slider is free to help {tightest}"
     return {"move": words, "gain": "", "slider": ""}

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import threading
 from collections.abc import Callable
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
 from platform_ctrl.app.designs import DesignPending
-from platform_ctrl.app.gimbal_tree import TreeView
+from platform_ctrl.app.gimbal_tree import tree_data
 from platform_ctrl.app.page import messages
 from platform_ctrl.app.page.connection import Connection
 from platform_ctrl.app.page.messages import Request, chosen, parse_request, request_count
@@ -89,7 +90,6 @@ class Session:
         for root in roots:
             # Beside the headings the template has a button.
             root.children[0].margin = (0, 24, 0, 0)
-        self.tree = TreeView(backend.read.platform)
         self._gesture: object = None
         self._changes: LatestTasks[Task] = LatestTasks(self._work)
         # What is drawn next.
@@ -103,7 +103,7 @@ class Session:
 
     def roots(self) -> list[Any]:
         """Return the roots of the document, by whose names the template places them."""
-        return [*self.plots.layout.values(), self.tree.layout, self.connection.model]
+        return [*self.plots.layout.values(), self.connection.model]
 
     def close(self, session_context: object) -> None:
         """Cancel all tasks and release everything; the page is closed."""
@@ -198,6 +198,10 @@ class Session:
         self.change("view", lambda settings: settings, count=request.count, gesture="ready")
 
     def _on_undo(self, request: Request) -> None:
+        if self._awaited is not None:
+            there = self.settings
+            self.change("history", lambda settings: there, count=request.count, gesture="history")
+            return
         self._step(request, self.history.undo if self.history.can_undo else None, "There is nothing to undo.")
 
     def _on_redo(self, request: Request) -> None:
@@ -417,7 +421,11 @@ def page(backend: Backend, document: Document) -> None:
     document.config.update(reconnect_session=False, notify_connection_status=False)
     document.template = _template()
     has_budget = backend.read.budget is not None
-    document.template_variables.update(panels=PANELS, budget_panels=BUDGET_PANELS if has_budget else ())
+    document.template_variables.update(
+        panels=PANELS,
+        budget_panels=BUDGET_PANELS if has_budget else (),
+        tree=json.dumps(tree_data(backend.read.platform), separators=(",", ":")),
+    )
 
 
 def _state(document: Document) -> str:

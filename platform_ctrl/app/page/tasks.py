@@ -13,6 +13,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
+from platform_ctrl.app.gimbal_tree import run_data
 from platform_ctrl.app.page.messages import Request, influence_data
 from platform_ctrl.app.saving import controllers_beside
 from platform_ctrl.common.arguments import known_name
@@ -23,7 +24,6 @@ from platform_ctrl.job.judging import CheckResult
 
 if TYPE_CHECKING:
     from platform_ctrl.app.backend import Backend
-    from platform_ctrl.app.gimbal_tree import TreeView
     from platform_ctrl.app.page.connection import Connection
     from platform_ctrl.app.pictures import Picture
     from platform_ctrl.app.settings import Choices, Settings
@@ -77,7 +77,6 @@ class Page(Protocol):
     choices: Choices
     settings: Settings
     picture: Picture | None
-    tree: TreeView
 
     def parts_measured(self) -> None:
         """Show what has become known of the parts of the job."""
@@ -255,7 +254,6 @@ class PageTasks:
         self._connection.soon(lambda: self._show_busy(running, long), LONG)
 
         def simulated() -> Callable[[], None]:
-            platform = self._backend.job(settings).platform
             for k, name in enumerate(names):
                 if k:
                     line = f"Simulating {k + 1} of {len(names)}: {name}"
@@ -264,9 +262,7 @@ class PageTasks:
                 self._connection.later(page.parts_measured)
 
             def show() -> None:
-                page.tree.stage(platform)
-                page.tree.show(trajectory)
-                self._connection.answer(simulated=names[-1])
+                self._connection.answer(run=run_data(trajectory))
 
             return show
 
