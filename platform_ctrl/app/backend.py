@@ -63,18 +63,15 @@ class Backend:
     controllers
         Path of a ``result.json`` whose designs are shown as they are; default: the file that `save` leaves beside a
         job, if it exists.
-    folder
-        Where jobs are saved; default: beside the job.
     """
 
     def __init__(
         self,
         job: str | Path | Job,
         controllers: str | Path | None = None,
-        folder: str | Path | None = None,
     ) -> None:
         self.path = None if isinstance(job, Job) else Path(job)
-        self.folder = Path(folder) if folder is not None else Path() if self.path is None else self.path.parent
+        self.folder = Path() if self.path is None else self.path.parent
         self.read = job if isinstance(job, Job) else read_job(job)
         self._source = None if self.path is None else JobSource(self.path, self.read)
         if controllers is None and self.path is not None:

@@ -31,7 +31,7 @@ def tree_data(platform: Platform) -> dict[str, Any]:
     tree = topology(platform)
     names = [*(g.name for g in platform.gimbals), *(r.name for r in platform.rotors)]
     parents = [*map(int, tree.parents), *(int(k) - 1 for k in tree.carriers)]
-    axes = [one.axis for one in (*platform.gimbals, *platform.rotors)]
+    axes = [*(g.axis for g in platform.gimbals), *(r.axis for r in platform.rotors)]
     count = len(platform.gimbals)
     texts = [
         *(g.name if greek(g.angle) == g.name else f"{g.name} {greek(g.angle)}" for g in platform.gimbals),
