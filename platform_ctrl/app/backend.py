@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from platform_ctrl.app.background import IsCancelled, ServoTuning, Simulating, TaskRunner, Tuning, run_alone
+from platform_ctrl.app.background import Background, IsCancelled, Simulating, Tuning
 from platform_ctrl.app.budget import BudgetState
 from platform_ctrl.app.caged import caged_parts
 from platform_ctrl.app.closed_loops import ClosedLoops
@@ -80,14 +80,16 @@ class Backend:
             controllers = beside if beside.exists() and not differing_origin(beside, self.read) else None
         self._loops = ClosedLoops(self.read, None if controllers is None else Path(controllers))
         self.read = self._loops.read
-        self._designs = Designs(self._loops)
-        self._simulator = TaskRunner()
+        self._background = Background()
+        self._designs = Designs(self._loops, self._background)
+        # Whether a manoeuvre has been simulated: the first takes longer, until its equations are compiled.
+        self.has_simulated = False
         self.job_parts = JobParts(self._loops)
 
     def close(self) -> None:
-        """End the processes that design and simulate."""
-        self._designs.end()
-        self._simulator.end()
+        """End the process that designs, tunes and simulates."""
+        self._designs.queue.end()
+        self._background.end()
 
     # Settings and what they may be.
 
@@ -283,30 +285,19 @@ class Backend:
         """Return the settings with all sliders of the design that are not fixed tuned until its limits are met."""
         spec, design = self._loops.design(settings)
         free = tuple(k.name for k in self.sliders(settings) if k.tunable and not k.fixed)
+        if not spec.has_plants:
+            raise DesignError(f"{spec.name}, {design.name}: a servo on the platform is not tuned; move its sliders")
         if not free:
             raise DesignError(f"{spec.name}, {design.name}: no slider is free to be tuned; free at least one")
-        options = self._loops.options.used(settings, spec, design)
-        task: Tuning | ServoTuning
-        if spec.has_plants:
-            task = Tuning(
-                spec=spec,
-                design=design,
-                plants=self._loops.plants_of(settings, spec, design),
-                directions=self._loops.directions(settings, spec, design),
-                options=options,
-                movable=free,
-            )
-        else:
-            others = [one for one in self._loops.controllers(settings) if one.loop != spec.name]
-            task = ServoTuning(
-                job=self.job(settings),
-                loop=spec.name,
-                design=design.name,
-                movable=free,
-                options=options,
-                caging=tuple(one.system for one in others),
-            )
-        found: dict[str, float] = run_alone(task, progress, cancelled)
+        task = Tuning(
+            spec=spec,
+            design=design,
+            plants=self._loops.plants_of(settings, spec, design),
+            directions=self._loops.directions(settings, spec, design),
+            options=self._loops.options.used(settings, spec, design),
+            movable=free,
+        )
+        found: dict[str, float] = self._background.run(task, progress, cancelled)
         # Six digits: more change no requirement.
         return with_options(settings, {name: float(f"{found[name]:.6g}") for name in free})
 
@@ -331,20 +322,13 @@ class Backend:
                     wanted.setdefault(spec.name, {})[design.name] = used
         return write_job(self._source, Path(path), overwrite, settings.but(closed=closed), start, wanted, controllers)
 
-    @property
-    def has_simulated(self) -> bool:
-        """Whether a manoeuvre has been simulated: the first takes longer, until its equations are compiled."""
-        return self._simulator.started
-
     def simulate(self, settings: Settings, manoeuvre: str, cancelled: IsCancelled = never) -> Trajectory:
-        """Return one of the job's manoeuvres, simulated on the non-linear plant with the loops as they are set.
-
-        The process that does it stays for the next one until `close`.
-        """
+        """Return one of the job's manoeuvres, simulated on the non-linear plant with the loops as they are set."""
         known_name("manoeuvre", manoeuvre, tuple(one.name for one in self.read.manoeuvres))
         closed = tuple(one.system for one in self._loops.controllers(settings))
         task = Simulating(job=self.job(settings), manoeuvre=manoeuvre, controllers=closed)
-        trajectory: Trajectory = self._simulator.run(task, silent, cancelled)
+        trajectory: Trajectory = self._background.run(task, silent, cancelled)
+        self.has_simulated = True
         made = next(one for one in task.job.manoeuvres if one.name == manoeuvre)
         self.job_parts.keep(run_stamp(self._loops, settings, manoeuvre), limit_results(task.job, made, trajectory))
         return trajectory

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
-import queue
+import multiprocessing
+import signal
 import threading
 import weakref
 from collections.abc import Callable
+from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from platform_ctrl.analysis.arrays import StateArrays, state_arrays
-from platform_ctrl.common.processes import POLL, ProcessTimeout, Started, TaskProcess, next_result, send_early
 from platform_ctrl.common.progress import Progress
 from platform_ctrl.common.values import value
 from platform_ctrl.errors import DesignError, PlatformCtrlError
@@ -27,40 +30,42 @@ if TYPE_CHECKING:
 
 IsCancelled = Callable[[], bool]
 
-# Tasks at a time, each in a process of its own; others wait.
-_SIMULTANEOUS = threading.BoundedSemaphore(2)
+# Seconds between looks whether a task was cancelled.
+_POLL = 0.1
 
 
 class TaskCancelled(PlatformCtrlError):
     """The task was cancelled."""
 
 
-class TaskRunner:
-    """Runs tasks one at a time in another process, which stays for the next task unless one is cancelled."""
+class Background:
+    """A process that works on one task at a time, and stays for the next one unless one is cancelled."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._results: queue.SimpleQueue[tuple[TaskProcess, Any]] = queue.SimpleQueue()
-        self._running: list[TaskProcess] = []
+        self._running: list[tuple[BaseProcess, Connection]] = []
+        self._urgent: set[object] = set()
         self._ended = False
         weakref.finalize(self, _end_all, self._running)
 
-    @property
-    def started(self) -> bool:
-        """Whether the process was started already."""
-        return bool(self._running)
+    def run(self, task: Any, progress: Progress, cancelled: IsCancelled, *, gives_way: bool = False) -> Any:
+        """Return what ``task.run(progress)`` returns there; `TaskCancelled` where it was cancelled.
 
-    def run(self, task: Any, progress: Progress, cancelled: IsCancelled) -> Any:
-        """Return what ``task.run(progress)`` returns there; a task that is cancelled ends the process."""
-
-        def stopped() -> bool:
-            return self._ended or cancelled()
-
-        _acquire(self._lock, stopped)
+        A task that `gives_way` is cancelled as well when another one waits that does not.
+        """
+        waiting = object()
+        if not gives_way:
+            self._urgent.add(waiting)
         try:
-            return self._result(task, progress, stopped)
-        except _ProcessLost:
-            raise DesignError("the process that ran the task died; try again") from None
+            while not self._lock.acquire(timeout=_POLL):
+                if self._ended or cancelled():
+                    raise TaskCancelled("cancelled")
+        finally:
+            self._urgent.discard(waiting)
+        try:
+            return self._result(
+                task, progress, lambda: self._ended or cancelled() or (gives_way and bool(self._urgent))
+            )
         finally:
             self._lock.release()
 
@@ -71,22 +76,21 @@ class TaskRunner:
             _end_all(self._running)
 
     def _result(self, task: Any, progress: Progress, stopped: IsCancelled) -> Any:
-        if not self._running:
-            self._results = queue.SimpleQueue()
-            self._running.append(TaskProcess(_run_task, results=self._results))
+        if not self._running and not stopped():
+            context = multiprocessing.get_context("spawn")
+            ours, theirs = context.Pipe()
+            process = context.Process(target=_work, args=(theirs,), daemon=True)
+            process.start()
+            theirs.close()
+            self._running.append((process, ours))
         done = False
         try:
-            self._running[0].send(task)
+            if not stopped():
+                self._running[0][1].send(task)
             while not stopped():
-                try:
-                    _, result = next_result(self._results, POLL)
-                except ProcessTimeout:
+                if not self._running[0][1].poll(_POLL):
                     continue
-                if result is None:
-                    raise _ProcessLost
-                if isinstance(result, Started):
-                    continue
-                kind, content = result
+                kind, content = self._running[0][1].recv()
                 if kind == "progress":
                     progress(content)
                     continue
@@ -95,44 +99,32 @@ class TaskRunner:
                     raise content
                 return content
             raise TaskCancelled("cancelled")
+        except (EOFError, OSError):
+            raise DesignError("the process that ran the task died; try again") from None
         finally:
             if not done:
                 _end_all(self._running)
 
 
-class _ProcessLost(Exception):
-    """The process ended before its task."""
+def _end_all(running: list[tuple[BaseProcess, Connection]]) -> None:
+    while running:
+        process, pipe = running.pop()
+        pipe.close()
+        process.kill()
+        process.join()
 
 
-def run_alone(task: Any, progress: Progress, cancelled: IsCancelled) -> Any:
-    """Return the result of a task in a process of its own, which ends with it."""
-    _acquire(_SIMULTANEOUS, cancelled)
-    runner = TaskRunner()
-    try:
-        return runner.run(task, progress, cancelled)
-    finally:
-        _SIMULTANEOUS.release()
-        runner.end()
-
-
-def _acquire(lock: Any, cancelled: IsCancelled) -> None:
-    while not lock.acquire(timeout=POLL):
-        if cancelled():
-            raise TaskCancelled("cancelled")
-
-
-def _end_all(processes: list[TaskProcess]) -> None:
-    while processes:
-        processes.pop().end()
-
-
-def _run_task(task: Any) -> tuple[str, Any]:
-    """Run a task in the other process, and return its result or its error."""
-    try:
-        return "done", task.run(lambda line: send_early(("progress", line)))
-    except PlatformCtrlError as error:
-        # The problem that is attached to it may not be picklable.
-        return "failed", DesignError(str(error)) if isinstance(error, DesignError) else error
+def _work(pipe: Connection) -> None:
+    """Run tasks in the other process until its pipe is closed."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # an interrupt at the terminal is meant for the server alone
+    with contextlib.suppress(EOFError, OSError):
+        while True:
+            task = pipe.recv()
+            try:
+                pipe.send(("done", task.run(lambda line: pipe.send(("progress", line)))))
+            except PlatformCtrlError as error:
+                # The problem that is attached to it may not be picklable.
+                pipe.send(("failed", DesignError(str(error)) if isinstance(error, DesignError) else error))
 
 
 def _specs(job: Job, loop: str, design: str) -> tuple[LoopSpec, DesignSpec]:
@@ -192,100 +184,6 @@ class Tuning:
 
 def _unbounded(period: float) -> dict[str, float]:
     return {}
-
-
-# A search ends as soon as every requirement is this share of its limit or less.
-_ENOUGH = 0.95
-
-
-@value
-class ServoTuning:
-    """Tunes the `movable` options of a platform servo until the coupled limits are met, with `caging` closed."""
-
-    job: Job
-    loop: str
-    design: str
-    movable: tuple[str, ...]
-    options: dict[str, float]
-    caging: tuple[control.StateSpace, ...]
-
-    def run(self, progress: Progress) -> dict[str, float]:
-        """Return the tuned options: a simplex search over their logarithms, as `design.tuning.tune` does it."""
-        from scipy.optimize import minimize
-
-        worst = self.worst_ratio()
-        best = np.inf
-        start = np.log([self.options[name] for name in self.movable])
-
-        def numbers(x: Any) -> dict[str, float]:
-            factors = np.exp(np.asarray(x) - start)
-            return self.options | {n: self.options[n] * float(f) for n, f in zip(self.movable, factors, strict=True)}
-
-        def ratio(x: Any) -> float:
-            nonlocal best
-            found, limiting = worst(numbers(x))
-            if found < best:
-                best = found
-                progress(limiting)
-            return found
-
-        def stop_when_met(intermediate_result: Any) -> None:
-            if intermediate_result.fun <= _ENOUGH:
-                raise StopIteration
-
-        if ratio(start) <= _ENOUGH:
-            return dict(self.options)
-        options = {"maxfev": 60 * len(start), "adaptive": True, "xatol": 2e-3, "fatol": 2e-4}
-        found = minimize(ratio, start, method="Nelder-Mead", callback=stop_when_met, options=options)
-        return numbers(found.x)
-
-    def worst_ratio(self) -> Callable[[dict[str, float]], tuple[float, str]]:
-        """Return the function from options to the largest ratio of the coupled limits, and what limits it.
-
-        The ratio is beyond 10 where the loop is unstable.
-        """
-        from platform_ctrl.app.free_plants import StabilisedLoop, corners, free_models, free_plants
-        from platform_ctrl.app.stabilised import requirements
-        from platform_ctrl.design.loop import LoopProblem, designed
-        from platform_ctrl.design.tuning import limited_by
-        from platform_ctrl.mechanics.linearisation import linearise
-        from platform_ctrl.verification.coupled import sensed_rates
-
-        spec, design = _specs(self.job, self.loop, self.design)
-        model = linearise(self.job.platform)
-        models = free_models(self.job, corners(self.job)[:1], sensed_rates(self.job, self.caging))
-        plants = free_plants(models, self.job.sampling, False)
-        margins: dict[str, dict[str, float]] = {}
-
-        def cached(name: str, compute: Callable[[], dict[str, float]]) -> dict[str, float]:
-            if name not in margins:
-                margins[name] = compute()
-            return margins[name]
-
-        def worst(options: dict[str, float]) -> tuple[float, str]:
-            try:
-                trial = dataclasses.replace(design, options=options)
-                servo = designed(LoopProblem(job=self.job, spec=spec, design=trial, model=model))
-            except PlatformCtrlError as error:
-                return 100.0, str(error)
-            loop = StabilisedLoop(
-                job=self.job,
-                model=model,
-                spec=spec,
-                controllers=(*self.caging, servo.controller),
-                plants=plants,
-                shown=plants,
-            )
-            results = requirements(loop, cached)
-            stable = results[0]
-            if not stable.value > 0.0:
-                return 10.0 + min(-stable.value, 1e6), f"unstable: it grows at {-stable.value:.3g} 1/s"
-            ratios = [one.ratio for one in results]
-            # Where one is infinite the others still tell which direction is better.
-            worst_finite = max((x for x in ratios if x < float("inf")), default=0.0)
-            return min(max(ratios), 10.0 + min(worst_finite, 1.0)), limited_by(results)
-
-        return worst
 
 
 @value

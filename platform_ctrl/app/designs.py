@@ -9,7 +9,7 @@ from functools import partial
 
 import numpy as np
 
-from platform_ctrl.app.background import Designing, IsCancelled, TaskRunner
+from platform_ctrl.app.background import Background, Designing, IsCancelled, TaskCancelled
 from platform_ctrl.app.caged import CagedLoop, caged_overlay
 from platform_ctrl.app.closed_loops import ClosedLoops
 from platform_ctrl.app.pictures import Overlay
@@ -98,6 +98,10 @@ class DesignQueue:
         line = ""
         try:
             make(cancelled)
+        except TaskCancelled:
+            if not cancelled():
+                return  # it gave way, and is made again
+            line = "cancelled"
         except PlatformCtrlError as error:
             line = str(error)
         except Exception as error:
@@ -137,23 +141,17 @@ class DesignPending(DesignError):
 class Designs:
     """The designs of a job's caging loops; safe in several threads."""
 
-    def __init__(self, loops: ClosedLoops) -> None:
-        self._loops = loops
+    def __init__(self, loops: ClosedLoops, background: Background) -> None:
+        self._loops, self._background = loops, background
         self.queue = DesignQueue()
-        self._runner = TaskRunner()
-
-    def end(self) -> None:
-        """Cancel all requests and end the process that designs."""
-        self.queue.end()
-        self._runner.end()
 
     def make(self, settings: Settings, spec: LoopSpec, design: DesignSpec, cancelled: IsCancelled) -> None:
-        """Make a design in another process, unless it is available; the process stays for the next one."""
+        """Make a design in another process, unless it is available; what a page waits for goes first."""
         loops = self._loops
         if loops.found(settings, spec.name, design.name) is None:
             task = Designing(job=loops.job(settings), loop=spec.name, design=design.name)
             key = loops.design_key(settings, spec.name, design.name)
-            loops.keep(key, self._runner.run(task, silent, cancelled))
+            loops.keep(key, self._background.run(task, silent, cancelled, gives_way=True))
 
     def caged(self, settings: Settings) -> tuple[CagedLoop, tuple[str, ...]]:
         """Return the loop with its controller; one that a method has to make is requested, and is pending then."""

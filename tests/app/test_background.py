@@ -9,7 +9,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from platform_ctrl.app.background import TaskCancelled, TaskRunner
+from platform_ctrl.app.background import Background, TaskCancelled
 from platform_ctrl.errors import ArgumentError, DesignError
 from questions import Dying, Sleeping, Who
 
@@ -31,13 +31,13 @@ def gone(process: int) -> bool:
 
 
 @pytest.fixture(scope="module")
-def resident() -> Iterator[TaskRunner]:
-    made = TaskRunner()
+def resident() -> Iterator[Background]:
+    made = Background()
     yield made
     made.end()
 
 
-def test_the_process_stays_for_the_next_task_also_after_an_error(resident: TaskRunner) -> None:
+def test_the_process_stays_for_the_next_task_also_after_an_error(resident: Background) -> None:
     first = resident.run(Who(), silent, never)
     assert first != os.getpid()
     with pytest.raises(ArgumentError, match="expected sense"):
@@ -46,20 +46,19 @@ def test_the_process_stays_for_the_next_task_also_after_an_error(resident: TaskR
 
 
 def test_a_cancelled_task_ends_the_process_and_the_next_task_starts_another(
-    resident: TaskRunner,
+    resident: Background,
 ) -> None:
     first = resident.run(Who(), silent, never)
     lines: list[str] = []
     with pytest.raises(TaskCancelled):
         resident.run(Sleeping(), lines.append, lambda: lines == ["asleep"])
     assert gone(first)
-    assert not resident.started
     with pytest.raises(DesignError, match="died"):
         resident.run(Dying(), silent, never)
     assert resident.run(Who(), silent, never) not in (first, os.getpid())
 
 
-def test_ending_the_runner_ends_its_process_and_refuses_tasks(resident: TaskRunner) -> None:
+def test_ending_the_runner_ends_its_process_and_refuses_tasks(resident: Background) -> None:
     process = resident.run(Who(), silent, never)
     asleep, ended = threading.Event(), []
 
@@ -81,7 +80,7 @@ def test_ending_the_runner_ends_its_process_and_refuses_tasks(resident: TaskRunn
 
 
 def test_a_process_ends_with_its_runner() -> None:
-    resident = TaskRunner()
+    resident = Background()
     process = resident.run(Who(), silent, never)
     del resident
     assert gone(process)

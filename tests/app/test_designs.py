@@ -21,7 +21,7 @@ def bench(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPa
     path = tmp_path_factory.mktemp("designs") / "gyro.toml"
     path.write_text(TWO)
     monkeypatch.setattr(
-        "platform_ctrl.app.designs.TaskRunner.run", lambda _, task, progress, cancelled: task.run(progress)
+        "platform_ctrl.app.background.Background.run", lambda _, task, progress, cancelled, gives_way: task.run(progress)
     )
     return Backend(path)
 

@@ -340,7 +340,7 @@ class Session:
                 "choices": messages.choice_data(self.choices, settings, picture.plants),
                 "undo": self.history.can_undo,
                 "redo": self.history.can_redo,
-                "tunable": any(one["tunable"] and not one["fixed"] for one in sliders),
+                "tunable": settings.mode == "caged" and any(one["tunable"] and not one["fixed"] for one in sliders),
                 "link": encode_state(self.backend, settings),
                 **self._tasks.data(),
             },
