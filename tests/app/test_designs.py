@@ -20,9 +20,8 @@ def bench(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPa
     """The job, whose designs are made in this process: starting others takes longer than the designs."""
     path = tmp_path_factory.mktemp("designs") / "gyro.toml"
     path.write_text(TWO)
-    monkeypatch.setattr(
-        "platform_ctrl.app.background.Background.run", lambda _, task, progress, cancelled, gives_way: task.run(progress)
-    )
+    run = "platform_ctrl.app.background.Background.run"
+    monkeypatch.setattr(run, lambda _, task, progress, cancelled, gives_way: task.run(progress))
     return Backend(path)
 
 
