@@ -31,10 +31,6 @@ def settings() -> Settings:
         design="classical",
         options={},
         optional={},
-        rate_hz=2000.0,
-        delay=0.0005,
-        spins={},
-        Omega=(0.0, 0.0, 0.0),
         channel="Q4",
     )
 
