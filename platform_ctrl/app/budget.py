@@ -58,7 +58,7 @@ class LineOfSight:
         with np.errstate(all="ignore"):
             prepared = PreparedBudget(self._loops.job(settings), controllers)
         with self._lock:
-            self._prepared = self._key(settings, controllers), prepared
+            self._prepared = _key(controllers), prepared
         self._exact.put(key, prepared.first)
         return prepared.first
 
@@ -81,22 +81,19 @@ class LineOfSight:
             return BudgetState(found=None, exact=False, line=_WAITING)
         return BudgetState(found=quick, exact=False, line=_QUICK + (_FRICTION if quick.friction is not None else ""))
 
-    def quick_results(self, settings: Settings, keep: bool = True) -> tuple[CheckResult, ...]:
-        """Return the limits with the budget that is computed within some milliseconds; none before there is one.
-
-        Without `keep` what is prepared for other plants stays as it is.
-        """
+    def quick_results(self, settings: Settings) -> tuple[CheckResult, ...]:
+        """Return the limits with the budget that is computed within some milliseconds; none before there is one."""
         if self._prepared is None or not self._prepared[1].first.results:
             return ()
         try:
-            found = self._quick(settings, keep)
+            found = self._quick(settings)
         except PlatformCtrlError:
             return unstable_results(self._loops.job(settings))
         return () if found is None else found.results
 
-    def _quick(self, settings: Settings, keep: bool = True) -> LineOfSightBudget | None:
+    def _quick(self, settings: Settings) -> LineOfSightBudget | None:
         controllers = [one.system for one in self._loops.controllers(settings)]
-        key = self._key(settings, controllers)
+        key = _key(controllers)
         with self._lock, np.errstate(all="ignore"):
             if self._prepared is None:
                 return None
@@ -104,10 +101,10 @@ class LineOfSight:
             if known == key:
                 return prepared.of(controllers)
             prepared = PreparedBudget(self._loops.job(settings), controllers, like=prepared)
-            if keep:
-                self._prepared = key, prepared
+            self._prepared = key, prepared
             return prepared.first
 
-    def _key(self, settings: Settings, controllers: Sequence[control.StateSpace]) -> Hashable:
-        """Return the plants and the signals for which a budget is prepared."""
-        return tuple(tuple(one.input_labels) for one in controllers)
+
+def _key(controllers: Sequence[control.StateSpace]) -> Hashable:
+    """Return the signals for which a budget is prepared."""
+    return tuple(tuple(one.input_labels) for one in controllers)

@@ -21,13 +21,11 @@ from platform_ctrl.analysis.plant_set import COMMAND, Group, PlantSet
 from platform_ctrl.analysis.poles import continuous_poles, minimum_damping
 from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.app.curves import (
-    ALL,
     EDGE,
     GRID_POINTS,
     Band,
     ChannelMargins,
     Drive,
-    Driven,
     LoopCurves,
     LoopTransfers,
     Parts,
@@ -151,9 +149,8 @@ class CagedCurves(LoopCurves):
         duration = settling(self.poles, self.shown.plants.nutation, plants.period, self.stable)
         title = f"{1e3 * size:g} m{unit} step at {self.channel}"
         step = drive(title, duration, plants.period, lambda t: np.full(len(t), size))
-        own = not self._sight
         return self._responses(
-            step, [self._driven(lambda one: one.own_arrays if own else one.arrays, self.index, step.u)]
+            step, lambda one: one.arrays if self._sight else one.own_arrays, [self.index], step.u[None]
         )
 
     def disturbance(self) -> TimeResponse:
@@ -162,15 +159,12 @@ class CagedCurves(LoopCurves):
         given = caged_excitation(self.job, self.axis, plants.angles, plants.nutation)
         limit = None if self._loop.spec.kind == "rate" else given.limit
         turn = drive(given.title, given.duration, plants.period, given.rate, limit)
-        parts = [self._driven(lambda one: one.arrays, m + self.axis - 1, turn.u)]
         commands = given.commands(np.arange(len(turn.u), dtype=np.float64) * plants.period).T
-        for name, course in zip(given.readings, commands, strict=True):
-            parts.append(
-                self._driven(commanded_arrays, m + 3 + plants.angles.index(name), np.asarray(course, dtype=np.float64))
-            )
+        inputs = np.vstack([turn.u, commands])
+        columns = [m + self.axis - 1, *(m + 3 + plants.angles.index(name) for name in given.readings)]
         if len(commands) and not turn.u.any():
             turn = turn._replace(u=commands[0])
-        return self._responses(turn, parts)
+        return self._responses(turn, commanded_arrays if len(commands) else lambda one: one.arrays, columns, inputs)
 
     @property
     def _sight(self) -> tuple[str, ...]:
@@ -189,20 +183,16 @@ class CagedCurves(LoopCurves):
         torques = {name: sensors.get(name.removesuffix(COMMAND), "N m") for name in self._loop.plants.torques}
         return sensors | dict.fromkeys(self._loop.plants.sight, "rad/s") | torques
 
-    def _driven(self, arrays: Callable[[LoopSet], StateArrays], column: int, u: FloatArray) -> Driven:
-        """Return one input of the closed loops with its course."""
-        loops = (self.shown, self.band)
-        shown, band = (None if one is None else arrays(one).part(ALL, [column]) for one in loops)
-        assert shown is not None, "a plant is shown"
-        return Driven(shown=shown, band=band, u=u)
-
-    def _responses(self, given: Drive, parts: Sequence[Driven]) -> TimeResponse:
+    def _responses(
+        self, given: Drive, arrays: Callable[[LoopSet], StateArrays], columns: Sequence[int], inputs: FloatArray
+    ) -> TimeResponse:
         m, p, names, units = self.shown.m, self.shown.p, self._loop.plants, self._units
         seen = self._sight or names.angles
         signals = {name: units[name] for name in (*seen, *names.torques)}
         # The last outputs are those of the line of sight.
-        at = range(-len(seen), 0) if self._sight else range(m, m + p)
-        return self._time_response(given, signals, [one.outputs([*at, *range(m)]) for one in parts])
+        rows = [*(range(-len(seen), 0) if self._sight else range(m, m + p)), *range(m)]
+        band = None if self.band is None else arrays(self.band).part(rows, columns)
+        return self._time_response(given, signals, arrays(self.shown).part(rows, columns), band, inputs)
 
     def disturbance_gain(self, frequency: FloatArray) -> FrequencyGain:
         """Return the gain from Omega to what is read, or to the line of sight, at `frequency` (F,), rad/s."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -32,7 +32,7 @@ from platform_ctrl.plant.drawing import signal_series
 _FARTHEST = 1e12
 # Distance of poles from one factor of the root locus to the next, as a share of what is shown, above which a factor is
 # put between, and how often.
-_STEP, _HALVINGS = 0.07, 2
+_STEP, _HALVINGS = 0.07, 3
 # Points of a response over time.
 POINTS = 240
 
@@ -106,20 +106,6 @@ class Drive(NamedTuple):
     limit: float | None
 
 
-class Driven(NamedTuple):
-    """Closed loops with one input, of the plant shown and perhaps of the set, stacks, and the input at all samples."""
-
-    shown: StateArrays
-    band: StateArrays | None
-    u: FloatArray
-
-    def outputs(self, chosen: Sequence[int]) -> Driven:
-        """Return them with some of their outputs."""
-        shown, band = (None if one is None else one.part(chosen, ALL) for one in (self.shown, self.band))
-        assert shown is not None, "a plant is shown"
-        return self._replace(shown=shown, band=band)
-
-
 def drive(
     title: str, duration: float, period: float, rate: Callable[[FloatArray], FloatArray], limit: float | None = None
 ) -> Drive:
@@ -132,28 +118,26 @@ def drive(
 
 
 def sampled_responses(systems: StateArrays, inputs: FloatArray, every: int) -> FloatArray:
-    """Return the outputs (..., p, T) of sampled systems at rest with one input, at every `every`-th sample.
+    """Return the outputs (..., p, T) of sampled systems at rest at every `every`-th sample.
 
-    `inputs` (every * (T - 1) + 1,) has all samples. Exact: a power of A carries the state over whole intervals, within
-    which the inputs count one by one.
+    `inputs` (m, every * (T - 1) + 1) have all samples. Exact: a power of A carries the state over whole intervals,
+    within which the inputs count one by one.
     """
-    from platform_ctrl.app.recurrence import recur  # loads numba: the page is to be there before
-
     A, B, C, D, _ = systems
-    count = (len(inputs) - 1) // every + 1
+    m, count = len(inputs), (inputs.shape[1] - 1) // every + 1
     with np.errstate(all="ignore"):
         # [A^(every-1) B, ..., A B, B]
         driven, power = B, A
-        while driven.shape[-1] < every:
+        while driven.shape[-1] < every * m:
             driven = np.concatenate([power @ driven, driven], axis=-1)
             power = power @ power
-        driven = driven[..., -every:]
+        driven = driven[..., -every * m :]
         # What comes to the state over each interval, (..., T - 1, n), and then the state after it.
-        x = inputs[:-1].reshape(count - 1, every) @ driven.swapaxes(-1, -2)
+        x = inputs[:, :-1].T.reshape(count - 1, every * m) @ driven.swapaxes(-1, -2)
         step = np.linalg.matrix_power(A, every).swapaxes(-1, -2)
-        n = A.shape[-1]
-        recur(np.ascontiguousarray(step).reshape(-1, n, n), x.reshape(-1, count - 1, n))
-        y = D * inputs[::every]
+        for k in range(1, count - 1):
+            x[..., k, :] += (x[..., k - 1 : k, :] @ step)[..., 0, :]
+        y = D @ inputs[:, ::every]
         y[..., 1:] += C @ x.swapaxes(-1, -2)
     return np.asarray(
         np.clip(np.nan_to_num(y, nan=_FARTHEST, posinf=_FARTHEST, neginf=-_FARTHEST), -_FARTHEST, _FARTHEST)
@@ -263,13 +247,14 @@ class LoopCurves(ABC):
     def disturbance_gain(self, frequency: FloatArray) -> FrequencyGain:
         """Return the gain from what disturbs the loop at `frequency` (F,), rad/s."""
 
-    def _time_response(self, drive: Drive, signals: Mapping[str, str], parts: Sequence[Driven]) -> TimeResponse:
-        """Return the sum of what the inputs do to the outputs; `signals` have their units."""
-        values = np.sum([sampled_responses(one.shown, one.u, drive.every)[0] for one in parts], axis=0)
+    def _time_response(
+        self, drive: Drive, signals: Mapping[str, str], shown: StateArrays, band: StateArrays | None, inputs: FloatArray
+    ) -> TimeResponse:
+        """Return what `inputs` (m, T) do to the outputs of closed loops; `signals` have their units."""
+        values = sampled_responses(shown, inputs, drive.every)[0]
         low = high = np.zeros((len(values), 0))
-        bands = [sampled_responses(one.band, one.u, drive.every) for one in parts if one.band is not None]
-        if bands:
-            low, high = around(np.sum(bands, axis=0), values)
+        if band is not None:
+            low, high = around(sampled_responses(band, inputs, drive.every), values)
         colour = signal_series(self.job.platform)
         u = drive.u[:: drive.every]
         return TimeResponse(

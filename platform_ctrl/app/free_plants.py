@@ -22,7 +22,7 @@ from platform_ctrl.analysis.sampling import held_input, sampled
 from platform_ctrl.app.curves import EDGE, GRID_POINTS, LoopTransfers
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.cases import changed
-from platform_ctrl.job.job import Job, LoopSpec, Sampling
+from platform_ctrl.job.job import Job, LoopSpec
 from platform_ctrl.mechanics.linearisation import LinearModel, linearise
 from platform_ctrl.mechanics.outputs import observed
 from platform_ctrl.mechanics.state_space import state_space as linear_state_space
@@ -94,97 +94,59 @@ def corners(job: Job) -> list[tuple[str, Platform, FloatArray]]:
     return out
 
 
-@value
-class FreeModels:
-    """The free platform before it is sampled: torquers → sensors, torques on the root, and its rate.
+def free_plants(
+    job: Job, cases: Sequence[tuple[str, Platform, FloatArray]], rates: Sequence[str], band: bool
+) -> FreePlants:
+    """Return the free platform, sampled, with all of its torquers, pick-offs, and the rate sensors named in `rates`.
 
-    Stacks of N plants: A (N, n, n), B (N, n, m), C (N, p, n), `B_root` (N, n, 3) for torques M1 to M3 on the platform
-    and `C_rate` (N, 3, n) for its rate; `lags` (m,) of the torquers, s.
+    `cases` have label, platform and rate of the root; with a `band` there are responses on a grid.
     """
-
-    labels: tuple[str, ...]
-    torquers: tuple[str, ...]
-    sensors: tuple[str, ...]
-    lags: FloatArray
-    A: FloatArray
-    B: FloatArray
-    C: FloatArray
-    B_root: FloatArray
-    C_rate: FloatArray
-
-
-def free_models(job: Job, chosen: Sequence[tuple[str, Platform, FloatArray]], rates: Sequence[str]) -> FreeModels:
-    """Linearise the free platform with all of its torquers, pick-offs, and the rate sensors named in `rates`."""
     sensors = [*(s.name for s in job.platform.pickoffs), *rates]
-    signals = [t.signal for t in job.platform.torquers]
-    A, B, C, B_root, C_rate = [], [], [], [], []
-    for _, platform, Omega in chosen:
+    torquers = job.platform.torquers
+    rows = []
+    for _, platform, Omega in cases:
         system = linear_state_space(linearise(platform, Omega=Omega), root="free")
         inputs, outputs = list(system.input_labels), list(system.output_labels)
-        A.append(system.A)
-        B.append(system.B[:, [inputs.index(name) for name in signals]])
-        C.append(observed(system, platform, sensors, Omega=Omega).C)
-        B_root.append(system.B[:, [inputs.index(name) for name in ROOT_TORQUE_NAMES]])
-        C_rate.append(system.C[[outputs.index(name) for name in OMEGA_NAMES]])
-    return FreeModels(
-        labels=tuple(label for label, _, _ in chosen),
-        torquers=tuple(t.name for t in job.platform.torquers),
-        sensors=tuple(sensors),
-        lags=np.array([t.lag for t in job.platform.torquers]),
-        A=np.array(A),
-        B=np.array(B),
-        C=np.array(C),
-        B_root=np.array(B_root),
-        C_rate=np.array(C_rate),
+        driven = [inputs.index(t.signal) for t in torquers]
+        held = [inputs.index(name) for name in ROOT_TORQUE_NAMES]
+        turning = [outputs.index(name) for name in OMEGA_NAMES]
+        seen = observed(system, platform, sensors, Omega=Omega).C
+        rows.append((system.A, system.B[:, driven], seen, system.B[:, held], system.C[turning]))
+    A, B, C, B_root, C_rate = map(np.array, zip(*rows, strict=True))
+    N, n, m = B.shape
+    period, delay, lags = job.sampling.period, job.sampling.delay, np.array([t.lag for t in torquers])
+    own = StateArrays(A, B, C, np.zeros((N, len(sensors), m)), 0.0)
+    # With the attitude as states and outputs: on the sampled plant's own states lags and held torques have no effect.
+    none = np.zeros((N, 3, 3))
+    turned = StateArrays(
+        np.block([[A, np.zeros((N, n, 3))], [C_rate, none]]),
+        np.concatenate([B, np.zeros((N, 3, m))], axis=1),
+        np.block([[C, np.zeros((N, len(sensors), 3))], [np.zeros((N, 3, n)), np.broadcast_to(np.eye(3), none.shape)]]),
+        np.zeros((N, len(sensors) + 3, m)),
+        0.0,
     )
-
-
-def free_plants(models: FreeModels, sampling: Sampling, band: bool) -> FreePlants:
-    """Sample the free platform; with `band` also its responses on a grid."""
-    N, _, m = models.B.shape
-    period, delay, lags = sampling.period, sampling.delay, models.lags
-    D = np.zeros((N, len(models.sensors), m))
-    arrays = sampled(StateArrays(models.A, models.B, models.C, D, 0.0), period, delay, lags)
-    turned = _turned(models, period, delay)
+    acting = held_input(turned.A, np.concatenate([B_root, none], axis=1), period)[1]
+    turned = sampled(turned, period, delay, lags)
+    both = np.zeros((N, turned.A.shape[-1], m + 3))
+    both[..., :m], both[:, : n + 3, m:] = turned.B, acting
+    D = np.concatenate([turned.D, np.zeros((N, len(sensors) + 3, 3))], axis=-1)
+    turned = turned._replace(B=both, D=D)
     nyquist = np.pi / period
     # What oscillates: the pole b/J of a damped axis says nothing about the loop.
-    fastest = float(np.abs(np.linalg.eigvals(models.A[0]).imag).max(initial=0.0)) or 0.1 * nyquist
+    fastest = float(np.abs(np.linalg.eigvals(A[0]).imag).max(initial=0.0)) or 0.1 * nyquist
     low = min(2e-3 * fastest, 0.01 * nyquist)
     grid = np.geomspace(low, 0.999 * nyquist, _BAND_POINTS) if band else np.zeros(0)
+    shape = N, 0, *D.shape[-2:]
     return FreePlants(
-        labels=models.labels,
-        torquers=models.torquers,
-        sensors=models.sensors,
-        arrays=arrays,
+        labels=tuple(label for label, _, _ in cases),
+        torquers=tuple(t.name for t in torquers),
+        sensors=tuple(sensors),
+        arrays=sampled(own, period, delay, lags),
         turned=turned,
         period=period,
         frequency=grid,
-        response=_responses(turned, grid),
+        response=frequency_response(turned, grid, -3) if band else np.zeros(shape, dtype=np.complex128),
     )
-
-
-def _responses(turned: StateArrays, grid: FloatArray) -> ComplexArray:
-    if not grid.size:
-        return np.zeros((len(turned.A), 0, *turned.D.shape[-2:]), dtype=np.complex128)
-    return frequency_response(turned, grid, -3)
-
-
-def _turned(models: FreeModels, period: float, delay: float) -> StateArrays:
-    N, n, m = models.B.shape
-    sensors = len(models.sensors)
-    A = np.zeros((N, n + 3, n + 3))
-    A[:, :n, :n], A[:, n:, :n] = models.A, models.C_rate
-    B, acting = (np.concatenate([item, np.zeros((N, 3, item.shape[-1]))], axis=1) for item in (models.B, models.B_root))
-    C = np.zeros((N, sensors + 3, n + 3))
-    C[:, :sensors, :n], C[:, sensors:, n:] = models.C, np.eye(3)
-    D = np.zeros((N, sensors + 3, m))
-    held = held_input(A, acting, period)[1]
-    A, B, C, D, _ = sampled(StateArrays(A, B, C, D, 0.0), period, delay, models.lags)
-    both = np.zeros((N, A.shape[-1], m + 3))
-    both[..., :m] = B
-    # The sampled states begin with the plant's own, on which lags and held torques have no effect.
-    both[:, : n + 3, m:] = held
-    return StateArrays(A, both, C, np.concatenate([D, np.zeros((N, sensors + 3, 3))], axis=-1), period)
 
 
 @value

@@ -12,7 +12,7 @@ import numpy as np
 
 from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.plant_set import COMMAND, PlantSet
-from platform_ctrl.app.free_plants import FreePlants, corners, free_models, free_plants
+from platform_ctrl.app.free_plants import FreePlants, corners, free_plants
 from platform_ctrl.design.feedforward import design_plants
 from platform_ctrl.design.loop_signals import loop_channels, loop_signals
 from platform_ctrl.design.partition import Channels
@@ -136,8 +136,7 @@ class JobPlants:
 
         def plants(chosen: list[int], band: bool) -> FreePlants:
             def made() -> FreePlants:
-                models = free_models(self.read, [cases[k] for k in chosen], tuple(rates))
-                return free_plants(models, self.read.sampling, band)
+                return free_plants(self.read, [cases[k] for k in chosen], rates, band)
 
             return self._free.get((tuple(chosen), tuple(rates), band), made)
 

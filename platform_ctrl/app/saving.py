@@ -9,7 +9,7 @@ import math
 import os
 import tomllib
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,7 +23,7 @@ from platform_ctrl.common.signatures import short
 from platform_ctrl.common.values import value
 from platform_ctrl.errors import InputError, PlatformCtrlError
 from platform_ctrl.job.job import Job
-from platform_ctrl.job.methods import METHODS, DesignMethod
+from platform_ctrl.job.methods import METHODS
 from platform_ctrl.job.reading import read_job
 from platform_ctrl.job.writing import job_hashes
 from platform_ctrl.plant.source import is_shipped_name, read_text
@@ -34,7 +34,6 @@ if TYPE_CHECKING:
     from tomlkit import TOMLDocument
 
     from platform_ctrl.app.backend import Backend
-    from platform_ctrl.job.job import LoopSpec
 
 # Ending of the file of a job's controllers.
 SUFFIX = ".controllers.json"
@@ -328,59 +327,57 @@ def decode_state(backend: Backend, text: str) -> Settings:
 
 def checked_settings(backend: Backend, changed: object) -> Settings:
     """Return the job's settings with changes from outside, as plain data, checked against the job."""
-    start = backend.start()
-    known = start.data()
-    given = {**known, **_table("", changed, known)}
+    given = _merged("", backend.start().data(), changed)
     specs = {spec.name: spec for spec in backend.read.loops}
     spec = specs[_one("loop", given["loop"], specs)]
     names = [design.name for design in spec.designs]
-    design = _one("design", given["design"], names)
-    options = {loop: {name: dict(one) for name, one in designs.items()} for loop, designs in start.options.items()}
-    for loop, name, numbers, method in _by_design("options", changed, specs):
-        table = _table(f"options of {name}", numbers, method.options)
-        options[loop][name] |= {key: _number(key, x, above=0.0) for key, x in table.items()}
-    optional = {loop: dict(designs) for loop, designs in start.optional.items()}
-    for loop, name, parts, method in _by_design("optional", changed, specs):
-        optional[loop][name] = tuple(sorted({_one("part", one, method.parts) for one in _list("optional", parts)}))
-    closed = {
-        loop: _one(f"closed {loop}", name, [one.name for one in specs[loop].designs])
-        for loop, name in _table("closed", given["closed"], specs).items()
-    }
-    if isinstance(given["axis"], bool) or given["axis"] not in (1, 2, 3):
+    for loop in backend.read.loops:
+        _one(f"closed {loop.name}", given["closed"][loop.name], [one.name for one in loop.designs])
+        for design in loop.designs:
+            for part in given["optional"][loop.name][design.name]:
+                _one("part", part, METHODS[design.method].parts)
+    for name in given["overlays"]:
+        _one("overlay", name, names)
+    if given["axis"] not in (1, 2, 3):
         raise InputError(f"state: axis must be 1, 2 or 3, got {short(given['axis'])}")
-    if not isinstance(given["band"], bool):
-        raise InputError(f"state: band must be true or false, got {short(given['band'])}")
-    settings = Settings(
-        mode="caged",
-        loop=spec.name,
-        design=design,
-        options=options,
-        optional=optional,
-        plant=_text("plant", given["plant"]),
-        band=given["band"],
-        fixed=frozenset(_text("fixed", name) for name in _list("fixed", given["fixed"])),
-        overlays=tuple(_one("overlay", name, names) for name in _list("overlays", given["overlays"])),
-        channel=_text("channel", given["channel"]),
-        axis=int(given["axis"]),
-        closed={**start.closed, **closed},
-    )
+    optional = {
+        loop: {name: tuple(sorted(set(parts))) for name, parts in designs.items()}
+        for loop, designs in given["optional"].items()
+    }
+    more = {
+        "axis": int(given["axis"]),
+        "fixed": frozenset(given["fixed"]),
+        "overlays": tuple(given["overlays"]),
+        "optional": optional,
+    }
     try:
-        settings = backend.chosen(settings, design=design)
+        settings = backend.chosen(Settings(**(given | more)), design=_one("design", given["design"], names))
         backend.check_names(settings)
     except PlatformCtrlError as error:
         raise InputError(f"state: {error}") from None
     return settings
 
 
-def _by_design(
-    key: str, changed: object, specs: Mapping[str, LoopSpec]
-) -> Iterator[tuple[str, str, Any, DesignMethod]]:
-    """Yield loop, design, what is given for it under a key, and its method."""
-    given = changed.get(key, {}) if isinstance(changed, Mapping) else {}
-    for loop, designs in _table(key, given, specs).items():
-        methods = {one.name: METHODS[one.method] for one in specs[loop].designs}
-        for name, item in _table(f"{key} of {loop}", designs, methods).items():
-            yield loop, name, item, methods[name]
+def _merged(where: str, known: Any, given: object) -> Any:
+    """Return known plain data with those that are given in their place, of the same kinds; numbers are positive."""
+    if isinstance(known, Mapping):
+        if not isinstance(given, Mapping):
+            raise InputError(f"state: {where or 'it'} must be a table, got {short(given)}")
+        for name in given:
+            _one(where or "key", name, known)
+        return {name: _merged(name, item, given[name]) if name in given else item for name, item in known.items()}
+    if isinstance(known, list):
+        if not isinstance(given, list) or not all(isinstance(one, str) and len(one) <= _NAME for one in given):
+            raise InputError(f"state: {where} must be a list of names, got {short(given)}")
+    elif isinstance(known, bool):
+        if not isinstance(given, bool):
+            raise InputError(f"state: {where} must be true or false, got {short(given)}")
+    elif isinstance(known, str):
+        if not isinstance(given, str) or len(given) > _NAME:
+            raise InputError(f"state: {where} must be a name, got {short(given)}")
+    elif isinstance(given, bool) or not isinstance(given, int | float) or not 0.0 < given <= _HUGE:
+        raise InputError(f"state: {where} must be a positive finite number, got {short(given)}")
+    return given
 
 
 def _difference(old: Mapping[str, Any], new: Mapping[str, Any]) -> dict[str, Any]:
@@ -395,36 +392,8 @@ def _difference(old: Mapping[str, Any], new: Mapping[str, Any]) -> dict[str, Any
     return out
 
 
-def _table(where: str, given: object, known: Mapping[str, Any] | Sequence[str]) -> Mapping[str, Any]:
-    if not isinstance(given, Mapping):
-        raise InputError(f"state: {where or 'it'} must be a table, got {short(given)}")
-    for name in given:
-        _one(where or "key", name, known)
-    return given
-
-
-def _list(where: str, given: object) -> list[Any]:
-    if not isinstance(given, list | tuple):
-        raise InputError(f"state: {where} must be a list, got {short(given)}")
-    return list(given)
-
-
 def _one(where: str, given: object, known: Mapping[str, Any] | Sequence[str]) -> str:
     if not isinstance(given, str) or given not in known:
         names = ", ".join(map(repr, list(known)[:12])) or "nothing here"
         raise InputError(f"state: {where}: {short(given)} is unknown; it must be one of {names}")
     return given
-
-
-def _text(where: str, given: object) -> str:
-    if not isinstance(given, str) or len(given) > _NAME:
-        raise InputError(f"state: {where} must be a name, got {short(given)}")
-    return given
-
-
-def _number(where: str, given: object, *, above: float = -math.inf, least: float = -math.inf) -> float:
-    if isinstance(given, bool) or not isinstance(given, int | float) or not math.isfinite(given) or abs(given) > _HUGE:
-        raise InputError(f"state: {where} must be a finite number, got {short(given)}")
-    if not given > above or given < least:
-        raise InputError(f"state: {where} must be {'positive' if above == 0.0 else 'at least 0'}, got {short(given)}")
-    return float(given)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import asyncio
 import errno
-import gc
 import ipaddress
 import logging
 import re
@@ -36,51 +35,13 @@ _LIBRARIES = ("asyncio", "bokeh", "tornado")
 Make = Callable[[Any, Any], None]
 
 
-class Building:
-    """A backend that is made in a thread while the browser opens."""
-
-    def __init__(self, make: Callable[[], object]) -> None:
-        self._make = make
-        self._made: object = None
-        self._error: BaseException | None = None
-        self._thread = threading.Thread(target=self._work, daemon=True)
-        self._thread.start()
-
-    def result(self) -> object:
-        """Wait for the backend and return it."""
-        self._thread.join()
-        self.raise_error()
-        return self._made
-
-    def close(self) -> None:
-        """Close the backend, if it is made, with its other processes."""
-        if self._made is not None:
-            getattr(self._made, "close", lambda: None)()
-
-    def raise_error(self) -> None:
-        """Raise what `make` raised, if it did."""
-        if self._error is not None:
-            raise self._error
-
-    def _work(self) -> None:
-        try:
-            _page()
-            self._made = self._make()
-        except BaseException as error:
-            self._error = error
-            return
-        # These objects stay: searching them whenever a page is closed would delay the others.
-        gc.collect()
-        gc.freeze()
-
-
 class PageServer:
     """A server that is bound to its port; it responds once it runs.
 
     Parameters
     ----------
     backend
-        `Backend` that all pages share, or a `Building` one; passed to `make`.
+        `Backend` that all pages share; passed to `make`.
     host, port
         Address to listen on; port None: the first free one from `PORT` on; 0: any.
     allow
@@ -126,12 +87,10 @@ class PageServer:
         # Not asyncio.run, which would wait for the pages' threads at the end.
         loop = asyncio.new_event_loop()
         asyncio.set_event_loop(loop)
-        with _one_line_each(), self._socket:
+        with _quiet(), self._socket:
             try:
                 loop.run_until_complete(self._answer(ready, check))
             finally:
-                if isinstance(self._backend, Building):
-                    self._backend.close()  # it is ours; one that was passed may be used further
                 for task in asyncio.all_tasks(loop):
                     task.cancel()
                 loop.run_until_complete(asyncio.sleep(0))
@@ -164,8 +123,6 @@ class PageServer:
             if ready is not None:
                 ready()
             while not self._ended.is_set():
-                if isinstance(self._backend, Building):
-                    self._backend.raise_error()
                 if check is not None:
                     check()
                 await asyncio.sleep(_LOOK)
@@ -178,17 +135,11 @@ class PageServer:
         """Fill a new document; an error is shown on the page and in the terminal."""
         from platform_ctrl.app.web import FAILED
 
-        shared, reported = self._backend, False
         try:
-            if isinstance(shared, Building):
-                reported = True  # its error ends the server, which reports it
-                shared = shared.result()
-                reported = False
-            (self._make or _page())(shared, document)
+            (self._make or _page())(self._backend, document)
         except Exception as error:
             words = str(error) if isinstance(error, PlatformCtrlError) else f"{type(error).__name__}: {error}"
-            if not reported:
-                _say(f"a page could not be made: {words}")
+            _say(f"a page could not be made: {words}")
             document.clear()
             document.template_variables[FAILED] = f"This page could not be made: {_line(words)}"
 
@@ -249,33 +200,17 @@ def _line(words: str) -> str:
     return " ".join(words.split())[:400]
 
 
-class _OneLine(logging.Handler):
-    """Prints a line where the page's own code fails, and nothing about invalid requests."""
-
-    def emit(self, record: logging.LogRecord) -> None:
-        error = record.exc_info[1] if record.exc_info else None
-        trace = None if error is None else error.__traceback__
-        while trace is not None:
-            if trace.tb_frame.f_globals.get("__name__", "").startswith("platform_ctrl.app.page"):
-                words = f"{type(error).__name__}: {error} ({trace.tb_frame.f_code.co_name}, line {trace.tb_lineno})"
-                _say(f"a page failed: {words}")
-                return
-            trace = trace.tb_next
-
-
 @contextmanager
-def _one_line_each() -> Iterator[None]:
-    """Replace the handlers of the libraries' loggers by `_OneLine`."""
+def _quiet() -> Iterator[None]:
+    """Keep what the libraries say about invalid requests off the terminal."""
     loggers = [logging.getLogger(name) for name in _LIBRARIES]
-    before = [(logger.handlers[:], logger.propagate, logger.level) for logger in loggers]
+    before = [logger.level for logger in loggers]
     for logger in loggers:
-        logger.handlers, logger.propagate = [_OneLine(logging.ERROR)], False
-        logger.setLevel(logging.ERROR)
+        logger.setLevel(logging.CRITICAL)
     try:
         yield
     finally:
-        for logger, (handlers, propagate, level) in zip(loggers, before, strict=True):
-            logger.handlers, logger.propagate = handlers, propagate
+        for logger, level in zip(loggers, before, strict=True):
             logger.setLevel(level)
 
 

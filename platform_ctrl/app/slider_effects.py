@@ -77,7 +77,7 @@ def with_budget(
         return effects
 
     def ratios(slider: Slider) -> FloatArray:
-        return np.array([one.ratio for one in loops.sight.quick_results(settings_with(slider), keep=False)])
+        return np.array([one.ratio for one in loops.sight.quick_results(settings_with(slider))])
 
     more = option_effects(
         effects.options,

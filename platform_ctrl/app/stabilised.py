@@ -18,7 +18,6 @@ from platform_ctrl.app.curves import (
     ALL,
     Band,
     Drive,
-    Driven,
     LoopCurves,
     LoopTransfers,
     Parts,
@@ -229,7 +228,7 @@ class StabilisedCurves(LoopCurves):
         shown, band = self._turned(self.loop.shown, order), None
         if self.banded:
             band = self._turned(self.loop.plants, order)
-        return self._time_response(given, signals, [Driven(shown=shown, band=band, u=given.u)])
+        return self._time_response(given, signals, shown, band, given.u[None])
 
     def _turned(self, plants: FreePlants, outputs: Index) -> StateArrays:
         """Return the closed loops from the torque on the platform to torques, sensors and attitude."""

@@ -7,7 +7,6 @@ import os
 import sys
 import threading
 import warnings
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -90,11 +89,14 @@ def serve(
 
     AllowedHosts.of(host, allow or ())  # before anything else: no work for what would be refused
     with progress(quiet or as_json, f"reading {job}"):
-        backend, name = _prepared(job, controllers)
-        from platform_ctrl.app.server import Building, PageServer, require_bokeh
+        name = _checked(job, controllers)
+        from platform_ctrl.app.server import PageServer, require_bokeh
 
         require_bokeh()
-        server = PageServer(Building(backend), host=host, allow=allow or (), port=port)
+        from platform_ctrl.app.backend import Backend
+
+        backend = Backend(job, controllers)
+        server = PageServer(backend, host=host, allow=allow or (), port=port)
 
     def ready() -> None:
         shown = _opens_browser(browser, as_json)
@@ -105,11 +107,14 @@ def serve(
     # The third Ctrl-C is raised at once, should the server not react.
     with interruptible(deferred=2) as check, warnings.catch_warnings():
         warnings.filterwarnings("ignore", module="bokeh")  # about nonsense that others send
-        server.run(ready, check)
+        try:
+            server.run(ready, check)
+        finally:
+            backend.close()
 
 
-def _prepared(job: Path, controllers: Path | None) -> tuple[Callable[[], object], str]:
-    """Return what makes the backend, and the job's name."""
+def _checked(job: Path, controllers: Path | None) -> str:
+    """Return the job's name; an error where job or controllers cannot be shown."""
     read = job_of(job)
     from platform_ctrl.app.saving import controllers_beside
     from platform_ctrl.verification.controllers import differing_origin, read_controllers
@@ -118,13 +123,7 @@ def _prepared(job: Path, controllers: Path | None) -> tuple[Callable[[], object]
         read_controllers(controllers, read)
     elif (beside := controllers_beside(job)).is_file() and (wrong := differing_origin(beside, read)):
         noted(f"{beside}: {wrong}; its controllers are not shown, unless it is named with --controllers")
-
-    def backend() -> object:
-        from platform_ctrl.app.backend import Backend
-
-        return Backend(job, controllers)
-
-    return backend, read.name
+    return read.name
 
 
 def _announce(server: PageServer, name: str, as_json: bool, port: int | None) -> None:

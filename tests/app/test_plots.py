@@ -21,7 +21,6 @@ from bokeh.protocol import Protocol
 from designer_pictures import DAMPING, broken, empty, picture
 from platform_ctrl.app.plots import Plots
 from platform_ctrl.app.plots.data import Unit, View, colours, quantity, round_bounds, spaced
-from platform_ctrl.app.plots.locus import refined
 
 HZ = 1.0 / (2.0 * np.pi)
 
@@ -175,28 +174,6 @@ def test_branches_begin_at_the_poles_of_the_open_loop(plots: Plots) -> None:
     branches = plots.sources["branches"].data
     assert np.isnan(branches["re"]).sum() == 2
     assert branches["gain"][0] == 0.0
-
-
-def test_a_pair_of_branches_turns_where_it_leaves_the_real_axis(plots: Plots) -> None:
-    shown = picture()
-    plots.show(shown)
-    data = plots.sources["branches"].data
-    s, gain = np.float64(data["re"]) + 1j * np.float64(data["im"]), 4000.0 * np.float64(data["gain"])
-    fine = np.isfinite(s)
-    assert fine.sum() > 2 * len(shown.locus.gains)
-    # Every point that is drawn is a pole for its gain, the double pole at a gain of 100 among them.
-    assert np.abs(s**2 + DAMPING * s + gain)[fine].max() < 1e-2
-    assert np.abs(s[fine] + 10.0).min() < 0.05
-
-
-def test_an_infinitely_fast_pole_does_not_keep_the_others_from_turning() -> None:
-    gains = np.linspace(0.0, 400.0, 9)
-    poles = np.array([np.sort_complex(np.roots([1.0, DAMPING, k])) for k in gains]).astype(np.complex128)
-    branches = np.column_stack([poles, np.full(9, -np.inf)])
-    factors, rows = refined(gains, branches)
-    assert len(factors) > 15
-    assert np.all(np.diff(factors) > 0.0)
-    assert np.abs(rows[:, :2] ** 2 + DAMPING * rows[:, :2] + factors[:, None]).max() < 1e-9
 
 
 def test_branches_have_points_where_they_move_and_both_ends() -> None:

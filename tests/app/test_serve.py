@@ -11,7 +11,6 @@ import random
 import re
 import socket
 import struct
-import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -29,7 +28,7 @@ pytest.importorskip("bokeh")
 from bokeh.models.widgets import Div
 
 from platform_ctrl.app import web
-from platform_ctrl.app.server import Building, PageServer
+from platform_ctrl.app.server import PageServer
 
 
 def a_slider(backend: object, document: Any) -> None:
@@ -325,21 +324,6 @@ def _ended(one: socket.socket) -> bool:
         return True
 
 
-def test_a_backend_made_for_the_server_is_closed_with_it_and_a_given_one_is_not() -> None:
-    class Shared:
-        closed = 0
-
-        def close(self) -> None:
-            self.closed += 1
-
-    built, given = Shared(), Shared()
-    building = Building(lambda: built)
-    assert building.result() is built
-    with served(building, make=a_slider), served(given, make=a_slider):
-        assert built.closed == 0
-    assert (built.closed, given.closed) == (1, 0)
-
-
 def test_a_page_that_cannot_be_made_says_so_in_a_plain_line(capfd: pytest.CaptureFixture[str]) -> None:
     def failing(backend: object, document: Any) -> None:
         document.add_root(Div(text="half"))
@@ -351,34 +335,6 @@ def test_a_page_that_cannot_be_made_says_so_in_a_plain_line(capfd: pytest.Captur
         assert headers["Content-Type"] == "text/plain; charset=utf-8"
         assert body == "This page could not be made: job.toml: is no job any more, <b>\n"
     assert capfd.readouterr().err == "platform-ctrl: a page could not be made: job.toml: is no job any more, <b>\n"
-
-
-def test_a_backend_that_cannot_be_made_ends_the_server_and_its_page_says_why(
-    capfd: pytest.CaptureFixture[str],
-) -> None:
-    asking = threading.Event()
-
-    def never() -> object:
-        asking.wait(30.0)
-        raise InputError("job.toml: no loop can be closed")
-
-    server, answers = PageServer(Building(never), port=0, make=a_slider), []
-
-    def ask() -> None:
-        answers.append(asked(server))
-
-    def ready() -> None:
-        page.start()
-        threading.Timer(0.3, asking.set).start()
-
-    page = threading.Thread(target=ask)
-    with pytest.raises(InputError, match="no loop can be closed"):
-        server.run(ready)
-    page.join(30.0)
-    [(status, _, body)] = answers
-    assert (status, body) == (500, "This page could not be made: job.toml: no loop can be closed\n")
-    # Whoever called `run` says it: once is enough.
-    assert capfd.readouterr().err == ""
 
 
 @pytest.mark.parametrize("host", ["0.0.0.0", "::", "192.0.2.7", "lab-pc"])

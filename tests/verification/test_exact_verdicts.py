@@ -18,7 +18,7 @@ from platform_ctrl.analysis.arrays import StateArrays, named_system, state_array
 from platform_ctrl.analysis.loop_metrics import measure, measured
 from platform_ctrl.analysis.loop_set import LoopSet
 from platform_ctrl.analysis.plant_set import PlantSet
-from platform_ctrl.app.free_plants import StabilisedLoop, corners, free_models, free_plants
+from platform_ctrl.app.free_plants import StabilisedLoop, corners, free_plants
 from platform_ctrl.app.stabilised import requirements
 from platform_ctrl.cli import main
 from platform_ctrl.design.fixed_structure.descent import Search
@@ -299,7 +299,7 @@ def test_the_page_sees_a_narrow_resonance_of_the_coupled_loop(
     both = np.block([[a, np.zeros((len(a), len(A)))], [B @ c, A]])
     K = StateArrays(both, np.vstack([b, B @ d]), np.hstack([D @ c, C]), D @ d, PERIOD)
     controllers = (first, named_system(K, second.input_labels, second.output_labels), servo)
-    plants = free_plants(free_models(job, corners(job)[:1], sensed_rates(job, controllers)), job.sampling, False)
+    plants = free_plants(job, corners(job)[:1], sensed_rates(job, controllers), False)
     model = linearise(job.platform)
     loop = StabilisedLoop(job=job, model=model, spec=job.loops[2], controllers=controllers, plants=plants, shown=plants)
     found = requirements(loop, lambda name, make: make())

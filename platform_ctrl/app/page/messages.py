@@ -75,32 +75,26 @@ def parse_request(message: object) -> Request:
     for name, kind in REQUESTS[what].items():
         more[name] = _of_kind(f"{what}: {name}", read.get(name), kind)
     if what == "move":
-        more["moves"] = tuple(_move(one) for one in _few(more["moves"]))
-    count = _of_kind(f"{what}: n", read.get("n"), int)
-    if not 0 <= count <= LARGEST_COUNT:
-        raise InputError(f"{what}: n must be a count, got {short(count)}")
-    return Request(count=count, what=what, more=more)
+        if len(more["moves"]) > MOVES:
+            raise InputError(f"move: at most {MOVES} sliders move together, got {len(more['moves'])}")
+        more["moves"] = tuple(_move(one) for one in more["moves"])
+    return Request(count=_count(read.get("n")), what=what, more=more)
 
 
 def request_count(message: object) -> int | None:
     """Return the count of a message, also of one that makes no sense otherwise: it has to be answered."""
     try:
         read = json.loads(message) if isinstance(message, str) and len(message) <= LONGEST else None
-    except (ValueError, RecursionError):
+        return _count(read["n"]) if isinstance(read, dict) else None
+    except (ValueError, RecursionError, KeyError, InputError):
         return None
-    count = read.get("n") if isinstance(read, dict) else None
-    return count if isinstance(count, int) and not isinstance(count, bool) and 0 <= count <= LARGEST_COUNT else None
 
 
-def number(name: str, given: object) -> float:
-    """Return a finite number."""
-    try:
-        out = float(given) if isinstance(given, int | float) and not isinstance(given, bool) else math.nan
-    except OverflowError:
-        out = math.inf
-    if not math.isfinite(out):
-        raise InputError(f"{name} must be a finite number, got {short(given)}")
-    return out
+def _count(given: object) -> int:
+    count: int = _of_kind("n", given, int)
+    if not 0 <= count <= LARGEST_COUNT:
+        raise InputError(f"n must be a count, got {short(given)}")
+    return count
 
 
 def _of_kind(name: str, given: object, kind: type) -> Any:
@@ -109,17 +103,11 @@ def _of_kind(name: str, given: object, kind: type) -> Any:
     return given
 
 
-def _few(moves: list[Any]) -> list[Any]:
-    if len(moves) > MOVES:
-        raise InputError(f"move: at most {MOVES} sliders move together, got {len(moves)}")
-    return moves
-
-
-def _move(one: object) -> tuple[str, float]:
+def _move(one: object) -> tuple[str, Any]:
+    """Return slider and number of a move; whether it is a number is seen when the slider moves."""
     if not isinstance(one, dict):
         raise InputError(f"move: each move must be a slider and its number, got {short(one)}")
-    slider = _of_kind("move: slider", one.get("slider"), str)
-    return slider, number(slider, one.get("value"))
+    return _of_kind("move: slider", one.get("slider"), str), one.get("value")
 
 
 def _no_constant(text: str) -> float:

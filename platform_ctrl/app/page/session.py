@@ -133,10 +133,10 @@ class Session:
         try:
             request = parse_request(new)
             (getattr(self, f"_on_{request.what}", None) or self._tasks.handle)(request)
-        except PlatformCtrlError as error:
+        except Exception as error:
             # The sliders show their values again, not what was typed.
             rows = {} if self.picture is None else self._slider_rows(self.picture.settings)
-            self.connection.answer(request_count(new), line={"text": str(error), "kind": "error"}, **rows)
+            self.connection.answer(request_count(new), line={"text": error_text(error), "kind": "error"}, **rows)
 
     def _on_ready(self, request: Request) -> None:
         self.change("ready", lambda settings: settings, count=request.count, gesture="ready")

@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from platform_ctrl.app.gimbal_tree import run_data
 from platform_ctrl.app.page.messages import Request, influence_data
@@ -23,10 +23,8 @@ from platform_ctrl.errors import InputError, PlatformCtrlError
 from platform_ctrl.job.judging import CheckResult
 
 if TYPE_CHECKING:
-    from platform_ctrl.app.backend import Backend
-    from platform_ctrl.app.page.connection import Connection
-    from platform_ctrl.app.pictures import Picture
-    from platform_ctrl.app.settings import Choices, Settings
+    from platform_ctrl.app.page.session import Session
+    from platform_ctrl.app.settings import Settings
     from platform_ctrl.design.tuning import OptionEffects
 
 # A plain file name; those that Windows reserves.
@@ -69,28 +67,6 @@ def error_text(error: Exception) -> str:
     return f"This could not be computed ({type(error).__name__}); the terminal says more."
 
 
-class Page(Protocol):
-    """The page that tasks belong to."""
-
-    backend: Backend
-    connection: Connection
-    choices: Choices
-    settings: Settings
-    picture: Picture | None
-
-    def parts_measured(self) -> None:
-        """Show what has become known of the parts of the job."""
-
-    def shows(self, settings: Settings) -> bool:
-        """Return whether the page shows these settings, and no change of them is being computed."""
-
-    def rest(self) -> None:
-        """Have what is shown measured further once nothing has changed for a while."""
-
-    def change(self, key: str, change: Callable[[Settings], Settings]) -> None:
-        """Have the settings changed and shown."""
-
-
 # What the page's line says while a task runs, and after it was cancelled.
 _RUNNING = {"tune": "Tuning is going on", "simulate": "A manoeuvre is being simulated"}
 _CANCELLED = {
@@ -114,7 +90,7 @@ class _Running:
 class PageTasks:
     """The long tasks of a session, each in its own thread."""
 
-    def __init__(self, page: Page) -> None:
+    def __init__(self, page: Session) -> None:
         self._page, self._backend, self._connection = page, page.backend, page.connection
         self._running: _Running | None = None
         self._measuring = False

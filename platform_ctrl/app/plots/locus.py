@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 from bokeh.core.properties import value
 
-from platform_ctrl.analysis.arrays import ComplexArray
 from platform_ctrl.app.pictures import Drawing, Locus
 from platform_ctrl.app.plots.data import (
     FONT,
@@ -36,77 +35,9 @@ _HYSTERESIS = 1.35
 # Least distance between the labels of the rays as a share of the view.
 _APART = 0.17
 _ROUND = np.array([1.0, 2.0, 5.0])
-# Points that are added between two gains where a pair of poles turns, and the imaginary part that counts as zero.
-_ADDED, _REAL = 9, 1e-9
 # Distance of points along a branch, as a share of its farthest point or of the view.
 _SPACING = 2e-3
 _BRANCH = ("re", "im", "gain")
-
-
-def refined(gains: FloatArray, branches: ComplexArray) -> tuple[FloatArray, ComplexArray]:
-    """Return gains and branches with more points where a pair of poles turns from complex to real or back.
-
-    The two poles of a pair are m ± √d, and m and d are smooth functions of the gain while the poles are not: between
-    two gains m and d are taken to be linear. All other branches are straight there.
-
-    Parameters
-    ----------
-    gains : (G,)
-        Rising.
-    branches : complex (G, n)
-        Each column one continuous branch.
-
-    Returns
-    -------
-    (H,), complex (H, n)
-        H ≥ G.
-    """
-    if len(gains) < 2 or branches.shape[1] < 2:
-        return gains, branches
-    # A pole that is infinitely fast turns nowhere.
-    fine = np.isfinite(branches)
-    real = ~fine | (np.abs(branches.imag) <= _REAL * (np.abs(branches) + 1.0))
-    turns = np.flatnonzero((real[1:] != real[:-1]).any(axis=1))
-    at, more_gains, more = [], [], []
-    for k in turns:
-        changed = np.flatnonzero((real[k] != real[k + 1]) & fine[k] & fine[k + 1])
-        where, points = _turn(branches[k], branches[k + 1], real[k], real[k + 1], changed)
-        at.append(np.full(len(where), k + 1))
-        more_gains.append(gains[k] + where * (gains[k + 1] - gains[k]))
-        more.append(points)
-    if not at:
-        return gains, branches
-    places = np.concatenate(at)
-    more_branches = np.insert(branches, places, np.concatenate(more), axis=0)
-    return np.insert(gains, places, np.concatenate(more_gains)), more_branches
-
-
-def _turn(
-    start: ComplexArray, end: ComplexArray, real_start: Any, real_end: Any, changed: Any
-) -> tuple[FloatArray, ComplexArray]:
-    """Return shares (W,) of the way between two gains, and the poles there (W, n), of which `changed` turn."""
-    where = 0.5 - 0.5 * np.cos(np.pi * np.arange(1, _ADDED + 1) / (_ADDED + 1))
-    pairs = []
-    for i in changed:
-        ends = start if not real_start[i] else end
-        j = next((j for j in changed if j > i and abs(ends[j] - ends[i].conjugate()) <= 1e-6 * abs(ends[i])), None)
-        if j is not None:
-            m = [0.5 * (s[i] + s[j]).real for s in (start, end)]
-            d0, d1 = (0.25 * ((s[i] - s[j]) ** 2).real for s in (start, end))
-            pairs.append((i, j, m, d0, d1))
-            # The turn itself is one of the points.
-            where = np.union1d(where, [d0 / (d0 - d1)] if d0 * d1 < 0.0 else [])
-    with np.errstate(invalid="ignore"):
-        points = start + where[:, None] * (end - start)
-    for i, j, m, d0, d1 in pairs:
-        root = np.sqrt((d0 + where * (d1 - d0)).astype(np.complex128))
-        # Which of the two goes up, or to the right, is as at the ends.
-        up = np.sign((start if not real_start[i] else end)[i].imag)
-        on_axis = end if real_end[i] else start
-        sign = np.where(np.abs(root.imag) > 0.0, up, np.sign((on_axis[i] - on_axis[j]).real))
-        middle = m[0] + where * (m[1] - m[0])
-        points[:, i], points[:, j] = middle + sign * root, middle - sign * root
-    return where, points
 
 
 def _slope(damping: float) -> float:
@@ -176,8 +107,7 @@ class LocusPanel(Panel):
         """Follow a picture."""
         locus, overlays, put = picture.locus, picture.bode.overlays, self.sources.put
         at = thinned(len(locus.gains), _GAINS)
-        factors, rows = refined(locus.gains[at], locus.branches[at])
-        branches = rows.T
+        factors, branches = locus.gains[at], locus.branches[at].T
         size = np.abs(branches).max(axis=1, where=np.isfinite(branches), initial=0.0)
         kept = spaced(branches, _SPACING * np.minimum(size, locus.reach))
         columns = branches.real, branches.imag, np.broadcast_to(factors, branches.shape)
