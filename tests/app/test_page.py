@@ -480,7 +480,7 @@ def test_a_run_leaves_the_page_alive_can_be_cancelled_and_turns_the_gimbal_tree(
 
     page.locator("#simulate").click()
     slider = page.locator("#panel-tree .controls input")
-    slider.wait_for(state="visible")
+    until(page, slider.is_visible)
     assert backend.has_simulated
     settings = backend.moved(backend.start(), "crossover_hz", 41.0)
     run = backend.simulate(settings, manoeuvre)
