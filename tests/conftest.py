@@ -33,7 +33,7 @@ UNTRACED = frozenset(
     """
     analysis/classical_margins analysis/frequency_response analysis/hinf_norm analysis/jitter_budget analysis/margins
     analysis/norms analysis/plant_set app/budget app/commanded app/core app/core_sliders app/designs
-    app/designs_side_by_side app/limited_drags app/messages app/next_step app/plots app/session app/tree3d
+    app/designs_side_by_side app/messages app/plots app/session
     campaign/statistics cli/check cli/help cli/new cli/requirement_lines cli/serve_command
     design/caging_claims design/full_order_loops design/lmi design/lower_bounds design/rate_loops
     design/riccati design/sampled_hinf design/structured_caging design/tracking_methods docs export/code_any
