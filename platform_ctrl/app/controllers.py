@@ -22,7 +22,7 @@ from platform_ctrl.job.methods import METHODS, resolved
 _OF_PAIRS = frozenset({"crossover_hz", "damping_hz", "damping2_hz", "lead_hz", "rolloff_hz"})
 # The one that a classical design takes whatever its gyros: the default of the integral's corner is a share of it.
 ALWAYS = "crossover_hz"
-_PARTED = {name: option for method in METHODS.values() if method.parts for name, option in method.options.items()}
+_PARTED = {name: option for method in METHODS.values() if method.instant for name, option in method.options.items()}
 
 
 def part_of(option: str) -> str:
@@ -116,7 +116,7 @@ class DesignOptions:
     def used(self, settings: Settings, spec: LoopSpec, design: DesignSpec) -> dict[str, float]:
         """Return the options that a design uses, without those of parts that are off."""
         offered = self.offered(settings, spec, design)
-        if not METHODS[design.method].parts:
+        if not (built_directly(design) and METHODS[design.method].parts):
             return offered
         channel, nutation = self._plants.gyros(spec, design), self._plants.nutation(spec, design)
         period = self.read.period_of(spec)
@@ -168,7 +168,7 @@ class DesignOptions:
             return dict(designed(problem).options)
         channel, nutation = self._plants.gyros(spec, design), self._plants.nutation(spec, design)
         method = METHODS[design.method]
-        if method.parts:
+        if method.instant and method.parts:
             return full_options(design, design.options, channel, nutation, period)
         if method.defaults is None:
             return dict(design.options)

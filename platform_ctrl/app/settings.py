@@ -178,6 +178,8 @@ class History:
         return self.now
 
 
+# Methods whose controllers the tuner makes of their options again and again.
+_TUNED = ("classical", "pi", "lqg", "platform-servo")
 # Range of a slider to both sides of its start, as a factor.
 _REACH = 20.0
 # Typed numbers may lie beyond the slider by this factor.
@@ -215,7 +217,7 @@ def option_sliders(
                 tip=kind.tip,
                 fixed=name in fixed,
                 part=kind.part,
-                tunable=name in offered.tunable,
+                tunable=name in offered.tunable and method in _TUNED,
                 background=not offered.instant,
             )
         )
@@ -227,7 +229,7 @@ def main_sliders(method: str, options: Sequence[Slider], start: Mapping[str, flo
 
     They stand where the options, from `start` on, come nearest to being moved by them alone.
     """
-    families = METHODS[method].families
+    families = METHODS[method].families if METHODS[method].instant else {}
     own = {one.name: one.value for one in options}
     along = {name: {option: x for option, x in family.items() if option in own} for name, family in families.items()}
     if not along or not all(along.values()):
