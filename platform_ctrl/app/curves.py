@@ -178,8 +178,6 @@ def _steps(s: ComplexArray, reach: float) -> FloatArray:
 
 # Sampled loops are shown up to this share of the Nyquist frequency: at its edge sensitivities have no meaning.
 EDGE = 0.999
-# Error bound of a response above which it is computed with more digits: a curve has three.
-DRAWN = 1e-4
 # Points of a frequency grid besides those at resonances.
 GRID_POINTS = 160
 
