@@ -2,29 +2,26 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 
 pytest.importorskip("bokeh", reason="the extra `designer` is not installed")
 
 
+from camera_job import camera_job, camera_loop
 from platform_ctrl.app.backend import Backend
 from platform_ctrl.app.settings import Settings, Slider
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.reading import read_job
 
 INSTANT = ("speed", "robustness")
-EXAMPLES = Path(__file__).parents[2] / "examples"
 
 
 @pytest.fixture(scope="module")
 def camera() -> Iterator[Backend]:
-    data = tomllib.loads((EXAMPLES / "camera_gimbal.toml").read_text(encoding="utf-8"))
-    data["loop"][0]["use"] = "PI2"
-    made = Backend(read_job(data))
+    loop = camera_loop("rate", "pi", use="pi", limits={"disk_margin": 0.3})
+    made = Backend(read_job(camera_job(loop=loop)))
     yield made
     made.close()
 
@@ -41,7 +38,7 @@ def test_speed_scales_time_and_robustness_gives_margin_at_the_same_crossover(cam
     settings = camera.start()
     before = camera.picture(settings)
     speed = _sliders(camera, settings)["speed"]
-    assert speed.value == _options(settings)["crossover_hz"]
+    assert speed.value == pytest.approx(_options(settings)["crossover_hz"], rel=1e-12)
     slower = camera.moved(settings, "speed", 0.5 * speed.value)
     for name in ("crossover_hz", "integral_hz"):
         assert _options(slower)[name] == pytest.approx(0.5 * _options(settings)[name], rel=1e-9)
