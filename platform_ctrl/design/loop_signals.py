@@ -24,6 +24,8 @@ from platform_ctrl.plant.sensors import LOS_RATES, Sensor
 _KEYHOLE = 0.1
 # Ratio of the least to the largest effect of torquers on readings from which on each is seen.
 _SEEN = 1e-6
+# Frequency at which effects of torquers are judged, over the fastest that springs give the gimbals.
+_ABOVE_SPRINGS = 3.0
 # Share of the largest gain from torques to the line of sight from which on an output counts as moved.
 _MOVES = 1e-6
 
@@ -127,14 +129,20 @@ def loop_channels(model: LinearModel, signals: LoopSignals, period: float) -> Ch
 
 
 def _effect(model: LinearModel, signals: LoopSignals, period: float) -> FloatArray:
-    """Return what each torquer does to each reading, or to its rate of angles, at a hundredth of the sample rate."""
+    """Return what each torquer does to each reading, or to its rate of angles.
+
+    At a hundredth of the sample rate, or above what springs hold: below their resonance readings move the other way.
+    """
     weights = [sensor.signals(model.platform) for sensor in signals.sensors]
     names = list(dict.fromkeys(name for one in weights for name in one))
     # A sensor may have the name of the signal that it reads, but shows it with its low-pass and errors.
     bare = without_sensors(model.platform)
     system = observed(state_space(model, gimbals=signals.gimbals, others="held"), bare, names, model.q0)
     inputs = [system.input_labels.index(torquer.name) for torquer in signals.torquers]
-    s = 2j * np.pi * 0.01 / period
+    rows = rows_of(model, signals.gimbals)
+    stiffness = np.linalg.solve(model.M[np.ix_(rows, rows)], model.stiffness[np.ix_(rows, rows)])
+    held = np.sqrt(np.abs(np.linalg.eigvals(stiffness)).max())
+    s = 1j * max(2.0 * np.pi * 0.01 / period, _ABOVE_SPRINGS * held)
     shown = system.C @ np.linalg.solve(s * np.eye(system.nstates) - system.A, system.B[:, inputs])
     mixing = np.array([[one.get(name, 0.0) for name in names] for one in weights])
     return np.asarray(np.real(s**signals.order * (mixing @ shown)))
