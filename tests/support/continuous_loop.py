@@ -15,6 +15,15 @@ from scipy.linalg import expm
 IMAGES = 60
 
 
+def response(A, B, C, s):
+    """C (s - A)^-1 B, (F, p, m): in modes where their vectors are far from dependent, else by elimination."""
+    own, V = np.linalg.eig(A)
+    if len(A) and np.linalg.cond(V) < 1e6:
+        left, right = C @ V, np.linalg.solve(V, B.astype(complex))
+        return (left / (s[:, None, None] - own)) @ right
+    return C @ np.linalg.solve(s[:, None, None] * np.eye(len(A)) - A, B.astype(complex))
+
+
 class ContinuousLoop:
     """`A, B_u, B_w, C_y, C_z, D_yw, D_zw` of the plant without torquers; `K` has A, B, C, D; times in s."""
 
@@ -27,8 +36,7 @@ class ContinuousLoop:
         self.late = np.array(late if len(late) else [0] * p)
 
     def _through(self, C, B, w):
-        s = 1j * np.atleast_1d(w)
-        return C @ np.linalg.solve(s[:, None, None] * np.eye(len(self.A)) - self.A, B.astype(complex))
+        return response(self.A, B, C, 1j * np.atleast_1d(w))
 
     def _hold(self, w):
         """The hold, its delay and the torquers' lags, (F, m)."""
@@ -38,9 +46,8 @@ class ContinuousLoop:
 
     def sampled_plant(self, w):
         """P_d, (F, p, m): what the samples show of held torques, from the matrix exponential."""
-        A, B, C, n, _ = self._discrete()
-        z = np.exp(1j * np.atleast_1d(w) * self.period)
-        P = C @ np.linalg.solve(z[:, None, None] * np.eye(n) - A, B.astype(complex))
+        A, B, C, _, _ = self._discrete()
+        P = response(A, B, C, np.exp(1j * np.atleast_1d(w) * self.period))
         return P * np.exp(-1j * np.outer(w, self.late) * self.period)[..., None]
 
     def _discrete(self):
@@ -89,8 +96,7 @@ class ContinuousLoop:
     def controller(self, w):
         """K(exp(jωT)), (F, m, p)."""
         A, B, C, D = self.K
-        z = np.exp(1j * np.atleast_1d(w) * self.period)
-        return C @ np.linalg.solve(z[:, None, None] * np.eye(len(A)) - A, B.astype(complex)) + D
+        return response(A, B, C, np.exp(1j * np.atleast_1d(w) * self.period)) + D
 
     def torques(self, w):
         """The torque commands for w = exp(jωt), (F, m, k)."""
