@@ -24,9 +24,6 @@ Index = Sequence[int] | NDArray[np.intp] | np.integer[Any] | slice | int | None
 # From so many states on, LAPACK reduces a matrix faster than our compiled code, and a narrow band is looked for first.
 MANY_STATES = 48
 
-# Entries of A that are smaller against the largest are rounding: a state does not depend on another by them.
-_UNSEEN = 1e-13
-
 
 class StateArrays(NamedTuple):
     """A, B, C, D (each may carry leading batch axes) and the sample period `dt` (0: continuous).
@@ -271,13 +268,13 @@ def scaled(A: FloatArray, B: FloatArray, C: FloatArray) -> tuple[FloatArray, Flo
     return A * s / s[:, None], B / s[:, None], C * s
 
 
-def seen_states(A: FloatArray, C: FloatArray, rounding: float = _UNSEEN) -> list[int]:
+def seen_states(A: FloatArray, C: FloatArray) -> list[int]:
     """Return the states of systems (N, ...) on which an output depends in any of them, by what their matrices show.
 
     The angle of a balanced gimbal whose rate alone is measured is none: it drifts, and nothing follows from it.
     """
-    links = np.abs(A).max(axis=0) > rounding * np.abs(A).max(initial=0.0)
-    seen = (np.abs(C).max(axis=0) > 0.0).any(axis=0)
+    links = (A != 0.0).any(axis=0)
+    seen = (C != 0.0).any(axis=(0, 1))
     while True:
         wider = seen | links[seen].any(axis=0)
         if np.array_equal(wider, seen):

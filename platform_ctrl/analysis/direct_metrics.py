@@ -3,12 +3,13 @@
 Gain and phase margins are of one channel broken at the plant's input, all others closed. With S_i, the entry (i, i) of
 the sensitivity at the input, the loop transfer of channel i is L_i = 1/S_i − 1. On the unit circle L(1/z) is the
 conjugate of L(z), so that L is real where L(z) − L(1/z) has a zero and |L| = 1 where L(z) L(1/z) − 1 has one:
-generalised eigenvalues, which no grid of frequencies can miss. Overshoot, settling and errors behind commands are of
-the samples.
+generalised eigenvalues. Next to narrow resonances and to z = 1 rounding moves these; L changes its sign between points
+beside them, where it is followed to the crossing. Overshoot, settling and errors behind commands are of the samples.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -18,17 +19,18 @@ from platform_ctrl.analysis.drift import drifting_rms
 from platform_ctrl.analysis.feedback import loop_of_sensitivity
 from platform_ctrl.analysis.loop_set import LoopSet
 from platform_ctrl.analysis.measuring import Loops, Request
-from platform_ctrl.analysis.norms import h2_norm, noise_rms
+from platform_ctrl.analysis.norms import h2_norm, noise_rms, resonances
+from platform_ctrl.analysis.poles import continuous_poles, poles
 from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.analysis.time_responses import time_response
 from platform_ctrl.common.values import FloatArray
 
-# Distance from the unit circle within which an eigenvalue may lie on it; L itself tells which does.
-_ON_CIRCLE = 1e-4
 # Distance from 0 and from the Nyquist frequency, where L is real, relative to the latter: L has poles there.
 _END = 1e-8
 # How far |L| may be from 1, and its angle from ±180°, at such a frequency, relative.
 _AT = 1e-3
+# Points of a grid beside the eigenvalues; parts into which an interval with a crossing is cut, and how often.
+_GRID, _PARTS, _CUTS = 200, 16, 10
 
 
 def margins_of_channel(sensitivity: StateArrays) -> tuple[float, float]:
@@ -36,19 +38,48 @@ def margins_of_channel(sensitivity: StateArrays) -> tuple[float, float]:
 
     The gain margin is the least factor by which the gain may be raised or lowered, infinite where none ends stability.
     """
-    L = loop_of_sensitivity(sensitivity)
-    gain = phase = np.inf
-    w = _frequencies(_real_pencil(L), L.dt)
-    values = frequency_response(L, w)[0, 0] if w.size else np.zeros(0, dtype=np.complex128)
-    real = (values.real < 0.0) & (np.abs(values.imag) < _AT * np.abs(values.real))
-    if real.any():
-        gain = float(np.exp(np.abs(np.log(-values.real[real])).min()))
-    w = _frequencies(_unit_pencil(L), L.dt)
-    values = frequency_response(L, w)[0, 0] if w.size else np.zeros(0, dtype=np.complex128)
-    unit = np.abs(np.abs(values) - 1.0) < _AT
-    if unit.any():
-        phase = float((np.pi - np.abs(np.angle(values[unit]))).min())
-    return gain, phase
+    loop = loop_of_sensitivity(sensitivity)
+
+    def L(w: FloatArray) -> ComplexArray:
+        return np.asarray(1.0 / frequency_response(sensitivity, w)[0, 0] - 1.0)
+
+    own = np.concatenate([poles(sensitivity.A), poles(loop.A)])
+    near = resonances(continuous_poles(own, loop.dt))
+    real = _crossings(L, lambda x: x.imag, _frequencies(_real_pencil(loop), loop.dt), near, np.pi / loop.dt)
+    real = real[(real.real < 0.0) & (np.abs(real.imag) < _AT * np.abs(real.real))]
+    unit = _crossings(L, lambda x: np.abs(x) - 1.0, _frequencies(_unit_pencil(loop), loop.dt), near, np.pi / loop.dt)
+    unit = unit[np.abs(np.abs(unit) - 1.0) < _AT]
+    gain = float(np.exp(np.abs(np.log(-real.real)).min(initial=np.inf)))
+    return gain, float((np.pi - np.abs(np.angle(unit))).min(initial=np.inf))
+
+
+def _crossings(
+    L: Callable[[FloatArray], ComplexArray],
+    of: Callable[[ComplexArray], FloatArray],
+    known: FloatArray,
+    near: FloatArray,
+    nyquist: float,
+) -> ComplexArray:
+    """Return L where a function of it changes its sign, and at `known` frequencies, rad/s.
+
+    It is followed between `near` and the middles of what is known, in which each crossing stands alone.
+    """
+    ends = np.array([_END, 1.0 - _END]) * nyquist
+    known = np.concatenate([known, ends])
+    low = 0.1 * near[near > ends[0]].min(initial=nyquist)
+    w = np.unique(np.concatenate([known, near, np.geomspace(max(low, ends[0]), ends[1], _GRID)]))
+    w = w[(w >= ends[0]) & (w <= ends[1])]
+    w = np.unique(np.concatenate([0.5 * (w[1:] + w[:-1]), w]))
+    signs = np.sign(of(L(w)))
+    at = np.flatnonzero(signs[1:] * signs[:-1] < 0.0)
+    low_ends, high_ends = w[at], w[at + 1]
+    every = np.arange(len(at))
+    for _ in range(_CUTS if len(at) else 0):
+        points = low_ends[:, None] + (high_ends - low_ends)[:, None] * np.linspace(0.0, 1.0, _PARTS + 1)
+        same = np.sign(of(L(points.ravel()))).reshape(points.shape) == signs[at, None]
+        last = np.clip(_PARTS - np.argmax(same[:, ::-1], axis=1), 0, _PARTS - 1)
+        low_ends, high_ends = points[every, last], points[every, last + 1]
+    return L(np.concatenate([known, low_ends]))
 
 
 def _real_pencil(L: StateArrays) -> tuple[FloatArray, FloatArray]:
@@ -75,22 +106,19 @@ def _unit_pencil(L: StateArrays) -> tuple[FloatArray, FloatArray]:
 
 
 def _frequencies(pencil: tuple[FloatArray, FloatArray], period: float) -> FloatArray:
-    """Return the frequencies, rad/s, of the eigenvalues on the unit circle, and almost 0 and almost Nyquist's."""
+    """Return the frequencies, rad/s, of eigenvalues in the upper half-plane, which may lie on the unit circle."""
     from scipy.linalg import eigvals
 
     with np.errstate(all="ignore"):
         z: ComplexArray = np.asarray(eigvals(*pencil), dtype=np.complex128)
-        z = z[np.isfinite(z)]
-        near = z[np.abs(np.abs(z) - 1.0) < _ON_CIRCLE]
-    angles = np.angle(near)
-    inside = angles[(angles > 0.0) & (angles < np.pi)]
-    return np.concatenate([inside, [_END * np.pi, (1.0 - _END) * np.pi]]) / period
+    angles = np.angle(z[np.isfinite(z)])
+    return np.asarray(angles[angles > 0.0] / period)
 
 
 # Band about the final value that a response has to stay in.
 SETTLED = 0.02
-# Decay times of the slowest pole over which a response is followed, and samples at most.
-_DECAYS, _MOST = 12.0, 300_000
+# Decay times of the slowest pole over which a response is followed; samples after which every second one is left out.
+_DECAYS, _SAMPLES = 12.0, 2**14
 _NO_INSTANTS = np.zeros(0)
 # Time after which the noise of a loop that drifts counts, s: a random walk has no rms.
 DRIFT_TIME = 3600.0
@@ -189,15 +217,23 @@ def step_responses(
     `decay`: of the slowest pole, 1/s. The loop's outputs are p signals at the samples, then, if there are some, at
     instants `between` (k,), s, after them; the first of these is the sample itself.
     """
-    count = int(np.clip(np.ceil(_DECAYS / (decay * loop.dt)), 100, _MOST))
-    time, step = loop.dt * np.arange(count), np.ones((1, count))
-    p = loop.B.shape[-1]
-    out = []
-    for i in range(p):
-        rows = [i] if not len(between) else [p + k * p + i for k in range(len(between))]
-        found = time_response(loop.part(rows, [i]), time, step, squeeze=False)
-        out.append(found.T.ravel())
-    return np.add.outer(time, between if len(between) else np.zeros(1)).ravel(), np.array(out)
+    count, p, dt = max(math.ceil(_DECAYS / (decay * loop.dt)), 100), loop.B.shape[-1], loop.dt
+    times, out = [], list[list[FloatArray]]([[] for _ in range(p)])
+    first, stride = 0, 1
+    while True:
+        k = np.arange(min(math.ceil(count / stride), _SAMPLES))
+        times.append(stride * dt * k[first:])
+        for i in range(p):
+            rows = [i] if not len(between) else [p + j * p + i for j in range(len(between))]
+            one = loop.part(rows, [i])._replace(dt=1.0)
+            out[i].append(time_response(one, k, np.ones((1, len(k))), squeeze=False).T[first:].ravel())
+        if stride * _SAMPLES >= count:
+            break
+        # The same response at every second of these samples, on from where they end.
+        loop = loop._replace(A=loop.A @ loop.A, B=loop.A @ loop.B + loop.B)
+        first, stride = _SAMPLES // 2, 2 * stride
+    time = np.add.outer(np.concatenate(times), between if len(between) else np.zeros(1)).ravel()
+    return time, np.array([np.concatenate(one) for one in out])
 
 
 def torque_noise(loops: LoopSet, plants: slice = slice(None)) -> FloatArray:

@@ -408,7 +408,7 @@ def feedback_part(controller: StateArrays, measured: Sequence[int]) -> StateArra
     A, B = controller.A, controller.B
     others = [k for k in range(B.shape[1]) if k not in measured]
     # What an input reaches is what is seen of the transposed system.
-    reached, else_reached = (set(seen_states(A.T[None], B[:, at].T[None], 0.0)) for at in (measured, others))
+    reached, else_reached = (set(seen_states(A.T[None], B[:, at].T[None])) for at in (measured, others))
     kept = [k for k in range(len(A)) if k in reached or k not in else_reached]
     own = controller.part(slice(None), measured)
     return own._replace(A=A[np.ix_(kept, kept)], B=own.B[kept], C=own.C[:, kept])

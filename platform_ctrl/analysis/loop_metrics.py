@@ -40,7 +40,7 @@ class LoopMetrics:
     # (N,): 1/‖(S − T)/2‖, all channels at once, the smaller of input and output, dimensionless; 0 where the loop is
     # unstable.
     disk_margin: FloatArray
-    damping: FloatArray  # (N,): smallest damping ratio of the closed-loop poles above a tenth of the nutation frequency
+    damping: FloatArray  # (N,): smallest damping ratio of the closed-loop poles
     decay: FloatArray  # (N,): decay rate of the slowest closed-loop pole, 1/s; negative where the loop is unstable
     # (m,): nominal rms of the torques from pick-off noise, N m; infinite where the loop is unstable.
     torque_noise: FloatArray

@@ -178,10 +178,9 @@ METRICS: dict[str, Metric] = {
         name="damping",
         key="damping",
         sense="at least",
-        meaning="smallest damping ratio of the closed-loop poles faster than a tenth of nutation (poles in z taken to "
-        "s by ln z / T)",
+        meaning="smallest damping ratio of the closed-loop poles (poles in z taken to s by ln z / T)",
         measure=Direct(
-            function=lambda loops, request: minimum_damping(loops.poles, loops.slow, loops.period),
+            function=lambda loops, request: minimum_damping(loops.poles, loops.period),
             gradient=lambda loops, limit, floor, members: loops.damping(floor, limit, members),
         ),
         scopes=("", "worst_case", "faults"),

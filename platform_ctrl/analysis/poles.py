@@ -112,15 +112,18 @@ def damping(system: StateSystem) -> Damping:
     return Damping(poles=s, natural_frequency=np.abs(s), ratio=damping_ratio(s))
 
 
-def minimum_damping(poles: ComplexArray, above: float = 0.0, dt: float = 0.0) -> FloatArray:
-    """Return the smallest damping ratio of the poles (..., n) faster than `above`, rad/s; 1 where no pole is that fast.
+# Angle in a sample period, rad, below which poles next to z = 1 are split by rounding: their damping says nothing.
+SPLIT = 1e-6
 
-    The poles are in the s-plane (dt = 0), rad/s, or in the z-plane of a system with sample period `dt`, s. Unstable
-    poles
-    always count.
+
+def minimum_damping(poles: ComplexArray, dt: float = 0.0) -> FloatArray:
+    """Return the smallest damping ratio of the poles (..., n), 1 without poles.
+
+    The poles are in the s-plane (dt = 0), rad/s, or in the z-plane of a system with sample period `dt`, s. Of poles
+    next to z = 1, |s| dt < `SPLIT`, unstable ones alone count.
     """
-    s, above = continuous_poles(poles, dt), positive("minimum_damping: above", above, zero=True)
-    counts = (np.abs(s) > above) | (s.real > 0.0)
+    s = continuous_poles(poles, dt)
+    counts = (np.abs(s) * dt > SPLIT) | (s.real > 0.0) if dt else np.full(s.shape, True)
     out: FloatArray = np.where(counts, damping_ratio(s), 1.0).min(axis=-1, initial=1.0)
     return out
 

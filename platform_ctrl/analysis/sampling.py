@@ -160,7 +160,7 @@ def every_nth(system: StateArrays, n: int, once: int | None = None) -> tuple[Sta
                 C[..., :, same] += C[..., :, k]
                 kept.remove(k)
     own = power[..., kept, :][..., kept].reshape(-1, len(kept), len(kept))
-    kept = [kept[k] for k in seen_states(own, C[..., kept].reshape(-1, C.shape[-2], len(kept)), 0.0)]
+    kept = [kept[k] for k in seen_states(own, C[..., kept].reshape(-1, C.shape[-2], len(kept)))]
     return StateArrays(power[..., kept, :][..., kept], driven[..., kept, :], C[..., kept], D, n * dt), kept
 
 

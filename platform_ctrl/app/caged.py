@@ -315,5 +315,5 @@ def _margins(
         worst_sampled=not loop.exact,
         **channel._asdict(),
         bandwidth=bandwidth,
-        damping=float(minimum_damping(shown.poles, shown.plants.nutation / 10.0, plants.period)[0]),
+        damping=float(minimum_damping(shown.poles, plants.period)[0]),
     )

@@ -160,8 +160,7 @@ class Margins:
         Of the plant shown, rad/s: the largest singular value of S reaches 1/sqrt(2). Of a caging loop all channels, of
         the stabilised platform those of the platform's axes.
     damping
-        Smallest damping ratio of the closed-loop poles above a tenth of the nutation frequency, or of the crossover of
-        the stabilised platform.
+        Smallest damping ratio of the closed-loop poles.
 
     References
     ----------

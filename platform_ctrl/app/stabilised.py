@@ -339,7 +339,7 @@ def stabilised_parts(loop: StabilisedLoop, settings: Settings, labels: tuple[str
                 worst_sampled=curves.banded,
                 **own_margins._asdict(),
                 bandwidth=_bandwidth(grid, S, rows) if stable else 0.0,
-                damping=float(minimum_damping(curves.z_poles[None], 0.1 * reference, P.dt)[0]),
+                damping=float(minimum_damping(curves.z_poles[None], P.dt)[0]),
             ),
             requirements=requirements(loop, cached, (s, grid, curves.sensitivity, S) if at_rest else None),
         )

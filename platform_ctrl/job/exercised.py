@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from platform_ctrl.analysis.metrics import METRICS
+from platform_ctrl.job.faults import FAULT_KINDS, Fault
 from platform_ctrl.job.job import Job, LoopSpec, Manoeuvre
 from platform_ctrl.job.requirements import limit_keys
 from platform_ctrl.job.scenario import TimeTable
@@ -16,6 +17,8 @@ from platform_ctrl.plant.platform import OMEGA_NAMES
 
 # Samples behind `settle` at least.
 _FEWEST_SAMPLES = 20
+# What is not larger counts as zero: rad, rad/s, m/s², N m; noise and torques of small instruments are larger still.
+_NOTHING, _SILENT = 1e-9, 1e-15
 # Limits of runs that are means over the time behind `settle`.
 _MEANS = ("los_angle_rms", "los_rate_rms", "attenuation_db")
 # Metrics of loops that are about the platform's rate.
@@ -46,7 +49,7 @@ def _of_loop(job: Job, spec: LoopSpec, limits: dict[str, float], path: Path) -> 
         kind, scope = known.get(key, ("", ""))
         if not kind or scope in ("hz", "from_hz"):
             continue
-        if kind in _OF_OMEGA and not np.any(job.Omega):
+        if kind in _OF_OMEGA and not np.any(job.Omega > _NOTHING):
             words = f"{key} is about the platform's rate, and Omega = [0, 0, 0]: the platform never turns"
             yield Mistake((*path, key), f"{words}; state how fast it turns in [operation], or leave the limit out")
         if kind == "torque limit":
@@ -82,12 +85,12 @@ def _without_limit(names: list[str], key: str, path: Path) -> Iterator[Mistake]:
 def _noisy(job: Job, spec: LoopSpec) -> bool:
     """Return whether a sensor that a loop reads has noise."""
     if spec.kind == "stabilisation":
-        return any(one.noise_rms > 0.0 for one in job.platform.sensors)
+        return any(one.noise_rms > _SILENT for one in job.platform.sensors)
     read = set(spec.sensors) | {name for design in spec.designs for name in design.sensors}
     read |= {name for design in spec.designs if design.feedforward for name in design.feedforward.sensors}
     if spec.kind == "caging":
         read |= {job.platform.pickoff_on(name).name for name in spec.gimbals}
-    return any(one.noise_rms > 0.0 for one in job.platform.sensors if one.name in read)
+    return any(one.noise_rms > _SILENT for one in job.platform.sensors if one.name in read)
 
 
 def _varied(job: Job, spec: LoopSpec) -> bool:
@@ -95,18 +98,19 @@ def _varied(job: Job, spec: LoopSpec) -> bool:
     gimbals = spec.gimbals
     if spec.kind == "tracking":
         gimbals = next((one.gimbals for one in job.loops if one.name == spec.around), ())
-    spun = job.uncertainty.spin > 0.0 and any(one.carrier in gimbals for one in job.platform.rotors)
-    turned = np.any(job.Omega) and (
+    spun = job.uncertainty.spin > _NOTHING and any(one.carrier in gimbals for one in job.platform.rotors)
+    turned = np.any(job.Omega > _NOTHING) and (
         spec.kind == "caging" or any(max(one.breakaway) > 0.0 for one in job.platform.frictions)
     )
-    return bool(job.uncertainty.inertia > 0.0 or spun or turned or len(job.trims) > 1)
+    tilted = any(np.abs(q).max(initial=0.0) > _NOTHING for q in job.trims)
+    return bool(job.uncertainty.inertia > _NOTHING or spun or turned or tilted)
 
 
 def _of_run(job: Job, manoeuvre: Manoeuvre, path: Path) -> Iterator[Mistake]:
     yield from _after_the_end(job, manoeuvre, path)
     yield from _window(job, manoeuvre, path)
     limits = manoeuvre.limits
-    if manoeuvre.initial and not any(manoeuvre.initial.values()):
+    if manoeuvre.initial and not any(abs(one) > _NOTHING for one in manoeuvre.initial.values()):
         words = "initial: all of it is zero, where a run starts anyway; give other numbers, or leave it out"
         yield Mistake((*path, "initial"), words)
     if "torque_share" in limits:
@@ -132,38 +136,72 @@ def _turns(manoeuvre: Manoeuvre) -> bool:
     """Return whether the platform of a caged manoeuvre turns before its end."""
     shaken = "rate" in {*(one.kind for one in manoeuvre.vibrations), *(one.kind for one in manoeuvre.sines)}
     table = manoeuvre.Omega_table
-    return bool(manoeuvre.rate) or shaken or (table is not None and _acts(table, manoeuvre.duration))
+    return abs(manoeuvre.rate) > _NOTHING or shaken or (table is not None and _acts(table, manoeuvre.duration))
 
 
-def _acts(table: TimeTable, duration: float) -> bool:
-    """Return whether a table is not zero all the time until the end of a run."""
-    inside = table.t[table.t < duration]
-    return bool(np.any(table.at(np.concatenate([[0.0], inside, [duration * (1.0 - ROUNDING)]]))))
+def _acts(table: TimeTable, duration: float, least: float = 0.0) -> bool:
+    """Return whether a table is not zero all the time until the end of a run, or but for less than `least` s."""
+    knots = np.unique(np.concatenate([[0.0], np.clip(table.t, 0.0, duration), [duration * (1.0 - ROUNDING)]]))
+    large = np.abs(table.at(knots)).max(axis=1) > _NOTHING
+    return bool(np.sum(np.diff(knots)[large[1:] | large[:-1]]) > least)
 
 
 def _after_the_end(job: Job, manoeuvre: Manoeuvre, path: Path) -> Iterator[Mistake]:
     """Walk what would happen after the end of a run, or does nothing before it."""
-    duration = manoeuvre.duration
+    duration, sample = manoeuvre.duration, job.sampling.period * (1.0 - ROUNDING)
     end = f"before the run ends, at {duration:.6g} s"
+    shaken = (*((one.amplitude, "sine", k) for k, one in enumerate(manoeuvre.sines)),)
+    shaken += (*((one.amplitudes[1].max(), "vibration", k) for k, one in enumerate(manoeuvre.vibrations)),)
+    shaken += ((manoeuvre.rate or 1.0, "rate", None), (manoeuvre.torque or 1.0, "torque", None))
+    for size, key, place in shaken:
+        if abs(size) <= _NOTHING:
+            where = (*path, key) if place is None else (*path, key, place)
+            yield Mistake(where, f"{key}: {size:.3g} is next to nothing; give a larger one, or leave it out")
     for key, table, columns in (
         ("Omega_table", manoeuvre.Omega_table, OMEGA_NAMES),
         ("torque_table", manoeuvre.torque_table, ("M1", "M2", "M3")),
     ):
-        if table is not None and not _acts(table, duration):
+        if table is not None and not _acts(table, duration, sample):
             words = f"{key}: {', '.join(columns)} stay zero {end}"
             yield Mistake((*path, key), f"{words}; give times in s within the run, or a longer duration")
     for k, command in enumerate(manoeuvre.commands):
+        later = command.at < duration - sample and (abs(command.step) > _NOTHING or abs(command.ramp) > _NOTHING)
+        moved = later or abs(command.amplitude) > _NOTHING
+        if not (moved or command.t):
+            words = f"command of {command.reading} stays zero {end}; give a larger or an earlier one, or leave it out"
+            yield Mistake((*path, "command", k), words)
         if command.t:
             values = np.array([command.value, command.value, command.value]).T
             table = TimeTable(t=np.array(command.t), values=values, smooth=command.smooth)
-            if not (_acts(table, duration) or command.step or command.ramp or command.amplitude):
+            if not (moved or _acts(table, duration, sample)):
                 words = f"value stays zero {end}; give times in s within the run, or a longer duration"
                 yield Mistake((*path, "command", k, "value"), words)
     events = {one.name: one for one in job.fault_events}
     for name in manoeuvre.faults:
-        if name in events and events[name].at >= duration:
-            words = f"faults: {name!r} happens at {events[name].at:.6g} s, and not {end}"
+        if name not in events:
+            continue
+        event, last = events[name], min(events[name].until, duration)
+        if event.at >= duration - sample:
+            words = f"faults: {name!r} happens at {event.at:.6g} s, and not {end}"
             yield Mistake((*path, "faults"), f"{words}; choose an earlier time, or a longer duration")
+        elif event.until - event.at < sample:
+            words = f"faults: {name!r} lasts {event.until - event.at:.3g} s, less than a sample"
+            yield Mistake((*path, "faults"), f"{words}; choose a later until, or leave it out")
+        elif _harmless(event, last - event.at, job.sampling.period):
+            words = f"faults: {name!r} changes nothing with its numbers"
+            yield Mistake((*path, "faults"), f"{words}; give others, or leave it out")
+
+
+def _harmless(fault: Fault, lasting: float, period: float) -> bool:
+    """Return whether a fault that lasts so long, s, changes next to nothing."""
+    keys = FAULT_KINDS[fault.kind].keys
+    return (
+        ("share" in keys and abs(fault.share - 1.0) <= _NOTHING)
+        or ("amplitude" in keys and fault.amplitude <= _NOTHING)
+        or ("rate" in keys and abs(fault.rate) * lasting <= _NOTHING)
+        or ("impulse" in keys and abs(fault.impulse) <= _NOTHING)
+        or ("probability" in keys and fault.probability * lasting < period)
+    )
 
 
 def _window(job: Job, manoeuvre: Manoeuvre, path: Path) -> Iterator[Mistake]:

@@ -117,15 +117,22 @@ def subsystems_of_all(models: Sequence[LinearModel]) -> tuple[tuple[str, ...], .
 
 def _coupled(model: LinearModel) -> NDArray[np.bool_]:
     """Return which gimbals' rows contain which other's angle or its derivatives at a constant Omega, (n, n)."""
+    return np.asarray(np.any([part != 0.0 for part in _coefficients(model)], axis=0))
+
+
+def _coefficients(model: LinearModel) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return M, the damping and the stiffness of (19), zero where entries are no larger than rounding makes them."""
     platform, rate = model.platform, float(np.linalg.norm(model.Omega0))
     tree = topology(platform)
     inertia, momentum = inertia_rounding(tree), momentum_rounding(tree)
     forces = force_rounding(platform, tree, float(np.linalg.norm(model.specific_force)))
     gyroscopic = momentum + inertia * rate
-    coupled = np.abs(model.M) > inertia
-    coupled |= (np.abs(model.G) > gyroscopic) | (np.abs(model.K) > gyroscopic * rate)
-    coupled |= (np.abs(model.Q_angle) > forces) | (model.Q_rate != 0.0)
-    return np.asarray(coupled)
+
+    def beyond(part: FloatArray, rounding: FloatArray) -> FloatArray:
+        return np.where(np.abs(part) > rounding, part, 0.0)
+
+    stiffness = beyond(model.K, gyroscopic * rate) - beyond(model.Q_angle, forces)
+    return beyond(model.M, inertia), beyond(model.G, gyroscopic) - model.Q_rate, stiffness
 
 
 @check_arguments
@@ -198,7 +205,7 @@ def linear_system(
     chosen = [model.gimbal_names[k] for k in rows]
     torquers, torque_map = gimbal_torquers(model, chosen)
     part = np.ix_(rows, rows)
-    M, G, K = model.M[part], model.damping[part], model.stiffness[part]
+    M, G, K = (one[part] for one in _coefficients(model))
     M_Omega, G_Omega = model.M_Omega[rows], model.G_Omega[rows]
     n = len(rows)
     mobility = inverse_inertia(M, names)

@@ -16,7 +16,14 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, named_system, seen_states, state_arrays
+from platform_ctrl.analysis.arrays import (
+    ComplexArray,
+    StateArrays,
+    named_system,
+    seen_states,
+    state_arrays,
+    state_scaling,
+)
 from platform_ctrl.analysis.drift import unseen_equilibria, without_drift
 from platform_ctrl.analysis.feedback import closed_loop, loop_of_sensitivity
 from platform_ctrl.analysis.interconnection import interconnect_controllers, interconnected_by_sample
@@ -285,9 +292,9 @@ class _Together:
         return {kind: np.array([np.sqrt(np.sum(one[kind] ** 2)) for one in found]) for kind in found[0]}
 
 
-# A gimbal that no loop acts on grows by itself from this share of its fastest motion on; below it is rounding of poles
-# that coincide, as those of a body that turns freely.
-_GROWS = 1e-6
+# A gimbal that no loop acts on grows by itself where its pole is this much larger than rounding may make it: that of
+# poles that coincide, as those of a body that turns freely, may be anything.
+_GROWS = 1e3
 
 
 class _Worst(NamedTuple):
@@ -336,9 +343,7 @@ def coupled_plant(job: Job, model: LinearModel, controllers: Sequence[control.St
         # What is not seen does not act on what is: it is judged by itself.
         kept = seen
         rest = [k for k in range(whole.nstates) if k not in seen]
-        s = np.linalg.eigvals(whole.A[np.ix_(rest, rest)])
-        growth = float(s.real.max(initial=0.0))
-        growth = growth if growth > _GROWS * np.abs(s).max(initial=0.0) else 0.0
+        growth = _growth(whole.A[np.ix_(rest, rest)])
         momenta = {states[k].removeprefix("p_") for k in rest if states[k].startswith("p_")}
         uncontrolled = tuple(g.name for g in platform.gimbals if g.angle in momenta)
     names = [t.name for t in torquers]
@@ -354,6 +359,18 @@ def coupled_plant(job: Job, model: LinearModel, controllers: Sequence[control.St
     at_samples = sampled(named, job.sampling.period, job.sampling.delay, [t.lag for t in torquers])
     left_out = tuple(name for name in model.angle_names if states.index(name) not in kept)
     return CoupledPlant(_read_late(job, at_samples), left_out, uncontrolled, growth)
+
+
+def _growth(A: FloatArray) -> float:
+    """Return the growth of the fastest growing pole of a continuous system, 1/s; 0 where rounding may make it."""
+    from scipy.linalg import eig
+
+    scale = state_scaling(A, np.zeros((len(A), 0)), np.zeros((0, len(A))))
+    A = A * scale / scale[:, None]
+    s, left, right = eig(A, left=True)
+    condition = np.abs(np.sum(left.conj() * right, axis=0))
+    moved = np.einsum("ik,ij,jk->k", np.abs(left), np.abs(A), np.abs(right)) * np.finfo(float).eps
+    return float(s.real[s.real * condition > _GROWS * moved].max(initial=0.0))
 
 
 def _read_late(job: Job, plant: control.StateSpace) -> control.StateSpace:

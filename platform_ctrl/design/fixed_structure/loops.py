@@ -17,7 +17,7 @@ from platform_ctrl.analysis.between_samples import Disturbed, response_at
 from platform_ctrl.analysis.feedback import sensitivities_of_plants
 from platform_ctrl.analysis.norms import stationary_covariance
 from platform_ctrl.analysis.plant_set import PlantSet
-from platform_ctrl.analysis.poles import continuous_poles
+from platform_ctrl.analysis.poles import SPLIT, continuous_poles
 from platform_ctrl.analysis.singular_values import largest_singular_values
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.fixed_structure.maps import (
@@ -256,12 +256,12 @@ class ClosedLoops:
         return joined(parts).times(1.0 / LEVEL), np.concatenate(slopes) / LEVEL
 
     def damping(self, floor: float, limit: float, members: Numbers) -> Pieces:
-        """Return limit/damping of the poles above a tenth of the nutation frequency."""
+        """Return limit/damping of the poles."""
         s = self.poles().s[members]
         finite = np.isfinite(s)
         size = np.where(finite, np.abs(s), 1.0)
         ratio, slope = at_least(np.where(finite, -s.real / size, 1.0), limit)
-        counts = finite & (s.imag >= 0.0) & ((size > 0.1 * self.plants.nutation) | (s.real > 0.0))
+        counts = finite & (s.imag >= 0.0) & ((size * self.plants.period > SPLIT) | (s.real > 0.0))
         row, k = _reaching(ratio, counts, floor)
         s, size = s[row, k], size[row, k]
         # d(−Re s/|s|) = Re((Re s conj(s)/|s|³ − 1/|s|) ds).
