@@ -5,8 +5,6 @@ from __future__ import annotations
 import gc
 import os
 import signal
-import sys
-import threading
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -16,7 +14,6 @@ from hypothesis import settings
 
 # Before numpy is loaded: on small matrices BLAS threads spend their time waiting for each other.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-# The tests themselves use all cores: a second process of each command would only start and wait.
 
 # A shell lets what it starts in the background ignore Ctrl-C, and children inherit that.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
@@ -26,27 +23,6 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 settings.register_profile("same", derandomize=True)
 settings.register_profile("others", derandomize=False, print_blob=True)
 settings.load_profile("same")
-
-# Files under which coverage learns less than two points in a hundred more, with half of the time of all; chosen by the
-# lines that each file reaches (coverage's contexts) for its time. Without them: `pytest --cov` says 92 instead of 91 %.
-UNTRACED = frozenset(
-    """
-    analysis/classical_margins analysis/frequency_response analysis/hinf_norm analysis/jitter_budget analysis/margins
-    analysis/norms analysis/plant_set app/budget app/commanded app/core app/core_sliders app/designs
-    app/designs_side_by_side app/messages app/plots app/session
-    campaign/statistics cli/check cli/help cli/new cli/requirement_lines cli/serve_command
-    design/caging_claims design/full_order_loops design/lmi design/lower_bounds design/rate_loops
-    design/riccati design/sampled_hinf design/structured_caging design/tracking_methods docs export/code_any
-    export/fixed frozen mechanics/forces mechanics/identities mechanics/linearisation_paper
-    mechanics/oracle_mujoco mechanics/oracle_pinocchio mechanics/parameter_varying mechanics/reference
-    mechanics/rotors mechanics/state_space mechanics/symbolic mechanics/the_paper models/examples models/paper
-    plant/degenerate_platforms registered report/axes_picture report/first_screen
-    report/plots_loci report/report report/summary shipped_jobs simulation/accuracy
-    simulation/batch simulation/drives simulation/forces simulation/kernel simulation/packing
-    simulation/parts simulation/plant simulation/rotors_and_base simulation/servo_rotors simulation/stops site
-    verification/changes verification/coupled verification/exact_verdicts
-    """.split()  # noqa: SIM905
-)
 
 
 def pytest_collection_finish(session: pytest.Session) -> None:
@@ -97,19 +73,3 @@ def pytest_collection(session: pytest.Session) -> Iterator[None]:
     with first:
         pass
     return (yield)
-
-
-@pytest.fixture(scope="module", autouse=True)
-def traced_where_it_counts(request: pytest.FixtureRequest) -> Iterator[None]:
-    """Let coverage follow what reaches lines that no cheaper test does; tracing takes a third of a test's time."""
-    file = request.path.relative_to(Path(__file__).parent).with_suffix("").as_posix()
-    if file.replace("test_", "", 1) not in UNTRACED:
-        yield
-        return
-    # pytest-cov's marker no_cover comes to nothing in the processes of pytest-xdist.
-    tracer, of_threads = sys.gettrace(), threading.gettrace()
-    sys.settrace(None)
-    threading.settrace(None)  # type: ignore[arg-type]
-    yield
-    sys.settrace(tracer)
-    threading.settrace(of_threads)  # type: ignore[arg-type]

@@ -37,7 +37,7 @@ def named(page: Path) -> str:
 
 PAGE = pytest.mark.parametrize("page", PAGES, ids=named)
 # Commands of a page's console that are not ours: they install, or stay until they are stopped.
-NOT_RUN = ("python3 -m venv", ".venv/bin/pip install", "pip install", "dask ", "marimo ", "mkdocs ", "pytest")
+NOT_RUN = ("python3 -m venv", ".venv/bin/pip install", "pip install", "dask ", "mkdocs ", "pytest")
 
 # Pages that need a package which not every Python has wheels of.
 NEEDS = {"campaign.md": "pyarrow", "cluster.md": "distributed"}

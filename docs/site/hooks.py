@@ -22,7 +22,6 @@ ROOT = drawn.ROOT
 # Files beside docs/ that pages lead to: each has a page under the same path.
 SHOWN = {
     "examples": ("*.py", "*.toml"),
-    "examples/apps": ("*.py",),
     "examples/notebooks": ("*.ipynb",),
     "models": ("*.toml",),
 }
