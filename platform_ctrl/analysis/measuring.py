@@ -23,6 +23,8 @@ Loops = LoopSet | SingleLoop
 
 # Share of the slowest pole's frequency at which a response is at its limit for zero frequency.
 _LIMIT = 1e-2
+# Below this share of the sample rate a response of sampled plants is rounding.
+_ROUNDING = 1e-8
 # A gain that is larger by this factor at a tenth of that grows without bound towards zero.
 _GROWING = 5.0
 # Relative distance above a bandwidth at which S is seen to reach its level.
@@ -188,13 +190,13 @@ def _refined(loops: LoopSet, parts: Sequence[Transfer], k: int, band: Band) -> t
     s = continuous_poles(loops.poles[k], period)
     own = resonances(s[np.isfinite(s)])
     slowest = np.abs(s[np.isfinite(s) & (s != 0.0)]).min(initial=grid[0])
-    low = min(_LIMIT * float(slowest), grid[0])
+    low = max(min(_LIMIT * float(slowest), grid[0]), _ROUNDING / period)
     w = np.concatenate([np.geomspace(low, grid[0], 20), grid, own[own >= low]])
     sampling = 2.0 * np.pi / period
     # A disturbance may be faster than what is sampled.
     w = np.concatenate([w, *(abs(n * sampling + sign * w) for n in (1, 2) for sign in (-1.0, 1.0))])
     edges = [edge for edge in band if 0.0 < edge < np.inf]
-    w = np.unique(np.concatenate([w[(w >= band[0]) & (w <= band[1]) & (w > 0.0)], edges]))
+    w = np.unique(np.concatenate([w[(w >= band[0]) & (w <= band[1]) & (w >= low)], edges]))
 
     def gain(at: FloatArray) -> FloatArray:
         return loops.gain_at(parts, at, k)

@@ -16,8 +16,8 @@ from platform_ctrl.common.values import FloatArray
 
 # Condition number of the eigenvectors from which on responses come from the Schur form.
 _MODAL = 1e6
-# Norm of |A| times a solution, relative to the right-hand side, from which on the solution is refined.
-_GROWN = 1e4
+# |A| times a solution over the right-hand side, from which on it is refined: slow motion of fast systems.
+_GROWN = 1e5
 # States from which on LAPACK's real Schur form, made complex afterwards, takes less time than its complex one.
 _REAL = 64
 # Entries of the largest array at a time.
@@ -96,20 +96,29 @@ class AxisResponse:
     def _strictly_proper(self, z: ComplexArray) -> ComplexArray:
         """Return C (z I - A)^-1 B, (p, m, N)."""
         p, m = self._D.shape
-        if self._residues is not None:
-            shares = 1.0 / (z - np.diag(self._schur[0])[:, None])
-            if not np.isfinite(shares).all():  # at a pole, which not every input may reach
-                shares[~self._residues.any(axis=0)] = 0.0
-            return (self._residues @ shares).reshape(p, m, len(z))
+        if self._residues is None:
+            return self._by_elimination(z)
+        shares = 1.0 / (z - np.diag(self._schur[0])[:, None])
+        largest = np.maximum(np.abs(shares.real), np.abs(shares.imag)).max(axis=0)
+        if not np.isfinite(largest).all():  # at a pole, which not every input may reach
+            shares[~self._residues.any(axis=0)] = 0.0
+        H = (self._residues @ shares).reshape(p, m, len(z))
+        near = np.isfinite(largest) & (largest * np.linalg.norm(self._A) > _GROWN)
+        if near.any():
+            H[..., near] = self._by_elimination(z[near])
+        return H
+
+    def _by_elimination(self, z: ComplexArray) -> ComplexArray:
+        (p, m), size = self._D.shape, np.linalg.norm(self._A)
         B, every = np.repeat(self._B, len(z), axis=1).astype(np.complex128), np.tile(z, m)
         X = self._solved(B, every)
         # The Schur form has the errors of its largest entries everywhere: where they count, a step of refinement.
-        growth = np.linalg.norm(self._A) * np.linalg.norm(X, axis=0)
+        growth = size * np.linalg.norm(X, axis=0)
         large = np.isfinite(growth) & (growth > _GROWN * np.linalg.norm(B, axis=0))
         if large.any():
             some, at = X[:, large], every[large]
             X[:, large] = some + self._solved(B[:, large] - at * some + self._A @ some, at)
-        return (self._C @ X).reshape(p, m, len(z))
+        return np.asarray((self._C @ X).reshape(p, m, len(z)), dtype=np.complex128)
 
     def _solved(self, right: ComplexArray, z: ComplexArray) -> ComplexArray:
         """Return (z I - A)^-1 right, one column (n,) for each z."""

@@ -11,7 +11,7 @@ import numpy as np
 
 from platform_ctrl.analysis.arrays import ComplexArray, Index, StateArrays, state_arrays
 from platform_ctrl.analysis.feedback import closed_loop, sensitivity_functions
-from platform_ctrl.analysis.mu import best_mu_bounds, mu_bounds
+from platform_ctrl.analysis.mu import best_mu_bounds, highest_mu
 from platform_ctrl.analysis.poles import continuous_poles, minimum_damping, poles, spectral_abscissa
 from platform_ctrl.analysis.response import frequency_response
 from platform_ctrl.app.curves import (
@@ -143,7 +143,7 @@ def _simultaneous(
     """
     half = 0.5 * np.eye(S.shape[-1])
     coarse = np.arange(0, len(grid), 3)
-    k = int(coarse[int(np.argmax(mu_bounds(S[coarse] - half).upper))])
+    k = int(coarse[highest_mu(S[coarse] - half)])
     best = _climbed(lambda w: sensitivity.at(w) - half, grid[max(k - 3, 0)], grid[min(k + 3, len(grid) - 1)])
     narrow = s[np.isfinite(s) & (s.imag > 0.0) & (np.abs(s.real) < _NARROW * s.imag)]
     if narrow.size:
@@ -151,7 +151,7 @@ def _simultaneous(
         def response(w: FloatArray) -> ComplexArray:
             return frequency_response(closed, np.minimum(w, math.pi / closed.dt), -3)
 
-        one = narrow[int(np.argmax(mu_bounds(response(narrow.imag)).upper))]
+        one = narrow[highest_mu(response(narrow.imag))]
         best = max(best, _climbed(response, one.imag + 2.0 * one.real, one.imag - 2.0 * one.real))
     upper, lower = best
     return 1.0 / upper, 1.0 / lower if lower > 0.0 else math.inf
