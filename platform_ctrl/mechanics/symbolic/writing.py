@@ -92,13 +92,20 @@ def _sum(terms: list[str], minus: str = "−") -> list[str]:
     return [terms[0], *(f"{minus} {t[len(minus) :].lstrip()}" if t.startswith(minus) else f"+ {t}" for t in terms[1:])]
 
 
-def text_of(equations: Equations) -> str:
-    """Return all of it, a line of output a line."""
+def text_writer(equations: Equations) -> Write:
+    """Return what writes expressions as text."""
     shown = {sympy.Symbol(s.name): sympy.Symbol(s.text) for s in equations.symbols}
 
     def write(expression: Expression) -> str:
         plain = str(sympy.sstr(expression.xreplace(shown), full_prec=False))
         return plain.replace("**2", "²").replace("**3", "³").replace("*", "·").replace("-", "−")
+
+    return write
+
+
+def text_of(equations: Equations) -> str:
+    """Return all of it, a line of output a line."""
+    write = text_writer(equations)
 
     def listed(vector: Expression) -> str:
         return "[" + ", ".join(map(write, vector)) + "]"
