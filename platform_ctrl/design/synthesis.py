@@ -13,14 +13,11 @@ of the plant as given.
 
 from __future__ import annotations
 
-from dataclasses import field
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, state_arrays
-from platform_ctrl.analysis.certificates import Certificate
-from platform_ctrl.analysis.certificates.makers import h2_certificate, norm_certificate
+from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
 from platform_ctrl.analysis.norms import h2_norm, hinf_norm
 from platform_ctrl.analysis.poles import continuous_poles
 from platform_ctrl.common.arguments import one_of, positive
@@ -105,17 +102,6 @@ class Synthesis:
     residual: dict[str, float]
     norm: Norm = "hinf"
     reason: str = ""
-    _made: list[Certificate] = field(init=False, repr=False, default_factory=list)
-
-    @property
-    def certificate(self) -> Certificate:
-        """Proof of stability and norm in interval arithmetic, of plant and controller as given; `certificate.verify()`.
-
-        Made at the first use, which takes longer than the synthesis; a `NotCertifiedError` where none is found.
-        """
-        if not self._made:
-            self._made.append(_certificate(self))
-        return self._made[0]
 
     @property
     def spectral_abscissa(self) -> float:
@@ -325,18 +311,6 @@ def certify(  # noqa: PLR0913 - what certifies one result
         norm=norm,
         reason=reason,
     )
-
-
-def _certificate(result: Synthesis) -> Certificate:
-    """Return the proof of the norm, of plant and controller as given."""
-    given = state_arrays(result.plant, "plant")
-    controller = StateArrays(*state_arrays(result.controller, "controller")[:4], dt=given.dt)
-    if result.norm == "hinf":
-        return norm_certificate(*given, controller=controller, norm=result.gamma)
-    if given.dt == 0.0 and np.any(controller.D):
-        # What the controller's direct term cancels but for rounding: the proof is of the loop without it.
-        return h2_certificate(*state_arrays(result.closed_loop, "closed loop")[:4])
-    return h2_certificate(*given, controller=controller)
 
 
 def _stable_poles(A: np.ndarray[Any, Any], dt: float, method: str, P: StateSpace) -> ComplexArray:

@@ -497,12 +497,6 @@ def test_a_zero_on_the_axis_is_shifted_by_regularisation():
     assert result.level == pytest.approx(hinf(P, 1, 1, method="lmi").level, rel=0.05)
 
 
-def test_the_proof_is_made_at_its_first_use():
-    result = hinf(*coprime_problem(*gyro()), method="riccati")
-    assert result.certificate is result.certificate
-    assert result.certificate.verify().proved
-
-
 def test_where_the_central_controller_is_not_well_posed_another_one_is_taken():
     # T = P/(1 − P K) has the norm 1 at least: T = 1/z. The central controller of the w-plane makes T vanish at z = −1.
     P = control.ss(0.5, [[1, 1]], [[1], [1]], 0, 0.1)

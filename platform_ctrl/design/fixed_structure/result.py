@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Sequence
-from dataclasses import field
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, state_arrays
-from platform_ctrl.analysis.certificates import Certificate
-from platform_ctrl.analysis.certificates.makers import norm_certificate, stability_certificate
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.fixed_structure.parametrised import Parametrised
 from platform_ctrl.design.fixed_structure.run import Outcome
@@ -111,7 +108,6 @@ class StructuredDesign:
     cut: bool
     infimum: str
     outcomes: tuple[CheckResult, ...] = ()
-    _made: list[Certificate] = field(init=False, repr=False, default_factory=list)
 
     @property
     def price(self) -> float:
@@ -122,30 +118,6 @@ class StructuredDesign:
     def passed(self) -> bool:
         """Whether every hard requirement is met by every plant."""
         return all(one.passed for one in self.outcomes if one.hard)
-
-    @property
-    def certificates(self) -> tuple[Certificate, ...]:
-        """Proofs in interval arithmetic, one a plant: stable, and the norm of w to z bounded; made at the first use.
-
-        With requirements the proof is of stability. A `NotCertifiedError` where none is found.
-        """
-        if not self._made:
-            for k, P in enumerate(self.plants):
-                given = state_arrays(P, "plant")
-                K = StateArrays(*state_arrays(self.controller, "controller")[:4], dt=given.dt)
-                label = f"plant {k + 1}"
-                if self.outcomes:
-                    A, B, C, D, dt = given
-                    made = stability_certificate(A, dt, B=B, C=C, D=D, controller=K, label=label)
-                else:
-                    made = norm_certificate(*given, controller=K, norm=float(self.gammas[k]), label=label)
-                self._made.append(made)
-        return tuple(self._made)
-
-    @property
-    def certificate(self) -> Certificate:
-        """The proof for the worst plant; see `certificates`."""
-        return self.certificates[int(np.argmax(self.gammas))]
 
 
 # Matrix inequalities of more states than this take minutes.
