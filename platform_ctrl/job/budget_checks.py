@@ -15,9 +15,9 @@ from platform_ctrl.common.values import replaced
 from platform_ctrl.errors import InputError
 from platform_ctrl.job.budget import SOURCE_KINDS, Budget, Source, unit_mistake
 from platform_ctrl.job.profiles import PROFILES
-from platform_ctrl.job.run_checks import of_length
 from platform_ctrl.job.spectra import SPECTRA, LogSpectrum
 from platform_ctrl.plant.checks import number_of
+from platform_ctrl.plant.entry import Entry
 from platform_ctrl.plant.mistakes import Mistake, Path, given, tables, text_of, unique_names
 from platform_ctrl.plant.platform import Platform
 
@@ -82,7 +82,7 @@ def _source(source: Data, path: Path, platform: Platform | None) -> Iterator[Mis
             yield Mistake.useless(source, path, "unit", "with a profile, which is in SI units; use scale")
     if "harmonics" in source and name != "torque":
         yield Mistake((*path, "harmonics"), 'harmonics: a turning motor is a torque: kind = "torque" and a gimbal')
-    yield from of_length(source, "densities", "frequencies_hz", path)
+    yield from Entry(source, path).of_length("densities", "frequencies_hz")
 
 
 def _correlations(budget: Data, path: Path, names: list[str]) -> Iterator[Mistake]:

@@ -10,10 +10,10 @@ from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.job.faults import Fault
 from platform_ctrl.job.job import Job, manoeuvre_scenario
 from platform_ctrl.job.parameters import Parameter, drawn_value, nominal, parameters, unknown_parameter
-from platform_ctrl.job.run_checks import of_length
 from platform_ctrl.job.scenario import Scenario
 from platform_ctrl.job.variation import CENTRES, DISTRIBUTION_NUMBERS, Vary
 from platform_ctrl.plant.checks import number_of
+from platform_ctrl.plant.entry import Entry
 from platform_ctrl.plant.mistakes import Mistake, Path, given, one_line, suggestion, tables, text_of
 
 Data = dict[str, Any]
@@ -102,7 +102,7 @@ def _weights(table: Data, path: Path) -> Iterator[Mistake]:
         return
     numbers = [number_of({"weight": weight}, "weight") for weight in weights]
     if len(values) != len(weights):
-        yield from of_length(table, "weights", "values", path)
+        yield from Entry(table, path).of_length("weights", "values")
     elif all(number is not None for number in numbers):
         found = [number for number in numbers if number is not None]
         if min(found, default=0.0) < 0.0 or not any(found):

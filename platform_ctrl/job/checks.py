@@ -17,6 +17,7 @@ from platform_ctrl.job.methods import METHODS, LoopKind
 from platform_ctrl.job.requirements import SCOPES, limit_keys
 from platform_ctrl.job.run_checks import run_mistakes
 from platform_ctrl.plant.checks import number_of
+from platform_ctrl.plant.entry import Entry
 from platform_ctrl.plant.fields import TURN
 from platform_ctrl.plant.mistakes import Mistake, Path, given, listed, suggestion, tables, text_of, unique_names
 from platform_ctrl.plant.platform import OMEGA_NAMES, ROOT_TORQUE_NAMES, Platform
@@ -48,7 +49,7 @@ def job_mistakes(data: Data, platform: Platform | None) -> list[Mistake]:
         *_designs(data, platform),
         *_loops(data, platform),
         *_lists_of_names(data, platform),
-        *run_mistakes(data, platform),
+        *run_mistakes(Entry(data), platform),
         *campaign_mistakes(data),
         *drive_mistakes(data),
         *budget_mistakes(data, platform),
